@@ -1,0 +1,1 @@
+"""Collision times, directions of motion and miss distances from one camera."""

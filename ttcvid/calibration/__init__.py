@@ -1,0 +1,1 @@
+"""Camera, horizon and mask files."""

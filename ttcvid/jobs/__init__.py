@@ -1,0 +1,1 @@
+"""Wiring of sources, pipeline and sinks."""

@@ -1,0 +1,313 @@
+"""The types that flow between the stages, and the conventions that all of them follow.
+
+Pixels
+    x right, y down; the centre of the top-left pixel is (0, 0), after the stream's own rotation has been
+    applied. Every stored pixel is a pixel of the source picture, distorted as it is.
+Camera frame
+    x right, y down, z forward. The ray of a pixel is the undistorted ``K^-1 (x, y, 1)``.
+Time
+    ``frame`` is the index in the source, from 0; ``t_s`` its presentation time. A row of frame i describes
+    the motion up to i, expressed in the camera of frame i. ``cam_R_prev`` turns a ray of the previous
+    camera into the present one: ``ray_cam = cam_R_prev @ ray_prev``.
+Relative velocity
+    ``V = v_point - v_camera`` with the camera's rotation removed; a point approaches when P . V < 0.
+    ``dir = V / |V|``: over time the picture of a point moves from ``-dir`` (where it comes from) to ``+dir``.
+    ``alpha`` is the angle between the point's ray and ``-dir``, in [0, pi].
+Missing values
+    Arrays hold NaN (floats) or ``NO_CLUSTER`` (cluster numbers) where there is no result, always beside a
+    ``Status`` that says why. Tables hold null there: never 0, NaN or infinity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from enum import IntEnum, StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Picture = NDArray[np.uint8]
+
+NO_CLUSTER = -1
+SCENE_CLUSTER = 0
+
+
+class Status(IntEnum):
+    """Why a track or cluster has a result, or has none; stored by name in the tables."""
+
+    ok = 0
+    short_track = 1
+    no_parallax = 2
+    parallel_to_horizon = 3
+    at_epipole = 4
+    no_epipole = 5
+    epipole_at_infinity = 6
+    not_rigid = 7
+    no_approach = 8
+
+
+class FrameStatus(StrEnum):
+    """What became of a frame."""
+
+    ok = "ok"
+    first = "first"
+    cut = "cut"
+    bad_dt = "bad_dt"
+    duplicate = "duplicate"
+    dark = "dark"
+    few_tracks = "few_tracks"
+    rotation_only = "rotation_only"
+
+
+class MotionState(StrEnum):
+    """How a cluster moves relative to the camera."""
+
+    approaching = "approaching"
+    receding = "receding"
+    constant_bearing = "constant_bearing"
+    no_relative_motion = "no_relative_motion"
+    unknown = "unknown"
+
+
+class Platform(StrEnum):
+    """What carries the camera; chooses the priors on own motion."""
+
+    vehicle = "vehicle"
+    aircraft = "aircraft"
+    free = "free"
+    static = "static"
+
+
+@dataclass(frozen=True)
+class ImageSize:
+    """Width and height of a picture, in px."""
+
+    width_px: int
+    height_px: int
+
+    def __str__(self) -> str:
+        return f"{self.width_px}x{self.height_px}"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with lens distortion.
+
+    ``distortion_model`` is ``none``, ``plumb_bob`` (k1 k2 p1 p2 k3), ``rational`` (k1 k2 p1 p2 k3 k4 k5 k6) or
+    ``fisheye`` (k1 k2 k3 k4 of the equidistant model), with OpenCV's meaning of the coefficients.
+    ``origin`` says where the numbers come from: a file name, ``focal_px``, ``hfov_deg`` or ``assumed``.
+    """
+
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    image_size: ImageSize
+    distortion_model: str = "none"
+    distortion: tuple[float, ...] = ()
+    origin: str = "assumed"
+
+    @property
+    def is_assumed(self) -> bool:
+        """True where nobody gave the focal length: every output has to say so."""
+        return self.origin == "assumed"
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """The horizon of a camera as a line in undistorted pixels, at x = 0 and at x = width - 1.
+
+    ``sigma_rad`` is the standard deviation of its normal's direction.
+    """
+
+    y_left_px: float
+    y_right_px: float
+    image_size: ImageSize
+    sigma_rad: float
+    origin: str
+
+
+@dataclass(frozen=True)
+class PointSet:
+    """Observed points of one picture.
+
+    ``track_id (N,)`` ascending and unique; ``xy_px (N, 2)`` distorted source pixels.
+    """
+
+    track_id: Ints
+    xy_px: Floats
+
+    def __post_init__(self) -> None:
+        n = len(self.track_id)
+        if self.track_id.shape != (n,) or self.xy_px.shape != (n, 2):
+            raise ValueError(
+                f"PointSet: expected track_id (N,) and xy_px (N, 2), got {self.track_id.shape} and {self.xy_px.shape}"
+            )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture (or one set of tracked points) of a source, with its time.
+
+    ``grey`` (H, W) uint8, or None where the source delivers ``points`` instead. ``colour`` gives the picture
+    as (H, W, 3) BGR uint8, a fresh array at each call; None where there is no picture to draw on.
+    """
+
+    index: int
+    t_s: float
+    grey: Picture | None = None
+    points: PointSet | None = None
+    colour: Callable[[], Picture] | None = None
+
+
+@dataclass(frozen=True)
+class SourceInfo:
+    """What is known of a source before its first frame is read.
+
+    ``nominal_dt_s`` is the median time difference of the whole source (before ``stride``), ``n_frames`` the
+    number of frames that the source will deliver if all of them can be decoded (None: unknown).
+    ``time_origin`` says where the times come from: ``presentation`` (container), ``timestamps``, ``fps`` or ``table``.
+    """
+
+    path: str
+    kind: str
+    image_size: ImageSize
+    nominal_dt_s: float
+    n_frames: int | None
+    time_origin: str
+
+
+@dataclass(frozen=True)
+class SourceReport:
+    """What happened while a source was read; valid once the iteration has ended."""
+
+    n_frames_read: int = 0
+    n_packets_skipped: int = 0
+    is_truncated: bool = False
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class CollisionTimes:
+    """The three times of N points with their 90 % intervals, each ``(N,)`` in s; NaN where there is none.
+
+    ``tcpa_s`` (the paper's k): until closest approach; ``miss_s`` (the paper's H): distance then, in seconds of
+    relative motion; ``ttc_z_s``: until depth zero, what lidar and KITTI call TTC. Positive is ahead.
+    The ttc_z interval is made on 1/time: lo > hi means that it runs through infinity.
+    """
+
+    tcpa_s: Floats
+    tcpa_lo_s: Floats
+    tcpa_hi_s: Floats
+    miss_s: Floats
+    miss_lo_s: Floats
+    miss_hi_s: Floats
+    ttc_z_s: Floats
+    ttc_z_lo_s: Floats
+    ttc_z_hi_s: Floats
+
+    @staticmethod
+    def missing(n: int) -> CollisionTimes:
+        """N rows without a result."""
+        return CollisionTimes(*(np.full(n, np.nan) for _ in fields(CollisionTimes)))
+
+    def take(self, index: Any) -> CollisionTimes:
+        """The rows that a mask or an index array picks."""
+        return CollisionTimes(*(getattr(self, f.name)[index] for f in fields(self)))
+
+
+@dataclass(frozen=True)
+class TrackRows:
+    """Results of the N live tracks of one frame, ascending in ``track_id``.
+
+    ``n_frames`` counts the observations of the track so far, ``alpha_rad`` is the angle from the epipole,
+    ``status`` holds ``Status`` values.
+    """
+
+    track_id: Ints
+    cluster_id: Ints
+    xy_px: Floats
+    n_frames: Ints
+    alpha_rad: Floats
+    times: CollisionTimes
+    status: Ints
+
+
+@dataclass(frozen=True)
+class ClusterRow:
+    """One cluster (the scene or an object) in one frame.
+
+    ``direction`` (3,) is ``dir``, None where there is no epipole, with ``direction_cov`` (3, 3) in rad^2 in its
+    tangent plane. ``epipole_px`` (2,) is None within 1 deg of the picture plane. ``state_abc_hz`` (3,) is
+    (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2.
+    ``times`` has one row. ``method`` names how the epipole was found.
+    """
+
+    cluster_id: int
+    motion_id: int
+    n_tracks: int
+    box_px: tuple[float, float, float, float]
+    status: Status
+    epipole_status: Status
+    method: str
+    motion_state: MotionState = MotionState.unknown
+    direction: Floats | None = None
+    direction_cov: Floats | None = None
+    epipole_px: Floats | None = None
+    horizon_offset_px: float | None = None
+    ref_px: tuple[float, float] | None = None
+    state_abc_hz: Floats | None = None
+    state_cov: Floats | None = None
+    expansion_hz: float | None = None
+    urgency_rank: int | None = None
+    times: CollisionTimes = field(default_factory=lambda: CollisionTimes.missing(1))
+
+    @property
+    def role(self) -> str:
+        """``scene`` or ``object``."""
+        return "scene" if self.cluster_id == SCENE_CLUSTER else "object"
+
+
+@dataclass(frozen=True)
+class Event:
+    """A warning: an object on collision course, or one at constant bearing that expands."""
+
+    event_id: int
+    kind: str
+    cluster_id: int
+    start_frame: int
+    end_frame: int
+    start_s: float
+    end_s: float
+    min_ttc_z_s: float | None
+    min_tcpa_s: float | None
+    miss_s: float | None
+    confidence: float
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """Everything that is known of one frame.
+
+    ``rotation_rad`` (3,) is the rotation vector of ``cam_R_prev``, None where there is no estimate, with
+    ``rotation_sigma_rad`` its standard deviation per axis. ``min_ttc_z_s`` is the smallest over approaching objects.
+    ``horizon_px`` is the horizon line (y at x = 0, y at x = width - 1) of this frame, None where none is in use.
+    ``events`` are the warnings active in this frame, as they stand: the last version of each ``event_id`` is final.
+    """
+
+    frame: int
+    t_s: float
+    dt_s: float | None
+    status: FrameStatus
+    tracks: TrackRows
+    clusters: tuple[ClusterRow, ...]
+    rotation_rad: Floats | None = None
+    rotation_sigma_rad: float | None = None
+    min_ttc_z_s: float | None = None
+    horizon_px: tuple[float, float] | None = None
+    events: tuple[Event, ...] = ()

@@ -1,0 +1,1 @@
+"""What comes in, with its times: videos, image folders, track tables."""
