@@ -25,58 +25,68 @@ class TrackingConfig(StageConfig):
     """How points are found and followed from picture to picture."""
 
     tracker: Literal["klt", "akaze"] = "klt"
-    max_tracks: int = Field(1500, ge=20, le=20000, description="tracks held alive (klt) or features taken (akaze)")
-    min_distance_px: PositiveFloat = Field(7.0, description="least distance between a new corner and any track")
-    corner_quality: Fraction = Field(0.005, description="corner response relative to the best one of the picture")
-    window_px: int = Field(11, ge=5, le=51, description="side of the Lucas-Kanade window")
-    pyramid_levels: int = Field(3, ge=0, le=6, description="levels above the full picture")
-    max_forward_backward_px: PositiveFloat = Field(0.5, description="forward-backward distance that ends a track")
-    akaze_threshold: PositiveFloat = Field(0.001, description="AKAZE detector response")
-    akaze_ratio: Fraction = Field(0.8, description="nearest over second nearest descriptor distance")
-    sigma_floor_px: PositiveFloat = Field(0.05, description="least standard deviation of a track's position")
-    sigma_start_px: PositiveFloat = Field(0.2, description="standard deviation assumed until it has been estimated")
+    max_tracks: int = Field(
+        default=1500, ge=20, le=20000, description="tracks held alive (klt) or features taken (akaze)"
+    )
+    min_distance_px: PositiveFloat = Field(default=7.0, description="least distance between a new corner and any track")
+    corner_quality: Fraction = Field(
+        default=0.005, description="corner response relative to the best one of the picture"
+    )
+    window_px: int = Field(default=11, ge=5, le=51, description="side of the Lucas-Kanade window")
+    pyramid_levels: int = Field(default=3, ge=0, le=6, description="levels above the full picture")
+    max_forward_backward_px: PositiveFloat = Field(
+        default=0.5, description="forward-backward distance that ends a track"
+    )
+    akaze_threshold: PositiveFloat = Field(default=0.001, description="AKAZE detector response")
+    akaze_ratio: Fraction = Field(default=0.8, description="nearest over second nearest descriptor distance")
+    sigma_floor_px: PositiveFloat = Field(default=0.05, description="least standard deviation of a track's position")
+    sigma_start_px: PositiveFloat = Field(
+        default=0.2, description="standard deviation assumed until it has been estimated"
+    )
 
 
 class EgomotionConfig(StageConfig):
     """Priors and gates of own rotation and translation."""
 
     platform: Platform = Platform.free
-    min_tracks: int = Field(12, ge=5, description="fewer tracks than this give the status few_tracks")
-    gate_probability: Fraction = Field(0.99, description="chi-square probability inside which a track moves with the scene")
+    min_tracks: int = Field(default=12, ge=5, description="fewer tracks than this give the status few_tracks")
+    gate_probability: Fraction = Field(default=0.99, description="chi-square probability of the gate of the scene")
 
 
 class MotionGroupsConfig(StageConfig):
     """How tracks are gathered into groups of one relative motion."""
 
-    min_tracks: int = Field(3, ge=3, description="least number of tracks of a group (the paper's three lines)")
-    n_hypotheses: int = Field(200, ge=10, le=5000, description="epipoles tried per extracted group")
-    max_groups: int = Field(12, ge=1, le=100, description="groups extracted per frame")
-    gate_probability: Fraction = Field(0.99, description="chi-square probability inside which a track belongs to a group")
+    min_tracks: int = Field(default=3, ge=3, description="least number of tracks of a group (the paper's three lines)")
+    n_hypotheses: int = Field(default=200, ge=10, le=5000, description="epipoles tried per extracted group")
+    max_groups: int = Field(default=12, ge=1, le=100, description="groups extracted per frame")
+    gate_probability: Fraction = Field(default=0.99, description="chi-square probability of the gate of a group")
 
 
 class CollisionTimesConfig(StageConfig):
     """Which of the estimators gives the times, and over which frames."""
 
     estimator: Literal["two-frame", "three-frame"] = "two-frame"
-    max_gap_frames: int = Field(10, ge=1, le=60, description="largest frame gap of the flexible baseline")
-    target_flow_px: PositiveFloat = Field(8.0, description="the gap grows until the flow is this long")
+    max_gap_frames: int = Field(default=10, ge=1, le=60, description="largest frame gap of the flexible baseline")
+    target_flow_px: PositiveFloat = Field(default=8.0, description="the gap grows until the flow is this long")
 
 
 class EventsConfig(StageConfig):
     """When an approach becomes a warning."""
 
-    max_ttc_s: PositiveFloat = Field(4.0, description="a warning starts below this time")
-    max_miss_widths: PositiveFloat = Field(1.0, description="miss distance in object widths that counts as a collision course")
-    confidence: Fraction = Field(0.95, description="probability of approach that a warning needs")
-    persistence_s: PositiveFloat = Field(0.3, description="how long the condition has to hold, and to be gone")
+    max_ttc_s: PositiveFloat = Field(default=4.0, description="a warning starts below this time")
+    max_miss_widths: PositiveFloat = Field(
+        default=1.0, description="miss distance, in object widths, of a collision course"
+    )
+    confidence: Fraction = Field(default=0.95, description="probability of approach that a warning needs")
+    persistence_s: PositiveFloat = Field(default=0.3, description="how long the condition has to hold, and to be gone")
 
 
 class OverlayConfig(StageConfig):
     """The annotated video."""
 
     preset: Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium"] = "superfast"
-    crf: int = Field(23, ge=0, le=51, description="H.264 constant rate factor")
-    trail_frames: int = Field(8, ge=1, le=60, description="length of the drawn track trails")
+    crf: int = Field(default=23, ge=0, le=51, description="H.264 constant rate factor")
+    trail_frames: int = Field(default=8, ge=1, le=60, description="length of the drawn track trails")
 
 
 class PipelineConfig(StageConfig):
@@ -87,4 +97,4 @@ class PipelineConfig(StageConfig):
     motion_groups: MotionGroupsConfig = MotionGroupsConfig()
     collision_times: CollisionTimesConfig = CollisionTimesConfig()
     events: EventsConfig = EventsConfig()
-    seed: int = Field(0, ge=0, description="seed of every random choice")
+    seed: int = Field(default=0, ge=0, description="seed of every random choice")

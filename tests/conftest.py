@@ -1,0 +1,17 @@
+"""What all tests share: the place of the real clips, and a quiet, single-threaded numerics library."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of the real clips; a test that asks for it is skipped where they are absent."""
+    folder = Path(os.environ.get("TTCVID_DATA", REPOSITORY.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"real clips not found in {folder}: set TTCVID_DATA to their folder")
+    return folder
