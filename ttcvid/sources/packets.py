@@ -1,0 +1,227 @@
+"""What a video file says of its frames before any of them is decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from av.container import InputContainer
+from av.stream import Disposition
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
+
+from ttcvid.errors import InputError
+from ttcvid.model import Floats, Ints
+
+NO_TIMESTAMPS_FLAG = 0x0080
+"""AVFMT_NOTIMESTAMPS of libavformat: a bare stream, whose times would be invented from an assumed rate."""
+
+TS_PACKET_BYTES = (188, 192, 204)
+"""Packet lengths of MPEG transport streams: a whole file is a multiple of one of them."""
+
+MICROSECONDS = 1_000_000
+DURATION_SLACK_S = 0.1
+"""How much shorter than the header says a file may end: headers are rounded and count the last frame's length."""
+
+
+@dataclass(frozen=True)
+class PacketIndex:
+    """The frames that a file holds, in presentation order, from its packets alone.
+
+    ``pts (N,)`` is in units of ``time_base``; None where the file knows no times. ``entry_packet (N,)`` is the
+    number, in file order, of the packet from which decoding has to start for that frame. Where
+    ``decoder_orders`` the file does not know the order of presentation, and only decoding tells it: the k-th
+    frame that comes out is frame k. ``is_cut`` says that the file ends earlier than it should.
+    """
+
+    pts: Ints | None
+    time_base: Fraction
+    entry_packet: Ints
+    decoder_orders: bool
+    is_cut: bool
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames that come out if all of them can be decoded."""
+        return len(self.entry_packet)
+
+    def times_s(self) -> Floats | None:
+        """Presentation times ``(N,)`` in s, pts x time_base, the first one moved to 0 only where it is negative."""
+        if self.pts is None:
+            return None
+        # numerator and pts are whole numbers below 2^53: one correctly rounded division
+        times_s = self.pts * float(self.time_base.numerator) / self.time_base.denominator
+        return np.asarray(times_s - min(0.0, times_s.min()))
+
+    def number(self, pictures: Iterable[VideoFrame]) -> Iterator[tuple[int, VideoFrame]]:
+        """Decoded frames with their index in the source, ascending; what the file does not announce is left out."""
+        due = 0
+        for picture in pictures:
+            index = due if self.pts is None or self.decoder_orders else self._find(picture.pts, due)
+            if index is not None:
+                due = index + 1
+                yield index, picture
+
+    def _find(self, pts: int | None, due: int) -> int | None:
+        assert self.pts is not None
+        if pts is None or (due < self.n_frames and self.pts[due] == pts):
+            return due
+        later = np.flatnonzero(self.pts[due:] == pts)
+        return due + int(later[0]) if len(later) else None
+
+
+def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
+    """Open a video file and choose its first stream of moving pictures.
+
+    Raises InputError where it is no video, holds no pictures, or none whose format is known.
+    """
+    try:
+        # "file:" keeps names with a colon from being taken for URLs, the whitelist keeps playlists from opening others
+        container = av.open(f"file:{path}", options={"protocol_whitelist": "file"})
+    except (av.error.FFmpegError, OSError) as error:
+        raise InputError(
+            f"{path}: cannot be opened as video ({error.strerror}): expected a complete clip such as mp4, mkv, avi or "
+            f"ts; an mp4 cut before its index was written has to be recorded or copied again"
+        ) from None
+    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+    if not streams:
+        kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
+        container.close()
+        raise InputError(f"{path}: holds no video, only {kinds}: expected a clip with a video stream")
+    # decoding a stream without codec parameters would crash the interpreter
+    if streams[0].codec_context is None:
+        container.close()
+        raise InputError(f"{path}: its video stream cannot be decoded (unknown or damaged format): convert it to H.264")
+    # frame threads swallow what precedes a damaged packet; with slice threads each packet stands for itself
+    streams[0].thread_type = "SLICE"
+    return container, streams[0]
+
+
+def index_packets(path: Path) -> PacketIndex:
+    """Read all packets once, without decoding, and list the frames that they hold."""
+    container, stream = open_video(path)
+    with container:
+        rows, n_empty, end_s, is_broken = _scan(container, stream)
+        is_cut = is_broken or _ends_early(path, container, stream, len(rows) + n_empty, end_s)
+        is_bare = bool(container.format.flags & NO_TIMESTAMPS_FLAG)
+        delay = stream.codec_context.has_b_frames
+    time_base = stream.time_base or Fraction(1)
+    pts = [None if is_bare else row.pts for row in rows]
+    shown = [i for i, row in enumerate(rows) if not row.is_discard]
+    entry = _entry_packets(rows)
+    known = [i for i in shown if pts[i] is not None]
+    if not known:
+        return PacketIndex(None, time_base, np.zeros(len(shown), dtype=np.int64), True, is_cut)
+    order = _presentation_order(rows, known)
+    ordered_pts = np.array([rows[i].pts for i in order], dtype=np.int64)
+    # an AVI file numbers its packets in the order of decoding, whatever the order of presentation
+    decoder_orders = delay > 0 and order == known and container.format.name == "avi"
+    first = np.zeros(len(order), dtype=np.int64) if decoder_orders else np.array([entry[i] for i in order])
+    return PacketIndex(ordered_pts, time_base, first, decoder_orders, is_cut)
+
+
+@dataclass(frozen=True)
+class _Packet:
+    pts: int | None
+    dts: int | None
+    is_keyframe: bool
+    is_discard: bool
+    is_corrupt: bool
+
+
+def _scan(container: InputContainer, stream: VideoStream) -> tuple[list[_Packet], int, float, bool]:
+    """The video packets in file order, how many hold nothing, where the last of any stream ends, and if it broke off.
+
+    AVI files keep the place of frames dropped while recording with empty packets, and count them in the header.
+    """
+    rows: list[_Packet] = []
+    n_empty = 0
+    end_s = 0.0
+    try:
+        for packet in container.demux():
+            if packet.size == 0:
+                n_empty += packet.stream_index == stream.index and packet.dts is not None
+                continue
+            if packet.pts is not None:
+                end_s = max(end_s, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+            if packet.stream_index == stream.index:
+                rows.append(_Packet(packet.pts, packet.dts, packet.is_keyframe, packet.is_discard, packet.is_corrupt))
+    except av.error.FFmpegError:
+        return rows, n_empty, end_s, True
+    return rows, n_empty, end_s, bool(rows) and rows[-1].is_corrupt
+
+
+def _ends_early(path: Path, container: InputContainer, stream: VideoStream, n_packets: int, end_s: float) -> bool:
+    """Whether the file is shorter than its own header says."""
+    kinds = set(container.format.name.split(","))
+    if "mp4" in kinds:
+        return len(stream.index_entries) > n_packets
+    if "avi" in kinds:
+        return stream.frames > n_packets
+    if kinds & {"matroska", "flv"}:
+        frame_s = float(1 / stream.average_rate) if stream.average_rate else 0.0
+        return (container.duration or 0) / MICROSECONDS > end_s + frame_s + DURATION_SLACK_S
+    if "mpegts" in kinds:
+        return all(path.stat().st_size % length for length in TS_PACKET_BYTES)
+    return False
+
+
+def _entry_packets(rows: list[_Packet]) -> list[int]:
+    """For each packet the last keyframe, in file order, that is shown no later than it."""
+    entry: list[int] = []
+    keys: list[int] = []
+    for i, row in enumerate(rows):
+        if row.is_keyframe:
+            keys = [*keys[-1:], i]
+        # pictures that lead an open group of pictures follow its keyframe in the file, but need the group before
+        shown = [k for k in keys if row.pts is not None and (rows[k].pts or 0) <= row.pts]
+        entry.append(shown[-1] if shown else (keys[0] if keys else 0))
+    return entry
+
+
+def _presentation_order(rows: list[_Packet], known: list[int]) -> list[int]:
+    """Packet numbers in the order of presentation; a clock that jumps back (dts falls) starts anew behind."""
+    order: list[int] = []
+    piece: list[int] = []
+    last_dts: int | None = None
+    for i in known:
+        dts = rows[i].dts
+        if dts is not None and last_dts is not None and dts < last_dts:
+            order += sorted(piece, key=lambda k: rows[k].pts or 0)
+            piece = []
+        last_dts = dts if dts is not None else last_dts
+        piece.append(i)
+    return order + sorted(piece, key=lambda k: rows[k].pts or 0)
+
+
+def decode(container: InputContainer, stream: VideoStream, first_packet: int) -> Iterator[VideoFrame]:
+    """Decoded frames in the order of presentation, from a packet on; damaged packets are left out in silence.
+
+    Who knows what to expect (``PacketIndex``) sees from the gaps what is missing.
+    """
+    packets = container.demux(stream)
+    number = -1
+    while True:
+        try:
+            packet = next(packets, None)
+        except av.error.FFmpegError:
+            break  # the container itself is damaged: nothing can be found behind this place
+        if packet is None:
+            break
+        if packet.size == 0:
+            continue  # an empty packet would end the decoding
+        number += 1
+        if number >= first_packet:
+            yield from _decode_packet(packet.decode)
+    yield from _decode_packet(lambda: stream.codec_context.decode(None))
+
+
+def _decode_packet(decode_once: Callable[[], list[VideoFrame]]) -> list[VideoFrame]:
+    try:
+        return decode_once()
+    except av.error.FFmpegError:
+        return []

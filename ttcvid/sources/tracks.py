@@ -1,0 +1,151 @@
+"""Tables of point tracks, from any other tracker."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+from ttcvid.errors import InputError, UsageError
+from ttcvid.model import Floats, Frame, ImageSize, Ints, PointSet, SourceInfo
+from ttcvid.sources.base import OnePassSource, Selection, median_dt_s, require_file
+from ttcvid.sources.clock import Clock
+
+TABLE_SUFFIXES = frozenset((".parquet", ".csv"))
+LARGEST_WHOLE = 2**53
+"""Numbers above this one lose digits on their way through float64."""
+
+COLUMNS = ("frame", "t_s", "track_id", "x_px", "y_px")
+
+
+class TrackSource(OnePassSource):
+    """A table with a row per observed point: ``frame, t_s, track_id, x_px, y_px``; other columns do not matter.
+
+    The rows may stand in any order, and frame numbers may have gaps. Points outside the picture are kept:
+    trackers predict there, and rays exist there. Frames carry ``points`` and no picture.
+
+    Raises UsageError without an image size and with ``--fps`` or ``--timestamps`` (the table has its own times);
+    InputError where the table cannot be read, lacks columns, is empty, or holds missing, infinite, negative or
+    broken numbers, one track twice in a frame, or two times in one frame.
+    """
+
+    def __init__(self, path: Path, selection: Selection, clock: Clock, image_size: ImageSize | None) -> None:
+        if clock.origin:
+            raise UsageError(f"--{clock.origin}: {path} has its times in column t_s: leave the option out")
+        if image_size is None:
+            raise UsageError(f"{path}: a track table has no image size: give --image-size WxH or a --camera file")
+        frame, t_s, track_id, xy_px = _read_columns(path)
+        order = np.lexsort((track_id, frame))
+        self._frame, self._track_id, self._xy_px = frame[order], track_id[order], xy_px[order]
+        _require_unique(path, self._frame, self._track_id)
+        _require_one_time(path, self._frame, t_s[order])
+        self._numbers, self._starts = np.unique(self._frame, return_index=True)
+        self._times_s = t_s[order][self._starts]
+        self._wanted = selection.require_any(str(path), self._numbers, self._times_s)
+        info = SourceInfo(
+            path=str(path),
+            kind="tracks",
+            image_size=image_size,
+            nominal_dt_s=median_dt_s(self._times_s),
+            n_frames=int(self._wanted.sum()),
+            time_origin="table",
+        )
+        super().__init__(info, (path,))
+
+    def frames(self) -> Iterator[Frame]:
+        """The selected frames that have points, ascending."""
+        ends = np.append(self._starts[1:], len(self._frame))
+        for i in np.flatnonzero(self._wanted):
+            rows = slice(self._starts[i], ends[i])
+            points = PointSet(self._track_id[rows].copy(), self._xy_px[rows].copy())
+            yield Frame(int(self._numbers[i]), float(self._times_s[i]), points=points)
+
+
+def _read_columns(path: Path) -> tuple[Ints, Floats, Ints, Floats]:
+    """The checked columns: frame (N,), t_s (N,), track_id (N,), xy_px (N, 2)."""
+    table = _read_table(path)
+    missing = [name for name in COLUMNS if name not in table.column_names]
+    if missing:
+        raise InputError(
+            f"{path}: lacks column {', '.join(missing)}: expected {', '.join(COLUMNS)}, "
+            f"found {', '.join(table.column_names) or 'none'}"
+        )
+    if table.num_rows == 0:
+        raise InputError(f"{path}: has no rows: expected one per observed point")
+    frame, t_s, track_id, x_px, y_px = (_numbers(path, name, table[name]) for name in COLUMNS)
+    xy_px = np.column_stack([x_px, y_px])
+    return _whole(path, "frame", frame), t_s, _whole(path, "track_id", track_id), xy_px
+
+
+def _read_table(path: Path) -> pa.Table:
+    require_file(path)
+    try:
+        if path.suffix.lower() == ".csv":
+            return pyarrow.csv.read_csv(path)
+        # a path that is opened here stays a file, whatever its name looks like
+        with path.open("rb") as stream:
+            return pyarrow.parquet.read_table(stream)
+    except (pa.ArrowException, OSError) as error:
+        reason = " ".join(str(error).split()).rstrip(".")
+        raise InputError(
+            f"{path}: cannot be read as {path.suffix.lower()[1:]} ({reason}): expected a table, write it again"
+        ) from None
+
+
+def _numbers(path: Path, name: str, column: pa.ChunkedArray[Any]) -> Floats:
+    """A column as float64; an error names the first row (from 1) whose value is no finite number."""
+    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+        values: NDArray[Any] = pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    else:
+        values = np.array([_float(value) for value in column.to_pylist()])
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        row = int(bad[0])
+        raise InputError(
+            f"{path}: row {row + 1}: {name} is {column[row].as_py()!r}: expected a finite number "
+            f"({len(bad)} such rows), leave such rows out"
+        )
+    return np.asarray(values, dtype=np.float64)
+
+
+def _float(value: object) -> float:
+    try:
+        return float(str(value))
+    except ValueError:
+        return np.nan
+
+
+def _whole(path: Path, name: str, values: Floats) -> Ints:
+    bad = np.flatnonzero((values != np.floor(values)) | (values < 0) | (values > LARGEST_WHOLE))
+    if len(bad):
+        row = int(bad[0])
+        raise InputError(
+            f"{path}: row {row + 1}: {name} is {values[row]:g}: expected whole numbers from 0 to 2^53, mend the table"
+        )
+    return values.astype(np.int64)
+
+
+def _require_unique(path: Path, frame: Ints, track_id: Ints) -> None:
+    twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(track_id) == 0))
+    if len(twice):
+        i = twice[0]
+        raise InputError(
+            f"{path}: frame {frame[i]} has track_id {track_id[i]} more than once: "
+            f"expected one row for each track in a frame ({len(twice)} rows too many), leave the others out"
+        )
+
+
+def _require_one_time(path: Path, frame: Ints, t_s: Floats) -> None:
+    differing = np.flatnonzero((np.diff(frame) == 0) & (np.diff(t_s) != 0))
+    if len(differing):
+        i = differing[0]
+        raise InputError(
+            f"{path}: frame {frame[i]} has t_s {t_s[i]!r} and {t_s[i + 1]!r}: expected one time for each frame"
+        )
