@@ -1,0 +1,87 @@
+"""``ttcvid simulate``: a scene file becomes a clip, or point tracks, with exact truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Output folder (default: SCENE_scene).")
+@click.option("--overwrite", is_flag=True, help="Replace the folder of a former simulation.")
+@click.option("--png", is_flag=True, help="Loss-free pictures in frames/ and timestamps.txt instead of clip.mp4.")
+@click.option("--seed", type=click.IntRange(min=0), help="Instead of the scene's own seed.")
+@click.option("--frames", "n_frames", type=click.IntRange(min=1), help="Only the first pictures.")
+@click.option("--tracks", "as_tracks", is_flag=True, help="Point tracks with truth instead of pictures.")
+@click.option("--n-tracks", type=click.IntRange(min=1), default=400, show_default=True, help="Tracks alive at a time.")
+@click.option("--sigma-px", type=click.FloatRange(min=0), default=0.2, show_default=True, help="Noise of the tracks.")
+@click.option("--outliers", type=click.FloatRange(0, 1), default=0.0, show_default=True, help="Fraction of outliers.")
+@click.option("--deaths", type=click.FloatRange(0, 1), default=0.01, show_default=True, help="Deaths per frame.")
+@click.option("--births/--no-births", default=True, show_default=True, help="Whether tracks start after frame 0.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of the summary line.")
+@click.option("-q", "--quiet", is_flag=True, help="No summary and no progress.")
+def simulate(
+    scene: Path,
+    out: Path | None,
+    overwrite: bool,
+    png: bool,
+    seed: int | None,
+    n_frames: int | None,
+    as_tracks: bool,
+    n_tracks: int,
+    sigma_px: float,
+    outliers: float,
+    deaths: float,
+    births: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Simulate SCENE (a YAML file) into a folder: clip, camera, horizon and the truth of every frame and object."""
+    import json
+
+    from ttcvid.jobs.simulate import simulate as run
+    from ttcvid.simulate.tracks import TrackOptions
+
+    tracks = TrackOptions(n_tracks, 15, sigma_px, outliers, deaths, births) if as_tracks else None
+    with _Progress(hidden=quiet or as_json) as progress:
+        result = run(
+            scene,
+            out,
+            png=png,
+            tracks=tracks,
+            seed=seed,
+            n_frames=n_frames,
+            overwrite=overwrite,
+            progress=progress,
+        )
+    if as_json:
+        summary = {"folder": str(result.folder), "input": str(result.input), "scene": result.name}
+        counts = {"n_frames": result.n_frames, "n_objects": result.n_objects, "n_observations": result.n_observations}
+        click.echo(json.dumps({**summary, **counts}))
+    elif not quiet:
+        what = f", {result.n_observations} observations of tracks" if result.n_observations is not None else ""
+        click.echo(f"{result.input}: scene {result.name}, {result.n_frames} frames, {result.n_objects} objects{what}")
+
+
+class _Progress:
+    """A bar on stderr, on a terminal only."""
+
+    def __init__(self, hidden: bool) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(stderr=True)
+        self._bar = Progress(console=console, transient=True, disable=hidden or not console.is_terminal)
+        self._task = self._bar.add_task("rendering", total=None)
+
+    def __call__(self, done: int, total: int) -> None:
+        self._bar.update(self._task, completed=done, total=total)
+
+    def __enter__(self) -> _Progress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()

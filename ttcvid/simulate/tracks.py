@@ -1,0 +1,192 @@
+"""Point tracks with truth, without pictures: points of visible surfaces followed along their exact paths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+
+from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.simulate.casting import GROUND, NOTHING, FaceStack, cast, face_stack, points_in_camera
+from ttcvid.simulate.scene import Scene
+from ttcvid.simulate.truth import TrueTimes, true_times
+from ttcvid.simulate.world import STATIC_LABEL, World, build_world, pose_of
+
+HIDDEN_SHARE = 1e-6
+"""A point is hidden where something lies in front of it by more than this share of its depth."""
+OUTLIER_PX = 12.0
+"""Largest displacement of an outlier, per axis."""
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """How tracks are made.
+
+    ``n_tracks`` points are alive at a time, at least ``min_per_object`` of them on each visible object if room can
+    be found; each observation has Gaussian noise of ``sigma_px`` per axis, and with probability
+    ``outlier_fraction`` is displaced by up to 12 px; a track ends by chance with probability ``death_rate`` per
+    frame, or when its point leaves the picture or is hidden. With ``births`` off no track starts after frame 0.
+    """
+
+    n_tracks: int = 400
+    min_per_object: int = 15
+    sigma_px: float = 0.2
+    outlier_fraction: float = 0.0
+    death_rate: float = 0.01
+    births: bool = True
+
+
+@dataclass(frozen=True)
+class SimulatedTracks:
+    """Observations of all tracks, sorted by (frame, track_id), each array with one row per observation.
+
+    ``frame, t_s, track_id, object_id, is_outlier (N,)``; ``xy_px, true_xy_px (N, 2)`` distorted pixels;
+    ``position_m, velocity_m_s (N, 3)`` P and V in the camera of the frame; ``times`` of that P and V.
+    """
+
+    frame: Ints
+    t_s: Floats
+    track_id: Ints
+    object_id: Ints
+    is_outlier: Bools
+    xy_px: Floats
+    true_xy_px: Floats
+    position_m: Floats
+    velocity_m_s: Floats
+    times: TrueTimes
+
+
+@dataclass(frozen=True)
+class _Alive:
+    """Points under way: number, surface they are on (actor index, or GROUND), place in its axes (N, 3)."""
+
+    track_id: Ints
+    actor: Ints
+    place_m: Floats
+
+    def keep(self, mask: Bools) -> _Alive:
+        return _Alive(self.track_id[mask], self.actor[mask], self.place_m[mask])
+
+
+def simulate_tracks(scene: Scene, options: TrackOptions | None = None, seed: int | None = None) -> SimulatedTracks:
+    """Tracks of a scene; ``seed`` (default: the scene's) fixes noise, births and deaths, never the scene itself."""
+    chosen = options or TrackOptions()
+    world = build_world(scene)
+    alive = _Alive(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)))
+    next_id, rows = 0, []
+    for frame in range(world.n_frames):
+        rng = np.random.default_rng([scene.seed if seed is None else seed, 6, frame])
+        stack = face_stack(world, frame)
+        alive = alive.keep(rng.random(len(alive.track_id)) >= chosen.death_rate)
+        alive = alive.keep(_is_visible(world, stack, frame, alive))
+        if chosen.births or frame == 0:
+            alive, next_id = _with_births(world, stack, frame, alive, next_id, chosen, rng)
+        rows.append(_observe(world, frame, alive, chosen, rng))
+    return _joined(rows)
+
+
+def _is_visible(world: World, stack: FaceStack, frame: int, alive: _Alive) -> Bools:
+    """Whether points are inside the picture and nothing lies in front of them."""
+    point = points_in_camera(world, frame, alive.actor, alive.place_m)
+    xy = pixels_from_rays(world.camera, point)
+    size = world.camera.image_size
+    with np.errstate(invalid="ignore"):
+        inside = np.all((xy >= 0) & (xy <= (size.width_px - 1, size.height_px - 1)), axis=1) & (point[:, 2] > 0)
+    result = inside.copy()
+    rays = point[inside] / point[inside, 2:]
+    hit = cast(stack, rays)
+    result[inside] = hit.depth_m >= point[inside, 2] * (1 - HIDDEN_SHARE)
+    return result
+
+
+def _with_births(
+    world: World, stack: FaceStack, frame: int, alive: _Alive, next_id: int, options: TrackOptions, rng: Generator
+) -> tuple[_Alive, int]:
+    """Fill up the points alive: first the objects that have few, then the whole picture at random."""
+    size = np.array([world.camera.image_size.width_px - 1, world.camera.image_size.height_px - 1])
+    for box in _boxes_of_poor_objects(world, frame, alive, options.min_per_object):
+        actor, low, high = box
+        wanted = options.min_per_object - int((alive.actor == actor).sum())
+        low, high = np.maximum(low, 0), np.minimum(high, size)
+        if np.all(high > low):
+            xy = rng.uniform(low, high, (4 * wanted, 2))
+            alive, next_id = _born(world, stack, frame, alive, next_id, xy, (actor, wanted))
+    missing = options.n_tracks - len(alive.track_id)
+    if missing > 0:
+        alive, next_id = _born(world, stack, frame, alive, next_id, rng.uniform(0, size, (missing, 2)), None)
+    return alive, next_id
+
+
+def _boxes_of_poor_objects(
+    world: World, frame: int, alive: _Alive, min_per_object: int
+) -> list[tuple[int, Floats, Floats]]:
+    """Actor index and the box in the picture of each object in front that has too few points."""
+    boxes = []
+    for index, actor in enumerate(world.actors):
+        if actor.object_id == STATIC_LABEL or (alive.actor == index).sum() >= min_per_object:
+            continue
+        corners = np.concatenate([face.corners_m for face in actor.faces])
+        pose = pose_of(world, actor, frame)
+        points = corners @ pose.cam_R_body.T + pose.position_m
+        if np.all(points[:, 2] > 0.5):
+            xy = pixels_from_rays(world.camera, points)
+            boxes.append((index, xy.min(axis=0), xy.max(axis=0)))
+    return boxes
+
+
+def _born(
+    world: World,
+    stack: FaceStack,
+    frame: int,
+    alive: _Alive,
+    next_id: int,
+    xy_px: Floats,
+    only: tuple[int, int] | None,
+) -> tuple[_Alive, int]:
+    """Start tracks at the surfaces seen at pixels ``(N, 2)``; ``only`` (actor, count) takes just those of one actor."""
+    hit = cast(stack, rays_from_pixels(world.camera, xy_px))
+    taken = np.flatnonzero(hit.actor != NOTHING if only is None else hit.actor == only[0])
+    taken = taken if only is None else taken[: only[1]]
+    track_id = next_id + np.arange(len(taken))
+    joined = _Alive(
+        np.concatenate([alive.track_id, track_id]),
+        np.concatenate([alive.actor, hit.actor[taken]]),
+        np.concatenate([alive.place_m, hit.place_m[taken]]),
+    )
+    return joined, next_id + len(taken)
+
+
+def _observe(world: World, frame: int, alive: _Alive, options: TrackOptions, rng: Generator) -> SimulatedTracks:
+    position = points_in_camera(world, frame, alive.actor, alive.place_m)
+    velocity = np.tile(-world.path.cam_R_road[frame] @ world.path.velocity_m_s[frame], (len(position), 1))
+    object_id = np.zeros(len(position), np.int64)
+    for index in np.unique(alive.actor[alive.actor != GROUND]):
+        actor, on_it = world.actors[index], alive.actor == index
+        velocity[on_it] = pose_of(world, actor, frame).velocity_of(position[on_it])
+        object_id[on_it] = actor.object_id
+    true_xy = pixels_from_rays(world.camera, position)
+    n = len(position)
+    is_outlier = rng.random(n) < options.outlier_fraction
+    noise = options.sigma_px * rng.standard_normal((n, 2))
+    noise[is_outlier] = rng.uniform(-OUTLIER_PX, OUTLIER_PX, (int(is_outlier.sum()), 2))
+    return SimulatedTracks(
+        np.full(n, frame),
+        np.full(n, world.path.t_s[frame]),
+        alive.track_id,
+        object_id,
+        is_outlier,
+        true_xy + noise,
+        true_xy,
+        position,
+        velocity,
+        true_times(position, velocity),
+    )
+
+
+def _joined(rows: list[SimulatedTracks]) -> SimulatedTracks:
+    """All frames in one."""
+    names = ("frame", "t_s", "track_id", "object_id", "is_outlier", "xy_px", "true_xy_px", "position_m", "velocity_m_s")
+    arrays = {name: np.concatenate([getattr(row, name) for row in rows]) for name in names}
+    return SimulatedTracks(**arrays, times=true_times(arrays["position_m"], arrays["velocity_m_s"]))

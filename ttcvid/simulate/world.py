@@ -1,0 +1,99 @@
+"""A scene made ready: camera and bodies with their places at every picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttcvid.model import Camera, Floats
+from ttcvid.simulate.poses import BodyPath, CameraPath, body_motion, body_path, camera_path
+from ttcvid.simulate.scene import Body, Scene, camera_of
+from ttcvid.simulate.shapes import Face, Part, faces_of, parts_of
+
+STATIC_LABEL = 0
+SKY_LABEL = 65535
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A body with its shape and its path; ``object_id`` is ``STATIC_LABEL`` where it belongs to the static scene."""
+
+    name: str
+    body: Body
+    object_id: int
+    is_moving: bool
+    parts: list[Part]
+    faces: list[Face]
+    path: BodyPath
+
+
+@dataclass(frozen=True)
+class World:
+    """Camera and actors of a scene at N times."""
+
+    scene: Scene
+    camera: Camera
+    path: CameraPath
+    actors: tuple[Actor, ...]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of pictures."""
+        return len(self.path.t_s)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """An actor in the camera of one picture: ``cam_R_body (3, 3)``, position and relative velocity ``(3,)``.
+
+    ``turn_rad_s`` (3,) is the body's own rate of turning, in the camera's axes.
+    """
+
+    cam_R_body: Floats  # noqa: N815
+    position_m: Floats
+    velocity_m_s: Floats
+    turn_rad_s: Floats
+
+    def velocity_of(self, point_m: Floats) -> Floats:
+        """Relative velocity ``(N, 3)`` of points of the body at ``point_m (N, 3)`` in the camera."""
+        return self.velocity_m_s + np.cross(self.turn_rad_s, point_m - self.position_m)
+
+
+def build_world(scene: Scene, t_s: Floats | None = None) -> World:
+    """A scene at its pictures' times, or at times ``(N,)`` of the caller's choice."""
+    times = scene.camera.frame_times_s() if t_s is None else t_s
+    actors: list[Actor] = []
+    n_objects = 0
+    for name, body in _copies(scene):
+        is_moving = body_motion(body).is_moving
+        is_object = is_moving if body.is_object is None else body.is_object
+        n_objects += is_object
+        parts = parts_of(body)
+        object_id = n_objects if is_object else STATIC_LABEL
+        actors.append(Actor(name, body, object_id, is_moving, parts, faces_of(parts), body_path(body, times)))
+    return World(scene, camera_of(scene), camera_path(scene, times), tuple(actors))
+
+
+def pose_of(world: World, actor: Actor, frame: int) -> Pose:
+    """An actor as the camera of picture ``frame`` sees it: V = v_body - v_camera, no rotation of the camera in it."""
+    cam_R_road = world.path.cam_R_road[frame]
+    position = actor.path.position_m[frame] - world.path.position_m[frame]
+    velocity = actor.path.velocity_m_s[frame] - world.path.velocity_m_s[frame]
+    turn = np.array([0.0, 0.0, actor.path.yaw_rate_rad_s])
+    return Pose(
+        cam_R_road @ actor.path.road_R_body[frame], cam_R_road @ position, cam_R_road @ velocity, cam_R_road @ turn
+    )
+
+
+def _copies(scene: Scene) -> list[tuple[str, Body]]:
+    """Every body by name, repeated ones numbered from 1."""
+    copies: list[tuple[str, Body]] = []
+    for body in scene.bodies:
+        if body.repeat is None:
+            copies.append((body.name, body))
+            continue
+        for k in range(body.repeat.count):
+            place = np.asarray(body.at_m) + k * np.asarray(body.repeat.step_m)
+            copies.append((f"{body.name} {k + 1}", body.model_copy(update={"at_m": tuple(place.tolist())})))
+    return copies
