@@ -1,0 +1,199 @@
+"""The tables of a result: columns, types, units, descriptions and version, in one place.
+
+Everything else follows from here: the Parquet files take their schema from `table_schema`, the manual takes its
+tables from `markdown_of`. A change of a column's name, type, unit or meaning raises `SCHEMA_VERSION`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pyarrow as pa
+
+from ttcvid.model import FrameStatus, MotionState, Status
+
+SCHEMA_VERSION = "1"
+VERSION_KEY = "ttcvid_schema_version"
+TABLE_KEY = "ttcvid_table"
+
+# Names that come from a fixed list are stored as dictionaries: small on disk, categories in pandas.
+_NAME = pa.dictionary(pa.int8(), pa.string())
+STATUS_NAMES = tuple(status.name for status in Status)
+FRAME_STATUS_NAMES = tuple(status.value for status in FrameStatus)
+MOTION_STATE_NAMES = tuple(state.value for state in MotionState)
+ROLE_NAMES = ("scene", "object")
+EVENT_KINDS = ("collision_course", "constant_bearing")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: ``unit`` is empty for names and ``1`` for pure numbers; ``values`` lists what a name can be."""
+
+    name: str
+    type: pa.DataType
+    unit: str
+    description: str
+    nullable: bool = False
+    values: tuple[str, ...] = ()
+
+    def field(self) -> pa.Field[Any]:
+        """The column as an Arrow field, with unit and description as its metadata."""
+        metadata: dict[str | bytes, str | bytes] = {"unit": self.unit, "description": self.description}
+        return pa.field(self.name, self.type, nullable=self.nullable, metadata=metadata)
+
+
+def _count(name: str, description: str, nullable: bool = False) -> Column:
+    return Column(name, pa.int32(), "1", description, nullable)
+
+
+def _name(name: str, description: str, values: tuple[str, ...]) -> Column:
+    return Column(name, _NAME, "", description, values=values)
+
+
+def _real(name: str, unit: str, description: str, nullable: bool = True) -> Column:
+    return Column(name, pa.float64(), unit, description, nullable)
+
+
+_FRAME = _count("frame", "index of the picture in the source, from 0")
+_T_S = _real("t_s", "s", "presentation time of the picture", nullable=False)
+_STATUS = _name("status", "why there is a result, or why there is none", STATUS_NAMES)
+_CLUSTER_ID = _count("cluster_id", "0 the static scene, objects from 1; an object keeps its number for life")
+
+TIMES = (
+    _real(
+        "tcpa_s", "s", "time until closest approach (the paper's k); positive is ahead, negative has already happened"
+    ),
+    _real("tcpa_lo_s", "s", "lower end of the 90 % interval of tcpa_s"),
+    _real("tcpa_hi_s", "s", "upper end of the 90 % interval of tcpa_s"),
+    _real(
+        "miss_s",
+        "s",
+        "distance of the closest approach (the paper's H), in seconds of relative motion: metres = miss_s |V|",
+    ),
+    _real("miss_lo_s", "s", "lower end of the 90 % interval of miss_s"),
+    _real("miss_hi_s", "s", "upper end of the 90 % interval of miss_s"),
+    _real("ttc_z_s", "s", "time until depth zero, -Z/Vz, what lidar and KITTI call TTC; positive approaches"),
+    _real(
+        "ttc_z_lo_s", "s", "lower end of the 90 % interval of ttc_z_s, made on 1/time; lo > hi: runs through infinity"
+    ),
+    _real(
+        "ttc_z_hi_s", "s", "upper end of the 90 % interval of ttc_z_s, made on 1/time; lo > hi: runs through infinity"
+    ),
+)
+
+TABLES: dict[str, tuple[Column, ...]] = {
+    "collision_times": (
+        _FRAME,
+        _T_S,
+        Column("track_id", pa.int64(), "1", "number of the point track, never used twice"),
+        _count("cluster_id", "cluster of the track: 0 the static scene, objects from 1; null: none", nullable=True),
+        _real("x_px", "px", "position in the source picture, to the right; 0: centre of the leftmost pixel", False),
+        _real("y_px", "px", "position in the source picture, downwards; 0: centre of the topmost pixel", False),
+        _count("n_frames", "observations of the track so far"),
+        _real("alpha_rad", "rad", "angle between the point's ray and -dir, in [0, pi]; 0 comes straight at the camera"),
+        _real("k_frames", "frames", "tcpa_s in units of the source's median frame interval"),
+        *TIMES,
+        _STATUS,
+    ),
+    "epipoles": (
+        _FRAME,
+        _T_S,
+        _CLUSTER_ID,
+        Column("method", pa.string(), "", "how the epipole was found"),
+        _real("dir_x", "1", "relative direction of motion V/|V| of the cluster, to the right"),
+        _real("dir_y", "1", "relative direction of motion V/|V| of the cluster, downwards"),
+        _real("dir_z", "1", "relative direction of motion V/|V| of the cluster, away from the camera"),
+        *(
+            _real(f"cov_{ij}", "rad^2", f"covariance of dir, element {ij}; it lies in the tangent plane of dir")
+            for ij in ("xx", "xy", "xz", "yy", "yz", "zz")
+        ),
+        _real("x_px", "px", "where the line along dir meets the picture plane; null within 1 deg of that plane"),
+        _real("y_px", "px", "where the line along dir meets the picture plane; null within 1 deg of that plane"),
+        _real("horizon_offset_px", "px", "distance of the epipole from the horizon; null without a horizon"),
+        _count("n_tracks", "tracks that support the epipole"),
+        _STATUS,
+    ),
+    "clusters": (
+        _FRAME,
+        _T_S,
+        _CLUSTER_ID,
+        _name("role", "the static scene or one object", ROLE_NAMES),
+        _count("motion_id", "clusters with the same epipole share it; 0 moves with the scene"),
+        _count("n_tracks", "tracks of the cluster"),
+        _real("x0_px", "px", "left side of the box around its tracks"),
+        _real("y0_px", "px", "upper side of the box around its tracks"),
+        _real("x1_px", "px", "right side of the box around its tracks"),
+        _real("y1_px", "px", "lower side of the box around its tracks"),
+        _real("ref_x_px", "px", "reference point that the state and the times hold for"),
+        _real("ref_y_px", "px", "reference point that the state and the times hold for"),
+        _real("a_hz", "1/s", "Vx/Z at the reference point"),
+        _real("b_hz", "1/s", "Vy/Z at the reference point"),
+        _real("c_hz", "1/s", "Vz/Z at the reference point; negative approaches"),
+        *(
+            _real(f"cov_{ij}", "1/s^2", f"covariance of (a, b, c), element {ij}")
+            for ij in ("aa", "ab", "ac", "bb", "bc", "cc")
+        ),
+        _name("state", "how the cluster moves relative to the camera", MOTION_STATE_NAMES),
+        _real("expansion_hz", "1/s", "rate at which the cluster's picture grows; positive approaches"),
+        *TIMES,
+        _count("urgency_rank", "1 is the most urgent object of the frame; null: not ranked", nullable=True),
+        _STATUS,
+    ),
+    "frames": (
+        _FRAME,
+        _T_S,
+        _real("dt_s", "s", "time since the previous analysed frame; null for the first"),
+        _count("n_tracks", "live tracks"),
+        _count("n_clusters", "clusters, the scene among them"),
+        _real("rot_x_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about x"),
+        _real("rot_y_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about y"),
+        _real("rot_z_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about z"),
+        _real("rot_sigma_rad", "rad", "standard deviation of the rotation, per axis"),
+        _real("min_ttc_z_s", "s", "smallest ttc_z_s of all approaching objects; null: none approaches"),
+        _name("status", "what became of the frame", FRAME_STATUS_NAMES),
+    ),
+    "events": (
+        _count("event_id", "number of the warning"),
+        _name("kind", "what was warned of", EVENT_KINDS),
+        _count("cluster_id", "object that was warned of"),
+        _count("start_frame", "first frame of the warning"),
+        _count("end_frame", "last frame of the warning"),
+        _real("start_s", "s", "presentation time of start_frame", nullable=False),
+        _real("end_s", "s", "presentation time of end_frame", nullable=False),
+        _real("min_ttc_z_s", "s", "smallest ttc_z_s while the warning was on"),
+        _real("min_tcpa_s", "s", "smallest tcpa_s while the warning was on"),
+        _real("miss_s", "s", "distance of the closest approach, in seconds of relative motion"),
+        _real("confidence", "1", "probability that the object does approach", nullable=False),
+    ),
+}
+TABLE_NAMES = tuple(TABLES)
+
+
+def table_schema(name: str, metadata: dict[str, str] | None = None) -> pa.Schema:
+    """The Arrow schema of a table, with the schema's version (and ``metadata``) as file metadata.
+
+    Raises
+    ------
+    KeyError
+        Where there is no table ``name``; the names are in `TABLE_NAMES`.
+
+    Examples
+    --------
+    >>> table_schema("frames").field("dt_s").metadata[b"unit"]
+    b's'
+    """
+    about: dict[str | bytes, str | bytes] = {TABLE_KEY: name, VERSION_KEY: SCHEMA_VERSION}
+    about.update(metadata.items() if metadata else ())
+    return pa.schema([column.field() for column in TABLES[name]], metadata=about)
+
+
+def markdown_of(name: str) -> str:
+    """The columns of a table as a Markdown table: column, type, unit, whether it can be null, meaning."""
+    lines = ["| column | type | unit | null | meaning |", "|---|---|---|---|---|"]
+    for column in TABLES[name]:
+        kind = "name" if column.type == _NAME else str(column.type).replace("double", "float64")
+        meaning = column.description + (f": {', '.join(column.values)}" if column.values else "")
+        cells = (f"`{column.name}`", kind, column.unit, "yes" if column.nullable else "", meaning)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
