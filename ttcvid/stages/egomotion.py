@@ -1,0 +1,216 @@
+"""Own rotation and direction of travel from the motion of the static scene between two frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
+from ttcvid.geometry.two_view import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion, fit_rotation
+from ttcvid.model import Floats, Ints, Platform
+
+# Yaw rates tried on the first pair of frames, where no previous rotation helps, rad.
+_FIRST_YAWS_RAD = np.radians([0.0, -1.0, 1.0, -2.5, 2.5])
+# Torr's robust information criterion (GRIC) caps a residual at lambda3 (r - d), with lambda3 = 2, r = 4.
+_GRIC_CAP = 2.0
+# A fit with fewer points than this part within so many sigmas has started in the wrong place.
+_INLIER_SIGMAS, _GOOD_INLIERS = 3.0, 0.6
+# A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
+# most of its points are. With more than this share of the parts still, there is no translation to speak of.
+_STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
+# Median of the absolute value of a standard normal variable.
+_MEDIAN_NORMAL = 0.6745
+# Cells of the grid whose points err together: side in units of the focal length (80 px at f = 800 px), number
+# along one axis, and the least z of a ray that still has a cell of its own.
+_REGION, _REGION_COUNT, _LEAST_Z = 0.1, 200, 0.05
+
+FORWARD_DIR = np.array([0.0, 0.0, -1.0])
+"""``dir`` of the static scene for a camera that drives along its optical axis."""
+
+
+@dataclass(frozen=True)
+class MotionPrior:
+    """What is believed of own motion before a pair of frames is looked at (standard deviations, rad).
+
+    ``rotation_sigma_rad`` about the previous rotation (about none for a resting camera); ``direction_sigma_rad``
+    about forward, None where any direction is as likely; ``can_translate`` False for a resting camera.
+    """
+
+    rotation_sigma_rad: float
+    direction_sigma_rad: float | None
+    can_translate: bool = True
+
+
+# A car turns its rate by at most 0.3-0.5 deg from frame to frame and moves within a few degrees of where its camera
+# looks; an aircraft also climbs and is blown sideways; a hand turns a camera faster than either. A camera on a
+# mast only shakes.
+MOTION_PRIORS = {
+    Platform.vehicle: MotionPrior(np.radians(0.5), np.radians(15.0)),
+    Platform.aircraft: MotionPrior(np.radians(1.0), np.radians(30.0)),
+    Platform.free: MotionPrior(np.radians(2.0), None),
+    Platform.static: MotionPrior(np.radians(0.1), None, can_translate=False),
+}
+
+
+@dataclass(frozen=True)
+class Egomotion:
+    """Own motion from the last frame to this one, in the camera of this frame.
+
+    ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2;
+    ``direction (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does not translate
+    measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2. ``residual (N,)`` in sigmas.
+    """
+
+    cam_R_prev: Floats
+    rotation_cov: Floats
+    direction: Floats | None
+    direction_cov: Floats | None
+    residual: Floats
+
+    @property
+    def residual_spread(self) -> float:
+        """Robust standard deviation of the scene's residuals in sigmas: 1 where the noise is what was assumed.
+
+        Movers are cut off at three times the spread, and the cut is allowed for.
+        """
+        size = np.abs(self.residual) / (1.0 if self.direction is not None else np.sqrt(2.0))
+        spread = float(np.median(size)) / _MEDIAN_NORMAL
+        for _ in range(3):
+            spread = float(np.median(size[size <= _INLIER_SIGMAS * spread])) / _MEDIAN_NORMAL
+        return spread
+
+    @property
+    def rotation_rad(self) -> Floats:
+        """Rotation vector of ``cam_R_prev``, ``(3,)`` rad."""
+        return vector_from_rotation(self.cam_R_prev)
+
+
+@dataclass(frozen=True)
+class EgomotionMemory:
+    """The last pair's rotation vector (rad) and direction, where the next search starts; None before the first."""
+
+    rotation_rad: Floats | None = None
+    direction: Floats | None = None
+
+
+def estimate_egomotion(
+    rays_prev: Floats,
+    rays_cam: Floats,
+    sigma_rad: Floats,
+    least_parallax_rad: float,
+    memory: EgomotionMemory,
+    platform: Platform,
+) -> tuple[Egomotion, EgomotionMemory]:
+    """Rotation and direction of travel by robust Gauss-Newton with priors.
+
+    Every static point moves in the plane of its ray and the direction of travel, by an unknown amount: the residual
+    is its distance from that plane, in sigmas. Movers are outliers of a Cauchy weight. A rotation without
+    translation is chosen where it explains the same flow (Torr's GRIC).
+
+    Parameters
+    ----------
+    rays_prev, rays_cam : (N, 3) unit rays of the same points in the last and in this frame, each in its own camera.
+    sigma_rad : (N,) noise of one coordinate of a unit ray.
+    least_parallax_rad : flow left after the rotation that is not taken for translation, however small the noise:
+        matching errs in common where the light or the blur changes.
+
+    Notes
+    -----
+    An essential matrix from random samples of five points fails where the flow is small and the motion forward: it
+    trades yaw for sideways translation. The prior on the change of the rotation prevents that.
+    """
+    belief = MOTION_PRIORS[platform]
+    prior = _gaussian_prior(belief, memory)
+    region = picture_region(rays_cam)
+    observed = (rays_prev, rays_cam, sigma_rad, region, prior)
+    turning = _best([fit_rotation(*observed, start) for start in _rotation_starts(prior, memory)])
+    rotation_memory = replace(memory, rotation_rad=vector_from_rotation(turning.cam_R_prev))
+    if not belief.can_translate:
+        return _result(turning), rotation_memory
+    moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
+    if not _is_translation(turning, moving, region, sigma_rad, least_parallax_rad):
+        return _result(turning), rotation_memory
+    return _result(moving), EgomotionMemory(vector_from_rotation(moving.cam_R_prev), moving.direction)
+
+
+def picture_region(rays: Floats) -> Ints:
+    """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,)."""
+    plane = rays[:, :2] / np.maximum(rays[:, 2:], _LEAST_Z)
+    cell = np.clip(np.floor(plane / _REGION) + _REGION_COUNT // 2, 0, _REGION_COUNT - 1).astype(np.int64)
+    numbers: Ints = np.unique(cell[:, 0] * _REGION_COUNT + cell[:, 1], return_inverse=True)[1]
+    return numbers
+
+
+def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:
+    expected = np.zeros(3)
+    if memory.rotation_rad is not None and belief.can_translate:
+        expected = memory.rotation_rad
+    if belief.direction_sigma_rad is None:
+        return GaussianPrior(expected, belief.rotation_sigma_rad)
+    return GaussianPrior(expected, belief.rotation_sigma_rad, FORWARD_DIR, belief.direction_sigma_rad)
+
+
+def _rotation_starts(prior: GaussianPrior, memory: EgomotionMemory) -> list[Floats]:
+    """The expected rotation, or several yaws where there is no previous frame to expect one from."""
+    if memory.rotation_rad is not None:
+        return [rotation_from_vector(prior.rotation_rad)]
+    return [rotation_from_vector(np.array([0.0, yaw_rad, 0.0])) for yaw_rad in _FIRST_YAWS_RAD]
+
+
+def _fit_from_starts(
+    observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turning_R: Floats, memory: EgomotionMemory
+) -> TwoViewFit:
+    """The best fit from the last motion; from other starts too on a first pair, and when the last motion explains little.
+
+    Further starts: the rotation that explains most of the flow by itself (a camera that was swung), each with the
+    last direction, forward, and the direction in which the flow planes meet.
+    """
+    rays_prev, rays_cam, _, _, prior = observed
+    last = FORWARD_DIR if memory.direction is None else memory.direction
+    fits = [fit_motion(*observed, rotation_from_vector(prior.rotation_rad), last)]
+    if memory.direction is None or np.mean(np.abs(fits[0].residual) < _INLIER_SIGMAS) < _GOOD_INLIERS:
+        for rotation in [*_rotation_starts(prior, memory), turning_R]:
+            flow_direction = direction_from_flow(rays_prev, rays_cam, rotation)
+            fits += [fit_motion(*observed, rotation, start) for start in (last, FORWARD_DIR, flow_direction)]
+    return _best(fits)
+
+
+def _is_translation(
+    turning: TwoViewFit,
+    moving: TwoViewFit,
+    region: Ints,
+    sigma_rad: Floats,
+    least_parallax_rad: float,
+) -> bool:
+    """Whether the flow speaks of translation: by GRIC, and not by a few movers before a resting camera.
+
+    With the camera at rest the flow of the movers alone also meets somewhere, and one lorry can hold 40 % of all
+    points: translation has to be seen in half of the parts of the picture.
+    """
+    if _gric(turning, 2, 3) <= _gric(moving, 3, 5):
+        return False
+    flow_rad = turning.residual * np.sqrt(2.0) * sigma_rad
+    is_still = (turning.residual < _STILL_SIGMAS) | (flow_rad < least_parallax_rad)
+    points_per_region = np.bincount(region)
+    still_per_region = np.bincount(region, is_still)
+    return float(np.mean(still_per_region > 0.5 * points_per_region)) < _MOST_STILL
+
+
+def _result(fit: TwoViewFit) -> Egomotion:
+    if fit.direction is None:
+        return Egomotion(fit.cam_R_prev, fit.covariance, None, None, fit.residual)
+    basis = tangent_basis(fit.direction)
+    direction_cov = basis @ fit.covariance[:2, :2] @ basis.T
+    return Egomotion(fit.cam_R_prev, fit.covariance[2:, 2:], fit.direction, direction_cov, fit.residual)
+
+
+def _best(fits: list[TwoViewFit]) -> TwoViewFit:
+    return min(fits, key=lambda fit: fit.cost)
+
+
+def _gric(fit: TwoViewFit, dimension: int, n_parameters: int) -> float:
+    """Torr's criterion of a two-view model: ``dimension`` of its manifold in the 4-D space of point pairs."""
+    n = len(fit.residual)
+    capped = np.minimum(fit.residual**2, _GRIC_CAP * (4 - dimension))
+    return float(np.sum(capped) + np.log(4.0) * dimension * n + np.log(4.0 * n) * n_parameters)

@@ -1,0 +1,182 @@
+"""The last observations of every live track, with the rotation from each past camera to the present one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
+
+# Number of observations in a third difference; fewer tracks than that say nothing of what is typical.
+_DIFFERENCE_FRAMES, _LEAST_MEASURED = 4, 4
+# A track's noise is a mean over about 1 / (1 - 0.9) = 10 frames of its own, drawn towards the noise of all
+# tracks with the weight of 4 of them.
+_FORGETTING, _PRIOR_WEIGHT = 0.9, 4.0
+# The noise of all tracks follows its new measurements with this weight a frame.
+_POOL_GAIN = 0.2
+# Time steps that differ by more than this part make a third difference meaningless.
+_EVEN_STEPS = 0.1
+# Median of a chi-square variable with two degrees of freedom, divided by two.
+_MEDIAN_CHI2_2 = 0.6931
+
+
+@dataclass(frozen=True)
+class TrackHistory:
+    """The last L frames of the N live tracks, oldest first.
+
+    ``frame (L,)``, ``t_s (L,)``; ``cam_R_past (L, 3, 3)`` turns a ray of frame l into the present camera (exact for
+    the newest; `turned` brings it up to date); ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far;
+    ``xy_px (N, 2)`` present position; ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not
+    observed; ``sigma_px (N,)`` noise of one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its
+    evidence and ``pool_sigma_px`` the noise of all tracks together; ``focal_px`` turns px into rad.
+    """
+
+    frame: Ints
+    t_s: Floats
+    cam_R_past: Floats
+    track_id: Ints
+    n_frames: Ints
+    xy_px: Floats
+    rays: Floats
+    sigma_px: Floats
+    noise_sum: Floats
+    noise_weight: Floats
+    pool_sigma_px: float
+    focal_px: float
+
+    @property
+    def n_tracks(self) -> int:
+        """Number of live tracks."""
+        return len(self.track_id)
+
+    @property
+    def sigma_rad(self) -> Floats:
+        """Noise of one coordinate of a unit ray, ``(N,)`` rad.
+
+        One pixel away from the optical axis spans a smaller angle: cos^2 along the radius and cos across, taken
+        together as cos^1.5.
+        """
+        cosine: Floats = self.rays[-1, :, 2]
+        return self.sigma_px / self.focal_px * np.clip(cosine, 0.1, 1.0) ** 1.5
+
+    def derotated(self, index: int) -> Floats:
+        """Rays of history entry ``index`` as the present camera would see them: ``(N, 3)``, NaN where not observed."""
+        return np.asarray(self.rays[index] @ self.cam_R_past[index].T)
+
+
+def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
+    """Before the first frame, and after a cut."""
+    return TrackHistory(
+        frame=np.empty(0, np.int64),
+        t_s=np.empty(0),
+        cam_R_past=np.empty((0, 3, 3)),
+        track_id=np.empty(0, np.int64),
+        n_frames=np.empty(0, np.int64),
+        xy_px=np.empty((0, 2)),
+        rays=np.empty((0, 0, 3)),
+        sigma_px=np.empty(0),
+        noise_sum=np.empty(0),
+        noise_weight=np.empty(0),
+        pool_sigma_px=sigma_start_px,
+        focal_px=0.5 * (camera.fx_px + camera.fy_px),
+    )
+
+
+def extended(
+    history: TrackHistory, frame: int, t_s: float, points: PointSet, rays: Floats, max_frames: int
+) -> TrackHistory:
+    """The history with one more frame; tracks that are not among ``points`` end, at most ``max_frames`` are kept.
+
+    Parameters
+    ----------
+    rays : (N, 3) unit rays of ``points``.
+    """
+    n = len(points.track_id)
+    before = np.searchsorted(history.track_id, points.track_id)
+    known = np.zeros(n, dtype=bool)
+    inside = before < history.n_tracks
+    known[inside] = history.track_id[before[inside]] == points.track_id[inside]
+    source = before[known]
+
+    def carried(values: Floats | Ints, start: float) -> Floats:
+        out = np.full(n, start)
+        out[known] = values[source]
+        return out
+
+    kept = history.rays[max(0, len(history.frame) - max_frames + 1) :]
+    past = np.full((len(kept), n, 3), np.nan)
+    past[:, known] = kept[:, source]
+    return replace(
+        history,
+        frame=np.append(history.frame, frame)[-max_frames:],
+        t_s=np.append(history.t_s, t_s)[-max_frames:],
+        cam_R_past=np.concatenate([history.cam_R_past, np.eye(3)[None]])[-max_frames:],
+        track_id=points.track_id,
+        n_frames=carried(history.n_frames, 0).astype(np.int64) + 1,
+        xy_px=points.xy_px,
+        rays=np.concatenate([past, rays[None]]),
+        sigma_px=carried(history.sigma_px, history.pool_sigma_px),
+        noise_sum=carried(history.noise_sum, 0.0),
+        noise_weight=carried(history.noise_weight, 0.0),
+    )
+
+
+def turned(history: TrackHistory, cam_R_prev: Floats) -> TrackHistory:
+    """Carry all past rotations over the step ``cam_R_prev (3, 3)`` from the last frame to the present one."""
+    cam_R_past = np.concatenate([cam_R_prev @ history.cam_R_past[:-1], np.eye(3)[None]])
+    return replace(history, cam_R_past=cam_R_past)
+
+
+def with_noise(history: TrackHistory, residual_spread: float | None, sigma_floor_px: float) -> TrackHistory:
+    """Update the noise of all tracks from the scene's residuals, and of each from the roughness of its path.
+
+    The level comes from how well the scene fits (``residual_spread``, the robust standard deviation of its residuals in
+    units of the noise assumed so far; None where there is none). How much noisier one track is than the others
+    comes from the third difference of its derotated path: a constant relative velocity leaves none worth mentioning
+    (6 rho / k^3 per frame^3, rho px from the epipole and k frames before the collision), independent noise leaves 20
+    times its variance, two components make two degrees of freedom a frame. (The third difference alone would put the
+    level too low: the errors of Lucas-Kanade follow the picture's texture and change slowly from frame to frame.)
+    Call after `turned`.
+    """
+    pool = history.pool_sigma_px
+    if residual_spread is not None:
+        pool = max(sigma_floor_px, pool * residual_spread**_POOL_GAIN)
+    fresh, is_measured = _relative_roughness(history)
+    noise_sum = _FORGETTING * history.noise_sum + 2.0 * fresh
+    noise_weight = _FORGETTING * history.noise_weight + 2.0 * is_measured
+    relative_variance = (_PRIOR_WEIGHT + noise_sum) / (_PRIOR_WEIGHT + noise_weight)
+    return replace(
+        history,
+        sigma_px=np.maximum(pool * np.sqrt(relative_variance), sigma_floor_px),
+        noise_sum=noise_sum,
+        noise_weight=noise_weight,
+        pool_sigma_px=pool,
+    )
+
+
+def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
+    """Squared third difference of each track over the typical one of this frame, 0 where unknown; and where it is known."""
+    nothing = np.zeros(history.n_tracks), np.zeros(history.n_tracks, dtype=bool)
+    if len(history.frame) < _DIFFERENCE_FRAMES:
+        return nothing
+    steps_s = np.diff(history.t_s[-_DIFFERENCE_FRAMES:])
+    if np.ptp(steps_s) > _EVEN_STEPS * abs(float(np.mean(steps_s))):
+        return nothing
+    x0, x1, x2, x3 = (_tangent_plane_px(history, -i) for i in range(1, _DIFFERENCE_FRAMES + 1))
+    roughness = np.sum((x0 - 3.0 * x1 + 3.0 * x2 - x3) ** 2, axis=1)
+    is_measured = np.isfinite(roughness)
+    if np.count_nonzero(is_measured) < _LEAST_MEASURED:
+        return nothing
+    typical = float(np.median(roughness[is_measured])) / _MEDIAN_CHI2_2
+    if typical <= 0.0:
+        return nothing
+    return np.where(is_measured, roughness, 0.0) / typical, is_measured
+
+
+def _tangent_plane_px(history: TrackHistory, index: int) -> Floats:
+    """Derotated position of each track in the present picture plane, ``(N, 2)`` px of an undistorted picture."""
+    rays = history.derotated(index)
+    in_front = rays[:, 2:] > 0.05
+    plane: Floats = np.divide(rays[:, :2], rays[:, 2:], out=np.full((len(rays), 2), np.nan), where=in_front)
+    return plane * history.focal_px

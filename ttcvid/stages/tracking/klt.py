@@ -1,0 +1,132 @@
+"""Points followed from picture to picture by pyramidal Lucas-Kanade, checked forth and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ttcvid.config import TrackingConfig
+from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
+from ttcvid.stages.tracking.corners import find_corners
+
+# Lucas-Kanade ends after so many iterations or when a step is shorter than this, px.
+_ITERATIONS, _STEP_PX = 20, 0.01
+# Smaller eigenvalue of the gradient matrix, below which OpenCV gives a point up (its own default).
+_MIN_EIGENVALUE = 1e-4
+# Two tracks in one cell of this side follow the same point, px.
+_CROWDED_PX = 2.0
+# New corners are looked for when the live tracks fall below this part of the wanted number.
+_TOP_UP_BELOW = 0.9
+
+
+@dataclass(frozen=True)
+class KltMemory:
+    """What is remembered between two pictures: the last one, its points and their last step."""
+
+    grey: Picture
+    points: PointSet
+    step_px: Floats
+    next_track_id: int
+
+
+def start_klt(grey: Picture, allowed: Picture | None, config: TrackingConfig, next_track_id: int = 0) -> KltMemory:
+    """Fresh corners on a first picture (or the first one after a cut)."""
+    nothing = KltMemory(grey, PointSet(np.empty(0, np.int64), np.empty((0, 2))), np.empty((0, 2)), next_track_id)
+    return _topped_up(nothing, grey, allowed, config)
+
+
+def follow_klt(
+    memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig
+) -> tuple[KltMemory, float]:
+    """Follow the points of ``memory`` into ``grey`` and top them up.
+
+    Returns
+    -------
+    memory : of this picture.
+    survival : part of the points that were found again (1 where there were none): low after a cut.
+    """
+    found, xy_px = _search(memory, grey, config)
+    if allowed is not None:
+        found &= _is_allowed(allowed, xy_px)
+    found &= ~_is_crowded(xy_px, found, memory.points.track_id)
+    n_before = len(found)
+    points = PointSet(memory.points.track_id[found], xy_px[found])
+    step = (xy_px - memory.points.xy_px)[found]
+    survival = float(found.mean()) if n_before else 1.0
+    followed = KltMemory(grey, points, step, memory.next_track_id)
+    return _topped_up(followed, grey, allowed, config), survival
+
+
+def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[Bools, Floats]:
+    """Forward from a constant-step guess, then back from where it ended: (N,) found, (N, 2) px."""
+    n = len(memory.points.track_id)
+    if n == 0:
+        return np.zeros(0, dtype=bool), np.empty((0, 2))
+    before = memory.points.xy_px.astype(np.float32)
+    guess = (memory.points.xy_px + memory.step_px).astype(np.float32)
+    window = (config.window_px, config.window_px)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ITERATIONS, _STEP_PX)
+
+    def search(a: Picture, b: Picture, xy: np.ndarray, start: np.ndarray) -> tuple[Bools, np.ndarray]:
+        to, status, _ = cv2.calcOpticalFlowPyrLK(
+            a,
+            b,
+            xy,
+            start.copy(),
+            winSize=window,
+            maxLevel=config.pyramid_levels,
+            criteria=criteria,
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            minEigThreshold=_MIN_EIGENVALUE,
+        )
+        return status.ravel() > 0, to
+
+    found, there = search(memory.grey, grey, before, guess)
+    # The way back starts one step away from where the way forth ended, not at the known answer: a jump to a
+    # similar texture nearby is found out only like this.
+    came_back, back = search(grey, memory.grey, there, there - memory.step_px.astype(np.float32))
+    distance = np.linalg.norm(back - before, axis=1)
+    height, width = grey.shape[:2]
+    inside = (there[:, 0] >= 0) & (there[:, 1] >= 0) & (there[:, 0] <= width - 1) & (there[:, 1] <= height - 1)
+    return found & came_back & inside & (distance < config.max_forward_backward_px), there.astype(np.float64)
+
+
+def _is_allowed(allowed: Picture, xy_px: Floats) -> Bools:
+    """Where the mask lets points live: (N,); a point outside the picture is not allowed."""
+    column, row = np.rint(xy_px).astype(np.intp).T
+    inside = (column >= 0) & (row >= 0) & (column < allowed.shape[1]) & (row < allowed.shape[0])
+    answer = np.zeros(len(xy_px), dtype=bool)
+    answer[inside] = allowed[row[inside], column[inside]] > 0
+    return answer
+
+
+def _is_crowded(xy_px: Floats, found: Bools, track_id: Ints) -> Bools:
+    """Tracks (N,) that slid into the cell of an older one: two tracks of one point would count twice."""
+    crowded = np.zeros(len(found), dtype=bool)
+    candidates = np.flatnonzero(found)
+    cell = np.floor(xy_px[candidates] / _CROWDED_PX).astype(np.int64)
+    # Ascending track_id is ascending age: np.unique keeps the first, hence the oldest, of a cell.
+    _, oldest = np.unique(cell[:, 0] + (cell[:, 1] << 20), return_index=True)
+    crowded[candidates] = True
+    crowded[candidates[oldest]] = False
+    return crowded
+
+
+def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig) -> KltMemory:
+    """Add corners once too many tracks have died."""
+    points = memory.points
+    n_live = len(points.track_id)
+    if n_live >= _TOP_UP_BELOW * config.max_tracks:
+        return memory
+    new_px = find_corners(
+        grey, allowed, points.xy_px, config.max_tracks - n_live, config.min_distance_px, config.corner_quality
+    )
+    new_id = memory.next_track_id + np.arange(len(new_px), dtype=np.int64)
+    return KltMemory(
+        grey=memory.grey,
+        points=PointSet(np.concatenate([points.track_id, new_id]), np.concatenate([points.xy_px, new_px])),
+        step_px=np.concatenate([memory.step_px, np.zeros_like(new_px)]),
+        next_track_id=memory.next_track_id + len(new_px),
+    )
