@@ -55,9 +55,11 @@ class OverlayVideo:
         self._image_size = image_size
         self._first_t_s: float | None = None
         self._last_tick = -1
+        self._is_open = False  # true while pictures have been written and none has failed
         self._duration_ticks = max(1, round(nominal_dt_s * TICKS_PER_S))
         _require_encoder()
         with output_errors(path):
+            path.touch()  # PyAV opens the file at the first picture only; what is wrong with the place shows here
             self._container = av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"})
         try:
             self._stream = self._add_stream(nominal_dt_s, {"preset": preset, "crf": str(crf)}, threads)
@@ -88,8 +90,7 @@ class OverlayVideo:
         frame.pts = self._next_tick(t_s)
         frame.time_base = Fraction(1, TICKS_PER_S)
         frame.duration = self._duration_ticks
-        with output_errors(self._path):
-            self._container.mux(self._stream.encode(frame))
+        self._mux(frame)
 
     def _next_tick(self, t_s: float) -> int:
         if self._first_t_s is None:
@@ -97,15 +98,33 @@ class OverlayVideo:
         self._last_tick = max(self._last_tick + 1, round((t_s - self._first_t_s) * TICKS_PER_S))
         return self._last_tick
 
-    def close(self) -> None:
-        """Write the pictures that the encoder still holds, and the index. Further calls do nothing."""
+    def _mux(self, frame: av.VideoFrame | None) -> None:
+        # After a failure the container must not be written to again: FFmpeg crashes on a second header.
+        self._is_open = False
         with output_errors(self._path):
+            self._container.mux(self._stream.encode(frame))
+        self._is_open = frame is not None
+
+    def close(self) -> None:
+        """Write the pictures that the encoder still holds, and the index. Further calls do nothing.
+
+        After a failed `write` it only lets go of the file, which is of no use then.
+        """
+        if self._is_open:
             try:
-                if self._first_t_s is not None:
-                    self._container.mux(self._stream.encode(None))
-                    self._first_t_s = None
-            finally:
+                self._mux(None)
+            except OutputError:
+                self._let_go()
+                raise
+            with output_errors(self._path):
                 self._container.close()
+        else:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        # The failure that made the file useless has been reported; that it cannot be finished is no news.
+        with suppress(av.FFmpegError):
+            self._container.close()
 
     def __enter__(self) -> Self:
         return self
@@ -122,20 +141,23 @@ def check_video(path: Path) -> int:
     Raises
     ------
     OutputError
-        Where it cannot be opened or decoded, or holds no picture.
+        Where it cannot be opened or decoded, holds no picture, or fewer than its index lists.
     """
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
+            n_listed = stream.frames
             n_frames = sum(1 for _ in container.decode(stream))
     except (av.FFmpegError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise OutputError(
             f"{path}: the video just written cannot be decoded ({reason}): run 'ttcvid doctor'"
         ) from error
-    if n_frames == 0:
-        raise OutputError(f"{path}: the video just written holds no picture: run with --no-overlay, or 'ttcvid doctor'")
+    if n_frames == 0 or n_frames < n_listed:
+        raise OutputError(
+            f"{path}: the video just written holds {n_frames} of {n_listed} pictures: run again, or 'ttcvid doctor'"
+        )
     return n_frames
 
 
