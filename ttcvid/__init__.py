@@ -1,1 +1,69 @@
-"""Collision times, directions of motion and miss distances from one camera."""
+"""Collision times, directions of motion and miss distances from one camera.
+
+>>> import ttcvid
+>>> run = ttcvid.analyze("clip.mp4")  # doctest: +SKIP
+>>> run.collision_times  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from ttcvid.errors import CalibrationError, InputError, OutputError, TtcvidError, UsageError
+    from ttcvid.jobs.analyze import analyze
+    from ttcvid.jobs.run import Run
+    from ttcvid.jobs.simulate import simulate
+
+__all__ = [
+    "CalibrationError",
+    "InputError",
+    "OutputError",
+    "Run",
+    "TtcvidError",
+    "UsageError",
+    "analyze",
+    "simulate",
+]
+
+_HOMES = {
+    "CalibrationError": "ttcvid.errors",
+    "InputError": "ttcvid.errors",
+    "OutputError": "ttcvid.errors",
+    "Run": "ttcvid.jobs.run",
+    "TtcvidError": "ttcvid.errors",
+    "UsageError": "ttcvid.errors",
+    "analyze": "ttcvid.jobs.analyze",
+    "simulate": "ttcvid.jobs.simulate",
+}
+
+
+class _Interface(ModuleType):
+    """The package as users see it: a public name stands for its object, also where a subpackage is called the same.
+
+    Importing ``ttcvid.simulate.scene`` would otherwise put the subpackage in the place of the function
+    ``ttcvid.simulate``; ``from ttcvid.simulate import scene`` works either way.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in _HOMES and isinstance(value, ModuleType):
+            return
+        super().__setattr__(name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in _HOMES:
+            raise AttributeError(f"module 'ttcvid' has no attribute {name!r}")
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+        setattr(self, name, value)
+        return value
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *__all__})
+
+
+sys.modules[__name__].__class__ = _Interface

@@ -1,0 +1,44 @@
+# Everything runs in a private virtual environment that the first target builds: Python >= 3.11 and make suffice.
+IS_RECENT := 'import sys; sys.exit(sys.version_info < (3, 11))'
+PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3.11 python; do \
+  $$python -c $(IS_RECENT) 2>/dev/null && echo $$python && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+# One thread of linear algebra, as on the command line: two test workers share the cores.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: help demo test lint setup clean
+
+help:
+	@echo "make demo   render a small scene with known truth and analyse it"
+	@echo "make test   run all tests"
+	@echo "make lint   style, types and the direction of imports"
+	@echo "make clean  remove the virtual environment and all caches"
+
+demo: $(READY)
+	$(BIN)/ttcvid demo --out out/demo --overwrite
+
+test: $(READY)
+	$(BIN)/python -m pytest -n 2
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" && $(PYTHON) -c $(IS_RECENT) || { echo "make: error: no Python >= 3.11 found:" \
+	  "install one, or name it: make $(MAKECMDGOALS) PYTHON=/path/to/python3.12" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { echo "make: error: $(PYTHON) cannot make virtual environments:" \
+	  "install its venv module (on Debian and Ubuntu the package python3-venv)" >&2; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

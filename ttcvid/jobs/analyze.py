@@ -1,0 +1,225 @@
+"""One analysis from clip to output folder: source, pipeline and sinks side by side."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ttcvid.draw import OverlayPainter
+from ttcvid.errors import OutputError
+from ttcvid.jobs.clip import (
+    ASSUMED_CAMERA_WARNING,
+    Calibration,
+    default_folder,
+    open_clip,
+    read_calibration,
+    refuse_folder_of_input,
+)
+from ttcvid.jobs.configuration import Configuration, configure_from_arguments
+from ttcvid.jobs.provenance import (
+    Tally,
+    describe_calibration,
+    describe_input,
+    digest_in_background,
+    table_metadata,
+    versions,
+)
+from ttcvid.jobs.run import Run
+from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead
+from ttcvid.jobs.stopping import StopSignals
+from ttcvid.model import Frame, FrameResult, ImageSize, Picture
+from ttcvid.pipeline import analyze_frames
+from ttcvid.schema import TABLE_NAMES
+from ttcvid.sinks.folder import OVERLAY_NAME, OutputFolder
+from ttcvid.sinks.tables import TableSink
+from ttcvid.sinks.video import OverlayVideo, check_video
+from ttcvid.sources import Source
+
+_LOG = logging.getLogger(__name__)
+
+OnFrame = Callable[[int, int | None], None]
+"""Called with the number of frames analysed and the number expected (None: unknown)."""
+
+
+def analyze(
+    input_: str | Path, out: str | Path | None = None, *, config: str | Path | None = None, **options: Any
+) -> Run:
+    """Find what moves on its own in a clip, when each thing comes closest, and how far off it passes.
+
+    Parameters
+    ----------
+    input_
+        A video, a folder or pattern of pictures, or a table of point tracks.
+    out
+        Output folder; default ``INPUTSTEM_ttc`` in the working folder.
+    config
+        A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
+    **options
+        The options of ``ttcvid analyze`` with underscores (``focal_px=721``, ``platform="vehicle"``), and the
+        parameters of stages as mappings (``tracking={"max_tracks": 800}``).
+
+    Raises
+    ------
+    TtcvidError
+        Input, calibration, configuration or output place cannot be used.
+    KeyboardInterrupt
+        After Ctrl-C; what was done is kept, ``Run.open`` reads it.
+    """
+    configuration = configure_from_arguments(options, Path(config) if config is not None else None)
+    arguments = [f"{name}={value!r}" for name, value in {"input": str(input_), **options}.items()]
+    run = run_analysis(str(input_), Path(out) if out is not None else None, configuration, arguments=arguments)
+    if run.state == "interrupted":
+        raise KeyboardInterrupt
+    return run
+
+
+def run_analysis(
+    input_: str,
+    out: Path | None,
+    configuration: Configuration,
+    *,
+    arguments: Sequence[str] = (),
+    on_frame: OnFrame | None = None,
+) -> Run:
+    """Analyse a clip as configured and publish its output folder; a stop by signal gives ``state`` interrupted."""
+    started_s = time.perf_counter()
+    options = configuration.options
+    with open_clip(input_, options) as source:
+        calibration = read_calibration(options, source.info.image_size)
+        path = out if out is not None else default_folder(input_)
+        refuse_folder_of_input(path, source)
+        names = [f"{name}.parquet" for name in TABLE_NAMES] + [OVERLAY_NAME] * options.overlay
+        with StopSignals() as stop, OutputFolder.create(path, options.overwrite, names) as folder:
+            digest = digest_in_background(source.files)
+            tally = _analyze_into(folder.partial, source, calibration, configuration, stop, on_frame)
+            state = _state(source, stop)
+            analyzed_s = time.perf_counter()
+            if options.overlay:
+                _check_overlay(folder.partial / OVERLAY_NAME, tally.n_frames)
+            manifest = {
+                "state": state,
+                "versions": versions(),
+                "arguments": list(arguments),
+                "configuration": configuration.as_manifest(),
+                "input": describe_input(source.info, source.files, digest.result()),
+                **describe_calibration(calibration),
+                "counts": tally.counts(source.info, source.report.n_packets_skipped),
+                "nearest": tally.nearest,
+                "warnings": _warnings(source, calibration),
+                "timings": _timings(started_s, analyzed_s, tally.n_frames),
+            }
+            folder.publish(manifest)
+    return Run.open(path)
+
+
+def _analyze_into(
+    folder: Path,
+    source: Source,
+    calibration: Calibration,
+    configuration: Configuration,
+    stop: StopSignals,
+    on_frame: OnFrame | None,
+) -> Tally:
+    """Write tables and overlay into ``folder`` until the source ends or a stop is requested."""
+    tally = Tally()
+    info, pipeline = source.info, configuration.pipeline
+    with ExitStack() as stack:
+        stack.enter_context(_opencv_threads(pipeline.tracking.tracker))
+        write = _open_sinks(stack, folder, source, calibration, configuration)
+        writer = stack.enter_context(WriteBehind(write))
+        frames = stop.until_requested(stack.enter_context(ReadAhead(source)))
+        results = analyze_frames(
+            frames,
+            calibration.camera,
+            info.nominal_dt_s,
+            pipeline,
+            calibration.horizon,
+            calibration.mask,
+            map_ahead=map_ahead,
+        )
+        for frame, result in results:
+            writer.put((frame, result))
+            tally.add(result)
+            if on_frame is not None:
+                on_frame(tally.n_frames, info.n_frames)
+    if stop.is_requested and tally.n_frames == 0:
+        raise KeyboardInterrupt
+    return tally
+
+
+def _open_sinks(
+    stack: ExitStack, folder: Path, source: Source, calibration: Calibration, configuration: Configuration
+) -> Callable[[tuple[Frame, FrameResult]], None]:
+    """Open tables and, where wanted, the overlay; returns what writes one frame to both."""
+    info, options, overlay = source.info, configuration.options, configuration.overlay
+    metadata = table_metadata(calibration, configuration.as_manifest())
+    tables = stack.enter_context(TableSink(folder, metadata, nominal_dt_s=info.nominal_dt_s))
+    if not options.overlay:
+        return lambda item: tables.write(item[1])
+    dt_s = info.nominal_dt_s * options.stride
+    video = stack.enter_context(OverlayVideo(folder / OVERLAY_NAME, info.image_size, dt_s, overlay.preset, overlay.crf))
+    painter = OverlayPainter(calibration.camera, info.image_size, overlay.trail_frames)
+
+    def write(item: tuple[Frame, FrameResult]) -> None:
+        frame, result = item
+        tables.write(result)
+        video.write(painter.paint(_canvas(frame, info.image_size), result), result.t_s)
+
+    return write
+
+
+def _canvas(frame: Frame, image_size: ImageSize) -> Picture:
+    """The picture to draw on; black where the source has tracks only."""
+    if frame.colour is not None:
+        return frame.colour()
+    return np.zeros((image_size.height_px, image_size.width_px, 3), dtype=np.uint8)
+
+
+@contextmanager
+def _opencv_threads(tracker: str) -> Iterator[None]:
+    """One OpenCV thread a frame where frames are detected side by side (akaze): 36 instead of 62 ms a frame."""
+    before = cv2.getNumThreads()
+    if tracker == "akaze":
+        cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _state(source: Source, stop: StopSignals) -> str:
+    if stop.is_requested:
+        return "interrupted"
+    return "truncated" if source.report.is_truncated else "complete"
+
+
+def _check_overlay(path: Path, n_expected: int) -> None:
+    n_frames = check_video(path)
+    if n_frames != n_expected:
+        raise OutputError(
+            f"{path}: holds {n_frames} frames, {n_expected} were written: run again, or with --no-overlay"
+        )
+
+
+def _warnings(source: Source, calibration: Calibration) -> list[str]:
+    """What to know before trusting the numbers; also logged."""
+    warnings = [ASSUMED_CAMERA_WARNING] if calibration.camera.is_assumed else []
+    warnings += source.report.warnings
+    for warning in warnings:
+        _LOG.warning("%s", warning)
+    return warnings
+
+
+def _timings(started_s: float, analyzed_s: float, n_frames: int) -> dict[str, float]:
+    return {
+        "total_s": time.perf_counter() - started_s,
+        "analysis_s": analyzed_s - started_s,
+        "frames_per_s": n_frames / (analyzed_s - started_s),
+    }

@@ -1,0 +1,130 @@
+"""The resolved configuration of an analysis: where each value comes from, the strongest place first.
+
+Command line (or Python arguments) > ``TTCVID_*`` environment > ``--config FILE`` > ``./ttcvid.toml`` > defaults.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import reprlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ttcvid.config import OverlayConfig, PipelineConfig, StageConfig
+from ttcvid.errors import UsageError
+from ttcvid.jobs.layers import (
+    Entry,
+    Layer,
+    layer_from_arguments,
+    layer_from_command_line,
+    layer_from_environment,
+    layer_from_file,
+)
+from ttcvid.jobs.options import ALTERNATIVES, SECTIONS, AnalyzeOptions
+
+PROJECT_FILE = "ttcvid.toml"
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Every parameter of an analysis.
+
+    ``origins["tracking.max_tracks"]`` says where a value comes from; defaults are not listed.
+    """
+
+    options: AnalyzeOptions
+    pipeline: PipelineConfig
+    overlay: OverlayConfig
+    origins: dict[str, str]
+
+    def as_manifest(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """``{section: {key: {"value": ..., "origin": ...}}}``, ready for JSON."""
+        sections: dict[str, StageConfig] = {name: getattr(self.pipeline, name, self.options) for name in SECTIONS}
+        sections["overlay"] = self.overlay
+        return {
+            section: {
+                key: {"value": value, "origin": self.origins.get(f"{section}.{key}", "default")}
+                for key, value in values.model_dump(mode="json").items()
+            }
+            for section, values in sections.items()
+        }
+
+
+def configure_from_command_line(
+    options: Mapping[str, str | None], settings: Iterable[str] = (), config: Path | None = None
+) -> Configuration:
+    """Resolve what the command line says together with the environment, files and defaults."""
+    return _resolve(layer_from_command_line(options, settings), config)
+
+
+def configure_from_arguments(options: Mapping[str, Any], config: Path | None = None) -> Configuration:
+    """Resolve Python arguments together with the environment, files and defaults, as the command line would."""
+    return _resolve(layer_from_arguments(options), config)
+
+
+def _resolve(explicit: Layer, config: Path | None) -> Configuration:
+    files = [path for path in (config, Path(PROJECT_FILE)) if path is not None]
+    if not Path(PROJECT_FILE).exists():
+        files.pop()
+    strongest_first = [explicit, layer_from_environment(os.environ), *map(layer_from_file, files)]
+    merged: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
+    origins: dict[str, str] = {}
+    for layer in reversed(strongest_first):
+        _lay_over(merged, origins, layer)
+    stages = {name: values for name, values in merged.items() if name in PipelineConfig.model_fields}
+    options = AnalyzeOptions(**merged["analyze"])
+    return Configuration(
+        options, PipelineConfig(**stages, seed=options.seed), OverlayConfig(**merged["overlay"]), origins
+    )
+
+
+def _lay_over(merged: dict[str, dict[str, Any]], origins: dict[str, str], layer: Layer) -> None:
+    """Check a layer and let its values replace those of the weaker ones in ``merged``."""
+    _drop_weaker_alternatives(merged, origins, layer)
+    for section, entries in layer.entries.items():
+        for key, value in _checked(section, entries, layer.is_text).items():
+            merged[section][key] = value
+            is_variable = layer.origin == "environment"
+            origins[f"{section}.{key}"] = entries[key].place if is_variable else layer.origin
+
+
+def _drop_weaker_alternatives(merged: dict[str, dict[str, Any]], origins: dict[str, str], layer: Layer) -> None:
+    given = layer.entries.get("analyze", {})
+    for alternatives in ALTERNATIVES:
+        chosen = [given[key].place for key in alternatives if key in given]
+        if len(chosen) > 1:
+            raise UsageError(f"{' and '.join(chosen)} exclude each other: give only one of them")
+        if chosen:
+            for key in alternatives:
+                merged["analyze"].pop(key, None)
+                origins.pop(f"analyze.{key}", None)
+
+
+def _checked(section: str, entries: Mapping[str, Entry], is_text: bool) -> dict[str, Any]:
+    """Values of one section with their types, bounds and finiteness checked.
+
+    Typed values go through JSON because pydantic's strict mode then still takes text for a path or a named
+    choice, but neither text nor true/false for a number.
+    """
+    values = {key: entry.value for key, entry in entries.items()}
+    parameters = SECTIONS[section]
+    try:
+        if is_text:
+            checked = parameters.model_validate_strings(values)
+        else:
+            checked = parameters.model_validate_json(json.dumps(values, default=str), strict=True)
+    except ValidationError as error:
+        raise _usage_error(error, entries) from None
+    return {key: getattr(checked, key) for key in values}
+
+
+def _usage_error(error: ValidationError, entries: Mapping[str, Entry]) -> UsageError:
+    first = error.errors(include_url=False)[0]
+    entry = entries[str(first["loc"][0])]
+    expectation = first["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
+    return UsageError(f"{entry.place} = {reprlib.repr(entry.value)}: {expectation}")

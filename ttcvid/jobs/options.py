@@ -1,0 +1,76 @@
+"""What one analysis can be told, beside the parameters of its stages: the names that all three interfaces share."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator
+
+from ttcvid.config import OverlayConfig, PipelineConfig, PositiveFloat, StageConfig
+from ttcvid.model import ImageSize
+
+_SIZE = re.compile(r"([1-9]\d{0,5})x([1-9]\d{0,5})")
+
+
+def image_size_from(value: Any) -> ImageSize:
+    """``ImageSize`` of ``"1242x375"`` (or of an ImageSize itself); ValueError for anything else."""
+    if isinstance(value, ImageSize):
+        return value
+    match = _SIZE.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
+        raise ValueError("expected WIDTHxHEIGHT in px, such as 1242x375")
+    return ImageSize(int(match[1]), int(match[2]))
+
+
+def _place_text(value: Any) -> Any:
+    """Frame numbers may come as numbers; ``Selection`` reads text."""
+    return str(value) if type(value) is int else value
+
+
+ImageSizeText = Annotated[ImageSize, PlainValidator(image_size_from), PlainSerializer(str)]
+PlaceText = Annotated[str, BeforeValidator(_place_text)]
+
+
+class AnalyzeOptions(StageConfig):
+    """The section ``[analyze]``: input, calibration and output of one analysis.
+
+    Relative paths have been resolved: against the folder of the file that named them, else the working folder.
+    """
+
+    camera: Path | None = None
+    focal_px: PositiveFloat | None = None
+    hfov: float | None = Field(default=None, gt=0, lt=180, description="horizontal field of view in degrees")
+    image_size: ImageSizeText | None = None
+    horizon: Path | None = None
+    mask: Path | None = None
+    fps: PositiveFloat | None = None
+    timestamps: Path | None = None
+    start: PlaceText | None = None
+    end: PlaceText | None = None
+    stride: int = Field(default=1, ge=1, description="every n-th frame")
+    overlay: bool = True
+    overwrite: bool = False
+    seed: int = Field(default=0, ge=0, description="seed of every random choice")
+
+
+def _stage_sections() -> dict[str, type[StageConfig]]:
+    stages = {name: field.annotation for name, field in PipelineConfig.model_fields.items()}
+    return {name: stage for name, stage in stages.items() if isinstance(stage, type) and issubclass(stage, StageConfig)}
+
+
+SECTIONS: dict[str, type[StageConfig]] = {"analyze": AnalyzeOptions, **_stage_sections(), "overlay": OverlayConfig}
+"""Every section of a configuration file, with the class that checks it."""
+
+SHORTCUTS = {
+    "tracker": ("tracking", "tracker"),
+    "platform": ("egomotion", "platform"),
+    "estimator": ("collision_times", "estimator"),
+}
+"""Stage parameters that may be given like an option; they are kept in their stage's section alone."""
+
+ALTERNATIVES = (("camera", "focal_px", "hfov"), ("fps", "timestamps"))
+"""Options of which one place may give only one; given in a stronger place, it replaces the others of weaker places."""
+
+PATH_OPTIONS = ("camera", "horizon", "mask", "timestamps")

@@ -1,0 +1,147 @@
+"""What a manifest says of a run: what it was made of, what came out, and how long it took."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+import ttcvid
+from ttcvid.errors import InputError
+from ttcvid.jobs.clip import Calibration
+from ttcvid.model import SCENE_CLUSTER, Camera, FrameResult, SourceInfo
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that the numbers can depend on."""
+    return {
+        "ttcvid": ttcvid.__version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "av": av.__version__,
+        "pyarrow": pa.__version__,
+        "pandas": pd.__version__,
+    }
+
+
+@dataclass(frozen=True)
+class Digest:
+    """``sha256`` of one file as ``sha256sum`` gives it; of several, over their names and contents in order."""
+
+    sha256: str
+    size_bytes: int
+
+
+def digest_in_background(files: Iterable[Path]) -> Future[Digest]:
+    """Hash the input in a thread, beside the analysis."""
+    pool = ThreadPoolExecutor(1, thread_name_prefix="ttcvid-hash")
+    future = pool.submit(digest_of, tuple(files))
+    pool.shutdown(wait=False)
+    return future
+
+
+def digest_of(files: tuple[Path, ...]) -> Digest:
+    """Hash the files of an input; InputError where one cannot be read any more."""
+    total = hashlib.sha256()
+    size_bytes = 0
+    sha256 = ""
+    for file in files:
+        try:
+            with file.open("rb") as stream:
+                sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+            size_bytes += file.stat().st_size
+        except OSError as error:
+            raise InputError(f"{file}: cannot be read ({error.strerror}): leave the input alone meanwhile") from None
+        total.update(f"{file.name}\0{sha256}\0".encode())
+    return Digest(sha256 if len(files) == 1 else total.hexdigest(), size_bytes)
+
+
+@dataclass
+class Tally:
+    """What an analysis has brought so far."""
+
+    n_frames: int = 0
+    n_track_rows: int = 0
+    n_cluster_rows: int = 0
+    cluster_ids: set[int] = field(default_factory=set)
+    event_ids: set[int] = field(default_factory=set)
+    nearest: dict[str, Any] | None = None
+
+    def add(self, result: FrameResult) -> None:
+        """Count one frame."""
+        self.n_frames += 1
+        self.n_track_rows += len(result.tracks.track_id)
+        self.n_cluster_rows += len(result.clusters)
+        self.cluster_ids.update(cluster.cluster_id for cluster in result.clusters)
+        self.event_ids.update(event.event_id for event in result.events)
+        ttc_z_s = result.min_ttc_z_s
+        if ttc_z_s is not None and (self.nearest is None or ttc_z_s < self.nearest["ttc_z_s"]):
+            self.nearest = {"ttc_z_s": float(ttc_z_s), "frame": result.frame, "t_s": result.t_s}
+
+    def counts(self, info: SourceInfo, n_packets_skipped: int) -> dict[str, Any]:
+        """The counts of the manifest; ``frames_expected`` is what the input promised (null: unknown)."""
+        return {
+            "frames": self.n_frames,
+            "frames_expected": info.n_frames,
+            "skipped_packets": n_packets_skipped,
+            "track_rows": self.n_track_rows,
+            "clusters": self.n_cluster_rows,
+            "objects": len(self.cluster_ids - {SCENE_CLUSTER}),
+            "events": len(self.event_ids),
+        }
+
+
+def describe_input(info: SourceInfo, files: tuple[Path, ...], digest: Digest) -> dict[str, Any]:
+    """The input as the manifest has it."""
+    return {
+        "path": info.path,
+        "kind": info.kind,
+        "n_files": len(files),
+        **asdict(digest),
+        "nominal_dt_s": info.nominal_dt_s,
+        "time_origin": info.time_origin,
+    }
+
+
+def describe_calibration(calibration: Calibration) -> dict[str, Any]:
+    """Camera, horizon and picture size as the manifest has them."""
+    horizon = calibration.horizon
+    return {
+        "camera": _describe_camera(calibration.camera),
+        "horizon": None if horizon is None else asdict(horizon),
+        "image_size": asdict(calibration.camera.image_size),
+    }
+
+
+def _describe_camera(camera: Camera) -> dict[str, Any]:
+    hfov_deg = math.degrees(2 * math.atan(camera.image_size.width_px / (2 * camera.fx_px)))
+    return {**asdict(camera), "is_assumed": camera.is_assumed, "undistorted_hfov_deg": hfov_deg}
+
+
+def table_metadata(calibration: Calibration, configuration: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """What every table says of its making; nothing in it depends on where or when it was made."""
+    camera = calibration.camera
+    return {
+        "ttcvid_version": ttcvid.__version__,
+        "direction": "causal",
+        "camera_origin": Path(camera.origin).name,
+        "camera_is_assumed": str(camera.is_assumed).lower(),
+        "camera_fx_px": repr(camera.fx_px),
+        "horizon_in_use": str(calibration.horizon is not None).lower(),
+        "tracker": str(configuration["tracking"]["tracker"]["value"]),
+        "estimator": str(configuration["collision_times"]["estimator"]["value"]),
+        "platform": str(configuration["egomotion"]["platform"]["value"]),
+        "seed": str(configuration["analyze"]["seed"]["value"]),
+    }

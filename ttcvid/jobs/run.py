@@ -1,0 +1,124 @@
+"""A finished run: its manifest, and its tables as data frames."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ttcvid.errors import InputError
+from ttcvid.sinks.manifest import read_manifest
+
+EXIT_CODES = {"complete": 0, "truncated": 4, "interrupted": 130}
+"""Exit code of a run by the ``state`` in its manifest."""
+
+_NULLABLE = {
+    pa.int32(): pd.Int32Dtype(),
+    pa.int64(): pd.Int64Dtype(),
+    pa.float64(): pd.Float64Dtype(),
+    pa.string(): pd.StringDtype(),
+}
+"""Types in which a null stays NA, instead of turning whole numbers into floats and NaN."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """The output folder of one analysis; ``manifest`` is the content of its ``manifest.json``.
+
+    The tables are read when they are first asked for; their columns are described in ``ttcvid.schema``.
+    """
+
+    folder: Path
+    manifest: dict[str, Any]
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Run:
+        """The run in ``folder``; InputError where there is none, or none that was finished."""
+        folder = Path(folder)
+        if not folder.is_dir():
+            raise InputError(f"{folder}: no such folder: expected the output folder of 'ttcvid analyze'")
+        return cls(folder, read_manifest(folder))
+
+    @property
+    def state(self) -> str:
+        """``complete``, ``truncated`` (the input ends early) or ``interrupted``."""
+        return str(self.manifest["state"])
+
+    @property
+    def exit_code(self) -> int:
+        """What the command line ends with."""
+        return EXIT_CODES[self.state]
+
+    @cached_property
+    def collision_times(self) -> pd.DataFrame:
+        """A row per frame and live track."""
+        return self._table("collision_times")
+
+    @cached_property
+    def epipoles(self) -> pd.DataFrame:
+        """A row per frame and cluster: its direction of relative motion."""
+        return self._table("epipoles")
+
+    @cached_property
+    def clusters(self) -> pd.DataFrame:
+        """A row per frame and cluster: place, state and times."""
+        return self._table("clusters")
+
+    @cached_property
+    def frames(self) -> pd.DataFrame:
+        """A row for every frame."""
+        return self._table("frames")
+
+    @cached_property
+    def events(self) -> pd.DataFrame:
+        """A row per warning."""
+        return self._table("events")
+
+    @property
+    def overlay(self) -> Path | None:
+        """The annotated video; None where none was asked for."""
+        path = self.folder / "overlay.mp4"
+        return path if path.name in self.manifest.get("files", {}) else None
+
+    def _table(self, name: str) -> pd.DataFrame:
+        path = self.folder / f"{name}.parquet"
+        try:
+            table = pq.read_table(path)
+        except (OSError, pa.ArrowInvalid) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(f"{path}: cannot be read as a table ({reason}): run 'ttcvid analyze' again") from None
+        frame = table.to_pandas(types_mapper=_NULLABLE.get)
+        assert isinstance(frame, pd.DataFrame)
+        return frame
+
+    def summary(self) -> str:
+        """One line: what was analysed, what was found, and what to know before trusting it."""
+        counts, timings = self.manifest["counts"], self.manifest["timings"]
+        parts = [
+            f"{self.state}, {_frames(counts)} in {timings['total_s']:.1f} s ({timings['frames_per_s']:.0f} frames/s)",
+            f"{counts['track_rows']} track rows, {counts['objects']} objects, {counts['events']} warnings",
+        ]
+        nearest = self.manifest["nearest"]
+        if nearest is not None:
+            parts.append(f"smallest time to collision {nearest['ttc_z_s']:.2f} s at frame {nearest['frame']}")
+        if self.manifest["camera"]["is_assumed"]:
+            parts.append("focal length ASSUMED")
+        return f"{self.folder}: {'; '.join(parts)}"
+
+    def summary_json(self) -> str:
+        """The summary as one JSON object."""
+        names = ("state", "counts", "timings", "nearest", "camera", "warnings")
+        content = {"folder": str(self.folder), "exit_code": self.exit_code}
+        return json.dumps(content | {name: self.manifest[name] for name in names}, sort_keys=True)
+
+
+def _frames(counts: dict[str, Any]) -> str:
+    expected = counts["frames_expected"]
+    is_short = expected is not None and counts["frames"] < expected
+    return f"{counts['frames']} of {expected} frames" if is_short else f"{counts['frames']} frames"
