@@ -103,7 +103,7 @@ def cast(stack: FaceStack, rays: Floats) -> Hit:
 def points_in_camera(world: World, frame: int, actor: Ints, place_m: Floats) -> Floats:
     """Points ``(N, 3)`` given in the axes of their actors (GROUND: the road frame), in the camera of one picture."""
     cam_R_road = world.path.cam_R_road[frame]
-    points = (place_m - world.path.position_m[frame]) @ cam_R_road.T
+    points: Floats = (place_m - world.path.position_m[frame]) @ cam_R_road.T
     for index in np.unique(actor[actor != GROUND]):
         pose = pose_of(world, world.actors[index], frame)
         points[actor == index] = place_m[actor == index] @ pose.cam_R_body.T + pose.position_m

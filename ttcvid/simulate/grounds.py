@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.random import Generator
 
@@ -11,10 +13,11 @@ from ttcvid.simulate.scene import Ground
 
 STREET_TILE_M = 48.0
 FIELDS_TILE_M = 1500.0
-CLOUD_TILE_M = 6000.0
+CLOUD_TILE_M = 60000.0
 TILE_TEXELS = 2048
 GRASS = (62, 104, 82)
 PAVEMENT = (142, 146, 148)
+SKY_BLUE, CLOUD_WHITE = np.array([216.0, 190, 165]), np.array([240.0, 238, 236])
 WHITE = (222, 224, 224)
 DASH_M = 3.0
 KERB_M = 0.15
@@ -36,7 +39,7 @@ def cloud_tile(rng: Generator) -> Picture:
     size = (1024, 1024)
     noise = sum(weight * seamless_noise(size, cell, rng) for cell, weight in ((256, 1.0), (96, 0.7), (32, 0.4)))
     cover = np.clip(0.5 + 0.45 * np.reshape(noise, (*size, 1)), 0, 1)
-    return ((1 - cover) * np.array([215.0, 180, 150]) + cover * np.array([238.0, 236, 233])).astype(np.uint8)
+    return np.asarray((1 - cover) * SKY_BLUE + cover * CLOUD_WHITE, dtype=np.uint8)
 
 
 def _street(ground: Ground, rng: Generator) -> Picture:
@@ -50,7 +53,7 @@ def _street(ground: Ground, rng: Generator) -> Picture:
         (middle - edge - ground.pavement_width_m, middle - edge),
         (middle + edge, middle + edge + ground.pavement_width_m),
     ):
-        _pavement(picture, round(low / texel_m), round(high / texel_m), rng)
+        _pavement(picture, round(low / texel_m) - 1, round(high / texel_m) + 1, rng)
     low, high = round((middle - half) / texel_m), round((middle + half) / texel_m)
     kerb = round(KERB_M / texel_m)
     picture[:, low - kerb : high + kerb] = canvas((high - low + 2 * kerb, TILE_TEXELS), (172, 172, 170), rng, 8.0)
@@ -85,13 +88,14 @@ def _fields(rng: Generator) -> Picture:
     picture = canvas((TILE_TEXELS, TILE_TEXELS), (72, 108, 100), rng, 8.0)
     n = 16
     side = TILE_TEXELS / n
-    grid = np.stack(np.meshgrid(np.arange(n + 1), np.arange(n + 1)), axis=-1) * side
-    grid[1:-1, 1:-1] += rng.uniform(-0.3, 0.3, (n - 1, n - 1, 2)) * side
+    shift = rng.uniform(-0.3, 0.3, (n, n, 2)) * side
     crops = ((60, 110, 90), (80, 140, 150), (70, 125, 110), (62, 92, 70), (96, 128, 140))
-    for row in range(n):
-        for column in range(n):
-            corners = grid[[row, row, row + 1, row + 1], [column, column + 1, column + 1, column]]
-            fill(picture, corners + HEDGE_TEXELS, varied(crops[rng.integers(5)], 14, rng))
+    colours = [[varied(crops[rng.integers(5)], 14, rng) for _ in range(n)] for _ in range(n)]
+    # One row and column more than fit: what sticks out on one side of the tile comes in on the other.
+    for row, column in product(range(-1, n + 1), repeat=2):
+        places = np.array([[column, row], [column + 1, row], [column + 1, row + 1], [column, row + 1]])
+        corners = places * side + shift[places[:, 1] % n, places[:, 0] % n]
+        fill(picture, corners + HEDGE_TEXELS, colours[row % n][column % n])
     blotches(picture, 9000, (1.5, 5.0), 50, rng)
     blotches(picture, 900, (4.0, 9.0), 90, rng)
     return picture

@@ -71,6 +71,8 @@ def position_at(motion: Motion, t_s: Floats) -> Floats:
     holds for every combination of the terms (a turn at changing speed has only a Fresnel-like closed form).
     """
     t_s = np.asarray(t_s, dtype=float)
+    if not motion.is_moving:
+        return np.tile(np.asarray(motion.start_m), (*t_s.shape, 1))
     node, weight = np.polynomial.legendre.leggauss(NODES)
     total = np.zeros((*t_s.shape, 3))
     kinks = _kinks_s(motion, float(t_s.max(initial=0.0)))

@@ -22,7 +22,7 @@ class CameraPath:
     """The camera at N times: ``t_s (N,)``, ``cam_R_road (N, 3, 3)``, ``position_m`` and ``velocity_m_s (N, 3)``."""
 
     t_s: Floats
-    cam_R_road: Floats  # noqa: N815
+    cam_R_road: Floats
     position_m: Floats
     velocity_m_s: Floats
 
@@ -31,7 +31,7 @@ class CameraPath:
 class BodyPath:
     """A body at N times, in the road frame: ``road_R_body (N, 3, 3)``, positions, velocities ``(N, 3)``."""
 
-    road_R_body: Floats  # noqa: N815
+    road_R_body: Floats
     position_m: Floats
     velocity_m_s: Floats
     yaw_rate_rad_s: float
@@ -134,11 +134,11 @@ def mean_horizon_px(scene: Scene) -> tuple[float, float]:
 
 def _rotations(yaw_rad: Floats, pitch_rad: Floats, roll_rad: Floats) -> Floats:
     """Rotation matrices ``(N, 3, 3)`` from a vehicle's axes to the road's: yaw, then pitch, then roll (ISO 8855)."""
-    return Rotation.from_euler("ZYX", np.stack([yaw_rad, pitch_rad, roll_rad], axis=-1)).as_matrix()
+    return np.asarray(Rotation.from_euler("ZYX", np.stack([yaw_rad, pitch_rad, roll_rad], axis=-1)).as_matrix())
 
 
 def _pitch_jitter_rad(scene: Scene, t_s: Floats) -> Floats:
     """Smooth pitch jitter ``(N,)`` of the given standard deviation: a few sines with phases from the seed."""
     phases = np.random.default_rng([scene.seed, 7]).uniform(0, 2 * np.pi, len(JITTER_HZ))
     waves = np.sin(2 * np.pi * np.multiply.outer(t_s, JITTER_HZ) + phases).sum(axis=-1)
-    return np.radians(scene.own_motion.pitch_jitter_deg) * waves * np.sqrt(2 / len(JITTER_HZ))
+    return np.asarray(np.radians(scene.own_motion.pitch_jitter_deg) * waves * np.sqrt(2 / len(JITTER_HZ)))

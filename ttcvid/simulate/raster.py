@@ -73,10 +73,10 @@ class Samples:
 
     def linear(self, form: Floats, window: Window) -> Float32s:
         """Value ``(H, W)`` of a linear form of the rays (x, y, 1) in a window."""
-        a, b, c = (np.float32(value) for value in form)
+        a, b, c = form.astype(np.float32)
         x = self._x[window] if self._x.shape[0] > 1 else self._x[:, window[1]]
         y = self._y[window] if self._y.shape[1] > 1 else self._y[window[0]]
-        return (a * x + c) + b * y
+        return np.asarray((a * x + c) + b * y, dtype=np.float32)
 
     def window_of(self, corners_m: Floats) -> Window | None:
         """Window that holds what can be seen of a polygon ``(N, 3)`` in the camera; None where nothing can."""

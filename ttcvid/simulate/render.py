@@ -19,7 +19,7 @@ from ttcvid.simulate.shapes import Face
 from ttcvid.simulate.skins import CUT_OUT, default_colour, paint_skin
 from ttcvid.simulate.world import SKY_LABEL, STATIC_LABEL, Actor, Pose, World, build_world, pose_of
 
-CLOUD_HEIGHT_M = 2500.0
+CLOUD_HEIGHT_M = 4000.0
 HORIZON_BGR, ZENITH_BGR = (228, 222, 214), (214, 176, 140)
 SKY_STEPS = 256
 Labels = NDArray[np.uint16]
@@ -120,7 +120,7 @@ class Renderer:
         window = (slice(int(rows[0]), int(rows[-1]) + 1), slice(0, self._samples.shape[1]))
         inverse_depth = self._samples.linear(plane.inverse_depth, window)
         mask = inverse_depth > canvas.inverse_depth[window]
-        depth = 1 / np.maximum(inverse_depth, np.float32(1 / FAR_M))
+        depth: Float32s = np.reciprocal(np.maximum(inverse_depth, np.float32(1 / FAR_M)))
         x, y = (self._samples.linear((plane.u, plane.v)[axes.index(axis)], window) * depth for axis in (0, 1))
         if label == STATIC_LABEL:
             x, y = self._street_coordinates(x, y)
@@ -152,22 +152,26 @@ class Renderer:
         return outline_of(drawn) if drawn else None
 
     def _draw_face(self, canvas: Canvas, key: tuple[int, int], face: Face, plane: Plane, window: Window) -> Bools:
-        """Draw a face in its window; the samples that it covers, hidden or not."""
+        """Draw a face in its window; the samples that it covers, hidden or not (static: at least those not hidden)."""
+        label = self.world.actors[key[0]].object_id
         inverse_depth = self._samples.linear(plane.inverse_depth, window)
-        covered = inverse_depth > np.float32(1 / FAR_M)
-        depth = 1 / np.where(covered, inverse_depth, np.float32(1.0))
+        in_front = inverse_depth > canvas.inverse_depth[window]
+        if label == STATIC_LABEL and not in_front.any():
+            return in_front
+        covered: Bools = inverse_depth > np.float32(1 / FAR_M)
+        depth: Float32s = np.reciprocal(np.where(covered, inverse_depth, np.float32(1.0)))
         u = self._samples.linear(plane.u, window) * depth
         v = self._samples.linear(plane.v, window) * depth
         for place, extent in ((u, face.size_m[0]), (v, face.size_m[1])):
             covered &= place >= 0
             covered &= place <= np.float32(extent)
-        mask = covered & (inverse_depth > canvas.inverse_depth[window])
+        mask = covered & in_front
         if mask.any() or face.skin in CUT_OUT:
             bgr, opaque = self._skin(key, face).sample(u, v)
             if opaque is not None:
                 covered &= opaque
                 mask &= opaque
-            canvas.draw(window, mask, bgr, inverse_depth, self.world.actors[key[0]].object_id)
+            canvas.draw(window, mask, bgr, inverse_depth, label)
         return covered
 
     def _skin(self, key: tuple[int, int], face: Face) -> Ripmap:

@@ -58,7 +58,7 @@ class Face:
     def corners_m(self) -> Floats:
         """The corners ``(4, 3)``, from the top-left one on."""
         across, down = self.along_u * self.size_m[0], self.along_v * self.size_m[1]
-        return self.origin_m + np.array([0 * across, across, across + down, down])
+        return np.array([self.origin_m + offset for offset in (0 * across, across, across + down, down)])
 
 
 def size_of(body: Body) -> Vector:
@@ -106,7 +106,7 @@ def distance_to_parts_m(parts: list[Part], point_m: Floats) -> Floats:
     for part in parts:
         outside = np.maximum(np.asarray(part.low_m) - point_m, point_m - np.asarray(part.high_m))
         distances.append(np.sqrt(np.sum(np.maximum(outside, 0.0) ** 2, axis=-1)))
-    return np.min(distances, axis=0)
+    return np.asarray(np.min(distances, axis=0))
 
 
 def _face(part: Part, side: str, skin: str) -> Face:

@@ -110,13 +110,21 @@ def _bus_side(picture: Picture, colour: Colour, rng: Generator) -> None:
         disc(picture, (part, 0.86), 0.07 * height, (160, 160, 160))
 
 
-def _bus_end(picture: Picture, colour: Colour, rng: Generator) -> None:
+def _bus_front(picture: Picture, colour: Colour, rng: Generator) -> None:
+    _bus_end(picture, (190, 215, 225), rng)
+
+
+def _bus_rear(picture: Picture, colour: Colour, rng: Generator) -> None:
+    _bus_end(picture, (50, 40, 190), rng)
+
+
+def _bus_end(picture: Picture, light: Colour, rng: Generator) -> None:
     rectangle(picture, (0, 0.9, 1, 1), DARK)
     rectangle(picture, (0.06, 0.16, 0.94, 0.52), GLASS)
     rectangle(picture, (0.25, 0.03, 0.75, 0.12), (30, 30, 30))
     _lettering(picture, (0.3, 0.11), 0.06, rng, (60, 200, 240))
     for left in (0.06, 0.8):
-        rectangle(picture, (left, 0.7, left + 0.14, 0.8), (60, 60, 200))
+        rectangle(picture, (left, 0.7, left + 0.14, 0.8), light)
     rectangle(picture, (0.38, 0.74, 0.62, 0.82), (225, 230, 230))
     blotches(picture, 30, (2.0, 8.0), 60, rng)
 
@@ -293,7 +301,7 @@ def _asphalt(picture: Picture, colour: Colour, rng: Generator) -> None:
 CUT_OUT: dict[str, Callable[[tuple[int, int], Generator], Picture]] = {"walker": _walker, "leaves": _leaves}
 PAINTERS: dict[str, Painter] = {
     "plain": _plain, "car_rear": _car_rear, "car_front": _car_front, "car_left": _car_side, "car_right": _car_side,
-    "windows": _windows, "bus_left": _bus_side, "bus_right": _bus_side, "bus_front": _bus_end, "bus_rear": _bus_end,
+    "windows": _windows, "bus_left": _bus_side, "bus_right": _bus_side, "bus_front": _bus_front, "bus_rear": _bus_rear,
     "cargo": _cargo, "cargo_doors": _cargo_doors, "chassis": _chassis, "cabin_front": _cabin_front,
     "cabin_side": _cabin_side, "house": _house, "roof": _roof, "bricks": _bricks, "patches": _patches, "post": _post,
     "bark": _patches, "hedge": _hedge, "hull": _hull, "nose": _nose, "engine": _engine,

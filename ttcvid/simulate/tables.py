@@ -97,7 +97,8 @@ TRUTH_TABLES: dict[str, tuple[Column, ...]] = {
 def truth_table(name: str, columns: dict[str, Any], scene: Scene) -> pa.Table:
     """A truth table from its columns; NaN becomes null."""
     fields = [column.field() for column in TRUTH_TABLES[name]]
-    metadata = {"ttcvid_table": name, "ttcvid_scene": scene.name, "ttcvid_seed": str(scene.seed)}
+    metadata: dict[bytes | str, bytes | str] = {"ttcvid_table": name, "ttcvid_scene": scene.name}
+    metadata["ttcvid_seed"] = str(scene.seed)
     arrays = [pa.array(columns[field.name], type=field.type, from_pandas=True) for field in fields]
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=metadata))
 

@@ -94,7 +94,7 @@ def _is_visible(world: World, stack: FaceStack, frame: int, alive: _Alive) -> Bo
     size = world.camera.image_size
     with np.errstate(invalid="ignore"):
         inside = np.all((xy >= 0) & (xy <= (size.width_px - 1, size.height_px - 1)), axis=1) & (point[:, 2] > 0)
-    result = inside.copy()
+    result: Bools = inside.copy()
     rays = point[inside] / point[inside, 2:]
     hit = cast(stack, rays)
     result[inside] = hit.depth_m >= point[inside, 2] * (1 - HIDDEN_SHARE)

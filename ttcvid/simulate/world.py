@@ -50,7 +50,7 @@ class Pose:
     ``turn_rad_s`` (3,) is the body's own rate of turning, in the camera's axes.
     """
 
-    cam_R_body: Floats  # noqa: N815
+    cam_R_body: Floats
     position_m: Floats
     velocity_m_s: Floats
     turn_rad_s: Floats
