@@ -21,7 +21,11 @@ NO_TIMESTAMPS_FLAG = 0x0080
 """AVFMT_NOTIMESTAMPS of libavformat: a bare stream, whose times would be invented from an assumed rate."""
 
 TS_PACKET_BYTES = (188, 192, 204)
-"""Packet lengths of MPEG transport streams: a whole file is a multiple of one of them."""
+"""Packet lengths of MPEG transport streams: plain, with arrival times, with error correction."""
+
+TS_SYNC_BYTE = 0x47
+TS_SYNCS = 5
+"""Sync bytes in a row, one packet apart, that tell the length of the packets."""
 
 MICROSECONDS = 1_000_000
 DURATION_SLACK_S = 0.1
@@ -53,15 +57,22 @@ class PacketIndex:
         """Presentation times ``(N,)`` in s, pts x time_base, the first one moved to 0 only where it is negative."""
         if self.pts is None:
             return None
-        # numerator and pts are whole numbers below 2^53: one correctly rounded division
+        # a product of whole numbers below 2^53 is exact: only the division rounds
         times_s = self.pts * float(self.time_base.numerator) / self.time_base.denominator
         return np.asarray(times_s - min(0.0, times_s.min()))
 
-    def number(self, pictures: Iterable[VideoFrame]) -> Iterator[tuple[int, VideoFrame]]:
-        """Decoded frames with their index in the source, ascending; what the file does not announce is left out."""
+    def number(self, pictures: Iterable[VideoFrame | None]) -> Iterator[tuple[int, VideoFrame]]:
+        """Decoded frames with their index in the source, ascending; what the file does not announce is left out.
+
+        A gap is seen from the times; where there are none, each damaged packet (None) stands for one lost frame.
+        """
         due = 0
         for picture in pictures:
-            index = due if self.pts is None or self.decoder_orders else self._find(picture.pts, due)
+            counts = self.pts is None or self.decoder_orders
+            if picture is None:
+                due += counts
+                continue
+            index = due if counts else self._find(picture.pts, due)
             if index is not None:
                 due = index + 1
                 yield index, picture
@@ -120,11 +131,13 @@ def index_packets(path: Path) -> PacketIndex:
     ordered_pts = np.array([rows[i].pts for i in order], dtype=np.int64)
     # an AVI file numbers its packets in the order of decoding, whatever the order of presentation
     decoder_orders = delay > 0 and order == known and container.format.name == "avi"
-    first = np.zeros(len(order), dtype=np.int64) if decoder_orders else np.array([entry[i] for i in order])
+    # a frame without time is numbered by counting, which has to begin at the first packet
+    must_count = decoder_orders or len(known) < len(shown)
+    first = np.zeros(len(order), dtype=np.int64) if must_count else np.array([entry[i] for i in order])
     return PacketIndex(ordered_pts, time_base, first, decoder_orders, is_cut)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _Packet:
     pts: int | None
     dts: int | None
@@ -166,8 +179,19 @@ def _ends_early(path: Path, container: InputContainer, stream: VideoStream, n_pa
         frame_s = float(1 / stream.average_rate) if stream.average_rate else 0.0
         return (container.duration or 0) / MICROSECONDS > end_s + frame_s + DURATION_SLACK_S
     if "mpegts" in kinds:
-        return all(path.stat().st_size % length for length in TS_PACKET_BYTES)
+        return path.stat().st_size % _ts_packet_bytes(path) != 0
     return False
+
+
+def _ts_packet_bytes(path: Path) -> int:
+    """Length of the packets of a transport stream; 1 where no length shows."""
+    with path.open("rb") as stream:
+        head = stream.read(TS_SYNCS * max(TS_PACKET_BYTES))
+    for length in TS_PACKET_BYTES:
+        columns = (head[offset::length][:TS_SYNCS] for offset in (0, length - min(TS_PACKET_BYTES)))
+        if any(column and set(column) == {TS_SYNC_BYTE} for column in columns):
+            return length
+    return 1
 
 
 def _entry_packets(rows: list[_Packet]) -> list[int]:
@@ -198,11 +222,8 @@ def _presentation_order(rows: list[_Packet], known: list[int]) -> list[int]:
     return order + sorted(piece, key=lambda k: rows[k].pts or 0)
 
 
-def decode(container: InputContainer, stream: VideoStream, first_packet: int) -> Iterator[VideoFrame]:
-    """Decoded frames in the order of presentation, from a packet on; damaged packets are left out in silence.
-
-    Who knows what to expect (``PacketIndex``) sees from the gaps what is missing.
-    """
+def decode(container: InputContainer, stream: VideoStream, first_packet: int) -> Iterator[VideoFrame | None]:
+    """Decoded frames in the order of presentation, from a packet on; None for each packet that is damaged."""
     packets = container.demux(stream)
     number = -1
     while True:
@@ -220,8 +241,8 @@ def decode(container: InputContainer, stream: VideoStream, first_packet: int) ->
     yield from _decode_packet(lambda: stream.codec_context.decode(None))
 
 
-def _decode_packet(decode_once: Callable[[], list[VideoFrame]]) -> list[VideoFrame]:
+def _decode_packet(decode_once: Callable[[], list[VideoFrame]]) -> list[VideoFrame] | list[None]:
     try:
         return decode_once()
     except av.error.FFmpegError:
-        return []
+        return [None]

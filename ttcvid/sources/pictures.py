@@ -12,6 +12,9 @@ from av.video.frame import VideoFrame
 
 from ttcvid.model import ImageSize, Picture
 
+CONVERSION_THREADS = 1
+"""More of them are slower on small pictures, and gave other pixels in 1 of 150 runs (PyAV 18, gray16le)."""
+
 
 @dataclass(frozen=True)
 class Orientation:
@@ -59,7 +62,7 @@ def grey_picture(frame: VideoFrame) -> Picture:
     8-bit luma is taken as it is stored (limited range too); deeper, packed and RGB formats are converted.
     """
     if not has_luma_plane(frame.format):
-        frame = frame.reformat(format="gray")
+        frame = frame.reformat(format="gray", threads=CONVERSION_THREADS)
     plane = frame.planes[0]
     rows: Picture = np.frombuffer(memoryview(plane), dtype=np.uint8).reshape(-1, plane.line_size)
     return rows[: frame.height, : frame.width].copy()
@@ -74,4 +77,4 @@ def has_luma_plane(pixel_format: VideoFormat) -> bool:
 
 def colour_picture(frame: VideoFrame) -> Picture:
     """The frame as (H, W, 3) BGR uint8, a fresh array."""
-    return np.asarray(frame.to_ndarray(format="bgr24"), dtype=np.uint8)
+    return np.asarray(frame.to_ndarray(format="bgr24", threads=CONVERSION_THREADS), dtype=np.uint8)

@@ -113,7 +113,7 @@ def _probe(path: Path) -> tuple[Orientation, ImageSize, tuple[str, ...]]:
     """What only a decoded picture tells: how the clip is turned, its upright size, and what is odd about it."""
     container, stream = open_video(path)
     with container:
-        picture = next(decode(container, stream, 0), None)
+        picture = next((picture for picture in decode(container, stream, 0) if picture is not None), None)
         aspect = stream.sample_aspect_ratio
     if picture is None:
         raise InputError(f"{path}: no picture in it can be decoded: it is cut or damaged, copy or record it again")
