@@ -1,0 +1,63 @@
+"""From pixels to rays and back, through the lens: pure numpy, NaN in gives NaN out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.distortion import distort, undistort
+from ttcvid.model import Camera, Floats
+
+UNDISTORTION_TOLERANCE_PX = 5e-11
+"""How near a pixel's ray comes back to the pixel."""
+
+
+def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
+    """Undistorted rays ``(N, 3)`` with z = 1 of distorted source pixels ``(N, 2)``.
+
+    NaN where no ray leads to the pixel: outside of what the lens model can reach, and, since z = 1 cannot hold it, at
+    90 deg or more off the axis of a fisheye lens.
+
+    Raises
+    ------
+    ValueError
+        The camera's distortion model is unknown, or has another number of coefficients.
+
+    >>> from ttcvid.model import ImageSize
+    >>> camera = Camera(fx_px=100.0, fy_px=50.0, cx_px=10.0, cy_px=20.0, image_size=ImageSize(640, 480))
+    >>> rays_from_pixels(camera, np.array([[60.0, 20.0], [10.0, 45.0]]))
+    array([[0.5, 0. , 1. ],
+           [0. , 0.5, 1. ]])
+    """
+    xy_px = np.asarray(xy_px, dtype=np.float64)
+    xy_distorted = (xy_px - (camera.cx_px, camera.cy_px)) / (camera.fx_px, camera.fy_px)
+    tolerance = UNDISTORTION_TOLERANCE_PX / max(camera.fx_px, camera.fy_px)
+    rays = np.ones((len(xy_px), 3))
+    rays[:, :2] = undistort(camera.distortion_model, camera.distortion, xy_distorted, tolerance)
+    rays[~np.isfinite(rays).all(axis=1)] = np.nan
+    return rays
+
+
+def pixels_from_rays(camera: Camera, rays: Floats) -> Floats:
+    """Distorted source pixels ``(N, 2)`` of rays or points ``(N, 3)`` of any length, in the camera frame.
+
+    NaN for z <= 0 (behind the camera or in its picture plane) and where the lens model folds over.
+
+    Raises
+    ------
+    ValueError
+        The camera's distortion model is unknown, or has another number of coefficients.
+
+    >>> from ttcvid.model import ImageSize
+    >>> camera = Camera(fx_px=100.0, fy_px=50.0, cx_px=10.0, cy_px=20.0, image_size=ImageSize(640, 480))
+    >>> pixels_from_rays(camera, np.array([[1.0, 0.0, 2.0], [1.0, 0.0, -2.0]]))
+    array([[60., 20.],
+           [nan, nan]])
+    """
+    rays = np.asarray(rays, dtype=np.float64)
+    z = rays[:, 2]
+    with np.errstate(all="ignore"):
+        xy = rays[:, :2] / np.where(z > 0.0, z, np.nan)[:, None]
+    xy_distorted = distort(camera.distortion_model, camera.distortion, xy)
+    xy_px: Floats = xy_distorted * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px)
+    xy_px[~np.isfinite(xy_px).all(axis=1)] = np.nan
+    return xy_px

@@ -1,0 +1,59 @@
+"""The horizon as a line in undistorted pixels, and as the plane through the focal point and that line.
+
+The plane's unit normal points UP: its y is negative (the camera's y points down), and ``normal . ray`` is positive for
+what lies above the horizon, zero on it, negative below. Where the road is flat it is the road's normal; every direction
+of motion along the road is normal to it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.rotation import normalize
+from ttcvid.model import Camera, Floats, Horizon
+
+
+def normal_from_horizon(camera: Camera, horizon: Horizon) -> Floats:
+    """Unit normal ``(3,)`` of the plane through the focal point and the horizon line, pointing up.
+
+    The line is given in undistorted pixels, so only the camera matrix counts, not the distortion. A camera that has
+    turned since keeps the plane by turning the normal: ``cam_R_prev @ normal``.
+
+    >>> from ttcvid.model import ImageSize
+    >>> size = ImageSize(641, 481)
+    >>> camera = Camera(fx_px=500.0, fy_px=500.0, cx_px=320.0, cy_px=240.0, image_size=size)
+    >>> normal_from_horizon(camera, Horizon(240.0, 240.0, size, 0.005, "hand")) + 0.0
+    array([ 0., -1.,  0.])
+    """
+    right_px = horizon.image_size.width_px - 1.0
+    y_left = (horizon.y_left_px - camera.cy_px) / camera.fy_px
+    y_right = (horizon.y_right_px - camera.cy_px) / camera.fy_px
+    left_ray = np.array([(0.0 - camera.cx_px) / camera.fx_px, y_left, 1.0])
+    right_ray = np.array([(right_px - camera.cx_px) / camera.fx_px, y_right, 1.0])
+    return normalize(np.cross(right_ray, left_ray))
+
+
+def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:
+    """The line ``normal . ray = 0`` in undistorted pixels: y at x = 0 and at x = width - 1.
+
+    Parameters
+    ----------
+    normal
+        ``(3,)`` of any length and either sign.
+
+    Returns
+    -------
+    ``(y_left, y_right)`` in px; NaN where the line has no y there: it is upright in the picture (the camera lies on its
+    side), or lies at infinity (the camera looks straight up or down).
+
+    >>> from ttcvid.model import ImageSize
+    >>> camera = Camera(fx_px=500.0, fy_px=500.0, cx_px=320.0, cy_px=240.0, image_size=ImageSize(641, 481))
+    >>> horizon_px(camera, np.array([0.0, -1.0, 0.1]))
+    (290.0, 290.0)
+    """
+    x_px = np.array([0.0, camera.image_size.width_px - 1.0])
+    x = (x_px - camera.cx_px) / camera.fx_px
+    with np.errstate(all="ignore"):
+        y_px = camera.cy_px - camera.fy_px * (normal[0] * x + normal[2]) / normal[1]
+    left, right = np.where(np.isfinite(y_px), y_px, np.nan).tolist()
+    return left, right
