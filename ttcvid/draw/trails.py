@@ -1,0 +1,60 @@
+"""Tracks with the way that they have come, coloured by cluster."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ttcvid.draw.palette import SCENE, UNASSIGNED, Colour, object_colour
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, TrackRows
+
+_SUBPIXEL_BITS = 3  # OpenCV draws between pixels when coordinates are shifted
+_UNASSIGNED_POSITIONS = 2  # tracks of no cluster show their last step only
+
+
+class Trails:
+    """The last positions of the live tracks.
+
+    ``positions_px`` is ``(N, trail_frames + 1, 2)``, the newest first; a young track repeats its oldest position.
+    """
+
+    def __init__(self, trail_frames: int) -> None:
+        self._n_positions = trail_frames + 1
+        self._track_id: Ints = np.zeros(0, dtype=np.int64)
+        self.positions_px: Floats = np.zeros((0, self._n_positions, 2))
+
+    def follow(self, tracks: TrackRows) -> None:
+        """Take in the tracks of the next frame."""
+        positions = np.repeat(tracks.xy_px[:, None, :], self._n_positions, axis=1)
+        if len(self._track_id):
+            place = np.minimum(np.searchsorted(self._track_id, tracks.track_id), len(self._track_id) - 1)
+            is_old = self._track_id[place] == tracks.track_id
+            positions[is_old, 1:] = self.positions_px[place[is_old], :-1]
+        self._track_id, self.positions_px = tracks.track_id, positions
+
+    def draw(self, bgr: Picture, tracks: TrackRows, stroke_px: int) -> None:
+        """Draw all tracks, those of no cluster first and objects last, so that objects stay on top."""
+        fixed_point = np.round(self.positions_px * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+        is_loose = tracks.cluster_id == NO_CLUSTER
+        _draw_lines(bgr, fixed_point[is_loose, :_UNASSIGNED_POSITIONS], UNASSIGNED, 1)
+        is_scene = tracks.cluster_id == SCENE_CLUSTER
+        _draw_lines(bgr, fixed_point[is_scene], SCENE, 1)
+        for cluster_id in np.unique(tracks.cluster_id[~is_loose & ~is_scene]).tolist():
+            is_own = tracks.cluster_id == cluster_id
+            colour = object_colour(cluster_id)
+            _draw_lines(bgr, fixed_point[is_own], colour, stroke_px)
+            _draw_dots(bgr, tracks.xy_px[is_own], colour, stroke_px + 1)
+
+
+def _draw_lines(bgr: Picture, fixed_point: np.ndarray, colour: Colour, stroke_px: int) -> None:
+    if len(fixed_point):
+        cv2.polylines(bgr, list(fixed_point), False, colour, stroke_px, cv2.LINE_8, _SUBPIXEL_BITS)
+
+
+def _draw_dots(bgr: Picture, xy_px: Floats, colour: Colour, side_px: int) -> None:
+    """Squares of ``side_px``, all at once."""
+    height, width = bgr.shape[:2]
+    offsets = np.stack(np.meshgrid(*[np.arange(side_px) - side_px // 2] * 2), axis=-1).reshape(-1, 2)
+    x, y = (np.round(xy_px).astype(int)[:, None] + offsets).reshape(-1, 2).T
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    bgr[y[inside], x[inside]] = colour

@@ -1,0 +1,94 @@
+"""What the annotated picture says about a cluster, in as few signs as can be read at a glance."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+from ttcvid.draw.palette import CLOSE, DARK, WARNING, WHITE, Colour
+from ttcvid.model import ClusterRow, Event, FrameResult, MotionState
+
+CLOSE_TTC_S = 4.0  # from here on an approach is marked, warned of or not
+LONGEST_TTC_S = 99.0  # longer ones are written as this
+TIGHT_INTERVAL = 0.15  # relative half-width up to which the value can stand alone
+
+_STATE_WORDS = {
+    MotionState.receding: "away",
+    MotionState.no_relative_motion: "same speed",
+    MotionState.unknown: "?",
+}
+
+
+class Urgency(IntEnum):
+    """How loud a cluster is drawn."""
+
+    calm = 0
+    close = 1
+    warned = 2
+
+
+BACKINGS: dict[Urgency, Colour] = {Urgency.calm: DARK, Urgency.close: CLOSE, Urgency.warned: WARNING}
+INKS: dict[Urgency, Colour] = {Urgency.calm: WHITE, Urgency.close: (0, 0, 0), Urgency.warned: WHITE}
+
+
+def urgency_of(cluster: ClusterRow, events: tuple[Event, ...]) -> Urgency:
+    """Warned where an event is active, close where the approach is certain and `CLOSE_TTC_S` or less away."""
+    if any(event.cluster_id == cluster.cluster_id for event in events):
+        return Urgency.warned
+    ttc_s, lo_s, hi_s = _ttc_z(cluster)
+    is_approach = cluster.motion_state in (MotionState.approaching, MotionState.constant_bearing)
+    is_certain = not lo_s > hi_s
+    return Urgency.close if is_approach and is_certain and 0 < ttc_s <= CLOSE_TTC_S else Urgency.calm
+
+
+def by_urgency(result: FrameResult) -> list[ClusterRow]:
+    """The objects of a frame, the most urgent first; those without a rank last, by number."""
+    objects = [cluster for cluster in result.clusters if cluster.role == "object"]
+    return sorted(objects, key=lambda row: (row.urgency_rank is None, row.urgency_rank or 0, row.cluster_id))
+
+
+def time_text(cluster: ClusterRow) -> str:
+    """``2.4 s`` where the 90 % interval is tight, ``2.1-3.9 s`` where not, ``>2.1 s`` where it runs through infinity.
+
+    A cluster that does not approach gets a word instead of a time.
+    """
+    if cluster.motion_state in _STATE_WORDS:
+        return _STATE_WORDS[cluster.motion_state]
+    ttc_s, lo_s, hi_s = _ttc_z(cluster)
+    if not ttc_s > 0:
+        return "-"
+    if lo_s > hi_s:
+        return f">{seconds(lo_s)} s"
+    if hi_s - lo_s > 2 * TIGHT_INTERVAL * ttc_s:
+        return f"{seconds(max(lo_s, 0.0))}-{seconds(hi_s)} s"
+    return f"{seconds(ttc_s)} s"
+
+
+def interval_text(cluster: ClusterRow) -> str:
+    """``2.1-2.8`` beside a time that stands alone; empty where there is no interval or `time_text` shows it."""
+    _, lo_s, hi_s = _ttc_z(cluster)
+    is_shown = "-" in time_text(cluster) or ">" in time_text(cluster)
+    if is_shown or cluster.motion_state in _STATE_WORDS or not lo_s <= hi_s:
+        return ""
+    return f"{seconds(max(lo_s, 0.0))}-{seconds(hi_s)}"
+
+
+def seconds(value_s: float) -> str:
+    """A time in two or three signs: ``2.4``, ``14``, ``99+``."""
+    if not value_s <= LONGEST_TTC_S:
+        return f"{LONGEST_TTC_S:.0f}+"
+    return f"{value_s:.1f}" if value_s < 9.95 else f"{value_s:.0f}"
+
+
+def banner_text(event: Event, result: FrameResult) -> str:
+    """The line across the picture while a warning is active."""
+    kind = event.kind.replace("_", " ").upper()
+    cluster = next((row for row in result.clusters if row.cluster_id == event.cluster_id), None)
+    return f"{kind} #{event.cluster_id}" + (f"  {time_text(cluster)}" if cluster is not None else "")
+
+
+def _ttc_z(cluster: ClusterRow) -> tuple[float, float, float]:
+    """ttc_z with the ends of its interval, NaN where there is none; an infinite end stays infinite."""
+    times = cluster.times
+    values = float(times.ttc_z_s[0]), float(times.ttc_z_lo_s[0]), float(times.ttc_z_hi_s[0])
+    return values if math.isfinite(values[0]) else (math.nan, math.nan, math.nan)
