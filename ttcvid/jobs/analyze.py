@@ -95,6 +95,7 @@ def run_analysis(
         calibration = read_calibration(options, source.info.image_size)
         path = out if out is not None else default_folder(input_)
         refuse_folder_of_input(path, source)
+        _log_start(source, path, configuration)
         names = [f"{name}.parquet" for name in TABLE_NAMES] + [OVERLAY_NAME] * options.overlay
         with StopSignals() as stop, OutputFolder.create(path, options.overwrite, names) as folder:
             digest = digest_in_background(source.files)
@@ -192,6 +193,16 @@ def _opencv_threads(tracker: str) -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
+
+
+def _log_start(source: Source, path: Path, configuration: Configuration) -> None:
+    info = source.info
+    _LOG.info(
+        "%s: %s, %s, %s frames of %.4f s", info.path, info.kind, info.image_size, info.n_frames, info.nominal_dt_s
+    )
+    for name, origin in sorted(configuration.origins.items()):
+        _LOG.info("%s is set by %s", name, origin)
+    _LOG.info("writing to %s", path)
 
 
 def _state(source: Source, stop: StopSignals) -> str:

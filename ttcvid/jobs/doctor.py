@@ -73,7 +73,10 @@ def examine() -> Diagnosis:
 
 
 def _version(module: Any, name: str) -> str:
-    return str(getattr(module, "__version__", None) or importlib.metadata.version(name))
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return str(module.__version__)  # cv2, which comes in wheels of four names
 
 
 def installed_opencv_wheels() -> list[str]:

@@ -97,7 +97,8 @@ class Tally:
             "frames_expected": info.n_frames,
             "skipped_packets": n_packets_skipped,
             "track_rows": self.n_track_rows,
-            "clusters": self.n_cluster_rows,
+            "cluster_rows": self.n_cluster_rows,
+            "clusters": len(self.cluster_ids),
             "objects": len(self.cluster_ids - {SCENE_CLUSTER}),
             "events": len(self.event_ids),
         }

@@ -1,0 +1,58 @@
+"""Help answers at once and tells the truth."""
+
+import subprocess
+import sys
+from typing import get_args
+
+import pytest
+
+from ttcvid.cli.analyze import ESTIMATORS, PLATFORMS, TRACKERS, analyze
+from ttcvid.cli.main import COMMANDS, main
+from ttcvid.config import CollisionTimesConfig, TrackingConfig
+from ttcvid.jobs.options import SHORTCUTS, AnalyzeOptions
+from ttcvid.model import Platform
+
+HEAVY = ("numpy", "cv2", "pandas", "pyarrow", "pydantic", "av", "scipy", "rich", "yaml")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["analyze", "--help"], ["doctor", "--help"], ["--version"]])
+def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
+    code = (
+        "import sys; from ttcvid.cli.main import main; code = main(sys.argv[1:]); "
+        f"print([name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr); sys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+    assert done.stdout
+
+
+def test_the_list_of_commands_names_every_command_with_its_first_words(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for name in COMMANDS:
+        assert f"\n  {name}" in text
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "--help"]) == 0
+    assert capsys.readouterr().out.startswith(f"Usage: ttcvid {name}")
+
+
+def test_choices_and_options_are_those_of_the_configuration() -> None:
+    assert get_args(TrackingConfig.model_fields["tracker"].annotation) == TRACKERS
+    assert get_args(CollisionTimesConfig.model_fields["estimator"].annotation) == ESTIMATORS
+    assert tuple(platform.value for platform in Platform) == PLATFORMS
+    of_the_command_alone = {"input_", "out", "as_json", "quiet", "verbose", "config", "settings"}
+    options = {parameter.name for parameter in analyze.params} - of_the_command_alone
+    assert options == set(AnalyzeOptions.model_fields) | set(SHORTCUTS)
+
+
+def test_defaults_in_the_help_are_those_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["analyze", "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    for default in ("klt", "two-frame", "free", "0", "1", "--overlay"):
+        assert f"[default: {default}]" in text.replace("two- frame", "two-frame")
+    assert TrackingConfig().tracker == "klt"
+    assert CollisionTimesConfig().estimator == "two-frame"
+    assert (AnalyzeOptions().seed, AnalyzeOptions().stride, AnalyzeOptions().overlay) == (0, 1, True)

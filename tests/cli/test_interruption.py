@@ -1,0 +1,133 @@
+"""Stopped by Ctrl-C, killed hard, or out of space: what is left tells what it is."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import av
+import pytest
+from moving_clips import approach, swaying, write_clip
+
+from ttcvid.cli.main import main
+from ttcvid.errors import InputError, TtcvidError
+from ttcvid.jobs.run import Run
+
+N_LONG = 1200
+DEADLINE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    period = swaying(60)
+    return write_clip(tmp_path_factory.mktemp("long") / "long.mp4", period * (N_LONG // 60), key_every=30)
+
+
+def start(clip: Path, out: Path, **options: object) -> subprocess.Popen[str]:
+    command = Path(sys.executable).with_name("ttcvid")
+    return subprocess.Popen(
+        [command, "analyze", str(clip), "-o", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,  # type: ignore[call-overload]
+    )
+
+
+def wait_until_it_writes(process: subprocess.Popen[str], out: Path) -> None:
+    """Until the overlay has its first bytes: frames have gone through by then."""
+    overlay = out / ".ttcvid-partial" / "overlay.mp4"
+    end_s = time.monotonic() + DEADLINE_S
+    while not (overlay.exists() and overlay.stat().st_size > 0):
+        assert process.poll() is None, process.stderr and process.stderr.read()
+        assert time.monotonic() < end_s
+        time.sleep(0.005)
+
+
+def n_video_frames(path: Path) -> int:
+    with av.open(str(path)) as container:
+        return sum(1 for _ in container.decode(video=0))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_keeps_what_is_done(number: signal.Signals, long_clip: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = start(long_clip, out)
+    wait_until_it_writes(process, out)
+    process.send_signal(number)
+    stdout, stderr = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 130, stderr
+    assert "interrupted" in stdout
+    assert "Traceback" not in stderr
+    run = Run.open(out)
+    n = run.manifest["counts"]["frames"]
+    assert run.state == "interrupted"
+    assert 0 < n < N_LONG
+    assert list(run.frames.frame) == list(range(n))
+    assert n_video_frames(out / "overlay.mp4") == n
+
+
+def test_a_signal_between_two_frames_ends_after_the_present_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clip = write_clip(tmp_path / "clip.mp4", swaying(60))
+
+    def stop_at_five(n_done: int, n_total: int | None) -> None:
+        if n_done == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("ttcvid.cli.progress.progress_on_terminal", lambda enabled: _Always(stop_at_five))
+    assert main(["analyze", str(clip), "-o", str(tmp_path / "out")]) == 130
+    assert 5 <= Run.open(tmp_path / "out").manifest["counts"]["frames"] <= 10
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+class _Always:
+    def __init__(self, value: object) -> None:
+        self._value = value
+
+    def __enter__(self) -> object:
+        return self._value
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.2])
+def test_killed_hard_leaves_nothing_that_passes_for_a_result(delay_s: float, long_clip: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = start(long_clip, out)
+    wait_until_it_writes(process, out)
+    time.sleep(delay_s)
+    process.kill()
+    process.communicate(timeout=DEADLINE_S)
+    assert not list(out.glob("*.parquet"))
+    with pytest.raises(InputError, match=r"no finished run"):
+        Run.open(out)
+    short = write_clip(tmp_path / "short.mp4", approach(3))
+    assert main(["analyze", str(short), "-o", str(out), "-q"]) == 2
+    assert main(["analyze", str(short), "-o", str(out), "-q", "--overwrite"]) == 0
+    assert sorted(path.name for path in out.iterdir()) == sorted([*Run.open(out).manifest["files"], "manifest.json"])
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(long_clip: Path, tmp_path: Path) -> None:
+    """Stands for a full disk: no file may grow over 100 kB."""
+    out = tmp_path / "out"
+    limit = 100_000
+    process = start(long_clip, out, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    stdout, stderr = process.communicate(timeout=DEADLINE_S)
+    errors = [line for line in stderr.splitlines() if "warning" not in line]
+    assert process.returncode == 2
+    assert stdout == ""
+    assert len(errors) == 1
+    assert "cannot be written" in errors[0]
+    assert not out.exists()
+
+
+def test_a_folder_without_manifest_or_no_folder_is_no_run(tmp_path: Path) -> None:
+    for place in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(TtcvidError, match=str(place)):
+            Run.open(place)
