@@ -34,7 +34,7 @@ def epipole_from_flow_lines(first_px: Floats, second_px: Floats) -> tuple[Floats
     """Least-squares intersection of flow lines in the picture, by pseudo-inverse of their unit normals.
 
     Kept as the paper has it. Its unit normals are themselves noisy, which biases it towards the points (80 one-sided
-    lines, 0.3 px: 40 px and more); `epipole_maximum_likelihood` is what the stages use.
+    lines, 0.3 px: 32 px in the tests); `epipole_maximum_likelihood` is what the stages use.
 
     Parameters
     ----------

@@ -9,23 +9,27 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.quotient import quotient
-from ttcvid.model import Floats
+from ttcvid.model import Bools, Floats
 
 # 90 % quantile of chi-square with two degrees of freedom.
 _CHI2_90_TWO = 4.605170185988092
 
-_N_UNIFORM = 10
-_N_DENSE = 22
+_N_UNIFORM = 8
+_N_DENSE = 20
 # Tangents of half the angle at which the border is looked at: one set uniform, one to be squeezed (see `_border`).
 _UNIFORM_TAN = np.tan(0.5 * np.pi * (np.arange(_N_UNIFORM) - 0.5 * (_N_UNIFORM - 1)) / (0.5 * _N_UNIFORM))
 _DENSE_TAN = np.tan(0.5 * np.pi * (np.arange(_N_DENSE) - 0.5 * (_N_DENSE - 1)) / (0.5 * _N_DENSE))
 _MIN_SQUEEZE = 1e-9
 
 _CLOSEST_POINT_STEPS = 6
-_NEWTON_STEPS = 3
-_MAX_NEWTON_STEP_RAD = 0.3
-# What is maximised, as factors of (q, u) / (q^2 + u^2): minus lower tcpa, upper tcpa, minus lower miss, upper miss.
-_OBJECTIVES = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
+_NEWTON_STEPS = 2
+_MAX_HALF_STEP = 0.15
+# The four objectives, all maximised: signs and components of (q, u) / (q^2 + u^2). They are minus the lower tcpa, the
+# upper tcpa, minus the lower miss, the upper miss.
+_SIGNS = np.array([[1.0], [-1.0], [-1.0], [1.0]])
+_COMPONENTS = np.array([0, 0, 1, 1])
+# Added to denominators that are zero only together with their numerators.
+_TINY = 1e-300
 
 
 def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -51,7 +55,7 @@ def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats,
     reaches_axis = u * u <= _CHI2_90_TWO * variance_u
 
     maxima = _border_maxima(rates, _semi_axes(cov), _axis_crossings(q, u, cov, reaches_axis))
-    maxima[:, holds_origin] = np.nan
+    maxima[:, holds_origin | np.isnan(mahalanobis)] = np.nan
     tcpa_lo, tcpa_hi, miss_lo, miss_hi = -maxima[0], maxima[1], -maxima[2], maxima[3]
     miss_lo = np.where(reaches_axis, 0.0, miss_lo)
     return tcpa_lo, tcpa_hi, miss_lo, miss_hi
@@ -71,7 +75,7 @@ def _semi_axes(cov: Floats) -> Floats:
     return axes
 
 
-def _axis_crossings(q: Floats, u: Floats, cov: Floats, reaches_axis: np.ndarray) -> Floats:
+def _axis_crossings(q: Floats, u: Floats, cov: Floats, reaches_axis: Bools) -> Floats:
     """The two q ``(2, N)`` at which the ellipse crosses u = 0; NaN where it does not."""
     slope = np.nan_to_num(quotient(cov[:, 0, 1], cov[:, 1, 1]))
     left_over = np.maximum(_CHI2_90_TWO - np.nan_to_num(quotient(u * u, cov[:, 1, 1])), 0.0)
@@ -85,19 +89,22 @@ def _border_maxima(centre: Floats, axes: Floats, crossings: Floats) -> Floats:
     cos, sin = _border(centre, axes)
     q = centre[:, :1] + axes[:, 0, :1] * cos + axes[:, 0, 1:] * sin
     u = centre[:, 1:] + axes[:, 1, :1] * cos + axes[:, 1, 1:] * sin
-    inverse = quotient(1.0, q * q + u * u)
+    square = q * q + u * u
+    inverse = quotient(1.0, square)
+    is_below = ~(u >= 0.0)
     q *= inverse
     u *= inverse
-    is_below = ~(u >= 0.0)
-    highest_q, lowest_q = np.where(is_below, -np.inf, q), np.where(is_below, np.inf, q)
-    lowest_u = np.where(is_below, np.inf, u)
-    best = np.stack([highest_q.argmax(1), lowest_q.argmin(1), lowest_u.argmin(1), np.where(is_below, 0.0, u).argmax(1)])
+    q[is_below], u[is_below] = -np.inf, -np.inf
+    highest = q.argmax(1), u.argmax(1)
+    q[is_below], u[is_below] = np.inf, np.inf
+    best = np.stack([highest[0], q.argmin(1), u.argmin(1), highest[1]])
     rows = np.arange(len(centre))
     maxima = _climb(centre, axes, cos[rows, best], sin[rows, best])
-    for point in (crossings[0], crossings[1]):
-        maxima = np.fmax(maxima, _OBJECTIVES[:, :1] * quotient(1.0, point))
-    square = np.einsum("ni,ni->n", centre, centre)
-    return np.fmax(maxima, quotient(_OBJECTIVES @ centre.T, square))
+    maxima[:2] = np.fmax(maxima[:2], _SIGNS[:2] * quotient(1.0, crossings[0]))
+    maxima[:2] = np.fmax(maxima[:2], _SIGNS[:2] * quotient(1.0, crossings[1]))
+    at_centre = quotient(centre, np.einsum("ni,ni->n", centre, centre)[:, None])
+    np.fmax(maxima, _SIGNS * at_centre.T[_COMPONENTS], out=maxima)
+    return maxima
 
 
 def _border(centre: Floats, axes: Floats) -> tuple[Floats, Floats]:
@@ -130,52 +137,42 @@ def _closest_to_origin(centre: Floats, axes: Floats) -> tuple[Floats, Floats]:
     lengths = np.sqrt(np.einsum("nij,nij->nj", axes, axes))
     towards = -np.nan_to_num(quotient(np.einsum("nij,ni->nj", axes, centre), lengths))
     a, b = lengths.T
-    y0, y1 = np.abs(towards).T
-    t = np.maximum(a * y0 - a * a, b * y1 - b * b)
+    a_y, b_y = (lengths * np.abs(towards)).T
+    t = np.maximum(a_y - a * a, b_y - b * b)
     for _ in range(_CLOSEST_POINT_STEPS):
-        first, second = (np.nan_to_num(quotient(s * y, t + s * s)) for s, y in ((a, y0), (b, y1)))
-        slope = 2.0 * (
-            first * first * np.nan_to_num(quotient(1.0, t + a * a))
-            + second * second * np.nan_to_num(quotient(1.0, t + b * b))
-        )
-        t = t + np.nan_to_num(quotient(first * first + second * second - 1.0, slope))
-    cos = np.clip(np.nan_to_num(quotient(a * y0, t + a * a)), 0.0, 1.0)
+        t_a, t_b = t + a * a + _TINY, t + b * b + _TINY
+        first, second = (a_y / t_a) ** 2, (b_y / t_b) ** 2
+        t += (first + second - 1.0) / (2.0 * (first / t_a + second / t_b) + _TINY)
+    cos = np.minimum(a_y / (t + a * a + _TINY), 1.0)
     sin = np.sqrt(1.0 - cos * cos)
     return np.copysign(cos, towards[:, 0]), np.copysign(sin, towards[:, 1])
 
 
 def _climb(centre: Floats, axes: Floats, cos: Floats, sin: Floats) -> Floats:
-    """Maxima ``(4, N)`` of the objectives along the ellipse from parameters ``(4, N)``, by guarded Newton steps."""
-    value = _objective(_point(centre, axes, cos, sin))
-    for _ in range(_NEWTON_STEPS):
-        step = _newton_step(centre, axes, cos, sin)
-        new_cos, new_sin = cos * np.cos(step) - sin * np.sin(step), sin * np.cos(step) + cos * np.sin(step)
-        new_point = _point(centre, axes, new_cos, new_sin)
-        new_value = _objective(new_point)
-        is_better = (new_value > value) & (new_point[..., 1] >= 0.0)
-        cos, sin, value = (
-            np.where(is_better, new, old) for new, old in ((new_cos, cos), (new_sin, sin), (new_value, value))
-        )
-    return np.where(_point(centre, axes, cos, sin)[..., 1] >= 0.0, value, np.nan)
+    """Maxima ``(4, N)`` of the objectives along the ellipse near the parameters ``(4, N)``, by Newton steps uphill.
 
-
-def _newton_step(centre: Floats, axes: Floats, cos: Floats, sin: Floats) -> Floats:
-    """Step ``(4, N)`` in rad towards the zero of the derivative's numerator, n' D - n D' with value n / D."""
-    point = _point(centre, axes, cos, sin)
-    tangent = _point(np.zeros_like(centre), axes, -sin, cos)
-    n, n_1, n_2 = (np.einsum("ki,kni->kn", _OBJECTIVES, v) for v in (point, tangent, centre - point))
-    square, mixed = np.einsum("kni,kni->kn", point, point), np.einsum("kni,kni->kn", point, tangent)
-    bend = np.einsum("kni,kni->kn", tangent, tangent) + np.einsum("kni,kni->kn", point, centre - point)
-    step = -np.nan_to_num(quotient(n_1 * square - 2.0 * n * mixed, n_2 * square - 2.0 * n * bend))
-    return np.clip(step, -_MAX_NEWTON_STEP_RAD, _MAX_NEWTON_STEP_RAD)
-
-
-def _point(centre: Floats, axes: Floats, cos: Floats, sin: Floats) -> Floats:
-    """Points ``(4, N, 2)`` of the ellipse."""
-    points: Floats = centre + axes[:, :, 0] * cos[..., None] + axes[:, :, 1] * sin[..., None]
-    return points
-
-
-def _objective(points: Floats) -> Floats:
-    """The four objectives ``(4, N)`` at points ``(4, N, 2)``."""
-    return quotient(np.einsum("ki,kni->kn", _OBJECTIVES, points), np.einsum("kni,kni->kn", points, points))
+    The steps go to the zero of the derivative's numerator, ``n' D - n D'`` with the objective n / D.
+    """
+    # First the component of the objective, then the other one; the parts of the two axes likewise.
+    others = 1 - _COMPONENTS
+    n_0, m_0 = centre.T[_COMPONENTS], centre.T[others]
+    n_a, n_b = axes[:, :, 0].T[_COMPONENTS], axes[:, :, 1].T[_COMPONENTS]
+    m_a, m_b = axes[:, :, 0].T[others], axes[:, :, 1].T[others]
+    best = np.full(cos.shape, -np.inf)
+    for _ in range(_NEWTON_STEPS + 1):
+        n_offset, m_offset = n_a * cos + n_b * sin, m_a * cos + m_b * sin
+        n, m = n_0 + n_offset, m_0 + m_offset
+        square = n * n + m * m
+        value = _SIGNS * quotient(n, square)
+        value[:2][~(m[:2] >= 0.0)], value[2:][~(n[2:] >= 0.0)] = -np.inf, -np.inf
+        best = np.fmax(best, value)
+        n_1, m_1 = n_b * cos - n_a * sin, m_b * cos - m_a * sin
+        bend = n_1 * n_1 + m_1 * m_1 - n * n_offset - m * m_offset
+        slope = n_1 * square - 2.0 * n * (n * n_1 + m * m_1)
+        curvature = np.abs(n_offset * square + 2.0 * n * bend)
+        half_step = 0.5 * _SIGNS * slope / (curvature + _TINY)
+        half_step = np.clip(half_step, -_MAX_HALF_STEP, _MAX_HALF_STEP)
+        scale = 1.0 / (1.0 + half_step * half_step)
+        turn_cos, turn_sin = (1.0 - half_step * half_step) * scale, 2.0 * half_step * scale
+        cos, sin = cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin
+    return best

@@ -10,7 +10,7 @@ import numpy as np
 
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
-from ttcvid.model import Floats, Ints, Status
+from ttcvid.model import Bools, Floats, Ints, Status
 
 # A rate s within this many of its standard deviations may be zero; below minus this, the sign of e is not the point's.
 _RATE_SIGMAS = 2.0
@@ -64,7 +64,7 @@ def state_from_direction(
     gap_s = np.broadcast_to(np.asarray(gap_s, dtype=np.float64), (n_points,))
     q, r = _to_unit_depth(q), _to_unit_depth(p)
     variance = np.where((sigma_norm > 0.0) & (gap_s > 0.0), sigma_norm, np.nan) ** 2
-    cov_e = np.zeros((3, 3)) if direction_cov is None else direction_cov
+    cov_e = np.zeros((1, 3, 3)) if direction_cov is None else np.reshape(direction_cov, (-1, 3, 3))
 
     s, ds_dq, ds_dr, ds_de = _rate(q, r, e, gap_s)
     # (a, b, c) = s e depends on q and r through s alone; x and y are those of r.
@@ -78,7 +78,9 @@ def state_from_direction(
     cov[:, 2:, 2:] += jacobian_e @ cov_e @ np.swapaxes(jacobian_e, 1, 2)
     state = np.concatenate([r[:, :2], s[:, None] * e], axis=1)
 
-    s_sigma = np.sqrt(s_variance + np.maximum(np.einsum("ni,...ij,nj->n", ds_de, cov_e, ds_de), 0.0))
+    s_sigma = np.sqrt(
+        s_variance + np.maximum(np.einsum("ni,nij,nj->n", ds_de, np.broadcast_to(cov_e, (n_points, 3, 3)), ds_de), 0.0)
+    )
     status = np.select(
         [
             ~np.isfinite(q + r).all(axis=1) | ~np.isfinite(variance),
@@ -116,7 +118,7 @@ def _rate(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple[Floats, Float
     return s, ds_dq * scale[:, None], ds_dr * scale[:, None], ds_de * scale[:, None]
 
 
-def _is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, cov_e: Floats) -> np.ndarray:
+def _is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, cov_e: Floats) -> Bools:
     """Whether both rays lie within noise (of the ray and of e) of the line along e."""
     e_variance = np.linalg.eigvalsh(np.nan_to_num(cov_e))[..., -1]
     farther = np.zeros(len(q))

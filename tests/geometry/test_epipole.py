@@ -1,0 +1,194 @@
+"""The epipole of many flows and of one flow with the horizon, exact without noise and honest with it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from moving_points import jitter, moving_points, views
+
+from ttcvid.geometry.epipole import epipole_from_flow_lines, epipole_maximum_likelihood
+from ttcvid.geometry.planar import planar_epipole
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
+from ttcvid.model import Status
+
+FOCAL_PX = 720.0
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def pixels(rays):
+    return FOCAL_PX * rays[..., :2] / rays[..., 2:]
+
+
+def one_sided_scene(rng, n=80):
+    """Lines all on the right of an epipole straight ahead: points 200 to 350 px from it, k of 50 frames or so."""
+    xy = np.column_stack([rng.uniform(200, 350, n), rng.uniform(-100, 100, n)]) / FOCAL_PX
+    depth = rng.uniform(30, 60, n)
+    return np.column_stack([xy, np.ones(n)]) * depth[:, None], np.array([0.0, 0.0, -1.0])
+
+
+def shared_motion(n, seed, velocity):
+    rng = np.random.default_rng(seed)
+    position = np.column_stack([rng.uniform(-15, 15, n), rng.uniform(-5, 5, n), rng.uniform(10, 60, n)])
+    return views(position, np.asarray(velocity, dtype=float), [-0.2, 0.0])
+
+
+VELOCITIES = [(0, 0, -10), (0, 0, 10), (3, 1, -8), (-6, 0, 0.5), (0, 5, -5), (0, -4, 0.1)]
+
+
+@pytest.mark.parametrize("velocity", VELOCITIES)
+@pytest.mark.parametrize("n", [2, 3, 50])
+def test_maximum_likelihood_is_exact_without_noise(velocity, n):
+    q, p = shared_motion(n, 5, velocity)
+    direction, cov, chi2, status = epipole_maximum_likelihood(q, p, np.full(n, 1e-5))
+    np.testing.assert_allclose(direction, normalize(np.array(velocity, dtype=float)), atol=1e-9)
+    assert status == Status.ok
+    assert chi2.max() < 1e-6
+    np.testing.assert_allclose(cov @ direction, 0, atol=1e-12)
+
+
+def test_an_epipole_at_infinity_is_a_note_beside_the_value():
+    q, p = shared_motion(30, 6, (5, 0, 0))
+    direction, _, _, status = epipole_maximum_likelihood(q, p, np.full(30, 1e-5))
+    np.testing.assert_allclose(direction, [1, 0, 0], atol=1e-9)
+    assert status == Status.epipole_at_infinity
+
+
+def test_maximum_likelihood_is_unbiased_where_unit_normals_are_not():
+    rng = np.random.default_rng(7)
+    sigma = 0.3 / FOCAL_PX
+    likely, least_squares, predicted = [], [], []
+    for _ in range(60):
+        position, velocity = one_sided_scene(rng)
+        q, p = jitter(views(position, velocity, [-1.0, 0.0]), sigma, rng)
+        direction, cov, _, status = epipole_maximum_likelihood(q, p, np.full(len(q), sigma))
+        assert status == Status.ok
+        likely.append(pixels(direction))
+        predicted.append(np.diag(cov)[:2])
+        least_squares.append(epipole_from_flow_lines(pixels(q), pixels(p))[0])
+    likely, least_squares = np.array(likely), np.array(least_squares)
+    bound_px = FOCAL_PX * np.sqrt(np.mean(predicted, axis=0))
+    rmse_px = np.sqrt(np.mean(likely**2, axis=0))
+    assert least_squares.mean(axis=0)[0] > 25
+    assert np.abs(likely.mean(axis=0)).max() < 3 * bound_px.max() / np.sqrt(60)
+    assert (rmse_px < 1.3 * bound_px).all()
+    assert (rmse_px > 0.7 * bound_px).all()
+
+
+def test_robust_weights_leave_out_flows_of_another_motion():
+    rng = np.random.default_rng(8)
+    q, p = jitter(np.concatenate([shared_motion(60, 9, (1, 0, -8)), shared_motion(15, 10, (-6, 1, 1))], 1), 2e-4, rng)
+    truth = normalize(np.array([1.0, 0, -8]))
+    robust, _, chi2, _ = epipole_maximum_likelihood(q, p, np.full(75, 2e-4), cauchy_sigmas=2.4)
+    plain, _, _, _ = epipole_maximum_likelihood(q, p, np.full(75, 2e-4))
+    assert np.degrees(np.arccos(robust @ truth)) < 0.3 < np.degrees(np.arccos(plain @ truth))
+    assert np.median(chi2[:60]) < 1 < np.median(chi2[60:])
+
+
+@given(st.integers(0, 10**6), st.sampled_from(VELOCITIES))
+def test_order_of_tracks_and_mirroring(seed, velocity):
+    rng = np.random.default_rng(seed)
+    q, p = jitter(shared_motion(20, seed, velocity), 1e-4, rng)
+    sigma = np.full(20, 1e-4)
+    direction, _, _, status = epipole_maximum_likelihood(q, p, sigma)
+    order, mirror = rng.permutation(20), np.array([-1.0, 1, 1])
+    shuffled, _, _, _ = epipole_maximum_likelihood(q[order], p[order], sigma)
+    mirrored, _, _, same = epipole_maximum_likelihood(q * mirror, p * mirror, sigma)
+    np.testing.assert_allclose(shuffled, direction, atol=1e-6)
+    np.testing.assert_allclose(mirrored, direction * mirror, atol=1e-6)
+    assert status == same
+
+
+def test_weights_of_zero_and_missing_rays_are_left_out():
+    q, p = shared_motion(10, 11, (1, 0, -8))
+    q, p = q.copy(), p.copy()
+    q[0], p[1] = np.nan, [0, 1, 0]
+    direction, _, chi2, status = epipole_maximum_likelihood(
+        q, p, np.full(10, 1e-5), weights=np.array([1.0, 0] + [1] * 8), start=np.array([0, 0, 1.0])
+    )
+    np.testing.assert_allclose(direction, normalize(np.array([1.0, 0, -8])), atol=1e-9)
+    assert np.isnan(chi2[0])
+    assert chi2[1] > 1e3
+    assert status == Status.ok
+
+
+def test_too_little_for_an_epipole_says_why():
+    still = normalize(np.random.default_rng(12).normal(size=(30, 3)) + np.array([0, 0, 5]))
+    noisy = jitter(np.stack([still, still]), 1e-4, np.random.default_rng(13))
+    q, p = shared_motion(1, 14, (0, 1, -5))
+    same = np.repeat(q, 5, axis=0), np.repeat(p, 5, axis=0)
+    for flows, expected in [
+        (noisy, Status.no_parallax),
+        ((still, still), Status.no_parallax),
+        ((q, p), Status.no_epipole),
+        (same, Status.no_epipole),
+        ((q[:0], p[:0]), Status.no_epipole),
+        ((np.full((4, 3), np.nan), np.full((4, 3), np.nan)), Status.no_epipole),
+    ]:
+        direction, cov, _, status = epipole_maximum_likelihood(*flows, np.full(len(flows[0]), 1e-4))
+        assert status == expected
+        assert np.isnan(direction).all()
+        assert np.isnan(cov).all()
+
+
+def test_flow_lines_in_the_picture_meet_in_the_epipole():
+    q, p = shared_motion(20, 15, (2, 1, -8))
+    epipole_px, status = epipole_from_flow_lines(pixels(q), pixels(p))
+    np.testing.assert_allclose(epipole_px, pixels(np.array([2.0, 1, -8])), rtol=1e-9)
+    assert status == Status.ok
+
+
+@pytest.mark.parametrize(
+    ("flow", "n", "expected"),
+    [
+        ([3.0, 1.0], 4, Status.epipole_at_infinity),
+        ([0.0, 0.0], 4, Status.no_epipole),
+        ([np.nan, 0.0], 4, Status.no_epipole),
+        ([3.0, 1.0], 1, Status.no_epipole),
+    ],
+)
+def test_parallel_or_missing_lines_in_the_picture(flow, n, expected):
+    first = np.random.default_rng(16).uniform(0, 500, (n, 2))
+    epipole_px, status = epipole_from_flow_lines(first, first + flow)
+    assert status == expected
+    assert np.isnan(epipole_px).all()
+
+
+@given(moving_points(planar=True), st.sampled_from([1.0, -1.0]))
+def test_planar_motion_is_exact_without_noise(scene, side):
+    position, velocity = scene
+    q, p = views(position, velocity, [-0.5, 0.0])
+    direction, cov, status = planar_epipole(q, p, side * UP, np.full(len(q), 1e-9), 1e-9)
+    assert np.isin(status, [Status.ok, Status.epipole_at_infinity]).all()
+    np.testing.assert_allclose(direction, normalize(velocity), atol=1e-9)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", cov, direction), 0, atol=1e-18)
+
+
+def test_planar_covariance_is_that_of_noisy_draws():
+    rng = np.random.default_rng(17)
+    position, velocity = np.array([8.0, 3.0, 25.0]), np.array([-3.0, 0.0, -6.0])
+    n, sigma, horizon_sigma = 4000, 2e-4, 2e-3
+    q, p = jitter(np.repeat(views(position[None], velocity, [-1.0, 0.0]), n, axis=1), sigma, rng)
+    horizons = jitter(np.repeat(UP[None], n, axis=0), horizon_sigma, rng)
+    draws = np.array(
+        [planar_epipole(q[[i]], p[[i]], horizons[i], np.array([sigma]), horizon_sigma)[0][0] for i in range(n)]
+    )
+    _, cov, status = planar_epipole(*views(position[None], velocity, [-1.0, 0.0]), UP, np.array([sigma]), horizon_sigma)
+    assert status[0] == Status.ok
+    np.testing.assert_allclose(np.cov(draws.T), cov[0], atol=0.06 * np.trace(cov[0]))
+
+
+def test_planar_epipole_says_why_there_is_none():
+    turn = rotation_from_vector(np.array([0.0, 0.1, 0.0]))
+    level, low = np.array([0.1, 0.0, 1.0]), normalize(np.array([0.1, 0.2, 1.0]))
+    q = np.array([normalize(level), low, [np.nan, 0, 1], low])
+    p = np.array([turn @ normalize(level), low, low, normalize(low + np.array([0.05, 0, 0]))])
+    direction, cov, status = planar_epipole(q, p, UP, np.full(4, 1e-4), 1e-3)
+    assert status.tolist() == [
+        Status.parallel_to_horizon,
+        Status.no_parallax,
+        Status.short_track,
+        Status.epipole_at_infinity,
+    ]
+    assert np.isnan(direction[:3]).all()
+    assert np.isnan(cov[:3]).all()
+    np.testing.assert_allclose(direction[3], [1, 0, 0], atol=1e-12)
