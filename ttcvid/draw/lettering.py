@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ttcvid.draw.palette import Colour
 from ttcvid.model import ImageSize, Picture
@@ -13,6 +16,8 @@ _CAP_HEIGHT_AT_SCALE_1 = 21  # px, height of capitals in OpenCV's Hershey fonts
 _OVERSAMPLING = 4
 _STROKE_PER_CAP = 0.15  # bold enough to be read on a small screen
 _DESCENDER_PER_CAP = 0.35
+_ADVANCE = 0.92  # the font's own spacing is meant for plotters
+_SPACE_ADVANCE = 0.6
 _PRINTABLE = "".join(chr(code) for code in range(32, 127))
 
 # Height of capitals. A wide picture is shrunk to the width of a phone, so its letters follow the width too.
@@ -35,26 +40,29 @@ class Lettering:
         self.cap_px = cap_px
         self.line_px = round(cap_px * 1.75)
         self._glyphs = {letter: _glyph(letter, cap_px) for letter in _PRINTABLE}
+        # What stays from picture to picture (numbers, words, notes) is put together once.
+        self._mask_of = lru_cache(maxsize=256)(self._assemble)
 
     def width_px(self, text: str) -> int:
         """Width of a text."""
-        return sum(self._glyph_of(letter).shape[1] for letter in text)
+        return int(self._mask_of(text).shape[1])
 
     def draw(self, bgr: Picture, text: str, x: int, y: int, ink: Colour) -> None:
         """Write ``text`` with the upper left corner of its capitals at (x, y); what lies outside is cut off."""
-        if not text:
-            return
-        mask = np.hstack([self._glyph_of(letter) for letter in text])
+        mask = self._mask_of(text)
         height, width = bgr.shape[:2]
         x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + mask.shape[1], width), min(y + mask.shape[0], height)
         if x0 >= x1 or y0 >= y1:
             return
-        cover = mask[y0 - y : y1 - y, x0 - x : x1 - x, None].astype(np.int32)
+        cover = mask[y0 - y : y1 - y, x0 - x : x1 - x]
         part = bgr[y0:y1, x0:x1]
-        part[:] = part + ((np.array(ink, dtype=np.int32) - part) * cover >> 8)
+        part[:] = (part * (255 - cover) + np.array(ink, dtype=np.uint16) * cover) >> 8
 
-    def _glyph_of(self, letter: str) -> Picture:
-        return self._glyphs.get(letter, self._glyphs["?"])
+    def _assemble(self, text: str) -> NDArray[np.uint16]:
+        """How much a text covers, ``(height, width, 1)``, 0 to 255."""
+        glyphs = [self._glyphs.get(letter, self._glyphs["?"]) for letter in text]
+        nothing = np.zeros((self._glyphs["?"].shape[0], 0), dtype=np.uint8)
+        return np.hstack([nothing, *glyphs])[..., None].astype(np.uint16)
 
 
 def _glyph(letter: str, cap_px: int) -> Picture:
@@ -63,7 +71,7 @@ def _glyph(letter: str, cap_px: int) -> Picture:
     stroke = max(1, round(cap_px * _OVERSAMPLING * _STROKE_PER_CAP))
     (advance, _), _ = cv2.getTextSize(letter, _FONT, scale, 1)
     height = cap_px + round(cap_px * _DESCENDER_PER_CAP)
-    width = max(1, round(advance / _OVERSAMPLING))
+    width = max(1, round(advance / _OVERSAMPLING * (_SPACE_ADVANCE if letter == " " else _ADVANCE)))
     large = np.zeros((height * _OVERSAMPLING, width * _OVERSAMPLING), dtype=np.uint8)
     baseline = (0, cap_px * _OVERSAMPLING - stroke // 2)
     cv2.putText(large, letter, baseline, _FONT, scale * (1 - _STROKE_PER_CAP), 255, stroke, cv2.LINE_AA)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ttcvid.draw.directions import draw_direction, draw_epipole, draw_horizon
+from ttcvid.draw.directions import draw_directions, draw_epipoles, draw_horizon
 from ttcvid.draw.lettering import Lettering, cap_height_px
-from ttcvid.draw.palette import BLACK, WARNING, WHITE, object_colour
-from ttcvid.draw.panels import MAX_LABELS, Panels
+from ttcvid.draw.palette import BLACK, WARNING, object_colour
+from ttcvid.draw.panels import Panels, box_in_pixels
 from ttcvid.draw.trails import Trails
 from ttcvid.draw.wording import Urgency, by_urgency, urgency_of
 from ttcvid.model import Camera, ClusterRow, FrameResult, ImageSize, Picture
@@ -49,28 +49,22 @@ class OverlayPainter:
         self._trails.draw(bgr, result.tracks, stroke_px=max(1, unit_px // 8))
         if result.horizon_px is not None and np.all(np.isfinite(result.horizon_px)):
             draw_horizon(bgr, self._camera, result.horizon_px, unit_px)
-        objects = by_urgency(result)
+        objects = [cluster for cluster in by_urgency(result) if np.all(np.isfinite(cluster.box_px))]
         for cluster in reversed(objects):
             _draw_box(bgr, cluster, urgency_of(cluster, result.events), max(2, unit_px // 6))
-        self._draw_directions(bgr, result, objects)
+        self._draw_motions(bgr, result, objects)
         self._write(bgr, result, objects)
         return bgr
 
-    def _draw_directions(self, bgr: Picture, result: FrameResult, objects: Sequence[ClusterRow]) -> None:
-        """Epipoles, one for all clusters that share a motion, and arrows; the most urgent drawn last."""
-        unit_px = self._letters.cap_px
-        drawn_motions = set()
-        for scene in (cluster for cluster in result.clusters if cluster.role == "scene"):
-            draw_epipole(bgr, self._camera, scene, WHITE, unit_px)
-            drawn_motions.add(scene.motion_id)
-        foremost: dict[int, ClusterRow] = {}
-        for cluster in objects[:MAX_DIRECTIONS]:
-            foremost.setdefault(cluster.motion_id, cluster)
-        for cluster in reversed(foremost.values()):
-            if cluster.motion_id not in drawn_motions:
-                draw_epipole(bgr, self._camera, cluster, object_colour(cluster.cluster_id), unit_px)
-        for cluster in reversed(objects[:MAX_DIRECTIONS]):
-            draw_direction(bgr, self._camera, cluster, object_colour(cluster.cluster_id), unit_px)
+    def _draw_motions(self, bgr: Picture, result: FrameResult, objects: Sequence[ClusterRow]) -> None:
+        """One epipole for all clusters that share a motion, that of the scene first among them, and the arrows."""
+        unit_px, shown = self._letters.cap_px, objects[:MAX_DIRECTIONS]
+        scene = [cluster for cluster in result.clusters if cluster.role == "scene"]
+        of_motion: dict[int, ClusterRow] = {}
+        for cluster in (*scene, *shown):
+            of_motion.setdefault(cluster.motion_id, cluster)
+        draw_epipoles(bgr, self._camera, list(of_motion.values()), unit_px)
+        draw_directions(bgr, self._camera, shown, unit_px)
 
     def _write(self, bgr: Picture, result: FrameResult, objects: Sequence[ClusterRow]) -> None:
         panels = self._panels
@@ -79,14 +73,11 @@ class OverlayPainter:
         panels.clock(bgr, result)
         panels.camera_note(bgr, self._camera)
         panels.banner(bgr, result, objects)
-        for cluster in objects[:MAX_LABELS]:
-            panels.label(bgr, cluster, urgency_of(cluster, result.events))
+        panels.labels(bgr, result, objects)
 
 
 def _draw_box(bgr: Picture, cluster: ClusterRow, urgency: Urgency, stroke_px: int) -> None:
-    if not np.all(np.isfinite(cluster.box_px)):
-        return
-    x0, y0, x1, y1 = (round(side) for side in cluster.box_px)
+    x0, y0, x1, y1 = box_in_pixels(cluster)
     if urgency is Urgency.warned:
         cv2.rectangle(bgr, (x0 - stroke_px, y0 - stroke_px), (x1 + stroke_px, y1 + stroke_px), WARNING, 2 * stroke_px)
     else:

@@ -21,8 +21,8 @@ OBJECT_COLOURS: tuple[Colour, ...] = (
     (115, 158, 0),  # bluish green
     (178, 114, 0),  # blue
 )
-SCENE: Colour = (165, 165, 165)
-UNASSIGNED: Colour = (100, 100, 100)
+SCENE: Colour = (140, 140, 140)
+UNASSIGNED: Colour = (95, 95, 95)
 WHITE: Colour = (255, 255, 255)
 BLACK: Colour = (0, 0, 0)
 DARK: Colour = (20, 20, 20)
@@ -43,7 +43,7 @@ def shade(bgr: Picture, box: tuple[int, int, int, int], colour: Colour, opacity:
     x0, y0, x1, y1 = max(box[0], 0), max(box[1], 0), min(box[2], width), min(box[3], height)
     if x0 < x1 and y0 < y1:
         part = bgr[y0:y1, x0:x1]
-        part[:] = cv2.LUT(np.ascontiguousarray(part), _blend_table(colour, opacity))
+        part[:] = colour if opacity >= 1 else cv2.LUT(np.ascontiguousarray(part), _blend_table(colour, opacity))
 
 
 @lru_cache(maxsize=32)

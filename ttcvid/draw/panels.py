@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ttcvid.draw.directions import draw_top_view
 from ttcvid.draw.lettering import Lettering
 from ttcvid.draw.palette import CLOSE, DARK, MUTED_INK, WARNING, WHITE, Colour, object_colour, shade
+from ttcvid.draw.signs import draw_top_view
 from ttcvid.draw.wording import BACKINGS, INKS, Urgency, banner_text, interval_text, time_text, urgency_of
 from ttcvid.model import Camera, ClusterRow, FrameResult, FrameStatus, Picture
 
@@ -15,10 +15,11 @@ Box = tuple[int, int, int, int]
 
 MAX_LEGEND_ROWS = 6
 MAX_LABELS = 8
+_FAR_PX = 30_000.0
 _LEGEND_SHARE = 0.4  # of the picture's height
 _PANEL_OPACITY = 0.62
-_LABEL_OPACITY = 0.75
 _BANNER_OPACITY = 0.85
+_LEGEND_INKS: dict[Urgency, Colour] = {Urgency.calm: WHITE, Urgency.close: CLOSE, Urgency.warned: (110, 110, 255)}
 
 
 class Panels:
@@ -45,7 +46,7 @@ class Panels:
             return
         numbers = [f"#{cluster.cluster_id}" for cluster in shown]
         times = [self._legend_time(cluster, width) for cluster in shown]
-        number_x = pad_px + round(2.9 * letters.cap_px)
+        number_x = pad_px + round(3.3 * letters.cap_px)
         time_x = number_x + max(letters.width_px(text) for text in numbers) + letters.cap_px
         right = time_x + max(letters.width_px(text) for text in times) + 2 * pad_px
         box = (0, 0, right, len(shown) * letters.line_px + 2 * pad_px)
@@ -56,7 +57,7 @@ class Panels:
             colour = object_colour(cluster.cluster_id)
             shade(bgr, (pad_px, y, pad_px + letters.cap_px, y + letters.cap_px), colour, 1.0)
             if cluster.direction is not None and all(math.isfinite(part) for part in cluster.direction):
-                centre = (pad_px + 2 * letters.cap_px, y + letters.cap_px // 2)
+                centre = (pad_px + round(2.1 * letters.cap_px), y + letters.cap_px // 2)
                 draw_top_view(bgr, cluster.direction, centre, WHITE, letters.cap_px)
             letters.draw(bgr, number, number_x, y, WHITE)
             letters.draw(bgr, time, time_x, y, _LEGEND_INKS[urgency_of(cluster, result.events)])
@@ -108,33 +109,40 @@ class Panels:
         letters.draw(bgr, text, x, box[1] + pad_px + (letters.line_px - letters.cap_px) // 2, WHITE)
         self._taken.append(box)
 
-    def label(self, bgr: Picture, cluster: ClusterRow, urgency: Urgency) -> None:
-        """Number and time at an object's box, where there is room; otherwise the legend alone tells it."""
+    def labels(self, bgr: Picture, result: FrameResult, objects: Sequence[ClusterRow]) -> None:
+        """Number and time at the boxes of the most urgent objects, where there is room; the legend has the rest."""
         letters, pad_px = self._letters, self._pad_px
-        text = f"#{cluster.cluster_id} {time_text(cluster)}"
-        label_size = (letters.width_px(text) + 3 * pad_px, letters.cap_px + 2 * pad_px)
-        box = self._free_place(bgr, cluster, label_size)
-        if box is None:
-            return
-        shade(bgr, box, BACKINGS[urgency], _LABEL_OPACITY)
-        shade(bgr, (box[0], box[1], box[0] + pad_px, box[3]), object_colour(cluster.cluster_id), 1.0)
-        letters.draw(bgr, text, box[0] + 2 * pad_px, box[1] + pad_px, INKS[urgency])
-        self._taken.append(box)
+        boxes = {cluster.cluster_id: box_in_pixels(cluster) for cluster in objects}
+        for cluster in objects[:MAX_LABELS]:
+            text = f"#{cluster.cluster_id} {time_text(cluster)}"
+            label_size = (letters.width_px(text) + 3 * pad_px, letters.cap_px + 2 * pad_px)
+            others = [box for cluster_id, box in boxes.items() if cluster_id != cluster.cluster_id]
+            place = self._free_place(bgr, boxes[cluster.cluster_id], label_size, others)
+            if place is None:
+                continue
+            urgency = urgency_of(cluster, result.events)
+            shade(bgr, place, BACKINGS[urgency], 1.0)
+            shade(bgr, (place[0], place[1], place[0] + pad_px, place[3]), object_colour(cluster.cluster_id), 1.0)
+            letters.draw(bgr, text, place[0] + 2 * pad_px, place[1] + pad_px, INKS[urgency])
+            self._taken.append(place)
 
-    def _free_place(self, bgr: Picture, cluster: ClusterRow, label_size: tuple[int, int]) -> Box | None:
+    def _free_place(self, bgr: Picture, own: Box, label_size: tuple[int, int], others: Sequence[Box]) -> Box | None:
+        """Above, below or inside the own box; clear of all text, and of the other boxes where that can be had."""
         height, width = bgr.shape[:2]
         label_width, label_height = label_size
-        x0, y0, _, y1 = (round(side) for side in cluster.box_px)
-        x = min(max(x0, 0), max(width - label_width, 0))
-        for y in (y0 - label_height - 1, y1 + 2, y0 + 2):
-            box = (x, y, x + label_width, y + label_height)
-            if y >= 0 and y + label_height <= height and not any(_overlap(box, other) for other in self._taken):
-                return box
-        return None
+        x = min(max(own[0], 0), max(width - label_width, 0))
+        rows = (own[1] - label_height - 1, own[3] + 2, own[1] + 2)
+        places = [(x, y, x + label_width, y + label_height) for y in rows if 0 <= y <= height - label_height]
+        free = [place for place in places if not _overlaps_any(place, self._taken)]
+        clear = [place for place in free if not _overlaps_any(place, others)]
+        return next(iter(clear or free), None)
 
 
-_LEGEND_INKS: dict[Urgency, Colour] = {Urgency.calm: WHITE, Urgency.close: CLOSE, Urgency.warned: (110, 110, 255)}
+def box_in_pixels(cluster: ClusterRow) -> Box:
+    """An object's box in whole pixels, within what OpenCV can draw."""
+    x0, y0, x1, y1 = (round(min(max(side, -_FAR_PX), _FAR_PX)) for side in cluster.box_px)
+    return x0, y0, x1, y1
 
 
-def _overlap(one: Box, other: Box) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+def _overlaps_any(one: Box, others: Sequence[Box]) -> bool:
+    return any(one[0] < box[2] and box[0] < one[2] and one[1] < box[3] and box[1] < one[3] for box in others)

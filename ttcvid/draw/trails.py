@@ -33,12 +33,12 @@ class Trails:
         self._track_id, self.positions_px = tracks.track_id, positions
 
     def draw(self, bgr: Picture, tracks: TrackRows, stroke_px: int) -> None:
-        """Draw all tracks, those of no cluster first and objects last, so that objects stay on top."""
+        """Draw all tracks, objects last and with the full trail, so that they stand out from the scene."""
         fixed_point = np.round(self.positions_px * (1 << _SUBPIXEL_BITS)).astype(np.int32)
         is_loose = tracks.cluster_id == NO_CLUSTER
         _draw_lines(bgr, fixed_point[is_loose, :_UNASSIGNED_POSITIONS], UNASSIGNED, 1)
         is_scene = tracks.cluster_id == SCENE_CLUSTER
-        _draw_lines(bgr, fixed_point[is_scene], SCENE, 1)
+        _draw_lines(bgr, fixed_point[is_scene, : (self._n_positions + 1) // 2], SCENE, 1)
         for cluster_id in np.unique(tracks.cluster_id[~is_loose & ~is_scene]).tolist():
             is_own = tracks.cluster_id == cluster_id
             colour = object_colour(cluster_id)
