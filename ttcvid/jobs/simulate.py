@@ -14,8 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
+from ttcvid.calibration.own import write_camera
 from ttcvid.errors import OutputError
-from ttcvid.model import Camera
 from ttcvid.simulate import Rendered, Renderer, Scene, TrackOptions, World, build_world, encounters, load_scene
 from ttcvid.simulate import simulate_tracks as make_tracks
 from ttcvid.simulate.poses import mean_horizon_px
@@ -192,19 +192,9 @@ def _write_calibration(world: World, folder: Path) -> None:
     camera = world.camera
     left, right = mean_horizon_px(world.scene)
     size = [camera.image_size.width_px, camera.image_size.height_px]
-    (folder / "camera.yaml").write_text(yaml.safe_dump(_camera_content(camera, size), sort_keys=False))
+    write_camera(folder / "camera.yaml", camera)
     horizon = {"image_size": size, "horizon": {"y_left_px": left, "y_right_px": right}}
     (folder / "horizon.yaml").write_text(yaml.safe_dump(horizon, sort_keys=False))
-
-
-def _camera_content(camera: Camera, size: list[int]) -> dict[str, Any]:
-    intrinsics = {name: float(getattr(camera, name)) for name in ("fx_px", "fy_px", "cx_px", "cy_px")}
-    return {
-        "image_size": size,
-        **intrinsics,
-        "distortion_model": camera.distortion_model,
-        "distortion": [float(coefficient) for coefficient in camera.distortion],
-    }
 
 
 def _write_table(name: str, columns: dict[str, Any], scene: Scene, folder: Path) -> None:

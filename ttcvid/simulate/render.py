@@ -20,6 +20,8 @@ from ttcvid.simulate.skins import CUT_OUT, default_colour, paint_skin
 from ttcvid.simulate.world import SKY_LABEL, STATIC_LABEL, Actor, Pose, World, build_world, pose_of
 
 CLOUD_HEIGHT_M = 4000.0
+LENS_BLUR_PX = 0.45
+"""Standard deviation of the lens's point spread: without it, sampling at the pixels' distance would alias."""
 HORIZON_BGR, ZENITH_BGR = (228, 222, 214), (214, 176, 140)
 SKY_STEPS = 256
 Labels = NDArray[np.uint16]
@@ -207,7 +209,9 @@ class Renderer:
     def _develop(self, canvas: Canvas, frame: int) -> Picture:
         """Average the samples of each pixel and add the noise of the sensor."""
         size = self.world.camera.image_size
-        bgr = cv2.resize(canvas.bgr, (size.width_px, size.height_px), interpolation=cv2.INTER_AREA)
+        blur = LENS_BLUR_PX * self._supersampling
+        blurred = cv2.GaussianBlur(canvas.bgr, (5, 5), blur) if self._supersampling > 1 else canvas.bgr
+        bgr = cv2.resize(blurred, (size.width_px, size.height_px), interpolation=cv2.INTER_AREA)
         sigma = self.world.scene.picture.noise_grey
         if sigma == 0:
             return np.asarray(bgr)

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.model import Camera, Floats, ImageSize
 
 Positive = Annotated[float, Field(gt=0)]
@@ -168,6 +169,17 @@ class Scene(SceneModel):
     ground: Ground = Ground()
     picture: PictureSpec = PictureSpec()
     bodies: tuple[Body, ...] = ()
+
+    @model_validator(mode="after")
+    def _lens_reaches_the_corners(self) -> Scene:
+        camera = camera_of(self)
+        width, height = self.camera.image_size
+        across, down = np.arange(-0.5, width), np.arange(-0.5, height)
+        rim = [np.stack(np.broadcast_arrays(across, y), axis=-1) for y in (-0.5, height - 0.5)]
+        rim += [np.stack(np.broadcast_arrays(x, down), axis=-1) for x in (-0.5, width - 0.5)]
+        if not np.isfinite(rays_from_pixels(camera, np.concatenate(rim))).all():
+            raise ValueError("camera.distortion: the lens model cannot reach the corners of the picture")
+        return self
 
     @model_validator(mode="after")
     def _unique_names(self) -> Scene:
