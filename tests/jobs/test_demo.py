@@ -54,6 +54,7 @@ def test_a_mover_that_was_not_found_is_said() -> None:
     assert describe(compare_nearest(TRUTH, nothing)) == "nearest  near: not found in any of its 2 frames"
 
 
+@pytest.mark.slow
 def test_the_demo_runs_in_an_empty_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

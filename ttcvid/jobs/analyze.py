@@ -10,10 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
-from ttcvid.draw import OverlayPainter
-from ttcvid.errors import OutputError
 from ttcvid.jobs.clip import (
     ASSUMED_CAMERA_WARNING,
     Calibration,
@@ -23,23 +20,20 @@ from ttcvid.jobs.clip import (
     refuse_folder_of_input,
 )
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
+from ttcvid.jobs.outputs import check_overlay, open_sinks
 from ttcvid.jobs.provenance import (
     Tally,
     describe_calibration,
     describe_input,
     digest_in_background,
-    table_metadata,
     versions,
 )
 from ttcvid.jobs.run import Run
 from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead
 from ttcvid.jobs.stopping import StopSignals
-from ttcvid.model import Frame, FrameResult, ImageSize, Picture
 from ttcvid.pipeline import analyze_frames
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.folder import OVERLAY_NAME, OutputFolder
-from ttcvid.sinks.tables import TableSink
-from ttcvid.sinks.video import OverlayVideo, check_video
 from ttcvid.sources import Source
 
 _LOG = logging.getLogger(__name__)
@@ -103,7 +97,7 @@ def run_analysis(
             state = _state(source, stop)
             analyzed_s = time.perf_counter()
             if options.overlay:
-                _check_overlay(folder.partial / OVERLAY_NAME, tally.n_frames)
+                check_overlay(folder.partial / OVERLAY_NAME, tally.n_frames)
             manifest = {
                 "state": state,
                 "versions": versions(),
@@ -133,13 +127,12 @@ def _analyze_into(
     info, pipeline = source.info, configuration.pipeline
     with ExitStack() as stack:
         stack.enter_context(_opencv_threads(pipeline.tracking.tracker))
-        write = _open_sinks(stack, folder, source, calibration, configuration)
+        write = open_sinks(stack, folder, source, calibration, configuration)
         writer = stack.enter_context(WriteBehind(write))
         frames = stop.until_requested(stack.enter_context(ReadAhead(source)))
         results = analyze_frames(
             frames,
             calibration.camera,
-            info.nominal_dt_s,
             pipeline,
             calibration.horizon,
             calibration.mask,
@@ -153,34 +146,6 @@ def _analyze_into(
     if stop.is_requested and tally.n_frames == 0:
         raise KeyboardInterrupt
     return tally
-
-
-def _open_sinks(
-    stack: ExitStack, folder: Path, source: Source, calibration: Calibration, configuration: Configuration
-) -> Callable[[tuple[Frame, FrameResult]], None]:
-    """Open tables and, where wanted, the overlay; returns what writes one frame to both."""
-    info, options, overlay = source.info, configuration.options, configuration.overlay
-    metadata = table_metadata(calibration, configuration.as_manifest())
-    tables = stack.enter_context(TableSink(folder, metadata, nominal_dt_s=info.nominal_dt_s))
-    if not options.overlay:
-        return lambda item: tables.write(item[1])
-    dt_s = info.nominal_dt_s * options.stride
-    video = stack.enter_context(OverlayVideo(folder / OVERLAY_NAME, info.image_size, dt_s, overlay.preset, overlay.crf))
-    painter = OverlayPainter(calibration.camera, info.image_size, overlay.trail_frames)
-
-    def write(item: tuple[Frame, FrameResult]) -> None:
-        frame, result = item
-        tables.write(result)
-        video.write(painter.paint(_canvas(frame, info.image_size), result), result.t_s)
-
-    return write
-
-
-def _canvas(frame: Frame, image_size: ImageSize) -> Picture:
-    """The picture to draw on; black where the source has tracks only."""
-    if frame.colour is not None:
-        return frame.colour()
-    return np.zeros((image_size.height_px, image_size.width_px, 3), dtype=np.uint8)
 
 
 @contextmanager
@@ -209,14 +174,6 @@ def _state(source: Source, stop: StopSignals) -> str:
     if stop.is_requested:
         return "interrupted"
     return "truncated" if source.report.is_truncated else "complete"
-
-
-def _check_overlay(path: Path, n_expected: int) -> None:
-    n_frames = check_video(path)
-    if n_frames != n_expected:
-        raise OutputError(
-            f"{path}: holds {n_frames} frames, {n_expected} were written: run again, or with --no-overlay"
-        )
 
 
 def _warnings(source: Source, calibration: Calibration) -> list[str]:

@@ -5,7 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ttcvid.calibration import camera_from_focal, camera_from_hfov, read_camera, read_camera_image_size
+from ttcvid.calibration import (
+    ASSUMED_HFOV_DEG,
+    assumed_camera,
+    camera_from_focal,
+    camera_from_hfov,
+    read_camera,
+    read_camera_image_size,
+)
 from ttcvid.calibration import read_horizon as read_horizon_file
 from ttcvid.calibration import read_mask as read_mask_file
 from ttcvid.errors import OutputError
@@ -15,8 +22,6 @@ from ttcvid.sources import Selection, Source, open_source
 from ttcvid.sources.images import is_pattern
 from ttcvid.sources.tracks import TABLE_SUFFIXES
 
-ASSUMED_HFOV_DEG = 55.0
-"""Horizontal field of view of a camera that nobody described: between a dashboard camera and a telephone."""
 ASSUMED_CAMERA_WARNING = (
     f"the focal length is assumed ({ASSUMED_HFOV_DEG:g} deg horizontal field of view): directions and miss distances "
     "are only as good as that; give --camera, --focal-px or --hfov"
@@ -62,7 +67,7 @@ def _camera(options: AnalyzeOptions, image_size: ImageSize) -> Camera:
         return camera_from_focal(options.focal_px, image_size, "focal_px")
     if options.hfov is not None:
         return camera_from_hfov(options.hfov, image_size, "hfov_deg")
-    return camera_from_hfov(ASSUMED_HFOV_DEG, image_size, "assumed")
+    return assumed_camera(image_size)
 
 
 def default_folder(input_: str) -> Path:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import platform
-from collections.abc import Iterable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,11 +45,17 @@ class Digest:
     size_bytes: int
 
 
-def digest_in_background(files: Iterable[Path]) -> Future[Digest]:
-    """Hash the input in a thread, beside the analysis."""
-    pool = ThreadPoolExecutor(1, thread_name_prefix="ttcvid-hash")
-    future = pool.submit(digest_of, tuple(files))
-    pool.shutdown(wait=False)
+def digest_in_background(files: tuple[Path, ...]) -> Future[Digest]:
+    """Hash the input in a thread beside the analysis; a program that ends does not wait for it."""
+    future: Future[Digest] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(digest_of(files))
+        except InputError as error:
+            future.set_exception(error)
+
+    threading.Thread(target=work, name="ttcvid-hash", daemon=True).start()
     return future
 
 
