@@ -41,28 +41,34 @@ class Lettering:
         self.line_px = round(cap_px * 1.75)
         self._glyphs = {letter: _glyph(letter, cap_px) for letter in _PRINTABLE}
         # What stays from picture to picture (numbers, words, notes) is put together once.
-        self._mask_of = lru_cache(maxsize=256)(self._assemble)
+        self._layers_of = lru_cache(maxsize=256)(self._layers)
 
     def width_px(self, text: str) -> int:
         """Width of a text."""
-        return int(self._mask_of(text).shape[1])
+        return sum(self._glyph_of(letter).shape[1] for letter in text)
 
     def draw(self, bgr: Picture, text: str, x: int, y: int, ink: Colour) -> None:
         """Write ``text`` with the upper left corner of its capitals at (x, y); what lies outside is cut off."""
-        mask = self._mask_of(text)
+        kept, added = self._layers_of(text, ink)
         height, width = bgr.shape[:2]
-        x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + mask.shape[1], width), min(y + mask.shape[0], height)
-        if x0 >= x1 or y0 >= y1:
-            return
-        cover = mask[y0 - y : y1 - y, x0 - x : x1 - x]
-        part = bgr[y0:y1, x0:x1]
-        part[:] = (part * (255 - cover) + np.array(ink, dtype=np.uint16) * cover) >> 8
+        x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + kept.shape[1], width), min(y + kept.shape[0], height)
+        if x0 < x1 and y0 < y1:
+            within = slice(y0 - y, y1 - y), slice(x0 - x, x1 - x)
+            part = bgr[y0:y1, x0:x1]
+            part[:] = (part * kept[within] + added[within]) >> 8
 
-    def _assemble(self, text: str) -> NDArray[np.uint16]:
-        """How much a text covers, ``(height, width, 1)``, 0 to 255."""
-        glyphs = [self._glyphs.get(letter, self._glyphs["?"]) for letter in text]
-        nothing = np.zeros((self._glyphs["?"].shape[0], 0), dtype=np.uint8)
-        return np.hstack([nothing, *glyphs])[..., None].astype(np.uint16)
+    def _layers(self, text: str, ink: Colour) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+        """What a text leaves of the picture and what it adds, both ``(height, width, 3)``, times 255.
+
+        All three channels are spelled out, because numpy is slow in loops of three.
+        """
+        nothing = np.zeros((self._glyph_of("?").shape[0], 0), dtype=np.uint8)
+        mask = np.hstack([nothing, *(self._glyph_of(letter) for letter in text)])
+        cover = np.repeat(mask[..., None], 3, axis=2).astype(np.uint16)
+        return 255 - cover, cover * np.array(ink, dtype=np.uint16)
+
+    def _glyph_of(self, letter: str) -> Picture:
+        return self._glyphs.get(letter, self._glyphs["?"])
 
 
 def _glyph(letter: str, cap_px: int) -> Picture:

@@ -7,7 +7,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from ttcvid.model import Picture
+from ttcvid.model import Ints, Picture
 
 Colour = tuple[int, int, int]
 
@@ -35,6 +35,11 @@ MUTED_INK: Colour = (190, 190, 190)
 def object_colour(cluster_id: int) -> Colour:
     """The colour of an object, the same for its whole life."""
     return OBJECT_COLOURS[(cluster_id - 1) % len(OBJECT_COLOURS)]
+
+
+def object_colours(cluster_id: Ints) -> Picture:
+    """The colours ``(N, 3)`` of N objects."""
+    return np.array(OBJECT_COLOURS, dtype=np.uint8)[(cluster_id - 1) % len(OBJECT_COLOURS)]
 
 
 def shade(bgr: Picture, box: tuple[int, int, int, int], colour: Colour, opacity: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ttcvid.draw.palette import SCENE, UNASSIGNED, Colour, object_colour
+from ttcvid.draw.palette import SCENE, UNASSIGNED, Colour, object_colour, object_colours
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, TrackRows
 
 _SUBPIXEL_BITS = 3  # OpenCV draws between pixels when coordinates are shifted
@@ -39,11 +39,10 @@ class Trails:
         _draw_lines(bgr, fixed_point[is_loose, :_UNASSIGNED_POSITIONS], UNASSIGNED, 1)
         is_scene = tracks.cluster_id == SCENE_CLUSTER
         _draw_lines(bgr, fixed_point[is_scene, : (self._n_positions + 1) // 2], SCENE, 1)
-        for cluster_id in np.unique(tracks.cluster_id[~is_loose & ~is_scene]).tolist():
-            is_own = tracks.cluster_id == cluster_id
-            colour = object_colour(cluster_id)
-            _draw_lines(bgr, fixed_point[is_own], colour, stroke_px)
-            _draw_dots(bgr, tracks.xy_px[is_own], colour, stroke_px + 1)
+        is_object = ~is_loose & ~is_scene
+        for cluster_id in np.unique(tracks.cluster_id[is_object]).tolist():
+            _draw_lines(bgr, fixed_point[tracks.cluster_id == cluster_id], object_colour(cluster_id), stroke_px)
+        _draw_dots(bgr, tracks.xy_px[is_object], tracks.cluster_id[is_object], stroke_px + 1)
 
 
 def _draw_lines(bgr: Picture, fixed_point: np.ndarray, colour: Colour, stroke_px: int) -> None:
@@ -51,10 +50,11 @@ def _draw_lines(bgr: Picture, fixed_point: np.ndarray, colour: Colour, stroke_px
         cv2.polylines(bgr, list(fixed_point), False, colour, stroke_px, cv2.LINE_8, _SUBPIXEL_BITS)
 
 
-def _draw_dots(bgr: Picture, xy_px: Floats, colour: Colour, side_px: int) -> None:
-    """Squares of ``side_px``, all at once."""
+def _draw_dots(bgr: Picture, xy_px: Floats, cluster_id: Ints, side_px: int) -> None:
+    """Squares of ``side_px`` in the colours of their objects, all at once."""
     height, width = bgr.shape[:2]
     offsets = np.stack(np.meshgrid(*[np.arange(side_px) - side_px // 2] * 2), axis=-1).reshape(-1, 2)
     x, y = (np.round(xy_px).astype(int)[:, None] + offsets).reshape(-1, 2).T
+    colours = np.repeat(object_colours(cluster_id), len(offsets), axis=0)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    bgr[y[inside], x[inside]] = colour
+    bgr[y[inside], x[inside]] = colours[inside]
