@@ -1,0 +1,392 @@
+"""Camera files one by one: samples, real ones, spellings of the wild, and what is refused in which words."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ttcvid.calibration import read_camera, read_camera_image_size, write_camera
+from ttcvid.errors import CalibrationError, OutputError
+from ttcvid.model import Camera, ImageSize
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "cameras"
+SAMPLE_SIZE = ImageSize(1280, 720)
+UNDISTORTED = {"own_without_distortion", "kitti_odometry", "kitti_without_labels", "kitti_raw_calib_cam_to_cam"}
+FLAT = "image_size: [640, 480]\nfx_px: 500\nfy_px: 500\ncx_px: 320\ncy_px: 240\n"
+SIZE = ImageSize(640, 480)
+K = "[500, 0, 320, 0, 500, 240, 0, 0, 1]"
+OPENCV_K = "camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: " + K + "\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_text(text, size=SIZE):
+        path = tmp_path / "cam.yaml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_camera(path, size)
+
+    return read_text
+
+
+@pytest.fixture
+def message(read):
+    def message_of(text, size=SIZE):
+        with pytest.raises(CalibrationError) as caught:
+            read(text, size)
+        assert "\n" not in str(caught.value)
+        assert "cam.yaml" in str(caught.value)
+        assert caught.value.exit_code == 3
+        return str(caught.value)
+
+    return message_of
+
+
+@pytest.mark.parametrize("path", sorted(SAMPLES.iterdir()), ids=lambda path: path.name)
+def test_every_sample_is_the_same_camera(path):
+    camera = read_camera(path, SAMPLE_SIZE)
+    assert (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px) == (1004.5, 1002.25, 641.75, 355.5)
+    if path.stem in UNDISTORTED:
+        assert camera.distortion_model == "none"
+    else:
+        assert camera.distortion_model == "plumb_bob"
+        assert camera.distortion == (-0.29, 0.085, 0.0004, -0.0003, 0.0)
+
+
+def test_there_is_a_sample_of_every_format():
+    kinds = {path.name.split("_")[0].split(".")[0] for path in SAMPLES.iterdir()}
+    assert kinds == {"own", "ros", "ros1", "ros2", "kalibr", "opencv", "kitti"}
+    assert {path.suffix for path in SAMPLES.glob("opencv.*")} == {".yml", ".xml", ".json"}
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("folder", "size", "focal_px", "centre_px"),
+    [
+        ("kitti_sfnd_ttc", ImageSize(1242, 375), 721.5377, (609.5593, 172.854)),
+        ("kitti_odom_straight50", ImageSize(1226, 370), 707.0912, (601.8873, 183.1104)),
+        ("kt3dmoseg", ImageSize(1242, 375), 721.5377, (609.5593, 172.854)),
+    ],
+)
+def test_real_kitti_files_give_their_known_camera(data_dir, folder, size, focal_px, centre_px):
+    path = data_dir / folder / "calib.txt"
+    camera = read_camera(path, size)
+    assert (camera.fx_px, camera.fy_px) == (focal_px, focal_px)
+    assert (camera.cx_px, camera.cy_px) == centre_px
+    assert camera.distortion_model == "none"
+    assert camera.image_size == size
+    assert read_camera_image_size(path) is None
+
+
+@pytest.mark.data
+def test_kitti_poses_are_no_camera(data_dir):
+    with pytest.raises(CalibrationError, match="P0"):
+        read_camera(data_dir / "kitti_odom_straight50" / "poses.txt", ImageSize(1226, 370))
+
+
+def test_missing_file_folder_and_unreadable_file(tmp_path):
+    with pytest.raises(CalibrationError, match=r"nope.yaml: no such file; expected a camera file"):
+        read_camera(tmp_path / "nope.yaml", SIZE)
+    with pytest.raises(CalibrationError, match="not a file"):
+        read_camera(tmp_path, SIZE)
+    with pytest.raises(CalibrationError, match="cannot be read"):
+        read_camera(tmp_path / ("x" * 5000), SIZE)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_file_without_permission(tmp_path):
+    path = tmp_path / "cam.yaml"
+    path.write_text(FLAT)
+    path.chmod(0)
+    with pytest.raises(CalibrationError, match="cannot be read"):
+        read_camera(path, SIZE)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "empty"),
+        (" \n\n", "empty"),
+        (b"\x89PNG\r\n\x1a\n\x00\x00\xff", "binary"),
+        (b"abc\0def", "binary"),
+        (FLAT.encode("utf-16"), "not UTF-8"),
+        ("hello world", "only plain text"),
+        ("- 1\n- 2\n", "only plain text"),
+        ("fx_px: [1, 2\nfy_px: }", "line 2: not acceptable as YAML"),
+        ("a: *b", "aliases"),
+        (FLAT + "fx_px: 600\n", "'fx_px' is given twice"),
+        (FLAT + "? [1]\n: 2\n", "not acceptable as YAML"),
+        (FLAT + "when: 2020-99-99\n", "not acceptable as YAML"),
+        ("a: b\n" * 60_000, "over 200 kB"),
+        ("a: b\n" * 300_000, "over 1 MB"),
+        ("image_width: " + "9" * 5000, "not acceptable as YAML"),
+        ("%YAML:1.0\n---\ncamera_matrix: [1, 2", "malformed OpenCV FileStorage"),
+        ("%YAML:1.0\n---\n- 1\n", "camera_matrix: missing"),
+        ("<?xml version='1.0'?>\n<html></html>", "malformed OpenCV FileStorage"),
+        ('{"a": "opencv-matrix", ', "malformed OpenCV FileStorage"),
+        ("%YAML:1.0\n---\na:\n  " + "- " * 300_000 + "1", "brackets, tags or list items"),
+        ("%YAML:1.0\n---\na: " + '["]",' * 50_000, "brackets, tags or list items"),
+        ("a: " + "[" * 4000, "not acceptable as YAML"),
+    ],
+    ids=lambda value: None if isinstance(value, str) and len(value) < 45 else "text",
+)
+def test_what_is_no_camera_file_is_refused_in_one_line(message, text, words):
+    assert words in message(text)
+
+
+def test_hostile_yaml_runs_nothing(message, tmp_path):
+    victim = tmp_path / "victim"
+    assert "not acceptable as YAML" in message(FLAT + f"x: !!python/object/apply:os.system ['touch {victim}']\n")
+    assert "not acceptable as YAML" in message(f"!!python/object/apply:pathlib.Path.touch [!!python/name:x {victim}]")
+    assert not victim.exists()
+
+
+def test_billion_laughs_are_refused_before_they_grow(message):
+    lines = ["a0: &a0 [lol, lol]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
+    assert "aliases" in message("\n".join(lines))
+
+
+def test_xml_entities_are_not_expanded(message):
+    entities = '<!DOCTYPE x [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;">]>'
+    assert message(f"<?xml version='1.0'?>{entities}<opencv_storage><K>&b;</K></opencv_storage>")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("fx_px: 500", "fx_px: .nan", "fx_px: got nan; expected a number of px, which must be finite"),
+        ("fx_px: 500", "fx_px: -500", "fx_px: got -500 px; expected a focal length above 0"),
+        ("fx_px: 500", "fx_px: 0", "fx_px: got 0 px"),
+        ("fy_px: 500", "fy_px: -1", "fy_px: got -1 px"),
+        ("fx_px: 500", "fx_px: 4.2", "fx_px: got 4.2 px; expected"),
+        ("fx_px: 500", "fx_px: 0.5", "in px, not in mm"),
+        ("fx_px: 500", "fx_px: 1e9", "fx_px: got 1e+09 px"),
+        ("fx_px: 500", "fx_px: " + "9" * 400, "finite"),
+        ("fy_px: 500", "fy_px: 50", "fy_px: got 50 px; expected about fx_px, which is 500 px"),
+        ("fx_px: 500", "fx_px: five", "fx_px: got 'five'"),
+        ("fx_px: 500", "fx_px: true", "fx_px: got True"),
+        ("fx_px: 500", "fx_px: [500]", "fx_px: got [500]"),
+        ("fx_px: 500\n", "", "fx_px: missing; expected the key fx_px: "),
+        ("cx_px: 320", "cx_px: 3200", "cx_px: got 3200 px, far outside the picture (640x480)"),
+        ("cy_px: 240", "cy_px: -999", "cy_px: got -999 px, far outside"),
+        ("[640, 480]", "[640]", "image_size: got 1 numbers; expected [width, height]"),
+        ("[640, 480]", "[640.5, 480]", "image_size: got 640.5"),
+        ("[640, 480]", "[0, 480]", "image_size: got 0"),
+        ("[640, 480]", "640x480", "image_size: got '640x480'"),
+        ("[640, 480]", "[640, x]", "image_size[1]: got 'x'"),
+        ("fx_px", "fx", "fx: unknown key; expected image_size, fx_px, fy_px, cx_px, cy_px, distortion_model"),
+        ("fx_px", "fx", "did you mean 'fx_px'?"),
+        ("cy_px: 240", "cy_px: 240\nskew: 0", "skew: unknown key"),
+        ("cy_px: 240", "cy_px: 240\ndistortion: [0.1, 0, 0, 0]", "distortion_model: missing"),
+        ("cy_px: 240", "cy_px: 240\ndistortion_model: plumb_bob", "distortion: missing"),
+        (
+            "cy_px: 240",
+            "cy_px: 240\ndistortion_model: brown",
+            "unknown distortion model 'brown'; expected one of none, plumb_bob, radtan, rational",
+        ),
+        ("cy_px: 240", "cy_px: 240\ndistortion_model: 5", "distortion_model: got 5"),
+        (
+            "cy_px: 240",
+            "cy_px: 240\ndistortion_model: plumb_bob\ndistortion: [0.1, 0.2]",
+            "distortion: got 2 coefficients; expected 4 or 5",
+        ),
+        (
+            "cy_px: 240",
+            "cy_px: 240\ndistortion_model: fisheye\ndistortion: [0.1, 0, 0, 0, 0.1]",
+            "distortion: got 5 coefficients; expected 4",
+        ),
+        (
+            "cy_px: 240",
+            "cy_px: 240\ndistortion_model: plumb_bob\ndistortion: [.nan, 0, 0, 0]",
+            "distortion[0]: got nan",
+        ),
+        (
+            "cy_px: 240",
+            "cy_px: 240\ndistortion_model: plumb_bob\ndistortion: [-30.0, 0, 0, 0, 0]",
+            "plumb_bob [-30, 0, 0, 0, 0] folds over",
+        ),
+    ],
+)
+def test_wrong_values_are_refused_with_field_value_and_expectation(message, old, new, words):
+    assert old in FLAT
+    assert words in message(FLAT.replace(old, new, 1))
+
+
+def test_size_mismatch_of_a_scaled_clip_says_how_to_scale(message):
+    text = message(FLAT, ImageSize(1280, 960))
+    assert "640x480" in text
+    assert "1280x960" in text
+    assert "multiply fx, fy, cx, cy by 2" in text
+
+
+@pytest.mark.parametrize("text", ["horizon: {y_left_px: 1, y_right_px: 2}\nimage_size: [640, 480]", "focal: 3", "{}"])
+def test_other_yaml_is_no_camera_and_its_keys_are_named(message, text):
+    assert "found" in message(text)
+
+
+def test_own_keys_without_unit_alone_are_hinted_at(message):
+    assert "did you mean 'fx_px' by 'fx'?" in message("fx: 500\nfy: 500\ncx: 320\ncy: 240\n")
+
+
+def test_coefficients_without_a_point_are_numbers(read):
+    camera = read(FLAT + "distortion_model: plumb_bob\ndistortion: [-1e-05, 2E3e, 0, 0]\n".replace("2E3e", "2e-3"))
+    assert camera.distortion == (-1e-05, 2e-3, 0.0, 0.0, 0.0)
+
+
+ROS = f"image_width: 640\nimage_height: 480\ncamera_matrix: {{rows: 3, cols: 3, data: {K}}}\n"
+
+
+@pytest.mark.parametrize(
+    ("rest", "model", "distortion"),
+    [
+        ("distortion_model: plumb_bob\ndistortion_coefficients: {data: []}", "none", ()),
+        ("distortion_model: ''\ndistortion_coefficients: {data: []}", "none", ()),
+        ("distortion_model: plumb_bob\nD: [0.1, 0, 0, 0]", "plumb_bob", (0.1, 0, 0, 0, 0)),
+        ("distortion_model: rational_polynomial\nD: [.1, 0, 0, 0, 0, 0, 0, 0.2]", "rational", (0.1, *[0] * 6, 0.2)),
+        ("distortion_model: equidistant\nD: [0.1, 0, 0, 0]", "fisheye", (0.1, 0, 0, 0)),
+    ],
+)
+def test_ros_lens_models(read, rest, model, distortion):
+    camera = read(ROS + rest)
+    assert (camera.distortion_model, camera.distortion) == (model, distortion)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (ROS, "distortion_coefficients: missing"),
+        (ROS + "D: [0.1, 0, 0, 0]", "distortion_model: missing"),
+        (ROS.replace("camera_matrix", "camera_matirx") + "D: []", "did you mean it by 'camera_matirx'?"),
+        (ROS.replace("data", "dta") + "D: []", "camera_matrix.data: missing"),
+        (ROS.replace("0, 0, 1]", "0, 1]") + "D: []", "camera_matrix: got 8 numbers"),
+        (ROS.replace("0, 0, 1]", "0, 1, 0]") + "D: []", "row by row and without skew"),
+        (ROS.replace("[500, 0,", "[500, 2,") + "D: []", "without skew"),
+        (ROS.replace("500", "0") + "D: []", "camera_matrix fx: got 0 px"),
+        (ROS.replace("image_height: 480", "") + "D: []", "image_height: missing"),
+        (ROS + "distortion_model: thin_prism\nD: [0.1, 0, 0, 0]", "unknown distortion model 'thin_prism'"),
+    ],
+)
+def test_wrong_ros_files(message, text, words):
+    assert words in message(text)
+
+
+def test_plain_lists_of_lists_are_a_camera_matrix(read):
+    rows = "[[500, 0, 320], [0, 500, 240], [0, 0, 1]]"
+    assert read(f"image_width: 640\nimage_height: 480\ncamera_matrix: {rows}\nD: []").cx_px == 320
+
+
+KALIBR = """cam{}:
+  camera_model: {}
+  intrinsics: [{}, 500, 320, 240]
+  distortion_model: none
+  resolution: [640, 480]
+"""
+
+
+def test_of_several_kalibr_cameras_the_lowest_number_is_taken(read):
+    text = KALIBR.format(10, "pinhole", 510) + KALIBR.format(2, "pinhole", 502) + KALIBR.format(3, "pinhole", 503)
+    assert read(text).fx_px == 502
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (KALIBR.format(0, "omni", 500), "cam0.camera_model: got 'omni'; expected pinhole"),
+        (KALIBR.format(0, "pinhole", "500, 500"), "cam0.intrinsics: got 5 numbers; expected [fu, fv, pu, pv]"),
+        (KALIBR.format(0, "pinhole", "-500"), "cam0.intrinsics fu: got -500 px"),
+        (KALIBR.format(0, "pinhole", 500).replace("resolution", "res"), "cam0.resolution: missing"),
+        (KALIBR.format(0, "pinhole", 500).replace("none", "fov"), "unknown distortion model 'fov'"),
+        (KALIBR.format(0, "pinhole", 500).replace("none", "radtan"), "cam0.distortion_coeffs: missing"),
+        ("cam0: 5", "cam0: got 5"),
+    ],
+)
+def test_wrong_kalibr_files(message, text, words):
+    assert words in message(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"%YAML:1.0\n---\nK: {K}\nD: [ 0.1, 0., 0., 0., 0. ]\nimage_size: [ 640, 480 ]\n",
+        f"%YAML:1.0\n---\nM1: {K}\nD1: [ 0.1, 0., 0., 0. ]\nM2: {K.replace('500', '1')}\nD2: [ 0.9, 0., 0., 0. ]\n",
+        "%YAML:1.0\n---\n"
+        + OPENCV_K.replace("camera_matrix", "cameraMatrix")
+        + "dist_coeffs: [ 0.1, 0., 0., 0., 0. ]\n",
+        OPENCV_K.replace("camera_matrix", "Camera_Matrix") + "Distortion_Coefficients: [ 0.1, 0., 0., 0. ]\n",
+        f"%YAML:1.0\n---\nmtx: {K}\ndist: [ 0.1, 0., 0., 0. ]\nimageSize: [ 640, 480 ]\n",
+        f"%YAML:1.0\n---\nK: {K}\nD: [ 0.1, 0., 0., 0. ]\ncorners: [ {', '.join(['1'] * 1000)} ]\n",
+    ],
+    ids=["K", "stereo", "camel case", "no header", "mtx", "corners"],
+)
+def test_opencv_spellings(read, text):
+    camera = read(text)
+    assert (camera.fx_px, camera.cx_px, camera.cy_px) == (500, 320, 240)
+    assert camera.distortion == (0.1, 0, 0, 0, 0)
+
+
+def test_opencv_files_without_size_are_taken_for_the_clip(read, tmp_path):
+    text = f"%YAML:1.0\n---\nK: {K}\nD: [ 0.1, 0., 0., 0. ]\n"
+    assert read(text, ImageSize(700, 500)).image_size == ImageSize(700, 500)
+    assert read_camera_image_size(tmp_path / "cam.yaml") is None
+
+
+@pytest.mark.parametrize(
+    ("rest", "model"),
+    [
+        ("D: [ 0.1, 0., 0., 0. ]\nfisheye_model: 0", "plumb_bob"),
+        ("D: [ 0.1, 0., 0., 0. ]\nfisheye_model: 1", "fisheye"),
+        ('D: [ 0.1, 0., 0., 0. ]\ndistortion_model: "equidistant"', "fisheye"),
+        ("D: [ 0.1, 0., 0., 0., 0., 0., 0., 0. ]", "rational"),
+        ("D: [ 0.1, 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0. ]", "rational"),
+    ],
+)
+def test_opencv_lens_models(read, rest, model):
+    camera = read(f"%YAML:1.0\n---\nK: {K}\n{rest}\n")
+    assert camera.distortion_model == model
+    assert np.count_nonzero(camera.distortion) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"%YAML:1.0\n---\nK: {K}\n", "distortion_coefficients: missing"),
+        ("%YAML:1.0\n---\nD: [ 0., 0., 0., 0. ]\n", "camera_matrix: missing"),
+        (f"%YAML:1.0\n---\nK: {K}\nD: [ 0., 0., 0. ]\n", "got 3 coefficients"),
+        (f"%YAML:1.0\n---\nK: {K}\nD: [ {', '.join(['0.1'] * 14)} ]\n", "got 14 coefficients; expected 8"),
+        (f"%YAML:1.0\n---\nK: {K}\nD: [ {', '.join(['0.1'] * 999)} ]\n", "got '999 values'"),
+        (f"%YAML:1.0\n---\nK: {K}\nD: [ .Nan, 0., 0., 0. ]\n", "got nan"),
+        (f"%YAML:1.0\n---\nK: {K}\nD: [ 0., 0., 0., 0. ]\nimage_width: 640\n", "image_height: missing"),
+        ("%YAML:1.0\n---\nK: fine\nD: [ 0., 0., 0., 0. ]\n", "got 'fine'"),
+        (
+            "%YAML:1.0\n---\n" + OPENCV_K.replace("rows: 3", "rows: 2000000000") + "D: [ .Inf, 0., 0., 0. ]\n",
+            "got inf",
+        ),
+    ],
+)
+def test_wrong_opencv_files(message, text, words):
+    assert words in message(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("P0: 1 2 3", "P0: got 3 numbers; expected 12 numbers"),
+        ("500 0 320\n0 500 240\n0 0 1\n", "P0: got 3 numbers; expected 12"),
+        ("P0: 500 0 320 0 0 500 240 0 0 0 1 x", "P0[11]: got 'x'"),
+        ("P2: nan 0 320 0 0 500 240 0 0 0 1 0", "P2[0]: got nan"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0.1 0 1 0 0 0 0 1 0", "P0 fx: got 1 px"),
+        ("0.9 0.1 0 0 -0.1 0.9 0 0 0 0 1 0", "give calib.txt, not poses"),
+    ],
+)
+def test_wrong_kitti_files(message, text, words):
+    assert words in message(text)
+
+
+def test_kitti_object_files_start_where_they_like(read):
+    assert read("P2: 500 0 320 45.7 0 500 240 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\n").fx_px == 500
+
+
+def test_a_camera_that_cannot_be_written_names_the_place(tmp_path):
+    camera = Camera(500.0, 500.0, 320.0, 240.0, SIZE)
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_camera(tmp_path / "no" / "such" / "folder.yaml", camera)
