@@ -58,8 +58,8 @@ class Egomotion:
     """Own motion from the last frame to this one, in the camera of this frame.
 
     ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2;
-    ``direction (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does not translate
-    measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2. ``residual (N,)`` in sigmas.
+    ``direction (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does
+    not translate measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2. ``residual (N,)`` in sigmas.
     """
 
     cam_R_prev: Floats
@@ -67,6 +67,11 @@ class Egomotion:
     direction: Floats | None
     direction_cov: Floats | None
     residual: Floats
+
+    @property
+    def rotation_sigma_rad(self) -> float:
+        """Standard deviation of the rotation vector, root mean square over its axes."""
+        return float(np.sqrt(np.trace(self.rotation_cov) / 3.0))
 
     @property
     def residual_spread(self) -> float:
@@ -161,7 +166,7 @@ def _rotation_starts(prior: GaussianPrior, memory: EgomotionMemory) -> list[Floa
 def _fit_from_starts(
     observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turning_R: Floats, memory: EgomotionMemory
 ) -> TwoViewFit:
-    """The best fit from the last motion; from other starts too on a first pair, and when the last motion explains little.
+    """The best fit from the last motion; on a first pair, or when that explains little, from other starts too.
 
     Further starts: the rotation that explains most of the flow by itself (a camera that was swung), each with the
     last direction, forward, and the direction in which the flow planes meet.

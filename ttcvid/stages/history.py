@@ -25,8 +25,10 @@ _MEDIAN_CHI2_2 = 0.6931
 class TrackHistory:
     """The last L frames of the N live tracks, oldest first.
 
-    ``frame (L,)``, ``t_s (L,)``; ``cam_R_past (L, 3, 3)`` turns a ray of frame l into the present camera (exact for
-    the newest; `turned` brings it up to date); ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far;
+    ``frame (L,)``, ``t_s (L,)``; ``cam_R_past (L, 3, 3)`` turns a ray of frame l into the present camera
+    (`with_egomotion` brings it up to date); ``scene_direction (L, 3)`` is ``dir`` of the scene in the step up to frame
+    l, in its own camera, NaN where unknown; ``rotation_sigma_rad`` the error of one step's rotation, per axis;
+    ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far;
     ``xy_px (N, 2)`` present position; ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not
     observed; ``sigma_px (N,)`` noise of one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its
     evidence and ``pool_sigma_px`` the noise of all tracks together; ``focal_px`` turns px into rad.
@@ -35,6 +37,8 @@ class TrackHistory:
     frame: Ints
     t_s: Floats
     cam_R_past: Floats
+    scene_direction: Floats
+    rotation_sigma_rad: float
     track_id: Ints
     n_frames: Ints
     xy_px: Floats
@@ -71,6 +75,8 @@ def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
         frame=np.empty(0, np.int64),
         t_s=np.empty(0),
         cam_R_past=np.empty((0, 3, 3)),
+        scene_direction=np.empty((0, 3)),
+        rotation_sigma_rad=0.0,
         track_id=np.empty(0, np.int64),
         n_frames=np.empty(0, np.int64),
         xy_px=np.empty((0, 2)),
@@ -112,6 +118,7 @@ def extended(
         frame=np.append(history.frame, frame)[-max_frames:],
         t_s=np.append(history.t_s, t_s)[-max_frames:],
         cam_R_past=np.concatenate([history.cam_R_past, np.eye(3)[None]])[-max_frames:],
+        scene_direction=np.concatenate([history.scene_direction, np.full((1, 3), np.nan)])[-max_frames:],
         track_id=points.track_id,
         n_frames=carried(history.n_frames, 0).astype(np.int64) + 1,
         xy_px=points.xy_px,
@@ -122,10 +129,34 @@ def extended(
     )
 
 
-def turned(history: TrackHistory, cam_R_prev: Floats) -> TrackHistory:
-    """Carry all past rotations over the step ``cam_R_prev (3, 3)`` from the last frame to the present one."""
+def last_frame_only(history: TrackHistory) -> TrackHistory:
+    """The history without its past rays, for a step whose rotation is not known."""
+    return replace(
+        history,
+        frame=history.frame[-1:],
+        t_s=history.t_s[-1:],
+        cam_R_past=history.cam_R_past[-1:],
+        scene_direction=history.scene_direction[-1:],
+        rays=history.rays[-1:],
+    )
+
+
+def with_egomotion(
+    history: TrackHistory, cam_R_prev: Floats, direction: Floats | None, rotation_sigma_rad: float
+) -> TrackHistory:
+    """Carry all past rotations over the step from the last frame to the present one, and note the scene's direction.
+
+    Parameters
+    ----------
+    cam_R_prev : (3, 3) rotation of the step, with the error ``rotation_sigma_rad`` per axis.
+    direction : (3,) ``dir`` of the scene in the step, or None.
+    """
     cam_R_past = np.concatenate([cam_R_prev @ history.cam_R_past[:-1], np.eye(3)[None]])
-    return replace(history, cam_R_past=cam_R_past)
+    newest = np.full(3, np.nan) if direction is None else direction
+    scene_direction = np.concatenate([history.scene_direction[:-1], newest[None]])
+    return replace(
+        history, cam_R_past=cam_R_past, scene_direction=scene_direction, rotation_sigma_rad=rotation_sigma_rad
+    )
 
 
 def with_noise(history: TrackHistory, residual_spread: float | None, sigma_floor_px: float) -> TrackHistory:
@@ -137,7 +168,7 @@ def with_noise(history: TrackHistory, residual_spread: float | None, sigma_floor
     (6 rho / k^3 per frame^3, rho px from the epipole and k frames before the collision), independent noise leaves 20
     times its variance, two components make two degrees of freedom a frame. (The third difference alone would put the
     level too low: the errors of Lucas-Kanade follow the picture's texture and change slowly from frame to frame.)
-    Call after `turned`.
+    Call after `with_egomotion`.
     """
     pool = history.pool_sigma_px
     if residual_spread is not None:
@@ -156,7 +187,7 @@ def with_noise(history: TrackHistory, residual_spread: float | None, sigma_floor
 
 
 def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
-    """Squared third difference of each track over the typical one of this frame, 0 where unknown; and where it is known."""
+    """Squared third difference of each track over the typical one, 0 where unknown; and where it is known."""
     nothing = np.zeros(history.n_tracks), np.zeros(history.n_tracks, dtype=bool)
     if len(history.frame) < _DIFFERENCE_FRAMES:
         return nothing

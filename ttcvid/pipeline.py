@@ -1,0 +1,205 @@
+"""The stages in order: what happens to a frame between source and sinks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ttcvid.config import PipelineConfig
+from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.rotation import normalize
+from ttcvid.model import Camera, Frame, FrameResult, FrameStatus, Horizon, Picture, PointSet
+from ttcvid.stages.egomotion import Egomotion, EgomotionMemory
+from ttcvid.stages.events import EventMemory, restarted_events, update_events
+from ttcvid.stages.frozen import FrozenMemory, find_frozen
+from ttcvid.stages.group_identity import GroupMemory, restarted
+from ttcvid.stages.history import TrackHistory, empty_history, extended
+from ttcvid.stages.motions import find_motions
+from ttcvid.stages.own_motion import find_own_motion
+from ttcvid.stages.planar import HorizonPlane, horizon_plane
+from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
+from ttcvid.stages.table_points import compare_table_points
+from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
+
+MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
+
+# Flow left after the rotation that is not taken for motion, however small the noise, px: matching errs in common.
+LEAST_PARALLAX_PX = 0.25
+# A rotation that moves the picture by more than this shows which pixels are frozen, px.
+_TURNING_PX = 1.0
+# Third differences need four frames of history.
+_LEAST_HISTORY = 4
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What does not change during an analysis."""
+
+    camera: Camera
+    config: PipelineConfig
+    plane: HorizonPlane | None
+    mask: Picture | None
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Everything that is remembered from one frame to the next."""
+
+    history: TrackHistory
+    t_s: float | None = None
+    tracker: TrackerMemory = field(default_factory=TrackerMemory)
+    table_points: PointSet | None = None
+    egomotion: EgomotionMemory = field(default_factory=EgomotionMemory)
+    frozen: FrozenMemory = field(default_factory=FrozenMemory)
+    groups: GroupMemory = field(default_factory=GroupMemory)
+    events: EventMemory = field(default_factory=EventMemory)
+    scene_moves: bool = False
+
+
+def analyze_frames(
+    frames: Iterable[Frame],
+    camera: Camera,
+    config: PipelineConfig,
+    horizon: Horizon | None = None,
+    mask: Picture | None = None,
+    *,
+    map_ahead: MapAhead = map,
+) -> Iterator[tuple[Frame, FrameResult]]:
+    """Each frame with its result, in order; memory does not grow with the length of the clip.
+
+    Parameters
+    ----------
+    mask : (H, W) uint8, 0 where nothing is to be looked at.
+    map_ahead : like ``map``; may work some items early in other threads (finding features is the slow part).
+    """
+    clip = Clip(camera, config, horizon_plane(camera, horizon), mask)
+    memory = Memory(empty_history(camera, config.tracking.sigma_start_px))
+
+    def prepare(frame: Frame) -> tuple[Frame, PreparedPicture | None]:
+        return frame, None if frame.grey is None else prepare_picture(frame.grey, mask, config.tracking)
+
+    for frame, prepared in map_ahead(prepare, frames):
+        result, memory = analyze_frame(frame, prepared, memory, clip)
+        yield frame, result
+
+
+def analyze_frame(
+    frame: Frame, prepared: PreparedPicture | None, memory: Memory, clip: Clip
+) -> tuple[FrameResult, Memory]:
+    """One frame through all stages."""
+    dt_s = None if memory.t_s is None else frame.t_s - memory.t_s
+    if dt_s is not None and not dt_s > 0.0:
+        return _empty_result(frame, dt_s, FrameStatus.bad_dt, clip), memory
+    points, status, memory = _points(frame, prepared, replace(memory, t_s=frame.t_s), clip)
+    if status in (FrameStatus.dark, FrameStatus.duplicate):
+        return _empty_result(frame, dt_s, status, clip), memory
+    if status == FrameStatus.cut:
+        memory = _after_cut(memory, clip)
+
+    history = _with_points(frame, points, memory, clip)
+    is_frozen, frozen = find_frozen(memory.frozen, points, scene_moves=memory.scene_moves)
+    times = clip.config.collision_times
+    egomotion, history, ego_memory = find_own_motion(
+        history,
+        ~is_frozen,
+        memory.egomotion,
+        clip.config.egomotion,
+        LEAST_PARALLAX_PX,
+        times.max_gap_frames,
+        times.target_flow_px,
+        clip.config.tracking.sigma_floor_px,
+    )
+    if status == FrameStatus.ok:
+        status = _motion_status(egomotion)
+    rng = np.random.default_rng([clip.config.seed, frame.index])
+    motions, groups = find_motions(
+        history,
+        egomotion,
+        ~is_frozen,
+        memory.groups,
+        clip.plane,
+        LEAST_PARALLAX_PX,
+        clip.camera,
+        rng,
+        clip.config,
+    )
+    states, tracks = track_rows(history, motions, clip.config.collision_times)
+    clusters = cluster_rows(history, motions, states, clip.camera)
+    events, watch = update_events(memory.events, frame.index, frame.t_s, clusters, clip.camera, clip.config.events)
+    result = FrameResult(
+        frame=frame.index,
+        t_s=frame.t_s,
+        dt_s=dt_s,
+        status=status,
+        tracks=tracks,
+        clusters=clusters,
+        rotation_rad=None if egomotion is None else egomotion.rotation_rad,
+        rotation_sigma_rad=None if egomotion is None else egomotion.rotation_sigma_rad,
+        min_ttc_z_s=minimum_ttc_z_s(clusters),
+        horizon_px=None if clip.plane is None else clip.plane.line_px,
+        events=events,
+    )
+    return result, replace(
+        memory,
+        history=history,
+        frozen=frozen,
+        egomotion=ego_memory,
+        groups=groups,
+        events=watch,
+        scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
+    )
+
+
+def _points(
+    frame: Frame, prepared: PreparedPicture | None, memory: Memory, clip: Clip
+) -> tuple[PointSet, FrameStatus, Memory]:
+    """Points of the frame from the tracker, or from the table that the source reads."""
+    if prepared is not None:
+        points, status, tracker = follow_points(memory.tracker, prepared, clip.mask, clip.config.tracking)
+        return points, status, replace(memory, tracker=tracker)
+    if frame.points is None:
+        raise ValueError(f"frame {frame.index}: expected a picture or points, got neither")
+    status = compare_table_points(memory.table_points, frame.points)
+    return frame.points, status, replace(memory, table_points=frame.points)
+
+
+def _after_cut(memory: Memory, clip: Clip) -> Memory:
+    """Nothing is carried over a cut but the tracker's state and the numbers already given away."""
+    return Memory(
+        history=empty_history(clip.camera, clip.config.tracking.sigma_start_px),
+        t_s=memory.t_s,
+        tracker=memory.tracker,
+        table_points=memory.table_points,
+        groups=restarted(memory.groups),
+        events=restarted_events(memory.events),
+    )
+
+
+def _with_points(frame: Frame, points: PointSet, memory: Memory, clip: Clip) -> TrackHistory:
+    """The history with this frame's points as rays; a point that no ray belongs to (far outside a lens) has NaN."""
+    rays = normalize(rays_from_pixels(clip.camera, points.xy_px))
+    max_frames = max(_LEAST_HISTORY, clip.config.collision_times.max_gap_frames + 1)
+    return extended(memory.history, frame.index, frame.t_s, points, rays, max_frames)
+
+
+def _motion_status(egomotion: Egomotion | None) -> FrameStatus:
+    if egomotion is None:
+        return FrameStatus.few_tracks
+    return FrameStatus.rotation_only if egomotion.direction is None else FrameStatus.ok
+
+
+def _shows_frozen_pixels(egomotion: Egomotion | None, camera: Camera) -> bool:
+    """Whether the camera moved so that every pixel of the scene had to change its place."""
+    if egomotion is None:
+        return False
+    turned_px = float(np.linalg.norm(egomotion.rotation_rad)) * camera.fx_px
+    return egomotion.direction is not None or turned_px > _TURNING_PX
+
+
+def _empty_result(frame: Frame, dt_s: float | None, status: FrameStatus, clip: Clip) -> FrameResult:
+    """A frame that gives no number, only a reason."""
+    line_px = None if clip.plane is None else clip.plane.line_px
+    return FrameResult(frame.index, frame.t_s, dt_s, status, no_tracks(), (), horizon_px=line_px)

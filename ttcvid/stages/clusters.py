@@ -1,0 +1,217 @@
+"""One row a cluster: its epipole, the state of its nearest surface, how it moves, and how urgent it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ttcvid.geometry.camera import pixels_from_rays
+from ttcvid.geometry.epipole import INFINITY_COSINE
+from ttcvid.geometry.expansion import expansion_rate
+from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
+from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.geometry.state import state_from_direction
+from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, Floats, Ints, MotionState, Status
+from ttcvid.stages.flows import Flows
+from ttcvid.stages.surfaces import nearest_surface
+from ttcvid.stages.track_states import TrackStates
+
+# Approaching, receding and sideways motion are told at 95 % (one side).
+_SIGMAS_95 = 1.645
+# Sideways rate, a length of two components, is none below this many sigmas (95 % of a 2-D Gaussian).
+_SIGMAS_95_OF_TWO = 2.45
+# Two directions are one when their difference is inside 99 % of a 2-D Gaussian.
+_SAME_DIRECTION_CHI2 = 9.21
+# Step of the numerical derivative by the direction, rad.
+_DERIVATIVE_STEP_RAD = 1e-5
+
+
+@dataclass(frozen=True)
+class ClusterMotion:
+    """What is known of a cluster before its times: ``members`` index the frame's tracks, ``direction`` is its ``dir``.
+
+    ``horizon_offset_px`` how far off the horizon its epipole was found, before it was moved there.
+    """
+
+    cluster_id: int
+    members: Ints
+    direction: Floats | None
+    direction_cov: Floats | None
+    status: Status
+    method: str
+    horizon_offset_px: float | None = None
+
+
+def scene_row(motion: ClusterMotion, xy_px: Floats, camera: Camera) -> ClusterRow:
+    """The scene: an epipole, no times (a scene has many depths)."""
+    is_resting = motion.status == Status.no_parallax
+    row = _bare_row(motion, xy_px, camera)
+    return replace(row, motion_state=MotionState.no_relative_motion if is_resting else MotionState.unknown)
+
+
+def object_row(
+    motion: ClusterMotion,
+    motion_id: int,
+    flows: Flows,
+    states: TrackStates,
+    xy_px: Floats,
+    camera: Camera,
+    link_px: float,
+    common: tuple[Floats, Floats, float],
+) -> ClusterRow:
+    """An object with the times of its nearest well-supported surface.
+
+    Parameters
+    ----------
+    common : rays of all tracks a common gap ago and now, (N, 3) each, and that gap in s: for the expansion.
+    """
+    row = replace(_bare_row(motion, xy_px, camera), motion_id=motion_id)
+    first, second, gap_s = common
+    expansion_hz, _ = expansion_rate(first[motion.members], second[motion.members], gap_s)
+    if np.isfinite(expansion_hz):
+        row = replace(row, expansion_hz=float(expansion_hz))
+    usable = motion.members[states.has_value[motion.members]]
+    eta_hz, sigma_hz = -states.abc_hz[usable, 2], np.sqrt(states.cov[usable, 2, 2])
+    surface = usable[nearest_surface(eta_hz, sigma_hz, xy_px[usable], link_px)]
+    if not len(surface):
+        return replace(row, status=Status.no_parallax if row.status == Status.ok else row.status)
+    return _with_surface(row, motion, flows.take(surface), states.take(surface), xy_px[surface])
+
+
+def motion_ids(clusters: tuple[ClusterMotion, ...]) -> list[int]:
+    """Number of each cluster's motion: clusters with one epipole share it; 0 is the scene's."""
+    numbers: list[int] = []
+    next_number = 1
+    for place, motion in enumerate(clusters):
+        same = [numbers[j] for j in range(place) if _is_same_direction(motion, clusters[j])]
+        if motion.cluster_id == SCENE_CLUSTER:
+            numbers.append(0)
+        elif same:
+            numbers.append(same[0])
+        else:
+            numbers.append(next_number)
+            next_number += 1
+    return numbers
+
+
+def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
+    """Give approaching objects their urgency, 1 first: by the distance in collision times, abs(P') = abs(P)/abs(V).
+
+    The paper's conclusion: a near car at our own speed is harmless (both its times are long), a far one that closes
+    fast is not; one that will pass far off lies between.
+    """
+    urgent = [
+        (float(np.hypot(row.times.tcpa_s[0], row.times.miss_s[0])), row.cluster_id)
+        for row in rows
+        if row.motion_state in (MotionState.approaching, MotionState.constant_bearing)
+    ]
+    rank = {cluster_id: place + 1 for place, (_, cluster_id) in enumerate(sorted(urgent))}
+    return [replace(row, urgency_rank=rank.get(row.cluster_id)) for row in rows]
+
+
+def epipole_pixel(direction: Floats, camera: Camera) -> Floats | None:
+    """Where the line along ``direction (3,)`` meets the picture: (2,) source pixels, None within 1 deg of its plane."""
+    if abs(direction[2]) < INFINITY_COSINE:
+        return None
+    forward = direction if direction[2] > 0 else -direction
+    pixel = pixels_from_rays(camera, forward[None])[0]
+    return pixel if np.isfinite(pixel).all() else None
+
+
+def _bare_row(motion: ClusterMotion, xy_px: Floats, camera: Camera) -> ClusterRow:
+    places = xy_px[motion.members]
+    low, high = places.min(axis=0), places.max(axis=0)
+    return ClusterRow(
+        cluster_id=motion.cluster_id,
+        motion_id=SCENE_CLUSTER,
+        n_tracks=len(motion.members),
+        box_px=(float(low[0]), float(low[1]), float(high[0]), float(high[1])),
+        status=motion.status,
+        epipole_status=motion.status,
+        method=motion.method,
+        direction=motion.direction,
+        direction_cov=motion.direction_cov,
+        epipole_px=None if motion.direction is None else epipole_pixel(motion.direction, camera),
+        horizon_offset_px=motion.horizon_offset_px,
+    )
+
+
+def _with_surface(
+    row: ClusterRow, motion: ClusterMotion, flows: Flows, states: TrackStates, xy_px: Floats
+) -> ClusterRow:
+    """Add the joint state of the surface's tracks at their centroid, its times and what they say."""
+    sigma_hz = np.sqrt(states.cov[:, 2, 2])
+    weight = 1.0 / np.maximum(sigma_hz, 1e-12) ** 2
+    weight /= weight.sum()
+    abc_hz = weight @ states.abc_hz
+    cov = _joint_covariance(motion, flows, states, weight)
+    x, y = weight @ states.xy
+    sigma_norm = np.array([float(np.sqrt(weight**2 @ states.sigma_norm**2))])
+    times = collision_times_from_state(np.array([x]), np.array([y]), abc_hz[None], cov[None], sigma_norm)
+    rates, rates_cov = radial_and_transverse_rate(np.array([x]), np.array([y]), abc_hz[None], cov[None], sigma_norm)
+    ref_px = weight @ xy_px
+    return replace(
+        row,
+        ref_px=(float(ref_px[0]), float(ref_px[1])),
+        state_abc_hz=abc_hz,
+        state_cov=cov,
+        times=times,
+        motion_state=_motion_state(rates[0], rates_cov[0]),
+    )
+
+
+def _joint_covariance(motion: ClusterMotion, flows: Flows, states: TrackStates, weight: Floats) -> Floats:
+    """Covariance of the weighted mean of (a, b, c): own noise averages out, the common direction's error does not."""
+    if motion.direction is None or motion.direction_cov is None:
+        return np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
+    basis = tangent_basis(motion.direction)
+    slopes = []
+    for axis in range(2):
+        ends = [normalize(motion.direction + sign * _DERIVATIVE_STEP_RAD * basis[:, axis]) for sign in (1.0, -1.0)]
+        plus, minus = (
+            weight @ state_from_direction(flows.first, flows.second, end, flows.gap_s, states.sigma_norm)[0][:, 2:]
+            for end in ends
+        )
+        slopes.append((plus - minus) / (2.0 * _DERIVATIVE_STEP_RAD))
+    slope = np.nan_to_num(np.stack(slopes, axis=1))
+    common = slope @ (basis.T @ motion.direction_cov @ basis) @ slope.T
+    _, own, _ = state_from_direction(flows.first, flows.second, motion.direction, flows.gap_s, states.sigma_norm)
+    own_abc = np.where(np.isfinite(own[:, 2:, 2:]), own[:, 2:, 2:], states.cov)
+    return np.asarray(common + np.einsum("n,nij->ij", weight**2, own_abc))
+
+
+def _motion_state(rates: Floats, cov: Floats) -> MotionState:
+    """Test of the radial rate q (negative: nearer) and the transverse rate u at 95 %."""
+    q, u = rates
+    q_sigma, u_sigma = np.sqrt(np.diag(cov))
+    moves_across = u > _SIGMAS_95_OF_TWO * u_sigma
+    if q < -_SIGMAS_95 * q_sigma:
+        return MotionState.approaching if moves_across else MotionState.constant_bearing
+    if q > _SIGMAS_95 * q_sigma:
+        return MotionState.receding
+    return MotionState.unknown if moves_across else MotionState.no_relative_motion
+
+
+def _is_same_direction(one: ClusterMotion, other: ClusterMotion) -> bool:
+    if one.direction is None or one.direction_cov is None or other.direction is None or other.direction_cov is None:
+        return False
+    if one.direction @ other.direction < 0.0:
+        return False
+    basis = tangent_basis(other.direction)
+    offset = basis.T @ one.direction
+    covariance = basis.T @ (one.direction_cov + other.direction_cov) @ basis
+    return bool(offset @ np.linalg.solve(covariance, offset) < _SAME_DIRECTION_CHI2)
+
+
+def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:
+    """The nearest tracks of the same cluster around each of the ``asked`` tracks: (N, count), -1 where absent."""
+    found = np.full((len(xy_px), count), -1, dtype=np.int64)
+    for number in np.unique(cluster[asked]):
+        members = np.flatnonzero(cluster == number)
+        mine = asked[cluster[asked] == number]
+        _, place = KDTree(xy_px[members]).query(xy_px[mine], k=count, distance_upper_bound=radius_px)
+        place = np.reshape(place, (len(mine), count))
+        found[mine] = np.where(place < len(members), members[np.minimum(place, len(members) - 1)], -1)
+    return found

@@ -1,0 +1,56 @@
+"""Tracks that stay on their pixel while the scene moves: bonnet, wiper, burned-in text.
+
+They look like a thing at constant bearing, the most dangerous there is, and are none. They are followed all the same:
+what begins to move again, such as a car ahead that kept its distance, is looked at again at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ttcvid.model import Bools, Floats, Ints, PointSet
+
+# A track is on its pixel within this distance, px: three times the noise of Lucas-Kanade on an unchanging patch.
+_STAYS_PX = 0.3
+# So many frames on its pixel while the scene moves make a track frozen.
+_FROZEN_FRAMES = 15
+# A new track this close to a frozen one is taken as frozen from the start, px: corners of one burned-in letter.
+_NEAR_FROZEN_PX = 15.0
+
+
+@dataclass(frozen=True)
+class FrozenMemory:
+    """Per live track: the pixel it is compared with, and for how many frames of a moving scene it has stayed there."""
+
+    track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    anchor_px: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    n_stayed: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+
+def find_frozen(memory: FrozenMemory, points: PointSet, *, scene_moves: bool) -> tuple[Bools, FrozenMemory]:
+    """Which of the points (N,) are frozen.
+
+    Parameters
+    ----------
+    scene_moves : whether the camera translated or turned in the step before: only then does staying mean anything.
+    """
+    n = len(points.track_id)
+    anchor_px, n_stayed = points.xy_px.copy(), np.zeros(n, dtype=np.int64)
+    is_new = np.ones(n, dtype=bool)
+    if len(memory.track_id):
+        place = np.minimum(np.searchsorted(memory.track_id, points.track_id), len(memory.track_id) - 1)
+        is_new = memory.track_id[place] != points.track_id
+        anchor_px[~is_new] = memory.anchor_px[place[~is_new]]
+        n_stayed[~is_new] = memory.n_stayed[place[~is_new]]
+    stays = np.linalg.norm(points.xy_px - anchor_px, axis=1) < _STAYS_PX
+    anchor_px[~stays] = points.xy_px[~stays]
+    n_stayed = np.where(stays, n_stayed + int(scene_moves), 0)
+    is_frozen = n_stayed >= _FROZEN_FRAMES
+    if is_frozen.any() and is_new.any():
+        distance, _ = KDTree(points.xy_px[is_frozen]).query(points.xy_px[is_new])
+        n_stayed[np.flatnonzero(is_new)[distance < _NEAR_FROZEN_PX]] = _FROZEN_FRAMES
+        is_frozen = n_stayed >= _FROZEN_FRAMES
+    return is_frozen, FrozenMemory(points.track_id, anchor_px, n_stayed)

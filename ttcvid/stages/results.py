@@ -1,0 +1,102 @@
+"""The rows of a frame: times of every track and of every cluster."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.config import CollisionTimesConfig
+from ttcvid.model import (
+    NO_CLUSTER,
+    SCENE_CLUSTER,
+    Camera,
+    ClusterRow,
+    CollisionTimes,
+    Floats,
+    MotionState,
+    Status,
+    TrackRows,
+)
+from ttcvid.stages.clusters import motion_ids, neighbours_in_cluster, object_row, ranked, scene_row
+from ttcvid.stages.history import TrackHistory
+from ttcvid.stages.motions import FrameMotions
+from ttcvid.stages.track_states import TrackStates, three_frame_states, two_frame_states, with_constant_bearing
+
+# Expansions are measured over so many steps of the history, where there are as many.
+_EXPANSION_FRAMES = 5
+# Tracks of one cluster around a point that say how its surroundings expand.
+_EXPANSION_NEIGHBOURS = 8
+
+
+def track_rows(
+    history: TrackHistory, motions: FrameMotions, config: CollisionTimesConfig
+) -> tuple[TrackStates, TrackRows]:
+    """States and rows of all live tracks."""
+    if config.estimator == "three-frame":
+        states = three_frame_states(history, motions.flows)
+    else:
+        states = two_frame_states(motions.flows, motions.direction, motions.direction_cov)
+    has_direction = np.isfinite(motions.direction[:, 0])
+    if config.estimator == "two-frame":
+        asks = motions.flows.has_flow & ~has_direction
+        status = np.where(asks, motions.no_direction_status, states.status)
+        states = states.with_status(status)
+    states = _with_expansions(history, motions, states)
+    rows = TrackRows(
+        track_id=history.track_id,
+        cluster_id=motions.cluster_id,
+        xy_px=history.xy_px,
+        n_frames=history.n_frames,
+        alpha_rad=states.alpha_rad,
+        times=states.times(),
+        status=states.status,
+    )
+    return states, rows
+
+
+def cluster_rows(
+    history: TrackHistory, motions: FrameMotions, states: TrackStates, camera: Camera
+) -> tuple[ClusterRow, ...]:
+    """Rows of the scene and of all objects, ascending in ``cluster_id``."""
+    common = _common_rays(history)
+    numbers = motion_ids(motions.clusters)
+    rows = [
+        scene_row(motion, history.xy_px, camera)
+        if motion.cluster_id == SCENE_CLUSTER
+        else object_row(motion, number, motions.flows, states, history.xy_px, camera, motions.link_px, common)
+        for motion, number in zip(motions.clusters, numbers, strict=True)
+    ]
+    return tuple(ranked(rows))
+
+
+def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
+    """Smallest time to depth zero over approaching objects, None where none approaches."""
+    ahead = [
+        float(row.times.ttc_z_s[0])
+        for row in clusters
+        if row.motion_state in (MotionState.approaching, MotionState.constant_bearing) and row.times.ttc_z_s[0] > 0.0
+    ]
+    return min(ahead) if ahead else None
+
+
+def no_tracks() -> TrackRows:
+    """The rows of a frame without tracks."""
+    nothing = np.empty(0, dtype=np.int64)
+    return TrackRows(nothing, nothing, np.empty((0, 2)), nothing, np.empty(0), CollisionTimes.missing(0), nothing)
+
+
+def _with_expansions(history: TrackHistory, motions: FrameMotions, states: TrackStates) -> TrackStates:
+    """Times by expansion for tracks of a cluster that have no flow of their own."""
+    asks = np.isin(states.status, [Status.at_epipole, Status.no_parallax]) & (motions.cluster_id != NO_CLUSTER)
+    gap = min(_EXPANSION_FRAMES, len(history.frame) - 1)
+    if gap < 1 or not asks.any():
+        return states
+    neighbours = neighbours_in_cluster(
+        history.xy_px, motions.cluster_id, np.flatnonzero(asks), _EXPANSION_NEIGHBOURS, motions.link_px
+    )
+    return with_constant_bearing(states, history, neighbours, gap, asks)
+
+
+def _common_rays(history: TrackHistory) -> tuple[Floats, Floats, float]:
+    """Rays of all tracks a common gap ago and now, and the gap in s."""
+    gap = min(_EXPANSION_FRAMES, len(history.frame) - 1)
+    return history.derotated(-1 - gap), history.rays[-1], float(history.t_s[-1] - history.t_s[-1 - gap])

@@ -1,0 +1,80 @@
+"""The nearest well-supported surface of an object: what is hit first."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from ttcvid.model import Bools, Floats, Ints
+
+# A surface is borne by this part of an object's tracks, and by at least so many (or all there are).
+_LEAST_PART, _LEAST_TRACKS = 0.1, 5
+# Tracks within so many of their standard deviations of the surface's rate belong to it.
+_SURFACE_SIGMAS = 2.0
+# The mean-shift from the first support settles within so many steps.
+_MAX_STEPS = 20
+
+
+def nearest_surface(eta_hz: Floats, sigma_hz: Floats, xy_px: Floats, link_px: float) -> Ints:
+    """Tracks that bear the nearest well-supported surface: indices, empty where nothing is supported.
+
+    The largest rate eta* = 1 / ttc_z with enough connected tracks inside 2 sigma is where the search starts; it then
+    moves to the weighted mean of those tracks until it stays. Without that last step the largest of N noisy rates of
+    one plane would be taken for a surface of its own, two sigmas too near.
+
+    Parameters
+    ----------
+    eta_hz, sigma_hz : (N,) rates and their standard deviations, 1/s.
+    xy_px : (N, 2) places, px; tracks closer than ``link_px`` are connected.
+    """
+    n = len(eta_hz)
+    needed = min(n, max(_LEAST_TRACKS, int(np.ceil(_LEAST_PART * n))))
+    if needed == 0:
+        return np.empty(0, dtype=np.int64)
+    pairs = KDTree(xy_px).query_pairs(link_px, output_type="ndarray")
+    near_counts = np.count_nonzero(np.abs(eta_hz[:, None] - eta_hz) < _SURFACE_SIGMAS * sigma_hz, axis=1)
+    for start in np.argsort(-eta_hz, kind="stable"):
+        if near_counts[start] < needed:
+            continue
+        support = _support(eta_hz, sigma_hz, float(eta_hz[start]), pairs)
+        if len(support) >= needed:
+            return _settled(eta_hz, sigma_hz, support, pairs)
+    return np.empty(0, dtype=np.int64)
+
+
+def weighted_mean(values: Floats, sigma: Floats) -> float:
+    """Mean with weights 1 / sigma^2."""
+    weight = 1.0 / sigma**2
+    return float(np.sum(weight * values) / np.sum(weight))
+
+
+def _settled(eta_hz: Floats, sigma_hz: Floats, support: Ints, pairs: Ints) -> Ints:
+    for _ in range(_MAX_STEPS):
+        centre = weighted_mean(eta_hz[support], sigma_hz[support])
+        again = _support(eta_hz, sigma_hz, centre, pairs)
+        if len(again) < len(support) or np.array_equal(again, support):
+            break
+        support = again
+    return support
+
+
+def _support(eta_hz: Floats, sigma_hz: Floats, centre_hz: float, pairs: Ints) -> Ints:
+    """Largest connected set of tracks within 2 sigma of a rate."""
+    is_near = np.abs(eta_hz - centre_hz) < _SURFACE_SIGMAS * sigma_hz
+    return largest_connected(is_near, pairs)
+
+
+def largest_connected(is_in: Bools, pairs: Ints) -> Ints:
+    """Indices of the largest part of ``is_in (N,)`` that hangs together by ``pairs (M, 2)``."""
+    chosen = np.flatnonzero(is_in)
+    if not len(chosen):
+        return chosen
+    keep = pairs[is_in[pairs[:, 0]] & is_in[pairs[:, 1]]]
+    n = len(is_in)
+    graph = coo_array((np.ones(len(keep)), (keep[:, 0], keep[:, 1])), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    values, counts = np.unique(label[chosen], return_counts=True)
+    largest: Ints = chosen[label[chosen] == values[np.argmax(counts)]]
+    return largest

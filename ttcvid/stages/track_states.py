@@ -1,0 +1,164 @@
+"""State and times of every track, by the paper's two-frame and three-frame estimators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ttcvid.geometry.expansion import expansion_of_neighbourhood
+from ttcvid.geometry.intervals import collision_times_from_state
+from ttcvid.geometry.rotation import normalize
+from ttcvid.geometry.state import state_from_direction
+from ttcvid.geometry.three_frames import three_frame_direction
+from ttcvid.model import Bools, CollisionTimes, Floats, Ints, Status
+from ttcvid.stages.flows import Flows
+from ttcvid.stages.history import TrackHistory
+
+# Step of the numerical derivatives of the three-frame solution, in sigmas of the points.
+_DERIVATIVE_STEP_SIGMAS = 0.3
+# An expansion is taken for one above so many of its standard deviations.
+_EXPANSION_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class TrackStates:
+    """States of N tracks: ``xy (N, 2)`` normalised, ``abc_hz (N, 3)`` = V / Z with ``cov (N, 3, 3)`` in 1/s^2.
+
+    ``sigma_norm (N,)`` noise of x and y, ``direction (N, 3)`` the track's ``dir``, ``status (N,)``. NaN: no result.
+    """
+
+    xy: Floats
+    abc_hz: Floats
+    cov: Floats
+    sigma_norm: Floats
+    direction: Floats
+    status: Ints
+
+    @property
+    def has_value(self) -> Bools:
+        """Tracks with a result: (N,)."""
+        return np.isin(self.status, [Status.ok, Status.epipole_at_infinity])
+
+    @property
+    def alpha_rad(self) -> Floats:
+        """Angle between the ray and ``-dir``: (N,) in [0, pi], NaN where there is no direction."""
+        rays = normalize(np.column_stack([self.xy, np.ones(len(self.xy))]))
+        cosine = -np.einsum("ni,ni->n", rays, self.direction)
+        sine = np.linalg.norm(np.cross(rays, self.direction), axis=1)
+        return np.asarray(np.arctan2(sine, cosine))
+
+    def with_status(self, status: Ints) -> TrackStates:
+        """The same states with other reasons."""
+        return replace(self, status=status)
+
+    def take(self, index: Ints) -> TrackStates:
+        """The states that an index array picks."""
+        return TrackStates(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def times(self) -> CollisionTimes:
+        """The three times with their intervals: N rows."""
+        x, y = self.xy.T
+        return collision_times_from_state(x, y, self.abc_hz, self.cov, self.sigma_norm)
+
+
+def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> TrackStates:
+    """States from two views and the epipole of each track's cluster (the paper's (2) and (3)).
+
+    Parameters
+    ----------
+    direction : (N, 3), NaN where a track has none.
+    direction_cov : (N, 3, 3) rad^2.
+    """
+    state, cov, status = state_from_direction(
+        flows.first, flows.second, direction, flows.gap_s, _sigma_norm(flows), direction_cov
+    )
+    return _states(flows, state[:, 2:], cov[:, 2:, 2:], direction, status)
+
+
+def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:
+    """States from three views, each track with an epipole of its own (the paper's (6)).
+
+    The middle view lies half-way in the gap of `Flows`, which is at least two steps here.
+    """
+    gap = np.where(flows.has_flow, np.maximum(flows.gap_frames, 2), 0)
+    last = len(history.frame) - 1
+    rays = np.stack([_rays_at(history, last - gap), _rays_at(history, last - gap // 2), flows.second])
+    t_s = history.t_s[np.stack([np.maximum(last - gap, 0), last - gap // 2, np.full_like(gap, last)])]
+    gap_1, gap_2 = t_s[1] - t_s[0], t_s[2] - t_s[1]
+
+    def solve(views: Floats) -> tuple[Floats, Floats, Ints]:
+        direction, _, status = three_frame_direction(views, gap_1, gap_2, flows.sigma_rad)
+        state, _, two_status = state_from_direction(
+            views[0], views[2], direction, gap_1 + gap_2, _sigma_norm(flows), None
+        )
+        return state[:, 2:], direction, np.where(np.isfinite(direction[:, 0]), two_status, status)
+
+    abc_hz, direction, status = solve(rays)
+    cov = np.zeros((len(abc_hz), 3, 3))
+    step = (_DERIVATIVE_STEP_SIGMAS * flows.sigma_rad)[:, None]
+    for view in range(3):
+        for axis in range(2):
+            offset = np.zeros_like(rays)
+            offset[view, :, axis] = step[:, 0]
+            slope = (solve(rays + offset)[0] - solve(rays - offset)[0]) / (2.0 * step)
+            cov += np.einsum("ni,nj->nij", slope, slope) * (flows.sigma_rad**2)[:, None, None]
+    return _states(flows, abc_hz, cov, direction, status)
+
+
+def with_constant_bearing(
+    states: TrackStates, history: TrackHistory, neighbours: Ints, gap_frames: int, may_expand: Bools
+) -> TrackStates:
+    """Give tracks without a flow of their own the time of the expansion around them (the paper's section 2.1).
+
+    A point that keeps its bearing while its surroundings grow moves along its own ray: V = -eta P.
+
+    Parameters
+    ----------
+    neighbours : (N, m) indices of tracks of the same cluster around each track, negative: absent.
+    gap_frames : steps of the history over which the expansion is measured.
+    may_expand : (N,) tracks that are asked (at the epipole, or without parallax).
+    """
+    asked = np.flatnonzero(may_expand)
+    if not len(asked) or gap_frames < 1:
+        return states
+    gap_s = history.t_s[-1] - history.t_s[-1 - gap_frames]
+    eta_hz, sigma_hz = expansion_of_neighbourhood(
+        history.derotated(-1 - gap_frames), history.rays[-1], neighbours[asked], gap_s
+    )
+    is_sure = eta_hz > _EXPANSION_SIGMAS * sigma_hz
+    asked, eta_hz, sigma_hz = asked[is_sure], eta_hz[is_sure], sigma_hz[is_sure]
+    ray = np.column_stack([states.xy[asked], np.ones(len(asked))])
+    abc_hz, cov = states.abc_hz.copy(), states.cov.copy()
+    direction, status = states.direction.copy(), states.status.copy()
+    abc_hz[asked] = -eta_hz[:, None] * ray
+    cov[asked] = np.einsum("n,ni,nj->nij", sigma_hz**2, ray, ray)
+    across_hz2 = 2.0 * (states.sigma_norm[asked] / gap_s) ** 2
+    cov[asked, 0, 0] += across_hz2
+    cov[asked, 1, 1] += across_hz2
+    direction[asked] = -normalize(ray)
+    status[asked] = Status.ok
+    return TrackStates(states.xy, abc_hz, cov, states.sigma_norm, direction, status)
+
+
+def _states(flows: Flows, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:
+    xy = flows.second[:, :2] / flows.second[:, 2:]
+    has_value = np.isin(status, [Status.ok, Status.epipole_at_infinity]) & np.isfinite(abc_hz).all(axis=1)
+    status = np.where(~has_value & np.isin(status, [Status.ok, Status.epipole_at_infinity]), Status.no_parallax, status)
+    abc_hz = np.where(has_value[:, None], abc_hz, np.nan)
+    cov = np.where(has_value[:, None, None], cov, np.nan)
+    return TrackStates(xy, abc_hz, cov, _sigma_norm(flows), direction, status)
+
+
+def _sigma_norm(flows: Flows) -> Floats:
+    """Noise of normalised coordinates: the angle's, divided by cos^1.5 as in `TrackHistory.sigma_rad`."""
+    sigma: Floats = flows.sigma_rad / np.clip(flows.second[:, 2], 0.1, 1.0) ** 1.5
+    return sigma
+
+
+def _rays_at(history: TrackHistory, entry: Ints) -> Floats:
+    """Derotated ray of each track at its own entry of the history: (N, 3), NaN before its first."""
+    column = np.arange(history.n_tracks)
+    place = np.maximum(entry, 0)
+    rays = np.einsum("nij,nj->ni", history.cam_R_past[place], history.rays[place, column])
+    return np.where((entry >= 0)[:, None], rays, np.nan)

@@ -1,0 +1,91 @@
+"""The paper's tracker: AKAZE features matched from picture to picture and chained into tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ttcvid.config import TrackingConfig
+from ttcvid.model import Floats, Ints, Picture, PointSet
+
+# Bytes of an AKAZE descriptor (486 bits).
+_DESCRIPTOR_BYTES = 61
+
+
+@dataclass(frozen=True)
+class Features:
+    """AKAZE features of one picture: ``xy_px (N, 2)`` and ``descriptors (N, 61)`` uint8, strongest first."""
+
+    xy_px: Floats
+    descriptors: Picture
+
+
+@dataclass(frozen=True)
+class AkazeMemory:
+    """Features of the last picture and the track that each belongs to: ``track_id (N,)``."""
+
+    features: Features
+    track_id: Ints
+    next_track_id: int
+
+
+def detect_features(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> Features:
+    """The strongest ``max_tracks`` AKAZE features where the mask allows them.
+
+    The slow step of this tracker, and independent from picture to picture: run it for several pictures side by side.
+    """
+    detector = cv2.AKAZE.create(threshold=config.akaze_threshold)
+    keypoints, descriptors = detector.detectAndCompute(grey, allowed)
+    if descriptors is None or not len(keypoints):
+        return Features(np.empty((0, 2)), np.empty((0, _DESCRIPTOR_BYTES), dtype=np.uint8))
+    response = np.array([keypoint.response for keypoint in keypoints])
+    strongest = np.argsort(-response, kind="stable")[: config.max_tracks]
+    xy_px = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64)
+    return Features(xy_px[strongest], np.asarray(descriptors, dtype=np.uint8)[strongest])
+
+
+def start_akaze(features: Features, next_track_id: int = 0) -> AkazeMemory:
+    """Every feature of a first picture begins a track."""
+    track_id = next_track_id + np.arange(len(features.xy_px), dtype=np.int64)
+    return AkazeMemory(features, track_id, next_track_id + len(track_id))
+
+
+def follow_akaze(memory: AkazeMemory, features: Features, config: TrackingConfig) -> tuple[AkazeMemory, float]:
+    """Chain the features of this picture to the tracks of the last one.
+
+    Returns
+    -------
+    memory : of this picture; features without a match begin tracks of their own.
+    survival : part of the former features that were found again (1 where there were none): low after a cut.
+    """
+    n_former, n_now = len(memory.track_id), len(features.xy_px)
+    former, now = _matches(memory.features.descriptors, features.descriptors, config.akaze_ratio)
+    track_id = np.full(n_now, -1, dtype=np.int64)
+    track_id[now] = memory.track_id[former]
+    is_new = track_id < 0
+    track_id[is_new] = memory.next_track_id + np.arange(np.count_nonzero(is_new))
+    survival = len(former) / n_former if n_former else 1.0
+    return AkazeMemory(features, track_id, memory.next_track_id + int(np.count_nonzero(is_new))), survival
+
+
+def points_of(memory: AkazeMemory) -> PointSet:
+    """All features of the picture as points, ascending in their track."""
+    order = np.argsort(memory.track_id, kind="stable")
+    return PointSet(memory.track_id[order], memory.features.xy_px[order])
+
+
+def _matches(one: Picture, other: Picture, ratio: float) -> tuple[Ints, Ints]:
+    """Mutual nearest neighbours that pass the ratio test: indices into ``one`` and into ``other``."""
+    nothing = np.empty(0, dtype=np.int64)
+    if len(one) < 2 or len(other) < 2:
+        return nothing, nothing
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    forward = matcher.knnMatch(one, other, k=2)
+    nearest = np.array([(first.trainIdx, first.distance, second.distance) for first, second in forward])
+    back = np.array([match.trainIdx for match in matcher.match(other, one)])
+    target = nearest[:, 0].astype(np.int64)
+    index = np.arange(len(one))
+    good = (nearest[:, 1] < ratio * nearest[:, 2]) & (back[target] == index)
+    return index[good], target[good]

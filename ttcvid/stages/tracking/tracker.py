@@ -1,0 +1,128 @@
+"""One interface to both trackers, with cuts, darkness and doubled pictures told apart from motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ttcvid.config import TrackingConfig
+from ttcvid.model import FrameStatus, Picture, PointSet
+from ttcvid.stages.tracking.akaze import AkazeMemory, Features, detect_features, follow_akaze, points_of, start_akaze
+from ttcvid.stages.tracking.klt import KltMemory, follow_klt, start_klt
+
+# Size of the thumbnail and bins of its histogram that stand for the look of a picture.
+_THUMBNAIL, _BINS = (64, 48), 32
+# A cut leaves less than this part of the tracks, and another histogram: at least this part of its mass moved. On the
+# real clips a hard cut leaves 0 and moves 0.27 or more, the wildest drive leaves 0.4 and moves 0.14.
+_CUT_SURVIVAL, _CUT_HISTOGRAM = 0.15, 0.2
+# With so few tracks their survival says nothing, and the histogram has to be surer by itself.
+_FEW_TRACKS, _CUT_HISTOGRAM_ALONE = 8, 0.35
+# A picture whose brightest parts stay below this grey level shows nothing.
+_DARK_LEVEL = 16
+
+
+@dataclass(frozen=True)
+class PreparedPicture:
+    """What can be worked out of a picture by itself, ahead of its turn: its look, and its features for AKAZE."""
+
+    grey: Picture
+    thumbnail: Picture
+    features: Features | None
+
+
+@dataclass(frozen=True)
+class TrackerMemory:
+    """State of the tracker in use, and the last picture's look; everything None before the first picture."""
+
+    prepared: PreparedPicture | None = None
+    klt: KltMemory | None = None
+    akaze: AkazeMemory | None = None
+
+
+def prepare_picture(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> PreparedPicture:
+    """The part of the work that needs no other picture."""
+    thumbnail = np.asarray(cv2.resize(grey, _THUMBNAIL, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    is_dark = int(thumbnail.max()) < _DARK_LEVEL
+    features = detect_features(grey, allowed, config) if config.tracker == "akaze" and not is_dark else None
+    return PreparedPicture(grey, thumbnail, features)
+
+
+def follow_points(
+    memory: TrackerMemory, prepared: PreparedPicture, allowed: Picture | None, config: TrackingConfig
+) -> tuple[PointSet, FrameStatus, TrackerMemory]:
+    """Points of this picture with their tracks.
+
+    Returns
+    -------
+    points : none where the picture is ``dark`` or a ``duplicate`` of the last one (then the memory stays as it was).
+    status : ``first``, ``cut`` (all tracks begin anew), ``dark``, ``duplicate`` or ``ok``.
+    memory : for the next picture.
+    """
+    if int(prepared.thumbnail.max()) < _DARK_LEVEL:
+        return _no_points(), FrameStatus.dark, memory
+    last = memory.prepared
+    if last is None:
+        points, started = _started(memory, prepared, allowed, config)
+        return points, FrameStatus.first, started
+    if np.array_equal(last.thumbnail, prepared.thumbnail) and np.array_equal(last.grey, prepared.grey):
+        return _no_points(), FrameStatus.duplicate, memory
+    followed, survival, n_before = _followed(memory, prepared, allowed, config)
+    if _is_cut(survival, n_before, last.thumbnail, prepared.thumbnail):
+        points, started = _started(memory, prepared, allowed, config)
+        return points, FrameStatus.cut, started
+    return _points(followed), FrameStatus.ok, followed
+
+
+def _started(
+    memory: TrackerMemory, prepared: PreparedPicture, allowed: Picture | None, config: TrackingConfig
+) -> tuple[PointSet, TrackerMemory]:
+    first_id = _next_track_id(memory)
+    if prepared.features is not None:
+        started = TrackerMemory(prepared, None, start_akaze(prepared.features, first_id))
+    else:
+        started = TrackerMemory(prepared, start_klt(prepared.grey, allowed, config, first_id))
+    return _points(started), started
+
+
+def _followed(
+    memory: TrackerMemory, prepared: PreparedPicture, allowed: Picture | None, config: TrackingConfig
+) -> tuple[TrackerMemory, float, int]:
+    """The memory after following, the part of the tracks that survived, and how many there were."""
+    if memory.akaze is not None and prepared.features is not None:
+        akaze, survival = follow_akaze(memory.akaze, prepared.features, config)
+        return TrackerMemory(prepared, None, akaze), survival, len(memory.akaze.track_id)
+    if memory.klt is None:
+        raise ValueError("follow_points: the memory belongs to another tracker than the one configured")
+    klt, survival = follow_klt(memory.klt, prepared.grey, allowed, config)
+    return TrackerMemory(prepared, klt), survival, len(memory.klt.points.track_id)
+
+
+def _points(memory: TrackerMemory) -> PointSet:
+    if memory.akaze is not None:
+        return points_of(memory.akaze)
+    return _no_points() if memory.klt is None else memory.klt.points
+
+
+def _no_points() -> PointSet:
+    return PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
+
+def _next_track_id(memory: TrackerMemory) -> int:
+    if memory.akaze is not None:
+        return memory.akaze.next_track_id
+    return 0 if memory.klt is None else memory.klt.next_track_id
+
+
+def _is_cut(survival: float, n_before: int, last: Picture, now: Picture) -> bool:
+    moved = 0.5 * float(np.abs(_histogram(last) - _histogram(now)).sum())
+    if n_before < _FEW_TRACKS:
+        return moved > _CUT_HISTOGRAM_ALONE
+    return survival < _CUT_SURVIVAL and moved > _CUT_HISTOGRAM
+
+
+def _histogram(thumbnail: Picture) -> NDArray[np.float64]:
+    counts, _ = np.histogram(thumbnail, _BINS, (0, 256))
+    return counts / thumbnail.size
