@@ -41,11 +41,12 @@ def simulate(
     """Simulate SCENE (a YAML file) into a folder: clip, camera, horizon and the truth of every frame and object."""
     import json
 
+    from ttcvid.cli.progress import progress_on_terminal
     from ttcvid.jobs.simulate import simulate as run
     from ttcvid.simulate.tracks import TrackOptions
 
     tracks = TrackOptions(n_tracks, 15, sigma_px, outliers, deaths, births) if as_tracks else None
-    with _Progress(hidden=quiet or as_json) as progress:
+    with progress_on_terminal(enabled=not quiet) as progress:
         result = run(
             scene,
             out,
@@ -63,25 +64,3 @@ def simulate(
     elif not quiet:
         what = f", {result.n_observations} observations of tracks" if result.n_observations is not None else ""
         click.echo(f"{result.input}: scene {result.name}, {result.n_frames} frames, {result.n_objects} objects{what}")
-
-
-class _Progress:
-    """A bar on stderr, on a terminal only."""
-
-    def __init__(self, hidden: bool) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        console = Console(stderr=True)
-        self._bar = Progress(console=console, transient=True, disable=hidden or not console.is_terminal)
-        self._task = self._bar.add_task("rendering", total=None)
-
-    def __call__(self, done: int, total: int) -> None:
-        self._bar.update(self._task, completed=done, total=total)
-
-    def __enter__(self) -> _Progress:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()

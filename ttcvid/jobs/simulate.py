@@ -31,7 +31,7 @@ from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.video import OverlayVideo, check_video
 
 CLIP_PRESET, CLIP_CRF = "veryfast", 12
-"""Nearly loss-free: KLT of this and of the PNG pictures agree within hundredths of a pixel."""
+"""Nearly loss-free: it changes the flow that KLT sees by 0.05 px (median), against the loss-free pictures."""
 MARKER_NAME = "scene.yaml"
 """The scene, as simulated: a folder that holds it and truth_frames is a simulation and may be overwritten."""
 
@@ -94,7 +94,7 @@ def simulate(
         scene = _shortened(scene, n_frames)
     target = Path(f"{Path(scene_path).stem}_scene" if out is None else out)
     _check_target(target, overwrite)
-    partial = target.with_name(f".{target.name}.partial")
+    partial = _beside(target, "partial")
     with output_errors(target):
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
@@ -234,9 +234,15 @@ def _check_target(target: Path, overwrite: bool) -> None:
 
 def _publish(partial: Path, target: Path) -> None:
     """Give the finished folder its name; a former one is moved aside first, then removed."""
-    former = target.with_name(f".{target.name}.former")
+    former = _beside(target, "former")
     shutil.rmtree(former, ignore_errors=True)
     if target.exists():
         target.rename(former)
     partial.rename(target)
     shutil.rmtree(former, ignore_errors=True)
+
+
+def _beside(target: Path, what: str) -> Path:
+    """A hidden name next to the folder, on the same file system."""
+    place = target.absolute()
+    return place.with_name(f".{place.name}.{what}")

@@ -7,30 +7,34 @@ import numpy as np
 from numpy.random import Generator
 
 from ttcvid.model import Floats, Picture
+from ttcvid.simulate.ripmap import Float32s
 
 Colour = tuple[int, int, int]
 """Blue, green, red."""
 ASPHALT: Colour = (96, 94, 92)
+GRAIN_TEXELS = (1, 3, 9, 40)
+"""Sizes of the grain of every surface."""
 
 
 def canvas(size_px: tuple[int, int], colour: Colour, rng: Generator, grain_grey: float) -> Picture:
     """A picture (width, height) of one colour with grain of several sizes, seamless where it is repeated."""
-    width, height = size_px
-    grain = sum(seamless_noise(size_px, cell, rng) for cell in (1, 3, 9, 40))
-    picture = np.asarray(colour, float) + grain_grey / 2 * np.reshape(grain, (height, width, 1))
-    return np.clip(picture, 0, 255).astype(np.uint8)
+    grain = seamless_noise(size_px, GRAIN_TEXELS[0], rng)
+    for cell in GRAIN_TEXELS[1:]:
+        grain += seamless_noise(size_px, cell, rng)
+    grain *= np.float32(0.5 * grain_grey)
+    return np.stack([np.clip(grain + channel, 0, 255).astype(np.uint8) for channel in colour], axis=-1)
 
 
-def seamless_noise(size_px: tuple[int, int], cell_px: int, rng: Generator) -> Floats:
+def seamless_noise(size_px: tuple[int, int], cell_px: int, rng: Generator) -> Float32s:
     """Smooth noise ``(H, W)`` of about unit size with features of ``cell_px``, seamless at its borders."""
     width, height = size_px
-    cells = rng.standard_normal((max(2, height // cell_px), max(2, width // cell_px))).astype(np.float32)
+    cells = rng.standard_normal((max(2, height // cell_px), max(2, width // cell_px)), dtype=np.float32)
     margin = 2
     framed = cv2.copyMakeBorder(cells, margin, margin, margin, margin, cv2.BORDER_WRAP)
     sx, sy = width / cells.shape[1], height / cells.shape[0]
     inverse = np.array([[1 / sx, 0, 0.5 / sx - 0.5 + margin], [0, 1 / sy, 0.5 / sy - 0.5 + margin]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(framed, inverse, size_px, flags=flags), float)
+    return np.asarray(cv2.warpAffine(framed, inverse, size_px, flags=flags))
 
 
 def blotches(picture: Picture, n: int, size_px: tuple[float, float], contrast_grey: int, rng: Generator) -> None:

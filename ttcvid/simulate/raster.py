@@ -126,6 +126,23 @@ class Outline:
     covered: Bools
 
 
+def bounds_of(mask: Bools, window: Window) -> tuple[Window, Window] | None:
+    """Bounds of the true samples ``(H, W)`` of a window, in the window and in the whole picture; None: there are none.
+
+    One sample more to the right and below, where there is one: a texture's footprint is a difference of neighbours.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        return None
+    top, bottom = int(rows[0]), min(int(rows[-1]) + 2, mask.shape[0])
+    left, right = int(columns[0]), min(int(columns[-1]) + 2, mask.shape[1])
+    first_row, first_column = window[0].start, window[1].start
+    return (slice(top, bottom), slice(left, right)), (
+        slice(first_row + top, first_row + bottom),
+        slice(first_column + left, first_column + right),
+    )
+
+
 def outline_of(drawn: list[tuple[Window, Bools]]) -> Outline:
     """The outline of a body from the samples that each of its faces covers in its window."""
     top, left = (min(window[axis].start for window, _ in drawn) for axis in (0, 1))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ttcvid.model import Bools, Floats, Picture
 from ttcvid.simulate.grounds import CLOUD_TILE_M, STREET_TILE_M, cloud_tile, ground_tile
 from ttcvid.simulate.object_truth import ObjectTruth, Visible, object_truth
-from ttcvid.simulate.raster import FAR_M, Canvas, Outline, Plane, Samples, Window, outline_of, plane_of
+from ttcvid.simulate.raster import FAR_M, Canvas, Outline, Plane, Samples, Window, bounds_of, outline_of, plane_of
 from ttcvid.simulate.ripmap import Float32s, Ripmap
 from ttcvid.simulate.scene import Scene
 from ttcvid.simulate.shapes import Face
@@ -168,12 +168,14 @@ class Renderer:
             covered &= place >= 0
             covered &= place <= np.float32(extent)
         mask = covered & in_front
-        if mask.any() or face.skin in CUT_OUT:
-            bgr, opaque = self._skin(key, face).sample(u, v)
+        bounds = bounds_of(covered if label != STATIC_LABEL and face.skin in CUT_OUT else mask, window)
+        if bounds is not None:
+            part, target = bounds
+            bgr, opaque = self._skin(key, face).sample(u[part], v[part])
             if opaque is not None:
-                covered &= opaque
-                mask &= opaque
-            canvas.draw(window, mask, bgr, inverse_depth, label)
+                covered[part] &= opaque
+                mask[part] &= opaque
+            canvas.draw(target, mask[part], bgr, inverse_depth[part], label)
         return covered
 
     def _skin(self, key: tuple[int, int], face: Face) -> Ripmap:
