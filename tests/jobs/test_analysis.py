@@ -159,7 +159,10 @@ def test_start_end_and_stride_keep_the_source_frame_numbers(work_folder: Path) -
 def test_nulls_of_whole_numbers_stay_na(work_folder: Path) -> None:
     run = ttcvid.analyze(write_clip(work_folder / "clip.mp4", approach(3)), overlay=False)
     assert run.collision_times.cluster_id.dtype == pd.Int32Dtype()
-    assert run.collision_times.cluster_id[run.collision_times.frame == 0].isna().all()
+    scene = run.clusters[run.clusters.role == "scene"]
+    assert len(scene) == 3
+    assert scene.urgency_rank.dtype == pd.Int32Dtype()
+    assert scene.urgency_rank.isna().all()
 
 
 @pytest.mark.parametrize("name", ["car", "aircraft", "resting_camera"])

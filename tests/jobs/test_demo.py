@@ -7,7 +7,7 @@ import pytest
 
 from ttcvid.cli.demo import describe
 from ttcvid.cli.main import main
-from ttcvid.jobs.demo import compare_nearest
+from ttcvid.jobs.demo import compare_movers
 
 
 def boxes(**columns: list[object]) -> pd.DataFrame:
@@ -27,7 +27,7 @@ TRUTH = boxes(
 )
 
 
-def test_the_nearest_mover_is_compared_with_the_object_over_it() -> None:
+def test_each_mover_is_compared_with_the_object_over_it_nearest_first() -> None:
     found = boxes(
         frame=[0, 1, 1, 1],
         role=["scene", "object", "object", "object"],
@@ -36,8 +36,9 @@ def test_the_nearest_mover_is_compared_with_the_object_over_it() -> None:
         ttc_z_lo_s=[1.0, 2.0, 0.9, 3.0],
         ttc_z_hi_s=[3.0, 2.2, 1.1, 5.0],
     )
-    comparison = compare_nearest(TRUTH, found)
+    comparison, far = compare_movers(TRUTH, found)
     assert (comparison.name, comparison.n_visible) == ("near", 2)
+    assert describe(far) == "far: not found in any of 2 frames"
     assert comparison.matches.to_dict("list") == {
         "frame": [1],
         "true_s": [1.9],
@@ -46,12 +47,9 @@ def test_the_nearest_mover_is_compared_with_the_object_over_it() -> None:
         "hi_s": [2.2],
     }
     assert comparison.median_error == pytest.approx(1 - 1.9 / 2.1)
-    assert "near: found in 1 of 2 frames, median error 9.5 %; at frame 1 it is 2.10 s away" in describe(comparison)
-
-
-def test_a_mover_that_was_not_found_is_said() -> None:
-    nothing = boxes(frame=[], role=[], ttc_z_s=[], ttc_z_lo_s=[], ttc_z_hi_s=[])
-    assert describe(compare_nearest(TRUTH, nothing)) == "nearest  near: not found in any of its 2 frames"
+    assert "near: found in 1 of 2 frames, time to collision off by 9.5 % (median); at frame 1 2.10 s" in describe(
+        comparison
+    )
 
 
 @pytest.mark.slow
@@ -63,7 +61,7 @@ def test_the_demo_runs_in_an_empty_folder(
     text = capsys.readouterr().out
     assert "look at  ttcvid_demo/result/overlay.mp4" in text
     assert (tmp_path / "ttcvid_demo/result/overlay.mp4").is_file()
-    assert "nearest  " in text
+    assert "oncoming car: " in text
     assert main(["demo", "--frames", "2"]) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert main(["demo", "--frames", "2", "--overwrite", "-q"]) == 0

@@ -28,17 +28,18 @@ def demo(ctx: click.Context, /, out: str, overwrite: bool, n_frames: int | None,
     click.echo(f"look at  {result.run.overlay}")
     click.echo(f"tables   {result.run.folder}/*.parquet")
     click.echo(f"truth    {result.simulation.folder}/truth_*.parquet")
-    click.echo(describe(result.comparison))
+    for comparison in result.comparisons:
+        click.echo(describe(comparison))
     ctx.exit(result.run.exit_code)
 
 
 def describe(comparison: Comparison) -> str:
-    """One line: the estimated against the true time of the nearest mover, at the last frame in which it was found."""
+    """One line: the estimated against the true time of a mover, at the last frame in which it was found."""
     if comparison.matches.empty:
-        return f"nearest  {comparison.name}: not found in any of its {comparison.n_visible} frames"
+        return f"{comparison.name}: not found in any of {comparison.n_visible} frames"
     last = comparison.matches.iloc[-1]
     return (
-        f"nearest  {comparison.name}: found in {len(comparison.matches)} of {comparison.n_visible} frames, "
-        f"median error {100 * comparison.median_error:.1f} %; at frame {int(last.frame)} it is "
-        f"{last.estimated_s:.2f} s away (90 %: {last.lo_s:.2f} to {last.hi_s:.2f}), in truth {last.true_s:.2f} s"
+        f"{comparison.name}: found in {len(comparison.matches)} of {comparison.n_visible} frames, time to collision "
+        f"off by {100 * comparison.median_error:.1f} % (median); at frame {int(last.frame)} {last.estimated_s:.2f} s "
+        f"(90 %: {last.lo_s:.2f} to {last.hi_s:.2f}), in truth {last.true_s:.2f} s"
     )

@@ -15,7 +15,7 @@ from ttcvid.calibration import (
 )
 from ttcvid.calibration import read_horizon as read_horizon_file
 from ttcvid.calibration import read_mask as read_mask_file
-from ttcvid.errors import OutputError
+from ttcvid.errors import OutputError, UsageError
 from ttcvid.jobs.options import AnalyzeOptions
 from ttcvid.model import Camera, Horizon, ImageSize, Picture
 from ttcvid.sources import Selection, Source, open_source
@@ -42,6 +42,8 @@ def open_clip(input_: str, options: AnalyzeOptions) -> Source:
     image_size = options.image_size
     if image_size is None and options.camera is not None and Path(input_).suffix.lower() in TABLE_SUFFIXES:
         image_size = read_camera_image_size(options.camera)
+        if image_size is None:
+            raise UsageError(f"{options.camera}: tells no picture size, which {input_} needs: give --image-size WxH")
     return open_source(
         input_,
         selection=Selection(options.start, options.end, options.stride),

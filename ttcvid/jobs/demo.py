@@ -44,7 +44,7 @@ class Demo:
 
     simulation: Simulation
     run: Run
-    comparison: Comparison
+    comparisons: tuple[Comparison, ...]
 
 
 def demo(
@@ -74,23 +74,25 @@ def demo(
     configuration = configure_from_arguments(options)
     run = run_analysis(str(simulation.input), out / RESULT_NAME, configuration, arguments=["demo"], on_frame=on_frame)
     truth = pq.read_table(simulation.folder / "truth_objects.parquet").to_pandas()
-    return Demo(simulation, run, compare_nearest(truth, run.clusters))
+    return Demo(simulation, run, compare_movers(truth, run.clusters))
 
 
-def compare_nearest(truth: pd.DataFrame, clusters: pd.DataFrame) -> Comparison:
-    """The mover that comes nearest in time, and the clusters that lie over it, frame by frame.
+def compare_movers(truth: pd.DataFrame, clusters: pd.DataFrame) -> tuple[Comparison, ...]:
+    """What moves on its own and approaches, nearest first, each with the clusters that lie over it frame by frame.
 
     ``truth`` has the columns of ``truth_objects``, ``clusters`` those of the table of that name.
     """
     movers = truth[truth.is_moving & (truth.ttc_z_s > 0)]
-    if movers.empty:
-        return Comparison("nothing", 0, pd.DataFrame(columns=["frame", "true_s", "estimated_s"]))
-    nearest = movers[movers.object_id == movers.sort_values("ttc_z_s").object_id.iloc[0]]
+    nearest_first = movers.sort_values("ttc_z_s").object_id.unique()
     objects = clusters[(clusters.role == "object") & clusters.ttc_z_s.notna()]
-    pairs = nearest.merge(objects, on="frame", suffixes=("", "_found"))
-    true_box = pairs[_BOX].to_numpy(float)
+    return tuple(_compare(movers[movers.object_id == object_id], objects) for object_id in nearest_first)
+
+
+def _compare(mover: pd.DataFrame, objects: pd.DataFrame) -> Comparison:
+    """One mover with the object that overlaps it most, in each frame where one does."""
+    pairs = mover.merge(objects, on="frame", suffixes=("", "_found"))
     found_box = pairs[[f"{side}_found" for side in _BOX]].to_numpy(float)
-    pairs["iou"] = iou(true_box, found_box)
+    pairs["iou"] = iou(pairs[_BOX].to_numpy(float), found_box)
     best = pairs[pairs.iou >= MIN_IOU].sort_values("iou").groupby("frame").tail(1).sort_values("frame")
     columns = {
         "frame": best.frame,
@@ -99,7 +101,7 @@ def compare_nearest(truth: pd.DataFrame, clusters: pd.DataFrame) -> Comparison:
         "lo_s": best.ttc_z_lo_s.astype(float),
         "hi_s": best.ttc_z_hi_s.astype(float),
     }
-    return Comparison(str(nearest.name.iloc[0]), len(nearest), pd.DataFrame(columns).reset_index(drop=True))
+    return Comparison(str(mover.name.iloc[0]), len(mover), pd.DataFrame(columns).reset_index(drop=True))
 
 
 def iou(first: Floats, second: Floats) -> Floats:
