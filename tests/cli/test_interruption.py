@@ -26,10 +26,10 @@ def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_clip(tmp_path_factory.mktemp("long") / "long.mp4", period * (N_LONG // 60), key_every=30)
 
 
-def start(clip: Path, out: Path, **options: object) -> subprocess.Popen[str]:
+def start(clip: Path, out: Path, *arguments: str, **options: object) -> subprocess.Popen[str]:
     command = Path(sys.executable).with_name("ttcvid")
     return subprocess.Popen(
-        [command, "analyze", str(clip), "-o", str(out)],
+        [command, "analyze", str(clip), "-o", str(out), *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -114,10 +114,15 @@ def test_killed_hard_leaves_nothing_that_passes_for_a_result(delay_s: float, lon
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(long_clip: Path, tmp_path: Path) -> None:
-    """Stands for a full disk: no file may grow over 100 kB."""
+    """Stands for a full disk: no file may grow over 10 kB."""
     out = tmp_path / "out"
-    limit = 100_000
-    process = start(long_clip, out, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    limit = 10_000
+    process = start(
+        long_clip,
+        out,
+        "--set=overlay.crf=0",
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
     stdout, stderr = process.communicate(timeout=DEADLINE_S)
     errors = [line for line in stderr.splitlines() if "warning" not in line]
     assert process.returncode == 2

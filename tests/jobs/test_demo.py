@@ -64,4 +64,3 @@ def test_the_demo_runs_in_an_empty_folder(
     assert "oncoming car: " in text
     assert main(["demo", "--frames", "2"]) == 2
     assert "--overwrite" in capsys.readouterr().err
-    assert main(["demo", "--frames", "2", "--overwrite", "-q"]) == 0

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -44,7 +44,8 @@ class _StderrHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
-        click.echo(f"ttcvid: {record.levelname.lower()}: {record.getMessage()}", err=True)
+        # Not click.echo: that would bypass rich, which puts what is printed above its bar.
+        print(f"ttcvid: {record.levelname.lower()}: {record.getMessage()}", file=sys.stderr)
 
 
 def log_to_stderr(*, quiet: bool = False, verbose: bool = False) -> None:
