@@ -14,6 +14,7 @@ from ttcvid.simulate.casting import NOTHING, cast, face_stack, points_in_camera
 
 SCENES = Path(__file__).resolve().parents[2] / "sample_configs" / "scenes"
 DISTORTION = {"distortion_model": "plumb_bob", "distortion": [-0.25, 0.06, 0.001, -0.0005, 0.0]}
+pytestmark = pytest.mark.slow
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.001)
 
 
