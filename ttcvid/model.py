@@ -296,8 +296,8 @@ class FrameResult:
 
     ``rotation_rad`` (3,) is the rotation vector of ``cam_R_prev``, None where there is no estimate, with
     ``rotation_sigma_rad`` its standard deviation per axis. ``min_ttc_z_s`` is the smallest over approaching objects.
-    ``horizon_px`` is the horizon line (y at x = 0, y at x = width - 1, undistorted pixels) of this frame, None where none
-    is in use.
+    ``horizon_px`` is the horizon line (y at x = 0, y at x = width - 1, undistorted pixels) of this frame, None where
+    none is in use.
     ``events`` are the warnings active in this frame, as they stand: the last version of each ``event_id`` is final.
     """
 

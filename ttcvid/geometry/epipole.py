@@ -23,9 +23,12 @@ _PARALLEL_RATIO = 1e-10
 # A direction less certain than this (rad) is unknown: the tangent plane is no model of the sphere beyond.
 _MAX_DIRECTION_SIGMA_RAD = 0.5
 _MAX_ITERATIONS = 30
-_CONVERGED_STEP_RAD = 1e-12
-# Fractions of a Gauss-Newton step that are tried at once; the best one is taken.
-_STEP_FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
+# Gauss-Newton ends after a step shorter than this part of the standard deviation that it is heading for.
+_CONVERGED_SIGMAS = 1e-4
+# Fractions of a Gauss-Newton step that are tried in turn until one lowers the cost.
+_STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05, 0.01)
+# Determinant over squared trace below which a 2 x 2 matrix is singular; least divisor.
+_SINGULAR, _TINY = 1e-15, 1e-30
 # In the vote on the sign a track counts at most this many sigmas: one wild flow must not outvote the others.
 _MAX_VOTE_SIGMAS = 3.0
 
@@ -149,44 +152,62 @@ def _descend(
     direction: Floats, q: Floats, p: Floats, sigma_rad: Floats, weights: Floats, cauchy_sigmas: float | None
 ) -> tuple[Floats, Floats]:
     """Gauss-Newton from a start: the direction at the minimum and its covariance (infinite where undetermined)."""
-    cov = np.full((3, 3), np.inf)
-    cost = _robust_cost(flow_line_chi2(direction[None], q, p, sigma_rad), weights, cauchy_sigmas)[0]
+    normals, cosines = np.cross(p, q), np.einsum("ni,ni->n", p, q)
+    basis = tangent_basis(direction)
+    residual, jacobian = _residuals(direction, basis, q, p, normals, cosines, sigma_rad)
+    cost = _robust_cost(residual**2, weights, cauchy_sigmas)
     for _ in range(_MAX_ITERATIONS):
-        basis = tangent_basis(direction)
-        residual, jacobian = _residuals(direction, basis, q, p, sigma_rad)
         weighted = jacobian * (weights * _robust_factor(residual**2, cauchy_sigmas))[:, None]
-        hessian = weighted.T @ jacobian
-        if not np.linalg.cond(hessian) < 1.0 / np.finfo(np.float64).eps:
+        tangent_cov = _inverse_2x2(weighted.T @ jacobian)
+        if tangent_cov is None:
             return direction, np.full((3, 3), np.inf)
-        cov = basis @ np.linalg.inv(hessian) @ basis.T
-        step = -basis @ np.linalg.solve(hessian, weighted.T @ residual)
-        trials = normalize(direction + _STEP_FRACTIONS[:, None] * step)
-        costs = _robust_cost(flow_line_chi2(trials, q, p, sigma_rad), weights, cauchy_sigmas)
-        best = int(np.argmin(costs))
-        if not costs[best] < cost:
+        cov = basis @ tangent_cov @ basis.T
+        step = -basis @ (tangent_cov @ (weighted.T @ residual))
+        for fraction in _STEP_FRACTIONS:
+            trial = normalize(direction + fraction * step)
+            trial_basis = tangent_basis(trial)
+            trial_residual, jacobian = _residuals(trial, trial_basis, q, p, normals, cosines, sigma_rad)
+            trial_cost = _robust_cost(trial_residual**2, weights, cauchy_sigmas)
+            if trial_cost < cost:
+                break
+        if not trial_cost < cost:
             break
-        direction, cost = trials[best], costs[best]
-        if np.linalg.norm(step) < _CONVERGED_STEP_RAD:
+        direction, basis, residual, cost = trial, trial_basis, trial_residual, trial_cost
+        if step @ step < _CONVERGED_SIGMAS**2 * np.trace(cov):
             break
     return direction, cov
 
 
-def _residuals(direction: Floats, basis: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
-    """Signed roots ``(N,)`` of `flow_line_chi2` and their derivatives ``(N, 2)`` by tangent coordinates."""
+def _inverse_2x2(matrix: Floats) -> Floats | None:
+    """Inverse of a symmetric 2 x 2 matrix, None where it is singular to working precision."""
+    (a, b), (_, d) = matrix.tolist()
+    determinant = a * d - b * b
+    if not determinant > _SINGULAR * (a + d) ** 2:
+        return None
+    inverse: Floats = np.array([[d, -b], [-b, a]]) / determinant
+    return inverse
+
+
+def _residuals(
+    direction: Floats, basis: Floats, q: Floats, p: Floats, normals: Floats, cosines: Floats, sigma_rad: Floats
+) -> tuple[Floats, Floats]:
+    """Signed roots ``(N,)`` of `flow_line_chi2` and their derivatives ``(N, 2)`` by tangent coordinates.
+
+    ``normals (N, 3)`` are p x q and ``cosines (N,)`` p . q, which do not change during the descent.
+    """
     p_along, q_along, p_tangent, q_tangent = p @ direction, q @ direction, p @ basis, q @ basis
-    normals = np.cross(p, q)
     half_difference = 0.5 * (q_along**2 - p_along**2)
-    mixed = np.einsum("ni,ni->n", p, q) - p_along * q_along
-    root = np.hypot(half_difference, mixed)
-    lambda_max = np.maximum(1.0 - 0.5 * (p_along**2 + q_along**2) + root, 0.0)
-    d_p, d_q = p_along[:, None] * p_tangent, q_along[:, None] * q_tangent
-    d_mixed = -(q_along[:, None] * p_tangent + p_along[:, None] * q_tangent)
-    d_root = np.nan_to_num(quotient(half_difference, root))[:, None] * (d_q - d_p)
-    d_root += np.nan_to_num(quotient(mixed, root))[:, None] * d_mixed
-    d_lambda = d_root - d_p - d_q
-    scale = np.nan_to_num(quotient(1.0, np.sqrt(lambda_max) * sigma_rad))
+    mixed = cosines - p_along * q_along
+    root = np.maximum(np.sqrt(half_difference**2 + mixed**2), _TINY)
+    lambda_max = np.maximum(1.0 - 0.5 * (p_along**2 + q_along**2) + root, _TINY)
+    by_difference, by_mixed = half_difference / root, mixed / root
+    # d lambda_max = d root - p_along dp - q_along dq, gathered by the two tangents.
+    of_p = -(by_difference + 1.0) * p_along - by_mixed * q_along
+    of_q = (by_difference - 1.0) * q_along - by_mixed * p_along
+    d_lambda = of_p[:, None] * p_tangent + of_q[:, None] * q_tangent
+    scale = 1.0 / (np.sqrt(lambda_max) * sigma_rad)
     residual = (normals @ direction) * scale
-    relative = np.nan_to_num(quotient(0.5 * residual, lambda_max))
+    relative = 0.5 * residual / lambda_max
     return residual, (normals @ basis) * scale[:, None] - relative[:, None] * d_lambda
 
 
@@ -198,8 +219,7 @@ def _robust_factor(chi2: Floats, cauchy_sigmas: float | None) -> Floats:
     return weight
 
 
-def _robust_cost(chi2: Floats, weights: Floats, cauchy_sigmas: float | None) -> Floats:
-    """Weighted sum over flows of chi-square ``(M, N)``, or of its Cauchy loss."""
+def _robust_cost(chi2: Floats, weights: Floats, cauchy_sigmas: float | None) -> float:
+    """Weighted sum over flows of chi-square ``(N,)``, or of its Cauchy loss."""
     loss = chi2 if cauchy_sigmas is None else cauchy_sigmas**2 * np.log1p(chi2 / cauchy_sigmas**2)
-    total: Floats = loss @ weights
-    return total
+    return float(loss @ weights)

@@ -66,7 +66,7 @@ def state_from_direction(
     variance = np.where((sigma_norm > 0.0) & (gap_s > 0.0), sigma_norm, np.nan) ** 2
     cov_e = np.zeros((1, 3, 3)) if direction_cov is None else np.reshape(direction_cov, (-1, 3, 3))
 
-    s, ds_dq, ds_dr, ds_de = _rate(q, r, e, gap_s)
+    s, ds_dq, ds_dr, ds_de = rate_from_direction(q, r, e, gap_s)
     # (a, b, c) = s e depends on q and r through s alone; x and y are those of r.
     jacobian_e = e[:, :, None] * ds_de[:, None, :] + s[:, None, None] * np.eye(3)
     s_variance = variance * _square_sum(np.concatenate([ds_dq[:, :2], ds_dr[:, :2]], axis=1))
@@ -105,8 +105,11 @@ def state_from_direction(
     return state, cov, status
 
 
-def _rate(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """``s = (q x r).m / (m.m gap)`` with ``m = q x e``: ``(N,)``, and its derivatives ``(N, 3)`` by q, r and e."""
+def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """``s = (q x r).m / (m.m gap)`` with ``m = q x e``: ``(N,)`` in 1/s, and its derivatives ``(N, 3)`` by q, r and e.
+
+    The rate of `state_from_direction`, for ``q, r (N, 3)`` with z = 1, ``e (N, 3)`` and ``gap_s (N,)``.
+    """
     m, flow = np.cross(q, e), np.cross(q, r)
     square = _square_sum(m)
     scale = quotient(1.0, square * gap_s)

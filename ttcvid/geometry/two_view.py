@@ -11,8 +11,8 @@ from ttcvid.model import Floats, Ints
 
 # Cauchy weight's constant in sigmas: 95 % efficiency on Gaussian noise.
 _CAUCHY = 2.385
-# Gauss-Newton ends after so many steps or when a step is smaller than this, rad.
-_MAX_STEPS, _STEP_RAD = 15, 2e-6
+# Gauss-Newton ends after so many steps, or after one whose squared length in sigmas of the estimate is less.
+_MAX_STEPS, _CONVERGED_CHI2 = 15, 1e-3
 # A step of the direction is cut to this length, rad: beyond it the linearisation means nothing.
 _LONGEST_STEP_RAD = 0.3
 # A static point moves towards dir; one that moves the other way by more sigmas than this does not belong to
@@ -80,7 +80,7 @@ def fit_rotation(
         information += identity / prior.rotation_sigma_rad**2
         step = np.linalg.solve(information, score.sum(axis=0) - offset / prior.rotation_sigma_rad**2)
         offset = offset + step
-        if np.max(np.abs(step)) < _STEP_RAD:
+        if step @ information @ step < _CONVERGED_CHI2:
             break
     cost = _cauchy_cost(residual) + float(offset @ offset) / prior.rotation_sigma_rad**2
     covariance = _robust_covariance(information, score, region)
@@ -121,7 +121,7 @@ def fit_motion(
         step[:2] *= min(1.0, _LONGEST_STEP_RAD / max(length, _TINY))
         direction = normalize(direction + basis @ step[:2])
         offset = offset + step[2:]
-        if np.max(np.abs(step)) < _STEP_RAD:
+        if step @ information @ step < _CONVERGED_CHI2:
             break
     cost = _cauchy_cost(residual) + _WRONG_WAY_COST * np.count_nonzero(is_wrong) + prior_cost
     covariance = _robust_covariance(information, score, region)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import KDTree
 
-from ttcvid.geometry.camera import pixels_from_rays
+from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
-from ttcvid.geometry.rotation import normalize, tangent_basis
-from ttcvid.geometry.state import state_from_direction
+from ttcvid.geometry.rotation import tangent_basis
+from ttcvid.geometry.state import rate_from_direction
 from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, Floats, Ints, MotionState, Status
 from ttcvid.stages.flows import Flows
 from ttcvid.stages.surfaces import nearest_surface
@@ -24,8 +24,8 @@ _SIGMAS_95 = 1.645
 _SIGMAS_95_OF_TWO = 2.45
 # Two directions are one when their difference is inside 99 % of a 2-D Gaussian.
 _SAME_DIRECTION_CHI2 = 9.21
-# Step of the numerical derivative by the direction, rad.
-_DERIVATIVE_STEP_RAD = 1e-5
+# Least variance of a rate, 1/s^2, and noise of a point that is exact by definition.
+_TINY, _EXACT = 1e-24, 1e-12
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def object_row(
     link_px: float,
     common: tuple[Floats, Floats, float],
 ) -> ClusterRow:
-    """An object with the times of its nearest well-supported surface.
+    """An object with the state of its nearest well-supported surface; `with_times` adds what follows from it.
 
     Parameters
     ----------
@@ -138,48 +138,57 @@ def _bare_row(motion: ClusterMotion, xy_px: Floats, camera: Camera) -> ClusterRo
     )
 
 
+def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
+    """The times of all rows that have a state, and how they move; the others as they are."""
+    stated = [row for row in rows if row.state_abc_hz is not None and row.ref_px is not None]
+    if not stated:
+        return rows
+    xy = rays_from_pixels(camera, np.array([row.ref_px for row in stated]))[:, :2]
+    abc_hz, cov = np.array([row.state_abc_hz for row in stated]), np.array([row.state_cov for row in stated])
+    # The reference point is where the tracks are, by definition: it has no error of its own.
+    sigma_norm = np.full(len(stated), _EXACT)
+    times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
+    rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
+    done = {
+        row.cluster_id: replace(row, times=times.take([i]), motion_state=_motion_state(rates[i], rates_cov[i]))
+        for i, row in enumerate(stated)
+    }
+    return [done.get(row.cluster_id, row) for row in rows]
+
+
 def _with_surface(
     row: ClusterRow, motion: ClusterMotion, flows: Flows, states: TrackStates, xy_px: Floats
 ) -> ClusterRow:
-    """Add the joint state of the surface's tracks at their centroid, its times and what they say."""
-    sigma_hz = np.sqrt(states.cov[:, 2, 2])
-    weight = 1.0 / np.maximum(sigma_hz, 1e-12) ** 2
+    """Add the joint state of the surface's tracks at their centroid."""
+    weight = 1.0 / np.maximum(states.cov[:, 2, 2], _TINY)
     weight /= weight.sum()
-    abc_hz = weight @ states.abc_hz
-    cov = _joint_covariance(motion, flows, states, weight)
-    x, y = weight @ states.xy
-    sigma_norm = np.array([float(np.sqrt(weight**2 @ states.sigma_norm**2))])
-    times = collision_times_from_state(np.array([x]), np.array([y]), abc_hz[None], cov[None], sigma_norm)
-    rates, rates_cov = radial_and_transverse_rate(np.array([x]), np.array([y]), abc_hz[None], cov[None], sigma_norm)
     ref_px = weight @ xy_px
     return replace(
         row,
         ref_px=(float(ref_px[0]), float(ref_px[1])),
-        state_abc_hz=abc_hz,
-        state_cov=cov,
-        times=times,
-        motion_state=_motion_state(rates[0], rates_cov[0]),
+        state_abc_hz=weight @ states.abc_hz,
+        state_cov=_joint_covariance(motion, flows, states, weight),
     )
 
 
 def _joint_covariance(motion: ClusterMotion, flows: Flows, states: TrackStates, weight: Floats) -> Floats:
-    """Covariance of the weighted mean of (a, b, c): own noise averages out, the common direction's error does not."""
-    if motion.direction is None or motion.direction_cov is None:
+    """Covariance of the weighted mean of (a, b, c) = s e: own noise averages out, the error of the common e does not.
+
+    Where each track has a direction of its own (three frames), nothing is common.
+    """
+    if motion.direction is None or motion.direction_cov is None or not _is_shared(states.direction):
         return np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
-    basis = tangent_basis(motion.direction)
-    slopes = []
-    for axis in range(2):
-        ends = [normalize(motion.direction + sign * _DERIVATIVE_STEP_RAD * basis[:, axis]) for sign in (1.0, -1.0)]
-        plus, minus = (
-            weight @ state_from_direction(flows.first, flows.second, end, flows.gap_s, states.sigma_norm)[0][:, 2:]
-            for end in ends
-        )
-        slopes.append((plus - minus) / (2.0 * _DERIVATIVE_STEP_RAD))
-    slope = np.nan_to_num(np.stack(slopes, axis=1))
-    common = slope @ (basis.T @ motion.direction_cov @ basis) @ slope.T
-    _, own, _ = state_from_direction(flows.first, flows.second, motion.direction, flows.gap_s, states.sigma_norm)
-    own_abc = np.where(np.isfinite(own[:, 2:, 2:]), own[:, 2:, 2:], states.cov)
-    return np.asarray(common + np.einsum("n,nij->ij", weight**2, own_abc))
+    e = np.broadcast_to(motion.direction, (len(weight), 3))
+    q, r = flows.first / flows.first[:, 2:], flows.second / flows.second[:, 2:]
+    s_hz, by_q, by_r, by_e = rate_from_direction(q, r, e, flows.gap_s)
+    own = np.sum(by_q[:, :2] ** 2 + by_r[:, :2] ** 2, axis=1) * states.sigma_norm**2
+    slope = np.outer(motion.direction, weight @ by_e) + (weight @ s_hz) * np.eye(3)
+    common = slope @ motion.direction_cov @ slope.T
+    return np.asarray(common + (weight**2 @ own) * np.outer(motion.direction, motion.direction))
+
+
+def _is_shared(directions: Floats) -> bool:
+    return bool(np.all(directions == directions[0]))
 
 
 def _motion_state(rates: Floats, cov: Floats) -> MotionState:

@@ -15,7 +15,7 @@ _FIRST_YAWS_RAD = np.radians([0.0, -1.0, 1.0, -2.5, 2.5])
 # Torr's robust information criterion (GRIC) caps a residual at lambda3 (r - d), with lambda3 = 2, r = 4.
 _GRIC_CAP = 2.0
 # A fit with fewer points than this part within so many sigmas has started in the wrong place.
-_INLIER_SIGMAS, _GOOD_INLIERS = 3.0, 0.6
+_INLIER_SIGMAS, _GOOD_INLIERS = 3.0, 0.5
 # A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
 # most of its points are. With more than this share of the parts still, there is no translation to speak of.
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
@@ -175,9 +175,10 @@ def _fit_from_starts(
     last = FORWARD_DIR if memory.direction is None else memory.direction
     fits = [fit_motion(*observed, rotation_from_vector(prior.rotation_rad), last)]
     if memory.direction is None or np.mean(np.abs(fits[0].residual) < _INLIER_SIGMAS) < _GOOD_INLIERS:
-        for rotation in [*_rotation_starts(prior, memory), turning_R]:
+        rotations = [turning_R] if memory.rotation_rad is not None else [*_rotation_starts(prior, memory), turning_R]
+        for rotation in rotations:
             flow_direction = direction_from_flow(rays_prev, rays_cam, rotation)
-            fits += [fit_motion(*observed, rotation, start) for start in (last, FORWARD_DIR, flow_direction)]
+            fits += [fit_motion(*observed, rotation, start) for start in (last, flow_direction)]
     return _best(fits)
 
 

@@ -6,7 +6,7 @@ sigmas of each flow, similar times, one place in the picture, and a count of wha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -23,6 +23,7 @@ from ttcvid.geometry.consensus import (
 )
 from ttcvid.geometry.epipole import epipole_maximum_likelihood
 from ttcvid.geometry.flow_line import flow_line_chi2
+from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import NO_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.flows import Flows
 
@@ -33,7 +34,9 @@ _RATE_SPREAD, _RATE_SIGMAS = 0.4, 3.0
 # A group is believed when chance gives fewer than this many of its kind in a frame.
 _LOG_FALSE_ALARMS = float(np.log(0.05))
 # Hypotheses that fail the last test before the search ends.
-_MAX_FAILURES = 12
+_MAX_FAILURES = 3
+# A direction is fitted again when more than this part of its tracks has changed.
+_REFIT_PART = 0.1
 # A merged direction may cost this much chi-square (two degrees of freedom, 99.9 %).
 _MERGE_CHI2 = 13.8
 
@@ -98,8 +101,7 @@ def find_motion_groups(
         return []
     search = _prepare(flows.take(index), xy_px[index], link_px, config)
     local_former = [_localised(group, index, flows.has_flow.size) for group in former]
-    members = _extract(search, local_former, rng, config)
-    groups = [_fitted(search, m) for m in members]
+    groups = _extract(search, local_former, rng, config)
     groups = _reassigned(search, _merged(search, groups), config)
     return [MotionGroup(index[g.members], g.direction, g.direction_cov, g.status) for g in groups]
 
@@ -128,59 +130,87 @@ def _localised(group: FormerGroup, index: Ints, n_tracks: int) -> FormerGroup:
 
 def _extract(
     search: _Search, former: list[FormerGroup], rng: np.random.Generator, config: MotionGroupsConfig
-) -> list[Ints]:
-    """Greedy extraction: the hypothesis with most support takes its connected tracks, the rest go on."""
-    directions, supporters = _hypotheses(search, former, rng, config)
-    if not len(directions):
-        return []
+) -> list[MotionGroup]:
+    """Greedy extraction: the groups of the last frame first, then the hypotheses by their support.
+
+    Each takes its connected tracks away from those that follow.
+    """
+    is_free = np.ones(len(search.xy_px), dtype=bool)
+    found = []
+    for known in former:
+        group = _continued(search, known, is_free, config)
+        if group is not None:
+            found.append(group)
+            is_free[group.members] = False
+    directions, voters = _hypotheses(search, np.flatnonzero(is_free), rng, config)
     flows = search.flows
     shares = shares_direction(directions, flows.first, flows.second, flows.sigma_rad, search.gate_chi2)
-    is_free = np.ones(len(search.xy_px), dtype=bool)
-    votes_of = [np.unique(s) for s in supporters]
     is_open = np.ones(len(directions), dtype=bool)
-    found: list[Ints] = []
+    rows = np.arange(len(directions))[:, None]
     failures = 0
-    while len(found) < config.max_groups and failures < _MAX_FAILURES:
-        usable = shares & is_free
-        votes = np.array([np.count_nonzero(usable[m, s]) for m, s in enumerate(votes_of)]) * is_open
+    while is_open.any() and len(found) < config.max_groups and failures < _MAX_FAILURES:
+        votes = np.count_nonzero(shares[rows, voters] & is_free[voters], axis=1) * is_open
         best = int(np.argmax(votes))
         if votes[best] < config.min_tracks:
             break
         is_open[best] = False
-        members = _grown(search, usable[best], votes_of[best], directions[best], is_free)
-        if len(members) >= config.min_tracks and _is_significant(search, members, is_free):
-            found.append(members)
-            is_free[members] = False
-        else:
+        group = _new_group(search, shares[best], voters[best], directions[best], is_free, config)
+        if group is None:
             failures += 1
+        else:
+            found.append(group)
+            is_free[group.members] = False
     return found
 
 
+def _continued(search: _Search, known: FormerGroup, is_free: Bools, config: MotionGroupsConfig) -> MotionGroup | None:
+    """A group of the last frame, where enough of its tracks go on in about its direction."""
+    members = known.members[is_free[known.members]]
+    if known.direction is None or len(members) < config.min_tracks:
+        return None
+    group = _refined(search, members, known.direction, is_free)
+    return group if len(group.members) >= config.min_tracks else None
+
+
+def _new_group(
+    search: _Search, shares: Bools, voters: Ints, direction: Floats, is_free: Bools, config: MotionGroupsConfig
+) -> MotionGroup | None:
+    """The group around a hypothesis, where chance would hardly gather as many flows."""
+    members = _grown(search, shares & is_free, voters, direction)
+    if len(members) < config.min_tracks or not _is_significant(search, members, is_free):
+        return None
+    group = _refined(search, members, direction, is_free)
+    return group if len(group.members) >= config.min_tracks else None
+
+
 def _hypotheses(
-    search: _Search, former: list[FormerGroup], rng: np.random.Generator, config: MotionGroupsConfig
-) -> tuple[Floats, list[Ints]]:
-    """Directions (M, 3) to try, and for each the tracks that vote on it: former groups', then pairs of neighbours'."""
-    n = len(search.xy_px)
-    seeds = rng.permutation(np.resize(np.arange(n), min(config.n_hypotheses, 2 * n)))
-    partner = search.neighbours[seeds, rng.integers(0, search.neighbours.shape[1], len(seeds))]
+    search: _Search, free: Ints, rng: np.random.Generator, config: MotionGroupsConfig
+) -> tuple[Floats, Ints]:
+    """Directions (M, 3) of pairs of neighbours among the free tracks, and the tracks (M, K) that vote on each.
+
+    The neighbourhood of a pair votes: a small far object is not outvoted by chance agreement elsewhere in the picture.
+    """
+    n_voters = search.neighbours.shape[1]
+    seeds = rng.permutation(np.resize(free, min(config.n_hypotheses, 2 * len(free))))
+    partner = search.neighbours[seeds, rng.integers(0, n_voters, len(seeds))]
     directions, is_defined = directions_of_pairs(search.flows.first, search.flows.second, seeds, partner)
-    supporters = [search.neighbours[seed] for seed in seeds[is_defined]]
-    known = [g for g in former if g.direction is not None and len(g.members) >= config.min_tracks]
-    warm = [g.direction for g in known if g.direction is not None]
-    return np.array([*warm, *directions[is_defined]]), [g.members for g in known] + supporters
+    return directions[is_defined], search.neighbours[seeds[is_defined]]
 
 
-def _grown(search: _Search, shares: Bools, supporters: Ints, direction: Floats, is_free: Bools) -> Ints:
-    """The connected tracks around the supporters that share a direction and have similar rates, refitted once."""
-    members = _connected_to(search, shares, supporters)
-    members = _of_similar_rate(search, members, direction)
-    if len(members) < 2:
-        return members
-    refined, _, chi2_all, status = _direction_of(search, members, direction)
-    if status in (Status.no_epipole, Status.no_parallax):
-        return members
-    again = (chi2_all < search.gate_chi2) & is_free
-    return _of_similar_rate(search, _connected_to(search, again, members), refined)
+def _grown(search: _Search, shares: Bools, voters: Ints, direction: Floats) -> Ints:
+    """The connected tracks around the voters that share a direction and have similar rates."""
+    return _of_similar_rate(search, _connected_to(search, shares, voters), direction)
+
+
+def _refined(search: _Search, members: Ints, direction: Floats, is_free: Bools) -> MotionGroup:
+    """The group with its direction by maximum likelihood, and the members that this direction has."""
+    group = _fitted(search, members, direction)
+    if group.direction is None:
+        return group
+    flows = search.flows
+    near = flow_line_chi2(group.direction, flows.first, flows.second, flows.sigma_rad) < search.gate_chi2
+    again = _grown(search, near & is_free, members, group.direction)
+    return replace(group, members=again)
 
 
 def _connected_to(search: _Search, is_in: Bools, seeds: Ints) -> Ints:
@@ -221,21 +251,12 @@ def _is_significant(search: _Search, members: Ints, is_free: Bools) -> bool:
     return log_false_alarms(len(search.xy_px), len(around), len(members), chance) < _LOG_FALSE_ALARMS
 
 
-def _direction_of(search: _Search, members: Ints, start: Floats | None) -> tuple[Floats, Floats, Floats, Status]:
-    """Maximum-likelihood direction of the members, and the chi-square of ALL candidates against it."""
+def _fitted(search: _Search, members: Ints, start: Floats | None = None) -> MotionGroup:
+    """The members with their direction by maximum likelihood."""
     flows = search.flows.take(members)
     direction, covariance, _, status = epipole_maximum_likelihood(
         flows.first, flows.second, flows.sigma_rad, start=start
     )
-    if status in (Status.no_epipole, Status.no_parallax):
-        return direction, covariance, np.full(len(search.xy_px), np.inf), status
-    everything = search.flows
-    chi2_all = flow_line_chi2(direction, everything.first, everything.second, everything.sigma_rad)
-    return direction, covariance, chi2_all, status
-
-
-def _fitted(search: _Search, members: Ints) -> MotionGroup:
-    direction, covariance, _, status = _direction_of(search, members, None)
     if status in (Status.no_epipole, Status.no_parallax):
         return MotionGroup(members, None, None, status)
     return MotionGroup(members, direction, covariance, status)
@@ -258,17 +279,27 @@ def _merged(search: _Search, groups: list[MotionGroup]) -> list[MotionGroup]:
 
 
 def _joined(search: _Search, one: MotionGroup, other: MotionGroup) -> MotionGroup | None:
-    if one.direction is None or other.direction is None:
-        return None
-    distance, _ = KDTree(search.xy_px[one.members]).query(search.xy_px[other.members])
-    if distance.min() > search.link_px:
+    if not _may_be_one(search, one, other):
         return None
     members = np.sort(np.concatenate([one.members, other.members]))
-    joint = _fitted(search, members)
+    joint = _fitted(search, members, one.direction)
     if joint.direction is None or len(_of_similar_rate(search, members, joint.direction)) < 0.9 * len(members):
         return None
     apart = _chi2_sum(search, one, one.members) + _chi2_sum(search, other, other.members)
     return joint if _chi2_sum(search, joint, members) - apart < _MERGE_CHI2 else None
+
+
+def _may_be_one(search: _Search, one: MotionGroup, other: MotionGroup) -> bool:
+    """Cheap tests before the fit of two groups together: neighbours, with directions that do not contradict."""
+    if one.direction is None or one.direction_cov is None or other.direction is None or other.direction_cov is None:
+        return False
+    basis = tangent_basis(one.direction)
+    offset = basis.T @ other.direction
+    covariance = basis.T @ (one.direction_cov + other.direction_cov) @ basis
+    if one.direction @ other.direction < 0.0 or offset @ np.linalg.solve(covariance, offset) > _MERGE_CHI2:
+        return False
+    distance, _ = KDTree(search.xy_px[one.members]).query(search.xy_px[other.members])
+    return float(distance.min()) <= search.link_px
 
 
 def _chi2_sum(search: _Search, group: MotionGroup, members: Ints) -> float:
@@ -285,7 +316,16 @@ def _reassigned(search: _Search, groups: list[MotionGroup], config: MotionGroups
     cost = np.stack([_cost_of_joining(search, group) for group in groups])
     owner = np.where(np.min(cost, axis=0) < search.gate_chi2, np.argmin(cost, axis=0), NO_CLUSTER)
     members = [np.flatnonzero(owner == number) for number in range(len(groups))]
-    return [_fitted(search, m) for m in members if len(m) >= config.min_tracks]
+    return [
+        _fitted(search, now, group.direction) if _differ(now, group.members) else replace(group, members=now)
+        for now, group in zip(members, groups, strict=True)
+        if len(now) >= config.min_tracks
+    ]
+
+
+def _differ(one: Ints, other: Ints) -> bool:
+    """Whether two sets of tracks differ by enough to move a direction."""
+    return len(np.setxor1d(one, other, assume_unique=True)) > _REFIT_PART * len(one)
 
 
 def _cost_of_joining(search: _Search, group: MotionGroup) -> Floats:

@@ -12,6 +12,9 @@ from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion
 from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion, with_noise
 
+# Of more tracks than twice this only a part is used: errors that neighbours share are what limits own motion.
+_ENOUGH_TRACKS = 600
+
 
 def find_own_motion(
     history: TrackHistory,
@@ -66,6 +69,7 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> t
     seen = np.flatnonzero(is_free & np.isfinite(history.rays[-1 - gap, :, 0]) & np.isfinite(history.rays[-1, :, 0]))
     if len(seen) < min_tracks:
         return None
+    seen = seen[:: max(1, len(seen) // _ENOUGH_TRACKS)]
     return history.rays[-1 - gap, seen], history.rays[-1, seen], history.sigma_rad[seen]
 
 

@@ -16,7 +16,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.stages.clusters import motion_ids, neighbours_in_cluster, object_row, ranked, scene_row
+from ttcvid.stages.clusters import motion_ids, neighbours_in_cluster, object_row, ranked, scene_row, with_times
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.track_states import TrackStates, three_frame_states, two_frame_states, with_constant_bearing
@@ -65,7 +65,7 @@ def cluster_rows(
         else object_row(motion, number, motions.flows, states, history.xy_px, camera, motions.link_px, common)
         for motion, number in zip(motions.clusters, numbers, strict=True)
     ]
-    return tuple(ranked(rows))
+    return tuple(ranked(with_times(rows, camera)))
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
-from ttcvid.geometry.flow_line import moves_towards
-from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.flows import Flows
 
@@ -14,6 +13,8 @@ from ttcvid.stages.flows import Flows
 DIRECTION_FLOOR_RAD = np.radians(0.15)
 # A static point moves towards dir; against it by more sigmas than this it is a mover.
 _WRONG_WAY_SIGMAS = -3.0
+# The sense is asked for only so many sigmas of the direction away from the epipole.
+_CLEAR_SIGMAS, _TINY = 3.0, 1e-9
 
 
 def moves_with_scene(
@@ -35,39 +36,31 @@ def moves_with_scene(
     belongs = is_still | ~flows.has_flow
     if not is_known.any():
         return np.asarray(belongs)
-    moving = flows.take(is_known & flows.has_flow)
-    fits = _fits_direction(moving, directions[is_known & flows.has_flow], direction_cov, gate_chi2)
-    belongs[is_known & flows.has_flow] = fits
+    moving = np.flatnonzero(is_known & flows.has_flow)
+    belongs[moving] = _fits_direction(flows.take(moving), directions[moving], direction_cov, gate_chi2)
     return np.asarray(belongs)
 
 
 def _fits_direction(flows: Flows, directions: Floats, direction_cov: Floats | None, gate_chi2: float) -> Bools:
-    """Gate on the distance from the scene's flow plane, with the direction's own uncertainty; and the sign."""
-    fits = np.zeros(len(directions), dtype=bool)
-    for direction in np.unique(directions, axis=0):
-        index = np.flatnonzero(np.all(directions == direction, axis=1))
-        group = flows.take(index)
-        basis = tangent_basis(direction)
-        u, w = group.first @ basis, group.second @ basis
-        area = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]
-        trace = np.sum(u * u, axis=1) + np.sum(w * w, axis=1)
-        largest = 0.5 * (trace + np.sqrt(np.maximum(trace**2 - 4.0 * area**2, 0.0)))
-        by_direction = np.cross(group.first, group.second) @ basis
-        covariance = DIRECTION_FLOOR_RAD**2 * np.eye(2)
-        if direction_cov is not None:
-            covariance = covariance + basis.T @ direction_cov @ basis
-        variance = largest * group.sigma_rad**2 + np.einsum("ni,ij,nj->n", by_direction, covariance, by_direction)
-        towards = moves_towards(direction, group.first, group.second, group.sigma_rad)
-        is_near = area**2 <= gate_chi2 * variance
-        # Close to the epipole the sense of the flow turns with the least error of the direction.
-        sine = np.sqrt(0.5 * trace)
-        is_clear = sine > 3.0 * np.sqrt(np.trace(covariance))
-        fits[index] = is_near & ~((towards < _WRONG_WAY_SIGMAS) & is_clear)
-    return fits
+    """Gate on the distance from the scene's flow plane, with the direction's own uncertainty; and the sense."""
+    along_first = np.einsum("ni,ni->n", flows.first, directions)
+    along_second = np.einsum("ni,ni->n", flows.second, directions)
+    square_first, square_second = 1.0 - along_first**2, 1.0 - along_second**2
+    mixed = np.einsum("ni,ni->n", flows.first, flows.second) - along_first * along_second
+    trace = square_first + square_second
+    largest = 0.5 * (trace + np.sqrt((square_first - square_second) ** 2 + 4.0 * mixed**2))
+    normal = np.cross(flows.first, flows.second)
+    area = np.einsum("ni,ni->n", normal, directions)
+    covariance = DIRECTION_FLOOR_RAD**2 * np.eye(3) + (0.0 if direction_cov is None else direction_cov)
+    variance = largest * flows.sigma_rad**2 + np.einsum("ni,ij,nj->n", normal, covariance, normal)
+    is_near = area**2 <= gate_chi2 * variance
+    # Close to the epipole the sense of the flow turns with the least error of the direction.
+    sine = np.sqrt(np.maximum(0.5 * trace, 0.0))
+    is_clear = sine > _CLEAR_SIGMAS * np.sqrt(np.trace(covariance))
+    towards = (along_second - along_first) / (np.maximum(sine, _TINY) * np.sqrt(2.0) * flows.sigma_rad)
+    return np.asarray(is_near & ~((towards < _WRONG_WAY_SIGMAS) & is_clear))
 
 
 def _two_from_one(gate_chi2: float) -> float:
     """Gate of two degrees of freedom with the probability that ``gate_chi2`` has for one."""
-    from scipy.stats import chi2
-
     return float(chi2.ppf(chi2.cdf(gate_chi2, 1), 2))

@@ -13,6 +13,8 @@ from ttcvid.model import Bools, Floats, Ints
 _LEAST_PART, _LEAST_TRACKS = 0.1, 5
 # Tracks within so many of their standard deviations of the surface's rate belong to it.
 _SURFACE_SIGMAS = 2.0
+# After a start without support the next one lies this much lower, in sigmas.
+_NEXT_START_SIGMAS = 0.5
 # The mean-shift from the first support settles within so many steps.
 _MAX_STEPS = 20
 
@@ -35,9 +37,11 @@ def nearest_surface(eta_hz: Floats, sigma_hz: Floats, xy_px: Floats, link_px: fl
         return np.empty(0, dtype=np.int64)
     pairs = KDTree(xy_px).query_pairs(link_px, output_type="ndarray")
     near_counts = np.count_nonzero(np.abs(eta_hz[:, None] - eta_hz) < _SURFACE_SIGMAS * sigma_hz, axis=1)
+    below_hz = np.inf
     for start in np.argsort(-eta_hz, kind="stable"):
-        if near_counts[start] < needed:
+        if near_counts[start] < needed or eta_hz[start] > below_hz:
             continue
+        below_hz = eta_hz[start] - _NEXT_START_SIGMAS * sigma_hz[start]
         support = _support(eta_hz, sigma_hz, float(eta_hz[start]), pairs)
         if len(support) >= needed:
             return _settled(eta_hz, sigma_hz, support, pairs)
