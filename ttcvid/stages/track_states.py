@@ -126,6 +126,7 @@ def with_constant_bearing(
     eta_hz, sigma_hz = expansion_of_neighbourhood(
         history.derotated(-1 - gap_frames), history.rays[-1], neighbours[asked], gap_s
     )
+    sigma_hz = np.maximum(sigma_hz, _expansion_noise_hz(states, neighbours[asked], gap_s))
     is_sure = eta_hz > _EXPANSION_SIGMAS * sigma_hz
     asked, eta_hz, sigma_hz = asked[is_sure], eta_hz[is_sure], sigma_hz[is_sure]
     ray = np.column_stack([states.xy[asked], np.ones(len(asked))])
@@ -139,6 +140,21 @@ def with_constant_bearing(
     direction[asked] = -normalize(ray)
     status[asked] = Status.ok
     return TrackStates(states.xy, abc_hz, cov, states.sigma_norm, direction, status)
+
+
+def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> Floats:
+    """What the noise of the tracks alone does to the expansion of each neighbourhood (Q, m): (Q,), infinite without one.
+
+    The residuals of the similarity may be smaller by chance, or where pictures repeat exactly.
+    """
+    is_there = (neighbours >= 0)[..., None]
+    count = np.count_nonzero(is_there, axis=1)
+    xy = np.where(is_there, states.xy[neighbours], 0.0)
+    offsets = np.where(is_there, xy - (xy.sum(axis=1) / np.maximum(count, 1))[:, None], 0.0)
+    size = np.sqrt(np.sum(offsets**2, axis=(1, 2)))
+    sigma = np.max(np.where(is_there[..., 0], states.sigma_norm[neighbours], 0.0), axis=1)
+    noise: Floats = np.divide(np.sqrt(2.0) * sigma, size * gap_s, out=np.full(len(size), np.inf), where=size > 0.0)
+    return noise
 
 
 def _states(flows: Flows, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:
