@@ -26,16 +26,16 @@ class TrackingConfig(StageConfig):
 
     tracker: Literal["klt", "akaze"] = "klt"
     max_tracks: int = Field(
-        default=1500, ge=20, le=20000, description="tracks held alive (klt) or features taken (akaze)"
+        default=1300, ge=20, le=20000, description="tracks held alive (klt) or features taken (akaze)"
     )
     min_distance_px: PositiveFloat = Field(default=7.0, description="least distance between a new corner and any track")
     corner_quality: Fraction = Field(
         default=0.005, description="corner response relative to the best one of the picture"
     )
-    window_px: int = Field(default=11, ge=5, le=51, description="side of the Lucas-Kanade window")
+    window_px: int = Field(default=9, ge=5, le=51, description="side of the Lucas-Kanade window")
     pyramid_levels: int = Field(default=3, ge=0, le=6, description="levels above the full picture")
     max_forward_backward_px: PositiveFloat = Field(
-        default=0.5, description="forward-backward distance that ends a track"
+        default=0.3, description="forward-backward distance that ends a track"
     )
     akaze_threshold: PositiveFloat = Field(default=0.001, description="AKAZE detector response")
     akaze_ratio: Fraction = Field(default=0.8, description="nearest over second nearest descriptor distance")

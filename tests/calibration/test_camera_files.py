@@ -107,6 +107,8 @@ def test_file_without_permission(tmp_path):
     [
         ("", "empty"),
         (" \n\n", "empty"),
+        ("\u2028\x1c", "empty"),
+        ('"fo\\ncal": 3', "found the keys fo\\\\ncal"),
         (b"\x89PNG\r\n\x1a\n\x00\x00\xff", "binary"),
         (b"abc\0def", "binary"),
         (FLAT.encode("utf-16"), "not UTF-8"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -59,7 +60,7 @@ def _read_intrinsics(path: Path) -> Intrinsics:
 
 
 def _found(values: Mapping[object, object]) -> str:
-    keys = [str(key)[:40] for key in values]
+    keys = [reprlib.repr(key).strip("'") for key in values]
     near = next(((key, hit) for key in keys if (hit := nearest_name(key, own.KEYS))), None)
     hint = f" (did you mean {near[1]!r} by {near[0]!r}?)" if near else ""
     return f"found the keys {', '.join(keys[:8])}{hint}" if keys else "found no keys"

@@ -38,8 +38,6 @@ def read_text(path: Path, kind: str) -> str:
             content = file.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read ({error.strerror}); expected {kind}: check the path") from error
-    if not content.strip():
-        raise CalibrationError(f"{path}: the file is empty; expected {kind}: write or copy it again")
     if len(content) > MAX_FILE_BYTES:
         raise CalibrationError(f"{path}: over {MAX_FILE_BYTES // 1_000_000} MB; expected {kind}, which has a few kB")
     try:
@@ -48,6 +46,8 @@ def read_text(path: Path, kind: str) -> str:
         raise CalibrationError(
             f"{path}: binary, or text that is not UTF-8; expected {kind}: save it as UTF-8"
         ) from error
+    if not text.strip():
+        raise CalibrationError(f"{path}: the file is empty; expected {kind}: write or copy it again")
     if "\0" in text:
         raise CalibrationError(f"{path}: binary; expected {kind}")
     if len(_OPENER.findall(text)) > MAX_OPENERS:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ttcvid.config import PipelineConfig
+from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import Egomotion
@@ -18,6 +19,8 @@ from ttcvid.stages.motion_groups import MotionGroup, find_motion_groups
 from ttcvid.stages.planar import HorizonPlane, horizon_offset_px, onto_horizon, planar_directions
 from ttcvid.stages.scene import DIRECTION_FLOOR_RAD, moves_with_scene
 
+# A group's direction is the scene's inside 99 % of a 2-D Gaussian.
+_SCENE_DIRECTION_CHI2 = 9.21
 # Tracks of one object hang together when they lie closer than this part of the picture's width.
 _LINK_PART = 0.05
 
@@ -70,6 +73,7 @@ def find_motions(
         former = former_groups(memory, history.track_id, egomotion.cam_R_prev)
         is_candidate = is_free & ~with_scene
         groups = find_motion_groups(flows, history.xy_px, is_candidate, link_px, former, rng, config.motion_groups)
+        groups = [group for group in groups if not _has_scene_direction(group, egomotion)]
         names, memory = named(groups, history.track_id, memory)
     scene = _scene_motion(np.flatnonzero(with_scene), egomotion, plane, camera)
     objects = [
@@ -79,6 +83,22 @@ def find_motions(
     ]
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
     return _assigned(flows, along_scene, clusters, plane, is_free, link_px), memory
+
+
+def _has_scene_direction(group: MotionGroup, egomotion: Egomotion) -> bool:
+    """Whether a group cannot be told from static points that were badly followed.
+
+    Leaves before the sky and edges that slide go astray together. Their flow lines miss the scene's epipole one by
+    one, but the direction that they share lies on it within its uncertainty: no object, and not fit for the scene.
+    """
+    if group.direction is None or group.direction_cov is None:
+        return False
+    if egomotion.direction is None or egomotion.direction_cov is None or group.direction @ egomotion.direction < 0.0:
+        return False
+    basis = tangent_basis(egomotion.direction)
+    offset = basis.T @ group.direction
+    covariance = basis.T @ (group.direction_cov + egomotion.direction_cov) @ basis + DIRECTION_FLOOR_RAD**2 * np.eye(2)
+    return bool(offset @ np.linalg.solve(covariance, offset) < _SCENE_DIRECTION_CHI2)
 
 
 def _scene_motion(

@@ -143,7 +143,7 @@ def with_constant_bearing(
 
 
 def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> Floats:
-    """What the noise of the tracks alone does to the expansion of each neighbourhood (Q, m): (Q,), infinite without one.
+    """What the noise of the tracks alone does to the expansion of each neighbourhood (Q, m): (Q,), else infinite.
 
     The residuals of the similarity may be smaller by chance, or where pictures repeat exactly.
     """
