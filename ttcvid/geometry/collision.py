@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ttcvid.geometry.quotient import quotient
-from ttcvid.geometry.rotation import normalize
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints, Status
 
 # Rounding of an angle in [0, pi]: a smaller difference between two angles is not there.
@@ -51,7 +51,7 @@ def angle_from_direction(rays: Floats, origin_dir: Floats, plane_normal: Floats)
     array([0.78539816])
     """
     along = np.einsum("...i,...i->...", rays, origin_dir)
-    across = np.einsum("...i,...i->...", np.cross(origin_dir, rays), normalize(plane_normal))
+    across = np.einsum("...i,...i->...", cross(origin_dir, rays), normalize(plane_normal))
     angle: Floats = np.arctan2(across, along)
     return angle
 
@@ -149,8 +149,8 @@ def times_from_position_velocity(position: Floats, velocity: Floats) -> PointTim
     """
     speed2 = np.einsum("...i,...i->...", velocity, velocity)
     closing = -np.einsum("...i,...i->...", position, velocity)
-    cross = np.cross(position, velocity)
-    moment = np.sqrt(np.einsum("...i,...i->...", cross, cross))
+    angular = cross(position, velocity)
+    moment = np.sqrt(np.einsum("...i,...i->...", angular, angular))
     return PointTimes(
         quotient(closing, speed2), quotient(moment, speed2), quotient(-position[..., 2], velocity[..., 2])
     )

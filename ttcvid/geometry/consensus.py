@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from ttcvid.geometry.flow_line import flow_line_chi2, moves_towards
-from ttcvid.geometry.rotation import normalize
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Bools, Floats, Ints
 
 # A flow that moves against a direction by more than this many sigmas does not share it.
@@ -28,8 +28,8 @@ def directions_of_pairs(q: Floats, p: Floats, one: Ints, other: Ints) -> tuple[F
     directions : (M, 3) unit vectors, each with the sign towards which its two flows move; NaN where undefined.
     is_defined : (M,) the planes meet at an angle and both flows agree in sign.
     """
-    normals = normalize(np.cross(q, p))
-    meeting = np.cross(normals[one], normals[other])
+    normals = normalize(cross(q, p))
+    meeting = cross(normals[one], normals[other])
     sine = np.linalg.norm(meeting, axis=1)
     direction = normalize(meeting)
     flow = p - q

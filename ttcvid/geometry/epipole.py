@@ -10,7 +10,7 @@ import numpy as np
 
 from ttcvid.geometry.flow_line import flow_line_chi2, flow_normals, moves_towards
 from ttcvid.geometry.quotient import quotient
-from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Floats, Status
 
 # A motion or an angle below this many standard deviations is noise.
@@ -131,7 +131,7 @@ def eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats, weights: Floats) -> F
     Smallest eigenvectors of ``sum w n n' / sigma^2`` and of ``sum w n n' / abs(n)^2`` with ``n = q x p``: the first
     weights flows by their length, the second (the paper's, on the sphere) does not. Both are biased.
     """
-    normals = np.cross(q, p)
+    normals = cross(q, p)
     length2 = np.einsum("ni,ni->n", normals, normals)
     factors = np.stack([quotient(weights, sigma_rad**2), np.nan_to_num(quotient(weights, length2))])
     _, vectors = np.linalg.eigh(np.einsum("kn,ni,nj->kij", factors, normals, normals))
@@ -152,7 +152,7 @@ def _descend(
     direction: Floats, q: Floats, p: Floats, sigma_rad: Floats, weights: Floats, cauchy_sigmas: float | None
 ) -> tuple[Floats, Floats]:
     """Gauss-Newton from a start: the direction at the minimum and its covariance (infinite where undetermined)."""
-    normals, cosines = np.cross(p, q), np.einsum("ni,ni->n", p, q)
+    normals, cosines = cross(p, q), np.einsum("ni,ni->n", p, q)
     basis = tangent_basis(direction)
     residual, jacobian = _residuals(direction, basis, q, p, normals, cosines, sigma_rad)
     cost = _robust_cost(residual**2, weights, cauchy_sigmas)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.quotient import quotient
+from ttcvid.geometry.rotation import cross
 from ttcvid.model import Floats
 
 # Closer than this to the direction (rad) a point has no side from which it could approach it.
@@ -89,7 +90,7 @@ def flow_line_chi2(directions: Floats, q: Floats, p: Floats, sigma_rad: Floats) 
     mixed += p_square
     lambda_max += np.sqrt(mixed, out=mixed)
     lambda_max *= 0.5
-    triple: Floats = directions @ np.cross(p, q).T
+    triple: Floats = directions @ cross(p, q).T
     triple *= triple
     chi2: Floats = np.divide(triple, lambda_max, out=triple, where=lambda_max > 0.0)
     chi2 *= quotient(1.0, sigma_rad * sigma_rad)

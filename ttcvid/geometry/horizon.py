@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.rotation import normalize
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Camera, Floats, Horizon
 
 
@@ -30,7 +30,7 @@ def normal_from_horizon(camera: Camera, horizon: Horizon) -> Floats:
     y_right = (horizon.y_right_px - camera.cy_px) / camera.fy_px
     left_ray = np.array([(0.0 - camera.cx_px) / camera.fx_px, y_left, 1.0])
     right_ray = np.array([(right_px - camera.cx_px) / camera.fx_px, y_right, 1.0])
-    return normalize(np.cross(right_ray, left_ray))
+    return normalize(cross(right_ray, left_ray))
 
 
 def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
-from ttcvid.geometry.rotation import normalize
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints, Status
 
 
@@ -47,8 +47,8 @@ def planar_epipole(
     >>> direction.round(9) + 0.0, status
     (array([[ 0.,  0., -1.]]), array([0]))
     """
-    flow_normal = np.cross(q, p)
-    along = np.cross(flow_normal, horizon_normal)
+    flow_normal = cross(q, p)
+    along = cross(flow_normal, horizon_normal)
     flow2 = np.einsum("ni,ni->n", flow_normal, flow_normal)
     sine2 = np.einsum("ni,ni->n", along, along)
     direction = normalize(along)
@@ -69,7 +69,7 @@ def planar_epipole(
     has_value = (status == Status.ok) | (status == Status.epipole_at_infinity)
 
     # d(dir) = (dm.dir - (n.m) dn.dir) / |m x n| * across - dn.dir * n, with m = q x p and across = dir x n.
-    across = np.cross(normalize(along), horizon_normal)
+    across = cross(normalize(along), horizon_normal)
     ray_sines2 = 2.0 - np.einsum("ni,ni->n", p, direction) ** 2 - np.einsum("ni,ni->n", q, direction) ** 2
     flow_part = quotient(sigma_rad**2 * ray_sines2, sine2)
     lever = quotient(flow_normal @ horizon_normal, np.sqrt(sine2))

@@ -13,6 +13,6 @@ def quotient(numerator: Floats | float, denominator: Floats | float) -> Floats:
     >>> quotient(np.array([1.0, 1.0]), np.array([4.0, 0.0]))
     array([0.25,  nan])
     """
-    numerator, denominator = np.broadcast_arrays(np.asarray(numerator, dtype=np.float64), denominator)
-    result: Floats = np.divide(numerator, denominator, out=np.full(numerator.shape, np.nan), where=denominator != 0.0)
+    denominator = np.asarray(denominator, dtype=np.float64)
+    result: Floats = np.asarray(numerator / np.where(denominator == 0.0, np.nan, denominator))
     return result

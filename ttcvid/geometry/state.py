@@ -10,6 +10,7 @@ import numpy as np
 
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
+from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats, Ints, Status
 
 # A rate s within this many of its standard deviations may be zero; below minus this, the sign of e is not the point's.
@@ -110,14 +111,14 @@ def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple
 
     The rate of `state_from_direction`, for ``q, r (N, 3)`` with z = 1, ``e (N, 3)`` and ``gap_s (N,)``.
     """
-    m, flow = np.cross(q, e), np.cross(q, r)
+    m, flow = cross(q, e), cross(q, r)
     square = _square_sum(m)
     scale = quotient(1.0, square * gap_s)
     s = np.einsum("ni,ni->n", flow, m) * scale
     twice = 2.0 * (s * gap_s)[:, None]
-    ds_dq = np.cross(r, m) + np.cross(e, flow) - twice * np.cross(e, m)
-    ds_dr = np.cross(m, q)
-    ds_de = np.cross(flow, q) - twice * np.cross(m, q)
+    ds_dq = cross(r, m) + cross(e, flow) - twice * cross(e, m)
+    ds_dr = cross(m, q)
+    ds_de = cross(flow, q) - twice * cross(m, q)
     return s, ds_dq * scale[:, None], ds_dr * scale[:, None], ds_de * scale[:, None]
 
 
@@ -126,7 +127,7 @@ def _is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, cov_e: Flo
     e_variance = np.linalg.eigvalsh(np.nan_to_num(cov_e))[..., -1]
     farther = np.zeros(len(q))
     for ray in (q, r):
-        sine2 = quotient(_square_sum(np.cross(ray, e)), _square_sum(ray) * (variance + e_variance))
+        sine2 = quotient(_square_sum(cross(ray, e)), _square_sum(ray) * (variance + e_variance))
         farther = np.fmax(farther, sine2)
     return farther < SIGNIFICANCE_SIGMAS**2
 

@@ -12,7 +12,7 @@ import numpy as np
 from ttcvid.geometry.collision import angle_from_direction, k_from_two_angles
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
-from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Floats, Ints, Status
 
 # 99 % quantile of chi-square with one degree of freedom: what three points may miss a common great circle by.
@@ -79,7 +79,7 @@ def three_frame_direction(
     gap_1, gap_2 = (np.broadcast_to(np.asarray(gap, dtype=np.float64), rays.shape[1]) for gap in (gap_1, gap_2))
     rays = normalize(rays)
     reference, along, miss2 = _best_great_circle(rays)
-    normal = np.cross(reference, along)
+    normal = cross(reference, along)
     angles = angle_from_direction(rays, reference, normal)
     tangents = np.tan(angles)
     x = epipole_offset_three_frames(tangents[0], tangents[1], tangents[2], gap_1, gap_2)

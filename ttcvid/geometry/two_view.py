@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis, vector_from_rotation
+from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.model import Floats, Ints
 
 # Cauchy weight's constant in sigmas: 95 % efficiency on Gaussian noise.
@@ -76,7 +76,7 @@ def fit_rotation(
         # d(omega x q) . error: for unit rays the information is the projector across the ray.
         inverse = weight / sigma_difference[:, 0] ** 2
         information = inverse.sum() * identity - (turned * inverse[:, None]).T @ turned
-        score = np.cross(turned, error / sigma_difference) * weight[:, None]
+        score = cross(turned, error / sigma_difference) * weight[:, None]
         information += identity / prior.rotation_sigma_rad**2
         step = np.linalg.solve(information, score.sum(axis=0) - offset / prior.rotation_sigma_rad**2)
         offset = offset + step
@@ -134,7 +134,7 @@ def direction_from_flow(rays_prev: Floats, rays_cam: Floats, cam_R_prev: Floats)
     Smallest eigenvector of the planes' normals, weighted by the length of the flow, its sign by the majority of it.
     """
     turned = rays_prev @ cam_R_prev.T
-    normal = np.cross(turned, rays_cam)
+    normal = cross(turned, rays_cam)
     _, vectors = np.linalg.eigh(normal.T @ normal)
     direction: Floats = vectors[:, 0]
     return direction if np.sum((rays_cam - turned) @ direction) >= 0 else -direction
@@ -152,7 +152,7 @@ def _plane_residual(
     trace = np.sum(u * u, axis=1) + np.sum(w * w, axis=1)
     largest = 0.5 * (trace + np.sqrt(np.maximum(trace**2 - 4.0 * area**2, 0.0)))
     scale = 1.0 / (np.sqrt(np.maximum(largest, _TINY)) * sigma_rad)
-    normal = np.cross(turned, rays_cam)
+    normal = cross(turned, rays_cam)
     by_direction = normal @ basis
     by_rotation = (turned @ direction)[:, None] * rays_cam - np.sum(turned * rays_cam, axis=1)[:, None] * direction
     jacobian = np.concatenate([by_direction, by_rotation], axis=1) * scale[:, None]

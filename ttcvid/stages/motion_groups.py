@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.stats import chi2
 
@@ -23,9 +21,10 @@ from ttcvid.geometry.consensus import (
 )
 from ttcvid.geometry.epipole import epipole_maximum_likelihood
 from ttcvid.geometry.flow_line import flow_line_chi2
-from ttcvid.geometry.rotation import tangent_basis
+from ttcvid.geometry.rotation import cross, tangent_basis
 from ttcvid.model import NO_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.flows import Flows
+from ttcvid.stages.surfaces import connected_parts
 
 # Neighbours of a track that vote for a hypothesis.
 _N_NEIGHBOURS = 16
@@ -36,7 +35,7 @@ _LOG_FALSE_ALARMS = float(np.log(0.05))
 # Hypotheses that fail the last test before the search ends.
 _MAX_FAILURES = 3
 # A direction is fitted again when more than this part of its tracks has changed.
-_REFIT_PART = 0.1
+_REFIT_PART = 0.25
 # A merged direction may cost this much chi-square (two degrees of freedom, 99.9 %).
 _MERGE_CHI2 = 13.8
 
@@ -71,8 +70,7 @@ class _Search:
     xy_px: Floats
     link_px: float
     neighbours: Ints
-    rows: Ints
-    columns: Ints
+    pairs: Ints
     gate_chi2: float
     chance: Floats
 
@@ -117,7 +115,7 @@ def _prepare(flows: Flows, xy_px: Floats, link_px: float, config: MotionGroupsCo
     pairs = tree.query_pairs(link_px, output_type="ndarray")
     gate = float(chi2.ppf(config.gate_probability, 1))
     chance = chance_of_sharing(flows.length_sigmas, gate)
-    return _Search(flows, xy_px, link_px, neighbours, pairs[:, 0], pairs[:, 1], gate, chance)
+    return _Search(flows, xy_px, link_px, neighbours, pairs, gate, chance)
 
 
 def _localised(group: FormerGroup, index: Ints, n_tracks: int) -> FormerGroup:
@@ -215,15 +213,11 @@ def _refined(search: _Search, members: Ints, direction: Floats, is_free: Bools) 
 
 def _connected_to(search: _Search, is_in: Bools, seeds: Ints) -> Ints:
     """Tracks of ``is_in`` in the connected part that holds most of the seeds."""
-    keep = is_in[search.rows] & is_in[search.columns]
-    n = len(is_in)
-    graph = coo_array((np.ones(np.count_nonzero(keep)), (search.rows[keep], search.columns[keep])), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
     seeds = seeds[is_in[seeds]]
     if not len(seeds):
         return np.empty(0, dtype=np.int64)
-    values, counts = np.unique(label[seeds], return_counts=True)
-    connected: Ints = np.flatnonzero(is_in & (label == values[np.argmax(counts)]))
+    label = connected_parts(is_in, search.pairs)
+    connected: Ints = np.flatnonzero(is_in & (label == np.argmax(np.bincount(label[seeds]))))
     return connected
 
 
@@ -232,9 +226,9 @@ def _of_similar_rate(search: _Search, members: Ints, direction: Floats) -> Ints:
     if len(members) < 2:
         return members
     flows = search.flows.take(members)
-    across = np.cross(flows.first, direction)
+    across = cross(flows.first, direction)
     across2 = np.maximum(np.einsum("ni,ni->n", across, across), 1e-12)
-    normal = np.cross(flows.first, flows.second)
+    normal = cross(flows.first, flows.second)
     rate_hz = np.einsum("ni,ni->n", normal, across) / across2 / flows.gap_s
     sigma_hz = np.sqrt(2.0 / across2) * flows.sigma_rad / flows.gap_s
     middle = float(np.median(rate_hz))

@@ -13,7 +13,7 @@ from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomoti
 from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion, with_noise
 
 # Of more tracks than twice this only a part is used: errors that neighbours share are what limits own motion.
-_ENOUGH_TRACKS = 600
+_ENOUGH_TRACKS = 400
 
 
 def find_own_motion(

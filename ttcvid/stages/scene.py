@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
+from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.flows import Flows
 
@@ -49,7 +50,7 @@ def _fits_direction(flows: Flows, directions: Floats, direction_cov: Floats | No
     mixed = np.einsum("ni,ni->n", flows.first, flows.second) - along_first * along_second
     trace = square_first + square_second
     largest = 0.5 * (trace + np.sqrt((square_first - square_second) ** 2 + 4.0 * mixed**2))
-    normal = np.cross(flows.first, flows.second)
+    normal = cross(flows.first, flows.second)
     area = np.einsum("ni,ni->n", normal, directions)
     covariance = DIRECTION_FLOOR_RAD**2 * np.eye(3) + (0.0 if direction_cov is None else direction_cov)
     variance = largest * flows.sigma_rad**2 + np.einsum("ni,ij,nj->n", normal, covariance, normal)

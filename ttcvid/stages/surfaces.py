@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
@@ -55,30 +55,41 @@ def weighted_mean(values: Floats, sigma: Floats) -> float:
 
 
 def _settled(eta_hz: Floats, sigma_hz: Floats, support: Ints, pairs: Ints) -> Ints:
+    """Mean-shift from a first support to where it stays."""
     for _ in range(_MAX_STEPS):
         centre = weighted_mean(eta_hz[support], sigma_hz[support])
-        again = _support(eta_hz, sigma_hz, centre, pairs)
+        again = np.flatnonzero(np.abs(eta_hz - centre) < _SURFACE_SIGMAS * sigma_hz)
         if len(again) < len(support) or np.array_equal(again, support):
             break
         support = again
-    return support
+    is_in = np.zeros(len(eta_hz), dtype=bool)
+    is_in[support] = True
+    return largest_connected(is_in, pairs)
 
 
 def _support(eta_hz: Floats, sigma_hz: Floats, centre_hz: float, pairs: Ints) -> Ints:
     """Largest connected set of tracks within 2 sigma of a rate."""
-    is_near = np.abs(eta_hz - centre_hz) < _SURFACE_SIGMAS * sigma_hz
-    return largest_connected(is_near, pairs)
+    return largest_connected(np.abs(eta_hz - centre_hz) < _SURFACE_SIGMAS * sigma_hz, pairs)
 
 
 def largest_connected(is_in: Bools, pairs: Ints) -> Ints:
     """Indices of the largest part of ``is_in (N,)`` that hangs together by ``pairs (M, 2)``."""
-    chosen = np.flatnonzero(is_in)
-    if not len(chosen):
-        return chosen
-    keep = pairs[is_in[pairs[:, 0]] & is_in[pairs[:, 1]]]
-    n = len(is_in)
-    graph = coo_array((np.ones(len(keep)), (keep[:, 0], keep[:, 1])), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    values, counts = np.unique(label[chosen], return_counts=True)
-    largest: Ints = chosen[label[chosen] == values[np.argmax(counts)]]
+    label = connected_parts(is_in, pairs)
+    counts = np.bincount(label[is_in]) if is_in.any() else np.zeros(1, dtype=np.int64)
+    largest: Ints = np.flatnonzero(is_in & (label == np.argmax(counts)))
     return largest
+
+
+def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
+    """Number of the part that each of the tracks ``is_in (N,)`` belongs to, joined by ``pairs (M, 2)`` of tracks: (N,).
+
+    The others have numbers of their own.
+    """
+    one, other = pairs[:, 0], pairs[:, 1]
+    keep = is_in[one] & is_in[other]
+    n = len(is_in)
+    order = np.argsort(one[keep], kind="stable")
+    row_starts = np.concatenate([[0], np.cumsum(np.bincount(one[keep], minlength=n))])
+    graph = csr_array((np.ones(len(order)), other[keep][order], row_starts), shape=(n, n))
+    label: Ints = connected_components(graph, directed=False)[1].astype(np.int64)
+    return label

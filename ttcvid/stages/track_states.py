@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.intervals import collision_times_from_state
-from ttcvid.geometry.rotation import normalize
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.geometry.state import state_from_direction
 from ttcvid.geometry.three_frames import three_frame_direction
 from ttcvid.model import Bools, CollisionTimes, Floats, Ints, Status
@@ -45,7 +45,7 @@ class TrackStates:
         """Angle between the ray and ``-dir``: (N,) in [0, pi], NaN where there is no direction."""
         rays = normalize(np.column_stack([self.xy, np.ones(len(self.xy))]))
         cosine = -np.einsum("ni,ni->n", rays, self.direction)
-        sine = np.linalg.norm(np.cross(rays, self.direction), axis=1)
+        sine = np.linalg.norm(cross(rays, self.direction), axis=1)
         return np.asarray(np.arctan2(sine, cosine))
 
     def with_status(self, status: Ints) -> TrackStates:
