@@ -1,0 +1,104 @@
+"""Corners: well spread, apart from each other and from the points already there, and only where allowed."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+from wave_pictures import HEIGHT, WIDTH, wave_picture
+
+from ttcvid.stages.tracking.corners import find_corners, occupied_cells
+
+NO_POINTS = np.empty((0, 2))
+
+
+def checkerboard(square_px=20, contrast=200):
+    """Corners between the pixels k * square_px - 1 and k * square_px."""
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH] // square_px
+    return (contrast * ((x + y) % 2)).astype(np.uint8)
+
+
+def test_corners_of_a_checkerboard_are_found_between_its_pixels():
+    found = find_corners(checkerboard(), None, NO_POINTS, 500, 7.0, 0.01)
+    x, y = np.meshgrid(np.arange(20, WIDTH, 20) - 0.5, np.arange(20, HEIGHT, 20) - 0.5)
+    true = np.column_stack([x.ravel(), y.ravel()])
+    distance = np.linalg.norm(true[:, None] - found[None], axis=2)
+    assert distance.min(axis=1).max() < 0.6
+    assert distance.min(axis=0).max() < 0.6
+
+
+def test_plain_picture_has_no_corners_and_sensor_noise_makes_none():
+    plain = np.full((HEIGHT, WIDTH), 120, np.uint8)
+    noisy = np.rint(120 + np.random.default_rng(3).normal(0, 0.5, plain.shape)).astype(np.uint8)
+    assert find_corners(plain, None, NO_POINTS, 100, 7.0, 0.005).shape == (0, 2)
+    assert find_corners(noisy, None, NO_POINTS, 100, 7.0, 0.005).shape == (0, 2)
+
+
+def test_a_tree_does_not_take_all_corners():
+    """A quarter of the picture has three times the contrast; the rest keeps its share all the same."""
+    picture = wave_picture().astype(float) - 128
+    picture[:, WIDTH // 4 :] *= 0.33
+    found = find_corners(np.rint(picture + 128).astype(np.uint8), None, NO_POINTS, 1000, 7.0, 0.005)
+    in_faint_part = found[:, 0] > WIDTH / 4 + 3
+    density_faint = np.count_nonzero(in_faint_part) / (0.75 * WIDTH)
+    density_strong = np.count_nonzero(~in_faint_part) / (0.25 * WIDTH)
+    assert density_faint > 0.5 * density_strong
+
+
+def test_strongest_corners_come_first():
+    picture = checkerboard(contrast=40)
+    picture[:, : WIDTH // 2] = checkerboard(contrast=250)[:, : WIDTH // 2]
+    found = find_corners(picture, None, NO_POINTS, 20, 7.0, 0.001)
+    assert len(found) == 20
+    assert (found[:, 0] < WIDTH / 2 + 1).all()
+
+
+@pytest.mark.parametrize("min_distance_px", [5.0, 7.0, 15.0])
+def test_new_corners_keep_their_distance_from_points_already_there(min_distance_px):
+    taken = np.random.default_rng(1).uniform([0, 0], [WIDTH - 1, HEIGHT - 1], (60, 2))
+    found = find_corners(wave_picture(), None, taken, 1000, min_distance_px, 0.005)
+    distance = np.linalg.norm(found[:, None] - taken[None], axis=2)
+    assert len(found) > 10
+    # A corner may move by half a pixel when it is refined.
+    assert distance.min() > min_distance_px - 0.75
+
+
+def test_a_cell_gives_one_corner():
+    found = find_corners(wave_picture(), None, NO_POINTS, 1000, 10.0, 0.001)
+    cells = np.unique(np.floor(np.rint(found) / 10.0), axis=0)
+    # Refined by up to half a pixel, a corner may look as if it stood in the next cell.
+    assert len(cells) > 0.9 * len(found)
+
+
+@pytest.mark.xfail(strict=True, reason="corners of neighbouring cells come as close as one pixel")
+@pytest.mark.parametrize("picture", [checkerboard(), wave_picture()], ids=["checkerboard", "texture"])
+def test_new_corners_keep_their_distance_from_each_other(picture):
+    found = find_corners(picture, None, NO_POINTS, 1000, 7.0, 0.005)
+    assert pdist(found).min() > 7.0 - 1.5
+
+
+def test_asked_for_none_gives_none_and_never_more_than_asked():
+    assert len(find_corners(wave_picture(), None, NO_POINTS, 0, 7.0, 0.005)) == 0
+    assert len(find_corners(wave_picture(), None, NO_POINTS, -5, 7.0, 0.005)) == 0
+    assert len(find_corners(wave_picture(), None, NO_POINTS, 17, 7.0, 0.005)) == 17
+
+
+def test_corners_stand_only_where_the_mask_allows_them():
+    allowed = np.zeros((HEIGHT, WIDTH), np.uint8)
+    allowed[40:90, 60:200] = 255
+    found = find_corners(wave_picture(), allowed, NO_POINTS, 1000, 7.0, 0.005)
+    column, row = np.rint(found).astype(int).T
+    assert len(found) > 20
+    assert (allowed[row, column] > 0).all()
+
+
+def test_corners_keep_clear_of_the_rim_of_the_picture():
+    found = find_corners(wave_picture(), None, NO_POINTS, 1000, 7.0, 0.001)
+    assert (found > 3).all()
+    assert (found < [WIDTH - 4, HEIGHT - 4]).all()
+
+
+def test_occupied_cells_are_those_of_the_points_and_their_neighbours():
+    cells = occupied_cells(np.array([[25.0, 15.0]]), (50, 60), 10.0)
+    expected = np.zeros((6, 7), dtype=bool)
+    expected[0:3, 1:4] = True
+    np.testing.assert_array_equal(cells, expected)
+    assert not occupied_cells(NO_POINTS, (50, 60), 10.0).any()

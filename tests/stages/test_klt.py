@@ -1,0 +1,170 @@
+"""Lucas-Kanade tracks: exact to a fraction of a pixel, checked forth and back, topped up, one a point."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wave_pictures import HEIGHT, WIDTH, Warp, wave_picture
+
+from ttcvid.config import TrackingConfig
+from ttcvid.model import PointSet
+from ttcvid.stages.tracking.klt import KltMemory, follow_klt, start_klt
+
+CONFIG = TrackingConfig(max_tracks=200)
+
+
+def followed(first, second, allowed=None, config=CONFIG):
+    """Places of the same tracks in two pictures, (N, 2) each, the share that survived, and all points of the second."""
+    before = start_klt(first, allowed, config)
+    after, survival = follow_klt(before, second, allowed, config)
+    _, one, other = np.intersect1d(before.points.track_id, after.points.track_id, return_indices=True)
+    return before.points.xy_px[one], after.points.xy_px[other], survival, after.points
+
+
+@pytest.mark.parametrize(
+    "warp",
+    [
+        Warp(shift_px=(0.37, -0.61)),
+        Warp(shift_px=(5.3, 2.9)),
+        Warp(scale=1.01),
+        Warp(scale=0.993, turn_deg=0.2, shift_px=(-2.2, 1.4)),
+        Warp(turn_deg=0.5),
+    ],
+    ids=["sub-pixel", "shift", "approach", "mixed", "roll"],
+)
+def test_points_are_followed_within_a_twentieth_of_a_pixel(warp):
+    first, second, survival, _ = followed(wave_picture(), wave_picture(warp))
+    error = np.linalg.norm(second - warp.to_picture(first), axis=1)
+    assert survival > 0.9
+    assert len(first) > 150
+    assert np.median(error) < 0.025
+    assert np.percentile(error, 95) < 0.05
+
+
+def test_a_patch_that_changes_by_a_fiftieth_costs_a_few_hundredths_of_a_pixel():
+    """Magnified by 2 % in one step, as at k = 50 frames: the window no longer fits, and says nothing of it."""
+    warp = Warp(scale=1.02)
+    first, second, survival, _ = followed(wave_picture(), wave_picture(warp))
+    error = second - warp.to_picture(first)
+    assert survival > 0.9
+    assert np.percentile(np.linalg.norm(error, axis=1), 95) < 0.1
+    # Without a common part: it would look like a motion of everything.
+    assert np.linalg.norm(error.mean(axis=0)) < 0.02
+
+
+def test_a_still_picture_moves_no_point():
+    first, second, survival, _ = followed(wave_picture(), wave_picture())
+    assert survival > 0.98
+    np.testing.assert_allclose(second, first, atol=0.01)
+
+
+def test_a_constant_step_is_expected_to_go_on():
+    """A move that the pyramid cannot reach from rest is followed when it has built up."""
+    config = replace_config(pyramid_levels=0)
+    memory = start_klt(wave_picture(), None, config)
+    start = memory.points
+    for shift in (2.0, 6.0, 12.0, 20.0):
+        memory, _ = follow_klt(memory, wave_picture(Warp(shift_px=(shift, 0.0))), None, config)
+    _, one, other = np.intersect1d(start.track_id, memory.points.track_id, return_indices=True)
+    step = memory.points.xy_px[other] - start.xy_px[one]
+    assert len(one) > 60
+    assert np.mean(np.linalg.norm(step - [20.0, 0.0], axis=1) < 0.1) > 0.95
+
+
+def test_points_that_get_covered_are_given_up():
+    cover = (slice(40, 110), slice(60, 150))
+    second = wave_picture(Warp(shift_px=(1.5, 0.5)))
+    second[cover] = wave_picture(seed=9)[cover]
+    before = start_klt(wave_picture(), None, CONFIG)
+    after, _ = follow_klt(before, second, None, CONFIG)
+    x, y = before.points.xy_px.T
+    # Well inside: the whole window of such a point shows something else.
+    hidden = before.points.track_id[(x > 68) & (x < 142) & (y > 48) & (y < 102)]
+    visible = before.points.track_id[(x < 50) | (x > 160) | (y < 30) | (y > 120)]
+    assert len(hidden) > 15
+    assert np.isin(hidden, after.points.track_id).mean() < 0.1
+    assert np.isin(visible, after.points.track_id).mean() > 0.9
+
+
+def test_points_that_leave_the_picture_end():
+    warp = Warp(shift_px=(12.0, 0.0))
+    before = start_klt(wave_picture(), None, CONFIG)
+    after, _ = follow_klt(before, wave_picture(warp), None, CONFIG)
+    gone = before.points.track_id[warp.to_picture(before.points.xy_px)[:, 0] > WIDTH - 1]
+    assert len(gone) > 3
+    assert not np.isin(gone, after.points.track_id).any()
+    assert (after.points.xy_px >= 0).all()
+    assert (after.points.xy_px <= [WIDTH - 1, HEIGHT - 1]).all()
+
+
+def test_tracks_keep_their_numbers_and_new_ones_get_fresh_numbers():
+    memory = start_klt(wave_picture(), None, CONFIG, next_track_id=1000)
+    seen = set(memory.points.track_id.tolist())
+    assert min(seen) == 1000
+    for step in range(1, 6):
+        before = memory
+        memory, _ = follow_klt(memory, wave_picture(Warp(shift_px=(9.0 * step, 0.0))), None, CONFIG)
+        ids = memory.points.track_id
+        assert (np.diff(ids) > 0).all()
+        fresh = set(ids.tolist()) - set(before.points.track_id.tolist())
+        assert not fresh & seen
+        seen |= fresh
+    assert memory.next_track_id == max(seen) + 1
+
+
+def test_tracks_that_die_are_replaced_apart_from_those_that_live():
+    config = replace_config(max_tracks=150)
+    memory = start_klt(wave_picture(), None, config)
+    n_first = len(memory.points.track_id)
+    for step in range(1, 5):
+        memory, _ = follow_klt(memory, wave_picture(Warp(shift_px=(15.0 * step, 0.0))), None, config)
+    is_new = memory.points.track_id >= n_first
+    assert is_new.sum() > 20
+    assert 0.9 * n_first <= len(is_new) <= config.max_tracks
+    old, new = memory.points.xy_px[~is_new], memory.points.xy_px[is_new]
+    # New corners keep clear of old tracks in the picture they were found in; later they may draw together a little.
+    assert np.linalg.norm(new[:, None] - old[None], axis=2).min() > config.min_distance_px - 1.5
+
+
+def test_of_two_tracks_on_one_point_the_older_one_lives():
+    start = start_klt(wave_picture(), None, CONFIG)
+    n = len(start.points.track_id)
+    doubled = PointSet(
+        np.concatenate([start.points.track_id, 500 + start.points.track_id]),
+        np.concatenate([start.points.xy_px, start.points.xy_px]),
+    )
+    memory = KltMemory(start.grey, doubled, np.zeros((2 * n, 2)), 2000)
+    after, _ = follow_klt(memory, wave_picture(Warp(shift_px=(0.8, 0.3))), None, replace_config(max_tracks=20))
+    assert (after.points.track_id < 500).all()
+    assert len(after.points.track_id) > 0.85 * n
+
+
+def test_points_that_wander_under_the_mask_end():
+    allowed = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    allowed[:, :80] = 0
+    memory = start_klt(wave_picture(), allowed, CONFIG)
+    for step in range(1, 4):
+        memory, _ = follow_klt(memory, wave_picture(Warp(shift_px=(-6.0 * step, 0.0))), allowed, CONFIG)
+        assert (memory.points.xy_px[:, 0] > 79).all()
+    assert len(memory.points.track_id) > 50
+
+
+def test_a_picture_without_points_is_followed_into_one_with_points():
+    plain = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    empty = start_klt(plain, None, CONFIG)
+    assert len(empty.points.track_id) == 0
+    memory, survival = follow_klt(empty, wave_picture(), None, CONFIG)
+    assert survival == 1.0
+    assert len(memory.points.track_id) > 100
+
+
+def replace_config(**changes):
+    return CONFIG.model_copy(update=changes)
+
+
+def test_following_is_a_function_of_its_arguments():
+    memory = start_klt(wave_picture(), None, CONFIG)
+    second = wave_picture(Warp(scale=1.01))
+    one, _ = follow_klt(memory, second, None, CONFIG)
+    other, _ = follow_klt(replace(memory), second, None, CONFIG)
+    np.testing.assert_array_equal(one.points.xy_px, other.points.xy_px)
