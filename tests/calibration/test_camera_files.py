@@ -108,7 +108,7 @@ def test_file_without_permission(tmp_path):
         ("", "empty"),
         (" \n\n", "empty"),
         ("\u2028\x1c", "empty"),
-        ('"fo\\ncal": 3', "found the keys fo\\\\ncal"),
+        ('"fo\\ncal": 3', r"found the keys fo\ncal"),
         (b"\x89PNG\r\n\x1a\n\x00\x00\xff", "binary"),
         (b"abc\0def", "binary"),
         (FLAT.encode("utf-16"), "not UTF-8"),
@@ -116,18 +116,23 @@ def test_file_without_permission(tmp_path):
         ("- 1\n- 2\n", "only plain text"),
         ("fx_px: [1, 2\nfy_px: }", "line 2: not acceptable as YAML"),
         ("a: *b", "aliases"),
+        ("a: !!opencv-matrix [1, 2]", "without keys"),
+        ("a: !!map 3", "not acceptable as YAML"),
+        ("a: !!timestamp x", "the tag tag:yaml.org,2002:timestamp is not accepted"),
+        ("a: !mine x", "the tag !mine is not accepted"),
         (FLAT + "fx_px: 600\n", "'fx_px' is given twice"),
         (FLAT + "? [1]\n: 2\n", "not acceptable as YAML"),
         (FLAT + "when: 2020-99-99\n", "not acceptable as YAML"),
         ("a: b\n" * 60_000, "over 200 kB"),
         ("a: b\n" * 300_000, "over 1 MB"),
         ("image_width: " + "9" * 5000, "not acceptable as YAML"),
-        ("%YAML:1.0\n---\ncamera_matrix: [1, 2", "malformed OpenCV FileStorage"),
-        ("%YAML:1.0\n---\n- 1\n", "camera_matrix: missing"),
-        ("<?xml version='1.0'?>\n<html></html>", "malformed OpenCV FileStorage"),
-        ('{"a": "opencv-matrix", ', "malformed OpenCV FileStorage"),
-        ("%YAML:1.0\n---\na:\n  " + "- " * 300_000 + "1", "brackets, tags or list items"),
-        ("%YAML:1.0\n---\na: " + '["]",' * 50_000, "brackets, tags or list items"),
+        ("%YAML:1.0\n---\ncamera_matrix: [1, 2", "line 3: not acceptable as YAML"),
+        ("%YAML:1.0\n---\n- 1\n", "FileStorage without names"),
+        ("<?xml version='1.0'?>\n<html></html>", "outermost tag is <html>"),
+        ('{"a": "opencv-matrix", ', "not acceptable as YAML"),
+        ("%YAML:1.0\n---\na:\n  " + "- " * 300_000 + "1", "over 200 kB"),
+        ("%YAML:1.0\n---\na:\n  " + "- " * 3_000 + "1", "not acceptable as YAML"),
+        ("<?xml version='1.0'?>\n<opencv_storage>" + "<a>" * 200_000, "not acceptable as XML"),
         ("a: " + "[" * 4000, "not acceptable as YAML"),
     ],
     ids=lambda value: None if isinstance(value, str) and len(value) < 45 else "text",
@@ -150,7 +155,8 @@ def test_billion_laughs_are_refused_before_they_grow(message):
 
 def test_xml_entities_are_not_expanded(message):
     entities = '<!DOCTYPE x [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;">]>'
-    assert message(f"<?xml version='1.0'?>{entities}<opencv_storage><K>&b;</K></opencv_storage>")
+    text = f"<?xml version='1.0'?>{entities}<opencv_storage><K>&b;</K></opencv_storage>"
+    assert "entities are not accepted" in message(text)
 
 
 @pytest.mark.parametrize(
@@ -355,7 +361,7 @@ def test_opencv_lens_models(read, rest, model):
         ("%YAML:1.0\n---\nD: [ 0., 0., 0., 0. ]\n", "camera_matrix: missing"),
         (f"%YAML:1.0\n---\nK: {K}\nD: [ 0., 0., 0. ]\n", "got 3 coefficients"),
         (f"%YAML:1.0\n---\nK: {K}\nD: [ {', '.join(['0.1'] * 14)} ]\n", "got 14 coefficients; expected 8"),
-        (f"%YAML:1.0\n---\nK: {K}\nD: [ {', '.join(['0.1'] * 999)} ]\n", "got '999 values'"),
+        (f"%YAML:1.0\n---\nK: {K}\nD: [ {', '.join(['0.1'] * 999)} ]\n", "got 'a long list'"),
         (f"%YAML:1.0\n---\nK: {K}\nD: [ .Nan, 0., 0., 0. ]\n", "got nan"),
         (f"%YAML:1.0\n---\nK: {K}\nD: [ 0., 0., 0., 0. ]\nimage_width: 640\n", "image_height: missing"),
         ("%YAML:1.0\n---\nK: fine\nD: [ 0., 0., 0., 0. ]\n", "got 'fine'"),

@@ -1,16 +1,20 @@
-"""OpenCV FileStorage (YAML, XML and JSON), as OpenCV's calibration programs write it, read by OpenCV itself.
+"""OpenCV FileStorage (YAML, XML and JSON), as OpenCV's calibration programs write it.
 
 Names differ from program to program; those of ``NAMES`` are looked for without regard to case and underscores.
 4 or 5 coefficients mean plumb_bob, 8 (or 12 or 14 that end with zeros) rational, unless ``fisheye_model`` is 1 or
 ``distortion_model`` says otherwise: a file of 4 fisheye coefficients looks just like one of plumb_bob.
+
+OpenCV's own parser is not used: it runs on for ever on some truncated lists, and crashes the process on deep nesting.
+Its YAML is YAML but for the first line (``%YAML:1.0``) and the tag ``!!opencv-matrix``.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
-import cv2
+from xml.etree import ElementTree
 
 from ttcvid.calibration.fields import Fields
 from ttcvid.calibration.intrinsics import (
@@ -20,6 +24,7 @@ from ttcvid.calibration.intrinsics import (
     matrix_entries,
     matrix_labels,
 )
+from ttcvid.calibration.text_file import LONG_LIST, MAX_LIST_CHARACTERS, parse_yaml, without_long_lists
 from ttcvid.errors import CalibrationError
 from ttcvid.model import ImageSize
 
@@ -34,16 +39,12 @@ NAMES = {
 }
 """Our names of the entries, and the spellings of each, the preferred one first."""
 
-MAX_LIST_LENGTH = 64
-"""Longer lists (the corners of all boards) are no part of a camera."""
-
-_HEADERS = ("%YAML", "<?xml", "<opencv_storage", "{")
+_YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*")
 
 
 def recognises(text: str) -> bool:
     """Whether a text is OpenCV's: plain YAML has no colon after %YAML, and no matrices."""
-    start = text.lstrip()
-    return start.startswith(("%YAML:", "<?xml", "<opencv_storage")) or "opencv-matrix" in text
+    return text.lstrip().startswith(("%YAML:", "<?xml", "<opencv_storage")) or "opencv-matrix" in text
 
 
 def read(path: Path, text: str) -> Intrinsics:
@@ -73,40 +74,61 @@ def _image_size(fields: Fields) -> ImageSize | None:
 
 
 def _entries(path: Path, text: str) -> dict[str, Any]:
-    """What a camera needs, under our names; any other entry under its own name, without its content."""
-    text = text if text.lstrip().startswith(_HEADERS) else f"%YAML:1.0\n---\n{text}"
-    try:
-        storage = cv2.FileStorage(text.lstrip(), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
-        keys = list(root.keys()) if root.isMap() else []
-        entries: dict[str, Any] = dict.fromkeys(keys)
-        for name, spellings in NAMES.items():
-            keys_of = {key.lower().replace("_", ""): key for key in reversed(keys)}
-            key = next((keys_of[spelling] for spelling in spellings if spelling in keys_of), None)
-            if key is not None:
-                entries[name] = _plain(root.getNode(key))
-        storage.release()
-    # A constructor that fails in C++ raises SystemError in Python, with cv2.error as its cause.
-    except (cv2.error, SystemError, ValueError) as error:
-        raise CalibrationError(
-            f"{path}: malformed OpenCV FileStorage ({_reason(error)}); expected YAML, XML or JSON as cv2.FileStorage "
-            "writes it: write it again"
-        ) from error
+    """What a camera needs, under our names, and all entries under their own."""
+    values = _parse_xml(path, text) if text.lstrip().startswith("<") else _parse_yaml_or_json(path, text)
+    if not isinstance(values, Mapping):
+        raise CalibrationError(f"{path}: OpenCV FileStorage without names; expected camera_matrix: ... in it")
+    entries = {str(key): value for key, value in values.items()}
+    keys = {key.lower().replace("_", ""): key for key in reversed(list(entries))}
+    for name, spellings in NAMES.items():
+        key = next((keys[spelling] for spelling in spellings if spelling in keys), None)
+        if key is not None:
+            entries[name] = entries[key]
     return entries
 
 
-def _plain(node: cv2.FileNode) -> Any:
-    """A node as numbers, text, lists and mappings; a list that is too long for a camera becomes its length, as text."""
-    if node.isMap():
-        return {key: _plain(node.getNode(key)) for key in node.keys()}  # noqa: SIM118 (a FileNode is no mapping)
-    if node.isSeq():
-        n = int(node.size())
-        return [_plain(node.at(i)) for i in range(n)] if n <= MAX_LIST_LENGTH else f"{n} values"
-    if node.isInt() or node.isReal():
-        return float(node.real())
-    return node.string() if node.isString() else None
+def _parse_yaml_or_json(path: Path, text: str) -> Any:
+    # The line is emptied, not taken out, so that line numbers in messages stay true.
+    return parse_yaml(path, _YAML_HEADER.sub("", without_long_lists(text)))
 
 
-def _reason(error: BaseException) -> str:
-    cause = error.__cause__ or error
-    return str(getattr(cause, "err", "") or "it cannot be parsed").strip()[:120]
+def _parse_xml(path: Path, text: str) -> Any:
+    try:
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:
+            raise ElementTree.ParseError("document types and entities are not accepted")
+        root = ElementTree.fromstring(text.lstrip())
+        if root.tag != "opencv_storage":
+            raise ElementTree.ParseError(f"the outermost tag is <{root.tag[:40]}>")
+    except ElementTree.ParseError as error:
+        reason = " ".join(str(error).split())
+        raise CalibrationError(
+            f"{path}: not acceptable as XML: {reason}; expected <opencv_storage> as cv2.FileStorage writes it: "
+            "write it again"
+        ) from error
+    return {child.tag: _plain(child) for child in root}
+
+
+def _plain(element: ElementTree.Element) -> Any:
+    """The content of an XML element: its elements by name, or its words as numbers where they are numbers."""
+    if len(element) and element[0].tag != "_":
+        return {child.tag: _text_values(child) for child in element}
+    if len(element):
+        return [_text_values(child) for child in element[: MAX_LIST_CHARACTERS // 2]]
+    values = _text_values(element)
+    return values[0] if isinstance(values, list) and len(values) == 1 else values
+
+
+def _text_values(element: ElementTree.Element) -> Any:
+    text = element.text or ""
+    if len(text) > MAX_LIST_CHARACTERS:
+        return LONG_LIST
+    quoted = re.fullmatch(r'\s*"(.*)"\s*', text, re.DOTALL)
+    return quoted[1] if quoted else [_number_or_word(word) for word in text.split()]
+
+
+def _number_or_word(word: str) -> float | str:
+    """XML spells numbers as OpenCV's YAML does, with .Nan and .Inf."""
+    try:
+        return float(word.replace(".Nan", "nan").replace(".Inf", "inf"))
+    except ValueError:
+        return word

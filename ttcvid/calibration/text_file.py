@@ -11,14 +11,13 @@ import yaml
 from ttcvid.errors import CalibrationError
 
 MAX_FILE_BYTES = 1_000_000
-"""Camera files have a few kB; a file of several MB is something else, and takes parsers minutes."""
+"""Camera files have a few kB; with the corners of all boards in it, some 100 kB."""
 MAX_YAML_CHARACTERS = 200_000
-"""PyYAML needs a second for 50 kB."""
-MAX_OPENERS = 5000
-"""Brackets, tags and list dashes of a file, and so a bound of their nesting; parsers recurse, and OpenCV's crashes the
-process from some ten thousand on."""
+"""PyYAML needs a second for 50 kB; long lists of numbers are taken out before (`without_long_lists`)."""
+MAX_LIST_CHARACTERS = 2000
+LONG_LIST = "a long list"
 
-_OPENER = re.compile(r"[\[{<]|-[ \t]")
+_LONG_LIST = re.compile(r"\[[^\[\]]{%d,}\]" % MAX_LIST_CHARACTERS)  # noqa: UP031 (braces of the pattern)
 
 
 def read_text(path: Path, kind: str) -> str:
@@ -27,7 +26,7 @@ def read_text(path: Path, kind: str) -> str:
     Raises
     ------
     CalibrationError
-        The file is missing, no file, unreadable, empty, over 1 MB, not text, or nested too deep.
+        The file is missing, no file, unreadable, empty, over 1 MB, or not text.
     """
     try:
         if not path.exists():
@@ -50,36 +49,54 @@ def read_text(path: Path, kind: str) -> str:
         raise CalibrationError(f"{path}: the file is empty; expected {kind}: write or copy it again")
     if "\0" in text:
         raise CalibrationError(f"{path}: binary; expected {kind}")
-    if len(_OPENER.findall(text)) > MAX_OPENERS:
-        raise CalibrationError(
-            f"{path}: over {MAX_OPENERS} brackets, tags or list items; expected {kind}, which has few"
-        )
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+_OPENCV_TAGS = "tag:yaml.org,2002:opencv-"
 
 
 class _PlainLoader(yaml.SafeLoader):
     """YAML of numbers, text, lists and mappings: no aliases, no tags that make objects, no key twice."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(
-                problem="aliases (*name) are not accepted: write the value out", problem_mark=mark
-            )
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        problem = None
+        if isinstance(event, yaml.AliasEvent):
+            problem = "aliases (*name) are not accepted: write the value out"
+        elif event.tag is not None and not event.tag.startswith(_OPENCV_TAGS):
+            problem = f"the tag {event.tag} is not accepted: take it out"
+        elif event.tag is not None and not isinstance(event, yaml.MappingStartEvent):
+            problem = f"the tag {event.tag} stands before something without keys"
+        if problem:
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        names = [key.value for key, _ in node.value if isinstance(key.value, str)]
-        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-        if twice is not None:
-            raise yaml.MarkedYAMLError(problem=f"key {twice!r} is given twice", problem_mark=node.start_mark)
+        seen: set[object] = set()
+        for key, _ in node.value:
+            # A key that is a list or mapping is refused by the base class.
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} is given twice", problem_mark=key.start_mark)
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
         return super().construct_mapping(node, deep)
 
 
-# YAML 1.1, which PyYAML follows, takes 1e-05 for text; every other program writes small coefficients that way.
+# YAML 1.1, which PyYAML follows, takes 1e-05 for text; every other program writes small coefficients that way. .Nan is
+# how OpenCV spells it.
 _PlainLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"), list("-+.0123456789")
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$|^\.Nan$"),
+    list("-+.0123456789"),
 )
+
+
+# !!opencv-matrix and its like are mappings; what is in them is checked where it is used.
+_PlainLoader.add_multi_constructor(_OPENCV_TAGS, lambda loader, _, node: loader.construct_mapping(node, deep=True))
+
+
+def without_long_lists(text: str) -> str:
+    """The text with lists of numbers that are too long for a camera replaced by words that say so."""
+    return _LONG_LIST.sub(f'"{LONG_LIST}"', text)
 
 
 def parse_yaml(path: Path, text: str) -> Any:
