@@ -21,6 +21,7 @@ COMMANDS = {
     "analyze": "Collision times of everything that moves in a clip: tables and an annotated video.",
     "demo": "Render a small scene with known truth, analyse it, and say where to look.",
     "doctor": "Versions of what ttcvid stands on, and what is broken.",
+    "evaluate": "How good a run is beside a truth: errors, intervals, objects, warnings.",
     "simulate": "Render a scene with exact truth: pictures, camera, depths, collision times.",
 }
 """Commands and their short help; the module ``ttcvid.cli.NAME`` holds each as ``NAME``."""

@@ -1,0 +1,186 @@
+"""A run and a truth folder, read and held against each other."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ttcvid.errors import InputError
+from ttcvid.jobs.run import Run
+from ttcvid.model import Ints
+from ttcvid.sinks.failures import output_errors
+from ttcvid.studies.evaluate import Evaluation, evaluate
+from ttcvid.studies.evaluation_page import evaluation_page
+from ttcvid.studies.truth import (
+    BOX,
+    DIRECTION,
+    POINT,
+    POSITION,
+    ROTATION,
+    UNKNOWN_OBJECT,
+    VELOCITY,
+    RunTables,
+    Truth,
+    object_at,
+    objects_from_tracks,
+    plain,
+    with_counted,
+)
+
+REQUIRED_COLUMNS = {
+    "truth_objects": ["frame", "t_s", "object_id", *BOX],
+    "truth_frames": ["frame", "t_s", *ROTATION, *DIRECTION],
+    "truth_encounters": ["object_id", "is_collision", "t_contact_s"],
+    "truth_tracks": ["frame", "track_id", "object_id", *POINT, *POSITION, *VELOCITY, "tcpa_s", "miss_s", "ttc_z_s"],
+}
+"""Tables of a truth and what each has to hold; other columns of the simulator's tables may be missing."""
+LABELS_NAME = "truth_labels"
+MAX_CLOCK_DIFFERENCE = 0.5
+"""In frames: a larger difference between the times of run and truth means that they are not of the same clip."""
+
+
+@dataclass(frozen=True)
+class EvaluatedRun:
+    """The evaluation of one run beside one truth, and where both are."""
+
+    run: Run
+    truth: Path
+    evaluation: Evaluation
+
+    def as_json(self) -> str:
+        """All metrics (null: the truth says nothing of it) and every object, as one JSON object."""
+        content = {
+            "run": str(self.run.folder),
+            "truth": str(self.truth),
+            "metrics": self.evaluation.metrics,
+            "objects": [asdict(judged) for judged in self.evaluation.objects],
+        }
+        return json.dumps(content, allow_nan=False)
+
+
+def evaluate_run(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
+    """Hold a run against the truth of its clip.
+
+    Parameters
+    ----------
+    run
+        The output folder of an analysis, or what ``ttcvid.analyze`` returned.
+    truth
+        The folder of ``ttcvid simulate``, or one with tables of the same names and columns; one table is enough.
+
+    Raises
+    ------
+    InputError
+        Run or truth cannot be read, or are not of the same clip.
+    """
+    opened = run if isinstance(run, Run) else Run.open(run)
+    tables = read_run_tables(opened)
+    return EvaluatedRun(opened, Path(truth), evaluate(tables, read_truth(Path(truth), tables)))
+
+
+def write_page(result: EvaluatedRun, path: Path) -> None:
+    """Write the evaluation as an HTML page; OutputError where that cannot be done."""
+    title = f"{result.run.folder} beside {result.truth}"
+    with output_errors(path):
+        path.write_text(evaluation_page(result.evaluation, title), encoding="utf-8")
+
+
+def read_run_tables(run: Run) -> RunTables:
+    """The tables of a run in ordinary types."""
+    names = ("frames", "clusters", "epipoles", "collision_times", "events")
+    return RunTables(**{name: plain(getattr(run, name)) for name in names})
+
+
+def read_truth(folder: Path, run: RunTables) -> Truth:
+    """The truth in a folder, with the true object of each track row of the run where labels or true tracks tell it."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder: expected the folder of 'ttcvid simulate', or one with its tables")
+    tables = {name: _read_table(folder, name) for name in REQUIRED_COLUMNS}
+    frames, objects, points = tables["truth_frames"], tables["truth_objects"], tables["truth_tracks"]
+    if frames is None and objects is None and points is None:
+        raise InputError(
+            f"{folder}: holds no truth: expected one of {', '.join(f'{n}.parquet' for n in REQUIRED_COLUMNS)}, "
+            "as written by 'ttcvid simulate'"
+        )
+    for name, table in (("truth_frames", frames), ("truth_objects", objects)):
+        if table is not None:
+            _check_clock(folder / f"{name}.parquet", table, run.frames)
+    if objects is not None:
+        objects = with_counted(_named(objects))
+    elif points is not None and frames is not None:
+        objects = objects_from_tracks(points, frames, _names(tables["truth_encounters"]))
+    if points is not None:
+        track_object: Ints | None = _objects_of_points(run.collision_times, points)
+    else:
+        track_object = _objects_of_labels(run.collision_times, folder / LABELS_NAME)
+    return Truth(objects, frames, tables["truth_encounters"], points, track_object)
+
+
+def _read_table(folder: Path, name: str) -> pd.DataFrame | None:
+    path = folder / f"{name}.parquet"
+    if not path.exists():
+        return None
+    try:
+        table = pq.read_table(path).to_pandas()
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: cannot be read as a table ({reason}): simulate the scene again") from None
+    missing = [column for column in REQUIRED_COLUMNS[name] if column not in table]
+    if missing:
+        raise InputError(f"{path}: column {missing[0]!r} is missing: expected {', '.join(REQUIRED_COLUMNS[name])}")
+    return plain(table)
+
+
+def _check_clock(path: Path, truth: pd.DataFrame, frames: pd.DataFrame) -> None:
+    both = frames[["frame", "t_s"]].merge(truth[["frame", "t_s"]], on="frame", suffixes=("", "_true"))
+    if both.empty:
+        raise InputError(f"{path}: has no frame in common with the run: give the truth of the clip that was analysed")
+    step_s = float(np.median(np.diff(frames.t_s))) if len(frames) > 1 else np.inf
+    worst = both.iloc[int((both.t_s - both.t_s_true).abs().to_numpy().argmax())]
+    if abs(worst.t_s - worst.t_s_true) > MAX_CLOCK_DIFFERENCE * step_s:
+        raise InputError(
+            f"{path}: frame {worst.frame:.0f} is at t_s = {worst.t_s_true:.3f} s, but at {worst.t_s:.3f} s in the run: "
+            "give the truth of the clip that was analysed"
+        )
+
+
+def _named(objects: pd.DataFrame) -> pd.DataFrame:
+    if "name" in objects:
+        return objects
+    return objects.assign(name=[f"object {object_id}" for object_id in objects.object_id])
+
+
+def _names(encounters: pd.DataFrame | None) -> dict[int, str]:
+    if encounters is None or "name" not in encounters:
+        return {}
+    return dict(zip(encounters.object_id.astype(int), encounters["name"].astype(str), strict=True))
+
+
+def _objects_of_points(tracks: pd.DataFrame, points: pd.DataFrame) -> Ints:
+    rows = tracks[["frame", "track_id"]].merge(
+        points[["frame", "track_id", "object_id"]], on=["frame", "track_id"], how="left"
+    )
+    return rows.object_id.fillna(UNKNOWN_OBJECT).to_numpy(np.int64)
+
+
+def _objects_of_labels(tracks: pd.DataFrame, folder: Path) -> Ints | None:
+    """The object that the picture of labels shows at each track row; None where there are no labels."""
+    if not folder.is_dir():
+        return None
+    result = np.full(len(tracks), UNKNOWN_OBJECT)
+    frame, xy_px = tracks.frame.to_numpy(), tracks[["x_px", "y_px"]].to_numpy(float)
+    for index in np.unique(frame):
+        path = folder / f"{index:06d}.png"
+        labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if labels is None or labels.ndim != 2:
+            raise InputError(f"{path}: cannot be read as a picture of labels: simulate the scene again")
+        rows = frame == index
+        result[rows] = object_at(labels, xy_px[rows])
+    return result

@@ -1,0 +1,1 @@
+"""Studies of finished results: what a run is worth beside a truth. Data frames in, numbers out; no files."""

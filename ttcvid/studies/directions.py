@@ -1,0 +1,71 @@
+"""Errors of directions of motion and of rotations, as angles."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
+from ttcvid.model import Bools, Floats
+from ttcvid.studies.times import Numbers, quantile
+from ttcvid.studies.truth import ROTATION
+
+
+def angle_deg(first: Floats, second: Floats) -> Floats:
+    """Angles ``(N,)`` between unit vectors ``(N, 3)`` in [0, 180]; exact for small ones. NaN where one is NaN.
+
+    >>> angle_deg(np.array([[1.0, 0, 0]]), np.array([[0, 0, 1.0]])).tolist()
+    [90.0]
+    """
+    apart, along = np.linalg.norm(first - second, axis=-1), np.linalg.norm(first + second, axis=-1)
+    return np.asarray(np.degrees(2.0 * np.arctan2(apart, along)))
+
+
+def judge_directions(truth: Floats, found: Floats, is_counted: Bools) -> Numbers:
+    """Angles between true and found directions ``(N, 3)``; NaN where nothing was found or nothing is true."""
+    is_counted = is_counted & np.isfinite(truth).all(axis=1)
+    return summary_of(angle_deg(truth[is_counted], found[is_counted]))
+
+
+def judge_rotation(truth: pd.DataFrame, found: pd.DataFrame) -> Numbers:
+    """Angle between true and found rotation since the previous analysed frame.
+
+    ``truth`` has a row for every picture; where the run left some out, their rotations are taken together. ``found``
+    has a row per analysed frame, ascending; the first of them has no rotation to judge.
+    """
+    per_picture = rotation_from_vector(np.nan_to_num(truth[ROTATION].to_numpy(float)))
+    pictures = truth.frame.to_numpy()
+    of_frame = found[["frame"]].assign(row=np.searchsorted(pictures, found.frame))
+    of_frame = of_frame[of_frame.row < len(pictures)]
+    of_frame = of_frame[pictures[of_frame.row] == of_frame.frame]
+    rows = of_frame.row.to_numpy()
+    if len(rows) < 2:
+        return summary_of(np.empty(0))
+    true = np.stack([_product(per_picture[a + 1 : b + 1]) for a, b in pairwise(rows)])
+    estimate = rotation_from_vector(found.loc[of_frame.index[1:], ROTATION].to_numpy(float))
+    left_over = estimate @ np.swapaxes(true, 1, 2)
+    is_known = np.isfinite(left_over).all(axis=(1, 2))
+    error = np.full(len(left_over), np.nan)
+    error[is_known] = np.degrees(np.linalg.norm(vector_from_rotation(left_over[is_known]), axis=1))
+    return summary_of(error)
+
+
+def summary_of(error: Floats) -> Numbers:
+    """Median, p90 and share with a value of errors ``(N,)``, NaN where there is none."""
+    has_value = np.isfinite(error)
+    return {
+        "n": float(has_value.sum()),
+        "share": float(has_value.mean()) if len(error) else float("nan"),
+        "median": quantile(error[has_value], 0.5),
+        "p90": quantile(error[has_value], 0.9),
+    }
+
+
+def _product(rotations: Floats) -> Floats:
+    """Rotations ``(M, 3, 3)`` one after the other, the first one first."""
+    total = np.eye(3)
+    for rotation in rotations:
+        total = rotation @ total
+    return total

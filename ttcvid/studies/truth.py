@@ -1,0 +1,144 @@
+"""What a result is held against, and the result itself, as plain tables (NaN for null)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from ttcvid.geometry.collision import times_from_position_velocity
+from ttcvid.geometry.rotation import normalize
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints
+
+BOX = ["x0_px", "y0_px", "x1_px", "y1_px"]
+DIRECTION = ["dir_x", "dir_y", "dir_z"]
+ROTATION = ["rot_x_rad", "rot_y_rad", "rot_z_rad"]
+POINT = ["x_true_px", "y_true_px"]
+POSITION = ["x_m", "y_m", "z_m"]
+VELOCITY = ["vx_m_s", "vy_m_s", "vz_m_s"]
+
+MIN_VISIBLE_PX2 = 100.0
+MIN_VISIBLE_FRACTION = 0.25
+MIN_POINTS = 3
+"""An object counts in a frame if at least 100 px^2 and a quarter of it are seen, or three of its tracks. What is
+seen less may be found or not: it is neither missed nor false."""
+
+UNKNOWN_OBJECT = -1
+SKY_LABEL = 65535
+
+NEAREST_SHARE = 0.1
+SURFACE_DEPTH = 0.01
+"""The nearest surface of an object, as in pictures: what lies at most 1 % behind its nearest tenth."""
+
+
+@dataclass(frozen=True)
+class RunTables:
+    """The tables of a finished run, with the columns of ``ttcvid.schema``."""
+
+    frames: pd.DataFrame
+    clusters: pd.DataFrame
+    epipoles: pd.DataFrame
+    collision_times: pd.DataFrame
+    events: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The truth of a clip; None stands for what it does not tell.
+
+    ``objects`` has a row per frame and object with the columns of ``truth_objects`` and ``is_counted``; ``frames`` and
+    ``encounters`` are the tables of those names; ``track_points`` is ``truth_tracks``. ``track_object`` gives the true
+    object of each row of the run's ``collision_times`` (0 the static scene, ``UNKNOWN_OBJECT`` where it is open).
+    ``has_all_objects`` is False where objects that move may be missing from the truth: then none found is false.
+    """
+
+    objects: pd.DataFrame | None = None
+    frames: pd.DataFrame | None = None
+    encounters: pd.DataFrame | None = None
+    track_points: pd.DataFrame | None = None
+    track_object: Ints | None = None
+    has_all_objects: bool = True
+
+
+def plain(table: pd.DataFrame) -> pd.DataFrame:
+    """A table in ordinary types: null is NaN in floats and ``NO_CLUSTER`` in ``cluster_id``, names are strings."""
+    columns: dict[str, object] = {}
+    for name, column in table.items():
+        if name == "cluster_id":
+            columns[str(name)] = column.fillna(NO_CLUSTER).to_numpy(np.int64)
+        elif pd.api.types.is_bool_dtype(column.dtype):
+            columns[str(name)] = column.to_numpy(bool)
+        elif pd.api.types.is_numeric_dtype(column.dtype):
+            is_whole = pd.api.types.is_integer_dtype(column.dtype) and not column.hasnans
+            columns[str(name)] = column.to_numpy(np.int64) if is_whole else column.to_numpy(float, na_value=np.nan)
+        else:
+            columns[str(name)] = column.astype(object).to_numpy()
+    return pd.DataFrame(columns)
+
+
+def with_counted(objects: pd.DataFrame) -> pd.DataFrame:
+    """``truth_objects`` with the column ``is_counted``; a table without visible areas counts whole."""
+    is_counted = np.ones(len(objects), bool)
+    for name, least in (("visible_px", MIN_VISIBLE_PX2), ("visible_fraction", MIN_VISIBLE_FRACTION)):
+        if name in objects:
+            is_counted &= objects[name].fillna(np.inf).to_numpy() >= least
+    return objects.assign(is_counted=is_counted)
+
+
+def object_at(labels: np.ndarray, xy_px: Floats) -> Ints:
+    """The object that each pixel position ``(N, 2)`` shows in a picture of labels ``(H, W)``; sky is static scene.
+
+    ``UNKNOWN_OBJECT`` outside the picture and where the eight pixels around do not all agree: a corner on an outline
+    belongs to either side.
+    """
+    known = np.where(labels == SKY_LABEL, SCENE_CLUSTER, labels).astype(np.int64)
+    padded = np.pad(known, 1, mode="edge")
+    column, row = np.rint(xy_px).astype(int).T
+    inside = (row >= 0) & (row < labels.shape[0]) & (column >= 0) & (column < labels.shape[1])
+    result = np.full(len(xy_px), UNKNOWN_OBJECT)
+    row, column = row[inside], column[inside]
+    around = np.stack([padded[row + i, column + j] for i in range(3) for j in range(3)])
+    result[inside] = np.where((around == around[0]).all(axis=0), around[4], UNKNOWN_OBJECT)
+    return result
+
+
+def objects_from_tracks(track_points: pd.DataFrame, frames: pd.DataFrame, names: dict[int, str]) -> pd.DataFrame:
+    """``truth_objects`` of a simulation of tracks: the box around each object's points, the times of the nearest.
+
+    ``track_points`` has the columns of ``truth_tracks``, ``frames`` those of ``truth_frames``.
+    """
+    t_s = dict(zip(frames.frame, frames.t_s, strict=True))
+    on_objects = track_points[track_points.object_id != SCENE_CLUSTER]
+    rows = [
+        {
+            "frame": (frame := int(points.frame.iloc[0])),
+            "t_s": t_s[frame],
+            "object_id": (object_id := int(points.object_id.iloc[0])),
+            "name": names.get(object_id, f"object {object_id}"),
+            **_object_of_points(points),
+        }
+        for _, points in on_objects.groupby(["frame", "object_id"])
+    ]
+    columns = ["frame", "t_s", "object_id", "name", *BOX, "is_counted", *DIRECTION, "tcpa_s", "miss_s", "ttc_z_s"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _object_of_points(points: pd.DataFrame) -> dict[str, float | bool]:
+    position = points[POSITION].to_numpy(float)
+    velocity = points[VELOCITY].to_numpy(float)
+    inverse_depth = 1 / position[:, 2]
+    near = inverse_depth >= np.quantile(inverse_depth, 1 - NEAREST_SHARE) * (1 - SURFACE_DEPTH)
+    rays = position[near] / position[near, 2:]
+    centre = rays.mean(axis=0) / inverse_depth[near].mean()
+    mean_velocity = velocity[near].mean(axis=0)
+    times = times_from_position_velocity(centre[None], mean_velocity[None])
+    box = [points.x_true_px.min(), points.y_true_px.min(), points.x_true_px.max(), points.y_true_px.max()]
+    return {
+        **dict(zip(BOX, map(float, box), strict=True)),
+        "is_counted": len(points) >= MIN_POINTS,
+        **dict(zip(DIRECTION, normalize(mean_velocity[None])[0].tolist(), strict=True)),
+        "tcpa_s": float(times.tcpa_s[0]),
+        "miss_s": float(times.miss_s[0]),
+        "ttc_z_s": float(times.ttc_z_s[0]),
+    }

@@ -1,0 +1,57 @@
+"""An evaluation in words and numbers that people read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ttcvid.studies.evaluate import ObjectJudged
+from ttcvid.studies.metrics import METRICS, Value
+
+_OF_TIMES = ("median", "p90", "bias", "coverage", "half_width", "wrong_sign")
+_OF_TRACKS = ("right", "objects_right", "objects_pure", "unassigned")
+_PERCENT = ("share", "one_id", *_OF_TIMES, *_OF_TRACKS)
+_ANGLES = ("epipole_scene", "epipole_objects", "rotation")
+WARNING_WORDS = {
+    "in_time": "warned in time",
+    "late": "warned late",
+    "missed": "NOT WARNED",
+    "not_expected": "collides, warning not due yet",
+    "no_collision": "does not collide",
+}
+
+
+def describe_value(metric: str, value: Value) -> str:
+    """A value with its unit; shares and relative errors in per cent.
+
+    >>> describe_value("ttc_z.median", 0.0345), describe_value("rotation.median", 0.0021)
+    ('3.5 %', '0.0021 deg')
+    """
+    if value is None:
+        return "-"
+    group, _, name = metric.partition(".")
+    unit = METRICS[metric][0]
+    if name in _PERCENT and (name == "share" or group not in _ANGLES):
+        return f"{100 * value:.1f} %"
+    if unit == "deg":
+        return f"{value:.2g} deg" if value < 1 else f"{value:.1f} deg"
+    text = f"{value:.0f}" if value == int(value) else f"{value:.2f}"
+    return text if unit == "1" else f"{text} {unit.removeprefix('1/')}" if unit == "s" else text
+
+
+def describe_groups(metrics: Mapping[str, Value]) -> list[str]:
+    """A line for each group of metrics that has any value."""
+    groups: dict[str, list[str]] = {}
+    for metric, value in metrics.items():
+        group, _, name = metric.partition(".")
+        if value is not None:
+            groups.setdefault(group, []).append(f"{name} {describe_value(metric, value)}")
+    width = max((len(group) for group in groups), default=0)
+    return [f"{group:<{width}}  {', '.join(values)}" for group, values in groups.items()]
+
+
+def describe_object(judged: ObjectJudged) -> str:
+    """One line: how often an object was found, its median error of ttc_z, and what became of its warning."""
+    error = "-" if judged.ttc_z_median is None else f"{100 * judged.ttc_z_median:.1f} %"
+    found = f"found in {100 * judged.found_share:.0f} % of {judged.n_frames} frames"
+    words = WARNING_WORDS.get(judged.warning, "")
+    return f"object {judged.object_id} ({judged.name}): {found}, ttc_z off by {error} (median){words and ', ' + words}"
