@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ttcvid.config import PipelineConfig
+from ttcvid.config import PipelineConfig, TrackingConfig
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import Camera, Frame, FrameResult, FrameStatus, Horizon, Picture, PointSet
@@ -25,6 +25,9 @@ from ttcvid.stages.table_points import compare_table_points
 from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
 
 MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
+RunAhead = Callable[[Iterable["TrackedFrame"]], Iterable["TrackedFrame"]]
+
+NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 # Flow left after the rotation that is not taken for motion, however small the noise, px: matching errs in common.
 LEAST_PARALLAX_PX = 0.25
@@ -41,7 +44,15 @@ class Clip:
     camera: Camera
     config: PipelineConfig
     plane: HorizonPlane | None
-    mask: Picture | None
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """A frame with the points found in it, and what became of it so far."""
+
+    frame: Frame
+    points: PointSet
+    status: FrameStatus
 
 
 @dataclass(frozen=True)
@@ -50,8 +61,6 @@ class Memory:
 
     history: TrackHistory
     t_s: float | None = None
-    tracker: TrackerMemory = field(default_factory=TrackerMemory)
-    table_points: PointSet | None = None
     egomotion: EgomotionMemory = field(default_factory=EgomotionMemory)
     frozen: FrozenMemory = field(default_factory=FrozenMemory)
     groups: GroupMemory = field(default_factory=GroupMemory)
@@ -67,6 +76,7 @@ def analyze_frames(
     mask: Picture | None = None,
     *,
     map_ahead: MapAhead = map,
+    run_ahead: RunAhead = iter,
 ) -> Iterator[tuple[Frame, FrameResult]]:
     """Each frame with its result, in order; memory does not grow with the length of the clip.
 
@@ -74,26 +84,47 @@ def analyze_frames(
     ----------
     mask : (H, W) uint8, 0 where nothing is to be looked at.
     map_ahead : like ``map``; may work some items early in other threads (finding features is the slow part).
+    run_ahead : like ``iter``; may run an iterator some items early in another thread (tracking ahead of geometry).
     """
-    clip = Clip(camera, config, horizon_plane(camera, horizon), mask)
+    clip = Clip(camera, config, horizon_plane(camera, horizon))
     memory = Memory(empty_history(camera, config.tracking.sigma_start_px))
+    for tracked in run_ahead(track_frames(frames, config.tracking, mask, map_ahead)):
+        result, memory = analyze_tracked(tracked, memory, clip)
+        yield tracked.frame, result
+
+
+def track_frames(
+    frames: Iterable[Frame], config: TrackingConfig, mask: Picture | None, map_ahead: MapAhead = map
+) -> Iterator[TrackedFrame]:
+    """Each frame with its points: from the tracker, or from the table that the source reads."""
+    memory, last_points = TrackerMemory(), None
 
     def prepare(frame: Frame) -> tuple[Frame, PreparedPicture | None]:
-        return frame, None if frame.grey is None else prepare_picture(frame.grey, mask, config.tracking)
+        return frame, None if frame.grey is None else prepare_picture(frame.grey, mask, config)
 
+    last_t_s = -np.inf
     for frame, prepared in map_ahead(prepare, frames):
-        result, memory = analyze_frame(frame, prepared, memory, clip)
-        yield frame, result
+        if not frame.t_s > last_t_s:
+            yield TrackedFrame(frame, NO_POINTS, FrameStatus.bad_dt)
+            continue
+        last_t_s = frame.t_s
+        if prepared is not None:
+            points, status, memory = follow_points(memory, prepared, mask, config)
+        elif frame.points is not None:
+            points, status = frame.points, compare_table_points(last_points, frame.points)
+            last_points = points
+        else:
+            raise ValueError(f"frame {frame.index}: expected a picture or points, got neither")
+        yield TrackedFrame(frame, points, status)
 
 
-def analyze_frame(
-    frame: Frame, prepared: PreparedPicture | None, memory: Memory, clip: Clip
-) -> tuple[FrameResult, Memory]:
-    """One frame through all stages."""
+def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[FrameResult, Memory]:
+    """The geometry of one frame: own motion, groups, times, warnings."""
+    frame, points, status = tracked.frame, tracked.points, tracked.status
     dt_s = None if memory.t_s is None else frame.t_s - memory.t_s
-    if dt_s is not None and not dt_s > 0.0:
-        return _empty_result(frame, dt_s, FrameStatus.bad_dt, clip), memory
-    points, status, memory = _points(frame, prepared, replace(memory, t_s=frame.t_s), clip)
+    if status == FrameStatus.bad_dt:
+        return _empty_result(frame, dt_s, status, clip), memory
+    memory = replace(memory, t_s=frame.t_s)
     if status in (FrameStatus.dark, FrameStatus.duplicate):
         return _empty_result(frame, dt_s, status, clip), memory
     if status == FrameStatus.cut:
@@ -153,26 +184,11 @@ def analyze_frame(
     )
 
 
-def _points(
-    frame: Frame, prepared: PreparedPicture | None, memory: Memory, clip: Clip
-) -> tuple[PointSet, FrameStatus, Memory]:
-    """Points of the frame from the tracker, or from the table that the source reads."""
-    if prepared is not None:
-        points, status, tracker = follow_points(memory.tracker, prepared, clip.mask, clip.config.tracking)
-        return points, status, replace(memory, tracker=tracker)
-    if frame.points is None:
-        raise ValueError(f"frame {frame.index}: expected a picture or points, got neither")
-    status = compare_table_points(memory.table_points, frame.points)
-    return frame.points, status, replace(memory, table_points=frame.points)
-
-
 def _after_cut(memory: Memory, clip: Clip) -> Memory:
-    """Nothing is carried over a cut but the tracker's state and the numbers already given away."""
+    """Nothing is carried over a cut but the numbers already given away."""
     return Memory(
         history=empty_history(clip.camera, clip.config.tracking.sigma_start_px),
         t_s=memory.t_s,
-        tracker=memory.tracker,
-        table_points=memory.table_points,
         groups=restarted(memory.groups),
         events=restarted_events(memory.events),
     )

@@ -11,7 +11,7 @@ import numpy as np
 from ttcvid.geometry.flow_line import flow_line_chi2, flow_normals, moves_towards
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
-from ttcvid.model import Floats, Status
+from ttcvid.model import Floats, Ints, Status
 
 # A motion or an angle below this many standard deviations is noise.
 SIGNIFICANCE_SIGMAS = 3.0
@@ -21,12 +21,14 @@ INFINITY_COSINE = float(np.sin(np.radians(1.0)))
 # Flow lines in the picture are parallel when their normals span less than this (ratio of singular values).
 _PARALLEL_RATIO = 1e-10
 # A direction less certain than this (rad) is unknown: the tangent plane is no model of the sphere beyond.
-_MAX_DIRECTION_SIGMA_RAD = 0.5
+MAX_DIRECTION_SIGMA_RAD = 0.5
 _MAX_ITERATIONS = 30
 # Gauss-Newton ends after a step shorter than this part of the standard deviation that it is heading for.
 _CONVERGED_SIGMAS = 1e-4
 # Fractions of a Gauss-Newton step that are tried in turn until one lowers the cost.
 _STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05, 0.01)
+# A step of several groups at once, which is not tried for its cost, is cut to this length.
+_LONGEST_STEP_RAD = 0.2
 # Determinant over squared trace below which a 2 x 2 matrix is singular; least divisor.
 _SINGULAR, _TINY = 1e-15, 1e-30
 # In the vote on the sign a track counts at most this many sigmas: one wild flow must not outvote the others.
@@ -115,7 +117,7 @@ def epipole_maximum_likelihood(
         return *nothing, Status.no_parallax
     direction = eigen_epipole(*used, weights[is_usable]) if start is None else start
     direction, cov = _descend(direction, *used, weights[is_usable], cauchy_sigmas)
-    if not np.linalg.norm(cov, 2) < _MAX_DIRECTION_SIGMA_RAD**2:
+    if not np.linalg.norm(cov, 2) < MAX_DIRECTION_SIGMA_RAD**2:
         return *nothing, Status.no_epipole
     factor = _robust_factor(flow_line_chi2(direction, *used), cauchy_sigmas) * weights[is_usable]
     votes = np.clip(moves_towards(direction, *used), -_MAX_VOTE_SIGMAS, _MAX_VOTE_SIGMAS)
@@ -123,6 +125,43 @@ def epipole_maximum_likelihood(
     at_infinity = abs(direction[2]) < INFINITY_COSINE
     status = Status.epipole_at_infinity if at_infinity else Status.ok
     return direction, cov, flow_line_chi2(direction, q, p, sigma_rad), status
+
+
+def refine_epipoles(
+    directions: Floats, group: Ints, q: Floats, p: Floats, sigma_rad: Floats, n_steps: int
+) -> tuple[Floats, Floats]:
+    """A few Gauss-Newton steps of `epipole_maximum_likelihood` for K groups of flows at once, from good starts.
+
+    Parameters
+    ----------
+    directions
+        ``(K, 3)`` starts.
+    group
+        ``(N,)`` number of each flow's group, 0 to K - 1.
+    q, p, sigma_rad
+        As in `epipole_maximum_likelihood`.
+
+    Returns
+    -------
+    directions : ``(K, 3)``.
+    cov : ``(K, 3, 3)`` rad^2 in their tangent planes; infinite where the flows leave a direction open.
+    """
+    n_groups = len(directions)
+    normals, cosines = cross(p, q), np.einsum("ni,ni->n", p, q)
+    for _ in range(n_steps):
+        basis = tangent_basis(directions)
+        residual, jacobian = _residuals(directions[group], basis[group], q, p, normals, cosines, sigma_rad)
+        x, y = jacobian.T
+        a, b, d, gx, gy = (np.bincount(group, v, n_groups) for v in (x * x, x * y, y * y, x * residual, y * residual))
+        determinant = a * d - b * b
+        determinant = np.where(determinant > _SINGULAR * (a + d) ** 2, determinant, np.inf)
+        step = np.stack([b * gy - d * gx, b * gx - a * gy], axis=1) / determinant[:, None]
+        length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), _TINY)
+        step *= np.minimum(1.0, _LONGEST_STEP_RAD / length)
+        directions = normalize(directions + np.einsum("kij,kj->ki", basis, step))
+    inverse = np.array([[d, -b], [-b, a]]).transpose(2, 0, 1) / determinant[:, None, None]
+    cov = np.einsum("kia,kab,kjb->kij", basis, inverse, basis)
+    return directions, np.where(np.isfinite(determinant)[:, None, None], cov, np.inf)
 
 
 def eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats, weights: Floats) -> Floats:
@@ -193,9 +232,12 @@ def _residuals(
 ) -> tuple[Floats, Floats]:
     """Signed roots ``(N,)`` of `flow_line_chi2` and their derivatives ``(N, 2)`` by tangent coordinates.
 
-    ``normals (N, 3)`` are p x q and ``cosines (N,)`` p . q, which do not change during the descent.
+    ``direction (3,)`` with ``basis (3, 2)`` for all flows, or ``(N, 3)`` with ``(N, 3, 2)``, one for each. ``normals
+    (N, 3)`` are p x q and ``cosines (N,)`` p . q, which do not change during the descent.
     """
-    p_along, q_along, p_tangent, q_tangent = p @ direction, q @ direction, p @ basis, q @ basis
+    direction, basis = np.broadcast_to(direction, q.shape), np.broadcast_to(basis, (len(q), 3, 2))
+    p_along, q_along, triple = (np.einsum("ni,ni->n", v, direction) for v in (p, q, normals))
+    p_tangent, q_tangent, by_direction = (np.einsum("ni,nij->nj", v, basis) for v in (p, q, normals))
     half_difference = 0.5 * (q_along**2 - p_along**2)
     mixed = cosines - p_along * q_along
     root = np.maximum(np.sqrt(half_difference**2 + mixed**2), _TINY)
@@ -206,9 +248,9 @@ def _residuals(
     of_q = (by_difference - 1.0) * q_along - by_mixed * p_along
     d_lambda = of_p[:, None] * p_tangent + of_q[:, None] * q_tangent
     scale = 1.0 / (np.sqrt(lambda_max) * sigma_rad)
-    residual = (normals @ direction) * scale
+    residual = triple * scale
     relative = 0.5 * residual / lambda_max
-    return residual, (normals @ basis) * scale[:, None] - relative[:, None] * d_lambda
+    return residual, by_direction * scale[:, None] - relative[:, None] * d_lambda
 
 
 def _robust_factor(chi2: Floats, cauchy_sigmas: float | None) -> Floats:

@@ -12,7 +12,7 @@ from ttcvid.model import Floats, Ints
 # Cauchy weight's constant in sigmas: 95 % efficiency on Gaussian noise.
 _CAUCHY = 2.385
 # Gauss-Newton ends after so many steps, or after one whose squared length in sigmas of the estimate is less.
-_MAX_STEPS, _CONVERGED_CHI2 = 15, 1e-3
+_MAX_STEPS, _CONVERGED_CHI2 = 15, 1e-2
 # A step of the direction is cut to this length, rad: beyond it the linearisation means nothing.
 _LONGEST_STEP_RAD = 0.3
 # A static point moves towards dir; one that moves the other way by more sigmas than this does not belong to
@@ -108,9 +108,8 @@ def fit_motion(
         basis = tangent_basis(direction)
         cam_R_prev = rotation_from_vector(offset) @ expected
         turned = rays_prev @ cam_R_prev.T
-        residual, jacobian = _plane_residual(turned, rays_cam, sigma_rad, direction, basis)
-        against = _along_direction(turned, rays_cam, sigma_rad, direction)
-        is_wrong = against < _WRONG_WAY_SIGMAS
+        residual, jacobian, towards = _plane_residual(turned, rays_cam, sigma_rad, direction, basis)
+        is_wrong = towards < _WRONG_WAY_SIGMAS
         weight = _cauchy_weight(residual, _robust_scale(residual)) * np.where(is_wrong, _WRONG_WAY_WEIGHT, 1.0)
         score = -jacobian * (weight * residual)[:, None]
         information = (jacobian * weight[:, None]).T @ jacobian
@@ -142,30 +141,27 @@ def direction_from_flow(rays_prev: Floats, rays_cam: Floats, cam_R_prev: Floats)
 
 def _plane_residual(
     turned: Floats, rays_cam: Floats, sigma_rad: Floats, direction: Floats, basis: Floats
-) -> tuple[Floats, Floats]:
-    """Signed residual (N,) in sigmas and its derivative (N, 5) by direction (2) and rotation (3).
+) -> tuple[Floats, Floats, Floats]:
+    """Signed residual (N,) in sigmas, its derivative (N, 5) by direction (2) and rotation (3), and the flow towards
+    the direction (N,) in sigmas of a difference.
 
     The numerator is the triple product direction . (turned x rays_cam); the denominator varies slowly and is held.
     """
     u, w = turned @ basis, rays_cam @ basis
     area = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]
-    trace = np.sum(u * u, axis=1) + np.sum(w * w, axis=1)
+    trace = np.einsum("ni,ni->n", u, u) + np.einsum("ni,ni->n", w, w)
     largest = 0.5 * (trace + np.sqrt(np.maximum(trace**2 - 4.0 * area**2, 0.0)))
     scale = 1.0 / (np.sqrt(np.maximum(largest, _TINY)) * sigma_rad)
     normal = cross(turned, rays_cam)
     by_direction = normal @ basis
-    by_rotation = (turned @ direction)[:, None] * rays_cam - np.sum(turned * rays_cam, axis=1)[:, None] * direction
-    jacobian = np.concatenate([by_direction, by_rotation], axis=1) * scale[:, None]
-    return (normal @ direction) * scale, jacobian
-
-
-def _along_direction(turned: Floats, rays_cam: Floats, sigma_rad: Floats, direction: Floats) -> Floats:
-    """Flow towards ``direction`` along the great circle, in sigmas of a difference: (N,)."""
-    flow = rays_cam - turned
-    middle = normalize(rays_cam + turned)
-    sine = np.sqrt(np.maximum(1.0 - (middle @ direction) ** 2, _TINY))
-    towards: Floats = (flow @ direction) / (sine * np.sqrt(2.0) * sigma_rad)
-    return towards
+    along_turned = turned @ direction
+    cosine = np.einsum("ni,ni->n", turned, rays_cam)
+    jacobian = np.empty((len(turned), 5))
+    jacobian[:, :2] = by_direction
+    jacobian[:, 2:] = along_turned[:, None] * rays_cam - cosine[:, None] * direction
+    jacobian *= scale[:, None]
+    towards = (rays_cam @ direction - along_turned) / (np.sqrt(np.maximum(trace, _TINY)) * sigma_rad)
+    return (normal @ direction) * scale, jacobian, towards
 
 
 def _prior_terms(

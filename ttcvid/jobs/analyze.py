@@ -137,6 +137,7 @@ def _analyze_into(
             calibration.horizon,
             calibration.mask,
             map_ahead=map_ahead,
+            run_ahead=lambda tracked: stack.enter_context(ReadAhead(tracked)),
         )
         for frame, result in results:
             writer.put((frame, result))

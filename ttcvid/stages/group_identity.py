@@ -25,7 +25,7 @@ class KnownGroup:
     cluster_id: int | None
     n_found: int
     n_missed: int
-    direction: Floats | None
+    direction: Floats
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,7 @@ def former_keys(memory: GroupMemory, track_id: Ints) -> Ints:
 def former_groups(memory: GroupMemory, track_id: Ints, cam_R_prev: Floats) -> list[FormerGroup]:
     """The remembered groups as starts of the next search, their directions turned into the present camera."""
     keys = former_keys(memory, track_id)
-    return [
-        FormerGroup(np.flatnonzero(keys == g.key), None if g.direction is None else cam_R_prev @ g.direction)
-        for g in memory.groups
-    ]
+    return [FormerGroup(np.flatnonzero(keys == g.key), cam_R_prev @ g.direction) for g in memory.groups]
 
 
 def named(groups: list[MotionGroup], track_id: Ints, memory: GroupMemory) -> tuple[list[int | None], GroupMemory]:
@@ -76,7 +73,7 @@ def named(groups: list[MotionGroup], track_id: Ints, memory: GroupMemory) -> tup
     seen: dict[int, KnownGroup] = {}
     for number, group in enumerate(groups):
         key = key_of[number]
-        before = known.get(key, KnownGroup(key, None, 0, 0, None))
+        before = known.get(key, KnownGroup(key, None, 0, 0, group.direction))
         cluster_id = before.cluster_id
         if cluster_id is None and before.n_found + 1 >= _CONFIRM_FRAMES:
             cluster_id, next_cluster_id = next_cluster_id, next_cluster_id + 1

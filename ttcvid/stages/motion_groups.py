@@ -6,7 +6,7 @@ sigmas of each flow, similar times, one place in the picture, and a count of wha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -19,7 +19,12 @@ from ttcvid.geometry.consensus import (
     log_false_alarms,
     shares_direction,
 )
-from ttcvid.geometry.epipole import epipole_maximum_likelihood
+from ttcvid.geometry.epipole import (
+    INFINITY_COSINE,
+    MAX_DIRECTION_SIGMA_RAD,
+    epipole_maximum_likelihood,
+    refine_epipoles,
+)
 from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import cross, tangent_basis
 from ttcvid.model import NO_CLUSTER, Bools, Floats, Ints, Status
@@ -34,23 +39,25 @@ _RATE_SPREAD, _RATE_SIGMAS = 0.4, 3.0
 _LOG_FALSE_ALARMS = float(np.log(0.05))
 # Hypotheses that fail the last test before the search ends.
 _MAX_FAILURES = 3
-# A direction is fitted again when more than this part of its tracks has changed.
-_REFIT_PART = 0.25
 # A merged direction may cost this much chi-square (two degrees of freedom, 99.9 %).
 _MERGE_CHI2 = 13.8
+# So much of two groups has to have one rate, for them to be one.
+_MERGE_SIMILAR = 0.9
+# Gauss-Newton steps of a fit, from the last frame's direction or from a hypothesis.
+_FIT_STEPS = 3
 
 
 @dataclass(frozen=True)
 class MotionGroup:
     """Tracks of one relative motion: ``members (M,)`` are indices of the frame's flows.
 
-    ``direction (3,)`` is ``dir`` with its tangent covariance ``direction_cov (3, 3)``, rad^2; both None with status
-    ``no_epipole`` or ``no_parallax``, where the flow lines leave it open.
+    ``direction (3,)`` is ``dir`` with its tangent covariance ``direction_cov (3, 3)``, rad^2. With status
+    ``no_epipole`` the flow lines leave it open, and it is only good as a start for the next frame.
     """
 
     members: Ints
-    direction: Floats | None
-    direction_cov: Floats | None
+    direction: Floats
+    direction_cov: Floats
     status: Status
 
 
@@ -59,7 +66,7 @@ class FormerGroup:
     """What a group of the last frame says of this one: its members that are still there, and its direction, turned."""
 
     members: Ints
-    direction: Floats | None
+    direction: Floats
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,14 @@ class _Search:
     chance: Floats
 
 
+@dataclass(frozen=True)
+class _Groups:
+    """Groups during the search: ``label (N,)`` of each candidate, NO_CLUSTER for none; ``directions (K, 3)``."""
+
+    label: Ints
+    directions: Floats
+
+
 def find_motion_groups(
     flows: Flows,
     xy_px: Floats,
@@ -84,7 +99,10 @@ def find_motion_groups(
     rng: np.random.Generator,
     config: MotionGroupsConfig,
 ) -> list[MotionGroup]:
-    """Groups of relative motion among the candidate tracks, the best supported first.
+    """Groups of relative motion among the candidate tracks.
+
+    The groups of the last frame are continued; new ones are looked for among the tracks that are left; then
+    each track goes to the group nearby that explains it best, whoever took it first.
 
     Parameters
     ----------
@@ -98,10 +116,10 @@ def find_motion_groups(
     if len(index) < config.min_tracks:
         return []
     search = _prepare(flows.take(index), xy_px[index], link_px, config)
-    local_former = [_localised(group, index, flows.has_flow.size) for group in former]
-    groups = _extract(search, local_former, rng, config)
-    groups = _reassigned(search, _merged(search, groups), config)
-    return [MotionGroup(index[g.members], g.direction, g.direction_cov, g.status) for g in groups]
+    groups = _continued(search, former, index, flows.has_flow.size)
+    groups = _with_new_groups(search, groups, rng, config)
+    groups = _merged(search, _assigned(search, groups))
+    return _results(search, groups, index, config)
 
 
 def _prepare(flows: Flows, xy_px: Floats, link_px: float, config: MotionGroupsConfig) -> _Search:
@@ -112,73 +130,85 @@ def _prepare(flows: Flows, xy_px: Floats, link_px: float, config: MotionGroupsCo
     # KDTree marks a missing neighbour with N: the track itself stands in for it.
     own = np.arange(len(xy_px))[:, None]
     neighbours = np.where(neighbours == len(xy_px), own, neighbours)
-    pairs = tree.query_pairs(link_px, output_type="ndarray")
+    pairs = np.stack([np.broadcast_to(own, neighbours.shape), neighbours], axis=-1)[:, 1:].reshape(-1, 2)
     gate = float(chi2.ppf(config.gate_probability, 1))
     chance = chance_of_sharing(flows.length_sigmas, gate)
     return _Search(flows, xy_px, link_px, neighbours, pairs, gate, chance)
 
 
-def _localised(group: FormerGroup, index: Ints, n_tracks: int) -> FormerGroup:
-    """The same group with candidate numbers in place of track numbers."""
-    position = np.full(n_tracks, -1)
+def _continued(search: _Search, former: list[FormerGroup], index: Ints, n_tracks: int) -> _Groups:
+    """The groups of the last frame with the tracks that go on in about their directions, and these fitted."""
+    position = np.full(n_tracks, NO_CLUSTER)
     position[index] = np.arange(len(index))
-    members = position[group.members]
-    return FormerGroup(members[members >= 0], group.direction)
+    label = np.full(len(index), NO_CLUSTER)
+    for number, group in enumerate(former):
+        members = position[group.members]
+        label[members[members != NO_CLUSTER]] = number
+    directions = np.array([group.direction for group in former]).reshape(-1, 3)
+    return _fitted(search, _assigned(search, _Groups(label, directions)))
 
 
-def _extract(
-    search: _Search, former: list[FormerGroup], rng: np.random.Generator, config: MotionGroupsConfig
-) -> list[MotionGroup]:
-    """Greedy extraction: the groups of the last frame first, then the hypotheses by their support.
-
-    Each takes its connected tracks away from those that follow.
-    """
-    is_free = np.ones(len(search.xy_px), dtype=bool)
-    found = []
-    for known in former:
-        group = _continued(search, known, is_free, config)
-        if group is not None:
-            found.append(group)
-            is_free[group.members] = False
-    directions, voters = _hypotheses(search, np.flatnonzero(is_free), rng, config)
+def _assigned(search: _Search, groups: _Groups) -> _Groups:
+    """Each candidate to the group that explains it best, among those that it or a neighbour belongs to by now."""
+    n_groups, n = len(groups.directions), len(groups.label)
+    if not n_groups:
+        return groups
     flows = search.flows
-    shares = shares_direction(directions, flows.first, flows.second, flows.sigma_rad, search.gate_chi2)
-    is_open = np.ones(len(directions), dtype=bool)
-    rows = np.arange(len(directions))[:, None]
+    cost = flow_line_chi2(groups.directions, flows.first, flows.second, flows.sigma_rad)
+    shares = shares_direction(groups.directions, flows.first, flows.second, flows.sigma_rad, search.gate_chi2)
+    label_around = groups.label[search.neighbours]
+    is_near = np.stack([np.any(label_around == number, axis=1) for number in range(n_groups)])
+    cost = np.where(shares & is_near, cost, np.inf)
+    label = np.where(np.isfinite(cost.min(axis=0)), np.argmin(cost, axis=0), NO_CLUSTER)
+    taken = np.flatnonzero(label != NO_CLUSTER)
+    is_like = _has_similar_rate(search, taken, label[taken], groups.directions)
+    kept = np.full(n, NO_CLUSTER)
+    kept[taken[is_like]] = label[taken[is_like]]
+    return _Groups(kept, groups.directions)
+
+
+def _fitted(search: _Search, groups: _Groups) -> _Groups:
+    return _Groups(groups.label, _fit(search, groups)[0])
+
+
+def _fit(search: _Search, groups: _Groups) -> tuple[Floats, Floats]:
+    """Maximum-likelihood directions (K, 3) of the groups and their covariances (K, 3, 3)."""
+    if not len(groups.directions):
+        return groups.directions, np.empty((0, 3, 3))
+    taken = np.flatnonzero(groups.label != NO_CLUSTER)
+    flows = search.flows.take(taken)
+    return refine_epipoles(
+        groups.directions, groups.label[taken], flows.first, flows.second, flows.sigma_rad, _FIT_STEPS
+    )
+
+
+def _with_new_groups(search: _Search, groups: _Groups, rng: np.random.Generator, config: MotionGroupsConfig) -> _Groups:
+    """Greedy extraction of new groups: the hypothesis with most support takes its connected tracks, the rest go on."""
+    label, directions = groups.label.copy(), list(groups.directions)
+    free = np.flatnonzero(label == NO_CLUSTER)
+    if len(free) < config.min_tracks:
+        return groups
+    hypotheses, voters = _hypotheses(search, free, rng, config)
+    flows = search.flows
+    shares = shares_direction(hypotheses, flows.first, flows.second, flows.sigma_rad, search.gate_chi2)
+    is_open = np.ones(len(hypotheses), dtype=bool)
+    rows = np.arange(len(hypotheses))[:, None]
     failures = 0
-    while is_open.any() and len(found) < config.max_groups and failures < _MAX_FAILURES:
+    while is_open.any() and len(directions) < config.max_groups and failures < _MAX_FAILURES:
+        is_free = label == NO_CLUSTER
         votes = np.count_nonzero(shares[rows, voters] & is_free[voters], axis=1) * is_open
         best = int(np.argmax(votes))
         if votes[best] < config.min_tracks:
             break
         is_open[best] = False
-        group = _new_group(search, shares[best], voters[best], directions[best], is_free, config)
-        if group is None:
-            failures += 1
+        members = _connected_to(search, shares[best] & is_free, voters[best])
+        members = members[_has_similar_rate(search, members, np.zeros(len(members), np.int64), hypotheses[[best]])]
+        if len(members) >= config.min_tracks and _is_significant(search, members, is_free):
+            label[members] = len(directions)
+            directions.append(hypotheses[best])
         else:
-            found.append(group)
-            is_free[group.members] = False
-    return found
-
-
-def _continued(search: _Search, known: FormerGroup, is_free: Bools, config: MotionGroupsConfig) -> MotionGroup | None:
-    """A group of the last frame, where enough of its tracks go on in about its direction."""
-    members = known.members[is_free[known.members]]
-    if known.direction is None or len(members) < config.min_tracks:
-        return None
-    group = _refined(search, members, known.direction, is_free)
-    return group if len(group.members) >= config.min_tracks else None
-
-
-def _new_group(
-    search: _Search, shares: Bools, voters: Ints, direction: Floats, is_free: Bools, config: MotionGroupsConfig
-) -> MotionGroup | None:
-    """The group around a hypothesis, where chance would hardly gather as many flows."""
-    members = _grown(search, shares & is_free, voters, direction)
-    if len(members) < config.min_tracks or not _is_significant(search, members, is_free):
-        return None
-    group = _refined(search, members, direction, is_free)
-    return group if len(group.members) >= config.min_tracks else None
+            failures += 1
+    return _fitted(search, _Groups(label, np.array(directions).reshape(-1, 3)))
 
 
 def _hypotheses(
@@ -195,22 +225,6 @@ def _hypotheses(
     return directions[is_defined], search.neighbours[seeds[is_defined]]
 
 
-def _grown(search: _Search, shares: Bools, voters: Ints, direction: Floats) -> Ints:
-    """The connected tracks around the voters that share a direction and have similar rates."""
-    return _of_similar_rate(search, _connected_to(search, shares, voters), direction)
-
-
-def _refined(search: _Search, members: Ints, direction: Floats, is_free: Bools) -> MotionGroup:
-    """The group with its direction by maximum likelihood, and the members that this direction has."""
-    group = _fitted(search, members, direction)
-    if group.direction is None:
-        return group
-    flows = search.flows
-    near = flow_line_chi2(group.direction, flows.first, flows.second, flows.sigma_rad) < search.gate_chi2
-    again = _grown(search, near & is_free, members, group.direction)
-    return replace(group, members=again)
-
-
 def _connected_to(search: _Search, is_in: Bools, seeds: Ints) -> Ints:
     """Tracks of ``is_in`` in the connected part that holds most of the seeds."""
     seeds = seeds[is_in[seeds]]
@@ -221,123 +235,87 @@ def _connected_to(search: _Search, is_in: Bools, seeds: Ints) -> Ints:
     return connected
 
 
-def _of_similar_rate(search: _Search, members: Ints, direction: Floats) -> Ints:
-    """Members whose rate abs(V)/distance is like the median's: the paper's similar TTC, kept away from its poles."""
-    if len(members) < 2:
-        return members
-    flows = search.flows.take(members)
+def _has_similar_rate(search: _Search, index: Ints, label: Ints, directions: Floats) -> Bools:
+    """Which of the tracks ``index`` have a rate abs(V)/distance like the median of their group ``label``: (M,).
+
+    The paper's similar TTC, kept away from its poles.
+    """
+    flows, direction = search.flows.take(index), directions[label]
     across = cross(flows.first, direction)
     across2 = np.maximum(np.einsum("ni,ni->n", across, across), 1e-12)
     normal = cross(flows.first, flows.second)
     rate_hz = np.einsum("ni,ni->n", normal, across) / across2 / flows.gap_s
     sigma_hz = np.sqrt(2.0 / across2) * flows.sigma_rad / flows.gap_s
-    middle = float(np.median(rate_hz))
-    similar: Ints = members[np.abs(rate_hz - middle) < _RATE_SPREAD * abs(middle) + _RATE_SIGMAS * sigma_hz]
+    middle_hz = np.zeros(len(directions))
+    for number in np.unique(label):
+        middle_hz[number] = np.median(rate_hz[label == number])
+    middle_hz = middle_hz[label]
+    similar: Bools = np.abs(rate_hz - middle_hz) < _RATE_SPREAD * np.abs(middle_hz) + _RATE_SIGMAS * sigma_hz
     return similar
 
 
 def _is_significant(search: _Search, members: Ints, is_free: Bools) -> bool:
     """Whether chance would hardly gather as many flows of this neighbourhood."""
-    free = np.flatnonzero(is_free)
-    distance, _ = KDTree(search.xy_px[members]).query(search.xy_px[free], distance_upper_bound=search.link_px)
-    around = free[np.isfinite(distance)]
+    is_around = np.zeros(len(is_free), dtype=bool)
+    is_around[search.neighbours[members]] = True
+    is_around[members] = True
     chance = float(np.mean(search.chance[members]))
-    return log_false_alarms(len(search.xy_px), len(around), len(members), chance) < _LOG_FALSE_ALARMS
+    n_around = int(np.count_nonzero(is_around & is_free))
+    return log_false_alarms(len(search.xy_px), n_around, len(members), chance) < _LOG_FALSE_ALARMS
 
 
-def _fitted(search: _Search, members: Ints, start: Floats | None = None) -> MotionGroup:
-    """The members with their direction by maximum likelihood."""
+def _merged(search: _Search, groups: _Groups) -> _Groups:
+    """Join neighbouring groups whose flows one direction explains as well as two."""
+    directions, covariances = _fit(search, groups)
+    label = groups.label.copy()
+    for one in range(len(directions)):
+        for other in range(one + 1, len(directions)):
+            if _may_be_one(search, label, directions, covariances, one, other) and _is_one(
+                search, label, directions, one, other
+            ):
+                label[label == other] = one
+    return _Groups(label, directions)
+
+
+def _may_be_one(search: _Search, label: Ints, directions: Floats, covariances: Floats, one: int, other: int) -> bool:
+    """Cheap tests before the fit of two groups together: directions that do not contradict, and neighbours."""
+    covariance = covariances[one] + covariances[other]
+    if directions[one] @ directions[other] < 0.0 or not np.isfinite(covariance).all():
+        return False
+    basis = tangent_basis(directions[one])
+    offset = basis.T @ directions[other]
+    if offset @ np.linalg.solve(basis.T @ covariance @ basis, offset) > _MERGE_CHI2:
+        return False
+    return bool(np.any(label[search.neighbours[label == one]] == other))
+
+
+def _is_one(search: _Search, label: Ints, directions: Floats, one: int, other: int) -> bool:
+    """Whether one direction and one rate explain both groups: chi-square of the joint fit against the separate ones."""
+    members = np.flatnonzero((label == one) | (label == other))
     flows = search.flows.take(members)
-    direction, covariance, _, status = epipole_maximum_likelihood(
-        flows.first, flows.second, flows.sigma_rad, start=start
+    joint, _, chi2_joint, status = epipole_maximum_likelihood(
+        flows.first, flows.second, flows.sigma_rad, start=directions[one]
     )
     if status in (Status.no_epipole, Status.no_parallax):
-        return MotionGroup(members, None, None, status)
-    return MotionGroup(members, direction, covariance, status)
-
-
-def _merged(search: _Search, groups: list[MotionGroup]) -> list[MotionGroup]:
-    """Join neighbouring groups whose flows one direction explains as well as two."""
-    groups = list(groups)
-    one = 0
-    while one < len(groups):
-        for other in range(one + 1, len(groups)):
-            joint = _joined(search, groups[one], groups[other])
-            if joint is not None:
-                groups[one] = joint
-                del groups[other]
-                break
-        else:
-            one += 1
-    return groups
-
-
-def _joined(search: _Search, one: MotionGroup, other: MotionGroup) -> MotionGroup | None:
-    if not _may_be_one(search, one, other):
-        return None
-    members = np.sort(np.concatenate([one.members, other.members]))
-    joint = _fitted(search, members, one.direction)
-    if joint.direction is None or len(_of_similar_rate(search, members, joint.direction)) < 0.9 * len(members):
-        return None
-    apart = _chi2_sum(search, one, one.members) + _chi2_sum(search, other, other.members)
-    return joint if _chi2_sum(search, joint, members) - apart < _MERGE_CHI2 else None
-
-
-def _may_be_one(search: _Search, one: MotionGroup, other: MotionGroup) -> bool:
-    """Cheap tests before the fit of two groups together: neighbours, with directions that do not contradict."""
-    if one.direction is None or one.direction_cov is None or other.direction is None or other.direction_cov is None:
         return False
-    basis = tangent_basis(one.direction)
-    offset = basis.T @ other.direction
-    covariance = basis.T @ (one.direction_cov + other.direction_cov) @ basis
-    if one.direction @ other.direction < 0.0 or offset @ np.linalg.solve(covariance, offset) > _MERGE_CHI2:
-        return False
-    distance, _ = KDTree(search.xy_px[one.members]).query(search.xy_px[other.members])
-    return float(distance.min()) <= search.link_px
+    similar = _has_similar_rate(search, members, np.zeros(len(members), np.int64), joint[None])
+    apart = flow_line_chi2(directions[[one, other]], flows.first, flows.second, flows.sigma_rad)
+    separate = np.where(label[members] == one, apart[0], apart[1])
+    return bool(np.mean(similar) > _MERGE_SIMILAR and np.sum(chi2_joint - separate) < _MERGE_CHI2)
 
 
-def _chi2_sum(search: _Search, group: MotionGroup, members: Ints) -> float:
-    if group.direction is None:
-        return np.inf
-    flows = search.flows.take(members)
-    return float(np.sum(flow_line_chi2(group.direction, flows.first, flows.second, flows.sigma_rad)))
+def _results(search: _Search, groups: _Groups, index: Ints, config: MotionGroupsConfig) -> list[MotionGroup]:
+    """The groups that are large enough, with their final directions, in terms of the frame's tracks."""
+    directions, covariances = _fit(search, groups)
+    found = []
+    for number, (direction, covariance) in enumerate(zip(directions, covariances, strict=True)):
+        members = np.flatnonzero(groups.label == number)
+        if len(members) >= config.min_tracks:
+            found.append(MotionGroup(index[members], direction, covariance, _direction_status(direction, covariance)))
+    return found
 
 
-def _reassigned(search: _Search, groups: list[MotionGroup], config: MotionGroupsConfig) -> list[MotionGroup]:
-    """Give each track to the group nearby that explains it best, whoever took it first, and fit once more."""
-    if not groups:
-        return []
-    cost = np.stack([_cost_of_joining(search, group) for group in groups])
-    owner = np.where(np.min(cost, axis=0) < search.gate_chi2, np.argmin(cost, axis=0), NO_CLUSTER)
-    members = [np.flatnonzero(owner == number) for number in range(len(groups))]
-    return [
-        _fitted(search, now, group.direction) if _differ(now, group.members) else replace(group, members=now)
-        for now, group in zip(members, groups, strict=True)
-        if len(now) >= config.min_tracks
-    ]
-
-
-def _differ(one: Ints, other: Ints) -> bool:
-    """Whether two sets of tracks differ by enough to move a direction."""
-    return len(np.setxor1d(one, other, assume_unique=True)) > _REFIT_PART * len(one)
-
-
-def _cost_of_joining(search: _Search, group: MotionGroup) -> Floats:
-    """Chi-square of each candidate in the group, infinite where it is out of place, rate or sense: (N,)."""
-    cost = np.full(len(search.xy_px), np.inf)
-    if group.direction is None:
-        # No direction to compare with: the members stay by the least claim.
-        cost[group.members] = 0.0
-        return cost
-    flows = search.flows
-    distance, _ = KDTree(search.xy_px[group.members]).query(search.xy_px, distance_upper_bound=search.link_px)
-    near = np.flatnonzero(np.isfinite(distance))
-    near = near[
-        shares_direction(
-            group.direction[None], flows.first[near], flows.second[near], flows.sigma_rad[near], search.gate_chi2
-        )[0]
-    ]
-    near = _of_similar_rate(search, near, group.direction)
-    chosen = flows.take(near)
-    cost[near] = flow_line_chi2(group.direction, chosen.first, chosen.second, chosen.sigma_rad)
-    return cost
+def _direction_status(direction: Floats, covariance: Floats) -> Status:
+    if not np.trace(covariance) < MAX_DIRECTION_SIGMA_RAD**2:
+        return Status.no_epipole
+    return Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok

@@ -91,7 +91,7 @@ def _has_scene_direction(group: MotionGroup, egomotion: Egomotion) -> bool:
     Leaves before the sky and edges that slide go astray together. Their flow lines miss the scene's epipole one by
     one, but the direction that they share lies on it within its uncertainty: no object, and not fit for the scene.
     """
-    if group.direction is None or group.direction_cov is None:
+    if group.status == Status.no_epipole:
         return False
     if egomotion.direction is None or egomotion.direction_cov is None or group.direction @ egomotion.direction < 0.0:
         return False
@@ -113,7 +113,7 @@ def _scene_motion(
 
 
 def _group_motion(cluster_id: int, group: MotionGroup, plane: HorizonPlane | None, camera: Camera) -> ClusterMotion:
-    if group.direction is None or group.direction_cov is None:
+    if group.status == Status.no_epipole:
         return ClusterMotion(cluster_id, group.members, None, None, group.status, "consensus")
     return _on_plane(
         cluster_id, group.members, group.direction, group.direction_cov, group.status, "consensus", plane, camera
