@@ -1,0 +1,132 @@
+"""What is hit first: the nearest surface with enough tracks, and not the most extreme of its noisy rates."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ttcvid.stages.surfaces import largest_connected, nearest_surface, weighted_mean
+
+LINK_PX = 30.0
+
+
+def places(rng, n, corner=(0.0, 0.0), size_px=40.0):
+    return np.asarray(corner) + rng.uniform(0, size_px, (n, 2))
+
+
+def rate(eta_hz, sigma_hz, surface):
+    return weighted_mean(eta_hz[surface], sigma_hz[surface])
+
+
+@pytest.mark.parametrize("n", [10, 20, 50, 100, 200])
+def test_the_rate_of_a_fronto_parallel_plane_is_not_biased_towards_its_extreme(n):
+    rng = np.random.default_rng([51, n])
+    sigma_hz, errors = np.full(n, 0.05), []
+    for _ in range(150):
+        eta_hz = 0.5 + sigma_hz * rng.normal(size=n)
+        surface = nearest_surface(eta_hz, sigma_hz, places(rng, n), LINK_PX)
+        assert len(surface) >= 5
+        errors.append(rate(eta_hz, sigma_hz, surface) - 0.5)
+    spread = np.std(errors) / np.sqrt(len(errors))
+    assert abs(np.mean(errors)) < 0.2 * 0.05 + 2.0 * spread
+
+
+@pytest.mark.parametrize("n", [10, 50, 200])
+def test_nor_where_tracks_are_of_different_quality(n):
+    rng = np.random.default_rng([52, n])
+    errors, sigmas = [], []
+    for _ in range(150):
+        sigma_hz = 0.02 * np.exp(rng.uniform(-1.0, 1.0, n))
+        eta_hz = 0.5 + sigma_hz * rng.normal(size=n)
+        surface = nearest_surface(eta_hz, sigma_hz, places(rng, n), LINK_PX)
+        assert len(surface) >= 5
+        errors.append(rate(eta_hz, sigma_hz, surface) - 0.5)
+        sigmas.append(np.median(sigma_hz))
+    assert abs(np.mean(errors)) < 0.2 * np.mean(sigmas) + 2.0 * np.std(errors) / np.sqrt(len(errors))
+
+
+def car(rng, n_face=25, n_roof=40, sigma_hz=0.004):
+    """Rates of a car whose rear face is hit in 2 s and whose roof and windows are 15 % deeper; true part of each."""
+    is_face = np.repeat([True, False], [n_face, n_roof])
+    sigma = np.full(len(is_face), sigma_hz)
+    eta_hz = np.where(is_face, 0.5, 0.5 / 1.15) + sigma * rng.normal(size=len(is_face))
+    xy_px = np.concatenate([places(rng, n_face), places(rng, n_roof, corner=(0.0, -50.0))])
+    return eta_hz, sigma, xy_px, is_face
+
+
+def test_a_cars_rear_face_gives_its_time_and_not_the_deeper_roof():
+    rng = np.random.default_rng(53)
+    for _ in range(50):
+        eta_hz, sigma_hz, xy_px, is_face = car(rng)
+        surface = nearest_surface(eta_hz, sigma_hz, xy_px, LINK_PX)
+        assert is_face[surface].mean() > 0.95
+        assert rate(eta_hz, sigma_hz, surface) == pytest.approx(0.5, rel=0.01)
+
+
+def test_a_few_wild_tracks_in_front_are_no_surface():
+    rng = np.random.default_rng(54)
+    eta_hz, sigma_hz, xy_px, _ = car(rng)
+    eta_hz[[3, 30, 50]] = [2.0, 1.4, 1.39]
+    surface = nearest_surface(eta_hz, sigma_hz, xy_px, LINK_PX)
+    assert rate(eta_hz, sigma_hz, surface) == pytest.approx(0.5, rel=0.01)
+
+
+def test_tracks_of_one_rate_scattered_over_the_picture_are_no_surface():
+    rng = np.random.default_rng(55)
+    eta_hz, sigma_hz, xy_px, is_face = car(rng, n_face=8, n_roof=40)
+    xy_px[is_face] = 200.0 * np.arange(8)[:, None] + [0.0, 300.0]
+    surface = nearest_surface(eta_hz, sigma_hz, xy_px, LINK_PX)
+    assert not is_face[surface].any()
+
+
+@pytest.mark.parametrize(
+    ("n_near", "n_far", "is_found"), [(5, 30, True), (4, 30, False), (9, 91, False), (10, 90, True)]
+)
+def test_a_surface_is_borne_by_five_tracks_and_a_tenth_of_them(n_near, n_far, is_found):
+    eta_hz = np.repeat([0.6, 0.4], [n_near, n_far])
+    xy_px = places(np.random.default_rng(56), n_near + n_far, size_px=20.0)
+    surface = nearest_surface(eta_hz, np.full(len(eta_hz), 0.01), xy_px, LINK_PX)
+    assert eta_hz[surface].max() == (0.6 if is_found else 0.4)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_order_of_tracks_does_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    eta_hz, sigma_hz, xy_px, _ = car(rng, n_face=int(rng.integers(3, 20)), n_roof=int(rng.integers(0, 20)))
+    order = rng.permutation(len(eta_hz))
+    expected = set(nearest_surface(eta_hz, sigma_hz, xy_px, LINK_PX).tolist())
+    shuffled = nearest_surface(eta_hz[order], sigma_hz[order], xy_px[order], LINK_PX)
+    assert set(order[shuffled].tolist()) == expected
+
+
+def test_a_receding_object_has_a_surface_too():
+    rng = np.random.default_rng(57)
+    eta_hz = -0.3 + 0.01 * rng.normal(size=30)
+    surface = nearest_surface(eta_hz, np.full(30, 0.01), places(rng, 30), LINK_PX)
+    assert eta_hz[surface].mean() == pytest.approx(-0.3, abs=0.01)
+
+
+def test_without_tracks_or_with_rates_that_all_differ_there_is_none():
+    nothing = np.empty(0)
+    assert not len(nearest_surface(nothing, nothing, np.empty((0, 2)), LINK_PX))
+    rng = np.random.default_rng(58)
+    assert not len(nearest_surface(np.linspace(0, 1, 12), np.full(12, 1e-3), places(rng, 12), LINK_PX))
+
+
+def test_three_tracks_bear_a_surface_when_there_are_no_more():
+    eta_hz = np.array([0.50, 0.51, 0.49])
+    xy_px = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]])
+    assert sorted(nearest_surface(eta_hz, np.full(3, 0.01), xy_px, LINK_PX)) == [0, 1, 2]
+
+
+def test_the_largest_connected_part_of_some_tracks():
+    pairs = np.array([[0, 1], [1, 2], [2, 3], [4, 5]])
+    np.testing.assert_array_equal(
+        largest_connected(np.array([True, True, False, True, True, True, True]), pairs), [0, 1]
+    )
+    np.testing.assert_array_equal(largest_connected(np.ones(7, dtype=bool), pairs), [0, 1, 2, 3])
+    assert not len(largest_connected(np.zeros(7, dtype=bool), pairs))
+
+
+def test_weighted_mean_has_the_weights_of_maximum_likelihood():
+    assert weighted_mean(np.array([1.0, 4.0]), np.array([1.0, 2.0])) == pytest.approx((1.0 + 4.0 / 4.0) / 1.25)
