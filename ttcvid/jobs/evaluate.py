@@ -110,7 +110,7 @@ def read_truth(folder: Path, run: RunTables) -> Truth:
             "as written by 'ttcvid simulate'"
         )
     for name, table in (("truth_frames", frames), ("truth_objects", objects)):
-        if table is not None:
+        if table is not None and not table.empty:
             _check_clock(folder / f"{name}.parquet", table, run.frames)
     if objects is not None:
         objects = with_counted(_named(objects))
