@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from ttcvid.errors import CalibrationError, InputError, OutputError, TtcvidError, UsageError
     from ttcvid.jobs.analyze import analyze
+    from ttcvid.jobs.evaluate import evaluate
     from ttcvid.jobs.run import Run
     from ttcvid.jobs.simulate import simulate
 
@@ -28,6 +29,7 @@ __all__ = [
     "TtcvidError",
     "UsageError",
     "analyze",
+    "evaluate",
     "simulate",
 ]
 
@@ -39,6 +41,7 @@ _HOMES = {
     "TtcvidError": "ttcvid.errors",
     "UsageError": "ttcvid.errors",
     "analyze": "ttcvid.jobs.analyze",
+    "evaluate": "ttcvid.jobs.evaluate",
     "simulate": "ttcvid.jobs.simulate",
 }
 

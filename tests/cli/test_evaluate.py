@@ -11,8 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 from perfect_runs import perfect_run, write_run
 
+import ttcvid
 from ttcvid.cli.main import main
-from ttcvid.jobs.evaluate import evaluate_run, read_truth
+from ttcvid.jobs.evaluate import read_truth
 from ttcvid.jobs.simulate import simulate
 from ttcvid.simulate.tracks import TrackOptions
 from ttcvid.studies.metrics import METRICS
@@ -120,7 +121,7 @@ def test_the_page_goes_where_it_can_be_written(
 
 def test_python_takes_the_same_folders(of_tracks: tuple[Path, Path]) -> None:
     run, truth = of_tracks
-    assert evaluate_run(run, truth).evaluation.metrics["ttc_z.median"] == 0
+    assert ttcvid.evaluate(run, truth).evaluation.metrics["ttc_z.median"] == 0
 
 
 def copied(truth: Path, tmp_path: Path) -> Path:
@@ -208,6 +209,6 @@ def test_objects_alone_are_truth_enough(of_pictures: tuple[Path, Path], tmp_path
     run, truth = of_pictures[0], tmp_path / "objects"
     truth.mkdir()
     shutil.copy(of_pictures[1] / "truth_objects.parquet", truth)
-    metrics = evaluate_run(run, truth).evaluation.metrics
+    metrics = ttcvid.evaluate(run, truth).evaluation.metrics
     assert metrics["ttc_z.median"] == 0
     assert metrics["tracks.right"] is metrics["rotation.median"] is metrics["events.true"] is None

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from perfect_runs import N_FRAMES, perfect_run, two_object_truth
 
-from ttcvid.studies.evaluate import Evaluation, evaluate
+from ttcvid.studies.evaluate import Evaluation, judge_run
 from ttcvid.studies.metrics import METRICS
 from ttcvid.studies.truth import RunTables
 
@@ -16,7 +16,7 @@ RUN = perfect_run(TRUTH)
 
 
 def metrics_of(run: RunTables, **changes: object) -> dict[str, float | None]:
-    return evaluate(run, replace(TRUTH, **changes)).metrics
+    return judge_run(run, replace(TRUTH, **changes)).metrics
 
 
 def with_clusters(clusters: pd.DataFrame) -> RunTables:
@@ -24,7 +24,7 @@ def with_clusters(clusters: pd.DataFrame) -> RunTables:
 
 
 def test_a_perfect_run_has_no_error_and_full_coverage() -> None:
-    result: Evaluation = evaluate(RUN, TRUTH)
+    result: Evaluation = judge_run(RUN, TRUTH)
     metrics = result.metrics
     assert set(metrics) == set(METRICS)
     for name in ("ttc_z", "tcpa", "miss"):
@@ -63,7 +63,7 @@ def test_a_direction_of_the_wrong_sign_is_seen() -> None:
 
 
 def test_an_object_that_is_not_found_is_missed_and_its_times_count_as_no_value() -> None:
-    result = evaluate(with_clusters(RUN.clusters[RUN.clusters.cluster_id != 2]), TRUTH)
+    result = judge_run(with_clusters(RUN.clusters[RUN.clusters.cluster_id != 2]), TRUTH)
     assert [result.metrics[f"objects.{key}"] for key in ("found", "missed", "share")] == [1, 1, 0.5]
     assert result.metrics["ttc_z.share"] == 0.5
     assert result.metrics["ttc_z.median"] == 0
@@ -119,7 +119,7 @@ def test_two_objects_that_swap_their_numbers_half_way_agree_with_the_first_half_
 )
 def test_a_warning_is_in_time_late_or_missed(start_s: float | None, verdict: str, counts: list[int]) -> None:
     events = RUN.events[:0] if start_s is None else RUN.events.assign(start_s=start_s)
-    result = evaluate(replace(RUN, events=events), TRUTH)
+    result = judge_run(replace(RUN, events=events), TRUTH)
     assert [result.metrics[f"events.{key}"] for key in ("true", "late", "missed")] == counts
     assert result.objects[0].warning == verdict
     assert result.metrics["events.false"] == 0
@@ -141,7 +141,7 @@ def test_a_warning_of_something_over_nothing_is_false() -> None:
 def test_a_collision_long_after_the_clip_is_not_expected_and_its_warning_not_false() -> None:
     assert TRUTH.encounters is not None
     encounters = TRUTH.encounters.assign(t_contact_s=[4.5, np.nan])
-    result = evaluate(RUN, replace(TRUTH, encounters=encounters))
+    result = judge_run(RUN, replace(TRUTH, encounters=encounters))
     assert [result.metrics[f"events.{key}"] for key in ("expected", "missed", "false")] == [0, 0, 0]
     assert result.objects[0].warning == "not_expected"
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from ttcvid.errors import UsageError
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.studies.directions import angle_deg, judge_directions, judge_rotation
-from ttcvid.studies.grouping import clustering_error, judge_grouping, most_frequent_cluster
+from ttcvid.studies.grouping import judge_grouping
 from ttcvid.studies.matching import best_one_to_one, count_tracks, intersection_over_union, match_objects
 from ttcvid.studies.metrics import METRICS, check_from_text
 from ttcvid.studies.times import is_within, judge_times, relative_half_width
@@ -146,15 +146,6 @@ def test_tracks_are_right_in_the_group_of_their_object() -> None:
     assert numbers["objects_right"] == pytest.approx(4 / 6)
     assert numbers["objects_pure"] == pytest.approx(4 / 6)
     assert numbers["unassigned"] == pytest.approx(1 / 10)
-
-
-def test_clustering_error_counts_null_and_unmatched_tracks() -> None:
-    track_id = np.array([1, 1, 1, 2, 3, 4, 5])
-    cluster_id = np.array([0, 0, 4, 0, 7, 8, -1])
-    labels = {1: 1, 2: 1, 3: 2, 4: 2, 5: 1, 6: 1}
-    # 1 and 2 are right (0 is label 1), one of 3 and 4 is (7 or 8 is label 2), 5 is in none, 6 never seen.
-    assert clustering_error(track_id, cluster_id, labels) == pytest.approx(0.5)
-    assert most_frequent_cluster(np.array([1, 1, 1, 1]), np.array([3, 2, 3, 2])) == {1: 2}
 
 
 def test_labels_tell_the_object_at_a_pixel_but_not_on_outlines() -> None:

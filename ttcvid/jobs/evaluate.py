@@ -16,7 +16,7 @@ from ttcvid.errors import InputError
 from ttcvid.jobs.run import Run
 from ttcvid.model import Ints
 from ttcvid.sinks.failures import output_errors
-from ttcvid.studies.evaluate import Evaluation, evaluate
+from ttcvid.studies.evaluate import Evaluation, judge_run
 from ttcvid.studies.evaluation_page import evaluation_page
 from ttcvid.studies.truth import (
     BOX,
@@ -65,7 +65,7 @@ class EvaluatedRun:
         return json.dumps(content, allow_nan=False)
 
 
-def evaluate_run(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
+def evaluate(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
     """Hold a run against the truth of its clip.
 
     Parameters
@@ -82,7 +82,7 @@ def evaluate_run(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
     """
     opened = run if isinstance(run, Run) else Run.open(run)
     tables = read_run_tables(opened)
-    return EvaluatedRun(opened, Path(truth), evaluate(tables, read_truth(Path(truth), tables)))
+    return EvaluatedRun(opened, Path(truth), judge_run(tables, read_truth(Path(truth), tables)))
 
 
 def write_page(result: EvaluatedRun, path: Path) -> None:

@@ -48,7 +48,7 @@ class Evaluation:
     joined: pd.DataFrame
 
 
-def evaluate(run: RunTables, truth: Truth) -> Evaluation:
+def judge_run(run: RunTables, truth: Truth) -> Evaluation:
     """Hold a run against a truth, over the frames that the run has. Definitions: ``ttcvid.studies.metrics``."""
     numbers: dict[str, Numbers] = {"clip": _clip(run)}
     objects: tuple[ObjectJudged, ...] = ()

@@ -32,32 +32,5 @@ def judge_grouping(track_object: Ints, cluster_id: Ints) -> Numbers:
     }
 
 
-def clustering_error(track_id: Ints, cluster_id: Ints, label_of_track: dict[int, int]) -> float:
-    """The share of labelled tracks in the wrong motion group.
-
-    A track's group is the cluster that it is in most often (the lower number in a tie). Groups are assigned to labels
-    one-to-one so that most tracks agree; a track of no group, or of an unassigned one, is an error.
-
-    >>> clustering_error(np.array([1, 1, 2, 3]), np.array([0, 0, 0, 5]), {1: 1, 2: 1, 3: 2, 4: 2})
-    0.25
-    """
-    group_of = most_frequent_cluster(track_id, cluster_id)
-    tracks = [track for track in label_of_track if track in group_of]
-    groups = np.array([group_of[track] for track in tracks], dtype=np.int64)
-    labels = np.array([label_of_track[track] for track in tracks], dtype=np.int64)
-    label_of_group = best_one_to_one(groups, labels)
-    n_right = sum(label_of_group.get(int(g)) == int(label) for g, label in zip(groups, labels, strict=True))
-    return 1.0 - n_right / len(label_of_track)
-
-
-def most_frequent_cluster(track_id: Ints, cluster_id: Ints) -> dict[int, int]:
-    """The cluster that each track is in most often; a track that is in none is left out."""
-    in_any = cluster_id != NO_CLUSTER
-    pairs, counts = np.unique(np.stack([track_id[in_any], cluster_id[in_any]]), axis=1, return_counts=True)
-    # Ascending in cluster_id within a track, and a stable sort: of a tie the lower number comes first.
-    order = np.lexsort((pairs[1], -counts))[::-1]
-    return {int(pairs[0, k]): int(pairs[1, k]) for k in order}
-
-
 def _share(values: np.ndarray) -> float:
     return float(np.mean(values)) if len(values) else float("nan")
