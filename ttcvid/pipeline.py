@@ -132,15 +132,12 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
 
     history = _with_points(frame, points, memory, clip)
     is_frozen, frozen = find_frozen(memory.frozen, points, scene_moves=memory.scene_moves)
-    times = clip.config.collision_times
     egomotion, history, ego_memory = find_own_motion(
         history,
         ~is_frozen,
         memory.egomotion,
         clip.config.egomotion,
         LEAST_PARALLAX_PX,
-        times.max_gap_frames,
-        times.target_flow_px,
         clip.config.tracking.sigma_floor_px,
     )
     if status == FrameStatus.ok:

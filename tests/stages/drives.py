@@ -38,15 +38,16 @@ class Drive:
 
 
 def drive(n_frames, rng, n=200, speed_m=0.5, turn_deg=(0.0, 0.0, 0.0), sigma_px=0.0, depth_m=(15.0, 80.0)):
-    """Straight ahead through static points, turning by the same rotation vector in every step."""
+    """Through static points along the axis of the present camera, turning by the same rotation in every step."""
     step = rotation_from_vector(np.radians(np.asarray(turn_deg, dtype=float)))
     places = points_of_a_street(n, rng, depth_m)
     rays, turns = [], []
     for frame in range(n_frames):
         if frame:
-            places = (places - [0.0, 0.0, speed_m]) @ step.T
-        noise = sigma_px / FOCAL_PX * rng.normal(size=(n, 3))
-        rays.append(normalize(normalize(places) + noise))
+            places = places @ step.T - [0.0, 0.0, speed_m]
+        plane = places / places[:, 2:]
+        plane[:, :2] += sigma_px / FOCAL_PX * rng.normal(size=(n, 2))
+        rays.append(normalize(plane))
         turns.append(step if frame else np.eye(3))
     return Drive(np.array(rays), np.array(turns))
 

@@ -43,8 +43,6 @@ def motions(request, data_dir):
             memory,
             EgomotionConfig(platform=Platform.vehicle),
             0.25,
-            10,
-            8.0,
             config.sigma_floor_px,
         )
         if last is not None:

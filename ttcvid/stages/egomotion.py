@@ -55,7 +55,7 @@ MOTION_PRIORS = {
 
 @dataclass(frozen=True)
 class Egomotion:
-    """Own motion from the last frame to this one, in the camera of this frame.
+    """Own motion from an earlier frame ("prev") to this one, in the camera of this frame.
 
     ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2;
     ``direction (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does
@@ -93,10 +93,15 @@ class Egomotion:
 
 @dataclass(frozen=True)
 class EgomotionMemory:
-    """The last pair's rotation vector (rad) and direction, where the next search starts; None before the first."""
+    """Where the next search starts: the rotation vector expected of it (rad) and the last direction; None at first.
+
+    ``step_rotation_rad`` is the rotation of the last single step, ``gap_frames`` the gap that the last flow asks for.
+    """
 
     rotation_rad: Floats | None = None
     direction: Floats | None = None
+    step_rotation_rad: Floats | None = None
+    gap_frames: int = 1
 
 
 def estimate_egomotion(
@@ -136,7 +141,7 @@ def estimate_egomotion(
     moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
     if not _is_translation(turning, moving, region, sigma_rad, least_parallax_rad):
         return _result(turning), rotation_memory
-    return _result(moving), EgomotionMemory(vector_from_rotation(moving.cam_R_prev), moving.direction)
+    return _result(moving), replace(rotation_memory, direction=moving.direction)
 
 
 def picture_region(rays: Floats) -> Ints:

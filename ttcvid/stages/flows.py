@@ -70,7 +70,8 @@ def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: flo
         flow_px = np.linalg.norm(second - ray, axis=1) * history.focal_px
         is_long |= is_seen & (flow_px >= target_flow_px)
     flow_rad = np.nan_to_num(np.linalg.norm(second - first, axis=1))
-    rotation_rad = np.sqrt(gap_frames) * history.rotation_sigma_rad / np.sqrt(2.0)
+    # The rotation's error moves one end of the flow; it is shared out to both.
+    rotation_rad = history.rotation_sigma_rad / np.sqrt(2.0)
     sigma_rad = np.sqrt(history.sigma_rad**2 + (_ERROR_PER_FLOW * flow_rad) ** 2 + rotation_rad**2)
     gap_s = history.t_s[-1] - history.t_s[len(history.frame) - 1 - gap_frames]
     return Flows(first, second, gap_frames, gap_s, sigma_rad)

@@ -27,7 +27,7 @@ class TrackHistory:
 
     ``frame (L,)``, ``t_s (L,)``; ``cam_R_past (L, 3, 3)`` turns a ray of frame l into the present camera
     (`with_egomotion` brings it up to date); ``scene_direction (L, 3)`` is ``dir`` of the scene in the step up to frame
-    l, in its own camera, NaN where unknown; ``rotation_sigma_rad`` the error of one step's rotation, per axis;
+    l, in its own camera, NaN where unknown; ``rotation_sigma_rad`` the error of the present rotation, per axis;
     ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far;
     ``xy_px (N, 2)`` present position; ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not
     observed; ``sigma_px (N,)`` noise of one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its

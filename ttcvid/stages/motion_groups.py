@@ -29,6 +29,7 @@ from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import cross, tangent_basis
 from ttcvid.model import NO_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.flows import Flows
+from ttcvid.stages.scene import DIRECTION_FLOOR_RAD
 from ttcvid.stages.surfaces import connected_parts
 
 # Neighbours of a track that vote for a hypothesis.
@@ -39,10 +40,11 @@ _RATE_SPREAD, _RATE_SIGMAS = 0.4, 3.0
 _LOG_FALSE_ALARMS = float(np.log(0.05))
 # Hypotheses that fail the last test before the search ends.
 _MAX_FAILURES = 3
-# A merged direction may cost this much chi-square (two degrees of freedom, 99.9 %).
-_MERGE_CHI2 = 13.8
+# A merged direction may cost this much chi-square (two degrees of freedom, 99.9 %), and of many tracks this much a
+# track: errors that tracks share (blur, slant, a curved path) are not in their noise.
+_MERGE_CHI2, _MERGE_CHI2_PER_TRACK = 13.8, 0.3
 # So much of two groups has to have one rate, for them to be one.
-_MERGE_SIMILAR = 0.9
+_MERGE_SIMILAR = 0.8
 # Gauss-Newton steps of a fit, from the last frame's direction or from a hypothesis.
 _FIT_STEPS = 3
 
@@ -284,7 +286,8 @@ def _may_be_one(search: _Search, label: Ints, directions: Floats, covariances: F
         return False
     basis = tangent_basis(directions[one])
     offset = basis.T @ directions[other]
-    if offset @ np.linalg.solve(basis.T @ covariance @ basis, offset) > _MERGE_CHI2:
+    tangent_cov = basis.T @ covariance @ basis + DIRECTION_FLOOR_RAD**2 * np.eye(2)
+    if offset @ np.linalg.solve(tangent_cov, offset) > _MERGE_CHI2:
         return False
     return bool(np.any(label[search.neighbours[label == one]] == other))
 
@@ -301,7 +304,8 @@ def _is_one(search: _Search, label: Ints, directions: Floats, one: int, other: i
     similar = _has_similar_rate(search, members, np.zeros(len(members), np.int64), joint[None])
     apart = flow_line_chi2(directions[[one, other]], flows.first, flows.second, flows.sigma_rad)
     separate = np.where(label[members] == one, apart[0], apart[1])
-    return bool(np.mean(similar) > _MERGE_SIMILAR and np.sum(chi2_joint - separate) < _MERGE_CHI2)
+    allowed = max(_MERGE_CHI2, _MERGE_CHI2_PER_TRACK * len(members))
+    return bool(np.mean(similar) > _MERGE_SIMILAR and np.sum(chi2_joint - separate) < allowed)
 
 
 def _results(search: _Search, groups: _Groups, index: Ints, config: MotionGroupsConfig) -> list[MotionGroup]:

@@ -1,4 +1,4 @@
-"""Own motion of a frame: from the last picture, and again over a longer gap where the flow is short."""
+"""Own motion of a frame, over a gap that grows until the flow is long enough."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion,
 
 # Of more tracks than twice this only a part is used: errors that neighbours share are what limits own motion.
 _ENOUGH_TRACKS = 400
+# The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames.
+_WANTED_FLOW_PX, _LONGEST_GAP = 2.5, 5
+_TINY_PX = 1e-6
 
 
 def find_own_motion(
@@ -22,16 +25,14 @@ def find_own_motion(
     memory: EgomotionMemory,
     config: EgomotionConfig,
     least_parallax_px: float,
-    max_gap_frames: int,
-    target_flow_px: float,
     sigma_floor_px: float,
 ) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
     """Rotation from the last frame, and direction of travel over the gap that the flow asks for.
 
-    The rotations of single steps add up with their errors, which are partly common to all steps: over ten frames
-    they bend the flow of everything far away. Where the flow is short, the motion is therefore found once more
-    between the present frame and one so far back that the flow has ``target_flow_px``; its rotation corrects the sum,
-    its direction replaces that of the step.
+    Rotations of single steps would add up with their errors, which are partly common to all steps: over ten frames
+    they bend the flow of everything far away. Where the flow is short, the motion is therefore found between the
+    present frame and one so far back that the flow is long enough; the rotation of the last step is what the rotation
+    over the gap leaves to those before. The gap stays short all the same: the direction found is the mean over it.
 
     Parameters
     ----------
@@ -42,29 +43,37 @@ def find_own_motion(
     -------
     egomotion : None where there are too few tracks; then the history keeps only the present frame.
     """
-    step = _pair(history, is_free, 1, config.min_tracks)
-    if step is None:
-        return None, last_frame_only(history), memory
-    parallax_rad = least_parallax_px / history.focal_px
-    egomotion, memory = estimate_egomotion(*step, parallax_rad, memory, config.platform)
-    history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
-    history = with_noise(history, egomotion.residual_spread, sigma_floor_px)
-    gap = _gap_for(history, is_free, max_gap_frames, target_flow_px)
-    long_step = _pair(history, is_free, gap, config.min_tracks) if gap > 1 else None
-    if long_step is None:
-        return egomotion, history, memory
-    summed = history.cam_R_past[-1 - gap]
-    start = EgomotionMemory(vector_from_rotation(summed), memory.direction)
-    over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
-    history = _corrected(history, over_gap, gap)
-    egomotion = replace(egomotion, direction=over_gap.direction, direction_cov=over_gap.direction_cov)
-    direction = memory.direction if over_gap.direction is None else over_gap.direction
-    return egomotion, history, replace(memory, direction=direction)
+    gap = min(memory.gap_frames, len(history.frame) - 1)
+    pair = _pair(history, is_free, gap, config.min_tracks)
+    if pair is None and gap > 1:
+        gap = 1
+        pair = _pair(history, is_free, gap, config.min_tracks)
+    if pair is None:
+        return None, last_frame_only(history), replace(memory, gap_frames=1)
+    # cam_R_past does not know the present step yet: it leads into the camera of the last frame.
+    last_R_past = history.cam_R_past[-1 - gap]
+    expected = last_R_past
+    if memory.step_rotation_rad is not None:
+        expected = rotation_from_vector(memory.step_rotation_rad) @ last_R_past
+    start = replace(memory, rotation_rad=None if memory.rotation_rad is None else vector_from_rotation(expected))
+    over_gap, memory = estimate_egomotion(
+        *pair, np.sqrt(gap) * least_parallax_px / history.focal_px, start, config.platform
+    )
+    cam_R_prev = over_gap.cam_R_prev @ last_R_past.T
+    egomotion = replace(over_gap, cam_R_prev=cam_R_prev)
+    history = with_egomotion(history, cam_R_prev, over_gap.direction, over_gap.rotation_sigma_rad)
+    history = with_noise(history, over_gap.residual_spread, sigma_floor_px)
+    memory = replace(
+        memory,
+        step_rotation_rad=egomotion.rotation_rad,
+        gap_frames=_gap_for(history, is_free),
+    )
+    return egomotion, history, memory
 
 
 def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> tuple[Floats, Floats, Floats] | None:
     """Rays ``gap`` frames ago and now, each in its own camera, and their noise; None with too few tracks."""
-    if len(history.frame) <= gap:
+    if not 0 < gap < len(history.frame):
         return None
     seen = np.flatnonzero(is_free & np.isfinite(history.rays[-1 - gap, :, 0]) & np.isfinite(history.rays[-1, :, 0]))
     if len(seen) < min_tracks:
@@ -73,21 +82,10 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> t
     return history.rays[-1 - gap, seen], history.rays[-1, seen], history.sigma_rad[seen]
 
 
-def _gap_for(history: TrackHistory, is_free: Bools, max_gap_frames: int, target_flow_px: float) -> int:
+def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     """Frames after which the median derotated flow has the wanted length, by the flow of the last step."""
     flow_px = np.linalg.norm(history.rays[-1] - history.derotated(-2), axis=1)[is_free] * history.focal_px
     flow_px = flow_px[np.isfinite(flow_px)]
-    longest = min(max_gap_frames, len(history.frame) - 1)
     if not len(flow_px):
         return 1
-    return int(np.clip(np.ceil(target_flow_px / max(float(np.median(flow_px)), 1e-6)), 1, longest))
-
-
-def _corrected(history: TrackHistory, over_gap: Egomotion, gap: int) -> TrackHistory:
-    """Past rotations with the error of their sum taken out evenly, and the direction of the last step replaced."""
-    error_rad = vector_from_rotation(over_gap.cam_R_prev @ history.cam_R_past[-1 - gap].T)
-    steps = np.arange(len(history.frame) - 1, -1, -1)
-    correction = rotation_from_vector(error_rad * (steps / gap)[:, None])
-    scene_direction = history.scene_direction.copy()
-    scene_direction[-1] = np.nan if over_gap.direction is None else over_gap.direction
-    return replace(history, cam_R_past=correction @ history.cam_R_past, scene_direction=scene_direction)
+    return int(np.clip(np.ceil(_WANTED_FLOW_PX / max(float(np.median(flow_px)), _TINY_PX)), 1, _LONGEST_GAP))
