@@ -1,0 +1,230 @@
+"""Warnings: of what will hit us, after it has lasted, until it is over, and of nothing else."""
+
+import numpy as np
+import pytest
+from relative_motion import CAMERA, FOCAL_PX
+
+from ttcvid.config import EventsConfig
+from ttcvid.model import ClusterRow, Status
+from ttcvid.stages.clusters import with_times
+from ttcvid.stages.events import EventMemory, restarted_events, update_events
+
+CONFIG = EventsConfig(max_ttc_s=4.0, max_miss_widths=1.0, persistence_s=0.3)
+FRAME_S = 0.05
+WIDTH_M = 1.8
+
+
+def row_of(position_m, velocity_m_s, cluster_id=1, relative_sigma=0.02, width_m=WIDTH_M):
+    """Cluster row of a body of a given width, with its rates known to a part of their size."""
+    position_m, velocity_m_s = np.asarray(position_m, float), np.asarray(velocity_m_s, float)
+    abc_hz = velocity_m_s / position_m[2]
+    ref_px = FOCAL_PX * position_m[:2] / position_m[2] + (CAMERA.cx_px, CAMERA.cy_px)
+    half_px = 0.5 * FOCAL_PX * width_m / position_m[2]
+    row = ClusterRow(
+        cluster_id=cluster_id,
+        motion_id=1,
+        n_tracks=20,
+        box_px=(ref_px[0] - half_px, ref_px[1] - half_px, ref_px[0] + half_px, ref_px[1] + half_px),
+        status=Status.ok,
+        epipole_status=Status.ok,
+        method="consensus",
+        ref_px=(float(ref_px[0]), float(ref_px[1])),
+        state_abc_hz=abc_hz,
+        state_cov=(relative_sigma * np.linalg.norm(abc_hz)) ** 2 * np.eye(3),
+    )
+    return with_times([row], CAMERA)[0]
+
+
+def drive(position_m, velocity_m_s, seconds, **options):
+    """Rows of a body, frame after frame, from `position_m` on; until it is at 1 m depth."""
+    rows = []
+    for t_s in np.arange(0.0, seconds, FRAME_S):
+        now = np.asarray(position_m, float) + np.asarray(velocity_m_s, float) * t_s
+        if now[2] < 1.0:
+            break
+        rows.append(row_of(now, velocity_m_s, **options))
+    return rows
+
+
+def watched(frames, config=CONFIG, memory=None, first_frame=0):
+    """Events active in each frame; a frame is a tuple of rows, or one row, or None."""
+    memory, active = memory or EventMemory(), []
+    for number, rows in enumerate(frames, first_frame):
+        rows = () if rows is None else rows if isinstance(rows, tuple) else (rows,)
+        events, memory = update_events(memory, number, number * FRAME_S, rows, CAMERA, config)
+        active.append(events)
+    return active, memory
+
+
+def first_warned(active):
+    """Frame in which the first warning stands."""
+    return next((number for number, events in enumerate(active) if events), None)
+
+
+HIT = ((0.0, 0.0, 30.0), (0.0, 0.0, -10.0))
+HARMLESS = row_of((0.0, 0.0, 30.0), (0.0, 0.0, 8.0))
+
+
+def test_a_collision_course_is_warned_of_once_it_has_lasted():
+    active, _ = watched(drive(*HIT, 2.5))
+    # 3 s away from the start: the condition holds at once, the warning stands 0.3 s later.
+    assert first_warned(active) == 6
+    (event,) = active[6]
+    assert (event.event_id, event.cluster_id, event.start_frame, event.confidence) == (1, 1, 6, 0.95)
+    assert event.start_s == pytest.approx(0.3)
+    assert event.kind == "constant_bearing"
+    assert all(len(events) == 1 for events in active[6:])
+    last = active[-1][0]
+    assert last.end_frame == len(active) - 1
+    assert last.min_ttc_z_s == pytest.approx((30.0 - 10.0 * last.end_s) / 10.0)
+    assert last.min_tcpa_s == pytest.approx(last.min_ttc_z_s)
+
+
+def test_a_near_miss_inside_a_width_is_a_collision_course():
+    active, _ = watched(drive((1.2, 0.0, 20.0), (0.0, 0.0, -8.0), 2.0, relative_sigma=0.003))
+    (event,) = active[-1]
+    assert event.kind in ("collision_course", "constant_bearing")
+    assert event.miss_s == pytest.approx(1.2 / 8.0, rel=1e-6)
+    assert (
+        watched(drive((1.2, 0.0, 10.0), (0.0, 0.0, -8.0), 1.0, relative_sigma=0.003))[0][-1][0].kind
+        == "collision_course"
+    )
+
+
+def test_it_is_not_warned_of_before_it_is_near_in_time():
+    active, _ = watched(drive((0.0, 0.0, 80.0), (0.0, 0.0, -10.0), 7.0))
+    # 4 s away at frame 80.
+    assert first_warned(active) in (86, 87)
+
+
+@pytest.mark.parametrize("widths", [3.0, 5.0])
+@pytest.mark.parametrize("speed_m_s", [2.0, 20.0])
+def test_a_passing_car_is_never_warned_of(widths, speed_m_s):
+    start_m = (widths * WIDTH_M, 0.0, 6.0 * speed_m_s)
+    active, _ = watched(drive(start_m, (0.0, 0.0, -speed_m_s), 6.0))
+    assert first_warned(active) is None
+
+
+@pytest.mark.parametrize(
+    ("position_m", "velocity_m_s"),
+    [
+        ((0.0, 0.0, 10.0), (0.0, 0.0, 5.0)),
+        ((0.0, 0.0, 10.0), (0.0, 0.0, -0.1)),
+        ((-12.0, 0.0, 20.0), (10.0, 0.0, 0.0)),
+        ((-3.0, 0.0, 10.0), (-4.0, 0.0, -4.0)),
+    ],
+    ids=["recedes", "near at our speed", "crosses ahead", "turns away"],
+)
+def test_what_does_not_come_near_is_not_warned_of(position_m, velocity_m_s):
+    assert first_warned(watched(drive(position_m, velocity_m_s, 1.5))[0]) is None
+
+
+def test_the_same_geometry_is_judged_alike_at_two_and_at_twenty_metres_a_second():
+    """A fixed miss_s would mean 0.6 m at one speed and 6 m at the other; widths mean the same."""
+    for lateral_widths in (0.0, 0.5, 0.85, 1.5, 3.0):
+        verdicts = {
+            speed: first_warned(
+                watched(
+                    drive((lateral_widths * WIDTH_M, 0.0, 3.0 * speed), (0.0, 0.0, -speed), 2.0, relative_sigma=5e-4)
+                )[0]
+            )
+            for speed in (2.0, 20.0)
+        }
+        assert (verdicts[2.0] is None) == (verdicts[20.0] is None) == (lateral_widths > 1.0)
+    scaled = [
+        [
+            e.start_frame
+            for events in watched(drive((s, 0.0, 30.0 * s), (0.0, 0.0, -10.0 * s), 2.5, width_m=2.0 * s))[0]
+            for e in events
+        ]
+        for s in (1.0, 10.0)
+    ]
+    assert scaled[0] == scaled[1]
+    assert scaled[0]
+
+
+def test_what_is_not_sure_is_not_warned_of():
+    assert first_warned(watched(drive(*HIT, 2.5, relative_sigma=1.0))[0]) is None
+
+
+def test_a_short_blip_is_not_warned_of():
+    hit = drive(*HIT, 2.5)
+    for n_frames in (1, 3, 5):
+        frames = [HARMLESS] * 5 + hit[5 : 5 + n_frames] + [HARMLESS] * 20
+        assert first_warned(watched(frames)[0]) is None
+
+
+def test_blips_that_come_again_do_not_add_up():
+    hit = drive(*HIT, 2.5)
+    frames = [row if i % 5 else HARMLESS for i, row in enumerate(hit)]
+    assert first_warned(watched(frames)[0]) is None
+
+
+def test_a_warning_outlives_a_short_gap_and_keeps_its_number():
+    hit = drive(*HIT, 2.5)
+    frames = [*hit[:20], HARMLESS, None, HARMLESS, *hit[23:]]
+    active, _ = watched(frames)
+    assert {e.event_id for events in active for e in events} == {1}
+    assert all(len(events) == 1 for events in active[6:])
+    assert active[22][0].end_frame == 19
+    assert active[23][0].end_frame == 23
+
+
+def test_a_warning_stands_on_what_is_a_little_beyond_the_threshold():
+    """Hysteresis: one and a half times the miss distance would not start a warning, but keeps one."""
+    beyond = row_of((1.25 * WIDTH_M, 0.0, 18.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
+    far_beyond = row_of((1.8 * WIDTH_M, 0.0, 18.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
+    hit = drive(*HIT, 1.0)
+    assert first_warned(watched([beyond] * 30)[0]) is None
+    assert len(watched(hit + [beyond] * 30)[0][-1]) == 1
+    assert watched(hit + [far_beyond] * 30)[0][-1] == ()
+    slower = row_of((0.0, 0.0, 46.0), (0.0, 0.0, -10.0))
+    assert first_warned(watched([slower] * 30)[0]) is None
+    assert len(watched(hit + [slower] * 30)[0][-1]) == 1
+
+
+@pytest.mark.parametrize("after", [HARMLESS, None], ids=["harmless", "lost"])
+def test_a_warning_ends_when_it_has_been_over_for_as_long_as_it_took_to_start(after):
+    hit = drive(*HIT, 1.0)
+    active, _ = watched(hit + [after] * 20)
+    n_after = sum(bool(events) for events in active[len(hit) :])
+    assert n_after in (5, 6)
+    last = [e for events in active for e in events][-1]
+    assert last.end_frame == len(hit) - 1
+    assert last.end_s == pytest.approx((len(hit) - 1) * FRAME_S)
+
+
+def test_a_second_approach_is_a_second_warning():
+    hit = drive(*HIT, 1.0)
+    active, _ = watched([*hit, *[HARMLESS] * 10, *hit])
+    assert [e.event_id for e in active[19]] == [1]
+    assert [e.event_id for e in active[-1]] == [2]
+
+
+def test_warnings_of_two_objects_count_on_and_stand_side_by_side():
+    one, other = drive(*HIT, 2.0), drive((0.5, 0.0, 25.0), (-0.2, 0.0, -10.0), 2.0, cluster_id=7)
+    frames = [(one[i],) if i < 4 else (one[i], other[i]) for i in range(len(one))]
+    active, _ = watched(frames)
+    assert [(e.event_id, e.cluster_id) for e in active[-1]] == [(1, 1), (2, 7)]
+
+
+def test_a_cut_ends_all_warnings_but_gives_no_number_twice():
+    hit = drive(*HIT, 1.0)
+    _, memory = watched(hit)
+    memory = restarted_events(memory)
+    active, _ = watched(hit, memory=memory, first_frame=100)
+    assert active[0] == ()
+    assert [e.event_id for e in active[-1]] == [2]
+
+
+def test_confidence_is_what_was_asked_for():
+    """A harder confidence warns of less: an approach known to 30 % is sure at 95 % but not at 99.99 %."""
+    hit = drive(*HIT, 1.5, relative_sigma=0.3, width_m=8.0)
+    wide = CONFIG.model_copy(update={"max_miss_widths": 100.0})
+    assert first_warned(watched(hit, wide)[0]) == 6
+    assert first_warned(watched(hit, wide.model_copy(update={"confidence": 0.9999}))[0]) is None
+
+
+def test_rows_without_a_state_are_left_alone():
+    row = ClusterRow(1, 1, 5, (0.0, 0.0, 9.0, 9.0), Status.no_parallax, Status.ok, "consensus")
+    assert first_warned(watched([row] * 10)[0]) is None
