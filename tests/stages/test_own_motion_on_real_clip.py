@@ -82,7 +82,7 @@ def test_own_motion_does_not_turn_where_the_car_does_not(motions):
     yaw_deg, _ = ours.T
     assert np.abs(yaw_deg).max() < 0.05
     # It is steady, too: what is left is no noise from frame to frame.
-    assert np.abs(np.diff(yaw_deg)).max() < 0.03
+    assert np.abs(np.diff(yaw_deg)).max() < 0.05
 
 
 @pytest.mark.data

@@ -1,0 +1,122 @@
+"""Own motion along a drive: where the flow of one step is short, a longer gap makes it surer."""
+
+import numpy as np
+import pytest
+from drives import drive, extended_by, start
+from two_views import FOCAL_PX, angle_deg
+
+from ttcvid.config import EgomotionConfig
+from ttcvid.geometry.rotation import vector_from_rotation
+from ttcvid.model import Platform
+from ttcvid.stages.egomotion import EgomotionMemory, estimate_egomotion
+from ttcvid.stages.own_motion import find_own_motion
+
+FORWARD = np.array([0.0, 0.0, -1.0])
+CONFIG = EgomotionConfig(platform=Platform.vehicle)
+LEAST_PARALLAX_PX, FLOOR_PX = 0.25, 0.05
+
+
+def found(motion, is_free=None, config=CONFIG):
+    """Own motion of each frame, and the last history."""
+    history, memory, steps = start(), EgomotionMemory(), []
+    for frame in range(len(motion.rays)):
+        history = extended_by(history, motion, frame)
+        free = np.ones(motion.n, dtype=bool) if is_free is None else is_free
+        egomotion, history, memory = find_own_motion(history, free, memory, config, LEAST_PARALLAX_PX, FLOOR_PX)
+        steps.append(egomotion)
+    return steps, history
+
+
+def from_single_steps(motion):
+    """Own motion of each step by itself."""
+    memory, steps = EgomotionMemory(), []
+    sigma_rad = np.full(motion.n, 0.2 / FOCAL_PX)
+    for frame in range(1, len(motion.rays)):
+        step, memory = estimate_egomotion(
+            motion.rays[frame - 1], motion.rays[frame], sigma_rad, LEAST_PARALLAX_PX / FOCAL_PX, memory, CONFIG.platform
+        )
+        steps.append(step)
+    return steps
+
+
+def turn_error_deg(cam_R, true_R):
+    return np.degrees(np.linalg.norm(vector_from_rotation(cam_R @ true_R.T)))
+
+
+def test_the_first_frame_has_no_motion_and_every_other_has():
+    steps, history = found(drive(4, np.random.default_rng(1), sigma_px=0.1))
+    assert steps[0] is None
+    assert all(step is not None and step.direction is not None for step in steps[1:])
+    assert history.frame.tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (0.02, 0.6, 0.01)], ids=["straight", "turning"])
+def test_rotation_and_direction_are_found_along_a_drive(turn_deg):
+    motion = drive(14, np.random.default_rng(2), turn_deg=turn_deg, sigma_px=0.15)
+    steps, history = found(motion)
+    late = steps[6:]
+    assert max(turn_error_deg(step.cam_R_prev, motion.cam_R_prev[1]) for step in late) < 0.05
+    # Over a gap in a curve the direction is the mean over it: it lags by half of the turn.
+    lag_deg = 5 * np.linalg.norm(turn_deg) / 2
+    assert max(angle_deg(step.direction, FORWARD) for step in late) < 0.5 + lag_deg
+    assert max(turn_error_deg(history.cam_R_past[i], motion.cam_R(13, 13 - 10 + i)) for i in range(10)) < 0.1
+
+
+def slow_drive(seed):
+    """Creeping at a tenth of a metre a frame: most flows of one step are shorter than a pixel."""
+    return drive(12, np.random.default_rng(seed), speed_m=0.1, sigma_px=0.2, turn_deg=(0.0, 0.2, 0.0))
+
+
+def test_a_longer_gap_makes_a_slow_drive_surer():
+    one, several = [], []
+    for seed in range(6):
+        motion = slow_drive(seed)
+        for steps, errors in ((from_single_steps(motion), one), (found(motion)[0], several)):
+            last = steps[-1]
+            errors.append(90.0 if last.direction is None else angle_deg(last.direction, FORWARD))
+    assert np.median(several) < 0.7 * np.median(one)
+    assert np.median(several) < 2.5
+
+
+def test_summed_rotations_drift_less_than_single_steps_do():
+    one, several = [], []
+    for seed in range(6):
+        motion = slow_drive(seed)
+        summed = np.eye(3)
+        for step in from_single_steps(motion)[-10:]:
+            summed = step.cam_R_prev @ summed
+        one.append(turn_error_deg(summed, motion.cam_R(11, 1)))
+        several.append(turn_error_deg(found(motion)[1].cam_R_past[0], motion.cam_R(11, 1)))
+    assert np.median(several) < np.median(one)
+    assert max(several) < 0.15
+
+
+def test_too_few_tracks_give_no_motion_and_forget_the_past():
+    motion = drive(5, np.random.default_rng(4), n=11, sigma_px=0.1)
+    steps, history = found(motion)
+    assert steps == [None] * 5
+    assert history.frame.tolist() == [4]
+    assert found(motion, config=EgomotionConfig(min_tracks=11))[0][-1] is not None
+
+
+def test_frozen_tracks_take_no_part():
+    """A third of the tracks is glued to the windscreen."""
+    motion = drive(12, np.random.default_rng(5), sigma_px=0.1, speed_m=1.0)
+    glued = np.arange(motion.n) < motion.n // 3
+    motion.rays[:, glued] = motion.rays[0, glued]
+    steps, _ = found(motion, is_free=~glued)
+    assert angle_deg(steps[-1].direction, FORWARD) < 0.3
+    assert len(steps[-1].residual) == np.count_nonzero(~glued)
+
+
+def test_a_stop_ends_the_direction_and_a_start_brings_it_back():
+    motion = drive(26, np.random.default_rng(6), speed_m=0.6, sigma_px=0.1)
+    # Stands from frame 6 to frame 19: the same rays, with noise of their own.
+    noise = 0.1 / FOCAL_PX * np.random.default_rng(7).normal(size=motion.rays[6:20].shape)
+    stopped = np.concatenate([motion.rays[:6], motion.rays[5] + noise, motion.rays[6:12]])
+    steps, _ = found(type(motion)(stopped, motion.cam_R_prev))
+    has_direction = [step is not None and step.direction is not None for step in steps]
+    assert all(has_direction[1:6])
+    assert not any(has_direction[17:20])
+    assert has_direction[-1]
+    assert angle_deg(steps[-1].direction, FORWARD) < 0.5
