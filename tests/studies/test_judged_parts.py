@@ -1,5 +1,7 @@
 """The parts of an evaluation, each on a case worked out by hand."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +13,7 @@ from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.studies.directions import angle_deg, judge_directions, judge_rotation
 from ttcvid.studies.grouping import judge_grouping
 from ttcvid.studies.matching import best_one_to_one, count_tracks, intersection_over_union, match_objects
-from ttcvid.studies.metrics import METRICS, check_from_text
+from ttcvid.studies.metrics import METRICS, check_from_text, markdown_of_metrics
 from ttcvid.studies.times import is_within, judge_times, relative_half_width
 from ttcvid.studies.truth import SKY_LABEL, UNKNOWN_OBJECT, object_at, objects_from_tracks, plain, with_counted
 
@@ -229,3 +231,8 @@ def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text: str, says:
         check_from_text(text)
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_the_manual_lists_every_metric_as_it_is_defined() -> None:
+    manual = Path(__file__).parents[2] / "docs/evaluation.md"
+    assert manual.read_text(encoding="utf-8").endswith(f"\n{markdown_of_metrics()}")
