@@ -68,7 +68,6 @@ def test_a_cell_gives_one_corner():
     assert len(cells) > 0.9 * len(found)
 
 
-@pytest.mark.xfail(strict=True, reason="corners of neighbouring cells come as close as one pixel")
 @pytest.mark.parametrize("picture", [checkerboard(), wave_picture()], ids=["checkerboard", "texture"])
 def test_new_corners_keep_their_distance_from_each_other(picture):
     found = find_corners(picture, None, NO_POINTS, 1000, 7.0, 0.005)

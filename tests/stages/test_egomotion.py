@@ -152,7 +152,6 @@ def test_residual_spread_is_the_true_noise_over_the_assumed_one(ratio, movers):
     assert np.mean(spread) == pytest.approx(ratio, rel=0.08)
 
 
-@pytest.mark.xfail(strict=True, reason="the length of a 2-D error is judged as one coordinate of it")
 def test_residual_spread_of_a_resting_camera_is_the_same_measure():
     views = two_views(np.random.default_rng(4), 800, (0, 0.2, 0), (0, 0, 0), 0.3, told_sigma_px=0.2)
     egomotion = estimate(views, FIRST)

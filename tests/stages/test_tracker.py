@@ -48,14 +48,7 @@ def test_a_hard_cut_is_a_cut_and_everything_begins_anew(config):
     assert shared.mean() > 0.5
 
 
-@pytest.mark.parametrize(
-    "config",
-    [
-        KLT,
-        pytest.param(AKAZE, marks=pytest.mark.xfail(strict=True, reason="3 to 10 % of the features match by chance")),
-    ],
-    ids=["klt", "akaze"],
-)
+@both_trackers
 def test_a_cut_between_pictures_of_the_same_look_is_a_cut(config):
     cuts = [statuses([wave_picture(), wave_picture(seed=seed)], config)[1] for seed in range(1, 6)]
     assert cuts == ["cut"] * 5

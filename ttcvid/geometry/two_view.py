@@ -18,8 +18,8 @@ _LONGEST_STEP_RAD = 0.3
 # A static point moves towards dir; one that moves the other way by more sigmas than this does not belong to
 # the scene and keeps only so small a weight that the estimate stays defined.
 _WRONG_WAY_SIGMAS, _WRONG_WAY_WEIGHT = -3.0, 0.02
-# Its part of the robust cost: the Cauchy cost of a residual of about 5 sigmas.
-_WRONG_WAY_COST = 10.0
+# Its part of the cost; and the most that the residual of a point costs, three sigmas squared.
+_WRONG_WAY_COST = _COST_CAP = 9.0
 # Squared lengths below this are a point on the epipole itself, rad^2.
 _TINY = 1e-14
 
@@ -30,7 +30,7 @@ class TwoViewFit:
 
     ``cam_R_prev (3, 3)``; ``direction (3,)`` is ``dir`` of the static points, None for a rotation alone;
     ``residual (N,)`` and ``wrong_way (N,)`` (how far a point moves against the direction) in sigmas; ``cost`` the
-    robust cost with the prior's part; ``covariance`` of the unknowns in rad^2: two tangent coordinates of the
+    sum of capped squares with the prior's part; ``covariance`` of the unknowns in rad^2: two tangent coordinates of the
     direction (along `tangent_basis`) where there is one, then the rotation vector.
     """
 
@@ -82,7 +82,7 @@ def fit_rotation(
         offset = offset + step
         if step @ information @ step < _CONVERGED_CHI2:
             break
-    cost = _cauchy_cost(residual) + float(offset @ offset) / prior.rotation_sigma_rad**2
+    cost = _capped_cost(residual) + float(offset @ offset) / prior.rotation_sigma_rad**2
     covariance = _robust_covariance(information, score, region)
     return TwoViewFit(cam_R_prev, None, residual, cost, covariance)
 
@@ -122,7 +122,7 @@ def fit_motion(
         offset = offset + step[2:]
         if step @ information @ step < _CONVERGED_CHI2:
             break
-    cost = _cauchy_cost(residual) + _WRONG_WAY_COST * np.count_nonzero(is_wrong) + prior_cost
+    cost = _capped_cost(residual) + _WRONG_WAY_COST * np.count_nonzero(is_wrong) + prior_cost
     covariance = _robust_covariance(information, score, region)
     return TwoViewFit(cam_R_prev, direction, residual, cost, covariance)
 
@@ -188,8 +188,9 @@ def _cauchy_weight(residual: Floats, scale: float) -> Floats:
     return weight
 
 
-def _cauchy_cost(residual: Floats) -> float:
-    return float(np.sum(_CAUCHY**2 * np.log1p((residual / _CAUCHY) ** 2)))
+def _capped_cost(residual: Floats) -> float:
+    """Sum of squared residuals, each capped: what counts is how many points a fit explains, not how far others are."""
+    return float(np.sum(np.minimum(residual**2, _COST_CAP)))
 
 
 def _robust_scale(residual: Floats) -> float:

@@ -19,8 +19,8 @@ _INLIER_SIGMAS, _GOOD_INLIERS = 3.0, 0.5
 # A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
 # most of its points are. With more than this share of the parts still, there is no translation to speak of.
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
-# Median of the absolute value of a standard normal variable.
-_MEDIAN_NORMAL = 0.6745
+# Median of the absolute value of a standard normal variable, and of the length of two.
+_MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
 # Cells of the grid whose points err together: side in units of the focal length (80 px at f = 800 px), number
 # along one axis, and the least z of a ray that still has a cell of its own.
 _REGION, _REGION_COUNT, _LEAST_Z = 0.1, 200, 0.05
@@ -79,10 +79,11 @@ class Egomotion:
 
         Movers are cut off at three times the spread, and the cut is allowed for.
         """
-        size = np.abs(self.residual) / (1.0 if self.direction is not None else np.sqrt(2.0))
-        spread = float(np.median(size)) / _MEDIAN_NORMAL
+        size = np.abs(self.residual)
+        middle = _MEDIAN_NORMAL if self.direction is not None else _MEDIAN_RAYLEIGH
+        spread = float(np.median(size)) / middle
         for _ in range(3):
-            spread = float(np.median(size[size <= _INLIER_SIGMAS * spread])) / _MEDIAN_NORMAL
+            spread = float(np.median(size[size <= _INLIER_SIGMAS * spread])) / middle
         return spread
 
     @property
@@ -141,7 +142,8 @@ def estimate_egomotion(
     moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
     if not _is_translation(turning, moving, region, sigma_rad, least_parallax_rad):
         return _result(turning), rotation_memory
-    return _result(moving), replace(rotation_memory, direction=moving.direction)
+    rotation_rad = vector_from_rotation(moving.cam_R_prev)
+    return _result(moving), replace(memory, rotation_rad=rotation_rad, direction=moving.direction)
 
 
 def picture_region(rays: Floats) -> Ints:

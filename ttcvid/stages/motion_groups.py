@@ -43,6 +43,8 @@ _MAX_FAILURES = 3
 # A merged direction may cost this much chi-square (two degrees of freedom, 99.9 %), and of many tracks this much a
 # track: errors that tracks share (blur, slant, a curved path) are not in their noise.
 _MERGE_CHI2, _MERGE_CHI2_PER_TRACK = 13.8, 0.3
+# A joint fit is good by itself when its chi-square lies inside this probability.
+_GOOD_FIT = 0.99
 # So much of two groups has to have one rate, for them to be one.
 _MERGE_SIMILAR = 0.8
 # Gauss-Newton steps of a fit, from the last frame's direction or from a hypothesis.
@@ -203,14 +205,34 @@ def _with_new_groups(search: _Search, groups: _Groups, rng: np.random.Generator,
         if votes[best] < config.min_tracks:
             break
         is_open[best] = False
-        members = _connected_to(search, shares[best] & is_free, voters[best])
-        members = members[_has_similar_rate(search, members, np.zeros(len(members), np.int64), hypotheses[[best]])]
-        if len(members) >= config.min_tracks and _is_significant(search, members, is_free):
-            label[members] = len(directions)
-            directions.append(hypotheses[best])
-        else:
+        members = _grown(search, shares[best] & is_free, voters[best], hypotheses[best])
+        if len(members) < config.min_tracks or not _is_significant(search, members, is_free):
             failures += 1
-    return _fitted(search, _Groups(label, np.array(directions).reshape(-1, 3)))
+            continue
+        direction, members = _refined(search, members, hypotheses[best], is_free)
+        label[members] = len(directions)
+        directions.append(direction)
+    return _Groups(label, np.array(directions).reshape(-1, 3))
+
+
+def _refined(search: _Search, members: Ints, direction: Floats, is_free: Bools) -> tuple[Floats, Ints]:
+    """The members' direction by maximum likelihood, and the free tracks around them that this direction has.
+
+    A pair of noisy flows points too badly to gather all of its object at once; what it left over would make a second.
+    """
+    one = np.full(len(is_free), NO_CLUSTER)
+    one[members] = 0
+    direction = _fit(search, _Groups(one, direction[None]))[0][0]
+    flows = search.flows
+    shares = shares_direction(direction[None], flows.first, flows.second, flows.sigma_rad, search.gate_chi2)[0]
+    again = _grown(search, shares & is_free, members, direction)
+    return direction, again if len(again) >= len(members) else members
+
+
+def _grown(search: _Search, is_in: Bools, seeds: Ints, direction: Floats) -> Ints:
+    """Tracks of ``is_in`` that are connected to the seeds and have similar rates along the direction."""
+    members = _connected_to(search, is_in, seeds)
+    return members[_has_similar_rate(search, members, np.zeros(len(members), np.int64), direction[None])]
 
 
 def _hypotheses(
@@ -305,7 +327,9 @@ def _is_one(search: _Search, label: Ints, directions: Floats, one: int, other: i
     apart = flow_line_chi2(directions[[one, other]], flows.first, flows.second, flows.sigma_rad)
     separate = np.where(label[members] == one, apart[0], apart[1])
     allowed = max(_MERGE_CHI2, _MERGE_CHI2_PER_TRACK * len(members))
-    return bool(np.mean(similar) > _MERGE_SIMILAR and np.sum(chi2_joint - separate) < allowed)
+    # Groups that were split by the sign of their noise fit too well apart: a good joint fit is enough.
+    is_good = np.sum(chi2_joint) < chi2.ppf(_GOOD_FIT, len(members))
+    return bool(np.mean(similar) > _MERGE_SIMILAR and (is_good or np.sum(chi2_joint - separate) < allowed))
 
 
 def _results(search: _Search, groups: _Groups, index: Ints, config: MotionGroupsConfig) -> list[MotionGroup]:

@@ -77,7 +77,8 @@ def relative_half_width(name: str, value_s: Floats, lo_s: Floats, hi_s: Floats) 
     if name == "ttc_z":
         lo_s, hi_s, value_s = _reciprocal(hi_s, -np.inf), _reciprocal(lo_s, np.inf), 1.0 / value_s
     lo_s, hi_s = np.nan_to_num(lo_s, nan=-np.inf, neginf=-np.inf), np.nan_to_num(hi_s, nan=np.inf, posinf=np.inf)
-    return np.asarray((hi_s - lo_s) / 2.0 / np.abs(value_s))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((hi_s - lo_s) / 2.0 / np.abs(value_s))
 
 
 def quantile(values: Floats, share: float) -> float:

@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from ttcvid.model import Bools, Floats, Ints, Picture
 
@@ -78,8 +79,18 @@ def find_corners(
     x, y, cell = x[is_free], y[is_free], (row * taken.shape[1] + column)[is_free]
     order = np.argsort(-response[y, x], kind="stable")
     _, strongest = np.unique(cell[order], return_index=True)
-    chosen = order[np.sort(strongest)][:n_wanted]
-    return _refined(response, x[chosen], y[chosen])
+    chosen = order[np.sort(strongest)]
+    xy = _refined(response, x[chosen], y[chosen])
+    return xy[_keeps_distance(xy, min_distance_px)][:n_wanted]
+
+
+def _keeps_distance(xy: Floats, min_distance_px: float) -> Bools:
+    """Points (M,), strongest first, without a stronger one closer than ``min_distance_px``."""
+    keeps = np.ones(len(xy), dtype=bool)
+    if len(xy):
+        pairs = KDTree(xy).query_pairs(min_distance_px, output_type="ndarray")
+        keeps[pairs.max(axis=1)] = False
+    return keeps
 
 
 def _refined(response: NDArray[Any], x: Ints, y: Ints) -> Floats:

@@ -18,8 +18,8 @@ _THUMBNAIL, _BINS = (64, 48), 32
 # A cut leaves less than this part of the tracks, and another histogram: at least this part of its mass moved. On the
 # real clips a hard cut leaves 0 and moves 0.27 or more, the wildest drive leaves 0.4 and moves 0.14.
 _CUT_SURVIVAL, _CUT_HISTOGRAM = 0.15, 0.2
-# With hardly a track left everything begins anew, whether the picture looks the same or not.
-_LOST_SURVIVAL = 0.03
+# With hardly a track left (up to 10 % of AKAZE features match anything) everything begins anew, whatever the look.
+_LOST_SURVIVAL = 0.12
 # With so few tracks their survival says nothing, and the histogram has to be surer by itself.
 _FEW_TRACKS, _CUT_HISTOGRAM_ALONE = 8, 0.35
 # A picture whose brightest parts stay below this grey level shows nothing.
