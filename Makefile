@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: help demo test lint setup clean
 
 help:
-	@echo "make demo   render a small scene with known truth and analyse it"
+	@echo "make demo   render a roundabout with known truth, analyse and evaluate it"
 	@echo "make test   run all tests"
 	@echo "make lint   style, types and the direction of imports"
 	@echo "make clean  remove the virtual environment and all caches"

@@ -1,55 +1,17 @@
-"""The demo works anywhere, and compares the right things."""
+"""The demo works anywhere, and says where to look and how good it is."""
 
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
-from ttcvid.cli.demo import describe
 from ttcvid.cli.main import main
-from ttcvid.jobs.demo import compare_movers
+
+REPOSITORY = Path(__file__).parents[2]
 
 
-def boxes(**columns: list[object]) -> pd.DataFrame:
-    n = len(columns["frame"])
-    table = pd.DataFrame({"x0_px": 0.0, "y0_px": 0.0, "x1_px": 10.0, "y1_px": 10.0}, index=range(n))
-    return table.assign(**columns)
-
-
-TRUTH = boxes(
-    frame=[0, 0, 1, 1, 1],
-    object_id=[1, 2, 1, 2, 3],
-    name=["far", "near", "far", "near", "parked"],
-    is_moving=[True, True, True, True, False],
-    ttc_z_s=[5.0, 2.0, 4.9, 1.9, 0.5],
-    x0_px=[50.0, 0.0, 50.0, 0.0, 0.0],
-    x1_px=[60.0, 10.0, 60.0, 10.0, 10.0],
-)
-
-
-def test_each_mover_is_compared_with_the_object_over_it_nearest_first() -> None:
-    found = boxes(
-        frame=[0, 1, 1, 1],
-        role=["scene", "object", "object", "object"],
-        x1_px=[10.0, 9.0, 6.0, 60.0],
-        ttc_z_s=[2.0, 2.1, 1.0, 4.0],
-        ttc_z_lo_s=[1.0, 2.0, 0.9, 3.0],
-        ttc_z_hi_s=[3.0, 2.2, 1.1, 5.0],
-    )
-    comparison, far = compare_movers(TRUTH, found)
-    assert (comparison.name, comparison.n_visible) == ("near", 2)
-    assert describe(far) == "far: not found in any of 2 frames"
-    assert comparison.matches.to_dict("list") == {
-        "frame": [1],
-        "true_s": [1.9],
-        "estimated_s": [2.1],
-        "lo_s": [2.0],
-        "hi_s": [2.2],
-    }
-    assert comparison.median_error == pytest.approx(1 - 1.9 / 2.1)
-    assert "near: found in 1 of 2 frames, time to collision off by 9.5 % (median); at frame 1 2.10 s" in describe(
-        comparison
-    )
+def test_the_demo_shows_the_roundabout_of_the_sample_scenes() -> None:
+    shipped = REPOSITORY / "ttcvid/jobs/demo_scene.yaml"
+    assert shipped.read_text() == (REPOSITORY / "sample_configs/scenes/roundabout.yaml").read_text()
 
 
 @pytest.mark.slow
@@ -61,6 +23,9 @@ def test_the_demo_runs_in_an_empty_folder(
     text = capsys.readouterr().out
     assert "look at  ttcvid_demo/result/overlay.mp4" in text
     assert (tmp_path / "ttcvid_demo/result/overlay.mp4").is_file()
-    assert "oncoming car: " in text
+    assert "errors   ttcvid_demo/evaluation.html" in text
+    assert (tmp_path / "ttcvid_demo/evaluation.html").is_file()
+    assert "of own rotation " in text
+    assert "object 1 (bus): found in " in text
     assert main(["demo", "--frames", "2"]) == 2
     assert "--overwrite" in capsys.readouterr().err

@@ -19,7 +19,7 @@ from ttcvid.errors import TtcvidError, UsageError
 
 COMMANDS = {
     "analyze": "Collision times of everything that moves in a clip: tables and an annotated video.",
-    "demo": "Render a small scene with known truth, analyse it, and say where to look.",
+    "demo": "Render a scene with known truth, analyse and evaluate it, and say where to look.",
     "doctor": "Versions of what ttcvid stands on, and what is broken.",
     "evaluate": "How good a run is beside a truth: errors, intervals, objects, warnings.",
     "simulate": "Render a scene with exact truth: pictures, camera, depths, collision times.",
