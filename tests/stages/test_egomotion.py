@@ -62,7 +62,6 @@ def test_two_fifths_of_movers_do_not_turn_the_camera(movers, platform):
         assert_is_true(estimate(views, LAST, platform), views)
 
 
-@pytest.mark.xfail(strict=True, reason="what flows fast outweighs the still majority in the unbounded Cauchy cost")
 @pytest.mark.parametrize(
     ("movers", "memory"),
     [([((0.6, 1.0), (-1.2, 0, 0.3))], FIRST), ([((0.3, 0.7), (0.8, 0, 0))], LAST)],

@@ -9,8 +9,9 @@ import numpy as np
 from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.model import Floats, Ints
 
-# Cauchy weight's constant in sigmas: 95 % efficiency on Gaussian noise.
-_CAUCHY = 2.385
+# Geman and McClure's weight falls to a quarter at so many sigmas and on towards zero: a lorry of two fifths of all
+# points, which Cauchy's weight lets pull for ever, is let go.
+_REDESCENT = 4.0
 # Gauss-Newton ends after so many steps, or after one whose squared length in sigmas of the estimate is less.
 _MAX_STEPS, _CONVERGED_CHI2 = 15, 1e-2
 # A step of the direction is cut to this length, rad: beyond it the linearisation means nothing.
@@ -18,8 +19,10 @@ _LONGEST_STEP_RAD = 0.3
 # A static point moves towards dir; one that moves the other way by more sigmas than this does not belong to
 # the scene and keeps only so small a weight that the estimate stays defined.
 _WRONG_WAY_SIGMAS, _WRONG_WAY_WEIGHT = -3.0, 0.02
-# Its part of the cost; and the most that the residual of a point costs, three sigmas squared.
-_WRONG_WAY_COST = _COST_CAP = 9.0
+# Standard deviation of a direction that nothing is known of, rad.
+_OPEN_DIRECTION_RAD = 1.0
+# The most that a point costs: three sigmas squared, also where it moves the wrong way.
+_COST_CAP = 9.0
 # Squared lengths below this are a point on the epipole itself, rad^2.
 _TINY = 1e-14
 
@@ -72,7 +75,7 @@ def fit_rotation(
         turned = rays_prev @ cam_R_prev.T
         error = (rays_cam - turned) / sigma_difference
         residual = np.linalg.norm(error, axis=1)
-        weight = _cauchy_weight(residual, _robust_scale(residual / np.sqrt(2.0)))
+        weight = _robust_weight(residual, _robust_scale(residual / np.sqrt(2.0)))
         # d(omega x q) . error: for unit rays the information is the projector across the ray.
         inverse = weight / sigma_difference[:, 0] ** 2
         information = inverse.sum() * identity - (turned * inverse[:, None]).T @ turned
@@ -110,7 +113,7 @@ def fit_motion(
         turned = rays_prev @ cam_R_prev.T
         residual, jacobian, towards = _plane_residual(turned, rays_cam, sigma_rad, direction, basis)
         is_wrong = towards < _WRONG_WAY_SIGMAS
-        weight = _cauchy_weight(residual, _robust_scale(residual)) * np.where(is_wrong, _WRONG_WAY_WEIGHT, 1.0)
+        weight = _robust_weight(residual, _robust_scale(residual)) * np.where(is_wrong, _WRONG_WAY_WEIGHT, 1.0)
         score = -jacobian * (weight * residual)[:, None]
         information = (jacobian * weight[:, None]).T @ jacobian
         prior_information, prior_score, prior_cost = _prior_terms(prior, offset, direction, basis)
@@ -122,7 +125,7 @@ def fit_motion(
         offset = offset + step[2:]
         if step @ information @ step < _CONVERGED_CHI2:
             break
-    cost = _capped_cost(residual) + _WRONG_WAY_COST * np.count_nonzero(is_wrong) + prior_cost
+    cost = _capped_cost(np.where(is_wrong, np.inf, residual)) + prior_cost
     covariance = _robust_covariance(information, score, region)
     return TwoViewFit(cam_R_prev, direction, residual, cost, covariance)
 
@@ -171,20 +174,22 @@ def _prior_terms(
     information, score = np.zeros((5, 5)), np.zeros(5)
     precision = 1.0 / prior.rotation_sigma_rad**2
     information[2:, 2:] = precision * np.eye(3)
+    # On a sphere a direction is never less certain than this, whatever the flow says.
+    information[:2, :2] = np.eye(2) / _OPEN_DIRECTION_RAD**2
     score[2:] = -precision * offset
     cost = precision * float(offset @ offset)
     if prior.direction is not None:
         precision = 1.0 / prior.direction_sigma_rad**2
         towards = basis.T @ prior.direction
-        information[:2, :2] = precision * np.eye(2)
+        information[:2, :2] += precision * np.eye(2)
         score[:2] = precision * towards
         # 2 (1 - cos) is the squared angle for small ones and stays finite for opposite directions.
         cost += precision * 2.0 * (1.0 - float(direction @ prior.direction))
     return information, score, cost
 
 
-def _cauchy_weight(residual: Floats, scale: float) -> Floats:
-    weight: Floats = 1.0 / (1.0 + (residual / (scale * _CAUCHY)) ** 2) / scale**2
+def _robust_weight(residual: Floats, scale: float) -> Floats:
+    weight: Floats = 1.0 / (1.0 + (residual / (scale * _REDESCENT)) ** 2) ** 2 / scale**2
     return weight
 
 
@@ -194,8 +199,11 @@ def _capped_cost(residual: Floats) -> float:
 
 
 def _robust_scale(residual: Floats) -> float:
-    """Spread in sigmas, at least 1: a poor start sees far, a good one trusts the noise it was told."""
-    return max(1.0, 1.4826 * float(np.median(np.abs(residual))))
+    """Scale of the weights in sigmas, at least 1: a poor start sees far, a good one trusts the noise it was told.
+
+    Half of the spread: with two fifths of the points on movers the median is no measure of the noise.
+    """
+    return max(1.0, 0.5 * 1.4826 * float(np.median(np.abs(residual))))
 
 
 def _robust_covariance(information: Floats, score: Floats, region: Ints) -> Floats:

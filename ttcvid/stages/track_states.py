@@ -58,8 +58,10 @@ class TrackStates:
 
     def times(self) -> CollisionTimes:
         """The three times with their intervals: N rows."""
-        x, y = self.xy.T
-        return collision_times_from_state(x, y, self.abc_hz, self.cov, self.sigma_norm)
+        index = np.flatnonzero(self.has_value)
+        x, y = self.xy[index].T
+        found = collision_times_from_state(x, y, self.abc_hz[index], self.cov[index], self.sigma_norm[index])
+        return found.placed(index, len(self.status))
 
 
 def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> TrackStates:
