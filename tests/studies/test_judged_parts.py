@@ -16,6 +16,7 @@ from ttcvid.studies.matching import best_one_to_one, count_tracks, intersection_
 from ttcvid.studies.metrics import METRICS, check_from_text, markdown_of_metrics
 from ttcvid.studies.times import is_within, judge_times, relative_half_width
 from ttcvid.studies.truth import SKY_LABEL, UNKNOWN_OBJECT, object_at, objects_from_tracks, plain, with_counted
+from ttcvid.studies.wording import describe_value
 
 NAN = np.nan
 
@@ -58,6 +59,13 @@ def test_an_end_that_is_null_is_unbounded() -> None:
     lo, hi = np.array([2.0, NAN]), np.array([NAN, 3.0])
     assert is_within("miss", np.array([99.0, 3.1]), lo, hi).tolist() == [True, False]
     assert relative_half_width("miss", np.array([2.0, 2.0]), lo, hi).tolist() == [np.inf, np.inf]
+
+
+def test_a_miss_distance_of_zero_is_a_value_without_relative_numbers() -> None:
+    numbers = judged("miss", [1.0], times("miss", [0.0], [0.0], [2.0]))
+    assert (numbers["n"], numbers["abs_median_s"], numbers["coverage"]) == (1, 1, 1)
+    assert numbers["median"] == numbers["half_width"] == np.inf
+    assert describe_value("miss.median", 10.1) == "over 1000 %"
 
 
 def test_coverage_is_the_share_of_intervals_that_hold_the_truth() -> None:

@@ -11,6 +11,8 @@ _OF_TIMES = ("median", "p90", "bias", "coverage", "half_width", "wrong_sign")
 _OF_TRACKS = ("right", "objects_right", "objects_pure", "unassigned")
 _PERCENT = ("share", "one_id", *_OF_TIMES, *_OF_TRACKS)
 _ANGLES = ("epipole_scene", "epipole_objects", "rotation")
+MAX_SHOWN = 10.0
+"""Relative errors beyond this are shown as such: how far wrong says nothing any more."""
 WARNING_WORDS = {
     "in_time": "warned in time",
     "late": "warned late",
@@ -31,7 +33,7 @@ def describe_value(metric: str, value: Value) -> str:
     group, _, name = metric.partition(".")
     unit = METRICS[metric][0]
     if name in _PERCENT and (name == "share" or group not in _ANGLES):
-        return f"{100 * value:.1f} %"
+        return f"{100 * value:.1f} %" if abs(value) <= MAX_SHOWN else f"over {100 * MAX_SHOWN:.0f} %"
     if unit == "deg":
         return f"{value:.2g} deg" if value < 1 else f"{value:.1f} deg"
     text = f"{value:.0f}" if value == int(value) else f"{value:.2f}"
