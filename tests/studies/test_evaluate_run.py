@@ -148,12 +148,14 @@ def test_a_collision_long_after_the_clip_is_not_expected_and_its_warning_not_fal
 
 def test_frames_that_were_not_analysed_do_not_count() -> None:
     names = ("frames", "clusters", "epipoles")
-    tables = {name: getattr(RUN, name)[getattr(RUN, name).frame % 2 == 0].reset_index(drop=True) for name in names}
+    tables = {name: getattr(RUN, name)[getattr(RUN, name).frame % 2 == 1].reset_index(drop=True) for name in names}
     tables["frames"] = tables["frames"].assign(rot_y_rad=0.02)
+    tables["epipoles"] = tables["epipoles"][tables["epipoles"].frame > 1]
     metrics = metrics_of(replace(RUN, **tables), track_object=None)
     assert metrics["objects.share"] == 1
     assert metrics["rotation.p90"] == pytest.approx(0, abs=1e-9)
-    assert metrics["rotation.n"] == 9
+    assert metrics["rotation.n"] == metrics["epipole_scene.n"] == 9
+    assert metrics["epipole_scene.share"] == 1
 
 
 def test_what_the_truth_does_not_tell_is_null() -> None:

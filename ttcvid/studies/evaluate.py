@@ -146,7 +146,8 @@ def _track_times(run: RunTables, points: pd.DataFrame) -> dict[str, Numbers]:
 
 def _scene_directions(run: RunTables, frames: pd.DataFrame) -> Numbers:
     scene = run.epipoles.loc[run.epipoles.cluster_id == SCENE_CLUSTER, ["frame", *DIRECTION]]
-    true = frames.loc[frames.frame.isin(run.frames.frame), ["frame", *DIRECTION]]
+    # The first frame that was analysed has nothing to compare itself with.
+    true = frames.loc[frames.frame.isin(run.frames.frame[1:]), ["frame", *DIRECTION]]
     both = true.merge(scene, on="frame", how="left", suffixes=("", "_found"))
     found = both[[f"{axis}_found" for axis in DIRECTION]].to_numpy(float)
     return judge_directions(both[DIRECTION].to_numpy(float), found, np.ones(len(both), bool))

@@ -56,7 +56,7 @@ METRICS: dict[str, tuple[str, str]] = {
         if (name, key) != ("miss", "wrong_sign")
     },
     "track_miss.abs_median_s": ("s", "as miss.abs_median_s, over the rows of tracks"),
-    **{f"epipole_scene.{key}": (unit, text.format("frames in which we move", "dir of the static scene"))
+    **{f"epipole_scene.{key}": (unit, text.format("frames but the first in which we move", "dir of the static scene"))
        for key, (unit, text) in _OF_ANGLE.items()},
     **{f"epipole_objects.{key}": (unit, text.format("matched object-frames with relative motion", "dir of the object"))
        for key, (unit, text) in _OF_ANGLE.items()},
