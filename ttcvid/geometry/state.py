@@ -124,7 +124,8 @@ def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple
 
 def _is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, cov_e: Floats) -> Bools:
     """Whether both rays lie within noise (of the ray and of e) of the line along e."""
-    e_variance = np.linalg.eigvalsh(np.nan_to_num(cov_e))[..., -1]
+    # The trace is the variance along the worse axis of a direction that is open along one, at most twice it else.
+    e_variance = np.nan_to_num(np.trace(cov_e, axis1=-2, axis2=-1))
     farther = np.zeros(len(q))
     for ray in (q, r):
         sine2 = quotient(_square_sum(cross(ray, e)), _square_sum(ray) * (variance + e_variance))

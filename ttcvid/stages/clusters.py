@@ -24,6 +24,8 @@ _SIGMAS_95 = 1.645
 _SIGMAS_95_OF_TWO = 2.45
 # Two directions are one when their difference is inside 99 % of a 2-D Gaussian.
 _SAME_DIRECTION_CHI2 = 9.21
+# Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
+_TRIMMED_VARIANCE = 1.35
 # Least variance of a rate, 1/s^2, and noise of a point that is exact by definition.
 _TINY, _EXACT = 1e-24, 1e-12
 
@@ -177,14 +179,15 @@ def _joint_covariance(motion: ClusterMotion, flows: Flows, states: TrackStates, 
     Where each track has a direction of its own (three frames), nothing is common.
     """
     if motion.direction is None or motion.direction_cov is None or not _is_shared(states.direction):
-        return np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
+        return _TRIMMED_VARIANCE * np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
     e = np.broadcast_to(motion.direction, (len(weight), 3))
     q, r = flows.first / flows.first[:, 2:], flows.second / flows.second[:, 2:]
     s_hz, by_q, by_r, by_e = rate_from_direction(q, r, e, flows.gap_s)
     own = np.sum(by_q[:, :2] ** 2 + by_r[:, :2] ** 2, axis=1) * states.sigma_norm**2
     slope = np.outer(motion.direction, weight @ by_e) + (weight @ s_hz) * np.eye(3)
     common = slope @ motion.direction_cov @ slope.T
-    return np.asarray(common + (weight**2 @ own) * np.outer(motion.direction, motion.direction))
+    along = _TRIMMED_VARIANCE * (weight**2 @ own)
+    return np.asarray(common + along * np.outer(motion.direction, motion.direction))
 
 
 def _is_shared(directions: Floats) -> bool:

@@ -41,10 +41,10 @@ def nearest_surface(eta_hz: Floats, sigma_hz: Floats, xy_px: Floats, link_px: fl
     for start in np.argsort(-eta_hz, kind="stable"):
         if near_counts[start] < needed or eta_hz[start] > below_hz:
             continue
+        surface = _settled(eta_hz, sigma_hz, float(eta_hz[start]), pairs)
+        if len(surface) >= needed:
+            return surface
         below_hz = eta_hz[start] - _NEXT_START_SIGMAS * sigma_hz[start]
-        support = _support(eta_hz, sigma_hz, float(eta_hz[start]), pairs)
-        if len(support) >= needed:
-            return _settled(eta_hz, sigma_hz, support, pairs)
     return np.empty(0, dtype=np.int64)
 
 
@@ -54,22 +54,18 @@ def weighted_mean(values: Floats, sigma: Floats) -> float:
     return float(np.sum(weight * values) / np.sum(weight))
 
 
-def _settled(eta_hz: Floats, sigma_hz: Floats, support: Ints, pairs: Ints) -> Ints:
-    """Mean-shift from a first support to where it stays."""
+def _settled(eta_hz: Floats, sigma_hz: Floats, centre_hz: float, pairs: Ints) -> Ints:
+    """Mean-shift from a first rate to where it stays; then the largest connected set of the tracks near it."""
+    support = np.empty(0, dtype=np.int64)
     for _ in range(_MAX_STEPS):
-        centre = weighted_mean(eta_hz[support], sigma_hz[support])
-        again = np.flatnonzero(np.abs(eta_hz - centre) < _SURFACE_SIGMAS * sigma_hz)
+        again = np.flatnonzero(np.abs(eta_hz - centre_hz) < _SURFACE_SIGMAS * sigma_hz)
         if len(again) < len(support) or np.array_equal(again, support):
             break
         support = again
+        centre_hz = weighted_mean(eta_hz[support], sigma_hz[support])
     is_in = np.zeros(len(eta_hz), dtype=bool)
     is_in[support] = True
     return largest_connected(is_in, pairs)
-
-
-def _support(eta_hz: Floats, sigma_hz: Floats, centre_hz: float, pairs: Ints) -> Ints:
-    """Largest connected set of tracks within 2 sigma of a rate."""
-    return largest_connected(np.abs(eta_hz - centre_hz) < _SURFACE_SIGMAS * sigma_hz, pairs)
 
 
 def largest_connected(is_in: Bools, pairs: Ints) -> Ints:

@@ -18,7 +18,7 @@ _MIN_EIGENVALUE = 1e-4
 # Two tracks in one cell of this side follow the same point, px.
 _CROWDED_PX = 2.0
 # New corners are looked for when the live tracks fall below this part of the wanted number.
-_TOP_UP_BELOW = 0.9
+_TOP_UP_BELOW = 0.85
 
 
 @dataclass(frozen=True)
