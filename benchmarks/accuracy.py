@@ -70,29 +70,20 @@ def _cell(metrics: Mapping[str, Value], names: tuple[str, ...]) -> str:
     return "-" if "-" in values else " of ".join(values)
 
 
-def judged_scene(report: Report, path: Path, folder: Path) -> list[str]:
+def judged_scene(path: Path, folder: Path) -> list[str]:
     """Render, analyse and evaluate a scene; its row."""
     scene, run = folder / path.stem, folder / f"{path.stem}_run"
     options = ["--camera", str(scene / "camera.yaml"), "--platform", PLATFORMS.get(path.stem, "vehicle")]
     timed([str(TTCVID), "simulate", str(path), "-q", "--overwrite", "-o", str(scene)], folder)
     _analyze(scene / "clip.mp4", run, options, folder)
-    report.say(f"`{path.stem}`: {describe(folder, scene, run, options)}")
     return row_of(path.stem, evaluate(run, scene).evaluation.metrics)
 
 
-def judged_clip(report: Report, clip: RealClip, folder: Path) -> Judged:
+def judged_clip(clip: RealClip, folder: Path) -> Judged:
     """Analyse a real clip and hold it against its truth."""
     run = folder / f"{clip.name}_run"
     _analyze(data_folder() / clip.path, run, clip.arguments(), folder)
-    words = analyze_command(data_folder() / clip.path, Path(clip.name), clip.arguments())
-    report.say(f"`{clip.name}`: `{' '.join(shown(words))}`")
     return clip.judge(Run.open(run))
-
-
-def describe(folder: Path, scene: Path, run: Path, options: list[str]) -> str:
-    """The commands of a scene as they can be typed."""
-    words = [word.replace(f"{folder}/", "") for word in shown(analyze_command(scene / "clip.mp4", run, options))]
-    return f"`{' '.join(words)}`"
 
 
 def _analyze(input_: Path, out: Path, options: list[str], folder: Path) -> None:
@@ -104,15 +95,10 @@ def measure(report: Report, only: str | None = None, keep: Path | None = None) -
     with tempfile.TemporaryDirectory() as temporary:
         folder = (keep or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
-        report.heading("How the runs were made")
-        report.say("Scenes: `ttcvid simulate sample_configs/scenes/NAME.yaml -o NAME`, `ttcvid analyze` as below, then")
-        report.say(
-            "`ttcvid evaluate NAME_run NAME`. Real clips: `ttcvid analyze` as below, truths as in DATA/README.md."
-        )
         scenes = [path for path in sorted(SCENES.glob("*.yaml")) if _is_meant(path.stem, only)]
         clips = [clip for clip in real_clips() if _is_meant(clip.name, only)]
-        rows = [judged_scene(report, path, folder) for path in scenes]
-        judged = {clip.name: judged_clip(report, clip, folder) for clip in clips}
+        rows = [judged_scene(path, folder) for path in scenes]
+        judged = {clip.name: judged_clip(clip, folder) for clip in clips}
     rows += [row_of(name, found.evaluation.metrics, _shown(found.figures[0])) for name, found in judged.items()]
     report.heading("All scenes and clips")
     report.say("Directions and rotations in degrees; `-`: the truth says nothing of it, or there is no value.")
@@ -124,6 +110,16 @@ def measure(report: Report, only: str | None = None, keep: Path | None = None) -
     errors = [judged[clip.name].figures[0].value for clip in clips if clip.judge is judge_motion_groups]
     if errors:
         report.figure(f"kt3dmoseg: mean over {len(errors)} clips", float(np.mean(errors)), "%", CLUSTERING_BAR)
+    report.heading("How the runs were made")
+    report.say("A scene NAME; its platform is vehicle unless said here:")
+    report.command([f"ttcvid simulate {SCENES.relative_to(REPOSITORY)}/NAME.yaml -o NAME"])
+    report.command(["ttcvid analyze NAME/clip.mp4 --camera NAME/camera.yaml --platform vehicle -o NAME_run"])
+    report.command(["ttcvid evaluate NAME_run NAME"])
+    report.say(", ".join(f"{name}: {platform}" for name, platform in PLATFORMS.items()))
+    report.say("The real clips (their truths: benchmarks/truths.py):")
+    for clip in clips:
+        words = analyze_command(data_folder() / clip.path, Path(f"{clip.name}_run"), clip.arguments())
+        report.command(shown(words))
 
 
 def _is_meant(name: str, only: str | None) -> bool:
