@@ -165,17 +165,22 @@ def refine_epipoles(
 
 
 def eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats, weights: Floats) -> Floats:
-    """Start for the maximum likelihood: the better of two closed solutions, ``(3,)`` of either sign.
+    """Start for the maximum likelihood: the best of five closed solutions, ``(3,)`` of either sign.
 
-    Smallest eigenvectors of ``sum w n n' / sigma^2`` and of ``sum w n n' / abs(n)^2`` with ``n = q x p``: the first
-    weights flows by their length, the second (the paper's, on the sphere) does not. Both are biased.
+    The two smaller eigenvectors of ``sum w n n' / sigma^2`` and of ``sum w n n' / abs(n)^2`` with ``n = q x p`` (the
+    first weights flows by their length, the second, the paper's on the sphere, does not; both are biased), and the
+    mean flow.
     """
     normals = cross(q, p)
     length2 = np.einsum("ni,ni->n", normals, normals)
     factors = np.stack([quotient(weights, sigma_rad**2), np.nan_to_num(quotient(weights, length2))])
     _, vectors = np.linalg.eigh(np.einsum("kn,ni,nj->kij", factors, normals, normals))
-    candidates = vectors[:, :, 0]
-    cost = flow_line_chi2(candidates, q, p, sigma_rad) @ weights
+    # A small thing that crosses has its flow along its own plane: there the direction is that of the mean flow, and
+    # the smallest eigenvectors may lie on the thing itself.
+    mean_flow = normalize(np.mean(p - q, axis=0))
+    candidates = np.concatenate([vectors[:, :, 0], vectors[:, :, 1], mean_flow[None]])
+    # By the logarithm, so that some flows of another motion do not choose.
+    cost = np.log1p(flow_line_chi2(candidates, q, p, sigma_rad)) @ weights
     best: Floats = candidates[np.argmin(cost)]
     return best
 

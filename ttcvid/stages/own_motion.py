@@ -59,7 +59,8 @@ def find_own_motion(
     over_gap, memory = estimate_egomotion(
         *pair, np.sqrt(gap) * least_parallax_px / history.focal_px, start, config.platform
     )
-    cam_R_prev = over_gap.cam_R_prev @ last_R_past.T
+    # By way of the rotation vector: a product that goes on for ever would cease to be a rotation, faster each frame.
+    cam_R_prev = rotation_from_vector(vector_from_rotation(over_gap.cam_R_prev @ last_R_past.T))
     egomotion = replace(over_gap, cam_R_prev=cam_R_prev)
     history = with_egomotion(history, cam_R_prev, over_gap.direction, over_gap.rotation_sigma_rad)
     history = with_noise(history, over_gap.residual_spread, sigma_floor_px)
