@@ -23,10 +23,11 @@ from ttcvid.jobs.outputs import open_sinks
 from ttcvid.sinks.tables import TableSink
 from ttcvid.sinks.video import OverlayVideo
 
-_PIPELINE_STAGES = {
+PIPELINE_STAGES = {
     "prepare_picture": "tracking",
-    "_points": "tracking",
-    "_with_points": "history",
+    "follow_points": "tracking",
+    "rays_from_pixels": "history",
+    "extended": "history",
     "find_frozen": "history",
     "find_own_motion": "own motion",
     "find_motions": "motions",
@@ -76,7 +77,7 @@ def milliseconds_per_stage(clip: Path, **options: Any) -> tuple[dict[str, float]
     with ExitStack() as stack:
         stack.callback(cv2.setNumThreads, threads)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        for name, stage in _PIPELINE_STAGES.items():
+        for name, stage in PIPELINE_STAGES.items():
             stack.enter_context(patch.object(pipeline, name, watch.timed(stage, getattr(pipeline, name))))
         for owner, name, stage in (
             (TableSink, "write", "tables"),

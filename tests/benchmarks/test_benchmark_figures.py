@@ -10,6 +10,9 @@ from epipole import angles_deg, median_and_p90
 from equations import EQUATIONS, MOTIONS, Points, equation_3, largest_error
 from memory import resident_at
 from report import Bar, Report
+from stage_times import GEOMETRY, PIPELINE_STAGES, STAGES
+
+from ttcvid import pipeline
 
 
 def test_a_bar_is_missed_by_a_figure_that_is_not_there():
@@ -87,3 +90,8 @@ def test_a_missing_value_is_an_infinite_error():
 def test_the_planar_equation_is_not_asked_about_other_motion():
     points = MOTIONS["general"](np.random.default_rng(0), 50)
     assert equation_3(points) > 1e-3
+
+
+def test_the_stages_that_are_timed_are_those_of_the_pipeline():
+    assert [name for name in PIPELINE_STAGES if not callable(getattr(pipeline, name, None))] == []
+    assert set(PIPELINE_STAGES.values()) | set(GEOMETRY) <= set(STAGES)
