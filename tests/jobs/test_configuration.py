@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from ttcvid.config import TrackingConfig
 from ttcvid.errors import UsageError
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments, configure_from_command_line
 from ttcvid.model import ImageSize, Platform
@@ -52,8 +53,9 @@ def test_a_stronger_place_wins_over_all_weaker_ones(
 
 def test_without_any_setting_the_defaults_hold() -> None:
     configuration = configure_from_command_line({})
-    assert configuration.pipeline.tracking.max_tracks == 1500
-    assert configuration.as_manifest()["tracking"]["max_tracks"] == {"value": 1500, "origin": "default"}
+    default = TrackingConfig().max_tracks
+    assert configuration.pipeline.tracking.max_tracks == default
+    assert configuration.as_manifest()["tracking"]["max_tracks"] == {"value": default, "origin": "default"}
     assert configuration.origins == {}
 
 

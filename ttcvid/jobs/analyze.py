@@ -129,7 +129,7 @@ def _analyze_into(
         stack.enter_context(_one_opencv_thread())
         write = open_sinks(stack, folder, source, calibration, configuration)
         writer = stack.enter_context(WriteBehind(write))
-        frames = stop.until_requested(stack.enter_context(ReadAhead(source)))
+        frames = stack.enter_context(ReadAhead(source))
         results = analyze_frames(
             frames,
             calibration.camera,
@@ -137,7 +137,7 @@ def _analyze_into(
             calibration.horizon,
             calibration.mask,
             map_ahead=map_ahead,
-            run_ahead=lambda tracked: stack.enter_context(ReadAhead(tracked)),
+            run_ahead=lambda tracked: stop.until_requested(stack.enter_context(ReadAhead(tracked))),
         )
         for frame, result in results:
             writer.put((frame, result))
