@@ -37,7 +37,7 @@ def flows_of(position_m, velocity_m_s, gap_s=0.4, sigma_px=EXACT_SIGMA_PX, rng=N
             xy = xy + sigma_px / FOCAL_PX * rng.normal(size=xy.shape)
         views.append(normalize(np.column_stack([xy, np.ones(n)])))
     sigma_rad = sigma_px / FOCAL_PX * views[1][:, 2] ** 1.5
-    return Flows(views[0], views[1], np.full(n, 4), np.full(n, gap_s), sigma_rad)
+    return Flows(views[0], views[1], np.full(n, 4), np.full(n, gap_s), sigma_rad, np.zeros(n))
 
 
 def joined(*flows):

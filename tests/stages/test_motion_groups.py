@@ -39,7 +39,7 @@ def random_flows(rng, n, shortest_px=2.0, longest_px=12.0, sigma_px=0.2):
     angle, length = rng.uniform(0, 2 * np.pi, n), rng.uniform(shortest_px, longest_px, n) / FOCAL_PX
     flow = np.einsum("nij,nj->ni", tangent_basis(ray), np.column_stack([np.cos(angle), np.sin(angle)]))
     first = normalize(ray - length[:, None] * flow)
-    return Flows(first, ray, np.full(n, 4), np.full(n, 0.4), np.full(n, sigma_px / FOCAL_PX)), xy_px
+    return Flows(first, ray, np.full(n, 4), np.full(n, 0.4), np.full(n, sigma_px / FOCAL_PX), np.zeros(n)), xy_px
 
 
 def matched(groups, truth):

@@ -11,7 +11,7 @@ from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
-from ttcvid.geometry.rotation import tangent_basis
+from ttcvid.geometry.rotation import cross, tangent_basis
 from ttcvid.geometry.state import rate_from_direction
 from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, Floats, Ints, MotionState, Status
 from ttcvid.stages.flows import Flows
@@ -174,7 +174,7 @@ def _with_surface(
 
 
 def _joint_covariance(motion: ClusterMotion, flows: Flows, states: TrackStates, weight: Floats) -> Floats:
-    """Covariance of the weighted mean of (a, b, c) = s e: own noise averages out, the error of the common e does not.
+    """Covariance of the weighted mean of (a, b, c) = s e: own noise averages out, errors of e and of rotation do not.
 
     Where each track has a direction of its own (three frames), nothing is common.
     """
@@ -186,7 +186,8 @@ def _joint_covariance(motion: ClusterMotion, flows: Flows, states: TrackStates, 
     own = np.sum(by_q[:, :2] ** 2 + by_r[:, :2] ** 2, axis=1) * states.sigma_norm**2
     slope = np.outer(motion.direction, weight @ by_e) + (weight @ s_hz) * np.eye(3)
     common = slope @ motion.direction_cov @ slope.T
-    along = _TRIMMED_VARIANCE * (weight**2 @ own)
+    by_rotation = (weight * flows.rotation_error_rad) @ cross(q, by_q)
+    along = _TRIMMED_VARIANCE * (weight**2 @ own) + by_rotation @ by_rotation
     return np.asarray(common + along * np.outer(motion.direction, motion.direction))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.intervals import collision_times_from_state
 from ttcvid.geometry.rotation import cross, normalize
-from ttcvid.geometry.state import state_from_direction
+from ttcvid.geometry.state import rate_from_direction, state_from_direction
 from ttcvid.geometry.three_frames import three_frame_direction
 from ttcvid.model import Bools, CollisionTimes, Floats, Ints, Status
 from ttcvid.stages.flows import Flows
@@ -67,6 +67,8 @@ class TrackStates:
 def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> TrackStates:
     """States from two views and the epipole of each track's cluster (the paper's (2) and (3)).
 
+    The covariance holds the error of the rotation over the gap: it moves the first view, ds = (q x ds/dq) . omega.
+
     Parameters
     ----------
     direction : (N, 3), NaN where a track has none.
@@ -75,7 +77,11 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     state, cov, status = state_from_direction(
         flows.first, flows.second, direction, flows.gap_s, _sigma_norm(flows), direction_cov
     )
-    return _states(flows, state[:, 2:], cov[:, 2:, 2:], direction, status)
+    q, r = flows.first / flows.first[:, 2:], flows.second / flows.second[:, 2:]
+    by_q = rate_from_direction(q, r, direction, flows.gap_s)[1]
+    variance = flows.rotation_error_rad**2 * np.sum(cross(q, by_q) ** 2, axis=1)
+    cov_abc = cov[:, 2:, 2:] + variance[:, None, None] * np.einsum("ni,nj->nij", direction, direction)
+    return _states(flows, state[:, 2:], cov_abc, direction, status)
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:
@@ -113,7 +119,7 @@ def with_constant_bearing(
 ) -> TrackStates:
     """Give tracks without a flow of their own the time of the expansion around them (the paper's section 2.1).
 
-    A point that keeps its bearing while its surroundings grow moves along its own ray: V = -eta P.
+    The expansion gives c = V_z / Z, the point's own flow, however small, the sideways part of V.
 
     Parameters
     ----------
@@ -129,17 +135,20 @@ def with_constant_bearing(
         history.derotated(-1 - gap_frames), history.rays[-1], neighbours[asked], gap_s
     )
     sigma_hz = np.maximum(sigma_hz, _expansion_noise_hz(states, neighbours[asked], gap_s))
-    is_sure = eta_hz > _EXPANSION_SIGMAS * sigma_hz
-    asked, eta_hz, sigma_hz = asked[is_sure], eta_hz[is_sure], sigma_hz[is_sure]
+    past = history.derotated(-1 - gap_frames)[asked]
+    is_sure = (eta_hz > _EXPANSION_SIGMAS * sigma_hz) & (past[:, 2] > 0.0)
+    asked, eta_hz, sigma_hz, past = asked[is_sure], eta_hz[is_sure], sigma_hz[is_sure], past[is_sure]
     ray = np.column_stack([states.xy[asked], np.ones(len(asked))])
+    # x_past = (x - a T) / (1 - c T) with c = -eta, solved for a; y and b likewise.
+    sideways = states.xy[asked] - past[:, :2] / past[:, 2:] * (1.0 + eta_hz * gap_s)[:, None]
     abc_hz, cov = states.abc_hz.copy(), states.cov.copy()
     direction, status = states.direction.copy(), states.status.copy()
-    abc_hz[asked] = -eta_hz[:, None] * ray
+    abc_hz[asked] = np.column_stack([sideways / gap_s, -eta_hz])
     cov[asked] = np.einsum("n,ni,nj->nij", sigma_hz**2, ray, ray)
     across_hz2 = 2.0 * (states.sigma_norm[asked] / gap_s) ** 2
     cov[asked, 0, 0] += across_hz2
     cov[asked, 1, 1] += across_hz2
-    direction[asked] = -normalize(ray)
+    direction[asked] = normalize(abc_hz[asked])
     status[asked] = Status.ok
     return TrackStates(states.xy, abc_hz, cov, states.sigma_norm, direction, status)
 
