@@ -1,0 +1,147 @@
+"""Writes the reference pages that the code itself knows best: ``python docs/tables.py``.
+
+``docs/tables.md`` comes from ttcvid/schema.py, ``docs/configuration.md`` from ttcvid/config.py. A test fails where the
+pages in the repository are not what this writes.
+"""
+
+from __future__ import annotations
+
+import types
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import annotated_types
+from pydantic.fields import FieldInfo
+
+from ttcvid.config import PipelineConfig
+from ttcvid.jobs.options import SECTIONS, SHORTCUTS
+from ttcvid.model import Platform
+from ttcvid.schema import SCHEMA_VERSION, TABLE_NAMES, VERSION_KEY, markdown_of
+
+FOLDER = Path(__file__).parent
+_GENERATED = "Written by `python docs/tables.py` from the code; do not edit."
+_ROWS = {
+    "collision_times": "A row per frame and live track.",
+    "epipoles": "A row per frame and cluster: its direction of relative motion.",
+    "clusters": "A row per frame and cluster: where it is, how it moves, and its times.",
+    "frames": "A row for every frame, those without a result too.",
+    "events": "A row per warning.",
+}
+_TABLES_HEAD = f"""# The five tables
+
+{_GENERATED} Words, signs and units: [conventions](conventions.md).
+
+Each table is `NAME.parquet` in the output folder: zstd, sorted by frame and number, types fixed, schema version
+{SCHEMA_VERSION} (`{VERSION_KEY}` in the file's metadata). Every column carries its unit and its description in the
+metadata of its field. A value that does not exist is null and has a `status`
+beside it: never 0, NaN or infinity.
+"""
+_CONFIGURATION_HEAD = f"""# Every parameter
+
+{_GENERATED} Where values come from, and which place is stronger: [README](../README.md#configuration).
+
+In a TOML file each heading below is a section; in the environment `[tracking] max_tracks` is
+`TTCVID_TRACKING__MAX_TRACKS`, on the command line `--set tracking.max_tracks=800`, in Python
+`tracking={{"max_tracks": 800}}`. What stands under `[analyze]` is an option of the command line as well, an argument
+in Python, and `TTCVID_FPS` and so on in the environment.
+"""
+_ABOUT_OPTIONS = {
+    "camera": "camera file",
+    "focal_px": "focal length in px",
+    "image_size": "size of the pictures behind a track table, such as 1242x375",
+    "horizon": "horizon file; switches planar motion on",
+    "mask": "picture, black where nothing is to be looked at",
+    "fps": "frame rate of pictures, 1/s",
+    "timestamps": "file with the time of each picture",
+    "start": "first frame (120) or time (4.5s, 00:01:02.5)",
+    "end": "frame or time of the end, itself left out",
+    "overlay": "write overlay.mp4",
+    "overwrite": "replace an output folder that exists",
+    "platform": "what carries the camera: expectations of its own motion",
+    "estimator": "views that a time is made of",
+    "tracker": "how points are followed",
+    "preset": "effort of the H.264 encoder",
+}
+_BOUNDS = {"ge": ">= {}", "gt": "> {}", "le": "<= {}", "lt": "< {}"}
+
+
+def tables_page() -> str:
+    """``docs/tables.md``."""
+    parts = [_TABLES_HEAD]
+    parts += [f"## {name}\n{_ROWS[name]}\n\n{markdown_of(name)}" for name in TABLE_NAMES]
+    return "\n".join(parts)
+
+
+def configuration_page() -> str:
+    """``docs/configuration.md``."""
+    parts = [_CONFIGURATION_HEAD]
+    for section, parameters in SECTIONS.items():
+        about = " ".join((parameters.__doc__ or "").split("\n\n")[0].split()).replace("``", "`")
+        lines = [f"## [{section}]", about, "", "| key | value | default | meaning |", "|---|---|---|---|"]
+        lines += [_row(key, field) for key, field in parameters.model_fields.items()]
+        if section == "analyze":
+            lines += [_shortcut_row(key, *place) for key, place in SHORTCUTS.items()]
+        parts.append("\n".join(lines) + "\n")
+    return "\n".join(parts)
+
+
+def _row(key: str, field: FieldInfo) -> str:
+    default = "" if field.default is None else f"`{_toml(field.default)}`"
+    meaning = field.description or _ABOUT_OPTIONS[key]
+    return f"| `{key}` | {_values(field)} | {default} | {meaning} |"
+
+
+def _shortcut_row(key: str, section: str, name: str) -> str:
+    stage: Any = PipelineConfig.model_fields[section].annotation
+    default = _toml(stage.model_fields[name].default)
+    return f"| `{key}` | the same as `[{section}] {name}` | `{default}` | {_ABOUT_OPTIONS[key]} |"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def _values(field: FieldInfo) -> str:
+    """The values that a parameter can have, as a reader of the table wants them."""
+    kinds = [kind for kind in (get_args(field.annotation) or (field.annotation,)) if kind is not types.NoneType]
+    if get_origin(field.annotation) is Literal:
+        return " ".join(f"`{_toml(kind)}`" for kind in kinds)
+    if kinds[0] is Platform:
+        return " ".join(f"`{_toml(str(platform))}`" for platform in Platform)
+    bounds = [_bound(one) for one in (*field.metadata, *_nested(kinds[0]))]
+    name = {"float": "number", "int": "whole number", "bool": "true or false", "Path": "path"}.get(
+        getattr(_bare(kinds[0]), "__name__", ""), "text"
+    )
+    return " ".join([name, *filter(None, [", ".join(bound for bound in bounds if bound)])])
+
+
+def _bare(kind: Any) -> Any:
+    return get_args(kind)[0] if hasattr(kind, "__metadata__") else kind
+
+
+def _nested(kind: Any) -> tuple[Any, ...]:
+    """Bounds that an annotated type brings along."""
+    return tuple(
+        bound
+        for one in getattr(kind, "__metadata__", ())
+        for bound in (one.metadata if isinstance(one, FieldInfo) else (one,))
+    )
+
+
+def _bound(one: Any) -> str:
+    if not isinstance(one, (annotated_types.Ge, annotated_types.Gt, annotated_types.Le, annotated_types.Lt)):
+        return ""
+    name = type(one).__name__.lower()
+    return _BOUNDS[name].format(getattr(one, name))
+
+
+def main() -> None:
+    """Write both pages."""
+    (FOLDER / "tables.md").write_text(tables_page(), encoding="utf-8")
+    (FOLDER / "configuration.md").write_text(configuration_page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
