@@ -96,12 +96,11 @@ class Egomotion:
 class EgomotionMemory:
     """Where the next search starts: the rotation vector expected of it (rad) and the last direction; None at first.
 
-    ``step_rotation_rad`` is the rotation of the last single step, ``gap_frames`` the gap that the last flow asks for.
+    ``gap_frames`` is the gap that the last flow asks for.
     """
 
     rotation_rad: Floats | None = None
     direction: Floats | None = None
-    step_rotation_rad: Floats | None = None
     gap_frames: int = 1
 
 

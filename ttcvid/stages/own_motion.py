@@ -30,9 +30,9 @@ def find_own_motion(
     """Rotation from the last frame, and direction of travel over the gap that the flow asks for.
 
     Rotations of single steps would add up with their errors, which are partly common to all steps: over ten frames
-    they bend the flow of everything far away. Where the flow is short, the motion is therefore found between the
-    present frame and one so far back that the flow is long enough; the rotation of the last step is what the rotation
-    over the gap leaves to those before. The gap stays short all the same: the direction found is the mean over it.
+    they bend the flow of everything far away. Where the flow is short, the motion is therefore found once more
+    between the present frame and one so far back that the flow is long enough: its rotation corrects the sum, its
+    direction replaces that of the step. The gap stays short all the same: the direction found is the mean over it.
 
     Parameters
     ----------
@@ -43,33 +43,24 @@ def find_own_motion(
     -------
     egomotion : None where there are too few tracks; then the history keeps only the present frame.
     """
-    gap = min(memory.gap_frames, len(history.frame) - 1)
-    pair = _pair(history, is_free, gap, config.min_tracks)
-    if pair is None and gap > 1:
-        gap = 1
-        pair = _pair(history, is_free, gap, config.min_tracks)
-    if pair is None:
+    step = _pair(history, is_free, 1, config.min_tracks)
+    if step is None:
         return None, last_frame_only(history), replace(memory, gap_frames=1)
-    # cam_R_past does not know the present step yet: it leads into the camera of the last frame.
-    last_R_past = history.cam_R_past[-1 - gap]
-    expected = last_R_past
-    if memory.step_rotation_rad is not None:
-        expected = rotation_from_vector(memory.step_rotation_rad) @ last_R_past
-    start = replace(memory, rotation_rad=None if memory.rotation_rad is None else vector_from_rotation(expected))
-    over_gap, memory = estimate_egomotion(
-        *pair, np.sqrt(gap) * least_parallax_px / history.focal_px, start, config.platform
-    )
-    # By way of the rotation vector: a product that goes on for ever would cease to be a rotation, faster each frame.
-    cam_R_prev = rotation_from_vector(vector_from_rotation(over_gap.cam_R_prev @ last_R_past.T))
-    egomotion = replace(over_gap, cam_R_prev=cam_R_prev)
-    history = with_egomotion(history, cam_R_prev, over_gap.direction, over_gap.rotation_sigma_rad)
-    history = with_noise(history, over_gap.residual_spread, sigma_floor_px)
-    memory = replace(
-        memory,
-        step_rotation_rad=egomotion.rotation_rad,
-        gap_frames=_gap_for(history, is_free),
-    )
-    return egomotion, history, memory
+    parallax_rad = least_parallax_px / history.focal_px
+    egomotion, memory = estimate_egomotion(*step, parallax_rad, memory, config.platform)
+    history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
+    history = with_noise(history, egomotion.residual_spread, sigma_floor_px)
+    gap = min(memory.gap_frames, len(history.frame) - 1)
+    memory = replace(memory, gap_frames=_gap_for(history, is_free))
+    long_step = _pair(history, is_free, gap, config.min_tracks) if gap > 1 else None
+    if long_step is None:
+        return egomotion, history, memory
+    start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
+    over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
+    history = _corrected(history, over_gap, gap)
+    egomotion = replace(egomotion, direction=over_gap.direction, direction_cov=over_gap.direction_cov)
+    direction = memory.direction if over_gap.direction is None else over_gap.direction
+    return egomotion, history, replace(memory, direction=direction)
 
 
 def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> tuple[Floats, Floats, Floats] | None:
@@ -90,3 +81,16 @@ def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     if not len(flow_px):
         return 1
     return int(np.clip(np.ceil(_WANTED_FLOW_PX / max(float(np.median(flow_px)), _TINY_PX)), 1, _LONGEST_GAP))
+
+
+def _corrected(history: TrackHistory, over_gap: Egomotion, gap: int) -> TrackHistory:
+    """Past rotations with the error of their sum taken out evenly, and the direction of the last step replaced."""
+    error_rad = vector_from_rotation(over_gap.cam_R_prev @ history.cam_R_past[-1 - gap].T)
+    # What lies before the gap was put right when it was within one: it is carried along, not stretched.
+    steps = np.minimum(np.arange(len(history.frame) - 1, -1, -1), gap)
+    corrected = rotation_from_vector(error_rad * (steps / gap)[:, None]) @ history.cam_R_past
+    # By way of rotation vectors: products that go on for ever would cease to be rotations.
+    corrected = rotation_from_vector(vector_from_rotation(corrected))
+    scene_direction = history.scene_direction.copy()
+    scene_direction[-1] = np.nan if over_gap.direction is None else over_gap.direction
+    return replace(history, cam_R_past=corrected, scene_direction=scene_direction)
