@@ -11,7 +11,7 @@ Place = tuple[float, float]
 
 INK, MUTED, OWN, MOVER, MISS, SURFACE = "#222222", "#777777", "#0072b2", "#d55e00", "#009e73", "#f0e442"
 _STAGES = (
-    ("clip", "pictures with their times"),
+    ("clip", "pictures and times"),
     ("tracking", "points, followed"),
     ("own motion", "rotation taken out"),
     ("scene, groups", "one epipole each"),
@@ -77,7 +77,7 @@ class Sheet:
 
 def stages() -> str:
     """The way of a clip through the stages."""
-    sheet = Sheet(980, 92)
+    sheet = Sheet(992, 92)
     width, gap = 118.0, 24.0
     for place, (name, words) in enumerate(_STAGES):
         x = 10 + place * (width + gap)
@@ -90,11 +90,11 @@ def stages() -> str:
 
 
 def crossing_car() -> str:
-    """The three times of P = (20, 0, 20) m, V = (-10, 0, -2) m/s, from above: 14 px to the metre, forward is up."""
-    sheet = Sheet(760, 520)
+    """The three times of P = (20, 0, 20) m, V = (-10, 0, -2) m/s, from above: 12 px to the metre, forward is up."""
+    sheet = Sheet(800, 470)
 
     def at(x_m: float, z_m: float) -> Place:
-        return 420 + 14 * x_m, 390 - 14 * z_m
+        return 360 + 12 * x_m, 370 - 12 * z_m
 
     position, velocity = (20.0, 20.0), (-10.0, -2.0)
     speed2 = velocity[0] ** 2 + velocity[1] ** 2
@@ -102,11 +102,11 @@ def crossing_car() -> str:
     ttc_z_s = -position[1] / velocity[1]
     miss_m = abs(position[0] * velocity[1] - position[1] * velocity[0]) / math.sqrt(speed2)
     nearest = (position[0] + tcpa_s * velocity[0], position[1] + tcpa_s * velocity[1])
-    sheet.line(at(-29, 0), at(24, 0), MUTED, 1, "3 5")
-    sheet.text(at(24, -1.1), "depth zero: the picture plane of the camera, moved to its focal point", MUTED, "end", 13)
+    sheet.line(at(-29, 0), at(35, 0), MUTED, 1, "3 5")
+    sheet.text(at(34, -1.4), "depth zero", MUTED, "end", 13)
     sheet.line(at(*position), at(-26, 20 + 4.6 * velocity[1]), MOVER, 2, "7 6", head=True)
-    sheet.text(at(-29.5, 12.7), f"and on to depth zero, at {ttc_z_s:.0f} s,", MOVER, size=13)
-    sheet.text(at(-29.5, 11.5), "80 m to the left", MOVER, size=13)
+    sheet.text(at(-29.5, 8.6), "and on to depth zero after", MOVER, size=13)
+    sheet.text(at(-29.5, 7.3), f"ttc_z = {ttc_z_s:.0f} s, far to the left", MOVER, size=13)
     for second in range(5):
         sheet.dot(at(position[0] + second * velocity[0], position[1] + second * velocity[1]), MOVER)
         if second:
@@ -118,10 +118,10 @@ def crossing_car() -> str:
     sheet.text(at(-2.4, 7.0), f"miss = {miss_m / math.sqrt(speed2):.2f} s", MISS, "end")
     sheet.text(at(-2.4, 5.7), f"= {miss_m:.1f} m at {math.sqrt(speed2):.1f} m/s", MISS, "end", 13)
     sheet.line(at(*position), at(position[0] + 0.6 * velocity[0], position[1] + 0.6 * velocity[1]), MOVER, 4, head=True)
-    sheet.text(at(20.6, 21.2), "P", MOVER, size=18)
-    sheet.text(at(14.6, 17.1), "V = v(point) - v(camera)", MOVER, size=13)
+    sheet.text(at(21.4, 21.0), "P = (20, 0, 20) m", MOVER, size=18)
+    sheet.text(at(21.6, 19.4), "V = v(point) - v(camera)", MOVER, size=13)
     sheet.line(at(20, 20), at(20, 0), MUTED, 1, "3 5")
-    sheet.text(at(20.5, 9), "Z = 20 m", MUTED, size=13)
+    sheet.text(at(20.6, 3), "Z = 20 m", MUTED, size=13)
     _collision_plane(sheet, at, position, velocity)
     sheet.dot(at(0, 0), OWN, 8)
     sheet.text(at(0, -2.6), "focal point", OWN, "middle")
@@ -135,7 +135,7 @@ def _collision_plane(sheet: Sheet, at: Callable[[float, float], Place], position
     for sign, length_m in ((1, 6.0), (-1, 13.0)):
         end = (position[0] - sign * 0.196 * length_m, position[1] + sign * 0.981 * length_m)
         sheet.line(at(*position), at(*end), INK, 1.5)
-    sheet.text(at(19.4, 25.5), "collision plane", INK, size=13)
+    sheet.text(at(19.9, 25.0), "collision plane", INK, size=13)
 
 
 def nearest_surface() -> str:
@@ -155,8 +155,8 @@ def nearest_surface() -> str:
     sheet.line((604, 145), (656, 145), MUTED, 1)
     sheet.dot((630, 145), MOVER, 4)
     sheet.text((430, 48), "rear: the time of the object", anchor="middle")
-    sheet.text((300, 66), "roof", anchor="middle")
-    sheet.text((180, 66), "seen through the window", anchor="middle")
+    sheet.text((300, 70), "roof", anchor="middle")
+    sheet.text((180, 48), "seen through the window", anchor="middle")
     sheet.text((630, 128), "one wild track:", anchor="middle", size=13)
     sheet.text((630, 170), "no support", anchor="middle", size=13)
     return sheet.svg()
@@ -165,13 +165,13 @@ def nearest_surface() -> str:
 def derotation() -> str:
     """Flow of a static scene as seen while turning, and what is left when the rotation is taken out."""
     sheet = Sheet(760, 250)
-    for left, turn_px, words in ((10, 26, "as seen: forward and turning right"), (390, 0, "rotation taken out")):
+    for left, turn_px, words in ((10, 18, "as seen: forward and turning right"), (390, 0, "rotation taken out")):
         sheet.box((left, 10), (360, 200), edge=MUTED)
         sheet.text((left + 180, 235), words, anchor="middle")
-        epipole = (left + 180, 95)
+        epipole = (left + 185, 109)
         for row in range(4):
             for column in range(7):
-                start = (left + 40 + 47 * column, 35 + 50 * row)
+                start = (left + 62 + 41 * column, 38 + 48 * row)
                 depth = 1.0 + 0.8 * ((row + 2 * column) % 3)
                 grow = 0.22 / depth
                 end = (
@@ -182,7 +182,7 @@ def derotation() -> str:
         if not turn_px:
             for dx, dy in ((9, 0), (0, 9)):
                 sheet.line((epipole[0] - dx, epipole[1] - dy), (epipole[0] + dx, epipole[1] + dy), MOVER, 3)
-            sheet.text((epipole[0] + 14, epipole[1] - 8), "epipole", MOVER)
+            sheet.text((epipole[0] + 10, epipole[1] - 32), "epipole", MOVER)
     return sheet.svg()
 
 
