@@ -57,8 +57,8 @@ class MotionGroupsConfig(StageConfig):
     """How tracks are gathered into groups of one relative motion."""
 
     min_tracks: int = Field(default=3, ge=3, description="least number of tracks of a group (the paper's three lines)")
-    n_hypotheses: int = Field(default=200, ge=10, le=5000, description="epipoles tried per extracted group")
-    max_groups: int = Field(default=12, ge=1, le=100, description="groups extracted per frame")
+    n_hypotheses: int = Field(default=200, ge=10, le=5000, description="epipoles of new groups tried per frame")
+    max_groups: int = Field(default=12, ge=1, le=100, description="new groups taken per frame")
     gate_probability: Fraction = Field(default=0.99, description="chi-square probability of the gate of a group")
 
 
@@ -73,7 +73,7 @@ class CollisionTimesConfig(StageConfig):
 class EventsConfig(StageConfig):
     """When an approach becomes a warning."""
 
-    max_ttc_s: PositiveFloat = Field(default=4.0, description="a warning starts below this time")
+    max_ttc_s: PositiveFloat = Field(default=4.0, description="a warning starts below this time to closest approach")
     max_miss_widths: PositiveFloat = Field(
         default=1.0, description="miss distance, in object widths, of a collision course"
     )

@@ -24,7 +24,7 @@ class Watcher:
             MotionGroup(np.searchsorted(track_id, sorted(g)), AHEAD, 1e-6 * np.diag([1.0, 1.0, 0.0]), Status.ok)
             for g in groups
         ]
-        names, self.memory = named(found, track_id, self.memory)
+        names, self.memory = named(found, track_id, self.memory, np.eye(3))
         return names
 
     def frames(self, n, *groups, others=()):

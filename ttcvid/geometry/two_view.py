@@ -85,6 +85,7 @@ def fit_rotation(
         offset = offset + step
         if step @ information @ step < _CONVERGED_CHI2:
             break
+    cam_R_prev = rotation_from_vector(offset) @ expected
     cost = _capped_cost(residual) + float(offset @ offset) / prior.rotation_sigma_rad**2
     covariance = _robust_covariance(information, score, region)
     return TwoViewFit(cam_R_prev, None, residual, cost, covariance)
@@ -125,6 +126,7 @@ def fit_motion(
         offset = offset + step[2:]
         if step @ information @ step < _CONVERGED_CHI2:
             break
+    cam_R_prev = rotation_from_vector(offset) @ expected
     cost = _capped_cost(np.where(is_wrong, np.inf, residual)) + prior_cost
     covariance = _robust_covariance(information, score, region)
     return TwoViewFit(cam_R_prev, direction, residual, cost, covariance)

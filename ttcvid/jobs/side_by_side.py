@@ -18,8 +18,8 @@ from typing import Generic, Self, TypeVar
 T = TypeVar("T")
 R = TypeVar("R")
 
-READ_AHEAD_ITEMS = 6
-WRITE_BEHIND_ITEMS = 6
+READ_AHEAD_ITEMS = 3
+WRITE_BEHIND_ITEMS = 3
 MAP_WORKERS = 2
 MAP_AHEAD_ITEMS = 4
 """Items in work or waiting for their turn: two a worker, so that none idles while an item is taken."""

@@ -78,7 +78,8 @@ def object_row(
     eta_hz, sigma_hz = -states.abc_hz[usable, 2], np.sqrt(states.cov[usable, 2, 2])
     surface = usable[nearest_surface(eta_hz, sigma_hz, xy_px[usable], link_px)]
     if not len(surface):
-        return replace(row, status=Status.no_parallax if row.status == Status.ok else row.status)
+        has_note_only = row.status in (Status.ok, Status.epipole_at_infinity)
+        return replace(row, status=Status.no_parallax if has_note_only else row.status)
     return _with_surface(row, motion, flows.take(surface), states.take(surface), xy_px[surface])
 
 

@@ -115,7 +115,7 @@ def estimate_egomotion(
     """Rotation and direction of travel by robust Gauss-Newton with priors.
 
     Every static point moves in the plane of its ray and the direction of travel, by an unknown amount: the residual
-    is its distance from that plane, in sigmas. Movers are outliers of a Cauchy weight. A rotation without
+    is its distance from that plane, in sigmas. Movers lose their weight (Geman and McClure's). A rotation without
     translation is chosen where it explains the same flow (Torr's GRIC).
 
     Parameters

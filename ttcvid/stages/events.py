@@ -52,6 +52,9 @@ def update_events(
             if before is not None and warned and t_s - before.last_s <= config.persistence_s:
                 watched[cluster_id] = before
             continue
+        if before is not None and not warned and t_s - before.last_s > config.persistence_s:
+            # Not looked at in between (dark or doubled pictures): that is no persistence.
+            before = None
         now = WatchedObject(t_s if before is None else before.since_s, t_s, None if before is None else before.event)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))

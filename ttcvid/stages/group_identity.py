@@ -55,10 +55,13 @@ def former_groups(memory: GroupMemory, track_id: Ints, cam_R_prev: Floats) -> li
     return [FormerGroup(np.flatnonzero(keys == g.key), cam_R_prev @ g.direction) for g in memory.groups]
 
 
-def named(groups: list[MotionGroup], track_id: Ints, memory: GroupMemory) -> tuple[list[int | None], GroupMemory]:
+def named(
+    groups: list[MotionGroup], track_id: Ints, memory: GroupMemory, cam_R_prev: Floats
+) -> tuple[list[int | None], GroupMemory]:
     """Public number of each group (None: not confirmed yet), and the memory for the next frame.
 
-    A group takes over the key that most of its remembered tracks had; the larger group chooses first.
+    A group takes over the key that most of its remembered tracks had; the larger group chooses first. The direction of
+    a group that is missed is turned along with the camera, by ``cam_R_prev (3, 3)``.
     """
     keys = former_keys(memory, track_id)
     known = {g.key: g for g in memory.groups}
@@ -79,7 +82,9 @@ def named(groups: list[MotionGroup], track_id: Ints, memory: GroupMemory) -> tup
             cluster_id, next_cluster_id = next_cluster_id, next_cluster_id + 1
         seen[key] = KnownGroup(key, cluster_id, before.n_found + 1, 0, group.direction)
     missed = [
-        replace(g, n_missed=g.n_missed + 1) for g in memory.groups if g.key not in seen and g.n_missed < _FORGET_FRAMES
+        replace(g, n_missed=g.n_missed + 1, direction=cam_R_prev @ g.direction)
+        for g in memory.groups
+        if g.key not in seen and g.n_missed < _FORGET_FRAMES
     ]
     kept = tuple(sorted([*seen.values(), *missed], key=lambda g: g.key))
     keys = np.where(np.isin(keys, [g.key for g in missed]), keys, NO_CLUSTER)

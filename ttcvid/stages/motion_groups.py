@@ -198,7 +198,8 @@ def _with_new_groups(search: _Search, groups: _Groups, rng: np.random.Generator,
     is_open = np.ones(len(hypotheses), dtype=bool)
     rows = np.arange(len(hypotheses))[:, None]
     failures = 0
-    while is_open.any() and len(directions) < config.max_groups and failures < _MAX_FAILURES:
+    n_former = len(directions)
+    while is_open.any() and len(directions) - n_former < config.max_groups and failures < _MAX_FAILURES:
         is_free = label == NO_CLUSTER
         votes = np.count_nonzero(shares[rows, voters] & is_free[voters], axis=1) * is_open
         best = int(np.argmax(votes))
@@ -243,7 +244,7 @@ def _hypotheses(
     The neighbourhood of a pair votes: a small far object is not outvoted by chance agreement elsewhere in the picture.
     """
     n_voters = search.neighbours.shape[1]
-    seeds = rng.permutation(np.resize(free, min(config.n_hypotheses, 2 * len(free))))
+    seeds = np.resize(rng.permutation(free), min(config.n_hypotheses, 2 * len(free)))
     partner = search.neighbours[seeds, rng.integers(0, n_voters, len(seeds))]
     directions, is_defined = directions_of_pairs(search.flows.first, search.flows.second, seeds, partner)
     return directions[is_defined], search.neighbours[seeds[is_defined]]

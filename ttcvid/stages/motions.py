@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ttcvid.config import PipelineConfig
+from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
@@ -31,7 +32,7 @@ class FrameMotions:
 
     ``cluster_id (N,)``; ``direction (N, 3)`` with ``direction_cov (N, 3, 3)`` each track's ``dir`` over its own gap,
     NaN where it has none, and ``no_direction_status (N,)`` why; ``clusters`` the scene first, then the groups;
-    ``link_px`` the distance within which tracks hang together.
+    ``link_px`` the distance within which tracks hang together; ``is_free (N,)`` tracks not frozen to their pixel.
     """
 
     flows: Flows
@@ -41,6 +42,7 @@ class FrameMotions:
     no_direction_status: Ints
     clusters: tuple[ClusterMotion, ...]
     link_px: float
+    is_free: Bools
 
 
 def find_motions(
@@ -74,7 +76,7 @@ def find_motions(
         is_candidate = is_free & ~with_scene
         groups = find_motion_groups(flows, history.xy_px, is_candidate, link_px, former, rng, config.motion_groups)
         groups = [group for group in groups if not _has_scene_direction(group, egomotion)]
-        names, memory = named(groups, history.track_id, memory)
+        names, memory = named(groups, history.track_id, memory, egomotion.cam_R_prev)
     scene = _scene_motion(np.flatnonzero(with_scene), egomotion, plane, camera)
     objects = [
         _group_motion(name, group, plane, camera)
@@ -107,17 +109,13 @@ def _scene_motion(
     if egomotion is None or egomotion.direction is None or egomotion.direction_cov is None:
         status = Status.no_epipole if egomotion is None else Status.no_parallax
         return ClusterMotion(SCENE_CLUSTER, members, None, None, status, "egomotion")
-    return _on_plane(
-        SCENE_CLUSTER, members, egomotion.direction, egomotion.direction_cov, Status.ok, "egomotion", plane, camera
-    )
+    return _on_plane(SCENE_CLUSTER, members, egomotion.direction, egomotion.direction_cov, "egomotion", plane, camera)
 
 
 def _group_motion(cluster_id: int, group: MotionGroup, plane: HorizonPlane | None, camera: Camera) -> ClusterMotion:
     if group.status == Status.no_epipole:
         return ClusterMotion(cluster_id, group.members, None, None, group.status, "consensus")
-    return _on_plane(
-        cluster_id, group.members, group.direction, group.direction_cov, group.status, "consensus", plane, camera
-    )
+    return _on_plane(cluster_id, group.members, group.direction, group.direction_cov, "consensus", plane, camera)
 
 
 def _on_plane(
@@ -125,17 +123,18 @@ def _on_plane(
     members: Ints,
     direction: Floats,
     covariance: Floats,
-    status: Status,
     method: str,
     plane: HorizonPlane | None,
     camera: Camera,
 ) -> ClusterMotion:
     """The motion as found, or moved onto the horizon with the offset noted."""
-    if plane is None:
-        return ClusterMotion(cluster_id, members, direction, covariance, status, method)
-    offset_px = horizon_offset_px(direction, plane, camera)
-    direction, covariance = onto_horizon(direction, covariance, plane)
-    return ClusterMotion(cluster_id, members, direction, covariance, status, f"{method}+horizon", offset_px)
+    offset_px = None
+    if plane is not None:
+        offset_px = horizon_offset_px(direction, plane, camera)
+        direction, covariance = onto_horizon(direction, covariance, plane)
+        method = f"{method}+horizon"
+    status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
+    return ClusterMotion(cluster_id, members, direction, covariance, status, method, offset_px)
 
 
 def _assigned(
@@ -167,4 +166,4 @@ def _assigned(
             covariance[motion.members] += DIRECTION_FLOOR_RAD**2 * (
                 np.eye(3) - np.outer(motion.direction, motion.direction)
             )
-    return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px)
+    return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px, is_free)

@@ -38,8 +38,8 @@ def track_rows(
     has_direction = np.isfinite(motions.direction[:, 0])
     if config.estimator == "two-frame":
         asks = motions.flows.has_flow & ~has_direction
-        status = np.where(asks, motions.no_direction_status, states.status)
-        states = states.with_status(status)
+        states = states.with_status(np.where(asks, motions.no_direction_status, states.status))
+    states = states.without(~motions.is_free, Status.no_parallax)
     states = _with_expansions(history, motions, states)
     rows = TrackRows(
         track_id=history.track_id,
@@ -86,7 +86,12 @@ def no_tracks() -> TrackRows:
 
 def _with_expansions(history: TrackHistory, motions: FrameMotions, states: TrackStates) -> TrackStates:
     """Times by expansion for tracks of a cluster that have no flow of their own."""
-    asks = np.isin(states.status, [Status.at_epipole, Status.no_parallax]) & (motions.cluster_id != NO_CLUSTER)
+    # The surroundings of a point of the scene lie at many depths: there only a point on the epipole itself is asked.
+    in_object = (motions.cluster_id != NO_CLUSTER) & (motions.cluster_id != SCENE_CLUSTER)
+    in_scene = motions.cluster_id == SCENE_CLUSTER
+    asks = (in_object & (states.status == Status.no_parallax)) | (
+        (in_object | in_scene) & (states.status == Status.at_epipole)
+    )
     gap = min(_EXPANSION_FRAMES, len(history.frame) - 1)
     if gap < 1 or not asks.any():
         return states

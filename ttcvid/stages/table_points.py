@@ -14,7 +14,11 @@ def compare_table_points(last: PointSet | None, points: PointSet) -> FrameStatus
     """
     if last is None:
         return FrameStatus.first
-    if np.array_equal(last.track_id, points.track_id) and np.array_equal(last.xy_px, points.xy_px):
+    if (
+        len(points.track_id)
+        and np.array_equal(last.track_id, points.track_id)
+        and np.array_equal(last.xy_px, points.xy_px)
+    ):
         return FrameStatus.duplicate
     if len(last.track_id) and len(points.track_id) and not np.isin(points.track_id, last.track_id).any():
         return FrameStatus.cut

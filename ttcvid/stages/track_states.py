@@ -52,6 +52,17 @@ class TrackStates:
         """The same states with other reasons."""
         return replace(self, status=status)
 
+    def without(self, index: Bools, status: Status) -> TrackStates:
+        """No result for the tracks of ``index (N,)``, for one reason."""
+        gone = index[:, None]
+        return replace(
+            self,
+            abc_hz=np.where(gone, np.nan, self.abc_hz),
+            cov=np.where(gone[..., None], np.nan, self.cov),
+            direction=np.where(gone, np.nan, self.direction),
+            status=np.where(index, status, self.status),
+        )
+
     def take(self, index: Ints) -> TrackStates:
         """The states that an index array picks."""
         return TrackStates(*(getattr(self, f.name)[index] for f in fields(self)))
