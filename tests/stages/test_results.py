@@ -50,7 +50,9 @@ def motions_of(history, cluster, known=(True, True)):
         clusters.append(
             ClusterMotion(number, members, e if is_known else None, e_cov, Status(status[members[0]]), "consensus")
         )
-    return FrameMotions(flows, cluster, direction, cov, status, tuple(clusters), 32.0, np.ones(len(cluster), dtype=bool))
+    return FrameMotions(
+        flows, cluster, direction, cov, status, tuple(clusters), 32.0, np.ones(len(cluster), dtype=bool)
+    )
 
 
 @pytest.mark.parametrize("config", [TWO_FRAME, THREE_FRAME], ids=["two-frame", "three-frame"])
@@ -105,7 +107,16 @@ def test_a_track_at_the_epipole_of_its_group_takes_the_time_of_its_surroundings(
     cov = 1e-8 * np.diag([1.0, 1.0, 0.0])
     n, car = len(position_m), ClusterMotion(1, np.arange(25), e, cov, Status.ok, "consensus")
     ok = np.zeros(n, np.int64)
-    motions = FrameMotions(flows, np.ones(n, np.int64), np.tile(e, (n, 1)), np.tile(cov, (n, 1, 1)), ok, (car,), 60.0, np.ones(n, dtype=bool))
+    motions = FrameMotions(
+        flows,
+        np.ones(n, np.int64),
+        np.tile(e, (n, 1)),
+        np.tile(cov, (n, 1, 1)),
+        ok,
+        (car,),
+        60.0,
+        np.ones(n, dtype=bool),
+    )
     _, rows = track_rows(history, motions, TWO_FRAME)
     assert rows.status[0] == Status.ok
     assert rows.times.ttc_z_s[0] == pytest.approx(2.5, rel=1e-6)
