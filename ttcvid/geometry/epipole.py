@@ -164,6 +164,29 @@ def refine_epipoles(
     return directions, np.where(np.isfinite(determinant)[:, None, None], cov, np.inf)
 
 
+def direction_chi2(one: Floats, other: Floats, covariance: Floats, floor_rad: float = 0.0) -> float:
+    """Squared difference of two directions in their joint uncertainty, a chi-square with two degrees of freedom.
+
+    Parameters
+    ----------
+    one, other
+        ``(3,)`` unit vectors.
+    covariance
+        ``(3, 3)`` rad^2: the sum of both, in their tangent planes.
+    floor_rad
+        Error per axis that the covariances do not know.
+
+    Returns
+    -------
+    Infinite for directions in opposite half-spaces: the same line, travelled the other way, is another motion.
+    """
+    if one @ other < 0.0:
+        return np.inf
+    basis = tangent_basis(one)
+    offset = basis.T @ other
+    return float(offset @ np.linalg.solve(basis.T @ covariance @ basis + floor_rad**2 * np.eye(2), offset))
+
+
 def eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats, weights: Floats) -> Floats:
     """Start for the maximum likelihood: the best of five closed solutions, ``(3,)`` of either sign.
 

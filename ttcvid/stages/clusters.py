@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
-from ttcvid.geometry.epipole import INFINITY_COSINE
+from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
-from ttcvid.geometry.rotation import cross, tangent_basis
+from ttcvid.geometry.rotation import cross
 from ttcvid.geometry.state import rate_from_direction
 from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, Floats, Ints, MotionState, Status
 from ttcvid.stages.flows import Flows
@@ -211,12 +211,8 @@ def _motion_state(rates: Floats, cov: Floats) -> MotionState:
 def _is_same_direction(one: ClusterMotion, other: ClusterMotion) -> bool:
     if one.direction is None or one.direction_cov is None or other.direction is None or other.direction_cov is None:
         return False
-    if one.direction @ other.direction < 0.0:
-        return False
-    basis = tangent_basis(other.direction)
-    offset = basis.T @ one.direction
-    covariance = basis.T @ (one.direction_cov + other.direction_cov) @ basis
-    return bool(offset @ np.linalg.solve(covariance, offset) < _SAME_DIRECTION_CHI2)
+    covariance = one.direction_cov + other.direction_cov
+    return direction_chi2(other.direction, one.direction, covariance) < _SAME_DIRECTION_CHI2
 
 
 def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:

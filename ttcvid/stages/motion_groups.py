@@ -22,11 +22,12 @@ from ttcvid.geometry.consensus import (
 from ttcvid.geometry.epipole import (
     INFINITY_COSINE,
     MAX_DIRECTION_SIGMA_RAD,
+    direction_chi2,
     epipole_maximum_likelihood,
     refine_epipoles,
 )
 from ttcvid.geometry.flow_line import flow_line_chi2
-from ttcvid.geometry.rotation import cross, tangent_basis
+from ttcvid.geometry.rotation import cross
 from ttcvid.model import NO_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.flows import Flows
 from ttcvid.stages.scene import DIRECTION_FLOOR_RAD
@@ -305,12 +306,9 @@ def _merged(search: _Search, groups: _Groups) -> _Groups:
 def _may_be_one(search: _Search, label: Ints, directions: Floats, covariances: Floats, one: int, other: int) -> bool:
     """Cheap tests before the fit of two groups together: directions that do not contradict, and neighbours."""
     covariance = covariances[one] + covariances[other]
-    if directions[one] @ directions[other] < 0.0 or not np.isfinite(covariance).all():
+    if not np.isfinite(covariance).all():
         return False
-    basis = tangent_basis(directions[one])
-    offset = basis.T @ directions[other]
-    tangent_cov = basis.T @ covariance @ basis + DIRECTION_FLOOR_RAD**2 * np.eye(2)
-    if offset @ np.linalg.solve(tangent_cov, offset) > _MERGE_CHI2:
+    if direction_chi2(directions[one], directions[other], covariance, DIRECTION_FLOOR_RAD) > _MERGE_CHI2:
         return False
     return bool(np.any(label[search.neighbours[label == one]] == other))
 

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ttcvid.config import PipelineConfig
-from ttcvid.geometry.epipole import INFINITY_COSINE
-from ttcvid.geometry.rotation import tangent_basis
+from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import Egomotion
@@ -95,12 +94,11 @@ def _has_scene_direction(group: MotionGroup, egomotion: Egomotion) -> bool:
     """
     if group.status == Status.no_epipole:
         return False
-    if egomotion.direction is None or egomotion.direction_cov is None or group.direction @ egomotion.direction < 0.0:
+    if egomotion.direction is None or egomotion.direction_cov is None:
         return False
-    basis = tangent_basis(egomotion.direction)
-    offset = basis.T @ group.direction
-    covariance = basis.T @ (group.direction_cov + egomotion.direction_cov) @ basis + DIRECTION_FLOOR_RAD**2 * np.eye(2)
-    return bool(offset @ np.linalg.solve(covariance, offset) < _SCENE_DIRECTION_CHI2)
+    covariance = group.direction_cov + egomotion.direction_cov
+    difference = direction_chi2(egomotion.direction, group.direction, covariance, DIRECTION_FLOOR_RAD)
+    return difference < _SCENE_DIRECTION_CHI2
 
 
 def _scene_motion(
