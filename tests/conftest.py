@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The first call of a compiled function takes seconds, which is no fault of the case that makes it.
+settings.register_profile("compiled", deadline=None)
+settings.load_profile("compiled")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
