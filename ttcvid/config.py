@@ -85,7 +85,7 @@ class OverlayConfig(StageConfig):
     """The annotated video."""
 
     preset: Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium"] = "superfast"
-    crf: int = Field(default=23, ge=0, le=51, description="H.264 constant rate factor")
+    crf: int = Field(default=24, ge=0, le=51, description="H.264 constant rate factor")
     trail_frames: int = Field(default=8, ge=1, le=60, description="length of the drawn track trails")
 
 

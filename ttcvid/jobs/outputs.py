@@ -16,7 +16,7 @@ from ttcvid.jobs.provenance import table_metadata
 from ttcvid.model import Frame, FrameResult, ImageSize, Picture
 from ttcvid.sinks.folder import OVERLAY_NAME
 from ttcvid.sinks.tables import TableSink
-from ttcvid.sinks.video import OverlayVideo, check_video
+from ttcvid.sinks.video import QUICK_X264, OverlayVideo, check_video
 from ttcvid.sources import Source
 
 
@@ -30,7 +30,10 @@ def open_sinks(
     if not options.overlay:
         return lambda item: tables.write(item[1])
     dt_s = info.nominal_dt_s * options.stride
-    video = stack.enter_context(OverlayVideo(folder / OVERLAY_NAME, info.image_size, dt_s, overlay.preset, overlay.crf))
+    path = folder / OVERLAY_NAME
+    video = stack.enter_context(
+        OverlayVideo(path, info.image_size, dt_s, overlay.preset, overlay.crf, x264_params=QUICK_X264)
+    )
     painter = OverlayPainter(calibration.camera, info.image_size, overlay.trail_frames)
 
     def write(item: tuple[Frame, FrameResult]) -> None:
@@ -49,7 +52,7 @@ def _canvas(frame: Frame, image_size: ImageSize) -> Picture:
 
 
 def check_overlay(path: Path, n_expected: int) -> None:
-    """Decode the overlay once; OutputError unless it holds as many frames as were written."""
+    """Read the overlay once; OutputError unless it holds as many frames as were written."""
     n_frames = check_video(path)
     if n_frames != n_expected:
         raise OutputError(

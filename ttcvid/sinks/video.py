@@ -20,6 +20,9 @@ TICKS_PER_S = 90_000  # the clock of broadcast video: exact for the usual frame 
 KEYFRAME_INTERVAL_S = 2.0  # how far back a browser has to decode after a jump
 SD_COLOUR = 6  # ITU-T H.273 code of BT.601 (SMPTE 170M), in which OpenCV converts
 LIMITED_RANGE = 1  # luma from 16 to 235
+QUICK_X264 = "bframes=0:cabac=0"
+"""Parameters of x264 beside a preset: no pictures from two sides, and the simpler entropy code. Of the preset superfast
+they leave two thirds of the time, at 8 % more bytes for the same quality, and no picture waits in the encoder."""
 
 
 class OverlayVideo:
@@ -39,6 +42,8 @@ class OverlayVideo:
         Usual frame interval in s: shows the last picture that long, and spaces the key frames.
     preset, crf
         x264's speed and quality (`ttcvid.config.OverlayConfig`).
+    x264_params
+        Further parameters of x264, ``name=value:name=value``, such as `QUICK_X264`.
     threads
         Encoder threads; one, because the analysis runs beside.
 
@@ -49,7 +54,14 @@ class OverlayVideo:
     """
 
     def __init__(
-        self, path: Path, image_size: ImageSize, nominal_dt_s: float, preset: str, crf: int, threads: int = 1
+        self,
+        path: Path,
+        image_size: ImageSize,
+        nominal_dt_s: float,
+        preset: str,
+        crf: int,
+        x264_params: str = "",
+        threads: int = 1,
     ) -> None:
         self._path = path
         self._image_size = image_size
@@ -62,7 +74,8 @@ class OverlayVideo:
             path.touch()  # PyAV opens the file at the first picture only; what is wrong with the place shows here
             self._container = av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"})
         try:
-            self._stream = self._add_stream(nominal_dt_s, {"preset": preset, "crf": str(crf)}, threads)
+            options = {"preset": preset, "crf": str(crf), "x264-params": x264_params}
+            self._stream = self._add_stream(nominal_dt_s, options, threads)
         except BaseException:
             self._container.close()
             raise
@@ -136,7 +149,10 @@ class OverlayVideo:
 
 
 def check_video(path: Path) -> int:
-    """Open a video, decode all of it once, and return the number of its frames.
+    """Read all packets of a video, decode its key frames, and return the number of its pictures.
+
+    What a full disk or a cut leaves behind shows in the packets, what a decoder refuses in the key frames; to decode
+    the pictures between them too would take as long as decoding the input once more.
 
     Raises
     ------
@@ -146,19 +162,24 @@ def check_video(path: Path) -> int:
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]
-            stream.thread_type = "AUTO"
-            n_listed = stream.frames
-            n_frames = sum(1 for _ in container.decode(stream))
+            n_listed, n_pictures, n_key_frames, n_decoded = stream.frames, 0, 0, 0
+            for packet in container.demux(stream):
+                is_end = packet.size == 0
+                n_pictures += not is_end and not packet.is_corrupt
+                n_key_frames += packet.is_keyframe
+                if packet.is_keyframe or is_end:
+                    n_decoded += len(packet.decode())
     except (av.FFmpegError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise OutputError(
             f"{path}: the video just written cannot be decoded ({reason}): run 'ttcvid doctor'"
         ) from error
-    if n_frames == 0 or n_frames < n_listed:
+    if n_pictures == 0 or n_pictures < n_listed or n_decoded < n_key_frames:
         raise OutputError(
-            f"{path}: the video just written holds {n_frames} of {n_listed} pictures: run again, or 'ttcvid doctor'"
+            f"{path}: the video just written holds {n_pictures} of {n_listed} pictures, {n_decoded} of {n_key_frames} "
+            f"key frames can be decoded: run again, or 'ttcvid doctor'"
         )
-    return n_frames
+    return n_pictures
 
 
 def _require_encoder() -> None:

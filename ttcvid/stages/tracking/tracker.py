@@ -15,6 +15,8 @@ from ttcvid.stages.tracking.klt import KltMemory, follow_klt, start_klt
 
 # Size of the thumbnail and bins of its histogram that stand for the look of a picture.
 _THUMBNAIL, _BINS = (64, 48), 32
+# The thumbnail is made of every so many pixels of every so many rows: the rest would say the same, 15 times as slowly.
+_SAMPLED_PX = 4
 # A cut leaves less than this part of the tracks, and another histogram: at least this part of its mass moved. On the
 # real clips a hard cut leaves 0 and moves 0.27 or more, the wildest drive leaves 0.4 and moves 0.14.
 _CUT_SURVIVAL, _CUT_HISTOGRAM = 0.15, 0.2
@@ -46,7 +48,8 @@ class TrackerMemory:
 
 def prepare_picture(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> PreparedPicture:
     """The part of the work that needs no other picture."""
-    thumbnail = np.asarray(cv2.resize(grey, _THUMBNAIL, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    samples = grey[::_SAMPLED_PX, ::_SAMPLED_PX]
+    thumbnail = np.asarray(cv2.resize(samples, _THUMBNAIL, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     is_dark = int(thumbnail.max()) < _DARK_LEVEL
     features = detect_features(grey, allowed, config) if config.tracker == "akaze" and not is_dark else None
     return PreparedPicture(grey, thumbnail, features)
