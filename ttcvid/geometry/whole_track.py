@@ -36,6 +36,14 @@ _N_SUMS = 14
 
 
 @dataclass(frozen=True)
+class MotionPlane:
+    """The plane in which everything moves: its unit ``normal (3,)``, known to ``sigma_rad`` for each thing's motion."""
+
+    normal: Floats
+    sigma_rad: float
+
+
+@dataclass(frozen=True)
 class WholeTracks:
     """States of N tracks at time 0.
 
@@ -61,6 +69,7 @@ def fit_whole_tracks(
     start: Floats | None = None,
     max_frames: int | None = None,
     gate_probability: float = 0.999,
+    plane: MotionPlane | None = None,
 ) -> WholeTracks:
     """State of each track by robust Gauss-Newton on the reprojection error, over a window that fits it.
 
@@ -84,6 +93,9 @@ def fit_whole_tracks(
         Most views of a window; None: all.
     gate_probability
         Probability with which a constant velocity keeps its whole window.
+    plane
+        Planar motion, as the Gaussian prior ``normal . w ~ N(0, (sigma_rad abs(w))^2)``: then two views suffice. It is
+        part of ``cov`` and ``info_w`` then.
 
     Returns
     -------
@@ -105,6 +117,7 @@ def fit_whole_tracks(
         )
     order = np.argsort(np.abs(t_s), kind="stable")
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
+    normal, plane_sigma = (np.zeros(3), 0.0) if plane is None else (plane.normal, plane.sigma_rad)
     state, cov = np.full((n, 5), np.nan), np.full((n, 5, 5), np.nan)
     info_w, chi2 = np.zeros((n, 3, 3)), np.zeros(n)
     n_frames = np.zeros(n, dtype=np.int64)
@@ -118,12 +131,16 @@ def fit_whole_tracks(
         np.asarray(start, dtype=np.float64),
         window_gates(longest, 5, gate_probability),
         window_gates(_TAIL, 0, gate_probability),
+        np.asarray(normal, dtype=np.float64),
+        plane_sigma,
         state,
         cov,
         info_w,
         chi2,
         n_frames,
     )
+    if plane is not None:
+        _add_plane(plane, state, cov, info_w)
     return WholeTracks(state, cov, info_w, chi2, np.maximum(2 * n_frames - 5, 0), n_frames)
 
 
@@ -147,6 +164,16 @@ def window_gates(max_frames: int, n_unknowns: int, probability: float) -> Floats
     return gates
 
 
+def _add_plane(plane: MotionPlane, state: Floats, cov: Floats, info_w: Floats) -> None:
+    """Add what the plane says to the covariances and the information, in place."""
+    variance = plane.sigma_rad**2 * np.einsum("ni,ni->n", state[:, 2:], state[:, 2:])
+    has_rate = variance > 0.0
+    info_w[has_rate] += np.outer(plane.normal, plane.normal) / variance[has_rate, None, None]
+    towards = cov[:, :, 2:] @ plane.normal
+    spread = variance + towards[:, 2:] @ plane.normal
+    cov -= np.einsum("ni,nj->nij", towards, towards) / spread[:, None, None]
+
+
 @compiled
 def _fit_each(
     xy: Floats,
@@ -157,6 +184,8 @@ def _fit_each(
     start: Floats,
     gates: Floats,
     tail_gates: Floats,
+    normal: Floats,
+    plane_sigma: float,
     state: Floats,
     cov: Floats,
     info_w: Floats,
@@ -212,6 +241,8 @@ def _fit_each(
                     break
                 n -= 1
             fall = _solve(sums[n], prior, s[4], c_low, c_high, 1.0 / span, step)
+            if plane_sigma > 0.0:
+                fall = _solve_on_plane(sums[n], prior, s, x0, y0, c_low, c_high, span, normal, plane_sigma, step)
             s += step
             chi2[i] = max(sums[n, 13] - fall, 0.0)
             if fall < _CONVERGED_CHI2 and count > 0:
@@ -287,6 +318,47 @@ def _solve(
     step[2], step[3] = a_0 + a_c * dc, b_0 + b_c * dc
     step[4] = dc
     fall: float = row[8] * x_0 + row[9] * a_0 + row[10] * y_0 + row[11] * b_0 + dc * (2.0 * score_c - info_c * dc)
+    return fall
+
+
+@compiled
+def _solve_on_plane(
+    row: Floats,
+    prior: float,
+    s: Floats,
+    x0: float,
+    y0: float,
+    c_low: float,
+    c_high: float,
+    span: float,
+    normal: Floats,
+    plane_sigma: float,
+    step: Floats,
+) -> float:
+    """The same step with ``normal . w = 0`` as one more observation, of one w = (a' + c x0, b' + c y0, c)."""
+    by_c = normal[0] * x0 + normal[1] * y0 + normal[2]
+    a, b = s[2] + s[4] * x0, s[3] + s[4] * y0
+    variance = plane_sigma * plane_sigma * max(a * a + b * b + s[4] * s[4], 1e-12)
+    reach, towards = np.empty(5), row.copy()
+    towards[8] = towards[10] = 0.0
+    towards[9], towards[11], towards[12] = normal[0], normal[1], by_c
+    _solve(towards, prior, 0.0, -np.inf, np.inf, np.inf, reach)
+    _solve(row, prior, s[4], -np.inf, np.inf, np.inf, step)
+    off = normal[0] * s[2] + normal[1] * s[3] + by_c * s[4]
+    miss = off + normal[0] * step[2] + normal[1] * step[3] + by_c * step[4]
+    step -= reach * (miss / (variance + normal[0] * reach[2] + normal[1] * reach[3] + by_c * reach[4]))
+    limit = min(max(step[4], -1.0 / span), 1.0 / span)
+    limit = min(max(limit, 0.5 * (c_low - s[4])), 0.5 * (c_high - s[4]))
+    if limit != step[4]:
+        step *= limit / step[4]
+    pull = off / variance
+    fall: float = (
+        row[8] * step[0]
+        + (row[9] - pull * normal[0]) * step[2]
+        + row[10] * step[1]
+        + (row[11] - pull * normal[1]) * step[3]
+        + (row[12] - pull * by_c) * step[4]
+    )
     return fall
 
 
