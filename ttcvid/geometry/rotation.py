@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats
 
 # Below this 1 + y the tangent basis changes its formula: a cap of 2.6 deg about straight up, where no motion of
@@ -68,13 +69,9 @@ def rotation_from_vector(rotvec_rad: Floats) -> Floats:
     array([0., 1., 0.])
     """
     rotvec_rad = np.asarray(rotvec_rad, dtype=np.float64)
-    rotvec_rad = np.where(np.isfinite(rotvec_rad), rotvec_rad, np.nan)
-    angle = np.sqrt(np.einsum("...i,...i->...", rotvec_rad, rotvec_rad))[..., None, None]
-    k = skew(rotvec_rad)
-    sin_over_angle = np.sinc(angle / np.pi)
-    one_minus_cos_over_angle2 = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    result: Floats = np.eye(3) + sin_over_angle * k + one_minus_cos_over_angle2 * (k @ k)
-    return result
+    rotations = np.empty((*rotvec_rad.shape, 3))
+    _turn_each(np.ascontiguousarray(rotvec_rad).reshape(-1, 3), rotations.reshape(-1, 3, 3))
+    return rotations
 
 
 def vector_from_rotation(rotation: Floats) -> Floats:
@@ -95,27 +92,10 @@ def vector_from_rotation(rotation: Floats) -> Floats:
     >>> vector_from_rotation(np.eye(3))
     array([0., 0., 0.])
     """
-    r = np.asarray(rotation, dtype=np.float64)
-    x, y, z = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
-    wx, wy, wz = r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]
-    xy, xz, yz = r[..., 0, 1] + r[..., 1, 0], r[..., 0, 2] + r[..., 2, 0], r[..., 1, 2] + r[..., 2, 1]
-    rows = np.stack(
-        [
-            np.stack([1 + x + y + z, wx, wy, wz], axis=-1),
-            np.stack([wx, 1 + x - y - z, xy, xz], axis=-1),
-            np.stack([wy, xy, 1 - x + y - z, yz], axis=-1),
-            np.stack([wz, xz, yz, 1 - x - y + z], axis=-1),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
-    q = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
-    q = normalize(q) * np.where(q[..., :1] < 0.0, -1.0, 1.0)
-    sin_half = np.sqrt(np.einsum("...i,...i->...", q[..., 1:], q[..., 1:]))
-    angle = 2.0 * np.arctan2(sin_half, q[..., 0])
-    scale = np.divide(angle, sin_half, out=np.full_like(angle, 2.0), where=sin_half > 0.0)
-    result: Floats = q[..., 1:] * scale[..., None]
-    return result
+    rotation = np.asarray(rotation, dtype=np.float64)
+    vectors = np.empty(rotation.shape[:-1])
+    _vector_of_each(np.ascontiguousarray(rotation).reshape(-1, 3, 3), vectors.reshape(-1, 3))
+    return vectors
 
 
 def tangent_basis(direction: Floats) -> Floats:
@@ -146,3 +126,52 @@ def tangent_basis(direction: Floats) -> Floats:
     basis[..., 0, 0], basis[..., 1, 0], basis[..., 2, 0] = sign * cross_term, -sign * z, 1.0 + sign * z * z * inverse
     basis[..., 0, 1], basis[..., 1, 1], basis[..., 2, 1] = sign + x * x * inverse, -x, cross_term
     return basis
+
+
+@compiled
+def _turn_each(vectors: Floats, rotations: Floats) -> None:
+    """Fill ``rotations (N, 3, 3)`` from ``vectors (N, 3)``."""
+    for i in range(len(vectors)):
+        x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+        if not np.isfinite(x + y + z):
+            rotations[i] = np.nan
+            continue
+        angle = np.sqrt(x * x + y * y + z * z)
+        sine = np.sin(angle) / angle if angle > 0.0 else 1.0
+        half = np.sin(0.5 * angle) / (0.5 * angle) if angle > 0.0 else 1.0
+        versed = 0.5 * half * half
+        r = rotations[i]
+        r[0, 0], r[1, 1] = 1.0 - versed * (y * y + z * z), 1.0 - versed * (x * x + z * z)
+        r[2, 2] = 1.0 - versed * (x * x + y * y)
+        r[0, 1], r[1, 0] = versed * x * y - sine * z, versed * x * y + sine * z
+        r[0, 2], r[2, 0] = versed * x * z + sine * y, versed * x * z - sine * y
+        r[1, 2], r[2, 1] = versed * y * z - sine * x, versed * y * z + sine * x
+
+
+@compiled
+def _vector_of_each(rotations: Floats, vectors: Floats) -> None:
+    """Fill ``vectors (N, 3)`` from ``rotations (N, 3, 3)``."""
+    q = np.empty(4)
+    for i in range(len(rotations)):
+        r = rotations[i]
+        diagonal = r[0, 0], r[1, 1], r[2, 2]
+        # The largest component of the quaternion, from its square, and the others from their products with it.
+        best, largest = 0, diagonal[0] + diagonal[1] + diagonal[2]
+        for j in range(3):
+            if diagonal[j] > largest:
+                best, largest = j + 1, diagonal[j]
+        if best == 0:
+            q[0] = 1.0 + largest
+            q[1], q[2], q[3] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+        else:
+            j = best - 1
+            k, m = (j + 1) % 3, (j + 2) % 3
+            q[0] = r[m, k] - r[k, m]
+            q[1 + j] = 1.0 + r[j, j] - r[k, k] - r[m, m]
+            q[1 + k], q[1 + m] = r[k, j] + r[j, k], r[m, j] + r[j, m]
+        if q[0] < 0.0:
+            q *= -1.0
+        sine = np.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+        scale = 2.0 * np.arctan2(sine, q[0]) / sine if sine > 0.0 else 2.0 / q[0]
+        for j in range(3):
+            vectors[i, j] = scale * q[1 + j]
