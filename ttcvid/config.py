@@ -89,6 +89,36 @@ class OverlayConfig(StageConfig):
     trail_frames: int = Field(default=8, ge=1, le=60, description="length of the drawn track trails")
 
 
+class HorizonCalibrationConfig(StageConfig):
+    """How the horizon is found from what moves in straight lines."""
+
+    min_track_s: PositiveFloat = Field(default=0.3, description="shortest track that is looked at, s")
+    min_path_px: PositiveFloat = Field(default=8.0, description="least distance between a track's ends, px")
+    min_tracks: int = Field(default=3, ge=2, description="least number of tracks of a mover")
+    min_motion_s: PositiveFloat = Field(default=0.5, description="shortest motion, s")
+    link_part: Fraction = Field(default=0.06, description="neighbours are nearer than this part of the picture's width")
+    speed_change_hz: PositiveFloat = Field(
+        default=0.15, description="standard deviation of the change of speed, parts of the speed per s"
+    )
+    turn_sigma_deg_s: PositiveFloat = Field(
+        default=0.7, description="standard deviation of the turning of what counts as straight, deg/s"
+    )
+    max_turn_deg: PositiveFloat = Field(default=4.0, description="a path that turns by more is curved, deg")
+    error_memory_s: PositiveFloat = Field(
+        default=0.6, description="errors of a mover's tracks hang together over this time, s: half a stride"
+    )
+    max_sigma_deg: PositiveFloat = Field(default=15.0, description="an epipole less certain than this is none, deg")
+    floor_deg: PositiveFloat = Field(default=0.02, description="epipoles scatter by this even where they agree, deg")
+    min_motions: int = Field(default=3, ge=2, description="least number of straight motions")
+    one_direction_probability: Fraction = Field(
+        default=0.9999, description="probability at which the directions are told apart"
+    )
+    min_spread_deg: PositiveFloat = Field(default=10.0, description="least angle between two of the directions, deg")
+    max_band_part: Fraction = Field(
+        default=0.15, description="widest 95 % band (half its width) at the centre, part of the picture's height"
+    )
+
+
 class PipelineConfig(StageConfig):
     """All stages of one analysis."""
 
@@ -97,4 +127,5 @@ class PipelineConfig(StageConfig):
     motion_groups: MotionGroupsConfig = MotionGroupsConfig()
     collision_times: CollisionTimesConfig = CollisionTimesConfig()
     events: EventsConfig = EventsConfig()
+    horizon_calibration: HorizonCalibrationConfig = HorizonCalibrationConfig()
     seed: int = Field(default=0, ge=0, description="seed of every random choice")

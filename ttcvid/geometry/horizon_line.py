@@ -1,0 +1,204 @@
+"""The horizon through the epipoles of several motions: total least squares on the unit sphere, robust over motions.
+
+All directions of motion along a level ground are normal to the ground's normal n, so that ``n . dir = 0``: a great circle
+through the epipoles. On the sphere an epipole at infinity is a point like any other, and counts for the slope.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import t as t_distribution
+
+from ttcvid.geometry.rotation import cross, normalize, tangent_basis
+from ttcvid.model import Bools, Camera, Floats
+
+# A motion agrees with a horizon within 99.7 % of a 1-D Gaussian.
+_GATE_CHI2 = 9.0
+_MAX_ITERATIONS = 50
+_CONVERGED_RAD = 1e-10
+# Pairs of motions tried as horizons, at most, by the certainty of their epipoles.
+_MAX_PAIRS = 600
+# With so many or more motions to spare, their scatter tells by itself how far to trust them.
+_NORMAL_95 = 1.959963984540054
+UP = np.array([0.0, -1.0, 0.0])
+
+
+@dataclass(frozen=True)
+class HorizonFit:
+    """A horizon: unit ``normal (3,)`` pointing up with ``covariance (3, 3)`` in its tangent plane, rad^2.
+
+    ``is_used (K,)`` motions that agree with it, ``residual_rad (K,)`` the angle of each epipole above it, ``sigma_rad
+    (K,)`` its standard deviation there; ``scatter_rad`` what the epipoles scatter beyond their own covariances;
+    ``quantile`` the number of standard deviations of a 95 % band.
+    """
+
+    normal: Floats
+    covariance: Floats
+    is_used: Bools
+    residual_rad: Floats
+    sigma_rad: Floats
+    scatter_rad: float
+    quantile: float
+
+
+def fit_horizon(
+    directions: Floats, covariances: Floats, floor_rad: float, roll_sigma_rad: float | None = None
+) -> HorizonFit | None:
+    """The great circle nearest to K epipoles, each weighted by its own covariance; None where none is determined.
+
+    The best pair of epipoles by truncated cost starts a Gauss-Newton search on the sum of ``(n.e)^2 / (n'Cn + s^2)``
+    over the motions that agree; s, the scatter that their covariances do not explain, is at least ``floor_rad`` and is
+    enlarged until the sum has the size that is to be expected (Paule and Mandel, 1982).
+
+    Parameters
+    ----------
+    directions
+        ``(K, 3)`` unit vectors of either sign.
+    covariances
+        ``(K, 3, 3)`` in their tangent planes, rad^2.
+    floor_rad
+        Scatter that is there even where the epipoles agree better.
+    roll_sigma_rad
+        Prior of the camera's roll, about zero; None: none.
+    """
+    starts = _starts(directions, covariances, roll_sigma_rad)
+    if not len(starts):
+        return None
+    costs = [np.minimum(_chi2(n, directions, covariances, floor_rad), _GATE_CHI2).sum() for n in starts]
+    normal = starts[int(np.argmin(costs))]
+    is_used = np.ones(len(directions), dtype=bool)
+    scatter_rad = floor_rad
+    for _ in range(10):
+        before = is_used
+        is_used = _chi2(normal, directions, covariances, scatter_rad) < _GATE_CHI2
+        if not is_used.any():
+            return None
+        normal, information = _descend(normal, directions[is_used], covariances[is_used], scatter_rad, roll_sigma_rad)
+        if np.array_equal(before, is_used):
+            break
+    n_free = int(is_used.sum()) - 2 + (roll_sigma_rad is not None)
+    for _ in range(40):
+        excess = _chi2(normal, directions[is_used], covariances[is_used], scatter_rad).sum()
+        if n_free < 1 or excess <= n_free:
+            break
+        scatter_rad *= 1.25
+        normal, information = _descend(normal, directions[is_used], covariances[is_used], scatter_rad, roll_sigma_rad)
+    smallest, largest = np.linalg.eigvalsh(information)
+    if not smallest > 1e-9 * largest:
+        return None
+    basis = tangent_basis(normal)
+    variance = np.einsum("i,kij,j->k", normal, covariances, normal) + scatter_rad**2
+    return HorizonFit(
+        normal=normal,
+        covariance=basis @ np.linalg.inv(information) @ basis.T,
+        is_used=is_used,
+        residual_rad=np.arcsin(np.clip(directions @ normal, -1, 1)),
+        sigma_rad=np.sqrt(variance),
+        scatter_rad=scatter_rad,
+        quantile=_NORMAL_95,
+    )
+
+
+def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, probability: float) -> bool:
+    """Whether K epipoles may all be one (of either sign): no horizon can be drawn through a single point.
+
+    A chi-square test with two degrees of freedom for each motion but the first.
+    """
+    if len(directions) < 2:
+        return True
+    weight = np.array([_inverse(cov, floor_rad) for cov in covariances])
+    _, vectors = np.linalg.eigh(np.einsum("ki,kj->ij", directions, directions))
+    common = vectors[:, -1]
+    total = np.inf
+    for _ in range(20):
+        basis = tangent_basis(common)
+        signed = directions * np.where(directions @ common < 0, -1.0, 1.0)[:, None]
+        offset = signed - common
+        inner = np.einsum("ia,kij,jb->kab", basis, weight, basis)
+        total = float(np.einsum("ki,kij,kj->", offset, weight, offset))
+        step = np.linalg.solve(inner.sum(axis=0), np.einsum("ia,kij,kj->a", basis, weight, offset))
+        common = normalize(common + basis @ step)
+    return total < float(chi2_distribution.ppf(probability, 2 * (len(directions) - 1)))
+
+
+def widest_angle_rad(directions: Floats) -> float:
+    """Largest angle between the lines along any two of K directions ``(K, 3)``, either sign."""
+    cosine = np.abs(directions @ directions.T)
+    return float(np.arccos(np.clip(cosine.min(), 0.0, 1.0)))
+
+
+def pitch_roll_rad(normal: Floats) -> tuple[float, float]:
+    """Pitch (positive: looks down) and roll (positive: right side low) of a camera that sees the normal ``(3,)`` up.
+
+    >>> pitch_roll_rad(np.array([0.0, -1.0, 0.0]))
+    (-0.0, -0.0)
+    """
+    return float(-np.arcsin(np.clip(normal[2], -1, 1))), float(np.arctan2(-normal[0], -normal[1]))
+
+
+def band_px(camera: Camera, fit: HorizonFit, x_px: Floats) -> tuple[Floats, Floats]:
+    """Height of the horizon at columns ``x_px (N,)`` of the undistorted picture, and half the width of its 95 % band."""
+    x = (x_px - camera.cx_px) / camera.fx_px
+    n = fit.normal
+    rays = np.column_stack([x, -(n[0] * x + n[2]) / n[1], np.ones_like(x)])
+    by_normal = -rays / n[1] * camera.fy_px
+    variance = np.einsum("ni,ij,nj->n", by_normal, fit.covariance, by_normal)
+    return rays[:, 1] * camera.fy_px + camera.cy_px, fit.quantile * np.sqrt(variance)
+
+
+def _inverse(covariance: Floats, floor_rad: float) -> Floats:
+    values, vectors = np.linalg.eigh(covariance)
+    inverse: Floats = vectors @ np.diag(1.0 / (np.maximum(values, 0.0) + floor_rad**2)) @ vectors.T
+    return inverse
+
+
+def _chi2(normal: Floats, directions: Floats, covariances: Floats, scatter_rad: float) -> Floats:
+    """Squared distance of each epipole from the horizon, in its own variances: (K,)."""
+    variance = np.einsum("i,kij,j->k", normal, covariances, normal) + scatter_rad**2
+    result: Floats = (directions @ normal) ** 2 / variance
+    return result
+
+
+def _starts(directions: Floats, covariances: Floats, roll_sigma_rad: float | None) -> Floats:
+    """Normals ``(S, 3)``, pointing up, of the horizons through pairs of epipoles; with a prior on roll, through each."""
+    order = np.argsort(np.trace(covariances, axis1=1, axis2=2), kind="stable")
+    pairs = list(combinations(order.tolist(), 2))[:_MAX_PAIRS]
+    candidates = [cross(directions[i], directions[j]) for i, j in pairs]
+    if roll_sigma_rad is not None:
+        candidates += [np.array([0.0, -d[2], d[1]]) for d in directions]
+    if not candidates:
+        return np.empty((0, 3))
+    normals = normalize(np.array(candidates))
+    normals = normals[np.isfinite(normals).all(axis=1)]
+    upward: Floats = normals * np.where(normals @ UP < 0.0, -1.0, 1.0)[:, None]
+    return upward
+
+
+def _descend(
+    normal: Floats, directions: Floats, covariances: Floats, scatter_rad: float, roll_sigma_rad: float | None
+) -> tuple[Floats, Floats]:
+    """Gauss-Newton in the tangent plane: the normal and the information ``(2, 2)`` of its two coordinates there."""
+    information = np.zeros((2, 2))
+    for _ in range(_MAX_ITERATIONS):
+        basis = tangent_basis(normal)
+        height = directions @ normal
+        variance = np.einsum("i,kij,j->k", normal, covariances, normal) + scatter_rad**2
+        root = np.sqrt(variance)
+        by_variance = np.einsum("ia,kij,j->ka", basis, covariances, normal)
+        jacobian = (directions @ basis) / root[:, None] - (height / root**3)[:, None] * by_variance
+        residual = height / root
+        if roll_sigma_rad is not None:
+            _, roll = pitch_roll_rad(normal)
+            by_normal = np.array([normal[1], -normal[0], 0.0]) / (normal[0] ** 2 + normal[1] ** 2)
+            jacobian = np.vstack([jacobian, by_normal @ basis / roll_sigma_rad])
+            residual = np.append(residual, roll / roll_sigma_rad)
+        information = jacobian.T @ jacobian
+        step = -np.linalg.solve(information + 1e-12 * np.trace(information) * np.eye(2), jacobian.T @ residual)
+        normal = normalize(normal + basis @ (step * min(1.0, 0.2 / max(float(np.linalg.norm(step)), 1e-12))))
+        if float(np.linalg.norm(step)) < _CONVERGED_RAD:
+            break
+    return normal, information

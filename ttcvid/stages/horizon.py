@@ -1,0 +1,92 @@
+"""The horizon of a resting camera from the motions of all its clips, or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.config import HorizonCalibrationConfig
+from ttcvid.geometry.horizon_line import HorizonFit, band_px, fit_horizon, is_one_direction, widest_angle_rad
+from ttcvid.model import Camera
+from ttcvid.stages.horizon_motions import Motion
+
+# Roll taken as zero still has this error, rad: a spirit level's.
+_ROLL_ZERO_SIGMA_RAD = 1e-4
+
+
+@dataclass(frozen=True)
+class HorizonResult:
+    """A horizon with the motions that it is made of; ``fit`` None where undetermined, and ``reason`` says why."""
+
+    fit: HorizonFit | None
+    motions: tuple[Motion, ...]
+    reason: str = ""
+
+
+def calibrated_horizon(
+    motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig, roll_zero: bool = False
+) -> HorizonResult:
+    """The line through the epipoles of straight motions.
+
+    Undetermined with too few motions, with motions in one direction, and where the band is too wide to be of use. With
+    ``roll_zero`` the line is level and one direction is enough.
+    """
+    usable = [motion for motion in motions if motion.status == "used"]
+    refused = tuple(motions)
+    floor_rad = np.radians(config.floor_deg)
+    least = 1 if roll_zero else config.min_motions
+    if len(usable) < least:
+        found = f"{len(usable)} straight motion{'s' * (len(usable) != 1)} found of {len(motions)}"
+        return HorizonResult(None, refused, f"{found}, at least {least} needed: take a longer clip, or several")
+    directions = np.array([motion.direction for motion in usable])
+    covariances = np.array([motion.covariance for motion in usable])
+    if not roll_zero:
+        reason = _too_alike(directions, covariances, config)
+        if reason:
+            return HorizonResult(None, refused, reason)
+    fit = fit_horizon(directions, covariances, floor_rad, _ROLL_ZERO_SIGMA_RAD if roll_zero else None)
+    if fit is None:
+        return HorizonResult(None, refused, "the epipoles lie on no common line")
+    judged = iter(fit.is_used.tolist())
+    labelled = tuple(
+        replace(m, status="used" if next(judged) else "off_horizon") if m.status == "used" else m for m in motions
+    )
+    reason = _unusable(fit, directions, covariances, camera, config, roll_zero)
+    return HorizonResult(None if reason else fit, labelled, reason)
+
+
+def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonCalibrationConfig) -> str:
+    remedy = "film things that cross or turn off, too, or give --roll-zero if the camera stands level"
+    if is_one_direction(directions, covariances, np.radians(config.floor_deg), config.one_direction_probability):
+        return f"all {len(directions)} motions run in one direction: {remedy}"
+    widest_deg = float(np.degrees(widest_angle_rad(directions)))
+    if widest_deg < config.min_spread_deg:
+        return f"directions differ by {widest_deg:.1f} deg only, {config.min_spread_deg:g} deg needed: {remedy}"
+    return ""
+
+
+def _unusable(
+    fit: HorizonFit,
+    directions: np.ndarray,
+    covariances: np.ndarray,
+    camera: Camera,
+    config: HorizonCalibrationConfig,
+    roll_zero: bool,
+) -> str:
+    """Why a fitted line is not to be believed, empty if it is."""
+    n_used, n_all = int(fit.is_used.sum()), len(directions)
+    if n_used < (1 if roll_zero else config.min_motions):
+        return f"only {n_used} of {n_all} motions agree on a horizon"
+    if 2 * n_used < n_all:
+        return f"only {n_used} of {n_all} motions agree on a horizon: do they move on one level ground?"
+    if not roll_zero:
+        reason = _too_alike(directions[fit.is_used], covariances[fit.is_used], config)
+        if reason:
+            return reason
+    width = camera.image_size.width_px
+    _, half_px = band_px(camera, fit, np.array([0.0, (width - 1) / 2, width - 1.0]))
+    most_px = config.max_band_part * camera.image_size.height_px
+    if not half_px[1] <= most_px:
+        return f"the 95 % band is +-{half_px[1]:.0f} px at the centre, more than {most_px:.0f} px: take a longer clip"
+    return ""

@@ -1,0 +1,87 @@
+"""Which long tracks belong to one moving thing: neighbours that keep moving alike for as long as both are seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from ttcvid.config import HorizonCalibrationConfig
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.whole_tracks import Observations
+
+# Motions are compared over this time, s.
+_STEP_S = 0.2
+# Two neighbours move alike when their steps differ by less than this part of the longer one, and this many px.
+_ALIKE_PART, _ALIKE_PX = 0.3, 0.7
+# They belong together when they moved alike in so much of the time in which both were seen near each other.
+_ALIKE_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    one: Ints
+    other: Ints
+    is_alike: Bools
+
+
+def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools:
+    """Long tracks that went somewhere, (M,): their ends lie far apart, also beside the length of the way between."""
+    starts, lengths = rows.starts, rows.lengths
+    ends = starts + lengths - 1
+    moved_px = np.linalg.norm(rows.xy_px[ends] - rows.xy_px[starts], axis=1)
+    seen_s = rows.t_s[ends] - rows.t_s[starts]
+    return (lengths >= 4) & (seen_s >= config.min_track_s) & (moved_px >= config.min_path_px)
+
+
+def group_movers(rows: Observations, nominal_dt_s: float, link_px: float) -> Ints:
+    """Number of the mover of each track: (M,), 0 .. (number of movers) - 1.
+
+    Parameters
+    ----------
+    rows : tracks that move.
+    link_px : neighbours are nearer than this.
+    """
+    n_tracks = len(rows.starts)
+    if n_tracks == 0:
+        return np.empty(0, dtype=np.int64)
+    number = np.repeat(np.arange(n_tracks), rows.lengths)
+    step = max(1, round(_STEP_S / nominal_dt_s))
+    frames = np.unique(rows.frame)
+    order = np.argsort(rows.frame, kind="stable")
+    bounds = np.searchsorted(rows.frame[order], frames)
+    at_frame = dict(zip(frames.tolist(), np.split(order, bounds[1:]), strict=True))
+    pairs = [
+        _neighbours(rows, number, at_frame[frame], at_frame[frame + step], link_px)
+        for frame in frames[:: max(1, step // 2)].tolist()
+        if frame + step in at_frame
+    ]
+    one, other, is_alike = (
+        np.concatenate([getattr(pair, name) for pair in pairs]) if pairs else np.empty(0, dtype=np.int64)
+        for name in ("one", "other", "is_alike")
+    )
+    key, place, times_near = np.unique(one * n_tracks + other, return_inverse=True, return_counts=True)
+    times_alike = np.bincount(place, is_alike, minlength=len(key)) if len(key) else np.empty(0)
+    linked = key[times_alike >= _ALIKE_SHARE * times_near]
+    graph = coo_matrix((np.ones(len(linked)), (linked // n_tracks, linked % n_tracks)), shape=(n_tracks, n_tracks))
+    labels: Ints = connected_components(graph, directed=False)[1].astype(np.int64)
+    return labels
+
+
+def _neighbours(rows: Observations, number: Ints, now: Ints, later: Ints, link_px: float) -> _Pairs:
+    """Pairs of tracks that are near each other between two frames, and whether they move alike."""
+    _, in_now, in_later = np.intersect1d(number[now], number[later], return_indices=True)
+    track, here, there = number[now][in_now], rows.xy_px[now][in_now], rows.xy_px[later][in_later]
+    flow: Floats = there - here
+    length = np.linalg.norm(flow, axis=1)
+    pairs = KDTree(0.5 * (here + there)).query_pairs(link_px, output_type="ndarray") if len(track) > 1 else np.empty((0, 2), int)
+    one, other = pairs.T
+    longer = np.maximum(length[one], length[other])
+    differ = np.linalg.norm(flow[one] - flow[other], axis=1)
+    seen = longer > 2.0 * _ALIKE_PX
+    is_alike = differ < _ALIKE_PART * longer + _ALIKE_PX
+    low, high = np.minimum(track[one], track[other]), np.maximum(track[one], track[other])
+    return _Pairs(low[seen], high[seen], is_alike[seen])

@@ -1,0 +1,68 @@
+"""Whether the camera rests: most parts of the picture then stay where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+
+from ttcvid.model import Floats, ImageSize, PointSet
+
+# Parts of the picture along its longer side.
+_PARTS = 16
+# A point stays within this over the time between two looks, px; a mast sways by less.
+_STAYS_PX = 1.0
+# With more than this share of the parts in their place the camera rests: traffic may fill the others.
+_RESTING_SHARE = 0.5
+# The camera of a clip rests when it does so in this share of all looks.
+_RESTING_LOOKS = 0.9
+_LEAST_POINTS = 8
+
+
+@dataclass(frozen=True)
+class Look:
+    """Two frames compared: time of the later one, and the share of the picture's parts that stayed in their place."""
+
+    t_s: float
+    still_share: float
+
+    @property
+    def is_resting(self) -> bool:
+        """Whether most of the picture stays."""
+        return self.still_share > _RESTING_SHARE
+
+
+def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) -> Look | None:
+    """Compare the points of two frames; None with too few points in common.
+
+    Each part of the picture has one vote, and gives it by the majority of its points, so that one lorry full of texture
+    does not outvote the street.
+    """
+    _, i, j = np.intersect1d(before.track_id, now.track_id, assume_unique=True, return_indices=True)
+    if len(i) < _LEAST_POINTS:
+        return None
+    moved_px = np.linalg.norm(now.xy_px[j] - before.xy_px[i], axis=1)
+    return Look(t_s, _share_of_parts(now.xy_px[j], (moved_px < _STAYS_PX).astype(float), size))
+
+
+def _share_of_parts(xy_px: Floats, stays: Floats, size: ImageSize) -> float:
+    side_px = max(size.width_px, size.height_px) / _PARTS
+    cell = np.clip((xy_px / side_px).astype(np.int64), 0, _PARTS - 1)
+    still = coo_matrix((stays, cell.T), shape=(_PARTS, _PARTS)).toarray()
+    count = coo_matrix((np.ones(len(cell)), cell.T), shape=(_PARTS, _PARTS)).toarray()
+    return float(np.mean(still[count > 0] > 0.5 * count[count > 0]))
+
+
+def complaint_about_motion(looks: list[Look]) -> str:
+    """What to say when the camera does not rest, empty where it does."""
+    if not looks:
+        return "too few points to see whether the camera rests: take a clip with more texture"
+    moving_s = [look.t_s for look in looks if not look.is_resting]
+    if len(moving_s) <= (1.0 - _RESTING_LOOKS) * len(looks):
+        return ""
+    part = 100.0 * len(moving_s) / len(looks)
+    return (
+        f"the camera does not rest: most of the picture moves in {part:.0f} % of the clip, between {moving_s[0]:.2f} s and "
+        f"{moving_s[-1]:.2f} s: give --moving for a driving camera, or --start and --end of a part at rest"
+    )

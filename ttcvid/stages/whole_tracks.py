@@ -1,0 +1,67 @@
+"""Whole tracks of a clip, gathered frame by frame; what stays in its place is forgotten once its track has ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttcvid.model import Bools, Floats, Ints, PointSet
+
+# An ended track that stays within this of its start, px, is of no use.
+_STAYS_PX = 3.0
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Rows sorted by (track, frame): ``track_id, frame (N,)``, ``t_s (N,)``, ``xy_px (N, 2)`` source pixels."""
+
+    track_id: Ints
+    frame: Ints
+    t_s: Floats
+    xy_px: Floats
+
+    @property
+    def starts(self) -> Ints:
+        """First row of each track: (M,)."""
+        return np.flatnonzero(np.diff(self.track_id, prepend=-1))
+
+    @property
+    def lengths(self) -> Ints:
+        """Number of rows of each track: (M,)."""
+        return np.diff(np.append(self.starts, len(self.frame)))
+
+    def take(self, rows: Bools) -> Observations:
+        """The rows of a mask ``(N,)``."""
+        return Observations(self.track_id[rows], self.frame[rows], self.t_s[rows], self.xy_px[rows])
+
+    def take_tracks(self, tracks: Bools) -> Observations:
+        """All rows of the tracks of a mask ``(M,)``."""
+        return self.take(np.repeat(tracks, self.lengths))
+
+
+def observations_of(points: PointSet, frame: int, t_s: float) -> Observations:
+    """The points of one frame."""
+    n = len(points.track_id)
+    return Observations(points.track_id, np.full(n, frame), np.full(n, t_s), points.xy_px)
+
+
+def joined(parts: list[Observations]) -> Observations:
+    """All rows of several pieces of one clip, sorted."""
+    if not parts:
+        nothing = np.empty(0, dtype=np.int64)
+        return Observations(nothing, nothing, np.empty(0), np.empty((0, 2)))
+    track_id, frame = (np.concatenate([getattr(part, name) for part in parts]) for name in ("track_id", "frame"))
+    t_s, xy_px = np.concatenate([part.t_s for part in parts]), np.concatenate([part.xy_px for part in parts])
+    order = np.lexsort((frame, track_id))
+    return Observations(track_id[order], frame[order], t_s[order], xy_px[order])
+
+
+def without_ended_at_rest(rows: Observations, frame: int) -> Observations:
+    """Leave out the tracks that ended before ``frame`` and never left their place."""
+    if not len(rows.frame):
+        return rows
+    starts = rows.starts
+    low, high = np.minimum.reduceat(rows.xy_px, starts), np.maximum.reduceat(rows.xy_px, starts)
+    last = rows.frame[starts + rows.lengths - 1]
+    return rows.take_tracks((last >= frame) | (np.max(high - low, axis=1) > _STAYS_PX))
