@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from ttcvid.config import PipelineConfig
 from ttcvid.jobs.options import SECTIONS, SHORTCUTS
 from ttcvid.model import Platform
-from ttcvid.schema import SCHEMA_VERSION, TABLE_NAMES, VERSION_KEY, markdown_of
+from ttcvid.schema import CALIBRATION_TABLES, SCHEMA_VERSION, TABLE_NAMES, VERSION_KEY, markdown_of
 
 FOLDER = Path(__file__).parent
 _GENERATED = "Written by `python docs/tables.py` from the code; do not edit."
@@ -26,6 +26,7 @@ _ROWS = {
     "clusters": "A row per frame and cluster: where it is, how it moves, and its times.",
     "frames": "A row for every frame, those without a result too.",
     "events": "A row per warning.",
+    "motions": "`motions.parquet` of `ttcvid calibrate-horizon`: a row per straight motion.",
 }
 _TABLES_HEAD = f"""# The five tables
 
@@ -60,6 +61,8 @@ _ABOUT_OPTIONS = {
     "platform": "what carries the camera: expectations of its own motion",
     "estimator": "views that a time is made of",
     "tracker": "how points are followed",
+    "moving": "the camera drives (calibrate-horizon)",
+    "roll_zero": "the camera stands level (calibrate-horizon)",
     "preset": "effort of the H.264 encoder",
 }
 _BOUNDS = {"ge": ">= {}", "gt": "> {}", "le": "<= {}", "lt": "< {}"}
@@ -68,7 +71,7 @@ _BOUNDS = {"ge": ">= {}", "gt": "> {}", "le": "<= {}", "lt": "< {}"}
 def tables_page() -> str:
     """``docs/tables.md``."""
     parts = [_TABLES_HEAD]
-    parts += [f"## {name}\n{_ROWS[name]}\n\n{markdown_of(name)}" for name in TABLE_NAMES]
+    parts += [f"## {name}\n{_ROWS[name]}\n\n{markdown_of(name)}" for name in (*TABLE_NAMES, *CALIBRATION_TABLES)]
     return "\n".join(parts)
 
 

@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from ttcvid.errors import CalibrationError, InputError, OutputError, TtcvidError, UsageError
     from ttcvid.jobs.analyze import analyze
+    from ttcvid.jobs.calibrate_horizon import calibrate_horizon
     from ttcvid.jobs.evaluate import evaluate
     from ttcvid.jobs.run import Run
     from ttcvid.jobs.simulate import simulate
@@ -29,6 +30,7 @@ __all__ = [
     "TtcvidError",
     "UsageError",
     "analyze",
+    "calibrate_horizon",
     "evaluate",
     "simulate",
 ]
@@ -41,6 +43,7 @@ _HOMES = {
     "TtcvidError": "ttcvid.errors",
     "UsageError": "ttcvid.errors",
     "analyze": "ttcvid.jobs.analyze",
+    "calibrate_horizon": "ttcvid.jobs.calibrate_horizon",
     "evaluate": "ttcvid.jobs.evaluate",
     "simulate": "ttcvid.jobs.simulate",
 }

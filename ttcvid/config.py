@@ -92,6 +92,8 @@ class OverlayConfig(StageConfig):
 class HorizonCalibrationConfig(StageConfig):
     """How the horizon is found from what moves in straight lines."""
 
+    moving: bool = Field(default=False, description="the camera drives: its own motion tells the horizon")
+    roll_zero: bool = Field(default=False, description="the camera stands level: one direction is enough")
     min_track_s: PositiveFloat = Field(default=0.3, description="shortest track that is looked at, s")
     min_path_px: PositiveFloat = Field(default=8.0, description="least distance between a track's ends, px")
     min_tracks: int = Field(default=3, ge=2, description="least number of tracks of a mover")
@@ -109,6 +111,10 @@ class HorizonCalibrationConfig(StageConfig):
     )
     max_sigma_deg: PositiveFloat = Field(default=15.0, description="an epipole less certain than this is none, deg")
     floor_deg: PositiveFloat = Field(default=0.02, description="epipoles scatter by this even where they agree, deg")
+    min_drive_s: PositiveFloat = Field(default=2.0, description="shortest own motion of a driving camera, s")
+    driving_floor_deg: PositiveFloat = Field(
+        default=0.1, description="a driving car leans by this beside the road, deg: not measurable, in the band"
+    )
     min_motions: int = Field(default=3, ge=2, description="least number of straight motions")
     one_direction_probability: Fraction = Field(
         default=0.9999, description="probability at which the directions are told apart"

@@ -32,3 +32,9 @@ class CalibrationError(TtcvidError):
     """A camera, horizon or mask file cannot be read or does not fit the clip."""
 
     exit_code = 3
+
+
+class UndeterminedError(TtcvidError):
+    """What was asked for cannot be told from this input: too little in it, or nothing that fits."""
+
+    exit_code = 5

@@ -122,7 +122,8 @@ class Camera:
 class Horizon:
     """The horizon of a camera as a line in undistorted pixels, at x = 0 and at x = width - 1.
 
-    ``sigma_rad`` is the standard deviation of its normal's direction.
+    ``sigma_rad`` is the standard deviation of its normal's direction; where it is known, ``covariance_rad2`` is that of
+    (pitch, roll), ((pitch pitch, pitch roll), (pitch roll, roll roll)).
     """
 
     y_left_px: float
@@ -130,6 +131,7 @@ class Horizon:
     image_size: ImageSize
     sigma_rad: float
     origin: str
+    covariance_rad2: tuple[tuple[float, float], tuple[float, float]] | None = None
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ def _real(name: str, unit: str, description: str, nullable: bool = True) -> Colu
     return Column(name, pa.float64(), unit, description, nullable)
 
 
+_AXES = (("x", "to the right"), ("y", "downwards"), ("z", "away from the camera"))
 _FRAME = _count("frame", "index of the picture in the source, from 0")
 _T_S = _real("t_s", "s", "presentation time of the picture", nullable=False)
 _STATUS = _name("status", "why there is a result, or why there is none", STATUS_NAMES)
@@ -168,6 +169,31 @@ TABLES: dict[str, tuple[Column, ...]] = {
     ),
 }
 TABLE_NAMES = tuple(TABLES)
+MOTION_STATUS_NAMES = ("used", "off_horizon", "curved", "not_rigid", "uncertain")
+
+CALIBRATION_TABLES: dict[str, tuple[Column, ...]] = {
+    "motions": (
+        _count("clip", "number of the clip among those given, from 0"),
+        _count("mover_id", "number of the mover in its clip; one whose path bends can have several straight motions"),
+        _name("status", "whether the motion is used for the horizon, or why not", MOTION_STATUS_NAMES),
+        _count("first_frame", "first frame in which it is seen"),
+        _count("last_frame", "last frame in which it is seen"),
+        _real("duration_s", "s", "time from the first to the last of its observations", nullable=False),
+        _count("n_tracks", "tracks that belong to it; of own motion (--moving) frames"),
+        *(_real(f"dir_{axis}", "1", f"direction of motion V/|V|, {way}") for axis, way in _AXES),
+        *(
+            _real(f"cov_{ij}", "rad^2", f"covariance of dir, element {ij}; it lies in the tangent plane of dir")
+            for ij in ("xx", "xy", "xz", "yy", "yz", "zz")
+        ),
+        _real("x_px", "px", "its epipole in undistorted pixels; null within 1 deg of the picture plane"),
+        _real("y_px", "px", "its epipole in undistorted pixels; null within 1 deg of the picture plane"),
+        _real("residual_deg", "deg", "angle of the epipole from the horizon, positive above it"),
+        _real("sigma_deg", "deg", "standard deviation of that angle"),
+        _real("turned_deg", "deg", "angle by which the path bends, as far as it can be told"),
+        _real("noise_px", "px", "noise of one coordinate of its observations"),
+        _real("correlation", "1", "variance over what independent errors would give; above 1: they hang together"),
+    ),
+}
 
 
 def table_schema(name: str, metadata: dict[str, str] | None = None) -> pa.Schema:
@@ -185,13 +211,18 @@ def table_schema(name: str, metadata: dict[str, str] | None = None) -> pa.Schema
     """
     about: dict[str | bytes, str | bytes] = {TABLE_KEY: name, VERSION_KEY: SCHEMA_VERSION}
     about.update(metadata.items() if metadata else ())
-    return pa.schema([column.field() for column in TABLES[name]], metadata=about)
+    return pa.schema([column.field() for column in columns_of(name)], metadata=about)
+
+
+def columns_of(name: str) -> tuple[Column, ...]:
+    """The columns of a table of an analysis or of a calibration; KeyError where there is none of that name."""
+    return TABLES[name] if name in TABLES else CALIBRATION_TABLES[name]
 
 
 def markdown_of(name: str) -> str:
     """The columns of a table as a Markdown table: column, type, unit, whether it can be null, meaning."""
     lines = ["| column | type | unit | null | meaning |", "|---|---|---|---|---|"]
-    for column in TABLES[name]:
+    for column in columns_of(name):
         kind = "name" if column.type == _NAME else str(column.type).replace("double", "float64")
         meaning = column.description + (f": {', '.join(column.values)}" if column.values else "")
         cells = (f"`{column.name}`", kind, column.unit, "yes" if column.nullable else "", meaning)

@@ -7,6 +7,7 @@ from typing import get_args
 import pytest
 
 from ttcvid.cli.analyze import ESTIMATORS, PLATFORMS, TRACKERS, analyze
+from ttcvid.cli.calibrate_horizon import calibrate_horizon
 from ttcvid.cli.main import COMMANDS, main
 from ttcvid.config import CollisionTimesConfig, TrackingConfig
 from ttcvid.jobs.options import SHORTCUTS, AnalyzeOptions
@@ -43,9 +44,11 @@ def test_choices_and_options_are_those_of_the_configuration() -> None:
     assert get_args(TrackingConfig.model_fields["tracker"].annotation) == TRACKERS
     assert get_args(CollisionTimesConfig.model_fields["estimator"].annotation) == ESTIMATORS
     assert tuple(platform.value for platform in Platform) == PLATFORMS
-    of_the_command_alone = {"input_", "out", "as_json", "quiet", "verbose", "config", "settings"}
+    of_the_command_alone = {"input_", "clips", "out", "as_json", "quiet", "verbose", "config", "settings"}
     options = {parameter.name for parameter in analyze.params} - of_the_command_alone
-    assert options == set(AnalyzeOptions.model_fields) | set(SHORTCUTS)
+    of_calibration = {parameter.name for parameter in calibrate_horizon.params} - of_the_command_alone
+    assert options == (set(AnalyzeOptions.model_fields) | set(SHORTCUTS)) - {"moving", "roll_zero"}
+    assert of_calibration - {"moving", "roll_zero"} < options
 
 
 def test_defaults_in_the_help_are_those_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:

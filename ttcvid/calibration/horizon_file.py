@@ -1,9 +1,9 @@
 """Horizon files (YAML): written by ``calibrate-horizon``, or by hand with the two keys that are needed.
 
 ``image_size: [w, h]`` and ``horizon: {y_left_px, y_right_px}``, the line at x = 0 and x = w - 1 in undistorted pixels.
-``horizon`` may also have ``sigma_rad``, the standard deviation of the direction of the plane's normal, or
-``covariance_rad2``, the 2x2 covariance of that direction, whose longest axis then gives ``sigma_rad``. The keys of
-``INFORMATION_KEYS`` are for the reader and change nothing; any other key is an error.
+``horizon`` may also have ``sigma_rad``, the standard deviation of the direction of the plane's normal, and
+``covariance_rad2``, the 2x2 covariance of (pitch, roll), whose longest axis gives ``sigma_rad`` where that is absent.
+The keys of ``INFORMATION_KEYS`` are for the reader and change nothing; any other key is an error.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ DEFAULT_SIGMA_RAD = 0.005
 MAX_SIGMA_RAD = 0.5
 MAX_Y_HEIGHTS = 100.0
 """Farther from the picture than this, in picture heights, is a slip of the pen."""
+
+Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 HORIZON_KEYS = ("y_left_px", "y_right_px", "sigma_rad", "covariance_rad2")
 INFORMATION_KEYS = (
@@ -63,7 +65,8 @@ def read_horizon(path: Path, image_size: ImageSize) -> Horizon:
     line = fields.section("horizon")
     line.refuse_unknown(HORIZON_KEYS)
     y_left, y_right = (_height_px(line, name, size) for name in ("y_left_px", "y_right_px"))
-    return Horizon(y_left, y_right, size, _sigma_rad(line), str(path))
+    covariance = _covariance_rad2(line)
+    return Horizon(y_left, y_right, size, _sigma_rad(line, covariance), str(path), covariance)
 
 
 def write_horizon(path: Path, horizon: Horizon, information: Mapping[str, Any] | None = None) -> None:
@@ -79,7 +82,9 @@ def write_horizon(path: Path, horizon: Horizon, information: Mapping[str, Any] |
     unknown = set(information or ()) - set(INFORMATION_KEYS)
     if unknown:
         raise ValueError(f"information: unknown keys {sorted(unknown)}; expected some of {', '.join(INFORMATION_KEYS)}")
-    line = {name: float(getattr(horizon, name)) for name in ("y_left_px", "y_right_px", "sigma_rad")}
+    line: dict[str, Any] = {name: float(getattr(horizon, name)) for name in ("y_left_px", "y_right_px", "sigma_rad")}
+    if horizon.covariance_rad2 is not None:
+        line["covariance_rad2"] = [[float(value) for value in row] for row in horizon.covariance_rad2]
     size = [horizon.image_size.width_px, horizon.image_size.height_px]
     values = {"image_size": size, "horizon": line, **(information or {})}
     try:
@@ -96,17 +101,27 @@ def _height_px(line: Fields, name: str, size: ImageSize) -> float:
     return y_px
 
 
-def _sigma_rad(line: Fields) -> float:
-    name, sigma = "sigma_rad", DEFAULT_SIGMA_RAD
-    if name in line:
-        sigma = line.number(name, "a number of rad")
-    elif "covariance_rad2" in line:
-        name = "covariance_rad2"
-        entries = line.numbers(name)
-        if len(entries) != 4 or entries[1] != entries[2]:
-            raise line.error(name, f"got {len(entries)} numbers", "a symmetric [[a, b], [b, c]] in rad^2: correct it")
-        smallest, largest = np.linalg.eigvalsh(np.reshape(entries, (2, 2)))
-        sigma = math.sqrt(largest) if smallest >= 0 else math.nan
+def _covariance_rad2(line: Fields) -> Covariance | None:
+    name = "covariance_rad2"
+    if name not in line:
+        return None
+    entries = line.numbers(name)
+    if len(entries) != 4 or entries[1] != entries[2]:
+        raise line.error(name, f"got {len(entries)} numbers", "a symmetric [[a, b], [b, c]] in rad^2: correct it")
+    smallest, largest = np.linalg.eigvalsh(np.reshape(entries, (2, 2)))
+    if not (smallest >= 0 and 0 < largest <= MAX_SIGMA_RAD**2):
+        expected = f"a covariance with deviations above 0 and up to {MAX_SIGMA_RAD:g} rad: leave it out if unknown"
+        raise line.error(name, f"got {list(entries)}", expected)
+    return (entries[0], entries[1]), (entries[2], entries[3])
+
+
+def _sigma_rad(line: Fields, covariance_rad2: Covariance | None) -> float:
+    name = "sigma_rad"
+    if name not in line:
+        if covariance_rad2 is None:
+            return DEFAULT_SIGMA_RAD
+        return math.sqrt(np.linalg.eigvalsh(np.array(covariance_rad2))[-1])
+    sigma = line.number(name, "a number of rad")
     if not 0 < sigma <= MAX_SIGMA_RAD:
         expected = (
             f"a standard deviation above 0 and up to {MAX_SIGMA_RAD:g} rad: leave it out for {DEFAULT_SIGMA_RAD:g}"

@@ -19,12 +19,13 @@ from ttcvid.errors import TtcvidError, UsageError
 
 COMMANDS = {
     "analyze": "Collision times of everything that moves in a clip: tables and an annotated video.",
+    "calibrate-horizon": "The horizon of a camera from things that move in straight lines.",
     "demo": "Render a scene with known truth, analyse and evaluate it, and say where to look.",
     "doctor": "Versions of what ttcvid stands on, and what is broken.",
     "evaluate": "How good a run is beside a truth: errors, intervals, objects, warnings.",
     "simulate": "Render a scene with exact truth: pictures, camera, depths, collision times.",
 }
-"""Commands and their short help; the module ``ttcvid.cli.NAME`` holds each as ``NAME``."""
+"""Commands and their short help; the module ``ttcvid.cli.NAME`` holds each as ``NAME``, dashes as underscores."""
 
 EXIT_UNEXPECTED = 2
 """An error in ttcvid itself: no result, and never 1, which says that a check was made and failed."""
@@ -46,7 +47,8 @@ class LazyGroup(click.Group):
             nearest = difflib.get_close_matches(cmd_name, COMMANDS, n=1)
             remedy = f"did you mean {nearest[0]!r}?" if nearest else f"expected one of {', '.join(COMMANDS)}"
             raise UsageError(f"unknown command {cmd_name!r}: {remedy}")
-        command = getattr(importlib.import_module(f"ttcvid.cli.{cmd_name}"), cmd_name)
+        name = cmd_name.replace("-", "_")
+        command = getattr(importlib.import_module(f"ttcvid.cli.{name}"), name)
         assert isinstance(command, click.Command)
         return command
 

@@ -1,7 +1,7 @@
 """The horizon through the epipoles of several motions: total least squares on the unit sphere, robust over motions.
 
-All directions of motion along a level ground are normal to the ground's normal n, so that ``n . dir = 0``: a great circle
-through the epipoles. On the sphere an epipole at infinity is a point like any other, and counts for the slope.
+All directions of motion along a level ground are normal to the ground's normal n, so that ``n . dir = 0``: a great
+circle through the epipoles. On the sphere an epipole at infinity is a point like any other, and counts for the slope.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from itertools import combinations
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import t as t_distribution
 
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Bools, Camera, Floats
@@ -22,7 +21,7 @@ _MAX_ITERATIONS = 50
 _CONVERGED_RAD = 1e-10
 # Pairs of motions tried as horizons, at most, by the certainty of their epipoles.
 _MAX_PAIRS = 600
-# With so many or more motions to spare, their scatter tells by itself how far to trust them.
+# 97.5 % quantile of the normal distribution.
 _NORMAL_95 = 1.959963984540054
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -140,8 +139,21 @@ def pitch_roll_rad(normal: Floats) -> tuple[float, float]:
     return float(-np.arcsin(np.clip(normal[2], -1, 1))), float(np.arctan2(-normal[0], -normal[1]))
 
 
+def pitch_roll_covariance_rad2(fit: HorizonFit) -> Floats:
+    """Covariance ``(2, 2)`` of (pitch, roll), rad^2."""
+    inverse = np.linalg.pinv(normal_by_pitch_roll(*pitch_roll_rad(fit.normal)))
+    result: Floats = inverse @ fit.covariance @ inverse.T
+    return result
+
+
+def normal_by_pitch_roll(pitch_rad: float, roll_rad: float) -> Floats:
+    """Derivative ``(3, 2)`` of the upward normal (-sin r cos p, -cos r cos p, -sin p) by pitch p and roll r."""
+    sin_p, cos_p, sin_r, cos_r = np.sin(pitch_rad), np.cos(pitch_rad), np.sin(roll_rad), np.cos(roll_rad)
+    return np.array([[sin_r * sin_p, -cos_r * cos_p], [cos_r * sin_p, sin_r * cos_p], [-cos_p, 0.0]])
+
+
 def band_px(camera: Camera, fit: HorizonFit, x_px: Floats) -> tuple[Floats, Floats]:
-    """Height of the horizon at columns ``x_px (N,)`` of the undistorted picture, and half the width of its 95 % band."""
+    """Height of the horizon at columns ``x_px (N,)`` of the undistorted picture, and half of its 95 % band."""
     x = (x_px - camera.cx_px) / camera.fx_px
     n = fit.normal
     rays = np.column_stack([x, -(n[0] * x + n[2]) / n[1], np.ones_like(x)])
@@ -164,7 +176,7 @@ def _chi2(normal: Floats, directions: Floats, covariances: Floats, scatter_rad: 
 
 
 def _starts(directions: Floats, covariances: Floats, roll_sigma_rad: float | None) -> Floats:
-    """Normals ``(S, 3)``, pointing up, of the horizons through pairs of epipoles; with a prior on roll, through each."""
+    """Normals ``(S, 3)``, pointing up, of horizons through pairs of epipoles; with a prior on roll, through each."""
     order = np.argsort(np.trace(covariances, axis1=1, axis2=2), kind="stable")
     pairs = list(combinations(order.tolist(), 2))[:_MAX_PAIRS]
     candidates = [cross(directions[i], directions[j]) for i, j in pairs]

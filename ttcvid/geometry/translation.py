@@ -5,8 +5,9 @@ r_i = (x_i, y_i, 1) is its ray there, s_i = |V| / Z_i its rate, e the unit direc
 the differences of tau and tau^2 / 2 to the point's middle time, tau being the time from the body's middle. The lines of
 the points meet at e in the picture (the vanishing point), and the speed-up along each line tells how far away it is.
 
-Two nuisances are held near zero by priors: ``a`` the change of speed (1/s) and ``w`` the rate of turning (rad/s) towards
-b, the level direction across e. They keep a body that brakes, or turns imperceptibly, from being believed too much.
+Two nuisances are held near zero by priors: ``a`` the change of speed (1/s) and ``w`` the rate of turning (rad/s)
+towards b, the level direction across e. They keep a body that brakes, or turns imperceptibly, from being believed too
+much.
 """
 
 from __future__ import annotations
@@ -67,9 +68,9 @@ class BodyTracks:
 class Translation:
     """A body's direction of motion.
 
-    ``direction (3,)`` is ``dir`` = V / |V| with ``covariance (3, 3)`` in its tangent plane, rad^2, which allows for errors
-    that last over several frames and are common to the tracks. ``speed_change_hz`` and ``turn_rad_s`` are a and w,
-    with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the noise found, in units of the one assumed;
+    ``direction (3,)`` is ``dir`` = V / |V| with ``covariance (3, 3)`` in its tangent plane, rad^2, which allows for
+    errors that last over several frames and are common to the tracks. ``speed_change_hz`` and ``turn_rad_s`` are a and
+    w, with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the noise found, in units of the one assumed;
     ``correlation`` how many times the variance is larger than independent errors would make it;
     ``rate_hz (M,)`` is s of each track, ``residual (M,)`` its root mean square residual in sigmas of the noise found.
     """
@@ -153,7 +154,7 @@ def direction_from_lines(tracks: BodyTracks) -> Floats:
 
 
 def _times(tracks: BodyTracks) -> tuple[Floats, Floats]:
-    """dt and dq of each observation, ``(N,)``."""
+    """The dt and dq of each observation, ``(N,)``."""
     tau = tracks.t_s - 0.5 * (tracks.t_s.min() + tracks.t_s.max())
     count = np.diff(np.append(tracks.starts, len(tau)))
     middle = (np.add.reduceat(tau, tracks.starts) / count)[tracks.track]
@@ -197,18 +198,14 @@ def _residuals(tracks: BodyTracks, point: Floats) -> Floats:
     return result
 
 
-def _cost(
-    tracks: BodyTracks, times: tuple[Floats, Floats], unknowns: _Unknowns, noise: float, prior: Floats
-) -> float:
+def _cost(tracks: BodyTracks, times: tuple[Floats, Floats], unknowns: _Unknowns, noise: float, prior: Floats) -> float:
     residual = _residuals(tracks, _points(tracks, times, unknowns)[0]) / noise
     square = np.sum(residual**2, axis=1) / _CAUCHY_SIGMAS**2
     return float(_CAUCHY_SIGMAS**2 * np.log1p(square).sum() + prior[2:] @ unknowns.change**2)
 
 
-def _linearised(
-    tracks: BodyTracks, times: tuple[Floats, Floats], unknowns: _Unknowns
-) -> tuple[Floats, Floats, Floats]:
-    """Residuals ``(N, 2)``, minus their derivatives ``(N, 2, 7)`` by own and shared unknowns, basis of the direction."""
+def _linearised(tracks: BodyTracks, times: tuple[Floats, Floats], unknowns: _Unknowns) -> tuple[Floats, Floats, Floats]:
+    """Residuals ``(N, 2)``, minus their derivatives ``(N, 2, 7)`` by own and shared unknowns, and the basis."""
     dt, dq = times
     point, by_rate = _points(tracks, times, unknowns)
     residual = _residuals(tracks, point)
@@ -264,7 +261,9 @@ def _step(
 
 
 def _moved(unknowns: _Unknowns, basis: Floats, shared: Floats, own: Floats) -> _Unknowns:
-    return _Unknowns(normalize(unknowns.direction + basis @ shared[:2]), unknowns.change + shared[2:], unknowns.own + own)
+    return _Unknowns(
+        normalize(unknowns.direction + basis @ shared[:2]), unknowns.change + shared[2:], unknowns.own + own
+    )
 
 
 def _result(

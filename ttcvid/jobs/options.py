@@ -67,6 +67,8 @@ SHORTCUTS = {
     "tracker": ("tracking", "tracker"),
     "platform": ("egomotion", "platform"),
     "estimator": ("collision_times", "estimator"),
+    "moving": ("horizon_calibration", "moving"),
+    "roll_zero": ("horizon_calibration", "roll_zero"),
 }
 """Stage parameters that may be given like an option; they are kept in their stage's section alone."""
 

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from ttcvid.errors import OutputError
 from ttcvid.model import Event, FrameResult
-from ttcvid.schema import TABLE_NAMES, TABLES, Column, table_schema
+from ttcvid.schema import TABLE_NAMES, Column, columns_of, table_schema
 from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.rows import cluster_row, epipole_row, event_row, frame_row, track_columns
 
@@ -102,12 +102,22 @@ class TableSink:
             self._discard()
 
 
+def write_table(path: Path, name: str, rows: list[tuple[Any, ...]], metadata: dict[str, str]) -> None:
+    """Write a whole table, its rows in the order of the schema's columns; OutputError where that cannot be done."""
+    table = _Table(path, name, metadata)
+    try:
+        for row in rows:
+            table.add_row(row)
+    finally:
+        table.close()
+
+
 class _Table:
     """One Parquet file and the rows that wait for their row group."""
 
     def __init__(self, path: Path, name: str, metadata: dict[str, str]) -> None:
         self._path = path
-        self._columns = TABLES[name]
+        self._columns = columns_of(name)
         self._schema = table_schema(name, metadata)
         self._rows: list[tuple[Any, ...]] = []
         self._blocks: list[tuple[np.ndarray, ...]] = []

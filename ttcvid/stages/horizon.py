@@ -12,26 +12,30 @@ from ttcvid.model import Camera
 from ttcvid.stages.horizon_motions import Motion
 
 # Roll taken as zero still has this error, rad: a spirit level's.
-_ROLL_ZERO_SIGMA_RAD = 1e-4
+ROLL_ZERO_SIGMA_RAD = 1e-4
 
 
 @dataclass(frozen=True)
 class HorizonResult:
-    """A horizon with the motions that it is made of; ``fit`` None where undetermined, and ``reason`` says why."""
+    """A horizon with the motions that it is made of; ``fit`` None where undetermined, and ``reason`` says why.
+
+    ``roll_zero``: roll was taken as zero, not measured; ``notes`` are what else a user has to know.
+    """
 
     fit: HorizonFit | None
     motions: tuple[Motion, ...]
     reason: str = ""
+    roll_zero: bool = False
+    notes: tuple[str, ...] = ()
 
 
-def calibrated_horizon(
-    motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig, roll_zero: bool = False
-) -> HorizonResult:
+def calibrated_horizon(motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig) -> HorizonResult:
     """The line through the epipoles of straight motions.
 
     Undetermined with too few motions, with motions in one direction, and where the band is too wide to be of use. With
-    ``roll_zero`` the line is level and one direction is enough.
+    ``config.roll_zero`` the line is level and one direction is enough.
     """
+    roll_zero = config.roll_zero
     usable = [motion for motion in motions if motion.status == "used"]
     refused = tuple(motions)
     floor_rad = np.radians(config.floor_deg)
@@ -45,7 +49,7 @@ def calibrated_horizon(
         reason = _too_alike(directions, covariances, config)
         if reason:
             return HorizonResult(None, refused, reason)
-    fit = fit_horizon(directions, covariances, floor_rad, _ROLL_ZERO_SIGMA_RAD if roll_zero else None)
+    fit = fit_horizon(directions, covariances, floor_rad, ROLL_ZERO_SIGMA_RAD if roll_zero else None)
     if fit is None:
         return HorizonResult(None, refused, "the epipoles lie on no common line")
     judged = iter(fit.is_used.tolist())
@@ -53,7 +57,8 @@ def calibrated_horizon(
         replace(m, status="used" if next(judged) else "off_horizon") if m.status == "used" else m for m in motions
     )
     reason = _unusable(fit, directions, covariances, camera, config, roll_zero)
-    return HorizonResult(None if reason else fit, labelled, reason)
+    notes = ("roll taken as zero",) if roll_zero else ()
+    return HorizonResult(None if reason else fit, labelled, reason, roll_zero, notes)
 
 
 def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonCalibrationConfig) -> str:

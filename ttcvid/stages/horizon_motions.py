@@ -95,9 +95,7 @@ def _motions_of(
     return halves if any(half.status not in ("curved", "not_rigid") for half in halves) else [motion]
 
 
-def _fitted(
-    rows: Observations, focal_px: float, config: HorizonCalibrationConfig, clip: int, mover: int
-) -> Motion:
+def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfig, clip: int, mover: int) -> Motion:
     """The tracks of a mover as one translating body, less the tracks that do not go with the others."""
     tracks, track_id = _body(rows, focal_px)
     nothing = _bare(rows, clip, mover, "not_rigid", track_id)

@@ -34,7 +34,8 @@ def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools
     ends = starts + lengths - 1
     moved_px = np.linalg.norm(rows.xy_px[ends] - rows.xy_px[starts], axis=1)
     seen_s = rows.t_s[ends] - rows.t_s[starts]
-    return (lengths >= 4) & (seen_s >= config.min_track_s) & (moved_px >= config.min_path_px)
+    moves: Bools = (lengths >= 4) & (seen_s >= config.min_track_s) & (moved_px >= config.min_path_px)
+    return moves
 
 
 def group_movers(rows: Observations, nominal_dt_s: float, link_px: float) -> Ints:
@@ -77,7 +78,11 @@ def _neighbours(rows: Observations, number: Ints, now: Ints, later: Ints, link_p
     track, here, there = number[now][in_now], rows.xy_px[now][in_now], rows.xy_px[later][in_later]
     flow: Floats = there - here
     length = np.linalg.norm(flow, axis=1)
-    pairs = KDTree(0.5 * (here + there)).query_pairs(link_px, output_type="ndarray") if len(track) > 1 else np.empty((0, 2), int)
+    pairs = (
+        KDTree(0.5 * (here + there)).query_pairs(link_px, output_type="ndarray")
+        if len(track) > 1
+        else np.empty((0, 2), int)
+    )
     one, other = pairs.T
     longer = np.maximum(length[one], length[other])
     differ = np.linalg.norm(flow[one] - flow[other], axis=1)

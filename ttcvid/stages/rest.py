@@ -63,6 +63,6 @@ def complaint_about_motion(looks: list[Look]) -> str:
         return ""
     part = 100.0 * len(moving_s) / len(looks)
     return (
-        f"the camera does not rest: most of the picture moves in {part:.0f} % of the clip, between {moving_s[0]:.2f} s and "
-        f"{moving_s[-1]:.2f} s: give --moving for a driving camera, or --start and --end of a part at rest"
+        f"the camera does not rest: most of the picture moves in {part:.0f} % of the clip, between {moving_s[0]:.2f} s "
+        f"and {moving_s[-1]:.2f} s: give --moving for a driving camera, or --start and --end of a part at rest"
     )

@@ -1,0 +1,272 @@
+"""From one or several clips of a camera to its horizon file, with the table and the picture of what it is made of."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ttcvid
+from ttcvid.calibration import write_horizon
+from ttcvid.draw.horizon_picture import write_horizon_picture
+from ttcvid.errors import OutputError, UsageError
+from ttcvid.geometry.horizon_line import HorizonFit, band_px, pitch_roll_covariance_rad2, pitch_roll_rad
+from ttcvid.jobs.clip import ASSUMED_CAMERA_WARNING, Calibration, open_clip, read_calibration
+from ttcvid.jobs.configuration import Configuration, configure_from_arguments
+from ttcvid.jobs.horizon_clips import WatchedClip, watch_driving_clip, watch_resting_clip
+from ttcvid.jobs.provenance import digest_of
+from ttcvid.model import Camera, Horizon, Platform
+from ttcvid.sinks.failures import output_errors
+from ttcvid.sinks.motions import motion_row
+from ttcvid.sinks.tables import write_table
+from ttcvid.stages.horizon import HorizonResult, calibrated_horizon
+from ttcvid.stages.horizon_driving import driving_horizon
+
+_LOG = logging.getLogger(__name__)
+
+DEFAULT_OUT = Path("horizon.yaml")
+MOTIONS_NAME, PICTURE_NAME = "motions.parquet", "horizon.png"
+EXIT_UNDETERMINED = 5
+
+OnFrame = Callable[[int, int | None], None]
+
+
+@dataclass(frozen=True)
+class HorizonCalibration:
+    """What a calibration found; without a horizon nothing was written and ``reason`` says why.
+
+    ``files`` are the horizon file, the table of motions and the picture; ``result`` holds fit and motions.
+    """
+
+    horizon: Horizon | None
+    camera: Camera
+    result: HorizonResult
+    files: tuple[Path, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def reason(self) -> str:
+        """Why there is no horizon; empty where there is one."""
+        return self.result.reason
+
+    @property
+    def exit_code(self) -> int:
+        """What the command line ends with."""
+        return 0 if self.horizon is not None else EXIT_UNDETERMINED
+
+    def summary(self) -> str:
+        """One line: the horizon with its band, what it is made of, and what to know before trusting it."""
+        if self.horizon is None or self.result.fit is None:
+            return f"undetermined: {self.reason}"
+        _, y_px, half_px = _band(self.camera, self.result.fit)
+        pitch, roll = np.degrees(pitch_roll_rad(self.result.fit.normal))
+        parts = [
+            f"{self.files[0]}: y = {y_px[0]:.1f} px left, {y_px[2]:.1f} px right; "
+            f"{y_px[1]:.1f} +- {half_px[1]:.1f} px at the centre (95 %)",
+            f"pitch {pitch:.2f} deg, roll {roll:.2f} deg" if not self.camera.is_assumed else "focal length ASSUMED",
+            f"{n_used(self.result)} of {len(self.result.motions)} motions used",
+            *self.result.notes,
+        ]
+        return "; ".join(parts)
+
+    def summary_json(self) -> str:
+        """The summary as one JSON object."""
+        content: dict[str, Any] = {
+            "state": "determined" if self.horizon is not None else "undetermined",
+            "exit_code": self.exit_code,
+            "reason": self.reason,
+            "files": [str(path) for path in self.files],
+            "warnings": list(self.warnings),
+            "n_motions": n_used(self.result),
+        }
+        if self.horizon is not None and self.result.fit is not None:
+            content["horizon"] = {"y_left_px": self.horizon.y_left_px, "y_right_px": self.horizon.y_right_px}
+            content |= _information(self.camera, self.result)
+        return json.dumps(content, sort_keys=True, allow_nan=False)
+
+
+def calibrate_horizon(
+    clips: str | Path | Sequence[str | Path],
+    out: str | Path = DEFAULT_OUT,
+    *,
+    config: str | Path | None = None,
+    **options: Any,
+) -> HorizonCalibration:
+    """Find the horizon of a camera from things that move in straight lines before it.
+
+    Parameters
+    ----------
+    clips
+        One clip or several of the same camera in the same place: videos, folders of pictures, tables of tracks.
+    out
+        The horizon file; ``motions.parquet`` and ``horizon.png`` are put beside it.
+    config
+        A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
+    **options
+        The options of ``ttcvid calibrate-horizon`` with underscores (``moving=True``, ``focal_px=721``), and the
+        parameters of stages as mappings (``horizon_calibration={"min_motions": 4}``).
+
+    Returns
+    -------
+    A `HorizonCalibration`; where the horizon is undetermined, its ``horizon`` is None and its ``reason`` says why.
+
+    Raises
+    ------
+    TtcvidError
+        Input, calibration, configuration or output place cannot be used.
+    """
+    configuration = configure_from_arguments(options, Path(config) if config is not None else None)
+    inputs = [clips] if isinstance(clips, (str, Path)) else list(clips)
+    return run_calibration([str(clip) for clip in inputs], Path(out), configuration)
+
+
+def run_calibration(
+    inputs: Sequence[str], out: Path, configuration: Configuration, *, on_frame: OnFrame | None = None
+) -> HorizonCalibration:
+    """Calibrate as configured, and write the three files where the horizon is determined."""
+    if not inputs:
+        raise UsageError("no clip given: expected at least one")
+    files = (out, out.parent / MOTIONS_NAME, out.parent / PICTURE_NAME)
+    _refuse_existing(files, configuration.options.overwrite)
+    clips, calibration = watch_clips(inputs, configuration, on_frame)
+    warnings = [ASSUMED_CAMERA_WARNING] if calibration.camera.is_assumed else []
+    warnings += [warning for clip in clips for warning in clip.warnings]
+    for warning in warnings:
+        _LOG.warning("%s", warning)
+    result = horizon_of(clips, calibration.camera, configuration)
+    if result.fit is None:
+        return HorizonCalibration(None, calibration.camera, result, (), tuple(warnings))
+    horizon = horizon_from_fit(calibration.camera, result.fit, str(out))
+    done = HorizonCalibration(horizon, calibration.camera, result, files, tuple(warnings))
+    _write(done, clips)
+    return done
+
+
+def watch_clips(
+    inputs: Sequence[str], configuration: Configuration, on_frame: OnFrame | None = None
+) -> tuple[list[WatchedClip], Calibration]:
+    """Follow the points of all clips; UsageError where their pictures have different sizes."""
+    watch, pipeline = watch_resting_clip, configuration.pipeline
+    if pipeline.horizon_calibration.moving:
+        watch = watch_driving_clip
+        if "egomotion.platform" not in configuration.origins:
+            vehicle = pipeline.egomotion.model_copy(update={"platform": Platform.vehicle})
+            pipeline = pipeline.model_copy(update={"egomotion": vehicle})
+    clips: list[WatchedClip] = []
+    calibration: Calibration | None = None
+    for input_ in inputs:
+        with open_clip(input_, configuration.options) as source:
+            size = source.info.image_size
+            if calibration is None:
+                calibration = read_calibration(configuration.options, size)
+            elif size != calibration.camera.image_size:
+                raise UsageError(
+                    f"{input_}: pictures of {size}, but {calibration.camera.image_size} in {inputs[0]}: "
+                    "give clips of one camera and one size"
+                )
+            clips.append(watch(source, calibration, pipeline, len(clips), on_frame))
+    assert calibration is not None
+    return clips, calibration
+
+
+def horizon_of(clips: list[WatchedClip], camera: Camera, configuration: Configuration) -> HorizonResult:
+    """The horizon of all clips together, or why there is none."""
+    config = configuration.pipeline.horizon_calibration
+    complaints = [f"{clip.path}: {clip.complaint}" for clip in clips if clip.complaint]
+    motions = [motion for clip in clips for motion in clip.motions]
+    if complaints:
+        return HorizonResult(None, tuple(motions), "; ".join(complaints))
+    return driving_horizon(motions, camera, config) if config.moving else calibrated_horizon(motions, camera, config)
+
+
+def horizon_from_fit(camera: Camera, fit: HorizonFit, origin: str) -> Horizon:
+    """The line at both sides of the picture, with the covariance of pitch and roll."""
+    _, y_px, _ = _band(camera, fit)
+    covariance = pitch_roll_covariance_rad2(fit)
+    (pp, pr), (_, rr) = covariance.tolist()
+    sigma_rad = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    return Horizon(float(y_px[0]), float(y_px[2]), camera.image_size, sigma_rad, origin, ((pp, pr), (pr, rr)))
+
+
+def n_used(result: HorizonResult) -> int:
+    """Number of motions that the horizon is made of."""
+    return sum(motion.status == "used" for motion in result.motions)
+
+
+def _band(camera: Camera, fit: HorizonFit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns at the left, in the centre and at the right, the line there, and half the width of its 95 % band."""
+    x_px = np.array([0.0, 0.5, 1.0]) * (camera.image_size.width_px - 1.0)
+    return x_px, *band_px(camera, fit, x_px)
+
+
+def _information(camera: Camera, result: HorizonResult) -> dict[str, Any]:
+    """What the file says beside the line."""
+    assert result.fit is not None
+    used = [motion for motion in result.motions if motion.status == "used"]
+    _, _, half_px = _band(camera, result.fit)
+    content: dict[str, Any] = {}
+    if not camera.is_assumed:
+        pitch, roll = np.degrees(pitch_roll_rad(result.fit.normal)).tolist()
+        content |= {"pitch_deg": round(pitch, 4), "roll_deg": round(roll, 4)}
+    names = ("left", "centre", "right")
+    residual_deg = np.degrees(result.fit.residual_rad[result.fit.is_used])
+    content |= {
+        "band_95_px": {name: round(float(half), 2) for name, half in zip(names, half_px, strict=True)},
+        "n_motions": len(used),
+        "n_tracks": sum(len(motion.track_id) for motion in used),
+        "residuals": {
+            "median_deg": round(float(np.median(np.abs(residual_deg))), 4),
+            "rms_deg": round(float(np.sqrt(np.mean(residual_deg**2))), 4),
+        },
+        "roll_zero": result.roll_zero,
+    }
+    return content
+
+
+def _refuse_existing(files: tuple[Path, ...], overwrite: bool) -> None:
+    for path in files:
+        if path.exists() and not overwrite:
+            raise OutputError(f"{path}: exists already: choose another place with -o, or replace it with --overwrite")
+
+
+def _write(done: HorizonCalibration, clips: list[WatchedClip]) -> None:
+    """All three files under temporary names first, so that none stands there half written."""
+    assert done.horizon is not None
+    assert done.result.fit is not None
+    horizon_file, _, picture = done.files
+    temporary = [path.with_name(f".{path.name}.partial") for path in done.files]
+    sources = [clip.path for clip in clips]
+    digests = [digest_of(clip.files).sha256 for clip in clips]
+    information = _information(done.camera, done.result) | {
+        "source": sources[0] if len(sources) == 1 else sources,
+        "source_sha256": digests[0] if len(digests) == 1 else digests,
+        "ttcvid_version": ttcvid.__version__,
+    }
+    metadata = {"ttcvid_version": ttcvid.__version__, "camera_is_assumed": str(done.camera.is_assumed).lower()}
+    try:
+        with output_errors(horizon_file):
+            horizon_file.parent.mkdir(parents=True, exist_ok=True)
+            write_horizon(temporary[0], done.horizon, information)
+        write_table(
+            temporary[1],
+            "motions",
+            [motion_row(m, done.result.fit, done.camera) for m in done.result.motions],
+            metadata,
+        )
+        with output_errors(picture):
+            first = clips[0]
+            title = done.summary()
+            write_horizon_picture(
+                temporary[2], done.camera, done.result.fit, done.result.motions, first.rows, first.background, title
+            )
+            for path, final in zip(reversed(temporary), reversed(done.files), strict=True):
+                os.replace(path, final)
+    finally:
+        for path in temporary:
+            path.unlink(missing_ok=True)
