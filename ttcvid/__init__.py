@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from ttcvid.errors import CalibrationError, InputError, OutputError, TtcvidError, UsageError
+    from ttcvid.errors import CalibrationError, InputError, NotComparableError, OutputError, TtcvidError, UsageError
     from ttcvid.jobs.analyze import analyze
     from ttcvid.jobs.calibrate_horizon import calibrate_horizon
+    from ttcvid.jobs.compare import compare
     from ttcvid.jobs.evaluate import evaluate
     from ttcvid.jobs.run import Run
     from ttcvid.jobs.simulate import simulate
@@ -25,12 +26,14 @@ if TYPE_CHECKING:
 __all__ = [
     "CalibrationError",
     "InputError",
+    "NotComparableError",
     "OutputError",
     "Run",
     "TtcvidError",
     "UsageError",
     "analyze",
     "calibrate_horizon",
+    "compare",
     "evaluate",
     "simulate",
 ]
@@ -38,12 +41,14 @@ __all__ = [
 _HOMES = {
     "CalibrationError": "ttcvid.errors",
     "InputError": "ttcvid.errors",
+    "NotComparableError": "ttcvid.errors",
     "OutputError": "ttcvid.errors",
     "Run": "ttcvid.jobs.run",
     "TtcvidError": "ttcvid.errors",
     "UsageError": "ttcvid.errors",
     "analyze": "ttcvid.jobs.analyze",
     "calibrate_horizon": "ttcvid.jobs.calibrate_horizon",
+    "compare": "ttcvid.jobs.compare",
     "evaluate": "ttcvid.jobs.evaluate",
     "simulate": "ttcvid.jobs.simulate",
 }

@@ -38,3 +38,9 @@ class UndeterminedError(TtcvidError):
     """What was asked for cannot be told from this input: too little in it, or nothing that fits."""
 
     exit_code = 5
+
+
+class NotComparableError(TtcvidError):
+    """A result or baseline cannot be compared: it is unreadable, not whole, or of another schema."""
+
+    exit_code = 2

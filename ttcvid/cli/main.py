@@ -20,6 +20,7 @@ from ttcvid.errors import TtcvidError, UsageError
 COMMANDS = {
     "analyze": "Collision times of everything that moves in a clip: tables and an annotated video.",
     "calibrate-horizon": "The horizon of a camera from things that move in straight lines.",
+    "compare": "Whether two results are the same, and what is different: frames, objects, times, warnings.",
     "demo": "Render a scene with known truth, analyse and evaluate it, and say where to look.",
     "doctor": "Versions of what ttcvid stands on, and what is broken.",
     "evaluate": "How good a run is beside a truth: errors, intervals, objects, warnings.",

@@ -54,8 +54,7 @@ def match_objects(truth: pd.DataFrame, found: pd.DataFrame, on_tracks: pd.DataFr
         overlap, inside = _track_overlap(near, on_tracks)
         near["overlap"] = np.fmax(near.overlap, overlap)
         near["inside"] = np.fmax(near.inside, inside)
-    chosen = [_one_to_one(pairs) for _, pairs in near[near.overlap >= MIN_OVERLAP].groupby("frame")]
-    pairs = pd.concat(chosen, ignore_index=True) if chosen else near.iloc[:0]
+    pairs = _one_to_one(near[near.overlap >= MIN_OVERLAP])
     owner, verdict = np.full(len(found), UNKNOWN_OBJECT), np.full(len(found), "false", dtype=object)
     verdict[found.motion_id.to_numpy() == 0] = "at_rest"
     pieces = near[near.inside >= MIN_INSIDE].sort_values("inside")
@@ -104,11 +103,21 @@ def share_inside(outer: Floats, inner: Floats) -> Floats:
 
 
 def _one_to_one(pairs: pd.DataFrame) -> pd.DataFrame:
-    """Those of one frame's pairs that the best assignment takes."""
-    score = pairs.pivot(index="truth_row", columns="found_row", values="overlap").fillna(0.0)
-    rows, columns = linear_sum_assignment(score.to_numpy(), maximize=True)
-    taken = set(zip(score.index[rows], score.columns[columns], strict=True))
-    return pairs[[pair in taken for pair in zip(pairs.truth_row, pairs.found_row, strict=True)]]
+    """Those pairs that the best assignment within each frame takes; most have no rival and need none."""
+    has_rival = pairs.duplicated("truth_row", keep=False) | pairs.duplicated("found_row", keep=False)
+    rivals = pairs[pairs.frame.isin(pairs.frame[has_rival])]
+    chosen = [pairs.drop(index=rivals.index), *(_best_of_frame(of_frame) for _, of_frame in rivals.groupby("frame"))]
+    return pd.concat(chosen).sort_index().reset_index(drop=True)
+
+
+def _best_of_frame(pairs: pd.DataFrame) -> pd.DataFrame:
+    truth_rows, i = np.unique(pairs.truth_row, return_inverse=True)
+    found_rows, j = np.unique(pairs.found_row, return_inverse=True)
+    overlap, position = np.zeros((len(truth_rows), len(found_rows))), np.full((len(truth_rows), len(found_rows)), -1)
+    overlap[i, j], position[i, j] = pairs.overlap, np.arange(len(pairs))
+    chosen = position[linear_sum_assignment(overlap, maximize=True)]
+    best: pd.DataFrame = pairs.iloc[chosen[chosen >= 0]]
+    return best
 
 
 def _track_overlap(near: pd.DataFrame, on_tracks: pd.DataFrame) -> tuple[Floats, Floats]:
