@@ -19,7 +19,7 @@ from ttcvid.stages.group_identity import GroupMemory, restarted
 from ttcvid.stages.history import TrackHistory, empty_history, extended
 from ttcvid.stages.motions import find_motions
 from ttcvid.stages.own_motion import find_own_motion
-from ttcvid.stages.planar import HorizonPlane, horizon_plane
+from ttcvid.stages.planar import HorizonPlane, followed_plane, horizon_plane
 from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
 from ttcvid.stages.table_points import compare_table_points
 from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
@@ -66,6 +66,7 @@ class Memory:
     groups: GroupMemory = field(default_factory=GroupMemory)
     events: EventMemory = field(default_factory=EventMemory)
     scene_moves: bool = False
+    plane: HorizonPlane | None = None
 
 
 def analyze_frames(
@@ -142,13 +143,16 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
     )
     if status == FrameStatus.ok:
         status = _motion_status(egomotion)
+    plane = followed_plane(
+        memory.plane, clip.plane, None if egomotion is None else egomotion.cam_R_prev, dt_s, clip.camera
+    )
     rng = np.random.default_rng([clip.config.seed, frame.index])
     motions, groups = find_motions(
         history,
         egomotion,
         ~is_frozen,
         memory.groups,
-        clip.plane,
+        plane,
         LEAST_PARALLAX_PX,
         clip.camera,
         rng,
@@ -167,7 +171,7 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
         rotation_rad=None if egomotion is None else egomotion.rotation_rad,
         rotation_sigma_rad=None if egomotion is None else egomotion.rotation_sigma_rad,
         min_ttc_z_s=minimum_ttc_z_s(clusters),
-        horizon_px=None if clip.plane is None else clip.plane.line_px,
+        horizon_px=None if plane is None else plane.line_px,
         events=events,
     )
     return result, replace(
@@ -178,6 +182,7 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
         groups=groups,
         events=watch,
         scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
+        plane=plane,
     )
 
 

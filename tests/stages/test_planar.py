@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from relative_motion import CAMERA, FOCAL_PX, flows_of, unit
 
-from ttcvid.geometry.rotation import tangent_basis
+from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
 from ttcvid.model import Horizon, Status
-from ttcvid.stages.planar import horizon_offset_px, horizon_plane, onto_horizon, planar_directions
+from ttcvid.stages.planar import followed_plane, horizon_offset_px, horizon_plane, onto_horizon, planar_directions
 
 LEVEL_PX = CAMERA.cy_px
 SIGMA_RAD = 0.002
@@ -14,6 +14,13 @@ SIGMA_RAD = 0.002
 
 def plane_at(y_left_px=LEVEL_PX, y_right_px=LEVEL_PX, sigma_rad=SIGMA_RAD):
     return horizon_plane(CAMERA, Horizon(y_left_px, y_right_px, CAMERA.image_size, sigma_rad, "test"))
+
+
+def plane_of(covariance_rad2):
+    """A level plane whose pitch and roll have a covariance."""
+    return horizon_plane(
+        CAMERA, Horizon(LEVEL_PX, LEVEL_PX, CAMERA.image_size, SIGMA_RAD, "test", covariance_rad2=covariance_rad2)
+    )
 
 
 def tangent_cov(direction, along_rad, across_rad, turn_rad=0.0):
@@ -141,3 +148,41 @@ def test_a_track_that_crosses_has_its_epipole_at_infinity_and_a_direction():
     direction, _, status = planar_directions(flows, plane_at())
     assert status[0] == Status.epipole_at_infinity
     np.testing.assert_allclose(direction[0], [-1.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_an_uncertain_roll_counts_at_the_sides_only():
+    """Straight ahead only the pitch matters, to the right only the roll."""
+    plane = plane_of(((1e-6, 0.0), (0.0, 4e-4)))
+    directions = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], unit([1.0, 0.0, 1.0])])
+    np.testing.assert_allclose(plane.sigma_rad(directions), [1e-3, 2e-2, np.sqrt(0.5 * (1e-6 + 4e-4))])
+
+
+def test_the_plane_goes_along_with_a_pitching_camera():
+    """Looking down by 1 deg within a frame raises the horizon by 1 deg in the picture: y becomes smaller."""
+    calibrated, nod_rad = plane_at(), np.radians(1.0)
+    cam_R_prev = rotation_from_vector(np.array([nod_rad, 0.0, 0.0]))
+    assert (cam_R_prev @ [0.0, 0.0, 1.0])[1] < 0.0
+    plane = followed_plane(calibrated, calibrated, cam_R_prev, 1e-6, CAMERA)
+    assert plane.line_px == pytest.approx([LEVEL_PX - FOCAL_PX * np.tan(nod_rad)] * 2, abs=1e-3)
+
+
+def test_the_plane_returns_to_where_it_was_calibrated():
+    calibrated = plane_at(150.0, 190.0)
+    plane = followed_plane(calibrated, calibrated, rotation_from_vector(np.array([0.03, 0.0, 0.02])), 0.04, CAMERA)
+    before = np.linalg.norm(plane.normal - calibrated.normal)
+    for _ in range(50):
+        plane = followed_plane(plane, calibrated, np.eye(3), 0.04, CAMERA)
+    assert np.linalg.norm(plane.normal - calibrated.normal) == pytest.approx(before * np.exp(-1.0), rel=0.02)
+
+
+def test_turning_about_the_normal_leaves_the_plane_alone():
+    calibrated = plane_at(150.0, 190.0)
+    turned = followed_plane(calibrated, calibrated, rotation_from_vector(0.4 * calibrated.normal), 0.04, CAMERA)
+    np.testing.assert_allclose(turned.line_px, calibrated.line_px, atol=1e-9)
+
+
+def test_the_plane_stays_while_the_rotation_is_unknown_and_begins_anew_after_a_cut():
+    calibrated = plane_at()
+    assert followed_plane(calibrated, calibrated, None, 0.04, CAMERA).line_px == pytest.approx(calibrated.line_px)
+    assert followed_plane(None, calibrated, np.eye(3), None, CAMERA) is calibrated
+    assert followed_plane(None, None, np.eye(3), 0.04, CAMERA) is None

@@ -14,7 +14,7 @@ from ttcvid.model import Floats, Ints, Status
 
 
 def planar_epipole(
-    q: Floats, p: Floats, horizon_normal: Floats, sigma_rad: Floats, horizon_sigma_rad: float
+    q: Floats, p: Floats, horizon_normal: Floats, sigma_rad: Floats, horizon_sigma_rad: Floats | float
 ) -> tuple[Floats, Floats, Ints]:
     """Direction of each point that moves in a horizontal plane: flow line x horizon line.
 
@@ -30,7 +30,7 @@ def planar_epipole(
     sigma_rad
         ``(N,)`` standard deviation of a ray's direction per axis.
     horizon_sigma_rad
-        Standard deviation of the normal's direction per axis.
+        Standard deviation of the normal's direction, one for all or ``(N,)`` towards each flow's direction.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def planar_epipole(
     ray_sines2 = 2.0 - np.einsum("ni,ni->n", p, direction) ** 2 - np.einsum("ni,ni->n", q, direction) ** 2
     flow_part = quotient(sigma_rad**2 * ray_sines2, sine2)
     lever = quotient(flow_normal @ horizon_normal, np.sqrt(sine2))
-    horizon_part = horizon_sigma_rad * (horizon_normal + lever[:, None] * across)
+    horizon_part = np.reshape(horizon_sigma_rad, (-1, 1)) * (horizon_normal + lever[:, None] * across)
     cov = (
         flow_part[:, None, None] * across[:, :, None] * across[:, None, :]
         + horizon_part[:, :, None] * horizon_part[:, None, :]

@@ -1,25 +1,45 @@
-"""Planar motion: with a known horizon an epipole has to lie on it."""
+"""Planar motion: with a known horizon an epipole has to lie on it.
+
+The calibrated horizon is that of the camera as mounted. A car pitches and rolls on its springs, and the horizon moves
+in the picture: it is carried along with the camera's rotation from frame to frame, and drawn back to where it was
+calibrated within seconds, since errors of rotation add up, and a road that bends upwards turns the camera but takes its
+plane along.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.horizon import normal_from_horizon
+from ttcvid.geometry.horizon import horizon_px, normal_from_horizon
+from ttcvid.geometry.horizon_line import normal_by_pitch_roll, pitch_roll_rad
 from ttcvid.geometry.planar import planar_epipole
-from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Camera, Floats, Horizon, Ints, Status
 from ttcvid.stages.flows import Flows
+
+# Time in which the horizon returns to where it was calibrated, s: a car's springs swing at 1 to 2 Hz and a braking car
+# dips for a second or two, while the road's own slope changes over tens of seconds.
+_RETURN_S = 2.0
 
 
 @dataclass(frozen=True)
 class HorizonPlane:
-    """The plane of motion: unit ``normal (3,)``, its error ``sigma_rad``, and the line in px at both picture sides."""
+    """The plane of motion: unit ``normal (3,)`` with its ``covariance (3, 3)`` in rad^2, and its line in px.
+
+    ``line_px`` is the line's height at both sides of the picture. The covariance is that of the calibration, in the
+    camera as mounted; the few degrees of its springs do not matter.
+    """
 
     normal: Floats
-    sigma_rad: float
+    covariance: Floats
     line_px: tuple[float, float]
+
+    def sigma_rad(self, directions: Floats) -> Floats:
+        """How far off the plane directions ``(..., 3)`` may lie by its own error: standard deviation of n . dir."""
+        variance = np.einsum("...i,ij,...j->...", directions, self.covariance, directions)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def horizon_plane(camera: Camera, horizon: Horizon | None) -> HorizonPlane | None:
@@ -27,7 +47,34 @@ def horizon_plane(camera: Camera, horizon: Horizon | None) -> HorizonPlane | Non
     if horizon is None:
         return None
     normal = normal_from_horizon(camera, horizon)
-    return HorizonPlane(normal, horizon.sigma_rad, (horizon.y_left_px, horizon.y_right_px))
+    if horizon.covariance_rad2 is None:
+        covariance = horizon.sigma_rad**2 * (np.eye(3) - np.outer(normal, normal))
+    else:
+        by_angles = normal_by_pitch_roll(*pitch_roll_rad(normal))
+        covariance = by_angles @ np.array(horizon.covariance_rad2) @ by_angles.T
+    return HorizonPlane(normal, covariance, (horizon.y_left_px, horizon.y_right_px))
+
+
+def followed_plane(
+    plane: HorizonPlane | None,
+    calibrated: HorizonPlane | None,
+    cam_R_prev: Floats | None,
+    dt_s: float | None,
+    camera: Camera,
+) -> HorizonPlane | None:
+    """The plane in the camera of this frame; None without a calibrated one.
+
+    Parameters
+    ----------
+    plane : in the camera of the frame before; None: there was none.
+    cam_R_prev : (3, 3) rotation since then; None: unknown.
+    """
+    if plane is None or calibrated is None:
+        return calibrated
+    normal = plane.normal if cam_R_prev is None else cam_R_prev @ plane.normal
+    share = 1.0 if dt_s is None else 1.0 - np.exp(-max(dt_s, 0.0) / _RETURN_S)
+    normal = normalize(normal + share * (calibrated.normal - normal))
+    return replace(calibrated, normal=normal, line_px=horizon_px(camera, normal))
 
 
 def onto_horizon(direction: Floats, covariance: Floats, plane: HorizonPlane) -> tuple[Floats, Floats]:
@@ -48,7 +95,7 @@ def onto_horizon(direction: Floats, covariance: Floats, plane: HorizonPlane) -> 
     variance = float(slope @ tangent_cov @ slope) + 1e-18
     gain = tangent_cov @ slope / variance
     moved = normalize(direction - basis @ gain * height)
-    reduced = tangent_cov - np.outer(gain, slope @ tangent_cov) + np.outer(gain, gain) * plane.sigma_rad**2
+    reduced = tangent_cov - np.outer(gain, slope @ tangent_cov) + np.outer(gain, gain) * plane.sigma_rad(moved) ** 2
     new_basis = tangent_basis(moved)
     turn = new_basis.T @ basis
     return moved, new_basis @ turn @ reduced @ turn.T @ new_basis.T
@@ -77,9 +124,9 @@ def planar_directions(flows: Flows, plane: HorizonPlane) -> tuple[Floats, Floats
     covariance : (N, 3, 3) rad^2.
     status : (N,) why there is none.
     """
-    direction, covariance, status = planar_epipole(
-        flows.first, flows.second, plane.normal, flows.sigma_rad, plane.sigma_rad
-    )
+    along = normalize(cross(cross(flows.first, flows.second), plane.normal))
+    sigma_rad = plane.sigma_rad(np.nan_to_num(along))  # where there is no direction, planar_epipole says why
+    direction, covariance, status = planar_epipole(flows.first, flows.second, plane.normal, flows.sigma_rad, sigma_rad)
     has_none = ~np.isin(status, [Status.ok, Status.epipole_at_infinity])
     direction = np.where(has_none[:, None], np.nan, direction)
     return direction, np.where(has_none[:, None, None], np.nan, covariance), status
