@@ -35,7 +35,7 @@ class TrackingConfig(StageConfig):
     window_px: int = Field(default=9, ge=5, le=51, description="side of the Lucas-Kanade window")
     pyramid_levels: int = Field(default=3, ge=0, le=6, description="levels above the full picture")
     max_forward_backward_px: PositiveFloat = Field(
-        default=0.3, description="forward-backward distance that ends a track"
+        default=0.2, description="forward-backward distance that ends a track"
     )
     akaze_threshold: PositiveFloat = Field(default=0.001, description="AKAZE detector response")
     akaze_ratio: Fraction = Field(default=0.8, description="nearest over second nearest descriptor distance")

@@ -11,8 +11,11 @@ from ttcvid.config import TrackingConfig
 from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
 from ttcvid.stages.tracking.corners import find_corners
 
-# Lucas-Kanade ends after so many iterations or when a step is shorter than this, px.
-_ITERATIONS, _STEP_PX = 20, 0.01
+# Lucas-Kanade ends after so many iterations or when a step is shorter than this, px. Ended at 0.03 px it leaves errors
+# that make slow things (an aircraft far away) a third less accurate; for the check by the way back it is enough.
+_ITERATIONS, _STEP_PX, _BACKWARD_STEP_PX = 20, 0.01, 0.03
+# So far from its goal the way back starts, px: about as far as the full picture alone leads back from.
+_BACKWARD_START_PX = 1.5
 # Smaller eigenvalue of the gradient matrix, below which OpenCV gives a point up (its own default).
 _MIN_EIGENVALUE = 1e-4
 # Two tracks in one cell of this side follow the same point, px.
@@ -66,31 +69,35 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
         return np.zeros(0, dtype=bool), np.empty((0, 2))
     before = memory.points.xy_px.astype(np.float32)
     guess = (memory.points.xy_px + memory.step_px).astype(np.float32)
-    window = (config.window_px, config.window_px)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ITERATIONS, _STEP_PX)
-
-    def search(a: Picture, b: Picture, xy: np.ndarray, start: np.ndarray) -> tuple[Bools, np.ndarray]:
-        to, status, _ = cv2.calcOpticalFlowPyrLK(
-            a,
-            b,
-            xy,
-            start.copy(),
-            winSize=window,
-            maxLevel=config.pyramid_levels,
-            criteria=criteria,
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-            minEigThreshold=_MIN_EIGENVALUE,
-        )
-        return status.ravel() > 0, to
-
-    found, there = search(memory.grey, grey, before, guess)
-    # The way back starts one step away from where the way forth ended, not at the known answer: a jump to a
-    # similar texture nearby is found out only like this.
-    came_back, back = search(grey, memory.grey, there, there - memory.step_px.astype(np.float32))
+    found, there = _follow(memory.grey, grey, before, guess, config.window_px, config.pyramid_levels, _STEP_PX)
+    # The way back starts beside its goal, on the side of the error of the guess, and not at the goal: a jump to a
+    # similar texture nearby is found out only like this. So near it needs no pyramid, which is most of the time.
+    error = there - guess
+    length_px = np.linalg.norm(error, axis=1, keepdims=True)
+    start = before + error * (_BACKWARD_START_PX / np.maximum(length_px, _BACKWARD_START_PX))
+    came_back, back = _follow(grey, memory.grey, there, start, config.window_px, 0, _BACKWARD_STEP_PX)
     distance = np.linalg.norm(back - before, axis=1)
     height, width = grey.shape[:2]
     inside = (there[:, 0] >= 0) & (there[:, 1] >= 0) & (there[:, 0] <= width - 1) & (there[:, 1] <= height - 1)
     return found & came_back & inside & (distance < config.max_forward_backward_px), there.astype(np.float64)
+
+
+def _follow(
+    one: Picture, other: Picture, xy_px: np.ndarray, start_px: np.ndarray, window_px: int, levels: int, step_px: float
+) -> tuple[Bools, np.ndarray]:
+    """Points (N, 2) float32 of one picture looked for in the other from ``start_px`` on: (N,) found, (N, 2) px."""
+    to, status, _ = cv2.calcOpticalFlowPyrLK(
+        one,
+        other,
+        xy_px,
+        start_px.copy(),
+        winSize=(window_px, window_px),
+        maxLevel=levels,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ITERATIONS, step_px),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=_MIN_EIGENVALUE,
+    )
+    return status.ravel() > 0, to
 
 
 def _is_allowed(allowed: Picture, xy_px: Floats) -> Bools:

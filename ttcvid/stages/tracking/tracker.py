@@ -122,10 +122,14 @@ def _next_track_id(memory: TrackerMemory) -> int:
 
 
 def _is_cut(survival: float, n_before: int, last: Picture, now: Picture) -> bool:
-    moved = 0.5 * float(np.abs(_histogram(last) - _histogram(now)).sum())
     if n_before < _FEW_TRACKS:
-        return moved > _CUT_HISTOGRAM_ALONE
-    return survival < _LOST_SURVIVAL or (survival < _CUT_SURVIVAL and moved > _CUT_HISTOGRAM)
+        return _moved(last, now) > _CUT_HISTOGRAM_ALONE
+    return survival < _LOST_SURVIVAL or (survival < _CUT_SURVIVAL and _moved(last, now) > _CUT_HISTOGRAM)
+
+
+def _moved(last: Picture, now: Picture) -> float:
+    """Part of the histogram's mass that differs."""
+    return 0.5 * float(np.abs(_histogram(last) - _histogram(now)).sum())
 
 
 def _histogram(thumbnail: Picture) -> NDArray[np.float64]:
