@@ -42,10 +42,12 @@ class Lettering:
         self._glyphs = {letter: _glyph(letter, cap_px) for letter in _PRINTABLE}
         # What stays from picture to picture (numbers, words, notes) is put together once.
         self._layers_of = lru_cache(maxsize=256)(self._layers)
+        self._widths_px = {letter: glyph.shape[1] for letter, glyph in self._glyphs.items()}
 
     def width_px(self, text: str) -> int:
         """Width of a text."""
-        return sum(self._glyph_of(letter).shape[1] for letter in text)
+        unknown_px = self._widths_px["?"]
+        return sum(self._widths_px.get(letter, unknown_px) for letter in text)
 
     def draw(self, bgr: Picture, text: str, x: int, y: int, ink: Colour) -> None:
         """Write ``text`` with the upper left corner of its capitals at (x, y); what lies outside is cut off."""

@@ -10,6 +10,8 @@ from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, Track
 
 _SUBPIXEL_BITS = 3  # OpenCV draws between pixels when coordinates are shifted
 _UNASSIGNED_POSITIONS = 2  # tracks of no cluster show their last step only
+# Lines go through every second position: paths are smooth, and thick lines are most of what a picture takes to draw.
+_LINE_STEP = 2
 
 
 class Trails:
@@ -38,16 +40,19 @@ class Trails:
         is_loose = tracks.cluster_id == NO_CLUSTER
         _draw_lines(bgr, fixed_point[is_loose, :_UNASSIGNED_POSITIONS], UNASSIGNED, 1)
         is_scene = tracks.cluster_id == SCENE_CLUSTER
-        _draw_lines(bgr, fixed_point[is_scene, : (self._n_positions + 1) // 2], SCENE, 1)
+        _draw_lines(bgr, fixed_point[is_scene, : (self._n_positions + 1) // 2 : _LINE_STEP], SCENE, 1)
         is_object = ~is_loose & ~is_scene
         for cluster_id in np.unique(tracks.cluster_id[is_object]).tolist():
-            _draw_lines(bgr, fixed_point[tracks.cluster_id == cluster_id], object_colour(cluster_id), stroke_px)
+            way = fixed_point[tracks.cluster_id == cluster_id, ::_LINE_STEP]
+            _draw_lines(bgr, way, object_colour(cluster_id), stroke_px)
         _draw_dots(bgr, tracks.xy_px[is_object], tracks.cluster_id[is_object], stroke_px + 1)
 
 
 def _draw_lines(bgr: Picture, fixed_point: np.ndarray, colour: Colour, stroke_px: int) -> None:
     if len(fixed_point):
-        cv2.polylines(bgr, list(fixed_point), False, colour, stroke_px, cv2.LINE_8, _SUBPIXEL_BITS)
+        cv2.polylines(
+            bgr, list(np.ascontiguousarray(fixed_point)), False, colour, stroke_px, cv2.LINE_8, _SUBPIXEL_BITS
+        )
 
 
 def _draw_dots(bgr: Picture, xy_px: Floats, cluster_id: Ints, side_px: int) -> None:
