@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from ttcvid.config import PipelineConfig
 from ttcvid.jobs.options import SECTIONS, SHORTCUTS
 from ttcvid.model import Platform
-from ttcvid.schema import CALIBRATION_TABLES, SCHEMA_VERSION, TABLE_NAMES, VERSION_KEY, markdown_of
+from ttcvid.schema import CALIBRATION_TABLES, SCHEMA_VERSION, STUDY_TABLES, TABLE_NAMES, VERSION_KEY, markdown_of
 
 FOLDER = Path(__file__).parent
 _GENERATED = "Written by `python docs/tables.py` from the code; do not edit."
@@ -27,6 +27,8 @@ _ROWS = {
     "frames": "A row for every frame, those without a result too.",
     "events": "A row per warning.",
     "motions": "`motions.parquet` of `ttcvid calibrate-horizon`: a row per straight motion.",
+    "collision_map": "`collision_map.parquet` of `ttcvid collision-map`: a row per change of own velocity, at one moment.",
+    "evasion": "`evasion.parquet` of `ttcvid collision-map`: a row per frame, and what to do.",
 }
 _TABLES_HEAD = f"""# The five tables
 
@@ -71,7 +73,8 @@ _BOUNDS = {"ge": ">= {}", "gt": "> {}", "le": "<= {}", "lt": "< {}"}
 def tables_page() -> str:
     """``docs/tables.md``."""
     parts = [_TABLES_HEAD]
-    parts += [f"## {name}\n{_ROWS[name]}\n\n{markdown_of(name)}" for name in (*TABLE_NAMES, *CALIBRATION_TABLES)]
+    names = (*TABLE_NAMES, *CALIBRATION_TABLES, *STUDY_TABLES)
+    parts += [f"## {name}\n{_ROWS[name]}\n\n{markdown_of(name)}" for name in names]
     return "\n".join(parts)
 
 

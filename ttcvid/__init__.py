@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ttcvid.errors import CalibrationError, InputError, NotComparableError, OutputError, TtcvidError, UsageError
     from ttcvid.jobs.analyze import analyze
     from ttcvid.jobs.calibrate_horizon import calibrate_horizon
+    from ttcvid.jobs.collision_map import collision_map
     from ttcvid.jobs.compare import compare
     from ttcvid.jobs.evaluate import evaluate
     from ttcvid.jobs.run import Run
@@ -33,6 +34,7 @@ __all__ = [
     "UsageError",
     "analyze",
     "calibrate_horizon",
+    "collision_map",
     "compare",
     "evaluate",
     "simulate",
@@ -48,6 +50,7 @@ _HOMES = {
     "UsageError": "ttcvid.errors",
     "analyze": "ttcvid.jobs.analyze",
     "calibrate_horizon": "ttcvid.jobs.calibrate_horizon",
+    "collision_map": "ttcvid.jobs.collision_map",
     "compare": "ttcvid.jobs.compare",
     "evaluate": "ttcvid.jobs.evaluate",
     "simulate": "ttcvid.jobs.simulate",

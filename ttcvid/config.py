@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from ttcvid.model import Platform
 
@@ -19,6 +19,10 @@ class StageConfig(BaseModel):
     """Base of all parameter classes: immutable, no unknown keys, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def contradiction(self) -> str | None:
+        """What is wrong with the values together, each of which is possible; None: nothing."""
+        return None
 
 
 class TrackingConfig(StageConfig):
@@ -123,6 +127,48 @@ class HorizonCalibrationConfig(StageConfig):
     max_band_part: Fraction = Field(
         default=0.15, description="widest 95 % band (half its width) at the centre, part of the picture's height"
     )
+
+
+class CollisionMapConfig(StageConfig):
+    """What would change of our own velocity lead to: scale, own size, limits, and the map itself."""
+
+    ego_speed: str | None = Field(
+        default=None, description="own speed: 13.9 (m/s), 50km/h, or FILE:COLUMN of a table with frame or t_s"
+    )
+    camera_height_m: PositiveFloat | None = Field(default=None, description="height of the camera over the ground")
+    object_width_m: str | None = Field(
+        default=None, description="width of objects: 1.8 for all, 3=2.5 for object 3, or both with a comma between"
+    )
+    width_m: PositiveFloat | None = Field(default=None, description="own width; a scene knows its own, else 1.8")
+    length_m: PositiveFloat | None = Field(default=None, description="own length; a scene knows its own, else 4.5")
+    height_m: PositiveFloat | None = Field(default=None, description="own height; a scene knows its own, else 1.5")
+    look_ahead_s: float = Field(default=5.0, gt=0, le=60, description="collisions later than this do not count")
+    warn_s: float = Field(default=3.5, gt=0, le=60, description="an advice is given for a contact earlier than this")
+    max_probability: Fraction = Field(
+        default=0.1, description="probability of a collision above which an advice is given, and to which it leads"
+    )
+    braking_m_s2: PositiveFloat = Field(default=6.0, description="hardest braking")
+    sideways_m_s2: PositiveFloat = Field(default=3.0, description="largest acceleration sideways")
+    forward_m_s2: float = Field(default=0.0, ge=0, description="largest acceleration forward that may be advised")
+    range_m_s: PositiveFloat | None = Field(
+        default=None,
+        description="largest change forward on the map, half of it sideways; default: own speed, but 3 to 15",
+    )
+    n_cells: int = Field(default=61, ge=3, le=401, description="cells of the map each way; odd, so that one is zero")
+    units: Literal["km/h", "own-speed"] = Field(default="km/h", description="units of the picture's axes")
+
+    @field_validator("n_cells")
+    @classmethod
+    def _has_a_middle(cls, n_cells: int) -> int:
+        if n_cells % 2 == 0:
+            raise ValueError("expected an odd number, so that the middle cell is the present velocity")
+        return n_cells
+
+    def contradiction(self) -> str | None:
+        """An evasion has to be good for at least the time in which it is asked for."""
+        if self.warn_s > self.look_ahead_s:
+            return f"warn_s = {self.warn_s:g} is longer than look_ahead_s = {self.look_ahead_s:g}: shorten it"
+        return None
 
 
 class PipelineConfig(StageConfig):

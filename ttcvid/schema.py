@@ -195,6 +195,37 @@ CALIBRATION_TABLES: dict[str, tuple[Column, ...]] = {
     ),
 }
 
+EVASION_STATUS_NAMES = ("no_danger", "advice", "no_escape", "no_scale", "no_result")
+_FORWARD = _real("forward_m_s", "m/s", "change of own velocity in the direction of travel; negative brakes")
+_RIGHT = _real("right_m_s", "m/s", "change of own velocity to the right")
+_WHO = (
+    Column("name", pa.string(), "", "what is hit; null: nothing", nullable=True),
+    _count("cluster_id", "its cluster, 0 for the static scene; null: nothing", nullable=True),
+)
+
+STUDY_TABLES: dict[str, tuple[Column, ...]] = {
+    "collision_map": (
+        _FORWARD,
+        _RIGHT,
+        _real("time_s", "s", "time until the earliest possible contact; null: none within the look-ahead"),
+        _real("probability", "1", "probability of a collision within the look-ahead", nullable=False),
+        *_WHO,
+    ),
+    "evasion": (
+        _FRAME,
+        _T_S,
+        _real("own_speed_m_s", "m/s", "own speed that the frame's metres rest on"),
+        _real("time_s", "s", "time until the earliest possible contact at the present velocity; null: none"),
+        _real("probability_now", "1", "probability of a collision within the time of warning at the present velocity"),
+        *_WHO,
+        _real("forward_m_s", "m/s", "advised change of own velocity in the direction of travel; negative brakes"),
+        _real("right_m_s", "m/s", "advised change of own velocity to the right; negative is to the left"),
+        _real("probability_after", "1", "probability of a collision within the look-ahead with the advised change"),
+        _name("status", "whether there is a danger, and a way out", EVASION_STATUS_NAMES),
+    ),
+}
+"""Tables of the studies: of the other commands than ``analyze``."""
+
 
 def table_schema(name: str, metadata: dict[str, str] | None = None) -> pa.Schema:
     """The Arrow schema of a table, with the schema's version (and ``metadata``) as file metadata.
@@ -202,7 +233,7 @@ def table_schema(name: str, metadata: dict[str, str] | None = None) -> pa.Schema
     Raises
     ------
     KeyError
-        Where there is no table ``name``; the names are in `TABLE_NAMES`.
+        Where there is no table ``name``; the names are in `TABLE_NAMES`, `CALIBRATION_TABLES`, `STUDY_TABLES`.
 
     Examples
     --------
@@ -215,8 +246,8 @@ def table_schema(name: str, metadata: dict[str, str] | None = None) -> pa.Schema
 
 
 def columns_of(name: str) -> tuple[Column, ...]:
-    """The columns of a table of an analysis or of a calibration; KeyError where there is none of that name."""
-    return TABLES[name] if name in TABLES else CALIBRATION_TABLES[name]
+    """The columns of a table of an analysis, a calibration or a study; KeyError where there is none of that name."""
+    return (TABLES | CALIBRATION_TABLES | STUDY_TABLES)[name]
 
 
 def markdown_of(name: str) -> str:

@@ -20,6 +20,7 @@ from ttcvid.errors import TtcvidError, UsageError
 COMMANDS = {
     "analyze": "Collision times of everything that moves in a clip: tables and an annotated video.",
     "calibrate-horizon": "The horizon of a camera from things that move in straight lines.",
+    "collision-map": "Which change of own velocity leads to a collision, and which one avoids it.",
     "compare": "Whether two results are the same, and what is different: frames, objects, times, warnings.",
     "demo": "Render a scene with known truth, analyse and evaluate it, and say where to look.",
     "doctor": "Versions of what ttcvid stands on, and what is broken.",

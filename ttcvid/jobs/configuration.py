@@ -11,7 +11,7 @@ import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -25,7 +25,7 @@ from ttcvid.jobs.layers import (
     layer_from_environment,
     layer_from_file,
 )
-from ttcvid.jobs.options import ALTERNATIVES, SECTIONS, AnalyzeOptions
+from ttcvid.jobs.options import ALTERNATIVES, ANALYSIS_SECTIONS, SECTIONS, AnalyzeOptions
 
 PROJECT_FILE = "ttcvid.toml"
 
@@ -44,7 +44,9 @@ class Configuration:
 
     def as_manifest(self) -> dict[str, dict[str, dict[str, Any]]]:
         """``{section: {key: {"value": ..., "origin": ...}}}``, ready for JSON."""
-        sections: dict[str, StageConfig] = {name: getattr(self.pipeline, name, self.options) for name in SECTIONS}
+        sections: dict[str, StageConfig] = {
+            name: getattr(self.pipeline, name, self.options) for name in ANALYSIS_SECTIONS
+        }
         sections["overlay"] = self.overlay
         return {
             section: {
@@ -67,7 +69,40 @@ def configure_from_arguments(options: Mapping[str, Any], config: Path | None = N
     return _resolve(layer_from_arguments(options), config)
 
 
+Study = TypeVar("Study", bound=StageConfig)
+
+
+def configure_study(
+    section: str, parameters: type[Study], options: Mapping[str, Any], config: Path | None = None, is_text: bool = False
+) -> Study:
+    """Resolve the section of a study: ``options`` (None: not given) over the environment, files and defaults.
+
+    With ``is_text`` the options come from the command line, else from Python.
+    """
+    explicit = Layer("command line" if is_text else "argument", is_text)
+    for name, value in options.items():
+        if value is not None:
+            explicit.add(section, name, value, f"--{name.replace('_', '-')}" if is_text else name)
+    merged, _ = _merge(explicit, config)
+    study = parameters(**merged[section])
+    # Known only when the values of all places are together.
+    contradiction = study.contradiction()
+    if contradiction is not None:
+        raise UsageError(f"[{section}] {contradiction}")
+    return study
+
+
 def _resolve(explicit: Layer, config: Path | None) -> Configuration:
+    merged, origins = _merge(explicit, config)
+    stages = {name: values for name, values in merged.items() if name in PipelineConfig.model_fields}
+    options = AnalyzeOptions(**merged["analyze"])
+    return Configuration(
+        options, PipelineConfig(**stages, seed=options.seed), OverlayConfig(**merged["overlay"]), origins
+    )
+
+
+def _merge(explicit: Layer, config: Path | None) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
+    """Values by section and key, and the origin of each ``section.key``, of all places together."""
     files = [path for path in (config, Path(PROJECT_FILE)) if path is not None]
     if not Path(PROJECT_FILE).exists():
         files.pop()
@@ -76,11 +111,7 @@ def _resolve(explicit: Layer, config: Path | None) -> Configuration:
     origins: dict[str, str] = {}
     for layer in reversed(strongest_first):
         _lay_over(merged, origins, layer)
-    stages = {name: values for name, values in merged.items() if name in PipelineConfig.model_fields}
-    options = AnalyzeOptions(**merged["analyze"])
-    return Configuration(
-        options, PipelineConfig(**stages, seed=options.seed), OverlayConfig(**merged["overlay"]), origins
-    )
+    return merged, origins
 
 
 def _lay_over(merged: dict[str, dict[str, Any]], origins: dict[str, str], layer: Layer) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator
 
-from ttcvid.config import OverlayConfig, PipelineConfig, PositiveFloat, StageConfig
+from ttcvid.config import CollisionMapConfig, OverlayConfig, PipelineConfig, PositiveFloat, StageConfig
 from ttcvid.model import ImageSize
 
 _SIZE = re.compile(r"([1-9]\d{0,5})x([1-9]\d{0,5})")
@@ -60,8 +60,18 @@ def _stage_sections() -> dict[str, type[StageConfig]]:
     return {name: stage for name, stage in stages.items() if isinstance(stage, type) and issubclass(stage, StageConfig)}
 
 
-SECTIONS: dict[str, type[StageConfig]] = {"analyze": AnalyzeOptions, **_stage_sections(), "overlay": OverlayConfig}
-"""Every section of a configuration file, with the class that checks it."""
+ANALYSIS_SECTIONS: dict[str, type[StageConfig]] = {
+    "analyze": AnalyzeOptions,
+    **_stage_sections(),
+    "overlay": OverlayConfig,
+}
+"""Sections of a configuration file that an analysis follows, with the class that checks each."""
+
+STUDY_SECTIONS: dict[str, type[StageConfig]] = {"collision_map": CollisionMapConfig}
+"""Sections of the other commands."""
+
+SECTIONS = {**ANALYSIS_SECTIONS, **STUDY_SECTIONS}
+"""Every section of a configuration file."""
 
 SHORTCUTS = {
     "tracker": ("tracking", "tracker"),

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import ndtr
@@ -73,9 +74,7 @@ class CollisionMap:
     horizon_s: float
 
 
-def collision_map(
-    situation: Situation, forward_m_s: Floats, right_m_s: Floats, horizon_s: float
-) -> CollisionMap:
+def map_of_changes(situation: Situation, forward_m_s: Floats, right_m_s: Floats, horizon_s: float) -> CollisionMap:
     """The map of a moment.
 
     Parameters
@@ -94,7 +93,7 @@ def collision_map(
     >>> from ttcvid.studies.hazards import one_object
     >>> post = one_object("post", 0, np.array([[0.0, 0.0, 20.0]]), np.array([[0.0, 0.0, -10.0]]), np.zeros((1, 3)))
     >>> situation = Situation(post, OwnBody(2.0, 2.0, 2.0), np.array([0.0, 0.0, 10.0]))
-    >>> collision_map(situation, np.array([-10.0, 0.0]), np.array([0.0]), 5.0).time_s
+    >>> map_of_changes(situation, np.array([-10.0, 0.0]), np.array([0.0]), 5.0).time_s
     array([[nan],
            [1.9]])
     """
@@ -147,7 +146,7 @@ def ways(situation: Situation, change_m_s: Floats, horizon_s: float, ramp_s: Flo
         return [Leg(0.0, horizon_s, np.zeros_like(change_m_s), change_m_s)]
     knots = leg_times(horizon_s)
     shift, legs = np.zeros_like(change_m_s), []
-    for start, end in zip(knots[:-1], knots[1:], strict=True):
+    for start, end in pairwise(knots.tolist()):
         share = 1.0 if ramp_s is None else (_ramped_s(end, ramp_s) - _ramped_s(start, ramp_s))[:, None] / (end - start)
         changed = own_velocity_m_s + share * change_m_s
         extra = turned_right(changed, 0.5 * turn_rad_s * (start + end)) - own_velocity_m_s
@@ -272,12 +271,12 @@ def _sigma_down(hazards: Hazards, t_s: Floats) -> Floats:
 def _variance(covariance: Floats, i: int, j: int, t_s: Floats) -> Floats:
     """Element (i, j) of the covariance of P + V t."""
     constant, square = covariance[:, i, j], covariance[:, 3 + i, 3 + j]
-    linear = 0.5 * (covariance[:, i, 3 + j] + covariance[:, 3 + i, j] + covariance[:, j, 3 + i] + covariance[:, 3 + j, i])
+    linear = covariance[:, i, 3 + j] + covariance[:, j, 3 + i]
     return constant[:, None] + t_s * (linear[:, None] + t_s * square[:, None])
 
 
 def _by_object(hazards: Hazards, time: Floats, probability: Floats, n_objects: int) -> Outcomes:
-    """Boxes ``(N, C)`` gathered: together within an alternative, weighted over alternatives, independent over objects."""
+    """Boxes ``(N, C)`` gathered: together in an alternative, weighted over alternatives, independent over objects."""
     n_ways = time.shape[1]
     key = hazards.object_index * (hazards.alternative.max() + 1) + hazards.alternative
     first = np.flatnonzero(np.diff(key, prepend=-1))

@@ -1,0 +1,186 @@
+"""The picture of a collision map, to be read at once: colour is time, hatching a likely collision, a dot for now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from scipy import ndimage
+
+from ttcvid.model import Bools, Floats
+from ttcvid.studies.collision_map import LIKELY, POSSIBLE, CollisionMap
+from ttcvid.studies.evasion import Evasion, EvasionStatus
+
+KM_H = 3.6
+_FREE = "#e9f1ee"
+_TIMES: Colormap = LinearSegmentedColormap.from_list("times", ["#7a0010", "#d7301f", "#fc8d59", "#fdd49e", "#fff3d6"])
+"""From now (dark red) to the end of the look-ahead (pale)."""
+_PALE = 0.45
+"""Share of a time's colour that is left where a collision is possible but not likely."""
+_ADVICE, _INK = "#0b5fa5", "#1a1a1a"
+_MAX_NAMES = 7
+_MIN_NAMED_CELLS = 12
+_NAME_SHARE = 0.1
+"""A name reaches this share of the map's width to either side of its middle."""
+_HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=3, foreground="white")]
+
+
+@dataclass(frozen=True)
+class MapCaption:
+    """What the picture says in words: a title, and lines of notes under the map."""
+
+    title: str
+    notes: Sequence[str] = ()
+
+
+def collision_map_figure(
+    collision_map: CollisionMap,
+    advice: Evasion,
+    own_speed_m_s: float,
+    units: str,
+    caption: MapCaption,
+    families: Sequence[tuple[str, Floats]] = (),
+) -> Figure:
+    """The picture of one map.
+
+    Parameters
+    ----------
+    units
+        ``"km/h"``, or ``"own-speed"``: parts of own speed in percent.
+    families
+        Objects of unknown speed: name, and the centres ``(K, 2)`` (forward, right in m/s) of what would hit us, from
+        the slowest to the fastest that it can be.
+    """
+    scale = KM_H if units == "km/h" else 100.0 / own_speed_m_s
+    label = "km/h" if units == "km/h" else "% of own speed"
+    figure = Figure(figsize=(8.6, 7.4), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    rows = figure.add_gridspec(2, 1, height_ratios=[1.0, 0.045 + 0.03 * len(caption.notes)])
+    axes, foot = figure.add_subplot(rows[0]), figure.add_subplot(rows[1])
+    right, forward = collision_map.right_m_s * scale, collision_map.forward_m_s * scale
+    extent = (*_edges(right), *_edges(forward))
+    axes.imshow(_colours(collision_map), origin="lower", extent=extent, aspect="auto", interpolation="nearest")
+    _hatch(axes, right, forward, collision_map.probability >= LIKELY)
+    _draw_families(axes, families, scale, extent)
+    _name_objects(axes, collision_map, advice.object_index, scale)
+    _draw_now_and_advice(axes, advice, scale)
+    axes.axhline(0, color=_INK, lw=0.6, alpha=0.4, zorder=1.5)
+    axes.axvline(0, color=_INK, lw=0.6, alpha=0.4, zorder=1.5)
+    axes.set(xlim=extent[:2], ylim=extent[2:])
+    axes.set_xlabel(f"← to the left      change of own velocity sideways, {label}      to the right →")
+    axes.set_ylabel(f"← slower      change of own speed, {label}      faster →")
+    axes.set_title(caption.title, fontsize=11, loc="left", wrap=True)
+    colours = ScalarMappable(Normalize(0, collision_map.horizon_s), _TIMES)
+    figure.colorbar(colours, ax=axes, label="time until contact, s", fraction=0.045, pad=0.02)
+    handles = _legend(advice, bool(families))
+    foot.set_axis_off()
+    foot.legend(handles=handles, loc="upper left", ncols=len(handles), frameon=False, fontsize=9, borderaxespad=0.0)
+    foot.text(0.0, 0.0, "\n".join(caption.notes), fontsize=8.5, color="#444444", transform=foot.transAxes)
+    return figure
+
+
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG or SVG, by the name; the same figure gives the same bytes."""
+    metadata = {"Date": None} if path.suffix == ".svg" else {"Software": None}
+    figure.savefig(path, metadata=metadata, bbox_inches="tight", pad_inches=0.15)
+
+
+def _edges(values: Floats) -> tuple[float, float]:
+    step = float(values[1] - values[0])
+    return float(values[0] - 0.5 * step), float(values[-1] + 0.5 * step)
+
+
+def _colours(collision_map: CollisionMap) -> Floats:
+    """Colours ``(F, R, 3)``: by time where a collision is likely, paler where it is possible, else free."""
+    colours = _TIMES(np.nan_to_num(collision_map.time_s) / collision_map.horizon_s)[..., :3]
+    free = np.array(to_rgb(_FREE))
+    p = collision_map.probability[..., None]
+    share = np.where(p >= LIKELY, 1.0, _PALE)
+    shown = (p >= POSSIBLE) & np.isfinite(collision_map.time_s)[..., None]
+    return np.where(shown, share * colours + (1.0 - share) * free, free)
+
+
+def _hatch(axes: Axes, x: Floats, y: Floats, is_likely: Bools) -> None:
+    """Hatching where a collision is likely, with its outline."""
+    if not is_likely.any():
+        return
+    value = is_likely.astype(float)
+    axes.contourf(x, y, value, levels=[0.5, 1.5], colors="none", hatches=["////"], zorder=2)
+    axes.contour(x, y, value, levels=[0.5], colors=[_INK], linewidths=0.9, zorder=2)
+
+
+def _draw_families(
+    axes: Axes, families: Sequence[tuple[str, Floats]], scale: float, extent: tuple[float, float, float, float]
+) -> None:
+    """The changes that would hit an object of unknown speed, as a line over its possible speeds."""
+    for name, centres in families:
+        axes.plot(centres[:, 1] * scale, centres[:, 0] * scale, color="#5b3a8c", lw=1.6, ls=(0, (4, 2)), zorder=3)
+        inside = (centres[:, 1] * scale > extent[0]) & (centres[:, 1] * scale < extent[1])
+        inside &= (centres[:, 0] * scale > extent[2]) & (centres[:, 0] * scale < extent[3])
+        if inside.any():
+            at = centres[np.flatnonzero(inside)[-1]] * scale
+            text = axes.text(at[1], at[0], f"{name}, speed unknown", color="#5b3a8c", fontsize=9, zorder=5)
+            text.set_path_effects(_HALO)
+
+
+def _name_objects(axes: Axes, collision_map: CollisionMap, first: int, scale: float) -> None:
+    """The names of what we would hit: ``first``, then what takes up most of the map; each inside its largest piece."""
+    index = collision_map.object_index
+    sizes = {k: int((index == k).sum()) for k in np.unique(index[index >= 0]).tolist()}
+    big = [k for k in sizes if sizes[k] >= _MIN_NAMED_CELLS or k == first]
+    big.sort(key=lambda k: (k != first, -sizes[k]))
+    n_columns = index.shape[1]
+    for k in big[:_MAX_NAMES]:
+        inner = ndimage.distance_transform_edt(np.pad(index == k, 1))[1:-1, 1:-1]
+        row, column = divmod(int(inner.argmax()), n_columns)
+        margin = int(_NAME_SHARE * n_columns)
+        column = min(max(column, margin), n_columns - 1 - margin)
+        text = axes.text(
+            collision_map.right_m_s[column] * scale,
+            collision_map.forward_m_s[row] * scale,
+            collision_map.names[k],
+            ha="center",
+            va="center",
+            fontsize=9.5 if collision_map.cluster_ids[k] else 8.5,
+            fontweight="bold" if collision_map.cluster_ids[k] else "normal",
+            color=_INK,
+            clip_on=True,
+            zorder=4,
+        )
+        text.set_path_effects(_HALO)
+
+
+def _draw_now_and_advice(axes: Axes, advice: Evasion, scale: float) -> None:
+    """A dot for the present velocity, an arrow to the advised one; where that is too near for an arrow, its head."""
+    axes.plot(0, 0, "o", ms=10, mfc=_INK, mec="white", mew=1.5, zorder=6)
+    if advice.status not in (EvasionStatus.advice, EvasionStatus.no_escape):
+        return
+    tip = (advice.right_m_s * scale, advice.forward_m_s * scale)
+    arrow = {"arrowstyle": "-|>", "color": _ADVICE, "lw": 3.5, "mutation_scale": 24, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", tip, (0, 0), arrowprops=arrow, zorder=5)
+    axes.plot(*tip, "D", ms=7, mfc=_ADVICE, mec="white", mew=1.2, zorder=7)
+
+
+def _legend(advice: Evasion, has_families: bool) -> list[Patch | Line2D]:
+    handles: list[Patch | Line2D] = [
+        Line2D([], [], marker="o", ls="", ms=9, mfc=_INK, mec="white", label="now"),
+        Patch(facecolor=_TIMES(0.3), hatch="////", edgecolor=_INK, label="collision likely"),
+        Patch(facecolor="#f3d6cb", edgecolor="#999999", label="possible (uncertain)"),
+        Patch(facecolor=_FREE, edgecolor="#999999", label="free"),
+    ]
+    if advice.status in (EvasionStatus.advice, EvasionStatus.no_escape):
+        words = "advice" if advice.status is EvasionStatus.advice else "least bad (no way out)"
+        handles.insert(1, Line2D([], [], color=_ADVICE, lw=3, marker="D", mec="white", ms=7, label=words))
+    if has_families:
+        handles.append(Line2D([], [], color="#5b3a8c", ls="--", label="speed of object unknown"))
+    return handles
