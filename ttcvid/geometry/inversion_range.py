@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.quotient import quotient
-from ttcvid.model import Bools, Floats
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Floats
 
 # 90 % quantile of chi-square with two degrees of freedom.
 _CHI2_90_TWO = 4.605170185988092
 
 _N_UNIFORM = 8
 _N_DENSE = 20
-# Tangents of half the angle at which the border is looked at: one set uniform, one to be squeezed (see `_border`).
+# Tangents of half the angle at which the border is looked at: one set uniform, one to be squeezed (see `_look_around`).
 _UNIFORM_TAN = np.tan(0.5 * np.pi * (np.arange(_N_UNIFORM) - 0.5 * (_N_UNIFORM - 1)) / (0.5 * _N_UNIFORM))
 _DENSE_TAN = np.tan(0.5 * np.pi * (np.arange(_N_DENSE) - 0.5 * (_N_DENSE - 1)) / (0.5 * _N_DENSE))
 _MIN_SQUEEZE = 1e-9
@@ -24,10 +24,6 @@ _MIN_SQUEEZE = 1e-9
 _CLOSEST_POINT_STEPS = 6
 _NEWTON_STEPS = 2
 _MAX_HALF_STEP = 0.15
-# The four objectives, all maximised: signs and components of (q, u) / (q^2 + u^2). They are minus the lower tcpa, the
-# upper tcpa, minus the lower miss, the upper miss.
-_SIGNS = np.array([[1.0], [-1.0], [-1.0], [1.0]])
-_COMPONENTS = np.array([0, 0, 1, 1])
 # Added to denominators that are zero only together with their numerators.
 _TINY = 1e-300
 
@@ -47,131 +43,139 @@ def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats,
     Lower and upper bound of the first, then of the second, each ``(N,)`` in s. NaN where infinite: an ellipse with
     the origin inside has no bounds of the first and no upper bound of the second.
     """
-    variance_q, variance_u, mixed = cov[:, 0, 0], cov[:, 1, 1], cov[:, 0, 1]
-    q, u = rates[:, 0], rates[:, 1]
-    determinant = variance_q * variance_u - mixed * mixed
-    mahalanobis = variance_u * q * q - 2.0 * mixed * q * u + variance_q * u * u
-    holds_origin = mahalanobis < _CHI2_90_TWO * determinant
-    reaches_axis = u * u <= _CHI2_90_TWO * variance_u
-
-    maxima = _border_maxima(rates, _semi_axes(cov), _axis_crossings(q, u, cov, reaches_axis))
-    maxima[:, holds_origin | np.isnan(mahalanobis)] = np.nan
-    tcpa_lo, tcpa_hi, miss_lo, miss_hi = -maxima[0], maxima[1], -maxima[2], maxima[3]
-    miss_lo = np.where(reaches_axis, 0.0, miss_lo)
-    return tcpa_lo, tcpa_hi, miss_lo, miss_hi
+    bounds = np.full((4, len(rates)), np.nan)
+    _range_of_each(np.ascontiguousarray(rates), np.ascontiguousarray(cov), bounds)
+    return bounds[0], bounds[1], bounds[2], bounds[3]
 
 
-def _semi_axes(cov: Floats) -> Floats:
-    """Semi-axes of the 90 % ellipse as columns ``(N, 2, 2)``, the longer one first."""
-    half_difference = 0.5 * (cov[:, 0, 0] - cov[:, 1, 1])
-    root = np.hypot(half_difference, cov[:, 0, 1])
-    longer = 0.5 * (cov[:, 0, 0] + cov[:, 1, 1]) + root
-    determinant = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
-    shorter = np.nan_to_num(quotient(determinant, longer))
-    angle = 0.5 * np.arctan2(cov[:, 0, 1], half_difference)
-    lengths = np.sqrt(_CHI2_90_TWO * np.maximum(np.stack([longer, shorter], axis=-1), 0.0))
-    turn = np.stack([np.stack([np.cos(angle), -np.sin(angle)], -1), np.stack([np.sin(angle), np.cos(angle)], -1)], -2)
-    axes: Floats = turn * lengths[:, None, :]
-    return axes
+@compiled
+def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
+    """Fill ``bounds (4, N)``: lower and upper tcpa, lower and upper miss."""
+    # q, u, the longer semi-axis, the shorter one; parameters (cos, sin) of the highest and lowest q and u.
+    ellipse, best = np.empty(6), np.empty((4, 2))
+    for i in range(len(rates)):
+        q, u = rates[i, 0], rates[i, 1]
+        variance_q, variance_u, mixed = cov[i, 0, 0], cov[i, 1, 1], cov[i, 0, 1]
+        reaches_axis = u * u <= _CHI2_90_TWO * variance_u
+        if reaches_axis:
+            bounds[2, i] = 0.0
+        mahalanobis = variance_u * q * q - 2.0 * mixed * q * u + variance_q * u * u
+        determinant = variance_q * variance_u - mixed * mixed
+        # Not written as its opposite: NaN ends here too.
+        if not mahalanobis >= _CHI2_90_TWO * determinant or (q == 0.0 and u == 0.0):
+            continue
+        _set_ellipse(q, u, variance_q, variance_u, mixed, ellipse)
+        _look_around(ellipse, best)
+        for which in range(4):
+            # Components and signs of (q, u) / (q^2 + u^2), all maximised: the highest q is minus the lower tcpa.
+            component, sign = which // 2, 1.0 - 2.0 * (which % 2)
+            value = _climb(ellipse, component, sign, best[which, 0], best[which, 1])
+            value = max(value, sign * (u if component else q) / (q * q + u * u))
+            if reaches_axis and not component:
+                slope = mixed / variance_u if variance_u > 0.0 else 0.0
+                left_over = _CHI2_90_TWO - (u * u / variance_u if variance_u > 0.0 else 0.0)
+                half_width = np.sqrt(max(left_over, 0.0) * max(variance_q - slope * mixed, 0.0))
+                for side in (-1.0, 1.0):
+                    crossing = q - slope * u + side * half_width
+                    if crossing != 0.0:
+                        value = max(value, sign / crossing)
+            if component == 0:
+                bounds[which, i] = -sign * value
+            elif which == 2:
+                bounds[3, i] = value
+            elif not reaches_axis:
+                bounds[2, i] = -value
 
 
-def _axis_crossings(q: Floats, u: Floats, cov: Floats, reaches_axis: Bools) -> Floats:
-    """The two q ``(2, N)`` at which the ellipse crosses u = 0; NaN where it does not."""
-    slope = np.nan_to_num(quotient(cov[:, 0, 1], cov[:, 1, 1]))
-    left_over = np.maximum(_CHI2_90_TWO - np.nan_to_num(quotient(u * u, cov[:, 1, 1])), 0.0)
-    half_width = np.sqrt(left_over * np.maximum(cov[:, 0, 0] - slope * cov[:, 0, 1], 0.0))
-    crossings = q - slope * u + np.array([[-1.0], [1.0]]) * half_width
-    return np.where(reaches_axis, crossings, np.nan)
+@compiled
+def _set_ellipse(q: float, u: float, variance_q: float, variance_u: float, mixed: float, ellipse: Floats) -> None:
+    """Centre and semi-axes (q and u of the longer one, of the shorter one) of the 90 % ellipse."""
+    half_difference = 0.5 * (variance_q - variance_u)
+    longer = 0.5 * (variance_q + variance_u) + np.hypot(half_difference, mixed)
+    shorter = (variance_q * variance_u - mixed * mixed) / longer if longer > 0.0 else 0.0
+    angle = 0.5 * np.arctan2(mixed, half_difference)
+    long, short = np.sqrt(_CHI2_90_TWO * max(longer, 0.0)), np.sqrt(_CHI2_90_TWO * max(shorter, 0.0))
+    ellipse[0], ellipse[1] = q, u
+    ellipse[2], ellipse[3] = long * np.cos(angle), long * np.sin(angle)
+    ellipse[4], ellipse[5] = -short * np.sin(angle), short * np.cos(angle)
 
 
-def _border_maxima(centre: Floats, axes: Floats, crossings: Floats) -> Floats:
-    """Maxima ``(4, N)`` of the objectives over the ellipse cut at u >= 0: border, crossings of u = 0, centre."""
-    cos, sin = _border(centre, axes)
-    q = centre[:, :1] + axes[:, 0, :1] * cos + axes[:, 0, 1:] * sin
-    u = centre[:, 1:] + axes[:, 1, :1] * cos + axes[:, 1, 1:] * sin
-    square = q * q + u * u
-    inverse = quotient(1.0, square)
-    is_below = ~(u >= 0.0)
-    q *= inverse
-    u *= inverse
-    q[is_below], u[is_below] = -np.inf, -np.inf
-    highest = q.argmax(1), u.argmax(1)
-    q[is_below], u[is_below] = np.inf, np.inf
-    best = np.stack([highest[0], q.argmin(1), u.argmin(1), highest[1]])
-    rows = np.arange(len(centre))
-    maxima = _climb(centre, axes, cos[rows, best], sin[rows, best])
-    maxima[:2] = np.fmax(maxima[:2], _SIGNS[:2] * quotient(1.0, crossings[0]))
-    maxima[:2] = np.fmax(maxima[:2], _SIGNS[:2] * quotient(1.0, crossings[1]))
-    at_centre = quotient(centre, np.einsum("ni,ni->n", centre, centre)[:, None])
-    np.fmax(maxima, _SIGNS * at_centre.T[_COMPONENTS], out=maxima)
-    return maxima
+@compiled
+def _look_around(ellipse: Floats, best: Floats) -> None:
+    """Cosine and sine ``best (4, 2)`` of the border's points, at u >= 0, with the highest and lowest objectives.
 
-
-def _border(centre: Floats, axes: Floats) -> tuple[Floats, Floats]:
-    """Cosines and sines ``(N, n)`` of the parameter of points on the ellipse, dense where it is next to the origin.
-
-    Where the ellipse passes the origin at a distance small against its axes, the inversion has a peak there of the
-    width ``squeeze``. Half-angle tangents times ``squeeze`` resolve that peak as they resolve a circle.
+    The border is looked at in points that are dense where it is next to the origin: where the ellipse passes the origin
+    at a distance small against its axes, the inversion has a peak there of the width ``squeeze``. Half-angle tangents
+    times ``squeeze`` resolve that peak as they resolve a circle.
     """
-    cos0, sin0 = _closest_to_origin(centre, axes)
-    offset = axes[:, :, 0] * cos0[:, None] + axes[:, :, 1] * sin0[:, None]
-    tangent = axes[:, :, 1] * cos0[:, None] - axes[:, :, 0] * sin0[:, None]
-    point = centre + offset
-    bend = np.einsum("ni,ni->n", tangent, tangent) - np.einsum("ni,ni->n", point, offset)
-    squeeze2 = quotient(np.einsum("ni,ni->n", point, point), np.where(bend > 0.0, bend, np.nan))
-    squeeze = np.sqrt(np.clip(np.nan_to_num(squeeze2, nan=1.0), _MIN_SQUEEZE**2, 1.0))
-    tangents = np.concatenate(
-        [np.broadcast_to(_UNIFORM_TAN, (len(centre), _N_UNIFORM)), squeeze[:, None] * _DENSE_TAN], axis=1
-    )
-    square = tangents * tangents
-    scale = 1.0 / (1.0 + square)
-    cos, sin = (1.0 - square) * scale, 2.0 * tangents * scale
-    return cos * cos0[:, None] - sin * sin0[:, None], sin * cos0[:, None] + cos * sin0[:, None]
+    q0, u0, aq, au, bq, bu = ellipse
+    cos0, sin0 = _closest_to_origin(ellipse)
+    offset_q, offset_u = aq * cos0 + bq * sin0, au * cos0 + bu * sin0
+    tangent_q, tangent_u = bq * cos0 - aq * sin0, bu * cos0 - au * sin0
+    near_q, near_u = q0 + offset_q, u0 + offset_u
+    bend = tangent_q * tangent_q + tangent_u * tangent_u - near_q * offset_q - near_u * offset_u
+    squeeze = 1.0
+    if bend > 0.0:
+        squeeze = np.sqrt(min(max((near_q * near_q + near_u * near_u) / bend, _MIN_SQUEEZE * _MIN_SQUEEZE), 1.0))
+    extremes = np.array([-np.inf, np.inf, -np.inf, np.inf])
+    best[:, 0], best[:, 1] = cos0, sin0
+    for k in range(_N_UNIFORM + _N_DENSE):
+        tangent = _UNIFORM_TAN[k] if k < _N_UNIFORM else squeeze * _DENSE_TAN[k - _N_UNIFORM]
+        scale = 1.0 / (1.0 + tangent * tangent)
+        cosine, sine = (1.0 - tangent * tangent) * scale, 2.0 * tangent * scale
+        cos, sin = cosine * cos0 - sine * sin0, sine * cos0 + cosine * sin0
+        q, u = q0 + aq * cos + bq * sin, u0 + au * cos + bu * sin
+        if not u >= 0.0:
+            continue
+        inverse = 1.0 / (q * q + u * u)
+        for which in range(4):
+            value = (u if which >= 2 else q) * inverse
+            if (which % 2 == 0 and value > extremes[which]) or (which % 2 == 1 and value < extremes[which]):
+                extremes[which] = value
+                best[which, 0], best[which, 1] = cos, sin
 
 
-def _closest_to_origin(centre: Floats, axes: Floats) -> tuple[Floats, Floats]:
+@compiled
+def _closest_to_origin(ellipse: Floats) -> tuple[float, float]:
     """Cosine and sine of the parameter of the ellipse's point nearest to an origin outside of it.
 
     Newton on Eberly's equation, *Distance from a Point to an Ellipse*, 2013: convex, and started on its left.
     """
-    lengths = np.sqrt(np.einsum("nij,nij->nj", axes, axes))
-    towards = -np.nan_to_num(quotient(np.einsum("nij,ni->nj", axes, centre), lengths))
-    a, b = lengths.T
-    a_y, b_y = (lengths * np.abs(towards)).T
-    t = np.maximum(a_y - a * a, b_y - b * b)
+    q0, u0, aq, au, bq, bu = ellipse
+    a, b = np.hypot(aq, au), np.hypot(bq, bu)
+    towards_a, towards_b = -(aq * q0 + au * u0), -(bq * q0 + bu * u0)
+    a_y, b_y = abs(towards_a), abs(towards_b)
+    t = max(a_y - a * a, b_y - b * b)
     for _ in range(_CLOSEST_POINT_STEPS):
         t_a, t_b = t + a * a + _TINY, t + b * b + _TINY
         first, second = (a_y / t_a) ** 2, (b_y / t_b) ** 2
         t += (first + second - 1.0) / (2.0 * (first / t_a + second / t_b) + _TINY)
-    cos = np.minimum(a_y / (t + a * a + _TINY), 1.0)
+    cos = min(a_y / (t + a * a + _TINY), 1.0)
     sin = np.sqrt(1.0 - cos * cos)
-    return np.copysign(cos, towards[:, 0]), np.copysign(sin, towards[:, 1])
+    return np.copysign(cos, towards_a), np.copysign(sin, towards_b)
 
 
-def _climb(centre: Floats, axes: Floats, cos: Floats, sin: Floats) -> Floats:
-    """Maxima ``(4, N)`` of the objectives along the ellipse near the parameters ``(4, N)``, by Newton steps uphill.
+@compiled
+def _climb(ellipse: Floats, component: int, sign: float, cos: float, sin: float) -> float:
+    """Maximum of an objective along the ellipse near a parameter, by Newton steps uphill.
 
     The steps go to the zero of the derivative's numerator, ``n' D - n D'`` with the objective n / D.
     """
-    # First the component of the objective, then the other one; the parts of the two axes likewise.
-    others = 1 - _COMPONENTS
-    n_0, m_0 = centre.T[_COMPONENTS], centre.T[others]
-    n_a, n_b = axes[:, :, 0].T[_COMPONENTS], axes[:, :, 1].T[_COMPONENTS]
-    m_a, m_b = axes[:, :, 0].T[others], axes[:, :, 1].T[others]
-    best = np.full(cos.shape, -np.inf)
+    other = 1 - component
+    n_0, n_a, n_b = ellipse[component], ellipse[2 + component], ellipse[4 + component]
+    m_0, m_a, m_b = ellipse[other], ellipse[2 + other], ellipse[4 + other]
+    best = -np.inf
     for _ in range(_NEWTON_STEPS + 1):
         n_offset, m_offset = n_a * cos + n_b * sin, m_a * cos + m_b * sin
         n, m = n_0 + n_offset, m_0 + m_offset
         square = n * n + m * m
-        value = _SIGNS * quotient(n, square)
-        value[:2][~(m[:2] >= 0.0)], value[2:][~(n[2:] >= 0.0)] = -np.inf, -np.inf
-        best = np.fmax(best, value)
+        if (n if component else m) >= 0.0 and square > 0.0:
+            best = max(best, sign * n / square)
         n_1, m_1 = n_b * cos - n_a * sin, m_b * cos - m_a * sin
         bend = n_1 * n_1 + m_1 * m_1 - n * n_offset - m * m_offset
         slope = n_1 * square - 2.0 * n * (n * n_1 + m * m_1)
-        curvature = np.abs(n_offset * square + 2.0 * n * bend)
-        half_step = 0.5 * _SIGNS * slope / (curvature + _TINY)
-        half_step = np.clip(half_step, -_MAX_HALF_STEP, _MAX_HALF_STEP)
+        curvature = abs(n_offset * square + 2.0 * n * bend)
+        half_step = min(max(0.5 * sign * slope / (curvature + _TINY), -_MAX_HALF_STEP), _MAX_HALF_STEP)
         scale = 1.0 / (1.0 + half_step * half_step)
         turn_cos, turn_sin = (1.0 - half_step * half_step) * scale, 2.0 * half_step * scale
         cos, sin = cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin
