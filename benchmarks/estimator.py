@@ -25,7 +25,8 @@ from ttcvid.model import CollisionTimes, Floats
 
 FOCAL_PX, DT_S = 720.0, 0.1
 SIGMAS_PX, FRAMES_TO_GO, WINDOWS = (0.2, 0.5), (10, 20, 40, 60, 90, 120), (10, 20)
-PLANE = MotionPlane(np.array([0.0, -1.0, 0.0]), np.radians(0.1))
+PLANE_SIGMA_RAD = np.radians(0.1)
+PLANE = MotionPlane(np.array([0.0, -1.0, 0.0]), PLANE_SIGMA_RAD**2 * np.diag([1.0, 0.0, 1.0]))
 CASES = ("general", "planar", "known direction")
 RMSE_BAR, COVER_LOW_BAR, COVER_HIGH_BAR, COVER_LOW_BAR = (
     Bar(1.1),
@@ -65,7 +66,7 @@ def draw(case: str, k_frames: int, n_frames: int, sigma_px: float, n: int, rng: 
     if case == "planar":
         # The epipole lies on the horizon, but for its error; points too near the horizon have no planar answer.
         place[:, 1] = np.where(place[:, 1] < 0, -1, 1) * np.maximum(np.abs(place[:, 1]), 20.0 / FOCAL_PX)
-        epipole = np.column_stack([place[:, 0] + rho * np.cos(angle), PLANE.sigma_rad * rng.normal(size=n)])
+        epipole = np.column_stack([place[:, 0] + rho * np.cos(angle), PLANE_SIGMA_RAD * rng.normal(size=n)])
     rate = -eta_hz * np.column_stack([epipole, np.ones(n)])
     t_s = -DT_S * np.arange(n_frames)[::-1]
     noise = sigma_px / FOCAL_PX * rng.normal(size=(n_frames, n, 2))
@@ -118,7 +119,7 @@ def bound_of_eta(case: str, tracks: Tracks) -> Floats:
     if case == "planar":
         prior = np.zeros((5, 5))
         prior[2:, 2:] = np.outer(PLANE.normal, PLANE.normal)
-        fisher = fisher + prior / (PLANE.sigma_rad * speed[:, None, None]) ** 2
+        fisher = fisher + prior / (PLANE_SIGMA_RAD * speed[:, None, None]) ** 2
     bound = np.sqrt(np.linalg.inv(fisher)[:, -1, -1])
     return bound * np.abs(rate[:, 2]) / speed if case == "known direction" else bound
 

@@ -69,7 +69,11 @@ class MotionGroupsConfig(StageConfig):
 class CollisionTimesConfig(StageConfig):
     """Which of the estimators gives the times, and over which frames."""
 
-    estimator: Literal["two-frame", "three-frame"] = "two-frame"
+    estimator: Literal["multi-frame", "three-frame", "two-frame"] = "multi-frame"
+    max_frames: int = Field(default=20, ge=3, le=100, description="multi-frame: most views of a track")
+    window_probability: Fraction = Field(
+        default=0.999, description="multi-frame: chi-square probability within which one motion explains the views"
+    )
     max_gap_frames: int = Field(default=10, ge=1, le=60, description="largest frame gap of the flexible baseline")
     target_flow_px: PositiveFloat = Field(default=8.0, description="the gap grows until the flow is this long")
 

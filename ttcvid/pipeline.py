@@ -158,7 +158,7 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
         rng,
         clip.config,
     )
-    states, tracks = track_rows(history, motions, clip.config.collision_times)
+    states, tracks = track_rows(history, motions, clip.config.collision_times, plane)
     clusters = cluster_rows(history, motions, states, clip.camera)
     events, watch = update_events(memory.events, frame.index, frame.t_s, clusters, clip.camera, clip.config.events)
     result = FrameResult(
@@ -199,7 +199,8 @@ def _after_cut(memory: Memory, clip: Clip) -> Memory:
 def _with_points(frame: Frame, points: PointSet, memory: Memory, clip: Clip) -> TrackHistory:
     """The history with this frame's points as rays; a point that no ray belongs to (far outside a lens) has NaN."""
     rays = normalize(rays_from_pixels(clip.camera, points.xy_px))
-    max_frames = max(_LEAST_HISTORY, clip.config.collision_times.max_gap_frames + 1)
+    times = clip.config.collision_times
+    max_frames = max(_LEAST_HISTORY, times.max_gap_frames + 1, times.max_frames)
     return extended(memory.history, frame.index, frame.t_s, points, rays, max_frames)
 
 

@@ -54,8 +54,8 @@ def test_choices_and_options_are_those_of_the_configuration() -> None:
 def test_defaults_in_the_help_are_those_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:
     main(["analyze", "--help"])
     text = " ".join(capsys.readouterr().out.split())
-    for default in ("klt", "two-frame", "free", "0", "1", "--overlay"):
-        assert f"[default: {default}]" in text.replace("two- frame", "two-frame")
+    for default in ("klt", "multi-frame", "free", "0", "1", "--overlay"):
+        assert f"[default: {default}]" in text.replace("multi- frame", "multi-frame")
     assert TrackingConfig().tracker == "klt"
-    assert CollisionTimesConfig().estimator == "two-frame"
+    assert CollisionTimesConfig().estimator == "multi-frame"
     assert (AnalyzeOptions().seed, AnalyzeOptions().stride, AnalyzeOptions().overlay) == (0, 1, True)

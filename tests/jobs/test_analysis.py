@@ -174,7 +174,7 @@ def test_the_sample_configurations_run(name: str, work_folder: Path) -> None:
 
 
 @pytest.mark.parametrize("tracker", ["klt", "akaze"])
-@pytest.mark.parametrize("estimator", ["two-frame", "three-frame"])
+@pytest.mark.parametrize("estimator", ["multi-frame", "three-frame", "two-frame"])
 def test_all_methods_of_a_clip_run(tracker: str, estimator: str, work_folder: Path) -> None:
     clip = write_clip(work_folder / "clip.mp4", approach(8))
     run = ttcvid.analyze(clip, tracker=tracker, estimator=estimator, overlay=False)

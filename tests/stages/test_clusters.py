@@ -40,7 +40,7 @@ def row_of(position_m, velocity_m_s, sigma_px=0.05, direction=None, cov=None, rn
     states = two_frame_states(flows, np.tile(direction, (n + n_others, 1)), np.tile(cov, (n + n_others, 1, 1)))
     motion = ClusterMotion(cluster_id, n_others + np.arange(n), direction, cov, Status.ok, "consensus")
     common = flows.first, flows.second, 0.4
-    return object_row(motion, 1, flows, states, pixels(position_m), CAMERA, LINK_PX, common)
+    return object_row(motion, 1, states, pixels(position_m), CAMERA, LINK_PX, common)
 
 
 def timed(row):

@@ -15,7 +15,9 @@ from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, trac
 
 STATIC, CAR, LOOSE = 40, 25, 3
 OWN, CAR_V, LOOSE_V = np.array([0.0, 0.0, -8.0]), np.array([3.0, 0.3, -6.0]), np.array([0.0, 4.0, -1.0])
-TWO_FRAME, THREE_FRAME = CollisionTimesConfig(), CollisionTimesConfig(estimator="three-frame")
+TWO_FRAME, THREE_FRAME, MULTI_FRAME = (
+    CollisionTimesConfig(estimator=name) for name in ("two-frame", "three-frame", "multi-frame")
+)
 
 
 @pytest.fixture
@@ -31,6 +33,7 @@ def frame():
     position_m = np.concatenate([static, car, loose])
     velocity = np.repeat([OWN, CAR_V, LOOSE_V], [STATIC, CAR, LOOSE], axis=0)
     history = history_of(position_m, velocity, 0.05 * np.arange(9))
+    history = replace(history, scene_direction=np.tile(unit(OWN), (9, 1)))
     cluster = np.repeat([0, 4, NO_CLUSTER], [STATIC, CAR, LOOSE])
     return history, motions_of(history, cluster), position_m, velocity
 
@@ -55,7 +58,9 @@ def motions_of(history, cluster, known=(True, True)):
     )
 
 
-@pytest.mark.parametrize("config", [TWO_FRAME, THREE_FRAME], ids=["two-frame", "three-frame"])
+@pytest.mark.parametrize(
+    "config", [TWO_FRAME, THREE_FRAME, MULTI_FRAME], ids=["two-frame", "three-frame", "multi-frame"]
+)
 def test_every_track_of_a_cluster_has_its_exact_times(frame, config):
     history, motions, position_m, velocity = frame
     _, rows = track_rows(history, motions, config)
@@ -80,9 +85,10 @@ def test_tracks_without_an_epipole_have_a_reason_and_no_time(frame):
     assert (rows.cluster_id[loose] == NO_CLUSTER).all()
 
 
-def test_three_frames_give_a_time_to_tracks_of_no_cluster(frame):
+@pytest.mark.parametrize("config", [THREE_FRAME, MULTI_FRAME], ids=["three-frame", "multi-frame"])
+def test_tracks_of_no_cluster_have_times_of_their_own(frame, config):
     history, motions, position_m, velocity = frame
-    _, rows = track_rows(history, motions, THREE_FRAME)
+    _, rows = track_rows(history, motions, config)
     loose = slice(STATIC + CAR, None)
     tcpa_s = -np.einsum("ni,ni->n", position_m, velocity) / np.einsum("ni,ni->n", velocity, velocity)
     np.testing.assert_allclose(rows.times.tcpa_s[loose], tcpa_s[loose], rtol=1e-5)
@@ -90,7 +96,7 @@ def test_three_frames_give_a_time_to_tracks_of_no_cluster(frame):
 
 def test_no_result_is_a_nan_beside_a_reason_and_a_result_is_never_one(frame):
     history, motions, *_ = frame
-    for config in (TWO_FRAME, THREE_FRAME):
+    for config in (TWO_FRAME, THREE_FRAME, MULTI_FRAME):
         states, rows = track_rows(history, motions, config)
         np.testing.assert_array_equal(np.isfinite(rows.times.tcpa_s), states.has_value)
         assert len({len(v) for v in (rows.track_id, rows.cluster_id, rows.xy_px, rows.n_frames, rows.status)}) == 1

@@ -10,7 +10,7 @@ import click
 from ttcvid.cli.grouped import GroupedCommand, option_under
 
 TRACKERS = ("klt", "akaze")
-ESTIMATORS = ("two-frame", "three-frame")
+ESTIMATORS = ("multi-frame", "three-frame", "two-frame")
 PLATFORMS = ("vehicle", "aircraft", "free", "static")
 
 
@@ -50,7 +50,7 @@ _output_option = option_under("Output")
     help="What carries the camera: expectations of its own motion.  [default: free]",
 )
 @_method_option("--tracker", type=click.Choice(TRACKERS), help="How points are followed.  [default: klt]")
-@_method_option("--estimator", type=click.Choice(ESTIMATORS), help="How times are estimated.  [default: two-frame]")
+@_method_option("--estimator", type=click.Choice(ESTIMATORS), help="How times are estimated.  [default: multi-frame]")
 @_method_option("--seed", metavar="N", help="Seed of every random choice.  [default: 0]")
 @_method_option("--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker.")
 @_method_option(

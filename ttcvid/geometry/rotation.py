@@ -10,6 +10,8 @@ from ttcvid.model import Floats
 # Below this 1 + y the tangent basis changes its formula: a cap of 2.6 deg about straight up, where no motion of
 # interest points; everywhere else the basis is smooth, which keeps finite differences and Gauss-Newton steps sound.
 _CAP_ONE_PLUS_Y = 1e-3
+# Least z of a unit ray that still has a place in the plane z = 1: 87 deg from the axis.
+_LEAST_FORWARD = 0.05
 
 
 def cross(v: Floats, w: Floats) -> Floats:
@@ -98,6 +100,19 @@ def vector_from_rotation(rotation: Floats) -> Floats:
     return vectors
 
 
+def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
+    """Where turned rays meet the plane z = 1: ``(L, N, 2)`` of ``rays (L, N, 3)`` and ``rotations (L, 3, 3)``.
+
+    NaN where a ray is NaN or does not point clearly forward (z of the unit ray under 0.05) once it is turned.
+
+    >>> turned_into_plane(np.array([[[0.6, 0.0, 0.8]]]), np.eye(3)[None])
+    array([[[0.75, 0.  ]]])
+    """
+    xy = np.full((*rays.shape[:2], 2), np.nan)
+    _turn_into_plane(np.ascontiguousarray(rays), np.ascontiguousarray(rotations), xy)
+    return xy
+
+
 def tangent_basis(direction: Floats) -> Floats:
     """Two orthonormal columns normal to each unit vector; with the vector itself as third they are right-handed.
 
@@ -146,6 +161,19 @@ def _turn_each(vectors: Floats, rotations: Floats) -> None:
         r[0, 1], r[1, 0] = versed * x * y - sine * z, versed * x * y + sine * z
         r[0, 2], r[2, 0] = versed * x * z + sine * y, versed * x * z - sine * y
         r[1, 2], r[2, 1] = versed * y * z - sine * x, versed * y * z + sine * x
+
+
+@compiled
+def _turn_into_plane(rays: Floats, rotations: Floats, xy: Floats) -> None:
+    """Fill ``xy (L, N, 2)``."""
+    for place in range(len(rays)):
+        r = rotations[place]
+        for i in range(rays.shape[1]):
+            x, y, z = rays[place, i, 0], rays[place, i, 1], rays[place, i, 2]
+            depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+            if depth > _LEAST_FORWARD:
+                xy[place, i, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z) / depth
+                xy[place, i, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z) / depth
 
 
 @compiled

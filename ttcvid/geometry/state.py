@@ -86,7 +86,7 @@ def state_from_direction(
         [
             ~np.isfinite(q + r).all(axis=1) | ~np.isfinite(variance),
             ~np.isfinite(e).all(axis=1),
-            _is_at_epipole(q, r, e, variance, cov_e) | ~np.isfinite(s),
+            is_at_epipole(q, r, e, variance, cov_e) | ~np.isfinite(s),
             np.abs(s) < _RATE_SIGMAS * s_sigma,
             s < 0.0,
             np.abs(e[:, 2]) < INFINITY_COSINE,
@@ -122,8 +122,11 @@ def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple
     return s, ds_dq * scale[:, None], ds_dr * scale[:, None], ds_de * scale[:, None]
 
 
-def _is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, cov_e: Floats) -> Bools:
-    """Whether both rays lie within noise (of the ray and of e) of the line along e."""
+def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, cov_e: Floats) -> Bools:
+    """Points ``(N,)`` of which two rays ``(N, 3)`` both lie within noise (of the ray and of e) of the line along e.
+
+    ``variance (N,)`` of a ray's direction and ``cov_e (N, 3, 3)`` or ``(1, 3, 3)`` in rad^2.
+    """
     # The trace is the variance along the worse axis of a direction that is open along one, at most twice it else.
     e_variance = np.nan_to_num(np.trace(cov_e, axis1=-2, axis2=-1))
     farther = np.zeros(len(q))

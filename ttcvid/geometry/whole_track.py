@@ -37,10 +37,10 @@ _N_SUMS = 14
 
 @dataclass(frozen=True)
 class MotionPlane:
-    """The plane in which everything moves: its unit ``normal (3,)``, known to ``sigma_rad`` for each thing's motion."""
+    """The plane in which everything moves: its unit ``normal (3,)`` with ``covariance (3, 3)`` in rad^2."""
 
     normal: Floats
-    sigma_rad: float
+    covariance: Floats
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def fit_whole_tracks(
     gate_probability
         Probability with which a constant velocity keeps its whole window.
     plane
-        Planar motion, as the Gaussian prior ``normal . w ~ N(0, (sigma_rad abs(w))^2)``: then two views suffice. It is
+        Planar motion, as the Gaussian prior ``normal . w ~ N(0, w' covariance w)``: then two views suffice. It is
         part of ``cov`` and ``info_w`` then.
 
     Returns
@@ -117,7 +117,8 @@ def fit_whole_tracks(
         )
     order = np.argsort(np.abs(t_s), kind="stable")
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
-    normal, plane_sigma = (np.zeros(3), 0.0) if plane is None else (plane.normal, plane.sigma_rad)
+    nothing = np.empty(0), np.empty((0, 0))
+    normal, normal_cov = nothing if plane is None else (plane.normal, plane.covariance)
     state, cov = np.full((n, 5), np.nan), np.full((n, 5, 5), np.nan)
     info_w, chi2 = np.zeros((n, 3, 3)), np.zeros(n)
     n_frames = np.zeros(n, dtype=np.int64)
@@ -132,7 +133,7 @@ def fit_whole_tracks(
         window_gates(longest, 5, gate_probability),
         window_gates(_TAIL, 0, gate_probability),
         np.asarray(normal, dtype=np.float64),
-        plane_sigma,
+        np.asarray(normal_cov, dtype=np.float64),
         state,
         cov,
         info_w,
@@ -166,7 +167,7 @@ def window_gates(max_frames: int, n_unknowns: int, probability: float) -> Floats
 
 def _add_plane(plane: MotionPlane, state: Floats, cov: Floats, info_w: Floats) -> None:
     """Add what the plane says to the covariances and the information, in place."""
-    variance = plane.sigma_rad**2 * np.einsum("ni,ni->n", state[:, 2:], state[:, 2:])
+    variance = np.einsum("ni,ij,nj->n", state[:, 2:], plane.covariance, state[:, 2:])
     has_rate = variance > 0.0
     info_w[has_rate] += np.outer(plane.normal, plane.normal) / variance[has_rate, None, None]
     towards = cov[:, :, 2:] @ plane.normal
@@ -185,7 +186,7 @@ def _fit_each(
     gates: Floats,
     tail_gates: Floats,
     normal: Floats,
-    plane_sigma: float,
+    normal_cov: Floats,
     state: Floats,
     cov: Floats,
     info_w: Floats,
@@ -241,8 +242,8 @@ def _fit_each(
                     break
                 n -= 1
             fall = _solve(sums[n], prior, s[4], c_low, c_high, 1.0 / span, step)
-            if plane_sigma > 0.0:
-                fall = _solve_on_plane(sums[n], prior, s, x0, y0, c_low, c_high, span, normal, plane_sigma, step)
+            if len(normal):
+                fall = _solve_on_plane(sums[n], prior, s, x0, y0, c_low, c_high, span, normal, normal_cov, step)
             s += step
             chi2[i] = max(sums[n, 13] - fall, 0.0)
             if fall < _CONVERGED_CHI2 and count > 0:
@@ -332,13 +333,17 @@ def _solve_on_plane(
     c_high: float,
     span: float,
     normal: Floats,
-    plane_sigma: float,
+    normal_cov: Floats,
     step: Floats,
 ) -> float:
     """The same step with ``normal . w = 0`` as one more observation, of one w = (a' + c x0, b' + c y0, c)."""
     by_c = normal[0] * x0 + normal[1] * y0 + normal[2]
     a, b = s[2] + s[4] * x0, s[3] + s[4] * y0
-    variance = plane_sigma * plane_sigma * max(a * a + b * b + s[4] * s[4], 1e-12)
+    variance = 1e-12 + (
+        a * (normal_cov[0, 0] * a + normal_cov[0, 1] * b + normal_cov[0, 2] * s[4])
+        + b * (normal_cov[1, 0] * a + normal_cov[1, 1] * b + normal_cov[1, 2] * s[4])
+        + s[4] * (normal_cov[2, 0] * a + normal_cov[2, 1] * b + normal_cov[2, 2] * s[4])
+    )
     reach, towards = np.empty(5), row.copy()
     towards[8] = towards[10] = 0.0
     towards[9], towards[11], towards[12] = normal[0], normal[1], by_c

@@ -11,10 +11,7 @@ from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
-from ttcvid.geometry.rotation import cross
-from ttcvid.geometry.state import rate_from_direction
 from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, Floats, Ints, MotionState, Status
-from ttcvid.stages.flows import Flows
 from ttcvid.stages.surfaces import nearest_surface
 from ttcvid.stages.track_states import TrackStates
 
@@ -56,7 +53,6 @@ def scene_row(motion: ClusterMotion, xy_px: Floats, camera: Camera) -> ClusterRo
 def object_row(
     motion: ClusterMotion,
     motion_id: int,
-    flows: Flows,
     states: TrackStates,
     xy_px: Floats,
     camera: Camera,
@@ -80,7 +76,7 @@ def object_row(
     if not len(surface):
         has_note_only = row.status in (Status.ok, Status.epipole_at_infinity)
         return replace(row, status=Status.no_parallax if has_note_only else row.status)
-    return _with_surface(row, motion, flows.take(surface), states.take(surface), xy_px[surface])
+    return _with_surface(row, motion, states.take(surface), xy_px[surface])
 
 
 def motion_ids(clusters: tuple[ClusterMotion, ...]) -> list[int]:
@@ -159,9 +155,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     return [done.get(row.cluster_id, row) for row in rows]
 
 
-def _with_surface(
-    row: ClusterRow, motion: ClusterMotion, flows: Flows, states: TrackStates, xy_px: Floats
-) -> ClusterRow:
+def _with_surface(row: ClusterRow, motion: ClusterMotion, states: TrackStates, xy_px: Floats) -> ClusterRow:
     """Add the joint state of the surface's tracks at their centroid."""
     weight = 1.0 / np.maximum(states.cov[:, 2, 2], _TINY)
     weight /= weight.sum()
@@ -170,25 +164,23 @@ def _with_surface(
         row,
         ref_px=(float(ref_px[0]), float(ref_px[1])),
         state_abc_hz=weight @ states.abc_hz,
-        state_cov=_joint_covariance(motion, flows, states, weight),
+        state_cov=_joint_covariance(motion, states, weight),
     )
 
 
-def _joint_covariance(motion: ClusterMotion, flows: Flows, states: TrackStates, weight: Floats) -> Floats:
+def _joint_covariance(motion: ClusterMotion, states: TrackStates, weight: Floats) -> Floats:
     """Covariance of the weighted mean of (a, b, c) = s e: own noise averages out, errors of e and of rotation do not.
 
     Where each track has a direction of its own (three frames), nothing is common.
     """
-    if motion.direction is None or motion.direction_cov is None or not _is_shared(states.direction):
+    shared = states.shared
+    if motion.direction is None or motion.direction_cov is None or shared is None or not _is_shared(states.direction):
         return _TRIMMED_VARIANCE * np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
-    e = np.broadcast_to(motion.direction, (len(weight), 3))
-    q, r = flows.first / flows.first[:, 2:], flows.second / flows.second[:, 2:]
-    s_hz, by_q, by_r, by_e = rate_from_direction(q, r, e, flows.gap_s)
-    own = np.sum(by_q[:, :2] ** 2 + by_r[:, :2] ** 2, axis=1) * states.sigma_norm**2
-    slope = np.outer(motion.direction, weight @ by_e) + (weight @ s_hz) * np.eye(3)
+    rate_hz = weight @ (states.abc_hz @ motion.direction)
+    slope = np.outer(motion.direction, weight @ shared.by_direction) + rate_hz * np.eye(3)
     common = slope @ motion.direction_cov @ slope.T
-    by_rotation = (weight * flows.rotation_error_rad) @ cross(q, by_q)
-    along = _TRIMMED_VARIANCE * (weight**2 @ own) + by_rotation @ by_rotation
+    by_rotation = weight @ shared.by_rotation
+    along = _TRIMMED_VARIANCE * (weight**2 @ shared.rate_variance) + by_rotation @ by_rotation
     return np.asarray(common + along * np.outer(motion.direction, motion.direction))
 
 

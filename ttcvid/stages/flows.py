@@ -15,9 +15,12 @@ from ttcvid.stages.history import TrackHistory
 # Error of a matched position per pixel of flow: the patch changes its scale and slant on the way. Measured on
 # kitti_odom_straight50: residual 0.07 px at flows under 2 px, 0.16 px at 45 px.
 _ERROR_PER_FLOW = 0.0035
-# What matching errs in common turns the camera by so much a frame, always the same way. Measured: 0.004 deg on
-# simulated streets, 0.013 deg of yaw on kitti_odom_straight50.
-_ROTATION_DRIFT_RAD = np.radians(0.006)
+
+ROTATION_DRIFT_RAD = float(np.radians(0.006))
+"""What matching errs in common turns the camera by so much a frame, always the same way.
+
+Measured: 0.004 deg on simulated streets, 0.013 deg of yaw on kitti_odom_straight50.
+"""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,8 @@ def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: flo
     rotation_rad = history.rotation_sigma_rad / np.sqrt(2.0)
     sigma_rad = np.sqrt(history.sigma_rad**2 + (_ERROR_PER_FLOW * flow_rad) ** 2 + rotation_rad**2)
     gap_s = history.t_s[-1] - history.t_s[len(history.frame) - 1 - gap_frames]
-    return Flows(first, second, gap_frames, gap_s, sigma_rad, _ROTATION_DRIFT_RAD * gap_frames)
+    rotation_error_rad: Floats = ROTATION_DRIFT_RAD * gap_frames.astype(np.float64)
+    return Flows(first, second, gap_frames, gap_s, sigma_rad, rotation_error_rad)
 
 
 def scene_directions(history: TrackHistory, flows: Flows) -> Floats:

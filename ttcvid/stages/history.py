@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
 
 # Number of observations in a third difference; fewer tracks than that say nothing of what is typical.
@@ -64,6 +66,36 @@ class TrackHistory:
         cosine: Floats = self.rays[-1, :, 2]
         return self.sigma_px / self.focal_px * np.clip(cosine, 0.1, 1.0) ** 1.5
 
+    @property
+    def sigma_norm(self) -> Floats:
+        """Noise of one coordinate in the plane z = 1, ``(N,)``."""
+        sigma: Floats = self.sigma_px / self.focal_px
+        return sigma
+
+    @cached_property
+    def xy(self) -> Floats:
+        """Positions in the plane z = 1 of the present camera, ``(L, N, 2)``; NaN where not observed."""
+        return turned_into_plane(self.rays, self.cam_R_past)
+
+    @property
+    def since_s(self) -> Floats:
+        """Times relative to the present frame, ``(L,)`` s: up to 0."""
+        since: Floats = self.t_s - self.t_s[-1]
+        return since
+
+    @property
+    def scene_path(self) -> Floats:
+        """Where the static scene was relative to the camera, ``(L, 3)`` s in the axes of the present camera.
+
+        The sum of the steps, each along its own direction: own speed is taken as steady, own direction is not. NaN
+        beyond a step whose direction is not known.
+        """
+        steps = np.einsum("lij,lj->li", self.cam_R_past, self.scene_direction)[1:]
+        lengths = np.diff(self.t_s)[:, None] * steps
+        path = np.zeros((len(self.t_s), 3))
+        path[:-1] = -np.cumsum(lengths[::-1], axis=0)[::-1]
+        return path
+
     def derotated(self, index: int) -> Floats:
         """Rays of history entry ``index`` as the present camera would see them: ``(N, 3)``, NaN where not observed."""
         return np.asarray(self.rays[index] @ self.cam_R_past[index].T)
@@ -111,8 +143,12 @@ def extended(
         return out
 
     kept = history.rays[max(0, len(history.frame) - max_frames + 1) :]
-    past = np.full((len(kept), n, 3), np.nan)
-    past[:, known] = kept[:, source]
+    with_past = np.empty((len(kept) + 1, n, 3))
+    with_past[-1] = rays
+    if history.n_tracks:
+        # A track without a past takes anyone's, and then none.
+        np.take(kept, np.where(known, before, 0), axis=1, out=with_past[:-1], mode="clip")
+    with_past[:-1, ~known] = np.nan
     return replace(
         history,
         frame=np.append(history.frame, frame)[-max_frames:],
@@ -122,7 +158,7 @@ def extended(
         track_id=points.track_id,
         n_frames=carried(history.n_frames, 0).astype(np.int64) + 1,
         xy_px=points.xy_px,
-        rays=np.concatenate([past, rays[None]]),
+        rays=with_past,
         sigma_px=carried(history.sigma_px, history.pool_sigma_px),
         noise_sum=carried(history.noise_sum, 0.0),
         noise_weight=carried(history.noise_weight, 0.0),

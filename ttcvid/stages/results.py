@@ -19,7 +19,9 @@ from ttcvid.model import (
 from ttcvid.stages.clusters import motion_ids, neighbours_in_cluster, object_row, ranked, scene_row, with_times
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
+from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.track_states import TrackStates, three_frame_states, two_frame_states, with_constant_bearing
+from ttcvid.stages.whole_track_states import multi_frame_states
 
 # Expansions are measured over so many steps of the history, where there are as many.
 _EXPANSION_FRAMES = 5
@@ -28,10 +30,12 @@ _EXPANSION_NEIGHBOURS = 8
 
 
 def track_rows(
-    history: TrackHistory, motions: FrameMotions, config: CollisionTimesConfig
+    history: TrackHistory, motions: FrameMotions, config: CollisionTimesConfig, plane: HorizonPlane | None = None
 ) -> tuple[TrackStates, TrackRows]:
-    """States and rows of all live tracks."""
-    if config.estimator == "three-frame":
+    """States and rows of all live tracks; ``plane`` is that of planar motion."""
+    if config.estimator == "multi-frame":
+        states = multi_frame_states(history, motions, plane, config)
+    elif config.estimator == "three-frame":
         states = three_frame_states(history, motions.flows)
     else:
         states = two_frame_states(motions.flows, motions.direction, motions.direction_cov)
@@ -62,7 +66,7 @@ def cluster_rows(
     rows = [
         scene_row(motion, history.xy_px, camera)
         if motion.cluster_id == SCENE_CLUSTER
-        else object_row(motion, number, motions.flows, states, history.xy_px, camera, motions.link_px, common)
+        else object_row(motion, number, states, history.xy_px, camera, motions.link_px, common)
         for motion, number in zip(motions.clusters, numbers, strict=True)
     ]
     return tuple(ranked(with_times(rows, camera)))

@@ -22,10 +22,29 @@ _EXPANSION_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
+class SharedErrors:
+    """What is a track's own in the error of its rate, and what it shares with others of its direction; NaN: nothing.
+
+    ``rate_variance (N,)`` of the rate along the direction by the noise of its own views, 1/s^2; ``by_direction (N, 3)``
+    what an error of the direction does to the rate, 1/s; ``by_rotation (N, 3)`` likewise for one standard deviation of
+    the rotation that is left in all rays.
+    """
+
+    rate_variance: Floats
+    by_direction: Floats
+    by_rotation: Floats
+
+    def take(self, index: Ints) -> SharedErrors:
+        """The tracks that an index array picks."""
+        return SharedErrors(self.rate_variance[index], self.by_direction[index], self.by_rotation[index])
+
+
+@dataclass(frozen=True)
 class TrackStates:
     """States of N tracks: ``xy (N, 2)`` normalised, ``abc_hz (N, 3)`` = V / Z with ``cov (N, 3, 3)`` in 1/s^2.
 
     ``sigma_norm (N,)`` noise of x and y, ``direction (N, 3)`` the track's ``dir``, ``status (N,)``. NaN: no result.
+    ``shared`` says what of the covariance of tracks with one direction is common to them; None where each has its own.
     """
 
     xy: Floats
@@ -34,6 +53,7 @@ class TrackStates:
     sigma_norm: Floats
     direction: Floats
     status: Ints
+    shared: SharedErrors | None = None
 
     @property
     def has_value(self) -> Bools:
@@ -63,9 +83,26 @@ class TrackStates:
             status=np.where(index, status, self.status),
         )
 
+    def replaced(self, index: Ints, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:
+        """Other results for the tracks of ``index (M,)``; NaN where their status says that there is none."""
+        has_value = np.isin(status, [Status.ok, Status.epipole_at_infinity])
+        changed = replace(
+            self,
+            abc_hz=self.abc_hz.copy(),
+            cov=self.cov.copy(),
+            direction=self.direction.copy(),
+            status=self.status.copy(),
+        )
+        changed.abc_hz[index] = np.where(has_value[:, None], abc_hz, np.nan)
+        changed.cov[index] = np.where(has_value[:, None, None], cov, np.nan)
+        changed.direction[index] = np.where(has_value[:, None], direction, np.nan)
+        changed.status[index] = status
+        return changed
+
     def take(self, index: Ints) -> TrackStates:
         """The states that an index array picks."""
-        return TrackStates(*(getattr(self, f.name)[index] for f in fields(self)))
+        own = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "shared"}
+        return TrackStates(**own, shared=None if self.shared is None else self.shared.take(index))
 
     def times(self) -> CollisionTimes:
         """The three times with their intervals: N rows."""
@@ -85,14 +122,18 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     direction : (N, 3), NaN where a track has none.
     direction_cov : (N, 3, 3) rad^2.
     """
+    sigma_norm = _sigma_norm(flows)
     state, cov, status = state_from_direction(
-        flows.first, flows.second, direction, flows.gap_s, _sigma_norm(flows), direction_cov
+        flows.first, flows.second, direction, flows.gap_s, sigma_norm, direction_cov
     )
     q, r = flows.first / flows.first[:, 2:], flows.second / flows.second[:, 2:]
-    by_q = rate_from_direction(q, r, direction, flows.gap_s)[1]
-    variance = flows.rotation_error_rad**2 * np.sum(cross(q, by_q) ** 2, axis=1)
+    _, by_q, by_r, by_e = rate_from_direction(q, r, direction, flows.gap_s)
+    by_rotation = flows.rotation_error_rad[:, None] * cross(q, by_q)
+    variance = np.sum(by_rotation**2, axis=1)
     cov_abc = cov[:, 2:, 2:] + variance[:, None, None] * np.einsum("ni,nj->nij", direction, direction)
-    return _states(flows, state[:, 2:], cov_abc, direction, status)
+    own = sigma_norm**2 * np.sum(by_q[:, :2] ** 2 + by_r[:, :2] ** 2, axis=1)
+    states = _states(flows, state[:, 2:], cov_abc, direction, status)
+    return replace(states, shared=SharedErrors(own, by_e, by_rotation))
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:
@@ -161,7 +202,7 @@ def with_constant_bearing(
     cov[asked, 1, 1] += across_hz2
     direction[asked] = normalize(abc_hz[asked])
     status[asked] = Status.ok
-    return TrackStates(states.xy, abc_hz, cov, states.sigma_norm, direction, status)
+    return replace(states, abc_hz=abc_hz, cov=cov, direction=direction, status=status)
 
 
 def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> Floats:
