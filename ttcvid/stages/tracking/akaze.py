@@ -9,6 +9,7 @@ import numpy as np
 
 from ttcvid.config import TrackingConfig
 from ttcvid.model import Floats, Ints, Picture, PointSet
+from ttcvid.stages.tracking.hamming import nearest_descriptors
 
 # Bytes of an AKAZE descriptor (486 bits).
 _DESCRIPTOR_BYTES = 61
@@ -81,11 +82,8 @@ def _matches(one: Picture, other: Picture, ratio: float) -> tuple[Ints, Ints]:
     nothing = np.empty(0, dtype=np.int64)
     if len(one) < 2 or len(other) < 2:
         return nothing, nothing
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    forward = matcher.knnMatch(one, other, k=2)
-    nearest = np.array([(first.trainIdx, first.distance, second.distance) for first, second in forward])
-    back = np.array([match.trainIdx for match in matcher.match(other, one)])
-    target = nearest[:, 0].astype(np.int64)
+    found = nearest_descriptors(one, other)
     index = np.arange(len(one))
-    good = (nearest[:, 1] < ratio * nearest[:, 2]) & (back[target] == index)
-    return index[good], target[good]
+    is_mutual = found.nearest_back[found.nearest] == index
+    good = is_mutual & (found.distance_bits < ratio * found.second_bits)
+    return index[good], found.nearest[good]
