@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
-
-import cv2
 
 from ttcvid.jobs.clip import (
     ASSUMED_CAMERA_WARNING,
@@ -21,6 +19,7 @@ from ttcvid.jobs.clip import (
 )
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
 from ttcvid.jobs.outputs import check_overlay, open_sinks
+from ttcvid.jobs.process import keep_freed_memory, one_opencv_thread
 from ttcvid.jobs.provenance import (
     Tally,
     describe_calibration,
@@ -126,7 +125,8 @@ def _analyze_into(
     tally = Tally()
     info, pipeline = source.info, configuration.pipeline
     with ExitStack() as stack:
-        stack.enter_context(_one_opencv_thread())
+        keep_freed_memory()
+        stack.enter_context(one_opencv_thread())
         write = open_sinks(stack, folder, source, calibration, configuration)
         writer = stack.enter_context(WriteBehind(write))
         frames = stack.enter_context(ReadAhead(source))
@@ -147,20 +147,6 @@ def _analyze_into(
     if stop.is_requested and tally.n_frames == 0:
         raise KeyboardInterrupt
     return tally
-
-
-@contextmanager
-def _one_opencv_thread() -> Iterator[None]:
-    """One OpenCV thread a call: decoding, tracking, geometry and drawing already run side by side on the cores.
-
-    Features of AKAZE take 36 instead of 62 ms a frame when two frames run side by side with one thread each.
-    """
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def _log_start(source: Source, path: Path, configuration: Configuration) -> None:
