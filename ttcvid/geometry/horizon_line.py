@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
+from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Bools, Camera, Floats
 
@@ -121,7 +121,7 @@ def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, 
         total = float(np.einsum("ki,kij,kj->", offset, weight, offset))
         step = np.linalg.solve(inner.sum(axis=0), np.einsum("ia,kij,kj->a", basis, weight, offset))
         common = normalize(common + basis @ step)
-    return total < float(chi2_distribution.ppf(probability, 2 * (len(directions) - 1)))
+    return total < float(chi2_quantile(probability, 2 * (len(directions) - 1)))
 
 
 def widest_angle_rad(directions: Floats) -> float:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
+from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats, Ints
 
@@ -161,7 +161,7 @@ def window_gates(max_frames: int, n_unknowns: int, probability: float) -> Floats
     """Chi-square ``(max_frames + 1,)`` inside which so many views are kept; infinite without a degree of freedom."""
     dof = 2 * np.arange(max_frames + 1) - n_unknowns
     gates = np.full(max_frames + 1, np.inf)
-    gates[dof > 0] = chi2_distribution.ppf(probability, dof[dof > 0])
+    gates[dof > 0] = chi2_quantile(probability, dof[dof > 0])
     return gates
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from ttcvid.config import EventsConfig
 from ttcvid.model import Camera, ClusterRow, Event, MotionState
@@ -82,7 +82,7 @@ def is_collision_course(row: ClusterRow, camera: Camera, config: EventsConfig, *
     max_ttc_s = config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
     times = row.times
-    sigmas = float(norm.ppf(config.confidence))
+    sigmas = float(ndtri(config.confidence))
     eta_hz, eta_lo_hz = 1.0 / times.ttc_z_s[0], 1.0 / times.ttc_z_hi_s[0]
     surely_hz = eta_hz - (eta_hz - eta_lo_hz) * sigmas / _INTERVAL_SIGMAS
     miss_s = times.miss_s[0] + (times.miss_hi_s[0] - times.miss_s[0]) * sigmas / _INTERVAL_SIGMAS

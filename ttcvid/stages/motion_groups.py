@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.stats import chi2
 
 from ttcvid.config import MotionGroupsConfig
+from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.consensus import (
     chance_of_sharing,
     directions_of_pairs,
@@ -136,7 +136,7 @@ def _prepare(flows: Flows, xy_px: Floats, link_px: float, config: MotionGroupsCo
     own = np.arange(len(xy_px))[:, None]
     neighbours = np.where(neighbours == len(xy_px), own, neighbours)
     pairs = np.stack([np.broadcast_to(own, neighbours.shape), neighbours], axis=-1)[:, 1:].reshape(-1, 2)
-    gate = float(chi2.ppf(config.gate_probability, 1))
+    gate = float(chi2_quantile(config.gate_probability, 1))
     chance = chance_of_sharing(flows.length_sigmas, gate)
     return _Search(flows, xy_px, link_px, neighbours, pairs, gate, chance)
 
@@ -327,7 +327,7 @@ def _is_one(search: _Search, label: Ints, directions: Floats, one: int, other: i
     separate = np.where(label[members] == one, apart[0], apart[1])
     allowed = max(_MERGE_CHI2, _MERGE_CHI2_PER_TRACK * len(members))
     # Groups that were split by the sign of their noise fit too well apart: a good joint fit is enough.
-    is_good = np.sum(chi2_joint) < chi2.ppf(_GOOD_FIT, len(members))
+    is_good = np.sum(chi2_joint) < chi2_quantile(_GOOD_FIT, len(members))
     return bool(np.mean(similar) > _MERGE_SIMILAR and (is_good or np.sum(chi2_joint - separate) < allowed))
 
 

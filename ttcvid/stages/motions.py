@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from ttcvid.config import PipelineConfig
+from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
@@ -62,7 +62,7 @@ def find_motions(
     is_free : (N,) tracks that are not frozen to their pixel.
     still_px : flow of one step that counts as none, however small the noise.
     """
-    times, gate = config.collision_times, float(chi2.ppf(config.egomotion.gate_probability, 1))
+    times, gate = config.collision_times, float(chi2_quantile(config.egomotion.gate_probability, 1))
     flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
     link_px = _LINK_PART * camera.image_size.width_px
     along_scene = scene_directions(history, flows)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
 
+from ttcvid.geometry.chi_square import chi2_probability, chi2_quantile
 from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.flows import Flows
@@ -64,4 +64,4 @@ def _fits_direction(flows: Flows, directions: Floats, direction_cov: Floats | No
 
 def _two_from_one(gate_chi2: float) -> float:
     """Gate of two degrees of freedom with the probability that ``gate_chi2`` has for one."""
-    return float(chi2.ppf(chi2.cdf(gate_chi2, 1), 2))
+    return float(chi2_quantile(chi2_probability(gate_chi2, 1), 2))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
 
 from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.rotation import normalize, skew
 from ttcvid.geometry.state import is_at_epipole
@@ -21,7 +21,7 @@ from ttcvid.stages.track_states import SharedErrors, TrackStates
 # A rate within this many of its standard deviations may be zero; below minus this, the point moves against its group.
 _RATE_SIGMAS = 2.0
 # The whole velocity may be zero inside 95 % of a 3-D Gaussian, of two components with two views alone.
-_NO_MOTION_CHI2 = float(chi2.ppf(0.95, 3))
+_NO_MOTION_CHI2 = float(chi2_quantile(0.95, 3))
 
 
 def multi_frame_states(
@@ -134,7 +134,7 @@ def _with_free(
         [
             ~(found.n_frames >= n_views),
             ~(moved > _NO_MOTION_CHI2),
-            found.chi2 > chi2.ppf(config.window_probability, np.maximum(found.dof, 1)),
+            found.chi2 > chi2_quantile(config.window_probability, np.maximum(found.dof, 1)),
             np.abs(direction[:, 2]) < INFINITY_COSINE,
         ],
         [Status.short_track, Status.no_parallax, Status.not_rigid, Status.epipole_at_infinity],
