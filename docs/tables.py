@@ -27,6 +27,7 @@ _ROWS = {
     "frames": "A row for every frame, those without a result too.",
     "events": "A row per warning.",
     "motions": "`motions.parquet` of `ttcvid calibrate-horizon`: a row per straight motion.",
+    "sensitivity": "`sensitivity.parquet` of `ttcvid sensitivity`: a row per value and method.",
     "collision_map": "`collision_map.parquet` of `ttcvid collision-map`: a row per change of own velocity.",
     "evasion": "`evasion.parquet` of `ttcvid collision-map`: a row per frame, and what to do.",
 }

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ttcvid.jobs.compare import compare
     from ttcvid.jobs.evaluate import evaluate
     from ttcvid.jobs.run import Run
+    from ttcvid.jobs.sensitivity import sensitivity
     from ttcvid.jobs.simulate import simulate
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "collision_map",
     "compare",
     "evaluate",
+    "sensitivity",
     "simulate",
 ]
 
@@ -53,6 +55,7 @@ _HOMES = {
     "collision_map": "ttcvid.jobs.collision_map",
     "compare": "ttcvid.jobs.compare",
     "evaluate": "ttcvid.jobs.evaluate",
+    "sensitivity": "ttcvid.jobs.sensitivity",
     "simulate": "ttcvid.jobs.simulate",
 }
 

@@ -12,6 +12,17 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from ttcvid.model import Platform
 
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+LEAST_TRACK_FRAMES = 3
+SENSITIVITY_SPANS = {
+    "distance": (5.0, 200.0),
+    "angle": (5.0, 85.0),
+    "focal": (2.0, 50.0),
+    "noise": (0.02, 2.0),
+    "rate": (2.0, 100.0),
+    "height": (0.1, 10.0),
+}
+"""What `ttcvid sensitivity` can vary and between which values by default: m, deg, mm, px, 1/s, m."""
+
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -131,6 +142,55 @@ class HorizonCalibrationConfig(StageConfig):
     max_band_part: Fraction = Field(
         default=0.15, description="widest 95 % band (half its width) at the centre, part of the picture's height"
     )
+
+
+class SensitivityConfig(StageConfig):
+    """How well a camera can tell direction and time: the case, and what is varied."""
+
+    speed_km_h: PositiveFloat = Field(default=50.0, description="speed of the point relative to the camera")
+    angle_deg: float = Field(default=45.0, ge=0, lt=90, description="angle of its motion with the optical axis")
+    distance_m: PositiveFloat = Field(default=50.0, description="distance, where that is not what is varied")
+    height_m: PositiveFloat = Field(default=1.0, description="height of the point off the horizon's plane")
+    focal_mm: PositiveFloat = Field(default=8.0, description="focal length")
+    pixel_pitch_um: PositiveFloat = Field(
+        default=4.65, description="size of a pixel; the paper does not say: that of a common 1/3 inch sensor"
+    )
+    sigma_px: PositiveFloat = Field(default=0.2, description="standard deviation of a coordinate in the picture")
+    frame_rate_hz: PositiveFloat = Field(default=12.0, description="pictures a second")
+    baseline_m: PositiveFloat = Field(default=0.15, description="distance between the cameras of the stereo pair")
+    frames: str = Field(default="5,10,20", description="lengths of the whole tracks, in pictures")
+    over: Literal["distance", "angle", "focal", "noise", "rate", "height"] = Field(
+        default="distance", description="what is varied"
+    )
+    first: PositiveFloat | None = Field(default=None, description="its first value; default by what is varied")
+    last: PositiveFloat | None = Field(default=None, description="its last value; default by what is varied")
+    steps: int = Field(default=25, ge=2, le=500, description="number of its values")
+    trials: int = Field(default=10000, ge=100, le=200000, description="noisy pictures tried of each value and method")
+    within: Fraction = Field(default=0.1, description="relative error up to which a method counts as useful")
+    seed: int = Field(default=0, ge=0, description="seed of the noise")
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last value of what is varied."""
+        first, last = SENSITIVITY_SPANS[self.over]
+        return first if self.first is None else self.first, last if self.last is None else self.last
+
+    @field_validator("frames")
+    @classmethod
+    def _are_lengths(cls, frames: str) -> str:
+        parts = [part.strip() for part in frames.split(",")]
+        if not all(part.isdecimal() and int(part) >= LEAST_TRACK_FRAMES for part in parts):
+            raise ValueError("expected whole numbers of at least 3 pictures with commas between, such as 5,10,20")
+        return ",".join(sorted(set(parts), key=int))
+
+    def contradiction(self) -> str | None:
+        """The first value lies below the last one."""
+        first, last = self.span
+        if first >= last:
+            return f"first = {first:g} is not below last = {last:g}: raise last"
+        if self.over == "angle" and last >= 90:
+            return f"last = {last:g} deg: expected less than 90, for what comes nearer"
+        return None
 
 
 class CollisionMapConfig(StageConfig):

@@ -203,7 +203,31 @@ _WHO = (
     _count("cluster_id", "its cluster, 0 for the static scene; null: nothing", nullable=True),
 )
 
+SENSITIVITY_METHODS = ("planar_two_frame", "three_frame", "whole_track", "stereo")
+_VARIED = ("distance", "angle", "focal", "noise", "rate", "height")
+
+
+def _error(name: str, unit: str, what: str) -> tuple[Column, ...]:
+    """The errors of one quantity by the three ways."""
+    ways = {"formula": "by closed form", "bound": "Cramer-Rao bound", "trials": "by Monte-Carlo of the real functions"}
+    columns = [
+        _real(f"{name}_{way}", unit, f"one standard deviation of {what}, {words}") for way, words in ways.items()
+    ]
+    valid = Column(f"{name}_is_small", pa.bool_(), "", f"whether {what} is small enough for the closed form to hold")
+    return (*columns, valid)
+
+
 STUDY_TABLES: dict[str, tuple[Column, ...]] = {
+    "sensitivity": (
+        _name("over", "what is varied", _VARIED),
+        _real("value", "1", "its value: m, deg, mm, px, 1/s or m", nullable=False),
+        _name("method", "how direction and time are found", SENSITIVITY_METHODS),
+        _count("n_frames", "pictures that it looks at; of the stereo pair, pairs"),
+        _real("distance_m", "m", "distance of the point", nullable=False),
+        *_error("direction", "rad", "the direction of motion, both axes together"),
+        *_error("ttc_z", "1", "the time until depth zero, relative to it"),
+        *_error("tcpa", "1", "the time until closest approach, relative to it"),
+    ),
     "collision_map": (
         _FORWARD,
         _RIGHT,

@@ -8,7 +8,14 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator
 
-from ttcvid.config import CollisionMapConfig, OverlayConfig, PipelineConfig, PositiveFloat, StageConfig
+from ttcvid.config import (
+    CollisionMapConfig,
+    OverlayConfig,
+    PipelineConfig,
+    PositiveFloat,
+    SensitivityConfig,
+    StageConfig,
+)
 from ttcvid.model import ImageSize
 
 _SIZE = re.compile(r"([1-9]\d{0,5})x([1-9]\d{0,5})")
@@ -67,7 +74,7 @@ ANALYSIS_SECTIONS: dict[str, type[StageConfig]] = {
 }
 """Sections of a configuration file that an analysis follows, with the class that checks each."""
 
-STUDY_SECTIONS: dict[str, type[StageConfig]] = {"collision_map": CollisionMapConfig}
+STUDY_SECTIONS: dict[str, type[StageConfig]] = {"collision_map": CollisionMapConfig, "sensitivity": SensitivityConfig}
 """Sections of the other commands."""
 
 SECTIONS = {**ANALYSIS_SECTIONS, **STUDY_SECTIONS}
