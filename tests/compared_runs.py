@@ -20,11 +20,16 @@ DROPPED = 17
 
 def simulated(folder: Path) -> Path:
     """The clip: small pictures with their times, camera and horizon."""
+    small = small_scene(folder.with_suffix(".yaml"))
+    return ttcvid.simulate(small, folder, png=True, n_frames=N_FRAMES).folder
+
+
+def small_scene(path: Path) -> Path:
+    """The scene file of the clip."""
     scene = yaml.safe_load(SCENE.read_text())
     scene["camera"]["image_size"] = SIZE_PX
-    small = folder.with_suffix(".yaml")
-    small.write_text(yaml.safe_dump(scene))
-    return ttcvid.simulate(small, folder, png=True, n_frames=N_FRAMES).folder
+    path.write_text(yaml.safe_dump(scene))
+    return path
 
 
 def analyzed(clip: Path, out: Path, pictures: Path | None = None, **options: Any) -> Path:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ttcvid.jobs.collision_map import collision_map
     from ttcvid.jobs.compare import compare
     from ttcvid.jobs.evaluate import evaluate
+    from ttcvid.jobs.regress import regress
     from ttcvid.jobs.run import Run
     from ttcvid.jobs.sensitivity import sensitivity
     from ttcvid.jobs.simulate import simulate
@@ -39,6 +40,7 @@ __all__ = [
     "compare",
     "evaluate",
     "sensitivity",
+    "regress",
     "simulate",
 ]
 
@@ -56,6 +58,7 @@ _HOMES = {
     "compare": "ttcvid.jobs.compare",
     "evaluate": "ttcvid.jobs.evaluate",
     "sensitivity": "ttcvid.jobs.sensitivity",
+    "regress": "ttcvid.jobs.regress",
     "simulate": "ttcvid.jobs.simulate",
 }
 

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
-import yaml
-
-from ttcvid.errors import InputError, NotComparableError, UsageError
-from ttcvid.jobs.run import EXIT_CODES, Run
-from ttcvid.model import NO_CLUSTER
-from ttcvid.schema import SCHEMA_VERSION, TABLES, VERSION_KEY
+from ttcvid.jobs.baseline import read_baseline
+from ttcvid.jobs.result_tables import read_run
+from ttcvid.jobs.run import Run
+from ttcvid.jobs.yaml_file import read_yaml
 from ttcvid.sinks.failures import output_errors
-from ttcvid.sinks.manifest import MANIFEST_NAME
 from ttcvid.studies.compare import Comparison, Results, compare_results
 from ttcvid.studies.compare_tolerance import Tolerance, tolerance_from
 from ttcvid.studies.junit import Suite, junit_xml
-
-REMEDY = "analyse again with this version of ttcvid"
 
 
 def compare(baseline: str | Path | Run, run: str | Path | Run, tolerance: str | Path | None = None) -> Comparison:
@@ -30,7 +21,7 @@ def compare(baseline: str | Path | Run, run: str | Path | Run, tolerance: str | 
     Parameters
     ----------
     baseline, run
-        Output folders of ``ttcvid analyze``, or what ``ttcvid.analyze`` returned.
+        Output folders of ``ttcvid analyze``, what ``ttcvid.analyze`` returned, or files that ``ttcvid regress`` wrote.
     tolerance
         A YAML file of tolerances, laid over the defaults.
 
@@ -45,104 +36,18 @@ def compare(baseline: str | Path | Run, run: str | Path | Run, tolerance: str | 
     return compare_results(read_results(baseline), read_results(run), limits)
 
 
+def read_results(place: str | Path | Run) -> Results:
+    """One side of a comparison: the folder of a run, a run, or a baseline file."""
+    return read_baseline(Path(place)) if not isinstance(place, Run) and Path(place).is_file() else read_run(place)
+
+
 def read_tolerance(path: Path) -> Tolerance:
     """The tolerances of a YAML file, laid over the defaults."""
     return tolerance_from(read_yaml(path), str(path))
 
 
-def read_yaml(path: Path) -> Any:
-    """The content of a YAML file; UsageError where it cannot be read."""
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}): give a YAML file") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: is no valid YAML: {' '.join(str(error).split())}: mend the file") from None
-
-
-def read_results(run: str | Path | Run) -> Results:
-    """One side of a comparison; NotComparableError with the reason where it cannot be one."""
-    try:
-        opened = run if isinstance(run, Run) else Run.open(run)
-    except InputError as error:
-        raise NotComparableError(str(error)) from None
-    _check_manifest(opened)
-    tables = {name: read_table(opened.folder / f"{name}.parquet", name) for name in TABLES}
-    return Results(str(opened.folder), tables, facts_of(opened.manifest), len(tables["frames"]))
-
-
-def _check_manifest(run: Run) -> None:
-    path = run.folder / MANIFEST_NAME
-    state = run.manifest.get("state")
-    if state not in EXIT_CODES:
-        raise NotComparableError(
-            f"{path}: field 'state' = {state!r}: expected one of {', '.join(EXIT_CODES)}: {REMEDY}"
-        )
-    for name in TABLES:
-        if not (run.folder / f"{name}.parquet").is_file():
-            raise NotComparableError(f"{run.folder / name}.parquet: not found, so the result is not whole: {REMEDY}")
-
-
-def read_table(path: Path, name: str) -> pd.DataFrame:
-    """A table of a run in ordinary types: null is NaN, ``NO_CLUSTER`` in ``cluster_id``; names are categories."""
-    try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())
-        raise NotComparableError(f"{path}: cannot be read as a table ({reason}): {REMEDY}") from None
-    metadata = table.schema.metadata or {}
-    version = metadata.get(VERSION_KEY.encode(), b"none").decode()
-    if version != SCHEMA_VERSION:
-        raise NotComparableError(f"{path}: schema version {version}, expected {SCHEMA_VERSION}: {REMEDY}")
-    for column in TABLES[name]:
-        if column.name not in table.column_names:
-            raise NotComparableError(f"{path}: column {column.name!r} is missing: {REMEDY}")
-        found = table.schema.field(column.name).type
-        if found != column.type and not (column.values and pa.types.is_string(found)):
-            raise NotComparableError(f"{path}: column {column.name!r} is {found}, expected {column.type}: {REMEDY}")
-    return in_ordinary_types(table.to_pandas(), name)
-
-
-def in_ordinary_types(table: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Names as categories in the schema's order, and ``NO_CLUSTER`` for a null ``cluster_id``."""
-    columns = {column.name: column for column in TABLES[name] if column.name in table}
-    changed: dict[str, Any] = {
-        column.name: pd.Categorical(table[column.name], categories=list(column.values))
-        for column in columns.values()
-        if column.values
-    }
-    if "cluster_id" in columns and columns["cluster_id"].nullable:
-        changed["cluster_id"] = table.cluster_id.fillna(NO_CLUSTER).astype("int64")
-    return table.assign(**changed)
-
-
-def facts_of(manifest: Mapping[str, Any]) -> dict[str, object]:
-    """How a run was made, as far as the numbers can depend on it, by dotted names."""
-    facts: dict[str, object] = {"state": manifest["state"]}
-    for group in ("versions", "input", "camera", "horizon", "image_size"):
-        facts |= _flat(group, manifest.get(group))
-    for section, keys in sorted(_mapping(manifest.get("configuration")).items()):
-        for key, entry in sorted(_mapping(keys).items()):
-            if (section, key) not in _NOT_FACTS and section != "overlay":
-                facts[f"configuration.{section}.{key}"] = _mapping(entry).get("value")
-    return facts
-
-
-_NOT_FACTS = {("analyze", name) for name in ("overlay", "overwrite", "camera", "horizon")}
-"""Settings that say where files are or what is drawn; what a camera or horizon file holds is a fact of its own."""
-
-
-def _flat(name: str, value: Any) -> dict[str, object]:
-    if isinstance(value, Mapping):
-        return {key: fact for inner, v in sorted(value.items()) for key, fact in _flat(f"{name}.{inner}", v).items()}
-    return {} if name in ("input.path", "camera.origin", "horizon.origin") else {name: value}
-
-
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, Mapping) else {}
-
-
 def write_junit(path: Path, suites: Sequence[Suite]) -> None:
     """Write a JUnit file; OutputError where that cannot be done."""
     with output_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(junit_xml(suites), encoding="utf-8")

@@ -20,14 +20,14 @@ class Results:
     """One side of a comparison.
 
     ``tables`` have the columns of ``ttcvid.schema``, null as NaN, or ``NO_CLUSTER`` in ``cluster_id``; those of a
-    baseline may lack columns. ``facts`` says how the result was made, by dotted names (``camera.fx_px``).
-    ``is_thinned``: only some frames, and few tracks of each, are in the tables; ``n_frames`` counts all of them.
+    baseline may lack columns. ``facts`` says how the result was made, by dotted names (``camera.fx_px``). ``clock``
+    has ``frame, t_s`` of all frames. ``is_thinned``: the tables have only some of them, and few tracks of each.
     """
 
     name: str
     tables: Mapping[str, pd.DataFrame]
     facts: Mapping[str, object]
-    n_frames: int
+    clock: pd.DataFrame
     is_thinned: bool = False
 
     @property
@@ -78,14 +78,18 @@ def compare_results(baseline: Results, run: Results, tolerance: Tolerance) -> Co
     """Join frames, tracks, clusters and warnings of two results and judge every difference."""
     before, now = baseline.tables, run.tables
     placed = positions_by_frame(before["collision_times"]), positions_by_frame(now["collision_times"])
-    frames = join_frames(before["frames"], now["frames"], placed, tolerance.frames, is_thinned=baseline.is_thinned)
-    old = {name: _only(before[name], frames.baseline) for name in _PER_FRAME}
-    new = {name: _renumbered(now[name], frames) for name in _PER_FRAME}
-    rows_per_frame = baseline.n_frames / max(len(before["frames"]), 1)
+    frames = join_frames(baseline.clock, run.clock, placed, tolerance.frames)
+    judged = frames.of(before["frames"].frame.to_numpy())
+    old = {name: _only(before[name], judged.baseline) for name in _PER_FRAME}
+    new = {name: _renumbered(now[name], judged) for name in _PER_FRAME}
+    if baseline.is_thinned:
+        # A baseline keeps objects only: what is to be said of the scene stands in the epipoles.
+        new["clusters"] = _rows(new["clusters"], new["clusters"].cluster_id > SCENE_CLUSTER)
+    frames_per_row = len(baseline.clock) / max(len(before["frames"]), 1)
     old_objects, new_objects = (
         _rows(side["clusters"], side["clusters"].cluster_id > SCENE_CLUSTER) for side in (old, new)
     )
-    objects = join_objects(old_objects, new_objects, tolerance.objects, rows_per_frame)
+    objects = join_objects(old_objects, new_objects, tolerance.objects, frames_per_row)
     tracks = join_tracks(old["collision_times"], new["collision_times"], tolerance.frames.max_distance_px)
     events = join_events(before["events"], now["events"], objects.pairs, tolerance.events)
     joined = [_frame_rows(old["frames"], new["frames"])]
@@ -201,18 +205,16 @@ def _nobody(rows: pd.DataFrame | Ints) -> np.ndarray:
 
 def _frame_summary(baseline: Results, run: Results, frames: JoinedFrames) -> PartSummary:
     complaints = []
+    place = ", or one shortly before" if baseline.is_thinned and frames.is_by_picture else ""
     for numbers, side, what in ((frames.missing, baseline, "missing"), (frames.additional, run, "additional")):
-        table = side.tables["frames"].set_index("frame")
-        for low, high in _spans(numbers, side.tables["frames"].frame.to_numpy()):
-            start_s, end_s = float(table.t_s[low]), float(table.t_s[high])
+        t_s = side.clock.set_index("frame").t_s
+        for low, high in _spans(numbers, side.clock.frame.to_numpy()):
             complaints.append(
-                f"frame {low} ({start_s:.3f} s) is {what}"
+                f"frame {low} ({t_s[low]:.3f} s) is {what}{place}"
                 if low == high
-                else f"frames {low}-{high} ({start_s:.3f}-{end_s:.3f} s) are {what}"
+                else f"frames {low}-{high} ({t_s[low]:.3f}-{t_s[high]:.3f} s) are {what}{place}"
             )
-    if baseline.is_thinned and baseline.n_frames != run.n_frames:
-        complaints.append(f"{run.n_frames} frames instead of {baseline.n_frames}")
-    return PartSummary("frames", baseline.n_frames, run.n_frames, len(frames.baseline), tuple(complaints))
+    return PartSummary("frames", len(baseline.clock), len(run.clock), len(frames.baseline), tuple(complaints))
 
 
 def _spans(numbers: Ints, all_numbers: Ints) -> list[tuple[int, int]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -37,14 +37,17 @@ class JoinedFrames:
     additional: Ints
     is_by_picture: bool = False
 
+    def of(self, frames: Ints) -> JoinedFrames:
+        """The joined pairs of some frames of the baseline."""
+        is_meant = np.isin(self.baseline, frames)
+        return replace(self, baseline=self.baseline[is_meant], run=self.run[is_meant])
+
 
 def join_frames(
     baseline: pd.DataFrame,
     run: pd.DataFrame,
     placed: tuple[Placed, Placed],
     tolerance: FrameTolerance,
-    *,
-    is_thinned: bool = False,
 ) -> JoinedFrames:
     """Join the frames of two results by time, or where their tracks say otherwise, by what the pictures show.
 
@@ -54,11 +57,9 @@ def join_frames(
     Parameters
     ----------
     baseline, run
-        The tables ``frames``.
+        ``frame`` and ``t_s`` of all frames.
     placed
-        Where the tracks of the baseline and of the run are, by frame.
-    is_thinned
-        The baseline holds some of its frames only: then no frame of the run is additional because of that.
+        Where the tracks of the baseline and of the run are, by frame; for the baseline, some frames are enough.
     """
     joined = _by_time(baseline, run, tolerance)
     is_by_picture = False
@@ -69,8 +70,6 @@ def join_frames(
         joined = by_picture if is_by_picture else joined
     first, second = joined
     additional = np.setdiff1d(run.frame.to_numpy(), second)
-    if is_thinned:
-        additional = additional[:0]
     missing = np.setdiff1d(baseline.frame.to_numpy(), first)
     return JoinedFrames(first, second, missing, additional, is_by_picture)
 
@@ -113,27 +112,33 @@ def _by_time(baseline: pd.DataFrame, run: pd.DataFrame, tolerance: FrameToleranc
 def _by_picture(baseline: Ints, run: Ints, placed: tuple[Placed, Placed], max_distance_px: float) -> tuple[Ints, Ints]:
     """Walk through the baseline's frames; where the run's picture is another, look for it some frames off."""
     step = int(np.median(np.diff(run))) if len(run) > 1 else 1
-    known, partner_of, shift = set(run.tolist()), {}, 0
+    known, shift = set(run.tolist()), 0
+    partner_of: dict[int, int] = {}
     shifts = sorted(range(-MAX_SHIFT_FRAMES, MAX_SHIFT_FRAMES + 1), key=abs)[1:]
     for frame in baseline.tolist():
+        if frame not in placed[0]:
+            # Nothing is known of what it shows: it follows the frame before.
+            partner_of.setdefault(frame + shift, frame)
+            continue
         share = _share_there(placed, frame, frame + shift, max_distance_px)
         if share < GOOD_SHARE:
             others = {s: _share_there(placed, frame, frame + shift + s * step, max_distance_px) for s in shifts}
             best = max(others, key=lambda s: others[s])
             if others[best] >= GOOD_SHARE:
                 shift, share = shift + best * step, others[best]
-        if frame + shift in known and (share >= GOOD_SHARE or frame + shift not in partner_of):
+        if share >= GOOD_SHARE or frame + shift not in partner_of:
             # A picture that shows this frame is taken from one before that only had its place.
             partner_of[frame + shift] = frame
-    pairs = sorted((frame, other) for other, frame in partner_of.items())
+    pairs = sorted((frame, other) for other, frame in partner_of.items() if other in known)
     joined = np.array(pairs, np.int64).reshape(-1, 2)
     return joined[:, 0], joined[:, 1]
 
 
 def _agreement(joined: tuple[Ints, Ints], placed: tuple[Placed, Placed], tolerance: FrameTolerance) -> float:
     """Mean share of tracks at the same place, over some of the joined frames."""
-    n = len(joined[0])
-    some = np.unique(np.linspace(0, n - 1, min(n, MAX_PICTURES_COMPARED)).astype(int))
+    shown = np.flatnonzero(np.isin(joined[0], list(placed[0])))
+    n = len(shown)
+    some = shown[np.unique(np.linspace(0, n - 1, min(n, MAX_PICTURES_COMPARED)).astype(int))]
     shares = [_share_there(placed, int(joined[0][k]), int(joined[1][k]), tolerance.max_distance_px) for k in some]
     return float(np.mean(shares)) if shares else 0.0
 
@@ -141,7 +146,7 @@ def _agreement(joined: tuple[Ints, Ints], placed: tuple[Placed, Placed], toleran
 def _share_there(placed: tuple[Placed, Placed], frame: int, other: int, max_distance_px: float) -> float:
     before, now = placed[0].get(frame), placed[1].get(other)
     if before is None or now is None:
-        return 1.0 if before is None and now is None else 0.0
+        return 0.0
     distance, _ = cKDTree(now).query(before, distance_upper_bound=max_distance_px)
     return float(np.mean(np.isfinite(distance)))
 

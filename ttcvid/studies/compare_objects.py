@@ -13,6 +13,8 @@ from ttcvid.model import SCENE_CLUSTER, Floats, Ints
 from ttcvid.studies.compare_tolerance import EventTolerance, ObjectTolerance
 from ttcvid.studies.matching import Matches, match_objects
 
+LEAST_ROWS = 4
+"""Rows of an object in a thinned baseline from which on a share of them says something."""
 OTHER_OBJECT = 1_000_000
 """Added to the number of an object of the run that is none of the baseline: equal to no number there."""
 
@@ -43,6 +45,8 @@ def join_objects(
     matches = match_objects(baseline.assign(object_id=baseline.cluster_id), run)
     pairs = _pairs(matches)
     least_rows = tolerance.min_frames / frames_per_row
+    if frames_per_row > 1:
+        least_rows = max(least_rows, LEAST_ROWS)
     lives = _lives(baseline, pairs.baseline_row, least_rows, tolerance)
     others = _lives(run, pairs.run_row, least_rows, tolerance)
     complaints = [_complaint(life, "missing", tolerance) for life in lives.itertuples()]

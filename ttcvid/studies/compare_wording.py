@@ -14,9 +14,19 @@ MAX_COMPLAINTS = 10
 
 def describe_comparison(comparison: Comparison) -> list[str]:
     """What was made differently, a summary of each part, what is different with its worst rows, and the verdict."""
+    parts = [describe_part(part, comparison) for part in comparison.parts]
+    return [*describe_changes(comparison), *parts, *describe_differences(comparison), verdict(comparison)]
+
+
+def describe_changes(comparison: Comparison) -> list[str]:
+    """What the two were made with differently, a line each."""
     lines = [f"changed: {change.name}: {change.baseline} -> {change.run}" for change in comparison.changes]
-    lines += [f"note: {note}" for note in comparison.notes]
-    lines += [describe_part(part, comparison) for part in comparison.parts]
+    return [*lines, *(f"note: {note}" for note in comparison.notes)]
+
+
+def describe_differences(comparison: Comparison) -> list[str]:
+    """What is missing or additional, and each column that is different with its worst rows."""
+    lines = []
     for part in comparison.parts:
         lines += [f"DIFFERENT {part.part}: {text}" for text in part.complaints[:MAX_COMPLAINTS]]
         if len(part.complaints) > MAX_COMPLAINTS:
@@ -25,18 +35,22 @@ def describe_comparison(comparison: Comparison) -> list[str]:
         if not column.is_same:
             lines.append(f"DIFFERENT {describe_column(column)}")
             lines += [f"    {describe_row(row, column.unit)}" for row in column.worst]
-    return [*lines, verdict(comparison)]
+    return lines
 
 
 def verdict(comparison: Comparison) -> str:
     """One line: same, or how much is different."""
-    columns = [column.name for column in comparison.columns if not column.is_same]
-    others = [text for part in comparison.parts for text in part.complaints]
     if comparison.is_same:
         return f"same: {comparison.run} and {comparison.baseline}"
+    return f"different: {comparison.run} and {comparison.baseline}: {reasons(comparison)}"
+
+
+def reasons(comparison: Comparison) -> str:
+    """In which columns two results are different, and what is missing or additional, in short."""
+    columns = [column.name for column in comparison.columns if not column.is_same]
+    others = [text for part in comparison.parts for text in part.complaints]
     parts = [f"{len(columns)} of {len(comparison.columns)} columns ({_some(columns)})"] if columns else []
-    parts += others[:2] + ([f"{len(others) - 2} more"] if len(others) > 2 else [])
-    return f"different: {comparison.run} and {comparison.baseline}: {'; '.join(parts)}"
+    return "; ".join([*others[:2], *([f"{len(others) - 2} more"] if len(others) > 2 else []), *parts])
 
 
 def describe_part(part: PartSummary, comparison: Comparison) -> str:

@@ -99,18 +99,22 @@ class Check:
     sign: str
     bound: float
 
+    def holds(self, value: float) -> bool:
+        """Whether a value meets the condition."""
+        return _OPERATORS[self.sign](value, self.bound)
+
     def complaint(self, metrics: Mapping[str, Value]) -> str | None:
         """What is wrong, in words; None where nothing is. A metric without a value cannot pass."""
         value = metrics[self.metric]
         if value is None:
             return f"{self.metric} has no value (fails on {self.sign} {self.bound:g})"
-        if not _OPERATORS[self.sign](value, self.bound):
+        if not self.holds(value):
             return None
         return f"{self.metric} = {value:.4g} (fails on {self.sign} {self.bound:g})"
 
 
-def check_from_text(text: str) -> Check:
-    """Read ``NAME SIGN NUMBER``; UsageError where it is not that.
+def check_from_text(text: str, place: str = "--fail-on") -> Check:
+    """Read ``NAME SIGN NUMBER``; UsageError, which names ``place``, where it is not that.
 
     >>> check_from_text("ttc_z.median > 0.05")
     Check(metric='ttc_z.median', sign='>', bound=0.05)
@@ -118,19 +122,19 @@ def check_from_text(text: str) -> Check:
     parts = re.fullmatch(r"\s*([\w.]+)\s*(>=|<=|==|!=|>|<)\s*(\S+)\s*", text)
     if parts is None:
         raise UsageError(
-            f"--fail-on {text!r}: expected a metric, a sign (> >= < <= == !=) and a number, as in 'ttc_z.median>0.05'"
+            f"{place} {text!r}: expected a metric, a sign (> >= < <= == !=) and a number, as in 'ttc_z.median>0.05'"
         )
     metric, sign, number = parts.groups()
     if metric not in METRICS:
         nearest = difflib.get_close_matches(metric, METRICS, n=1)
         remedy = f"did you mean {nearest[0]!r}?" if nearest else "'ttcvid evaluate' lists the names"
-        raise UsageError(f"--fail-on {text!r}: unknown metric {metric!r}: {remedy}")
+        raise UsageError(f"{place} {text!r}: unknown metric {metric!r}: {remedy}")
     try:
         bound = float(number)
     except ValueError:
         bound = float("nan")
     if bound != bound or bound in (float("inf"), -float("inf")):
-        raise UsageError(f"--fail-on {text!r}: {number!r} is no finite number: expected one, as in 'ttc_z.median>0.05'")
+        raise UsageError(f"{place} {text!r}: {number!r} is no finite number: expected one, as in 'ttc_z.median>0.05'")
     return Check(metric, sign, bound)
 
 

@@ -1,0 +1,257 @@
+"""``ttcvid regress`` from suite to verdict: baselines, what is caught, missing clips, mistakes in the suite."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+from compared_runs import DROPPED, SIZE_PX, focal_off, horizon_off, simulated, small_scene, without_a_frame
+
+import ttcvid
+from ttcvid.cli.main import main
+
+LARGEST_BASELINE_BYTES = 30_000
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes of their own cost seconds each: only tests marked `slow` have them."""
+    if "slow" not in request.keywords:
+        monkeypatch.setattr("ttcvid.jobs.regress.in_own_process", lambda function, *arguments: function(*arguments))
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulated(tmp_path_factory.mktemp("clip") / "scene")
+
+
+@pytest.fixture(scope="module")
+def baselines(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of baselines of a clip, with and without horizon, as --update writes them."""
+    folder = tmp_path_factory.mktemp("suite")
+    clips = [entry(clip, name="plain"), entry(clip, name="planar", horizon=str(clip / "horizon.yaml"))]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ttcvid.jobs.regress.in_own_process", lambda function, *arguments: function(*arguments))
+        assert main(["regress", str(written(folder, clips)), "--update", "-o", str(folder / "out")]) == 0
+    return folder / "baselines"
+
+
+def entry(clip: Path, name: str = "plain", expectations: Any = (), **options: Any) -> dict[str, Any]:
+    """A clip of a suite: the simulated one, unless its pictures are said to be elsewhere."""
+    chosen = {"camera": str(clip / "camera.yaml"), "timestamps": str(clip / "timestamps.txt"), "platform": "vehicle"}
+    chosen |= options
+    pictures = chosen.pop("pictures", str(clip / "frames"))
+    return {"name": name, "clip": pictures, "options": chosen, "expectations": list(expectations)}
+
+
+def written(folder: Path, clips: list[dict[str, Any]], **more: Any) -> Path:
+    path = folder / "suite.yaml"
+    path.write_text(yaml.safe_dump({"clips": clips, **more}))
+    return path
+
+
+@pytest.fixture
+def ran(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+    """Exit code and words of a suite of clips."""
+
+    def run(clips: list[dict[str, Any]], *options: str, baselines: Path | None = None) -> tuple[int, str]:
+        suite = written(tmp_path, clips, **({"baselines": str(baselines)} if baselines else {}))
+        code = main(["regress", str(suite), "-o", str(tmp_path / "out"), *options])
+        printed = capsys.readouterr()
+        return code, printed.out + printed.err
+
+    return run
+
+
+def copies(baselines: Path, folder: Path, **names: str) -> Path:
+    """Baselines under other names."""
+    folder.mkdir()
+    for name, source in names.items():
+        shutil.copy(baselines / f"{source}.yaml", folder / f"{name}.yaml")
+    return folder
+
+
+@pytest.mark.slow
+def test_a_rerun_and_another_seed_pass_and_the_junit_file_says_so(clip, baselines, ran, tmp_path):
+    clips = [entry(clip), entry(clip, name="seed", seed=5)]
+    code, text = ran(clips, "--jobs", "2", baselines=copies(baselines, tmp_path / "b", plain="plain", seed="plain"))
+    assert code == 0, text
+    assert [line.split(":")[0] for line in text.splitlines()[:2]] == ["passed   plain", "passed   seed"]
+    assert "2 clips: 2 passed" in text
+    suites = ElementTree.parse(tmp_path / "out/junit.xml").getroot()
+    assert [(s.get("name"), s.get("failures"), s.get("errors")) for s in suites] == [
+        ("plain", "0", "0"),
+        ("seed", "0", "0"),
+    ]
+    assert all(int(s.get("tests", 0)) > 50 for s in suites)
+
+
+def test_baselines_are_small_texts_and_the_same_each_time(clip, baselines, ran, tmp_path):
+    folder = copies(baselines, tmp_path / "b", plain="plain")
+    before = (folder / "plain.yaml").read_bytes()
+    assert len(before) < LARGEST_BASELINE_BYTES
+    code, text = ran([entry(clip)], "--update", baselines=folder)
+    assert code == 0
+    assert "baseline unchanged" in text
+    assert (folder / "plain.yaml").read_bytes() == before
+
+
+def test_what_is_wrong_with_a_clip_is_caught_and_named(clip, baselines, ran, tmp_path):
+    pictures, times = without_a_frame(clip, tmp_path / "dropped")
+    clips = [
+        entry(clip, name="dropped", pictures=str(pictures), timestamps=str(times)),
+        entry(clip, name="focal", camera=str(focal_off(clip, 1.02, tmp_path / "camera.yaml"))),
+        entry(clip, name="horizon", horizon=str(horizon_off(clip, 5.0, tmp_path / "horizon.yaml"))),
+    ]
+    folder = copies(baselines, tmp_path / "b", dropped="plain", focal="plain", horizon="planar")
+    code, text = ran(clips, baselines=folder)
+    assert code == 1
+    of_clip = {
+        name: text[text.index(f"failed   {name}:") :].split("\nfailed")[0] for name in ("dropped", "focal", "horizon")
+    }
+    assert f"DIFFERENT frames: frame {DROPPED} ({DROPPED / 20:.3f} s) is missing" in of_clip["dropped"]
+    assert "DIFFERENT collision_times.alpha_rad: factor 0.98" in of_clip["focal"]
+    assert "changed: camera.fx_px" in of_clip["focal"]
+    assert "DIFFERENT epipoles.scene.y_px: offset +5 px" in of_clip["horizon"]
+    assert "changed: horizon.y_left_px" in of_clip["horizon"]
+    code, text = ran(clips[1:2], "--update", baselines=folder)
+    assert code == 0
+    assert "baseline changed in" in text
+    assert "DIFFERENT collision_times.alpha_rad" in text
+    assert ran(clips[1:2], "-q", baselines=folder)[0] == 0
+
+
+def test_expectations_fail_by_themselves_and_are_named(clip, ran):
+    right = ["horizon y centre: 102 +- 5", "max_rss_mb: 2000", "min_fps_ratio: 0.001", "events: at most 5"]
+    wrong = ["ttc_z of object at (2, 2) in frame 20: 1 s +- 10 %", "max_rss_mb: 1", "events: at least 9"]
+    clip_entry = entry(clip, expectations=[*right, *wrong], horizon=str(clip / "horizon.yaml"))
+    code, text = ran([{**clip_entry, "baseline": False}])
+    assert code == 1
+    assert "4 of 7 expectations met" in text
+    assert "no object at (2, 2) in frame 20" in text
+    assert "MB of memory, expected at most 1" in text
+    assert "warnings, expected at least 9" in text
+
+
+def test_a_scene_is_rendered_with_camera_horizon_and_truth(ran, tmp_path):
+    small_scene(tmp_path / "small.yaml")
+    scene = {
+        "name": "scene",
+        "scene": "small.yaml",
+        "frames": 8,
+        "options": {"horizon": "horizon.yaml", "platform": "vehicle"},
+        "expectations": ["rotation.median <= 0.1", "events: none", "rotation.n >= 100"],
+    }
+    code, text = ran([scene], "--update")
+    assert code == 1
+    assert "8 frames" in text
+    assert "2 of 3 expectations met" in text
+    assert "rotation.n is 7, expected >= 100" in text
+    run = ttcvid.Run.open(tmp_path / "out/scene")
+    assert run.manifest["image_size"] == {"width_px": SIZE_PX[0], "height_px": SIZE_PX[1]}
+    assert run.manifest["horizon"] is not None
+    assert (tmp_path / "baselines/scene.yaml").is_file()
+
+
+def test_a_missing_clip_is_an_error_or_where_optional_a_skip(clip, ran, tmp_path):
+    gone = {"clip": "nowhere.mp4", "optional": True, "name": "gone"}
+    code, text = ran([gone])
+    assert code == 0
+    assert "skipped  gone: " in text
+    assert "nowhere.mp4: no such clip" in text
+    code, text = ran([gone, {**gone, "name": "needed", "optional": False}])
+    assert code == 3
+    assert "error    needed: " in text
+    suites = ElementTree.parse(tmp_path / "out/junit.xml").getroot()
+    assert [(s.get("skipped"), s.get("errors")) for s in suites] == [("1", "0"), ("0", "1")], text
+
+
+def test_an_unreadable_clip_is_an_error_of_that_clip_only(clip, baselines, ran, tmp_path):
+    broken = tmp_path / "broken.mp4"
+    broken.write_bytes(b"no video")
+    clips = [{"name": "broken", "clip": str(broken), "baseline": False}, entry(clip)]
+    code, text = ran(clips, baselines=baselines)
+    assert code == 3
+    assert "error    broken: " in text
+    assert "passed   plain" in text
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda path: path.unlink(), "there is no such baseline yet: write it with 'ttcvid regress --update'"),
+        (lambda path: path.write_text(path.read_text()[:3000]), "cannot be read as a baseline"),
+        (lambda path: path.write_text("a: [1"), "cannot be read as a baseline"),
+        (lambda path: path.write_text("name: something else\n"), "is no baseline"),
+        (
+            lambda path: path.write_text(path.read_text().replace("schema_version: '", "schema_version: 'x")),
+            "schema version x",
+        ),
+        (lambda path: path.write_text(path.read_text().replace("rot_x_rad", "rot_x_deg")), "has no column 'rot_x_rad'"),
+    ],
+)
+def test_a_damaged_baseline_is_refused_with_the_reason(damage, reason, clip, baselines, ran, tmp_path):
+    folder = copies(baselines, tmp_path / "b", plain="plain")
+    damage(folder / "plain.yaml")
+    code, text = ran([entry(clip)], baselines=folder)
+    assert code == 2
+    assert "error    plain: " in text
+    assert reason in text
+
+
+def test_an_update_replaces_a_damaged_baseline(clip, baselines, ran, tmp_path):
+    folder = copies(baselines, tmp_path / "b", plain="plain")
+    (folder / "plain.yaml").write_text("nothing")
+    code, text = ran([entry(clip)], "--update", baselines=folder)
+    assert code == 0, text
+    assert (folder / "plain.yaml").read_bytes() == (baselines / "plain.yaml").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("clips: []", "field 'clips'"),
+        ("clips: [{name: a}]", "clip 'a': expected either 'clip' or 'scene'"),
+        ("clips: [{name: a, clip: x, scene: y}]", "clip 'a': expected either 'clip' or 'scene'"),
+        ("clips: [{clip: x}]", "clip number 1: field 'name'"),
+        ("clips: [{name: a/b, clip: x}]", "clip 'a/b': field 'name'"),
+        ("clips: [{name: a, clip: x, frames: 3}]", "'frames' is for scenes"),
+        ("clips: [{name: a, clip: x, expectation: x}]", "clip 'a': field 'expectation'"),
+        ("clips: [{name: a, clip: x}, {name: a, clip: y}]", "two clips are called 'a'"),
+        (
+            "clips: [{name: a, clip: x, expectations: ['events: few']}]",
+            "clip 'a': expectation 'events: few': expected one of",
+        ),
+        ("clips: [{name: a, clip: x, expectations: ['ttc_z.medan <= 1']}]", "did you mean 'ttc_z.median'"),
+        ("clips: [{name: a, clip: x, tolerance: {frames: 3}}]", "tolerance of clip 'a': field 'frames'"),
+        ("clips: {", "is no valid YAML"),
+        ("- 1", "expected a list 'clips:'"),
+    ],
+)
+def test_a_mistake_in_the_suite_is_named(content, reason, tmp_path, capsys):
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(content)
+    assert main(["regress", str(suite)]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "suite.yaml" in message
+    assert reason in message
+
+
+def test_an_unknown_name_is_answered_by_the_nearest(clip, ran):
+    code, text = ran([entry(clip)], "--only", "plan")
+    assert code == 2
+    assert "did you mean 'plain'" in text
+
+
+def test_python_gives_the_outcomes(tmp_path):
+    suite = written(tmp_path, [{"clip": "nowhere.mp4", "optional": True, "name": "gone"}])
+    seen = []
+    result = ttcvid.regress(suite, out=tmp_path / "out", junit=tmp_path / "result.xml", on_clip=seen.append)
+    assert result.exit_code == 0
+    assert [outcome.status for outcome in result.outcomes] == ["skipped"]
+    assert seen == list(result.outcomes)
+    assert (tmp_path / "result.xml").is_file()
