@@ -15,7 +15,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 help:
 	@echo "make demo   render a roundabout with known truth, analyse and evaluate it"
 	@echo "make test   run all tests"
-	@echo "make regress  analyse simulated clips and hold them against their baselines"
+	@echo "make regress  analyse simulated clips, hold them against their baselines"
 	@echo "make lint   style, types and the direction of imports"
 	@echo "make clean  remove the virtual environment and all caches"
 
