@@ -39,8 +39,8 @@ __all__ = [
     "collision_map",
     "compare",
     "evaluate",
-    "sensitivity",
     "regress",
+    "sensitivity",
     "simulate",
 ]
 
@@ -57,8 +57,8 @@ _HOMES = {
     "collision_map": "ttcvid.jobs.collision_map",
     "compare": "ttcvid.jobs.compare",
     "evaluate": "ttcvid.jobs.evaluate",
-    "sensitivity": "ttcvid.jobs.sensitivity",
     "regress": "ttcvid.jobs.regress",
+    "sensitivity": "ttcvid.jobs.sensitivity",
     "simulate": "ttcvid.jobs.simulate",
 }
 

@@ -25,8 +25,8 @@ COMMANDS = {
     "demo": "Render a scene with known truth, analyse and evaluate it, and say where to look.",
     "doctor": "Versions of what ttcvid stands on, and what is broken.",
     "evaluate": "How good a run is beside a truth: errors, intervals, objects, warnings.",
-    "sensitivity": "How errors of direction and time grow with distance, method by method.",
     "regress": "Analyse the clips of a suite again and hold them against baselines and expectations.",
+    "sensitivity": "How errors of direction and time grow with distance, method by method.",
     "simulate": "Render a scene with exact truth: pictures, camera, depths, collision times.",
 }
 """Commands and their short help; the module ``ttcvid.cli.NAME`` holds each as ``NAME``, dashes as underscores."""
