@@ -23,7 +23,7 @@ def test_buffers_of_pictures_are_taken_again_without_fresh_pages():
     script = """
 import resource, threading
 import numpy as np
-from ttcvid.jobs.process import keep_freed_memory
+from ttcvid.jobs.process import share_freed_memory
 
 def work():
     counts = []
@@ -33,7 +33,7 @@ def work():
         counts.append(resource.getrusage(resource.RUSAGE_THREAD).ru_minflt)
     print(counts[-1] - counts[1])
 
-keep_freed_memory()
+share_freed_memory()
 thread = threading.Thread(target=work)
 thread.start()
 thread.join()

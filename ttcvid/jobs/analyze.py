@@ -19,7 +19,7 @@ from ttcvid.jobs.clip import (
 )
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
 from ttcvid.jobs.outputs import check_overlay, open_sinks
-from ttcvid.jobs.process import keep_freed_memory, one_opencv_thread
+from ttcvid.jobs.process import one_opencv_thread, share_freed_memory
 from ttcvid.jobs.provenance import (
     Tally,
     describe_calibration,
@@ -125,7 +125,7 @@ def _analyze_into(
     tally = Tally()
     info, pipeline = source.info, configuration.pipeline
     with ExitStack() as stack:
-        keep_freed_memory()
+        share_freed_memory()
         stack.enter_context(one_opencv_thread())
         write = open_sinks(stack, folder, source, calibration, configuration)
         writer = stack.enter_context(WriteBehind(write))
@@ -136,7 +136,8 @@ def _analyze_into(
             pipeline,
             calibration.horizon,
             calibration.mask,
-            map_ahead=map_ahead,
+            # Only AKAZE has work that is worth threads of its own, picture by picture.
+            map_ahead=map_ahead if pipeline.tracking.tracker == "akaze" else map,
             run_ahead=lambda tracked: stop.until_requested(stack.enter_context(ReadAhead(tracked))),
         )
         for frame, result in results:

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 import cv2
 
-# Parameters of glibc's mallopt, from malloc.h, and bytes up to which freed memory is kept.
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_KEPT_BYTES, _LARGEST_KEPT_BLOCK_BYTES = 128 << 20, 32 << 20
+# Parameters of glibc's mallopt, from malloc.h; bytes up to which freed memory is kept, and stocks (arenas) of it.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+_KEPT_BYTES, _LARGEST_KEPT_BLOCK_BYTES, _MOST_STOCKS = 128 << 20, 32 << 20, 2
 
 
 @contextmanager
@@ -27,13 +27,15 @@ def one_opencv_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-def keep_freed_memory() -> None:
-    """Let the allocator keep the buffers of one picture for the next, instead of handing them back to the system.
+def share_freed_memory() -> None:
+    """Let all threads take the memory that another picture has left, instead of fresh pages of the system.
 
-    AKAZE takes and frees some 20 MB a picture. To get them as fresh, cleared pages each time costs 7 ms of 85 ms a
-    frame, and more where two threads ask at once. Only glibc has this setting; elsewhere nothing is done.
+    AKAZE takes and frees some 20 MB a picture; as fresh, cleared pages they cost 7 ms of 85 ms a frame. And each thread
+    would keep a stock of its own, 20 MB that are never needed at once. Only glibc has these settings; elsewhere nothing
+    is done. Call before the threads begin.
     """
     libc = ctypes.CDLL(None)
     if hasattr(libc, "mallopt"):
         libc.mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
         libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST_KEPT_BLOCK_BYTES)
+        libc.mallopt(_M_ARENA_MAX, _MOST_STOCKS)
