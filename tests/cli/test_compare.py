@@ -19,7 +19,6 @@ from compared_runs import (
     focal_off,
     horizon_off,
     negated,
-    simulated,
     with_column,
     without_a_frame,
 )
@@ -32,8 +31,8 @@ EXACT = "columns: {'*': {}}\nparts: {'*': {max_share: 0, typical: 0}}\n"
 
 
 @pytest.fixture(scope="module")
-def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulated(tmp_path_factory.mktemp("clip") / "scene")
+def clip(small_clip: Path) -> Path:
+    return small_clip
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,7 @@ def baseline_text(results: Results) -> str:
         "schema_version": SCHEMA_VERSION,
         "facts": dict(results.facts),
         "clock": _clock_as_text(results.clock),
-        "tables": {name: _Block(_as_csv(results.tables[name])) for name in COLUMNS},
+        "tables": {name: _Block(_as_csv(results.tables[name][list(COLUMNS[name])])) for name in COLUMNS},
     }
     return HEAD + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
 

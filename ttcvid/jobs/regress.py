@@ -237,8 +237,9 @@ def _updated(path: Path, text: str) -> str:
     write_baseline(path, text)
     if before is None:
         return f"baseline written to {path}"
-    lines = [line for line in difflib.ndiff(before.splitlines(), text.splitlines()) if line.startswith(("+ ", "- "))]
-    return f"baseline changed in {sum(line.startswith('+ ') for line in lines)} lines"
+    lines = difflib.unified_diff(before.splitlines(), text.splitlines(), n=0, lineterm="")
+    n_lines = sum(line.startswith("+") and not line.startswith("+++") for line in lines)
+    return f"baseline changed in {n_lines} lines"
 
 
 def _as_junit(outcome: ClipOutcome) -> JUnitSuite:

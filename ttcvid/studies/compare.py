@@ -116,7 +116,7 @@ _CLUSTERS = ("epipoles", "clusters")
 def changes(baseline: Results, run: Results) -> tuple[Change, ...]:
     """Facts that differ, a fact that one side lacks among them."""
     names = [*baseline.facts, *(name for name in run.facts if name not in baseline.facts)]
-    both = [(name, baseline.facts.get(name, "-"), run.facts.get(name, "-")) for name in names]
+    both = [(name, baseline.facts.get(name, "none"), run.facts.get(name, "none")) for name in names]
     return tuple(
         Change(name, _shown(before), _shown(now) + _growth(before, now)) for name, before, now in both if before != now
     )

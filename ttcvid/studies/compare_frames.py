@@ -15,9 +15,8 @@ MAX_SHIFT_FRAMES = 3
 """Frames that can be lost or doubled in one place and still be followed."""
 GOOD_SHARE = 0.5
 """Two frames show the same picture if at least this share of tracks is at the same place in both."""
-BETTER_SHARE = 0.1
-"""Times are believed unless the pictures agree better, by this share of tracks, when frames are counted anew."""
 MAX_PICTURES_COMPARED = 60
+"""Times are believed unless more of these pictures agree when frames are joined by what they show."""
 
 Placed = dict[int, Floats]
 """Track positions ``(N, 2)`` in px, by frame."""
@@ -61,12 +60,14 @@ def join_frames(
     placed
         Where the tracks of the baseline and of the run are, by frame; for the baseline, some frames are enough.
     """
-    joined = _by_time(baseline, run, tolerance)
-    is_by_picture = False
-    least_share = _agreement(joined, placed, tolerance) + BETTER_SHARE
-    if least_share < 1.0:
+    joined, is_by_picture = _by_time(baseline, run, tolerance), False
+    # A lost picture shifts all that follow: the last ones tell, and some on the way for clips that end in the dark.
+    shown = np.array(sorted(placed[0]), np.int64)
+    some = shown[np.unique(np.linspace(0, len(shown) - 1, min(len(shown), MAX_PICTURES_COMPARED)).astype(int))]
+    n_good = _n_good(joined, some, placed, tolerance)
+    if n_good < len(some):
         by_picture = _by_picture(baseline.frame.to_numpy(), run.frame.to_numpy(), placed, tolerance.max_distance_px)
-        is_by_picture = _agreement(by_picture, placed, tolerance) > least_share
+        is_by_picture = _n_good(by_picture, some, placed, tolerance) > n_good
         joined = by_picture if is_by_picture else joined
     first, second = joined
     additional = np.setdiff1d(run.frame.to_numpy(), second)
@@ -134,13 +135,11 @@ def _by_picture(baseline: Ints, run: Ints, placed: tuple[Placed, Placed], max_di
     return joined[:, 0], joined[:, 1]
 
 
-def _agreement(joined: tuple[Ints, Ints], placed: tuple[Placed, Placed], tolerance: FrameTolerance) -> float:
-    """Mean share of tracks at the same place, over some of the joined frames."""
-    shown = np.flatnonzero(np.isin(joined[0], list(placed[0])))
-    n = len(shown)
-    some = shown[np.unique(np.linspace(0, n - 1, min(n, MAX_PICTURES_COMPARED)).astype(int))]
-    shares = [_share_there(placed, int(joined[0][k]), int(joined[1][k]), tolerance.max_distance_px) for k in some]
-    return float(np.mean(shares)) if shares else 0.0
+def _n_good(joined: tuple[Ints, Ints], frames: Ints, placed: tuple[Placed, Placed], tolerance: FrameTolerance) -> int:
+    """How many of some frames of the baseline show the same picture as the frame of the run that they are joined to."""
+    partner_of = dict(zip(joined[0].tolist(), joined[1].tolist(), strict=True))
+    pairs = [(frame, partner_of[frame]) for frame in frames.tolist() if frame in partner_of]
+    return sum(_share_there(placed, *pair, tolerance.max_distance_px) >= GOOD_SHARE for pair in pairs)
 
 
 def _share_there(placed: tuple[Placed, Placed], frame: int, other: int, max_distance_px: float) -> float:

@@ -1,0 +1,356 @@
+"""The parts of a comparison: joining frames, tracks, objects and warnings; judging columns; what baselines keep."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
+from ttcvid.jobs.result_tables import in_ordinary_types
+from ttcvid.schema import TABLES
+from ttcvid.studies.compare import Results, compare_results
+from ttcvid.studies.compare_columns import JoinedRows, explanation, is_judged, judge_columns, reported_sigma
+from ttcvid.studies.compare_frames import join_frames, join_tracks, positions_by_frame
+from ttcvid.studies.compare_objects import OTHER_OBJECT, baseline_numbers, join_events, join_objects
+from ttcvid.studies.compare_thinned import N_FRAMES as N_KEPT
+from ttcvid.studies.compare_thinned import N_TRACKS as N_TRACKS_KEPT
+from ttcvid.studies.compare_thinned import thinned
+from ttcvid.studies.compare_tolerance import (
+    NOT_JUDGED,
+    EventTolerance,
+    FrameTolerance,
+    ObjectTolerance,
+    Tolerance,
+    tolerance_from,
+)
+
+N_FRAMES, N_TRACKS, DT_S = 60, 40, 0.1
+FACTS = {"camera.fx_px": 500.0, "camera.fy_px": 500.0}
+
+
+def whole_result(seed: int = 0, name: str = "one") -> Results:
+    """A result with every column filled by numbers of ordinary size; object 3 lives in all frames, object 7 late."""
+    rng = np.random.default_rng(seed)
+    frame = np.arange(N_FRAMES)
+    frames = filled("frames", pd.DataFrame({"frame": frame, "t_s": frame * DT_S}), rng)
+    life = pd.DataFrame({"frame": np.concatenate([frame, frame, frame[40:]])})
+    life["cluster_id"] = np.repeat([0, 3, 7], [N_FRAMES, N_FRAMES, N_FRAMES - 40])
+    life = life.sort_values(["frame", "cluster_id"]).reset_index(drop=True)
+    life["t_s"] = life.frame * DT_S
+    x_px = 100.0 * life.cluster_id + life.frame
+    box = {"x0_px": x_px, "y0_px": 50.0 + life.frame, "x1_px": x_px + 60, "y1_px": 90.0 + life.frame}
+    clusters = filled("clusters", life.assign(**box, n_tracks=20), rng)
+    tracks = pd.DataFrame({"frame": np.repeat(frame, N_TRACKS), "track_id": np.tile(np.arange(N_TRACKS), N_FRAMES)})
+    places = rng.uniform(0, 600, (N_TRACKS, 2))
+    tracks["t_s"], tracks["cluster_id"] = tracks.frame * DT_S, np.where(tracks.track_id < 5, 3, 0)
+    tracks["x_px"] = places[tracks.track_id, 0] + 2.0 * tracks.frame
+    tracks["y_px"] = places[tracks.track_id, 1] + 1.0 * tracks.frame
+    events = pd.DataFrame({"event_id": [1], "kind": "collision_course", "cluster_id": [3], "start_frame": [10]})
+    events = events.assign(end_frame=30, start_s=1.0, end_s=3.0)
+    tables = {
+        "frames": frames,
+        "epipoles": filled("epipoles", life, rng),
+        "clusters": clusters,
+        "collision_times": filled("collision_times", tracks, rng),
+        "events": filled("events", events, rng),
+    }
+    return Results(name, tables, FACTS, frames)
+
+
+def filled(name: str, given: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
+    """The table with the columns of the schema; what is not given is random, all of one sign."""
+    columns = {}
+    for column in TABLES[name]:
+        if column.name in given:
+            columns[column.name] = given[column.name].to_numpy()
+        elif column.values:
+            columns[column.name] = np.full(len(given), column.values[0])
+        elif column.unit == "":
+            columns[column.name] = np.full(len(given), "name")
+        elif column.name.startswith("cov_"):
+            columns[column.name] = rng.uniform(1.0, 2.0, len(given)) * 1e-6
+        elif column.name == "rot_sigma_rad":
+            columns[column.name] = np.full(len(given), 1e-5)
+        elif column.name.startswith("rot_"):
+            columns[column.name] = rng.uniform(0.01, 0.02, len(given))
+        elif str(column.type).startswith("int"):
+            columns[column.name] = rng.integers(50, 60, len(given))
+        else:
+            low = {"_lo_s": 2.0, "_hi_s": 4.0}.get(column.name[-5:], 3.0)
+            columns[column.name] = low + rng.uniform(0.0, 0.1, len(given))
+    return in_ordinary_types(pd.DataFrame(columns), name)
+
+
+def with_table(results: Results, name: str, table: pd.DataFrame) -> Results:
+    clock = table if name == "frames" else results.clock
+    return Results("other", {**results.tables, name: table}, results.facts, clock, results.is_thinned)
+
+
+def different(baseline: Results, run: Results, tolerance: Tolerance | None = None) -> tuple[list[str], list[str]]:
+    """Names of the columns that differ, and all other complaints."""
+    comparison = compare_results(baseline, run, tolerance or Tolerance())
+    complaints = [text for part in comparison.parts for text in part.complaints]
+    return [column.name for column in comparison.columns if not column.is_same], complaints
+
+
+def test_a_result_is_the_same_as_itself():
+    assert different(whole_result(), whole_result()) == ([], [])
+
+
+JOINED_BY = {"x_px", "y_px", "x0_px", "y0_px", "x1_px", "y1_px", "t_s", "start_s", "end_s"}
+"""Columns that rows are joined by, and that are judged then."""
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_column_is_judged(table):
+    """Every number a quarter more, and a bit, and every name another one: each column is different, and no other."""
+    one = whole_result()
+    changed, judged = one.tables[table].copy(), set()
+    for column in TABLES[table]:
+        if not is_judged(table, column.name) or (column.name in JOINED_BY and table != "epipoles"):
+            continue
+        if column.name == "cluster_id" or column.name == "method":
+            continue
+        judged.add(column.name)
+        if column.values:
+            changed[column.name] = pd.Categorical([column.values[-1]] * len(changed), list(column.values))
+        else:
+            is_real = str(changed[column.name].dtype).startswith("float")
+            changed[column.name] = changed[column.name] * (1.25 if is_real else 2) + (
+                0.05 if column.name == "dt_s" else 2
+            )
+    columns, complaints = different(one, with_table(one, table, changed))
+    assert {name.split(".")[-1] for name in columns} == judged
+    assert complaints == []
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "shift"),
+    [
+        ("frames", "t_s", 0.02),
+        ("collision_times", "x_px", 0.7),
+        ("collision_times", "y_px", -0.7),
+        *(("clusters", f"{axis}{end}_px", 8.0) for axis in "xy" for end in "01"),
+        ("events", "start_s", 0.5),
+        ("events", "end_s", 0.5),
+    ],
+)
+def test_columns_that_rows_are_joined_by_are_judged(table, column, shift):
+    one = whole_result()
+    changed = one.tables[table].assign(**{column: one.tables[table][column] + shift})
+    columns, complaints = different(one, with_table(one, table, changed))
+    assert {name.split(".")[-1] for name in columns} == {column}
+    assert complaints == []
+
+
+def test_tracks_of_another_cluster_and_another_method_are_named():
+    one = whole_result()
+    tracks = one.tables["collision_times"]
+    assert different(one, with_table(one, "collision_times", tracks.assign(cluster_id=0)))[0] == [
+        "collision_times.cluster_id"
+    ]
+    columns, _ = different(one, with_table(one, "epipoles", one.tables["epipoles"].assign(method="other")))
+    assert columns == ["epipoles.scene.method", "epipoles.objects.method"]
+
+
+def test_columns_of_no_unit_that_are_not_judged_name_rows():
+    assert set(NOT_JUDGED) == {
+        "frame", "t_s", "track_id", "cluster_id", "motion_id", "event_id", "role", "start_frame", "end_frame",
+    }  # fmt: skip
+
+
+def test_numbers_of_objects_and_tracks_do_not_matter():
+    one = whole_result()
+    number = {0: 0, 3: 11, 7: 2}
+    tables = {
+        name: table.assign(cluster_id=table.cluster_id.map(number)) if "cluster_id" in table else table
+        for name, table in one.tables.items()
+    }
+    tables["collision_times"] = tables["collision_times"].assign(track_id=10_000 - tables["collision_times"].track_id)
+    assert different(one, Results("renumbered", tables, FACTS, one.clock)) == ([], [])
+
+
+def test_a_value_on_one_side_only_is_outside_of_every_tolerance():
+    one = whole_result()
+    changed = one.tables["frames"].copy()
+    changed.loc[:9, "rot_x_rad"] = np.nan
+    comparison = compare_results(one, with_table(one, "frames", changed), Tolerance())
+    (column,) = (column for column in comparison.columns if not column.is_same)
+    assert (column.name, column.n_outside) == ("frames.rot_x_rad", 10)
+    assert column.worst[0].run == "null"
+    assert column.worst[0].ratio == np.inf
+
+
+def test_differences_are_judged_in_the_reported_sigmas():
+    """A third of a sigma in some rows is nothing, in every row of a column a difference; two sigmas always are."""
+    one = whole_result()
+    limits = tolerance_from({"columns": {"clusters.c_hz": {"sigmas": 1}}}, "")
+    clusters = one.tables["clusters"]
+    sigma = np.sqrt(clusters.cov_cc.to_numpy())
+    few = np.arange(len(sigma)) < 9
+    assert (
+        different(one, with_table(one, "clusters", clusters.assign(c_hz=clusters.c_hz + 0.3 * sigma * few)), limits)[0]
+        == []
+    )
+    for shift in (0.3 * sigma * clusters.cluster_id.eq(0), 2 * sigma * few):
+        columns, _ = different(one, with_table(one, "clusters", clusters.assign(c_hz=clusters.c_hz + shift)), limits)
+        assert columns == ["clusters.scene.c_hz"]
+
+
+def test_sigmas_come_from_what_stands_beside_the_value():
+    rows = pd.DataFrame({"ttc_z_s": [2.0], "ttc_z_lo_s": [1.0], "ttc_z_hi_s": [4.0], "dir_x": [0.0], "cov_xx": [4e-6]})
+    assert reported_sigma(rows, "ttc_z_s", None) == pytest.approx((1 - 0.25) / 2 / 1.645)
+    assert reported_sigma(rows, "dir_x", None) == pytest.approx(2e-3)
+    assert np.isnan(reported_sigma(rows, "alpha_rad", None)).all()
+    epipole = pd.DataFrame(
+        {"dir_x": [0.0], "dir_y": [0.0], "dir_z": [-1.0], "cov_xx": [4e-6], "cov_yy": [1e-6], "cov_zz": [0.0]}
+    )
+    assert reported_sigma(epipole, "x_px", (500.0, 600.0)) == pytest.approx(1.0)
+    assert reported_sigma(epipole, "y_px", (500.0, 600.0)) == pytest.approx(0.6)
+
+
+def test_an_interval_without_an_end_gives_no_sigma():
+    rows = pd.DataFrame({"tcpa_s": [2.0], "tcpa_lo_s": [1.0], "tcpa_hi_s": [np.nan]})
+    assert np.isnan(reported_sigma(rows, "tcpa_s", None)).all()
+
+
+def test_simple_changes_are_named():
+    rng = np.random.default_rng(1)
+    before = rng.uniform(1.0, 2.0, 50)
+    allowed = np.full(50, 0.01)
+    noise = rng.uniform(-0.004, 0.004, 50)
+    assert explanation(before, -before + noise, allowed, "") == "the sign is swapped"
+    assert explanation(before, before + 3 + noise, allowed, "px").startswith("offset +3")
+    assert explanation(before, 1.02 * before + noise, allowed, "").startswith("factor 1.0")
+    assert explanation(before, rng.uniform(1.0, 2.0, 50), allowed, "") == ""
+    assert explanation(before[:3], -before[:3], allowed[:3], "") == ""
+
+
+def test_too_many_rows_or_too_large_a_typical_difference_make_a_column_different():
+    frame = np.arange(100)
+    before = pd.DataFrame({"frame": frame, "n_tracks": 1000.0})
+    limits = tolerance_from(
+        {"columns": {"frames.n_tracks": {"abs": 10}}, "parts": {"frames": {"max_share": 0.05, "typical": 0.5}}}, ""
+    )
+
+    def is_same(now: np.ndarray) -> bool:
+        run = before.assign(n_tracks=now)
+        rows = JoinedRows("frames", frame, frame * 0.1, np.full(100, ""), before, run)
+        (verdict,) = judge_columns(rows, limits, None)
+        return verdict.is_same
+
+    few, many = np.full(100, 1000.0), np.full(100, 1000.0)
+    few[:5] += 11
+    many[:6] += 11
+    assert is_same(few)
+    assert not is_same(many)
+    assert is_same(before.n_tracks.to_numpy() + 5)
+    assert not is_same(before.n_tracks.to_numpy() + 6)
+
+
+def clock(times: np.ndarray) -> pd.DataFrame:
+    return pd.DataFrame({"frame": np.arange(len(times)), "t_s": times})
+
+
+def test_frames_are_joined_by_time_and_the_rest_is_missing_or_additional():
+    times = np.arange(10) * DT_S
+    joined = join_frames(clock(times), clock(np.delete(times, 4) + 0.001), ({}, {}), FrameTolerance())
+    assert joined.missing.tolist() == [4]
+    assert joined.additional.tolist() == []
+    assert joined.run.tolist() == list(range(9))
+    joined = join_frames(clock(times[:5]), clock(times), ({}, {}), FrameTolerance())
+    assert joined.additional.tolist() == [5, 6, 7, 8, 9]
+    assert join_frames(clock(times[:0]), clock(times), ({}, {}), FrameTolerance()).additional.tolist() == list(
+        range(10)
+    )
+    assert join_frames(clock(times), clock(times[:0]), ({}, {}), FrameTolerance()).missing.tolist() == list(range(10))
+
+
+@pytest.mark.parametrize("lost", [[0], [1], [25], [58], [59], [20, 40], [20, 21]])
+def test_frames_lost_from_a_clip_without_times_are_found_by_their_pictures(lost):
+    result = whole_result()
+    places = positions_by_frame(result.tables["collision_times"])
+    kept = np.delete(np.arange(N_FRAMES), lost)
+    now = {k: places[int(frame)] for k, frame in enumerate(kept)}
+    joined = join_frames(result.clock, clock(np.arange(len(kept)) * DT_S), (places, now), FrameTolerance())
+    assert joined.missing.tolist() == lost
+    back = join_frames(clock(np.arange(len(kept)) * DT_S), result.clock, (now, places), FrameTolerance())
+    assert back.additional.tolist() == lost
+
+
+def test_tracks_are_joined_by_place_one_to_one():
+    before = pd.DataFrame({"frame": [0, 0, 1], "track_id": [1, 2, 1], "x_px": [10.0, 20.0, 10.0], "y_px": 0.0})
+    now = pd.DataFrame({"frame": [0, 0, 0, 1], "track_id": [7, 8, 9, 1], "x_px": [20.3, 10.4, 10.2, 30.0], "y_px": 0.0})
+    rows, others = join_tracks(before, now, 1.0)
+    assert sorted(zip(rows.tolist(), others.tolist(), strict=True)) == [(0, 2), (1, 0)]
+
+
+def test_a_missing_an_additional_and_a_renamed_object_are_named():
+    result = whole_result()
+    objects = result.tables["clusters"][result.tables["clusters"].cluster_id > 0].reset_index(drop=True)
+    first = objects[objects.cluster_id == 3].reset_index(drop=True)
+    joined = join_objects(objects, first, ObjectTolerance())
+    (complaint,) = joined.complaints
+    assert complaint.startswith("object 7 (frames 40-59, ")
+    assert complaint.endswith("is missing")
+    (complaint,) = join_objects(first, objects, ObjectTolerance()).complaints
+    assert complaint.startswith("object 7 ")
+    assert complaint.endswith("is additional")
+    renamed = first.assign(cluster_id=np.where(first.frame < 30, 3, 4))
+    (complaint,) = join_objects(first, renamed, ObjectTolerance(min_found=0.7)).complaints
+    assert complaint == "object 3 does not keep one number in the run: it is 3 in frames 0-29, 4 in frames 30-59"
+    assert join_objects(objects, first, ObjectTolerance(min_tracks=21)).complaints == ()
+    assert join_objects(objects, first, ObjectTolerance(min_frames=21)).complaints == ()
+
+
+def test_clusters_of_tracks_are_compared_by_what_their_object_is_in_the_baseline():
+    tracks = pd.DataFrame({"frame": [0, 0, 0, 1], "cluster_id": [-1, 0, 5, 5]})
+    pairs = pd.DataFrame({"frame": [0], "run_id": [5], "baseline_id": [2]})
+    assert baseline_numbers(tracks, pairs).tolist() == [-1, 0, 2, 5 + OTHER_OBJECT]
+
+
+def events(*rows: tuple[int, float, float]) -> pd.DataFrame:
+    table = pd.DataFrame(rows, columns=["cluster_id", "start_s", "end_s"])
+    return table.assign(event_id=range(len(rows)), kind="collision_course", start_frame=0, end_frame=1)
+
+
+def test_warnings_are_joined_by_object_and_time_and_the_rest_is_named():
+    pairs = pd.DataFrame({"baseline_id": [1, 2], "run_id": [8, 9]})
+    before, now = events((1, 1.0, 3.0), (2, 1.0, 3.0)), events((9, 1.1, 3.0), (8, 1.1, 3.0), (4, 7.0, 8.0))
+    first, second, complaints = join_events(before, now, pairs, EventTolerance())
+    assert dict(zip(first.tolist(), second.tolist(), strict=True)) == {0: 1, 1: 0}
+    (complaint,) = complaints
+    assert complaint == "warning collision_course of object 4 (frames 0-1, 7.000-8.000 s) is additional"
+    assert join_events(events((1, 1.0, 3.0)), events(), pairs, EventTolerance())[2][0].endswith("is missing")
+    assert join_events(events((1, 1.0, 1.1)), events(), pairs, EventTolerance())[2] == ()
+    assert join_events(events((1, 1.0, 1.1)), events(), pairs, EventTolerance(min_duration_s=0.05))[2] != ()
+
+
+def test_a_baseline_keeps_few_rows_and_is_read_as_it_was_written(tmp_path):
+    result = whole_result()
+    kept = thinned(result, ObjectTolerance())
+    assert len(kept.tables["frames"]) == N_KEPT
+    assert kept.tables["collision_times"].groupby("frame").size().max() == N_TRACKS_KEPT
+    path = tmp_path / "baseline.yaml"
+    write_baseline(path, baseline_text(kept))
+    read = read_baseline(path)
+    assert read.facts == FACTS
+    np.testing.assert_allclose(read.clock.t_s, result.clock.t_s, atol=1e-6)
+    assert read.clock.frame.tolist() == result.clock.frame.tolist()
+    assert baseline_text(read) == path.read_text()
+    assert different(read, result) == ([], [])
+
+
+@pytest.mark.parametrize(
+    "times", [np.arange(40) / 30, np.round(np.arange(40) / 30, 3), np.arange(40) ** 1.2 / 30 + 5, np.zeros(1)]
+)
+def test_a_baseline_keeps_the_times_of_all_frames(tmp_path, times):
+    numbers = np.arange(len(times)) * 2 + 5
+    frames = filled("frames", pd.DataFrame({"frame": numbers, "t_s": times}), np.random.default_rng(0))
+    tables = {name: filled(name, pd.DataFrame(index=[]), np.random.default_rng(0)) for name in TABLES}
+    path = tmp_path / "baseline.yaml"
+    kept = thinned(Results("one", {**tables, "frames": frames}, {}, frames), ObjectTolerance())
+    write_baseline(path, baseline_text(kept))
+    read = read_baseline(path).clock
+    assert read.frame.tolist() == numbers.tolist()
+    step_s = np.median(np.diff(times)) if len(times) > 1 else 1.0
+    assert np.abs(read.t_s - times).max() < 0.06 * step_s
