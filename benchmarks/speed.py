@@ -5,7 +5,7 @@ python benchmarks/speed.py [--clip CLIP] [--repeats 3] [--profile] [--check] [--
 The bare loop (bare_loop.py) and ``ttcvid analyze`` take turns, so that a machine that is slow for a while is slow for
 both; the best of the repeats counts for each. Three times are told apart:
 analysis: from opening the clip to the last row and picture, the manifest's ``analysis_s``;
-job:      the same with the check that decodes the finished overlay once more, the manifest's ``total_s``;
+job:      the same with the check that reads the finished overlay once more, the manifest's ``total_s``;
 command:  wall-clock of the whole command, with the start of the interpreter and all imports.
 The bar is on the job against the loop, neither with the start of its interpreter.
 """

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import cv2
 import numpy as np
 
 from ttcvid import pipeline
@@ -20,6 +19,7 @@ from ttcvid.jobs import outputs
 from ttcvid.jobs.clip import open_clip, read_calibration
 from ttcvid.jobs.configuration import configure_from_arguments
 from ttcvid.jobs.outputs import open_sinks
+from ttcvid.jobs.process import one_opencv_thread, share_freed_memory
 from ttcvid.sinks.tables import TableSink
 from ttcvid.sinks.video import OverlayVideo
 
@@ -72,10 +72,9 @@ def milliseconds_per_stage(clip: Path, **options: Any) -> tuple[dict[str, float]
     """
     watch, n_tracks = Stopwatch(), []
     configuration = configure_from_arguments(options)
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+    share_freed_memory()
     with ExitStack() as stack:
-        stack.callback(cv2.setNumThreads, threads)
+        stack.enter_context(one_opencv_thread())
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for name, stage in PIPELINE_STAGES.items():
             stack.enter_context(patch.object(pipeline, name, watch.timed(stage, getattr(pipeline, name))))
