@@ -120,7 +120,7 @@ def test_tracks_that_die_are_replaced_apart_from_those_that_live():
         memory, _ = follow_klt(memory, wave_picture(Warp(shift_px=(15.0 * step, 0.0))), None, config)
     is_new = memory.points.track_id >= n_first
     assert is_new.sum() > 20
-    assert 0.9 * n_first <= len(is_new) <= config.max_tracks
+    assert 0.8 * n_first <= len(is_new) <= config.max_tracks
     old, new = memory.points.xy_px[~is_new], memory.points.xy_px[is_new]
     # New corners keep clear of old tracks in the picture they were found in; later they may draw together a little.
     assert np.linalg.norm(new[:, None] - old[None], axis=2).min() > config.min_distance_px - 1.5

@@ -39,10 +39,11 @@ class Lettering:
     def __init__(self, cap_px: int) -> None:
         self.cap_px = cap_px
         self.line_px = round(cap_px * 1.75)
-        self._glyphs = {letter: _glyph(letter, cap_px) for letter in _PRINTABLE}
+        # All three channels are spelled out, because numpy is slow in loops of three.
+        self._covers = {letter: np.repeat(_glyph(letter, cap_px)[..., None], 3, axis=2) for letter in _PRINTABLE}
         # What stays from picture to picture (numbers, words, notes) is put together once.
         self._layers_of = lru_cache(maxsize=256)(self._layers)
-        self._widths_px = {letter: glyph.shape[1] for letter, glyph in self._glyphs.items()}
+        self._widths_px = {letter: cover.shape[1] for letter, cover in self._covers.items()}
 
     def width_px(self, text: str) -> int:
         """Width of a text."""
@@ -60,17 +61,11 @@ class Lettering:
             part[:] = (part * kept[within] + added[within]) >> 8
 
     def _layers(self, text: str, ink: Colour) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """What a text leaves of the picture and what it adds, both ``(height, width, 3)``, times 255.
-
-        All three channels are spelled out, because numpy is slow in loops of three.
-        """
-        nothing = np.zeros((self._glyph_of("?").shape[0], 0), dtype=np.uint8)
-        mask = np.hstack([nothing, *(self._glyph_of(letter) for letter in text)])
-        cover = np.repeat(mask[..., None], 3, axis=2).astype(np.uint16)
+        """What a text leaves of the picture and what it adds, both ``(height, width, 3)``, times 255."""
+        unknown = self._covers["?"]
+        covers = [self._covers.get(letter, unknown) for letter in text]
+        cover = np.concatenate([unknown[:, :0], *covers], axis=1, dtype=np.uint16)
         return 255 - cover, cover * np.array(ink, dtype=np.uint16)
-
-    def _glyph_of(self, letter: str) -> Picture:
-        return self._glyphs.get(letter, self._glyphs["?"])
 
 
 def _glyph(letter: str, cap_px: int) -> Picture:
