@@ -116,7 +116,7 @@ def test_tracks_that_die_are_replaced_apart_from_those_that_live():
     config = replace_config(max_tracks=150)
     memory = start_klt(wave_picture(), None, config)
     n_first = len(memory.points.track_id)
-    for step in range(1, 5):
+    for step in range(1, 7):
         memory, _ = follow_klt(memory, wave_picture(Warp(shift_px=(15.0 * step, 0.0))), None, config)
     is_new = memory.points.track_id >= n_first
     assert is_new.sum() > 20
