@@ -10,17 +10,22 @@ from typing import Any
 import numpy as np
 
 from ttcvid.config import CollisionMapConfig
-from ttcvid.errors import UsageError
+from ttcvid.errors import InputError, UsageError
 from ttcvid.jobs.configuration import configure_study
-from ttcvid.jobs.moments import Clip, Moment, open_clip_of
+from ttcvid.jobs.moments import Clip, Moment
 from ttcvid.jobs.provenance import versions
+from ttcvid.jobs.run import Run
+from ttcvid.jobs.run_moments import run_clip
+from ttcvid.jobs.simulate import MARKER_NAME
+from ttcvid.jobs.true_hazards import scene_clip
 from ttcvid.sinks.folder import OutputFolder
+from ttcvid.sinks.manifest import MANIFEST_NAME
 from ttcvid.sinks.tables import write_table
-from ttcvid.studies.collision_map import NO_OBJECT, CollisionMap, map_of_changes
+from ttcvid.studies.collision_map import NO_OBJECT, CollisionMap, family_maps, map_of_changes
 from ttcvid.studies.collision_map_picture import collision_map_figure, write_figure
+from ttcvid.studies.contacts import AHEAD, RIGHT
 from ttcvid.studies.evasion import Evasion, EvasionLimits, EvasionStatus, evade
 from ttcvid.studies.evasion_wording import caption_of, describe_advice
-from ttcvid.studies.hazards import AHEAD, RIGHT
 
 MAP_NAMES = ("collision_map.parquet", "collision_map.png", "collision_map.svg", "evasion.parquet")
 _RANGE_M_S = (3.0, 15.0)
@@ -158,6 +163,29 @@ def run_collision_map(
     return result
 
 
+def open_clip_of(path: Path, config: CollisionMapConfig) -> Clip:
+    """The frames of a run, of the folder of a simulation (its truth), or of a scene file (its truth).
+
+    Raises
+    ------
+    InputError
+        ``path`` is none of these, or cannot be read.
+    UsageError
+        The scale is missing, or is given where it is known; the scene file is not valid.
+    """
+    if path.is_dir() and (path / MARKER_NAME).is_file():
+        return scene_clip(path / MARKER_NAME, config)
+    if path.is_file() and path.suffix in (".yaml", ".yml"):
+        return scene_clip(path, config)
+    if path.is_dir() and (path / MANIFEST_NAME).is_file():
+        return run_clip(Run.open(path), config)
+    what = "holds neither" if path.is_dir() else "is neither a scene file nor a folder with"
+    raise InputError(
+        f"{path}: {what} manifest.json (a run) nor {MARKER_NAME} (a simulation): give the folder of 'ttcvid analyze' "
+        "or 'ttcvid simulate', or a scene file"
+    )
+
+
 def _index_of(clip: Clip, frame: int | None, time_s: float | None) -> int | None:
     """The place of the wanted frame among the clip's; None: none was named."""
     if frame is not None and time_s is not None:
@@ -211,7 +239,11 @@ def _make_map(
     changes = np.linspace(-reach, reach, config.n_cells)
     made = map_of_changes(moment.situation, changes, 0.5 * changes, config.look_ahead_s)
     caption = caption_of(clip.name, int(clip.frame[n]), float(clip.t_s[n]), speed_m_s, advice, made.names, moment.notes)
-    figure = collision_map_figure(made, advice, speed_m_s, config.units, caption)
+    families = [
+        (name, family_maps(moment.situation, name, changes, 0.5 * changes, config.look_ahead_s))
+        for name in moment.unlinked
+    ]
+    figure = collision_map_figure(made, advice, speed_m_s, config.units, caption, families)
     for name in ("collision_map.png", "collision_map.svg"):
         write_figure(figure, folder / name)
     return made

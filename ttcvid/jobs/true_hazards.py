@@ -2,16 +2,37 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
+from ttcvid.config import CollisionMapConfig
+from ttcvid.errors import UsageError
+from ttcvid.jobs.moments import Clip, Moment, own_body
 from ttcvid.model import Floats
-from ttcvid.simulate import World
+from ttcvid.simulate import World, build_world, load_scene
 from ttcvid.simulate.poses import body_motion, own_motion
 from ttcvid.simulate.world import Actor
 from ttcvid.studies.hazards import Hazards, OwnBody, Situation, joined, one_object
 
 _RESTING_M_S = 1e-6
 """Below this horizontal speed, ahead is where the camera looks."""
+
+
+def scene_clip(path: Path, config: CollisionMapConfig) -> Clip:
+    """The frames of a scene file; UsageError where it is not valid or an option says what a scene knows by itself."""
+    for name in ("ego_speed", "camera_height_m", "object_width_m"):
+        if getattr(config, name) is not None:
+            raise UsageError(f"--{name.replace('_', '-')}: {path} is a scene, which knows it by itself: leave it out")
+    scene = load_scene(path)
+    world = build_world(scene)
+    own = own_body(config, own_body_of(world))
+    note = f"From the true places, sizes and motions of scene {scene.name}."
+
+    def moment(n: int) -> Moment:
+        return Moment(true_situation(world, n, own), notes=(note,))
+
+    return Clip(scene.name, np.arange(world.n_frames), world.path.t_s, moment, (path,))
 
 
 def own_body_of(world: World) -> OwnBody:

@@ -9,22 +9,18 @@ the closest approach, seen along the relative motion, against the extent of both
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import ndtr
 
 from ttcvid.model import Floats, Ints
-from ttcvid.studies.hazards import AHEAD, DOWN, RIGHT, Hazards, OwnBody, Situation, turned_right
+from ttcvid.studies.contacts import POSSIBLE, add_contacts
+from ttcvid.studies.hazards import Hazards, Situation, turned_right
 
 NO_OBJECT = -1
 LIKELY = 0.5
 """From this probability on a collision counts as likely."""
-POSSIBLE = 0.05
-"""Below this probability nothing is said of a cell: no time, no object."""
-_ROUND_DIRECTIONS = 8
-"""Slabs that stand for a round outline: the polygon of 16 sides around a circle exceeds it by 2 % at its corners."""
 _TINY = 1e-12
 
 
@@ -114,6 +110,18 @@ def map_of_changes(situation: Situation, forward_m_s: Floats, right_m_s: Floats,
     )
 
 
+def family_maps(situation: Situation, name: str, forward_m_s: Floats, right_m_s: Floats, horizon_s: float) -> Floats:
+    """Probability of hitting an object by each of its alternatives, were that the true one: ``(K, F, R)``."""
+    hazards = situation.hazards
+    is_of_object = hazards.object_index == hazards.names.index(name)
+    maps = []
+    for alternative in np.unique(hazards.alternative[is_of_object]):
+        member = hazards.take(is_of_object & (hazards.alternative == alternative))
+        alone = replace(situation, hazards=replace(member, weight=np.ones(len(member))))
+        maps.append(map_of_changes(alone, forward_m_s, right_m_s, horizon_s).probability)
+    return np.stack(maps)
+
+
 def outcomes(situation: Situation, legs: Sequence[Leg], horizon_s: float) -> Outcomes:
     """What becomes of C ways, each given by one or more legs that follow each other until ``horizon_s``."""
     hazards, own = situation.hazards, situation.own
@@ -126,11 +134,22 @@ def outcomes(situation: Situation, legs: Sequence[Leg], horizon_s: float) -> Out
     time, probability = (np.full((len(near), n_ways), fill) for fill in (np.inf, 0.0))
     times_s = np.array([legs[0].start_s, *(leg.end_s for leg in legs)])
     for leg, then in zip(legs, near.along(times_s, situation.own_velocity_m_s), strict=True):
-        leg_time, leg_probability = _contacts(then, own, leg)
         # A hazard that is met in two legs is met in the one in which that is more probable, not twice.
-        is_earlier = (leg_probability >= POSSIBLE) & (leg_time < time)
-        time = np.where(is_earlier, leg_time, time)
-        probability = np.maximum(probability, leg_probability)
+        add_contacts(
+            np.ascontiguousarray(then.position_m),
+            np.ascontiguousarray(then.velocity_m_s),
+            then.half_size_m,
+            then.yaw_rad,
+            then.covariance,
+            own.half_m,
+            own.is_round,
+            leg.shift_m,
+            leg.change_m_s,
+            leg.start_s,
+            leg.end_s - leg.start_s,
+            time,
+            probability,
+        )
     return _by_object(near, time, probability, n_objects)
 
 
@@ -139,12 +158,14 @@ def ways(situation: Situation, change_m_s: Floats, horizon_s: float, ramp_s: Flo
 
     ``ramp_s (C,)`` is how long it takes until a change is complete, at constant acceleration; None: it is there at
     once. The changed velocity turns as the present one does. One leg where everything is straight, else a leg each
-    quarter of a second.
+    quarter of a second; what is straight after the changes are complete is one leg again.
     """
     own_velocity_m_s, turn_rad_s = situation.own_velocity_m_s, situation.own_turn_rad_s
     if ramp_s is None and turn_rad_s == 0.0 and situation.hazards.is_straight:
         return [Leg(0.0, horizon_s, np.zeros_like(change_m_s), change_m_s)]
     knots = leg_times(horizon_s)
+    if turn_rad_s == 0.0 and situation.hazards.is_straight and ramp_s is not None:
+        knots = np.unique(np.append(knots[knots < ramp_s.max()], [min(float(ramp_s.max()), horizon_s), horizon_s]))
     shift, legs = np.zeros_like(change_m_s), []
     for start, end in pairwise(knots.tolist()):
         share = 1.0 if ramp_s is None else (_ramped_s(end, ramp_s) - _ramped_s(start, ramp_s))[:, None] / (end - start)
@@ -164,115 +185,6 @@ def _ramped_s(t_s: float, ramp_s: Floats) -> Floats:
     """Integral of min(t / ramp, 1) from 0 to ``t_s``."""
     safe = np.maximum(ramp_s, _TINY)
     return np.where(t_s < ramp_s, 0.5 * t_s**2 / safe, t_s - 0.5 * ramp_s)
-
-
-def _contacts(hazards: Hazards, own: OwnBody, leg: Leg) -> tuple[Floats, Floats]:
-    """Time of contact (or of the closest approach) and probability of contact ``(N, C)`` within one leg."""
-    place = [hazards.position_m[:, None, k] - leg.shift_m[None, :, k] for k in range(3)]
-    speed = [hazards.velocity_m_s[:, None, k] - leg.change_m_s[None, :, k] for k in range(3)]
-    duration = leg.end_s - leg.start_s
-    enter, leave = _touching(hazards, own, place, speed)
-    is_contact = (enter <= leave) & (leave >= 0.0) & (enter <= duration)
-    if hazards.is_exact:
-        return np.where(is_contact, leg.start_s + np.maximum(enter, 0.0), np.inf), is_contact.astype(float)
-    closest, probability = _probability(hazards, own, place, speed, leg.start_s, duration)
-    return leg.start_s + np.where(is_contact, np.maximum(enter, 0.0), closest), probability
-
-
-def _touching(hazards: Hazards, own: OwnBody, place: list[Floats], speed: list[Floats]) -> tuple[Floats, Floats]:
-    """From when until when boxes touch our outline ``(N, C)`` in s; enter > leave: never.
-
-    The sum of two convex outlines that are symmetric about their centres is cut out by slabs abs(n.x) <= h(n), one for
-    each edge direction; the time inside is the intersection of the times inside each slab.
-    """
-    right = [np.cos(hazards.yaw_rad), -np.sin(hazards.yaw_rad)]
-    ahead = [np.sin(hazards.yaw_rad), np.cos(hazards.yaw_rad)]
-    angles = np.pi * np.arange(_ROUND_DIRECTIONS) / _ROUND_DIRECTIONS if own.is_round else np.array([0.0, 0.5 * np.pi])
-    axes = [right, ahead, *([np.full(1, np.cos(a)), np.full(1, np.sin(a))] for a in angles)]
-    half_down = hazards.half_size_m[:, DOWN]
-    enter, leave = _slab(place[DOWN], speed[DOWN], (half_down + 0.5 * own.height_m)[:, None])
-    share = _share_at_meeting(hazards, own, place, speed)
-    for x, z in axes:
-        half = _box_half_extent(hazards, x, z)[:, None] + own.half_extent_m(x, z)[:, None] * share
-        along = x[:, None] * place[RIGHT] + z[:, None] * place[AHEAD]
-        rate = x[:, None] * speed[RIGHT] + z[:, None] * speed[AHEAD]
-        slab_enter, slab_leave = _slab(along, rate, half)
-        np.maximum(enter, slab_enter, out=enter)
-        np.minimum(leave, slab_leave, out=leave)
-    return enter, leave
-
-
-def _share_at_meeting(hazards: Hazards, own: OwnBody, place: list[Floats], speed: list[Floats]) -> Floats | float:
-    """How wide a round outline is at the height at which it meets each box; 1 for one with upright sides."""
-    if not own.is_round:
-        return 1.0
-    pace2 = np.maximum(speed[RIGHT] ** 2 + speed[AHEAD] ** 2, _TINY)
-    closest = np.maximum(-(place[RIGHT] * speed[RIGHT] + place[AHEAD] * speed[AHEAD]) / pace2, 0.0)
-    below_m = np.abs(place[DOWN] + closest * speed[DOWN]) - hazards.half_size_m[:, None, DOWN]
-    return own.share_at_height(np.maximum(below_m, 0.0))
-
-
-def _slab(along: Floats, rate: Floats, half: Floats) -> tuple[Floats, Floats]:
-    """From when until when abs(along + rate t) <= half; without a rate that is always, or so late as never."""
-    inverse = 1.0 / np.where(np.abs(rate) < _TINY, _TINY, rate)
-    middle, reach = -along * inverse, half * np.abs(inverse)
-    return middle - reach, middle + reach
-
-
-def _box_half_extent(hazards: Hazards, x: Floats, z: Floats) -> Floats:
-    """Half the extent of each box along horizontal unit vectors (x right, z ahead)."""
-    cos, sin = np.cos(hazards.yaw_rad), np.sin(hazards.yaw_rad)
-    width, length = hazards.half_size_m[:, RIGHT], hazards.half_size_m[:, AHEAD]
-    if x.ndim == 2:
-        cos, sin, width, length = (v[:, None] for v in (cos, sin, width, length))
-    return width * np.abs(cos * x - sin * z) + length * np.abs(sin * x + cos * z)
-
-
-def _probability(
-    hazards: Hazards, own: OwnBody, place: list[Floats], speed: list[Floats], start_s: float, duration_s: float
-) -> tuple[Floats, Floats]:
-    """Time of the closest approach within a leg and the probability of contact ``(N, C)``.
-
-    The product of three: we are not past each other at its start and have met by its end (along the motion), the paths
-    cross within both outlines (across it), and at one height.
-    """
-    pace = np.maximum(np.hypot(speed[RIGHT], speed[AHEAD]), _TINY)
-    x, z = speed[RIGHT] / pace, speed[AHEAD] / pace
-    along = x * place[RIGHT] + z * place[AHEAD]
-    across = z * place[RIGHT] - x * place[AHEAD]
-    closest = np.clip(-along / pace, 0.0, duration_s)
-    half_along = _box_half_extent(hazards, x, z) + own.half_extent_m(x, z)
-    half_across = _box_half_extent(hazards, z, -x) + own.half_extent_m(z, -x)
-    half_down = (hazards.half_size_m[:, DOWN] + 0.5 * own.height_m)[:, None]
-    down = place[DOWN] + closest * speed[DOWN]
-    sigma_across = _sigma(hazards, start_s + closest, z, -x)
-    sigma_start = _sigma(hazards, np.full(1, start_s), x, z)
-    sigma_end = _sigma(hazards, np.full(1, start_s + duration_s), x, z)
-    sigma_down = _sigma_down(hazards, start_s + closest)
-    probability = ndtr((half_across - across) / sigma_across) - ndtr((-half_across - across) / sigma_across)
-    probability *= ndtr((half_along + along + pace * duration_s) / sigma_end)
-    probability *= ndtr((half_along - along) / sigma_start)
-    probability *= ndtr((half_down - down) / sigma_down) - ndtr((-half_down - down) / sigma_down)
-    return closest, probability
-
-
-def _sigma(hazards: Hazards, t_s: Floats, x: Floats, z: Floats) -> Floats:
-    """Standard deviation of the relative place at times ``t_s`` along horizontal unit vectors (x right, z ahead)."""
-    variance: Floats | float = 0.0
-    for i, j, factor in ((RIGHT, RIGHT, x * x), (RIGHT, AHEAD, 2.0 * x * z), (AHEAD, AHEAD, z * z)):
-        variance = variance + factor * _variance(hazards.covariance, i, j, t_s)
-    return np.sqrt(np.maximum(variance, _TINY))
-
-
-def _sigma_down(hazards: Hazards, t_s: Floats) -> Floats:
-    return np.sqrt(np.maximum(_variance(hazards.covariance, DOWN, DOWN, t_s), _TINY))
-
-
-def _variance(covariance: Floats, i: int, j: int, t_s: Floats) -> Floats:
-    """Element (i, j) of the covariance of P + V t."""
-    constant, square = covariance[:, i, j], covariance[:, 3 + i, 3 + j]
-    linear = covariance[:, i, 3 + j] + covariance[:, j, 3 + i]
-    return constant[:, None] + t_s * (linear[:, None] + t_s * square[:, None])
 
 
 def _by_object(hazards: Hazards, time: Floats, probability: Floats, n_objects: int) -> Outcomes:

@@ -18,7 +18,8 @@ from matplotlib.patches import Patch
 from scipy import ndimage
 
 from ttcvid.model import Bools, Floats
-from ttcvid.studies.collision_map import LIKELY, POSSIBLE, CollisionMap
+from ttcvid.studies.collision_map import LIKELY, CollisionMap
+from ttcvid.studies.contacts import POSSIBLE
 from ttcvid.studies.evasion import Evasion, EvasionStatus
 
 KM_H = 3.6
@@ -27,7 +28,7 @@ _TIMES: Colormap = LinearSegmentedColormap.from_list("times", ["#7a0010", "#d730
 """From now (dark red) to the end of the look-ahead (pale)."""
 _PALE = 0.45
 """Share of a time's colour that is left where a collision is possible but not likely."""
-_ADVICE, _INK = "#0b5fa5", "#1a1a1a"
+_ADVICE, _INK, _FAMILY = "#0b5fa5", "#1a1a1a", "#5b3a8c"
 _MAX_NAMES = 7
 _MIN_NAMED_CELLS = 12
 _NAME_SHARE = 0.1
@@ -58,8 +59,7 @@ def collision_map_figure(
     units
         ``"km/h"``, or ``"own-speed"``: parts of own speed in percent.
     families
-        Objects of unknown speed: name, and the centres ``(K, 2)`` (forward, right in m/s) of what would hit us, from
-        the slowest to the fastest that it can be.
+        Objects of unknown speed: name, and the probability ``(K, F, R)`` of hitting each if it had one of K speeds.
     """
     scale = KM_H if units == "km/h" else 100.0 / own_speed_m_s
     label = "km/h" if units == "km/h" else "% of own speed"
@@ -71,7 +71,7 @@ def collision_map_figure(
     extent = (*_edges(right), *_edges(forward))
     axes.imshow(_colours(collision_map), origin="lower", extent=extent, aspect="auto", interpolation="nearest")
     _hatch(axes, right, forward, collision_map.probability >= LIKELY)
-    _draw_families(axes, families, scale, extent)
+    _draw_families(axes, right, forward, families)
     _name_objects(axes, collision_map, advice.object_index, scale)
     _draw_now_and_advice(axes, advice, scale)
     axes.axhline(0, color=_INK, lw=0.6, alpha=0.4, zorder=1.5)
@@ -119,17 +119,20 @@ def _hatch(axes: Axes, x: Floats, y: Floats, is_likely: Bools) -> None:
     axes.contour(x, y, value, levels=[0.5], colors=[_INK], linewidths=0.9, zorder=2)
 
 
-def _draw_families(
-    axes: Axes, families: Sequence[tuple[str, Floats]], scale: float, extent: tuple[float, float, float, float]
-) -> None:
-    """The changes that would hit an object of unknown speed, as a line over its possible speeds."""
-    for name, centres in families:
-        axes.plot(centres[:, 1] * scale, centres[:, 0] * scale, color="#5b3a8c", lw=1.6, ls=(0, (4, 2)), zorder=3)
-        inside = (centres[:, 1] * scale > extent[0]) & (centres[:, 1] * scale < extent[1])
-        inside &= (centres[:, 0] * scale > extent[2]) & (centres[:, 0] * scale < extent[3])
-        if inside.any():
-            at = centres[np.flatnonzero(inside)[-1]] * scale
-            text = axes.text(at[1], at[0], f"{name}, speed unknown", color="#5b3a8c", fontsize=9, zorder=5)
+def _draw_families(axes: Axes, x: Floats, y: Floats, families: Sequence[tuple[str, Floats]]) -> None:
+    """What would hit an object of unknown speed: an outline for each of its possible speeds."""
+    for name, members in families:
+        is_hit = members >= LIKELY
+        for member in is_hit:
+            if member.any() and not member.all():
+                axes.contour(
+                    x, y, member.astype(float), levels=[0.5], colors=[_FAMILY], linewidths=1.2, linestyles="--"
+                )
+        if is_hit.any():
+            row, column = np.argwhere(is_hit.any(axis=0)).mean(axis=0).round().astype(int)
+            text = axes.text(
+                x[column], y[row], f"{name}: speed unknown", color=_FAMILY, fontsize=9, ha="center", zorder=5
+            )
             text.set_path_effects(_HALO)
 
 
@@ -182,5 +185,5 @@ def _legend(advice: Evasion, has_families: bool) -> list[Patch | Line2D]:
         words = "advice" if advice.status is EvasionStatus.advice else "least bad (no way out)"
         handles.insert(1, Line2D([], [], color=_ADVICE, lw=3, marker="D", mec="white", ms=7, label=words))
     if has_families:
-        handles.append(Line2D([], [], color="#5b3a8c", ls="--", label="speed of object unknown"))
+        handles.append(Line2D([], [], color=_FAMILY, ls="--", label="speed unknown: each possible one"))
     return handles

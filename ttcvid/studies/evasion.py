@@ -9,7 +9,8 @@ import numpy as np
 
 from ttcvid.model import Floats
 from ttcvid.studies.collision_map import Outcomes, outcomes, ways
-from ttcvid.studies.hazards import AHEAD, RIGHT, Situation
+from ttcvid.studies.contacts import AHEAD, RIGHT
+from ttcvid.studies.hazards import Situation
 
 _N_FORWARD, _N_RIGHT = 21, 31
 """Changes tried at a time."""

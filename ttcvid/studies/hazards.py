@@ -13,9 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from ttcvid.model import Bools, Floats, Ints
-
-RIGHT, DOWN, AHEAD = 0, 1, 2
-"""Places of the level axes in a vector."""
+from ttcvid.studies.contacts import AHEAD, DOWN, RIGHT
 
 
 @dataclass(frozen=True)
@@ -131,17 +129,10 @@ class OwnBody:
         """Distance within which its farthest point is from the camera."""
         return 0.5 * float(np.linalg.norm([self.width_m, self.length_m, self.height_m]))
 
-    def half_extent_m(self, right: Floats, ahead: Floats) -> Floats:
-        """Half its extent along horizontal unit vectors (its support function), at the height of the camera."""
-        across, along = 0.5 * self.width_m * right, 0.5 * self.length_m * ahead
-        return np.hypot(across, along) if self.is_round else np.abs(across) + np.abs(along)
-
-    def share_at_height(self, below_m: Floats) -> Floats:
-        """Its horizontal extent at a distance from the camera's height, over that at the camera's height."""
-        half_m = 0.5 * self.height_m
-        if not self.is_round:
-            return (below_m <= half_m).astype(float)
-        return np.sqrt(np.maximum(1.0 - (below_m / half_m) ** 2, 0.0))
+    @property
+    def half_m(self) -> Floats:
+        """Half its width, height and length ``(3,)``, in level axes."""
+        return 0.5 * np.array([self.width_m, self.height_m, self.length_m])
 
 
 @dataclass(frozen=True)
