@@ -38,7 +38,7 @@ def ego_speed_m_s(text: str, frame: Ints, t_s: Floats) -> Floats:
     if factor is None:
         raise UsageError(f"--ego-speed = {text!r}: column {column!r} tells no unit: expected ..._m_s or ..._km_h")
     table = _read(Path(file), column)
-    return factor * _at_frames(Path(file), table, column, frame, t_s)
+    return np.asarray(factor * _at_frames(Path(file), table, column, frame, t_s))
 
 
 def _read(path: Path, column: str) -> pd.DataFrame:
@@ -55,7 +55,7 @@ def _read(path: Path, column: str) -> pd.DataFrame:
     values = pd.to_numeric(table[column], errors="coerce")
     if values.isna().any() or (values < 0).any():
         row = int((values.isna() | (values < 0)).to_numpy().argmax())
-        raise InputError(f"{path}: {column} = {table[column].iloc[row]!r} in row {row}: expected numbers >= 0")
+        raise InputError(f"{path}: {column} = {table[column].iloc[row]} in row {row}: expected numbers >= 0")
     return table.assign(**{column: values.astype(float)})
 
 
@@ -66,7 +66,7 @@ def _at_frames(path: Path, table: pd.DataFrame, column: str, frame: Ints, t_s: F
         missing = sorted(set(frame.tolist()) - set(by_frame.index.tolist()))
         if missing:
             raise InputError(f"{path}: has no row of frame {missing[0]}: expected one for each frame of the run")
-        return by_frame.loc[frame.tolist()].to_numpy(float)
+        return np.asarray(by_frame.loc[frame.tolist()], dtype=float)
     ordered = table.sort_values("t_s")
     times = ordered["t_s"].to_numpy(float)
     step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,24 +56,24 @@ def run_clip(run: Run, config: CollisionMapConfig) -> Clip:
         Scale(None if speeds is None else float(speeds[n]), config.camera_height_m, widths, width, reader.is_on_road)
         for n in range(len(frames))
     ]
-    return Clip(
-        run.folder.name,
-        frames.frame.to_numpy(),
-        t_s,
-        partial(_moment, reader, scales, own_body(config), reader.notes()),
-        (run.folder,),
-    )
+    moments = _moments(reader, scales, own_body(config), reader.notes())
+    return Clip(run.folder.name, frames.frame.to_numpy(), t_s, moments.__getitem__, (run.folder,))
 
 
-def _moment(reader: _FrameReader, scales: list[Scale], own: OwnBody, notes: tuple[str, ...], n: int) -> Moment:
-    seen = reader.read(n)
-    scale = scales[n]
-    # Who moves and does not know whereto has no map; who rests needs no direction.
-    if not np.isfinite(seen.own_direction).all() and scale.own_speed_m_s != 0.0:
-        return Moment(None, EvasionStatus.no_result)
-    found = situation_of(seen, scale, own)
-    status = EvasionStatus.no_danger if found.situation is not None else EvasionStatus.no_scale
-    return Moment(found.situation, status, found.unlinked, (*found.notes, *notes))
+def _moments(reader: _FrameReader, scales: list[Scale], own: OwnBody, notes: tuple[str, ...]) -> list[Moment]:
+    """All moments in order, because each remembers what the ones before have seen."""
+    moments, memory = [], None
+    for n, scale in enumerate(scales):
+        seen = reader.read(n)
+        # Who moves and does not know whereto has no map; who rests needs no direction.
+        if not np.isfinite(seen.own_direction).all() and scale.own_speed_m_s != 0.0:
+            moments.append(Moment(None, EvasionStatus.no_result))
+            continue
+        found = situation_of(seen, scale, own, memory)
+        memory = found.memory if found.memory is not None else memory
+        status = EvasionStatus.no_danger if found.situation is not None else EvasionStatus.no_scale
+        moments.append(Moment(found.situation, status, found.unlinked, (*found.notes, *notes)))
+    return moments
 
 
 class _FrameReader:
@@ -125,10 +124,11 @@ class _FrameReader:
             sigma = (points.tcpa_hi_s - points.tcpa_lo_s).to_numpy(float) / _SIGMAS_90 / range_s
             is_known = np.isfinite(rays).all(axis=1) & np.isfinite(sigma)
             rays, range_s, sigma = rays[is_known], range_s[is_known], sigma[is_known]
-        direction = np.full(3, np.nan)
+        direction: Floats = np.full(3, np.nan)
         if frame in self._scene.index:
             direction = -self._scene.loc[frame].to_numpy(float)
-        return SeenFrame(direction, down, self._turn(n, down), rays, range_s, sigma, self._objects_of(frame))
+        t_s = float(self._frames.t_s.iloc[n])
+        return SeenFrame(t_s, direction, down, self._turn(n, down), rays, range_s, sigma, self._objects_of(frame))
 
     def _objects_of(self, frame: int) -> SeenObjects:
         rows = self._objects.get(frame)

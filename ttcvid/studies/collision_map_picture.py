@@ -142,9 +142,14 @@ def _name_objects(axes: Axes, collision_map: CollisionMap, first: int, scale: fl
     sizes = {k: int((index == k).sum()) for k in np.unique(index[index >= 0]).tolist()}
     big = [k for k in sizes if sizes[k] >= _MIN_NAMED_CELLS or k == first]
     big.sort(key=lambda k: (k != first, -sizes[k]))
-    n_columns = index.shape[1]
+    n_rows, n_columns = index.shape
+    # The dot for now, and where the arrow leaves it, stay free of words.
+    is_taken = np.zeros(index.shape, bool)
+    dot = slice(int(0.44 * n_rows), int(0.56 * n_rows) + 1), slice(int(0.4 * n_columns), int(0.6 * n_columns) + 1)
+    is_taken[dot] = True
     for k in big[:_MAX_NAMES]:
         inner = ndimage.distance_transform_edt(np.pad(index == k, 1))[1:-1, 1:-1]
+        inner = np.where(is_taken & (index == k), 0.5, inner)
         row, column = divmod(int(inner.argmax()), n_columns)
         margin = int(_NAME_SHARE * n_columns)
         column = min(max(column, margin), n_columns - 1 - margin)

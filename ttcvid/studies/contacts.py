@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats
 
@@ -57,8 +59,9 @@ def add_contacts(
     """
     for n in range(len(position_m)):
         is_exact = not covariance[n].any()
-        end_sigma = 0.0 if is_exact else _largest_sigma(covariance[n], start_s + duration_s)
-        spare = _FAR_SIGMAS * max(end_sigma, 0.0 if is_exact else _largest_sigma(covariance[n], start_s))
+        factors = _variances(covariance[n])
+        end_sigma = 0.0 if is_exact else _largest_sigma(factors, start_s + duration_s)
+        spare = _FAR_SIGMAS * max(end_sigma, 0.0 if is_exact else _largest_sigma(factors, start_s))
         reach = math.hypot(half_size_m[n, RIGHT], half_size_m[n, AHEAD]) + math.hypot(
             own_half_m[RIGHT], own_half_m[AHEAD]
         )
@@ -94,7 +97,7 @@ def add_contacts(
                     yaw_rad[n],
                     own_half_m,
                     is_round,
-                    covariance[n],
+                    factors,
                     start_s,
                     duration_s,
                 )
@@ -148,14 +151,16 @@ def _slab(along: float, rate: float, reach: float) -> tuple[float, float]:
 def _box_extent(half: Floats, yaw: float, nx: float, nz: float) -> float:
     """Half the extent of a turned box along a horizontal unit vector (its support function)."""
     c, s = math.cos(yaw), math.sin(yaw)
-    return half[RIGHT] * abs(c * nx - s * nz) + half[AHEAD] * abs(s * nx + c * nz)
+    extent: float = half[RIGHT] * abs(c * nx - s * nz) + half[AHEAD] * abs(s * nx + c * nz)
+    return extent
 
 
 @compiled
 def _own_extent(own_half: Floats, is_round: bool, nx: float, nz: float) -> float:
     """Half our own extent along a horizontal unit vector, at the height of the camera."""
     across, along = own_half[RIGHT] * nx, own_half[AHEAD] * nz
-    return math.hypot(across, along) if is_round else abs(across) + abs(along)
+    extent: float = math.hypot(across, along) if is_round else abs(across) + abs(along)
+    return extent
 
 
 @compiled
@@ -171,7 +176,7 @@ def _probability(
     yaw: float,
     own_half: Floats,
     is_round: bool,
-    covariance: Floats,
+    factors: Floats,
     start_s: float,
     duration_s: float,
 ) -> float:
@@ -187,10 +192,10 @@ def _probability(
     reach_across = _box_extent(half, yaw, az, -ax) + _own_extent(own_half, is_round, az, -ax)
     reach_down = half[DOWN] + own_half[DOWN]
     at_closest = start_s + closest
-    p = _between(across, reach_across, _sigma(covariance, at_closest, az, 0.0, -ax))
-    p *= _between(y + closest * v, reach_down, _sigma(covariance, at_closest, 0.0, 1.0, 0.0))
-    p *= _below((reach_along - along) / _sigma(covariance, start_s, ax, 0.0, az))
-    return p * _below((reach_along + along + pace * duration_s) / _sigma(covariance, start_s + duration_s, ax, 0.0, az))
+    p = _between(across, reach_across, _sigma(factors, at_closest, az, -ax))
+    p *= _between(y + closest * v, reach_down, math.sqrt(max(_variance(factors, 3, at_closest), _TINY)))
+    p *= _below((reach_along - along) / _sigma(factors, start_s, ax, az))
+    return p * _below((reach_along + along + pace * duration_s) / _sigma(factors, start_s + duration_s, ax, az))
 
 
 @compiled
@@ -206,19 +211,30 @@ def _below(x: float) -> float:
 
 
 @compiled
-def _sigma(covariance: Floats, t_s: float, nx: float, ny: float, nz: float) -> float:
-    """Standard deviation of n.(P + V t)."""
-    normal = (nx, ny, nz)
-    variance = 0.0
-    for i in range(3):
-        for j in range(3):
-            at_t = covariance[i, j] + t_s * (covariance[i, 3 + j] + covariance[3 + i, j])
-            variance += normal[i] * normal[j] * (at_t + t_s * t_s * covariance[3 + i, 3 + j])
-    return math.sqrt(max(variance, _TINY))
+def _variances(covariance: Floats) -> Floats:
+    """Of the variances of P + V t, right right, right ahead, ahead ahead and down down: the factors of 1, t and t^2."""
+    factors = np.empty((4, 3))
+    for k, (i, j) in enumerate(((RIGHT, RIGHT), (RIGHT, AHEAD), (AHEAD, AHEAD), (DOWN, DOWN))):
+        factors[k, 0] = covariance[i, j]
+        factors[k, 1] = covariance[i, 3 + j] + covariance[3 + i, j]
+        factors[k, 2] = covariance[3 + i, 3 + j]
+    return factors
 
 
 @compiled
-def _largest_sigma(covariance: Floats, t_s: float) -> float:
+def _variance(factors: Floats, k: int, t_s: float) -> float:
+    variance: float = factors[k, 0] + t_s * (factors[k, 1] + t_s * factors[k, 2])
+    return variance
+
+
+@compiled
+def _sigma(factors: Floats, t_s: float, nx: float, nz: float) -> float:
+    """Standard deviation of P + V t along a horizontal unit vector."""
+    variance = nx * nx * _variance(factors, 0, t_s) + nz * nz * _variance(factors, 2, t_s)
+    return math.sqrt(max(variance + 2.0 * nx * nz * _variance(factors, 1, t_s), _TINY))
+
+
+@compiled
+def _largest_sigma(factors: Floats, t_s: float) -> float:
     """A bound of the standard deviation of P + V t along any horizontal direction."""
-    right = _sigma(covariance, t_s, 1.0, 0.0, 0.0)
-    return math.hypot(right, _sigma(covariance, t_s, 0.0, 0.0, 1.0))
+    return math.sqrt(max(_variance(factors, 0, t_s) + _variance(factors, 2, t_s), 0.0))

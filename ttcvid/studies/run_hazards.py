@@ -15,15 +15,14 @@ from ttcvid.geometry.rotation import normalize
 from ttcvid.model import SCENE_CLUSTER, Floats, Ints
 from ttcvid.studies.contacts import AHEAD, DOWN, RIGHT
 from ttcvid.studies.hazards import Hazards, OwnBody, Situation, joined, one_object
+from ttcvid.studies.static_scene import StaticPoints, no_points, obstacles, remembered
 
 _RESTING_M_S = 0.05
 """Below this own speed we rest."""
-_PLACE_SIGMA = 0.3
+_PLACE_SIGMA = 0.2
 """Static points whose distance is known worse than this (relative) are left out."""
 _GROUND_SIGMA, _MIN_GROUND_POINTS, _GROUND_SHARE = 0.1, 20, 0.3
 """The road is the commonest height under the camera: among points known to 10 %, of which this share agrees on it."""
-_SQUARE_M, _POINT_HALF_M = 1.0, 0.4
-"""Of the static points in a square of this side the best known one is kept, as a box that covers most of it."""
 _MAX_DEPTH_M = 2.0
 """An object is taken to be as deep as it is wide, but at most this: of a crossing car we see its length."""
 _CONTACT_PX_SHARE, _CONTACT_NORM = 0.05, 0.002
@@ -65,6 +64,7 @@ class SeenFrame:
     their distances ``point_range_s (N,)`` in seconds of own motion, known to ``point_sigma (N,)``, relative.
     """
 
+    t_s: float
     own_direction: Floats
     down: Floats
     turn_rad_s: float
@@ -89,20 +89,32 @@ class Scale:
 
 
 @dataclass(frozen=True)
+class Memory:
+    """What a frame leaves to the next one: time, static points, own velocity ``(3,)`` and turning, in level axes."""
+
+    t_s: float
+    points: StaticPoints
+    own_velocity_m_s: Floats
+    turn_rad_s: float
+
+
+@dataclass(frozen=True)
 class SeenSituation:
     """The situation; None: without any scale. ``unlinked`` are the names of objects of unknown speed."""
 
     situation: Situation | None
     unlinked: tuple[str, ...]
     notes: tuple[str, ...]
+    memory: Memory | None
 
 
-def situation_of(seen: SeenFrame, scale: Scale, own: OwnBody) -> SeenSituation:
+def situation_of(seen: SeenFrame, scale: Scale, own: OwnBody, memory: Memory | None = None) -> SeenSituation:
     """Give a frame its metres.
 
     Own speed and the camera's height, where only one is given, follow from each other by the road; an object's distance
     comes from its width, else from where it stands on the road, else (with the scene's motion) from own speed. An
     object that has none of these stands for all distances at which it would not be absurdly fast, each as likely.
+    ``memory`` is what earlier frames have seen of the static scene.
     """
     level_R_cam = level_axes(seen)
     height_s = _camera_height_s(seen, level_R_cam)
@@ -112,19 +124,34 @@ def situation_of(seen: SeenFrame, scale: Scale, own: OwnBody) -> SeenSituation:
         height = height_s * speed
     notes = _notes(scale, speed, height)
     if speed is None:
-        return SeenSituation(None, (), notes)
+        return SeenSituation(None, (), notes, None)
     own_velocity = _own_velocity(seen, level_R_cam, speed)
-    parts, unlinked = [_static_hazards(seen, level_R_cam, own_velocity, speed)], []
+    now = Memory(seen.t_s, _points(seen, level_R_cam, speed, own_velocity, memory), own_velocity, seen.turn_rad_s)
+    parts, unlinked = [obstacles(now.points, own_velocity, height if scale.stands_on_road else None)], []
     for k in range(len(seen.objects.cluster_id)):
+        name = name_of(int(seen.objects.cluster_id[k]))
         distance, sigma, how = _object_depth_m(seen, k, scale, level_R_cam, speed, height)
         if distance is None:
-            unlinked.append(name_of(int(seen.objects.cluster_id[k])))
+            unlinked.append(name)
             parts.append(_family(seen, k, level_R_cam, own_velocity))
         else:
-            notes = (*notes, f"{name_of(int(seen.objects.cluster_id[k]))}: {distance:.0f} m away by {how}.")
+            notes = (*notes, f"{name}: {distance:.0f} m away by {how}.")
             parts.append(_object_hazard(seen, k, level_R_cam, distance, sigma))
     situation = Situation(joined(parts), own, own_velocity, seen.turn_rad_s)
-    return SeenSituation(situation, tuple(unlinked), notes)
+    return SeenSituation(situation, tuple(unlinked), notes, now)
+
+
+def _points(
+    seen: SeenFrame, level_R_cam: Floats, speed_m_s: float, own_velocity_m_s: Floats, memory: Memory | None
+) -> StaticPoints:
+    """The static points known after this frame; at rest none, because then they have no scale."""
+    if not own_velocity_m_s.any():
+        return no_points() if memory is None else memory.points
+    points = static_points(seen, level_R_cam, speed_m_s)
+    if memory is None:
+        return remembered(no_points(), points, np.zeros(3), 0.0)
+    gap_s = seen.t_s - memory.t_s
+    return remembered(memory.points, points, gap_s * memory.own_velocity_m_s, gap_s * memory.turn_rad_s)
 
 
 def name_of(cluster_id: int) -> str:
@@ -178,30 +205,12 @@ def _half_sample_mode(values: Floats) -> float:
     return float(values.mean())
 
 
-def _static_hazards(seen: SeenFrame, level_R_cam: Floats, own_velocity_m_s: Floats, speed_m_s: float) -> Hazards:
-    """Static points as small boxes that belong to one object, the scene; the best known one of each square metre."""
-    if speed_m_s < _RESTING_M_S:
-        return joined([])
+def static_points(seen: SeenFrame, level_R_cam: Floats, speed_m_s: float) -> StaticPoints:
+    """The static points of a frame in metres."""
     known = (seen.point_sigma < _PLACE_SIGMA) & np.isfinite(seen.point_range_s)
-    places = (seen.point_range_s[:, None] * normalize(seen.point_rays))[known] @ level_R_cam.T * speed_m_s
+    place = (seen.point_range_s[:, None] * normalize(seen.point_rays))[known] @ level_R_cam.T * speed_m_s
     sigma = np.hypot(seen.point_sigma[known], _SPEED_SIGMA)
-    places, sigma = _best_of_each_square(places, sigma)
-    covariance = np.zeros((len(places), 6, 6))
-    covariance[:, :3, :3] = sigma[:, None, None] ** 2 * places[:, :, None] * places[:, None, :]
-    covariance[:, 3:, 3:] = (_SPEED_SIGMA * speed_m_s) ** 2 * np.eye(3)
-    velocity = np.broadcast_to(-own_velocity_m_s, places.shape)
-    half = np.full(places.shape, _POINT_HALF_M)
-    half[:, DOWN] = 0.0
-    return one_object("static scene", SCENE_CLUSTER, places, velocity, half, covariance=covariance)
-
-
-def _best_of_each_square(places: Floats, sigma: Floats) -> tuple[Floats, Floats]:
-    """Of the points over each square of the ground (and each metre of height) the one known best."""
-    order = np.argsort(sigma, kind="stable")
-    squares = np.floor(places[order] / _SQUARE_M).astype(np.int64)
-    _, first = np.unique(squares, axis=0, return_index=True)
-    kept = order[np.sort(first)]
-    return places[kept], sigma[kept]
+    return StaticPoints(place, sigma[:, None] * place, np.ones(len(place), np.int64))
 
 
 def _object_depth_m(
