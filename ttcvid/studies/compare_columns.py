@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -95,14 +95,15 @@ def judge_column(
     baseline, run = rows.baseline[column.name], rows.run[column.name]
     if column.unit == "":
         ratio = np.where(_is_same_name(baseline, run), 0.0, np.inf)
-        return _verdict(rows, column, tolerance, ratio, "")
+        return _verdict(rows, column, tolerance, ratio)
     before, now = judged_values(column.name, baseline), judged_values(column.name, run)
     limits = tolerance.of_column(rows.part, column.name)
     allowed = allowed_difference(before, now, limits, reported_sigma(rows.baseline, column.name, focal_px))
     ratio = difference_ratio(before, now, allowed)
     if limits.may_be_null:
         ratio[np.isnan(before) | np.isnan(now)] = 0.0
-    return _verdict(rows, column, tolerance, ratio, explanation(before, now, allowed, judged_unit(column)))
+    verdict = _verdict(rows, column, tolerance, ratio)
+    return verdict if verdict.is_same else replace(verdict, hint=explanation(before, now, allowed, judged_unit(column)))
 
 
 def judged_values(name: str, values: pd.Series) -> Floats:
@@ -224,7 +225,7 @@ def _is_same_name(baseline: pd.Series, run: pd.Series) -> Bools:
     return np.asarray(baseline.astype(str).to_numpy() == run.astype(str).to_numpy())
 
 
-def _verdict(rows: JoinedRows, column: Column, tolerance: Tolerance, ratio: Floats, hint: str) -> ColumnVerdict:
+def _verdict(rows: JoinedRows, column: Column, tolerance: Tolerance, ratio: Floats) -> ColumnVerdict:
     limits, own = tolerance.parts[rows.part], tolerance.of_column(rows.part, column.name)
     max_share = limits.max_share if own.max_share is None else own.max_share
     max_typical = limits.typical if own.typical is None else own.typical
@@ -232,7 +233,6 @@ def _verdict(rows: JoinedRows, column: Column, tolerance: Tolerance, ratio: Floa
     n_outside = int((ratio > 1).sum())
     typical = float(np.median(ratio[has_value])) if n_rows else 0.0
     is_same = n_outside <= max_share * n_rows and typical <= max_typical
-    worst = np.argsort(-ratio, kind="stable")[:N_WORST]
     return ColumnVerdict(
         part=rows.part,
         column=column.name,
@@ -241,9 +241,18 @@ def _verdict(rows: JoinedRows, column: Column, tolerance: Tolerance, ratio: Floa
         n_outside=n_outside,
         typical=typical,
         is_same=is_same,
-        hint="" if is_same else hint,
-        worst=tuple(_worst_row(rows, column.name, int(row), float(ratio[row])) for row in worst if ratio[row] > 0),
+        hint="",
+        worst=tuple(_worst_row(rows, column.name, int(row), float(ratio[row])) for row in _worst(ratio)),
     )
+
+
+def _worst(ratio: Floats) -> Ints:
+    """Rows with the largest ratios, those without a difference left out; sorting all of them would take longest."""
+    rows = np.flatnonzero(ratio > 0)
+    if len(rows) > N_WORST:
+        least = np.partition(ratio[rows], -N_WORST)[-N_WORST]
+        rows = rows[ratio[rows] >= least]
+    return np.asarray(rows[np.argsort(-ratio[rows], kind="stable")][:N_WORST])
 
 
 def _worst_row(rows: JoinedRows, name: str, row: int, ratio: float) -> WorstRow:

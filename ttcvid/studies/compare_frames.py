@@ -89,7 +89,7 @@ def join_tracks(baseline: pd.DataFrame, run: pd.DataFrame, max_distance_px: floa
     ``frame`` of both is the baseline's. Rows that also share the number of the track need no search.
     """
     first, second = _rows_of_same_number(baseline, run, max_distance_px)
-    left, right = np.setdiff1d(np.arange(len(baseline)), first), np.setdiff1d(np.arange(len(run)), second)
+    left, right = _all_but(first, len(baseline)), _all_but(second, len(run))
     more = _nearest_rows(baseline.iloc[left], run.iloc[right], max_distance_px)
     return np.concatenate([first, left[more[0]]]), np.concatenate([second, right[more[1]]])
 
@@ -156,6 +156,12 @@ def _rows_of_same_number(baseline: pd.DataFrame, run: pd.DataFrame, max_distance
     before, now = (table[["x_px", "y_px"]].to_numpy(float) for table in (baseline, run))
     is_near = np.linalg.norm(now[others] - before[rows], axis=1) <= max_distance_px
     return rows[is_near], others[is_near]
+
+
+def _all_but(rows: Ints, n: int) -> Ints:
+    is_left = np.ones(n, bool)
+    is_left[rows] = False
+    return np.flatnonzero(is_left)
 
 
 def _row_key(tracks: pd.DataFrame) -> Ints:
