@@ -12,7 +12,11 @@ from compared_runs import DROPPED, focal_off, horizon_off, without_a_frame
 
 import ttcvid
 from ttcvid.cli.main import main
+from ttcvid.cli.regress import regress
+from ttcvid.jobs.suite import read_suite
+from ttcvid.studies.compare_tolerance import tolerance_from
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 LARGEST_BASELINE_BYTES = 30_000
 SCENE = """
 name: small
@@ -264,3 +268,30 @@ def test_python_gives_the_outcomes(tmp_path):
     assert [outcome.status for outcome in result.outcomes] == ["skipped"]
     assert seen == list(result.outcomes)
     assert (tmp_path / "result.xml").is_file()
+
+
+def yaml_blocks() -> list[Any]:
+    text = (REPOSITORY / "docs/regression.md").read_text()
+    return [yaml.safe_load(part.split("```")[0]) for part in text.split("```yaml\n")[1:]]
+
+
+def test_suites_and_tolerances_of_the_manual_and_of_the_samples_can_be_read(tmp_path):
+    blocks = yaml_blocks()
+    tolerances, suites = ([block for block in blocks if key in block] for key in ("columns", "clips"))
+    assert (len(tolerances), len(suites)) == (2, 1)
+    for block in tolerances:
+        tolerance_from(block, "manual")
+    (tmp_path / "tolerance.yaml").write_text("")
+    (tmp_path / "suite.yaml").write_text(yaml.safe_dump(suites[0]))
+    assert len(read_suite(tmp_path / "suite.yaml").clips) == 2
+    for name, n_clips in (("regression", 4), ("regression_data", 5)):
+        assert len(read_suite(REPOSITORY / f"sample_configs/{name}.yaml").clips) == n_clips
+
+
+def test_commands_of_the_workflow_in_the_manual_exist():
+    (workflow,) = (block for block in yaml_blocks() if "jobs" in block)
+    lines = [step["run"] for step in workflow["jobs"]["regress"]["steps"] if "run" in step]
+    (command,) = (line.split() for line in lines if line.startswith("ttcvid"))
+    known = {option for parameter in regress.params for option in parameter.opts}
+    assert command[1] == "regress"
+    assert {word for word in command if word.startswith("-")} <= known

@@ -1,5 +1,7 @@
 """The parts of a comparison: joining frames, tracks, objects and warnings; judging columns; what baselines keep."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -20,6 +22,7 @@ from ttcvid.studies.compare_tolerance import (
     FrameTolerance,
     ObjectTolerance,
     Tolerance,
+    markdown_of_tolerances,
     tolerance_from,
 )
 
@@ -354,3 +357,8 @@ def test_a_baseline_keeps_the_times_of_all_frames(tmp_path, times):
     assert read.frame.tolist() == numbers.tolist()
     step_s = np.median(np.diff(times)) if len(times) > 1 else 1.0
     assert np.abs(read.t_s - times).max() < 0.06 * step_s
+
+
+def test_the_manual_lists_the_tolerances_as_they_are():
+    manual = Path(__file__).parents[2] / "docs/regression.md"
+    assert manual.read_text(encoding="utf-8").endswith(f"\n\n{markdown_of_tolerances()}")

@@ -202,3 +202,17 @@ def _matching(pattern: str, known: set[str], place: str) -> list[str]:
         remedy = f"did you mean {nearest[0]!r}?" if nearest else f"expected one of {', '.join(sorted(known))}"
         raise UsageError(f"{place}: {pattern!r} is no column or part of a table: {remedy}")
     return names
+
+
+def markdown_of_tolerances() -> str:
+    """The default tolerances of all numbers as a Markdown table, for the manual."""
+    lines = ["| column | unit | `abs` | `rel` | `sigmas` | |", "|---|---|---|---|---|---|"]
+    units = {f"{table}.{column.name}": column.unit for table, columns in TABLES.items() for column in columns}
+    for name, tolerance in DEFAULT_COLUMNS.items():
+        unit = "1/s" if "ttc_z" in name else units[name]
+        numbers = [f"{value:g}" if value else "" for value in (tolerance.abs, tolerance.rel, tolerance.sigmas)]
+        own = {"max_share": tolerance.max_share, "typical": tolerance.typical}
+        notes = [f"`{key}` {value:g}" for key, value in own.items() if value is not None]
+        notes += ["`may_be_null`"] if tolerance.may_be_null else []
+        lines.append(f"| `{name}` | {unit} | {' | '.join(numbers)} | {', '.join(notes)} |")
+    return "\n".join(lines) + "\n"
