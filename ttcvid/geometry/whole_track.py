@@ -21,7 +21,7 @@ LEAST_FRAMES = 3
 # An observation farther off than this, in sigmas, loses weight as 1 / r^2: 1 % of Gaussian noise in two components.
 _ROBUST_SIGMAS = 3.0
 # Gauss-Newton ends after so many steps, or after one shorter than this (squared, in sigmas of the estimate).
-_MAX_STEPS, _CONVERGED_CHI2 = 8, 1e-4
+_MAX_STEPS, _CONVERGED_CHI2 = 8, 1e-2
 # The window is chosen anew in the first steps; then it only becomes shorter, so that the rest converges.
 _WINDOW_STEPS = 3
 # So many of a window's farthest views are tested also by themselves: where a velocity has changed they are the ones
@@ -246,7 +246,7 @@ def _fit_each(
                 fall = _solve_on_plane(sums[n], prior, s, x0, y0, c_low, c_high, span, normal, normal_cov, step)
             s += step
             chi2[i] = max(sums[n, 13] - fall, 0.0)
-            if fall < _CONVERGED_CHI2 and count > 0:
+            if fall < _CONVERGED_CHI2:
                 break
         n_frames[i] = n
         _store(sums[n], n, s, x0, y0, state[i], cov[i], info_w[i])

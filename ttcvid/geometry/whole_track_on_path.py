@@ -22,7 +22,7 @@ LEAST_FRAMES = 2
 
 # As for the free state (`whole_track`).
 _ROBUST_SIGMAS = 3.0
-_MAX_STEPS, _CONVERGED_CHI2, _WINDOW_STEPS, _TAIL = 8, 1e-4, 3, 3
+_MAX_STEPS, _CONVERGED_CHI2, _WINDOW_STEPS, _TAIL = 8, 1e-2, 3, 3
 _LEAST_DEPTH_RATIO = 0.1
 _N_SUMS = 8
 
@@ -33,15 +33,16 @@ class PathRates:
 
     ``xy (N, 2)``; ``rate_hz (N,)`` rho = (speed along the path) / Z, so that (a, b, c) = rho e with e the path's
     direction at time 0; ``cov (N, 3, 3)`` of (x, y, rho) by the noise of the point's own views. What errors that
-    points share do to rho, to first order: ``by_direction (N, 3)`` in 1/s, when e is off by a vector normal to it;
-    ``by_rotation (N, 3)`` in 1/s per rad/s, when the derotated rays turn at a constant rate that is not there.
+    points share do to rho, to first order: ``by_path (N, 6)``, when the path has ``u t + v t^2 / 2`` too much, in 1/s
+    per unit of the vectors u (a wrong direction) and v (in 1/s: a wrong acceleration over the speed); ``by_rotation
+    (N, 3)`` in 1/s per rad/s, when the derotated rays turn at a constant rate that is not there.
     ``chi2, dof, n_frames (N,)`` of the window, as in `WholeTracks`, with 2 n_frames - 3 degrees of freedom.
     """
 
     xy: Floats
     rate_hz: Floats
     cov: Floats
-    by_direction: Floats
+    by_path: Floats
     by_rotation: Floats
     chi2: Floats
     dof: Ints
@@ -61,6 +62,8 @@ def fit_rates_on_paths(
     path_of: Ints,
     max_frames: int | None = None,
     gate_probability: float = 0.999,
+    start: Floats | None = None,
+    has_sensitivities: bool = True,
 ) -> PathRates:
     """Place and rate of each point on its path, over the longest window that fits it (two views at the least).
 
@@ -76,6 +79,10 @@ def fit_rates_on_paths(
         camera at time 0, at each of the L times; in s: its derivative at time 0 is the unit vector e = dir. For a
         thing that moves straight ahead this is `straight_path`; for the static scene seen from a turning car it is the
         sum of the steps, each along its own direction. NaN where not known: those views are not used.
+    start
+        ``(N, 3)`` x, y, rho to start from; NaN rows, or None: from the linear solve.
+    has_sensitivities
+        False leaves ``by_path`` and ``by_rotation`` NaN, for speed.
     path_of
         ``(N,)`` path of each point, `NO_PATH` for none.
 
@@ -95,7 +102,7 @@ def fit_rates_on_paths(
         )
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
     state, cov = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
-    by_direction, by_rotation = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+    by_path, by_rotation = np.full((n, 6), np.nan), np.full((n, 3), np.nan)
     chi2, n_frames = np.zeros(n), np.zeros(n, dtype=np.int64)
     _fit_each(
         np.ascontiguousarray(xy, dtype=np.float64),
@@ -107,15 +114,17 @@ def fit_rates_on_paths(
         np.asarray(path_of, dtype=np.int64),
         window_gates(longest, 3, gate_probability),
         window_gates(_TAIL, 0, gate_probability),
+        np.full((n, 3), np.nan) if start is None else np.asarray(start, dtype=np.float64),
+        has_sensitivities,
         state,
         cov,
-        by_direction,
+        by_path,
         by_rotation,
         chi2,
         n_frames,
     )
     dof = np.maximum(2 * n_frames - 3, 0)
-    return PathRates(state[:, :2], state[:, 2], cov, by_direction, by_rotation, chi2, dof, n_frames)
+    return PathRates(state[:, :2], state[:, 2], cov, by_path, by_rotation, chi2, dof, n_frames)
 
 
 @compiled
@@ -129,9 +138,11 @@ def _fit_each(
     path_of: Ints,
     gates: Floats,
     tail_gates: Floats,
+    start: Floats,
+    has_sensitivities: bool,
     state: Floats,
     cov: Floats,
-    by_direction: Floats,
+    by_path: Floats,
     by_rotation: Floats,
     chi2: Floats,
     n_frames: Ints,
@@ -159,10 +170,14 @@ def _fit_each(
         inverse, n = 1.0 / sigma[i], m
         low = -(1.0 - _LEAST_DEPTH_RATIO) / max(farthest, 1e-12)
         high = (1.0 - _LEAST_DEPTH_RATIO) / max(-nearest, 1e-12)
-        s[0], s[1], s[2] = views[0, 0], views[0, 1], 0.0
-        _add_up(views, path, m, s, inverse, True, sums)
-        _solve(sums[m], s[2], low, high, step)
-        s += step
+        has_start = np.isfinite(start[i, 0] + start[i, 1] + start[i, 2]) and low < start[i, 2] < high
+        if has_start:
+            s[:] = start[i]
+        else:
+            s[0], s[1], s[2] = views[0, 0], views[0, 1], 0.0
+            _add_up(views, path, m, s, inverse, True, sums)
+            _solve(sums[m], s[2], low, high, step)
+            s += step
         for count in range(_MAX_STEPS):
             n = m if count < _WINDOW_STEPS else n
             _add_up(views, path, n, s, inverse, False, sums)
@@ -176,7 +191,7 @@ def _fit_each(
             fall = _solve(sums[n], s[2], low, high, step)
             s += step
             chi2[i] = max(sums[n, 7] - fall, 0.0)
-            if fall < _CONVERGED_CHI2 and count > 0:
+            if fall < _CONVERGED_CHI2:
                 break
         n_frames[i] = n
         row = sums[n]
@@ -191,7 +206,8 @@ def _fit_each(
         cov[i, 0, 2] = cov[i, 2, 0] = along_x * variance
         cov[i, 1, 2] = cov[i, 2, 1] = along_y * variance
         cov[i, 2, 2] = variance
-        _sensitivities(t, views, path, n, s, inverse, along_x, along_y, variance, by_direction[i], by_rotation[i])
+        if has_sensitivities:
+            _sensitivities(t, views, path, n, s, inverse, along_x, along_y, variance, by_path[i], by_rotation[i])
 
 
 @compiled
@@ -252,11 +268,11 @@ def _sensitivities(
     along_x: float,
     along_y: float,
     variance: float,
-    by_direction: Floats,
+    by_path: Floats,
     by_rotation: Floats,
 ) -> None:
-    """What a wrong direction and a rotation left in the views do to rho: see `PathRates`."""
-    by_direction[:] = 0.0
+    """What a wrong path and a rotation left in the views do to rho: see `PathRates`."""
+    by_path[:] = 0.0
     by_rotation[:] = 0.0
     for k in range(n):
         h = 1.0 / (1.0 + s[2] * path[k, 2])
@@ -267,10 +283,11 @@ def _sensitivities(
         # What a shift of this view by (dx, dy) does to rho, with x and y free.
         gain = weight * variance * h * inverse * inverse
         px, py = gain * (path[k, 0] - x * path[k, 2] + along_x), gain * (path[k, 1] - y * path[k, 2] + along_y)
-        moved = s[2] * t[k] * h
-        by_direction[0] -= moved * px
-        by_direction[1] -= moved * py
-        by_direction[2] += moved * (x * px + y * py)
+        for j in range(2):
+            moved = s[2] * h * (t[k] if j == 0 else 0.5 * t[k] * t[k])
+            by_path[3 * j] -= moved * px
+            by_path[3 * j + 1] -= moved * py
+            by_path[3 * j + 2] += moved * (x * px + y * py)
         by_rotation[0] -= t[k] * (x * y * px + (1.0 + y * y) * py)
         by_rotation[1] += t[k] * ((1.0 + x * x) * px + x * y * py)
         by_rotation[2] += t[k] * (x * py - y * px)

@@ -164,28 +164,19 @@ def _with_surface(row: ClusterRow, motion: ClusterMotion, states: TrackStates, x
         row,
         ref_px=(float(ref_px[0]), float(ref_px[1])),
         state_abc_hz=weight @ states.abc_hz,
-        state_cov=_joint_covariance(motion, states, weight),
+        state_cov=_joint_covariance(states, weight),
     )
 
 
-def _joint_covariance(motion: ClusterMotion, states: TrackStates, weight: Floats) -> Floats:
+def _joint_covariance(states: TrackStates, weight: Floats) -> Floats:
     """Covariance of the weighted mean of (a, b, c) = s e: own noise averages out, errors of e and of rotation do not.
 
     Where each track has a direction of its own (three frames), nothing is common.
     """
     shared = states.shared
-    if motion.direction is None or motion.direction_cov is None or shared is None or not _is_shared(states.direction):
+    if shared is None or not shared.is_one_path:
         return _TRIMMED_VARIANCE * np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
-    rate_hz = weight @ (states.abc_hz @ motion.direction)
-    slope = np.outer(motion.direction, weight @ shared.by_direction) + rate_hz * np.eye(3)
-    common = slope @ motion.direction_cov @ slope.T
-    by_rotation = weight @ shared.by_rotation
-    along = _TRIMMED_VARIANCE * (weight**2 @ shared.rate_variance) + by_rotation @ by_rotation
-    return np.asarray(common + along * np.outer(motion.direction, motion.direction))
-
-
-def _is_shared(directions: Floats) -> bool:
-    return bool(np.all(directions == directions[0]))
+    return shared.covariance_of_mean(weight, _TRIMMED_VARIANCE)
 
 
 def _motion_state(rates: Floats, cov: Floats) -> MotionState:

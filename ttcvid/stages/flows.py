@@ -10,17 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.history import TrackHistory
+from ttcvid.stages.history import ROTATION_DRIFT_RAD, TrackHistory
 
 # Error of a matched position per pixel of flow: the patch changes its scale and slant on the way. Measured on
 # kitti_odom_straight50: residual 0.07 px at flows under 2 px, 0.16 px at 45 px.
 _ERROR_PER_FLOW = 0.0035
-
-ROTATION_DRIFT_RAD = float(np.radians(0.006))
-"""What matching errs in common turns the camera by so much a frame, always the same way.
-
-Measured: 0.004 deg on simulated streets, 0.013 deg of yaw on kitti_odom_straight50.
-"""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion
 from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion, with_noise
+from ttcvid.stages.scene_path import with_scene_path
 
 # Of more tracks than twice this only a part is used: errors that neighbours share are what limits own motion.
 _ENOUGH_TRACKS = 400
@@ -27,12 +28,7 @@ def find_own_motion(
     least_parallax_px: float,
     sigma_floor_px: float,
 ) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
-    """Rotation from the last frame, and direction of travel over the gap that the flow asks for.
-
-    Rotations of single steps would add up with their errors, which are partly common to all steps: over ten frames
-    they bend the flow of everything far away. Where the flow is short, the motion is therefore found once more
-    between the present frame and one so far back that the flow is long enough: its rotation corrects the sum, its
-    direction replaces that of the step. The gap stays short all the same: the direction found is the mean over it.
+    """Rotation from the last frame, and direction of travel as the whole tracks of the scene show it.
 
     Parameters
     ----------
@@ -42,6 +38,29 @@ def find_own_motion(
     Returns
     -------
     egomotion : None where there are too few tracks; then the history keeps only the present frame.
+    """
+    egomotion, history, memory = _from_two_views(history, is_free, memory, config, least_parallax_px, sigma_floor_px)
+    if egomotion is None:
+        return None, history, memory
+    history, egomotion = with_scene_path(history, is_free, egomotion)
+    direction = memory.direction if egomotion.direction is None else egomotion.direction
+    return egomotion, history, replace(memory, direction=direction)
+
+
+def _from_two_views(
+    history: TrackHistory,
+    is_free: Bools,
+    memory: EgomotionMemory,
+    config: EgomotionConfig,
+    least_parallax_px: float,
+    sigma_floor_px: float,
+) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
+    """Rotation from the last frame, and direction of travel over the gap that the flow asks for.
+
+    Rotations of single steps would add up with their errors, which are partly common to all steps: over ten frames
+    they bend the flow of everything far away. Where the flow is short, the motion is therefore found once more
+    between the present frame and one so far back that the flow is long enough: its rotation corrects the sum, its
+    direction replaces that of the step. The gap stays short all the same: the direction found is the mean over it.
     """
     step = _pair(history, is_free, 1, config.min_tracks)
     if step is None:
@@ -59,8 +78,7 @@ def find_own_motion(
     over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
     history = _corrected(history, over_gap, gap)
     egomotion = replace(egomotion, direction=over_gap.direction, direction_cov=over_gap.direction_cov)
-    direction = memory.direction if over_gap.direction is None else over_gap.direction
-    return egomotion, history, replace(memory, direction=direction)
+    return egomotion, history, memory
 
 
 def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> tuple[Floats, Floats, Floats] | None:

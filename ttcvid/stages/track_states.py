@@ -9,6 +9,7 @@ import numpy as np
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.intervals import collision_times_from_state
 from ttcvid.geometry.rotation import cross, normalize
+from ttcvid.geometry.shared_path import N_SHARED
 from ttcvid.geometry.state import rate_from_direction, state_from_direction
 from ttcvid.geometry.three_frames import three_frame_direction
 from ttcvid.model import Bools, CollisionTimes, Floats, Ints, Status
@@ -23,20 +24,42 @@ _EXPANSION_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """What is a track's own in the error of its rate, and what it shares with others of its direction; NaN: nothing.
+    """What is a track's own in the error of its (a, b, c), and what it shares with others of its path.
 
-    ``rate_variance (N,)`` of the rate along the direction by the noise of its own views, 1/s^2; ``by_direction (N, 3)``
-    what an error of the direction does to the rate, 1/s; ``by_rotation (N, 3)`` likewise for one standard deviation of
-    the rotation that is left in all rays.
+    ``path_of (N,)`` the path of each track, negative for none; ``along (K, 3)`` the direction in which the noise of a
+    track's own views counts, with ``rate_variance (N,)``, 1/s^2; ``jacobian (N, 3, 9)`` of (a, b, c) by the shared
+    unknowns, in the order of `geometry.shared_path`, and their covariance ``cov (K, 9, 9)``.
     """
 
+    path_of: Ints
+    along: Floats
     rate_variance: Floats
-    by_direction: Floats
-    by_rotation: Floats
+    jacobian: Floats
+    cov: Floats
 
     def take(self, index: Ints) -> SharedErrors:
         """The tracks that an index array picks."""
-        return SharedErrors(self.rate_variance[index], self.by_direction[index], self.by_rotation[index])
+        return replace(
+            self,
+            path_of=self.path_of[index],
+            rate_variance=self.rate_variance[index],
+            jacobian=self.jacobian[index],
+        )
+
+    @property
+    def is_one_path(self) -> bool:
+        """Whether all tracks are on one path."""
+        return bool(self.path_of[0] >= 0 and np.all(self.path_of == self.path_of[0]))
+
+    def covariance_of_mean(self, weight: Floats, own_factor: float) -> Floats:
+        """Covariance (3, 3) of the weighted mean of (a, b, c) of tracks of one path.
+
+        Noise of their own averages out, up to ``own_factor``; what they share does not.
+        """
+        number = self.path_of[0]
+        mean = np.einsum("n,nij->ij", weight, self.jacobian)
+        own = own_factor * float(weight**2 @ self.rate_variance)
+        return np.asarray(own * np.outer(self.along[number], self.along[number]) + mean @ self.cov[number] @ mean.T)
 
 
 @dataclass(frozen=True)
@@ -127,13 +150,21 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
         flows.first, flows.second, direction, flows.gap_s, sigma_norm, direction_cov
     )
     q, r = flows.first / flows.first[:, 2:], flows.second / flows.second[:, 2:]
-    _, by_q, by_r, by_e = rate_from_direction(q, r, direction, flows.gap_s)
-    by_rotation = flows.rotation_error_rad[:, None] * cross(q, by_q)
-    variance = np.sum(by_rotation**2, axis=1)
+    rate_hz, by_q, by_r, by_e = rate_from_direction(q, r, direction, flows.gap_s)
+    by_rotation = cross(q, by_q)
+    variance = flows.rotation_error_rad**2 * np.sum(by_rotation**2, axis=1)
     cov_abc = cov[:, 2:, 2:] + variance[:, None, None] * np.einsum("ni,nj->nij", direction, direction)
     own = sigma_norm**2 * np.sum(by_q[:, :2] ** 2 + by_r[:, :2] ** 2, axis=1)
     states = _states(flows, state[:, 2:], cov_abc, direction, status)
-    return replace(states, shared=SharedErrors(own, by_e, by_rotation))
+    # Each track has a gap of its own, but what is wrong with a direction is wrong for all that have it.
+    _, first, path_of = np.unique(direction, axis=0, return_index=True, return_inverse=True)
+    jacobian = np.zeros((len(direction), 3, N_SHARED))
+    jacobian[:, :, :3] = direction[:, :, None] * by_e[:, None, :] + rate_hz[:, None, None] * np.eye(3)
+    jacobian[:, :, 6:] = direction[:, :, None] * (flows.rotation_error_rad[:, None] * by_rotation)[:, None, :]
+    shared_cov = np.zeros((len(first), N_SHARED, N_SHARED))
+    shared_cov[:, :3, :3], shared_cov[:, 6:, 6:] = direction_cov[first], np.eye(3)
+    path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
+    return replace(states, shared=SharedErrors(path_of, direction[first], own, jacobian, shared_cov))
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:
@@ -202,7 +233,12 @@ def with_constant_bearing(
     cov[asked, 1, 1] += across_hz2
     direction[asked] = normalize(abc_hz[asked])
     status[asked] = Status.ok
-    return replace(states, abc_hz=abc_hz, cov=cov, direction=direction, status=status)
+    shared = states.shared
+    if shared is not None:
+        path_of = shared.path_of.copy()
+        path_of[asked] = -1
+        shared = replace(shared, path_of=path_of)
+    return replace(states, abc_hz=abc_hz, cov=cov, direction=direction, status=status, shared=shared)
 
 
 def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> Floats:

@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.epipole import INFINITY_COSINE
+from ttcvid.geometry.path_velocity import velocities_on_paths
 from ttcvid.geometry.rotation import normalize, skew
+from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, fit_shared_paths, joined_paths, turned_back
 from ttcvid.geometry.state import is_at_epipole
-from ttcvid.geometry.whole_track import LEAST_FRAMES, MotionPlane, fit_whole_tracks
-from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths, straight_path
+from ttcvid.geometry.whole_track import LEAST_FRAMES, MotionPlane, fit_whole_tracks, window_gates
+from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
-from ttcvid.stages.flows import ROTATION_DRIFT_RAD
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.planar import HorizonPlane
+from ttcvid.stages.scene import DIRECTION_FLOOR_RAD
+from ttcvid.stages.scene_path import scene_path
 from ttcvid.stages.track_states import SharedErrors, TrackStates
 
 # A rate within this many of its standard deviations may be zero; below minus this, the point moves against its group.
 _RATE_SIGMAS = 2.0
-# The whole velocity may be zero inside 95 % of a 3-D Gaussian, of two components with two views alone.
+# The whole velocity may be zero inside 95 % of a 3-D Gaussian.
 _NO_MOTION_CHI2 = float(chi2_quantile(0.95, 3))
+# An object's direction comes from part of the views that its path is fitted to: it is believed this much less, so that
+# these count once, and to no better than this angle.
+_BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(0.3))
+# Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
+_OBJECT_BEND_HZ = 0.2
+# A car turns itself by some deg/s.
+_OBJECT_TURN_RAD_S = 0.02
 
 
 def multi_frame_states(
@@ -29,63 +41,95 @@ def multi_frame_states(
 ) -> TrackStates:
     """States by maximum likelihood from the window of each track that one motion explains.
 
-    A track of a cluster with a direction moves along the cluster's path: its place and its rate are left. Any other
-    track, but for those of a scene that does not move, has its free state (with a horizon: in its plane).
+    A track of a cluster with a direction moves along the cluster's path, which all tracks of the cluster improve
+    together: its place and its rate are left. Any other track, but for those of a scene that does not move, has its
+    free state (with a horizon: in its plane).
     """
-    paths, directions, path_of = _paths(history, motions)
-    states = _on_paths(history, motions, paths, directions, path_of, config)
+    paths, path_of, is_object = _paths(history, motions, config)
+    states = _on_paths(history, motions, paths, path_of, is_object, config)
     has_none = (motions.cluster_id == SCENE_CLUSTER) & (path_of == NO_PATH)
     free = np.flatnonzero((path_of == NO_PATH) & ~has_none & motions.is_free)
     return _with_free(states, history, free, plane, config)
 
 
-def _paths(history: TrackHistory, motions: FrameMotions) -> tuple[Floats, Floats, Ints]:
-    """Paths ``(K, L, 3)`` and directions ``(K, 3)`` of the clusters that have one, and the path of each track."""
+def _paths(
+    history: TrackHistory, motions: FrameMotions, config: CollisionTimesConfig
+) -> tuple[SharedPaths, Ints, Bools]:
+    """Path of every cluster that has a direction, the path (N,) of each track, and which paths (K,) are objects'."""
+    scene = [motion for motion in motions.clusters if motion.cluster_id == SCENE_CLUSTER]
+    objects = [motion for motion in motions.clusters if motion.cluster_id != SCENE_CLUSTER]
+    objects = [motion for motion in objects if motion.direction is not None]
     path_of = np.full(history.n_tracks, NO_PATH, dtype=np.int64)
-    paths: list[Floats] = []
-    directions: list[Floats] = []
-    for motion in motions.clusters:
-        if motion.direction is None:
-            continue
-        is_scene = motion.cluster_id == SCENE_CLUSTER
-        path_of[motion.members] = len(paths)
-        paths.append(history.scene_path if is_scene else straight_path(motion.direction, history.since_s))
-        directions.append(motion.direction)
-    count = len(paths)
-    return np.reshape(paths, (count, len(history.t_s), 3)), np.reshape(directions, (count, 3)), path_of
+    parts: list[SharedPaths] = []
+    if scene and scene[0].direction is not None and scene[0].direction_cov is not None:
+        parts.append(scene_path(history, scene[0].direction, scene[0].direction_cov))
+        path_of[scene[0].members] = 0
+    first = len(parts)
+    for number, motion in enumerate(objects):
+        path_of[motion.members] = first + number
+    count = len(objects)
+    direction = np.reshape([motion.direction for motion in objects], (count, 3))
+    cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))
+    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    base = history.since_s[None, :, None] * direction[:, None, :]
+    beliefs = PathBeliefs(
+        base,
+        direction,
+        _BELIEF_FACTOR * cov + _BELIEF_FLOOR_RAD**2 * across,
+        _OBJECT_BEND_HZ,
+        _OBJECT_BEND_HZ,
+        _OBJECT_TURN_RAD_S,
+    )
+    of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
+    parts.append(
+        fit_shared_paths(
+            history.xy,
+            history.since_s,
+            history.sigma_norm,
+            beliefs,
+            of_objects,
+            config.max_frames,
+            config.window_probability,
+        )
+    )
+    return joined_paths(parts), path_of, np.arange(first + count) >= first
 
 
 def _on_paths(
     history: TrackHistory,
     motions: FrameMotions,
-    paths: Floats,
-    directions: Floats,
+    paths: SharedPaths,
     path_of: Ints,
+    is_object: Bools,
     config: CollisionTimesConfig,
 ) -> TrackStates:
     """States of all N tracks; those without a path have the reason that ``motions`` gives."""
+    # What the scene's tracks find is an error of own motion, taken out of all views already; an object turns itself.
+    turn_rad_s = np.where(is_object[:, None], paths.turn_rad_s, 0.0)
     rates = fit_rates_on_paths(
-        history.xy, history.since_s, history.sigma_norm, paths, path_of, config.max_frames, config.window_probability
+        turned_back(history.xy, history.since_s, turn_rad_s, path_of),
+        history.since_s,
+        history.sigma_norm,
+        paths.path,
+        path_of,
+        config.max_frames,
+        config.window_probability,
     )
-    n = history.n_tracks
+    shared_cov, rate_cov = _with_model_errors(paths, path_of, rates)
+    rates = replace(rates, cov=rate_cov)
+    abc_hz, cov, jacobian = velocities_on_paths(rates, path_of, paths.direction, turn_rad_s, is_object, shared_cov)
+    shared = SharedErrors(path_of, paths.direction, rates.cov[:, 2, 2], jacobian, shared_cov)
     has_path = path_of != NO_PATH
-    direction, direction_cov = np.full((n, 3), np.nan), np.zeros((n, 3, 3))
-    direction[has_path] = directions[path_of[has_path]]
-    direction_cov[has_path] = motions.direction_cov[has_path]
-    by_rotation = rates.by_rotation * _rotation_rate_sigma(history)
-    shared = SharedErrors(rates.cov[:, 2, 2], rates.by_direction, by_rotation)
-    by_e = direction[:, :, None] * rates.by_direction[:, None, :] + rates.rate_hz[:, None, None] * np.eye(3)
-    along = rates.cov[:, 2, 2] + np.einsum("ni,ni->n", by_rotation, by_rotation)
-    cov = along[:, None, None] * direction[:, :, None] * direction[:, None, :]
-    cov += by_e @ direction_cov @ np.swapaxes(by_e, 1, 2)
-    by_direction = np.einsum("ni,nij,nj->n", rates.by_direction, direction_cov, rates.by_direction)
-    sigma_hz = np.sqrt(along + np.maximum(by_direction, 0.0))
-    xy = history.xy[-1]
+    # Along its path: how sure it is that a track moves at all, and forwards.
+    along = np.full((history.n_tracks, 3), np.nan)
+    along[has_path] = shared.along[path_of[has_path]]
+    sigma_hz = np.sqrt(np.einsum("ni,nij,nj->n", along, cov, along))
+    direction = normalize(abc_hz)
     status = np.select(
         [
-            ~np.isfinite(xy[:, 0]) | (has_path & (rates.n_frames < 2)),
+            ~np.isfinite(history.xy[-1, :, 0]) | (has_path & (rates.n_frames < 2)),
             ~has_path,
-            _is_at_epipole(history, direction, direction_cov) | ~np.isfinite(rates.rate_hz),
+            _is_at_epipole(history, along, shared) | ~np.isfinite(rates.rate_hz),
             np.abs(rates.rate_hz) < _RATE_SIGMAS * sigma_hz,
             rates.rate_hz < 0.0,
             np.abs(direction[:, 2]) < INFINITY_COSINE,
@@ -100,10 +144,27 @@ def _on_paths(
         ],
         Status.ok,
     ).astype(np.int64)
-    has_value = np.isin(status, [Status.ok, Status.epipole_at_infinity])
-    abc_hz = np.where(has_value[:, None], rates.rate_hz[:, None] * direction, np.nan)
-    cov = np.where(has_value[:, None, None], cov, np.nan)
-    return TrackStates(xy, abc_hz, cov, history.sigma_norm, direction, status, shared)
+    states = TrackStates(history.xy[-1], abc_hz, cov, history.sigma_norm, direction, status, shared)
+    return states.replaced(np.arange(len(status)), abc_hz, cov, direction, status)
+
+
+def _with_model_errors(paths: SharedPaths, path_of: Ints, rates: PathRates) -> tuple[Floats, Floats]:
+    """Covariances of the paths and of the tracks' own rates, with what the model itself is wrong by.
+
+    Where the tracks of a path fit worse than their noise, all of it is uncertain by as much more (Birge's ratio); and
+    no direction is known better than what neighbours err by in common.
+    """
+    count = len(paths.direction)
+    has_path = path_of != NO_PATH
+    chi2_sum = np.bincount(path_of[has_path], rates.chi2[has_path], count)
+    dof_sum = np.bincount(path_of[has_path], rates.dof[has_path], count)
+    misfit = np.maximum(chi2_sum / np.maximum(dof_sum, 1.0), 1.0)
+    across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
+    shared_cov = paths.cov * misfit[:, None, None]
+    shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
+    rate_cov = rates.cov.copy()
+    rate_cov[has_path] *= misfit[path_of[has_path], None, None]
+    return shared_cov, rate_cov
 
 
 def _with_free(
@@ -116,7 +177,6 @@ def _with_free(
     """The same with the free states of the tracks of ``free (M,)``."""
     if not len(free):
         return states
-    motion_plane = None if plane is None else MotionPlane(plane.normal, plane.covariance)
     found = fit_whole_tracks(
         history.xy[:, free],
         history.since_s,
@@ -124,42 +184,39 @@ def _with_free(
         None,
         config.max_frames,
         config.window_probability,
-        motion_plane,
+        None if plane is None else MotionPlane(plane.normal, plane.covariance),
     )
     velocity = found.state[:, 2:]
     moved = np.einsum("ni,nij,nj->n", velocity, found.info_w, velocity)
     direction = normalize(velocity)
     n_views = 2 if plane is not None else LEAST_FRAMES
+    gates = window_gates(config.max_frames, 2 * LEAST_FRAMES - 1, config.window_probability)
     status = np.select(
         [
             ~(found.n_frames >= n_views),
             ~(moved > _NO_MOTION_CHI2),
-            found.chi2 > chi2_quantile(config.window_probability, np.maximum(found.dof, 1)),
+            found.chi2 > gates[np.maximum(found.n_frames, LEAST_FRAMES)],
             np.abs(direction[:, 2]) < INFINITY_COSINE,
         ],
         [Status.short_track, Status.no_parallax, Status.not_rigid, Status.epipole_at_infinity],
         Status.ok,
     ).astype(np.int64)
-    # A turn that is not there moves a point as a velocity of (its rate) x (the ray) would.
-    turn = skew(np.column_stack([found.state[:, :2], np.ones(len(free))])) * _rotation_rate_sigma(history)
     has_value = np.isin(status, [Status.ok, Status.epipole_at_infinity])
     cov = np.full((len(free), 3, 3), np.nan)
     cov[has_value] = np.linalg.inv(found.info_w[has_value])
-    cov += turn @ np.swapaxes(turn, 1, 2)
+    # A turn that is not there moves a point as a velocity of (its rate) x (the ray) would.
+    turn = skew(np.column_stack([found.state[:, :2], np.ones(len(free))]))
+    cov += turn @ history.rotation_rate_cov @ np.swapaxes(turn, 1, 2)
     return states.replaced(free, velocity, cov, direction, status)
 
 
-def _is_at_epipole(history: TrackHistory, direction: Floats, direction_cov: Floats) -> Bools:
+def _is_at_epipole(history: TrackHistory, direction: Floats, shared: SharedErrors) -> Bools:
     """Tracks whose first and last view both lie on the line along their direction, within noise."""
     xy = history.xy
+    n = history.n_tracks
     oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
-    first = xy[oldest, np.arange(history.n_tracks)]
-    ones = np.ones(history.n_tracks)
-    q, r = np.column_stack([first, ones]), np.column_stack([xy[-1], ones])
-    return is_at_epipole(q, r, direction, history.sigma_norm**2, direction_cov)
-
-
-def _rotation_rate_sigma(history: TrackHistory) -> float:
-    """Standard deviation, per axis, of a rotation rate that is left in all past views, rad/s."""
-    steps_s = np.diff(history.t_s)
-    return ROTATION_DRIFT_RAD / float(np.median(steps_s)) if len(steps_s) else 0.0
+    q, r = (np.column_stack([place, np.ones(n)]) for place in (xy[oldest, np.arange(n)], xy[-1]))
+    variance = np.zeros((n, 3, 3))
+    has_path = shared.path_of != NO_PATH
+    variance[has_path] = shared.cov[shared.path_of[has_path], :3, :3]
+    return is_at_epipole(q, r, direction, history.sigma_norm**2, variance)

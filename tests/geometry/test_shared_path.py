@@ -1,0 +1,114 @@
+"""What many points say of their common path: found without noise, with an honest covariance in noise."""
+
+import numpy as np
+import pytest
+
+from ttcvid.geometry.path_velocity import velocities_on_paths
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
+from ttcvid.geometry.shared_path import PathBeliefs, believed_paths, fit_shared_paths, joined_paths, turned_back
+from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths, straight_path
+
+T_S = -0.05 * np.arange(20.0)[::-1]
+DIRECTION = normalize(np.array([0.3, 0.02, -1.0]))
+SPEED_M_S = 6.0
+SIGMA = 0.2 / 720.0
+
+
+def body(n, rng, depth_m=(12.0, 14.0)):
+    return np.column_stack([rng.uniform(-3, 3, n), rng.uniform(-1, 1, n), rng.uniform(*depth_m, n)])
+
+
+def seen(position, bend_hz=(0.0, 0.0, 0.0), turn_rad_s=(0.0, 0.0, 0.0)):
+    """Views of points that move along DIRECTION with an acceleration, turned about the camera."""
+    path = T_S[:, None] * DIRECTION + 0.5 * T_S[:, None] ** 2 * np.array(bend_hz)
+    turn = rotation_from_vector(T_S[:, None] * np.array(turn_rad_s))
+    place = np.einsum("lij,lnj->lni", turn, position + SPEED_M_S * path[:, None])
+    return place[..., :2] / place[..., 2:]
+
+
+def belief(direction=DIRECTION, direction_sigma_rad=0.02, bend_hz=0.3, turn_rad_s=1e-6):
+    cov = direction_sigma_rad**2 * (np.eye(3) - np.outer(direction, direction))
+    base = straight_path(direction, T_S)
+    return PathBeliefs(base[None], direction[None], cov[None], bend_hz, bend_hz, turn_rad_s)
+
+
+def fitted(xy, beliefs, sigma=SIGMA):
+    n = xy.shape[1]
+    return fit_shared_paths(xy, T_S, np.full(n, sigma), beliefs, np.zeros(n, np.int64))
+
+
+@pytest.mark.parametrize("bend_hz", [(0.0, 0.0, 0.0), (-0.08, 0.0, 0.25), (0.2, 0.02, 0.0)])
+def test_braking_and_turning_are_found_by_all_points_together(bend_hz):
+    found = fitted(seen(body(60, np.random.default_rng(1)), bend_hz), belief(), 1e-6)
+    np.testing.assert_allclose(found.bend_hz[0], bend_hz, atol=2e-3)
+    np.testing.assert_allclose(found.direction[0], DIRECTION, atol=1e-4)
+
+
+def test_a_direction_that_was_believed_wrongly_is_put_right():
+    wrong = normalize(DIRECTION + np.array([0.02, -0.01, 0.0]))
+    found = fitted(seen(body(60, np.random.default_rng(2))), belief(wrong), 1e-6)
+    np.testing.assert_allclose(found.direction[0], DIRECTION, atol=2e-4)
+
+
+def test_a_rotation_left_in_the_views_is_found_and_taken_out():
+    rng, turn = np.random.default_rng(3), np.array([0.001, 0.003, -0.002])
+    position = body(80, rng, (8.0, 60.0))
+    xy = seen(position, turn_rad_s=turn)
+    found = fitted(xy, belief(turn_rad_s=0.003), 1e-6)
+    np.testing.assert_allclose(found.turn_rad_s[0], turn, atol=1e-4)
+    back = turned_back(xy, T_S, turn[None], np.zeros(80, np.int64))
+    np.testing.assert_allclose(back, seen(position), atol=1e-12)
+
+
+def test_covariance_of_rates_holds_what_the_path_does_not_say():
+    """Rates of all points err together: the covariance of their mean is that of draws."""
+    rng, squares = np.random.default_rng(4), []
+    position, number = body(30, rng), np.zeros(30, np.int64)
+    for _ in range(150):
+        off = 0.02 * rng.normal(size=3)
+        believed = normalize(DIRECTION + off - DIRECTION * (off @ DIRECTION))
+        bend_hz = 0.1 * rng.normal(size=3)
+        xy = seen(position, bend_hz) + SIGMA * rng.normal(size=(20, 30, 2))
+        found = fitted(xy, belief(believed, 0.02, 0.1))
+        rates = fit_rates_on_paths(xy, T_S, np.full(30, SIGMA), found.path, number)
+        abc_hz, cov, jacobian = velocities_on_paths(
+            rates, number, found.direction, np.zeros((1, 3)), np.array([False]), found.cov
+        )
+        mean = jacobian.mean(axis=0)
+        own = np.mean(rates.cov[:, 2, 2]) / 30 * np.outer(found.direction[0], found.direction[0])
+        error = (abc_hz - SPEED_M_S * DIRECTION / position[:, 2:]).mean(axis=0)
+        squares.append(error @ np.linalg.solve(mean @ found.cov[0] @ mean.T + own, error))
+        assert (np.linalg.eigvalsh(cov) > -1e-12).all()
+    assert 0.85 <= np.mean(np.array(squares) < 6.25) <= 0.96  # 90 % of chi-square with three degrees of freedom
+
+
+def test_the_velocity_of_a_turning_thing_is_that_of_its_points():
+    rng, turn = np.random.default_rng(5), np.array([0.0, 0.15, 0.0])
+    position, number = body(40, rng), np.zeros(40, np.int64)
+    xy = seen(position, turn_rad_s=turn)
+    back = turned_back(xy, T_S, turn[None], number)
+    paths = straight_path(DIRECTION, T_S)[None]
+    rates = fit_rates_on_paths(back, T_S, np.full(40, 1e-6), paths, number)
+    abc_hz, _, _ = velocities_on_paths(
+        rates, number, DIRECTION[None], turn[None], np.array([True]), np.zeros((1, 9, 9))
+    )
+    velocity = SPEED_M_S * DIRECTION + np.cross(turn, position)
+    np.testing.assert_allclose(abc_hz, velocity / position[:, 2:], rtol=1e-6, atol=1e-9)
+
+
+def test_points_that_move_otherwise_do_not_bend_the_path():
+    rng = np.random.default_rng(6)
+    position = body(60, rng)
+    xy = seen(position)
+    xy[:, :12] = seen(position[:12], bend_hz=(3.0, -2.0, 4.0))
+    found = fitted(xy + SIGMA * rng.normal(size=xy.shape), belief())
+    assert np.abs(found.bend_hz[0]).max() < 0.1
+
+
+def test_paths_without_points_stay_as_believed():
+    xy = seen(body(10, np.random.default_rng(7)))
+    found = fit_shared_paths(xy, T_S, np.full(10, SIGMA), belief(), np.full(10, NO_PATH))
+    believed = believed_paths(belief())
+    np.testing.assert_allclose(found.path, believed.path)
+    np.testing.assert_allclose(found.cov, believed.cov, atol=1e-9)
+    assert joined_paths([found, believed]).path.shape == (2, 20, 3)
