@@ -68,13 +68,16 @@ class EgomotionConfig(StageConfig):
     gate_probability: Fraction = Field(default=0.99, description="chi-square probability of the gate of the scene")
 
 
-class MotionGroupsConfig(StageConfig):
-    """How tracks are gathered into groups of one relative motion."""
+class BodiesConfig(StageConfig):
+    """How tracks are told apart into the static scene and movers."""
 
-    min_tracks: int = Field(default=3, ge=3, description="least number of tracks of a group (the paper's three lines)")
-    n_hypotheses: int = Field(default=200, ge=10, le=5000, description="epipoles of new groups tried per frame")
-    max_groups: int = Field(default=12, ge=1, le=100, description="new groups taken per frame")
-    gate_probability: Fraction = Field(default=0.99, description="chi-square probability of the gate of a group")
+    min_tracks: int = Field(default=4, ge=3, description="least number of tracks of a new mover")
+    scene_gate: PositiveFloat = Field(
+        default=6.0, description="misfit on the scene's path, over the usual one, from which a track contradicts it"
+    )
+    gain: PositiveFloat = Field(default=4.0, description="how much better its own path explains a new mover's tracks")
+    confirm_frames: int = Field(default=3, ge=1, description="frames until a new mover gets its cluster_id")
+    forget_frames: int = Field(default=2, ge=0, description="frames that a mover may miss before it is forgotten")
 
 
 class CollisionTimesConfig(StageConfig):
@@ -240,7 +243,7 @@ class PipelineConfig(StageConfig):
 
     tracking: TrackingConfig = TrackingConfig()
     egomotion: EgomotionConfig = EgomotionConfig()
-    motion_groups: MotionGroupsConfig = MotionGroupsConfig()
+    bodies: BodiesConfig = BodiesConfig()
     collision_times: CollisionTimesConfig = CollisionTimesConfig()
     events: EventsConfig = EventsConfig()
     horizon_calibration: HorizonCalibrationConfig = HorizonCalibrationConfig()

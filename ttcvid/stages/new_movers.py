@@ -1,0 +1,90 @@
+"""New movers: neighbouring tracks that contradict the scene together and agree with each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.shared_direction import shared_direction
+from ttcvid.geometry.whole_track import fit_whole_tracks
+from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.bodies import Body
+from ttcvid.stages.body_views import BodyViews
+from ttcvid.stages.connected import connected_parts
+
+# Views that a track needs to contradict the scene.
+_LEAST_VIEWS = 3
+# Neighbours contradict the scene together where the median of their ln(misfit) is this part of the gate's.
+_TOGETHER, _LEAST_AROUND = 0.6, 3
+# Flows of two tracks are alike when they differ by less than this part of their mean and this, px over the window.
+_FLOW_PART, _FLOW_PX = 0.35, 1.0
+# Misfits below this say nothing any more.
+_NO_MISFIT = 0.1
+
+
+def new_movers(
+    views: BodyViews,
+    scene: Body,
+    in_scene: Bools,
+    n_views: Ints,
+    misfit: Floats,
+    usual_misfit: float,
+    config: BodiesConfig,
+) -> list[tuple[Ints, Body]]:
+    """Connected tracks of the scene that contradict it together and that a motion of their own explains.
+
+    Parameters
+    ----------
+    in_scene, n_views : (N,) which tracks belong to the scene by now, and their views.
+    misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
+
+    Returns
+    -------
+    Members (M,) and motion of each.
+    """
+    candidates = _candidates(views, in_scene & views.is_free & (n_views >= _LEAST_VIEWS), misfit, config)
+    if len(candidates) < config.min_tracks:
+        return []
+    xy = views.in_plane(scene, candidates)
+    label = _alike_and_near(views, candidates, xy)
+    found = []
+    for number in np.flatnonzero(np.bincount(label) >= config.min_tracks):
+        members = candidates[label == number]
+        tracks = fit_whole_tracks(xy[:, label == number], views.since_s, views.sigma_norm[members])
+        direction, _, _ = shared_direction(tracks.state[:, 2:], tracks.info_w)
+        if not np.isfinite(direction[0]):
+            continue
+        start = Body(scene.cam_R_past, straight_path(direction, views.since_s))
+        body = views.refined(start, scene, members)
+        is_better = views.misfit(body, members) / usual_misfit < misfit[members] / config.gain
+        if np.count_nonzero(is_better) >= max(config.min_tracks, len(members) // 2 + 1):
+            found.append((members[is_better], body))
+    return found
+
+
+def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:
+    """Tracks that contradict the scene, in a neighbourhood that does."""
+    index = np.flatnonzero(is_asked & (misfit > config.scene_gate))
+    if len(index) < config.min_tracks:
+        return index
+    around = views.neighbours[index]
+    # The nearest neighbour that the search names is the track itself.
+    counts = is_asked[around] & (views.has_neighbour[index] | (np.arange(around.shape[1]) == 0))
+    log_misfit = np.where(counts, np.log(np.maximum(misfit[around], _NO_MISFIT)), np.nan)
+    together = np.nanmedian(log_misfit, axis=1) > _TOGETHER * np.log(config.scene_gate)
+    return np.asarray(index[together & (np.count_nonzero(counts, axis=1) >= _LEAST_AROUND)])
+
+
+def _alike_and_near(views: BodyViews, index: Ints, xy: Floats) -> Ints:
+    """Number of the part that each track of ``index`` belongs to: near ones of similar flow are connected."""
+    pairs = KDTree(views.xy_px[index]).query_pairs(views.link_px, output_type="ndarray")
+    oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
+    span_s = -views.since_s[oldest]
+    flow = (xy[-1] - xy[oldest, np.arange(len(index))]) / span_s[:, None]
+    one, other = flow[pairs[:, 0]], flow[pairs[:, 1]]
+    mean = 0.5 * (np.linalg.norm(one, axis=1) + np.linalg.norm(other, axis=1))
+    floor = _FLOW_PX / views.focal_px / np.minimum(span_s[pairs[:, 0]], span_s[pairs[:, 1]])
+    is_alike = np.linalg.norm(one - other, axis=1) < _FLOW_PART * mean + floor
+    return connected_parts(np.ones(len(index), dtype=bool), pairs[is_alike])
