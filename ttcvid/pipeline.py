@@ -15,12 +15,12 @@ from ttcvid.model import Camera, Frame, FrameResult, FrameStatus, Horizon, Pictu
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory
 from ttcvid.stages.events import EventMemory, restarted_events, update_events
 from ttcvid.stages.frozen import FrozenMemory, find_frozen
-from ttcvid.stages.group_identity import GroupMemory, restarted
 from ttcvid.stages.history import TrackHistory, empty_history, extended
 from ttcvid.stages.motions import find_motions
 from ttcvid.stages.own_motion import find_own_motion
 from ttcvid.stages.planar import HorizonPlane, followed_plane, horizon_plane
 from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
+from ttcvid.stages.segmentation import BodyMemory, restarted_bodies
 from ttcvid.stages.table_points import compare_table_points
 from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
 
@@ -63,7 +63,7 @@ class Memory:
     t_s: float | None = None
     egomotion: EgomotionMemory = field(default_factory=EgomotionMemory)
     frozen: FrozenMemory = field(default_factory=FrozenMemory)
-    groups: GroupMemory = field(default_factory=GroupMemory)
+    bodies: BodyMemory = field(default_factory=BodyMemory)
     events: EventMemory = field(default_factory=EventMemory)
     scene_moves: bool = False
     plane: HorizonPlane | None = None
@@ -146,17 +146,8 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
     plane = followed_plane(
         memory.plane, clip.plane, None if egomotion is None else egomotion.cam_R_prev, dt_s, clip.camera
     )
-    rng = np.random.default_rng([clip.config.seed, frame.index])
-    motions, groups = find_motions(
-        history,
-        egomotion,
-        ~is_frozen,
-        memory.groups,
-        plane,
-        LEAST_PARALLAX_PX,
-        clip.camera,
-        rng,
-        clip.config,
+    motions, history, bodies = find_motions(
+        history, egomotion, ~is_frozen, memory.bodies, plane, clip.camera, clip.config
     )
     states, tracks = track_rows(history, motions, clip.config.collision_times, plane)
     clusters = cluster_rows(history, motions, states, clip.camera)
@@ -179,7 +170,7 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
         history=history,
         frozen=frozen,
         egomotion=ego_memory,
-        groups=groups,
+        bodies=bodies,
         events=watch,
         scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
         plane=plane,
@@ -191,7 +182,7 @@ def _after_cut(memory: Memory, clip: Clip) -> Memory:
     return Memory(
         history=empty_history(clip.camera, clip.config.tracking.sigma_start_px),
         t_s=memory.t_s,
-        groups=restarted(memory.groups),
+        bodies=restarted_bodies(memory.bodies),
         events=restarted_events(memory.events),
     )
 

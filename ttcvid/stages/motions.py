@@ -1,28 +1,34 @@
-"""The motions of a frame: the scene's, those of the groups, and the direction that each track takes from them."""
+"""The motions of a frame: the scene's, those of the movers, and the direction that each track takes from them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.config import PipelineConfig
-from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
-from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
+from ttcvid.config import CollisionTimesConfig, PipelineConfig
+from ttcvid.geometry.epipole import INFINITY_COSINE, MAX_DIRECTION_SIGMA_RAD
+from ttcvid.geometry.rotation import skew
+from ttcvid.geometry.shared_direction import shared_direction
+from ttcvid.geometry.whole_track import fit_whole_tracks
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
-from ttcvid.stages.group_identity import GroupMemory, former_groups, named
 from ttcvid.stages.history import TrackHistory
-from ttcvid.stages.motion_groups import MotionGroup, find_motion_groups
 from ttcvid.stages.planar import HorizonPlane, horizon_offset_px, onto_horizon, planar_directions
-from ttcvid.stages.scene import DIRECTION_FLOOR_RAD, moves_with_scene
+from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies, restarted_bodies
 
-# A group's direction is the scene's inside 99 % of a 2-D Gaussian.
-_SCENE_DIRECTION_CHI2 = 9.21
 # Tracks of one object hang together when they lie closer than this part of the picture's width.
 _LINK_PART = 0.05
+# Error of a position that no track's noise knows of, px: what lens and shutter leave with a calibrated camera, and what
+# a focal length that is off by 15 % does to a picture that turns by some degrees.
+_MODEL_ERROR_PX, _ASSUMED_CAMERA_ERROR_PX = 0.1, 0.5
+# A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
+_LOST_MISFIT = 50.0
+# Own direction of travel is not known better than this, rad: matching errs in common over large parts of the picture
+# (2 px at f = 800 px), which its covariance does not know.
+_DIRECTION_FLOOR_RAD = np.radians(0.15)
 
 
 @dataclass(frozen=True)
@@ -48,57 +54,82 @@ def find_motions(
     history: TrackHistory,
     egomotion: Egomotion | None,
     is_free: Bools,
-    memory: GroupMemory,
+    memory: BodyMemory,
     plane: HorizonPlane | None,
-    still_px: float,
     camera: Camera,
-    rng: np.random.Generator,
     config: PipelineConfig,
-) -> tuple[FrameMotions, GroupMemory]:
-    """Which tracks move with the scene, which in groups of their own, and in what direction.
+) -> tuple[FrameMotions, TrackHistory, BodyMemory]:
+    """Which tracks move with the scene, which in bodies of their own, and in what direction.
 
     Parameters
     ----------
     is_free : (N,) tracks that are not frozen to their pixel.
-    still_px : flow of one step that counts as none, however small the noise.
+
+    Returns
+    -------
+    motions, the history with the past rotations as the scene's tracks correct them, and the memory.
     """
-    times, gate = config.collision_times, float(chi2_quantile(config.egomotion.gate_probability, 1))
-    flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
+    times = config.collision_times
     link_px = _LINK_PART * camera.image_size.width_px
+    clusters: tuple[ClusterMotion, ...] = ()
+    if egomotion is None:
+        memory = restarted_bodies(memory)
+    else:
+        error_px = _ASSUMED_CAMERA_ERROR_PX if camera.is_assumed else _MODEL_ERROR_PX
+        can_translate = config.egomotion.platform != Platform.static
+        found, memory = find_bodies(
+            history, egomotion, can_translate, is_free, memory, link_px, error_px, config.bodies
+        )
+        history = replace(history, cam_R_past=found.scene.cam_R_past)
+        in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
+        scene = _scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
+        objects = _object_motions(history, found, is_free, plane, camera, times)
+        clusters = tuple(([scene] if len(scene.members) else []) + objects)
+    flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
     along_scene = scene_directions(history, flows)
-    scene_cov = None if egomotion is None else egomotion.direction_cov
-    with_scene = is_free & moves_with_scene(flows, along_scene, scene_cov, gate, still_px / history.focal_px)
-    groups: list[MotionGroup] = []
-    names: list[int | None] = []
-    if egomotion is not None:
-        former = former_groups(memory, history.track_id, egomotion.cam_R_prev)
-        is_candidate = is_free & ~with_scene
-        groups = find_motion_groups(flows, history.xy_px, is_candidate, link_px, former, rng, config.motion_groups)
-        groups = [group for group in groups if not _has_scene_direction(group, egomotion)]
-        names, memory = named(groups, history.track_id, memory, egomotion.cam_R_prev)
-    scene = _scene_motion(np.flatnonzero(with_scene), egomotion, plane, camera)
-    objects = [
-        _group_motion(name, group, plane, camera)
-        for name, group in sorted(zip(names, groups, strict=True), key=lambda pair: pair[0] or 0)
-        if name is not None
+    return _assigned(flows, along_scene, clusters, plane, is_free, link_px), history, memory
+
+
+def _object_motions(
+    history: TrackHistory,
+    found: Segmentation,
+    is_free: Bools,
+    plane: HorizonPlane | None,
+    camera: Camera,
+    config: CollisionTimesConfig,
+) -> list[ClusterMotion]:
+    """The movers that have a public number, each with the direction that the whole tracks of its points share."""
+    public = sorted((m.cluster_id, m.key) for m in found.movers.values() if m.cluster_id is not None)
+    members = [np.flatnonzero((found.key == key) & is_free) for _, key in public]
+    return [
+        _object_motion(cluster_id, index, history, plane, camera, config)
+        for (cluster_id, _), index in zip(public, members, strict=True)
+        if len(index)
     ]
-    clusters = tuple(([scene] if len(scene.members) else []) + objects)
-    return _assigned(flows, along_scene, clusters, plane, is_free, link_px), memory
 
 
-def _has_scene_direction(group: MotionGroup, egomotion: Egomotion) -> bool:
-    """Whether a group cannot be told from static points that were badly followed.
-
-    Leaves before the sky and edges that slide go astray together. Their flow lines miss the scene's epipole one by
-    one, but the direction that they share lies on it within its uncertainty: no object, and not fit for the scene.
-    """
-    if group.status == Status.no_epipole:
-        return False
-    if egomotion.direction is None or egomotion.direction_cov is None:
-        return False
-    covariance = group.direction_cov + egomotion.direction_cov
-    difference = direction_chi2(egomotion.direction, group.direction, covariance, DIRECTION_FLOOR_RAD)
-    return difference < _SCENE_DIRECTION_CHI2
+def _object_motion(
+    cluster_id: int,
+    members: Ints,
+    history: TrackHistory,
+    plane: HorizonPlane | None,
+    camera: Camera,
+    config: CollisionTimesConfig,
+) -> ClusterMotion:
+    tracks = fit_whole_tracks(
+        history.xy[:, members],
+        history.since_s,
+        history.sigma_norm[members],
+        None,
+        config.max_frames,
+        config.window_probability,
+    )
+    places = np.column_stack([tracks.state[:, :2], np.ones(len(members))])
+    by_rotation = skew(places) * history.rotation_rate_sigma_rad_s
+    direction, covariance, _ = shared_direction(tracks.state[:, 2:], tracks.info_w, by_rotation)
+    if not np.trace(covariance) < MAX_DIRECTION_SIGMA_RAD**2:
+        return ClusterMotion(cluster_id, members, None, None, Status.no_epipole, "whole-tracks")
+    return _on_plane(cluster_id, members, direction, covariance, "whole-tracks", plane, camera)
 
 
 def _scene_motion(
@@ -108,12 +139,6 @@ def _scene_motion(
         status = Status.no_epipole if egomotion is None else Status.no_parallax
         return ClusterMotion(SCENE_CLUSTER, members, None, None, status, "egomotion")
     return _on_plane(SCENE_CLUSTER, members, egomotion.direction, egomotion.direction_cov, "egomotion", plane, camera)
-
-
-def _group_motion(cluster_id: int, group: MotionGroup, plane: HorizonPlane | None, camera: Camera) -> ClusterMotion:
-    if group.status == Status.no_epipole:
-        return ClusterMotion(cluster_id, group.members, None, None, group.status, "consensus")
-    return _on_plane(cluster_id, group.members, group.direction, group.direction_cov, "consensus", plane, camera)
 
 
 def _on_plane(
@@ -161,7 +186,7 @@ def _assigned(
             # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
             if plane is None:
                 direction[motion.members] = along_scene[motion.members]
-            covariance[motion.members] += DIRECTION_FLOOR_RAD**2 * (
+            covariance[motion.members] += _DIRECTION_FLOOR_RAD**2 * (
                 np.eye(3) - np.outer(motion.direction, motion.direction)
             )
     return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px, is_free)

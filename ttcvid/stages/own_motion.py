@@ -8,13 +8,14 @@ import numpy as np
 
 from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
-from ttcvid.model import Bools, Floats
+from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion
 from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion, with_noise
 from ttcvid.stages.scene_path import with_scene_path
 
-# Of more tracks than twice this only a part is used: errors that neighbours share are what limits own motion.
-_ENOUGH_TRACKS = 400
+# In each cell of this side (in units of the focal length) only so many tracks are used: errors that neighbours share
+# are what limits own motion. Rays with less z than this share cells.
+_CELL, _MOST_IN_CELL, _LEAST_Z = 0.1, 6, 0.05
 # The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames.
 _WANTED_FLOW_PX, _LONGEST_GAP = 2.5, 5
 _TINY_PX = 1e-6
@@ -88,8 +89,24 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> t
     seen = np.flatnonzero(is_free & np.isfinite(history.rays[-1 - gap, :, 0]) & np.isfinite(history.rays[-1, :, 0]))
     if len(seen) < min_tracks:
         return None
-    seen = seen[:: max(1, len(seen) // _ENOUGH_TRACKS)]
+    seen = _spread(history.rays[-1], seen, min_tracks)
     return history.rays[-1 - gap, seen], history.rays[-1, seen], history.sigma_rad[seen]
+
+
+def _spread(rays: Floats, seen: Ints, min_tracks: int) -> Ints:
+    """Tracks among ``seen`` so that no place of the picture holds too many: one textured lorry is not the world.
+
+    A mover near by may hold most of the tracks, but it does not fill most of the picture.
+    """
+    cell = np.floor(rays[seen, :2] / np.maximum(rays[seen, 2:], _LEAST_Z) / _CELL).astype(np.int64)
+    number = cell[:, 0] * 4096 + cell[:, 1]
+    order = np.argsort(number, kind="stable")
+    is_first = np.diff(number[order], prepend=number[order[0]] - 1) != 0
+    start = np.maximum.accumulate(np.where(is_first, np.arange(len(order)), 0))
+    rank = np.empty(len(seen), dtype=np.int64)
+    rank[order] = np.arange(len(order)) - start
+    spread = seen[rank < _MOST_IN_CELL]
+    return spread if len(spread) >= min_tracks else seen
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:
