@@ -73,7 +73,7 @@ class BodiesConfig(StageConfig):
 
     min_tracks: int = Field(default=4, ge=3, description="least number of tracks of a new mover")
     scene_gate: PositiveFloat = Field(
-        default=6.0, description="misfit on the scene's path, over the usual one, from which a track contradicts it"
+        default=5.0, description="misfit on the scene's path, over the usual one, from which a track contradicts it"
     )
     gain: PositiveFloat = Field(default=4.0, description="how much better its own path explains a new mover's tracks")
     confirm_frames: int = Field(default=3, ge=1, description="frames until a new mover gets its cluster_id")

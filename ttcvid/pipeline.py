@@ -147,7 +147,7 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
         memory.plane, clip.plane, None if egomotion is None else egomotion.cam_R_prev, dt_s, clip.camera
     )
     motions, history, bodies = find_motions(
-        history, egomotion, ~is_frozen, memory.bodies, plane, clip.camera, clip.config
+        history, egomotion, ~is_frozen, ~frozen.is_suspect, memory.bodies, plane, clip.camera, clip.config
     )
     states, tracks = track_rows(history, motions, clip.config.collision_times, plane)
     clusters = cluster_rows(history, motions, states, clip.camera)

@@ -83,9 +83,7 @@ def refined_scene(
     return scene
 
 
-def refined_mover(
-    mover: Body, scene: Body, rays: Floats, sigma_norm: Floats, since_s: Floats, n_steps: int = 2
-) -> Body:
+def refined_mover(mover: Body, scene: Body, rays: Floats, sigma_norm: Floats, since_s: Floats, n_steps: int) -> Body:
     """A mover's turns and path by its own points ``rays (L, M, 3)``; beside the scene's it may turn a little.
 
     Parameters

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.bodies import Body, refined_mover
+from ttcvid.stages.connected import nearest_neighbours
 from ttcvid.stages.history import TrackHistory
 
 # Neighbours that have a say in where a track belongs.
@@ -52,9 +52,9 @@ class BodyViews:
         rate_hz = np.full(len(index), mover.rate_hz)
         return mover.fit(self.rays[:, index], self.sigma_norm[index], rate_hz, _LEAST_RATE * mover.rate_hz).misfit
 
-    def refined(self, mover: Body, scene: Body, index: Ints) -> Body:
+    def refined(self, mover: Body, scene: Body, index: Ints, n_steps: int) -> Body:
         """A mover's path by the tracks ``index``."""
-        return refined_mover(mover, scene, self.rays[:, index], self.sigma_norm[index], self.since_s)
+        return refined_mover(mover, scene, self.rays[:, index], self.sigma_norm[index], self.since_s, n_steps)
 
     def in_plane(self, body: Body, index: Ints) -> Floats:
         """The tracks ``index`` as if a body had not turned: (L, M, 2) in the plane z = 1 of the present camera."""
@@ -69,13 +69,7 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
     model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
     """
     sigma_norm = np.maximum(history.sigma_norm, model_error_px / history.focal_px)
-    n = history.n_tracks
-    neighbours = np.arange(n)[:, None]
-    if n > 1:
-        count = min(_N_NEIGHBOURS + 1, n)
-        _, found = KDTree(history.xy_px).query(history.xy_px, k=count, distance_upper_bound=link_px)
-        # KDTree marks a missing neighbour with N.
-        neighbours = np.where(found == n, neighbours, found)
+    neighbours = nearest_neighbours(history.xy_px, _N_NEIGHBOURS, link_px)
     return BodyViews(
         history.rays, sigma_norm, history.xy_px, history.t_s, history.focal_px, is_free, neighbours, link_px
     )

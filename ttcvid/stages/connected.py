@@ -1,12 +1,38 @@
-"""Which tracks hang together in the picture."""
+"""Which tracks are neighbours in the picture, and which hang together."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
-from ttcvid.model import Bools, Ints
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Bools, Floats, Ints
+
+
+def nearest_neighbours(xy_px: Floats, count: int, radius_px: float) -> Ints:
+    """Each point's nearest others within a radius: (N, count), the point itself standing in for missing ones.
+
+    Parameters
+    ----------
+    xy_px : (N, 2). Nearer ones first; of equally near ones the one with the smaller index.
+    """
+    n = len(xy_px)
+    neighbours = np.repeat(np.arange(n)[:, None], count, axis=1)
+    if n:
+        cell, order, start, width = _cells(xy_px, radius_px)
+        _nearest(np.ascontiguousarray(xy_px), cell, order, start, width, radius_px, neighbours)
+    return neighbours
+
+
+def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
+    """All pairs of points ``(N, 2)`` closer than a radius: (M, 2), the smaller index first."""
+    if len(xy_px) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    cell, order, start, width = _cells(xy_px, radius_px)
+    places = np.ascontiguousarray(xy_px)
+    count = _pairs(places, cell, order, start, width, radius_px, np.empty((0, 2), dtype=np.int64))
+    pairs = np.empty((count, 2), dtype=np.int64)
+    _pairs(places, cell, order, start, width, radius_px, pairs)
+    return pairs
 
 
 def largest_connected(is_in: Bools, pairs: Ints) -> Ints:
@@ -20,13 +46,82 @@ def largest_connected(is_in: Bools, pairs: Ints) -> Ints:
 def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
     """Number of the part that each of the tracks ``is_in (N,)`` belongs to, joined by ``pairs (M, 2)`` of tracks: (N,).
 
-    The others have numbers of their own.
+    The others have numbers of their own. Parts are numbered by their first track.
     """
-    one, other = pairs[:, 0], pairs[:, 1]
-    keep = is_in[one] & is_in[other]
-    n = len(is_in)
-    order = np.argsort(one[keep], kind="stable")
-    row_starts = np.concatenate([[0], np.cumsum(np.bincount(one[keep], minlength=n))])
-    graph = csr_array((np.ones(len(order)), other[keep][order], row_starts), shape=(n, n))
-    label: Ints = connected_components(graph, directed=False)[1].astype(np.int64)
+    root = np.arange(len(is_in))
+    _join(is_in, np.ascontiguousarray(pairs), root)
+    label: Ints = np.unique(root, return_inverse=True)[1].astype(np.int64)
     return label
+
+
+def _cells(xy_px: Floats, side_px: float) -> tuple[Ints, Ints, Ints, int]:
+    """A grid with an empty border: cell of each point, points in order of cells, where each cell starts, its width."""
+    column_row = np.floor((xy_px - xy_px.min(axis=0)) / side_px).astype(np.int64) + 1
+    width = int(column_row[:, 0].max()) + 2
+    cell = column_row[:, 1] * width + column_row[:, 0]
+    order = np.argsort(cell, kind="stable")
+    n_cells = width * (int(column_row[:, 1].max()) + 2)
+    start = np.searchsorted(cell[order], np.arange(n_cells + 1))
+    return cell, order, start, width
+
+
+@compiled
+def _nearest(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radius: float, neighbours: Ints) -> None:
+    """Fill ``neighbours (N, K)``."""
+    count = neighbours.shape[1]
+    square = np.empty(count)
+    for i in range(len(xy)):
+        found = 0
+        for dy in range(-1, 2):
+            first = cell[i] + dy * width - 1
+            for place in range(start[first], start[first + 3]):
+                j = order[place]
+                distance = (xy[j, 0] - xy[i, 0]) ** 2 + (xy[j, 1] - xy[i, 1]) ** 2
+                if j == i or distance >= radius * radius:
+                    continue
+                k = min(found, count)
+                while k > 0 and (distance < square[k - 1] or (distance == square[k - 1] and j < neighbours[i, k - 1])):
+                    if k < count:
+                        square[k], neighbours[i, k] = square[k - 1], neighbours[i, k - 1]
+                    k -= 1
+                if k < count:
+                    square[k], neighbours[i, k] = distance, j
+                    found = min(found + 1, count)
+
+
+@compiled
+def _pairs(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radius: float, pairs: Ints) -> int:
+    """Fill ``pairs`` as far as it reaches; how many there are."""
+    count = 0
+    for i in range(len(xy)):
+        for dy in range(-1, 2):
+            first = cell[i] + dy * width - 1
+            for place in range(start[first], start[first + 3]):
+                j = order[place]
+                if j > i and (xy[j, 0] - xy[i, 0]) ** 2 + (xy[j, 1] - xy[i, 1]) ** 2 < radius * radius:
+                    if count < len(pairs):
+                        pairs[count, 0], pairs[count, 1] = i, j
+                    count += 1
+    return count
+
+
+@compiled
+def _join(is_in: Bools, pairs: Ints, root: Ints) -> None:
+    """Union-find: ``root (N,)`` is the smallest index of each part."""
+    for m in range(len(pairs)):
+        one, other = pairs[m, 0], pairs[m, 1]
+        if not (is_in[one] and is_in[other]):
+            continue
+        while root[one] != one:
+            one = root[one]
+        while root[other] != other:
+            other = root[other]
+        if one < other:
+            root[other] = one
+        else:
+            root[one] = other
+    for i in range(len(root)):
+        top = i
+        while root[top] != top:
+            top = root[top]
+        root[i] = top

@@ -17,6 +17,8 @@ from ttcvid.model import Bools, Floats, Ints, PointSet
 _STAYS_PX = 0.3
 # So many frames on its pixel while the scene moves make a track frozen.
 _FROZEN_FRAMES = 15
+# After so many it may be on the way there: it does not found a new mover.
+_SUSPECT_FRAMES = 4
 # A new track this close to a frozen one is taken as frozen from the start, px: corners of one burned-in letter.
 _NEAR_FROZEN_PX = 15.0
 
@@ -28,6 +30,11 @@ class FrozenMemory:
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     anchor_px: Floats = field(default_factory=lambda: np.empty((0, 2)))
     n_stayed: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    @property
+    def is_suspect(self) -> Bools:
+        """Tracks that may be on the way to be frozen: (N,)."""
+        return np.asarray(self.n_stayed >= _SUSPECT_FRAMES)
 
 
 def find_frozen(memory: FrozenMemory, points: PointSet, *, scene_moves: bool) -> tuple[Bools, FrozenMemory]:

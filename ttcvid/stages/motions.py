@@ -11,7 +11,7 @@ from ttcvid.geometry.epipole import INFINITY_COSINE, MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import skew
 from ttcvid.geometry.shared_direction import shared_direction
 from ttcvid.geometry.whole_track import fit_whole_tracks
-from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
@@ -54,6 +54,7 @@ def find_motions(
     history: TrackHistory,
     egomotion: Egomotion | None,
     is_free: Bools,
+    may_start: Bools,
     memory: BodyMemory,
     plane: HorizonPlane | None,
     camera: Camera,
@@ -64,6 +65,7 @@ def find_motions(
     Parameters
     ----------
     is_free : (N,) tracks that are not frozen to their pixel.
+    may_start : (N,) tracks that are not about to be: a new mover may be made of them.
 
     Returns
     -------
@@ -71,20 +73,19 @@ def find_motions(
     """
     times = config.collision_times
     link_px = _LINK_PART * camera.image_size.width_px
-    clusters: tuple[ClusterMotion, ...] = ()
+    in_scene, objects = is_free, list[ClusterMotion]()
     if egomotion is None:
         memory = restarted_bodies(memory)
     else:
         error_px = _ASSUMED_CAMERA_ERROR_PX if camera.is_assumed else _MODEL_ERROR_PX
-        can_translate = config.egomotion.platform != Platform.static
         found, memory = find_bodies(
-            history, egomotion, can_translate, is_free, memory, link_px, error_px, config.bodies
+            history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
         )
         history = replace(history, cam_R_past=found.scene.cam_R_past)
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
-        scene = _scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
         objects = _object_motions(history, found, is_free, plane, camera, times)
-        clusters = tuple(([scene] if len(scene.members) else []) + objects)
+    scene = _scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
+    clusters = tuple(([scene] if len(scene.members) else []) + objects)
     flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
     along_scene = scene_directions(history, flows)
     return _assigned(flows, along_scene, clusters, plane, is_free, link_px), history, memory

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.shared_direction import shared_direction
@@ -12,7 +11,7 @@ from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.bodies import Body
 from ttcvid.stages.body_views import BodyViews
-from ttcvid.stages.connected import connected_parts
+from ttcvid.stages.connected import connected_parts, linked_pairs
 
 # Views that a track needs to contradict the scene.
 _LEAST_VIEWS = 3
@@ -20,6 +19,8 @@ _LEAST_VIEWS = 3
 _TOGETHER, _LEAST_AROUND = 0.6, 3
 # Flows of two tracks are alike when they differ by less than this part of their mean and this, px over the window.
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
+# A new path is refined in so many steps.
+_FIRST_STEPS = 3
 # Misfits below this say nothing any more.
 _NO_MISFIT = 0.1
 
@@ -57,7 +58,7 @@ def new_movers(
         if not np.isfinite(direction[0]):
             continue
         start = Body(scene.cam_R_past, straight_path(direction, views.since_s))
-        body = views.refined(start, scene, members)
+        body = views.refined(start, scene, members, _FIRST_STEPS)
         is_better = views.misfit(body, members) / usual_misfit < misfit[members] / config.gain
         if np.count_nonzero(is_better) >= max(config.min_tracks, len(members) // 2 + 1):
             found.append((members[is_better], body))
@@ -69,9 +70,8 @@ def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: Bodie
     index = np.flatnonzero(is_asked & (misfit > config.scene_gate))
     if len(index) < config.min_tracks:
         return index
-    around = views.neighbours[index]
-    # The nearest neighbour that the search names is the track itself.
-    counts = is_asked[around] & (views.has_neighbour[index] | (np.arange(around.shape[1]) == 0))
+    around = np.column_stack([index, views.neighbours[index]])
+    counts = np.column_stack([np.ones(len(index), dtype=bool), views.has_neighbour[index]]) & is_asked[around]
     log_misfit = np.where(counts, np.log(np.maximum(misfit[around], _NO_MISFIT)), np.nan)
     together = np.nanmedian(log_misfit, axis=1) > _TOGETHER * np.log(config.scene_gate)
     return np.asarray(index[together & (np.count_nonzero(counts, axis=1) >= _LEAST_AROUND)])
@@ -79,7 +79,7 @@ def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: Bodie
 
 def _alike_and_near(views: BodyViews, index: Ints, xy: Floats) -> Ints:
     """Number of the part that each track of ``index`` belongs to: near ones of similar flow are connected."""
-    pairs = KDTree(views.xy_px[index]).query_pairs(views.link_px, output_type="ndarray")
+    pairs = linked_pairs(views.xy_px[index], views.link_px)
     oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
     span_s = -views.since_s[oldest]
     flow = (xy[-1] - xy[oldest, np.arange(len(index))]) / span_s[:, None]

@@ -89,18 +89,19 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> t
     seen = np.flatnonzero(is_free & np.isfinite(history.rays[-1 - gap, :, 0]) & np.isfinite(history.rays[-1, :, 0]))
     if len(seen) < min_tracks:
         return None
-    seen = _spread(history.rays[-1], seen, min_tracks)
+    seen = _spread(history.rays[-1], history.sigma_rad, seen, min_tracks)
     return history.rays[-1 - gap, seen], history.rays[-1, seen], history.sigma_rad[seen]
 
 
-def _spread(rays: Floats, seen: Ints, min_tracks: int) -> Ints:
+def _spread(rays: Floats, sigma_rad: Floats, seen: Ints, min_tracks: int) -> Ints:
     """Tracks among ``seen`` so that no place of the picture holds too many: one textured lorry is not the world.
 
     A mover near by may hold most of the tracks, but it does not fill most of the picture.
     """
     cell = np.floor(rays[seen, :2] / np.maximum(rays[seen, 2:], _LEAST_Z) / _CELL).astype(np.int64)
     number = cell[:, 0] * 4096 + cell[:, 1]
-    order = np.argsort(number, kind="stable")
+    # The same few whatever the order of the tracks: the quieter first.
+    order = np.lexsort((rays[seen, 1], rays[seen, 0], sigma_rad[seen], number))
     is_first = np.diff(number[order], prepend=number[order[0]] - 1) != 0
     start = np.maximum.accumulate(np.where(is_first, np.arange(len(order)), 0))
     rank = np.empty(len(seen), dtype=np.int64)

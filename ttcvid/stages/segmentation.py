@@ -10,15 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.geometry.whole_track_on_path import straight_path
-from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints
+from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.bodies import Body, carried_forward, refined_scene
 from ttcvid.stages.body_views import BodyViews, body_views
-from ttcvid.stages.connected import connected_parts
+from ttcvid.stages.connected import connected_parts, linked_pairs
 from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.new_movers import new_movers
@@ -26,6 +25,8 @@ from ttcvid.stages.new_movers import new_movers
 # The scene is corrected by at most so many tracks, those of a crowded place counting less: cells of this side.
 _ENOUGH_TRACKS, _CELL = 400, 0.12
 _SCENE_STEPS = 2
+# A rate above so many of its standard deviations is no standstill.
+_MOVES_SIGMAS = 3.0
 # Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
 # much, where a track was before this much, and that most of the world stands still this much.
 _WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
@@ -36,6 +37,9 @@ _ONE_RATE = 1.3
 # Two movers are one where one motion explains both at most this much worse than two, misfits below 1 being 1; before
 # that is tried, the motion of the larger has to explain the smaller within this factor.
 _MERGED_MISFIT, _WORTH_TRYING = 2.0, 8.0
+# Steps of refinement a frame, of a new mover, of one that has been found in some frames, and of two taken as one.
+_YOUNG_STEPS, _YOUNG_FRAMES, _OLD_STEPS, _JOINT_STEPS = 2, 5, 1, 4
+_MERGE_FRAMES = 4
 # Misfits under 1 (in units of the scene's median) are noise.
 _LEAST_MISFIT = 1.0
 _LEAST_MEASURED = 10
@@ -83,8 +87,9 @@ class Segmentation:
 def find_bodies(
     history: TrackHistory,
     egomotion: Egomotion,
-    can_translate: bool,
+    platform: Platform,
     is_free: Bools,
+    may_start: Bools,
     memory: BodyMemory,
     link_px: float,
     model_error_px: float,
@@ -94,8 +99,9 @@ def find_bodies(
 
     Parameters
     ----------
-    can_translate : False for a resting camera.
+    platform : what carries the camera.
     is_free : (N,) tracks that are not frozen to their pixel.
+    may_start : (N,) tracks that a new mover may be made of.
     link_px : two tracks are neighbours when they lie closer than this, px.
     model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
     """
@@ -104,8 +110,14 @@ def find_bodies(
     is_continued = len(history.t_s) > 1 and memory.scene is not None
     movers = [_carried(mover, egomotion, views) for mover in memory.movers] if is_continued else []
     key[~np.isin(key, [m.key for m in movers])] = SCENE_CLUSTER
-    scene = _scene(history, egomotion, can_translate, memory.scene if is_continued else None, views, key, rate_hz)
+    scene = _scene(
+        history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, key, rate_hz
+    )
     scene_fit = scene.fit(views.rays, views.sigma_norm, rate_hz, 0.0)
+    rate_hz = scene_fit.rate_hz
+    is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
+    if not is_sure and not _moves_past(scene_fit, history.rays[-1], is_free):
+        scene_fit = replace(scene, path=np.zeros_like(scene.path)).fit(views.rays, views.sigma_norm, None, 0.0)
     usual = _usual_misfit(scene_fit, (key == SCENE_CLUSTER) & is_free)
     misfit = scene_fit.misfit / usual
 
@@ -114,13 +126,15 @@ def find_bodies(
     key, movers = _kept(key, movers, config)
     key, movers = _merged(views, scene, key, movers, usual)
     next_key = memory.next_key
-    for members, body in new_movers(views, scene, key == SCENE_CLUSTER, scene_fit.n_views, misfit, usual, config):
+    for members, body in new_movers(
+        views, scene, (key == SCENE_CLUSTER) & may_start, scene_fit.n_views, misfit, usual, config
+    ):
         key[members] = next_key
         movers.append(Mover(next_key, None, 1, 0, body))
         next_key += 1
     key, movers, next_key = _split(views, key, movers, next_key, config)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
-    memory = BodyMemory(scene, tuple(movers), history.track_id, key, scene_fit.rate_hz, next_key, next_cluster_id)
+    memory = BodyMemory(scene, tuple(movers), history.track_id, key, rate_hz, next_key, next_cluster_id)
     return Segmentation(key, {m.key: m for m in movers}, scene, scene_fit, misfit), memory
 
 
@@ -172,12 +186,30 @@ def _scene(
     )
 
 
+def _moves_past(fit: PathFit, rays: Floats, is_free: Bools) -> bool:
+    """Whether most parts of the picture show that the camera moves past the scene.
+
+    A resting camera's scene has no flow; a lorry that comes nearer would fit a camera that moves towards it.
+    """
+    known = np.flatnonzero(is_free & (fit.rate_sigma_hz > 0.0))
+    if not len(known):
+        return False
+    moves = fit.rate_hz[known] > _MOVES_SIGMAS * fit.rate_sigma_hz[known]
+    _, number, count = np.unique(_cells(rays[known]), return_inverse=True, return_counts=True)
+    return bool(np.mean(np.bincount(number, moves) > 0.5 * count) > 0.5)
+
+
+def _cells(rays: Floats) -> Ints:
+    """The part of the picture that each ray ``(N, 3)`` lies in: (N,)."""
+    cell = np.floor(np.nan_to_num(rays[:, :2] / np.maximum(rays[:, 2:], 0.05)) / _CELL).astype(np.int64)
+    return np.asarray(cell[:, 0] * 4096 + cell[:, 1])
+
+
 def _balance(rays: Floats) -> Floats:
     """Weight of each ray by how many share its part of the picture: one textured lorry is not the world."""
     if not len(rays):
         return np.empty(0)
-    cell = np.floor(np.nan_to_num(rays[:, :2] / np.maximum(rays[:, 2:], 0.05)) / _CELL).astype(np.int64)
-    _, number, count = np.unique(cell[:, 0] * 4096 + cell[:, 1], return_inverse=True, return_counts=True)
+    _, number, count = np.unique(_cells(rays), return_inverse=True, return_counts=True)
     return np.asarray(1.0 / np.sqrt(count[number]))
 
 
@@ -189,7 +221,8 @@ def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
 
 def _refined_by_own(mover: Mover, scene: Body, views: BodyViews, key: Ints) -> Body:
     own = np.flatnonzero(key == mover.key)
-    return views.refined(mover.body, scene, own) if len(own) > 2 else mover.body
+    steps = _YOUNG_STEPS if mover.n_found < _YOUNG_FRAMES else _OLD_STEPS
+    return views.refined(mover.body, scene, own, steps) if len(own) > 2 else mover.body
 
 
 def _assigned(views: BodyViews, movers: list[Mover], key: Ints, n_views: Ints, misfit: Floats, usual: float) -> Ints:
@@ -197,7 +230,7 @@ def _assigned(views: BodyViews, movers: list[Mover], key: Ints, n_views: Ints, m
     if not movers:
         return key
     label_around = key[views.neighbours]
-    is_other = views.neighbours != np.arange(len(key))[:, None]
+    is_other = views.has_neighbour
     n_others = np.maximum(np.count_nonzero(is_other, axis=1), 1)
     keys = np.array([SCENE_CLUSTER] + [m.key for m in movers])
     score = np.full((len(keys), len(key)), np.inf)
@@ -235,6 +268,10 @@ def _merged(views: BodyViews, scene: Body, key: Ints, movers: list[Mover], usual
         for other in movers:
             if one.key >= other.key or one.key not in alive or other.key not in alive:
                 continue
+            # What was two in one frame is seldom one in the next: of old ones that is asked now and then.
+            age = min(alive[one.key].n_found, alive[other.key].n_found)
+            if age > _YOUNG_FRAMES and age % _MERGE_FRAMES:
+                continue
             joint = _joint(views, scene, key, alive[one.key], alive[other.key], usual)
             if joint is not None:
                 older = max(alive[one.key], alive[other.key], key=lambda m: (m.n_found, -m.key))
@@ -256,7 +293,7 @@ def _joint(views: BodyViews, scene: Body, key: Ints, one: Mover, other: Mover, u
     large, few = (one, others) if len(own) >= len(others) else (other, own)
     if np.median(views.misfit(large.body, few)) / usual > _WORTH_TRYING * limit:
         return None
-    joint = views.refined(views.refined(large.body, scene, both), scene, both)
+    joint = views.refined(large.body, scene, both, _JOINT_STEPS)
     fit = joint.fit(views.rays[:, both], views.sigma_norm[both], None, 0.0)
     rates = np.median(fit.rate_hz[: len(own)]), np.median(fit.rate_hz[len(own) :])
     if not max(rates) < _ONE_RATE * min(rates):
@@ -278,7 +315,7 @@ def _split(
         if len(own) < 2 * config.min_tracks:
             continue
         fit = mover.body.fit(views.rays[:, own], views.sigma_norm[own], np.full(len(own), mover.body.rate_hz), 0.0)
-        pairs = KDTree(views.xy_px[own]).query_pairs(views.link_px, output_type="ndarray")
+        pairs = linked_pairs(views.xy_px[own], views.link_px)
         log_rate = np.log(np.maximum(np.nan_to_num(fit.rate_hz), _TINY_HZ))
         unsure = np.nan_to_num(fit.rate_sigma_hz / np.maximum(fit.rate_hz, _TINY_HZ), nan=np.inf)
         one, other = pairs.T
