@@ -174,7 +174,7 @@ def test_twice_the_time_makes_all_times_twice_as_long():
     slow = results_of([replace(frame, t_s=2.0 * frame.t_s) for frame in frames], camera)
     for one, other in zip(plain_run("crossing_collision"), slow, strict=True):
         for name in ("tcpa_s", "tcpa_lo_s", "miss_s", "miss_hi_s", "ttc_z_s", "ttc_z_lo_s", "ttc_z_hi_s"):
-            np.testing.assert_allclose(getattr(other.tracks.times, name), 2 * getattr(one.tracks.times, name), 0.02)
+            np.testing.assert_allclose(getattr(other.tracks.times, name), 2 * getattr(one.tracks.times, name), 0.05)
         np.testing.assert_array_equal(one.tracks.cluster_id, other.tracks.cluster_id)
 
 
@@ -344,7 +344,7 @@ def test_work_done_ahead_changes_nothing():
 
 def test_text_burned_into_the_pictures_belongs_to_nothing():
     """A station's logo: corners that never move look like constant bearing, and must not warn of anything."""
-    clip = [grey.copy() for grey in swaying(34)]
+    clip = [grey.copy() for grey in swaying(60)]
     for grey in clip:
         grey[6:26, 6:76] = 20
         cv2.putText(grey, "TTC 42", (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 250, 1)

@@ -32,7 +32,7 @@ NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 # Flow left after the rotation that is not taken for motion, however small the noise, px: matching errs in common.
 LEAST_PARALLAX_PX = 0.25
 # A rotation that moves the picture by more than this shows which pixels are frozen, px.
-_TURNING_PX = 1.0
+_TURNING_PX = 0.5
 # Third differences need four frames of history.
 _LEAST_HISTORY = 4
 

@@ -25,6 +25,12 @@ _MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
 # along one axis, and the least z of a ray that still has a cell of its own.
 _REGION, _REGION_COUNT, _LEAST_Z = 0.1, 200, 0.05
 
+DIRECTION_FLOOR_RAD = float(np.radians(0.15))
+"""Own direction of travel is not known better than this: matching errs in common over large parts of the picture.
+
+That is 2 px at f = 800 px, which its covariance does not know.
+"""
+
 FORWARD_DIR = np.array([0.0, 0.0, -1.0])
 """``dir`` of the static scene for a camera that drives along its optical axis."""
 

@@ -13,7 +13,7 @@ from ttcvid.geometry.shared_direction import shared_direction
 from ttcvid.geometry.whole_track import fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
-from ttcvid.stages.egomotion import Egomotion
+from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.planar import HorizonPlane, horizon_offset_px, onto_horizon, planar_directions
@@ -26,9 +26,6 @@ _LINK_PART = 0.05
 _MODEL_ERROR_PX, _ASSUMED_CAMERA_ERROR_PX = 0.1, 0.5
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
 _LOST_MISFIT = 50.0
-# Own direction of travel is not known better than this, rad: matching errs in common over large parts of the picture
-# (2 px at f = 800 px), which its covariance does not know.
-_DIRECTION_FLOOR_RAD = np.radians(0.15)
 
 
 @dataclass(frozen=True)
@@ -187,7 +184,7 @@ def _assigned(
             # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
             if plane is None:
                 direction[motion.members] = along_scene[motion.members]
-            covariance[motion.members] += _DIRECTION_FLOOR_RAD**2 * (
+            covariance[motion.members] += DIRECTION_FLOOR_RAD**2 * (
                 np.eye(3) - np.outer(motion.direction, motion.direction)
             )
     return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px, is_free)

@@ -16,10 +16,10 @@ from ttcvid.geometry.state import is_at_epipole
 from ttcvid.geometry.whole_track import LEAST_FRAMES, MotionPlane, fit_whole_tracks, window_gates
 from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
+from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.planar import HorizonPlane
-from ttcvid.stages.scene import DIRECTION_FLOOR_RAD
 from ttcvid.stages.scene_path import scene_path
 from ttcvid.stages.track_states import SharedErrors, TrackStates
 
