@@ -1,14 +1,4 @@
-"""The direction of a rigid body that moves in a straight line before a resting camera, from whole point tracks.
-
-Point i of the body is at ``P_i(t) = r_i + s_i (dt e + dq (a e + w b))``, in units of its depth at its own middle time:
-r_i = (x_i, y_i, 1) is its ray there, s_i = |V| / Z_i its rate, e the unit direction shared by all points. dt and dq are
-the differences of tau and tau^2 / 2 to the point's middle time, tau being the time from the body's middle. The lines of
-the points meet at e in the picture (the vanishing point), and the speed-up along each line tells how far away it is.
-
-Two nuisances are held near zero by priors: ``a`` the change of speed (1/s) and ``w`` the rate of turning (rad/s)
-towards b, the level direction across e. They keep a body that brakes, or turns imperceptibly, from being believed too
-much.
-"""
+"""The direction of a moving body (`ttcvid.geometry.moving_body`) by maximum likelihood, from whole point tracks."""
 
 from __future__ import annotations
 
@@ -16,52 +6,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.rotation import normalize, tangent_basis
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.geometry.moving_body import (
+    N_OWN,
+    N_SHARED,
+    RATE,
+    BodyTracks,
+    Unknowns,
+    first_unknowns,
+    linearised,
+    residuals,
+)
+from ttcvid.model import Floats
 
-N_OWN, N_SHARED = 3, 4
-"""Unknowns of a point (x, y, s) and of the body (two of the direction, a, w)."""
 _MAX_ITERATIONS = 40
-# A step shorter than this, rad, ends the search.
-_CONVERGED_RAD = 1e-7
-# Longest step of the direction, rad, and of a and w.
-_LONGEST_STEP = 0.3
+# A step shorter than this, rad, ends the search; none is longer than the other.
+_CONVERGED_RAD, _LONGEST_STEP = 1e-7, 0.3
+_DAMPING_START, _DAMPING_END = 1e-3, 1e6
 # Scale of the Cauchy weights of an observation, in sigmas of its two coordinates.
 _CAUCHY_SIGMAS = 3.0
-# Least depth that a point may come to, in units of its middle depth: behind that a path folds over.
-_LEAST_DEPTH = 0.02
 # Median of the length of two standard normal variables.
 _MEDIAN_RAYLEIGH = 1.1774
-
-
-@dataclass(frozen=True)
-class BodyTracks:
-    """Observations of one body's tracks, sorted by (track, time).
-
-    ``track (N,)`` numbers 0 .. M-1, each with at least two observations; ``t_s (N,)``; ``xy (N, 2)`` undistorted
-    normalised coordinates (the ray is (x, y, 1)); ``sigma`` their noise per coordinate, in the same units.
-    """
-
-    track: Ints
-    t_s: Floats
-    xy: Floats
-    sigma: float
-
-    @property
-    def n_tracks(self) -> int:
-        """Number of tracks."""
-        return int(self.track[-1]) + 1 if len(self.track) else 0
-
-    @property
-    def starts(self) -> Ints:
-        """Row of the first observation of each track: (M,)."""
-        return np.flatnonzero(np.diff(self.track, prepend=-1))
-
-    def take(self, tracks: Bools) -> BodyTracks:
-        """Only the tracks of a mask ``(M,)``, numbered anew."""
-        rows = tracks[self.track]
-        number = np.cumsum(tracks) - 1
-        return BodyTracks(number[self.track[rows]].astype(np.int64), self.t_s[rows], self.xy[rows], self.sigma)
+_LEAST_NOISE = 1e-3
+_TINY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -87,10 +53,19 @@ class Translation:
 
 
 @dataclass(frozen=True)
-class _Unknowns:
-    direction: Floats
-    change: Floats
-    own: Floats
+class _Equations:
+    """Normal equations of one linearisation, the own unknowns eliminated.
+
+    ``own_inverse (M, 3, 3)``; ``gain (M, 3, 4)``: a step of the shared unknowns changes the own by ``-gain @ step``.
+    """
+
+    jacobian: Floats
+    basis: Floats
+    weight: Floats
+    noise: float
+    own_inverse: Floats
+    gain: Floats
+    information: Floats
 
 
 def fit_translation(
@@ -113,206 +88,122 @@ def fit_translation(
     memory_s
         Errors farther apart in time than this are independent; nearer ones are taken as they are found.
     """
-    times = _times(tracks)
-    unknowns = _started(tracks, times, start)
     prior = 1.0 / np.array([np.inf, np.inf, speed_change_sigma_hz, turn_sigma_rad_s]) ** 2
-    cost, damping, noise = np.inf, 1e-3, 1.0
+    unknowns = _converged(tracks, first_unknowns(tracks, start), prior)
+    return None if unknowns is None else _result(tracks, unknowns, prior, memory_s)
+
+
+def _converged(tracks: BodyTracks, unknowns: Unknowns, prior: Floats) -> Unknowns | None:
+    """Levenberg and Marquardt's way to the least cost; None where it leads nowhere."""
+    damping = _DAMPING_START
     for _ in range(_MAX_ITERATIONS):
-        residual, jacobian, basis = _linearised(tracks, times, unknowns)
-        if residual is None:
-            return None
-        size = np.linalg.norm(residual, axis=1)
-        noise = max(float(np.median(size)) / _MEDIAN_RAYLEIGH, 1e-3)
-        weight = 1.0 / (1.0 + (size / (noise * _CAUCHY_SIGMAS)) ** 2)
-        step_shared, step_own = _step(tracks, residual, jacobian, weight, noise, unknowns, prior, damping)
+        residual = residuals(tracks, unknowns)
+        equations = _equations(tracks, unknowns, residual, prior, damping)
+        step_shared, step_own = _step(tracks, unknowns, residual, equations, prior, damping)
         if not (np.isfinite(step_shared).all() and np.isfinite(step_own).all()):
             return None
-        trial = _moved(unknowns, basis, step_shared, step_own)
-        cost, trial_cost = (_cost(tracks, times, one, noise, prior) for one in (unknowns, trial))
+        trial = unknowns.moved(equations.basis, step_shared, step_own)
+        cost, trial_cost = (_cost(tracks, one, equations.noise, prior) for one in (unknowns, trial))
         if trial_cost <= cost:
             unknowns, damping = trial, max(damping * 0.2, 1e-9)
             if np.abs(step_shared).max() < _CONVERGED_RAD:
                 break
         else:
             damping *= 8.0
-            if damping > 1e6:
+            if damping > _DAMPING_END:
                 break
-    return _result(tracks, times, unknowns, prior, memory_s)
+    return unknowns
 
 
-def direction_from_lines(tracks: BodyTracks) -> Floats:
-    """A first direction ``(3,)``: where the planes of the tracks' first and last rays meet, along the motion."""
-    rays = np.column_stack([tracks.xy, np.ones(len(tracks.xy))])
-    first, last = tracks.starts, np.append(tracks.starts[1:], len(rays)) - 1
-    q, p = normalize(rays[first]), normalize(rays[last])
-    normals = np.cross(q, p)
-    # The mean flow makes one more plane to lie in: parallel lines then meet far away along it, not anywhere.
-    _, vectors = np.linalg.eigh(normals.T @ normals)
-    direction: Floats = vectors[:, 0]
-    flow = (p - q).sum(axis=0)
-    return direction if direction @ flow >= 0 else -direction
-
-
-def _times(tracks: BodyTracks) -> tuple[Floats, Floats]:
-    """The dt and dq of each observation, ``(N,)``."""
-    tau = tracks.t_s - 0.5 * (tracks.t_s.min() + tracks.t_s.max())
-    count = np.diff(np.append(tracks.starts, len(tau)))
-    middle = (np.add.reduceat(tau, tracks.starts) / count)[tracks.track]
-    return tau - middle, 0.5 * (tau**2 - middle**2)
-
-
-def _started(tracks: BodyTracks, times: tuple[Floats, Floats], start: Floats) -> _Unknowns:
-    """Points at the means of their tracks, rates by least squares on the straight path."""
-    dt, _ = times
-    starts = tracks.starts
-    count = np.diff(np.append(starts, len(dt)))[:, None]
-    centre = np.add.reduceat(tracks.xy, starts) / count
-    towards = start[:2] - centre * start[2]
-    slope = np.add.reduceat(dt[:, None] * tracks.xy, starts) / np.add.reduceat(dt**2, starts)[:, None]
-    rate = np.sum(slope * towards, axis=1) / np.maximum(np.sum(towards**2, axis=1), 1e-6)
-    return _Unknowns(start, np.zeros(2), np.column_stack([centre, rate]))
-
-
-def _across(direction: Floats) -> Floats:
-    """The level direction across ``direction``; any one across where that is upright."""
-    across = np.array([direction[2], 0.0, -direction[0]])
-    length = float(np.linalg.norm(across))
-    return across / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
-
-
-def _points(tracks: BodyTracks, times: tuple[Floats, Floats], unknowns: _Unknowns) -> tuple[Floats, Floats]:
-    """P of each observation and its derivative by the rate, ``(N, 3)`` each."""
-    dt, dq = times
-    bend = unknowns.change[0] * unknowns.direction + unknowns.change[1] * _across(unknowns.direction)
-    by_rate = dt[:, None] * unknowns.direction + dq[:, None] * bend
-    own = unknowns.own[tracks.track]
-    point = own[:, 2:] * by_rate
-    point[:, :2] += own[:, :2]
-    point[:, 2] += 1.0
-    return point, by_rate
-
-
-def _residuals(tracks: BodyTracks, point: Floats) -> Floats:
-    depth = np.maximum(point[:, 2:], _LEAST_DEPTH)
-    result: Floats = (tracks.xy - point[:, :2] / depth) / tracks.sigma
-    return result
-
-
-def _cost(tracks: BodyTracks, times: tuple[Floats, Floats], unknowns: _Unknowns, noise: float, prior: Floats) -> float:
-    residual = _residuals(tracks, _points(tracks, times, unknowns)[0]) / noise
-    square = np.sum(residual**2, axis=1) / _CAUCHY_SIGMAS**2
+def _cost(tracks: BodyTracks, unknowns: Unknowns, noise: float, prior: Floats) -> float:
+    square = np.sum(residuals(tracks, unknowns) ** 2, axis=1) / (noise * _CAUCHY_SIGMAS) ** 2
     return float(_CAUCHY_SIGMAS**2 * np.log1p(square).sum() + prior[2:] @ unknowns.change**2)
 
 
-def _linearised(tracks: BodyTracks, times: tuple[Floats, Floats], unknowns: _Unknowns) -> tuple[Floats, Floats, Floats]:
-    """Residuals ``(N, 2)``, minus their derivatives ``(N, 2, 7)`` by own and shared unknowns, and the basis."""
-    dt, dq = times
-    point, by_rate = _points(tracks, times, unknowns)
-    residual = _residuals(tracks, point)
-    depth = np.maximum(point[:, 2], _LEAST_DEPTH)
-    basis = tangent_basis(unknowns.direction)
-    rate = unknowns.own[tracks.track, 2]
-    by = np.zeros((len(dt), 3, N_OWN + N_SHARED))
-    by[:, 0, 0] = by[:, 1, 1] = 1.0
-    by[:, :, 2] = by_rate
-    along = rate * (dt + unknowns.change[0] * dq)
-    by[:, :, 3:5] = along[:, None, None] * basis
-    by[:, :, 5] = (rate * dq)[:, None] * unknowns.direction
-    by[:, :, 6] = (rate * dq)[:, None] * _across(unknowns.direction)
-    picture = point[:, :2] / depth[:, None]
-    jacobian = (by[:, :2] - picture[:, :, None] * by[:, 2:]) / (depth[:, None, None] * tracks.sigma)
-    return residual, jacobian, basis
-
-
-def _eliminated(tracks: BodyTracks, jacobian: Floats, weight: Floats, damping: float) -> tuple[Floats, Floats]:
-    """Inverse of each track's own block ``(M, 3, 3)`` and its mixed block ``(M, 3, 4)``."""
+def _equations(tracks: BodyTracks, unknowns: Unknowns, residual: Floats, prior: Floats, damping: float) -> _Equations:
+    jacobian, basis = linearised(tracks, unknowns)
+    size = np.linalg.norm(residual, axis=1)
+    noise = max(float(np.median(size)) / _MEDIAN_RAYLEIGH, _LEAST_NOISE)
+    weight = 1.0 / (1.0 + (size / (noise * _CAUCHY_SIGMAS)) ** 2) / noise**2
     own, shared = jacobian[:, :, :N_OWN], jacobian[:, :, N_OWN:]
-    block = np.add.reduceat(np.einsum("nki,nkj,n->nij", own, own, weight), tracks.starts)
-    mixed = np.add.reduceat(np.einsum("nki,nkj,n->nij", own, shared, weight), tracks.starts)
+    block = tracks.sums(np.einsum("nki,nkj,n->nij", own, own, weight))
+    mixed = tracks.sums(np.einsum("nki,nkj,n->nij", own, shared, weight))
     diagonal = np.einsum("mii->mi", block)
     diagonal *= 1.0 + damping
-    diagonal += 1e-12
-    return np.linalg.inv(block), mixed
+    diagonal += _TINY
+    own_inverse = np.asarray(np.linalg.inv(block), dtype=np.float64)
+    gain = own_inverse @ mixed
+    information = np.einsum("nki,nkj,n->ij", shared, shared, weight) - np.einsum("mij,mik->jk", mixed, gain)
+    return _Equations(jacobian, basis, weight, noise, own_inverse, gain, information)
 
 
 def _step(
     tracks: BodyTracks,
+    unknowns: Unknowns,
     residual: Floats,
-    jacobian: Floats,
-    weight: Floats,
-    noise: float,
-    unknowns: _Unknowns,
+    equations: _Equations,
     prior: Floats,
     damping: float,
 ) -> tuple[Floats, Floats]:
     """Gauss-Newton step of the shared ``(4,)`` and own ``(M, 3)`` unknowns."""
-    inverse, mixed = _eliminated(tracks, jacobian, weight, damping)
-    own, shared = jacobian[:, :, :N_OWN], jacobian[:, :, N_OWN:]
-    own_side = np.add.reduceat(np.einsum("nki,nk,n->ni", own, residual, weight), tracks.starts)
-    gain = np.einsum("mij,mjk->mik", inverse, mixed)
-    matrix = np.einsum("nki,nkj,n->ij", shared, shared, weight) - np.einsum("mij,mik->jk", mixed, gain)
-    side = np.einsum("nki,nk,n->i", shared, residual, weight) - np.einsum("mik,mi->k", gain, own_side)
-    matrix += np.diag(prior) * noise**2
-    side -= prior * noise**2 * np.concatenate([np.zeros(2), unknowns.change])
-    matrix += np.diag(damping * np.diag(matrix) + 1e-12)
+    own, shared = equations.jacobian[:, :, :N_OWN], equations.jacobian[:, :, N_OWN:]
+    own_side = tracks.sums(np.einsum("nki,nk,n->ni", own, residual, equations.weight))
+    side = np.einsum("nki,nk,n->i", shared, residual, equations.weight)
+    side -= np.einsum("mik,mi->k", equations.gain, own_side)
+    side[2:] -= prior[2:] * unknowns.change
+    matrix = equations.information + np.diag(prior)
+    matrix += np.diag(damping * np.diag(matrix) + _TINY)
     step: Floats = np.linalg.solve(matrix, side)
-    step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
-    return step, np.einsum("mij,mj->mi", inverse, own_side) - gain @ step
+    step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), _TINY))
+    return step, np.einsum("mij,mj->mi", equations.own_inverse, own_side) - equations.gain @ step
 
 
-def _moved(unknowns: _Unknowns, basis: Floats, shared: Floats, own: Floats) -> _Unknowns:
-    return _Unknowns(
-        normalize(unknowns.direction + basis @ shared[:2]), unknowns.change + shared[2:], unknowns.own + own
-    )
-
-
-def _result(
-    tracks: BodyTracks, times: tuple[Floats, Floats], unknowns: _Unknowns, prior: Floats, memory_s: float
-) -> Translation | None:
-    residual, jacobian, basis = _linearised(tracks, times, unknowns)
-    size = np.linalg.norm(residual, axis=1)
-    noise = max(float(np.median(size)) / _MEDIAN_RAYLEIGH, 1e-3)
-    weight = 1.0 / (1.0 + (size / (noise * _CAUCHY_SIGMAS)) ** 2)
-    inverse, mixed = _eliminated(tracks, jacobian, weight, 0.0)
-    gain = np.einsum("mij,mjk->mik", inverse, mixed)
-    own, shared = jacobian[:, :, :N_OWN], jacobian[:, :, N_OWN:]
+def _result(tracks: BodyTracks, unknowns: Unknowns, prior: Floats, memory_s: float) -> Translation | None:
+    residual = residuals(tracks, unknowns)
+    equations = _equations(tracks, unknowns, residual, prior, 0.0)
+    own, shared = equations.jacobian[:, :, :N_OWN], equations.jacobian[:, :, N_OWN:]
     # Derivative of each observation by the shared unknowns once the own ones have followed.
-    free = shared - np.einsum("nki,nij->nkj", own, gain[tracks.track])
-    information = np.einsum("nki,nkj,n->ij", free, free, weight) / noise**2
-    posterior = np.linalg.inv(information + np.diag(prior) + 1e-12 * np.eye(N_SHARED))
-    scores = np.einsum("nki,nk,n->ni", free, residual, weight) / noise**2
-    correlation = _correlation(tracks.t_s, scores, information, memory_s)
-    covariance = posterior @ (correlation * information + np.diag(prior)) @ posterior
+    free = shared - np.einsum("nki,nij->nkj", own, equations.gain[tracks.track])
+    scores = np.einsum("nki,nk,n->ni", free, residual, equations.weight)
+    spread, correlation = _inflated(tracks, scores, equations.information, memory_s)
+    posterior = np.linalg.inv(equations.information + np.diag(prior) + _TINY * np.eye(N_SHARED))
+    covariance = posterior @ (spread + np.diag(prior)) @ posterior
     if not np.isfinite(covariance).all():
         return None
-    count = np.diff(np.append(tracks.starts, len(size)))
-    per_track = np.sqrt(np.add.reduceat(size**2, tracks.starts) / (2 * count)) / noise
     return Translation(
         direction=unknowns.direction,
-        covariance=basis @ covariance[:2, :2] @ basis.T,
+        covariance=equations.basis @ covariance[:2, :2] @ equations.basis.T,
         speed_change_hz=float(unknowns.change[0]),
         turn_rad_s=float(unknowns.change[1]),
         turn_sigma_rad_s=float(np.sqrt(covariance[3, 3])),
-        noise=noise,
+        noise=equations.noise,
         correlation=correlation,
-        rate_hz=unknowns.own[:, 2],
-        residual=per_track,
+        rate_hz=unknowns.own[:, RATE],
+        residual=np.sqrt(tracks.sums(np.sum(residual**2, axis=1)) / (2 * tracks.counts)) / equations.noise,
     )
 
 
-def _correlation(t_s: Floats, scores: Floats, information: Floats, memory_s: float) -> float:
-    """Variance of the direction over what independent errors would give, at least 1.
+def _inflated(tracks: BodyTracks, scores: Floats, information: Floats, memory_s: float) -> tuple[Floats, float]:
+    """Covariance ``(4, 4)`` of the scores' sum, at least what independent errors give it; and by how much it is larger.
 
-    The scores of all tracks are added up frame by frame, which keeps what they have in common (a walker's bob), and the
-    frames are linked up to ``memory_s`` apart with triangular weights (Newey and West, Econometrica 1987).
+    Errors hang together in two ways: what all tracks have in common at a time (a walker's bob), up to ``memory_s``
+    apart with triangular weights (Newey and West, Econometrica 1987), and what one track has all its life (a sleeve
+    that swings, a rim that slides). Both are taken from the scores, their overlap once (Cameron, Gelbach and Miller,
+    JBES 2011). Directions of the unknowns in which the scores scatter less than expected keep what is expected.
     """
-    frame_t_s, frame = np.unique(t_s, return_inverse=True)
-    sums = np.zeros((len(frame_t_s), scores.shape[1]))
-    np.add.at(sums, frame, scores)
-    apart = np.abs(frame_t_s[:, None] - frame_t_s[None, :])
+    frame_t_s, frame = np.unique(tracks.t_s, return_inverse=True)
+    by_frame = np.zeros((len(frame_t_s), scores.shape[1]))
+    np.add.at(by_frame, frame, scores)
+    apart_s = np.abs(frame_t_s[:, None] - frame_t_s[None, :])
     memory_s = min(memory_s, 0.25 * float(frame_t_s[-1] - frame_t_s[0]))
-    kernel = np.maximum(1.0 - apart / max(memory_s, 1e-9), 0.0)
-    spread = sums.T @ kernel @ sums
-    part = slice(0, 2)
-    inverse = np.linalg.pinv(information[part, part])
-    return max(1.0, 0.5 * float(np.trace(inverse @ spread[part, part])))
+    kernel = np.maximum(1.0 - apart_s / max(memory_s, _TINY), 0.0)
+    by_track = tracks.sums(scores)
+    # The direction takes two degrees of freedom of the tracks' scores.
+    few = tracks.n_tracks / max(tracks.n_tracks - 2.0, 0.5)
+    spread = by_frame.T @ kernel @ by_frame + few * by_track.T @ by_track - scores.T @ scores
+    scale = np.sqrt(np.maximum(np.diag(information), _TINY))
+    root = np.linalg.cholesky(information / np.outer(scale, scale) + 1e-9 * np.eye(N_SHARED)) * scale[:, None]
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ spread @ inverse.T)
+    values = np.maximum(values, 1.0)
+    return root @ vectors @ np.diag(values) @ vectors.T @ root.T, float(values.mean())

@@ -14,6 +14,7 @@ import numpy as np
 
 import ttcvid
 from ttcvid.calibration import write_horizon
+from ttcvid.config import PipelineConfig
 from ttcvid.draw.horizon_picture import write_horizon_picture
 from ttcvid.errors import OutputError, UsageError
 from ttcvid.geometry.horizon_line import HorizonFit, band_px, pitch_roll_covariance_rad2, pitch_roll_rad
@@ -33,6 +34,10 @@ _LOG = logging.getLogger(__name__)
 DEFAULT_OUT = Path("horizon.yaml")
 MOTIONS_NAME, PICTURE_NAME = "motions.parquet", "horizon.png"
 EXIT_UNDETERMINED = 5
+
+RESTING_DEFAULTS = {"tracking": {"window_px": 21, "max_forward_backward_px": 1.0}}
+"""Before a resting camera long tracks count for more than exact ones, people's clothes among them."""
+DRIVING_DEFAULTS = {"egomotion": {"platform": Platform.vehicle}}
 
 OnFrame = Callable[[int, int | None], None]
 
@@ -152,12 +157,9 @@ def watch_clips(
     inputs: Sequence[str], configuration: Configuration, on_frame: OnFrame | None = None
 ) -> tuple[list[WatchedClip], Calibration]:
     """Follow the points of all clips; UsageError where their pictures have different sizes."""
-    watch, pipeline = watch_resting_clip, configuration.pipeline
-    if pipeline.horizon_calibration.moving:
-        watch = watch_driving_clip
-        if "egomotion.platform" not in configuration.origins:
-            vehicle = pipeline.egomotion.model_copy(update={"platform": Platform.vehicle})
-            pipeline = pipeline.model_copy(update={"egomotion": vehicle})
+    moving = configuration.pipeline.horizon_calibration.moving
+    watch = watch_driving_clip if moving else watch_resting_clip
+    pipeline = with_own_defaults(configuration, DRIVING_DEFAULTS if moving else RESTING_DEFAULTS)
     clips: list[WatchedClip] = []
     calibration: Calibration | None = None
     for input_ in inputs:
@@ -173,6 +175,15 @@ def watch_clips(
             clips.append(watch(source, calibration, pipeline, len(clips), on_frame))
     assert calibration is not None
     return clips, calibration
+
+
+def with_own_defaults(configuration: Configuration, defaults: dict[str, dict[str, Any]]) -> PipelineConfig:
+    """The parameters of the stages, with other defaults where the user has not said anything."""
+    pipeline = configuration.pipeline
+    for section, values in defaults.items():
+        unsaid = {key: value for key, value in values.items() if f"{section}.{key}" not in configuration.origins}
+        pipeline = pipeline.model_copy(update={section: getattr(pipeline, section).model_copy(update=unsaid)})
+    return pipeline
 
 
 def horizon_of(clips: list[WatchedClip], camera: Camera, configuration: Configuration) -> HorizonResult:

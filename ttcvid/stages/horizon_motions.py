@@ -8,7 +8,8 @@ import numpy as np
 
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.translation import BodyTracks, Translation, direction_from_lines, fit_translation
+from ttcvid.geometry.moving_body import BodyTracks, direction_from_lines
+from ttcvid.geometry.translation import Translation, fit_translation
 from ttcvid.model import Bools, Camera, Floats, Ints
 from ttcvid.stages.movers import group_movers, moving_tracks
 from ttcvid.stages.whole_tracks import Observations
@@ -19,7 +20,9 @@ _SIGMA_START_PX = 0.2
 _FREE_TURN_RAD_S = 1.0
 # A track whose residuals are so many times the usual ones of its body is no part of it.
 _FOREIGN_RESIDUAL = 3.0
-_MAX_ROUNDS = 4
+_MAX_ROUNDS = 5
+# Tracks left over are a mover of their own when they are at least this part of all.
+_OTHERS_PART = 0.25
 # With more observations than this a body is thinned out frame by frame: neighbouring frames tell little that is new.
 _ENOUGH_OBSERVATIONS = 6000
 # Turns are believed from so many standard deviations on.
@@ -78,21 +81,35 @@ def find_motions(
 def _motions_of(
     rows: Observations, focal_px: float, config: HorizonCalibrationConfig, clip: int, mover: int
 ) -> list[Motion]:
-    """The motion of a mover; one that bends is looked at again in halves, as long as they are long enough."""
+    """The motions of a mover; one that bends is looked at again in halves, as long as they are long enough.
+
+    What lasts long is looked at piece by piece: people who follow each other hang together in their tracks. Tracks that
+    do not go with the others are tried by themselves: two who walk side by side, and part.
+    """
     duration_s = float(np.ptp(rows.t_s)) if len(rows.t_s) else 0.0
     if len(rows.starts) < config.min_tracks or duration_s < config.min_motion_s:
         return []
+    if duration_s > config.max_motion_s:
+        pieces = _pieces(rows, int(np.ceil(duration_s / config.max_motion_s)), config)
+        return [motion for piece in pieces for motion in _motions_of(piece, focal_px, config, clip, mover)]
     motion = _fitted(rows, focal_px, config, clip, mover)
-    if motion.status != "curved" or duration_s < 2 * config.min_motion_s:
+    if motion.status == "curved" and duration_s >= 2 * config.min_motion_s:
+        halves = [
+            half for part in _pieces(rows, 2, config) for half in _motions_of(part, focal_px, config, clip, mover)
+        ]
+        return halves if any(half.status not in ("curved", "not_rigid") for half in halves) else [motion]
+    others = rows.take_tracks(~np.isin(rows.track_id[rows.starts], motion.track_id))
+    if motion.status == "not_rigid" or len(others.starts) < _OTHERS_PART * len(rows.starts):
         return [motion]
-    middle_s = 0.5 * (rows.t_s.min() + rows.t_s.max())
-    halves: list[Motion] = []
-    for part in (rows.t_s < middle_s, rows.t_s >= middle_s):
-        half = rows.take(part)
-        if len(half.frame):
-            half = half.take_tracks(moving_tracks(half, config))
-        halves += _motions_of(half, focal_px, config, clip, mover)
-    return halves if any(half.status not in ("curved", "not_rigid") for half in halves) else [motion]
+    return [motion, *_motions_of(others, focal_px, config, clip, mover)]
+
+
+def _pieces(rows: Observations, count: int, config: HorizonCalibrationConfig) -> list[Observations]:
+    """The tracks cut into ``count`` pieces of equal duration, each with what still moves in it."""
+    borders_s = np.linspace(rows.t_s.min(), rows.t_s.max(), count + 1)[1:-1]
+    number = np.searchsorted(borders_s, rows.t_s, side="right")
+    pieces = [rows.take(number == place) for place in range(count)]
+    return [piece.take_tracks(moving_tracks(piece, config)) for piece in pieces if len(piece.frame)]
 
 
 def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfig, clip: int, mover: int) -> Motion:
@@ -100,9 +117,8 @@ def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfi
     tracks, track_id = _body(rows, focal_px)
     nothing = _bare(rows, clip, mover, "not_rigid", track_id)
     free: Translation | None = None
-    n_before = tracks.n_tracks
     for _ in range(_MAX_ROUNDS):
-        if tracks.n_tracks < max(config.min_tracks, n_before // 2):
+        if tracks.n_tracks < config.min_tracks:
             return nothing
         start = direction_from_lines(tracks) if free is None else free.direction
         free = fit_translation(tracks, start, config.speed_change_hz, _FREE_TURN_RAD_S, config.error_memory_s)
@@ -112,7 +128,7 @@ def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfi
         if belongs.all():
             break
         tracks, track_id = tracks.take(belongs), track_id[belongs]
-    else:
+    if free is None or tracks.n_tracks < config.min_tracks:
         return nothing
     turned_rad = free.turn_rad_s * float(np.ptp(tracks.t_s))
     found = replace(nothing, track_id=track_id, turned_rad=turned_rad)

@@ -13,6 +13,8 @@ from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.whole_tracks import Observations
 
+# Each quarter of a track brings it on by more than this part of the whole way, and aside by less than the other.
+_LEAST_QUARTER, _MOST_ASIDE = 0.06, 0.2
 # Motions are compared over this time, s.
 _STEP_S = 0.2
 # Two neighbours move alike when their steps differ by less than this part of the longer one, and this many px.
@@ -29,12 +31,23 @@ class _Pairs:
 
 
 def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools:
-    """Long tracks that went somewhere, (M,): their ends lie far apart, also beside the length of the way between."""
+    """Long tracks that went somewhere at a steady pace and without detours, (M,).
+
+    A point of the background over which somebody walks is dragged along for a moment, and rests before and after; an
+    arm swings forth and back. So each quarter of the track has to bring it on.
+    """
     starts, lengths = rows.starts, rows.lengths
     ends = starts + lengths - 1
-    moved_px = np.linalg.norm(rows.xy_px[ends] - rows.xy_px[starts], axis=1)
+    way = rows.xy_px[ends] - rows.xy_px[starts]
+    moved_px = np.linalg.norm(way, axis=1)
     seen_s = rows.t_s[ends] - rows.t_s[starts]
-    moves: Bools = (lengths >= 4) & (seen_s >= config.min_track_s) & (moved_px >= config.min_path_px)
+    quarters = starts[:, None] + np.rint((lengths - 1)[:, None] * np.linspace(0.0, 1.0, 5)).astype(np.int64)
+    steps = np.diff(rows.xy_px[quarters], axis=1)
+    square = np.maximum(moved_px, 1e-9)[:, None] ** 2
+    onward = np.einsum("mqi,mi->mq", steps, way) / square
+    aside = np.abs(steps[:, :, 0] * way[:, None, 1] - steps[:, :, 1] * way[:, None, 0]) / square
+    is_steady = (onward.min(axis=1) > _LEAST_QUARTER) & (aside.max(axis=1) < _MOST_ASIDE)
+    moves: Bools = (lengths >= 4) & (seen_s >= config.min_track_s) & (moved_px >= config.min_path_px) & is_steady
     return moves
 
 

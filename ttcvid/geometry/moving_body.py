@@ -1,0 +1,159 @@
+"""A rigid body that moves in a straight line before a resting camera, as its point tracks show it.
+
+Point i of the body is at ``P_i(t) = r_i + s_i (dt e + dq (a e + w b))``, in units of its depth at its own middle time:
+r_i = (x_i, y_i, 1) is its ray there, s_i = |V| / Z_i its rate, e the unit direction shared by all points. dt and dq are
+the differences of tau and tau^2 / 2 to the point's middle time, tau being the time from the body's middle. The lines of
+the points meet at e in the picture (the vanishing point), and the speed-up along each line tells how far away it is.
+
+Two nuisances are held near zero by priors: ``a`` the change of speed (1/s) and ``w`` the rate of turning (rad/s)
+towards b, the level direction across e. They keep a body that brakes, or turns imperceptibly, from being believed too
+much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.model import Bools, Floats, Ints
+
+N_OWN, N_SHARED = 3, 4
+"""Unknowns of a point (x, y, s) and of the body (two of the direction, a, w)."""
+RATE = 2
+# Least depth that a point may come to, in units of its middle depth: behind that a path folds over.
+_LEAST_DEPTH = 0.02
+
+
+@dataclass(frozen=True)
+class BodyTracks:
+    """Observations of one body's tracks, sorted by (track, time).
+
+    ``track (N,)`` numbers 0 .. M-1, each with at least two observations; ``t_s (N,)``; ``xy (N, 2)`` undistorted
+    normalised coordinates (the ray is (x, y, 1)); ``sigma`` their noise per coordinate, in the same units.
+    """
+
+    track: Ints
+    t_s: Floats
+    xy: Floats
+    sigma: float
+
+    @property
+    def n_tracks(self) -> int:
+        """Number of tracks."""
+        return int(self.track[-1]) + 1 if len(self.track) else 0
+
+    @cached_property
+    def starts(self) -> Ints:
+        """Row of the first observation of each track: (M,)."""
+        return np.flatnonzero(np.diff(self.track, prepend=-1))
+
+    @cached_property
+    def counts(self) -> Ints:
+        """Number of observations of each track: (M,)."""
+        return np.diff(np.append(self.starts, len(self.track)))
+
+    @cached_property
+    def times(self) -> tuple[Floats, Floats]:
+        """The dt and dq of each observation, ``(N,)`` in s and s^2."""
+        tau = self.t_s - 0.5 * (self.t_s.min() + self.t_s.max())
+        middle = (self.sums(tau) / self.counts)[self.track]
+        return tau - middle, 0.5 * (tau**2 - middle**2)
+
+    def sums(self, values: Floats) -> Floats:
+        """Sum of ``values (N, ...)`` over each track: (M, ...)."""
+        return np.asarray(np.add.reduceat(values, self.starts))
+
+    def take(self, tracks: Bools) -> BodyTracks:
+        """Only the tracks of a mask ``(M,)``, numbered anew."""
+        rows = tracks[self.track]
+        number = (np.cumsum(tracks) - 1).astype(np.int64)
+        return BodyTracks(number[self.track[rows]], self.t_s[rows], self.xy[rows], self.sigma)
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """``direction (3,)`` e; ``change (2,)`` a and w; ``own (M, 3)`` x, y and s of each point."""
+
+    direction: Floats
+    change: Floats
+    own: Floats
+
+    def moved(self, basis: Floats, shared: Floats, own: Floats) -> Unknowns:
+        """After a step ``shared (4,)`` (the direction's in the columns of ``basis (3, 2)``) and ``own (M, 3)``."""
+        direction = normalize(self.direction + basis @ shared[:2])
+        return Unknowns(direction, self.change + shared[2:], self.own + own)
+
+
+def direction_from_lines(tracks: BodyTracks) -> Floats:
+    """A first direction ``(3,)``: where the planes of the tracks' first and last rays meet, along the motion."""
+    rays = np.column_stack([tracks.xy, np.ones(len(tracks.xy))])
+    q, p = normalize(rays[tracks.starts]), normalize(rays[tracks.starts + tracks.counts - 1])
+    normals = np.cross(q, p)
+    _, vectors = np.linalg.eigh(normals.T @ normals)
+    direction: Floats = vectors[:, 0]
+    return direction if direction @ (p - q).sum(axis=0) >= 0 else -direction
+
+
+def first_unknowns(tracks: BodyTracks, direction: Floats) -> Unknowns:
+    """Points at the means of their tracks, rates by least squares on the straight path."""
+    dt, _ = tracks.times
+    centre = tracks.sums(tracks.xy) / tracks.counts[:, None]
+    towards = direction[:2] - centre * direction[2]
+    slope = tracks.sums(dt[:, None] * tracks.xy) / tracks.sums(dt**2)[:, None]
+    rate = np.sum(slope * towards, axis=1) / np.maximum(np.sum(towards**2, axis=1), 1e-6)
+    return Unknowns(direction, np.zeros(2), np.column_stack([centre, rate]))
+
+
+def residuals(tracks: BodyTracks, unknowns: Unknowns) -> Floats:
+    """Observed less predicted positions, in sigmas: ``(N, 2)``."""
+    point, _ = _points(tracks, unknowns)
+    depth = np.maximum(point[:, 2:], _LEAST_DEPTH)
+    result: Floats = (tracks.xy - point[:, :2] / depth) / tracks.sigma
+    return result
+
+
+def linearised(tracks: BodyTracks, unknowns: Unknowns) -> tuple[Floats, Floats]:
+    """Derivatives of the predicted positions, in sigmas, and the basis of the direction's tangent plane.
+
+    Returns
+    -------
+    jacobian : (N, 2, 7) by own and shared unknowns.
+    basis : (3, 2).
+    """
+    dt, dq = tracks.times
+    point, by_rate = _points(tracks, unknowns)
+    depth = np.maximum(point[:, 2], _LEAST_DEPTH)
+    basis = tangent_basis(unknowns.direction)
+    rate = unknowns.own[tracks.track, RATE]
+    by = np.zeros((len(dt), 3, N_OWN + N_SHARED))
+    by[:, 0, 0] = by[:, 1, 1] = 1.0
+    by[:, :, RATE] = by_rate
+    along = rate * (dt + unknowns.change[0] * dq)
+    by[:, :, 3:5] = along[:, None, None] * basis
+    by[:, :, 5] = (rate * dq)[:, None] * unknowns.direction
+    by[:, :, 6] = (rate * dq)[:, None] * _level_across(unknowns.direction)
+    picture = point[:, :2] / depth[:, None]
+    jacobian = (by[:, :2] - picture[:, :, None] * by[:, 2:]) / (depth[:, None, None] * tracks.sigma)
+    return jacobian, basis
+
+
+def _level_across(direction: Floats) -> Floats:
+    """The level direction across ``direction``; any one across where that is upright."""
+    across = np.array([direction[2], 0.0, -direction[0]])
+    length = float(np.linalg.norm(across))
+    return across / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+
+
+def _points(tracks: BodyTracks, unknowns: Unknowns) -> tuple[Floats, Floats]:
+    """P of each observation and its derivative by the rate, ``(N, 3)`` each."""
+    dt, dq = tracks.times
+    bend = unknowns.change[0] * unknowns.direction + unknowns.change[1] * _level_across(unknowns.direction)
+    by_rate = dt[:, None] * unknowns.direction + dq[:, None] * bend
+    own = unknowns.own[tracks.track]
+    point = own[:, RATE, None] * by_rate
+    point[:, :2] += own[:, :2]
+    point[:, 2] += 1.0
+    return point, by_rate
