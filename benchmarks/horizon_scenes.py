@@ -6,7 +6,7 @@ import numpy as np
 
 from ttcvid.simulate.scene import Body, CameraSpec, Ground, Scene
 
-IMAGE_SIZE, HFOV_DEG, FPS, N_FRAMES = (640, 360), 70.0, 25.0, 150
+IMAGE_SIZE, HFOV_DEG, FPS, N_FRAMES = (640, 360), 70.0, 25.0, 100
 PITCH_DEG, ROLL_DEG = (-15.0, 10.0), (-5.0, 5.0)
 HEIGHT_M, HEIGHT_LOOKING_UP_M = (1.5, 6.0), (1.5, 2.5)
 """A camera that looks up sees the ground from afar only, and not at all from high above."""

@@ -118,7 +118,7 @@ class HorizonCalibrationConfig(StageConfig):
     roll_zero: bool = Field(default=False, description="the camera stands level: one direction is enough")
     min_track_s: PositiveFloat = Field(default=0.3, description="shortest track that is looked at, s")
     min_path_px: PositiveFloat = Field(default=8.0, description="least distance between a track's ends, px")
-    min_tracks: int = Field(default=5, ge=2, description="least number of tracks of a mover")
+    min_tracks: int = Field(default=6, ge=2, description="least number of tracks of a mover")
     min_motion_s: PositiveFloat = Field(default=0.5, description="shortest motion, s")
     max_motion_s: PositiveFloat = Field(default=4.0, description="longer motions are looked at piece by piece, s")
     link_part: Fraction = Field(default=0.06, description="neighbours are nearer than this part of the picture's width")

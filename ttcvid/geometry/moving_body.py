@@ -5,9 +5,10 @@ r_i = (x_i, y_i, 1) is its ray there, s_i = |V| / Z_i its rate, e the unit direc
 the differences of tau and tau^2 / 2 to the point's middle time, tau being the time from the body's middle. The lines of
 the points meet at e in the picture (the vanishing point), and the speed-up along each line tells how far away it is.
 
-Two nuisances are held near zero by priors: ``a`` the change of speed (1/s) and ``w`` the rate of turning (rad/s)
-towards b, the level direction across e. They keep a body that brakes, or turns imperceptibly, from being believed too
-much.
+Three nuisances are held near zero by priors: ``a`` the change of speed (1/s); ``w`` the rate of turning (rad/s) towards
+b, the level direction across e; and for each point a drift across its line, for what is not quite rigid: a walker's
+sleeve, the rim of a shape. They keep a body that brakes, or turns imperceptibly, from being believed too much, and a
+long track of it from outweighing many short ones.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ import numpy as np
 from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
-N_OWN, N_SHARED = 3, 4
-"""Unknowns of a point (x, y, s) and of the body (two of the direction, a, w)."""
-RATE = 2
+N_OWN, N_SHARED = 4, 4
+"""Unknowns of a point (x, y, s, drift) and of the body (two of the direction, a, w)."""
+RATE, DRIFT = 2, 3
 # Least depth that a point may come to, in units of its middle depth: behind that a path folds over.
 _LEAST_DEPTH = 0.02
 
@@ -75,14 +76,14 @@ class BodyTracks:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """``direction (3,)`` e; ``change (2,)`` a and w; ``own (M, 3)`` x, y and s of each point."""
+    """``direction (3,)`` e; ``change (2,)`` a and w; ``own (M, 4)`` x, y, s and drift (sigmas per s) of each point."""
 
     direction: Floats
     change: Floats
     own: Floats
 
     def moved(self, basis: Floats, shared: Floats, own: Floats) -> Unknowns:
-        """After a step ``shared (4,)`` (the direction's in the columns of ``basis (3, 2)``) and ``own (M, 3)``."""
+        """After a step ``shared (4,)`` (the direction's in the columns of ``basis (3, 2)``) and ``own (M, 4)``."""
         direction = normalize(self.direction + basis @ shared[:2])
         return Unknowns(direction, self.change + shared[2:], self.own + own)
 
@@ -98,20 +99,21 @@ def direction_from_lines(tracks: BodyTracks) -> Floats:
 
 
 def first_unknowns(tracks: BodyTracks, direction: Floats) -> Unknowns:
-    """Points at the means of their tracks, rates by least squares on the straight path."""
+    """Points at the means of their tracks, rates by least squares on the straight path, no drift."""
     dt, _ = tracks.times
     centre = tracks.sums(tracks.xy) / tracks.counts[:, None]
     towards = direction[:2] - centre * direction[2]
     slope = tracks.sums(dt[:, None] * tracks.xy) / tracks.sums(dt**2)[:, None]
     rate = np.sum(slope * towards, axis=1) / np.maximum(np.sum(towards**2, axis=1), 1e-6)
-    return Unknowns(direction, np.zeros(2), np.column_stack([centre, rate]))
+    return Unknowns(direction, np.zeros(2), np.column_stack([centre, rate, np.zeros(len(rate))]))
 
 
 def residuals(tracks: BodyTracks, unknowns: Unknowns) -> Floats:
     """Observed less predicted positions, in sigmas: ``(N, 2)``."""
     point, _ = _points(tracks, unknowns)
     depth = np.maximum(point[:, 2:], _LEAST_DEPTH)
-    result: Floats = (tracks.xy - point[:, :2] / depth) / tracks.sigma
+    drifted = unknowns.own[tracks.track, DRIFT, None] * across_lines(tracks, unknowns)
+    result: Floats = (tracks.xy - point[:, :2] / depth) / tracks.sigma - drifted
     return result
 
 
@@ -120,7 +122,7 @@ def linearised(tracks: BodyTracks, unknowns: Unknowns) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    jacobian : (N, 2, 7) by own and shared unknowns.
+    jacobian : (N, 2, 8) by own and shared unknowns.
     basis : (3, 2).
     """
     dt, dq = tracks.times
@@ -132,11 +134,12 @@ def linearised(tracks: BodyTracks, unknowns: Unknowns) -> tuple[Floats, Floats]:
     by[:, 0, 0] = by[:, 1, 1] = 1.0
     by[:, :, RATE] = by_rate
     along = rate * (dt + unknowns.change[0] * dq)
-    by[:, :, 3:5] = along[:, None, None] * basis
-    by[:, :, 5] = (rate * dq)[:, None] * unknowns.direction
-    by[:, :, 6] = (rate * dq)[:, None] * _level_across(unknowns.direction)
+    by[:, :, 4:6] = along[:, None, None] * basis
+    by[:, :, 6] = (rate * dq)[:, None] * unknowns.direction
+    by[:, :, 7] = (rate * dq)[:, None] * _level_across(unknowns.direction)
     picture = point[:, :2] / depth[:, None]
     jacobian = (by[:, :2] - picture[:, :, None] * by[:, 2:]) / (depth[:, None, None] * tracks.sigma)
+    jacobian[:, :, DRIFT] = across_lines(tracks, unknowns)
     return jacobian, basis
 
 
@@ -157,3 +160,11 @@ def _points(tracks: BodyTracks, unknowns: Unknowns) -> tuple[Floats, Floats]:
     point[:, :2] += own[:, :2]
     point[:, 2] += 1.0
     return point, by_rate
+
+
+def across_lines(tracks: BodyTracks, unknowns: Unknowns) -> Floats:
+    """Displacement of each observation by a unit drift of its point across its line, in sigmas: ``(N, 2)``."""
+    towards = unknowns.direction[:2] - unknowns.own[:, :2] * unknowns.direction[2]
+    across = np.nan_to_num(normalize(np.column_stack([-towards[:, 1], towards[:, 0]])))
+    result: Floats = across[tracks.track] * tracks.times[0][:, None]
+    return result

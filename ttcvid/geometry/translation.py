@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.moving_body import (
+    DRIFT,
     N_OWN,
     N_SHARED,
     RATE,
     BodyTracks,
     Unknowns,
+    across_lines,
     first_unknowns,
     linearised,
     residuals,
@@ -19,8 +21,9 @@ from ttcvid.geometry.moving_body import (
 from ttcvid.model import Floats
 
 _MAX_ITERATIONS = 40
-# A step shorter than this, rad, ends the search; none is longer than the other.
-_CONVERGED_RAD, _LONGEST_STEP = 1e-7, 0.3
+# The search ends when a step lowers the cost by less than this, in units of chi-square: a tenth of a sigma.
+_CONVERGED_CHI2 = 1e-2
+_LONGEST_STEP = 0.3
 _DAMPING_START, _DAMPING_END = 1e-3, 1e6
 # Scale of the Cauchy weights of an observation, in sigmas of its two coordinates.
 _CAUCHY_SIGMAS = 3.0
@@ -28,6 +31,10 @@ _CAUCHY_SIGMAS = 3.0
 _MEDIAN_RAYLEIGH = 1.1774
 _LEAST_NOISE = 1e-3
 _TINY = 1e-12
+# Drifts are at most this part of the points' speed: more is no body.
+_MOST_DRIFT = 0.1
+# Median of the square of a standard normal variable.
+_MEDIAN_CHI2_1 = 0.455
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,8 @@ class Translation:
     errors that last over several frames and are common to the tracks. ``speed_change_hz`` and ``turn_rad_s`` are a and
     w, with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the noise found, in units of the one assumed;
     ``correlation`` how many times the variance is larger than independent errors would make it;
-    ``rate_hz (M,)`` is s of each track, ``residual (M,)`` its root mean square residual in sigmas of the noise found.
+    ``rate_hz (M,)`` is s of each track, ``residual (M,)`` its root mean square residual in sigmas of the noise found;
+    ``drift_sigma`` how fast points drift across their lines, in sigmas of the noise assumed per s.
     """
 
     direction: Floats
@@ -50,13 +58,22 @@ class Translation:
     correlation: float
     rate_hz: Floats
     residual: Floats
+    drift_sigma: float
+
+
+@dataclass(frozen=True)
+class _Prior:
+    """Inverse variances: ``shared (4,)`` of the body's unknowns, ``drift`` of a point's drift."""
+
+    shared: Floats
+    drift: float
 
 
 @dataclass(frozen=True)
 class _Equations:
     """Normal equations of one linearisation, the own unknowns eliminated.
 
-    ``own_inverse (M, 3, 3)``; ``gain (M, 3, 4)``: a step of the shared unknowns changes the own by ``-gain @ step``.
+    ``own_inverse, gain (M, 4, 4)``: a step of the shared unknowns changes the own by ``-gain @ step``.
     """
 
     jacobian: Floats
@@ -77,7 +94,8 @@ def fit_translation(
 ) -> Translation | None:
     """Maximum likelihood of the direction of a body, None where it does not converge.
 
-    Gauss-Newton on the reprojection error with Cauchy weights; the unknowns of each point are eliminated.
+    Gauss-Newton on the reprojection error with Cauchy weights; the unknowns of each point are eliminated. How
+    much points drift is taken from the scatter of their lines about a first direction found without drift.
 
     Parameters
     ----------
@@ -88,12 +106,36 @@ def fit_translation(
     memory_s
         Errors farther apart in time than this are independent; nearer ones are taken as they are found.
     """
-    prior = 1.0 / np.array([np.inf, np.inf, speed_change_sigma_hz, turn_sigma_rad_s]) ** 2
-    unknowns = _converged(tracks, first_unknowns(tracks, start), prior)
-    return None if unknowns is None else _result(tracks, unknowns, prior, memory_s)
+    shared = 1.0 / np.array([np.inf, np.inf, speed_change_sigma_hz, turn_sigma_rad_s]) ** 2
+    rigid = _Prior(shared, 1.0 / _TINY)
+    unknowns = _converged(tracks, first_unknowns(tracks, start), rigid)
+    if unknowns is None:
+        return None
+    drift_sigma = _drift_sigma(tracks, unknowns)
+    if drift_sigma == 0.0:
+        return _result(tracks, unknowns, rigid, memory_s, 0.0)
+    prior = _Prior(shared, 1.0 / drift_sigma**2)
+    unknowns = _converged(tracks, unknowns, prior)
+    return None if unknowns is None else _result(tracks, unknowns, prior, memory_s, drift_sigma)
 
 
-def _converged(tracks: BodyTracks, unknowns: Unknowns, prior: Floats) -> Unknowns | None:
+def _drift_sigma(tracks: BodyTracks, unknowns: Unknowns) -> float:
+    """Standard deviation of the drifts of the points about their lines, less what noise alone makes; 0: none."""
+    residual, across = residuals(tracks, unknowns), across_lines(tracks, unknowns)
+    size = np.linalg.norm(residual, axis=1)
+    noise = max(float(np.median(size)) / _MEDIAN_RAYLEIGH, _LEAST_NOISE)
+    lever = np.maximum(tracks.sums(np.sum(across**2, axis=1)), _TINY)
+    drift = tracks.sums(np.sum(across * residual, axis=1)) / lever
+    by_noise = noise**2 / lever
+    # The direction has followed two of the drifts.
+    few = tracks.n_tracks / max(tracks.n_tracks - 2.0, 0.5)
+    excess = few * float(np.median(drift**2)) / _MEDIAN_CHI2_1 - float(np.median(by_noise))
+    towards = unknowns.direction[:2] - unknowns.own[:, :2] * unknowns.direction[2]
+    speed = np.abs(unknowns.own[:, RATE]) * np.linalg.norm(towards, axis=1) / tracks.sigma
+    return float(min(np.sqrt(max(excess, 0.0)), _MOST_DRIFT * np.median(speed)))
+
+
+def _converged(tracks: BodyTracks, unknowns: Unknowns, prior: _Prior) -> Unknowns | None:
     """Levenberg and Marquardt's way to the least cost; None where it leads nowhere."""
     damping = _DAMPING_START
     for _ in range(_MAX_ITERATIONS):
@@ -105,8 +147,8 @@ def _converged(tracks: BodyTracks, unknowns: Unknowns, prior: Floats) -> Unknown
         trial = unknowns.moved(equations.basis, step_shared, step_own)
         cost, trial_cost = (_cost(tracks, one, equations.noise, prior) for one in (unknowns, trial))
         if trial_cost <= cost:
-            unknowns, damping = trial, max(damping * 0.2, 1e-9)
-            if np.abs(step_shared).max() < _CONVERGED_RAD:
+            unknowns, damping = trial, max(damping * 0.1, 1e-9)
+            if cost - trial_cost < _CONVERGED_CHI2:
                 break
         else:
             damping *= 8.0
@@ -115,12 +157,13 @@ def _converged(tracks: BodyTracks, unknowns: Unknowns, prior: Floats) -> Unknown
     return unknowns
 
 
-def _cost(tracks: BodyTracks, unknowns: Unknowns, noise: float, prior: Floats) -> float:
+def _cost(tracks: BodyTracks, unknowns: Unknowns, noise: float, prior: _Prior) -> float:
     square = np.sum(residuals(tracks, unknowns) ** 2, axis=1) / (noise * _CAUCHY_SIGMAS) ** 2
-    return float(_CAUCHY_SIGMAS**2 * np.log1p(square).sum() + prior[2:] @ unknowns.change**2)
+    held = prior.shared[2:] @ unknowns.change**2 + prior.drift * np.sum(unknowns.own[:, DRIFT] ** 2)
+    return float(_CAUCHY_SIGMAS**2 * np.log1p(square).sum() + held)
 
 
-def _equations(tracks: BodyTracks, unknowns: Unknowns, residual: Floats, prior: Floats, damping: float) -> _Equations:
+def _equations(tracks: BodyTracks, unknowns: Unknowns, residual: Floats, prior: _Prior, damping: float) -> _Equations:
     jacobian, basis = linearised(tracks, unknowns)
     size = np.linalg.norm(residual, axis=1)
     noise = max(float(np.median(size)) / _MEDIAN_RAYLEIGH, _LEAST_NOISE)
@@ -129,6 +172,7 @@ def _equations(tracks: BodyTracks, unknowns: Unknowns, residual: Floats, prior: 
     block = tracks.sums(np.einsum("nki,nkj,n->nij", own, own, weight))
     mixed = tracks.sums(np.einsum("nki,nkj,n->nij", own, shared, weight))
     diagonal = np.einsum("mii->mi", block)
+    diagonal[:, DRIFT] += prior.drift
     diagonal *= 1.0 + damping
     diagonal += _TINY
     own_inverse = np.asarray(np.linalg.inv(block), dtype=np.float64)
@@ -142,23 +186,26 @@ def _step(
     unknowns: Unknowns,
     residual: Floats,
     equations: _Equations,
-    prior: Floats,
+    prior: _Prior,
     damping: float,
 ) -> tuple[Floats, Floats]:
-    """Gauss-Newton step of the shared ``(4,)`` and own ``(M, 3)`` unknowns."""
+    """Gauss-Newton step of the shared ``(4,)`` and own ``(M, 4)`` unknowns."""
     own, shared = equations.jacobian[:, :, :N_OWN], equations.jacobian[:, :, N_OWN:]
     own_side = tracks.sums(np.einsum("nki,nk,n->ni", own, residual, equations.weight))
+    own_side[:, DRIFT] -= prior.drift * unknowns.own[:, DRIFT]
     side = np.einsum("nki,nk,n->i", shared, residual, equations.weight)
     side -= np.einsum("mik,mi->k", equations.gain, own_side)
-    side[2:] -= prior[2:] * unknowns.change
-    matrix = equations.information + np.diag(prior)
+    side[2:] -= prior.shared[2:] * unknowns.change
+    matrix = equations.information + np.diag(prior.shared)
     matrix += np.diag(damping * np.diag(matrix) + _TINY)
     step: Floats = np.linalg.solve(matrix, side)
     step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), _TINY))
     return step, np.einsum("mij,mj->mi", equations.own_inverse, own_side) - equations.gain @ step
 
 
-def _result(tracks: BodyTracks, unknowns: Unknowns, prior: Floats, memory_s: float) -> Translation | None:
+def _result(
+    tracks: BodyTracks, unknowns: Unknowns, prior: _Prior, memory_s: float, drift_sigma: float
+) -> Translation | None:
     residual = residuals(tracks, unknowns)
     equations = _equations(tracks, unknowns, residual, prior, 0.0)
     own, shared = equations.jacobian[:, :, :N_OWN], equations.jacobian[:, :, N_OWN:]
@@ -166,8 +213,8 @@ def _result(tracks: BodyTracks, unknowns: Unknowns, prior: Floats, memory_s: flo
     free = shared - np.einsum("nki,nij->nkj", own, equations.gain[tracks.track])
     scores = np.einsum("nki,nk,n->ni", free, residual, equations.weight)
     spread, correlation = _inflated(tracks, scores, equations.information, memory_s)
-    posterior = np.linalg.inv(equations.information + np.diag(prior) + _TINY * np.eye(N_SHARED))
-    covariance = posterior @ (spread + np.diag(prior)) @ posterior
+    posterior = np.linalg.inv(equations.information + np.diag(prior.shared) + _TINY * np.eye(N_SHARED))
+    covariance = posterior @ (spread + np.diag(prior.shared)) @ posterior
     if not np.isfinite(covariance).all():
         return None
     return Translation(
@@ -180,6 +227,7 @@ def _result(tracks: BodyTracks, unknowns: Unknowns, prior: Floats, memory_s: flo
         correlation=correlation,
         rate_hz=unknowns.own[:, RATE],
         residual=np.sqrt(tracks.sums(np.sum(residual**2, axis=1)) / (2 * tracks.counts)) / equations.noise,
+        drift_sigma=drift_sigma,
     )
 
 
@@ -197,10 +245,7 @@ def _inflated(tracks: BodyTracks, scores: Floats, information: Floats, memory_s:
     apart_s = np.abs(frame_t_s[:, None] - frame_t_s[None, :])
     memory_s = min(memory_s, 0.25 * float(frame_t_s[-1] - frame_t_s[0]))
     kernel = np.maximum(1.0 - apart_s / max(memory_s, _TINY), 0.0)
-    by_track = tracks.sums(scores)
-    # The direction takes two degrees of freedom of the tracks' scores.
-    few = tracks.n_tracks / max(tracks.n_tracks - 2.0, 0.5)
-    spread = by_frame.T @ kernel @ by_frame + few * by_track.T @ by_track - scores.T @ scores
+    spread = by_frame.T @ kernel @ by_frame
     scale = np.sqrt(np.maximum(np.diag(information), _TINY))
     root = np.linalg.cholesky(information / np.outer(scale, scale) + 1e-9 * np.eye(N_SHARED)) * scale[:, None]
     inverse = np.linalg.inv(root)

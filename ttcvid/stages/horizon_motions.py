@@ -24,7 +24,7 @@ _MAX_ROUNDS = 5
 # Tracks left over are a mover of their own when they are at least this part of all.
 _OTHERS_PART = 0.25
 # With more observations than this a body is thinned out frame by frame: neighbouring frames tell little that is new.
-_ENOUGH_OBSERVATIONS = 6000
+_ENOUGH_OBSERVATIONS = 3000
 # Turns are believed from so many standard deviations on.
 _SURE_SIGMAS = 3.0
 

@@ -16,9 +16,9 @@ from ttcvid.stages.whole_tracks import Observations
 # Each quarter of a track brings it on by more than this part of the whole way, and aside by less than the other.
 _LEAST_QUARTER, _MOST_ASIDE = 0.06, 0.2
 # Motions are compared over this time, s.
-_STEP_S = 0.2
+_STEP_S = 0.4
 # Two neighbours move alike when their steps differ by less than this part of the longer one, and this many px.
-_ALIKE_PART, _ALIKE_PX = 0.3, 0.7
+_ALIKE_PART, _ALIKE_PX = 0.15, 0.7
 # They belong together when they moved alike in so much of the time in which both were seen near each other.
 _ALIKE_SHARE = 0.75
 
