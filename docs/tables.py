@@ -53,7 +53,7 @@ _ABOUT_OPTIONS = {
     "camera": "camera file",
     "focal_px": "focal length in px",
     "image_size": "size of the pictures behind a track table, such as 1242x375",
-    "horizon": "horizon file; switches planar motion on",
+    "horizon": "horizon file, or `auto`: found in the clip itself; switches planar motion on",
     "mask": "picture, black where nothing is to be looked at",
     "fps": "frame rate of pictures, 1/s",
     "timestamps": "file with the time of each picture",

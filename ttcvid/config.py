@@ -136,7 +136,7 @@ class HorizonCalibrationConfig(StageConfig):
     floor_deg: PositiveFloat = Field(default=0.02, description="epipoles scatter by this even where they agree, deg")
     min_drive_s: PositiveFloat = Field(default=2.0, description="shortest own motion of a driving camera, s")
     driving_floor_deg: PositiveFloat = Field(
-        default=0.1, description="a driving car leans by this beside the road, deg: not measurable, in the band"
+        default=0.2, description="a driving car leans by this beside the road, deg: not measurable, in the band"
     )
     min_motions: int = Field(default=3, ge=2, description="least number of straight motions")
     one_direction_probability: Fraction = Field(

@@ -9,6 +9,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ttcvid.jobs.clip import (
     ASSUMED_CAMERA_WARNING,
     Calibration,
@@ -18,6 +20,7 @@ from ttcvid.jobs.clip import (
     refuse_folder_of_input,
 )
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
+from ttcvid.jobs.horizon_auto import with_found_horizon
 from ttcvid.jobs.outputs import check_overlay, open_sinks
 from ttcvid.jobs.process import one_opencv_thread, share_freed_memory
 from ttcvid.jobs.provenance import (
@@ -34,8 +37,13 @@ from ttcvid.pipeline import analyze_frames
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.folder import OVERLAY_NAME, OutputFolder
 from ttcvid.sources import Source
+from ttcvid.stages.horizon_watch import complaint_about_horizon
+from ttcvid.stages.planar import centre_sigma_px
 
 _LOG = logging.getLogger(__name__)
+
+LEAST_OFFSET_PX = 3.0
+"""Epipoles may lie so far off the horizon, whatever the calibration says of itself: a road is not quite level."""
 
 OnFrame = Callable[[int, int | None], None]
 """Called with the number of frames analysed and the number expected (None: unknown)."""
@@ -86,6 +94,8 @@ def run_analysis(
     options = configuration.options
     with open_clip(input_, options) as source:
         calibration = read_calibration(options, source.info.image_size)
+        if options.wants_auto_horizon:
+            calibration = with_found_horizon(input_, calibration, configuration)
         path = out if out is not None else default_folder(input_)
         refuse_folder_of_input(path, source)
         _log_start(source, path, configuration)
@@ -106,7 +116,7 @@ def run_analysis(
                 **describe_calibration(calibration),
                 "counts": tally.counts(source.info, source.report.n_packets_skipped),
                 "nearest": tally.nearest,
-                "warnings": _warnings(source, calibration),
+                "warnings": _warnings(source, calibration, tally),
                 "timings": _timings(started_s, analyzed_s, tally.n_frames),
             }
             folder.publish(manifest)
@@ -166,10 +176,14 @@ def _state(source: Source, stop: StopSignals) -> str:
     return "truncated" if source.report.is_truncated else "complete"
 
 
-def _warnings(source: Source, calibration: Calibration) -> list[str]:
+def _warnings(source: Source, calibration: Calibration, tally: Tally) -> list[str]:
     """What to know before trusting the numbers; also logged."""
     warnings = [ASSUMED_CAMERA_WARNING] if calibration.camera.is_assumed else []
     warnings += source.report.warnings
+    if calibration.horizon is not None:
+        tolerance_px = max(LEAST_OFFSET_PX, 2.0 * centre_sigma_px(calibration.camera, calibration.horizon))
+        complaint = complaint_about_horizon(np.array(tally.horizon_offset_px), tolerance_px)
+        warnings += [complaint] if complaint else []
     for warning in warnings:
         _LOG.warning("%s", warning)
     return warnings

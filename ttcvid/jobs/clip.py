@@ -55,9 +55,10 @@ def open_clip(input_: str, options: AnalyzeOptions) -> Source:
 
 def read_calibration(options: AnalyzeOptions, image_size: ImageSize) -> Calibration:
     """Camera, horizon and mask for pictures of ``image_size``; CalibrationError where a file does not fit them."""
+    horizon_file = None if options.wants_auto_horizon else options.horizon
     return Calibration(
         _camera(options, image_size),
-        read_horizon_file(options.horizon, image_size) if options.horizon is not None else None,
+        read_horizon_file(horizon_file, image_size) if horizon_file is not None else None,
         read_mask_file(options.mask, image_size) if options.mask is not None else None,
     )
 

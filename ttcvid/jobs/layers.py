@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ttcvid.errors import UsageError
-from ttcvid.jobs.options import PATH_OPTIONS, SECTIONS, SHORTCUTS
+from ttcvid.jobs.options import AUTO_HORIZON, PATH_OPTIONS, SECTIONS, SHORTCUTS
 
 ENVIRONMENT_PREFIX = "TTCVID_"
 NOT_OPTIONS = frozenset({"TTCVID_DATA", "TTCVID_DEBUG"})
@@ -116,7 +116,7 @@ def layer_from_file(path: Path) -> Layer:
             )
         require_known(section, SECTIONS, f"{path}: unknown section [{section}]")
         for key, value in content.items():
-            if section == "analyze" and key in PATH_OPTIONS and isinstance(value, str):
+            if section == "analyze" and key in PATH_OPTIONS and isinstance(value, str) and (key, value) != AUTO_HORIZON:
                 value = str(path.absolute().parent / value)
             layer.add(section, key, value, f"{path}: [{section}] {key}")
     return layer

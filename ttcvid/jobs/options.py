@@ -61,6 +61,11 @@ class AnalyzeOptions(StageConfig):
     overwrite: bool = False
     seed: int = Field(default=0, ge=0, description="seed of every random choice")
 
+    @property
+    def wants_auto_horizon(self) -> bool:
+        """Whether the horizon is to be found in the clip itself."""
+        return str(self.horizon) == AUTO_HORIZON[1]
+
 
 def _stage_sections() -> dict[str, type[StageConfig]]:
     stages = {name: field.annotation for name, field in PipelineConfig.model_fields.items()}
@@ -92,4 +97,6 @@ SHORTCUTS = {
 ALTERNATIVES = (("camera", "focal_px", "hfov"), ("fps", "timestamps"))
 """Options of which one place may give only one; given in a stronger place, it replaces the others of weaker places."""
 
+AUTO_HORIZON = ("horizon", "auto")
+"""The path option that can be a word instead: the clip itself is to tell the horizon. A file of that name: ./auto."""
 PATH_OPTIONS = ("camera", "horizon", "mask", "timestamps")

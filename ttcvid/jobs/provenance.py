@@ -22,6 +22,7 @@ import ttcvid
 from ttcvid.errors import InputError
 from ttcvid.jobs.clip import Calibration
 from ttcvid.model import SCENE_CLUSTER, Camera, FrameResult, SourceInfo
+from ttcvid.stages.horizon_watch import horizon_offset_of
 
 
 def versions() -> dict[str, str]:
@@ -85,6 +86,7 @@ class Tally:
     cluster_ids: set[int] = field(default_factory=set)
     event_ids: set[int] = field(default_factory=set)
     nearest: dict[str, Any] | None = None
+    horizon_offset_px: list[float] = field(default_factory=list)
 
     def add(self, result: FrameResult) -> None:
         """Count one frame."""
@@ -93,6 +95,9 @@ class Tally:
         self.n_cluster_rows += len(result.clusters)
         self.cluster_ids.update(cluster.cluster_id for cluster in result.clusters)
         self.event_ids.update(event.event_id for event in result.events)
+        offset_px = horizon_offset_of(result)
+        if offset_px is not None:
+            self.horizon_offset_px.append(offset_px)
         ttc_z_s = result.min_ttc_z_s
         if ttc_z_s is not None and (self.nearest is None or ttc_z_s < self.nearest["ttc_z_s"]):
             self.nearest = {"ttc_z_s": float(ttc_z_s), "frame": result.frame, "t_s": result.t_s}

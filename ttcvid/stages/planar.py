@@ -55,6 +55,15 @@ def horizon_plane(camera: Camera, horizon: Horizon | None) -> HorizonPlane | Non
     return HorizonPlane(normal, covariance, (horizon.y_left_px, horizon.y_right_px))
 
 
+def centre_sigma_px(camera: Camera, horizon: Horizon) -> float:
+    """Standard deviation of the calibrated horizon's height at the centre of the picture, px."""
+    plane = horizon_plane(camera, horizon)
+    assert plane is not None
+    middle = 0.5 * (horizon.y_left_px + horizon.y_right_px)
+    ahead = np.array([0.0, (middle - camera.cy_px) / camera.fy_px, 1.0])
+    return float(camera.fy_px * plane.sigma_rad(ahead) / abs(plane.normal[1]))
+
+
 def followed_plane(
     plane: HorizonPlane | None,
     calibrated: HorizonPlane | None,
