@@ -119,7 +119,7 @@ class HorizonCalibrationConfig(StageConfig):
     min_track_s: PositiveFloat = Field(default=0.3, description="shortest track that is looked at, s")
     min_path_px: PositiveFloat = Field(default=8.0, description="least distance between a track's ends, px")
     min_tracks: int = Field(default=6, ge=2, description="least number of tracks of a mover")
-    min_motion_s: PositiveFloat = Field(default=0.5, description="shortest motion, s")
+    min_motion_s: PositiveFloat = Field(default=0.8, description="shortest motion, s: most of a stride")
     max_motion_s: PositiveFloat = Field(default=4.0, description="longer motions are looked at piece by piece, s")
     link_part: Fraction = Field(default=0.06, description="neighbours are nearer than this part of the picture's width")
     speed_change_hz: PositiveFloat = Field(
@@ -142,7 +142,9 @@ class HorizonCalibrationConfig(StageConfig):
     one_direction_probability: Fraction = Field(
         default=0.9999, description="probability at which the directions are told apart"
     )
-    min_spread_deg: PositiveFloat = Field(default=10.0, description="least angle between two of the directions, deg")
+    min_spread_deg: PositiveFloat = Field(
+        default=10.0, description="least sure angle between two of the directions, deg"
+    )
     max_band_part: Fraction = Field(
         default=0.15, description="widest 95 % band (half its width) at the centre, part of the picture's height"
     )

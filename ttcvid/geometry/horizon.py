@@ -57,3 +57,18 @@ def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:
         y_px = camera.cy_px - camera.fy_px * (normal[0] * x + normal[2]) / normal[1]
     left, right = np.where(np.isfinite(y_px), y_px, np.nan).tolist()
     return left, right
+
+
+def pitch_roll_rad(normal: Floats) -> tuple[float, float]:
+    """Pitch (positive: looks down) and roll (positive: right side low) of a camera that sees the normal ``(3,)`` up.
+
+    >>> pitch_roll_rad(np.array([0.0, -1.0, 0.0]))
+    (-0.0, -0.0)
+    """
+    return float(-np.arcsin(np.clip(normal[2], -1, 1))), float(np.arctan2(-normal[0], -normal[1]))
+
+
+def normal_by_pitch_roll(pitch_rad: float, roll_rad: float) -> Floats:
+    """Derivative ``(3, 2)`` of the upward normal (-sin r cos p, -cos r cos p, -sin p) by pitch p and roll r."""
+    sin_p, cos_p, sin_r, cos_r = np.sin(pitch_rad), np.cos(pitch_rad), np.sin(roll_rad), np.cos(roll_rad)
+    return np.array([[sin_r * sin_p, -cos_r * cos_p], [cos_r * sin_p, sin_r * cos_p], [-cos_p, 0.0]])

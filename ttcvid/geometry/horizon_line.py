@@ -12,12 +12,17 @@ from itertools import combinations
 import numpy as np
 
 from ttcvid.geometry.chi_square import chi2_quantile
+from ttcvid.geometry.horizon import normal_by_pitch_roll, pitch_roll_rad
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Bools, Camera, Floats
 
 # A motion agrees with a horizon within 99.7 % of a 1-D Gaussian.
 _GATE_CHI2 = 9.0
-_MAX_ITERATIONS = 50
+# An angle between two directions is sure beyond so many standard deviations.
+_SURE_SIGMAS = 3.0
+_MAX_ITERATIONS, _MAX_ROUNDS = 50, 10
+# The scatter is enlarged by this factor until it is enough.
+_SCATTER_STEP = 1.25
 _CONVERGED_RAD = 1e-10
 # Pairs of motions tried as horizons, at most, by the certainty of their epipoles.
 _MAX_PAIRS = 600
@@ -69,23 +74,17 @@ def fit_horizon(
         return None
     costs = [np.minimum(_chi2(n, directions, covariances, floor_rad), _GATE_CHI2).sum() for n in starts]
     normal = starts[int(np.argmin(costs))]
-    is_used = np.ones(len(directions), dtype=bool)
+    is_used = np.zeros(len(directions), dtype=bool)
     scatter_rad = floor_rad
-    for _ in range(10):
+    for _ in range(_MAX_ROUNDS):
         before = is_used
         is_used = _chi2(normal, directions, covariances, scatter_rad) < _GATE_CHI2
         if not is_used.any():
             return None
-        normal, information = _descend(normal, directions[is_used], covariances[is_used], scatter_rad, roll_sigma_rad)
+        used = directions[is_used], covariances[is_used]
+        normal, scatter_rad, information = _with_scatter(normal, *used, scatter_rad, roll_sigma_rad)
         if np.array_equal(before, is_used):
             break
-    n_free = int(is_used.sum()) - 2 + (roll_sigma_rad is not None)
-    for _ in range(40):
-        excess = _chi2(normal, directions[is_used], covariances[is_used], scatter_rad).sum()
-        if n_free < 1 or excess <= n_free:
-            break
-        scatter_rad *= 1.25
-        normal, information = _descend(normal, directions[is_used], covariances[is_used], scatter_rad, roll_sigma_rad)
     smallest, largest = np.linalg.eigvalsh(information)
     if not smallest > 1e-9 * largest:
         return None
@@ -124,19 +123,15 @@ def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, 
     return total < float(chi2_quantile(probability, 2 * (len(directions) - 1)))
 
 
-def widest_angle_rad(directions: Floats) -> float:
-    """Largest angle between the lines along any two of K directions ``(K, 3)``, either sign."""
-    cosine = np.abs(directions @ directions.T)
-    return float(np.arccos(np.clip(cosine.min(), 0.0, 1.0)))
+def widest_angle_rad(directions: Floats, covariances: Floats) -> float:
+    """Largest angle that is sure between the lines along any two of K directions, of either sign; 0: none.
 
-
-def pitch_roll_rad(normal: Floats) -> tuple[float, float]:
-    """Pitch (positive: looks down) and roll (positive: right side low) of a camera that sees the normal ``(3,)`` up.
-
-    >>> pitch_roll_rad(np.array([0.0, -1.0, 0.0]))
-    (-0.0, -0.0)
+    An angle is sure as far as it exceeds three standard deviations, each direction's taken along its longest axis.
     """
-    return float(-np.arcsin(np.clip(normal[2], -1, 1))), float(np.arctan2(-normal[0], -normal[1]))
+    angle = np.arccos(np.clip(np.abs(directions @ directions.T), 0.0, 1.0))
+    variance = np.linalg.norm(covariances, 2, axis=(1, 2))
+    sure = angle - _SURE_SIGMAS * np.sqrt(variance[:, None] + variance[None, :])
+    return max(0.0, float(sure.max()))
 
 
 def pitch_roll_covariance_rad2(fit: HorizonFit) -> Floats:
@@ -144,12 +139,6 @@ def pitch_roll_covariance_rad2(fit: HorizonFit) -> Floats:
     inverse = np.linalg.pinv(normal_by_pitch_roll(*pitch_roll_rad(fit.normal)))
     result: Floats = inverse @ fit.covariance @ inverse.T
     return result
-
-
-def normal_by_pitch_roll(pitch_rad: float, roll_rad: float) -> Floats:
-    """Derivative ``(3, 2)`` of the upward normal (-sin r cos p, -cos r cos p, -sin p) by pitch p and roll r."""
-    sin_p, cos_p, sin_r, cos_r = np.sin(pitch_rad), np.cos(pitch_rad), np.sin(roll_rad), np.cos(roll_rad)
-    return np.array([[sin_r * sin_p, -cos_r * cos_p], [cos_r * sin_p, sin_r * cos_p], [-cos_p, 0.0]])
 
 
 def band_px(camera: Camera, fit: HorizonFit, x_px: Floats) -> tuple[Floats, Floats]:
@@ -188,6 +177,18 @@ def _starts(directions: Floats, covariances: Floats, roll_sigma_rad: float | Non
     normals = normals[np.isfinite(normals).all(axis=1)]
     upward: Floats = normals * np.where(normals @ UP < 0.0, -1.0, 1.0)[:, None]
     return upward
+
+
+def _with_scatter(
+    normal: Floats, directions: Floats, covariances: Floats, scatter_rad: float, roll_sigma_rad: float | None
+) -> tuple[Floats, float, Floats]:
+    """The best normal with a scatter, at least the one given, that leaves chi-square as large as is to be expected."""
+    normal, information = _descend(normal, directions, covariances, scatter_rad, roll_sigma_rad)
+    n_free = len(directions) - 2 + (roll_sigma_rad is not None)
+    while n_free > 0 and _chi2(normal, directions, covariances, scatter_rad).sum() > n_free:
+        scatter_rad *= _SCATTER_STEP
+        normal, information = _descend(normal, directions, covariances, scatter_rad, roll_sigma_rad)
+    return normal, scatter_rad, information
 
 
 def _descend(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,8 @@ _CAUCHY_SIGMAS = 3.0
 _MEDIAN_RAYLEIGH = 1.1774
 _LEAST_NOISE = 1e-3
 _TINY = 1e-12
+# The drift is estimated so often: first about a direction that it may have misled.
+_DRIFT_ROUNDS = 2
 # Drifts are at most this part of the points' speed: more is no body.
 _MOST_DRIFT = 0.1
 # Median of the square of a standard normal variable.
@@ -111,16 +113,23 @@ def fit_translation(
     unknowns = _converged(tracks, first_unknowns(tracks, start), rigid)
     if unknowns is None:
         return None
-    drift_sigma = _drift_sigma(tracks, unknowns)
-    if drift_sigma == 0.0:
-        return _result(tracks, unknowns, rigid, memory_s, 0.0)
-    prior = _Prior(shared, 1.0 / drift_sigma**2)
-    unknowns = _converged(tracks, unknowns, prior)
-    return None if unknowns is None else _result(tracks, unknowns, prior, memory_s, drift_sigma)
+    prior, drift_sigma = rigid, 0.0
+    for _ in range(_DRIFT_ROUNDS):
+        drift_sigma = _drift_sigma(tracks, unknowns)
+        if drift_sigma == 0.0:
+            break
+        prior = _Prior(shared, 1.0 / drift_sigma**2)
+        unknowns = _converged(tracks, unknowns, prior)
+        if unknowns is None:
+            return None
+    return _result(tracks, unknowns, prior, memory_s, drift_sigma)
 
 
 def _drift_sigma(tracks: BodyTracks, unknowns: Unknowns) -> float:
     """Standard deviation of the drifts of the points about their lines, less what noise alone makes; 0: none."""
+    own = unknowns.own.copy()
+    own[:, DRIFT] = 0.0
+    unknowns = replace(unknowns, own=own)
     residual, across = residuals(tracks, unknowns), across_lines(tracks, unknowns)
     size = np.linalg.norm(residual, axis=1)
     noise = max(float(np.median(size)) / _MEDIAN_RAYLEIGH, _LEAST_NOISE)

@@ -20,7 +20,6 @@ from ttcvid.jobs.clip import (
     refuse_folder_of_input,
 )
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
-from ttcvid.jobs.horizon_auto import with_found_horizon
 from ttcvid.jobs.outputs import check_overlay, open_sinks
 from ttcvid.jobs.process import one_opencv_thread, share_freed_memory
 from ttcvid.jobs.provenance import (
@@ -95,6 +94,9 @@ def run_analysis(
     with open_clip(input_, options) as source:
         calibration = read_calibration(options, source.info.image_size)
         if options.wants_auto_horizon:
+            # Loaded where it is wanted: it brings matplotlib along.
+            from ttcvid.jobs.horizon_auto import with_found_horizon
+
             calibration = with_found_horizon(input_, calibration, configuration)
         path = out if out is not None else default_folder(input_)
         refuse_folder_of_input(path, source)

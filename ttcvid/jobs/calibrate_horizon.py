@@ -17,7 +17,8 @@ from ttcvid.calibration import write_horizon
 from ttcvid.config import PipelineConfig
 from ttcvid.draw.horizon_picture import write_horizon_picture
 from ttcvid.errors import OutputError, UsageError
-from ttcvid.geometry.horizon_line import HorizonFit, band_px, pitch_roll_covariance_rad2, pitch_roll_rad
+from ttcvid.geometry.horizon import pitch_roll_rad
+from ttcvid.geometry.horizon_line import HorizonFit, band_px, pitch_roll_covariance_rad2
 from ttcvid.jobs.clip import ASSUMED_CAMERA_WARNING, Calibration, open_clip, read_calibration
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
 from ttcvid.jobs.horizon_clips import WatchedClip, watch_driving_clip, watch_resting_clip
@@ -35,7 +36,7 @@ DEFAULT_OUT = Path("horizon.yaml")
 MOTIONS_NAME, PICTURE_NAME = "motions.parquet", "horizon.png"
 EXIT_UNDETERMINED = 5
 
-RESTING_DEFAULTS = {"tracking": {"window_px": 21, "max_forward_backward_px": 1.0}}
+RESTING_DEFAULTS = {"tracking": {"window_px": 31, "max_forward_backward_px": 1.0}}
 """Before a resting camera long tracks count for more than exact ones, people's clothes among them."""
 DRIVING_DEFAULTS = {"egomotion": {"platform": Platform.vehicle}}
 

@@ -65,9 +65,9 @@ def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonC
     remedy = "film things that cross or turn off, too, or give --roll-zero if the camera stands level"
     if is_one_direction(directions, covariances, np.radians(config.floor_deg), config.one_direction_probability):
         return f"all {len(directions)} motions run in one direction: {remedy}"
-    widest_deg = float(np.degrees(widest_angle_rad(directions)))
+    widest_deg = float(np.degrees(widest_angle_rad(directions, covariances)))
     if widest_deg < config.min_spread_deg:
-        return f"directions differ by {widest_deg:.1f} deg only, {config.min_spread_deg:g} deg needed: {remedy}"
+        return f"directions surely differ by {widest_deg:.1f} deg only, {config.min_spread_deg:g} deg needed: {remedy}"
     return ""
 
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.horizon import horizon_px, normal_from_horizon
-from ttcvid.geometry.horizon_line import normal_by_pitch_roll, pitch_roll_rad
+from ttcvid.geometry.horizon import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
 from ttcvid.geometry.planar import planar_epipole
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Camera, Floats, Horizon, Ints, Status
