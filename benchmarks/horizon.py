@@ -264,7 +264,7 @@ def main() -> int:
     report = Report()
     work: dict[str, Callable[[], None]] = {
         "cameras": lambda: measure_cameras(report, arguments.cameras),
-        "one-direction": lambda: measure_one_direction(report, arguments.cameras // 2),
+        "one-direction": lambda: measure_one_direction(report, arguments.cameras // 4),
         "pictures": lambda: measure_pictures(report),
         "clips": lambda: measure_clips(report, arguments.keep),
         "planar": lambda: measure_planar(report),
