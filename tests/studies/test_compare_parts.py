@@ -11,7 +11,7 @@ from ttcvid.jobs.result_tables import in_ordinary_types
 from ttcvid.schema import TABLES
 from ttcvid.studies.compare import Results, compare_results
 from ttcvid.studies.compare_columns import JoinedRows, explanation, is_judged, judge_columns, reported_sigma
-from ttcvid.studies.compare_frames import join_frames, join_tracks, positions_by_frame
+from ttcvid.studies.compare_frames import join_frames
 from ttcvid.studies.compare_objects import OTHER_OBJECT, baseline_numbers, join_events, join_objects
 from ttcvid.studies.compare_thinned import N_FRAMES as N_KEPT
 from ttcvid.studies.compare_thinned import N_TRACKS as N_TRACKS_KEPT
@@ -25,6 +25,7 @@ from ttcvid.studies.compare_tolerance import (
     markdown_of_tolerances,
     tolerance_from,
 )
+from ttcvid.studies.compare_tracks import join_tracks, positions_by_frame
 
 N_FRAMES, N_TRACKS, DT_S = 60, 40, 0.1
 FACTS = {"camera.fx_px": 500.0, "camera.fy_px": 500.0}
@@ -278,6 +279,30 @@ def test_frames_lost_from_a_clip_without_times_are_found_by_their_pictures(lost)
     assert joined.missing.tolist() == lost
     back = join_frames(clock(np.arange(len(kept)) * DT_S), result.clock, (now, places), FrameTolerance())
     assert back.additional.tolist() == lost
+
+
+@pytest.mark.parametrize("share_kept", [0.2, 0.5])
+def test_a_lost_frame_is_found_where_most_corners_are_others(share_kept):
+    """As in a clip that was encoded anew: a part of the corners is there again, to a tenth of a px."""
+    rng = np.random.default_rng(3)
+    result = whole_result()
+    places = positions_by_frame(result.tables["collision_times"])
+    kept = np.delete(np.arange(N_FRAMES), 25)
+    n_kept = int(share_kept * N_TRACKS)
+    now = {
+        k: np.concatenate([places[frame][:n_kept] + rng.normal(0, 0.05, (n_kept, 2)), rng.uniform(0, 600, (30, 2))])
+        for k, frame in enumerate(kept.tolist())
+    }
+    joined = join_frames(result.clock, clock(np.arange(len(kept)) * DT_S), (places, now), FrameTolerance())
+    assert joined.missing.tolist() == [25]
+
+
+def test_pictures_that_are_all_alike_are_joined_by_time():
+    rng = np.random.default_rng(4)
+    place = rng.uniform(0, 600, (30, 2))
+    places, now = ({k: place + rng.normal(0, 0.15, place.shape) for k in range(n)} for n in (40, 39))
+    joined = join_frames(clock(np.arange(40) * DT_S), clock(np.arange(39) * DT_S), (places, now), FrameTolerance())
+    assert (joined.missing.tolist(), joined.is_by_picture) == ([39], False)
 
 
 def test_tracks_are_joined_by_place_one_to_one():

@@ -10,9 +10,10 @@ import pandas as pd
 
 from ttcvid.model import SCENE_CLUSTER, Ints
 from ttcvid.studies.compare_columns import ColumnVerdict, JoinedRows, judge_columns
-from ttcvid.studies.compare_frames import JoinedFrames, join_frames, join_tracks, positions_by_frame
+from ttcvid.studies.compare_frames import JoinedFrames, join_frames
 from ttcvid.studies.compare_objects import JoinedObjects, baseline_numbers, join_events, join_objects
 from ttcvid.studies.compare_tolerance import Tolerance
+from ttcvid.studies.compare_tracks import join_tracks, positions_by_frame
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,12 @@ def _nobody(rows: pd.DataFrame | Ints) -> np.ndarray:
 
 def _frame_summary(baseline: Results, run: Results, frames: JoinedFrames) -> PartSummary:
     complaints = []
-    place = ", or one shortly before" if baseline.is_thinned and frames.is_by_picture else ""
+    place = ""
+    if baseline.is_thinned and frames.is_by_picture:
+        place = ", or one near it"
+    elif baseline.is_thinned and len(frames.missing) and frames.missing[-1] == baseline.clock.frame.iloc[-1]:
+        # The few tracks of a baseline do not always tell where a picture was lost.
+        place = ", or an earlier one if the clip has new times"
     for numbers, side, what in ((frames.missing, baseline, "missing"), (frames.additional, run, "additional")):
         t_s = side.clock.set_index("frame").t_s
         for low, high in _spans(numbers, side.clock.frame.to_numpy()):

@@ -54,7 +54,7 @@ class ObjectTolerance(StageConfig):
     """Which objects have to be there again, and what being there means."""
 
     min_frames: int = Field(default=8, ge=1, description="objects of fewer frames may come and go")
-    min_tracks: int = Field(default=8, ge=1, description="so may objects of fewer tracks (median over their frames)")
+    min_tracks: int = Field(default=10, ge=1, description="so may objects of fewer tracks (median over their frames)")
     min_found: Share = Field(default=0.5, description="share of an object's frames in which it has to be there again")
 
 
@@ -127,10 +127,10 @@ DEFAULT_COLUMNS: dict[str, ColumnTolerance] = {
 DEFAULT_PARTS: dict[str, PartTolerance] = {
     "frames": PartTolerance(max_share=0.05),
     "epipoles.scene": PartTolerance(max_share=0.05),
-    "epipoles.objects": PartTolerance(max_share=0.3, typical=0.5),
+    "epipoles.objects": PartTolerance(max_share=0.4, typical=0.5),
     "clusters.scene": PartTolerance(max_share=0.05),
-    "clusters.objects": PartTolerance(max_share=0.3, typical=0.5),
-    "collision_times": PartTolerance(max_share=0.05),
+    "clusters.objects": PartTolerance(max_share=0.4, typical=0.5),
+    "collision_times": PartTolerance(max_share=0.1),
     "events": PartTolerance(max_share=0.0, typical=1.0),
 }
 
