@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pyarrow.parquet as pq
+from matplotlib.figure import Figure
 
 from ttcvid.config import SensitivityConfig
 from ttcvid.jobs.configuration import configure_study
@@ -86,7 +87,7 @@ def run_sensitivity(
 ) -> SensitivityResult:
     """Make the study as configured."""
     target = out if out is not None else Path(DEFAULT_FOLDER)
-    what, ways = varied(config), methods(lengths_of(config))
+    ways = methods(lengths_of(config))
     with OutputFolder.create(target, overwrite, SENSITIVITY_NAMES) as folder:
         points = []
         for point in points_of(config):
@@ -98,7 +99,7 @@ def run_sensitivity(
             folder.partial / SENSITIVITY_NAMES[0], "sensitivity", [_row(config.over, p) for p in points], metadata
         )
         sentence = summary(config)
-        figure = sensitivity_figure(points, what.label, what.is_geometric, config.within, _title(config))
+        figure = sensitivity_picture(config, points)
         for name in SENSITIVITY_NAMES[1:]:
             write_figure(figure, folder.partial / name)
         reaches = {method.label: reach_m(base_case(config), method, config.within) for method in ways}
@@ -113,6 +114,12 @@ def run_sensitivity(
             }
         )
     return SensitivityResult(target, sentence, reaches)
+
+
+def sensitivity_picture(config: SensitivityConfig, points: Sequence[Point]) -> Figure:
+    """The curves of a study."""
+    what = varied(config)
+    return sensitivity_figure(points, what.label, what.is_geometric, config.within, _title(config))
 
 
 def _row(over: str, point: Point) -> tuple[Any, ...]:

@@ -58,13 +58,13 @@ def add_contacts(
         the probability of a contact in the likeliest stretch. Where the box is known exactly it is 0 or 1.
     """
     for n in range(len(position_m)):
+        half, yaw = half_size_m[n], yaw_rad[n]
         is_exact = not covariance[n].any()
         factors = _variances(covariance[n])
-        end_sigma = 0.0 if is_exact else _largest_sigma(factors, start_s + duration_s)
-        spare = _FAR_SIGMAS * max(end_sigma, 0.0 if is_exact else _largest_sigma(factors, start_s))
-        reach = math.hypot(half_size_m[n, RIGHT], half_size_m[n, AHEAD]) + math.hypot(
-            own_half_m[RIGHT], own_half_m[AHEAD]
-        )
+        slabs = _slabs(half, yaw, own_half_m, is_round)
+        end_sigma = _largest_sigma(factors, start_s + duration_s)
+        spare = _FAR_SIGMAS * max(end_sigma, _largest_sigma(factors, start_s))
+        reach = math.hypot(half[RIGHT], half[AHEAD]) + math.hypot(own_half_m[RIGHT], own_half_m[AHEAD]) + spare
         for c in range(len(shift_m)):
             x, y, z = (
                 position_m[n, 0] - shift_m[c, 0],
@@ -76,35 +76,24 @@ def add_contacts(
             w = velocity_m_s[n, 2] - change_m_s[c, 2]
             pace2 = max(u * u + w * w, _TINY)
             closest = min(max(-(x * u + z * w) / pace2, 0.0), duration_s)
-            if math.hypot(x + closest * u, z + closest * w) > reach + spare:
+            near_x, near_z = x + closest * u, z + closest * w
+            if near_x * near_x + near_z * near_z > reach * reach:
                 continue
-            below = max(abs(y + closest * v) - half_size_m[n, DOWN], 0.0)
-            share = _share_at_height(below / own_half_m[DOWN]) if is_round else 1.0
-            enter, leave = _touching(x, y, z, u, v, w, half_size_m[n], yaw_rad[n], own_half_m, is_round, share)
-            is_contact = enter <= leave and leave >= 0.0 and enter <= duration_s
-            if is_exact:
-                p = 1.0 if is_contact else 0.0
-            else:
+            p = 1.0
+            if not is_exact:
                 p = _probability(
-                    x,
-                    y,
-                    z,
-                    u,
-                    v,
-                    w,
-                    closest,
-                    half_size_m[n],
-                    yaw_rad[n],
-                    own_half_m,
-                    is_round,
-                    factors,
-                    start_s,
-                    duration_s,
+                    x, y, z, u, v, w, closest, half, yaw, own_half_m, is_round, factors, start_s, duration_s
                 )
-            t = start_s + (max(enter, 0.0) if is_contact else closest)
-            if p >= POSSIBLE and t < time_s[n, c]:
-                time_s[n, c] = t
-            probability[n, c] = max(probability[n, c], p)
+                probability[n, c] = max(probability[n, c], p)
+                if p < POSSIBLE or start_s >= time_s[n, c]:
+                    continue
+            below = max(abs(y + closest * v) - half[DOWN], 0.0)
+            share = _share_at_height(below / own_half_m[DOWN]) if is_round else 1.0
+            enter, leave = _touching(x, y, z, u, v, w, half[DOWN] + own_half_m[DOWN], slabs, share)
+            is_contact = enter <= leave and leave >= 0.0 and enter <= duration_s
+            if is_contact or not is_exact:
+                probability[n, c] = max(probability[n, c], p)
+                time_s[n, c] = min(time_s[n, c], start_s + (max(enter, 0.0) if is_contact else closest))
 
 
 @compiled
@@ -114,27 +103,31 @@ def _share_at_height(ratio: float) -> float:
 
 
 @compiled
-def _touching(
-    x: float,
-    y: float,
-    z: float,
-    u: float,
-    v: float,
-    w: float,
-    half: Floats,
-    yaw: float,
-    own_half: Floats,
-    is_round: bool,
-    share: float,
-) -> tuple[float, float]:
-    """From when until when a box at (x, y, z) with velocity (u, v, w) touches us; enter > leave: never."""
-    enter, leave = _slab(y, v, half[DOWN] + own_half[DOWN])
+def _slabs(half: Floats, yaw: float, own_half: Floats, is_round: bool) -> Floats:
+    """Upright slabs ``(K, 4)`` that cut out the sum of box and outline: unit vector (x, z), extents of box and us."""
     n_own = _ROUND_DIRECTIONS if is_round else 2
+    slabs = np.empty((2 + n_own, 4))
     for k in range(2 + n_own):
         angle = -yaw + 0.5 * math.pi * k if k < 2 else math.pi * (k - 2) / n_own
         nx, nz = math.cos(angle), math.sin(angle)
-        reach = _box_extent(half, yaw, nx, nz) + share * _own_extent(own_half, is_round, nx, nz)
-        slab_enter, slab_leave = _slab(nx * x + nz * z, nx * u + nz * w, reach)
+        slabs[k, 0], slabs[k, 1] = nx, nz
+        slabs[k, 2] = _box_extent(half, yaw, nx, nz)
+        slabs[k, 3] = _own_extent(own_half, is_round, nx, nz)
+    return slabs
+
+
+@compiled
+def _touching(
+    x: float, y: float, z: float, u: float, v: float, w: float, reach_down: float, slabs: Floats, share: float
+) -> tuple[float, float]:
+    """From when until when a box at (x, y, z) with velocity (u, v, w) touches us; enter > leave: never.
+
+    ``share`` is how wide we are at the height of meeting.
+    """
+    enter, leave = _slab(y, v, reach_down)
+    for k in range(len(slabs)):
+        nx, nz = slabs[k, 0], slabs[k, 1]
+        slab_enter, slab_leave = _slab(nx * x + nz * z, nx * u + nz * w, slabs[k, 2] + share * slabs[k, 3])
         enter, leave = max(enter, slab_enter), min(leave, slab_leave)
     return enter, leave
 

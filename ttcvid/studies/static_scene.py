@@ -13,8 +13,8 @@ from ttcvid.studies.hazards import Hazards, joined, one_object, turned_right
 SCENE_NAME = "static scene"
 _BEHIND_M, _FAR_M = 12.0, 120.0
 """What lies farther behind us, or farther away, is forgotten."""
-_CUBE_M, _HALF_M = 1.0, 0.6
-"""Of the points in a cube of this side the best known one is kept, as a box that reaches a little over it."""
+_CUBE_M, _HALF_M = 1.0, 0.4
+"""Of the points in a cube of this side the best known one is kept, as a box that covers most of it."""
 _MIN_FRAMES = 4
 """Less often seen points are not believed: those of moving things wander through the cubes."""
 _OVER_ROAD_M, _OVERHEAD_M, _ROAD_SIGMAS = 0.5, 4.0, 3.0
