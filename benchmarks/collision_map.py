@@ -19,7 +19,7 @@ import numpy as np
 from advised_drive import drive
 from brute_force import contact_times_s, is_inner
 from report import REPOSITORY, Bar, Report
-from runs import TTCVID, analyze_command, shown, timed
+from runs import TTCVID, analyze_command, timed
 
 from ttcvid.config import CollisionMapConfig
 from ttcvid.jobs.collision_map import open_clip_of
@@ -247,12 +247,12 @@ def _analyzed(report: Report, folder: Path, name: str) -> tuple[Scene, Path]:
     simulated, run = folder / name, folder / f"{name}_run"
     if not simulated.exists():
         timed([str(TTCVID), "simulate", str(SCENES / f"{name}.yaml"), "-o", str(simulated), "-q"], folder)
-    options = ["--camera", str(simulated / "camera.yaml"), "--horizon", str(simulated / "horizon.yaml")]
+    options = ["--camera", f"{name}/camera.yaml", "--horizon", f"{name}/horizon.yaml"]
     options += ["--platform", "vehicle", "--no-overlay", "--overwrite"]
-    words = analyze_command(simulated / "clip.mp4", run, options)
+    words = analyze_command(Path(name) / "clip.mp4", Path(f"{name}_run"), options)
     timed(words, folder)
     if name == ON_ROAD[0]:
-        report.command([word.replace(f"{folder}/", "") for word in shown(words)])
+        report.command(["ttcvid", *words[1:]])
     return load_scene(simulated / "scene.yaml"), run
 
 

@@ -112,7 +112,7 @@ def test_commands_of_the_readme_exist_with_the_options_shown():
 def test_options_named_in_the_pages_exist():
     known = FOREIGN_OPTIONS.union(*(options_of(command) for command in COMMANDS))
     for page in PAGES:
-        for option in re.findall(r"`(--[a-z][a-z-]*)", page.read_text(encoding="utf-8")):
+        for option in re.findall(r"`(--[a-z][a-z0-9-]*)", page.read_text(encoding="utf-8")):
             assert option in known, (page.name, option)
 
 

@@ -1,5 +1,6 @@
 """``ttcvid collision-map`` from a scene's truth: what it writes, and what it refuses."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,17 @@ def test_pictures_are_the_same_every_time(head_on: Path, tmp_path: Path):
     ttcvid.collision_map(SCENES / "aircraft_head_on.yaml", tmp_path / "again", time_s=2.0)
     for name in ("collision_map.png", "collision_map.parquet", "evasion.parquet"):
         assert (tmp_path / "again" / name).read_bytes() == (head_on / name).read_bytes(), name
+
+
+def test_configuration_file_counts(tmp_path: Path):
+    out = tmp_path / "map"
+    sample = SCENES.parent / "collision_map.toml"
+    words = ["collision-map", str(SCENES / "aircraft_passing.yaml"), "--config", str(sample), "-o", str(out), "-q"]
+    assert main([*words, "--units", "own-speed"]) == 0
+    configuration = json.loads((out / "manifest.json").read_text())["configuration"]
+    assert configuration["braking_m_s2"] == 3
+    assert configuration["units"] == "own-speed"
+    assert len(pd.read_parquet(out / "collision_map.parquet")) == 41 * 41
 
 
 @pytest.mark.parametrize(
