@@ -88,6 +88,7 @@ def test_what_moves_with_the_scene_has_its_scale_without_a_road():
 def test_an_object_without_a_link_is_a_family_of_distances_and_the_map_says_so():
     found = situation_of(seen_frame(), replace(BY_SPEED, stands_on_road=False), OWN)
     assert found.unlinked == ("object 7",)
+    assert any("object 7: neither width nor road" in note for note in found.notes)
     assert found.situation is not None
     hazards = found.situation.hazards
     members = hazards.take(hazards.object_index == hazards.names.index("object 7"))

@@ -84,7 +84,11 @@ def collision_map_figure(
     figure.colorbar(colours, ax=axes, label="time until contact, s", fraction=0.045, pad=0.02)
     handles = _legend(advice, bool(families))
     foot.set_axis_off()
-    foot.legend(handles=handles, loc="upper left", ncols=len(handles), frameon=False, fontsize=9, borderaxespad=0.0)
+    legend = foot.legend(
+        handles=handles, loc="upper left", ncols=len(handles), frameon=False, fontsize=9, borderaxespad=0.0
+    )
+    # A long row of words must not narrow the map.
+    legend.set_in_layout(False)
     foot.text(0.0, 0.0, "\n".join(caption.notes), fontsize=8.5, color="#444444", transform=foot.transAxes)
     return figure
 
@@ -190,5 +194,5 @@ def _legend(advice: Evasion, has_families: bool) -> list[Patch | Line2D]:
         words = "advice" if advice.status is EvasionStatus.advice else "least bad (no way out)"
         handles.insert(1, Line2D([], [], color=_ADVICE, lw=3, marker="D", mec="white", ms=7, label=words))
     if has_families:
-        handles.append(Line2D([], [], color=_FAMILY, ls="--", label="speed unknown: each possible one"))
+        handles.append(Line2D([], [], color=_FAMILY, ls="--", label="speed unknown"))
     return handles

@@ -133,6 +133,7 @@ def situation_of(seen: SeenFrame, scale: Scale, own: OwnBody, memory: Memory | N
         distance, sigma, how = _object_depth_m(seen, k, scale, level_R_cam, speed, height)
         if distance is None:
             unlinked.append(name)
+            notes = (*notes, f"{name}: neither width nor road tells its distance: drawn for each speed it can have.")
             parts.append(_family(seen, k, level_R_cam, own_velocity))
         else:
             notes = (*notes, f"{name}: {distance:.0f} m away by {how}.")
