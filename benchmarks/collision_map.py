@@ -32,6 +32,7 @@ from ttcvid.studies.hazards import OwnBody, Situation, joined, one_object
 SCENES = REPOSITORY / "sample_configs" / "scenes"
 LOOK_AHEAD_S = 5.0
 N_CELLS = 61
+TIMED_MAPS = 40
 ON_ROAD = ("crossing_clear", "crossing_collision", "demo", "oncoming", "parked_street")
 """Scenes at constant own speed in which everything stands on the road."""
 FIRST_RUN_FRAME, RUN_FRAME_STEP = 20, 12
@@ -67,7 +68,7 @@ def main() -> int:
 
 
 def time_maps(report: Report) -> None:
-    """Part 1: best of ten."""
+    """Part 1: the best of many, because the machine may have other things to do."""
     report.heading("Speed: 61 x 61 cells, 20 objects")
     rng = np.random.default_rng(0)
     changes = np.linspace(-10.0, 10.0, N_CELLS)
@@ -88,7 +89,7 @@ def time_maps(report: Report) -> None:
         for outline, is_round in (("box", False), ("round", True)):
             situation = Situation(joined(cars), OwnBody(1.8, 4.5, 1.5, is_round), np.array([0.0, 0.0, 10.0]))
             map_of_changes(situation, changes, changes, LOOK_AHEAD_S)
-            best_s = min(_timed_map(situation, changes) for _ in range(10))
+            best_s = min(_timed_map(situation, changes) for _ in range(TIMED_MAPS))
             report.figure(f"{words}, own outline {outline}", 1e3 * best_s, "ms", Bar(50.0))
 
 

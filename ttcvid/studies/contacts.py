@@ -23,6 +23,8 @@ _ROUND_DIRECTIONS = 8
 _TINY = 1e-12
 # What stays farther off than this many of its standard deviations has no probability worth computing.
 _FAR_SIGMAS = 5.0
+# Probabilities below this count as none.
+_NEGLIGIBLE = 1e-4
 
 
 @compiled
@@ -186,9 +188,13 @@ def _probability(
     reach_down = half[DOWN] + own_half[DOWN]
     at_closest = start_s + closest
     p = _between(across, reach_across, _sigma(factors, at_closest, az, -ax))
-    p *= _between(y + closest * v, reach_down, math.sqrt(max(_variance(factors, 3, at_closest), _TINY)))
+    if p < _NEGLIGIBLE:
+        return 0.0
+    p *= _below((reach_along + along + pace * duration_s) / _sigma(factors, start_s + duration_s, ax, az))
     p *= _below((reach_along - along) / _sigma(factors, start_s, ax, az))
-    return p * _below((reach_along + along + pace * duration_s) / _sigma(factors, start_s + duration_s, ax, az))
+    if p < _NEGLIGIBLE:
+        return 0.0
+    return p * _between(y + closest * v, reach_down, math.sqrt(max(_variance(factors, 3, at_closest), _TINY)))
 
 
 @compiled
