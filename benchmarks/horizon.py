@@ -179,20 +179,25 @@ def measure_clips(report: Report, keep: Path | None) -> None:
             ratio = max(abs(mine_px[place] - true_px[place]) / found["band_95_px"][place] for place in true_px)
             report.figure("tud_stadtmitte: largest error over half the band", ratio, "", Bar(1.0))
             report.figure("tud_stadtmitte: half the band, widest", max(found["band_95_px"].values()), "px", Bar(40.0))
-        report.command(shown([str(TTCVID), "calibrate-horizon", str(street), "-o", "street/horizon.yaml"]))
-        found = calibrated(street, folder / "street/horizon.yaml", ["--overwrite"])
-        if found is None:
-            report.say("street_multidir_905f: undetermined")
-        else:
-            line, half_px = found["horizon"], found["band_95_px"]["centre"]
-            text = f"y = {line['y_left_px']:.0f} px left, {line['y_right_px']:.0f} px right, +-{half_px:.0f} px"
-            report.say(f"street_multidir_905f: {text} (no truth known)")
+        for options in ([], ["--roll-zero"]):
+            words = [str(TTCVID), "calibrate-horizon", str(street), *options, "-o", "street/horizon.yaml"]
+            report.command(shown(words))
+            found = calibrated(street, folder / "street/horizon.yaml", [*options, "--overwrite"])
+            report.say(f"street_multidir_905f: {described(found)} (no truth known)")
         options = ["--camera", str(kitti / "calib.txt"), "--fps", "10", "--moving"]
         words = [str(TTCVID), "calibrate-horizon", str(kitti / "image_0"), *options, "-o", "kitti/horizon.yaml"]
         report.command(shown(words))
         found = calibrated(kitti / "image_0", folder / "kitti/horizon.yaml", [*options, "--overwrite"])
         truth = pd.read_csv(kitti / "foe_truth.csv", comment="#")
         report_row(report, found, float(truth.foe_u.median()), float(truth.foe_v.median()))
+
+
+def described(found: dict | None) -> str:
+    """The line of a horizon file in words."""
+    if found is None:
+        return "undetermined"
+    line, half_px = found["horizon"], found["band_95_px"]["centre"]
+    return f"y = {line['y_left_px']:.0f} px left, {line['y_right_px']:.0f} px right, +-{half_px:.0f} px at the centre"
 
 
 def report_row(report: Report, found: dict | None, x_px: float, true_px: float) -> None:
