@@ -1,0 +1,160 @@
+"""The direction that points share, from the states of their whole tracks: exact, honest, robust."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
+from ttcvid.geometry.shared_direction import shared_direction
+from ttcvid.geometry.whole_track import fit_whole_tracks
+
+DIRECTIONS = [(0.0, 0.0, -1.0), (0.3, 0.0, -1.0), (1.0, 0.0, 0.0), (-0.7, 0.1, 0.1), (0.0, -0.2, 1.0)]
+
+
+def informations(n, rng):
+    """Random positive definite (N, 3, 3), some 100 times better known along one axis than along another."""
+    factors = rng.normal(size=(n, 3, 3)) * np.array([30.0, 100.0, 300.0])
+    return factors @ np.swapaxes(factors, 1, 2)
+
+
+def noisy(velocity_hz, info, rng):
+    noise = np.linalg.solve(np.swapaxes(np.linalg.cholesky(info), 1, 2), rng.normal(size=(*velocity_hz.shape, 1)))
+    return velocity_hz + noise[..., 0]
+
+
+def off(found, direction):
+    """Error in the two tangent coordinates of the true direction, rad."""
+    return tangent_basis(direction).T @ found
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("n", [1, 2, 40])
+def test_the_direction_is_exact_without_noise(direction, n):
+    rng, direction = np.random.default_rng(1), normalize(np.array(direction))
+    velocity_hz = rng.uniform(0.1, 2.0, (n, 1)) * direction
+    found, covariance, chi2 = shared_direction(velocity_hz, informations(n, rng))
+    np.testing.assert_allclose(found, direction, atol=1e-9)
+    np.testing.assert_allclose(chi2, 0.0, atol=1e-9)
+    np.testing.assert_allclose(covariance @ found, 0.0, atol=1e-12)
+    np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS[:4])
+def test_the_covariance_is_that_of_many_draws(direction):
+    rng, direction = np.random.default_rng(2), normalize(np.array(direction))
+    truth, info = rng.uniform(0.3, 2.0, (25, 1)) * direction, informations(25, rng)
+    squares, chi2s = [], []
+    for _ in range(400):
+        found, covariance, chi2 = shared_direction(noisy(truth, info, rng), info)
+        basis = tangent_basis(direction)
+        error = off(found, direction)
+        squares.append(error @ np.linalg.solve(basis.T @ covariance @ basis, error))
+        chi2s.append(chi2.sum())
+    # Chi-square with two degrees of freedom; widening by chance makes it a little less.
+    assert 1.6 < np.mean(squares) < 2.3
+    assert 0.86 < np.mean(np.array(squares) < 4.61) < 0.96
+    assert np.mean(chi2s) == pytest.approx(2 * 25 - 2, rel=0.06)
+
+
+def test_errors_that_all_points_share_are_in_the_covariance():
+    rng, direction = np.random.default_rng(3), normalize(np.array([0.1, 0.0, -1.0]))
+    truth, info = np.full((60, 1), 0.5) * direction, informations(60, rng)
+    by_shared = np.broadcast_to(0.02 * rng.normal(size=(3, 2)), (60, 3, 2))
+    with_shared, without = [], []
+    for _ in range(300):
+        velocity_hz = noisy(truth, info, rng) + by_shared @ rng.normal(size=2)
+        for squares, shared in ((with_shared, by_shared), (without, None)):
+            found, covariance, _ = shared_direction(velocity_hz, info, shared)
+            basis = tangent_basis(direction)
+            error = off(found, direction)
+            squares.append(error @ np.linalg.solve(basis.T @ covariance @ basis, error))
+    assert 0.84 < np.mean(np.array(with_shared) < 4.61) < 0.97
+    assert np.mean(np.array(without) < 4.61) < 0.3
+
+
+@pytest.mark.parametrize("part", [0.1, 0.3])
+def test_points_that_move_otherwise_hardly_pull_and_are_told_by_their_chi_square(part):
+    rng, direction = np.random.default_rng(4), normalize(np.array([0.4, 0.0, -1.0]))
+    info = informations(60, rng)
+    velocity_hz = noisy(rng.uniform(0.3, 2.0, (60, 1)) * direction, info, rng)
+    n_wild = int(60 * part)
+    velocity_hz[:n_wild] = normalize(np.array([-0.5, 0.2, -1.0]))
+    found, covariance, chi2 = shared_direction(velocity_hz, info)
+    assert np.linalg.norm(found - direction) < 0.01
+    assert chi2[:n_wild].min() > 100.0
+    assert np.median(chi2[n_wild:]) < 3.0
+    assert np.sqrt(np.trace(covariance)) > 0.0
+
+
+def test_what_fits_worse_than_noise_allows_widens_the_covariance():
+    rng, direction = np.random.default_rng(5), normalize(np.array([0.4, 0.0, -1.0]))
+    info = informations(40, rng)
+    velocity_hz = noisy(direction * np.ones((40, 1)), info / 4.0, rng)
+    _, honest, chi2 = shared_direction(velocity_hz, info / 4.0)
+    _, boastful, _ = shared_direction(velocity_hz, info)
+    # Noise twice what is said: nearly as wide as if it had been said (wild points count at most 3 sigmas).
+    assert np.trace(boastful) > 0.5 * np.trace(honest)
+    assert np.mean(chi2) < 3.0
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_order_does_not_matter_and_turning_the_world_turns_the_result(seed):
+    rng = np.random.default_rng(seed)
+    direction = normalize(rng.normal(size=3))
+    info = informations(12, rng)
+    velocity_hz = noisy(rng.uniform(0.5, 2.0, (12, 1)) * direction, info, rng)
+    found, covariance, chi2 = shared_direction(velocity_hz, info)
+    order, turn = rng.permutation(12), rotation_from_vector(rng.normal(size=3))
+    for other, expected, cov, values in (
+        (shared_direction(velocity_hz[order], info[order]), found, covariance, chi2[order]),
+        (
+            shared_direction(velocity_hz @ turn.T, turn @ info @ turn.T),
+            turn @ found,
+            turn @ covariance @ turn.T,
+            chi2,
+        ),
+    ):
+        np.testing.assert_allclose(other[0], expected, atol=1e-5)
+        np.testing.assert_allclose(other[1], cov, rtol=1e-3, atol=1e-3 * np.abs(cov).max())
+        np.testing.assert_allclose(other[2], values, rtol=1e-2, atol=1e-2)
+
+
+def test_points_that_say_nothing_are_left_out():
+    rng, direction = np.random.default_rng(6), normalize(np.array([0.2, 0.0, -1.0]))
+    velocity_hz, info = rng.uniform(0.5, 1.0, (6, 1)) * direction, informations(6, rng)
+    velocity_hz[0] = np.nan
+    info[1] = 0.0
+    info[2] = np.nan
+    found, covariance, chi2 = shared_direction(velocity_hz, info)
+    np.testing.assert_allclose(found, direction, atol=1e-9)
+    assert np.isfinite(covariance).all()
+    np.testing.assert_array_equal(chi2[:3], 0.0)
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_nothing_known_gives_no_direction(n):
+    found, covariance, chi2 = shared_direction(np.full((n, 3), np.nan), np.zeros((n, 3, 3)))
+    assert np.isnan(found).all()
+    assert np.isnan(covariance).all()
+    assert chi2.shape == (n,)
+
+
+def test_points_that_do_not_move_leave_the_direction_open():
+    _, covariance, _ = shared_direction(np.zeros((5, 3)), np.broadcast_to(1e4 * np.eye(3), (5, 3, 3)))
+    assert not np.trace(covariance) < 1.0
+
+
+def test_whole_tracks_of_a_car_give_its_direction():
+    rng, direction = np.random.default_rng(7), normalize(np.array([-1.0, 0.0, -0.4]))
+    t_s = -0.05 * np.arange(12.0)[::-1]
+    position = np.column_stack([rng.uniform(2, 6, 40), rng.uniform(-1, 1, 40), rng.uniform(14, 16, 40)])
+    place = position + 8.0 * t_s[:, None, None] * direction
+    sigma = 0.2 / 720.0
+    xy = place[..., :2] / place[..., 2:] + sigma * rng.normal(size=(12, 40, 2))
+    tracks = fit_whole_tracks(xy, t_s, np.full(40, sigma))
+    found, covariance, _ = shared_direction(tracks.state[:, 2:], tracks.info_w)
+    basis = tangent_basis(direction)
+    error = off(found, direction)
+    assert error @ np.linalg.solve(basis.T @ covariance @ basis, error) < 13.8
+    assert np.linalg.norm(error) < 0.05

@@ -1,0 +1,126 @@
+"""Bodies carried from frame to frame and drawn towards what their points show."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
+from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.stages.bodies import Body, carried_forward, refined_mover, refined_scene
+
+N_VIEWS = 12
+T_S = -0.05 * np.arange(float(N_VIEWS))[::-1]
+DIRECTION = normalize(np.array([0.2, 0.0, -1.0]))
+SPEED_M_S, SIGMA = 8.0, 0.2 / 720.0
+EVERY_STEP = rotation_from_vector(np.radians([0.1, 0.5, 0.0]))
+
+
+def turning(n_views):
+    """Rotations from each view to the last, of a camera that turns by the same step."""
+    turns = [np.eye(3)]
+    for _ in range(n_views - 1):
+        turns.append(EVERY_STEP @ turns[-1])
+    return np.array(turns[::-1])
+
+
+def body(direction=DIRECTION, n_views=N_VIEWS):
+    return Body(turning(n_views), straight_path(direction, T_S[-n_views:]))
+
+
+def rays_of(position, path, cam_R_past, sigma=0.0, rng=None):
+    """Unit rays (L, N, 3) in the camera of each view, which `cam_R_past` turns into the present one."""
+    place = position + SPEED_M_S * path[:, None]
+    plane = np.einsum("lji,lnj->lni", cam_R_past, place)
+    plane = plane / plane[..., 2:]
+    if rng is not None:
+        plane[..., :2] += sigma * rng.normal(size=plane[..., :2].shape)
+    return normalize(plane)
+
+
+def points(n, rng):
+    return np.column_stack([rng.uniform(-5, 5, n), rng.uniform(-2, 2, n), rng.uniform(10, 40, n)])
+
+
+@pytest.mark.parametrize("is_step_known", [True, False])
+def test_a_steady_motion_is_carried_forward_exactly(is_step_known):
+    before = body(EVERY_STEP.T @ DIRECTION)
+    after = carried_forward(before, EVERY_STEP, np.append(T_S, 0.05), -0.05 * DIRECTION if is_step_known else None)
+    np.testing.assert_allclose(after.path[1:], body().path, atol=1e-12)
+    np.testing.assert_allclose(after.cam_R_past[1:], before.cam_R_past, atol=1e-12)
+    assert len(after.path) == len(T_S) + 1
+
+
+def test_a_history_that_is_full_drops_its_oldest_view():
+    after = carried_forward(body(EVERY_STEP.T @ DIRECTION), EVERY_STEP, T_S + 0.05)
+    np.testing.assert_allclose(after.path, body().path, atol=1e-12)
+
+
+def test_a_body_of_one_view_has_no_motion_to_go_on_with():
+    after = carried_forward(body(n_views=1), EVERY_STEP, T_S[-2:])
+    np.testing.assert_array_equal(after.path, 0.0)
+
+
+def test_uneven_times_do_not_change_the_speed():
+    t_s = np.array([-0.5, -0.38, -0.3, -0.1, 0.0])
+    before = Body(np.broadcast_to(np.eye(3), (4, 3, 3)), straight_path(DIRECTION, t_s[:4] - t_s[3]))
+    np.testing.assert_allclose(carried_forward(before, np.eye(3), t_s).path, straight_path(DIRECTION, t_s), atol=1e-12)
+
+
+def test_a_right_scene_stays_as_it_is():
+    position, scene = points(80, np.random.default_rng(1)), body()
+    rays = rays_of(position, scene.path, scene.cam_R_past)
+    rate_hz = SPEED_M_S / position[:, 2]
+    after = refined_scene(scene, rays, np.full(80, SIGMA), np.ones(80), rate_hz, T_S, 3)
+    np.testing.assert_allclose(after.path, scene.path, atol=1e-9)
+    np.testing.assert_allclose(after.cam_R_past, scene.cam_R_past, atol=1e-9)
+
+
+def test_wrong_rotations_of_the_scene_are_drawn_towards_the_right_ones():
+    rng = np.random.default_rng(2)
+    position, scene = points(200, rng), body()
+    rays = rays_of(position, scene.path, scene.cam_R_past, SIGMA, rng)
+    off_rad = 5e-4 * rng.normal(size=(len(T_S), 3))
+    off_rad[-1] = 0.0
+    after = replace(scene, cam_R_past=rotation_from_vector(off_rad) @ scene.cam_R_past)
+    misfit = [np.median(b.fit(rays, np.full(200, SIGMA), None, 0.0).misfit) for b in (scene, after)]
+    for _ in range(10):
+        after = refined_scene(after, rays, np.full(200, SIGMA), np.ones(200), np.full(200, np.nan), T_S, 2)
+    assert misfit[1] > 2.0 * misfit[0]
+    assert np.median(after.fit(rays, np.full(200, SIGMA), None, 0.0).misfit) < 1.1 * misfit[0]
+    rotations = after.cam_R_past @ np.swapaxes(after.cam_R_past, 1, 2)
+    np.testing.assert_allclose(rotations, np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12)
+    assert np.linalg.norm(after.path[0]) == pytest.approx(np.linalg.norm(scene.path[0]))
+
+
+def test_movers_among_the_tracks_do_not_turn_the_scene():
+    rng = np.random.default_rng(3)
+    position, scene = points(200, rng), body()
+    rays = rays_of(position, scene.path, scene.cam_R_past, SIGMA, rng)
+    across = straight_path(normalize(np.array([1.0, 0.0, -0.2])), T_S)
+    rays[:, :60] = rays_of(position[:60], across, scene.cam_R_past, SIGMA, rng)
+    after = scene
+    for _ in range(10):
+        after = refined_scene(after, rays, np.full(200, SIGMA), np.ones(200), np.full(200, np.nan), T_S, 2)
+    assert np.median(after.fit(rays[:, 60:], np.full(140, SIGMA), None, 0.0).misfit) < 1.3
+
+
+@pytest.mark.parametrize("bend_hz", [(0.0, 0.0, 1.5), (0.3, 0.0, 0.0)])
+def test_a_mover_that_brakes_or_swerves_gets_a_path_that_explains_it(bend_hz):
+    rng = np.random.default_rng(4)
+    position, scene = points(60, rng), body(np.array([0.0, 0.0, -1.0]))
+    mover = body()
+    bent = mover.path + 0.5 * T_S[:, None] ** 2 * np.array(bend_hz)
+    rays = rays_of(position, bent, scene.cam_R_past, SIGMA, rng)
+    before = np.median(mover.fit(rays, np.full(60, SIGMA), None, 0.0).misfit)
+    after = refined_mover(mover, scene, rays, np.full(60, SIGMA), T_S, 30)
+    assert before > 2.0
+    assert np.median(after.fit(rays, np.full(60, SIGMA), None, 0.0).misfit) < 1.3
+    assert after.rate_hz == pytest.approx(np.median(SPEED_M_S / position[:, 2]), rel=0.2)
+
+
+def test_a_mover_without_usable_points_stays_as_it_is():
+    rays = np.full((len(T_S), 4, 3), np.nan)
+    after = refined_mover(body(), body(), rays, np.full(4, SIGMA), T_S, 3)
+    np.testing.assert_array_equal(after.path, body().path)
+    assert after.rate_hz == 0.0

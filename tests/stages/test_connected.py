@@ -1,0 +1,115 @@
+"""Neighbours and parts in the picture, held against brute force and against scipy."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from ttcvid.stages.connected import connected_parts, largest_connected, linked_pairs, nearest_neighbours
+
+
+@st.composite
+def places(draw):
+    """Points on a coarse grid, with many equal distances and doubles, or anywhere; negative coordinates too."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = draw(st.integers(0, 60))
+    if draw(st.booleans()):
+        return rng.integers(-6, 7, (n, 2)).astype(float)
+    return rng.uniform(-500.0, 900.0, (n, 2)) / draw(st.sampled_from([1.0, 20.0, 200.0]))
+
+
+RADII = st.sampled_from([0.5, 1.0, 1.5, 2.0, 7.3, 40.0, 3000.0])
+
+
+def squares_of(xy):
+    return np.sum((xy[:, None] - xy[None]) ** 2, axis=2)
+
+
+@given(xy=places(), radius=RADII, count=st.integers(1, 9))
+@settings(max_examples=150)
+def test_neighbours_are_the_nearest_within_the_radius_those_of_smaller_index_first(xy, radius, count):
+    found = nearest_neighbours(xy, count, radius)
+    assert found.shape == (len(xy), count)
+    square = squares_of(xy)
+    for i, row in enumerate(found):
+        order = np.lexsort((np.arange(len(xy)), square[i]))
+        near = [j for j in order if j != i and square[i, j] < radius**2][:count]
+        assert row.tolist() == near + [i] * (count - len(near))
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 400))
+@settings(max_examples=30)
+def test_neighbours_are_those_of_a_tree(seed, n):
+    xy = np.random.default_rng(seed).uniform(0.0, 640.0, (n, 2))
+    distance, index = KDTree(xy).query(xy, k=range(2, 8), distance_upper_bound=60.0)
+    expected = np.where(np.isfinite(distance), index, np.arange(n)[:, None])
+    np.testing.assert_array_equal(nearest_neighbours(xy, 6, 60.0), expected)
+
+
+@given(xy=places(), radius=RADII)
+@settings(max_examples=150)
+def test_pairs_are_all_that_are_closer_than_the_radius_each_once(xy, radius):
+    pairs = linked_pairs(xy, radius)
+    one, other = np.nonzero(np.triu(squares_of(xy) < radius**2, k=1)) if len(xy) else ([], [])
+    assert sorted(map(tuple, pairs.tolist())) == sorted(zip(one, other, strict=True))
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+
+
+def test_points_exactly_a_radius_apart_are_no_neighbours():
+    xy = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 3.9]])
+    assert linked_pairs(xy, 5.0).tolist() == [[0, 2], [1, 2]]
+    assert nearest_neighbours(xy, 1, 5.0).tolist() == [[2], [2], [1]]
+
+
+@st.composite
+def graphs(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = draw(st.integers(0, 40))
+    pairs = rng.integers(0, n, (draw(st.integers(0, 60)), 2)) if n else np.empty((0, 2), dtype=np.int64)
+    return rng.random(n) < 0.8, pairs
+
+
+@given(graph=graphs())
+@settings(max_examples=150)
+def test_parts_are_those_of_scipy(graph):
+    is_in, pairs = graph
+    n = len(is_in)
+    label = connected_parts(is_in, pairs)
+    kept = pairs[is_in[pairs].all(axis=1)]
+    edges = coo_array((np.ones(len(kept)), (kept[:, 0], kept[:, 1])), shape=(n, n))
+    number, expected = connected_components(edges, directed=False) if n else (0, np.empty(0))
+    assert len(np.unique(label)) == number
+    np.testing.assert_array_equal(label[:, None] == label, expected[:, None] == expected)
+    # Numbered by their first track, without gaps.
+    first = [np.flatnonzero(label == k)[0] for k in range(number)]
+    assert first == sorted(first)
+
+
+@given(graph=graphs())
+def test_the_largest_part_is_one_and_none_is_larger(graph):
+    is_in, pairs = graph
+    largest, label = largest_connected(is_in, pairs), connected_parts(is_in, pairs)
+    sizes = [np.count_nonzero(is_in & (label == k)) for k in np.unique(label[is_in])]
+    assert len(largest) == max(sizes, default=0)
+    assert is_in[largest].all()
+    assert len(np.unique(label[largest])) <= 1
+
+
+@given(graph=graphs(), seed=st.integers(0, 1000))
+def test_parts_do_not_depend_on_the_order_of_the_pairs(graph, seed):
+    is_in, pairs = graph
+    shuffled = np.random.default_rng(seed).permuted(np.random.default_rng(seed).permutation(pairs), axis=1)
+    np.testing.assert_array_equal(connected_parts(is_in, pairs), connected_parts(is_in, shuffled))
+
+
+@pytest.mark.parametrize("is_in", [np.zeros(0, dtype=bool), np.zeros(3, dtype=bool)])
+def test_nothing_in_has_no_largest_part(is_in):
+    assert len(largest_connected(is_in, np.empty((0, 2), dtype=np.int64))) == 0
+
+
+def test_a_long_chain_is_one_part():
+    chain = np.column_stack([np.arange(1, 5000), np.arange(4999)])
+    assert connected_parts(np.ones(5000, dtype=bool), chain).max() == 0

@@ -1,0 +1,189 @@
+"""Scene and movers as rigid bodies, from exact simulated tracks to the body of each track."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rigid_worlds import bodies_of, car, world
+
+from ttcvid.config import BodiesConfig
+from ttcvid.model import Platform
+from ttcvid.stages.segmentation import restarted_bodies
+
+N_FRAMES, AHEAD, SLOWLY, STILL = 16, (0.0, 0.0, 10.0), (0.0, 0.0, 4.0), (0.0, 0.0, 0.0)
+# A new mover needs three views of its tracks, and three frames more to be sure of it.
+FOUND_FRAMES, NAMED_FRAMES = 6, 9
+
+
+def crossing(rng, n=30):
+    return car(rng, (6.0, 0.5, 32.0), (-5.0, 0.0, 0.0), n)
+
+
+def scene_part(frame, number=0):
+    return np.mean(frame.key[frame.truth == number] == 0)
+
+
+def assert_one_mover_each(frames, *numbers, since=NAMED_FRAMES, part=0.9):
+    """Each of these things has one key of its own from a frame on, and the static points belong to the scene."""
+    own = [{frame.keys_of(number)[0] for frame in frames[since:]} for number in numbers]
+    for number, keys in zip(numbers, own, strict=True):
+        assert len(keys) == 1, (number, keys)
+        assert 0 not in keys, number
+        assert min(frame.keys_of(number)[1] for frame in frames[since:]) >= part, number
+    assert len(set.union(*own)) == len(numbers)
+    assert min(scene_part(frame) for frame in frames[since:]) > 0.97
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_crossing_car_is_found_soon_and_keeps_its_key_and_number(seed):
+    rng = np.random.default_rng(seed)
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES, crossing(rng)), N_FRAMES, seed=seed)
+    assert scene_part(frames[FOUND_FRAMES], 1) < 0.2
+    assert_one_mover_each(frames, 1, since=FOUND_FRAMES)
+    named = [frame.cluster_ids[frame.keys_of(1)[0]] for frame in frames[NAMED_FRAMES:]]
+    assert set(named) == {1}
+
+
+def test_without_movers_everything_is_the_scene():
+    rng = np.random.default_rng(1)
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES), N_FRAMES)
+    assert all(not frame.mover_keys for frame in frames)
+    assert max(np.median(frame.found.misfit) for frame in frames) < 1.5
+
+
+@given(seed=st.integers(0, 2**32 - 1), sigma_px=st.sampled_from([0.05, 0.2, 0.5]))
+@settings(max_examples=12)
+def test_noise_alone_gives_no_movers(seed, sigma_px):
+    rng = np.random.default_rng(seed)
+    frames = bodies_of(world(rng, AHEAD, 10), 10, sigma_px=sigma_px, seed=seed)
+    assert all(not frame.mover_keys for frame in frames)
+
+
+@pytest.mark.parametrize("yaw_rad_s", [0.15, -0.3])
+def test_a_turning_camera_makes_no_movers_and_loses_none(yaw_rad_s):
+    rng = np.random.default_rng(2)
+    quiet = bodies_of(world(rng, AHEAD, N_FRAMES), N_FRAMES, yaw_rad_s=yaw_rad_s)
+    assert all(not frame.mover_keys for frame in quiet)
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES, crossing(rng)), N_FRAMES, yaw_rad_s=yaw_rad_s)
+    assert_one_mover_each(frames, 1)
+
+
+def test_two_cars_far_apart_with_the_same_motion_are_two_movers():
+    rng = np.random.default_rng(3)
+    left, right = car(rng, (-4.0, 0.5, 34.0), (-3.0, 0.0, 0.0)), car(rng, (8.0, 0.5, 34.0), (-3.0, 0.0, 0.0))
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES, left, right), N_FRAMES)
+    assert_one_mover_each(frames, 1, 2)
+
+
+def test_cars_that_meet_are_two_movers():
+    rng = np.random.default_rng(4)
+    one, other = car(rng, (-8.0, 0.5, 34.0), (4.0, 0.0, 0.0)), car(rng, (8.0, 0.5, 38.0), (-4.0, 0.0, 0.0))
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES, one, other), N_FRAMES)
+    assert_one_mover_each(frames, 1, 2)
+
+
+def test_two_halves_that_were_found_separately_become_one():
+    """A lorry whose middle is seen only later: its ends are too far apart to be one thing until then."""
+    rng = np.random.default_rng(5)
+    velocity, height = (-4.0, 0.0, 0.0), (0.5, 30.0)
+    front, rear = (car(rng, (x, *height), velocity, 24, (2.0, 1.8, 1.5)) for x in (2.0, 8.0))
+    middle = car(rng, (5.0, *height), velocity, 60, (6.5, 1.8, 1.5), frames=(10, 99))
+    frames = bodies_of(world(rng, SLOWLY, 24, front, rear, middle), 24, camera_m_s=SLOWLY)
+    apart, joined = frames[8], frames[-1]
+    assert apart.keys_of(1)[0] != apart.keys_of(2)[0]
+    assert 0 not in (apart.keys_of(1)[0], apart.keys_of(2)[0])
+    assert {joined.keys_of(number)[0] for number in (1, 2, 3)} == {apart.keys_of(1)[0]}
+    assert min(joined.keys_of(number)[1] for number in (1, 2, 3)) > 0.85
+
+
+@pytest.mark.parametrize("yaw_rad_s", [0.3, -0.4])
+def test_a_car_that_turns_stays_one_mover(yaw_rad_s):
+    rng = np.random.default_rng(6)
+    turning = car(rng, (5.0, 0.5, 30.0), (-5.0, 0.0, 0.0), 40, yaw_rad_s=yaw_rad_s)
+    frames = bodies_of(world(rng, SLOWLY, 24, turning), 24, camera_m_s=SLOWLY)
+    assert_one_mover_each(frames, 1)
+
+
+@pytest.mark.parametrize("platform", [Platform.static, Platform.vehicle])
+def test_a_lorry_that_comes_nearer_to_a_camera_at_rest_is_not_the_scene(platform):
+    rng = np.random.default_rng(7)
+    lorry = car(rng, (1.0, 0.0, 36.0), (0.0, 0.0, -9.0), 60, (2.5, 3.0, 3.0))
+    frames = bodies_of(world(rng, STILL, N_FRAMES, lorry), N_FRAMES, camera_m_s=STILL, platform=platform)
+    assert_one_mover_each(frames, 1)
+
+
+def test_a_car_ahead_that_is_faster_than_we_are_is_a_mover():
+    """It goes away: no static point before the camera does."""
+    rng = np.random.default_rng(8)
+    ahead = car(rng, (1.0, 0.5, 14.0), (0.0, 0.0, 16.0), 30, (1.8, 1.4, 1.0))
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES, ahead), N_FRAMES)
+    assert_one_mover_each(frames, 1)
+
+
+def test_far_static_points_around_a_mover_stay_with_the_scene():
+    rng = np.random.default_rng(9)
+    mover = crossing(rng)
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES, mover, n=500, depth_m=(80.0, 400.0)), N_FRAMES)
+    assert_one_mover_each(frames, 1)
+
+
+def test_other_identities_of_the_tracks_change_nothing():
+    rng = np.random.default_rng(10)
+    things = world(rng, AHEAD, 12, crossing(rng))
+    order = rng.permutation(sum(len(thing.points) for thing in things))
+    plain, shuffled = bodies_of(things, 12), bodies_of(things, 12, order=order)
+    for one, other in zip(plain, shuffled, strict=True):
+        keys = dict(zip(other.track_id.tolist(), other.key.tolist(), strict=True))
+        same = [keys[order[track]] == key for track, key in zip(one.track_id, one.key, strict=True)]
+        assert np.mean(same) > 0.99
+        assert one.mover_keys == other.mover_keys
+
+
+def test_a_mover_that_vanishes_is_forgotten_and_its_key_never_used_again():
+    rng = np.random.default_rng(11)
+    first = crossing(rng)
+    second = car(rng, (-7.0, 0.5, 34.0), (5.0, 0.0, 0.0), frames=(13, 99))
+    things = world(rng, SLOWLY, 24, first, second)
+    things[1] = replace(first, frames=(0, 11))
+    frames = bodies_of(things, 24, camera_m_s=SLOWLY)
+    key = frames[9].keys_of(1)[0]
+    assert key != 0
+    gone = frames[10 + BodiesConfig().forget_frames + 1 :]
+    assert all(key not in frame.found.movers for frame in gone)
+    assert_one_mover_each(frames, 2, since=20)
+    ids = [number for frame in frames for number in frame.cluster_ids.values() if number is not None]
+    assert frames[-1].cluster_ids[frames[-1].keys_of(2)[0]] == 2
+    assert set(ids) == {1, 2}
+
+
+def test_after_a_restart_no_number_is_given_out_twice():
+    rng = np.random.default_rng(12)
+    things = world(rng, AHEAD, N_FRAMES, crossing(rng))
+    before = bodies_of(things, N_FRAMES)
+    memory = restarted_bodies(before[-1].memory)
+    assert memory.scene is None
+    assert not memory.movers
+    after = bodies_of(things, N_FRAMES, memory=memory)
+    numbers = [
+        {number for frame in frames for number in frame.cluster_ids.values() if number is not None}
+        for frames in (before, after)
+    ]
+    keys = [{key for frame in frames for key in frame.found.movers} for frames in (before, after)]
+    assert numbers[0]
+    assert numbers[1]
+    assert numbers[0].isdisjoint(numbers[1])
+    assert keys[0].isdisjoint(keys[1])
+
+
+def test_too_few_tracks_make_no_mover():
+    rng = np.random.default_rng(13)
+    things = world(rng, AHEAD, 10, crossing(rng, 3))
+    assert all(not frame.mover_keys for frame in bodies_of(things, 10))
+
+
+def test_the_first_two_frames_and_a_frame_of_two_tracks_are_no_errors():
+    rng = np.random.default_rng(14)
+    frames = bodies_of(world(rng, AHEAD, 3, n=2), 3)
+    assert all(not frame.mover_keys for frame in frames)
