@@ -113,7 +113,7 @@ def test_a_mover_that_brakes_or_swerves_gets_a_path_that_explains_it(bend_hz):
     bent = mover.path + 0.5 * T_S[:, None] ** 2 * np.array(bend_hz)
     rays = rays_of(position, bent, scene.cam_R_past, SIGMA, rng)
     before = np.median(mover.fit(rays, np.full(60, SIGMA), None, 0.0).misfit)
-    after = refined_mover(mover, scene, rays, np.full(60, SIGMA), T_S, 30)
+    after = refined_mover(mover, scene, rays, np.full(60, SIGMA), T_S, 100)
     assert before > 2.0
     assert np.median(after.fit(rays, np.full(60, SIGMA), None, 0.0).misfit) < 1.3
     # The path keeps its length, and so rates are in units of the speed that it had.
