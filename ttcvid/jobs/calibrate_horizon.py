@@ -36,7 +36,7 @@ DEFAULT_OUT = Path("horizon.yaml")
 MOTIONS_NAME, PICTURE_NAME = "motions.parquet", "horizon.png"
 EXIT_UNDETERMINED = 5
 
-RESTING_DEFAULTS = {"tracking": {"window_px": 31, "max_forward_backward_px": 1.0}}
+RESTING_DEFAULTS = {"tracking": {"window_px": 29, "max_forward_backward_px": 1.0}}
 """Before a resting camera long tracks count for more than exact ones, people's clothes among them."""
 DRIVING_DEFAULTS = {"egomotion": {"platform": Platform.vehicle}}
 
