@@ -43,7 +43,7 @@ def find_own_motion(
     egomotion, history, memory = _from_two_views(history, is_free, memory, config, least_parallax_px, sigma_floor_px)
     if egomotion is None:
         return None, history, memory
-    history, egomotion = with_scene_path(history, is_free, egomotion)
+    history = with_scene_path(history, is_free, egomotion)
     direction = memory.direction if egomotion.direction is None else egomotion.direction
     return egomotion, history, replace(memory, direction=direction)
 

@@ -34,6 +34,8 @@ _BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(0.3))
 _OBJECT_BEND_HZ = 0.2
 # A car turns itself by some deg/s.
 _OBJECT_TURN_RAD_S = 0.02
+# A velocity that changes is taken as lasting so long, s: about what a driver needs to begin or to end a manoeuvre.
+_LASTING_S = 0.5
 
 
 def multi_frame_states(
@@ -151,8 +153,9 @@ def _on_paths(
 def _with_model_errors(paths: SharedPaths, path_of: Ints, rates: PathRates) -> tuple[Floats, Floats]:
     """Covariances of the paths and of the tracks' own rates, with what the model itself is wrong by.
 
-    Where the tracks of a path fit worse than their noise, all of it is uncertain by as much more (Birge's ratio); and
-    no direction is known better than what neighbours err by in common.
+    Where the tracks of a path fit worse than their noise, all of it is uncertain by as much more (Birge's ratio); no
+    direction is known better than what neighbours err by in common; and times take the velocity as lasting: where it
+    was seen to change, they are uncertain by what it changes in a while.
     """
     count = len(paths.direction)
     has_path = path_of != NO_PATH
@@ -161,7 +164,8 @@ def _with_model_errors(paths: SharedPaths, path_of: Ints, rates: PathRates) -> t
     misfit = np.maximum(chi2_sum / np.maximum(dof_sum, 1.0), 1.0)
     across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
     shared_cov = paths.cov * misfit[:, None, None]
-    shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
+    change = _LASTING_S * paths.bend_hz
+    shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across + change[:, :, None] * change[:, None, :]
     rate_cov = rates.cov.copy()
     rate_cov[has_path] *= misfit[path_of[has_path], None, None]
     return shared_cov, rate_cov
