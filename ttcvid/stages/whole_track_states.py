@@ -34,8 +34,8 @@ _BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(0.3))
 _OBJECT_BEND_HZ = 0.2
 # A car turns itself by some deg/s.
 _OBJECT_TURN_RAD_S = 0.02
-# A velocity that changes is taken as lasting so long, s: about what a driver needs to begin or to end a manoeuvre.
-_LASTING_S = 0.5
+# A velocity that changes is taken as lasting so long, s: a part of the second that it takes to show.
+_LASTING_S = 0.25
 
 
 def multi_frame_states(
