@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from report import Bar, Report
@@ -194,6 +194,11 @@ def measure_speed(report: Report, rng: np.random.Generator) -> None:
     report.heading("Speed")
     for case in ("general", "known direction"):
         tracks = draw(case, 60, 20, 0.2, 1000, rng)
+        if case == "known direction":
+            # All on one path, as the tracks of a cluster are.
+            rate = np.broadcast_to(tracks.rate[0], (1000, 3))
+            noise = tracks.sigma_norm[:, None] * rng.normal(size=tracks.xy.shape)
+            tracks = replace(tracks, rate=rate, xy=_project(tracks.place, rate, tracks.t_s) + noise)
         estimate(case, tracks)
         direction = tracks.rate[0] / np.linalg.norm(tracks.rate[0])
         path, number = straight_path(direction, tracks.t_s)[None], np.zeros(1000, np.int64)
