@@ -25,6 +25,7 @@ from ttcvid.geometry.collision import (
     times_from_position_velocity,
     times_from_state,
 )
+from ttcvid.geometry.consensus import epipoles_by_ransac
 from ttcvid.geometry.epipole import epipole_from_flow_lines, epipole_maximum_likelihood
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.geometry.flow_line import flow_line_chi2, flow_line_distance_px
@@ -159,7 +160,7 @@ def equation_5(p: Points) -> float:
 
 
 def equation_6(p: Points) -> float:
-    """Distance from a flow line to its epipole: none, in the picture and in sigmas."""
+    """Distance from a flow line to its epipole: none, in picture and sigmas; epipoles of two motions by RANSAC."""
     first, last = p.rays(-GAP_1_S), p.rays(0.0)
     chi2 = np.diag(flow_line_chi2(p.direction, first, last, np.ones(len(first))))
     error = largest_error(np.sqrt(chi2), np.zeros(len(chi2)), 1.0)
@@ -168,7 +169,19 @@ def equation_6(p: Points) -> float:
         epipole = _in_picture(d[None])[0]
         distance = flow_line_distance_px(epipole, _in_picture(q[None]), _in_picture(r[None]))
         error = max(error, largest_error(distance, np.zeros(1), max(1.0, float(np.linalg.norm(epipole)))))
-    return error
+    return max(error, _two_motions(p))
+
+
+def _two_motions(p: Points) -> float:
+    """Of the epipoles found among flows of two velocities, the farthest from both true ones."""
+    one, other = _one_velocity(p), _one_velocity(Points(p.position_m[::-1], p.velocity_m_s[::-1]))
+    first, last = (np.concatenate([one.rays(t_s), other.rays(t_s)]) for t_s in (-GAP_1_S, 0.0))
+    groups = epipoles_by_ransac(first, last, np.full(len(first), SIGMA_RAD), GAP_1_S, np.random.default_rng(0))
+    truth = one.direction[0], other.direction[0]
+    is_found = [any(g.direction @ direction > 0.999 for g in groups) for direction in truth]
+    if not all(is_found):
+        return float(np.inf)
+    return max(min(largest_error(g.direction, direction, 1.0) for direction in truth) for g in groups)
 
 
 def equation_7(p: Points) -> float:

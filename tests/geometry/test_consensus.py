@@ -1,4 +1,4 @@
-"""Hypotheses from pairs, the gate on a direction, and what chance alone would give."""
+"""Groups of flows by their epipoles: pairs, the gate on a direction, what chance would give, and all of it together."""
 
 from math import comb, log
 
@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from ttcvid.geometry.consensus import (
     chance_of_sharing,
     directions_of_pairs,
+    epipoles_by_ransac,
     log_false_alarms,
     shares_direction,
 )
@@ -144,3 +145,136 @@ def test_large_groups_neither_overflow_nor_warn():
     assert few == pytest.approx(log(1500), abs=1.0)
     assert np.isfinite(many)
     assert many < -1000.0
+
+
+def thing(rng, n, centre, velocity, size=(6.0, 2.0, 3.0), gap_s=0.3):
+    """Both views of points of one thing, and its direction."""
+    position = np.asarray(centre, dtype=float) + rng.uniform(-0.5, 0.5, (n, 3)) * size
+    q, p = views(position, np.array(velocity, dtype=float), [-gap_s, 0.0])
+    return q, p
+
+
+SCENE = (90, (0.0, 0.0, 24.0), (0.0, 0.0, -9.0), (20.0, 8.0, 6.0))
+CAR = (25, (-6.0, 0.5, 22.0), (6.0, 0.0, -9.0))
+LORRY = (30, (7.0, 0.0, 25.0), (-4.0, 0.0, -15.0))
+
+
+def together(rng, *things, sigma_rad=0.0):
+    """Flows of several things in random order, and the number of each flow's thing."""
+    parts = [thing(rng, *one) for one in things]
+    q, p = (np.concatenate([part[view] for part in parts]) for view in (0, 1))
+    truth = np.repeat(np.arange(len(things)), [one[0] for one in things])
+    order = rng.permutation(len(truth))
+    return jitter(q[order], sigma_rad, rng), jitter(p[order], sigma_rad, rng), truth[order]
+
+
+def found_in(q, p, sigma_rad, seed=0, gap_s=0.3):
+    return epipoles_by_ransac(q, p, np.full(len(q), sigma_rad), gap_s, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_exact_flows_of_three_motions_fall_into_three_groups_with_exact_directions(seed):
+    q, p, truth = together(np.random.default_rng(seed), SCENE, LORRY, CAR)
+    groups = found_in(q, p, 1e-6, seed)
+    assert len(groups) == 3
+    for number, group in enumerate(groups):
+        velocity = (SCENE, LORRY, CAR)[number][2]
+        np.testing.assert_allclose(group.direction, normalize(np.array(velocity)), atol=1e-6)
+        np.testing.assert_array_equal(group.members, np.flatnonzero(truth == number))
+
+
+def test_noisy_flows_fall_into_the_same_groups_and_the_covariance_says_how_good_the_directions_are():
+    sigma_rad, squares = 0.2e-3, []
+    for seed in range(25):
+        q, p, truth = together(np.random.default_rng(seed), SCENE, LORRY, CAR, sigma_rad=sigma_rad)
+        groups = found_in(q, p, sigma_rad, seed)
+        assert len(groups) >= 3
+        for group in groups[:3]:
+            names, counts = np.unique(truth[group.members], return_counts=True)
+            assert counts.max() > 0.8 * counts.sum()
+            velocity = normalize(np.array((SCENE, LORRY, CAR)[names[counts.argmax()]][2]))
+            basis = tangent_basis(velocity)
+            error = basis.T @ group.direction
+            squares.append(error @ np.linalg.solve(basis.T @ group.covariance @ basis, error))
+    # Chi-square with two degrees of freedom has 99 % under 9.2; some flows are of another motion.
+    assert np.median(squares) < 3.0
+    assert np.mean(np.array(squares) < 9.2) > 0.8
+
+
+def test_the_noisiest_flows_of_a_motion_are_no_motion_of_their_own():
+    many = [(20 * n, *rest) for n, *rest in (SCENE, LORRY)]
+    q, p, truth = together(np.random.default_rng(8), *many, sigma_rad=0.2e-3)
+    groups = found_in(q, p, 0.2e-3)
+    assert len(groups) == 2
+    for number, group in enumerate(groups):
+        assert np.mean(truth[group.members] == number) > 0.98
+        assert len(group.members) > 0.97 * np.count_nonzero(truth == number)
+
+
+def test_three_exact_lines_are_a_group_and_two_are_none():
+    q, p, _ = together(np.random.default_rng(1), (3, *CAR[1:]))
+    (group,) = found_in(q, p, 1e-7)
+    np.testing.assert_allclose(group.direction, normalize(np.array(CAR[2])), atol=1e-6)
+    np.testing.assert_array_equal(group.members, [0, 1, 2])
+    assert found_in(q[:2], p[:2], 1e-7) == []
+
+
+def test_the_rate_is_speed_over_distance():
+    q, p, _ = together(np.random.default_rng(2), (20, (3.0, 1.0, 30.0), (0.0, 0.0, -9.0), (0.5, 0.5, 0.5)))
+    (group,) = found_in(q, p, 1e-6)
+    assert group.rate_hz == pytest.approx(9.0 / np.linalg.norm([3.0, 1.0, 30.0]), rel=0.02)
+
+
+def test_two_things_of_one_direction_and_different_times_are_two_groups():
+    near, far = (30, (3.0, 0.5, 12.0), (0.0, 0.0, -9.0)), (30, (-8.0, 0.5, 60.0), (0.0, 0.0, -9.0))
+    q, p, truth = together(np.random.default_rng(3), near, far)
+    groups = found_in(q, p, 1e-6)
+    assert [set(truth[group.members]) for group in groups] in ([{0}, {1}], [{1}, {0}])
+
+
+def test_a_motion_and_its_opposite_are_two_groups():
+    q, p, truth = together(np.random.default_rng(4), (30, *CAR[1:]), (25, CAR[1], tuple(-v for v in CAR[2])))
+    one, other = found_in(q, p, 1e-6)
+    np.testing.assert_allclose(one.direction, -other.direction, atol=1e-6)
+    assert set(truth[one.members]) == {0}
+    assert set(truth[other.members]) == {1}
+
+
+@pytest.mark.parametrize("n", [5, 20, 60])
+def test_random_flows_make_hardly_any_group(n):
+    n_groups = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        ray = normalize(np.column_stack([rng.uniform(-0.4, 0.4, (n, 2)), np.ones(n)]))
+        n_groups += len(found_in(ray, jitter(ray, 5e-3, rng), 0.3e-3, seed))
+    assert n_groups <= 3
+
+
+def test_a_wild_flow_belongs_to_no_group_and_missing_or_resting_ones_neither():
+    q, p, _ = together(np.random.default_rng(5), CAR)
+    p[3] = normalize(q[3] + np.array([0.0, 0.05, 0.0]))
+    p[4], q[5] = np.nan, np.nan
+    p[6] = q[6]
+    (group,) = found_in(q, p, 1e-6)
+    assert not {3, 4, 5, 6} & set(group.members.tolist())
+    assert len(group.members) == len(q) - 4
+
+
+def test_gaps_of_their_own_and_scaled_times_scale_the_rate_alone():
+    q, p, _ = together(np.random.default_rng(6), CAR)
+    (one,), (other,) = found_in(q, p, 1e-6), found_in(q, p, 1e-6, gap_s=np.full(len(q), 0.6))
+    np.testing.assert_array_equal(one.direction, other.direction)
+    assert other.rate_hz == pytest.approx(0.5 * one.rate_hz)
+
+
+def test_the_same_choice_of_pairs_gives_the_same_groups_and_nothing_gives_none():
+    q, p, _ = together(np.random.default_rng(7), SCENE, CAR, sigma_rad=1e-4)
+    for one, other in zip(found_in(q, p, 1e-4), found_in(q, p, 1e-4), strict=True):
+        np.testing.assert_array_equal(one.members, other.members)
+    assert found_in(np.empty((0, 3)), np.empty((0, 3)), 1e-4) == []
+    assert found_in(np.full((9, 3), np.nan), np.full((9, 3), np.nan), 1e-4) == []
+
+
+def test_arrays_that_do_not_fit_together_are_refused():
+    with pytest.raises(ValueError, match=r"expected first and second \(N, 3\)"):
+        epipoles_by_ransac(np.zeros((3, 3)), np.zeros((4, 3)), np.ones(3), 0.1, np.random.default_rng(0))

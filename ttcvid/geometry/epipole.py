@@ -11,7 +11,7 @@ import numpy as np
 from ttcvid.geometry.flow_line import flow_line_chi2, flow_normals, moves_towards
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
-from ttcvid.model import Floats, Ints, Status
+from ttcvid.model import Floats, Status
 
 # A motion or an angle below this many standard deviations is noise.
 SIGNIFICANCE_SIGMAS = 3.0
@@ -27,8 +27,6 @@ _MAX_ITERATIONS = 30
 _CONVERGED_SIGMAS = 1e-4
 # Fractions of a Gauss-Newton step that are tried in turn until one lowers the cost.
 _STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05, 0.01)
-# A step of several groups at once, which is not tried for its cost, is cut to this length.
-_LONGEST_STEP_RAD = 0.2
 # Determinant over squared trace below which a 2 x 2 matrix is singular; least divisor.
 _SINGULAR, _TINY = 1e-15, 1e-30
 # In the vote on the sign a track counts at most this many sigmas: one wild flow must not outvote the others.
@@ -127,44 +125,7 @@ def epipole_maximum_likelihood(
     return direction, cov, flow_line_chi2(direction, q, p, sigma_rad), status
 
 
-def refine_epipoles(
-    directions: Floats, group: Ints, q: Floats, p: Floats, sigma_rad: Floats, n_steps: int
-) -> tuple[Floats, Floats]:
-    """A few Gauss-Newton steps of `epipole_maximum_likelihood` for K groups of flows at once, from good starts.
-
-    Parameters
-    ----------
-    directions
-        ``(K, 3)`` starts.
-    group
-        ``(N,)`` number of each flow's group, 0 to K - 1.
-    q, p, sigma_rad
-        As in `epipole_maximum_likelihood`.
-
-    Returns
-    -------
-    directions : ``(K, 3)``.
-    cov : ``(K, 3, 3)`` rad^2 in their tangent planes; infinite where the flows leave a direction open.
-    """
-    n_groups = len(directions)
-    normals, cosines = cross(p, q), np.einsum("ni,ni->n", p, q)
-    for _ in range(n_steps):
-        basis = tangent_basis(directions)
-        residual, jacobian = _residuals(directions[group], basis[group], q, p, normals, cosines, sigma_rad)
-        x, y = jacobian.T
-        a, b, d, gx, gy = (np.bincount(group, v, n_groups) for v in (x * x, x * y, y * y, x * residual, y * residual))
-        determinant = a * d - b * b
-        determinant = np.where(determinant > _SINGULAR * (a + d) ** 2, determinant, np.inf)
-        step = np.stack([b * gy - d * gx, b * gx - a * gy], axis=1) / determinant[:, None]
-        length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), _TINY)
-        step *= np.minimum(1.0, _LONGEST_STEP_RAD / length)
-        directions = normalize(directions + np.einsum("kij,kj->ki", basis, step))
-    inverse = np.array([[d, -b], [-b, a]]).transpose(2, 0, 1) / determinant[:, None, None]
-    cov = np.einsum("kia,kab,kjb->kij", basis, inverse, basis)
-    return directions, np.where(np.isfinite(determinant)[:, None, None], cov, np.inf)
-
-
-def direction_chi2(one: Floats, other: Floats, covariance: Floats, floor_rad: float = 0.0) -> float:
+def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> float:
     """Squared difference of two directions in their joint uncertainty, a chi-square with two degrees of freedom.
 
     Parameters
@@ -173,8 +134,6 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats, floor_rad: fl
         ``(3,)`` unit vectors.
     covariance
         ``(3, 3)`` rad^2: the sum of both, in their tangent planes.
-    floor_rad
-        Error per axis that the covariances do not know.
 
     Returns
     -------
@@ -184,7 +143,7 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats, floor_rad: fl
         return np.inf
     basis = tangent_basis(one)
     offset = basis.T @ other
-    return float(offset @ np.linalg.solve(basis.T @ covariance @ basis + floor_rad**2 * np.eye(2), offset))
+    return float(offset @ np.linalg.solve(basis.T @ covariance @ basis, offset))
 
 
 def eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats, weights: Floats) -> Floats:
@@ -260,12 +219,11 @@ def _residuals(
 ) -> tuple[Floats, Floats]:
     """Signed roots ``(N,)`` of `flow_line_chi2` and their derivatives ``(N, 2)`` by tangent coordinates.
 
-    ``direction (3,)`` with ``basis (3, 2)`` for all flows, or ``(N, 3)`` with ``(N, 3, 2)``, one for each. ``normals
-    (N, 3)`` are p x q and ``cosines (N,)`` p . q, which do not change during the descent.
+    ``basis (3, 2)`` is that of the tangents at ``direction (3,)``; ``normals (N, 3)`` are p x q and ``cosines (N,)``
+    p . q, which do not change during the descent.
     """
-    direction, basis = np.broadcast_to(direction, q.shape), np.broadcast_to(basis, (len(q), 3, 2))
-    p_along, q_along, triple = (np.einsum("ni,ni->n", v, direction) for v in (p, q, normals))
-    p_tangent, q_tangent, by_direction = (np.einsum("ni,nij->nj", v, basis) for v in (p, q, normals))
+    p_along, q_along, triple = (v @ direction for v in (p, q, normals))
+    p_tangent, q_tangent, by_direction = (v @ basis for v in (p, q, normals))
     half_difference = 0.5 * (q_along**2 - p_along**2)
     mixed = cosines - p_along * q_along
     root = np.maximum(np.sqrt(half_difference**2 + mixed**2), _TINY)
