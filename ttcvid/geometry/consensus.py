@@ -117,7 +117,7 @@ def _flows(first: Floats, second: Floats, sigma_rad: Floats, gap_s: float | Floa
             f"expected first and second (N, 3) and sigma_rad (N,), got {first.shape}, {second.shape}, {sigma_rad.shape}"
         )
     gaps_s = np.broadcast_to(np.asarray(gap_s, dtype=np.float64), sigma_rad.shape)
-    flows = _Flows(first, second, sigma_rad, gaps_s, np.isfinite(first + second).all(axis=1))
+    flows = _Flows(first, second, sigma_rad, gaps_s, np.asarray(np.isfinite(first + second).all(axis=1)))
     is_usable: Bools = np.asarray(flows.is_usable & (sigma_rad > 0.0) & (gaps_s > 0.0))
     index = np.flatnonzero(is_usable)
     is_usable[index] = _length_sigmas(flows, index) > SIGNIFICANCE_SIGMAS
