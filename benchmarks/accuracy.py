@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from report import REPOSITORY, Bar, Report
 from runs import TTCVID, analyze_command, data_folder, shown, timed
-from truths import Figure, Judged, RealClip, judge_motion_groups, real_clips
+from truths import Figure, Judged, RealClip, judge_bodies, real_clips
 
 from ttcvid import Run, evaluate
 from ttcvid.studies.metrics import Value
@@ -107,7 +107,7 @@ def measure(report: Report, only: str | None = None, keep: Path | None = None) -
     for name, found in judged.items():
         for figure in found.figures:
             report.figure(f"{name}: {figure.name}", figure.value, figure.unit, figure.bar)
-    errors = [judged[clip.name].figures[0].value for clip in clips if clip.judge is judge_motion_groups]
+    errors = [judged[clip.name].figures[0].value for clip in clips if clip.judge is judge_bodies]
     if errors:
         report.figure(f"kt3dmoseg: mean over {len(errors)} clips", float(np.mean(errors)), "%", CLUSTERING_BAR)
     report.heading("How the runs were made")

@@ -1,4 +1,4 @@
-"""How well tracks are put into motion groups, against labels given by hand (KT3DMoSeg)."""
+"""How well tracks are put into scene and movers, against labels given by hand (KT3DMoSeg)."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def frames_of_poses(poses: np.ndarray, run: RunTables) -> pd.DataFrame:
     return frames.merge(run.frames[["frame", "t_s"]], on="frame")
 
 
-def judge_motion_groups(run: Run) -> Judged:
+def judge_bodies(run: Run) -> Judged:
     """``kt3dmoseg``: the clustering error against groups given by hand."""
     tables = read_run_tables(run)
     path = Path(str(run.manifest["input"]["path"]).replace(".tracks.", ".labels."))
@@ -185,7 +185,7 @@ def real_clips() -> list[RealClip]:
     of_tracks = ("--camera", "kt3dmoseg/calib.txt", "--image-size", "1242x375", "--platform", "vehicle")
     tables = sorted((data_folder() / "kt3dmoseg").glob("*.tracks.parquet"))
     groups = [
-        RealClip(path.name.removesuffix(".tracks.parquet"), f"kt3dmoseg/{path.name}", of_tracks, judge_motion_groups)
+        RealClip(path.name.removesuffix(".tracks.parquet"), f"kt3dmoseg/{path.name}", of_tracks, judge_bodies)
         for path in tables
     ]
     car_shadow = "davis_car_shadow/JPEGImages/480p/car-shadow"

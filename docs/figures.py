@@ -14,7 +14,7 @@ _STAGES = (
     ("clip", "pictures and times"),
     ("tracking", "points, followed"),
     ("own motion", "rotation taken out"),
-    ("scene, groups", "one epipole each"),
+    ("scene, movers", "one path each"),
     ("times", "with 90 % intervals"),
     ("objects", "nearest surface"),
     ("warnings", "near, soon, sure"),

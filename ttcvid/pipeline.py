@@ -120,7 +120,7 @@ def track_frames(
 
 
 def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[FrameResult, Memory]:
-    """The geometry of one frame: own motion, groups, times, warnings."""
+    """The geometry of one frame: own motion, bodies, times, warnings."""
     frame, points, status = tracked.frame, tracked.points, tracked.status
     dt_s = None if memory.t_s is None else frame.t_s - memory.t_s
     if status == FrameStatus.bad_dt:

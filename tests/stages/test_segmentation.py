@@ -122,6 +122,14 @@ def test_a_car_ahead_that_is_faster_than_we_are_is_a_mover():
     assert_one_mover_each(frames, 1)
 
 
+def test_a_car_ahead_that_leaves_our_direction_a_little_is_found_by_its_whole_track():
+    """Slower than we are, and 0.4 m/s to the side: a pixel a frame."""
+    rng = np.random.default_rng(15)
+    ahead = car(rng, (0.3, 0.5, 28.0), (0.4, 0.0, 6.0), 30, (1.8, 1.4, 3.0))
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES, ahead), N_FRAMES)
+    assert_one_mover_each(frames, 1)
+
+
 def test_far_static_points_around_a_mover_stay_with_the_scene():
     rng = np.random.default_rng(9)
     mover = crossing(rng)

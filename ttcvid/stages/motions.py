@@ -33,7 +33,7 @@ class FrameMotions:
     """Flows of the N live tracks and what moves together.
 
     ``cluster_id (N,)``; ``direction (N, 3)`` with ``direction_cov (N, 3, 3)`` each track's ``dir`` over its own gap,
-    NaN where it has none, and ``no_direction_status (N,)`` why; ``clusters`` the scene first, then the groups;
+    NaN where it has none, and ``no_direction_status (N,)`` why; ``clusters`` the scene first, then the movers;
     ``link_px`` the distance within which tracks hang together; ``is_free (N,)`` tracks not frozen to their pixel.
     """
 
