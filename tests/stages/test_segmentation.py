@@ -98,6 +98,21 @@ def test_two_halves_that_were_found_separately_become_one():
     assert min(joined.keys_of(number)[1] for number in (1, 2, 3)) > 0.85
 
 
+def test_halves_become_one_also_while_new_tracks_are_born_on_them_in_every_frame():
+    rng = np.random.default_rng(5)
+    velocity, height = (-4.0, 0.0, 0.0), (0.5, 30.0)
+    front, rear = (car(rng, (x, *height), velocity, 24, (2.0, 1.8, 1.5)) for x in (2.0, 8.0))
+    middle = car(rng, (5.0, *height), velocity, 60, (6.5, 1.8, 1.5), frames=(10, 99))
+    newborn = [
+        car(rng, (x, *height), velocity, 2, (1.5, 1.5, 1.0), frames=(frame, 99))
+        for frame in range(11, 24)
+        for x in (2.0, 8.0)
+    ]
+    frames = bodies_of(world(rng, SLOWLY, 24, front, rear, middle, *newborn), 24, camera_m_s=SLOWLY)
+    assert frames[8].keys_of(1)[0] != frames[8].keys_of(2)[0]
+    assert frames[-1].keys_of(1)[0] == frames[-1].keys_of(2)[0] != 0
+
+
 @pytest.mark.parametrize("yaw_rad_s", [0.3, -0.4])
 def test_a_car_that_turns_stays_one_mover(yaw_rad_s):
     rng = np.random.default_rng(6)

@@ -295,7 +295,11 @@ def _joint(views: BodyViews, scene: Body, key: Ints, one: Mover, other: Mover, u
         return None
     joint = views.refined(large.body, scene, both, _JOINT_STEPS)
     fit = joint.fit(views.rays[:, both], views.sigma_norm[both], None, 0.0)
-    rates = np.median(fit.rate_hz[: len(own)]), np.median(fit.rate_hz[len(own) :])
+    # A track that has just been born has no rate yet.
+    is_own, is_known = np.arange(len(both)) < len(own), np.isfinite(fit.rate_hz)
+    if not ((is_own & is_known).any() and (~is_own & is_known).any()):
+        return None
+    rates = np.median(fit.rate_hz[is_own & is_known]), np.median(fit.rate_hz[~is_own & is_known])
     if not max(rates) < _ONE_RATE * min(rates):
         return None
     return joint if np.median(fit.misfit) / usual < _MERGED_MISFIT * limit else None
