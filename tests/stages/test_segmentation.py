@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rigid_worlds import bodies_of, car, world
+from rigid_worlds import Thing, bodies_of, car, world
 
 from ttcvid.config import BodiesConfig
 from ttcvid.model import Platform
@@ -113,6 +113,24 @@ def test_halves_become_one_also_while_new_tracks_are_born_on_them_in_every_frame
     assert frames[-1].keys_of(1)[0] == frames[-1].keys_of(2)[0] != 0
 
 
+def test_parts_that_hang_together_no_more_are_two_movers():
+    rng = np.random.default_rng(16)
+    velocity, height = (-4.0, 0.0, 0.0), (0.5, 30.0)
+    front, rear = (car(rng, (x, *height), velocity, 24, (2.0, 1.8, 1.5)) for x in (2.0, 8.0))
+    middle = car(rng, (5.0, *height), velocity, 60, (6.5, 1.8, 1.5), frames=(0, 10))
+    frames = bodies_of(world(rng, SLOWLY, N_FRAMES, front, rear, middle), N_FRAMES, camera_m_s=SLOWLY)
+    assert {frames[8].keys_of(number)[0] for number in (1, 2, 3)} == {frames[8].keys_of(1)[0]} != {0}
+    assert_one_mover_each(frames, 1, 2, since=11)
+    assert frames[8].keys_of(1)[0] in (frames[-1].keys_of(1)[0], frames[-1].keys_of(2)[0])
+
+
+def test_two_cars_side_by_side_that_drive_apart_are_two_from_the_start():
+    rng = np.random.default_rng(17)
+    left, right = car(rng, (-2.2, 0.5, 34.0), (-5.0, 0.0, 0.0)), car(rng, (2.2, 0.5, 34.0), (5.0, 0.0, 0.0))
+    frames = bodies_of(world(rng, AHEAD, N_FRAMES, left, right), N_FRAMES)
+    assert_one_mover_each(frames, 1, 2, since=FOUND_FRAMES)
+
+
 @pytest.mark.parametrize("yaw_rad_s", [0.3, -0.4])
 def test_a_car_that_turns_stays_one_mover(yaw_rad_s):
     rng = np.random.default_rng(6)
@@ -150,6 +168,16 @@ def test_far_static_points_around_a_mover_stay_with_the_scene():
     mover = crossing(rng)
     frames = bodies_of(world(rng, AHEAD, N_FRAMES, mover, n=500, depth_m=(80.0, 400.0)), N_FRAMES)
     assert_one_mover_each(frames, 1)
+
+
+def test_what_is_seen_far_away_through_a_mover_stays_with_the_scene():
+    """Any path explains a far point, and all of its neighbours are on the lorry."""
+    rng = np.random.default_rng(18)
+    lorry = car(rng, (0.5, 0.0, 30.0), (0.3, 0.0, -6.0), 70, (3.0, 3.0, 2.0))
+    far = Thing(np.array([[8.0, 0.0, 400.0], [2.0, 6.0, 400.0], [8.0, -8.0, 400.0]]))
+    frames = bodies_of([*world(rng, STILL, N_FRAMES, lorry), far], N_FRAMES, camera_m_s=STILL)
+    assert_one_mover_each(frames, 1)
+    assert np.mean([scene_part(frame, 2) for frame in frames[NAMED_FRAMES:]]) > 0.9
 
 
 def test_other_identities_of_the_tracks_change_nothing():
