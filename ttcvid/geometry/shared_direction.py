@@ -11,6 +11,8 @@ from ttcvid.model import Floats
 # A point off by more sigmas than this loses weight (Cauchy).
 _CAUCHY_SIGMAS = 3.0
 _MAX_STEPS = 12
+# In the vote on the sense a point counts at most this many sigmas.
+_MAX_VOTE_SIGMAS = 3.0
 _CONVERGED_RAD = 1e-6
 # A step is cut to this length.
 _LONGEST_STEP_RAD = 0.3
@@ -50,14 +52,17 @@ def shared_direction(
     e = _start(w, info)
     for _ in range(_MAX_STEPS):
         basis = tangent_basis(e)
-        normal, score, _, _ = _sums(w, info, shared, e, basis)
+        normal, score, _, _, _ = _sums(w, info, shared, e, basis)
         step = -np.linalg.solve(normal + 1e-12 * (np.trace(normal) + 1e-300) * np.eye(2), score)
         length = float(np.linalg.norm(step))
         e = normalize(e + basis @ (step * min(1.0, _LONGEST_STEP_RAD / max(length, 1e-300))))
         if length < _CONVERGED_RAD:
             break
     basis = tangent_basis(e)
-    normal, _, mixed, chi2 = _sums(w, info, shared, e, basis)
+    normal, _, mixed, chi2, forwards = _sums(w, info, shared, e, basis)
+    if np.sum(np.clip(forwards, -_MAX_VOTE_SIGMAS, _MAX_VOTE_SIGMAS)) < 0.0:
+        # The fit knows a line; in which sense the points move along it, they vote.
+        e, basis, mixed = -e, -basis, -mixed
     inverse = np.linalg.inv(normal + 1e-12 * (np.trace(normal) + 1e-300) * np.eye(2))
     dof = max(2 * int(np.count_nonzero(usable)) - 2, 1)
     widened = max(float(np.sum(np.minimum(chi2, _CAUCHY_SIGMAS**2))) / dof, 1.0)
@@ -75,11 +80,13 @@ def _start(w: Floats, info: Floats) -> Floats:
 
 
 @compiled
-def _sums(w: Floats, info: Floats, shared: Floats, e: Floats, basis: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Normal matrix (2, 2), score (2,), its change by shared errors (2, K) and chi-square (N,) at ``e``."""
+def _sums(
+    w: Floats, info: Floats, shared: Floats, e: Floats, basis: Floats
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Normal matrix (2, 2), score (2,), its change by shared errors (2, K); chi-square and rate of each, in sigmas."""
     n_shared = shared.shape[2]
     normal, score, mixed = np.zeros((2, 2)), np.zeros(2), np.zeros((2, n_shared))
-    chi2 = np.zeros(len(w))
+    chi2, forwards = np.zeros(len(w)), np.zeros(len(w))
     along, rest, row = np.zeros(3), np.zeros(3), np.zeros((2, 3))
     for i in range(len(w)):
         square = 0.0
@@ -89,6 +96,7 @@ def _sums(w: Floats, info: Floats, shared: Floats, e: Floats, basis: Floats) -> 
         if not square > 0.0:
             continue
         rate = (along[0] * w[i, 0] + along[1] * w[i, 1] + along[2] * w[i, 2]) / square
+        forwards[i] = rate * np.sqrt(square)
         for a in range(3):
             rest[a] = w[i, a] - rate * e[a]
         for a in range(3):
@@ -107,4 +115,4 @@ def _sums(w: Floats, info: Floats, shared: Floats, e: Floats, basis: Floats) -> 
                     normal[j, k] += weight * pull * row[k, a]
                 for k in range(n_shared):
                     mixed[j, k] += weight * pull * shared[i, a, k]
-    return normal, score, mixed, chi2
+    return normal, score, mixed, chi2, forwards

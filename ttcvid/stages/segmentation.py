@@ -21,6 +21,7 @@ from ttcvid.stages.connected import connected_parts, linked_pairs
 from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.new_movers import new_movers
+from ttcvid.stages.road import RoadMemory, gathered_evidence
 
 # The scene is corrected by at most so many tracks, those of a crowded place counting less: cells of this side.
 _ENOUGH_TRACKS, _CELL = 400, 0.12
@@ -40,6 +41,8 @@ _MERGED_MISFIT, _WORTH_TRYING = 2.0, 8.0
 # Steps of refinement a frame, of a new mover, of one that has been found in some frames, and of two taken as one.
 _YOUNG_STEPS, _YOUNG_FRAMES, _OLD_STEPS, _JOINT_STEPS = 2, 5, 1, 4
 _MERGE_FRAMES = 4
+# A mover stays one, however well the scene explains it, while the road contradicts its tracks by this on the average.
+_MOVER_EVIDENCE = 0.25
 # Misfits under 1 (in units of the scene's median) are noise.
 _LEAST_MISFIT = 1.0
 _LEAST_MEASURED = 10
@@ -66,6 +69,7 @@ class BodyMemory:
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     track_key: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     rate_hz: Floats = field(default_factory=lambda: np.empty(0))
+    road: RoadMemory = field(default_factory=RoadMemory)
     next_key: int = SCENE_CLUSTER + 1
     next_cluster_id: int = SCENE_CLUSTER + 1
 
@@ -120,6 +124,12 @@ def find_bodies(
         scene_fit = replace(scene, path=np.zeros_like(scene.path)).fit(views.rays, views.sigma_norm, None, 0.0)
     usual = _usual_misfit(scene_fit, (key == SCENE_CLUSTER) & is_free)
     misfit = scene_fit.misfit / usual
+    road = RoadMemory()
+    if platform == Platform.vehicle and scene.path[0, 2] > 0.0:
+        in_scene = (key == SCENE_CLUSTER) & is_free & (misfit < config.scene_gate)
+        epipole_y = float(scene.path[0, 1] / scene.path[0, 2])
+        road = gathered_evidence(memory.road, history.track_id, views, scene_fit, key, in_scene, epipole_y)
+        misfit = _with_contradictions(misfit, road, key, config)
 
     movers = [replace(m, body=_refined_by_own(m, scene, views, key)) for m in movers]
     key = _assigned(views, movers, key, scene_fit.n_views, misfit, usual)
@@ -134,7 +144,7 @@ def find_bodies(
         next_key += 1
     key, movers, next_key = _split(views, key, movers, next_key, config)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
-    memory = BodyMemory(scene, tuple(movers), history.track_id, key, rate_hz, next_key, next_cluster_id)
+    memory = BodyMemory(scene, tuple(movers), history.track_id, key, rate_hz, road, next_key, next_cluster_id)
     return Segmentation(key, {m.key: m for m in movers}, scene, scene_fit, misfit), memory
 
 
@@ -217,6 +227,15 @@ def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
     """Median misfit of the scene's tracks: what the model does not know of, beyond their noise."""
     measured = fit.misfit[in_scene & (fit.n_views > _HABIT_VIEWS)]
     return max(float(np.median(measured)), _LEAST_MISFIT) if len(measured) > _LEAST_MEASURED else _LEAST_MISFIT
+
+
+def _with_contradictions(misfit: Floats, road: RoadMemory, key: Ints, config: BodiesConfig) -> Floats:
+    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers."""
+    is_odd = road.contradicts()
+    for number in np.unique(key[(key != SCENE_CLUSTER) & is_odd]):
+        own = key == number
+        is_odd[own] |= np.mean(road.evidence[own]) > _MOVER_EVIDENCE
+    return np.where(is_odd, np.maximum(misfit, 2.0 * config.scene_gate), misfit)
 
 
 def _refined_by_own(mover: Mover, scene: Body, views: BodyViews, key: Ints) -> Body:

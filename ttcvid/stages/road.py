@@ -1,0 +1,158 @@
+"""What a road tells of movers along our own direction, which look like static points at a wrong depth.
+
+A car ahead that we close on slowly looks like something far away: what lies below the horizon would lie under the road.
+An oncoming car looks nearer than it is: it floats over the road that is seen below it, and nothing bears it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.body_views import BodyViews
+from ttcvid.stages.connected import connected_parts, linked_pairs
+
+# The camera looks along the road within so much, as the tangent of its pitch; heights of the horizon that are tried.
+_PITCH, _N_HORIZONS = 0.06, 13
+# A point says something of the road from so far below the horizon on (tangent), with a rate known to this part.
+_LEAST_BELOW, _KNOWN_PART = 0.03, 0.1
+# Rates of road points agree within this part (natural logarithm); a point with less than this part of the road's rate
+# would lie under it, and counts against a road.
+_ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
+# A road is borne by so many points, and by this part of all below the horizon.
+_LEAST_POINTS, _LEAST_SHARE = 12, 0.3
+# How much the road may fall to one side, beside how much it comes nearer downwards: roll of the camera.
+_ROLL_SIGMA = 0.1
+_UNDER_SIGMAS, _LEAST_VIEWS = 3.0, 4
+# A thing floats when even its lowest points have this many times the rate of the road there; its points hang together
+# within this part of their rates, differ by no more than this factor in all (a row of houses does), and are no road.
+_FLOATS, _ONE_THING, _COMPACT, _NO_ROAD, _LEAST_THING = 1.5, 0.12, 1.3, 1.25, 6
+# Points of the road within this part of its rate, as many between a floating thing and where it would stand, show that
+# nothing bears it; the last part down to there may be hidden.
+_ON_ROAD, _LEAST_SEEN, _SEEN_PART = 0.2, 2, 0.8
+# Evidence is gathered with this memory; a track contradicts a static scene with more than a half of it.
+_FORGETTING, _ENOUGH = 0.8, 0.5
+
+
+@dataclass(frozen=True)
+class RoadMemory:
+    """Evidence of each track ``track_id (N,)`` against standing on the ground: ``evidence (N,)`` in 0 to 1."""
+
+    track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    evidence: Floats = field(default_factory=lambda: np.empty(0))
+
+    def contradicts(self) -> Bools:
+        """Tracks that a static scene cannot hold: (N,)."""
+        return np.asarray(self.evidence > _ENOUGH)
+
+
+def gathered_evidence(
+    memory: RoadMemory, track_id: Ints, views: BodyViews, fit: PathFit, key: Ints, in_scene: Bools, epipole_y: float
+) -> RoadMemory:
+    """The evidence of the last frames with that of this one.
+
+    Parameters
+    ----------
+    fit : of all N tracks on the path of the scene.
+    key : (N,) body of each track by now; ``in_scene (N,)`` tracks that a road may be made of.
+    epipole_y : height of own direction of travel in the plane z = 1.
+    """
+    evidence = np.zeros(len(track_id))
+    if len(memory.track_id):
+        place = np.minimum(np.searchsorted(memory.track_id, track_id), len(memory.track_id) - 1)
+        is_known = memory.track_id[place] == track_id
+        evidence[is_known] = memory.evidence[place[is_known]]
+    road = find_road(fit, in_scene, epipole_y)
+    is_odd = np.zeros(len(track_id), dtype=bool)
+    if road is not None:
+        is_odd = _under_road(fit, road) | _floating(views, fit, key, road)
+    return RoadMemory(track_id, _FORGETTING * evidence + (1.0 - _FORGETTING) * is_odd)
+
+
+def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
+    """The road as the plane ``rate = p0 + p1 x + p2 y``: (3,) in 1/s, None where there is none.
+
+    A plane has inverse depths that are affine in the picture. The densest rates below each of some horizons about the
+    epipole, then least squares with those points.
+
+    Parameters
+    ----------
+    fit : of N points on the path of the scene; ``in_scene (N,)`` those that may lie on the road.
+    """
+    x, y = fit.place.T
+    known = in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
+    index = np.flatnonzero(known & (y > epipole_y - _PITCH + _LEAST_BELOW))
+    if len(index) < _LEAST_POINTS:
+        return None
+    x, y, rate = x[index], y[index], fit.rate_hz[index]
+    best, support = None, 0.0
+    for horizon_y in epipole_y + np.linspace(-_PITCH, _PITCH, _N_HORIZONS):
+        below = y - horizon_y > _LEAST_BELOW
+        if np.count_nonzero(below) < _LEAST_POINTS:
+            continue
+        slope = np.sort(np.log(rate[below] / (y[below] - horizon_y)))
+        within = np.searchsorted(slope, slope + 2.0 * _ROAD_SPREAD) - np.arange(len(slope))
+        under = np.searchsorted(slope, slope + _ROAD_SPREAD + np.log(_UNDER_PART))
+        score = within - under
+        densest = int(np.argmax(score))
+        if score[densest] > support:
+            best, support = (horizon_y, float(np.exp(slope[densest] + _ROAD_SPREAD))), float(score[densest])
+    if best is None:
+        return None
+    road = np.array([-best[1] * best[0], 0.0, best[1]])
+    columns = np.column_stack([np.ones_like(x), x, y])
+    for _ in range(2):
+        predicted = columns @ road
+        on_road = np.abs(rate - predicted) < 1.5 * _ROAD_SPREAD * predicted
+        below = predicted > _LEAST_BELOW * road[2]
+        if np.count_nonzero(on_road) < max(_LEAST_POINTS, _LEAST_SHARE * np.count_nonzero(below)):
+            return None
+        used = columns[on_road] / predicted[on_road, None]
+        normal = used.T @ used
+        normal[1, 1] += normal[2, 2] * _ROLL_SIGMA**2
+        road = np.linalg.solve(normal, used.T @ (rate[on_road] / predicted[on_road]))
+    return road if road[2] > 0.0 else None
+
+
+def _rate_of_road(fit: PathFit, road: Floats) -> Floats:
+    """Rate of the road where each point is seen: (N,), NaN at the horizon and above."""
+    rate = road[0] + fit.place @ road[1:]
+    return np.where(rate > _LEAST_BELOW * road[2], rate, np.nan)
+
+
+def _under_road(fit: PathFit, road: Floats) -> Bools:
+    limit = _UNDER_PART * _rate_of_road(fit, road)
+    return np.asarray((fit.n_views >= _LEAST_VIEWS) & (limit - fit.rate_hz > _UNDER_SIGMAS * fit.rate_sigma_hz))
+
+
+def _floating(views: BodyViews, fit: PathFit, key: Ints, road: Floats) -> Bools:
+    """Tracks of things that nothing bears: even their lowest points are far nearer than the road seen below them."""
+    known = views.is_free & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
+    over = fit.rate_hz / _rate_of_road(fit, road)
+    on_road = known & (np.abs(over - 1.0) < _ON_ROAD)
+    floats = np.zeros(len(key), dtype=bool)
+    index = np.flatnonzero(known & ~(over < _NO_ROAD))
+    pairs = linked_pairs(views.xy_px[index], views.link_px)
+    log_rate = np.log(np.maximum(fit.rate_hz[index], 1e-12))
+    one, other = pairs.T
+    is_one = (np.abs(log_rate[one] - log_rate[other]) < _ONE_THING) & (key[index[one]] == key[index[other]])
+    label = connected_parts(np.ones(len(index), dtype=bool), pairs[is_one])
+    x, y = fit.place.T
+    for number in np.flatnonzero(np.bincount(label) >= _LEAST_THING):
+        thing = index[label == number]
+        near_hz, far_hz = np.quantile(fit.rate_hz[thing], [0.95, 0.05])
+        if near_hz > _COMPACT * far_hz:
+            continue
+        lowest = thing[np.argsort(-y[thing], kind="stable")[:2]]
+        if not np.nanmax(over[lowest]) > _FLOATS or np.isnan(over[lowest]).any():
+            continue
+        bottom_y = y[lowest].min()
+        # Where a static thing at this depth would stand on the road.
+        stands_y = (np.median(fit.rate_hz[thing]) - road[0] - road[1] * np.median(x[thing])) / road[2]
+        beneath = on_road & (x > x[thing].min()) & (x < x[thing].max())
+        beneath &= (y > bottom_y) & (y < bottom_y + _SEEN_PART * (stands_y - bottom_y))
+        floats[thing] = np.count_nonzero(beneath) >= _LEAST_SEEN
+    return floats
