@@ -65,6 +65,23 @@ def carried_forward(body: Body, cam_R_prev: Floats, t_s: Floats, step: Floats | 
     )
 
 
+def recent_speed(body: Body, t_s: Floats) -> float:
+    """Speed over the last few of the views at the times ``t_s (L,)``, in units of the path; 1 with a single view."""
+    if len(body.path) < 2:
+        return 1.0
+    back = max(-1 - _STEADY_VIEWS, -len(body.path))
+    return float(np.linalg.norm(body.path[back])) / (t_s[-1] - t_s[back])
+
+
+def with_unit_speed(body: Body, since_s: Floats, rate_hz: Floats) -> tuple[Body, Floats]:
+    """The same body, and the rates of points on it, in units in which its mean speed over the views is 1."""
+    length = float(np.linalg.norm(body.path[0]))
+    if length < _NO_LENGTH:
+        return body, rate_hz
+    speed = length / max(-since_s[0], _LEAST_TIME_S)
+    return replace(body, path=body.path / speed), rate_hz * speed
+
+
 def refined_scene(
     scene: Body, rays: Floats, sigma_norm: Floats, weight: Floats, rate_hz: Floats, since_s: Floats, n_steps: int
 ) -> Body:

@@ -15,7 +15,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.bodies import Body, carried_forward, refined_scene
+from ttcvid.stages.bodies import Body, carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.body_views import BodyViews, body_views
 from ttcvid.stages.connected import connected_parts, linked_pairs
 from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion
@@ -26,6 +26,8 @@ from ttcvid.stages.road import RoadMemory, gathered_evidence
 # The scene is corrected by at most so many tracks, those of a crowded place counting less: cells of this side.
 _ENOUGH_TRACKS, _CELL = 400, 0.12
 _SCENE_STEPS = 2
+# Own speed does not fall below this part of what it was at the start of the window, so that it can rise again.
+_LEAST_SPEED = 0.1
 # A rate above so many of its standard deviations is no standstill.
 _MOVES_SIGMAS = 3.0
 # Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
@@ -117,6 +119,7 @@ def find_bodies(
     scene = _scene(
         history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, key, rate_hz
     )
+    scene, rate_hz = with_unit_speed(scene, views.since_s, rate_hz)
     scene_fit = scene.fit(views.rays, views.sigma_norm, rate_hz, 0.0)
     rate_hz = scene_fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
@@ -184,7 +187,8 @@ def _scene(
     else:
         step = None
         if egomotion.direction is not None:
-            step = -egomotion.direction * (views.t_s[-1] - views.t_s[-2])
+            dt_s = views.t_s[-1] - views.t_s[-2]
+            step = -egomotion.direction * dt_s * max(recent_speed(before, views.t_s[:-1]), _LEAST_SPEED)
         carried = carried_forward(before, egomotion.cam_R_prev, views.t_s, step)
         # Own motion has corrected the rotations of the last frames by its own means: those are taken over.
         scene = replace(carried, cam_R_past=history.cam_R_past)
