@@ -85,6 +85,9 @@ class CollisionTimesConfig(StageConfig):
 
     estimator: Literal["multi-frame", "three-frame", "two-frame"] = "multi-frame"
     max_frames: int = Field(default=20, ge=3, le=100, description="multi-frame: most views of a track")
+    object_window_s: PositiveFloat = Field(
+        default=0.6, description="multi-frame: how far back a mover is looked at; cars brake within a second"
+    )
     window_probability: Fraction = Field(
         default=0.999, description="multi-frame: chi-square probability within which one motion explains the views"
     )

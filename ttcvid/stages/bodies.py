@@ -70,7 +70,7 @@ def recent_speed(body: Body, t_s: Floats) -> float:
     if len(body.path) < 2:
         return 1.0
     back = max(-1 - _STEADY_VIEWS, -len(body.path))
-    return float(np.linalg.norm(body.path[back])) / (t_s[-1] - t_s[back])
+    return float(np.linalg.norm(body.path[back]) / (t_s[-1] - t_s[back]))
 
 
 def with_unit_speed(body: Body, since_s: Floats, rate_hz: Floats) -> tuple[Body, Floats]:

@@ -11,6 +11,8 @@ from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.shared_path import SharedPaths
 from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
 
+# Views that count as recent, however long ago.
+_LEAST_RECENT = 4
 # Number of observations in a third difference; fewer tracks than that say nothing of what is typical.
 _DIFFERENCE_FRAMES, _LEAST_MEASURED = 4, 4
 # A track's noise is a mean over about 1 / (1 - 0.9) = 10 frames of its own, drawn towards the noise of all
@@ -107,6 +109,13 @@ class TrackHistory:
         """What is to be expected, per axis, of a rotation rate that own motion leaves in the past rays."""
         steps_s = np.diff(self.t_s)
         return ROTATION_DRIFT_RAD / float(np.median(steps_s)) if len(steps_s) else 0.0
+
+    def recent_xy(self, window_s: float) -> Floats:
+        """`xy` of the views within a time before the present one, of the last few at the least; NaN before."""
+        is_recent = self.since_s >= -window_s
+        is_recent[-_LEAST_RECENT:] = True
+        recent: Floats = np.where(is_recent[:, None, None], self.xy, np.nan)
+        return recent
 
     @property
     def since_s(self) -> Floats:

@@ -115,7 +115,7 @@ def _object_motion(
     config: CollisionTimesConfig,
 ) -> ClusterMotion:
     tracks = fit_whole_tracks(
-        history.xy[:, members],
+        history.recent_xy(config.object_window_s)[:, members],
         history.since_s,
         history.sigma_norm[members],
         None,

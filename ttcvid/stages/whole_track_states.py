@@ -85,7 +85,7 @@ def _paths(
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
     parts.append(
         fit_shared_paths(
-            history.xy,
+            history.recent_xy(config.object_window_s),
             history.since_s,
             history.sigma_norm,
             beliefs,
@@ -108,8 +108,10 @@ def _on_paths(
     """States of all N tracks; those without a path have the reason that ``motions`` gives."""
     # What the scene's tracks find is an error of own motion, taken out of all views already; an object turns itself.
     turn_rad_s = np.where(is_object[:, None], paths.turn_rad_s, 0.0)
+    on_object = np.isin(path_of, np.flatnonzero(is_object))
+    xy = np.where(on_object[None, :, None], history.recent_xy(config.object_window_s), history.xy)
     rates = fit_rates_on_paths(
-        turned_back(history.xy, history.since_s, turn_rad_s, path_of),
+        turned_back(xy, history.since_s, turn_rad_s, path_of),
         history.since_s,
         history.sigma_norm,
         paths.path,
