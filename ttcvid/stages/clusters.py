@@ -31,7 +31,8 @@ _TINY, _EXACT = 1e-24, 1e-12
 class ClusterMotion:
     """What is known of a cluster before its times: ``members`` index the frame's tracks, ``direction`` is its ``dir``.
 
-    ``horizon_offset_px`` how far off the horizon its epipole was found, before it was moved there.
+    ``horizon_offset_px`` how far off the horizon its epipole was found, before it was moved there; ``window_s`` for how
+    long its motion has been what it is.
     """
 
     cluster_id: int
@@ -41,6 +42,7 @@ class ClusterMotion:
     status: Status
     method: str
     horizon_offset_px: float | None = None
+    window_s: float = np.inf
 
 
 def scene_row(motion: ClusterMotion, xy_px: Floats, camera: Camera) -> ClusterRow:
@@ -71,7 +73,8 @@ def object_row(
     if np.isfinite(expansion_hz):
         row = replace(row, expansion_hz=float(expansion_hz))
     usable = motion.members[states.has_value[motion.members]]
-    eta_hz, sigma_hz = -states.abc_hz[usable, 2], np.sqrt(states.cov[usable, 2, 2])
+    # What the tracks have in common moves all surfaces alike, and does not make one of two.
+    eta_hz, sigma_hz = -states.abc_hz[usable, 2], states.own_sigma_c_hz[usable]
     surface = usable[nearest_surface(eta_hz, sigma_hz, xy_px[usable], link_px)]
     if not len(surface):
         has_note_only = row.status in (Status.ok, Status.epipole_at_infinity)
@@ -157,7 +160,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
 
 def _with_surface(row: ClusterRow, motion: ClusterMotion, states: TrackStates, xy_px: Floats) -> ClusterRow:
     """Add the joint state of the surface's tracks at their centroid."""
-    weight = 1.0 / np.maximum(states.cov[:, 2, 2], _TINY)
+    weight = 1.0 / np.maximum(states.own_sigma_c_hz**2, _TINY)
     weight /= weight.sum()
     ref_px = weight @ xy_px
     return replace(

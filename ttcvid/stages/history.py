@@ -110,11 +110,16 @@ class TrackHistory:
         steps_s = np.diff(self.t_s)
         return ROTATION_DRIFT_RAD / float(np.median(steps_s)) if len(steps_s) else 0.0
 
-    def recent_xy(self, window_s: float) -> Floats:
-        """`xy` of the views within a time before the present one, of the last few at the least; NaN before."""
-        is_recent = self.since_s >= -window_s
+    def xy_within(self, window_s: float | Floats) -> Floats:
+        """`xy` of the views within a time before the present one, of the last few at the least; NaN before.
+
+        Parameters
+        ----------
+        window_s : one for all, or ``(N,)`` one a track.
+        """
+        is_recent = self.since_s[:, None] >= -np.broadcast_to(window_s, (self.n_tracks,))
         is_recent[-_LEAST_RECENT:] = True
-        recent: Floats = np.where(is_recent[:, None, None], self.xy, np.nan)
+        recent: Floats = np.where(is_recent[..., None], self.xy, np.nan)
         return recent
 
     @property

@@ -10,7 +10,7 @@ from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.epipole import INFINITY_COSINE, MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import skew
 from ttcvid.geometry.shared_direction import shared_direction
-from ttcvid.geometry.whole_track import fit_whole_tracks
+from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
@@ -24,6 +24,8 @@ _LINK_PART = 0.05
 # Error of a position that no track's noise knows of, px: what lens and shutter leave with a calibrated camera, and what
 # a focal length that is off by 15 % does to a picture that turns by some degrees.
 _MODEL_ERROR_PX, _ASSUMED_CAMERA_ERROR_PX = 0.1, 0.5
+# Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
+_SURE_PART = 0.03
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
 _LOST_MISFIT = 50.0
 
@@ -114,20 +116,50 @@ def _object_motion(
     camera: Camera,
     config: CollisionTimesConfig,
 ) -> ClusterMotion:
-    tracks = fit_whole_tracks(
-        history.recent_xy(config.object_window_s)[:, members],
+    window_s, tracks = np.inf, _whole_tracks(history, members, np.inf, config)
+    direction, covariance = _direction(history, tracks)
+    recent = _whole_tracks(history, members, config.object_window_s, config)
+    if np.isfinite(direction[0]) and _is_sure(recent, direction):
+        window_s = config.object_window_s
+        direction, covariance = _direction(history, recent)
+    if not np.trace(covariance) < MAX_DIRECTION_SIGMA_RAD**2:
+        return ClusterMotion(cluster_id, members, None, None, Status.no_epipole, "whole-tracks")
+    motion = _on_plane(cluster_id, members, direction, covariance, "whole-tracks", plane, camera)
+    return replace(motion, window_s=window_s)
+
+
+def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config: CollisionTimesConfig) -> WholeTracks:
+    return fit_whole_tracks(
+        history.xy_within(window_s)[:, members],
         history.since_s,
         history.sigma_norm[members],
         None,
         config.max_frames,
         config.window_probability,
     )
-    places = np.column_stack([tracks.state[:, :2], np.ones(len(members))])
+
+
+def _direction(history: TrackHistory, tracks: WholeTracks) -> tuple[Floats, Floats]:
+    """The direction that the tracks share and its covariance, with the rotation that may be left in all of them."""
+    places = np.column_stack([tracks.state[:, :2], np.ones(len(tracks.state))])
     by_rotation = skew(places) * history.rotation_rate_sigma_rad_s
     direction, covariance, _ = shared_direction(tracks.state[:, 2:], tracks.info_w, by_rotation)
-    if not np.trace(covariance) < MAX_DIRECTION_SIGMA_RAD**2:
-        return ClusterMotion(cluster_id, members, None, None, Status.no_epipole, "whole-tracks")
-    return _on_plane(cluster_id, members, direction, covariance, "whole-tracks", plane, camera)
+    return direction, covariance
+
+
+def _is_sure(tracks: WholeTracks, direction: Floats) -> bool:
+    """Whether the tracks tell the mover's rate well enough, all together and apart from what errs in common."""
+    rate_hz, information = _along(tracks, direction)
+    known = np.isfinite(rate_hz)
+    return float(np.sum(information[known] * rate_hz[known] ** 2)) > _SURE_PART**-2
+
+
+def _along(tracks: WholeTracks, direction: Floats) -> tuple[Floats, Floats]:
+    """Rate of each track along a direction, 1/s, and the information on it, s^2: (N,) each."""
+    pull = tracks.info_w @ direction
+    information = pull @ direction
+    rate = np.einsum("ni,ni->n", pull, tracks.state[:, 2:]) / np.where(information > 0.0, information, np.nan)
+    return rate, information
 
 
 def _scene_motion(

@@ -79,6 +79,16 @@ class TrackStates:
     shared: SharedErrors | None = None
 
     @property
+    def own_sigma_c_hz(self) -> Floats:
+        """Standard deviation of c by the noise of each track's own views: (N,) 1/s."""
+        own_hz: Floats = np.sqrt(self.cov[:, 2, 2])
+        if self.shared is not None:
+            on_path = self.shared.path_of >= 0
+            along_z = self.shared.along[self.shared.path_of[on_path], 2]
+            own_hz[on_path] = np.sqrt(self.shared.rate_variance[on_path]) * np.abs(along_z)
+        return own_hz
+
+    @property
     def has_value(self) -> Bools:
         """Tracks with a result: (N,)."""
         return np.isin(self.status, [Status.ok, Status.epipole_at_infinity])
