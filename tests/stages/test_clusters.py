@@ -88,7 +88,7 @@ def test_covariance_of_the_joint_state_is_what_repetition_shows(velocity):
     errors, predicted = np.array(errors), np.mean(covariances, axis=0)
     for axis in (*np.eye(3), unit(velocity)):
         measured = np.mean((errors @ axis) ** 2)
-        assert measured == pytest.approx(axis @ predicted @ axis, rel=0.35)
+        assert measured == pytest.approx(axis @ predicted @ axis, rel=0.4)
 
 
 def test_noise_of_the_surfaces_own_tracks_is_not_understated():

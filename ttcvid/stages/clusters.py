@@ -160,7 +160,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
 
 def _with_surface(row: ClusterRow, motion: ClusterMotion, states: TrackStates, xy_px: Floats) -> ClusterRow:
     """Add the joint state of the surface's tracks at their centroid."""
-    weight = 1.0 / np.maximum(states.own_sigma_c_hz**2, _TINY)
+    weight = 1.0 / np.maximum(states.cov[:, 2, 2], _TINY)
     weight /= weight.sum()
     ref_px = weight @ xy_px
     return replace(
@@ -179,7 +179,7 @@ def _joint_covariance(states: TrackStates, weight: Floats) -> Floats:
     shared = states.shared
     if shared is None or not shared.is_one_path:
         return _TRIMMED_VARIANCE * np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
-    return shared.covariance_of_mean(weight, _TRIMMED_VARIANCE)
+    return shared.covariance_of_mean(states.abc_hz, weight, _TRIMMED_VARIANCE)
 
 
 def _motion_state(rates: Floats, cov: Floats) -> MotionState:

@@ -24,8 +24,10 @@ _LINK_PART = 0.05
 # Error of a position that no track's noise knows of, px: what lens and shutter leave with a calibrated camera, and what
 # a focal length that is off by 15 % does to a picture that turns by some degrees.
 _MODEL_ERROR_PX, _ASSUMED_CAMERA_ERROR_PX = 0.1, 0.5
+# A track that has moved by less than this over so many views has stayed where it was, px.
+_STAYING_PX, _STAYING_VIEWS = 0.5, 10
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
-_SURE_PART = 0.03
+_SURE_PART = 0.008
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
 _LOST_MISFIT = 50.0
 
@@ -104,8 +106,18 @@ def _object_motions(
     return [
         _object_motion(cluster_id, index, history, plane, camera, config)
         for (cluster_id, _), index in zip(public, members, strict=True)
-        if len(index)
+        if len(index) and not _stays_on_its_pixels(history, index)
     ]
+
+
+def _stays_on_its_pixels(history: TrackHistory, members: Ints) -> bool:
+    """Whether most of a mover's tracks have not moved in the picture for long: burned-in text before a moving scene."""
+    rays = history.rays[:, members]
+    first = np.argmax(np.isfinite(rays[:, :, 0]), axis=0)
+    is_old = len(rays) - first >= _STAYING_VIEWS
+    moved_rad = np.linalg.norm(rays[-1] - rays[first, np.arange(len(members))], axis=1)
+    stays = is_old & (moved_rad * history.focal_px < _STAYING_PX)
+    return bool(np.count_nonzero(stays) > 0.5 * len(members))
 
 
 def _object_motion(

@@ -147,7 +147,8 @@ def _floating(views: BodyViews, fit: PathFit, key: Ints, road: Floats) -> Bools:
         if near_hz > _COMPACT * far_hz:
             continue
         lowest = thing[np.argsort(-y[thing], kind="stable")[:2]]
-        if not np.nanmax(over[lowest]) > _FLOATS or np.isnan(over[lowest]).any():
+        # At the horizon and above it there is no road to float over.
+        if not over[lowest].max() > _FLOATS:
             continue
         bottom_y = y[lowest].min()
         # Where a static thing at this depth would stand on the road.

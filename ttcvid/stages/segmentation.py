@@ -36,7 +36,7 @@ _WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3,
 # The habit and the scene's bonus count for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # Two bodies, or two parts of one, are one where their rates differ by less than this factor.
-_ONE_RATE = 1.3
+_ONE_RATE = 1.5
 # Two movers are one where one motion explains both at most this much worse than two, misfits below 1 being 1; before
 # that is tried, the motion of the larger has to explain the smaller within this factor.
 _MERGED_MISFIT, _WORTH_TRYING = 2.0, 8.0

@@ -28,7 +28,8 @@ class SharedErrors:
 
     ``path_of (N,)`` the path of each track, negative for none; ``along (K, 3)`` the direction in which the noise of a
     track's own views counts, with ``rate_variance (N,)``, 1/s^2; ``jacobian (N, 3, 9)`` of (a, b, c) by the shared
-    unknowns, in the order of `geometry.shared_path`, and their covariance ``cov (K, 9, 9)``.
+    unknowns, in the order of `geometry.shared_path`, and their covariance ``cov (K, 9, 9)``; ``change (K,)`` by what
+    part the speed along each path may change soon.
     """
 
     path_of: Ints
@@ -36,6 +37,7 @@ class SharedErrors:
     rate_variance: Floats
     jacobian: Floats
     cov: Floats
+    change: Floats
 
     def take(self, index: Ints) -> SharedErrors:
         """The tracks that an index array picks."""
@@ -51,15 +53,17 @@ class SharedErrors:
         """Whether all tracks are on one path."""
         return bool(self.path_of[0] >= 0 and np.all(self.path_of == self.path_of[0]))
 
-    def covariance_of_mean(self, weight: Floats, own_factor: float) -> Floats:
-        """Covariance (3, 3) of the weighted mean of (a, b, c) of tracks of one path.
+    def covariance_of_mean(self, abc_hz: Floats, weight: Floats, own_factor: float) -> Floats:
+        """Covariance (3, 3) of the weighted mean of ``abc_hz (N, 3)`` of tracks of one path.
 
         Noise of their own averages out, up to ``own_factor``; what they share does not.
         """
         number = self.path_of[0]
         mean = np.einsum("n,nij->ij", weight, self.jacobian)
         own = own_factor * float(weight**2 @ self.rate_variance)
-        return np.asarray(own * np.outer(self.along[number], self.along[number]) + mean @ self.cov[number] @ mean.T)
+        changed = self.change[number] * (weight @ abc_hz)
+        along = self.along[number]
+        return np.asarray(own * np.outer(along, along) + mean @ self.cov[number] @ mean.T + np.outer(changed, changed))
 
 
 @dataclass(frozen=True)
@@ -174,7 +178,9 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     shared_cov = np.zeros((len(first), N_SHARED, N_SHARED))
     shared_cov[:, :3, :3], shared_cov[:, 6:, 6:] = direction_cov[first], np.eye(3)
     path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
-    return replace(states, shared=SharedErrors(path_of, direction[first], own, jacobian, shared_cov))
+    return replace(
+        states, shared=SharedErrors(path_of, direction[first], own, jacobian, shared_cov, np.zeros(len(first)))
+    )
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:

@@ -34,9 +34,9 @@ _BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(0.3))
 _OBJECT_BEND_HZ = 0.2
 # A car turns itself by some deg/s.
 _OBJECT_TURN_RAD_S = 0.02
-# A time takes the velocity as lasting. Where it was seen to change, it is uncertain by what it changes in so long, s: on
-# the lead car of kitti_sfnd_ttc, whose brakes come and go, 90 % intervals hold then in about 80 % of the frames.
-_LASTING_S = 0.5
+# A time takes the velocity as lasting. Where it was seen to change, it is uncertain by what it changes in so long, s:
+# on the lead car of kitti_sfnd_ttc, whose brakes come and go, 90 % intervals hold then in about 80 % of the frames.
+_LASTING_S = 0.4
 # What a velocity may change by, over itself, without being seen to: 0.5 m/s^2 at 5 m/s.
 _UNSEEN_BEND_HZ = 0.1
 
@@ -131,7 +131,8 @@ def _on_paths(
     shared_cov, rate_cov = _with_model_errors(paths, path_of, rates)
     rates = replace(rates, cov=rate_cov)
     abc_hz, cov, jacobian = velocities_on_paths(rates, path_of, paths.direction, turn_rad_s, is_object, shared_cov)
-    shared = SharedErrors(path_of, paths.direction, rates.cov[:, 2, 2], jacobian, shared_cov)
+    no_change = np.zeros(len(paths.direction))
+    shared = SharedErrors(path_of, paths.direction, rates.cov[:, 2, 2], jacobian, shared_cov, no_change)
     has_path = path_of != NO_PATH
     # Along its path: how sure it is that a track moves at all, and forwards.
     along = np.full((history.n_tracks, 3), np.nan)
@@ -159,12 +160,11 @@ def _on_paths(
     ).astype(np.int64)
     # Times take the velocity as lasting: where it was seen to change, they are uncertain by what it changes in a while.
     # Whether and where to a thing moves now is as sure as before.
-    change = _LASTING_S * paths.bend_hz
-    lasting_cov = shared_cov.copy()
-    along_cov = paths.direction[:, :, None] * paths.direction[:, None, :] * is_object[:, None, None]
-    lasting_cov[:, :3, :3] += change[:, :, None] * change[:, None, :] + (_LASTING_S * _UNSEEN_BEND_HZ) ** 2 * along_cov
-    _, cov, _ = velocities_on_paths(rates, path_of, paths.direction, turn_rad_s, is_object, lasting_cov)
-    shared = replace(shared, cov=lasting_cov)
+    bend_hz = np.einsum("ki,ki->k", paths.bend_hz, paths.direction)
+    change = np.where(is_object, _LASTING_S * np.hypot(bend_hz, _UNSEEN_BEND_HZ), 0.0)
+    shared = replace(shared, change=change)
+    of_track = np.where(has_path, change[np.maximum(path_of, 0)], 0.0) if len(change) else np.zeros(len(path_of))
+    cov = cov + of_track[:, None, None] ** 2 * abc_hz[:, :, None] * abc_hz[:, None, :]
     states = TrackStates(history.xy[-1], abc_hz, cov, history.sigma_norm, direction, status, shared)
     return states.replaced(np.arange(len(status)), abc_hz, cov, direction, status)
 
