@@ -354,7 +354,7 @@ def _split(
             if counts[number] < config.min_tracks:
                 break
             key[own[label == number]] = next_key
-            all_movers.append(Mover(next_key, None, mover.n_found, 0, mover.body))
+            all_movers.append(Mover(next_key, None, 1, 0, mover.body))
             next_key += 1
     return key, all_movers, next_key
 
