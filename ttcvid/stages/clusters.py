@@ -23,6 +23,8 @@ _SIGMAS_95_OF_TWO = 2.45
 _SAME_DIRECTION_CHI2 = 9.21
 # Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
 _TRIMMED_VARIANCE = 1.35
+# The parts of a car's front lie in depths that differ by this (standard deviation, as a part of the distance).
+_RELIEF = 0.025
 # Least variance of a rate, 1/s^2, and noise of a point that is exact by definition.
 _TINY, _EXACT = 1e-24, 1e-12
 
@@ -73,8 +75,9 @@ def object_row(
     if np.isfinite(expansion_hz):
         row = replace(row, expansion_hz=float(expansion_hz))
     usable = motion.members[states.has_value[motion.members]]
-    # What the tracks have in common moves all surfaces alike, and does not make one of two.
-    eta_hz, sigma_hz = -states.abc_hz[usable, 2], states.own_sigma_c_hz[usable]
+    # What the tracks have in common moves all surfaces alike, and does not make one of two; but no surface is flat.
+    eta_hz = -states.abc_hz[usable, 2]
+    sigma_hz = np.hypot(states.own_sigma_c_hz[usable], _RELIEF * eta_hz)
     surface = usable[nearest_surface(eta_hz, sigma_hz, xy_px[usable], link_px)]
     if not len(surface):
         has_note_only = row.status in (Status.ok, Status.epipole_at_infinity)
