@@ -61,11 +61,10 @@ class TrackingConfig(StageConfig):
 
 
 class EgomotionConfig(StageConfig):
-    """Priors and gates of own rotation and translation."""
+    """Priors of own rotation and translation."""
 
     platform: Platform = Platform.free
     min_tracks: int = Field(default=12, ge=5, description="fewer tracks than this give the status few_tracks")
-    gate_probability: Fraction = Field(default=0.99, description="chi-square probability of the gate of the scene")
 
 
 class BodiesConfig(StageConfig):

@@ -23,7 +23,8 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.road import RoadMemory, gathered_evidence
 
-# The scene is corrected by at most so many tracks, those of a crowded place counting less: cells of this side.
+# Of twice as many tracks and more, only a part corrects the scene; those of a crowded place count less: cells of this
+# side, in units of the focal length.
 _ENOUGH_TRACKS, _CELL = 400, 0.12
 _SCENE_STEPS = 2
 # Own speed does not fall below this part of what it was at the start of the window, so that it can rise again.
@@ -269,17 +270,17 @@ def _assigned(views: BodyViews, movers: list[Mover], key: Ints, n_views: Ints, m
 
 
 def _kept(key: Ints, movers: list[Mover], config: BodiesConfig) -> tuple[Ints, list[Mover]]:
-    """Movers that still have tracks; those that lost them wait for a while, and their last tracks go to the scene."""
+    """Movers that still have tracks; those with a last one or two wait for a while, then these go to the scene."""
     key, kept = key.copy(), []
     for mover in movers:
         own = key == mover.key
         if np.count_nonzero(own) >= min(3, config.min_tracks):
             kept.append(replace(mover, n_found=mover.n_found + 1, n_missed=0))
             continue
-        key[own] = SCENE_CLUSTER
-        if mover.n_missed < config.forget_frames and own.any():
-            key[own] = mover.key
+        if own.any() and mover.n_missed < config.forget_frames:
             kept.append(replace(mover, n_missed=mover.n_missed + 1))
+        else:
+            key[own] = SCENE_CLUSTER
     return key, kept
 
 
