@@ -196,7 +196,7 @@ def test_an_unreadable_clip_is_an_error_of_that_clip_only(clip, baselines, ran, 
     ("damage", "reason"),
     [
         (lambda path: path.unlink(), "there is no such baseline yet: write it with 'ttcvid regress --update'"),
-        (lambda path: path.write_text(path.read_text()[:3000]), "cannot be read as a baseline"),
+        (lambda path: path.write_text(path.read_text()[: -len("...\n")]), "is not whole"),
         (lambda path: path.write_text("a: [1"), "cannot be read as a baseline"),
         (lambda path: path.write_text("name: something else\n"), "is no baseline"),
         (

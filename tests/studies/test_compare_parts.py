@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ttcvid.errors import NotComparableError
 from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
 from ttcvid.jobs.result_tables import in_ordinary_types
 from ttcvid.schema import TABLES
@@ -366,6 +367,17 @@ def test_a_baseline_keeps_few_rows_and_is_read_as_it_was_written(tmp_path):
     assert read.clock.frame.tolist() == result.clock.frame.tolist()
     assert baseline_text(read) == path.read_text()
     assert different(read, result) == ([], [])
+
+
+def test_a_baseline_that_is_cut_off_anywhere_is_refused(tmp_path):
+    text = baseline_text(thinned(whole_result(), ObjectTolerance()))
+    ends_of_rows = [place + 1 for place, letter in enumerate(text) if letter == "\n"]
+    path = tmp_path / "baseline.yaml"
+    reasons = r"is not whole|cannot be read as a baseline|is no baseline|schema"
+    for length in [0, *range(1, len(text), len(text) // 25), *ends_of_rows[5:-1:12], ends_of_rows[-2], len(text) - 1]:
+        path.write_text(text[:length])
+        with pytest.raises(NotComparableError, match=reasons):
+            read_baseline(path)
 
 
 @pytest.mark.parametrize(

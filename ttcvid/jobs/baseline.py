@@ -21,6 +21,8 @@ from ttcvid.studies.compare_thinned import COLUMNS
 
 FORMAT = "ttcvid-baseline"
 HEAD = "# A baseline, written by 'ttcvid regress --update'. To hold a run against it: ttcvid compare THIS_FILE RUN\n"
+END = "..."
+"""The last line: YAML's end of a document. A file cut off anywhere, also behind a whole row, has none."""
 REMEDY = "write it again with 'ttcvid regress --update'"
 TICKS = 20
 """Parts of a frame interval: times of frames that are not in the tables are kept to one of them."""
@@ -39,7 +41,7 @@ def baseline_text(results: Results) -> str:
         "clock": _clock_as_text(results.clock),
         "tables": {name: _Block(_as_csv(results.tables[name][list(COLUMNS[name])])) for name in COLUMNS},
     }
-    return HEAD + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
+    return HEAD + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True, explicit_end=True)
 
 
 def write_baseline(path: Path, text: str) -> None:
@@ -56,7 +58,8 @@ def read_baseline(path: Path) -> Results:
     if not path.exists():
         raise NotComparableError(f"{path}: there is no such baseline yet: write it with 'ttcvid regress --update'")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        content = yaml.safe_load(text)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())
         raise NotComparableError(f"{path}: cannot be read as a baseline ({reason}): {REMEDY}") from None
@@ -65,6 +68,8 @@ def read_baseline(path: Path) -> Results:
     if content.get("schema_version") != SCHEMA_VERSION:
         found = content.get("schema_version")
         raise NotComparableError(f"{path}: schema version {found}, expected {SCHEMA_VERSION}: {REMEDY}")
+    if not text.endswith(f"\n{END}\n"):
+        raise NotComparableError(f"{path}: is not whole (its last line is not {END!r}): {REMEDY}")
     try:
         clock = _clock_from_text(content["clock"])
         tables = {name: _from_csv(content["tables"][name], name, clock) for name in TABLES}
