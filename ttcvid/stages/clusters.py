@@ -74,7 +74,7 @@ def object_row(
     expansion_hz, _ = expansion_rate(first[motion.members], second[motion.members], gap_s)
     if np.isfinite(expansion_hz):
         row = replace(row, expansion_hz=float(expansion_hz))
-    usable = motion.members[states.has_value[motion.members]]
+    usable = motion.members[states.is_measured[motion.members]]
     # What the tracks have in common moves all surfaces alike, and does not make one of two; but no surface is flat.
     eta_hz = -states.abc_hz[usable, 2]
     sigma_hz = np.hypot(states.own_sigma_c_hz[usable], _RELIEF * eta_hz)

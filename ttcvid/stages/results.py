@@ -16,6 +16,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
+from ttcvid.stages.approach import CommonViews, with_seen_motion
 from ttcvid.stages.clusters import motion_ids, neighbours_in_cluster, object_row, ranked, scene_row, with_times
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
@@ -61,7 +62,8 @@ def cluster_rows(
     history: TrackHistory, motions: FrameMotions, states: TrackStates, camera: Camera
 ) -> tuple[ClusterRow, ...]:
     """Rows of the scene and of all objects, ascending in ``cluster_id``."""
-    common = _common_rays(history)
+    views = _common_views(history)
+    common = views.first, views.now, views.gap_s
     numbers = motion_ids(motions.clusters)
     rows = [
         scene_row(motion, history.xy_px, camera)
@@ -69,7 +71,9 @@ def cluster_rows(
         else object_row(motion, number, states, history.xy_px, camera, motions.link_px, common)
         for motion, number in zip(motions.clusters, numbers, strict=True)
     ]
-    return tuple(ranked(with_times(rows, camera)))
+    rows = with_times(rows, camera)
+    members = [motion.members for motion in motions.clusters]
+    return tuple(ranked(with_seen_motion(rows, members, views, _age_s(history), camera)))
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
@@ -105,7 +109,13 @@ def _with_expansions(history: TrackHistory, motions: FrameMotions, states: Track
     return with_constant_bearing(states, history, neighbours, gap, asks)
 
 
-def _common_rays(history: TrackHistory) -> tuple[Floats, Floats, float]:
-    """Rays of all tracks a common gap ago and now, and the gap in s."""
+def _common_views(history: TrackHistory) -> CommonViews:
+    """All tracks a common gap ago and now."""
     gap = min(_EXPANSION_FRAMES, len(history.frame) - 1)
-    return history.derotated(-1 - gap), history.rays[-1], float(history.t_s[-1] - history.t_s[-1 - gap])
+    return CommonViews(history.derotated(-1 - gap), history.rays[-1], float(history.t_s[-1] - history.t_s[-1 - gap]))
+
+
+def _age_s(history: TrackHistory) -> Floats:
+    """For how long each track has been seen, (N,) s, as far as the history goes back."""
+    oldest = np.argmax(np.isfinite(history.rays[:, :, 0]), axis=0)
+    return np.asarray(-history.since_s[oldest])

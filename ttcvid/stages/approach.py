@@ -1,0 +1,92 @@
+"""Whether an object comes nearer or goes away beyond what matching errs by, and whether its picture grows or shrinks.
+
+A state says what the paths of the tracks are best explained by. Where nothing moves, that is what their errors are best
+explained by, and these are not independent: they drift, together and in one direction. At a red light each of three
+hundred tracks of a resting car has a rate of its own, their mean is fifty times as sure as any of them, and wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.expansion import expansion_rate
+from ttcvid.model import Camera, ClusterRow, Floats, Ints, MotionState
+
+# Nearer and farther are told at 99 % (one side): there are ten objects in a frame.
+_SIGMAS_99 = 2.326
+# A growth of the picture is contradicted, or sure, at 95 % (one side).
+_SIGMAS_95 = 1.645
+# Tracks drift together by a part of a pixel, as standard deviation at the outline of their object, px; over this time
+# at the most, s, since a longer look is not less wrong.
+_COMMON_ERROR_PX, _DRIFT_S = 0.25, 0.6
+_APPROACHING = (MotionState.approaching, MotionState.constant_bearing)
+
+
+@dataclass(frozen=True)
+class CommonViews:
+    """Rays of all N tracks a common gap ago and now, ``(N, 3)`` each, NaN where not seen, and that gap in s."""
+
+    first: Floats
+    now: Floats
+    gap_s: float
+
+
+def with_seen_motion(
+    rows: list[ClusterRow], members: list[Ints], views: CommonViews, age_s: Floats, camera: Camera
+) -> list[ClusterRow]:
+    """The same rows; what is said to approach or recede without its picture showing it is not said to.
+
+    Parameters
+    ----------
+    members : tracks of each row.
+    age_s : (N,) for how long each track has been seen.
+    """
+    return [
+        replace(row, motion_state=_seen(row, views, index, age_s, camera)) if row.state_abc_hz is not None else row
+        for row, index in zip(rows, members, strict=True)
+    ]
+
+
+def _seen(row: ClusterRow, views: CommonViews, members: Ints, age_s: Floats, camera: Camera) -> MotionState:
+    state = row.motion_state
+    if state not in (*_APPROACHING, MotionState.receding):
+        return state
+    nearer_hz, sigma_hz = _radial_rate(row, camera)
+    radius_px = _radius_px(views.now[members], camera)
+    if radius_px > 0.0:
+        looked_s = min(float(np.median(age_s[members])), _DRIFT_S)
+        sigma_hz = np.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * max(looked_s, views.gap_s)))
+    if abs(nearer_hz) < _SIGMAS_99 * sigma_hz:
+        return MotionState.no_relative_motion if state == MotionState.constant_bearing else MotionState.unknown
+    return MotionState.unknown if _is_contradicted(row, views, members, radius_px, camera) else state
+
+
+def _radial_rate(row: ClusterRow, camera: Camera) -> tuple[float, float]:
+    """Rate at which the distance shrinks, over itself, and its standard deviation, 1/s."""
+    ray = rays_from_pixels(camera, np.array([row.ref_px]))[0]
+    along = ray / (ray @ ray)
+    return -float(along @ np.asarray(row.state_abc_hz)), float(np.sqrt(along @ np.asarray(row.state_cov) @ along))
+
+
+def _radius_px(rays: Floats, camera: Camera) -> float:
+    """Root mean square distance of the tracks from their centre, px."""
+    xy = rays[:, :2] / rays[:, 2:]
+    return camera.fx_px * float(np.sqrt(np.mean(np.sum((xy - xy.mean(axis=0)) ** 2, axis=1))))
+
+
+def _is_contradicted(row: ClusterRow, views: CommonViews, members: Ints, radius_px: float, camera: Camera) -> bool:
+    """Whether the picture of an object that is said to come nearer (go away) surely grows (shrinks) too little.
+
+    The distances between its own points are blind to rotation, which the paths are not.
+    """
+    grows_hz, sigma_hz = (float(v) for v in expansion_rate(views.first[members], views.now[members], views.gap_s))
+    if not (np.isfinite(grows_hz) and np.isfinite(sigma_hz) and radius_px > 0.0):
+        return False
+    sigma_hz = float(np.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * views.gap_s)))
+    said_hz, said_sigma_hz = -float(np.asarray(row.state_abc_hz)[2]), float(np.sqrt(np.asarray(row.state_cov)[2, 2]))
+    side = 1.0 if row.motion_state in _APPROACHING else -1.0
+    is_seen = side * grows_hz > _SIGMAS_95 * sigma_hz
+    return not is_seen and side * (said_hz - grows_hz) > _SIGMAS_95 * np.hypot(sigma_hz, said_sigma_hz)
