@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_direction import shared_direction
+from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import fit_whole_tracks
 
 DIRECTIONS = [(0.0, 0.0, -1.0), (0.3, 0.0, -1.0), (1.0, 0.0, 0.0), (-0.7, 0.1, 0.1), (0.0, -0.2, 1.0)]
@@ -21,6 +21,13 @@ def informations(n, rng):
 def noisy(velocity_hz, info, rng):
     noise = np.linalg.solve(np.swapaxes(np.linalg.cholesky(info), 1, 2), rng.normal(size=(*velocity_hz.shape, 1)))
     return velocity_hz + noise[..., 0]
+
+
+def shared_direction(velocity_hz, info, by_shared=None):
+    """The direction of one thing that all points belong to."""
+    thing = np.zeros(len(velocity_hz), dtype=np.int64)
+    direction, covariance, chi2 = shared_directions(velocity_hz, info, thing, 1, by_shared)
+    return direction[0], covariance[0], chi2
 
 
 def off(found, direction):
@@ -118,6 +125,21 @@ def test_order_does_not_matter_and_turning_the_world_turns_the_result(seed):
         np.testing.assert_allclose(other[0], expected, atol=1e-5)
         np.testing.assert_allclose(other[1], cov, rtol=1e-3, atol=1e-3 * np.abs(cov).max())
         np.testing.assert_allclose(other[2], values, rtol=1e-2, atol=1e-2)
+
+
+def test_each_of_several_things_gets_what_it_would_get_alone():
+    rng = np.random.default_rng(8)
+    thing, info, by_shared = rng.integers(0, 3, 30), informations(30, rng), rng.normal(size=(30, 3, 2))
+    velocity_hz = noisy(normalize(rng.normal(size=(3, 3)))[thing], info, rng)
+    directions, covariances, chi2 = shared_directions(velocity_hz, info, thing, 4, by_shared)
+    for number in range(3):
+        own = thing == number
+        found, covariance, own_chi2 = shared_direction(velocity_hz[own], info[own], by_shared[own])
+        np.testing.assert_array_equal(directions[number], found)
+        np.testing.assert_array_equal(covariances[number], covariance)
+        np.testing.assert_array_equal(chi2[own], own_chi2)
+    assert np.isnan(directions[3]).all()
+    assert np.isnan(covariances[3]).all()
 
 
 def test_points_that_say_nothing_are_left_out():

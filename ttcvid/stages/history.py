@@ -110,6 +110,11 @@ class TrackHistory:
         steps_s = np.diff(self.t_s)
         return ROTATION_DRIFT_RAD / float(np.median(steps_s)) if len(steps_s) else 0.0
 
+    def first_within(self, window_s: float) -> int:
+        """The first of the views within a time before the present one, and of the last few in any case."""
+        first = int(np.searchsorted(self.since_s, -window_s))
+        return max(0, min(first, len(self.frame) - _LEAST_RECENT))
+
     def xy_within(self, window_s: float | Floats) -> Floats:
         """`xy` of the views within a time before the present one, of the last few at the least; NaN before.
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.epipole import INFINITY_COSINE, MAX_DIRECTION_SIGMA_RAD
-from ttcvid.geometry.rotation import skew
-from ttcvid.geometry.shared_direction import shared_direction
+from ttcvid.geometry.rotation import skew, turned_into_plane
+from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
@@ -101,49 +101,69 @@ def _object_motions(
     config: CollisionTimesConfig,
 ) -> list[ClusterMotion]:
     """The movers that have a public number, each with the direction that the whole tracks of its points share."""
-    public = sorted((m.cluster_id, m.key) for m in found.movers.values() if m.cluster_id is not None)
-    members = [np.flatnonzero((found.key == key) & is_free) for _, key in public]
-    return [
-        _object_motion(cluster_id, index, history, plane, camera, config)
-        for (cluster_id, _), index in zip(public, members, strict=True)
-        if len(index) and not _stays_on_its_pixels(history, index)
-    ]
+    cluster_id = np.zeros(int(found.key.max(initial=0)) + 1, dtype=np.int64)
+    for mover in found.movers.values():
+        if mover.cluster_id is not None and mover.key < len(cluster_id):
+            cluster_id[mover.key] = mover.cluster_id
+    own_id = cluster_id[found.key]
+    members = np.flatnonzero((own_id > 0) & is_free)
+    public, thing = np.unique(own_id[members], return_inverse=True)
+    stays = _share(_stays_on_its_pixels(history, members), thing, len(public)) > 0.5
+    window_s, direction, covariance = _directions(history, members, thing, len(public), config)
+    motions = []
+    for number in np.flatnonzero(~stays):
+        index = members[thing == number]
+        if np.trace(covariance[number]) < MAX_DIRECTION_SIGMA_RAD**2:
+            motion = _on_plane(
+                int(public[number]), index, direction[number], covariance[number], "whole-tracks", plane, camera
+            )
+            motions.append(replace(motion, window_s=float(window_s[number])))
+        else:
+            motions.append(ClusterMotion(int(public[number]), index, None, None, Status.no_epipole, "whole-tracks"))
+    return motions
 
 
-def _stays_on_its_pixels(history: TrackHistory, members: Ints) -> bool:
-    """Whether most of a mover's tracks have not moved in the picture for long: burned-in text before a moving scene."""
+def _share(is_one: Bools, thing: Ints, n_things: int) -> Floats:
+    """The part of each thing's tracks that is one: (K,)."""
+    return np.asarray(np.bincount(thing, is_one, n_things) / np.bincount(thing, minlength=n_things))
+
+
+def _stays_on_its_pixels(history: TrackHistory, members: Ints) -> Bools:
+    """Tracks that have not moved in the picture for long, (M,): a mover of them is burned-in text before a scene."""
     rays = history.rays[:, members]
     first = np.argmax(np.isfinite(rays[:, :, 0]), axis=0)
     is_old = len(rays) - first >= _STAYING_VIEWS
     moved_rad = np.linalg.norm(rays[-1] - rays[first, np.arange(len(members))], axis=1)
-    stays = is_old & (moved_rad * history.focal_px < _STAYING_PX)
-    return bool(np.count_nonzero(stays) > 0.5 * len(members))
+    return np.asarray(is_old & (moved_rad * history.focal_px < _STAYING_PX))
 
 
-def _object_motion(
-    cluster_id: int,
-    members: Ints,
-    history: TrackHistory,
-    plane: HorizonPlane | None,
-    camera: Camera,
-    config: CollisionTimesConfig,
-) -> ClusterMotion:
-    window_s, tracks = np.inf, _whole_tracks(history, members, np.inf, config)
-    direction, covariance = _direction(history, tracks)
-    recent = _whole_tracks(history, members, config.object_window_s, config)
-    if np.isfinite(direction[0]) and _is_sure(recent, direction):
-        window_s = config.object_window_s
-        direction, covariance = _direction(history, recent)
-    if not np.trace(covariance) < MAX_DIRECTION_SIGMA_RAD**2:
-        return ClusterMotion(cluster_id, members, None, None, Status.no_epipole, "whole-tracks")
-    motion = _on_plane(cluster_id, members, direction, covariance, "whole-tracks", plane, camera)
-    return replace(motion, window_s=window_s)
+def _directions(
+    history: TrackHistory, members: Ints, thing: Ints, n_things: int, config: CollisionTimesConfig
+) -> tuple[Floats, Floats, Floats]:
+    """How far back each of K things is looked at, s, its direction and covariance: (K,), (K, 3), (K, 3, 3).
+
+    Parameters
+    ----------
+    members, thing : (M,) tracks, and which thing each belongs to.
+    """
+    tracks = _whole_tracks(history, members, config.object_window_s, config)
+    direction, covariance = _shared_directions(history, tracks, thing, n_things)
+    is_sure = _are_sure(tracks, direction, thing)
+    window_s = np.where(is_sure, config.object_window_s, np.inf)
+    if not is_sure.all():
+        unsure = np.flatnonzero(~is_sure[thing])
+        tracks = _whole_tracks(history, members[unsure], np.inf, config)
+        by_all, covariance_by_all = _shared_directions(history, tracks, thing[unsure], n_things)
+        direction[~is_sure], covariance[~is_sure] = by_all[~is_sure], covariance_by_all[~is_sure]
+    return window_s, direction, covariance
 
 
 def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config: CollisionTimesConfig) -> WholeTracks:
+    """The states of tracks by their views within a time before the present one."""
+    first = history.first_within(window_s)
     return fit_whole_tracks(
-        history.xy_within(window_s)[:, members],
-        history.since_s,
+        turned_into_plane(history.rays[first:, members], history.cam_R_seen[first:]),
+        history.since_s[first:],
         history.sigma_norm[members],
         None,
         config.max_frames,
@@ -151,27 +171,24 @@ def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config:
     )
 
 
-def _direction(history: TrackHistory, tracks: WholeTracks) -> tuple[Floats, Floats]:
-    """The direction that the tracks share and its covariance, with the rotation that may be left in all of them."""
+def _shared_directions(history: TrackHistory, tracks: WholeTracks, thing: Ints, n_things: int) -> tuple[Floats, Floats]:
+    """The direction of each thing and its covariance, with the rotation that may be left in all of its tracks."""
     places = np.column_stack([tracks.state[:, :2], np.ones(len(tracks.state))])
     by_rotation = skew(places) * history.rotation_rate_sigma_rad_s
-    direction, covariance, _ = shared_direction(tracks.state[:, 2:], tracks.info_w, by_rotation)
+    direction, covariance, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, n_things, by_rotation)
     return direction, covariance
 
 
-def _is_sure(tracks: WholeTracks, direction: Floats) -> bool:
-    """Whether the tracks tell the mover's rate well enough, all together and apart from what errs in common."""
-    rate_hz, information = _along(tracks, direction)
-    known = np.isfinite(rate_hz)
-    return float(np.sum(information[known] * rate_hz[known] ** 2)) > _SURE_PART**-2
-
-
-def _along(tracks: WholeTracks, direction: Floats) -> tuple[Floats, Floats]:
-    """Rate of each track along a direction, 1/s, and the information on it, s^2: (N,) each."""
-    pull = tracks.info_w @ direction
-    information = pull @ direction
-    rate = np.einsum("ni,ni->n", pull, tracks.state[:, 2:]) / np.where(information > 0.0, information, np.nan)
-    return rate, information
+def _are_sure(tracks: WholeTracks, direction: Floats, thing: Ints) -> Bools:
+    """Things (K,) whose rate their tracks tell well enough, all together and apart from what errs in common."""
+    along = direction[thing]
+    pull = (tracks.info_w @ along[:, :, None])[:, :, 0]
+    information = np.sum(pull * along, axis=1)
+    towards = np.sum(pull * tracks.state[:, 2:], axis=1)
+    # The rate of a track is towards / information.
+    known = information > 0.0
+    square = np.divide(towards**2, information, out=np.zeros(len(thing)), where=known)
+    return np.asarray(np.bincount(thing, np.nan_to_num(square), len(direction)) > _SURE_PART**-2)
 
 
 def _scene_motion(

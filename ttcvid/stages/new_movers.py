@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.shared_direction import shared_direction
+from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import fit_whole_tracks
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import Bools, Floats, Ints
@@ -50,14 +50,15 @@ def new_movers(
         return []
     xy = views.in_plane(scene, candidates)
     label = _alike_and_near(views, candidates, xy)
+    is_one = np.bincount(label)[label] >= config.min_tracks
+    xy, candidates = xy[:, is_one], candidates[is_one]
+    numbers, thing = np.unique(label[is_one], return_inverse=True)
+    tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates])
+    directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
     found = []
-    for number in np.flatnonzero(np.bincount(label) >= config.min_tracks):
-        members = candidates[label == number]
-        tracks = fit_whole_tracks(xy[:, label == number], views.since_s, views.sigma_norm[members])
-        direction, _, _ = shared_direction(tracks.state[:, 2:], tracks.info_w)
-        if not np.isfinite(direction[0]):
-            continue
-        start = Body(scene.cam_R_past, straight_path(direction, views.since_s))
+    for number in np.flatnonzero(np.isfinite(directions[:, 0])):
+        members = candidates[thing == number]
+        start = Body(scene.cam_R_past, straight_path(directions[number], views.since_s))
         body = views.refined(start, scene, members, _FIRST_STEPS)
         is_better = views.misfit(body, members) / usual_misfit < misfit[members] / config.gain
         if np.count_nonzero(is_better) >= max(config.min_tracks, len(members) // 2 + 1):
