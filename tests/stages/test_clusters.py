@@ -124,15 +124,16 @@ def test_times_of_an_object_hold_the_truth_in_nine_of_ten():
     assert in_miss >= 0.87
 
 
-def test_an_objects_time_is_that_of_its_nearest_surface():
+@pytest.mark.parametrize("velocity", [(0.3, 0.0, -5.0), (0.3, 0.0, 5.0), (5.0, 0.0, 0.0), (-5.0, 0.0, 0.5)])
+def test_an_objects_times_are_those_of_its_nearest_surface_whether_it_comes_goes_or_crosses(velocity):
     rng = np.random.default_rng(74)
     face, roof = (
         box_of_points(rng, 25, (0.5, 0.8, 10.0), (1.7, 0.6, 0.0)),
         box_of_points(rng, 40, (0.5, 0.3, 12.0), (1.6, 0.4, 1.0)),
     )
-    row = timed(row_of(np.concatenate([face, roof]), [0.3, 0.0, -5.0], 0.05, rng=rng))
+    row = timed(row_of(np.concatenate([face, roof]), np.array(velocity), 0.05, rng=rng))
     assert row.n_tracks == 65
-    assert row.times.ttc_z_s[0] == pytest.approx(2.0, rel=0.02)
+    np.testing.assert_allclose(row.state_abc_hz, np.array(velocity) / 10.0, rtol=0.02, atol=1e-3)
     assert_inside(row.ref_px, pixels(face))
 
 

@@ -75,14 +75,26 @@ def object_row(
     if np.isfinite(expansion_hz):
         row = replace(row, expansion_hz=float(expansion_hz))
     usable = motion.members[states.is_measured[motion.members]]
-    # What the tracks have in common moves all surfaces alike, and does not make one of two; but no surface is flat.
-    eta_hz = -states.abc_hz[usable, 2]
-    sigma_hz = np.hypot(states.own_sigma_c_hz[usable], _RELIEF * eta_hz)
-    surface = usable[nearest_surface(eta_hz, sigma_hz, xy_px[usable], link_px)]
+    surface = _nearest_surface(motion, states.take(usable), xy_px[usable], link_px)
     if not len(surface):
         has_note_only = row.status in (Status.ok, Status.epipole_at_infinity)
         return replace(row, status=Status.no_parallax if has_note_only else row.status)
-    return _with_surface(row, motion, states.take(surface), xy_px[surface])
+    surface = usable[surface]
+    return _with_surface(row, states.take(surface), xy_px[surface])
+
+
+def _nearest_surface(motion: ClusterMotion, states: TrackStates, xy_px: Floats, link_px: float) -> Ints:
+    """Which tracks bear the nearest surface: those with the largest rate speed / Z, whether it comes, goes or crosses.
+
+    (Of a thing that approaches, the largest rate is also the largest 1 / ttc_z. Of one that recedes it is the smallest,
+    and one that crosses has none: its tracks would make no surfaces.) What the tracks have in common moves all surfaces
+    alike, and does not make one of two; but no surface is flat.
+    """
+    if motion.direction is None or not len(xy_px):
+        return np.empty(0, dtype=np.int64)
+    rate_hz = states.abc_hz @ motion.direction
+    sigma_hz = np.hypot(states.own_sigma_along(motion.direction), _RELIEF * rate_hz)
+    return nearest_surface(rate_hz, sigma_hz, xy_px, link_px)
 
 
 def motion_ids(clusters: tuple[ClusterMotion, ...]) -> list[int]:
@@ -161,7 +173,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     return [done.get(row.cluster_id, row) for row in rows]
 
 
-def _with_surface(row: ClusterRow, motion: ClusterMotion, states: TrackStates, xy_px: Floats) -> ClusterRow:
+def _with_surface(row: ClusterRow, states: TrackStates, xy_px: Floats) -> ClusterRow:
     """Add the joint state of the surface's tracks at their centroid."""
     weight = 1.0 / np.maximum(states.cov[:, 2, 2], _TINY)
     weight /= weight.sum()

@@ -82,14 +82,13 @@ class TrackStates:
     status: Ints
     shared: SharedErrors | None = None
 
-    @property
-    def own_sigma_c_hz(self) -> Floats:
-        """Standard deviation of c by the noise of each track's own views: (N,) 1/s."""
-        own_hz: Floats = np.sqrt(self.cov[:, 2, 2])
+    def own_sigma_along(self, direction: Floats) -> Floats:
+        """Standard deviation of (a, b, c) along ``direction (3,)`` by the noise of each track's own views: (N,) 1/s."""
+        own_hz: Floats = np.sqrt(np.einsum("i,nij,j->n", direction, self.cov, direction))
         if self.shared is not None:
             on_path = self.shared.path_of >= 0
-            along_z = self.shared.along[self.shared.path_of[on_path], 2]
-            own_hz[on_path] = np.sqrt(self.shared.rate_variance[on_path]) * np.abs(along_z)
+            along = self.shared.along[self.shared.path_of[on_path]] @ direction
+            own_hz[on_path] = np.sqrt(self.shared.rate_variance[on_path]) * np.abs(along)
         return own_hz
 
     @property
