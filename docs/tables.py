@@ -37,7 +37,8 @@ _TABLES_HEAD = f"""# The five tables
 
 Each table is `NAME.parquet` in the output folder: zstd, sorted by frame and number, types fixed, schema version
 {SCHEMA_VERSION} (`{VERSION_KEY}` in the file's metadata). Every column carries its unit and its description in the
-metadata of its field. A value that does not exist is null and has a `status`
+metadata of its field. The file's metadata also say how it was made: camera, tracker, estimator, platform, and
+`estimates`: `causal`, or `smooth` with `--smooth`. A value that does not exist is null and has a `status`
 beside it: never 0, NaN or infinity.
 """
 _CONFIGURATION_HEAD = f"""# Every parameter
@@ -64,6 +65,7 @@ _ABOUT_OPTIONS = {
     "platform": "what carries the camera: expectations of its own motion",
     "estimator": "views that a time is made of",
     "tracker": "how points are followed",
+    "smooth": "directions and times from frames on both sides",
     "moving": "the camera drives (calibrate-horizon)",
     "roll_zero": "the camera stands level (calibrate-horizon)",
     "preset": "effort of the H.264 encoder",

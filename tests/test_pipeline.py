@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_clips import HEIGHT, WIDTH, approach, swaying
 
-from ttcvid.config import EgomotionConfig, PipelineConfig, TrackingConfig
+from ttcvid.config import CollisionTimesConfig, EgomotionConfig, PipelineConfig, TrackingConfig
 from ttcvid.model import Camera, Frame, FrameStatus, ImageSize, Platform, PointSet
 from ttcvid.pipeline import analyze_frames
 from ttcvid.simulate import TrackOptions, build_world, camera_of, load_scene, simulate_tracks
@@ -29,9 +29,10 @@ def scene(name, n_frames=12):
 
 
 @cache
-def table(name, n_frames=12, sigma_px=0.1, n_tracks=180):
+def table(name, n_frames=12, sigma_px=0.1, n_tracks=180, min_per_object=8):
     """Frames of point tracks of a sample scene, and its camera."""
-    tracks = simulate_tracks(scene(name, n_frames), TrackOptions(n_tracks, min_per_object=8, sigma_px=sigma_px))
+    options = TrackOptions(n_tracks, min_per_object=min_per_object, sigma_px=sigma_px)
+    tracks = simulate_tracks(scene(name, n_frames), options)
     frames = []
     for index in range(n_frames):
         here = tracks.frame == index
@@ -199,6 +200,91 @@ def test_results_do_not_wait_for_the_end_of_the_clip():
     stream = analyze_frames(iter(frames), camera, VEHICLE)
     first = [next(stream)[1] for _ in range(6)]
     assert_same(first, plain_run("crossing_collision")[:6])
+
+
+# --- estimates from both sides --------------------------------------------------------------------------------------
+
+SMOOTH = VEHICLE.model_copy(update={"collision_times": CollisionTimesConfig(smooth=True, max_frames=10)})
+CAUSAL = VEHICLE.model_copy(update={"collision_times": CollisionTimesConfig(max_frames=10)})
+
+
+@cache
+def long_runs(name):
+    """The causal results, and those from both sides."""
+    frames, camera = table(name, 30)
+    return results_of(frames, camera, CAUSAL), results_of(frames, camera, SMOOTH)
+
+
+@pytest.mark.parametrize("name", ["crossing_collision", "lead_car_brakes", "resting_six_movers"])
+def test_smoothing_changes_times_and_nothing_that_was_found_out_on_the_way(name):
+    causal, smooth = long_runs(name)
+    for one, other in zip(causal, smooth, strict=True):
+        assert (one.frame, one.t_s, one.status, one.events) == (other.frame, other.t_s, other.status, other.events)
+        np.testing.assert_array_equal(one.rotation_rad, other.rotation_rad)
+        np.testing.assert_array_equal(one.tracks.track_id, other.tracks.track_id)
+        np.testing.assert_array_equal(one.tracks.cluster_id, other.tracks.cluster_id)
+        np.testing.assert_array_equal(one.tracks.xy_px, other.tracks.xy_px)
+        assert [(row.cluster_id, row.box_px) for row in one.clusters] == [
+            (row.cluster_id, row.box_px) for row in other.clusters
+        ]
+    assert_same(causal[-1:], smooth[-1:])
+    middle = slice(8, 20)
+    changed = [
+        not np.array_equal(one.tracks.times.ttc_z_s, other.tracks.times.ttc_z_s, equal_nan=True)
+        for one, other in zip(causal[middle], smooth[middle], strict=True)
+    ]
+    assert all(changed)
+
+
+def test_smoothed_warnings_are_those_of_the_causal_analysis():
+    frames, camera = table("crossing_collision", 50, n_tracks=200, min_per_object=30)
+    causal, smooth = results_of(frames, camera, CAUSAL), results_of(frames, camera, SMOOTH)
+    assert any(result.events for result in causal)
+    assert [result.events for result in causal] == [result.events for result in smooth]
+
+
+def test_smoothed_results_wait_for_half_a_window_and_no_longer():
+    frames, camera = table("crossing_collision", 30)
+    read = []
+
+    def source():
+        for frame in frames:
+            read.append(frame.index)
+            yield frame
+
+    stream = analyze_frames(source(), camera, SMOOTH)
+    for n in range(1, 20):
+        next(stream)
+        assert len(read) == n + SMOOTH.collision_times.max_frames // 2
+
+
+def test_smoothed_results_do_not_look_over_a_cut():
+    frames, camera = table("crossing_collision")
+    n_ids = 1 + max(frame.points.track_id.max() for frame in frames)
+    again = [
+        replace(f, index=f.index + 12, t_s=f.t_s + 1.0, points=replace(f.points, track_id=f.points.track_id + n_ids))
+        for f in frames
+    ]
+    alone, both = results_of(frames, camera, SMOOTH), results_of([*frames, *again], camera, SMOOTH)
+    assert both[12].status == FrameStatus.cut
+    assert_same(alone, both[:12])
+
+
+def test_frames_without_numbers_keep_their_place_among_smoothed_ones():
+    frames, camera = table("crossing_collision", 30)
+    bad = replace(frames[5], index=99, t_s=frames[5].t_s)
+    results = results_of([*frames[:6], bad, *frames[6:]], camera, SMOOTH)
+    assert [result.frame for result in results[:8]] == [0, 1, 2, 3, 4, 5, 99, 6]
+    assert has_no_numbers(results[6])
+    # The frames before it wait for as many frames as ever, one of which gives them no view.
+    assert_same(results[7:], long_runs("crossing_collision")[1][6:])
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 3])
+def test_a_clip_shorter_than_the_wait_is_smoothed_all_the_same(n_frames):
+    frames, camera = table("crossing_collision", 12)
+    results = results_of(frames[:n_frames], camera, SMOOTH)
+    assert [result.frame for result in results] == list(range(n_frames))
 
 
 # --- what gives a status and no number ------------------------------------------------------------------------------

@@ -83,6 +83,9 @@ class CollisionTimesConfig(StageConfig):
     """Which of the estimators gives the times, and over which frames."""
 
     estimator: Literal["multi-frame", "three-frame", "two-frame"] = "multi-frame"
+    smooth: bool = Field(
+        default=False, description="multi-frame: directions and times from views on both sides of a frame"
+    )
     max_frames: int = Field(default=20, ge=3, le=100, description="multi-frame: most views of a track")
     object_window_s: PositiveFloat = Field(
         default=0.6, description="multi-frame: how far back a mover is looked at; cars brake within a second"
@@ -92,6 +95,12 @@ class CollisionTimesConfig(StageConfig):
     )
     max_gap_frames: int = Field(default=10, ge=1, le=60, description="largest frame gap of the flexible baseline")
     target_flow_px: PositiveFloat = Field(default=8.0, description="the gap grows until the flow is this long")
+
+    def contradiction(self) -> str | None:
+        """Two and three views are those of the past."""
+        if self.smooth and self.estimator != "multi-frame":
+            return f"smooth needs estimator = multi-frame, got {self.estimator}: leave one of them out"
+        return None
 
 
 class EventsConfig(StageConfig):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from ttcvid.config import PipelineConfig, TrackingConfig
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
-from ttcvid.model import Camera, Frame, FrameResult, FrameStatus, Horizon, Picture, PointSet
+from ttcvid.model import Camera, ClusterRow, Frame, FrameResult, FrameStatus, Horizon, Picture, PointSet, TrackRows
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory
 from ttcvid.stages.events import EventMemory, restarted_events, update_events
 from ttcvid.stages.frozen import FrozenMemory, find_frozen
@@ -21,6 +22,7 @@ from ttcvid.stages.own_motion import find_own_motion
 from ttcvid.stages.planar import HorizonPlane, followed_plane, horizon_plane
 from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
 from ttcvid.stages.segmentation import BodyMemory, restarted_bodies
+from ttcvid.stages.smoothing import Seen, seen_again, views_after
 from ttcvid.stages.table_points import compare_table_points
 from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
 
@@ -56,6 +58,15 @@ class TrackedFrame:
 
 
 @dataclass(frozen=True)
+class AnalyzedFrame:
+    """A frame with its result and what that rests on; None for a frame that gives no number."""
+
+    frame: Frame
+    result: FrameResult
+    seen: Seen | None
+
+
+@dataclass(frozen=True)
 class Memory:
     """Everything that is remembered from one frame to the next."""
 
@@ -88,10 +99,55 @@ def analyze_frames(
     run_ahead : like ``iter``; may run an iterator some items early in another thread (tracking ahead of geometry).
     """
     clip = Clip(camera, config, horizon_plane(camera, horizon))
-    memory = Memory(empty_history(camera, config.tracking.sigma_start_px))
-    for tracked in run_ahead(track_frames(frames, config.tracking, mask, map_ahead)):
-        result, memory = analyze_tracked(tracked, memory, clip)
-        yield tracked.frame, result
+    tracked = run_ahead(track_frames(frames, config.tracking, mask, map_ahead))
+    analyzed = _analyzed(tracked, clip)
+    for item in _smoothed(analyzed, clip) if config.collision_times.smooth else analyzed:
+        yield item.frame, item.result
+
+
+def _analyzed(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
+    """Each frame with its causal result."""
+    memory = Memory(empty_history(clip.camera, clip.config.tracking.sigma_start_px))
+    for tracked in tracked_frames:
+        result, seen, memory = analyze_tracked(tracked, memory, clip)
+        yield AnalyzedFrame(tracked.frame, result, seen)
+
+
+def _smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
+    """Each frame once the frames after it have been analysed, its directions and times estimated again with them."""
+    n_after = views_after(clip.config.collision_times.max_frames)
+    held: deque[AnalyzedFrame] = deque()
+
+    def released() -> AnalyzedFrame:
+        first = held.popleft()
+        return _estimated_again(first, [item.seen.history for item in held if item.seen is not None], clip)
+
+    for item in analyzed:
+        seen = item.seen
+        if seen is not None and any(not h.seen.is_continued_by(seen.history) for h in held if h.seen is not None):
+            while held:
+                yield released()
+        # The picture is not looked at any more.
+        held.append(replace(item, frame=replace(item.frame, grey=None)))
+        while len(held) > n_after:
+            yield released()
+    while held:
+        yield released()
+
+
+def _estimated_again(item: AnalyzedFrame, later: list[TrackHistory], clip: Clip) -> AnalyzedFrame:
+    """A frame with the rows that views on both sides give; status, own rotation and warnings stay as they were."""
+    if item.seen is None or not later:
+        return item
+    seen = seen_again(item.seen, later, clip.camera, clip.config.collision_times)
+    tracks, clusters = _rows(seen, clip)
+    result = replace(item.result, tracks=tracks, clusters=clusters, min_ttc_z_s=minimum_ttc_z_s(clusters))
+    return replace(item, result=result)
+
+
+def _rows(seen: Seen, clip: Clip) -> tuple[TrackRows, tuple[ClusterRow, ...]]:
+    states, tracks = track_rows(seen.history, seen.motions, clip.config.collision_times, seen.plane)
+    return tracks, cluster_rows(seen.history, seen.motions, states, clip.camera)
 
 
 def track_frames(
@@ -119,15 +175,15 @@ def track_frames(
         yield TrackedFrame(frame, points, status)
 
 
-def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[FrameResult, Memory]:
+def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[FrameResult, Seen | None, Memory]:
     """The geometry of one frame: own motion, bodies, times, warnings."""
     frame, points, status = tracked.frame, tracked.points, tracked.status
     dt_s = None if memory.t_s is None else frame.t_s - memory.t_s
     if status == FrameStatus.bad_dt:
-        return _empty_result(frame, dt_s, status, clip), memory
+        return _empty_result(frame, dt_s, status, clip), None, memory
     memory = replace(memory, t_s=frame.t_s)
     if status in (FrameStatus.dark, FrameStatus.duplicate):
-        return _empty_result(frame, dt_s, status, clip), memory
+        return _empty_result(frame, dt_s, status, clip), None, memory
     if status == FrameStatus.cut:
         memory = _after_cut(memory, clip)
 
@@ -149,8 +205,8 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
     motions, history, bodies = find_motions(
         history, egomotion, ~is_frozen, ~frozen.is_suspect, memory.bodies, plane, clip.camera, clip.config
     )
-    states, tracks = track_rows(history, motions, clip.config.collision_times, plane)
-    clusters = cluster_rows(history, motions, states, clip.camera)
+    seen = Seen(history, egomotion, motions, plane)
+    tracks, clusters = _rows(seen, clip)
     events, watch = update_events(memory.events, frame.index, frame.t_s, clusters, clip.camera, clip.config.events)
     result = FrameResult(
         frame=frame.index,
@@ -165,7 +221,7 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
         horizon_px=None if plane is None else plane.line_px,
         events=events,
     )
-    return result, replace(
+    memory = replace(
         memory,
         history=history,
         frozen=frozen,
@@ -175,6 +231,7 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
         scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
         plane=plane,
     )
+    return result, seen, memory
 
 
 def _after_cut(memory: Memory, clip: Clip) -> Memory:

@@ -9,6 +9,7 @@ from ttcvid.geometry.shared_path import PathBeliefs, believed_paths, fit_shared_
 from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths, straight_path
 
 T_S = -0.05 * np.arange(20.0)[::-1]
+BOTH_SIDES_S = T_S - T_S[10]
 DIRECTION = normalize(np.array([0.3, 0.02, -1.0]))
 SPEED_M_S = 6.0
 SIGMA = 0.2 / 720.0
@@ -18,30 +19,37 @@ def body(n, rng, depth_m=(12.0, 14.0)):
     return np.column_stack([rng.uniform(-3, 3, n), rng.uniform(-1, 1, n), rng.uniform(*depth_m, n)])
 
 
-def seen(position, bend_hz=(0.0, 0.0, 0.0), turn_rad_s=(0.0, 0.0, 0.0)):
+def seen(position, bend_hz=(0.0, 0.0, 0.0), turn_rad_s=(0.0, 0.0, 0.0), t_s=T_S):
     """Views of points that move along DIRECTION with an acceleration, turned about the camera."""
-    path = T_S[:, None] * DIRECTION + 0.5 * T_S[:, None] ** 2 * np.array(bend_hz)
-    turn = rotation_from_vector(T_S[:, None] * np.array(turn_rad_s))
+    path = t_s[:, None] * DIRECTION + 0.5 * t_s[:, None] ** 2 * np.array(bend_hz)
+    turn = rotation_from_vector(t_s[:, None] * np.array(turn_rad_s))
     place = np.einsum("lij,lnj->lni", turn, position + SPEED_M_S * path[:, None])
     return place[..., :2] / place[..., 2:]
 
 
-def belief(direction=DIRECTION, direction_sigma_rad=0.02, bend_hz=0.3, turn_rad_s=1e-6):
+def belief(direction=DIRECTION, direction_sigma_rad=0.02, bend_hz=0.3, turn_rad_s=1e-6, t_s=T_S):
     cov = direction_sigma_rad**2 * (np.eye(3) - np.outer(direction, direction))
-    base = straight_path(direction, T_S)
+    base = straight_path(direction, t_s)
     return PathBeliefs(base[None], direction[None], cov[None], bend_hz, bend_hz, turn_rad_s)
 
 
-def fitted(xy, beliefs, sigma=SIGMA):
+def fitted(xy, beliefs, sigma=SIGMA, t_s=T_S):
     n = xy.shape[1]
-    return fit_shared_paths(xy, T_S, np.full(n, sigma), beliefs, np.zeros(n, np.int64))
+    return fit_shared_paths(xy, t_s, np.full(n, sigma), beliefs, np.zeros(n, np.int64))
 
 
+@pytest.mark.parametrize("t_s", [T_S, BOTH_SIDES_S], ids=["past", "both sides"])
 @pytest.mark.parametrize("bend_hz", [(0.0, 0.0, 0.0), (-0.08, 0.0, 0.25), (0.2, 0.02, 0.0)])
-def test_braking_and_turning_are_found_by_all_points_together(bend_hz):
-    found = fitted(seen(body(60, np.random.default_rng(1)), bend_hz), belief(), 1e-6)
+def test_braking_and_turning_are_found_by_all_points_together(bend_hz, t_s):
+    found = fitted(seen(body(60, np.random.default_rng(1)), bend_hz, t_s=t_s), belief(t_s=t_s), 1e-6, t_s)
     np.testing.assert_allclose(found.bend_hz[0], bend_hz, atol=2e-3)
     np.testing.assert_allclose(found.direction[0], DIRECTION, atol=1e-4)
+
+
+def test_views_on_both_sides_tell_direction_and_acceleration_better_than_those_of_the_past():
+    xy, both = (seen(body(30, np.random.default_rng(8)), t_s=t_s) for t_s in (T_S, BOTH_SIDES_S))
+    past, around = fitted(xy, belief()), fitted(both, belief(t_s=BOTH_SIDES_S), t_s=BOTH_SIDES_S)
+    assert np.trace(around.cov[0, :3, :3]) < 0.5 * np.trace(past.cov[0, :3, :3])
 
 
 def test_a_direction_that_was_believed_wrongly_is_put_right():
@@ -50,14 +58,15 @@ def test_a_direction_that_was_believed_wrongly_is_put_right():
     np.testing.assert_allclose(found.direction[0], DIRECTION, atol=2e-4)
 
 
-def test_a_rotation_left_in_the_views_is_found_and_taken_out():
+@pytest.mark.parametrize("t_s", [T_S, BOTH_SIDES_S], ids=["past", "both sides"])
+def test_a_rotation_left_in_the_views_is_found_and_taken_out(t_s):
     rng, turn = np.random.default_rng(3), np.array([0.001, 0.003, -0.002])
     position = body(80, rng, (8.0, 60.0))
-    xy = seen(position, turn_rad_s=turn)
-    found = fitted(xy, belief(turn_rad_s=0.003), 1e-6)
+    xy = seen(position, turn_rad_s=turn, t_s=t_s)
+    found = fitted(xy, belief(turn_rad_s=0.003, t_s=t_s), 1e-6, t_s)
     np.testing.assert_allclose(found.turn_rad_s[0], turn, atol=1e-4)
-    back = turned_back(xy, T_S, turn[None], np.zeros(80, np.int64))
-    np.testing.assert_allclose(back, seen(position), atol=1e-12)
+    back = turned_back(xy, t_s, turn[None], np.zeros(80, np.int64))
+    np.testing.assert_allclose(back, seen(position, t_s=t_s), atol=1e-12)
 
 
 def test_covariance_of_rates_holds_what_the_path_does_not_say():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from moving_points import moving_points, views
 
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
@@ -31,15 +32,16 @@ def seen(position, path):
     return place[..., :2] / place[..., 2:]
 
 
-@given(moving_points())
-def test_a_straight_path_gives_the_exact_rate(scene):
+@given(moving_points(), st.booleans())
+def test_a_straight_path_gives_the_exact_rate_from_views_on_one_side_and_on_both(scene, both_sides):
     position, velocity = scene
-    n = len(position)
-    rays = views(position, velocity, T_S)
-    paths = np.stack([straight_path(e, T_S) for e in normalize(velocity)])
-    found = fit_rates_on_paths(rays[..., :2] / rays[..., 2:], T_S, np.full(n, 1e-7), paths, np.arange(n))
+    n, t_s = len(position), T_S - T_S[6] if both_sides else T_S
+    rays = views(position, velocity, t_s)
+    paths = np.stack([straight_path(e, t_s) for e in normalize(velocity)])
+    found = fit_rates_on_paths(rays[..., :2] / rays[..., 2:], t_s, np.full(n, 1e-7), paths, np.arange(n))
     np.testing.assert_allclose(found.rate_hz, np.linalg.norm(velocity, axis=1) / position[:, 2], rtol=1e-9)
     np.testing.assert_allclose(found.xy, position[:, :2] / position[:, 2:], rtol=1e-9, atol=1e-12)
+    assert (found.n_frames == len(t_s)).all()
 
 
 def test_a_bent_path_gives_the_exact_rate():

@@ -173,6 +173,25 @@ def test_the_sample_configurations_run(name: str, work_folder: Path) -> None:
     assert f"{name}.toml" in run.manifest["configuration"]["egomotion"]["platform"]["origin"]
 
 
+def test_estimates_of_both_sides_are_said_to_be_so_everywhere(work_folder: Path) -> None:
+    clip = write_clip(work_folder / "clip.mp4", approach(30))
+    assert main(["analyze", str(clip), "--focal-px", "200", "--smooth", "-q"]) == 0
+    smooth = ttcvid.Run.open("clip_ttc")
+    causal = ttcvid.analyze(clip, "causal", focal_px=200)
+    assert_whole(smooth, 30)
+    for run, word in ((smooth, "smooth"), (causal, "causal")):
+        assert run.manifest["configuration"]["collision_times"]["smooth"]["value"] is (word == "smooth")
+        for name in TABLE_NAMES:
+            metadata = pq.read_schema(run.folder / f"{name}.parquet").metadata
+            assert (metadata[b"estimates"], metadata[b"warnings"]) == (word.encode(), b"causal")
+    pd.testing.assert_frame_equal(smooth.events, causal.events)
+    middle = smooth.collision_times.frame.between(10, 18)
+    both = smooth.collision_times[middle].ttc_z_s, causal.collision_times[middle].ttc_z_s
+    truth_s = 4.0 - smooth.collision_times[middle].t_s
+    assert not both[0].equals(both[1])
+    assert all((one.astype(float) / truth_s - 1.0).abs().median() < 0.08 for one in both)
+
+
 @pytest.mark.parametrize("tracker", ["klt", "akaze"])
 @pytest.mark.parametrize("estimator", ["multi-frame", "three-frame", "two-frame"])
 def test_all_methods_of_a_clip_run(tracker: str, estimator: str, work_folder: Path) -> None:

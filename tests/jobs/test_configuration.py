@@ -59,6 +59,12 @@ def test_without_any_setting_the_defaults_hold() -> None:
     assert configuration.origins == {}
 
 
+def test_smooth_needs_the_whole_tracks() -> None:
+    assert configure_from_command_line({"smooth": "true"}).pipeline.collision_times.smooth
+    with pytest.raises(UsageError, match=r"\[collision_times\] smooth needs estimator = multi-frame, got two-frame"):
+        configure_from_command_line({"smooth": "true", "estimator": "two-frame"})
+
+
 @pytest.mark.parametrize("option", ["tracker", "platform", "estimator"])
 def test_a_shortcut_option_is_kept_in_its_stage_alone(option: str) -> None:
     value = {"tracker": "akaze", "platform": "vehicle", "estimator": "three-frame"}[option]

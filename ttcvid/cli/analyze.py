@@ -51,6 +51,11 @@ _output_option = option_under("Output")
 )
 @_method_option("--tracker", type=click.Choice(TRACKERS), help="How points are followed.  [default: klt]")
 @_method_option("--estimator", type=click.Choice(ESTIMATORS), help="How times are estimated.  [default: multi-frame]")
+@_method_option(
+    "--smooth/--no-smooth",
+    default=None,
+    help="Estimate directions and times from frames on both sides; warnings stay causal.  [default: --no-smooth]",
+)
 @_method_option("--seed", metavar="N", help="Seed of every random choice.  [default: 0]")
 @_method_option("--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker.")
 @_method_option(

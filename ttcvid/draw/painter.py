@@ -30,14 +30,17 @@ class OverlayPainter:
         Size of all pictures; letters and strokes follow it.
     trail_frames
         Length of the trails in frames.
+    is_smooth
+        Whether estimates use later frames too: said beside the clock.
     """
 
-    def __init__(self, camera: Camera, image_size: ImageSize, trail_frames: int) -> None:
+    def __init__(self, camera: Camera, image_size: ImageSize, trail_frames: int, is_smooth: bool = False) -> None:
         self._camera = camera
         self._image_size = image_size
         self._trails = Trails(trail_frames)
         self._letters = Lettering(cap_height_px(image_size))
         self._panels = Panels(self._letters)
+        self._is_smooth = is_smooth
 
     def paint(self, bgr: Picture, result: FrameResult) -> Picture:
         """Draw ``result`` into ``bgr`` ``(H, W, 3)`` uint8, in place, and return it. Frames have to come in order."""
@@ -70,7 +73,7 @@ class OverlayPainter:
         panels = self._panels
         panels.begin()
         panels.legend(bgr, result, objects)
-        panels.clock(bgr, result)
+        panels.clock(bgr, result, self._is_smooth)
         panels.camera_note(bgr, self._camera)
         panels.banner(bgr, result, objects)
         panels.labels(bgr, result, objects)

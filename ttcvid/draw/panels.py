@@ -67,9 +67,9 @@ class Panels:
         long = f"{time}  {interval}"
         return long if interval and self._letters.width_px(long) < 0.35 * width else time
 
-    def clock(self, bgr: Picture, result: FrameResult) -> None:
+    def clock(self, bgr: Picture, result: FrameResult, is_smooth: bool) -> None:
         """Time and frame in the lower left corner, with the frame's status where it is not ok."""
-        text = f"{result.t_s:.2f} s  frame {result.frame}"
+        text = f"{result.t_s:.2f} s  frame {result.frame}" + ("  smooth" if is_smooth else "")
         right = self._corner(bgr, text, 0, WHITE)
         if result.status is not FrameStatus.ok:
             self._corner(bgr, result.status.value.replace("_", " "), right, CLOSE)

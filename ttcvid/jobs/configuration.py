@@ -85,20 +85,25 @@ def configure_study(
             explicit.add(section, name, value, f"--{name.replace('_', '-')}" if is_text else name)
     merged, _ = _merge(explicit, config)
     study = parameters(**merged[section])
-    # Known only when the values of all places are together.
-    contradiction = study.contradiction()
+    _refuse_contradiction(section, study)
+    return study
+
+
+def _refuse_contradiction(section: str, values: StageConfig) -> None:
+    """Known only when the values of all places are together."""
+    contradiction = values.contradiction()
     if contradiction is not None:
         raise UsageError(f"[{section}] {contradiction}")
-    return study
 
 
 def _resolve(explicit: Layer, config: Path | None) -> Configuration:
     merged, origins = _merge(explicit, config)
     stages = {name: values for name, values in merged.items() if name in PipelineConfig.model_fields}
     options = AnalyzeOptions(**merged["analyze"])
-    return Configuration(
-        options, PipelineConfig(**stages, seed=options.seed), OverlayConfig(**merged["overlay"]), origins
-    )
+    pipeline = PipelineConfig(**stages, seed=options.seed)
+    for section in stages:
+        _refuse_contradiction(section, getattr(pipeline, section))
+    return Configuration(options, pipeline, OverlayConfig(**merged["overlay"]), origins)
 
 
 def _merge(explicit: Layer, config: Path | None) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:

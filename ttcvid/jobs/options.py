@@ -89,6 +89,7 @@ SHORTCUTS = {
     "tracker": ("tracking", "tracker"),
     "platform": ("egomotion", "platform"),
     "estimator": ("collision_times", "estimator"),
+    "smooth": ("collision_times", "smooth"),
     "moving": ("horizon_calibration", "moving"),
     "roll_zero": ("horizon_calibration", "roll_zero"),
 }

@@ -34,7 +34,8 @@ def open_sinks(
     video = stack.enter_context(
         OverlayVideo(path, info.image_size, dt_s, overlay.preset, overlay.crf, x264_params=QUICK_X264)
     )
-    painter = OverlayPainter(calibration.camera, info.image_size, overlay.trail_frames)
+    is_smooth = configuration.pipeline.collision_times.smooth
+    painter = OverlayPainter(calibration.camera, info.image_size, overlay.trail_frames, is_smooth)
 
     def write(item: tuple[Frame, FrameResult]) -> None:
         frame, result = item

@@ -148,7 +148,8 @@ def table_metadata(calibration: Calibration, configuration: Mapping[str, Mapping
     camera = calibration.camera
     return {
         "ttcvid_version": ttcvid.__version__,
-        "direction": "causal",
+        "estimates": "smooth" if configuration["collision_times"]["smooth"]["value"] else "causal",
+        "warnings": "causal",
         "camera_origin": Path(camera.origin).name,
         "camera_is_assumed": str(camera.is_assumed).lower(),
         "camera_fx_px": repr(camera.fx_px),

@@ -1,4 +1,4 @@
-"""The last observations of every live track, with the rotation from each past camera to the present one."""
+"""The observations of every live track around a frame, with the rotation from each other camera to its own."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ class TrackHistory:
     observed; ``sigma_px (N,)`` noise of one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its
     evidence and ``pool_sigma_px`` the noise of all tracks together; ``focal_px`` turns px into rad. ``scene`` is the
     path of the static scene as its tracks see it together (`stages.scene_path`), None until it has been found in this
-    frame.
+    frame. ``now`` is the entry of the present frame, counted from the end: the last one, but where a frame is looked at
+    once more with views of later ones (`stages.smoothing`).
     """
 
     frame: Ints
@@ -63,6 +64,12 @@ class TrackHistory:
     pool_sigma_px: float
     focal_px: float
     scene: SharedPaths | None = None
+    now: int = -1
+
+    @property
+    def n_past(self) -> int:
+        """Number of frames before the present one."""
+        return len(self.frame) + self.now
 
     @property
     def n_tracks(self) -> int:
@@ -76,7 +83,7 @@ class TrackHistory:
         One pixel away from the optical axis spans a smaller angle: cos^2 along the radius and cos across, taken
         together as cos^1.5.
         """
-        cosine: Floats = self.rays[-1, :, 2]
+        cosine: Floats = self.rays[self.now, :, 2]
         return self.sigma_px / self.focal_px * np.clip(cosine, 0.1, 1.0) ** 1.5
 
     @property
@@ -110,27 +117,28 @@ class TrackHistory:
         steps_s = np.diff(self.t_s)
         return ROTATION_DRIFT_RAD / float(np.median(steps_s)) if len(steps_s) else 0.0
 
-    def first_within(self, window_s: float) -> int:
-        """The first of the views within a time before the present one, and of the last few in any case."""
+    def views_within(self, window_s: float) -> slice:
+        """The views within a time of the present one, and the last few up to it in any case."""
         first = int(np.searchsorted(self.since_s, -window_s))
-        return max(0, min(first, len(self.frame) - _LEAST_RECENT))
+        stop = int(np.searchsorted(self.since_s, window_s, side="right"))
+        return slice(max(0, min(first, self.n_past + 1 - _LEAST_RECENT)), stop)
 
     def xy_within(self, window_s: float | Floats) -> Floats:
-        """`xy` of the views within a time before the present one, of the last few at the least; NaN before.
+        """`xy` of the views within a time of the present one, of the last few at the least; NaN elsewhere.
 
         Parameters
         ----------
         window_s : one for all, or ``(N,)`` one a track.
         """
-        is_recent = self.since_s[:, None] >= -np.broadcast_to(window_s, (self.n_tracks,))
-        is_recent[-_LEAST_RECENT:] = True
+        is_recent = np.abs(self.since_s[:, None]) <= np.broadcast_to(window_s, (self.n_tracks,))
+        is_recent[self.views_within(0.0)] = True
         recent: Floats = np.where(is_recent[..., None], self.xy, np.nan)
         return recent
 
     @property
     def since_s(self) -> Floats:
-        """Times relative to the present frame, ``(L,)`` s: up to 0."""
-        since: Floats = self.t_s - self.t_s[-1]
+        """Times relative to the present frame, ``(L,)`` s: up to 0, but for later views."""
+        since: Floats = self.t_s - self.t_s[self.now]
         return since
 
     @property
@@ -142,8 +150,9 @@ class TrackHistory:
         """
         steps = np.einsum("lij,lj->li", self.cam_R_past, self.scene_direction)[1:]
         lengths = np.diff(self.t_s)[:, None] * steps
-        path = np.zeros((len(self.t_s), 3))
-        path[:-1] = -np.cumsum(lengths[::-1], axis=0)[::-1]
+        path, n_past = np.zeros((len(self.t_s), 3)), self.n_past
+        path[:n_past] = -np.cumsum(lengths[:n_past][::-1], axis=0)[::-1]
+        path[n_past + 1 :] = np.cumsum(lengths[n_past:], axis=0)
         return path
 
     def derotated(self, index: int) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,17 +110,31 @@ def _object_motions(
     members = np.flatnonzero((own_id > 0) & is_free)
     public, thing = np.unique(own_id[members], return_inverse=True)
     stays = _share(_stays_on_its_pixels(history, members), thing, len(public)) > 0.5
-    window_s, direction, covariance = _directions(history, members, thing, len(public), config)
+    parts = {int(public[number]): members[thing == number] for number in np.flatnonzero(~stays)}
+    return motions_of(parts, history, plane, camera, config)
+
+
+def motions_of(
+    members: Mapping[int, Ints],
+    history: TrackHistory,
+    plane: HorizonPlane | None,
+    camera: Camera,
+    config: CollisionTimesConfig,
+) -> list[ClusterMotion]:
+    """The motion of each of K things, its tracks given by ``cluster_id``, as their whole tracks show it."""
+    if not members:
+        return []
+    thing = np.repeat(np.arange(len(members)), [len(index) for index in members.values()])
+    window_s, direction, covariance = _directions(
+        history, np.concatenate(list(members.values())), thing, len(members), config
+    )
     motions = []
-    for number in np.flatnonzero(~stays):
-        index = members[thing == number]
+    for number, (cluster_id, index) in enumerate(members.items()):
         if np.trace(covariance[number]) < MAX_DIRECTION_SIGMA_RAD**2:
-            motion = _on_plane(
-                int(public[number]), index, direction[number], covariance[number], "whole-tracks", plane, camera
-            )
+            motion = _on_plane(cluster_id, index, direction[number], covariance[number], "whole-tracks", plane, camera)
             motions.append(replace(motion, window_s=float(window_s[number])))
         else:
-            motions.append(ClusterMotion(int(public[number]), index, None, None, Status.no_epipole, "whole-tracks"))
+            motions.append(ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks"))
     return motions
 
 
@@ -159,11 +174,11 @@ def _directions(
 
 
 def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config: CollisionTimesConfig) -> WholeTracks:
-    """The states of tracks by their views within a time before the present one."""
-    first = history.first_within(window_s)
+    """The states of tracks by their views within a time of the present one."""
+    views = history.views_within(window_s)
     return fit_whole_tracks(
-        turned_into_plane(history.rays[first:, members], history.cam_R_seen[first:]),
-        history.since_s[first:],
+        turned_into_plane(history.rays[views, members], history.cam_R_seen[views]),
+        history.since_s[views],
         history.sigma_norm[members],
         None,
         config.max_frames,

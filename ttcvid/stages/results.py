@@ -100,7 +100,7 @@ def _with_expansions(history: TrackHistory, motions: FrameMotions, states: Track
     asks = (in_object & (states.status == Status.no_parallax)) | (
         (in_object | in_scene) & (states.status == Status.at_epipole)
     )
-    gap = min(_EXPANSION_FRAMES, len(history.frame) - 1)
+    gap = min(_EXPANSION_FRAMES, history.n_past)
     if gap < 1 or not asks.any():
         return states
     neighbours = neighbours_in_cluster(
@@ -111,11 +111,12 @@ def _with_expansions(history: TrackHistory, motions: FrameMotions, states: Track
 
 def _common_views(history: TrackHistory) -> CommonViews:
     """All tracks a common gap ago and now."""
-    gap = min(_EXPANSION_FRAMES, len(history.frame) - 1)
-    return CommonViews(history.derotated(-1 - gap), history.rays[-1], float(history.t_s[-1] - history.t_s[-1 - gap]))
+    past = history.now - min(_EXPANSION_FRAMES, history.n_past)
+    return CommonViews(history.derotated(past), history.rays[history.now], -float(history.since_s[past]))
 
 
 def _age_s(history: TrackHistory) -> Floats:
-    """For how long each track has been seen, (N,) s, as far as the history goes back."""
-    oldest = np.argmax(np.isfinite(history.rays[:, :, 0]), axis=0)
-    return np.asarray(-history.since_s[oldest])
+    """For how long each track is seen, (N,) s, as far as the history goes."""
+    is_seen = np.isfinite(history.rays[:, :, 0])
+    first, last = np.argmax(is_seen, axis=0), len(is_seen) - 1 - np.argmax(is_seen[::-1], axis=0)
+    return np.asarray(history.t_s[last] - history.t_s[first])

@@ -56,8 +56,8 @@ def scene_path(history: TrackHistory, direction: Floats, direction_cov: Floats) 
 
 def _follows(history: TrackHistory, direction: Floats) -> Bools:
     """Tracks (N,) that have been there for some frames and have moved as the scene has: (N,)."""
-    gap = min(_GAP_FRAMES, len(history.frame) - 1)
-    first, now = history.derotated(-1 - gap), history.rays[-1]
+    gap = min(_GAP_FRAMES, history.n_past)
+    first, now = history.derotated(history.now - gap), history.rays[history.now]
     sigma_rad = np.hypot(history.sigma_rad, gap * ROTATION_DRIFT_RAD)
     return np.asarray(flow_line_chi2(direction, first, now, sigma_rad) < _GATE_CHI2)
 

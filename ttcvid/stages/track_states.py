@@ -237,12 +237,10 @@ def with_constant_bearing(
     asked = np.flatnonzero(may_expand)
     if not len(asked) or gap_frames < 1:
         return states
-    gap_s = history.t_s[-1] - history.t_s[-1 - gap_frames]
-    eta_hz, sigma_hz = expansion_of_neighbourhood(
-        history.derotated(-1 - gap_frames), history.rays[-1], neighbours[asked], gap_s
-    )
+    past_rays, gap_s = history.derotated(history.now - gap_frames), -history.since_s[history.now - gap_frames]
+    eta_hz, sigma_hz = expansion_of_neighbourhood(past_rays, history.rays[history.now], neighbours[asked], gap_s)
     sigma_hz = np.maximum(sigma_hz, _expansion_noise_hz(states, neighbours[asked], gap_s))
-    past = history.derotated(-1 - gap_frames)[asked]
+    past = past_rays[asked]
     is_sure = (eta_hz > _EXPANSION_SIGMAS * sigma_hz) & (past[:, 2] > 0.0)
     asked, eta_hz, sigma_hz, past = asked[is_sure], eta_hz[is_sure], sigma_hz[is_sure], past[is_sure]
     ray = np.column_stack([states.xy[asked], np.ones(len(asked))])

@@ -141,7 +141,7 @@ def _on_paths(
     direction = normalize(abc_hz)
     status = np.select(
         [
-            ~np.isfinite(history.xy[-1, :, 0]) | (has_path & (rates.n_frames < 2)),
+            ~np.isfinite(history.xy[history.now, :, 0]) | (has_path & (rates.n_frames < 2)),
             ~has_path,
             _is_at_epipole(history, along, shared) | ~np.isfinite(rates.rate_hz),
             np.abs(rates.rate_hz) < _RATE_SIGMAS * sigma_hz,
@@ -165,7 +165,7 @@ def _on_paths(
     shared = replace(shared, change=change)
     of_track = np.where(has_path, change[np.maximum(path_of, 0)], 0.0) if len(change) else np.zeros(len(path_of))
     cov = cov + of_track[:, None, None] ** 2 * abc_hz[:, :, None] * abc_hz[:, None, :]
-    states = TrackStates(history.xy[-1], abc_hz, cov, history.sigma_norm, direction, status, shared)
+    states = TrackStates(history.xy[history.now], abc_hz, cov, history.sigma_norm, direction, status, shared)
     # Rates that are no result by themselves stay: they have their say in what the tracks of an object show together.
     return replace(
         states,
@@ -242,7 +242,7 @@ def _is_at_epipole(history: TrackHistory, direction: Floats, shared: SharedError
     xy = history.xy
     n = history.n_tracks
     oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
-    q, r = (np.column_stack([place, np.ones(n)]) for place in (xy[oldest, np.arange(n)], xy[-1]))
+    q, r = (np.column_stack([place, np.ones(n)]) for place in (xy[oldest, np.arange(n)], xy[history.now]))
     variance = np.zeros((n, 3, 3))
     has_path = shared.path_of != NO_PATH
     variance[has_path] = shared.cov[shared.path_of[has_path], :3, :3]

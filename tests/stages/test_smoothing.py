@@ -1,0 +1,186 @@
+"""A frame seen once more with views after it: where its tracks were and will be, and what their motion then is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from relative_motion import CAMERA, EXACT_SIGMA_PX, box_of_points, pixels, unit
+
+from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
+from ttcvid.model import NO_CLUSTER, PointSet, Status
+from ttcvid.stages.clusters import ClusterMotion
+from ttcvid.stages.egomotion import Egomotion
+from ttcvid.stages.flows import select_flows
+from ttcvid.stages.history import empty_history, extended, with_egomotion
+from ttcvid.stages.motions import FrameMotions, motions_of
+from ttcvid.stages.smoothing import Seen, seen_again, views_after
+from ttcvid.stages.whole_track_states import multi_frame_states
+
+DT_S, N_FRAMES, MAX_FRAMES = 0.1, 25, 20
+NOW, AFTER = 14, 9
+TURN = rotation_from_vector(np.radians([0.1, 0.4, -0.2]))
+CONFIG = CollisionTimesConfig(max_frames=MAX_FRAMES, object_window_s=5.0)
+VELOCITY = np.array([-1.0, 0.1, -5.0])
+
+
+def histories(position_m, braking_m_s2=0.0, sigma_px=EXACT_SIGMA_PX, rng=None, n_alive=None):
+    """History of every frame, of points at `position_m` in frame NOW that move by VELOCITY there and slow down.
+
+    The camera turns by TURN in every step, known exactly; from frame NOW + 3 on only the first `n_alive` points are
+    still seen.
+    """
+    history, found = empty_history(CAMERA, sigma_px), []
+    cam_R_now = [np.linalg.matrix_power(TURN, frame - NOW) for frame in range(N_FRAMES)]
+    for frame in range(N_FRAMES):
+        since_s = (frame - NOW) * DT_S
+        moved = VELOCITY * since_s - 0.5 * braking_m_s2 * unit(VELOCITY) * since_s**2
+        point = ((position_m + moved) @ cam_R_now[frame].T)[: n_alive if frame >= NOW + 3 else None]
+        xy_px = pixels(point)
+        if rng is not None:
+            xy_px = xy_px + sigma_px * rng.normal(size=xy_px.shape)
+        rays = (xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / CAMERA.fx_px
+        rays = normalize(np.column_stack([rays, np.ones(len(rays))]))
+        points = PointSet(np.arange(len(point)), xy_px)
+        history = extended(history, frame, frame * DT_S, points, rays, MAX_FRAMES)
+        if frame:
+            history = with_egomotion(history, TURN, None, 1e-6)
+        found.append(history)
+    return found
+
+
+def seen(history):
+    """All tracks are one object; its direction is still to be found."""
+    n = history.n_tracks
+    motions = FrameMotions(
+        flows=select_flows(history, 10, 8.0),
+        cluster_id=np.ones(n, np.int64),
+        direction=np.full((n, 3), np.nan),
+        direction_cov=np.full((n, 3, 3), np.nan),
+        no_direction_status=np.full(n, Status.no_epipole),
+        clusters=(ClusterMotion(1, np.arange(n), None, None, Status.no_epipole, "whole-tracks"),),
+        link_px=32.0,
+        is_free=np.ones(n, bool),
+    )
+    egomotion = Egomotion(TURN, 1e-12 * np.eye(3), None, None, np.zeros(n))
+    return Seen(history, egomotion, motions, None)
+
+
+def smoothed(found, now=NOW, after=AFTER):
+    return seen_again(seen(found[now]), found[now + 1 : now + 1 + after], CAMERA, CONFIG)
+
+
+def by_past_views(found, now=NOW):
+    """The same frame with the direction that its past views show."""
+    item = seen(found[now])
+    motion = item.motions.clusters[0]
+    clusters = tuple(motions_of({1: motion.members}, item.history, None, CAMERA, CONFIG))
+    return replace(item, motions=replace(item.motions, clusters=clusters))
+
+
+def rates_of(item):
+    """1 / ttc_z of the points, and their status."""
+    states = multi_frame_states(item.history, item.motions, None, CONFIG)
+    return -states.abc_hz[:, 2], states.status
+
+
+def car(n=40):
+    return box_of_points(np.random.default_rng(2), n, (2.0, 0.5, 16.0), (2.0, 1.5, 0.8))
+
+
+def test_views_lie_where_a_camera_that_stands_still_would_have_seen_the_points():
+    position = car()
+    history = smoothed(histories(position)).history
+    assert history.frame.tolist() == list(range(NOW + AFTER - MAX_FRAMES + 1, NOW + AFTER + 1))
+    np.testing.assert_allclose(history.since_s, (history.frame - NOW) * DT_S, atol=1e-12)
+    place = position + VELOCITY * history.since_s[:, None, None]
+    np.testing.assert_allclose(history.xy, place[..., :2] / place[..., 2:], atol=1e-9)
+    assert history.n_past == 14 - 4
+    np.testing.assert_array_equal(history.xy_px, pixels(position))
+
+
+def test_a_track_that_ends_has_its_views_up_to_there():
+    history = smoothed(histories(car(), n_alive=25)).history
+    later = np.isfinite(history.rays[history.n_past + 1 :, :, 0])
+    assert later[:, :25].all()
+    assert later[:2, 25:].all()
+    assert not later[2:, 25:].any()
+
+
+def test_the_path_of_the_scene_goes_on_behind_the_present_frame():
+    found = histories(car())
+    forward = np.array([0.0, 0.0, -1.0])
+    noted = [replace(history, scene_direction=np.tile(forward, (len(history.frame), 1))) for history in found]
+    history = smoothed(noted).history
+    steps = history.scene_steps
+    np.testing.assert_allclose(steps[history.now], 0.0)
+    after = DT_S * (TURN.T @ forward)
+    np.testing.assert_allclose(steps[history.now + 1], after, atol=1e-12)
+    np.testing.assert_allclose(steps[history.now - 1], -DT_S * forward, atol=1e-12)
+
+
+@pytest.mark.parametrize("braking_m_s2", [0.0, 2.0, 4.0])
+def test_without_noise_the_rate_is_that_of_the_frame_also_where_the_velocity_changes(braking_m_s2):
+    position = car()
+    eta_hz, status = rates_of(smoothed(histories(position, braking_m_s2, 0.05)))
+    assert (status == Status.ok).all()
+    np.testing.assert_allclose(eta_hz, 5.0 / position[:, 2], rtol=2e-3)
+
+
+def test_braking_makes_past_views_lag_and_not_views_on_both_sides():
+    """Few points in noise cannot tell an acceleration: past views give the rate of half a window ago."""
+    position, rng = car(8), np.random.default_rng(3)
+    late, smooth = [], []
+    for _ in range(20):
+        found = histories(position, 2.0, 0.5, rng)
+        late.append(rates_of(by_past_views(found))[0] * position[:, 2] / 5.0)
+        smooth.append(rates_of(smoothed(found))[0] * position[:, 2] / 5.0)
+    assert np.nanmedian(late) > 1.05
+    assert np.nanmedian(smooth) == pytest.approx(1.0, abs=0.015)
+
+
+def test_at_constant_velocity_intervals_hold_and_are_narrower():
+    position, rng = car(12), np.random.default_rng(5)
+    off, ratio = [], []
+    for _ in range(60):
+        found = histories(position, 0.0, 0.2, rng)
+        states, past = (
+            multi_frame_states(item.history, item.motions, None, CONFIG)
+            for item in (smoothed(found), by_past_views(found))
+        )
+        sigma_hz = np.sqrt(states.cov[:, 2, 2])
+        off.append((-states.abc_hz[:, 2] - 5.0 / position[:, 2]) / sigma_hz)
+        ratio.append(sigma_hz / np.sqrt(past.cov[:, 2, 2]))
+    assert 0.87 <= np.mean(np.abs(off) < 1.645) <= 1.0
+    assert np.nanmedian(ratio) < 0.9
+
+
+def test_tracks_of_no_cluster_have_their_free_state_from_both_sides():
+    position = car()
+    item = seen(histories(position)[NOW])
+    motions = replace(item.motions, cluster_id=np.full(len(position), NO_CLUSTER), clusters=())
+    found = histories(position)
+    again = seen_again(replace(item, motions=motions), found[NOW + 1 : NOW + 1 + AFTER], CAMERA, CONFIG)
+    states = multi_frame_states(again.history, again.motions, None, CONFIG)
+    assert (states.status == Status.ok).all()
+    np.testing.assert_allclose(states.abc_hz, VELOCITY / position[:, 2:], rtol=1e-4, atol=1e-5)
+
+
+def test_without_later_views_or_own_motion_nothing_is_estimated_again():
+    found = histories(car())
+    item = seen(found[NOW])
+    assert seen_again(item, [], CAMERA, CONFIG) is item
+    lost = replace(item, egomotion=None)
+    assert seen_again(lost, found[NOW + 1 : NOW + 3], CAMERA, CONFIG) is lost
+
+
+def test_a_frame_is_not_continued_by_what_has_forgotten_it():
+    found = histories(car())
+    assert seen(found[NOW]).is_continued_by(found[NOW + 9])
+    assert not seen(found[3]).is_continued_by(found[NOW + 9])
+    fresh = replace(found[NOW + 1], frame=found[NOW + 1].frame[-1:])
+    assert not seen(found[NOW]).is_continued_by(fresh)
+
+
+def test_a_frame_waits_for_half_of_a_window():
+    assert (views_after(20), views_after(3)) == (10, 1)
