@@ -253,7 +253,8 @@ class ClusterRow:
 
     ``direction`` (3,) is ``dir``, None where there is no epipole, with ``direction_cov`` (3, 3) in rad^2 in its
     tangent plane. ``epipole_px`` (2,) is None within 1 deg of the picture plane. ``state_abc_hz`` (3,) is
-    (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2.
+    (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2, in which ``speed_change`` is
+    the part by which abs(V) may change soon: that tells how sure the times are, not whether and where to it moves now.
     ``times`` has one row. ``method`` names how the epipole was found.
     """
 
@@ -272,6 +273,7 @@ class ClusterRow:
     ref_px: tuple[float, float] | None = None
     state_abc_hz: Floats | None = None
     state_cov: Floats | None = None
+    speed_change: float = 0.0
     expansion_hz: float | None = None
     urgency_rank: int | None = None
     times: CollisionTimes = field(default_factory=lambda: CollisionTimes.missing(1))
@@ -280,6 +282,13 @@ class ClusterRow:
     def role(self) -> str:
         """``scene`` or ``object``."""
         return "scene" if self.cluster_id == SCENE_CLUSTER else "object"
+
+    @property
+    def present_cov(self) -> Floats | None:
+        """Covariance (3, 3) of the state without what its speed may change by soon."""
+        if self.state_cov is None or self.state_abc_hz is None:
+            return None
+        return self.state_cov - self.speed_change**2 * np.outer(self.state_abc_hz, self.state_abc_hz)
 
 
 @dataclass(frozen=True)

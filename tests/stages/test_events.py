@@ -1,5 +1,7 @@
 """Warnings: of what will hit us, after it has lasted, until it is over, and of nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from relative_motion import CAMERA, FOCAL_PX
@@ -145,6 +147,20 @@ def test_the_same_geometry_is_judged_alike_at_two_and_at_twenty_metres_a_second(
 
 def test_what_is_not_sure_is_not_warned_of():
     assert first_warned(watched(drive(*HIT, 2.5, relative_sigma=1.0))[0]) is None
+
+
+def changing(row, change):
+    """The row of a body whose speed may change by a part of itself soon."""
+    along = change**2 * np.outer(row.state_abc_hz, row.state_abc_hz)
+    return with_times([replace(row, state_cov=row.state_cov + along, speed_change=change)], CAMERA)[0]
+
+
+def test_a_car_that_brakes_has_no_sure_time_and_is_warned_of_all_the_same():
+    frames = [changing(row, 0.7) for row in drive(*HIT, 1.0)]
+    assert not frames[0].times.ttc_z_hi_s[0] > 0.0
+    assert first_warned(watched(frames)[0]) == 6
+    aside = [changing(row, 0.7) for row in drive((5.4, 0.0, 30.0), HIT[1], 1.0)]
+    assert first_warned(watched(aside)[0]) is None
 
 
 def test_a_short_blip_is_not_warned_of():

@@ -68,7 +68,7 @@ def _radial_rate(row: ClusterRow, camera: Camera) -> tuple[float, float]:
     """Rate at which the distance shrinks, over itself, and its standard deviation, 1/s."""
     ray = rays_from_pixels(camera, np.array([row.ref_px]))[0]
     along = ray / (ray @ ray)
-    return -float(along @ np.asarray(row.state_abc_hz)), float(np.sqrt(along @ np.asarray(row.state_cov) @ along))
+    return -float(along @ np.asarray(row.state_abc_hz)), float(np.sqrt(along @ np.asarray(row.present_cov) @ along))
 
 
 def _radius_px(rays: Floats, camera: Camera) -> float:
@@ -86,7 +86,7 @@ def _is_contradicted(row: ClusterRow, views: CommonViews, members: Ints, radius_
     if not (np.isfinite(grows_hz) and np.isfinite(sigma_hz) and radius_px > 0.0):
         return False
     sigma_hz = float(np.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * views.gap_s)))
-    said_hz, said_sigma_hz = -float(np.asarray(row.state_abc_hz)[2]), float(np.sqrt(np.asarray(row.state_cov)[2, 2]))
+    said_hz, said_sigma_hz = -float(np.asarray(row.state_abc_hz)[2]), float(np.sqrt(np.asarray(row.present_cov)[2, 2]))
     side = 1.0 if row.motion_state in _APPROACHING else -1.0
     is_seen = side * grows_hz > _SIGMAS_95 * sigma_hz
     return not is_seen and side * (said_hz - grows_hz) > _SIGMAS_95 * np.hypot(sigma_hz, said_sigma_hz)

@@ -165,7 +165,8 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     # The reference point is where the tracks are, by definition: it has no error of its own.
     sigma_norm = np.full(len(stated), _EXACT)
     times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
-    rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
+    present_cov = np.array([row.present_cov for row in stated])
+    rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, present_cov, sigma_norm)
     done = {
         row.cluster_id: replace(row, times=times.take([i]), motion_state=_motion_state(rates[i], rates_cov[i]))
         for i, row in enumerate(stated)
@@ -183,6 +184,7 @@ def _with_surface(row: ClusterRow, states: TrackStates, xy_px: Floats) -> Cluste
         ref_px=(float(ref_px[0]), float(ref_px[1])),
         state_abc_hz=weight @ states.abc_hz,
         state_cov=_joint_covariance(states, weight),
+        speed_change=_speed_change(states),
     )
 
 
@@ -195,6 +197,12 @@ def _joint_covariance(states: TrackStates, weight: Floats) -> Floats:
     if shared is None or not shared.is_one_path:
         return _TRIMMED_VARIANCE * np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
     return shared.covariance_of_mean(states.abc_hz, weight, _TRIMMED_VARIANCE)
+
+
+def _speed_change(states: TrackStates) -> float:
+    """By what part the speed may change that the tracks share."""
+    shared = states.shared
+    return 0.0 if shared is None or not shared.is_one_path else float(shared.change[shared.path_of[0]])
 
 
 def _motion_state(rates: Floats, cov: Floats) -> MotionState:

@@ -8,12 +8,14 @@ import numpy as np
 from scipy.special import ndtri
 
 from ttcvid.config import EventsConfig
-from ttcvid.model import Camera, ClusterRow, Event, MotionState
+from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.rotation import tangent_basis
+from ttcvid.model import Camera, ClusterRow, Event, Floats, MotionState
 
 # A warning that stands goes on up to these multiples of the thresholds.
 _KEEP_TTC, _KEEP_MISS = 1.25, 1.5
-# The intervals of the tables end at this many standard deviations (90 %, two sides).
-_INTERVAL_SIGMAS = 1.645
+# A miss distance, in units of depth, without a side.
+_TINY = 1e-9
 
 
 @dataclass(frozen=True)
@@ -75,21 +77,38 @@ def is_collision_course(row: ClusterRow, camera: Camera, config: EventsConfig, *
     """Whether an object comes close, soon and surely: at the configured confidence, one side each.
 
     The miss distance is judged in widths of the object from the same state: a fixed ``miss_s`` would mean 6 m at 20 m/s
-    and 0.6 m at 2 m/s.
+    and 0.6 m at 2 m/s. A car that brakes hard has no sure time, but comes nearer surely, and straight at us.
     """
-    if row.motion_state not in (MotionState.approaching, MotionState.constant_bearing) or row.state_abc_hz is None:
+    if row.motion_state not in (MotionState.approaching, MotionState.constant_bearing):
+        return False
+    if row.state_abc_hz is None or row.present_cov is None:
         return False
     max_ttc_s = config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
-    times = row.times
     sigmas = float(ndtri(config.confidence))
-    eta_hz, eta_lo_hz = 1.0 / times.ttc_z_s[0], 1.0 / times.ttc_z_hi_s[0]
-    surely_hz = eta_hz - (eta_hz - eta_lo_hz) * sigmas / _INTERVAL_SIGMAS
-    miss_s = times.miss_s[0] + (times.miss_hi_s[0] - times.miss_s[0]) * sigmas / _INTERVAL_SIGMAS
+    surely_hz = -float(row.state_abc_hz[2]) - sigmas * float(np.sqrt(row.present_cov[2, 2]))
+    return bool(
+        0.0 < row.times.tcpa_s[0] <= max_ttc_s
+        and surely_hz > 0.0
+        and _miss_widths(row, row.state_abc_hz, row.present_cov, camera, sigmas) <= max_miss_widths
+    )
+
+
+def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, sigmas: float) -> float:
+    """Distance at closest approach over the object's width, so many standard deviations above the best estimate.
+
+    Both in units of depth: how fast the object comes has no part in it, only where to.
+    """
+    place = rays_from_pixels(camera, np.array([row.ref_px]))[0]
+    speed = np.linalg.norm(abc_hz)
+    direction = abc_hz / speed
+    ahead = float(place @ direction)
+    off = place - ahead * direction
+    miss = float(np.linalg.norm(off))
+    sideways = off[None] / miss if miss > _TINY else tangent_basis(direction[None])[0].T
+    variance = float(np.max(np.einsum("ki,ij,kj->k", sideways, cov, sideways)))
     width = max(row.box_px[2] - row.box_px[0], 1.0) / camera.fx_px
-    miss_widths = miss_s * float(np.linalg.norm(row.state_abc_hz)) / width
-    # Comparisons with NaN (an unbounded interval) are False: not sure, no warning.
-    return bool(0.0 < times.tcpa_s[0] <= max_ttc_s and surely_hz > 0.0 and miss_widths <= max_miss_widths)
+    return (miss + sigmas * abs(ahead) / speed * float(np.sqrt(variance))) / width
 
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float, config: EventsConfig) -> Event:
