@@ -108,7 +108,7 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     sideways = off[None] / miss if miss > _TINY else tangent_basis(direction[None])[0].T
     variance = float(np.max(np.einsum("ki,ij,kj->k", sideways, cov, sideways)))
     width = max(row.box_px[2] - row.box_px[0], 1.0) / camera.fx_px
-    return (miss + sigmas * abs(ahead) / speed * float(np.sqrt(variance))) / width
+    return float(miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
 
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float, config: EventsConfig) -> Event:
