@@ -74,7 +74,7 @@ def object_row(
     expansion_hz, _ = expansion_rate(first[motion.members], second[motion.members], gap_s)
     if np.isfinite(expansion_hz):
         row = replace(row, expansion_hz=float(expansion_hz))
-    usable = motion.members[states.is_measured[motion.members]]
+    usable = motion.members[states.has_value[motion.members]]
     surface = _nearest_surface(motion, states.take(usable), xy_px[usable], link_px)
     if not len(surface):
         has_note_only = row.status in (Status.ok, Status.epipole_at_infinity)

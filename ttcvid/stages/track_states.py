@@ -97,15 +97,6 @@ class TrackStates:
         return np.isin(self.status, [Status.ok, Status.epipole_at_infinity])
 
     @property
-    def is_measured(self) -> Bools:
-        """Tracks whose rate is known, be it within noise of zero or against their group: (N,).
-
-        What all tracks of an object show together must not be asked only of those that happen to show much.
-        """
-        without_result = np.isin(self.status, [Status.no_parallax, Status.not_rigid])
-        return self.has_value | (without_result & np.isfinite(self.abc_hz[:, 2]))
-
-    @property
     def alpha_rad(self) -> Floats:
         """Angle between the ray and ``-dir``: (N,) in [0, pi], NaN where there is no direction."""
         rays = normalize(np.column_stack([self.xy, np.ones(len(self.xy))]))

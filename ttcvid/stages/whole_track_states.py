@@ -166,13 +166,7 @@ def _on_paths(
     of_track = np.where(has_path, change[np.maximum(path_of, 0)], 0.0) if len(change) else np.zeros(len(path_of))
     cov = cov + of_track[:, None, None] ** 2 * abc_hz[:, :, None] * abc_hz[:, None, :]
     states = TrackStates(history.xy[history.now], abc_hz, cov, history.sigma_norm, direction, status, shared)
-    # Rates that are no result by themselves stay: they have their say in what the tracks of an object show together.
-    return replace(
-        states,
-        abc_hz=np.where(states.is_measured[:, None], abc_hz, np.nan),
-        cov=np.where(states.is_measured[:, None, None], cov, np.nan),
-        direction=np.where(states.has_value[:, None], direction, np.nan),
-    )
+    return states.replaced(np.arange(len(status)), abc_hz, cov, direction, status)
 
 
 def _with_model_errors(paths: SharedPaths, path_of: Ints, rates: PathRates) -> tuple[Floats, Floats]:
