@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.rigid_path import corrected_views, fit_on_path
+from ttcvid.geometry.rigid_path import corrected_views, fit_on_paths
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.geometry.whole_track_on_path import straight_path
 
@@ -28,6 +28,15 @@ def seen(position, path, sigma=0.0, rng=None):
 
 def sigmas(n, sigma=SIGMA):
     return np.full(n, sigma)
+
+
+def one_thing(xy):
+    return np.zeros(xy.shape[1], dtype=np.int64)
+
+
+def fit_on_path(xy, path, sigma_norm, rate_hz=None, least_rate_hz=0.0):
+    """All points on the path of one thing."""
+    return fit_on_paths(xy, path[None], one_thing(xy), sigma_norm, rate_hz, least_rate_hz)
 
 
 def converged(xy, path, sigma=SIGMA):
@@ -116,9 +125,7 @@ def test_no_points_and_a_single_view_are_no_errors():
     assert none.place.shape == (0, 2)
     single = fit_on_path(np.zeros((1, 4, 2)), np.zeros((1, 3)), sigmas(4))
     assert np.isnan(single.rate_hz).all()
-    turn, shift = corrected_views(
-        np.zeros((1, 4, 2)), np.zeros((1, 3)), single, sigmas(4), np.ones(4), *_none(1), np.ones(1), np.ones(1)
-    )
+    turn, shift = corrections(np.zeros((1, 4, 2)), np.zeros((1, 3)), single, np.ones(1), np.ones(1))
     assert not turn.any()
     assert not shift.any()
 
@@ -148,7 +155,19 @@ def corrections(xy, path, fit, turn_sigma_rad=NO_PRIOR, shift_sigma=NO_PRIOR, we
     n = xy.shape[1]
     weight = np.ones(n) if weight is None else weight
     turned_rad, shifted = _none(len(path)) if off is None else off
-    return corrected_views(xy, path, fit, sigmas(n), weight, turned_rad, shifted, turn_sigma_rad, shift_sigma)
+    turn, shift = corrected_views(
+        xy,
+        path[None],
+        one_thing(xy),
+        fit,
+        sigmas(n),
+        weight,
+        turned_rad[None],
+        shifted[None],
+        turn_sigma_rad,
+        shift_sigma,
+    )
+    return turn[0], shift[0]
 
 
 def test_nothing_is_corrected_where_nothing_is_wrong():
@@ -242,3 +261,26 @@ def test_a_sharp_prior_holds_the_views_and_a_wide_one_lets_them_go():
     free, _ = corrections(xy, STRAIGHT, fit, np.full(len(T_S), 1e-1), np.full(len(T_S), 1e-8))
     assert np.abs(held).max() < 1e-6
     np.testing.assert_allclose(free, turn_rad, atol=2e-5)
+
+
+def test_each_of_several_things_gets_what_it_would_get_alone():
+    rng = np.random.default_rng(16)
+    paths, thing = np.stack([STRAIGHT, BENT, -STRAIGHT]), rng.integers(0, 3, 60)
+    position = points(60, rng) + np.array([0.0, 0.0, 6.0])
+    xy = np.empty((len(T_S), 60, 2))
+    for number, path in enumerate(paths):
+        xy[:, thing == number] = seen(position[thing == number], path + 1e-3 * rng.normal(size=path.shape), SIGMA, rng)
+    least, weight = rng.uniform(0.0, 0.5, 60), rng.uniform(0.0, 1.0, 60)
+    turned_rad, shifted = 1e-3 * rng.normal(size=(2, *paths.shape))
+    priors = np.full(len(T_S), 1e-2), np.full(len(T_S), 1e-1)
+    fit = fit_on_paths(xy, paths, thing, sigmas(60), None, least)
+    turn, shift = corrected_views(xy, paths, thing, fit, sigmas(60), weight, turned_rad, shifted, *priors)
+    for number, path in enumerate(paths):
+        own = thing == number
+        alone = fit_on_path(xy[:, own], path, sigmas(own.sum()), None, least[own])
+        for name in ("place", "rate_hz", "rate_sigma_hz", "misfit", "n_views"):
+            np.testing.assert_array_equal(getattr(fit, name)[own], getattr(alone, name))
+        off = turned_rad[number], shifted[number]
+        by_own = corrections(xy[:, own], path, alone, *priors, weight[own], off)
+        np.testing.assert_array_equal(turn[number], by_own[0])
+        np.testing.assert_array_equal(shift[number], by_own[1])

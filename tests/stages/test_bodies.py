@@ -7,7 +7,7 @@ import pytest
 
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.geometry.whole_track_on_path import straight_path
-from ttcvid.stages.bodies import Body, carried_forward, refined_mover, refined_scene
+from ttcvid.stages.bodies import Body, Points, carried_forward, refined_movers, refined_scene
 
 N_VIEWS = 12
 T_S = -0.05 * np.arange(float(N_VIEWS))[::-1]
@@ -36,6 +36,15 @@ def rays_of(position, path, cam_R_past, sigma=0.0, rng=None):
     if rng is not None:
         plane[..., :2] += sigma * rng.normal(size=plane[..., :2].shape)
     return normalize(plane)
+
+
+def of_one_body(rays):
+    n = rays.shape[1]
+    return Points(rays, np.full(n, SIGMA), T_S, np.arange(n), np.zeros(n, dtype=np.int64))
+
+
+def median_misfit(one, rays):
+    return np.median(of_one_body(rays).fit([one], None).misfit)
 
 
 def points(n, rng):
@@ -71,7 +80,7 @@ def test_a_right_scene_stays_as_it_is():
     position, scene = points(80, np.random.default_rng(1)), body()
     rays = rays_of(position, scene.path, scene.cam_R_past)
     rate_hz = SPEED_M_S / position[:, 2]
-    after = refined_scene(scene, rays, np.full(80, SIGMA), np.ones(80), rate_hz, T_S, 3)
+    after = refined_scene(scene, of_one_body(rays), np.ones(80), rate_hz, 3)
     np.testing.assert_allclose(after.path, scene.path, atol=1e-9)
     np.testing.assert_allclose(after.cam_R_past, scene.cam_R_past, atol=1e-9)
 
@@ -83,11 +92,11 @@ def test_wrong_rotations_of_the_scene_are_drawn_towards_the_right_ones():
     off_rad = 5e-4 * rng.normal(size=(len(T_S), 3))
     off_rad[-1] = 0.0
     after = replace(scene, cam_R_past=rotation_from_vector(off_rad) @ scene.cam_R_past)
-    misfit = [np.median(b.fit(rays, np.full(200, SIGMA), None, 0.0).misfit) for b in (scene, after)]
+    misfit = [median_misfit(b, rays) for b in (scene, after)]
     for _ in range(10):
-        after = refined_scene(after, rays, np.full(200, SIGMA), np.ones(200), np.full(200, np.nan), T_S, 2)
+        after = refined_scene(after, of_one_body(rays), np.ones(200), np.full(200, np.nan), 2)
     assert misfit[1] > 2.0 * misfit[0]
-    assert np.median(after.fit(rays, np.full(200, SIGMA), None, 0.0).misfit) < 1.1 * misfit[0]
+    assert median_misfit(after, rays) < 1.1 * misfit[0]
     rotations = after.cam_R_past @ np.swapaxes(after.cam_R_past, 1, 2)
     np.testing.assert_allclose(rotations, np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12)
     assert np.linalg.norm(after.path[0]) == pytest.approx(np.linalg.norm(scene.path[0]))
@@ -101,8 +110,8 @@ def test_movers_among_the_tracks_do_not_turn_the_scene():
     rays[:, :60] = rays_of(position[:60], across, scene.cam_R_past, SIGMA, rng)
     after = scene
     for _ in range(10):
-        after = refined_scene(after, rays, np.full(200, SIGMA), np.ones(200), np.full(200, np.nan), T_S, 2)
-    assert np.median(after.fit(rays[:, 60:], np.full(140, SIGMA), None, 0.0).misfit) < 1.3
+        after = refined_scene(after, of_one_body(rays), np.ones(200), np.full(200, np.nan), 2)
+    assert median_misfit(after, rays[:, 60:]) < 1.3
 
 
 @pytest.mark.parametrize("bend_hz", [(0.0, 0.0, 1.5), (0.3, 0.0, 0.0)])
@@ -112,10 +121,10 @@ def test_a_mover_that_brakes_or_swerves_gets_a_path_that_explains_it(bend_hz):
     mover = body()
     bent = mover.path + 0.5 * T_S[:, None] ** 2 * np.array(bend_hz)
     rays = rays_of(position, bent, scene.cam_R_past, SIGMA, rng)
-    before = np.median(mover.fit(rays, np.full(60, SIGMA), None, 0.0).misfit)
-    after = refined_mover(mover, scene, rays, np.full(60, SIGMA), T_S, 100)
+    before = median_misfit(mover, rays)
+    (after,) = refined_movers([mover], scene, of_one_body(rays), np.array([100]))
     assert before > 2.0
-    assert np.median(after.fit(rays, np.full(60, SIGMA), None, 0.0).misfit) < 1.3
+    assert median_misfit(after, rays) < 1.3
     # The path keeps its length, and so rates are in units of the speed that it had.
     scale = np.linalg.norm(bent[0]) / np.linalg.norm(mover.path[0])
     assert after.rate_hz == pytest.approx(scale * np.median(SPEED_M_S / position[:, 2]), rel=0.1)
@@ -123,6 +132,26 @@ def test_a_mover_that_brakes_or_swerves_gets_a_path_that_explains_it(bend_hz):
 
 def test_a_mover_without_usable_points_stays_as_it_is():
     rays = np.full((len(T_S), 4, 3), np.nan)
-    after = refined_mover(body(), body(), rays, np.full(4, SIGMA), T_S, 3)
+    (after,) = refined_movers([body()], body(), of_one_body(rays), np.array([3]))
     np.testing.assert_array_equal(after.path, body().path)
     assert after.rate_hz == 0.0
+
+
+def test_each_of_several_movers_is_refined_as_if_alone_and_by_its_own_number_of_steps():
+    rng = np.random.default_rng(5)
+    scene = body(np.array([0.0, 0.0, -1.0]))
+    movers = [
+        body(normalize(np.array(direction))) for direction in ((0.3, 0.0, -1.0), (1.0, 0.1, 0.0), (0.0, 0.0, 1.0))
+    ]
+    number, n_steps = rng.integers(0, 3, 60), np.array([1, 3, 0])
+    rays = np.empty((N_VIEWS, 60, 3))
+    for place, mover in enumerate(movers):
+        own, bent = number == place, mover.path + 0.5 * T_S[:, None] ** 2 * np.array([0.0, 0.0, 0.5])
+        rays[:, own] = rays_of(points(own.sum(), rng), bent, scene.cam_R_past, SIGMA, rng)
+    together = refined_movers(movers, scene, replace(of_one_body(rays), body=number), n_steps)
+    for place, mover in enumerate(movers):
+        alone = of_one_body(rays[:, number == place])
+        (expected,) = refined_movers([mover], scene, alone, n_steps[[place]])
+        np.testing.assert_array_equal(together[place].path, expected.path)
+        np.testing.assert_array_equal(together[place].cam_R_past, expected.cam_R_past)
+        assert together[place].rate_hz == expected.rate_hz

@@ -1,4 +1,4 @@
-"""Points of one rigid thing on its path relative to the camera, and that path corrected by where they were seen.
+"""Points of rigid things on their paths relative to the camera, and the paths corrected by where the points were seen.
 
 The static scene and every mover are treated alike: a thing at rest in its own frame, seen from a camera that moves past
 it. Its points share, for each past view, one rotation and one shift, and have a depth each:
@@ -24,11 +24,11 @@ _LEAST_DEPTH_RATIO = 0.05
 
 @dataclass(frozen=True)
 class PathFit:
-    """N points on one path.
+    """M points, each on the path of its thing.
 
-    ``place (N, 2)`` now, in the plane z = 1; ``rate_hz (N,)`` rho with its standard deviation ``rate_sigma_hz (N,)``;
-    ``misfit (N,)`` robust chi-square over its degrees of freedom, about 1 for a point that moves along the path;
-    ``n_views (N,)``. NaN (misfit: 0) with fewer than two views.
+    ``place (M, 2)`` now, in the plane z = 1; ``rate_hz (M,)`` rho with its standard deviation ``rate_sigma_hz (M,)``;
+    ``misfit (M,)`` robust chi-square over its degrees of freedom, about 1 for a point that moves along the path;
+    ``n_views (M,)``. NaN (misfit: 0) with fewer than two views.
     """
 
     place: Floats
@@ -38,48 +38,48 @@ class PathFit:
     n_views: Ints
 
 
-def fit_on_path(
-    xy: Floats, path: Floats, sigma_norm: Floats, rate_hz: Floats | None = None, least_rate_hz: float = 0.0
+def fit_on_paths(
+    xy: Floats,
+    paths: Floats,
+    thing: Ints,
+    sigma_norm: Floats,
+    rate_hz: Floats | None = None,
+    least_rate_hz: float | Floats = 0.0,
 ) -> PathFit:
-    """Place and rate of each point, and how badly the path explains all of its views.
+    """Place and rate of each point, and how badly the path of its thing explains all of its views.
 
     In contrast to `whole_track_on_path` no view is left out: the question is not when the point arrives, but whether
     it belongs to the thing.
 
     Parameters
     ----------
-    xy : (L, N, 2) derotated positions in the plane z = 1 of the present camera, the present last; NaN: not observed.
-    path : (L, 3) where the thing was relative to the camera, less where it is now, in s of its present speed.
-    sigma_norm : (N,) standard deviation of one coordinate.
-    rate_hz : (N,) rates to start from; None or NaN: none.
-    least_rate_hz : rates stay above it: nothing lies behind the camera, and points of one thing lie side by side.
+    xy : (L, M, 2) positions in the plane z = 1 of the present camera, as if the thing had not turned since; the
+        present last; NaN: not observed.
+    paths : (K, L, 3) where each thing was relative to the camera, less where it is now, in s of its present speed.
+    thing : (M,) which of the K things each point belongs to.
+    sigma_norm : (M,) standard deviation of one coordinate.
+    rate_hz : (M,) rates to start from; None or NaN: none.
+    least_rate_hz : rates stay above it, one for all or (M,): nothing lies behind the camera, and points of one thing
+        lie side by side.
 
     Source: DESIGN section 3 (w_i = s_i e).
     """
-    n = xy.shape[1]
-    start = np.zeros(n) if rate_hz is None else np.nan_to_num(rate_hz)
-    place, rate, sigma = np.full((n, 2), np.nan), np.full(n, np.nan), np.full(n, np.nan)
-    misfit, n_views = np.zeros(n), np.zeros(n, dtype=np.int64)
+    m = xy.shape[1]
+    least = np.broadcast_to(np.asarray(least_rate_hz, dtype=np.float64), (m,))
+    start = np.zeros(m) if rate_hz is None else np.nan_to_num(rate_hz)
+    place, rate, sigma = np.full((m, 2), np.nan), np.full(m, np.nan), np.full(m, np.nan)
+    misfit, n_views = np.zeros(m), np.zeros(m, dtype=np.int64)
     steps = _STEPS if rate_hz is not None else 2 * _STEPS
     _fit_each(
-        xy,
-        path,
-        sigma_norm,
-        np.maximum(start, least_rate_hz),
-        least_rate_hz,
-        steps,
-        place,
-        rate,
-        sigma,
-        misfit,
-        n_views,
+        xy, paths, thing, sigma_norm, np.maximum(start, least), least.copy(), steps, place, rate, sigma, misfit, n_views
     )
     return PathFit(place, rate, sigma, misfit, n_views)
 
 
 def corrected_views(
     xy: Floats,
-    path: Floats,
+    paths: Floats,
+    thing: Ints,
     fit: PathFit,
     sigma_norm: Floats,
     weight: Floats,
@@ -88,48 +88,38 @@ def corrected_views(
     turn_sigma_rad: Floats,
     shift_sigma: Floats,
 ) -> tuple[Floats, Floats]:
-    """What is wrong with the rotation and the path of each past view, by the residuals of the thing's points.
+    """What is wrong with the rotation and the path of each past view of each thing, by the residuals of its points.
 
-    One half of an alternation whose other half is `fit_on_path`: robust least squares with six unknowns a view and
+    One half of an alternation whose other half is `fit_on_paths`: robust least squares with six unknowns a view and
     Gaussian priors.
 
     Parameters
     ----------
-    weight : (N,) of each point; 0 leaves it out.
-    turned_rad, shifted : (L, 3) how far each view's rotation, in rad, and path lie from where the priors expect them.
+    weight : (M,) of each point; 0 leaves it out.
+    turned_rad, shifted : (K, L, 3) how far each view's rotation, in rad, and path lie from where the priors expect
+        them.
     turn_sigma_rad, shift_sigma : (L,) standard deviations of the priors, the latter as a part of the path's length.
 
     Returns
     -------
-    turn_rad : (L, 3) rotation vectors; a ray of the view is to be turned back by them. Zero for the present view.
-    shift : (L, 3) to be added to the path.
+    turn_rad : (K, L, 3) rotation vectors; a ray of the view is to be turned back by them. Zero for the present view.
+    shift : (K, L, 3) to be added to the path.
     """
-    turn, shift = np.zeros_like(path), np.zeros_like(path)
-    if len(path) > 1:
-        _correct_each(
-            xy,
-            path,
-            fit.place,
-            fit.rate_hz,
-            sigma_norm,
-            weight,
-            turned_rad,
-            shifted,
-            turn_sigma_rad,
-            shift_sigma,
-            turn,
-            shift,
-        )
+    turn, shift = np.zeros_like(paths), np.zeros_like(paths)
+    normal, score = np.zeros((*paths.shape[:2], 6, 6)), np.zeros((*paths.shape[:2], 6))
+    _add_up(xy, paths, thing, fit.place, fit.rate_hz, sigma_norm, weight, normal, score)
+    _solve_each(paths, turned_rad, shifted, turn_sigma_rad, shift_sigma, normal, score, turn, shift)
     return turn, shift
 
 
 @compiled
 def _fit_each(
     xy: Floats,
-    path: Floats,
+    paths: Floats,
+    thing: Ints,
     sigma_norm: Floats,
     start: Floats,
-    least: float,
+    least: Floats,
     n_steps: int,
     place: Floats,
     rate: Floats,
@@ -137,51 +127,32 @@ def _fit_each(
     misfit: Floats,
     n_views: Ints,
 ) -> None:
-    """Fill the results of `fit_on_path`, point by point."""
+    """Fill the results of `fit_on_paths`, point by point."""
     n_frames = xy.shape[0]
-    limit = _ROBUST_SIGMAS * _ROBUST_SIGMAS
+    views, path = np.empty((n_frames, 2)), np.empty((n_frames, 3))
     for i in range(xy.shape[1]):
         n = 0
         for k in range(n_frames):
             if np.isfinite(xy[k, i, 0]):
+                views[n, 0], views[n, 1] = xy[k, i, 0], xy[k, i, 1]
+                path[n, 0], path[n, 1] = paths[thing[i], k, 0], paths[thing[i], k, 1]
+                path[n, 2] = paths[thing[i], k, 2]
                 n += 1
         n_views[i] = n
         if n < 2 or not np.isfinite(xy[n_frames - 1, i, 0]):
             continue
-        x, y, rho = xy[n_frames - 1, i, 0], xy[n_frames - 1, i, 1], start[i]
+        x, y, rho = views[n - 1, 0], views[n - 1, 1], start[i]
         inverse = 1.0 / (sigma_norm[i] * sigma_norm[i])
         information, chi2 = 0.0, 0.0
         for count in range(n_steps + 1):
-            one, by_x, by_y, both, score_x, score_y, score, chi2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for k in range(n_frames):
-                if not np.isfinite(xy[k, i, 0]):
-                    continue
-                h = 1.0 / max(1.0 + rho * path[k, 2], _LEAST_DEPTH_RATIO)
-                px, py = (x + rho * path[k, 0]) * h, (y + rho * path[k, 1]) * h
-                rx, ry = xy[k, i, 0] - px, xy[k, i, 1] - py
-                square = (rx * rx + ry * ry) * inverse
-                w = inverse
-                if square > limit:
-                    length = np.sqrt(square)
-                    w *= _ROBUST_SIGMAS / length
-                    chi2 += 2.0 * _ROBUST_SIGMAS * length - limit
-                else:
-                    chi2 += square
-                jx, jy = (path[k, 0] - px * path[k, 2]) * h, (path[k, 1] - py * path[k, 2]) * h
-                one += w * h * h
-                by_x += w * h * jx
-                by_y += w * h * jy
-                both += w * (jx * jx + jy * jy)
-                score_x += w * h * rx
-                score_y += w * h * ry
-                score += w * (jx * rx + jy * ry)
+            one, by_x, by_y, both, score_x, score_y, score, chi2 = _sums(views, path, n, x, y, rho, inverse)
             information = both - (by_x * by_x + by_y * by_y) / one
             if count == n_steps:
                 break
             change = 0.0
             if information > 0.0:
                 change = (score - (by_x * score_x + by_y * score_y) / one) / information
-                change = max(change, least - rho)
+                change = max(change, least[i] - rho)
             x += (score_x - by_x * change) / one
             y += (score_y - by_y * change) / one
             rho += change
@@ -191,69 +162,139 @@ def _fit_each(
 
 
 @compiled
-def _correct_each(
+def _sums(
+    views: Floats, path: Floats, n: int, x: float, y: float, rho: float, inverse: float
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Normal equations of x, y, rho over the first n views, and the robust chi-square.
+
+    Returns the information on x (and y), the couplings of x and y with rho, the information on rho, the score of x, y,
+    rho, and chi-square (Huber). With h = 1 / (1 + rho T_z), d (px, py) / d (x, y, rho) has the rows (h, 0, j_x) and
+    (0, h, j_y), j = h (T_xy - (px, py) T_z).
+    """
+    one, by_x, by_y, both, score_x, score_y, score, chi2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    limit = _ROBUST_SIGMAS * _ROBUST_SIGMAS
+    for k in range(n):
+        depth = 1.0 + rho * path[k, 2]
+        h = 1.0 / (depth if depth > _LEAST_DEPTH_RATIO else _LEAST_DEPTH_RATIO)
+        px, py = (x + rho * path[k, 0]) * h, (y + rho * path[k, 1]) * h
+        rx, ry = views[k, 0] - px, views[k, 1] - py
+        square = (rx * rx + ry * ry) * inverse
+        w = inverse
+        if square > limit:
+            length = np.sqrt(square)
+            w *= _ROBUST_SIGMAS / length
+            square = 2.0 * _ROBUST_SIGMAS * length - limit
+        chi2 += square
+        jx, jy = (path[k, 0] - px * path[k, 2]) * h, (path[k, 1] - py * path[k, 2]) * h
+        wh = w * h
+        one += wh * h
+        by_x += wh * jx
+        by_y += wh * jy
+        both += w * (jx * jx + jy * jy)
+        score_x += wh * rx
+        score_y += wh * ry
+        score += w * (jx * rx + jy * ry)
+    return one, by_x, by_y, both, score_x, score_y, score, chi2
+
+
+@compiled
+def _add_up(
     xy: Floats,
-    path: Floats,
+    paths: Floats,
+    thing: Ints,
     place: Floats,
     rate: Floats,
     sigma_norm: Floats,
     weight: Floats,
+    normal: Floats,
+    score: Floats,
+) -> None:
+    """Add all points to ``normal (K, L, 6, 6)``, its lower half, and ``score (K, L, 6)`` of each past view.
+
+    A point seen at p = (x, y, 1) moves in the picture by B (omega x p + g s) when the view turns by omega and the
+    thing shifts by s, with B = [[1, 0, -x], [0, 1, -y]] and g = rho / (1 + rho T_z). Rotations come first.
+    """
+    limit = _ROBUST_SIGMAS * _ROBUST_SIGMAS
+    for k in range(xy.shape[0] - 1):
+        for i in range(xy.shape[1]):
+            if not (weight[i] > 0.0 and np.isfinite(xy[k, i, 0] + rate[i])):
+                continue
+            path, rho = paths[thing[i], k], rate[i]
+            depth = 1.0 + rho * path[2]
+            if depth < _LEAST_DEPTH_RATIO:
+                continue
+            h = 1.0 / depth
+            x, y = (place[i, 0] + rho * path[0]) * h, (place[i, 1] + rho * path[1]) * h
+            rx, ry = xy[k, i, 0] - x, xy[k, i, 1] - y
+            inverse = 1.0 / (sigma_norm[i] * sigma_norm[i])
+            w = weight[i] * inverse / (1.0 + (rx * rx + ry * ry) * inverse / limit)
+            g = rho * h
+            xx, yy, xyw, wg = 1.0 + x * x, 1.0 + y * y, w * x * y, w * g
+            a, b = normal[thing[i], k], score[thing[i], k]
+            a[0, 0] += w * yy * yy + xyw * x * y
+            a[1, 0] -= xyw * (xx + yy)
+            a[1, 1] += w * xx * xx + xyw * x * y
+            a[2, 0] -= w * x
+            a[2, 1] -= w * y
+            a[2, 2] += w * (x * x + y * y)
+            a[3, 0] -= xyw * g
+            a[3, 1] += wg * xx
+            a[3, 2] -= wg * y
+            a[4, 0] -= wg * yy
+            a[4, 1] += xyw * g
+            a[4, 2] += wg * x
+            a[5, 0] += wg * y * (xx + y * y)
+            a[5, 1] -= wg * x * (xx + y * y)
+            a[3, 3] += wg * g
+            a[5, 3] -= wg * g * x
+            a[5, 4] -= wg * g * y
+            a[5, 5] += wg * g * (x * x + y * y)
+            b[0] -= xyw * rx + w * yy * ry
+            b[1] += w * xx * rx + xyw * ry
+            b[2] += w * (x * ry - y * rx)
+            b[3] += wg * rx
+            b[4] += wg * ry
+            b[5] -= wg * (x * rx + y * ry)
+    for number in range(len(normal)):
+        for k in range(xy.shape[0] - 1):
+            normal[number, k, 4, 4] = normal[number, k, 3, 3]
+
+
+@compiled
+def _solve_each(
+    paths: Floats,
     turned: Floats,
     shifted: Floats,
     turn_sigma: Floats,
     shift_sigma: Floats,
+    normal: Floats,
+    score: Floats,
     turn: Floats,
     shift: Floats,
 ) -> None:
-    """Fill the results of `corrected_views`, view by view."""
-    normal, score, jx, jy = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
-    for k in range(path.shape[0] - 1):
-        normal[:] = 0.0
-        score[:] = 0.0
-        for i in range(xy.shape[1]):
-            if not (weight[i] > 0.0 and np.isfinite(xy[k, i, 0]) and np.isfinite(rate[i])):
-                continue
-            rho = rate[i]
-            depth = 1.0 + rho * path[k, 2]
-            if depth < _LEAST_DEPTH_RATIO:
-                continue
-            h = 1.0 / depth
-            px, py = (place[i, 0] + rho * path[k, 0]) * h, (place[i, 1] + rho * path[k, 1]) * h
-            rx, ry = xy[k, i, 0] - px, xy[k, i, 1] - py
-            inverse = 1.0 / (sigma_norm[i] * sigma_norm[i])
-            square = (rx * rx + ry * ry) * inverse
-            w = weight[i] * inverse / (1.0 + square / (_ROBUST_SIGMAS * _ROBUST_SIGMAS))
-            # Rotation of the view by a small vector, then shift of the thing.
-            jx[0], jx[1], jx[2] = -px * py, 1.0 + px * px, -py
-            jy[0], jy[1], jy[2] = -1.0 - py * py, px * py, px
-            jx[3], jx[5] = rho * h, -px * rho * h
-            jy[4], jy[5] = rho * h, -py * rho * h
-            for a in range(6):
-                score[a] += w * (jx[a] * rx + jy[a] * ry)
-                for b in range(a + 1):
-                    normal[a, b] += w * (jx[a] * jx[b] + jy[a] * jy[b])
-        length = np.sqrt(path[k, 0] ** 2 + path[k, 1] ** 2 + path[k, 2] ** 2) + 1e-9
-        for a in range(3):
-            normal[a, a] += 1.0 / turn_sigma[k] ** 2
-            score[a] -= turned[k, a] / turn_sigma[k] ** 2
-            normal[3 + a, 3 + a] += 1.0 / (shift_sigma[k] * length) ** 2
-            score[3 + a] -= shifted[k, a] / (shift_sigma[k] * length) ** 2
-        # Cholesky, in place.
-        for a in range(6):
-            for b in range(a + 1):
-                value = normal[a, b]
-                for c in range(b):
-                    value -= normal[a, c] * normal[b, c]
-                normal[a, b] = np.sqrt(value) if a == b else value / normal[b, b]
-        for a in range(6):
-            value = score[a]
-            for b in range(a):
-                value -= normal[a, b] * score[b]
-            score[a] = value / normal[a, a]
-        for a in range(5, -1, -1):
-            value = score[a]
-            for b in range(a + 1, 6):
-                value -= normal[b, a] * score[b]
-            score[a] = value / normal[a, a]
-        turn[k] = score[:3]
-        shift[k] = score[3:]
+    """Add the priors, and fill the results of `corrected_views` by Cholesky's decomposition, in place."""
+    for number in range(len(paths)):
+        for k in range(paths.shape[1] - 1):
+            path, a, b = paths[number, k], normal[number, k], score[number, k]
+            length = np.sqrt(path[0] ** 2 + path[1] ** 2 + path[2] ** 2) + 1e-9
+            for i in range(3):
+                a[i, i] += 1.0 / turn_sigma[k] ** 2
+                b[i] -= turned[number, k, i] / turn_sigma[k] ** 2
+                a[3 + i, 3 + i] += 1.0 / (shift_sigma[k] * length) ** 2
+                b[3 + i] -= shifted[number, k, i] / (shift_sigma[k] * length) ** 2
+            for i in range(6):
+                for j in range(i + 1):
+                    value = a[i, j]
+                    for c in range(j):
+                        value -= a[i, c] * a[j, c]
+                    a[i, j] = np.sqrt(value) if i == j else value / a[j, j]
+            for i in range(6):
+                for j in range(i):
+                    b[i] -= a[i, j] * b[j]
+                b[i] /= a[i, i]
+            for i in range(5, -1, -1):
+                for j in range(i + 1, 6):
+                    b[i] -= a[j, i] * b[j]
+                b[i] /= a[i, i]
+            for i in range(3):
+                turn[number, k, i], shift[number, k, i] = b[i], b[3 + i]

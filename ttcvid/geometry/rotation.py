@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
-from ttcvid.model import Floats
+from ttcvid.model import Floats, Ints
 
 # Below this 1 + y the tangent basis changes its formula: a cap of 2.6 deg about straight up, where no motion of
 # interest points; everywhere else the basis is smooth, which keeps finite differences and Gauss-Newton steps sound.
@@ -108,8 +108,22 @@ def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
     >>> turned_into_plane(np.array([[[0.6, 0.0, 0.8]]]), np.eye(3)[None])
     array([[[0.75, 0.  ]]])
     """
-    xy = np.full((*rays.shape[:2], 2), np.nan)
-    _turn_into_plane(np.ascontiguousarray(rays), np.ascontiguousarray(rotations), xy)
+    n = rays.shape[1]
+    return each_turned_into_plane(rays, np.arange(n), rotations[None], np.zeros(n, dtype=np.int64))
+
+
+def each_turned_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints) -> Floats:
+    """As `turned_into_plane`, of M picked rays, each with its own of several sets of rotations: ``(L, M, 2)``.
+
+    Parameters
+    ----------
+    rays, ray
+        ``(L, N, 3)``, and which of the N is meant: ``(M,)``.
+    rotations, rotation
+        ``(K, L, 3, 3)``, and which of the K sets turns it: ``(M,)``.
+    """
+    xy = np.empty((len(rays), len(ray), 2))
+    _turn_into_plane(np.ascontiguousarray(rays), ray, np.ascontiguousarray(rotations), rotation, xy)
     return xy
 
 
@@ -164,16 +178,18 @@ def _turn_each(vectors: Floats, rotations: Floats) -> None:
 
 
 @compiled
-def _turn_into_plane(rays: Floats, rotations: Floats, xy: Floats) -> None:
-    """Fill ``xy (L, N, 2)``."""
+def _turn_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints, xy: Floats) -> None:
+    """Fill ``xy (L, M, 2)``."""
     for place in range(len(rays)):
-        r = rotations[place]
-        for i in range(rays.shape[1]):
-            x, y, z = rays[place, i, 0], rays[place, i, 1], rays[place, i, 2]
+        for m in range(len(ray)):
+            x, y, z = rays[place, ray[m], 0], rays[place, ray[m], 1], rays[place, ray[m], 2]
+            r = rotations[rotation[m], place]
             depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
             if depth > _LEAST_FORWARD:
-                xy[place, i, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z) / depth
-                xy[place, i, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z) / depth
+                xy[place, m, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z) / depth
+                xy[place, m, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z) / depth
+            else:
+                xy[place, m, 0] = xy[place, m, 1] = np.nan
 
 
 @compiled

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path import PathFit, corrected_views, fit_on_path
-from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane, vector_from_rotation
-from ttcvid.model import Floats
+from ttcvid.geometry.medians import medians
+from ttcvid.geometry.rigid_path import PathFit, corrected_views, fit_on_paths
+from ttcvid.geometry.rotation import each_turned_into_plane, rotation_from_vector, vector_from_rotation
+from ttcvid.model import Bools, Floats, Ints
 
 # Own rotation is known from own motion; a frame corrects it by about this much, rad.
 _SCENE_TURN_RAD = float(np.radians(0.05))
@@ -37,9 +39,33 @@ class Body:
     path: Floats
     rate_hz: float = 0.0
 
-    def fit(self, rays: Floats, sigma_norm: Floats, rate_hz: Floats | None, least_rate_hz: float) -> PathFit:
-        """How well the body's motion explains points of ``rays (L, N, 3)``."""
-        return fit_on_path(turned_into_plane(rays, self.cam_R_past), self.path, sigma_norm, rate_hz, least_rate_hz)
+
+@dataclass(frozen=True)
+class Points:
+    """M points, each of one of K bodies: which of the N tracks and which body, ``track, body (M,)``.
+
+    ``rays (L, N, 3)`` unit rays of the tracks, each in the camera of its view, NaN where not observed; ``sigma_norm
+    (N,)`` their noise; ``since_s (L,)`` times relative to the present view, s.
+    """
+
+    rays: Floats
+    sigma_norm: Floats
+    since_s: Floats
+    track: Ints
+    body: Ints
+
+    def take(self, index: Bools | Ints) -> Points:
+        """The points that a mask or an index array picks."""
+        return replace(self, track=self.track[index], body=self.body[index])
+
+    def in_plane(self, bodies: Sequence[Body]) -> Floats:
+        """Where the points were seen, as if their bodies had not turned: (L, M, 2) in the plane z = 1."""
+        return each_turned_into_plane(self.rays, self.track, np.stack([b.cam_R_past for b in bodies]), self.body)
+
+    def fit(self, bodies: Sequence[Body], rate_hz: Floats | None, least_rate_hz: float | Floats = 0.0) -> PathFit:
+        """How well the motions of their bodies explain the points."""
+        xy, paths = self.in_plane(bodies), np.stack([b.path for b in bodies])
+        return fit_on_paths(xy, paths, self.body, self.sigma_norm[self.track], rate_hz, least_rate_hz)
 
 
 def carried_forward(body: Body, cam_R_prev: Floats, t_s: Floats, step: Floats | None = None) -> Body:
@@ -82,67 +108,81 @@ def with_unit_speed(body: Body, since_s: Floats, rate_hz: Floats) -> tuple[Body,
     return replace(body, path=body.path / speed), rate_hz * speed
 
 
-def refined_scene(
-    scene: Body, rays: Floats, sigma_norm: Floats, weight: Floats, rate_hz: Floats, since_s: Floats, n_steps: int
-) -> Body:
+def refined_scene(scene: Body, points: Points, weight: Floats, rate_hz: Floats, n_steps: int) -> Body:
     """The scene's rotations and path, drawn towards what its points show.
 
     This is what makes rotation noise common to all tracks instead of each track's own (DESIGN section 3).
 
     Parameters
     ----------
-    rays : (L, N, 3) unit rays, each in the camera of its view; ``sigma_norm, weight, rate_hz (N,)``.
-    since_s : (L,) times relative to the present view, s.
+    weight, rate_hz : (M,) of each point.
     """
-    turn_sigma, not_turned = np.full(len(since_s), _SCENE_TURN_RAD), np.zeros((len(since_s), 3))
+    n_views = len(points.since_s)
+    turn_sigma, not_turned = np.full(n_views, _SCENE_TURN_RAD), np.zeros((1, n_views, 3))
     for _ in range(n_steps):
-        scene, rate_hz = _refined_once(scene, rays, sigma_norm, weight, rate_hz, since_s, not_turned, turn_sigma)
+        (scene,), rate_hz = _refined_once([scene], points, weight, rate_hz, not_turned, turn_sigma)
     return scene
 
 
-def refined_mover(mover: Body, scene: Body, rays: Floats, sigma_norm: Floats, since_s: Floats, n_steps: int) -> Body:
-    """A mover's turns and path by its own points ``rays (L, M, 3)``; beside the scene's it may turn a little.
+def refined_movers(movers: Sequence[Body], scene: Body, points: Points, n_steps: Ints) -> list[Body]:
+    """The turns and paths of movers by their own points; beside the scene's views theirs may turn a little.
 
     Parameters
     ----------
-    since_s : (L,) times relative to the present view, s.
+    n_steps : (K,) of each mover.
     """
-    turn_sigma = _TURN_RATE_RAD_S * np.maximum(-since_s, _LEAST_TIME_S)
-    weight, rate_hz = np.ones(rays.shape[1]), np.full(rays.shape[1], np.nan)
-    for _ in range(n_steps):
-        turned = vector_from_rotation(scene.cam_R_past @ np.swapaxes(mover.cam_R_past, 1, 2))
-        mover, rate_hz = _refined_once(mover, rays, sigma_norm, weight, rate_hz, since_s, turned, turn_sigma)
-    known = rate_hz[np.isfinite(rate_hz)]
-    return replace(mover, rate_hz=float(np.median(known)) if len(known) else 0.0)
+    movers = list(movers)
+    turn_sigma = _TURN_RATE_RAD_S * np.maximum(-points.since_s, _LEAST_TIME_S)
+    rate_hz = np.full(len(points.track), np.nan)
+    for step in range(n_steps.max(initial=0)):
+        asked = np.flatnonzero(n_steps > step)
+        place = np.flatnonzero(n_steps[points.body] > step)
+        bodies, own = [movers[number] for number in asked], points.take(place)
+        own = replace(own, body=np.searchsorted(asked, own.body))
+        back = np.swapaxes(np.stack([body.cam_R_past for body in bodies]), 2, 3)
+        turned = vector_from_rotation(scene.cam_R_past @ back)
+        bodies, rate_hz[place] = _refined_once(bodies, own, np.ones(len(place)), rate_hz[place], turned, turn_sigma)
+        for number, body in zip(asked, bodies, strict=True):
+            movers[number] = body
+    known = np.isfinite(rate_hz)
+    medians_hz = np.nan_to_num(medians(rate_hz[known], points.body[known], len(movers)))
+    return [replace(mover, rate_hz=float(rate)) for mover, rate in zip(movers, medians_hz, strict=True)]
 
 
 def _refined_once(
-    body: Body,
-    rays: Floats,
-    sigma_norm: Floats,
+    bodies: Sequence[Body],
+    points: Points,
     weight: Floats,
     rate_hz: Floats,
-    since_s: Floats,
     turned_rad: Floats,
     turn_sigma_rad: Floats,
-) -> tuple[Body, Floats]:
-    """Points on the path, then the views by the points; the path keeps its length."""
-    xy = turned_into_plane(rays, body.cam_R_past)
-    fit = fit_on_path(xy, body.path, sigma_norm, rate_hz)
+) -> tuple[list[Body], Floats]:
+    """Points on the paths, then the views by the points; a path keeps its length.
+
+    Parameters
+    ----------
+    turned_rad : (K, L, 3) how far each view of each body has turned from where it is expected; ``turn_sigma_rad (L,)``.
+    """
+    xy, path = points.in_plane(bodies), np.stack([body.path for body in bodies])
+    cam_R_past, since_s = np.stack([body.cam_R_past for body in bodies]), points.since_s
+    sigma_norm = points.sigma_norm[points.track]
+    fit = fit_on_paths(xy, path, points.body, sigma_norm, rate_hz)
     is_used = (weight > 0.0) & (fit.n_views > 1)
-    if not is_used.any():
-        return body, rate_hz
-    typical = max(float(np.median(fit.misfit[is_used])), _LEAST_TYPICAL_MISFIT)
-    weight = np.where(is_used, weight / (1.0 + fit.misfit / (_HALF_WEIGHT * typical)), 0.0)
-    shifted = body.path - np.outer(since_s / min(since_s[0], -_LEAST_TIME_S), body.path[0])
+    typical = np.maximum(medians(fit.misfit[is_used], points.body[is_used], len(bodies)), _LEAST_TYPICAL_MISFIT)
+    weight = np.where(is_used, weight / (1.0 + fit.misfit / (_HALF_WEIGHT * typical[points.body])), 0.0)
+    shifted = path - (since_s / min(since_s[0], -_LEAST_TIME_S))[:, None] * path[:, :1]
     shift_sigma = _SHIFT_FLOOR - _SHIFT_RATE_HZ * since_s
     turn_rad, shift = corrected_views(
-        xy, body.path, fit, sigma_norm, weight, turned_rad, shifted, turn_sigma_rad, shift_sigma
+        xy, path, points.body, fit, sigma_norm, weight, turned_rad, shifted, turn_sigma_rad, shift_sigma
     )
-    path = body.path + shift
-    before, after = np.linalg.norm(body.path[0]), np.linalg.norm(path[0])
-    if min(before, after) > _NO_LENGTH:
-        path = path * (before / after)
+    moved = path + shift
+    before, after = np.linalg.norm(path[:, 0], axis=1), np.linalg.norm(moved[:, 0], axis=1)
+    has_length = np.minimum(before, after) > _NO_LENGTH
+    moved *= np.divide(before, after, out=np.ones(len(bodies)), where=has_length)[:, None, None]
     # By way of rotation vectors: products that go on for ever would cease to be rotations.
-    turned = rotation_from_vector(vector_from_rotation(rotation_from_vector(-turn_rad) @ body.cam_R_past))
-    return replace(body, cam_R_past=turned, path=path), fit.rate_hz
+    turned = rotation_from_vector(vector_from_rotation(rotation_from_vector(-turn_rad) @ cam_R_past))
+    refined = [
+        replace(body, cam_R_past=turned[number], path=moved[number]) if np.isfinite(typical[number]) else body
+        for number, body in enumerate(bodies)
+    ]
+    return refined, fit.rate_hz

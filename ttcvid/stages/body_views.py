@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.rotation import turned_into_plane
+from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.bodies import Body, refined_mover
+from ttcvid.stages.bodies import Body, Points
 from ttcvid.stages.connected import nearest_neighbours
 from ttcvid.stages.history import TrackHistory
 
@@ -47,18 +48,16 @@ class BodyViews:
         """Which of the neighbours are another track: (N, K)."""
         return np.asarray(self.neighbours != np.arange(len(self.neighbours))[:, None])
 
-    def misfit(self, mover: Body, index: Ints) -> Floats:
-        """Misfit of the tracks ``index`` on a mover's path."""
-        rate_hz = np.full(len(index), mover.rate_hz)
-        return mover.fit(self.rays[:, index], self.sigma_norm[index], rate_hz, _LEAST_RATE * mover.rate_hz).misfit
+    def points(self, track: Ints, body: Ints | None = None) -> Points:
+        """These tracks as points of bodies: ``track, body (M,)``; None: all of one body."""
+        body = np.zeros(len(track), dtype=np.int64) if body is None else body
+        return Points(self.rays, self.sigma_norm, self.since_s, track, body)
 
-    def refined(self, mover: Body, scene: Body, index: Ints, n_steps: int) -> Body:
-        """A mover's path by the tracks ``index``."""
-        return refined_mover(mover, scene, self.rays[:, index], self.sigma_norm[index], self.since_s, n_steps)
 
-    def in_plane(self, body: Body, index: Ints) -> Floats:
-        """The tracks ``index`` as if a body had not turned: (L, M, 2) in the plane z = 1 of the present camera."""
-        return turned_into_plane(self.rays[:, index], body.cam_R_past)
+def fit_on_movers(points: Points, movers: Sequence[Body]) -> PathFit:
+    """The points on the paths of movers, their rates near what is usual on each."""
+    usual_hz = np.array([mover.rate_hz for mover in movers])[points.body]
+    return points.fit(movers, usual_hz, _LEAST_RATE * usual_hz)
 
 
 def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_error_px: float) -> BodyViews:

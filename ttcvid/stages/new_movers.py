@@ -9,8 +9,8 @@ from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import fit_whole_tracks
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.bodies import Body
-from ttcvid.stages.body_views import BodyViews
+from ttcvid.stages.bodies import Body, refined_movers
+from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
 
 # Views that a track needs to contradict the scene.
@@ -48,21 +48,27 @@ def new_movers(
     candidates = _candidates(views, in_scene & views.is_free & (n_views >= _LEAST_VIEWS), misfit, config)
     if len(candidates) < config.min_tracks:
         return []
-    xy = views.in_plane(scene, candidates)
+    xy = views.points(candidates).in_plane([scene])
     label = _alike_and_near(views, candidates, xy)
     is_one = np.bincount(label)[label] >= config.min_tracks
+    if not is_one.any():
+        return []
     xy, candidates = xy[:, is_one], candidates[is_one]
     numbers, thing = np.unique(label[is_one], return_inverse=True)
     tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates])
     directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
+    points = views.points(candidates, thing)
+    starts = [Body(scene.cam_R_past, straight_path(direction, views.since_s)) for direction in directions]
+    bodies = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
+    misfit_by_own = fit_on_movers(points, bodies).misfit / usual_misfit
+    is_better = misfit_by_own < misfit[candidates] / config.gain
     found = []
-    for number in np.flatnonzero(np.isfinite(directions[:, 0])):
-        members = candidates[thing == number]
-        start = Body(scene.cam_R_past, straight_path(directions[number], views.since_s))
-        body = views.refined(start, scene, members, _FIRST_STEPS)
-        is_better = views.misfit(body, members) / usual_misfit < misfit[members] / config.gain
-        if np.count_nonzero(is_better) >= max(config.min_tracks, len(members) // 2 + 1):
-            found.append((members[is_better], body))
+    for number, body in enumerate(bodies):
+        is_own = thing == number
+        members = candidates[is_better & is_own]
+        least = max(config.min_tracks, int(np.count_nonzero(is_own)) // 2 + 1)
+        if np.isfinite(directions[number, 0]) and len(members) >= least:
+            found.append((members, body))
     return found
 
 
