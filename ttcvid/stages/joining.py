@@ -19,7 +19,7 @@ from ttcvid.stages.connected import connected_parts, linked_pairs
 _ONE_RATE = 1.5
 # Two movers are one where one motion explains both at most this much worse than two, misfits below 1 being 1; before
 # that is tried, the motion of the larger has to explain the smaller within this factor, at rates within the other.
-_MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 8.0, 2.0
+_MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 8.0, 3.0
 _LEAST_MISFIT = 1.0
 # Steps of refinement of two taken as one.
 _JOINT_STEPS = 4
