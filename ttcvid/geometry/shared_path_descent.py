@@ -1,0 +1,361 @@
+"""The inner loops of `shared_path`: Gauss-Newton on K paths and on the places and rates of their points, compiled.
+
+All arrays that a function fills are arguments of it. Points stand in order of their paths: those of path k are
+``first[k] ... first[k + 1] - 1``. What the points of a path share is counted in the axes ``basis (3, 3)`` of the
+path, whose last column is its believed direction: u along the first two (a speed is no unknown), v along all three,
+and a rotation rate about x, y, z of the camera: `N_LOCAL` unknowns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Floats, Ints
+
+N_LOCAL = 8
+"""Unknowns that the points of a path share."""
+
+LEAST_VIEWS = 3
+"""Fewer views say nothing of a path beside the place and the rate of their point."""
+
+# Joint steps end after so many, or after one shorter than this (squared, in sigmas of the estimate).
+_MAX_STEPS, _CONVERGED_CHI2 = 6, 1e-2
+# A point whose window has less than this part of its views, over the same of the median point, is left out.
+_LOYAL_SHARE = 0.7
+# As in the fit of each point (`whole_track_on_path`).
+_ROBUST_SIGMAS, _LEAST_DEPTH_RATIO = 3.0, 0.1
+# Numbers kept of a point while what it shares is solved for: information on its place, couplings of x and y with rho,
+# information on rho, score of x, y, rho.
+_N_OWN = 7
+
+
+@compiled
+def descend_together(
+    xy: Floats,
+    t_s: Floats,
+    sigma: Floats,
+    order: Ints,
+    n_views: Ints,
+    first: Ints,
+    base: Floats,
+    basis: Floats,
+    prior: Floats,
+    state: Floats,
+    offset: Floats,
+) -> None:
+    """Paths and points together, over all views: fills ``state (N, 3)`` (x, y, rho) and ``offset (K, 8)``.
+
+    No view is cut off: a believed path may be wrong by hundreds of sigmas at its far end, where a window would end at
+    once and nothing be learned of it. A view loses weight beyond three times the usual residual of its path's points.
+
+    Parameters
+    ----------
+    xy : (L, N, 2) views of times ``t_s (L,)``; of each point the first ``n_views (N,)`` in ``order`` count.
+    base : (K, L, 3) believed paths, ``prior (K, 8, 8)`` the information on the offsets from them.
+    """
+    n_times, n = xy.shape[:2]
+    rotation, path, views = np.empty((n_times, 3, 3)), np.empty((n_times, 3)), np.empty((n_times, 2))
+    information, score, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(N_LOCAL), np.empty(N_LOCAL)
+    own, coupling, relative = np.empty((n, _N_OWN)), np.empty((n, 3, N_LOCAL)), np.zeros(n)
+    for k in range(len(first) - 1):
+        low, high = first[k], first[k + 1]
+        offset[k] = 0.0
+        for i in range(low, high):
+            relative[i] = _start(xy[:, i], base[k], order, n_views[i], sigma[i], state[i])
+        for _ in range(_MAX_STEPS):
+            misfit = max(1.0, np.sqrt(np.median(relative[low:high]))) if high > low else 1.0
+            limit = (_ROBUST_SIGMAS * misfit) ** 2
+            _set_path(t_s, base[k], basis[k], offset[k], path, rotation)
+            _set_prior(prior[k], offset[k], information, score)
+            for i in range(low, high):
+                _turn(xy, rotation, i, views)
+                slowest, fastest = _rate_limits(views, path, order, n_views[i])
+                if not slowest < state[i, 2] < fastest:
+                    _start(views, path, order, n_views[i], sigma[i], state[i])
+                relative[i] = _add_point(
+                    views,
+                    t_s,
+                    path,
+                    basis[k],
+                    order,
+                    n_views[i],
+                    state[i],
+                    1.0 / sigma[i],
+                    limit,
+                    information,
+                    score,
+                    own[i],
+                    coupling[i],
+                )
+            fall = _solve(information, score, step)
+            offset[k] += step
+            for i in range(low, high):
+                _follow(own[i], coupling[i], step, state[i])
+            if fall < _CONVERGED_CHI2 * misfit * misfit:
+                break
+
+
+@compiled
+def add_up_windows(
+    xy: Floats,
+    t_s: Floats,
+    sigma: Floats,
+    order: Ints,
+    n_views: Ints,
+    first: Ints,
+    path: Floats,
+    basis: Floats,
+    n_frames: Ints,
+    state: Floats,
+    information: Floats,
+    score: Floats,
+) -> None:
+    """Adds what the windows ``n_frames (N,)`` of all points say: ``information (K, 8, 8)``, ``score (K, 8)``.
+
+    Points that leave their path much sooner than others do move otherwise, and are left out. ``xy (L, N, 2)`` are views
+    turned back, ``path (K, L, 3)`` the paths at which the points were fitted.
+    """
+    own, coupling, share = np.empty(_N_OWN), np.empty((3, N_LOCAL)), n_frames / n_views
+    for k in range(len(first) - 1):
+        if first[k] == first[k + 1]:
+            continue
+        least = _LOYAL_SHARE * np.median(share[first[k] : first[k + 1]])
+        for i in range(first[k], first[k + 1]):
+            if share[i] >= least and n_frames[i] >= LEAST_VIEWS and np.isfinite(state[i, 2]):
+                _add_point(
+                    xy[:, i],
+                    t_s,
+                    path[k],
+                    basis[k],
+                    order,
+                    n_frames[i],
+                    state[i],
+                    1.0 / sigma[i],
+                    _ROBUST_SIGMAS * _ROBUST_SIGMAS,
+                    information[k],
+                    score[k],
+                    own,
+                    coupling,
+                )
+
+
+@compiled
+def _add_point(
+    views: Floats,
+    t_s: Floats,
+    path: Floats,
+    basis: Floats,
+    order: Ints,
+    n: int,
+    s: Floats,
+    inverse: float,
+    limit: float,
+    information: Floats,
+    score: Floats,
+    own: Floats,
+    coupling: Floats,
+) -> float:
+    """Adds one point to the ``information (8, 8)`` and ``score (8,)`` of its path, its place and rate eliminated.
+
+    Fills ``own (7,)`` and the couplings ``(3, 8)`` of x, y, rho with what is shared. Returns the mean square residual.
+    With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
+    t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does.
+    """
+    by_x, by_y = np.empty(N_LOCAL), np.empty(N_LOCAL)
+    whole, right = np.zeros((N_LOCAL, N_LOCAL)), np.zeros(N_LOCAL)
+    own[:], coupling[:] = 0.0, 0.0
+    total, count = 0.0, 0
+    for place in order:
+        if count == n:
+            break
+        tx, ty, tz = path[place, 0], path[place, 1], path[place, 2]
+        if not np.isfinite(views[place, 0] + views[place, 1] + tx + tz):
+            continue
+        count += 1
+        h = 1.0 / (1.0 + s[2] * tz)
+        x, y = (s[0] + s[2] * tx) * h, (s[1] + s[2] * ty) * h
+        rx, ry = (views[place, 0] - x) * inverse, (views[place, 1] - y) * inverse
+        square = rx * rx + ry * ry
+        weight = limit / square if square > limit else 1.0
+        total += weight * square
+        a = h * inverse
+        jx, jy = a * (tx - x * tz), a * (ty - y * tz)
+        moved, half = s[2] * a * t_s[place], 0.5 * t_s[place]
+        for j in range(3):
+            gx, gy = moved * (basis[0, j] - x * basis[2, j]), moved * (basis[1, j] - y * basis[2, j])
+            if j < 2:
+                by_x[j], by_y[j] = gx, gy
+            by_x[2 + j], by_y[2 + j] = half * gx, half * gy
+        turned = inverse * t_s[place]
+        by_x[5], by_x[6], by_x[7] = -x * y * turned, (1.0 + x * x) * turned, -y * turned
+        by_y[5], by_y[6], by_y[7] = -(1.0 + y * y) * turned, x * y * turned, x * turned
+        own[0] += weight * a * a
+        own[1] += weight * a * jx
+        own[2] += weight * a * jy
+        own[3] += weight * (jx * jx + jy * jy)
+        own[4] += weight * a * rx
+        own[5] += weight * a * ry
+        own[6] += weight * (jx * rx + jy * ry)
+        for j in range(N_LOCAL):
+            wx, wy = weight * by_x[j], weight * by_y[j]
+            coupling[0, j] += a * wx
+            coupling[1, j] += a * wy
+            coupling[2, j] += jx * wx + jy * wy
+            right[j] += rx * wx + ry * wy
+            for k in range(N_LOCAL):
+                whole[j, k] += wx * by_x[k] + wy * by_y[k]
+    if count < LEAST_VIEWS:
+        own[3] = 0.0
+        return 0.0
+    _eliminate(own, coupling, whole, right, information, score)
+    return total / (2 * count - 3)
+
+
+@compiled
+def _eliminate(own: Floats, coupling: Floats, whole: Floats, right: Floats, information: Floats, score: Floats) -> None:
+    """Adds what is left of ``whole`` and ``right`` once x and y, then rho, follow what is shared (Schur complement).
+
+    ``own`` and ``coupling`` become those of rho with x and y eliminated. Without information on rho nothing is added.
+    """
+    rest = 1.0 / own[0]
+    own[3] -= (own[1] * own[1] + own[2] * own[2]) * rest
+    if not own[3] > 0.0:
+        own[3] = 0.0
+        return
+    own[6] -= (own[1] * own[4] + own[2] * own[5]) * rest
+    rate_variance = 1.0 / own[3]
+    for j in range(N_LOCAL):
+        coupling[2, j] -= (own[1] * coupling[0, j] + own[2] * coupling[1, j]) * rest
+    for j in range(N_LOCAL):
+        along_x, along_y, along = coupling[0, j] * rest, coupling[1, j] * rest, coupling[2, j] * rate_variance
+        score[j] += right[j] - along_x * own[4] - along_y * own[5] - along * own[6]
+        for k in range(N_LOCAL):
+            information[j, k] += (
+                whole[j, k] - along_x * coupling[0, k] - along_y * coupling[1, k] - along * coupling[2, k]
+            )
+
+
+@compiled
+def _follow(own: Floats, coupling: Floats, step: Floats, s: Floats) -> None:
+    """Moves a point by its own part of a joint step: what was eliminated, put back."""
+    if own[3] == 0.0:
+        return
+    x, y, rate = own[4], own[5], own[6]
+    for j in range(N_LOCAL):
+        x -= coupling[0, j] * step[j]
+        y -= coupling[1, j] * step[j]
+        rate -= coupling[2, j] * step[j]
+    rate /= own[3]
+    s[0] += (x - own[1] * rate) / own[0]
+    s[1] += (y - own[2] * rate) / own[0]
+    s[2] += rate
+
+
+@compiled
+def _start(views: Floats, path: Floats, order: Ints, n: int, sigma: float, s: Floats) -> float:
+    """Fills ``s (3,)`` by the linear solve of x + rho (T_x - x_i T_z) = x_i; returns its mean square residual."""
+    count, x0, y0 = 0, 0.0, 0.0
+    sum_x, sum_y, sum_xx, right_x, right_y, right, total = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for place in order:
+        if count == n:
+            break
+        x, y, tz = views[place, 0], views[place, 1], path[place, 2]
+        if not np.isfinite(x + y + path[place, 0] + tz):
+            continue
+        if count == 0:
+            x0, y0 = x, y
+        count += 1
+        jx, jy = path[place, 0] - x * tz, path[place, 1] - y * tz
+        sum_x += jx
+        sum_y += jy
+        sum_xx += jx * jx + jy * jy
+        right_x += x - x0
+        right_y += y - y0
+        right += jx * (x - x0) + jy * (y - y0)
+        total += (x - x0) ** 2 + (y - y0) ** 2
+    slowest, fastest = _rate_limits(views, path, order, n)
+    rest = 1.0 / max(count, 1)
+    information = sum_xx - (sum_x * sum_x + sum_y * sum_y) * rest
+    along = right - (sum_x * right_x + sum_y * right_y) * rest
+    rate = along / information if information > 0.0 else 0.0
+    s[2] = min(max(rate, 0.5 * slowest), 0.5 * fastest)
+    s[0], s[1] = x0 + (right_x - sum_x * s[2]) * rest, y0 + (right_y - sum_y * s[2]) * rest
+    total -= (right_x * right_x + right_y * right_y) * rest + rate * along
+    return max(total, 0.0) / (sigma * sigma * max(2 * count - 3, 1))
+
+
+@compiled
+def _rate_limits(views: Floats, path: Floats, order: Ints, n: int) -> tuple[float, float]:
+    """Rates between which all views of a point are in front of the camera."""
+    nearest, farthest, count = 0.0, 0.0, 0
+    for place in order:
+        if count == n:
+            break
+        if np.isfinite(views[place, 0] + views[place, 1] + path[place, 0] + path[place, 2]):
+            nearest, farthest = min(nearest, path[place, 2]), max(farthest, path[place, 2])
+            count += 1
+    return -(1.0 - _LEAST_DEPTH_RATIO) / max(farthest, 1e-12), (1.0 - _LEAST_DEPTH_RATIO) / max(-nearest, 1e-12)
+
+
+@compiled
+def _set_path(t_s: Floats, base: Floats, basis: Floats, offset: Floats, path: Floats, rotation: Floats) -> None:
+    """Fills the path ``(L, 3)`` at an offset, and the rotations ``(L, 3, 3)`` that turn its views back (Rodrigues)."""
+    wx, wy, wz = offset[5], offset[6], offset[7]
+    rate = np.sqrt(wx * wx + wy * wy + wz * wz)
+    for place in range(len(t_s)):
+        t = t_s[place]
+        for j in range(3):
+            path[place, j] = base[place, j]
+            for m in range(3):
+                u = offset[m] if m < 2 else 0.0
+                path[place, j] += basis[j, m] * (t * u + 0.5 * t * t * offset[2 + m])
+        sine = np.sin(rate * t) / rate if rate > 0.0 else t
+        half = np.sin(0.5 * rate * t) / rate if rate > 0.0 else 0.5 * t
+        versed = 2.0 * half * half
+        r = rotation[place]
+        r[0, 0], r[1, 1] = 1.0 - versed * (wy * wy + wz * wz), 1.0 - versed * (wx * wx + wz * wz)
+        r[2, 2] = 1.0 - versed * (wx * wx + wy * wy)
+        r[0, 1], r[1, 0] = versed * wx * wy + sine * wz, versed * wx * wy - sine * wz
+        r[0, 2], r[2, 0] = versed * wx * wz - sine * wy, versed * wx * wz + sine * wy
+        r[1, 2], r[2, 1] = versed * wy * wz + sine * wx, versed * wy * wz - sine * wx
+
+
+@compiled
+def _turn(xy: Floats, rotation: Floats, i: int, views: Floats) -> None:
+    """Fills ``views (L, 2)`` with those of point i turned by ``rotation (L, 3, 3)``."""
+    for place in range(len(rotation)):
+        r, x, y = rotation[place], xy[place, i, 0], xy[place, i, 1]
+        depth = r[2, 0] * x + r[2, 1] * y + r[2, 2]
+        views[place, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth
+        views[place, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
+
+
+@compiled
+def _set_prior(prior: Floats, offset: Floats, information: Floats, score: Floats) -> None:
+    """Fills information and score with what the belief says at an offset from it."""
+    for j in range(N_LOCAL):
+        score[j] = 0.0
+        for k in range(N_LOCAL):
+            information[j, k] = prior[j, k]
+            score[j] -= prior[j, k] * offset[k]
+
+
+@compiled
+def _solve(matrix: Floats, right: Floats, solution: Floats) -> float:
+    """Fills the solution of a positive definite system, by elimination; returns ``right . solution``."""
+    rest = matrix.copy()
+    solution[:] = right
+    for j in range(N_LOCAL):
+        for i in range(j + 1, N_LOCAL):
+            factor = rest[i, j] / rest[j, j]
+            solution[i] -= factor * solution[j]
+            for k in range(j, N_LOCAL):
+                rest[i, k] -= factor * rest[j, k]
+    fall = 0.0
+    for j in range(N_LOCAL - 1, -1, -1):
+        for k in range(j + 1, N_LOCAL):
+            solution[j] -= rest[j, k] * solution[k]
+        solution[j] /= rest[j, j]
+        fall += right[j] * solution[j]
+    return fall
