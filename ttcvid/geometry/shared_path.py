@@ -11,7 +11,7 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together
+from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together, list_views
 from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths
 from ttcvid.model import Floats, Ints
 
@@ -105,16 +105,16 @@ def fit_shared_paths(
     xy, t_s, sigma_norm, path_of, max_frames, gate_probability
         As for `fit_rates_on_paths`. At most `MOST_POINTS` points of a path are used.
     """
-    longest = len(t_s) if max_frames is None else max_frames
-    n_views = np.minimum(np.count_nonzero(np.isfinite(xy[..., 0]), axis=0), longest)
+    longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
+    seen, n_views = np.empty((len(path_of), longest), dtype=np.int64), np.empty(len(path_of), dtype=np.int64)
+    list_views(xy, np.argsort(np.abs(t_s), kind="stable"), beliefs.base, path_of, seen, n_views)
     index, first = _some_of_each(np.where(n_views < LEAST_VIEWS, NO_PATH, path_of), len(beliefs.direction))
-    xy, sigma_norm, n_views = np.ascontiguousarray(xy[:, index]), sigma_norm[index], n_views[index]
-    path_of = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    xy, sigma_norm, path_of = np.ascontiguousarray(xy[:, index]), sigma_norm[index], path_of[index]
+    points = xy, t_s, sigma_norm, seen[index], n_views[index], first
     basis = np.concatenate([tangent_basis(beliefs.direction), beliefs.direction[:, :, None]], axis=2)
     prior = _prior(beliefs, basis)
-    points = xy, t_s, sigma_norm, np.argsort(np.abs(t_s), kind="stable"), n_views, first
     state, offset = np.empty((len(index), 3)), np.empty((len(basis), N_LOCAL))
-    descend_together(*points, np.ascontiguousarray(beliefs.base), basis, prior, state, offset)
+    descend_together(*points, beliefs.base, basis, prior, state, offset)
 
     shared = _shared_paths(beliefs, basis, offset, np.zeros_like(prior), t_s)
     views = turned_back(xy, t_s, shared.turn_rad_s, path_of)

@@ -20,7 +20,7 @@ LEAST_VIEWS = 3
 """Fewer views say nothing of a path beside the place and the rate of their point."""
 
 # Joint steps end after so many, or after one shorter than this (squared, in sigmas of the estimate).
-_MAX_STEPS, _CONVERGED_CHI2 = 6, 1e-2
+_MAX_STEPS, _CONVERGED_CHI2 = 6, 0.1
 # A point whose window has less than this part of its views, over the same of the median point, is left out.
 _LOYAL_SHARE = 0.7
 # As in the fit of each point (`whole_track_on_path`).
@@ -35,7 +35,7 @@ def descend_together(
     xy: Floats,
     t_s: Floats,
     sigma: Floats,
-    order: Ints,
+    seen: Ints,
     n_views: Ints,
     first: Ints,
     base: Floats,
@@ -51,45 +51,47 @@ def descend_together(
 
     Parameters
     ----------
-    xy : (L, N, 2) views of times ``t_s (L,)``; of each point the first ``n_views (N,)`` in ``order`` count.
+    xy : (L, N, 2) views of times ``t_s (L,)``; point i is seen at the times ``seen[i, : n_views[i]]``, nearest first.
     base : (K, L, 3) believed paths, ``prior (K, 8, 8)`` the information on the offsets from them.
     """
     n_times, n = xy.shape[:2]
     rotation, path, views = np.empty((n_times, 3, 3)), np.empty((n_times, 3)), np.empty((n_times, 2))
     information, score, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(N_LOCAL), np.empty(N_LOCAL)
-    own, coupling, relative = np.empty((n, _N_OWN)), np.empty((n, 3, N_LOCAL)), np.zeros(n)
+    own, coupling, relative = np.empty((n, _N_OWN)), np.empty((n, 3, N_LOCAL)), np.empty(n)
+    scratch = np.empty((N_LOCAL + 3, N_LOCAL))
     for k in range(len(first) - 1):
         low, high = first[k], first[k + 1]
         offset[k] = 0.0
+        _set_path(t_s, base[k], basis[k], offset[k], path, rotation)
         for i in range(low, high):
-            relative[i] = _start(xy[:, i], base[k], order, n_views[i], sigma[i], state[i])
+            relative[i] = _start(xy[:, i], path, seen[i, : n_views[i]], sigma[i], state[i])
         for _ in range(_MAX_STEPS):
             misfit = max(1.0, np.sqrt(np.median(relative[low:high]))) if high > low else 1.0
-            limit = (_ROBUST_SIGMAS * misfit) ** 2
-            _set_path(t_s, base[k], basis[k], offset[k], path, rotation)
             _set_prior(prior[k], offset[k], information, score)
             for i in range(low, high):
-                _turn(xy, rotation, i, views)
-                slowest, fastest = _rate_limits(views, path, order, n_views[i])
+                places = seen[i, : n_views[i]]
+                _turn(xy, rotation, i, places, views)
+                slowest, fastest = _rate_limits(path, places)
                 if not slowest < state[i, 2] < fastest:
-                    _start(views, path, order, n_views[i], sigma[i], state[i])
+                    _start(views, path, places, sigma[i], state[i])
                 relative[i] = _add_point(
                     views,
                     t_s,
                     path,
                     basis[k],
-                    order,
-                    n_views[i],
+                    places,
                     state[i],
                     1.0 / sigma[i],
-                    limit,
+                    (_ROBUST_SIGMAS * misfit) ** 2,
                     information,
                     score,
                     own[i],
                     coupling[i],
+                    scratch,
                 )
             fall = _solve(information, score, step)
             offset[k] += step
+            _set_path(t_s, base[k], basis[k], offset[k], path, rotation)
             for i in range(low, high):
                 _follow(own[i], coupling[i], step, state[i])
             if fall < _CONVERGED_CHI2 * misfit * misfit:
@@ -101,7 +103,7 @@ def add_up_windows(
     xy: Floats,
     t_s: Floats,
     sigma: Floats,
-    order: Ints,
+    seen: Ints,
     n_views: Ints,
     first: Ints,
     path: Floats,
@@ -116,7 +118,8 @@ def add_up_windows(
     Points that leave their path much sooner than others do move otherwise, and are left out. ``xy (L, N, 2)`` are views
     turned back, ``path (K, L, 3)`` the paths at which the points were fitted.
     """
-    own, coupling, share = np.empty(_N_OWN), np.empty((3, N_LOCAL)), n_frames / n_views
+    own, coupling, scratch = np.empty(_N_OWN), np.empty((3, N_LOCAL)), np.empty((N_LOCAL + 3, N_LOCAL))
+    share = n_frames / n_views
     for k in range(len(first) - 1):
         if first[k] == first[k + 1]:
             continue
@@ -128,8 +131,7 @@ def add_up_windows(
                     t_s,
                     path[k],
                     basis[k],
-                    order,
-                    n_frames[i],
+                    seen[i, : n_frames[i]],
                     state[i],
                     1.0 / sigma[i],
                     _ROBUST_SIGMAS * _ROBUST_SIGMAS,
@@ -137,7 +139,28 @@ def add_up_windows(
                     score[k],
                     own,
                     coupling,
+                    scratch,
                 )
+
+
+@compiled
+def list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Ints, n_views: Ints) -> None:
+    """Fills ``seen (N, M)`` with the first M places in ``order`` at which a point and its path are known.
+
+    ``n_views (N,)`` says how many there are; none for a point without a path.
+    """
+    n_views[:] = 0
+    for i in range(xy.shape[1]):
+        if path_of[i] < 0:
+            continue
+        path, count = paths[path_of[i]], 0
+        for place in order:
+            if count == seen.shape[1]:
+                break
+            if np.isfinite(xy[place, i, 0] + xy[place, i, 1] + path[place, 0] + path[place, 2]):
+                seen[i, count] = place
+                count += 1
+        n_views[i] = count
 
 
 @compiled
@@ -146,8 +169,7 @@ def _add_point(
     t_s: Floats,
     path: Floats,
     basis: Floats,
-    order: Ints,
-    n: int,
+    places: Ints,
     s: Floats,
     inverse: float,
     limit: float,
@@ -155,6 +177,7 @@ def _add_point(
     score: Floats,
     own: Floats,
     coupling: Floats,
+    scratch: Floats,
 ) -> float:
     """Adds one point to the ``information (8, 8)`` and ``score (8,)`` of its path, its place and rate eliminated.
 
@@ -162,17 +185,11 @@ def _add_point(
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does.
     """
-    by_x, by_y = np.empty(N_LOCAL), np.empty(N_LOCAL)
-    whole, right = np.zeros((N_LOCAL, N_LOCAL)), np.zeros(N_LOCAL)
-    own[:], coupling[:] = 0.0, 0.0
-    total, count = 0.0, 0
-    for place in order:
-        if count == n:
-            break
+    by_x, by_y, right, whole = scratch[N_LOCAL], scratch[N_LOCAL + 1], scratch[N_LOCAL + 2], scratch[:N_LOCAL]
+    own[:], coupling[:], whole[:], right[:] = 0.0, 0.0, 0.0, 0.0
+    total = 0.0
+    for place in places:
         tx, ty, tz = path[place, 0], path[place, 1], path[place, 2]
-        if not np.isfinite(views[place, 0] + views[place, 1] + tx + tz):
-            continue
-        count += 1
         h = 1.0 / (1.0 + s[2] * tz)
         x, y = (s[0] + s[2] * tx) * h, (s[1] + s[2] * ty) * h
         rx, ry = (views[place, 0] - x) * inverse, (views[place, 1] - y) * inverse
@@ -203,18 +220,15 @@ def _add_point(
             coupling[1, j] += a * wy
             coupling[2, j] += jx * wx + jy * wy
             right[j] += rx * wx + ry * wy
-            for k in range(N_LOCAL):
+            for k in range(j + 1):
                 whole[j, k] += wx * by_x[k] + wy * by_y[k]
-    if count < LEAST_VIEWS:
-        own[3] = 0.0
-        return 0.0
     _eliminate(own, coupling, whole, right, information, score)
-    return total / (2 * count - 3)
+    return total / (2 * len(places) - 3)
 
 
 @compiled
 def _eliminate(own: Floats, coupling: Floats, whole: Floats, right: Floats, information: Floats, score: Floats) -> None:
-    """Adds what is left of ``whole`` and ``right`` once x and y, then rho, follow what is shared (Schur complement).
+    """Adds what is left of ``whole`` (its lower half) and ``right`` once x, y and then rho follow (Schur complement).
 
     ``own`` and ``coupling`` become those of rho with x and y eliminated. Without information on rho nothing is added.
     """
@@ -230,10 +244,11 @@ def _eliminate(own: Floats, coupling: Floats, whole: Floats, right: Floats, info
     for j in range(N_LOCAL):
         along_x, along_y, along = coupling[0, j] * rest, coupling[1, j] * rest, coupling[2, j] * rate_variance
         score[j] += right[j] - along_x * own[4] - along_y * own[5] - along * own[6]
-        for k in range(N_LOCAL):
-            information[j, k] += (
-                whole[j, k] - along_x * coupling[0, k] - along_y * coupling[1, k] - along * coupling[2, k]
-            )
+        for k in range(j + 1):
+            left = whole[j, k] - along_x * coupling[0, k] - along_y * coupling[1, k] - along * coupling[2, k]
+            information[j, k] += left
+            if k < j:
+                information[k, j] += left
 
 
 @compiled
@@ -253,48 +268,37 @@ def _follow(own: Floats, coupling: Floats, step: Floats, s: Floats) -> None:
 
 
 @compiled
-def _start(views: Floats, path: Floats, order: Ints, n: int, sigma: float, s: Floats) -> float:
+def _start(views: Floats, path: Floats, places: Ints, sigma: float, s: Floats) -> float:
     """Fills ``s (3,)`` by the linear solve of x + rho (T_x - x_i T_z) = x_i; returns its mean square residual."""
-    count, x0, y0 = 0, 0.0, 0.0
-    sum_x, sum_y, sum_xx, right_x, right_y, right, total = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for place in order:
-        if count == n:
-            break
-        x, y, tz = views[place, 0], views[place, 1], path[place, 2]
-        if not np.isfinite(x + y + path[place, 0] + tz):
-            continue
-        if count == 0:
-            x0, y0 = x, y
-        count += 1
-        jx, jy = path[place, 0] - x * tz, path[place, 1] - y * tz
+    x0, y0, rest = views[places[0], 0], views[places[0], 1], 1.0 / len(places)
+    sum_x, sum_y, sum_jj, right_x, right_y, right, total = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for place in places:
+        x, y = views[place, 0], views[place, 1]
+        jx, jy = path[place, 0] - x * path[place, 2], path[place, 1] - y * path[place, 2]
+        x, y = x - x0, y - y0
         sum_x += jx
         sum_y += jy
-        sum_xx += jx * jx + jy * jy
-        right_x += x - x0
-        right_y += y - y0
-        right += jx * (x - x0) + jy * (y - y0)
-        total += (x - x0) ** 2 + (y - y0) ** 2
-    slowest, fastest = _rate_limits(views, path, order, n)
-    rest = 1.0 / max(count, 1)
-    information = sum_xx - (sum_x * sum_x + sum_y * sum_y) * rest
+        sum_jj += jx * jx + jy * jy
+        right_x += x
+        right_y += y
+        right += jx * x + jy * y
+        total += x * x + y * y
+    slowest, fastest = _rate_limits(path, places)
+    information = sum_jj - (sum_x * sum_x + sum_y * sum_y) * rest
     along = right - (sum_x * right_x + sum_y * right_y) * rest
     rate = along / information if information > 0.0 else 0.0
     s[2] = min(max(rate, 0.5 * slowest), 0.5 * fastest)
     s[0], s[1] = x0 + (right_x - sum_x * s[2]) * rest, y0 + (right_y - sum_y * s[2]) * rest
     total -= (right_x * right_x + right_y * right_y) * rest + rate * along
-    return max(total, 0.0) / (sigma * sigma * max(2 * count - 3, 1))
+    return max(total, 0.0) / (sigma * sigma * (2 * len(places) - 3))
 
 
 @compiled
-def _rate_limits(views: Floats, path: Floats, order: Ints, n: int) -> tuple[float, float]:
+def _rate_limits(path: Floats, places: Ints) -> tuple[float, float]:
     """Rates between which all views of a point are in front of the camera."""
-    nearest, farthest, count = 0.0, 0.0, 0
-    for place in order:
-        if count == n:
-            break
-        if np.isfinite(views[place, 0] + views[place, 1] + path[place, 0] + path[place, 2]):
-            nearest, farthest = min(nearest, path[place, 2]), max(farthest, path[place, 2])
-            count += 1
+    nearest, farthest = 0.0, 0.0
+    for place in places:
+        nearest, farthest = min(nearest, path[place, 2]), max(farthest, path[place, 2])
     return -(1.0 - _LEAST_DEPTH_RATIO) / max(farthest, 1e-12), (1.0 - _LEAST_DEPTH_RATIO) / max(-nearest, 1e-12)
 
 
@@ -322,13 +326,13 @@ def _set_path(t_s: Floats, base: Floats, basis: Floats, offset: Floats, path: Fl
 
 
 @compiled
-def _turn(xy: Floats, rotation: Floats, i: int, views: Floats) -> None:
+def _turn(xy: Floats, rotation: Floats, i: int, places: Ints, views: Floats) -> None:
     """Fills ``views (L, 2)`` with those of point i turned by ``rotation (L, 3, 3)``."""
-    for place in range(len(rotation)):
+    for place in places:
         r, x, y = rotation[place], xy[place, i, 0], xy[place, i, 1]
-        depth = r[2, 0] * x + r[2, 1] * y + r[2, 2]
-        views[place, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth
-        views[place, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
+        depth = 1.0 / (r[2, 0] * x + r[2, 1] * y + r[2, 2])
+        views[place, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) * depth
+        views[place, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) * depth
 
 
 @compiled
