@@ -58,14 +58,15 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 
 def row_of(name: str, metrics: Mapping[str, Value], own_measure: str = "-") -> list[str]:
     """One row of the table; ``-`` where the truth says nothing."""
-    return [name, *(_cell(metrics, names) for names in COLUMNS.values()), own_measure]
+    return [name, *(cell(metrics, names) for names in COLUMNS.values()), own_measure]
 
 
 def _shown(figure: Figure) -> str:
     return f"{figure.name} {figure.value:.3g} {figure.unit}".rstrip()
 
 
-def _cell(metrics: Mapping[str, Value], names: tuple[str, ...]) -> str:
+def cell(metrics: Mapping[str, Value], names: tuple[str, ...]) -> str:
+    """One metric, or two as ``first of second``; ``-`` where there is no value."""
     values = [describe_value(name, metrics[name]).removesuffix(" deg") for name in names]
     return "-" if "-" in values else " of ".join(values)
 
