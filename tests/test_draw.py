@@ -193,9 +193,10 @@ def test_picture_is_painted_in_place_and_another_size_is_refused():
         painter.paint(np.zeros((100, 100, 3), np.uint8), frame_result(1))
 
 
-def test_assumed_field_of_view_is_said_in_the_picture():
+@pytest.mark.parametrize("changes", [{"origin": "assumed"}, {"origin": "found", "focal_sigma_px": 9.0}])
+def test_a_field_of_view_that_nobody_gave_is_said_in_the_picture(changes):
     result = frame_result(1)
-    given, assumed = painted(result), painted(result, camera=replace(CAMERA, origin="assumed"))
+    given, assumed = painted(result), painted(result, camera=replace(CAMERA, **changes))
     changed = np.argwhere((given != assumed).any(axis=-1))
     assert len(changed) > 100
     assert changed[:, 0].min() > 150  # at the bottom

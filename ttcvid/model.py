@@ -100,7 +100,8 @@ class Camera:
 
     ``distortion_model`` is ``none``, ``plumb_bob`` (k1 k2 p1 p2 k3), ``rational`` (k1 k2 p1 p2 k3 k4 k5 k6) or
     ``fisheye`` (k1 k2 k3 k4 of the equidistant model), with OpenCV's meaning of the coefficients.
-    ``origin`` says where the numbers come from: a file name, ``focal_px``, ``hfov_deg`` or ``assumed``.
+    ``origin`` says where the numbers come from: a file name, ``focal_px``, ``hfov_deg``, ``found`` (in the clip itself)
+    or ``assumed``; ``focal_sigma_px`` is the standard deviation of a focal length that was found, None for others.
     """
 
     fx_px: float
@@ -111,11 +112,17 @@ class Camera:
     distortion_model: str = "none"
     distortion: tuple[float, ...] = ()
     origin: str = "assumed"
+    focal_sigma_px: float | None = None
 
     @property
     def is_assumed(self) -> bool:
-        """True where nobody gave the focal length: every output has to say so."""
+        """True where nobody gave the focal length and the clip does not tell it: every output has to say so."""
         return self.origin == "assumed"
+
+    @property
+    def is_found(self) -> bool:
+        """True where nobody gave the focal length, but the clip told it: every output has to say so."""
+        return self.focal_sigma_px is not None
 
 
 @dataclass(frozen=True)

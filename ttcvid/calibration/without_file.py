@@ -1,8 +1,9 @@
-"""Cameras that nobody calibrated: from a focal length, a field of view, or neither."""
+"""Cameras that nobody calibrated: from a focal length, a field of view, what the clip tells, or neither."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from ttcvid.calibration.intrinsics import MAX_FOCAL_WIDTHS, MIN_FOCAL_WIDTHS
 from ttcvid.errors import UsageError
@@ -50,6 +51,11 @@ def camera_from_hfov(hfov_deg: float, image_size: ImageSize, origin: str = "hfov
 def assumed_camera(image_size: ImageSize) -> Camera:
     """The camera where nothing is known of it; ``is_assumed`` is true, and every output has to say so."""
     return camera_from_hfov(ASSUMED_HFOV_DEG, image_size, origin="assumed")
+
+
+def found_camera(focal_px: float, focal_sigma_px: float, image_size: ImageSize) -> Camera:
+    """The camera whose focal length was found in its clip; ``is_found`` is true, and every output has to say so."""
+    return replace(_centred(focal_px, image_size, "found"), focal_sigma_px=focal_sigma_px)
 
 
 def _centred(focal_px: float, image_size: ImageSize, origin: str) -> Camera:

@@ -14,7 +14,7 @@ ESTIMATORS = ("multi-frame", "three-frame", "two-frame")
 PLATFORMS = ("vehicle", "aircraft", "free", "static")
 
 
-_camera_option = option_under("Camera (without one, 55 deg horizontal field of view is assumed, and said)")
+_camera_option = option_under("Camera (without one: found in a clip that turns, else 55 deg assumed, and said)")
 _time_option = option_under("Time (frames as 120, seconds as 4.5s or 00:01:02.5)")
 _method_option = option_under("Method")
 _output_option = option_under("Output")

@@ -75,9 +75,9 @@ class Panels:
             self._corner(bgr, result.status.value.replace("_", " "), right, CLOSE)
 
     def camera_note(self, bgr: Picture, camera: Camera) -> None:
-        """Says in the lower right corner that the field of view is assumed, where it is."""
-        if camera.is_assumed:
-            text = "assumed field of view"
+        """Says in the lower right corner that the field of view is assumed, or found in the clip, where it is."""
+        if camera.is_assumed or camera.is_found:
+            text = "assumed field of view" if camera.is_assumed else "field of view found in the clip"
             left = bgr.shape[1] - self._letters.width_px(text) - 2 * self._pad_px
             is_free = all(box[2] <= left for box in self._taken if box[3] == bgr.shape[0])
             self._n_bottom_rows = 1 if is_free else 2

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 
 from ttcvid.jobs.clip import (
-    ASSUMED_CAMERA_WARNING,
     Calibration,
+    camera_warnings,
     default_folder,
     open_clip,
     read_calibration,
     refuse_folder_of_input,
 )
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
+from ttcvid.jobs.found_focal import with_found_focal
 from ttcvid.jobs.outputs import check_overlay, open_sinks
 from ttcvid.jobs.process import one_opencv_thread, share_freed_memory
 from ttcvid.jobs.provenance import (
@@ -93,6 +94,7 @@ def run_analysis(
     options = configuration.options
     with open_clip(input_, options) as source:
         calibration = read_calibration(options, source.info.image_size)
+        calibration = with_found_focal(input_, calibration, configuration)
         if options.wants_auto_horizon:
             # Loaded where it is wanted: it brings matplotlib along.
             from ttcvid.jobs.horizon_auto import with_found_horizon
@@ -180,7 +182,7 @@ def _state(source: Source, stop: StopSignals) -> str:
 
 def _warnings(source: Source, calibration: Calibration, tally: Tally) -> list[str]:
     """What to know before trusting the numbers; also logged."""
-    warnings = [ASSUMED_CAMERA_WARNING] if calibration.camera.is_assumed else []
+    warnings = camera_warnings(calibration.camera)
     warnings += source.report.warnings
     if calibration.horizon is not None:
         tolerance_px = max(LEAST_OFFSET_PX, 2.0 * centre_sigma_px(calibration.camera, calibration.horizon))

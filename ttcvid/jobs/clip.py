@@ -28,6 +28,18 @@ ASSUMED_CAMERA_WARNING = (
 )
 
 
+def camera_warnings(camera: Camera) -> list[str]:
+    """What to know of a camera that nobody gave, before trusting the numbers."""
+    if camera.is_assumed:
+        return [ASSUMED_CAMERA_WARNING]
+    if camera.focal_sigma_px is None:
+        return []
+    return [
+        f"the focal length was found in the clip, {camera.fx_px:.0f} +- {camera.focal_sigma_px:.0f} px: better give "
+        "--camera, --focal-px or --hfov"
+    ]
+
+
 @dataclass(frozen=True)
 class Calibration:
     """What is known of the camera: ``mask`` (H, W) is 0 where nothing is to be looked at."""

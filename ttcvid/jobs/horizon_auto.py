@@ -21,6 +21,9 @@ def with_found_horizon(input_: str, calibration: Calibration, configuration: Con
     UndeterminedError
         The clip does not tell it.
     """
+    if calibration.camera.is_found:
+        options = configuration.options.model_copy(update={"focal_px": calibration.camera.fx_px})
+        configuration = replace(configuration, options=options)
     clips, _ = watch_clips([input_], configuration)
     if clips[0].complaint:
         _LOG.info("%s: the camera does not rest: the horizon is taken from its own motion", input_)

@@ -146,6 +146,7 @@ def _describe_camera(camera: Camera) -> dict[str, Any]:
 def table_metadata(calibration: Calibration, configuration: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """What every table says of its making; nothing in it depends on where or when it was made."""
     camera = calibration.camera
+    found = {"camera_fx_sigma_px": repr(camera.focal_sigma_px)} if camera.is_found else {}
     return {
         "ttcvid_version": ttcvid.__version__,
         "estimates": "smooth" if configuration["collision_times"]["smooth"]["value"] else "causal",
@@ -153,6 +154,7 @@ def table_metadata(calibration: Calibration, configuration: Mapping[str, Mapping
         "camera_origin": Path(camera.origin).name,
         "camera_is_assumed": str(camera.is_assumed).lower(),
         "camera_fx_px": repr(camera.fx_px),
+        **found,
         "horizon_in_use": str(calibration.horizon is not None).lower(),
         "tracker": str(configuration["tracking"]["tracker"]["value"]),
         "estimator": str(configuration["collision_times"]["estimator"]["value"]),

@@ -107,8 +107,11 @@ class Run:
         nearest = self.manifest["nearest"]
         if nearest is not None:
             parts.append(f"smallest time to collision {nearest['ttc_z_s']:.2f} s at frame {nearest['frame']}")
-        if self.manifest["camera"]["is_assumed"]:
+        camera = self.manifest["camera"]
+        if camera["is_assumed"]:
             parts.append("focal length ASSUMED")
+        elif camera.get("focal_sigma_px") is not None:
+            parts.append(f"focal length FOUND in the clip: {camera['fx_px']:.0f} +- {camera['focal_sigma_px']:.0f} px")
         return f"{self.folder}: {'; '.join(parts)}"
 
     def summary_json(self) -> str:

@@ -106,6 +106,9 @@ class _FrameReader:
             notes = ["No horizon and no vehicle: nothing is taken to stand on a road; level as the camera."]
         if self._camera.is_assumed:
             notes.append("The focal length is ASSUMED: directions and distances are as wrong as it is.")
+        if self._camera.focal_sigma_px is not None:
+            part = self._camera.focal_sigma_px / self._camera.fx_px
+            notes.append(f"The focal length was FOUND in the clip, to {100 * part:.0f} %.")
         return tuple(notes)
 
     def read(self, n: int) -> SeenFrame:
@@ -166,7 +169,12 @@ class _FrameReader:
 def _camera_of(manifest: dict[str, Any]) -> Camera:
     names = ("fx_px", "fy_px", "cx_px", "cy_px", "distortion_model", "origin")
     size = ImageSize(**manifest["image_size"])
-    return Camera(**{name: manifest[name] for name in names}, image_size=size, distortion=tuple(manifest["distortion"]))
+    return Camera(
+        **{name: manifest[name] for name in names},
+        image_size=size,
+        distortion=tuple(manifest["distortion"]),
+        focal_sigma_px=manifest.get("focal_sigma_px"),
+    )
 
 
 def _horizon_of(manifest: dict[str, Any] | None) -> Horizon | None:

@@ -1,0 +1,94 @@
+"""A clip without a camera: the focal length that it tells is used, and every output says so."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from turning_camera import PAN_AND_STEP, SIZE, STRAIGHT, Drive, seen_points
+
+import ttcvid
+from ttcvid.cli.main import main
+from ttcvid.schema import TABLE_NAMES
+
+FOCAL_PX = 450.0
+
+
+@pytest.fixture(autouse=True)
+def work_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write_tracks(path: Path, drive: Drive) -> Path:
+    seen = seen_points(drive, FOCAL_PX, sigma_px=0.1, n_frames=24)
+    rows = [
+        pd.DataFrame(
+            {
+                "frame": frame,
+                "t_s": one.t_s,
+                "track_id": one.points.track_id,
+                "x_px": one.points.xy_px[:, 0],
+                "y_px": one.points.xy_px[:, 1],
+            }
+        )
+        for frame, one in enumerate(seen)
+    ]
+    pd.concat(rows).to_parquet(path)
+    return path
+
+
+@pytest.fixture
+def turning(work_folder: Path) -> str:
+    return str(write_tracks(work_folder / "turning.parquet", PAN_AND_STEP))
+
+
+def test_a_found_focal_length_is_said_everywhere(turning: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["analyze", turning, "--image-size", str(SIZE)]) == 0
+    printed = capsys.readouterr()
+    assert "focal length FOUND in the clip" in printed.out
+    assert "ASSUMED" not in printed.out
+    assert "focal length was found in the clip" in printed.err
+    run = ttcvid.Run.open("turning_ttc")
+    camera = run.manifest["camera"]
+    assert camera["origin"] == "found"
+    assert camera["is_assumed"] is False
+    assert abs(np.log(camera["fx_px"] / FOCAL_PX)) < 3.0 * camera["focal_sigma_px"] / camera["fx_px"] < 0.2
+    assert camera["fx_px"] == camera["fy_px"]
+    assert "found in the clip" in run.manifest["warnings"][0]
+    assert json.loads(run.summary_json())["camera"]["focal_sigma_px"] == camera["focal_sigma_px"]
+    for name in TABLE_NAMES:
+        metadata = pq.read_schema(run.folder / f"{name}.parquet").metadata
+        assert metadata[b"camera_origin"] == b"found"
+        assert metadata[b"camera_is_assumed"] == b"false"
+        assert float(metadata[b"camera_fx_px"]) == camera["fx_px"]
+        assert float(metadata[b"camera_fx_sigma_px"]) == camera["focal_sigma_px"]
+
+
+@pytest.mark.parametrize(
+    ("options", "origin"),
+    [({"focal_px": 600.0}, "focal_px"), ({"hfov": 55.0}, "hfov_deg"), ({"platform": "static"}, "assumed")],
+)
+def test_nothing_is_looked_for_where_the_camera_is_given_or_rests(turning: str, options: dict, origin: str) -> None:
+    run = ttcvid.analyze(turning, "run", image_size=str(SIZE), overlay=False, **options)
+    assert run.manifest["camera"]["origin"] == origin
+    assert run.manifest["camera"]["focal_sigma_px"] is None
+
+
+def test_a_straight_drive_keeps_the_assumed_focal_length(work_folder: Path) -> None:
+    tracks = write_tracks(work_folder / "straight.parquet", STRAIGHT)
+    run = ttcvid.analyze(tracks, "run", image_size=str(SIZE), overlay=False)
+    assert run.manifest["camera"]["is_assumed"] is True
+
+
+def test_only_the_selected_frames_are_looked_at(turning: str) -> None:
+    """Of three pictures nothing can be told."""
+    run = ttcvid.analyze(turning, "run", image_size=str(SIZE), overlay=False, end="3")
+    assert run.manifest["camera"]["is_assumed"] is True
+
+
+def test_two_runs_find_the_same(turning: str) -> None:
+    first, second = (ttcvid.analyze(turning, name, image_size=str(SIZE), overlay=False) for name in ("one", "two"))
+    assert first.manifest["camera"] == second.manifest["camera"]

@@ -1,0 +1,164 @@
+"""The focal length of an unknown camera, from the first frames of its clip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttcvid.geometry.bundle import Views
+from ttcvid.geometry.focal_length import FocalFit, fit_focal_length
+from ttcvid.model import Bools, Floats, ImageSize, Ints, PointSet
+
+# A frame is looked at when the picture has moved by this part of its width since the last one that was, or when so
+# many of its points are gone; so many of these make a window, and fewer than the least say nothing.
+_STEP_PART, _KEPT_POINTS, _WINDOW_FRAMES, _LEAST_FRAMES = 0.02, 0.75, 12, 6
+# So many windows that tell something are enough.
+_ENOUGH_WINDOWS = 4
+# Points of a window: at most, at least, the least number of frames that each is seen in, and the side of the cells over
+# which they are spread, in picture widths.
+_MOST_POINTS, _LEAST_POINTS, _LEAST_VIEWS, _CELL_PART = 300, 60, 3, 1.0 / 16.0
+# A point that moves by less than this in a window, while the picture moves, is burned in or on the bonnet, px.
+_STAYS_PX = 0.5
+# Errors that matching has in common all over the picture, px: they pass for a wrong focal length. A turn that is too
+# small for a single window to tell it to this part is not worth the search.
+_COMMON_ERROR_PX, _HOPELESS = 0.2, 0.15
+# Residuals beyond this part of the picture's width, more points than this behind the camera, or a lens more unusual
+# than this (chi-square with three degrees): not one static scene.
+_MOST_SPREAD, _MOST_BEHIND, _MOST_LENS_CHI2 = 0.0003, 0.1, 60.0
+# The clip tells the focal length when it is known to this part.
+_SURE = 0.08
+
+
+@dataclass(frozen=True)
+class FocalLength:
+    """A focal length found in a clip: ``focal_px`` with the relative standard deviation ``sigma``."""
+
+    focal_px: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """The points of a frame, at ``t_s``; ``is_new`` where tracks do not go on from the frame before (a cut)."""
+
+    t_s: float
+    points: PointSet
+    is_new: bool = False
+
+
+def find_focal_length(frames: Iterable[SeenPoints], image_size: ImageSize) -> FocalLength | None:
+    """The focal length that the frames tell together; None where they do not: the camera hardly turns."""
+    fits: list[FocalFit] = []
+    for window in _windows(frames, image_size):
+        fit = _fit(window, image_size)
+        fits += [] if fit is None else [fit]
+        if len(fits) == _ENOUGH_WINDOWS:
+            break
+    return _together(fits, image_size)
+
+
+def _windows(frames: Iterable[SeenPoints], image_size: ImageSize) -> Iterator[list[SeenPoints]]:
+    """Frames that are far enough apart, some at a time; the last of a window is the first of the next one."""
+    window: list[SeenPoints] = []
+    for frame in frames:
+        if not window or frame.is_new:
+            if len(window) >= _LEAST_FRAMES:
+                yield window
+            window = [frame]
+        elif _has_moved(window[-1].points, frame.points, image_size):
+            window.append(frame)
+            if len(window) == _WINDOW_FRAMES:
+                yield window
+                window = [frame]
+    if len(window) >= _LEAST_FRAMES:
+        yield window
+
+
+def _has_moved(one: PointSet, other: PointSet, image_size: ImageSize) -> bool:
+    _, before, now = np.intersect1d(one.track_id, other.track_id, assume_unique=True, return_indices=True)
+    if len(now) < _KEPT_POINTS * len(one.track_id):
+        return True
+    moved_px = np.linalg.norm(other.xy_px[now] - one.xy_px[before], axis=1)
+    return bool(np.median(moved_px) > _STEP_PART * image_size.width_px)
+
+
+def _fit(window: list[SeenPoints], image_size: ImageSize) -> FocalFit | None:
+    xy_px = _observed(window, image_size)
+    is_used = _is_useful(xy_px)
+    xy_px = xy_px[:, is_used]
+    xy_px = xy_px[:, _spread(xy_px, image_size)]
+    if xy_px.shape[1] < _LEAST_POINTS:
+        return None
+    point, frame = np.nonzero(np.isfinite(xy_px[..., 0]).T)
+    views = Views(xy_px[frame, point], frame, point, np.unique(_cell(xy_px, image_size), return_inverse=True)[1])
+    width_px = float(image_size.width_px)
+    least_turn_rad = _common_sigma(image_size, 1.0) / _HOPELESS
+    fit = fit_focal_length(views, np.array([frame.t_s for frame in window]), width_px, least_turn_rad)
+    if fit is None or fit.spread_px > _MOST_SPREAD * width_px:
+        return None
+    return None if fit.behind > _MOST_BEHIND or fit.lens_chi2 > _MOST_LENS_CHI2 else fit
+
+
+def _observed(window: list[SeenPoints], image_size: ImageSize) -> Floats:
+    """Places from the centre of the picture, px: (J, N, 2), NaN where a point is not seen."""
+    track_id = np.unique(np.concatenate([frame.points.track_id for frame in window]))
+    xy_px = np.full((len(window), len(track_id), 2), np.nan)
+    centre = np.array([image_size.width_px - 1.0, image_size.height_px - 1.0]) / 2.0
+    for j, frame in enumerate(window):
+        xy_px[j, np.searchsorted(track_id, frame.points.track_id)] = frame.points.xy_px - centre
+    return xy_px
+
+
+def _is_useful(xy_px: Floats) -> Bools:
+    """Points (N,) that are seen often enough and do not stay on their pixel."""
+    is_seen = np.isfinite(xy_px[..., 0])
+    often = is_seen.sum(axis=0) >= _LEAST_VIEWS
+    lowest = np.where(is_seen[..., None], xy_px, np.inf).min(axis=0)
+    highest = np.where(is_seen[..., None], xy_px, -np.inf).max(axis=0)
+    return np.asarray(often & (np.max(highest - lowest, axis=1) > _STAYS_PX))
+
+
+def _cell(xy_px: Floats, image_size: ImageSize) -> Ints:
+    """Number of the cell of a grid over the picture in which each point (N,) is on the mean."""
+    is_seen = np.isfinite(xy_px[..., :1])
+    mean = np.where(is_seen, xy_px, 0.0).sum(axis=0) / np.maximum(is_seen.sum(axis=0), 1)
+    cell = np.floor(mean / (_CELL_PART * image_size.width_px)).astype(np.int64)
+    numbers: Ints = cell[:, 0] * 4096 + cell[:, 1]
+    return numbers
+
+
+def _spread(xy_px: Floats, image_size: ImageSize) -> Ints:
+    """Points all over the picture, from each cell those that are seen longest: as many as are to be used."""
+    cell = _cell(xy_px, image_size)
+    n_views = np.isfinite(xy_px[..., 0]).sum(axis=0)
+    first = np.where(np.isfinite(xy_px), xy_px, np.inf).min(axis=0)
+    order = np.lexsort((first[:, 1], first[:, 0], -n_views, cell))
+    is_first = np.diff(cell[order], prepend=-(2**40)) != 0
+    start = np.maximum.accumulate(np.where(is_first, np.arange(len(order)), 0))
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order)) - start
+    return np.sort(np.lexsort((np.arange(len(rank)), rank))[:_MOST_POINTS])
+
+
+def _together(fits: list[FocalFit], image_size: ImageSize) -> FocalLength | None:
+    """The weighted mean of the windows, less sure where they disagree; None where it is not sure enough."""
+    if not fits:
+        return None
+    log_focal = np.array([fit.log_focal for fit in fits])
+    common = np.array([_common_sigma(image_size, fit.turned_rad) for fit in fits])
+    precision = 1.0 / (np.array([fit.sigma for fit in fits]) ** 2 + common**2)
+    mean = float(np.sum(precision * log_focal) / np.sum(precision))
+    disagreement = float(np.sum(precision * (log_focal - mean) ** 2)) / max(1, len(fits) - 1)
+    sigma = float(np.sqrt(max(1.0, disagreement) / np.sum(precision)))
+    return FocalLength(float(np.exp(mean)), sigma) if sigma < _SURE else None
+
+
+def _common_sigma(image_size: ImageSize, turned_rad: float) -> float:
+    """Relative error of the focal length by errors common to all points, for a camera that turns by ``turned_rad``.
+
+    A focal length that is off by the part e displaces a point at x by 2 e turned x^2 / f once the rotation has been
+    adapted; at x = width / 4 and f = width that is e turned width / 8.
+    """
+    return 8.0 * _COMMON_ERROR_PX / (image_size.width_px * turned_rad)
