@@ -23,8 +23,9 @@ from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies, re
 # Tracks of one object hang together when they lie closer than this part of the picture's width.
 _LINK_PART = 0.05
 # Error of a position that no track's noise knows of, px: what lens and shutter leave with a calibrated camera, and what
-# a focal length that is off by 15 % does to a picture that turns by some degrees.
-_MODEL_ERROR_PX, _ASSUMED_CAMERA_ERROR_PX, _ASSUMED_CAMERA_ERROR = 0.1, 0.5, 0.15
+# a lens that nobody measured does to a picture that turns by some degrees: distortion of some per cent, a shutter that
+# rolls, a focal length that is off by 15 %.
+_MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR_PX = 0.1, 0.5
 # A track that has moved by less than this over so many views has stayed where it was, px.
 _STAYING_PX, _STAYING_VIEWS = 0.5, 10
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
@@ -79,7 +80,8 @@ def find_motions(
     if egomotion is None:
         memory = restarted_bodies(memory)
     else:
-        error_px = _camera_error_px(camera)
+        is_measured = not (camera.is_assumed or camera.is_found)
+        error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR_PX
         found, memory = find_bodies(
             history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
         )
@@ -91,14 +93,6 @@ def find_motions(
     flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
     along_scene = scene_directions(history, flows)
     return _assigned(flows, along_scene, clusters, plane, is_free, link_px), history, memory
-
-
-def _camera_error_px(camera: Camera) -> float:
-    """Error of a position that no track's noise knows of; that of a focal length found in the clip as it is known."""
-    if camera.focal_sigma_px is not None:
-        part = camera.focal_sigma_px / camera.fx_px
-        return max(_MODEL_ERROR_PX, _ASSUMED_CAMERA_ERROR_PX * part / _ASSUMED_CAMERA_ERROR)
-    return _ASSUMED_CAMERA_ERROR_PX if camera.is_assumed else _MODEL_ERROR_PX
 
 
 def _object_motions(
