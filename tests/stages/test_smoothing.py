@@ -166,6 +166,36 @@ def test_tracks_of_no_cluster_have_their_free_state_from_both_sides():
     np.testing.assert_allclose(states.abc_hz, VELOCITY / position[:, 2:], rtol=1e-4, atol=1e-5)
 
 
+def swinging(found, rng=None):
+    """The same histories with the directions of steps of a camera that swings, noisy with `rng`; those directions."""
+    angle = 0.1 * np.sin(0.25 * np.arange(N_FRAMES))
+    true_dir = -np.column_stack([np.sin(angle), np.zeros(N_FRAMES), np.cos(angle)])
+    cam_R_world = [np.linalg.matrix_power(TURN, frame) for frame in range(N_FRAMES)]
+    own = np.array([turn @ e for turn, e in zip(cam_R_world, true_dir, strict=True)])
+    noted = own if rng is None else normalize(own + 2e-3 * rng.normal(size=own.shape))
+    return [replace(history, scene_direction=noted[history.frame]) for history in found], own, noted
+
+
+def own_direction(found, noted, now=NOW):
+    item = seen(found[now])
+    egomotion = replace(item.egomotion, direction=noted[now], direction_cov=1e-6 * np.eye(3))
+    scene = ClusterMotion(0, np.arange(item.history.n_tracks), noted[now], np.eye(3), Status.ok, "egomotion")
+    item = replace(item, egomotion=egomotion, motions=replace(item.motions, clusters=(scene,)))
+    return seen_again(item, found[now + 1 : now + 1 + AFTER], CAMERA, CONFIG).motions.clusters[0].direction
+
+
+def test_own_direction_is_that_of_the_steps_around_and_follows_their_swing():
+    histories_ = histories(car(20))
+    found, own, noted = swinging(histories_)
+    np.testing.assert_allclose(own_direction(found, noted), own[NOW], atol=1e-3)
+    rng, errors = np.random.default_rng(9), []
+    for _ in range(40):
+        found, own, noted = swinging(histories_, rng)
+        errors.append([np.linalg.norm(e - own[NOW]) for e in (own_direction(found, noted), noted[NOW])])
+    smooth, causal = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert smooth < 0.65 * causal
+
+
 def test_without_later_views_or_own_motion_nothing_is_estimated_again():
     found = histories(car())
     item = seen(found[NOW])

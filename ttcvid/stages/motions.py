@@ -88,7 +88,7 @@ def find_motions(
         history = replace(history, cam_R_past=found.scene.cam_R_past)
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
         objects = _object_motions(history, found, is_free, plane, camera, times)
-    scene = _scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
+    scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
     flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
     along_scene = scene_directions(history, flows)
@@ -208,9 +208,10 @@ def _are_sure(tracks: WholeTracks, direction: Floats, thing: Ints) -> Bools:
     return np.asarray(np.bincount(thing, np.nan_to_num(square), len(direction)) > _SURE_PART**-2)
 
 
-def _scene_motion(
+def scene_motion(
     members: Ints, egomotion: Egomotion | None, plane: HorizonPlane | None, camera: Camera
 ) -> ClusterMotion:
+    """The motion of the scene's tracks ``members``: that of the camera, seen the other way round."""
     if egomotion is None or egomotion.direction is None or egomotion.direction_cov is None:
         status = Status.no_epipole if egomotion is None else Status.no_parallax
         return ClusterMotion(SCENE_CLUSTER, members, None, None, status, "egomotion")

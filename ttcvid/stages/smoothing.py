@@ -13,12 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.rotation import normalize
 from ttcvid.model import SCENE_CLUSTER, Camera, Floats
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import TrackHistory
-from ttcvid.stages.motions import FrameMotions, motions_of
+from ttcvid.stages.motions import FrameMotions, motions_of, scene_motion
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.scene_path import with_scene_path
+
+# The scene's direction follows a parabola (three coefficients) over so many steps on each side.
+_NEAR_STEPS, _PARABOLA = 5, 3
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,11 @@ def seen_again(seen: Seen, later: Sequence[TrackHistory], camera: Camera, config
     """
     if not later or seen.egomotion is None:
         return seen
-    history = with_scene_path(_around(seen.history, later), seen.motions.is_free, seen.egomotion)
-    return replace(seen, history=history, motions=_motions_again(history, seen, camera, config))
+    history = _around(seen.history, later)
+    egomotion = _smoothed_direction(history, seen.egomotion)
+    history = with_scene_path(history, seen.motions.is_free, egomotion)
+    again = replace(seen, history=history, egomotion=egomotion)
+    return replace(again, motions=_motions_again(again, camera, config))
 
 
 def _around(history: TrackHistory, later: Sequence[TrackHistory]) -> TrackHistory:
@@ -86,11 +93,30 @@ def _rays_of(after: TrackHistory, history: TrackHistory) -> Floats:
     return found
 
 
-def _motions_again(history: TrackHistory, seen: Seen, camera: Camera, config: CollisionTimesConfig) -> FrameMotions:
+def _smoothed_direction(history: TrackHistory, egomotion: Egomotion) -> Egomotion:
+    """Own motion with the direction that a parabola through the directions of the steps around has.
+
+    Its covariance stays: errors of neighbouring steps hang together.
+    """
+    directions = np.einsum("lij,lj->li", history.cam_R_past, history.scene_direction)
+    near = np.abs(np.arange(len(directions)) - history.n_past) <= _NEAR_STEPS
+    known = near & np.isfinite(directions[:, 0])
+    if egomotion.direction is None or np.count_nonzero(known) <= _PARABOLA:
+        return egomotion
+    powers = np.vander(history.since_s[known], _PARABOLA, increasing=True)
+    through_now = np.linalg.lstsq(powers, directions[known], rcond=None)[0][0]
+    return replace(egomotion, direction=normalize(through_now))
+
+
+def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> FrameMotions:
     """The clusters with the directions that the views on both sides show."""
     members = {m.cluster_id: m.members for m in seen.motions.clusters if m.cluster_id != SCENE_CLUSTER}
-    scene = [motion for motion in seen.motions.clusters if motion.cluster_id == SCENE_CLUSTER]
-    objects = motions_of(members, history, seen.plane, camera, config)
+    scene = [
+        scene_motion(motion.members, seen.egomotion, seen.plane, camera)
+        for motion in seen.motions.clusters
+        if motion.cluster_id == SCENE_CLUSTER
+    ]
+    objects = motions_of(members, seen.history, seen.plane, camera, config)
     status = seen.motions.no_direction_status.copy()
     for motion in objects:
         status[motion.members] = motion.status
