@@ -9,12 +9,13 @@ from relative_motion import CAMERA, FOCAL_PX, box_of_points, direction_noise, fl
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.clusters import (
     ClusterMotion,
-    epipole_pixel,
+    epipole_pixels,
     motion_ids,
     neighbours_in_cluster,
     object_row,
     ranked,
     scene_row,
+    with_epipole_pixels,
     with_times,
 )
 from ttcvid.stages.track_states import two_frame_states
@@ -40,11 +41,11 @@ def row_of(position_m, velocity_m_s, sigma_px=0.05, direction=None, cov=None, rn
     states = two_frame_states(flows, np.tile(direction, (n + n_others, 1)), np.tile(cov, (n + n_others, 1, 1)))
     motion = ClusterMotion(cluster_id, n_others + np.arange(n), direction, cov, Status.ok, "consensus")
     common = flows.first, flows.second, 0.4
-    return object_row(motion, 1, states, pixels(position_m), CAMERA, LINK_PX, common)
+    return object_row(motion, 1, states, pixels(position_m), LINK_PX, common)
 
 
 def timed(row):
-    return with_times([row], CAMERA)[0]
+    return with_times(with_epipole_pixels([row], CAMERA), CAMERA)[0]
 
 
 def assert_inside(ref_px, xy_px):
@@ -149,11 +150,11 @@ def test_an_object_without_a_supported_surface_has_a_reason_and_no_times():
 
 def test_the_scene_has_an_epipole_and_no_times():
     xy_px = np.array([[10.0, 20.0], [600.0, 300.0], [5.0, 350.0]])
-    row = scene_row(motion_of(0, (0, 0, -1), n=3), xy_px, CAMERA)
+    row = with_epipole_pixels([scene_row(motion_of(0, (0, 0, -1), n=3), xy_px)], CAMERA)[0]
     assert (row.role, row.motion_id, row.n_tracks, row.box_px) == ("scene", 0, 3, (5.0, 20.0, 600.0, 350.0))
     np.testing.assert_allclose(row.epipole_px, (CAMERA.cx_px, CAMERA.cy_px))
     assert np.isnan(row.times.tcpa_s[0])
-    resting = scene_row(motion_of(0, None, n=3, status=Status.no_parallax), xy_px, CAMERA)
+    resting = with_epipole_pixels([scene_row(motion_of(0, None, n=3, status=Status.no_parallax), xy_px)], CAMERA)[0]
     assert resting.motion_state == MotionState.no_relative_motion
     assert resting.epipole_px is None
 
@@ -163,16 +164,16 @@ def test_the_scene_has_an_epipole_and_no_times():
 )
 def test_an_epipole_within_a_degree_of_the_picture_plane_has_no_pixel(from_plane_deg, has_pixel):
     angle = np.radians(from_plane_deg)
-    pixel = epipole_pixel(np.array([np.cos(angle), 0.0, np.sin(angle)]), CAMERA)
-    assert (pixel is not None) == has_pixel
+    pixel = epipole_pixels(np.array([[np.cos(angle), 0.0, np.sin(angle)]]), CAMERA)[0]
+    assert np.isfinite(pixel).all() == has_pixel
     if has_pixel:
         np.testing.assert_allclose(pixel, (CAMERA.cx_px + FOCAL_PX / np.tan(angle), CAMERA.cy_px))
 
 
 def test_coming_and_going_have_the_same_epipole_pixel():
     direction = unit([0.2, -0.1, 1.0])
-    np.testing.assert_allclose(epipole_pixel(direction, CAMERA), epipole_pixel(-direction, CAMERA))
-    np.testing.assert_allclose(epipole_pixel(direction, CAMERA), (319.5 + 144.0, 179.5 - 72.0))
+    pixels_ = epipole_pixels(np.array([direction, -direction]), CAMERA)
+    np.testing.assert_allclose(pixels_, np.tile((319.5 + 144.0, 179.5 - 72.0), (2, 1)))
 
 
 def test_clusters_with_one_epipole_share_a_motion_and_the_scenes_is_zero():

@@ -1,14 +1,13 @@
 """Neighbours and parts in the picture, held against brute force and against scipy."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from ttcvid.stages.connected import connected_parts, largest_connected, linked_pairs, nearest_neighbours
+from ttcvid.stages.connected import connected_parts, linked_pairs, nearest_neighbours
 
 
 @st.composite
@@ -88,28 +87,8 @@ def test_parts_are_those_of_scipy(graph):
     assert first == sorted(first)
 
 
-@given(graph=graphs())
-def test_the_largest_part_is_one_and_none_is_larger(graph):
-    is_in, pairs = graph
-    largest, label = largest_connected(is_in, pairs), connected_parts(is_in, pairs)
-    sizes = [np.count_nonzero(is_in & (label == k)) for k in np.unique(label[is_in])]
-    assert len(largest) == max(sizes, default=0)
-    assert is_in[largest].all()
-    assert len(np.unique(label[largest])) <= 1
-
-
 @given(graph=graphs(), seed=st.integers(0, 1000))
 def test_parts_do_not_depend_on_the_order_of_the_pairs(graph, seed):
     is_in, pairs = graph
     shuffled = np.random.default_rng(seed).permuted(np.random.default_rng(seed).permutation(pairs), axis=1)
     np.testing.assert_array_equal(connected_parts(is_in, pairs), connected_parts(is_in, shuffled))
-
-
-@pytest.mark.parametrize("is_in", [np.zeros(0, dtype=bool), np.zeros(3, dtype=bool)])
-def test_nothing_in_has_no_largest_part(is_in):
-    assert len(largest_connected(is_in, np.empty((0, 2), dtype=np.int64))) == 0
-
-
-def test_a_long_chain_is_one_part():
-    chain = np.column_stack([np.arange(1, 5000), np.arange(4999)])
-    assert connected_parts(np.ones(5000, dtype=bool), chain).max() == 0

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ttcvid.stages.surfaces import largest_connected, nearest_surface, weighted_mean
+from ttcvid.stages.surfaces import nearest_surface
 
 LINK_PX = 30.0
 
@@ -15,7 +15,7 @@ def places(rng, n, corner=(0.0, 0.0), size_px=40.0):
 
 
 def rate(eta_hz, sigma_hz, surface):
-    return weighted_mean(eta_hz[surface], sigma_hz[surface])
+    return np.average(eta_hz[surface], weights=1.0 / sigma_hz[surface] ** 2)
 
 
 @pytest.mark.parametrize("n", [10, 20, 50, 100, 200])
@@ -119,14 +119,8 @@ def test_three_tracks_bear_a_surface_when_there_are_no_more():
     assert sorted(nearest_surface(eta_hz, np.full(3, 0.01), xy_px, LINK_PX)) == [0, 1, 2]
 
 
-def test_the_largest_connected_part_of_some_tracks():
-    pairs = np.array([[0, 1], [1, 2], [2, 3], [4, 5]])
-    np.testing.assert_array_equal(
-        largest_connected(np.array([True, True, False, True, True, True, True]), pairs), [0, 1]
-    )
-    np.testing.assert_array_equal(largest_connected(np.ones(7, dtype=bool), pairs), [0, 1, 2, 3])
-    assert not len(largest_connected(np.zeros(7, dtype=bool), pairs))
-
-
-def test_weighted_mean_has_the_weights_of_maximum_likelihood():
-    assert weighted_mean(np.array([1.0, 4.0]), np.array([1.0, 2.0])) == pytest.approx((1.0 + 4.0 / 4.0) / 1.25)
+def test_of_a_surface_in_two_places_the_larger_part_counts():
+    chains = np.arange(6), np.arange(9)
+    xy_px = np.concatenate([np.column_stack([29.0 * chain, 100.0 * len(chain) + 0.0 * chain]) for chain in chains])
+    surface = nearest_surface(np.full(15, 0.5), np.full(15, 0.01), xy_px, LINK_PX)
+    np.testing.assert_array_equal(surface, np.arange(6, 15))

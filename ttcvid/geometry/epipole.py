@@ -125,25 +125,31 @@ def epipole_maximum_likelihood(
     return direction, cov, flow_line_chi2(direction, q, p, sigma_rad), status
 
 
-def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> float:
+def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
     """Squared difference of two directions in their joint uncertainty, a chi-square with two degrees of freedom.
 
     Parameters
     ----------
     one, other
-        ``(3,)`` unit vectors.
+        ``(..., 3)`` unit vectors, broadcast.
     covariance
-        ``(3, 3)`` rad^2: the sum of both, in their tangent planes.
+        ``(..., 3, 3)`` rad^2: the sum of both, in their tangent planes.
 
     Returns
     -------
-    Infinite for directions in opposite half-spaces: the same line, travelled the other way, is another motion.
+    ``(...)``. Infinite for directions in opposite half-spaces: the same line, travelled the other way, is another
+    motion.
+
+    >>> ahead, aside = np.array([0.0, 0.0, 1.0]), np.array([0.02, 0.0, 1.0])
+    >>> direction_chi2(ahead, np.array([aside, -aside]), 0.01**2 * np.eye(3)).round(9)
+    array([ 4., inf])
     """
-    if one @ other < 0.0:
-        return np.inf
     basis = tangent_basis(one)
-    offset = basis.T @ other
-    return float(offset @ np.linalg.solve(basis.T @ covariance @ basis, offset))
+    turned = np.swapaxes(basis, -1, -2)
+    (xx, xy), (_, yy) = np.moveaxis(turned @ covariance @ basis, (-2, -1), (0, 1))
+    x, y = np.moveaxis((turned @ other[..., None])[..., 0], -1, 0)
+    chi2 = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    return np.where(np.sum(one * other, axis=-1) < 0.0, np.inf, chi2)
 
 
 def eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats, weights: Floats) -> Floats:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ttcvid.geometry.quotient import quotient
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats, Ints
 
 
@@ -44,17 +46,20 @@ def expansion_rate(
     >>> float(round(expansion_hz, 9))
     1.0
     """
-    first, second = _normalised(rays_first), _normalised(rays_second)
-    is_seen = np.isfinite(first + second).all(axis=-1)
-    w: Floats = np.where(is_seen, 1.0 if weights is None else weights, 0.0)
-    first, second = _from_centroid(first, w), _from_centroid(second, w)
+    *shape, m, _ = np.broadcast_shapes(rays_first.shape, rays_second.shape)
 
-    size2_first, size2_second = _weighted_square_sum(first, w), _weighted_square_sum(second, w)
-    scale = np.sqrt(quotient(size2_second, size2_first))
-    misfit2 = _weighted_square_sum(second - scale[..., None, None] * first, w)
-    freedom = 2.0 * np.count_nonzero(w > 0.0, axis=-1) - 3.0
-    point_variance = quotient(misfit2, np.maximum(freedom, 0.0) * (1.0 + scale * scale))
-    log_scale_variance = point_variance * (quotient(1.0, size2_first) + quotient(1.0, size2_second))
+    def of_regions(values: Floats | float, *last: int) -> Floats:
+        every = np.broadcast_to(np.asarray(values, dtype=np.float64), (*shape, m, *last))
+        return np.ascontiguousarray(every).reshape(math.prod(shape), m, *last)
+
+    scale, log_scale_variance = np.full(shape, np.nan), np.full(shape, np.nan)
+    _fit_each(
+        of_regions(rays_first, 3),
+        of_regions(rays_second, 3),
+        of_regions(1.0 if weights is None else weights),
+        scale.reshape(-1),
+        log_scale_variance.reshape(-1),
+    )
     dt_s = np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
     return (scale - 1.0) / dt_s, scale * np.sqrt(log_scale_variance) / dt_s
 
@@ -83,20 +88,47 @@ def expansion_of_neighbourhood(
     return expansion_rate(rays_first[neighbours], rays_second[neighbours], dt_s, is_there)
 
 
-def _normalised(rays: Floats) -> Floats:
-    """Normalised coordinates ``(..., 2)``; NaN where a ray does not point in front of the camera."""
-    depth = rays[..., 2:]
-    return quotient(rays[..., :2], np.where(depth > 0.0, depth, np.nan))
+@compiled
+def _fit_each(first: Floats, second: Floats, weights: Floats, scale: Floats, log_scale_variance: Floats) -> None:
+    """Fills the similarity's ``scale (R,)`` of each region of m points, and the variance of its logarithm.
+
+    With u, v the offsets from the centroids of the two views: scale^2 = sum w v^2 / sum w u^2, and the residuals
+    v - scale u have 2 m - 3 degrees of freedom.
+    """
+    offset, w = np.empty((weights.shape[1], 4)), np.empty(weights.shape[1])
+    for region in range(len(weights)):
+        count = _offsets(first[region], second[region], weights[region], offset, w)
+        uu, vv, misfit = 0.0, 0.0, 0.0
+        for i in range(count):
+            uu += w[i] * (offset[i, 0] ** 2 + offset[i, 1] ** 2)
+            vv += w[i] * (offset[i, 2] ** 2 + offset[i, 3] ** 2)
+        if not (uu > 0.0 and vv > 0.0):
+            continue
+        ratio = np.sqrt(vv / uu)
+        for i in range(count):
+            misfit += w[i] * ((offset[i, 2] - ratio * offset[i, 0]) ** 2 + (offset[i, 3] - ratio * offset[i, 1]) ** 2)
+        scale[region] = ratio
+        if count > 1:
+            point_variance = misfit / ((2 * count - 3) * (1.0 + ratio * ratio))
+            log_scale_variance[region] = point_variance * (1.0 / uu + 1.0 / vv)
 
 
-def _from_centroid(points: Floats, weights: Floats) -> Floats:
-    """Offsets ``(..., m, 2)`` from the weighted centroid; zero for absent points."""
-    points = np.where(weights[..., None] > 0.0, points, 0.0)
-    centroid = quotient(np.einsum("...m,...mi->...i", weights, points), weights.sum(axis=-1)[..., None])
-    return np.where(weights[..., None] > 0.0, points - centroid[..., None, :], 0.0)
-
-
-def _weighted_square_sum(offsets: Floats, weights: Floats) -> Floats:
-    """``sum w abs(offset)^2`` ``(...)``."""
-    result: Floats = np.einsum("...m,...mi,...mi->...", weights, offsets, offsets)
-    return result
+@compiled
+def _offsets(first: Floats, second: Floats, weights: Floats, offset: Floats, w: Floats) -> int:
+    """Fills ``offset (m, 4)`` from the centroids of both views with the points that are seen, and their weights."""
+    count, total = 0, 0.0
+    centre = np.zeros(4)
+    for i in range(len(weights)):
+        # Comparisons with NaN are False.
+        if not (weights[i] > 0.0 and first[i, 2] > 0.0 and second[i, 2] > 0.0):
+            continue
+        w[count] = weights[i]
+        offset[count, 0], offset[count, 1] = first[i, 0] / first[i, 2], first[i, 1] / first[i, 2]
+        offset[count, 2], offset[count, 3] = second[i, 0] / second[i, 2], second[i, 1] / second[i, 2]
+        if np.isfinite(offset[count].sum()):
+            centre += w[count] * offset[count]
+            total += w[count]
+            count += 1
+    for i in range(count):
+        offset[i] -= centre / total
+    return count

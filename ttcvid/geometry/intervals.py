@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.collision import times_from_state
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.inversion_range import inversion_range
 from ttcvid.geometry.quotient import quotient
-from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import CollisionTimes, Floats
 
 # 90 % two-sided quantile of the normal distribution.
@@ -74,20 +74,41 @@ def radial_and_transverse_rate(
 
     Parameters as in `collision_times_from_state`. At u = 0, where no t is given, any normal of r is taken.
     """
-    ray = np.column_stack([x, y, np.ones_like(x)])
-    length = np.sqrt(np.einsum("ni,ni->n", ray, ray))[:, None]
-    r, velocity = ray / length, abc_hz / length
-    radial = np.einsum("ni,ni->n", r, velocity)
-    across = velocity - radial[:, None] * r
-    t = normalize(across)
-    has_no_side = np.isnan(t[:, 0])
-    t[has_no_side] = tangent_basis(r[has_no_side])[:, :, 0]
-    transverse = np.einsum("ni,ni->n", across, t)
-    rates = np.column_stack([radial, transverse])
+    rates, rates_cov = np.empty((len(x), 2)), np.empty((len(x), 2, 2))
+    _rates_of_each(x, y, abc_hz, cov, sigma_norm, rates, rates_cov)
+    return rates, rates_cov
 
-    by_abc = np.stack([r, t], axis=1) / length[:, :, None]
-    by_ray = np.stack(
-        [transverse[:, None] * t - radial[:, None] * r, -transverse[:, None] * r - radial[:, None] * t], axis=1
-    )
-    by_xy = by_ray[:, :, :2] * (sigma_norm[:, None] / length)[:, :, None]
-    return rates, by_abc @ cov @ np.swapaxes(by_abc, 1, 2) + by_xy @ np.swapaxes(by_xy, 1, 2)
+
+@compiled
+def _rates_of_each(
+    x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats, rates: Floats, rates_cov: Floats
+) -> None:
+    """Fills ``rates (N, 2)`` and ``rates_cov (N, 2, 2)``.
+
+    With P the ray (x, y, 1): q = r.V / abs(P) and u = t.V / abs(P), so that dq = (r.dV + (u t - q r).dP) / abs(P) and
+    du = (t.dV - (u r + q t).dP) / abs(P).
+    """
+    by_velocity, by_ray = np.empty((2, 3)), np.empty((2, 3))
+    for i in range(len(x)):
+        inverse = 1.0 / np.sqrt(x[i] * x[i] + y[i] * y[i] + 1.0)
+        r, v = (x[i] * inverse, y[i] * inverse, inverse), abc_hz[i]
+        q = (r[0] * v[0] + r[1] * v[1] + r[2] * v[2]) * inverse
+        tx, ty, tz = v[0] * inverse - q * r[0], v[1] * inverse - q * r[1], v[2] * inverse - q * r[2]
+        u = np.sqrt(tx * tx + ty * ty + tz * tz)
+        if u > 0.0:
+            t = (tx / u, ty / u, tz / u)
+        else:
+            # Any normal of r: it is never along y alone.
+            across = 1.0 / np.sqrt(r[0] * r[0] + r[2] * r[2])
+            t = (r[2] * across, 0.0, -r[0] * across)
+        rates[i, 0], rates[i, 1] = q, u
+        for j in range(3):
+            by_velocity[0, j], by_velocity[1, j] = r[j] * inverse, t[j] * inverse
+            by_ray[0, j], by_ray[1, j] = (u * t[j] - q * r[j]) * inverse, -(u * r[j] + q * t[j]) * inverse
+        for m in range(2):
+            for n in range(m + 1):
+                total = (by_ray[m, 0] * by_ray[n, 0] + by_ray[m, 1] * by_ray[n, 1]) * sigma_norm[i] ** 2
+                for j in range(3):
+                    for k in range(3):
+                        total += by_velocity[m, j] * cov[i, j, k] * by_velocity[n, k]
+                rates_cov[i, m, n] = rates_cov[i, n, m] = total

@@ -21,6 +21,8 @@ _UNIFORM_TAN = np.tan(0.5 * np.pi * (np.arange(_N_UNIFORM) - 0.5 * (_N_UNIFORM -
 _DENSE_TAN = np.tan(0.5 * np.pi * (np.arange(_N_DENSE) - 0.5 * (_N_DENSE - 1)) / (0.5 * _N_DENSE))
 _MIN_SQUEEZE = 1e-9
 
+# Over an ellipse that is smaller than this part of its distance from the origin the inversion is nearly linear.
+_SMALL_PART = 0.3
 _CLOSEST_POINT_STEPS = 6
 _NEWTON_STEPS = 2
 _MAX_HALF_STEP = 0.15
@@ -65,7 +67,11 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
         if not mahalanobis >= _CHI2_90_TWO * determinant or (q == 0.0 and u == 0.0):
             continue
         _set_ellipse(q, u, variance_q, variance_u, mixed, ellipse)
-        _look_around(ellipse, best)
+        is_small = ellipse[2] ** 2 + ellipse[3] ** 2 < _SMALL_PART**2 * (q * q + u * u)
+        if is_small and not reaches_axis:
+            _look_uphill(ellipse, best)
+        else:
+            _look_around(ellipse, best)
         for which in range(4):
             # Components and signs of (q, u) / (q^2 + u^2), all maximised: the highest q is minus the lower tcpa.
             component, sign = which // 2, 1.0 - 2.0 * (which % 2)
@@ -98,6 +104,26 @@ def _set_ellipse(q: float, u: float, variance_q: float, variance_u: float, mixed
     ellipse[0], ellipse[1] = q, u
     ellipse[2], ellipse[3] = long * np.cos(angle), long * np.sin(angle)
     ellipse[4], ellipse[5] = -short * np.sin(angle), short * np.cos(angle)
+
+
+@compiled
+def _look_uphill(ellipse: Floats, best: Floats) -> None:
+    """Cosine and sine ``best (4, 2)`` of the border's points in which the objectives, taken as linear, are extreme.
+
+    The gradients at the centre are (u^2 - q^2, -2 q u) and (-2 q u, q^2 - u^2), over (q^2 + u^2)^2.
+    """
+    q, u, aq, au, bq, bu = ellipse
+    along, across = u * u - q * q, -2.0 * q * u
+    for component in range(2):
+        slope_q, slope_u = (across, -along) if component else (along, across)
+        by_cos, by_sin = slope_q * aq + slope_u * au, slope_q * bq + slope_u * bu
+        length = np.hypot(by_cos, by_sin) + _TINY
+        for side in range(2):
+            sign = 1.0 - 2.0 * side
+            best[2 * component + side, 0], best[2 * component + side, 1] = (
+                sign * by_cos / length,
+                sign * by_sin / length,
+            )
 
 
 @compiled

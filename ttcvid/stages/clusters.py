@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
-from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, Floats, Ints, MotionState, Status
+from ttcvid.model import SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Ints, MotionState, Status
 from ttcvid.stages.surfaces import nearest_surface
 from ttcvid.stages.track_states import TrackStates
 
@@ -47,11 +48,10 @@ class ClusterMotion:
     window_s: float = np.inf
 
 
-def scene_row(motion: ClusterMotion, xy_px: Floats, camera: Camera) -> ClusterRow:
+def scene_row(motion: ClusterMotion, xy_px: Floats) -> ClusterRow:
     """The scene: an epipole, no times (a scene has many depths)."""
     is_resting = motion.status == Status.no_parallax
-    row = _bare_row(motion, xy_px, camera)
-    return replace(row, motion_state=MotionState.no_relative_motion if is_resting else MotionState.unknown)
+    return _row(motion, xy_px, motion_state=MotionState.no_relative_motion if is_resting else MotionState.unknown)
 
 
 def object_row(
@@ -59,7 +59,6 @@ def object_row(
     motion_id: int,
     states: TrackStates,
     xy_px: Floats,
-    camera: Camera,
     link_px: float,
     common: tuple[Floats, Floats, float],
 ) -> ClusterRow:
@@ -69,18 +68,18 @@ def object_row(
     ----------
     common : rays of all tracks a common gap ago and now, (N, 3) each, and that gap in s: for the expansion.
     """
-    row = replace(_bare_row(motion, xy_px, camera), motion_id=motion_id)
+    known: dict[str, Any] = {"motion_id": motion_id}
     first, second, gap_s = common
-    expansion_hz, _ = expansion_rate(first[motion.members], second[motion.members], gap_s)
+    expansion_hz = float(expansion_rate(first[motion.members], second[motion.members], gap_s)[0])
     if np.isfinite(expansion_hz):
-        row = replace(row, expansion_hz=float(expansion_hz))
+        known["expansion_hz"] = expansion_hz
     usable = motion.members[states.has_value[motion.members]]
-    surface = _nearest_surface(motion, states.take(usable), xy_px[usable], link_px)
-    if not len(surface):
-        has_note_only = row.status in (Status.ok, Status.epipole_at_infinity)
-        return replace(row, status=Status.no_parallax if has_note_only else row.status)
-    surface = usable[surface]
-    return _with_surface(row, states.take(surface), xy_px[surface])
+    surface = usable[_nearest_surface(motion, states.take(usable), xy_px[usable], link_px)]
+    if len(surface):
+        known |= _surface_state(states.take(surface), xy_px[surface])
+    elif motion.status in (Status.ok, Status.epipole_at_infinity):
+        known["status"] = Status.no_parallax
+    return _row(motion, xy_px, **known)
 
 
 def _nearest_surface(motion: ClusterMotion, states: TrackStates, xy_px: Floats, link_px: float) -> Ints:
@@ -99,14 +98,15 @@ def _nearest_surface(motion: ClusterMotion, states: TrackStates, xy_px: Floats, 
 
 def motion_ids(clusters: tuple[ClusterMotion, ...]) -> list[int]:
     """Number of each cluster's motion: clusters with one epipole share it; 0 is the scene's."""
+    is_same = _have_same_direction(clusters)
     numbers: list[int] = []
     next_number = 1
     for place, motion in enumerate(clusters):
-        same = [numbers[j] for j in range(place) if _is_same_direction(motion, clusters[j])]
+        same = np.flatnonzero(is_same[place, :place])
         if motion.cluster_id == SCENE_CLUSTER:
             numbers.append(0)
-        elif same:
-            numbers.append(same[0])
+        elif len(same):
+            numbers.append(numbers[same[0]])
         else:
             numbers.append(next_number)
             next_number += 1
@@ -128,31 +128,41 @@ def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
     return [replace(row, urgency_rank=rank.get(row.cluster_id)) for row in rows]
 
 
-def epipole_pixel(direction: Floats, camera: Camera) -> Floats | None:
-    """Where the line along ``direction (3,)`` meets the picture: (2,) source pixels, None within 1 deg of its plane."""
-    if abs(direction[2]) < INFINITY_COSINE:
-        return None
-    forward = direction if direction[2] > 0 else -direction
-    pixel = pixels_from_rays(camera, forward[None])[0]
-    return pixel if np.isfinite(pixel).all() else None
+def with_epipole_pixels(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
+    """The same with the pixel of each epipole: where the line along its direction meets the picture."""
+    directed = [place for place, row in enumerate(rows) if row.direction is not None]
+    pixels = epipole_pixels(np.reshape([rows[place].direction for place in directed], (-1, 3)), camera)
+    rows = list(rows)
+    for place, pixel in zip(directed, pixels, strict=True):
+        if np.isfinite(pixel[0]):
+            rows[place] = replace(rows[place], epipole_px=pixel)
+    return rows
 
 
-def _bare_row(motion: ClusterMotion, xy_px: Floats, camera: Camera) -> ClusterRow:
+def epipole_pixels(directions: Floats, camera: Camera) -> Floats:
+    """Where lines along ``directions (K, 3)`` meet the picture: (K, 2) source pixels, NaN within 1 deg of its plane."""
+    z = directions[:, 2]
+    forward = np.where(np.abs(z) < INFINITY_COSINE, np.nan, np.sign(z))[:, None] * directions
+    return pixels_from_rays(camera, forward)
+
+
+def _row(motion: ClusterMotion, xy_px: Floats, **known: Any) -> ClusterRow:
+    """A row with what its motion and the places of its tracks say, and what else is ``known``."""
     places = xy_px[motion.members]
     low, high = places.min(axis=0), places.max(axis=0)
-    return ClusterRow(
-        cluster_id=motion.cluster_id,
-        motion_id=SCENE_CLUSTER,
-        n_tracks=len(motion.members),
-        box_px=(float(low[0]), float(low[1]), float(high[0]), float(high[1])),
-        status=motion.status,
-        epipole_status=motion.status,
-        method=motion.method,
-        direction=motion.direction,
-        direction_cov=motion.direction_cov,
-        epipole_px=None if motion.direction is None else epipole_pixel(motion.direction, camera),
-        horizon_offset_px=motion.horizon_offset_px,
-    )
+    row: dict[str, Any] = {
+        "cluster_id": motion.cluster_id,
+        "motion_id": SCENE_CLUSTER,
+        "n_tracks": len(motion.members),
+        "box_px": (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
+        "status": motion.status,
+        "epipole_status": motion.status,
+        "method": motion.method,
+        "direction": motion.direction,
+        "direction_cov": motion.direction_cov,
+        "horizon_offset_px": motion.horizon_offset_px,
+    }
+    return ClusterRow(**(row | known))
 
 
 def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
@@ -174,18 +184,17 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     return [done.get(row.cluster_id, row) for row in rows]
 
 
-def _with_surface(row: ClusterRow, states: TrackStates, xy_px: Floats) -> ClusterRow:
-    """Add the joint state of the surface's tracks at their centroid."""
+def _surface_state(states: TrackStates, xy_px: Floats) -> dict[str, Any]:
+    """The joint state of a surface's tracks at their centroid: part of its row."""
     weight = 1.0 / np.maximum(states.cov[:, 2, 2], _TINY)
     weight /= weight.sum()
     ref_px = weight @ xy_px
-    return replace(
-        row,
-        ref_px=(float(ref_px[0]), float(ref_px[1])),
-        state_abc_hz=weight @ states.abc_hz,
-        state_cov=_joint_covariance(states, weight),
-        speed_change=_speed_change(states),
-    )
+    return {
+        "ref_px": (float(ref_px[0]), float(ref_px[1])),
+        "state_abc_hz": weight @ states.abc_hz,
+        "state_cov": _joint_covariance(states, weight),
+        "speed_change": _speed_change(states),
+    }
 
 
 def _joint_covariance(states: TrackStates, weight: Floats) -> Floats:
@@ -217,20 +226,41 @@ def _motion_state(rates: Floats, cov: Floats) -> MotionState:
     return MotionState.unknown if moves_across else MotionState.no_relative_motion
 
 
-def _is_same_direction(one: ClusterMotion, other: ClusterMotion) -> bool:
-    if one.direction is None or one.direction_cov is None or other.direction is None or other.direction_cov is None:
-        return False
-    covariance = one.direction_cov + other.direction_cov
-    return direction_chi2(other.direction, one.direction, covariance) < _SAME_DIRECTION_CHI2
+def _have_same_direction(clusters: tuple[ClusterMotion, ...]) -> Bools:
+    """Which pairs of clusters (K, K) have one direction within their errors."""
+    nothing = np.full(3, np.nan), np.full((3, 3), np.nan)
+    known = [
+        nothing if m.direction is None or m.direction_cov is None else (m.direction, m.direction_cov) for m in clusters
+    ]
+    direction = np.reshape([one for one, _ in known], (len(clusters), 3))
+    cov = np.reshape([one for _, one in known], (len(clusters), 3, 3))
+    return np.asarray(direction_chi2(direction, direction[:, None], cov + cov[:, None]) < _SAME_DIRECTION_CHI2)
 
 
 def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:
-    """The nearest tracks of the same cluster around each of the ``asked`` tracks: (N, count), -1 where absent."""
+    """The nearest tracks of the same cluster around each of the ``asked`` tracks, itself the first.
+
+    Returns ``(N, count)`` tracks within the radius, nearest first, -1 where absent and for tracks not asked.
+    """
     found = np.full((len(xy_px), count), -1, dtype=np.int64)
-    for number in np.unique(cluster[asked]):
-        members = np.flatnonzero(cluster == number)
-        mine = asked[cluster[asked] == number]
-        _, place = KDTree(xy_px[members]).query(xy_px[mine], k=count, distance_upper_bound=radius_px)
-        place = np.reshape(place, (len(mine), count))
-        found[mine] = np.where(place < len(members), members[np.minimum(place, len(members) - 1)], -1)
+    _find_neighbours(np.ascontiguousarray(xy_px), cluster, asked, radius_px, found)
     return found
+
+
+@compiled
+def _find_neighbours(xy: Floats, cluster: Ints, asked: Ints, radius: float, found: Ints) -> None:
+    """Fills ``found (N, K)`` of `neighbours_in_cluster`."""
+    most = found.shape[1]
+    square = np.empty(most)
+    for i in asked:
+        count = 0
+        for j in range(len(xy)):
+            distance = (xy[j, 0] - xy[i, 0]) ** 2 + (xy[j, 1] - xy[i, 1]) ** 2
+            if cluster[j] != cluster[i] or distance >= radius * radius or (count == most and distance >= square[-1]):
+                continue
+            place = min(count, most - 1)
+            while place > 0 and distance < square[place - 1]:
+                square[place], found[i, place] = square[place - 1], found[i, place - 1]
+                place -= 1
+            square[place], found[i, place] = distance, j
+            count = min(count + 1, most)

@@ -35,14 +35,6 @@ def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
     return pairs
 
 
-def largest_connected(is_in: Bools, pairs: Ints) -> Ints:
-    """Indices of the largest part of ``is_in (N,)`` that hangs together by ``pairs (M, 2)``."""
-    label = connected_parts(is_in, pairs)
-    counts = np.bincount(label[is_in]) if is_in.any() else np.zeros(1, dtype=np.int64)
-    largest: Ints = np.flatnonzero(is_in & (label == np.argmax(counts)))
-    return largest
-
-
 def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
     """Number of the part that each of the tracks ``is_in (N,)`` belongs to, joined by ``pairs (M, 2)`` of tracks: (N,).
 

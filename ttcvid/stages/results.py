@@ -17,7 +17,15 @@ from ttcvid.model import (
     TrackRows,
 )
 from ttcvid.stages.approach import CommonViews, with_seen_motion
-from ttcvid.stages.clusters import motion_ids, neighbours_in_cluster, object_row, ranked, scene_row, with_times
+from ttcvid.stages.clusters import (
+    motion_ids,
+    neighbours_in_cluster,
+    object_row,
+    ranked,
+    scene_row,
+    with_epipole_pixels,
+    with_times,
+)
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.planar import HorizonPlane
@@ -66,12 +74,12 @@ def cluster_rows(
     common = views.first, views.now, views.gap_s
     numbers = motion_ids(motions.clusters)
     rows = [
-        scene_row(motion, history.xy_px, camera)
+        scene_row(motion, history.xy_px)
         if motion.cluster_id == SCENE_CLUSTER
-        else object_row(motion, number, states, history.xy_px, camera, motions.link_px, common)
+        else object_row(motion, number, states, history.xy_px, motions.link_px, common)
         for motion, number in zip(motions.clusters, numbers, strict=True)
     ]
-    rows = with_times(rows, camera)
+    rows = with_times(with_epipole_pixels(rows, camera), camera)
     members = [motion.members for motion in motions.clusters]
     return tuple(ranked(with_seen_motion(rows, members, views, _age_s(history), camera)))
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from ttcvid.model import Floats, Ints
-from ttcvid.stages.connected import largest_connected
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Bools, Floats, Ints
 
 # A surface is borne by this part of an object's tracks, and by at least so many (or all there are).
 _LEAST_PART, _LEAST_TRACKS = 0.1, 5
@@ -31,37 +30,82 @@ def nearest_surface(rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, link_px: f
     xy_px : (N, 2) places, px; tracks closer than ``link_px`` are connected.
     """
     n = len(rate_hz)
+    is_in = np.zeros(n, dtype=bool)
     needed = min(n, max(_LEAST_TRACKS, int(np.ceil(_LEAST_PART * n))))
-    if needed == 0:
-        return np.empty(0, dtype=np.int64)
-    pairs = KDTree(xy_px).query_pairs(link_px, output_type="ndarray")
-    near_counts = np.count_nonzero(np.abs(rate_hz[:, None] - rate_hz) < _SURFACE_SIGMAS * sigma_hz, axis=1)
-    below_hz = np.inf
-    for start in np.argsort(-rate_hz, kind="stable"):
-        if near_counts[start] < needed or rate_hz[start] > below_hz:
+    if needed:
+        starts = np.argsort(-rate_hz, kind="stable")
+        _find(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, starts, needed, is_in)
+    return np.flatnonzero(is_in)
+
+
+@compiled
+def _find(rate: Floats, sigma: Floats, xy: Floats, link: float, starts: Ints, needed: int, is_in: Bools) -> None:
+    """Fills ``is_in (N,)`` with the surface that the first of the ``starts`` with enough support leads to."""
+    below, part = np.inf, np.empty(len(rate), dtype=np.int64)
+    for start in starts:
+        if rate[start] > below or _support(rate, sigma, rate[start], is_in) < needed:
             continue
-        surface = _settled(rate_hz, sigma_hz, float(rate_hz[start]), pairs)
-        if len(surface) >= needed:
-            return surface
-        below_hz = rate_hz[start] - _NEXT_START_SIGMAS * sigma_hz[start]
-    return np.empty(0, dtype=np.int64)
+        _settle(rate, sigma, rate[start], is_in)
+        if _keep_largest_part(xy, link, is_in, part) >= needed:
+            return
+        below = rate[start] - _NEXT_START_SIGMAS * sigma[start]
+    is_in[:] = False
 
 
-def weighted_mean(values: Floats, sigma: Floats) -> float:
-    """Mean with weights 1 / sigma^2."""
-    weight = 1.0 / sigma**2
-    return float(np.sum(weight * values) / np.sum(weight))
+@compiled
+def _support(rate: Floats, sigma: Floats, centre: float, is_in: Bools) -> int:
+    """Fills ``is_in`` with the tracks near a rate; how many there are."""
+    count = 0
+    for i in range(len(rate)):
+        is_in[i] = abs(rate[i] - centre) < _SURFACE_SIGMAS * sigma[i]
+        count += is_in[i]
+    return count
 
 
-def _settled(rate_hz: Floats, sigma_hz: Floats, centre_hz: float, pairs: Ints) -> Ints:
-    """Mean-shift from a first rate to where it stays; then the largest connected set of the tracks near it."""
-    support = np.empty(0, dtype=np.int64)
+@compiled
+def _settle(rate: Floats, sigma: Floats, centre: float, is_in: Bools) -> None:
+    """Mean-shift from a first rate to where it stays: ``is_in`` is the support there."""
+    again, count = np.empty(len(rate), dtype=np.bool_), 0
     for _ in range(_MAX_STEPS):
-        again = np.flatnonzero(np.abs(rate_hz - centre_hz) < _SURFACE_SIGMAS * sigma_hz)
-        if len(again) < len(support) or np.array_equal(again, support):
+        found = _support(rate, sigma, centre, again)
+        if found < count or (found == count and np.array_equal(again, is_in)):
             break
-        support = again
-        centre_hz = weighted_mean(rate_hz[support], sigma_hz[support])
-    is_in = np.zeros(len(rate_hz), dtype=bool)
-    is_in[support] = True
-    return largest_connected(is_in, pairs)
+        is_in[:], count = again, found
+        total, weights = 0.0, 0.0
+        for i in range(len(rate)):
+            if is_in[i]:
+                weight = 1.0 / (sigma[i] * sigma[i])
+                total += weight * rate[i]
+                weights += weight
+        centre = total / weights
+
+
+@compiled
+def _keep_largest_part(xy: Floats, link: float, is_in: Bools, part: Ints) -> int:
+    """Leaves in ``is_in`` its largest part that hangs together; how many tracks that has.
+
+    ``part (N,)`` is scratch: the tracks in order of the parts, each part grown from its first track by all that are
+    near to one of it.
+    """
+    count = 0
+    for i in range(len(is_in)):
+        if is_in[i]:
+            part[count] = i
+            count += 1
+    best_first, best_stop, first = 0, 0, 0
+    while first < count:
+        next_, stop = first, first + 1
+        while next_ < stop:
+            x, y = xy[part[next_], 0], xy[part[next_], 1]
+            for place in range(stop, count):
+                i = part[place]
+                if (xy[i, 0] - x) ** 2 + (xy[i, 1] - y) ** 2 < link * link:
+                    part[place], part[stop] = part[stop], i
+                    stop += 1
+            next_ += 1
+        if stop - first > best_stop - best_first:
+            best_first, best_stop = first, stop
+        first = stop
+    is_in[:] = False
+    is_in[part[best_first:best_stop]] = True
+    return best_stop - best_first

@@ -94,7 +94,7 @@ class TrackStates:
     @property
     def has_value(self) -> Bools:
         """Tracks with a result: (N,)."""
-        return np.isin(self.status, [Status.ok, Status.epipole_at_infinity])
+        return has_value(self.status)
 
     @property
     def alpha_rad(self) -> Floats:
@@ -121,7 +121,7 @@ class TrackStates:
 
     def replaced(self, index: Ints, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:
         """Other results for the tracks of ``index (M,)``; NaN where their status says that there is none."""
-        has_value = np.isin(status, [Status.ok, Status.epipole_at_infinity])
+        is_valued = has_value(status)
         changed = replace(
             self,
             abc_hz=self.abc_hz.copy(),
@@ -129,9 +129,9 @@ class TrackStates:
             direction=self.direction.copy(),
             status=self.status.copy(),
         )
-        changed.abc_hz[index] = np.where(has_value[:, None], abc_hz, np.nan)
-        changed.cov[index] = np.where(has_value[:, None, None], cov, np.nan)
-        changed.direction[index] = np.where(has_value[:, None], direction, np.nan)
+        changed.abc_hz[index] = np.where(is_valued[:, None], abc_hz, np.nan)
+        changed.cov[index] = np.where(is_valued[:, None, None], cov, np.nan)
+        changed.direction[index] = np.where(is_valued[:, None], direction, np.nan)
         changed.status[index] = status
         return changed
 
@@ -146,6 +146,11 @@ class TrackStates:
         x, y = self.xy[index].T
         found = collision_times_from_state(x, y, self.abc_hz[index], self.cov[index], self.sigma_norm[index])
         return found.placed(index, len(self.status))
+
+
+def has_value(status: Ints) -> Bools:
+    """Which of the tracks with ``status (N,)`` have a result: (N,)."""
+    return np.asarray((status == Status.ok) | (status == Status.epipole_at_infinity))
 
 
 def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> TrackStates:
@@ -271,10 +276,11 @@ def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> 
 
 def _states(flows: Flows, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:
     xy = flows.second[:, :2] / flows.second[:, 2:]
-    has_value = np.isin(status, [Status.ok, Status.epipole_at_infinity]) & np.isfinite(abc_hz).all(axis=1)
-    status = np.where(~has_value & np.isin(status, [Status.ok, Status.epipole_at_infinity]), Status.no_parallax, status)
-    abc_hz = np.where(has_value[:, None], abc_hz, np.nan)
-    cov = np.where(has_value[:, None, None], cov, np.nan)
+    is_known = np.isfinite(abc_hz).all(axis=1)
+    status = np.where(~is_known & has_value(status), Status.no_parallax, status)
+    is_known &= has_value(status)
+    abc_hz = np.where(is_known[:, None], abc_hz, np.nan)
+    cov = np.where(is_known[:, None, None], cov, np.nan)
     return TrackStates(xy, abc_hz, cov, _sigma_norm(flows), direction, status)
 
 

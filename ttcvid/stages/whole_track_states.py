@@ -21,7 +21,7 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.scene_path import scene_path
-from ttcvid.stages.track_states import SharedErrors, TrackStates
+from ttcvid.stages.track_states import SharedErrors, TrackStates, has_value
 
 # A rate within this many of its standard deviations may be zero; below minus this, the point moves against its group.
 _RATE_SIGMAS = 2.0
@@ -222,9 +222,9 @@ def _with_free(
         [Status.short_track, Status.no_parallax, Status.not_rigid, Status.epipole_at_infinity],
         Status.ok,
     ).astype(np.int64)
-    has_value = np.isin(status, [Status.ok, Status.epipole_at_infinity])
+    is_valued = has_value(status)
     cov = np.full((len(free), 3, 3), np.nan)
-    cov[has_value] = np.linalg.inv(found.info_w[has_value])
+    cov[is_valued] = np.linalg.inv(found.info_w[is_valued])
     # A turn that is not there moves a point as a velocity of (its rate) x (the ray) would.
     turn = skew(np.column_stack([found.state[:, :2], np.ones(len(free))]))
     cov += turn @ history.rotation_rate_cov @ np.swapaxes(turn, 1, 2)
