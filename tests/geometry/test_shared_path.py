@@ -80,14 +80,21 @@ def test_covariance_of_rates_holds_what_the_path_does_not_say():
         xy = seen(position, bend_hz) + SIGMA * rng.normal(size=(20, 30, 2))
         found = fitted(xy, belief(believed, 0.02, 0.1))
         rates = fit_rates_on_paths(xy, T_S, np.full(30, SIGMA), found.path, number)
-        abc_hz, cov, jacobian = velocities_on_paths(
-            rates, number, found.direction, np.zeros((1, 3)), np.array([False]), found.cov
+        velocities = velocities_on_paths(
+            rates,
+            rates.cov[:, 2, 2],
+            number,
+            found.direction,
+            np.zeros((1, 3)),
+            np.array([False]),
+            found.cov,
+            np.zeros(1),
         )
-        mean = jacobian.mean(axis=0)
+        mean = velocities.jacobian.mean(axis=0)
         own = np.mean(rates.cov[:, 2, 2]) / 30 * np.outer(found.direction[0], found.direction[0])
-        error = (abc_hz - SPEED_M_S * DIRECTION / position[:, 2:]).mean(axis=0)
+        error = (velocities.abc_hz - SPEED_M_S * DIRECTION / position[:, 2:]).mean(axis=0)
         squares.append(error @ np.linalg.solve(mean @ found.cov[0] @ mean.T + own, error))
-        assert (np.linalg.eigvalsh(cov) > -1e-12).all()
+        assert (np.linalg.eigvalsh(velocities.cov) > -1e-12).all()
     assert 0.85 <= np.mean(np.array(squares) < 6.25) <= 0.96  # 90 % of chi-square with three degrees of freedom
 
 
@@ -98,11 +105,18 @@ def test_the_velocity_of_a_turning_thing_is_that_of_its_points():
     back = turned_back(xy, T_S, turn[None], number)
     paths = straight_path(DIRECTION, T_S)[None]
     rates = fit_rates_on_paths(back, T_S, np.full(40, 1e-6), paths, number)
-    abc_hz, _, _ = velocities_on_paths(
-        rates, number, DIRECTION[None], turn[None], np.array([True]), np.zeros((1, 9, 9))
+    found = velocities_on_paths(
+        rates,
+        rates.cov[:, 2, 2],
+        number,
+        DIRECTION[None],
+        turn[None],
+        np.array([True]),
+        np.zeros((1, 9, 9)),
+        np.zeros(1),
     )
     velocity = SPEED_M_S * DIRECTION + np.cross(turn, position)
-    np.testing.assert_allclose(abc_hz, velocity / position[:, 2:], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found.abc_hz, velocity / position[:, 2:], rtol=1e-6, atol=1e-9)
 
 
 def test_points_that_move_otherwise_do_not_bend_the_path():

@@ -49,8 +49,8 @@ def expansion_rate(
     *shape, m, _ = np.broadcast_shapes(rays_first.shape, rays_second.shape)
 
     def of_regions(values: Floats | float, *last: int) -> Floats:
-        every = np.broadcast_to(np.asarray(values, dtype=np.float64), (*shape, m, *last))
-        return np.ascontiguousarray(every).reshape(math.prod(shape), m, *last)
+        every = np.array(np.broadcast_to(values, (*shape, m, *last)), dtype=np.float64, order="C")
+        return every.reshape(math.prod(shape), m, *last)
 
     scale, log_scale_variance = np.full(shape, np.nan), np.full(shape, np.nan)
     _fit_each(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
@@ -10,15 +12,38 @@ from ttcvid.geometry.whole_track_on_path import PathRates
 from ttcvid.model import Bools, Floats, Ints
 
 
+@dataclass(frozen=True)
+class PathVelocities:
+    """Velocities of N points: ``abc_hz (N, 3)`` = V / Z, rho e and what a turn adds to it; NaN without path or rate.
+
+    ``along_sigma_hz (N,)`` how sure it is along the path; ``cov (N, 3, 3)`` in 1/s^2 with what the speed may change by
+    soon; ``jacobian (N, 3, 9)`` of (a, b, c) by what the points of a path share.
+    """
+
+    abc_hz: Floats
+    along_sigma_hz: Floats
+    cov: Floats
+    jacobian: Floats
+
+
 def velocities_on_paths(
-    rates: PathRates, path_of: Ints, direction: Floats, turn_rad_s: Floats, is_own_turn: Bools, shared_cov: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """(a, b, c) of N points, rho e and what a turn adds to it.
+    rates: PathRates,
+    rate_variance: Floats,
+    path_of: Ints,
+    direction: Floats,
+    turn_rad_s: Floats,
+    is_own_turn: Bools,
+    shared_cov: Floats,
+    change: Floats,
+) -> PathVelocities:
+    """(a, b, c) of N points.
 
     Parameters
     ----------
     rates, path_of
         Of `fit_rates_on_paths`, with sensitivities, on views turned back by ``turn_rad_s``.
+    rate_variance
+        ``(N,)`` of the rates, by noise of the points' own, in 1/s^2.
     direction, turn_rad_s
         ``(K, 3)`` each: e = dir and the rotation rate of each path.
     is_own_turn
@@ -26,18 +51,15 @@ def velocities_on_paths(
         rotation is an error of the camera's, which is no motion.
     shared_cov
         ``(K, 9, 9)`` of the shared unknowns of `geometry.shared_path`.
-
-    Returns
-    -------
-    abc_hz : ``(N, 3)``, cov : ``(N, 3, 3)``, jacobian : ``(N, 3, 9)`` of (a, b, c) by the shared unknowns; NaN for a
-    point without a path or rate.
+    change
+        ``(K,)`` by what part the speed along each path may change soon.
     """
     n = len(path_of)
-    abc_hz, cov, jacobian = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full((n, 3, N_SHARED), np.nan)
+    found = PathVelocities(*(np.full((n, *size), np.nan) for size in ((3,), (), (3, 3), (3, N_SHARED))))
     _fill(
         np.ascontiguousarray(rates.xy),
-        rates.rate_hz,
-        np.ascontiguousarray(rates.cov[:, 2, 2]),
+        np.ascontiguousarray(rates.rate_hz),
+        rate_variance,
         rates.by_path,
         rates.by_rotation,
         np.asarray(path_of, dtype=np.int64),
@@ -45,11 +67,13 @@ def velocities_on_paths(
         turn_rad_s,
         is_own_turn,
         shared_cov,
-        abc_hz,
-        cov,
-        jacobian,
+        change,
+        found.abc_hz,
+        found.along_sigma_hz,
+        found.cov,
+        found.jacobian,
     )
-    return abc_hz, cov, jacobian
+    return found
 
 
 @compiled
@@ -64,7 +88,9 @@ def _fill(
     turn_rad_s: Floats,
     is_own_turn: Bools,
     shared_cov: Floats,
+    change: Floats,
     abc_hz: Floats,
+    along_sigma_hz: Floats,
     cov: Floats,
     jacobian: Floats,
 ) -> None:
@@ -101,9 +127,12 @@ def _fill(
                 for q in range(N_SHARED):
                     total += slope[j, q] * shared[q, m]
                 product[j, m] = total
+        along = 0.0
         for j in range(3):
             for m in range(3):
                 total = rate_variance[i] * e[j] * e[m]
                 for q in range(N_SHARED):
                     total += product[j, q] * slope[m, q]
-                cov[i, j, m] = total
+                along += e[j] * total * e[m]
+                cov[i, j, m] = total + change[k] * change[k] * abc_hz[i, j] * abc_hz[i, m]
+        along_sigma_hz[i] = np.sqrt(along)

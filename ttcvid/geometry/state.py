@@ -86,7 +86,7 @@ def state_from_direction(
         [
             ~np.isfinite(q + r).all(axis=1) | ~np.isfinite(variance),
             ~np.isfinite(e).all(axis=1),
-            is_at_epipole(q, r, e, variance, cov_e) | ~np.isfinite(s),
+            is_at_epipole(q, r, e, variance, np.nan_to_num(np.trace(cov_e, axis1=1, axis2=2))) | ~np.isfinite(s),
             np.abs(s) < _RATE_SIGMAS * s_sigma,
             s < 0.0,
             np.abs(e[:, 2]) < INFINITY_COSINE,
@@ -122,13 +122,12 @@ def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple
     return s, ds_dq * scale[:, None], ds_dr * scale[:, None], ds_de * scale[:, None]
 
 
-def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, cov_e: Floats) -> Bools:
+def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, e_variance: Floats) -> Bools:
     """Points ``(N,)`` of which two rays ``(N, 3)`` both lie within noise (of the ray and of e) of the line along e.
 
-    ``variance (N,)`` of a ray's direction and ``cov_e (N, 3, 3)`` or ``(1, 3, 3)`` in rad^2.
+    ``variance (N,)`` of a ray's direction and ``e_variance (N,)`` or ``(1,)`` of e, in rad^2: the trace of its
+    covariance, which is the variance along the worse axis of a direction that is open along one, at most twice it else.
     """
-    # The trace is the variance along the worse axis of a direction that is open along one, at most twice it else.
-    e_variance = np.nan_to_num(np.trace(cov_e, axis1=-2, axis2=-1))
     farther = np.zeros(len(q))
     for ray in (q, r):
         sine2 = quotient(_square_sum(cross(ray, e)), _square_sum(ray) * (variance + e_variance))

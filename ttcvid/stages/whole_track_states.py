@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
@@ -50,15 +48,16 @@ def multi_frame_states(
     together: its place and its rate are left. Any other track, but for those of a scene that does not move, has its
     free state (with a horizon: in its plane).
     """
-    paths, path_of, is_object = _paths(history, motions, config)
-    states = _on_paths(history, motions, paths, path_of, is_object, config)
+    views = _views(history, motions)
+    paths, path_of, is_object = _paths(history, motions, views, config)
+    states = _on_paths(history, motions, views, paths, path_of, is_object, config)
     has_none = (motions.cluster_id == SCENE_CLUSTER) & (path_of == NO_PATH)
     free = np.flatnonzero((path_of == NO_PATH) & ~has_none & motions.is_free)
     return _with_free(states, history, free, plane, config)
 
 
 def _paths(
-    history: TrackHistory, motions: FrameMotions, config: CollisionTimesConfig
+    history: TrackHistory, motions: FrameMotions, views: Floats, config: CollisionTimesConfig
 ) -> tuple[SharedPaths, Ints, Bools]:
     """Path of every cluster that has a direction, the path (N,) of each track, and which paths (K,) are objects'."""
     scene = [motion for motion in motions.clusters if motion.cluster_id == SCENE_CLUSTER]
@@ -88,7 +87,7 @@ def _paths(
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
     parts.append(
         fit_shared_paths(
-            _views(history, motions),
+            views,
             history.since_s,
             history.sigma_norm,
             beliefs,
@@ -101,16 +100,19 @@ def _paths(
 
 
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
-    """Positions of all tracks over the time for which the motion of their cluster has been the same."""
-    window_s = np.full(history.n_tracks, np.inf)
+    """Positions of all tracks over the time for which the motion of their cluster has been the same; NaN elsewhere."""
+    views = history.xy.copy()
     for motion in motions.clusters:
-        window_s[motion.members] = motion.window_s
-    return history.xy_within(window_s)
+        within = history.views_within(motion.window_s)
+        views[: within.start, motion.members] = np.nan
+        views[within.stop :, motion.members] = np.nan
+    return views
 
 
 def _on_paths(
     history: TrackHistory,
     motions: FrameMotions,
+    views: Floats,
     paths: SharedPaths,
     path_of: Ints,
     is_object: Bools,
@@ -120,7 +122,7 @@ def _on_paths(
     # What the scene's tracks find is an error of own motion, taken out of all views already; an object turns itself.
     turn_rad_s = np.where(is_object[:, None], paths.turn_rad_s, 0.0)
     rates = fit_rates_on_paths(
-        turned_back(_views(history, motions), history.since_s, turn_rad_s, path_of),
+        turned_back(views, history.since_s, turn_rad_s, path_of),
         history.since_s,
         history.sigma_norm,
         paths.path,
@@ -128,23 +130,23 @@ def _on_paths(
         config.max_frames,
         config.window_probability,
     )
-    shared_cov, rate_cov = _with_model_errors(paths, path_of, rates)
-    rates = replace(rates, cov=rate_cov)
-    abc_hz, cov, jacobian = velocities_on_paths(rates, path_of, paths.direction, turn_rad_s, is_object, shared_cov)
-    no_change = np.zeros(len(paths.direction))
-    shared = SharedErrors(path_of, paths.direction, rates.cov[:, 2, 2], jacobian, shared_cov, no_change)
-    has_path = path_of != NO_PATH
-    # Along its path: how sure it is that a track moves at all, and forwards.
-    along = np.full((history.n_tracks, 3), np.nan)
-    along[has_path] = shared.along[path_of[has_path]]
-    sigma_hz = np.sqrt(np.einsum("ni,nij,nj->n", along, cov, along))
-    direction = normalize(abc_hz)
+    shared_cov, rate_variance = _with_model_errors(paths, path_of, rates)
+    # Times take the velocity as lasting: where it was seen to change, they are uncertain by what it changes in a while.
+    # Whether and where to a thing moves now is as sure as before.
+    bend_hz = np.sum(paths.bend_hz * paths.direction, axis=1)
+    change = np.where(is_object, _LASTING_S * np.hypot(bend_hz, _UNSEEN_BEND_HZ), 0.0)
+    found = velocities_on_paths(
+        rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov, change
+    )
+    shared = SharedErrors(path_of, paths.direction, rate_variance, found.jacobian, shared_cov, change)
+    has_path, direction = path_of != NO_PATH, normalize(found.abc_hz)
     status = np.select(
         [
             ~np.isfinite(history.xy[history.now, :, 0]) | (has_path & (rates.n_frames < 2)),
             ~has_path,
-            _is_at_epipole(history, along, shared) | ~np.isfinite(rates.rate_hz),
-            np.abs(rates.rate_hz) < _RATE_SIGMAS * sigma_hz,
+            _is_at_epipole(history, shared) | ~np.isfinite(rates.rate_hz),
+            # Along its path: how sure it is that a track moves at all, and forwards.
+            np.abs(rates.rate_hz) < _RATE_SIGMAS * found.along_sigma_hz,
             rates.rate_hz < 0.0,
             np.abs(direction[:, 2]) < INFINITY_COSINE,
         ],
@@ -158,34 +160,28 @@ def _on_paths(
         ],
         Status.ok,
     ).astype(np.int64)
-    # Times take the velocity as lasting: where it was seen to change, they are uncertain by what it changes in a while.
-    # Whether and where to a thing moves now is as sure as before.
-    bend_hz = np.einsum("ki,ki->k", paths.bend_hz, paths.direction)
-    change = np.where(is_object, _LASTING_S * np.hypot(bend_hz, _UNSEEN_BEND_HZ), 0.0)
-    shared = replace(shared, change=change)
-    of_track = np.where(has_path, change[np.maximum(path_of, 0)], 0.0) if len(change) else np.zeros(len(path_of))
-    cov = cov + of_track[:, None, None] ** 2 * abc_hz[:, :, None] * abc_hz[:, None, :]
-    states = TrackStates(history.xy[history.now], abc_hz, cov, history.sigma_norm, direction, status, shared)
-    return states.replaced(np.arange(len(status)), abc_hz, cov, direction, status)
+    is_gone = ~has_value(status)
+    for values in (found.abc_hz, found.cov, direction):
+        values[is_gone] = np.nan
+    xy = history.xy[history.now]
+    return TrackStates(xy, found.abc_hz, found.cov, history.sigma_norm, direction, status, shared)
 
 
 def _with_model_errors(paths: SharedPaths, path_of: Ints, rates: PathRates) -> tuple[Floats, Floats]:
-    """Covariances of the paths and of the tracks' own rates, with what the model itself is wrong by.
+    """Covariances (K, 9, 9) of the paths and variances (N,) of the rates, with what the model itself is wrong by.
 
     Where the tracks of a path fit worse than their noise, all of it is uncertain by as much more (Birge's ratio), and
     no direction is known better than what neighbours err by in common.
     """
-    count = len(paths.direction)
-    has_path = path_of != NO_PATH
+    count, has_path = len(paths.direction), path_of != NO_PATH
     chi2_sum = np.bincount(path_of[has_path], rates.chi2[has_path], count)
     dof_sum = np.bincount(path_of[has_path], rates.dof[has_path], count)
     misfit = np.maximum(chi2_sum / np.maximum(dof_sum, 1.0), 1.0)
     across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
     shared_cov = paths.cov * misfit[:, None, None]
     shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
-    rate_cov = rates.cov.copy()
-    rate_cov[has_path] *= misfit[path_of[has_path], None, None]
-    return shared_cov, rate_cov
+    # `NO_PATH` picks the last one.
+    return shared_cov, rates.cov[:, 2, 2] * np.append(misfit, 1.0)[path_of]
 
 
 def _with_free(
@@ -231,13 +227,13 @@ def _with_free(
     return states.replaced(free, velocity, cov, direction, status)
 
 
-def _is_at_epipole(history: TrackHistory, direction: Floats, shared: SharedErrors) -> Bools:
-    """Tracks whose first and last view both lie on the line along their direction, within noise."""
-    xy = history.xy
-    n = history.n_tracks
+def _is_at_epipole(history: TrackHistory, shared: SharedErrors) -> Bools:
+    """Tracks whose first and last view both lie on the line along the direction of their path, within noise."""
+    xy, ones = history.xy, np.ones(history.n_tracks)
     oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
-    q, r = (np.column_stack([place, np.ones(n)]) for place in (xy[oldest, np.arange(n)], xy[history.now]))
-    variance = np.zeros((n, 3, 3))
-    has_path = shared.path_of != NO_PATH
-    variance[has_path] = shared.cov[shared.path_of[has_path], :3, :3]
-    return is_at_epipole(q, r, direction, history.sigma_norm**2, variance)
+    first, last = xy[oldest, np.arange(history.n_tracks)], xy[history.now]
+    # `NO_PATH` picks the last ones.
+    direction = np.concatenate([shared.along, np.full((1, 3), np.nan)])[shared.path_of]
+    direction_variance = np.append(np.trace(shared.cov[:, :3, :3], axis1=1, axis2=2), 0.0)[shared.path_of]
+    rays = np.column_stack([first, ones]), np.column_stack([last, ones])
+    return is_at_epipole(*rays, direction, history.sigma_norm**2, direction_variance)
