@@ -84,7 +84,7 @@ class CollisionTimesConfig(StageConfig):
 
     estimator: Literal["multi-frame", "three-frame", "two-frame"] = "multi-frame"
     smooth: bool = Field(
-        default=False, description="multi-frame: directions and times from views on both sides of a frame"
+        default=False, description="multi-frame: directions, times and objects from frames on both sides"
     )
     max_frames: int = Field(default=20, ge=3, le=100, description="multi-frame: most views of a track")
     object_window_s: PositiveFloat = Field(

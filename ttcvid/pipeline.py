@@ -120,7 +120,7 @@ def _smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[Analyze
 
     def released() -> AnalyzedFrame:
         first = held.popleft()
-        return _estimated_again(first, [item.seen.history for item in held if item.seen is not None], clip)
+        return _estimated_again(first, [item.seen for item in held if item.seen is not None], clip)
 
     for item in analyzed:
         seen = item.seen
@@ -135,11 +135,11 @@ def _smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[Analyze
         yield released()
 
 
-def _estimated_again(item: AnalyzedFrame, later: list[TrackHistory], clip: Clip) -> AnalyzedFrame:
+def _estimated_again(item: AnalyzedFrame, later: list[Seen], clip: Clip) -> AnalyzedFrame:
     """A frame with the rows that views on both sides give; status, own rotation and warnings stay as they were."""
     if item.seen is None or not later:
         return item
-    seen = seen_again(item.seen, later, clip.camera, clip.config.collision_times)
+    seen = seen_again(item.seen, later, clip.camera, clip.config)
     tracks, clusters = _rows(seen, clip)
     result = replace(item.result, tracks=tracks, clusters=clusters, min_ttc_z_s=minimum_ttc_z_s(clusters))
     return replace(item, result=result)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from relative_motion import CAMERA, EXACT_SIGMA_PX, box_of_points, pixels, unit
 
-from ttcvid.config import CollisionTimesConfig
+from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import NO_CLUSTER, PointSet, Status
 from ttcvid.stages.clusters import ClusterMotion
@@ -21,6 +21,7 @@ DT_S, N_FRAMES, MAX_FRAMES = 0.1, 25, 20
 NOW, AFTER = 14, 9
 TURN = rotation_from_vector(np.radians([0.1, 0.4, -0.2]))
 CONFIG = CollisionTimesConfig(max_frames=MAX_FRAMES, object_window_s=5.0)
+PIPELINE = PipelineConfig(collision_times=CONFIG)
 VELOCITY = np.array([-1.0, 0.1, -5.0])
 
 
@@ -49,16 +50,20 @@ def histories(position_m, braking_m_s2=0.0, sigma_px=EXACT_SIGMA_PX, rng=None, n
     return found
 
 
-def seen(history):
-    """All tracks are one object; its direction is still to be found."""
+def seen(history, cluster_id=None):
+    """All tracks are one object, or each is in the cluster given; their directions are still to be found."""
     n = history.n_tracks
+    cluster_id = np.ones(n, np.int64) if cluster_id is None else np.array(cluster_id)[:n]
+    numbers = np.unique(cluster_id[cluster_id != NO_CLUSTER]).tolist()
     motions = FrameMotions(
         flows=select_flows(history, 10, 8.0),
-        cluster_id=np.ones(n, np.int64),
+        cluster_id=cluster_id,
         direction=np.full((n, 3), np.nan),
         direction_cov=np.full((n, 3, 3), np.nan),
         no_direction_status=np.full(n, Status.no_epipole),
-        clusters=(ClusterMotion(1, np.arange(n), None, None, Status.no_epipole, "whole-tracks"),),
+        clusters=tuple(
+            ClusterMotion(k, np.flatnonzero(cluster_id == k), None, None, Status.no_epipole, "-") for k in numbers
+        ),
         link_px=32.0,
         is_free=np.ones(n, bool),
     )
@@ -67,7 +72,11 @@ def seen(history):
 
 
 def smoothed(found, now=NOW, after=AFTER):
-    return seen_again(seen(found[now]), found[now + 1 : now + 1 + after], CAMERA, CONFIG)
+    return again(seen(found[now]), found, now, after)
+
+
+def again(item, found, now=NOW, after=AFTER):
+    return seen_again(item, [seen(history) for history in found[now + 1 : now + 1 + after]], CAMERA, PIPELINE)
 
 
 def by_past_views(found, now=NOW):
@@ -157,11 +166,10 @@ def test_at_constant_velocity_intervals_hold_and_are_narrower():
 
 def test_tracks_of_no_cluster_have_their_free_state_from_both_sides():
     position = car()
-    item = seen(histories(position)[NOW])
-    motions = replace(item.motions, cluster_id=np.full(len(position), NO_CLUSTER), clusters=())
-    found = histories(position)
-    again = seen_again(replace(item, motions=motions), found[NOW + 1 : NOW + 1 + AFTER], CAMERA, CONFIG)
-    states = multi_frame_states(again.history, again.motions, None, CONFIG)
+    found, alone = histories(position), np.full(len(position), NO_CLUSTER)
+    later = [seen(history, alone) for history in found[NOW + 1 : NOW + 1 + AFTER]]
+    item = seen_again(seen(found[NOW], alone), later, CAMERA, PIPELINE)
+    states = multi_frame_states(item.history, item.motions, None, CONFIG)
     assert (states.status == Status.ok).all()
     np.testing.assert_allclose(states.abc_hz, VELOCITY / position[:, 2:], rtol=1e-4, atol=1e-5)
 
@@ -180,28 +188,53 @@ def own_direction(found, noted, now=NOW):
     item = seen(found[now])
     egomotion = replace(item.egomotion, direction=noted[now], direction_cov=1e-6 * np.eye(3))
     scene = ClusterMotion(0, np.arange(item.history.n_tracks), noted[now], np.eye(3), Status.ok, "egomotion")
-    item = replace(item, egomotion=egomotion, motions=replace(item.motions, clusters=(scene,)))
-    return seen_again(item, found[now + 1 : now + 1 + AFTER], CAMERA, CONFIG).motions.clusters[0].direction
+    motions = replace(item.motions, clusters=(scene,), cluster_id=np.zeros(item.history.n_tracks, np.int64))
+    item = replace(item, egomotion=egomotion, motions=motions)
+    later = [seen(history, np.zeros(history.n_tracks, np.int64)) for history in found[now + 1 : now + 1 + AFTER]]
+    return seen_again(item, later, CAMERA, PIPELINE).motions.clusters[0].direction
 
 
 def test_own_direction_is_that_of_the_steps_around_and_follows_their_swing():
-    histories_ = histories(car(20))
-    found, own, noted = swinging(histories_)
+    bare = histories(car(20))
+    found, own, noted = swinging(bare)
     np.testing.assert_allclose(own_direction(found, noted), own[NOW], atol=1e-3)
     rng, errors = np.random.default_rng(9), []
     for _ in range(40):
-        found, own, noted = swinging(histories_, rng)
+        found, own, noted = swinging(bare, rng)
         errors.append([np.linalg.norm(e - own[NOW]) for e in (own_direction(found, noted), noted[NOW])])
     smooth, causal = np.sqrt(np.mean(np.square(errors), axis=0))
     assert smooth < 0.65 * causal
 
 
+def test_tracks_are_in_an_object_as_soon_as_the_next_frames_will_have_them_there():
+    """Tracks 0-9 are found as object 7 two frames later, 10 is its own from the first, 11-13 are too few for one."""
+    found = histories(car(20))
+    now = np.array([0] * 10 + [3] + [0] * 9)
+    then = np.array([7] * 10 + [7] + [8] * 3 + [0] * 5 + [NO_CLUSTER])
+    later = [seen(found[NOW + 1], now)] + [seen(history, then) for history in found[NOW + 2 : NOW + 1 + AFTER]]
+    item = seen_again(seen(found[NOW], now), later, CAMERA, PIPELINE)
+    np.testing.assert_array_equal(item.motions.cluster_id, [7] * 10 + [3] + [0] * 9)
+    assert [(m.cluster_id, m.members.tolist()) for m in item.motions.clusters] == [
+        (0, list(range(11, 20))),
+        (3, [10]),
+        (7, list(range(10))),
+    ]
+    np.testing.assert_allclose(item.motions.clusters[2].direction, unit(VELOCITY), atol=1e-3)
+
+
+def test_what_is_frozen_to_its_pixel_joins_no_object():
+    found = histories(car(20))
+    item = seen(found[NOW], np.zeros(20, np.int64))
+    item = replace(item, motions=replace(item.motions, is_free=np.arange(20) >= 10))
+    assert again(item, found).motions.cluster_id.tolist() == [0] * 10 + [1] * 10
+
+
 def test_without_later_views_or_own_motion_nothing_is_estimated_again():
     found = histories(car())
     item = seen(found[NOW])
-    assert seen_again(item, [], CAMERA, CONFIG) is item
+    assert again(item, found, after=0) is item
     lost = replace(item, egomotion=None)
-    assert seen_again(lost, found[NOW + 1 : NOW + 3], CAMERA, CONFIG) is lost
+    assert again(lost, found) is lost
 
 
 def test_a_frame_is_not_continued_by_what_has_forgotten_it():

@@ -54,7 +54,7 @@ _output_option = option_under("Output")
 @_method_option(
     "--smooth/--no-smooth",
     default=None,
-    help="Estimate directions and times from frames on both sides; warnings stay causal.  [default: --no-smooth]",
+    help="Directions, times and objects from frames on both sides; warnings stay causal.  [default: --no-smooth]",
 )
 @_method_option("--seed", metavar="N", help="Seed of every random choice.  [default: 0]")
 @_method_option("--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker.")

@@ -1,8 +1,8 @@
 """A frame looked at once more, with views of its tracks from the frames after it.
 
-What a frame found out when it came (own motion, which tracks belong together, warnings) stays as it was; directions and
-times are estimated again from views on both sides of it. Where a velocity changes, views of the past alone tell what it
-was half a window ago.
+What a frame found out when it came (own rotation, which tracks belong together, warnings) stays as it was; directions
+and times are estimated again from views on both sides of it, and objects that the next frames find have been there
+before. Where a velocity changes, views of the past alone tell what it was half a window ago.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.config import CollisionTimesConfig
+from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.rotation import normalize
-from ttcvid.model import SCENE_CLUSTER, Camera, Floats
+from ttcvid.model import SCENE_CLUSTER, Camera, Ints, Status
+from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions, motions_of, scene_motion
@@ -44,20 +45,21 @@ def views_after(max_frames: int) -> int:
     return max_frames // 2
 
 
-def seen_again(seen: Seen, later: Sequence[TrackHistory], camera: Camera, config: CollisionTimesConfig) -> Seen:
-    """The same frame with the views of later ones, and what follows from them for the directions of its clusters.
+def seen_again(seen: Seen, later: Sequence[Seen], camera: Camera, config: PipelineConfig) -> Seen:
+    """The same frame with the views of later ones, and what follows from them for its clusters.
 
     Parameters
     ----------
-    later : the histories of the next frames in order, each of which knows this frame (`Seen.is_continued_by`).
+    later : the next frames in order, each of which knows this one (`Seen.is_continued_by`).
     """
     if not later or seen.egomotion is None:
         return seen
-    history = _around(seen.history, later)
+    history = _around(seen.history, [after.history for after in later])
     egomotion = _smoothed_direction(history, seen.egomotion)
     history = with_scene_path(history, seen.motions.is_free, egomotion)
-    again = replace(seen, history=history, egomotion=egomotion)
-    return replace(again, motions=_motions_again(again, camera, config))
+    motions = _with_known_objects(seen, later, config.bodies.min_tracks)
+    again = replace(seen, history=history, egomotion=egomotion, motions=motions)
+    return replace(again, motions=_motions_again(again, camera, config.collision_times))
 
 
 def _around(history: TrackHistory, later: Sequence[TrackHistory]) -> TrackHistory:
@@ -70,7 +72,8 @@ def _around(history: TrackHistory, later: Sequence[TrackHistory]) -> TrackHistor
     rays = np.full((len(last.frame), history.n_tracks, 3), np.nan)
     rays[: now + 1] = history.rays[-1 - now :]
     for entry, after in enumerate(later, start=now + 1):
-        rays[entry] = _rays_of(after, history)
+        lives, place = _same_tracks(history, after)
+        rays[entry, lives] = after.rays[-1, place]
     return replace(
         history,
         frame=last.frame,
@@ -83,14 +86,10 @@ def _around(history: TrackHistory, later: Sequence[TrackHistory]) -> TrackHistor
     )
 
 
-def _rays_of(after: TrackHistory, history: TrackHistory) -> Floats:
-    """Newest rays ``(N, 3)`` that a later history has of the tracks of ``history``; NaN for those that have ended."""
-    found = np.full((history.n_tracks, 3), np.nan)
-    if after.n_tracks:
-        place = np.minimum(np.searchsorted(after.track_id, history.track_id), after.n_tracks - 1)
-        lives = after.track_id[place] == history.track_id
-        found[lives] = after.rays[-1, place[lives]]
-    return found
+def _same_tracks(history: TrackHistory, after: TrackHistory) -> tuple[Ints, Ints]:
+    """The tracks that a later frame still has: their indices in this one, and in that."""
+    _, here, there = np.intersect1d(history.track_id, after.track_id, assume_unique=True, return_indices=True)
+    return here, there
 
 
 def _smoothed_direction(history: TrackHistory, egomotion: Egomotion) -> Egomotion:
@@ -106,6 +105,32 @@ def _smoothed_direction(history: TrackHistory, egomotion: Egomotion) -> Egomotio
     powers = np.vander(history.since_s[known], _PARABOLA, increasing=True)
     through_now = np.linalg.lstsq(powers, directions[known], rcond=None)[0][0]
     return replace(egomotion, direction=normalize(through_now))
+
+
+def _with_known_objects(seen: Seen, later: Sequence[Seen], min_tracks: int) -> FrameMotions:
+    """The clusters, with tracks already in the object in which a later frame first has them.
+
+    A new mover gets its number when it has been found in some frames, and a new track is with the scene at first. An
+    object that was not there yet has to have ``min_tracks`` tracks.
+    """
+    before = seen.motions.cluster_id
+    cluster_id = before.copy()
+    for after in later:
+        here, there = _same_tracks(seen.history, after.history)
+        theirs = after.motions.cluster_id[there]
+        joins = (cluster_id[here] <= SCENE_CLUSTER) & (theirs > SCENE_CLUSTER) & seen.motions.is_free[here]
+        cluster_id[here[joins]] = theirs[joins]
+    known = {motion.cluster_id: motion for motion in seen.motions.clusters}
+    number, count = np.unique(cluster_id[cluster_id > SCENE_CLUSTER], return_counts=True)
+    too_few = [one for one, n in zip(number, count, strict=True) if n < min_tracks and one not in known]
+    cluster_id = np.where(np.isin(cluster_id, too_few), before, cluster_id)
+    clusters = []
+    for one in sorted({*known, *number.tolist()} - set(too_few)):
+        members = np.flatnonzero(cluster_id == one)
+        motion = known.get(one, ClusterMotion(one, members, None, None, Status.no_epipole, "whole-tracks"))
+        if len(members):
+            clusters.append(replace(motion, members=members))
+    return replace(seen.motions, cluster_id=cluster_id, clusters=tuple(clusters))
 
 
 def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> FrameMotions:
