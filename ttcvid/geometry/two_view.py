@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,16 +22,36 @@ class TwoViewFit:
     """A robust fit of the motion between two frames.
 
     ``cam_R_prev (3, 3)``; ``direction (3,)`` is ``dir`` of the static points, None for a rotation alone;
-    ``residual (N,)`` and ``wrong_way (N,)`` (how far a point moves against the direction) in sigmas; ``cost`` the
-    sum of capped squares with the prior's part; ``covariance`` of the unknowns in rad^2: two tangent coordinates of the
-    direction (along `tangent_basis`) where there is one, then the rotation vector.
+    ``residual (N,)`` in sigmas; ``cost`` the sum of capped squares with the prior's part; ``information (k, k)`` on the
+    unknowns and ``score (N, k)`` of each point, in 1/rad^2 and 1/rad: of two tangent coordinates of the direction
+    (along `tangent_basis`) where there is one, then of the rotation vector; ``region (N,)`` as in `fit_rotation`.
     """
 
     cam_R_prev: Floats
     direction: Floats | None
     residual: Floats
     cost: float
-    covariance: Floats
+    information: Floats
+    score: Floats
+    region: Ints
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (k, k) of the unknowns, rad^2, with the spread of the scores in place of the assumed noise.
+
+        Neighbouring points err together (one surface, one blur, one slant), so that N points are worth less than N
+        independent ones: the scores are summed within a region before they are squared (a cluster-robust "sandwich").
+        Never smaller than what the assumed noise gives: the inverse information I^-1, made larger by the largest
+        eigenvalue of I^-1 sum g g', g the scores of a region.
+        """
+        inverse: Floats = np.linalg.inv(self.information).astype(np.float64)
+        k, n_used = len(inverse), int(np.count_nonzero(np.bincount(self.region)))
+        if n_used <= 2 * k:
+            return inverse
+        sums = np.stack([np.bincount(self.region, self.score[:, j]) for j in range(k)])
+        half = np.linalg.solve(np.linalg.cholesky(self.information), sums)
+        ratio = float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k)
+        return inverse * max(1.0, ratio)
 
 
 @dataclass(frozen=True)
@@ -67,8 +88,7 @@ def fit_rotation(
         rays_prev, rays_cam, sigma_rad, expected, prior.rotation_sigma_rad, offset, fitted, residual, score, information
     )
     cost = _capped_cost(residual) + float(offset @ offset) / prior.rotation_sigma_rad**2
-    covariance = _robust_covariance(information, score, region)
-    return TwoViewFit(fitted, None, residual, cost, covariance)
+    return TwoViewFit(fitted, None, residual, cost, information, score, region)
 
 
 def fit_motion(
@@ -109,8 +129,7 @@ def fit_motion(
         information,
     )
     cost = _capped_cost(np.where(is_wrong > 0.0, np.inf, residual)) + _prior_cost(prior, offset, direction)
-    covariance = _robust_covariance(information, score, region)
-    return TwoViewFit(fitted, direction, residual, cost, covariance)
+    return TwoViewFit(fitted, direction, residual, cost, information, score, region)
 
 
 def direction_from_flow(rays_prev: Floats, rays_cam: Floats, cam_R_prev: Floats) -> Floats:
@@ -137,24 +156,3 @@ def _prior_cost(prior: GaussianPrior, offset: Floats, direction: Floats) -> floa
 def _capped_cost(residual: Floats) -> float:
     """Sum of squared residuals, each capped: what counts is how many points a fit explains, not how far others are."""
     return float(np.sum(np.minimum(residual**2, _COST_CAP)))
-
-
-def _robust_covariance(information: Floats, score: Floats, region: Ints) -> Floats:
-    """Covariance with the spread of the scores between parts of the picture in place of the assumed noise.
-
-    Neighbouring points err together (one surface, one blur, one slant), so that N points are worth less than N
-    independent ones: the scores are summed within a region before they are squared (a cluster-robust "sandwich").
-    Never smaller than what the assumed noise gives.
-    """
-    inverse: Floats = np.linalg.inv(information).astype(np.float64)
-    n_regions = int(region.max()) + 1 if len(region) else 0
-    k = len(information)
-    if n_regions <= k:
-        return inverse
-    sums = np.stack([np.bincount(region, score[:, j], n_regions) for j in range(k)], axis=1)
-    n_used = len(np.unique(region))
-    if n_used <= 2 * k:
-        return inverse
-    sandwich = inverse @ (sums.T @ sums) @ inverse * (n_used / (n_used - k))
-    ratio = np.linalg.eigvals(information @ sandwich).real.max()
-    return inverse * max(1.0, float(ratio))

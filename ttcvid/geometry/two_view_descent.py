@@ -128,8 +128,11 @@ def descend_motion(
             for j in range(5):
                 score[i, j] = -jacobian[i, j] * weight * residual[i]
                 total[j] += score[i, j]
-                for k in range(5):
+                for k in range(j + 1):
                     information[j, k] += weight * jacobian[i, j] * jacobian[i, k]
+        for j in range(5):
+            for k in range(j):
+                information[k, j] = information[j, k]
         for j in range(3):
             information[2 + j, 2 + j] += prior
             total[2 + j] -= prior * offset[j]

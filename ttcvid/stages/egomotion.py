@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.geometry.two_view import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion, fit_rotation
 from ttcvid.model import Floats, Ints, Platform
@@ -152,11 +153,24 @@ def estimate_egomotion(
 
 
 def picture_region(rays: Floats) -> Ints:
-    """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,)."""
-    plane = rays[:, :2] / np.maximum(rays[:, 2:], _LEAST_Z)
-    cell = np.clip(np.floor(plane / _REGION) + _REGION_COUNT // 2, 0, _REGION_COUNT - 1).astype(np.int64)
-    numbers: Ints = np.unique(cell[:, 0] * _REGION_COUNT + cell[:, 1], return_inverse=True)[1]
-    return numbers
+    """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,), without gaps."""
+    region = np.empty(len(rays), dtype=np.int64)
+    _number_cells(np.ascontiguousarray(rays), region)
+    return region
+
+
+@compiled
+def _number_cells(rays: Floats, region: Ints) -> None:
+    """Fills ``region (N,)``: cells are numbered in the order in which they are first met."""
+    number, count = np.full((_REGION_COUNT, _REGION_COUNT), -1, dtype=np.int64), 0
+    for i in range(len(rays)):
+        scale = 1.0 / (_REGION * max(rays[i, 2], _LEAST_Z))
+        column = min(max(int(np.floor(rays[i, 0] * scale)) + _REGION_COUNT // 2, 0), _REGION_COUNT - 1)
+        row = min(max(int(np.floor(rays[i, 1] * scale)) + _REGION_COUNT // 2, 0), _REGION_COUNT - 1)
+        if number[column, row] < 0:
+            number[column, row] = count
+            count += 1
+        region[i] = number[column, row]
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:

@@ -290,7 +290,8 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
     steps_s = np.diff(history.t_s[-_DIFFERENCE_FRAMES:])
     if np.ptp(steps_s) > _EVEN_STEPS * abs(float(np.mean(steps_s))):
         return nothing
-    x0, x1, x2, x3 = (_tangent_plane_px(history, -i) for i in range(1, _DIFFERENCE_FRAMES + 1))
+    recent = slice(-_DIFFERENCE_FRAMES, None)
+    x3, x2, x1, x0 = history.focal_px * turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
     roughness = np.sum((x0 - 3.0 * x1 + 3.0 * x2 - x3) ** 2, axis=1)
     is_measured = np.isfinite(roughness)
     if np.count_nonzero(is_measured) < _LEAST_MEASURED:
@@ -299,11 +300,3 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
     if typical <= 0.0:
         return nothing
     return np.where(is_measured, roughness, 0.0) / typical, is_measured
-
-
-def _tangent_plane_px(history: TrackHistory, index: int) -> Floats:
-    """Derotated position of each track in the present picture plane, ``(N, 2)`` px of an undistorted picture."""
-    rays = history.derotated(index)
-    in_front = rays[:, 2:] > 0.05
-    plane: Floats = np.divide(rays[:, :2], rays[:, 2:], out=np.full((len(rays), 2), np.nan), where=in_front)
-    return plane * history.focal_px

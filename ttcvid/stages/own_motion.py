@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.config import EgomotionConfig
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion
+from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion, picture_region
 from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion, with_noise
 from ttcvid.stages.scene_path import with_scene_path
 
-# In each cell of this side (in units of the focal length) only so many tracks are used: errors that neighbours share
-# are what limits own motion. Rays with less z than this share cells.
-_CELL, _MOST_IN_CELL, _LEAST_Z = 0.1, 6, 0.05
+# In each part of the picture (`picture_region`) only so many tracks are used: errors that neighbours share are what
+# limits own motion.
+_MOST_IN_CELL = 6
 # The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames.
 _WANTED_FLOW_PX, _LONGEST_GAP = 2.5, 5
 _TINY_PX = 1e-6
@@ -98,16 +99,27 @@ def _spread(rays: Floats, sigma_rad: Floats, seen: Ints, min_tracks: int) -> Int
 
     A mover near by may hold most of the tracks, but it does not fill most of the picture.
     """
-    cell = np.floor(rays[seen, :2] / np.maximum(rays[seen, 2:], _LEAST_Z) / _CELL).astype(np.int64)
-    number = cell[:, 0] * 4096 + cell[:, 1]
-    # The same few whatever the order of the tracks: the quieter first.
-    order = np.lexsort((rays[seen, 1], rays[seen, 0], sigma_rad[seen], number))
-    is_first = np.diff(number[order], prepend=number[order[0]] - 1) != 0
-    start = np.maximum.accumulate(np.where(is_first, np.arange(len(order)), 0))
-    rank = np.empty(len(seen), dtype=np.int64)
-    rank[order] = np.arange(len(order)) - start
-    spread = seen[rank < _MOST_IN_CELL]
+    is_kept = np.zeros(len(seen), dtype=bool)
+    _keep_some(np.ascontiguousarray(rays[seen]), sigma_rad[seen], picture_region(rays[seen]), is_kept)
+    spread = seen[is_kept]
     return spread if len(spread) >= min_tracks else seen
+
+
+@compiled
+def _keep_some(rays: Floats, sigma: Floats, region: Ints, is_kept: Bools) -> None:
+    """Fills ``is_kept (N,)`` with the quietest few of each region: the same ones in whatever order the tracks come."""
+    kept = np.full((region.max() + 1 if len(region) else 0, _MOST_IN_CELL), -1, dtype=np.int64)
+    for i in range(len(rays)):
+        new = i
+        for place in range(_MOST_IN_CELL):
+            old = kept[region[i], place]
+            if old < 0 or (sigma[new], rays[new, 0], rays[new, 1]) < (sigma[old], rays[old, 0], rays[old, 1]):
+                kept[region[i], place], new = new, old
+            if new < 0:
+                break
+    for old in kept.ravel():
+        if old >= 0:
+            is_kept[old] = True
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:
