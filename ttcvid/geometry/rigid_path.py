@@ -66,7 +66,7 @@ def fit_on_paths(
     """
     m = xy.shape[1]
     least = np.broadcast_to(np.asarray(least_rate_hz, dtype=np.float64), (m,))
-    start = np.zeros(m) if rate_hz is None else np.nan_to_num(rate_hz)
+    start = np.zeros(m) if rate_hz is None else np.where(np.isfinite(rate_hz), rate_hz, 0.0)
     place, rate, sigma = np.full((m, 2), np.nan), np.full(m, np.nan), np.full(m, np.nan)
     misfit, n_views = np.zeros(m), np.zeros(m, dtype=np.int64)
     steps = _STEPS if rate_hz is not None else 2 * _STEPS

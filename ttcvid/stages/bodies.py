@@ -10,7 +10,7 @@ import numpy as np
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathFit, corrected_views, fit_on_paths
 from ttcvid.geometry.rotation import each_turned_into_plane, rotation_from_vector, vector_from_rotation
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Floats, Ints
 
 # Own rotation is known from own motion; a frame corrects it by about this much, rad.
 _SCENE_TURN_RAD = float(np.radians(0.05))
@@ -54,18 +54,15 @@ class Points:
     track: Ints
     body: Ints
 
-    def take(self, index: Bools | Ints) -> Points:
-        """The points that a mask or an index array picks."""
-        return replace(self, track=self.track[index], body=self.body[index])
-
     def in_plane(self, bodies: Sequence[Body]) -> Floats:
         """Where the points were seen, as if their bodies had not turned: (L, M, 2) in the plane z = 1."""
-        return each_turned_into_plane(self.rays, self.track, np.stack([b.cam_R_past for b in bodies]), self.body)
+        return each_turned_into_plane(self.rays, self.track, _stacked(bodies)[0], self.body)
 
     def fit(self, bodies: Sequence[Body], rate_hz: Floats | None, least_rate_hz: float | Floats = 0.0) -> PathFit:
         """How well the motions of their bodies explain the points."""
-        xy, paths = self.in_plane(bodies), np.stack([b.path for b in bodies])
-        return fit_on_paths(xy, paths, self.body, self.sigma_norm[self.track], rate_hz, least_rate_hz)
+        cam_R_past, path = _stacked(bodies)
+        xy = each_turned_into_plane(self.rays, self.track, cam_R_past, self.body)
+        return fit_on_paths(xy, path, self.body, self.sigma_norm[self.track], rate_hz, least_rate_hz)
 
 
 def carried_forward(body: Body, cam_R_prev: Floats, t_s: Floats, step: Floats | None = None) -> Body:
@@ -119,9 +116,10 @@ def refined_scene(scene: Body, points: Points, weight: Floats, rate_hz: Floats, 
     """
     n_views = len(points.since_s)
     turn_sigma, not_turned = np.full(n_views, _SCENE_TURN_RAD), np.zeros((1, n_views, 3))
+    cam_R_past, path = scene.cam_R_past[None], scene.path[None]
     for _ in range(n_steps):
-        (scene,), rate_hz = _refined_once([scene], points, weight, rate_hz, not_turned, turn_sigma)
-    return scene
+        cam_R_past, path, rate_hz = _refined_once(cam_R_past, path, points, weight, rate_hz, not_turned, turn_sigma)
+    return replace(scene, cam_R_past=cam_R_past[0], path=path[0])
 
 
 def refined_movers(movers: Sequence[Body], scene: Body, points: Points, n_steps: Ints) -> list[Body]:
@@ -131,58 +129,59 @@ def refined_movers(movers: Sequence[Body], scene: Body, points: Points, n_steps:
     ----------
     n_steps : (K,) of each mover.
     """
-    movers = list(movers)
+    cam_R_past, path = _stacked(movers)
     turn_sigma = _TURN_RATE_RAD_S * np.maximum(-points.since_s, _LEAST_TIME_S)
-    rate_hz = np.full(len(points.track), np.nan)
+    rate_hz, weight = np.full(len(points.track), np.nan), np.ones(len(points.track))
     for step in range(n_steps.max(initial=0)):
-        asked = np.flatnonzero(n_steps > step)
-        place = np.flatnonzero(n_steps[points.body] > step)
-        bodies, own = [movers[number] for number in asked], points.take(place)
-        own = replace(own, body=np.searchsorted(asked, own.body))
-        back = np.swapaxes(np.stack([body.cam_R_past for body in bodies]), 2, 3)
-        turned = vector_from_rotation(scene.cam_R_past @ back)
-        bodies, rate_hz[place] = _refined_once(bodies, own, np.ones(len(place)), rate_hz[place], turned, turn_sigma)
-        for number, body in zip(asked, bodies, strict=True):
-            movers[number] = body
+        asked, place = np.flatnonzero(n_steps > step), np.flatnonzero(n_steps[points.body] > step)
+        own = replace(points, track=points.track[place], body=np.searchsorted(asked, points.body[place]))
+        turned = vector_from_rotation(scene.cam_R_past @ np.swapaxes(cam_R_past[asked], 2, 3))
+        cam_R_past[asked], path[asked], rate_hz[place] = _refined_once(
+            cam_R_past[asked], path[asked], own, weight[place], rate_hz[place], turned, turn_sigma
+        )
     known = np.isfinite(rate_hz)
     medians_hz = np.nan_to_num(medians(rate_hz[known], points.body[known], len(movers)))
-    return [replace(mover, rate_hz=float(rate)) for mover, rate in zip(movers, medians_hz, strict=True)]
+    return [Body(*motion) for motion in zip(cam_R_past, path, medians_hz.tolist(), strict=True)]
+
+
+def _stacked(bodies: Sequence[Body]) -> tuple[Floats, Floats]:
+    """``cam_R_past (K, L, 3, 3)`` and ``path (K, L, 3)`` of bodies."""
+    return np.stack([body.cam_R_past for body in bodies]), np.stack([body.path for body in bodies])
 
 
 def _refined_once(
-    bodies: Sequence[Body],
+    cam_R_past: Floats,
+    path: Floats,
     points: Points,
     weight: Floats,
     rate_hz: Floats,
     turned_rad: Floats,
     turn_sigma_rad: Floats,
-) -> tuple[list[Body], Floats]:
-    """Points on the paths, then the views by the points; a path keeps its length.
+) -> tuple[Floats, Floats, Floats]:
+    """Points on the paths, then the views by the points; a path keeps its length, a body without points its motion.
 
     Parameters
     ----------
+    cam_R_past, path : (K, L, 3, 3) and (K, L, 3) of the bodies.
     turned_rad : (K, L, 3) how far each view of each body has turned from where it is expected; ``turn_sigma_rad (L,)``.
     """
-    xy, path = points.in_plane(bodies), np.stack([body.path for body in bodies])
-    cam_R_past, since_s = np.stack([body.cam_R_past for body in bodies]), points.since_s
-    sigma_norm = points.sigma_norm[points.track]
+    since_s, sigma_norm = points.since_s, points.sigma_norm[points.track]
+    xy = each_turned_into_plane(points.rays, points.track, cam_R_past, points.body)
     fit = fit_on_paths(xy, path, points.body, sigma_norm, rate_hz)
     is_used = (weight > 0.0) & (fit.n_views > 1)
-    typical = np.maximum(medians(fit.misfit[is_used], points.body[is_used], len(bodies)), _LEAST_TYPICAL_MISFIT)
+    typical = np.maximum(medians(fit.misfit[is_used], points.body[is_used], len(path)), _LEAST_TYPICAL_MISFIT)
     weight = np.where(is_used, weight / (1.0 + fit.misfit / (_HALF_WEIGHT * typical[points.body])), 0.0)
     shifted = path - (since_s / min(since_s[0], -_LEAST_TIME_S))[:, None] * path[:, :1]
     shift_sigma = _SHIFT_FLOOR - _SHIFT_RATE_HZ * since_s
     turn_rad, shift = corrected_views(
         xy, path, points.body, fit, sigma_norm, weight, turned_rad, shifted, turn_sigma_rad, shift_sigma
     )
+    has_points = np.isfinite(typical)
+    turn_rad[~has_points], shift[~has_points] = 0.0, 0.0
     moved = path + shift
     before, after = np.linalg.norm(path[:, 0], axis=1), np.linalg.norm(moved[:, 0], axis=1)
     has_length = np.minimum(before, after) > _NO_LENGTH
-    moved *= np.divide(before, after, out=np.ones(len(bodies)), where=has_length)[:, None, None]
+    moved *= np.divide(before, after, out=np.ones(len(path)), where=has_length)[:, None, None]
     # By way of rotation vectors: products that go on for ever would cease to be rotations.
     turned = rotation_from_vector(vector_from_rotation(rotation_from_vector(-turn_rad) @ cam_R_past))
-    refined = [
-        replace(body, cam_R_past=turned[number], path=moved[number]) if np.isfinite(typical[number]) else body
-        for number, body in enumerate(bodies)
-    ]
-    return refined, fit.rate_hz
+    return turned, moved, fit.rate_hz

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.history import ROTATION_DRIFT_RAD, TrackHistory
 
@@ -69,13 +70,8 @@ def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: flo
     second = history.rays[-1]
     first = np.full((n, 3), np.nan)
     gap_frames = np.zeros(n, dtype=np.int64)
-    is_long = np.zeros(n, dtype=bool)
-    for gap in range(1, min(max_gap_frames, len(history.frame) - 1) + 1):
-        ray = history.derotated(-1 - gap)
-        is_seen = np.isfinite(ray[:, 0]) & ~is_long
-        first[is_seen], gap_frames[is_seen] = ray[is_seen], gap
-        flow_px = np.linalg.norm(second - ray, axis=1) * history.focal_px
-        is_long |= is_seen & (flow_px >= target_flow_px)
+    max_gap = min(max_gap_frames, len(history.frame) - 1)
+    _select(history.rays, history.cam_R_past, max_gap, target_flow_px / history.focal_px, first, gap_frames)
     flow_rad = np.nan_to_num(np.linalg.norm(second - first, axis=1))
     # The rotation's error moves one end of the flow; it is shared out to both.
     rotation_rad = history.rotation_sigma_rad / np.sqrt(2.0)
@@ -97,3 +93,21 @@ def scene_directions(history: TrackHistory, flows: Flows) -> Floats:
     means = np.divide(sums, length[:, None], out=np.full_like(sums, np.nan), where=length[:, None] > 0.0)
     chosen: Floats = means[np.maximum(flows.gap_frames - 1, 0)]
     return chosen
+
+
+@compiled
+def _select(rays: Floats, cam_R_past: Floats, max_gap: int, target_rad: float, first: Floats, gap_frames: Ints) -> None:
+    """Fill ``first (N, 3)`` and ``gap_frames (N,)`` of `select_flows`."""
+    last = len(rays) - 1
+    for i in range(rays.shape[1]):
+        for gap in range(1, max_gap + 1):
+            r, ray = cam_R_past[last - gap], rays[last - gap, i]
+            if not np.isfinite(ray[0]):
+                continue
+            square = 0.0
+            for a in range(3):
+                first[i, a] = r[a, 0] * ray[0] + r[a, 1] * ray[1] + r[a, 2] * ray[2]
+                square += (rays[last, i, a] - first[i, a]) ** 2
+            gap_frames[i] = gap
+            if square >= target_rad * target_rad:
+                break

@@ -147,10 +147,9 @@ def _share(is_one: Bools, thing: Ints, n_things: int) -> Floats:
 
 def _stays_on_its_pixels(history: TrackHistory, members: Ints) -> Bools:
     """Tracks that have not moved in the picture for long, (M,): a mover of them is burned-in text before a scene."""
-    rays = history.rays[:, members]
-    first = np.argmax(np.isfinite(rays[:, :, 0]), axis=0)
-    is_old = len(rays) - first >= _STAYING_VIEWS
-    moved_rad = np.linalg.norm(rays[-1] - rays[first, np.arange(len(members))], axis=1)
+    first = np.argmax(np.isfinite(history.rays[:, :, 0]), axis=0)[members]
+    is_old = len(history.rays) - first >= _STAYING_VIEWS
+    moved_rad = np.linalg.norm(history.rays[-1, members] - history.rays[first, members], axis=1)
     return np.asarray(is_old & (moved_rad * history.focal_px < _STAYING_PX))
 
 

@@ -79,9 +79,10 @@ def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: Bodie
         return index
     around = np.column_stack([index, views.neighbours[index]])
     counts = np.column_stack([np.ones(len(index), dtype=bool), views.has_neighbour[index]]) & is_asked[around]
-    log_misfit = np.where(counts, np.log(np.maximum(misfit[around], _NO_MISFIT)), np.nan)
-    together = np.nanmedian(log_misfit, axis=1) > _TOGETHER * np.log(config.scene_gate)
-    return np.asarray(index[together & (np.count_nonzero(counts, axis=1) >= _LEAST_AROUND)])
+    ordered = np.sort(np.where(counts, np.log(np.maximum(misfit[around], _NO_MISFIT)), np.inf), axis=1)
+    every, n = np.arange(len(index)), np.count_nonzero(counts, axis=1)
+    median = 0.5 * (ordered[every, (n - 1) // 2] + ordered[every, n // 2])
+    return np.asarray(index[(median > _TOGETHER * np.log(config.scene_gate)) & (n >= _LEAST_AROUND)])
 
 
 def _alike_and_near(views: BodyViews, index: Ints, xy: Floats) -> Ints:
