@@ -8,6 +8,10 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 
 
+# The search for the nearest goes outwards by so many rings of cells.
+_N_RINGS = 3
+
+
 def nearest_neighbours(xy_px: Floats, count: int, radius_px: float) -> Ints:
     """Each point's nearest others within a radius: (N, count), the point itself standing in for missing ones.
 
@@ -18,8 +22,8 @@ def nearest_neighbours(xy_px: Floats, count: int, radius_px: float) -> Ints:
     n = len(xy_px)
     neighbours = np.repeat(np.arange(n)[:, None], count, axis=1)
     if n:
-        cell, order, start, width = _cells(xy_px, radius_px)
-        _nearest(np.ascontiguousarray(xy_px), cell, order, start, width, radius_px, neighbours)
+        cell, order, start, width = _cells(xy_px, radius_px / _N_RINGS, _N_RINGS)
+        _nearest(xy_px[order], cell[order], order, start, width, radius_px, neighbours)
     return neighbours
 
 
@@ -27,7 +31,7 @@ def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
     """All pairs of points ``(N, 2)`` closer than a radius: (M, 2), the smaller index first."""
     if len(xy_px) < 2:
         return np.empty((0, 2), dtype=np.int64)
-    cell, order, start, width = _cells(xy_px, radius_px)
+    cell, order, start, width = _cells(xy_px, radius_px, 1)
     places = np.ascontiguousarray(xy_px)
     count = _pairs(places, cell, order, start, width, radius_px, np.empty((0, 2), dtype=np.int64))
     pairs = np.empty((count, 2), dtype=np.int64)
@@ -46,39 +50,50 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
     return label
 
 
-def _cells(xy_px: Floats, side_px: float) -> tuple[Ints, Ints, Ints, int]:
-    """A grid with an empty border: cell of each point, points in order of cells, where each cell starts, its width."""
-    column_row = np.floor((xy_px - xy_px.min(axis=0)) / side_px).astype(np.int64) + 1
-    width = int(column_row[:, 0].max()) + 2
+def _cells(xy_px: Floats, side_px: float, border: int) -> tuple[Ints, Ints, Ints, int]:
+    """A grid with a border of empty cells: cell of each point, points in order of cells, where each starts, width."""
+    column_row = np.floor((xy_px - xy_px.min(axis=0)) / side_px).astype(np.int64) + border
+    width = int(column_row[:, 0].max()) + border + 1
     cell = column_row[:, 1] * width + column_row[:, 0]
     order = np.argsort(cell, kind="stable")
-    n_cells = width * (int(column_row[:, 1].max()) + 2)
+    n_cells = width * (int(column_row[:, 1].max()) + border + 1)
     start = np.searchsorted(cell[order], np.arange(n_cells + 1))
     return cell, order, start, width
 
 
 @compiled
 def _nearest(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radius: float, neighbours: Ints) -> None:
-    """Fill ``neighbours (N, K)``."""
+    """Fill ``neighbours (N, K)``, ring of cells by ring of cells; ``xy, cell`` in the order of cells.
+
+    What lies beyond ring r is farther away than r cells.
+    """
     count = neighbours.shape[1]
-    square = np.empty(count)
-    for i in range(len(xy)):
-        found = 0
-        for dy in range(-1, 2):
-            first = cell[i] + dy * width - 1
-            for place in range(start[first], start[first + 3]):
-                j = order[place]
-                distance = (xy[j, 0] - xy[i, 0]) ** 2 + (xy[j, 1] - xy[i, 1]) ** 2
-                if j == i or distance >= radius * radius:
-                    continue
-                k = min(found, count)
-                while k > 0 and (distance < square[k - 1] or (distance == square[k - 1] and j < neighbours[i, k - 1])):
-                    if k < count:
-                        square[k], neighbours[i, k] = square[k - 1], neighbours[i, k - 1]
-                    k -= 1
-                if k < count:
-                    square[k], neighbours[i, k] = distance, j
-                    found = min(found + 1, count)
+    square, side = np.empty(count), radius / _N_RINGS
+    for here in range(len(xy)):
+        i, found = order[here], 0
+        for ring in range(_N_RINGS + 1):
+            for dy in range(-ring, ring + 1):
+                # Whole rows at the top and the bottom of a ring, its two ends between.
+                step = 1 if abs(dy) == ring else 2 * ring
+                for dx in range(-ring, ring + 1, step):
+                    at = cell[here] + dy * width + dx
+                    for place in range(start[at], start[at + 1]):
+                        j = order[place]
+                        distance = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
+                        if j == i or distance >= radius * radius:
+                            continue
+                        k = min(found, count)
+                        while k > 0 and (
+                            distance < square[k - 1] or (distance == square[k - 1] and j < neighbours[i, k - 1])
+                        ):
+                            if k < count:
+                                square[k], neighbours[i, k] = square[k - 1], neighbours[i, k - 1]
+                            k -= 1
+                        if k < count:
+                            square[k], neighbours[i, k] = distance, j
+                            found = min(found + 1, count)
+            if found == count and square[count - 1] < (ring * side) ** 2:
+                break
 
 
 @compiled

@@ -9,8 +9,8 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.medians import medians
-from ttcvid.model import Floats, Ints
-from ttcvid.stages.belonging import Mover, numbers_of
+from ttcvid.model import Ints
+from ttcvid.stages.belonging import Mover, OwnFit, numbers_of
 from ttcvid.stages.bodies import Body, refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
@@ -21,8 +21,8 @@ _ONE_RATE = 1.5
 # that is tried, the motion of the larger has to explain the smaller within this factor, at rates within the other.
 _MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 8.0, 3.0
 _LEAST_MISFIT = 1.0
-# Steps of refinement of two taken as one.
-_JOINT_STEPS = 4
+# Steps of refinement of two taken as one; so many tracks of each tell whether they are.
+_JOINT_STEPS, _ENOUGH_TRACKS = 4, 40
 # What was two in one frame is seldom one in the next: of those found in more frames than this that is asked now and
 # then.
 _YOUNG_FRAMES, _MERGE_FRAMES = 5, 4
@@ -31,17 +31,19 @@ _TINY_HZ = 1e-9
 
 
 def merged(
-    views: BodyViews, scene: Body, key: Ints, movers: Sequence[Mover], own_misfit: Floats, usual_misfit: float
-) -> tuple[Ints, list[Mover]]:
+    views: BodyViews, scene: Body, key: Ints, movers: Sequence[Mover], own_fit: OwnFit, usual_misfit: float
+) -> tuple[Ints, list[Mover], OwnFit]:
     """Movers side by side that one motion explains are one; the older one's number stays.
+
+    The rates of their tracks are not known any more.
 
     Parameters
     ----------
-    own_misfit : (N,) of each track on its body, in units of ``usual_misfit``.
+    own_fit : of each track on its body, in units of ``usual_misfit``.
     """
-    key = key.copy()
+    key, rate_hz = key.copy(), own_fit.rate_hz.copy()
     alive = {mover.key: mover for mover in movers}
-    for large, small, limit in _worth_trying(views, key, movers, own_misfit, usual_misfit):
+    for large, small, limit in _worth_trying(views, key, movers, own_fit, usual_misfit):
         if large.key not in alive or small.key not in alive:
             continue
         joint = _joint(views, scene, key, alive[large.key], small, limit * usual_misfit)
@@ -49,13 +51,14 @@ def merged(
             older = max(alive[large.key], alive[small.key], key=lambda m: (m.n_found, -m.key))
             younger = small.key if older.key == large.key else large.key
             key[key == younger] = older.key
+            rate_hz[key == older.key] = np.nan
             alive[older.key] = replace(older, body=joint)
             del alive[younger]
-    return key, list(alive.values())
+    return key, list(alive.values()), replace(own_fit, rate_hz=rate_hz)
 
 
 def _worth_trying(
-    views: BodyViews, key: Ints, movers: Sequence[Mover], own_misfit: Floats, usual_misfit: float
+    views: BodyViews, key: Ints, movers: Sequence[Mover], own_fit: OwnFit, usual_misfit: float
 ) -> list[tuple[Mover, Mover, float]]:
     """Neighbours that may be one: the larger, the smaller, and the misfit that is usual in both."""
     number = numbers_of(key, movers)
@@ -80,7 +83,7 @@ def _worth_trying(
     rate_hz = medians(fit.rate_hz[known], few[known], len(pairs))
     chosen = []
     for place, (large, small) in enumerate(pairs):
-        limit = max(float(np.median(own_misfit[np.concatenate([own[large], own[small]])])), _LEAST_MISFIT)
+        limit = max(float(np.median(own_fit.misfit[np.concatenate([own[large], own[small]])])), _LEAST_MISFIT)
         usual_hz = movers[large - 1].body.rate_hz
         is_one_rate = usual_hz < _PERHAPS_ONE_RATE * rate_hz[place] < _PERHAPS_ONE_RATE**2 * usual_hz
         if is_one_rate and misfit[place] <= _WORTH_TRYING * limit:
@@ -90,7 +93,8 @@ def _worth_trying(
 
 def _joint(views: BodyViews, scene: Body, key: Ints, large: Mover, small: Mover, limit: float) -> Body | None:
     """The motion of two movers taken as one, None where they are two by the misfit that is usual in both."""
-    both = np.flatnonzero((key == large.key) | (key == small.key))
+    own = [np.flatnonzero(key == mover.key) for mover in (large, small)]
+    both = np.concatenate([tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in own])
     points, is_large = views.points(both), key[both] == large.key
     (joint,) = refined_movers([large.body], scene, points, np.array([_JOINT_STEPS]))
     fit = points.fit([joint], None)
@@ -102,21 +106,19 @@ def _joint(views: BodyViews, scene: Body, key: Ints, large: Mover, small: Mover,
 
 
 def split(
-    views: BodyViews, key: Ints, movers: Sequence[Mover], next_key: int, config: BodiesConfig
+    views: BodyViews, key: Ints, movers: Sequence[Mover], own_fit: OwnFit, next_key: int, config: BodiesConfig
 ) -> tuple[Ints, list[Mover], int]:
     """Parts of a mover that do not hang together in the picture, or lie at other depths, are movers of their own.
 
-    The largest part keeps the number.
+    The largest part keeps the number. Tracks without a rate in ``own_fit`` may lie anywhere.
     """
     number = numbers_of(key, movers)
     own = np.flatnonzero(np.bincount(number, minlength=len(movers) + 1)[number] * (number > 0) >= 2 * config.min_tracks)
     if not len(own):
         return key, list(movers), next_key
     body, key, all_movers = number[own] - 1, key.copy(), list(movers)
-    usual_hz = np.array([mover.body.rate_hz for mover in movers])[body]
-    fit = views.points(own, body).fit([mover.body for mover in movers], usual_hz)
-    log_rate = np.log(np.maximum(np.nan_to_num(fit.rate_hz), _TINY_HZ))
-    unsure = np.nan_to_num(fit.rate_sigma_hz / np.maximum(fit.rate_hz, _TINY_HZ), nan=np.inf)
+    rate_hz = np.maximum(np.nan_to_num(own_fit.rate_hz[own]), _TINY_HZ)
+    log_rate, unsure = np.log(rate_hz), np.nan_to_num(own_fit.rate_sigma_hz[own] / rate_hz, nan=np.inf)
     one, other = linked_pairs(views.xy_px[own], views.link_px).T
     apart = np.abs(log_rate[one] - log_rate[other])
     is_one = (body[one] == body[other]) & (apart < np.log(_ONE_RATE) + 2.0 * (unsure[one] + unsure[other]))
