@@ -30,19 +30,6 @@ class Mover:
     body: Body
 
 
-@dataclass(frozen=True)
-class OwnFit:
-    """How each of N tracks fits the body that it belongs to.
-
-    ``misfit (N,)`` in units of the scene's usual one; ``rate_hz, rate_sigma_hz (N,)`` on a mover's path, NaN on that
-    of the scene.
-    """
-
-    misfit: Floats
-    rate_hz: Floats
-    rate_sigma_hz: Floats
-
-
 def numbers_of(key: Ints, movers: Sequence[Mover]) -> Ints:
     """0 for a track of the scene, else 1 + place of its mover: (N,). Movers are in the order of their keys."""
     keys = np.array([SCENE_CLUSTER] + [mover.key for mover in movers])
@@ -51,7 +38,7 @@ def numbers_of(key: Ints, movers: Sequence[Mover]) -> Ints:
 
 def assigned(
     views: BodyViews, movers: Sequence[Mover], key: Ints, n_views: Ints, misfit: Floats, usual_misfit: float
-) -> tuple[Ints, OwnFit]:
+) -> tuple[Ints, Floats]:
     """Each track to the body that explains it best, among the scene and those that it or a neighbour belonged to.
 
     Parameters
@@ -61,34 +48,28 @@ def assigned(
 
     Returns
     -------
-    Key of each track's body, (N,), and its fit there.
+    Key of each track's body, and its misfit there in units of ``usual_misfit``: (N,) each.
     """
-    every, n_bodies = np.arange(len(key)), len(movers) + 1
-    unknown = np.full(len(key), np.nan)
     if not movers:
-        return key, OwnFit(misfit, unknown, unknown)
+        return key, misfit
+    every, n_bodies = np.arange(len(key)), len(movers) + 1
     number = numbers_of(key, movers)
     at = every[:, None] * n_bodies + number[views.neighbours]
     votes = np.bincount(at[views.has_neighbour], minlength=len(key) * n_bodies).reshape(len(key), n_bodies)
     is_asked = votes > 0
     is_asked[every, number] = True
-    is_asked[:, 0] = False
-    track, body = np.nonzero(is_asked)
-    fit = fit_on_movers(views.points(track, body - 1), [mover.body for mover in movers])
-    off = fit.misfit / usual_misfit
+    track, mover = np.nonzero(is_asked[:, 1:])
+    off = np.full((len(key), n_bodies), np.inf)
+    off[:, 0] = misfit
+    off[track, mover + 1] = fit_on_movers(views.points(track, mover), [m.body for m in movers]).misfit / usual_misfit
     score = np.full((len(key), n_bodies), np.inf)
     score[:, 0] = np.log1p(np.minimum(misfit, _WORST_MISFIT)) - _SCENE_WEIGHT * (n_views > _SCENE_VIEWS)
-    score[track, body] = np.log1p(np.minimum(off, _WORST_MISFIT))
+    score[track, mover + 1] = np.log1p(np.minimum(off[track, mover + 1], _WORST_MISFIT))
     score -= votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1), 1))[:, None]
     score[every, number] -= _HABIT_WEIGHT * (n_views > _HABIT_VIEWS)
     best = np.argmin(score, axis=1)
-    keys = np.array([SCENE_CLUSTER] + [mover.key for mover in movers])
-    chosen = best[track] == body
-    own = track[chosen]
-    own_fit = OwnFit(misfit.copy(), unknown, unknown.copy())
-    own_fit.misfit[own], own_fit.rate_hz[own] = off[chosen], fit.rate_hz[chosen]
-    own_fit.rate_sigma_hz[own] = fit.rate_sigma_hz[chosen]
-    return keys[best], own_fit
+    keys = np.array([SCENE_CLUSTER] + [m.key for m in movers])
+    return keys[best], off[every, best]
 
 
 def kept(key: Ints, movers: Sequence[Mover], config: BodiesConfig) -> tuple[Ints, list[Mover]]:

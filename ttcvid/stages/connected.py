@@ -7,7 +7,6 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 
-
 # The search for the nearest goes outwards by so many rings of cells.
 _N_RINGS = 3
 

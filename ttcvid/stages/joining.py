@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.medians import medians
-from ttcvid.model import Ints
-from ttcvid.stages.belonging import Mover, OwnFit, numbers_of
+from ttcvid.model import Floats, Ints
+from ttcvid.stages.belonging import Mover, numbers_of
 from ttcvid.stages.bodies import Body, refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
@@ -23,102 +23,115 @@ _MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 8.0, 3.0
 _LEAST_MISFIT = 1.0
 # Steps of refinement of two taken as one; so many tracks of each tell whether they are.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 40
-# What was two in one frame is seldom one in the next: of those found in more frames than this that is asked now and
-# then.
+# What was two in one frame is seldom one in the next: that is asked in the first frames, then ever more seldom, but
+# every so many frames.
 _YOUNG_FRAMES, _MERGE_FRAMES = 5, 4
 _LEAST_TRACKS = 3
 _TINY_HZ = 1e-9
 
 
-def merged(
-    views: BodyViews, scene: Body, key: Ints, movers: Sequence[Mover], own_fit: OwnFit, usual_misfit: float
-) -> tuple[Ints, list[Mover], OwnFit]:
-    """Movers side by side that one motion explains are one; the older one's number stays.
+@dataclass(frozen=True)
+class _Pair:
+    """Two neighbouring movers, their tracks, and the misfit that is usual in both, in units of the scene's."""
 
-    The rates of their tracks are not known any more.
+    large: Mover
+    small: Mover
+    of_large: Ints
+    of_small: Ints
+    limit: float
+
+
+def merged(
+    views: BodyViews, scene: Body, key: Ints, movers: Sequence[Mover], own_misfit: Floats, usual_misfit: float
+) -> tuple[Ints, list[Mover]]:
+    """Movers side by side that one motion explains are one; the older one's number stays.
 
     Parameters
     ----------
-    own_fit : of each track on its body, in units of ``usual_misfit``.
+    own_misfit : (N,) of each track on its body, in units of ``usual_misfit``.
     """
-    key, rate_hz = key.copy(), own_fit.rate_hz.copy()
+    key = key.copy()
     alive = {mover.key: mover for mover in movers}
-    for large, small, limit in _worth_trying(views, key, movers, own_fit, usual_misfit):
-        if large.key not in alive or small.key not in alive:
+    pairs = _worth_trying(views, key, movers, own_misfit, usual_misfit)
+    for pair, joint in zip(pairs, _joint(views, scene, pairs, usual_misfit), strict=True):
+        if joint is None or pair.large.key not in alive or pair.small.key not in alive:
             continue
-        joint = _joint(views, scene, key, alive[large.key], small, limit * usual_misfit)
-        if joint is not None:
-            older = max(alive[large.key], alive[small.key], key=lambda m: (m.n_found, -m.key))
-            younger = small.key if older.key == large.key else large.key
-            key[key == younger] = older.key
-            rate_hz[key == older.key] = np.nan
-            alive[older.key] = replace(older, body=joint)
-            del alive[younger]
-    return key, list(alive.values()), replace(own_fit, rate_hz=rate_hz)
+        younger, older = sorted((alive[pair.large.key], alive[pair.small.key]), key=lambda m: (m.n_found, -m.key))
+        key[key == younger.key] = older.key
+        alive[older.key] = replace(older, body=joint)
+        del alive[younger.key]
+    return key, list(alive.values())
 
 
 def _worth_trying(
-    views: BodyViews, key: Ints, movers: Sequence[Mover], own_fit: OwnFit, usual_misfit: float
-) -> list[tuple[Mover, Mover, float]]:
-    """Neighbours that may be one: the larger, the smaller, and the misfit that is usual in both."""
+    views: BodyViews, key: Ints, movers: Sequence[Mover], own_misfit: Floats, usual_misfit: float
+) -> list[_Pair]:
+    """Neighbours that may be one."""
     number = numbers_of(key, movers)
     counts = np.bincount(number, minlength=len(movers) + 1)
     codes = number[:, None] * len(counts) + number[views.neighbours]
     touch = np.bincount(codes.ravel(), minlength=len(counts) ** 2).reshape(len(counts), len(counts))
+    own = {place: np.flatnonzero(number == place + 1) for place in range(len(movers))}
     pairs = []
-    for one, other in (np.argwhere(np.triu(touch[1:, 1:], 1)) + 1).tolist():
-        age = min(movers[one - 1].n_found, movers[other - 1].n_found)
-        is_asked = age <= _YOUNG_FRAMES or age % _MERGE_FRAMES == 0
-        if is_asked and min(counts[one], counts[other]) >= _LEAST_TRACKS:
-            pairs.append((one, other) if counts[one] >= counts[other] else (other, one))
+    for places in np.argwhere(np.triu(touch[1:, 1:], 1)).tolist():
+        small, large = sorted(places, key=lambda place: (len(own[place]), -place))
+        if len(own[small]) >= _LEAST_TRACKS and _is_asked(min(movers[large].n_found, movers[small].n_found)):
+            limit = np.median(own_misfit[np.concatenate([own[large], own[small]])])
+            pairs.append(_Pair(movers[large], movers[small], own[large], own[small], max(float(limit), _LEAST_MISFIT)))
     if not pairs:
         return []
-    own = [np.flatnonzero(number == place) for place in range(len(counts))]
-    few = np.repeat(np.arange(len(pairs)), [counts[small] for _, small in pairs])
-    track = np.concatenate([own[small] for _, small in pairs])
-    body = np.array([large - 1 for large, _ in pairs])
-    fit = fit_on_movers(views.points(track, body[few]), [mover.body for mover in movers])
-    misfit = medians(fit.misfit, few, len(pairs)) / usual_misfit
+    few = np.repeat(np.arange(len(pairs)), [len(pair.of_small) for pair in pairs])
+    points = views.points(np.concatenate([pair.of_small for pair in pairs]), few)
+    fit = fit_on_movers(points, [pair.large.body for pair in pairs])
     known = np.isfinite(fit.rate_hz)
     rate_hz = medians(fit.rate_hz[known], few[known], len(pairs))
-    chosen = []
-    for place, (large, small) in enumerate(pairs):
-        limit = max(float(np.median(own_fit.misfit[np.concatenate([own[large], own[small]])])), _LEAST_MISFIT)
-        usual_hz = movers[large - 1].body.rate_hz
-        is_one_rate = usual_hz < _PERHAPS_ONE_RATE * rate_hz[place] < _PERHAPS_ONE_RATE**2 * usual_hz
-        if is_one_rate and misfit[place] <= _WORTH_TRYING * limit:
-            chosen.append((movers[large - 1], movers[small - 1], limit))
-    return chosen
+    usual_hz = np.array([pair.large.body.rate_hz for pair in pairs])
+    is_one_rate = (rate_hz < _PERHAPS_ONE_RATE * usual_hz) & (rate_hz * _PERHAPS_ONE_RATE > usual_hz)
+    off = medians(fit.misfit, few, len(pairs)) / usual_misfit
+    is_worth = is_one_rate & (off <= _WORTH_TRYING * np.array([pair.limit for pair in pairs]))
+    return [pairs[place] for place in np.flatnonzero(is_worth)]
 
 
-def _joint(views: BodyViews, scene: Body, key: Ints, large: Mover, small: Mover, limit: float) -> Body | None:
-    """The motion of two movers taken as one, None where they are two by the misfit that is usual in both."""
-    own = [np.flatnonzero(key == mover.key) for mover in (large, small)]
-    both = np.concatenate([tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in own])
-    points, is_large = views.points(both), key[both] == large.key
-    (joint,) = refined_movers([large.body], scene, points, np.array([_JOINT_STEPS]))
-    fit = points.fit([joint], None)
+def _is_asked(age: int) -> bool:
+    """Whether two movers that have been found in so many frames may be taken as one."""
+    is_power_of_two = age & (age - 1) == 0
+    return age <= _YOUNG_FRAMES or is_power_of_two or age % _MERGE_FRAMES == 0
+
+
+def _joint(views: BodyViews, scene: Body, pairs: Sequence[_Pair], usual_misfit: float) -> list[Body | None]:
+    """The motion of each pair taken as one, None where they are two."""
+    if not pairs:
+        return []
+    parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for p in pairs for tracks in (p.of_large, p.of_small)]
+    part = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts])
+    points = views.points(np.concatenate(parts), part // 2)
+    joint = refined_movers([p.large.body for p in pairs], scene, points, np.full(len(pairs), _JOINT_STEPS))
+    fit = points.fit(joint, None)
     # A track that has just been born has no rate yet.
     known = np.isfinite(fit.rate_hz)
-    one, other = medians(fit.rate_hz[known], is_large[known].astype(np.int64), 2)
-    is_one_rate = max(one, other) < _ONE_RATE * min(one, other)
-    return joint if is_one_rate and np.median(fit.misfit) < _MERGED_MISFIT * limit else None
+    one, other = medians(fit.rate_hz[known], part[known], len(parts)).reshape(-1, 2).T
+    is_one = np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
+    limit = _MERGED_MISFIT * usual_misfit * np.array([p.limit for p in pairs])
+    is_one &= medians(fit.misfit, points.body, len(pairs)) < limit
+    return [body if fits else None for body, fits in zip(joint, is_one, strict=True)]
 
 
 def split(
-    views: BodyViews, key: Ints, movers: Sequence[Mover], own_fit: OwnFit, next_key: int, config: BodiesConfig
+    views: BodyViews, key: Ints, movers: Sequence[Mover], next_key: int, config: BodiesConfig
 ) -> tuple[Ints, list[Mover], int]:
     """Parts of a mover that do not hang together in the picture, or lie at other depths, are movers of their own.
 
-    The largest part keeps the number. Tracks without a rate in ``own_fit`` may lie anywhere.
+    The largest part keeps the number.
     """
     number = numbers_of(key, movers)
     own = np.flatnonzero(np.bincount(number, minlength=len(movers) + 1)[number] * (number > 0) >= 2 * config.min_tracks)
     if not len(own):
         return key, list(movers), next_key
     body, key, all_movers = number[own] - 1, key.copy(), list(movers)
-    rate_hz = np.maximum(np.nan_to_num(own_fit.rate_hz[own]), _TINY_HZ)
-    log_rate, unsure = np.log(rate_hz), np.nan_to_num(own_fit.rate_sigma_hz[own] / rate_hz, nan=np.inf)
+    usual_hz = np.array([mover.body.rate_hz for mover in movers])[body]
+    fit = views.points(own, body).fit([mover.body for mover in movers], usual_hz)
+    rate_hz = np.maximum(np.nan_to_num(fit.rate_hz), _TINY_HZ)
+    log_rate, unsure = np.log(rate_hz), np.nan_to_num(fit.rate_sigma_hz / rate_hz, nan=np.inf)
     one, other = linked_pairs(views.xy_px[own], views.link_px).T
     apart = np.abs(log_rate[one] - log_rate[other])
     is_one = (body[one] == body[other]) & (apart < np.log(_ONE_RATE) + 2.0 * (unsure[one] + unsure[other]))

@@ -31,7 +31,7 @@ from ttcvid.stages.joining import merged, split
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.road import RoadMemory, gathered_evidence
 
-# Of twice as many tracks and more, only a part corrects the scene; those of a crowded place count less: cells of this
+# Of more tracks than this only so many correct the scene; those of a crowded place count less: cells of this
 # side, in units of the focal length.
 _ENOUGH_TRACKS, _CELL = 400, 0.12
 _SCENE_STEPS = 2
@@ -125,9 +125,9 @@ def find_bodies(
         misfit = _with_contradictions(misfit, road, key, config)
 
     movers = _refined(movers, scene, views, key)
-    key, own_fit = assigned(views, movers, key, scene_fit.n_views, misfit, usual)
+    key, own_misfit = assigned(views, movers, key, scene_fit.n_views, misfit, usual)
     key, movers = kept(key, movers, config)
-    key, movers, own_fit = merged(views, scene, key, movers, own_fit, usual)
+    key, movers = merged(views, scene, key, movers, own_misfit, usual)
     next_key = memory.next_key
     for members, body in new_movers(
         views, scene, (key == SCENE_CLUSTER) & may_start, scene_fit.n_views, misfit, usual, config
@@ -135,7 +135,7 @@ def find_bodies(
         key[members] = next_key
         movers.append(Mover(next_key, None, 1, 0, body))
         next_key += 1
-    key, movers, next_key = split(views, key, movers, own_fit, next_key, config)
+    key, movers, next_key = split(views, key, movers, next_key, config)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
     memory = BodyMemory(scene, tuple(movers), history.track_id, key, rate_hz, road, next_key, next_cluster_id)
     return Segmentation(key, {m.key: m for m in movers}, scene, scene_fit, misfit), memory
