@@ -22,7 +22,7 @@ _ONE_RATE = 1.5
 _MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 8.0, 3.0
 _LEAST_MISFIT = 1.0
 # Steps of refinement of two taken as one; so many tracks of each tell whether they are.
-_JOINT_STEPS, _ENOUGH_TRACKS = 4, 40
+_JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
 # What was two in one frame is seldom one in the next: that is asked in the first frames, then ever more seldom, but
 # every so many frames.
 _YOUNG_FRAMES, _MERGE_FRAMES = 5, 4
@@ -54,9 +54,16 @@ def merged(
     alive = {mover.key: mover for mover in movers}
     pairs = _worth_trying(views, key, movers, own_misfit, usual_misfit)
     for pair, joint in zip(pairs, _joint(views, scene, pairs, usual_misfit), strict=True):
-        if joint is None or pair.large.key not in alive or pair.small.key not in alive:
+        large, small = alive.get(pair.large.key), alive.get(pair.small.key)
+        if large is None or small is None:
             continue
-        younger, older = sorted((alive[pair.large.key], alive[pair.small.key]), key=lambda m: (m.n_found, -m.key))
+        if large is not pair.large or small is not pair.small:
+            # One of the two has just become one with another.
+            of_large, of_small = np.flatnonzero(key == large.key), np.flatnonzero(key == small.key)
+            (joint,) = _joint(views, scene, [_Pair(large, small, of_large, of_small, pair.limit)], usual_misfit)
+        if joint is None:
+            continue
+        younger, older = sorted((large, small), key=lambda m: (m.n_found, -m.key))
         key[key == younger.key] = older.key
         alive[older.key] = replace(older, body=joint)
         del alive[younger.key]
