@@ -294,3 +294,24 @@ def test_neighbours_are_the_nearest_of_the_same_cluster():
     found = neighbours_in_cluster(xy_px, cluster, np.array([0, 3, 5]), 3, 10.0)
     assert found.shape == (6, 3)
     assert [set(row[row >= 0].tolist()) for row in found] == [{0, 1, 2}, set(), set(), {3}, set(), {5}]
+
+
+@pytest.mark.parametrize(("off_deg", "is_of_state"), [(0.05, False), (20.0, True)])
+def test_an_object_whose_state_contradicts_its_direction_has_that_of_its_state(off_deg, is_of_state):
+    """The direction of straight tracks is the surer one, unless they are not straight."""
+    position_m, velocity = (
+        box_of_points(np.random.default_rng(76), 30, (0.5, 0.5, 10.0), PLATE_M),
+        unit((1.0, 0.0, -3.0)),
+    )
+    turn = np.radians(off_deg)
+    believed = (
+        np.array([np.cos(turn), 0.0, np.sin(turn)]) * velocity[0]
+        + np.array([-np.sin(turn), 0.0, np.cos(turn)]) * (velocity[2])
+    )
+    cov = 1e-6 * (np.eye(3) - np.outer(believed, believed))
+    motion = replace(motion_of(1, believed, n=30), direction_cov=cov)
+    flows = flows_of(position_m, velocity, sigma_px=0.05)
+    states = two_frame_states(flows, np.tile(velocity, (30, 1)), np.tile(1e-6 * np.eye(3), (30, 1, 1)))
+    row = object_row(motion, 1, states, pixels(position_m), LINK_PX, (flows.first, flows.second, 0.4))
+    np.testing.assert_allclose(row.direction, velocity if is_of_state else believed, atol=1e-9)
+    assert np.allclose(row.direction_cov @ row.direction, 0.0, atol=1e-12)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
-from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
+from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
 from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together, list_views
 from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths
 from ttcvid.model import Floats, Ints
@@ -28,7 +28,8 @@ class PathBeliefs:
 
     Standard deviations about them: ``direction_cov (K, 3, 3)`` in the tangent plane, rad^2; of an acceleration over the
     speed, 1/s, ``along_sigma_hz`` along the direction and ``across_sigma_hz`` per axis across; ``turn_sigma_rad_s`` per
-    axis of a rotation rate in the views.
+    axis of a rotation rate in the views. That rotation is an error of the camera's; of a thing that ``turns_itself`` it
+    is its own, about its middle.
     """
 
     base: Floats
@@ -37,6 +38,7 @@ class PathBeliefs:
     along_sigma_hz: float
     across_sigma_hz: float
     turn_sigma_rad_s: float
+    turns_itself: bool = False
 
     def bend_cov(self) -> Floats:
         """Covariance (K, 3, 3) of the acceleration over the speed."""
@@ -48,18 +50,17 @@ class PathBeliefs:
 class SharedPaths:
     """K paths as all their points see them: ``path (K, L, 3)``, ``direction (K, 3)`` = dir at time 0.
 
-    ``offset (K, 9)`` the shared unknowns, from the belief on, with ``cov (K, 9, 9)``.
+    ``offset (K, 9)`` the shared unknowns, from the belief on, with ``cov (K, 9, 9)``. Of the middle of what turns
+    itself: ``bend_hz (K, 3)`` acceleration over speed, beside what the belief has of it, and ``direction_cov (K, 3,
+    3)`` in rad^2.
     """
 
     path: Floats
     direction: Floats
     offset: Floats
     cov: Floats
-
-    @property
-    def bend_hz(self) -> Floats:
-        """Acceleration over the speed beside what the belief has: (K, 3)."""
-        return self.offset[:, 3:6]
+    bend_hz: Floats
+    direction_cov: Floats
 
     @property
     def turn_rad_s(self) -> Floats:
@@ -81,7 +82,9 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
     cov[:, :3, :3] = beliefs.direction_cov
     cov[:, 3:6, 3:6] = beliefs.bend_cov()
     cov[:, 6:, 6:] = beliefs.turn_sigma_rad_s**2 * np.eye(3)
-    return SharedPaths(beliefs.base, beliefs.direction, np.zeros((count, N_SHARED)), cov)
+    return SharedPaths(
+        beliefs.base, beliefs.direction, np.zeros((count, N_SHARED)), cov, np.zeros((count, 3)), cov[:, :3, :3]
+    )
 
 
 def fit_shared_paths(
@@ -113,10 +116,10 @@ def fit_shared_paths(
     points = xy, t_s, sigma_norm, seen[index], n_views[index], first
     basis = np.concatenate([tangent_basis(beliefs.direction), beliefs.direction[:, :, None]], axis=2)
     prior = _prior(beliefs, basis)
-    state, offset = np.empty((len(index), 3)), np.empty((len(basis), N_LOCAL))
-    descend_together(*points, beliefs.base, basis, prior, state, offset)
+    state, offset, own_motion = np.empty((len(index), 3)), np.empty((len(basis), N_LOCAL)), np.empty_like(prior)
+    descend_together(*points, beliefs.base, basis, prior, beliefs.turns_itself, own_motion, state, offset)
 
-    shared = _shared_paths(beliefs, basis, offset, np.zeros_like(prior), t_s)
+    shared = _shared_paths(beliefs, basis, own_motion, offset, np.zeros_like(prior), t_s)
     views = turned_back(xy, t_s, shared.turn_rad_s, path_of)
     rates = fit_rates_on_paths(
         views,
@@ -129,11 +132,17 @@ def fit_shared_paths(
         state,
         has_sensitivities=False,
     )
-    information, score = prior.copy(), -(prior @ offset[..., None])[..., 0]
+    prior = np.swapaxes(own_motion, 1, 2) @ prior @ own_motion
+    information, score = prior.copy(), -_times(prior, offset)
     state = np.column_stack([rates.xy, rates.rate_hz])
     add_up_windows(views, *points[1:], shared.path, basis, rates.n_frames, state, information, score)
     cov: Floats = np.linalg.inv(information).astype(np.float64)
-    return _shared_paths(beliefs, basis, offset + (cov @ score[..., None])[..., 0], cov, t_s)
+    return _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, t_s)
+
+
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    """Products (K, n) of K matrices and K vectors."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
 def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> Floats:
@@ -155,7 +164,7 @@ def _some_of_each(path_of: Ints, count: int) -> tuple[Ints, Ints]:
 
 
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
-    """Information (K, 8, 8) of the belief on the offsets from it."""
+    """Information (K, 8, 8) of the belief on what moves along a path."""
     prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
     tangent = basis[:, :, :2]
     prior[:, :2, :2] = np.linalg.inv(np.swapaxes(tangent, 1, 2) @ beliefs.direction_cov @ tangent)
@@ -165,15 +174,23 @@ def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     return prior
 
 
-def _shared_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, cov: Floats, t_s: Floats) -> SharedPaths:
+def _shared_paths(
+    beliefs: PathBeliefs, basis: Floats, own_motion: Floats, local: Floats, cov: Floats, t_s: Floats
+) -> SharedPaths:
     """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``."""
     columns = np.zeros((len(basis), N_SHARED, N_LOCAL))
     columns[:, :3, :2], columns[:, 3:6, 2:5], columns[:, 6:, 5:] = basis[:, :, :2], basis, np.eye(3)
-    offset = (columns @ local[..., None])[..., 0]
+    offset = _times(columns, local)
+    # A direction far from the believed one would be a longer one: the speed is 1 again.
+    velocity = beliefs.direction + offset[:, :3]
+    speed = np.linalg.norm(velocity, axis=1)[:, None]
+    columns[:, :6] /= speed[..., None]
     t = t_s[None, :, None]
-    path = beliefs.base + t * offset[:, None, :3] + 0.5 * t * t * offset[:, None, 3:6]
-    direction = normalize(beliefs.direction + offset[:, :3])
-    return SharedPaths(path, direction, offset, columns @ cov @ np.swapaxes(columns, 1, 2))
+    path = (beliefs.base + t * offset[:, None, :3] + 0.5 * t * t * offset[:, None, 3:6]) / speed[..., None]
+    bend_hz = _times(basis, _times(own_motion, local)[:, 2:5])
+    own_cov = columns @ own_motion @ cov @ np.swapaxes(columns @ own_motion, 1, 2)
+    shared_cov = columns @ cov @ np.swapaxes(columns, 1, 2)
+    return SharedPaths(path, velocity / speed, offset, shared_cov, bend_hz, own_cov[:, :3, :3])
 
 
 @compiled

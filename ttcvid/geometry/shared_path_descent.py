@@ -41,10 +41,14 @@ def descend_together(
     base: Floats,
     basis: Floats,
     prior: Floats,
+    turns_itself: bool,
+    own_motion: Floats,
     state: Floats,
     offset: Floats,
 ) -> None:
     """Paths and points together, over all views: fills ``state (N, 3)`` (x, y, rho) and ``offset (K, 8)``.
+
+    Fills ``own_motion (K, 8, 8)`` too: what takes offsets to that of which the belief speaks (`_set_own_motion`).
 
     No view is cut off: a believed path may be wrong by hundreds of sigmas at its far end, where a window would end at
     once and nothing be learned of it. A view loses weight beyond three times the usual residual of its path's points.
@@ -52,7 +56,8 @@ def descend_together(
     Parameters
     ----------
     xy : (L, N, 2) views of times ``t_s (L,)``; point i is seen at the times ``seen[i, : n_views[i]]``, nearest first.
-    base : (K, L, 3) believed paths, ``prior (K, 8, 8)`` the information on the offsets from them.
+    base : (K, L, 3) believed paths, ``prior (K, 8, 8)`` the information on what moves along them.
+    turns_itself : whether it is the thing on a path that turns, about its own middle, or the camera.
     """
     n_times, n = xy.shape[:2]
     rotation, path, views = np.empty((n_times, 3, 3)), np.empty((n_times, 3)), np.empty((n_times, 2))
@@ -65,9 +70,11 @@ def descend_together(
         _set_path(t_s, base[k], basis[k], offset[k], path, rotation)
         for i in range(low, high):
             relative[i] = _start(xy[:, i], path, seen[i, : n_views[i]], sigma[i], state[i])
+        _set_own_motion(turns_itself, basis[k], state[low:high], own_motion[k])
+        believed = own_motion[k].T @ prior[k] @ own_motion[k]
         for _ in range(_MAX_STEPS):
             misfit = max(1.0, np.sqrt(np.median(relative[low:high]))) if high > low else 1.0
-            _set_prior(prior[k], offset[k], information, score)
+            _set_prior(believed, offset[k], information, score)
             for i in range(low, high):
                 places = seen[i, : n_views[i]]
                 _turn(xy, rotation, i, places, views)
@@ -333,6 +340,34 @@ def _turn(xy: Floats, rotation: Floats, i: int, places: Ints, views: Floats) -> 
         depth = 1.0 / (r[2, 0] * x + r[2, 1] * y + r[2, 2])
         views[place, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) * depth
         views[place, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) * depth
+
+
+@compiled
+def _set_own_motion(turns_itself: bool, basis: Floats, state: Floats, own_motion: Floats) -> None:
+    """Fills the matrix ``(8, 8)`` that takes shared offsets to the motion of the middle of what turns itself.
+
+    Views of a point at C + V t + A t^2 / 2, turned back at the rate omega, show it moving by
+    (V - omega x C) t + (A - 2 omega x V) t^2 / 2, to first order in omega. The offsets are the latter. C is (x, y, 1) /
+    rho of the middle of the points, in units in which the speed is 1, and V the unit vector of the direction.
+    """
+    for j in range(N_LOCAL):
+        for k in range(N_LOCAL):
+            own_motion[j, k] = 1.0 if j == k else 0.0
+    if not turns_itself or len(state) == 0:
+        return
+    rate = np.median(state[:, 2])
+    if rate > 0.0:
+        x, y, z = np.median(state[:, 0]) / rate, np.median(state[:, 1]) / rate, 1.0 / rate
+        for j in range(2):
+            # omega x C along the axis b is omega . (C x b).
+            own_motion[j, 5] = y * basis[2, j] - z * basis[1, j]
+            own_motion[j, 6] = z * basis[0, j] - x * basis[2, j]
+            own_motion[j, 7] = x * basis[1, j] - y * basis[0, j]
+    e = basis[:, 2]
+    for j in range(3):
+        own_motion[2 + j, 5] = 2.0 * (e[1] * basis[2, j] - e[2] * basis[1, j])
+        own_motion[2 + j, 6] = 2.0 * (e[2] * basis[0, j] - e[0] * basis[2, j])
+        own_motion[2 + j, 7] = 2.0 * (e[0] * basis[1, j] - e[1] * basis[0, j])
 
 
 @compiled

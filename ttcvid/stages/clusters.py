@@ -79,7 +79,7 @@ def object_row(
         known |= _surface_state(states.take(surface), xy_px[surface])
     elif motion.status in (Status.ok, Status.epipole_at_infinity):
         known["status"] = Status.no_parallax
-    return _row(motion, xy_px, **known)
+    return _with_direction_of_state(_row(motion, xy_px, **known))
 
 
 def _nearest_surface(motion: ClusterMotion, states: TrackStates, xy_px: Floats, link_px: float) -> Ints:
@@ -195,6 +195,28 @@ def _surface_state(states: TrackStates, xy_px: Floats) -> dict[str, Any]:
         "state_cov": _joint_covariance(states, weight),
         "speed_change": _speed_change(states),
     }
+
+
+def _with_direction_of_state(row: ClusterRow) -> ClusterRow:
+    """Give an object whose state contradicts its direction that of its state.
+
+    The direction was found as if all tracks were straight, which is the surer way where they are. In a bend it lags,
+    and the curve is taken for depth. (On a horizon the plane says more than either.)
+    """
+    if row.state_abc_hz is None or row.state_cov is None or row.horizon_offset_px is not None:
+        return row
+    if row.direction is None or row.direction_cov is None:
+        return row
+    speed_hz = float(np.linalg.norm(row.state_abc_hz))
+    direction = row.state_abc_hz / speed_hz
+    across = (np.eye(3) - np.outer(direction, direction)) / speed_hz
+    cov = across @ row.state_cov @ across
+    if direction_chi2(direction, row.direction, cov + row.direction_cov) < _SAME_DIRECTION_CHI2:
+        return row
+    status = row.epipole_status
+    if status in (Status.ok, Status.epipole_at_infinity):
+        status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
+    return replace(row, direction=direction, direction_cov=cov, epipole_status=status)
 
 
 def _joint_covariance(states: TrackStates, weight: Floats) -> Floats:

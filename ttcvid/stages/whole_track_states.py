@@ -8,7 +8,7 @@ from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.path_velocity import velocities_on_paths
-from ttcvid.geometry.rotation import normalize, skew
+from ttcvid.geometry.rotation import cross, normalize, skew
 from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, fit_shared_paths, joined_paths, turned_back
 from ttcvid.geometry.state import is_at_epipole
 from ttcvid.geometry.whole_track import LEAST_FRAMES, MotionPlane, fit_whole_tracks, window_gates
@@ -25,9 +25,9 @@ from ttcvid.stages.track_states import SharedErrors, TrackStates, has_value
 _RATE_SIGMAS = 2.0
 # The whole velocity may be zero inside 95 % of a 3-D Gaussian.
 _NO_MOTION_CHI2 = float(chi2_quantile(0.95, 3))
-# An object's direction comes from part of the views that its path is fitted to: it is believed this much less, so that
-# these count once, and to no better than this angle.
-_BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(0.3))
+# An object's direction comes from part of the views that its path is fitted to, as if that were straight: it is
+# believed this much less, so that these count once, and to no better than this angle.
+_BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(1.0))
 # Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
 _OBJECT_BEND_HZ = 0.2
 # A car turns itself by some deg/s.
@@ -49,7 +49,7 @@ def multi_frame_states(
     free state (with a horizon: in its plane).
     """
     views = _views(history, motions)
-    paths, path_of, is_object = _paths(history, motions, views, config)
+    paths, path_of, is_object = _paths(history, motions, views, plane, config)
     states = _on_paths(history, motions, views, paths, path_of, is_object, config)
     has_none = (motions.cluster_id == SCENE_CLUSTER) & (path_of == NO_PATH)
     free = np.flatnonzero((path_of == NO_PATH) & ~has_none & motions.is_free)
@@ -57,7 +57,11 @@ def multi_frame_states(
 
 
 def _paths(
-    history: TrackHistory, motions: FrameMotions, views: Floats, config: CollisionTimesConfig
+    history: TrackHistory,
+    motions: FrameMotions,
+    views: Floats,
+    plane: HorizonPlane | None,
+    config: CollisionTimesConfig,
 ) -> tuple[SharedPaths, Ints, Bools]:
     """Path of every cluster that has a direction, the path (N,) of each track, and which paths (K,) are objects'."""
     scene = [motion for motion in motions.clusters if motion.cluster_id == SCENE_CLUSTER]
@@ -74,7 +78,11 @@ def _paths(
     count = len(objects)
     direction = np.reshape([motion.direction for motion in objects], (count, 3))
     cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))
-    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    if plane is None:
+        across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    else:
+        along_horizon = normalize(cross(plane.normal, direction))
+        across = along_horizon[:, :, None] * along_horizon[:, None, :]
     base = history.since_s[None, :, None] * direction[:, None, :]
     beliefs = PathBeliefs(
         base,
@@ -83,6 +91,7 @@ def _paths(
         _OBJECT_BEND_HZ,
         _OBJECT_BEND_HZ,
         _OBJECT_TURN_RAD_S,
+        turns_itself=True,
     )
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
     parts.append(
@@ -130,7 +139,13 @@ def _on_paths(
         config.max_frames,
         config.window_probability,
     )
-    shared_cov, rate_variance = _with_model_errors(paths, path_of, rates)
+    misfit = _misfit(path_of, rates, len(paths.direction))
+    across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
+    shared_cov = paths.cov * misfit[:, None, None]
+    shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
+    direction_variance = misfit * np.trace(paths.direction_cov, axis1=1, axis2=2) + 2.0 * DIRECTION_FLOOR_RAD**2
+    # `NO_PATH` picks the last one.
+    rate_variance = rates.cov[:, 2, 2] * np.append(misfit, 1.0)[path_of]
     # Times take the velocity as lasting: where it was seen to change, they are uncertain by what it changes in a while.
     # Whether and where to a thing moves now is as sure as before.
     bend_hz = np.sum(paths.bend_hz * paths.direction, axis=1)
@@ -144,7 +159,7 @@ def _on_paths(
         [
             ~np.isfinite(history.xy[history.now, :, 0]) | (has_path & (rates.n_frames < 2)),
             ~has_path,
-            _is_at_epipole(history, shared) | ~np.isfinite(rates.rate_hz),
+            _is_at_epipole(history, path_of, paths.direction, direction_variance) | ~np.isfinite(rates.rate_hz),
             # Along its path: how sure it is that a track moves at all, and forwards.
             np.abs(rates.rate_hz) < _RATE_SIGMAS * found.along_sigma_hz,
             rates.rate_hz < 0.0,
@@ -167,21 +182,12 @@ def _on_paths(
     return TrackStates(xy, found.abc_hz, found.cov, history.sigma_norm, direction, status, shared)
 
 
-def _with_model_errors(paths: SharedPaths, path_of: Ints, rates: PathRates) -> tuple[Floats, Floats]:
-    """Covariances (K, 9, 9) of the paths and variances (N,) of the rates, with what the model itself is wrong by.
-
-    Where the tracks of a path fit worse than their noise, all of it is uncertain by as much more (Birge's ratio), and
-    no direction is known better than what neighbours err by in common.
-    """
-    count, has_path = len(paths.direction), path_of != NO_PATH
+def _misfit(path_of: Ints, rates: PathRates, count: int) -> Floats:
+    """By how much the variances (K,) of paths have to be larger (Birge's ratio): their tracks fit worse than noise."""
+    has_path = path_of != NO_PATH
     chi2_sum = np.bincount(path_of[has_path], rates.chi2[has_path], count)
     dof_sum = np.bincount(path_of[has_path], rates.dof[has_path], count)
-    misfit = np.maximum(chi2_sum / np.maximum(dof_sum, 1.0), 1.0)
-    across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
-    shared_cov = paths.cov * misfit[:, None, None]
-    shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
-    # `NO_PATH` picks the last one.
-    return shared_cov, rates.cov[:, 2, 2] * np.append(misfit, 1.0)[path_of]
+    return np.asarray(np.maximum(chi2_sum / np.maximum(dof_sum, 1.0), 1.0))
 
 
 def _with_free(
@@ -227,13 +233,13 @@ def _with_free(
     return states.replaced(free, velocity, cov, direction, status)
 
 
-def _is_at_epipole(history: TrackHistory, shared: SharedErrors) -> Bools:
+def _is_at_epipole(history: TrackHistory, path_of: Ints, direction: Floats, direction_variance: Floats) -> Bools:
     """Tracks whose first and last view both lie on the line along the direction of their path, within noise."""
     xy, ones = history.xy, np.ones(history.n_tracks)
     oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
     first, last = xy[oldest, np.arange(history.n_tracks)], xy[history.now]
     # `NO_PATH` picks the last ones.
-    direction = np.concatenate([shared.along, np.full((1, 3), np.nan)])[shared.path_of]
-    direction_variance = np.append(np.trace(shared.cov[:, :3, :3], axis1=1, axis2=2), 0.0)[shared.path_of]
+    direction = np.concatenate([direction, np.full((1, 3), np.nan)])[path_of]
+    direction_variance = np.append(direction_variance, 0.0)[path_of]
     rays = np.column_stack([first, ones]), np.column_stack([last, ones])
     return is_at_epipole(*rays, direction, history.sigma_norm**2, direction_variance)
