@@ -22,7 +22,7 @@ _CONVERGED = 1e-6
 # Longest step of log f.
 _LONGEST_STEP = 0.2
 # Added to what the observations do not tell: the scale, a point seen in one direction only.
-_TINY = 1e-9
+_TINY, _TINIEST = 1e-9, 1e-12
 # A distance may be negative by noise: so many px of displacement over the typical translation.
 _BEHIND_PX = 1.0
 # Median length of a 2-D Gaussian vector in sigmas.
@@ -212,7 +212,7 @@ def _reduced(equations: _Equations, damping: float) -> tuple[Floats, Floats, Flo
     """The Schur complement (K, K) of the points, ``mixed`` times their inverse (K, N, 3), and that inverse."""
     diagonal = np.arange(3)
     hessian = equations.point_hessian.copy()
-    hessian[:, diagonal, diagonal] *= 1.0 + damping
+    hessian[:, diagonal, diagonal] *= 1.0 + damping + _TINY
     hessian[:, diagonal, diagonal] += _TINY
     inverse: Floats = np.linalg.inv(hessian).astype(np.float64)
     carried = np.empty_like(equations.mixed)
@@ -262,9 +262,8 @@ def _uncertainty(views: Views, bundle: Bundle, equations: _Equations, is_free: B
     behind = np.asarray(bundle.inverse < -3.0 * np.sqrt(inverse[:, 2, 2]))
     focal = len(schur) - N_SHARED
     others = np.flatnonzero(is_free & (np.arange(len(schur)) != focal))
-    # The scale stays undetermined: a little on the diagonal makes the rest solvable.
-    others_hessian = schur[np.ix_(others, others)] + np.diag(1e-6 * np.diag(equations.pose_hessian)[others] + _TINY)
-    explained = np.linalg.solve(others_hessian, schur[others, focal])
+    # The scale stays undetermined: the shortest of all solutions.
+    explained = np.linalg.lstsq(schur[np.ix_(others, others)], schur[others, focal], rcond=_TINIEST)[0]
     information = float(schur[focal, focal] - explained @ schur[others, focal])
     if not (is_free[focal] and information > 0.0):
         return np.inf, behind

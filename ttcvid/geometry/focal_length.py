@@ -26,10 +26,12 @@ _FITTED = 1.2
 _HELD_STEPS, _FREE_STEPS, _LAST_STEPS = 5, 10, 40
 # What is believed beforehand of log f about one picture width (53 deg), of the principal point in picture widths, and
 # of the lens: KITTI's rectified pictures are off centre by 1.5 %, telephones bend lines by some per cent.
-_LOG_FOCAL_SIGMA, _CENTRE_SIGMA, _DISTORTION_SIGMA = 0.5, 0.015, 0.02
+_LOG_FOCAL_SIGMA, _CENTRE_SIGMA, _DISTORTION_SIGMA = 0.5, 0.03, 0.03
 # A camera that only turns is believed where each unknown of one that moves lowers the cost by less than this times what
 # noise alone would do: errors of a track hang together.
 _WORTH_OF_UNKNOWN = 2.0
+# Square of the residuals, in those of the noise believed, below which views are exact.
+_LEAST_NOISE = 0.01
 # Any turn from one frame to the next is possible.
 _OPEN = GaussianPrior(np.zeros(3), float(np.radians(40.0)))
 # Directions of motion that are tried between neighbouring frames.
@@ -93,13 +95,16 @@ def _explains_enough(turning: BundleFit, moving: BundleFit, views: Views) -> boo
     """
     n_more = views.n_points + 3 * (views.n_frames - 1)
     n_free = 2 * len(views.frame) - 2 * views.n_points - n_more - 3 * views.n_frames
-    noise = moving.cost / max(n_free, 1)
+    noise = max(moving.cost / max(n_free, 1), _LEAST_NOISE)
     return turning.cost - moving.cost < _WORTH_OF_UNKNOWN * noise * n_more
 
 
 def _turned_rad(bundle: Bundle) -> float:
-    """Twice the largest angle between the frame in the middle and another one."""
-    return 2.0 * float(np.max(np.linalg.norm(vector_from_rotation(bundle.rotation), axis=1)))
+    """Twice the largest angle between the frame in the middle and another one, but for the turn about the optical axis.
+
+    That one tells nothing: it turns the picture, whatever the focal length.
+    """
+    return 2.0 * float(np.max(np.linalg.norm(vector_from_rotation(bundle.rotation)[:, :2], axis=1)))
 
 
 def _result(fit: BundleFit, sigma_px: float, lens_chi2: float) -> FocalFit:

@@ -16,19 +16,22 @@ from ttcvid.model import Bools, Floats, ImageSize, Ints, PointSet
 _STEP_PART, _KEPT_POINTS, _WINDOW_FRAMES, _LEAST_FRAMES = 0.02, 0.75, 12, 6
 # So many windows that tell something are enough.
 _ENOUGH_WINDOWS = 4
-# Points of a window: at most, at least, the least number of frames that each is seen in, and the side of the cells over
-# which they are spread, in picture widths.
-_MOST_POINTS, _LEAST_POINTS, _LEAST_VIEWS, _CELL_PART = 300, 60, 3, 1.0 / 16.0
+# Points of a window: at most, at least, and the least number of frames that each is seen in; they are spread over cells
+# with this side in picture widths, of which so many have to be filled.
+_MOST_POINTS, _LEAST_POINTS, _LEAST_VIEWS, _CELL_PART, _LEAST_CELLS = 300, 60, 3, 1.0 / 16.0, 25
 # A point that moves by less than this in a window, while the picture moves, is burned in or on the bonnet, px.
 _STAYS_PX = 0.5
 # Errors that matching has in common all over the picture, px: they pass for a wrong focal length. A turn that is too
 # small for a single window to tell it to this part is not worth the search.
 _COMMON_ERROR_PX, _HOPELESS = 0.2, 0.15
+# No window tells it better than to this part: movers pull, and the lens is not quite what it is taken for.
+_LEAST_SIGMA = 0.02
 # Residuals beyond this part of the picture's width, more points than this behind the camera, or a lens more unusual
-# than this (chi-square with three degrees): not one static scene.
-_MOST_SPREAD, _MOST_BEHIND, _MOST_LENS_CHI2 = 0.0003, 0.1, 60.0
-# The clip tells the focal length when it is known to this part.
-_SURE = 0.08
+# than one in a thousand (chi-square with three degrees; one in twenty where no other window confirms it): not one
+# static scene. Movers that are taken for scene bend it.
+_MOST_SPREAD, _MOST_BEHIND, _MOST_LENS_CHI2, _MOST_LENS_CHI2_ALONE = 0.0003, 0.1, 16.3, 7.8
+# The clip tells the focal length when it is known to this part; by a single window, which nothing confirms, to that.
+_SURE, _SURE_ALONE = 0.08, 0.05
 
 
 @dataclass(frozen=True)
@@ -51,12 +54,18 @@ class SeenPoints:
 def find_focal_length(frames: Iterable[SeenPoints], image_size: ImageSize) -> FocalLength | None:
     """The focal length that the frames tell together; None where they do not: the camera hardly turns."""
     fits: list[FocalFit] = []
+    n_contradicting = 0
     for window in _windows(frames, image_size):
         fit = _fit(window, image_size)
-        fits += [] if fit is None else [fit]
+        if fit is None:
+            continue
+        if not _is_of_one_scene(fit, image_size):
+            n_contradicting += 1
+            continue
+        fits.append(fit)
         if len(fits) == _ENOUGH_WINDOWS:
             break
-    return _together(fits, image_size)
+    return None if n_contradicting > len(fits) else _together(fits, image_size)
 
 
 def _windows(frames: Iterable[SeenPoints], image_size: ImageSize) -> Iterator[list[SeenPoints]]:
@@ -85,20 +94,25 @@ def _has_moved(one: PointSet, other: PointSet, image_size: ImageSize) -> bool:
 
 
 def _fit(window: list[SeenPoints], image_size: ImageSize) -> FocalFit | None:
+    """The focal length by one window; None with few points, or where the camera turns too little for it."""
     xy_px = _observed(window, image_size)
     is_used = _is_useful(xy_px)
     xy_px = xy_px[:, is_used]
     xy_px = xy_px[:, _spread(xy_px, image_size)]
-    if xy_px.shape[1] < _LEAST_POINTS:
+    cells, region = np.unique(_cell(xy_px, image_size), return_inverse=True)
+    if xy_px.shape[1] < _LEAST_POINTS or len(cells) < _LEAST_CELLS:
         return None
     point, frame = np.nonzero(np.isfinite(xy_px[..., 0]).T)
-    views = Views(xy_px[frame, point], frame, point, np.unique(_cell(xy_px, image_size), return_inverse=True)[1])
+    views = Views(xy_px[frame, point], frame, point, region)
     width_px = float(image_size.width_px)
     least_turn_rad = _common_sigma(image_size, 1.0) / _HOPELESS
-    fit = fit_focal_length(views, np.array([frame.t_s for frame in window]), width_px, least_turn_rad)
-    if fit is None or fit.spread_px > _MOST_SPREAD * width_px:
-        return None
-    return None if fit.behind > _MOST_BEHIND or fit.lens_chi2 > _MOST_LENS_CHI2 else fit
+    return fit_focal_length(views, np.array([frame.t_s for frame in window]), width_px, least_turn_rad)
+
+
+def _is_of_one_scene(fit: FocalFit, image_size: ImageSize) -> bool:
+    """Whether one static scene and a lens that there may be explain the window."""
+    is_close = fit.spread_px < _MOST_SPREAD * image_size.width_px
+    return is_close and fit.behind < _MOST_BEHIND and fit.lens_chi2 < _MOST_LENS_CHI2
 
 
 def _observed(window: list[SeenPoints], image_size: ImageSize) -> Floats:
@@ -148,11 +162,14 @@ def _together(fits: list[FocalFit], image_size: ImageSize) -> FocalLength | None
         return None
     log_focal = np.array([fit.log_focal for fit in fits])
     common = np.array([_common_sigma(image_size, fit.turned_rad) for fit in fits])
-    precision = 1.0 / (np.array([fit.sigma for fit in fits]) ** 2 + common**2)
+    precision = 1.0 / (np.array([fit.sigma for fit in fits]) ** 2 + common**2 + _LEAST_SIGMA**2)
     mean = float(np.sum(precision * log_focal) / np.sum(precision))
     disagreement = float(np.sum(precision * (log_focal - mean) ** 2)) / max(1, len(fits) - 1)
     sigma = float(np.sqrt(max(1.0, disagreement) / np.sum(precision)))
-    return FocalLength(float(np.exp(mean)), sigma) if sigma < _SURE else None
+    is_sure = sigma < _SURE
+    if len(fits) == 1:
+        is_sure = sigma < _SURE_ALONE and fits[0].lens_chi2 < _MOST_LENS_CHI2_ALONE
+    return FocalLength(float(np.exp(mean)), sigma) if is_sure else None
 
 
 def _common_sigma(image_size: ImageSize, turned_rad: float) -> float:
