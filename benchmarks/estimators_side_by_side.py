@@ -36,6 +36,7 @@ WAYS: dict[str, tuple[str, ...]] = {
 """What is compared, with its options."""
 SHOWN_SCENES = ("crossing_collision", "demo", "lead_car_brakes", "resting_six_movers", "turning_jitter")
 COLUMNS: dict[str, tuple[str, ...]] = {
+    "in frames": ("objects.share",),
     "value": ("ttc_z.share",),
     "ttc_z median": ("ttc_z.median",),
     "p90": ("ttc_z.p90",),
@@ -141,10 +142,11 @@ def main() -> int:
     arguments = parser.parse_args()
     report = Report()
     report.say(
-        "The same tracks, the same own motion, the same objects: what differs is how many of a track's views make its "
-        "time. `two-frame` and `three-frame` are the paper's, over a gap that grows until the flow is 8 px long; "
+        "The same tracks, the same own rotation, the same objects: what differs is how many of a track's views make "
+        "its time. `two-frame` and `three-frame` are the paper's, over a gap that grows until the flow is 8 px long; "
         "`multi-frame` takes all views of the last 20 frames that one motion explains; with `--smooth` these lie on "
-        "both sides of the frame. Warnings are made of the past alone, with `--smooth` too."
+        "both sides of the frame, and objects begin up to 10 frames before they are found (so there are more, and "
+        "earlier, values to be judged). Warnings are made of the past alone, with `--smooth` too."
     )
     with tempfile.TemporaryDirectory() as temporary:
         folder = (arguments.keep or Path(temporary)).resolve()
