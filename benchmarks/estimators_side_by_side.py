@@ -148,6 +148,13 @@ def main() -> int:
         "both sides of the frame, and objects begin up to 10 frames before they are found (so there are more, and "
         "earlier, values to be judged). Warnings are made of the past alone, with `--smooth` too."
     )
+    report.say(
+        "What to expect: two views know little, and nothing old. Given the direction of an object (which comes from "
+        "whole tracks here too) they follow what turns and brakes near by, and fail where the flow is small beside its "
+        "errors: the car ahead. Three views, each point with a direction of its own, are left to noise. Twenty views "
+        "are best where the flow is small, and lag where a velocity changes in a way that they cannot tell from noise; "
+        "on both sides of the frame they do not lag."
+    )
     with tempfile.TemporaryDirectory() as temporary:
         folder = (arguments.keep or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
