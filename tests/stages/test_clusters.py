@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from relative_motion import CAMERA, FOCAL_PX, box_of_points, direction_noise, flows_of, pixels, unit
 
+from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.clusters import (
     ClusterMotion,
@@ -40,8 +41,8 @@ def row_of(position_m, velocity_m_s, sigma_px=0.05, direction=None, cov=None, rn
     flows = flows_of(position_m, np.asarray(velocity_m_s, float), sigma_px=sigma_px, rng=rng)
     states = two_frame_states(flows, np.tile(direction, (n + n_others, 1)), np.tile(cov, (n + n_others, 1, 1)))
     motion = ClusterMotion(cluster_id, n_others + np.arange(n), direction, cov, Status.ok, "consensus")
-    common = flows.first, flows.second, 0.4
-    return object_row(motion, 1, states, pixels(position_m), LINK_PX, common)
+    expansion_hz, _ = expansion_rate(flows.first[motion.members], flows.second[motion.members], 0.4)
+    return object_row(motion, 1, states, pixels(position_m), LINK_PX, float(expansion_hz))
 
 
 def timed(row):

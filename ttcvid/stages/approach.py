@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.expansion import expansion_rate
+from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.model import Camera, ClusterRow, Floats, Ints, MotionState
 
 # Nearer and farther are told at 99 % (one side): there are ten objects in a frame.
@@ -33,6 +33,13 @@ class CommonViews:
     now: Floats
     gap_s: float
 
+    def expansions(self, members: list[Ints]) -> tuple[Floats, Floats]:
+        """How each of K sets of tracks expands, and its standard deviation: (K,) each, 1/s; NaN where unknown."""
+        padded = np.full((len(members), max((len(index) for index in members), default=0)), -1, dtype=np.int64)
+        for row, index in zip(padded, members, strict=True):
+            row[: len(index)] = index
+        return expansion_of_neighbourhood(self.first, self.now, padded, self.gap_s)
+
 
 def with_seen_motion(
     rows: list[ClusterRow], members: list[Ints], views: CommonViews, age_s: Floats, camera: Camera
@@ -44,13 +51,23 @@ def with_seen_motion(
     members : tracks of each row.
     age_s : (N,) for how long each track has been seen.
     """
+    growth = zip(*views.expansions(members), strict=True)
     return [
-        replace(row, motion_state=_seen(row, views, index, age_s, camera)) if row.state_abc_hz is not None else row
-        for row, index in zip(rows, members, strict=True)
+        replace(row, motion_state=_seen(row, views, index, grows, age_s, camera))
+        if row.state_abc_hz is not None
+        else row
+        for row, index, grows in zip(rows, members, growth, strict=True)
     ]
 
 
-def _seen(row: ClusterRow, views: CommonViews, members: Ints, age_s: Floats, camera: Camera) -> MotionState:
+def _seen(
+    row: ClusterRow,
+    views: CommonViews,
+    members: Ints,
+    grows: tuple[float, float],
+    age_s: Floats,
+    camera: Camera,
+) -> MotionState:
     state = row.motion_state
     if state not in (*_APPROACHING, MotionState.receding):
         return state
@@ -61,7 +78,7 @@ def _seen(row: ClusterRow, views: CommonViews, members: Ints, age_s: Floats, cam
         sigma_hz = np.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * max(looked_s, views.gap_s)))
     if abs(nearer_hz) < _SIGMAS_99 * sigma_hz:
         return MotionState.no_relative_motion if state == MotionState.constant_bearing else MotionState.unknown
-    return MotionState.unknown if _is_contradicted(row, views, members, radius_px, camera) else state
+    return MotionState.unknown if _is_contradicted(row, views.gap_s, grows, radius_px) else state
 
 
 def _radial_rate(row: ClusterRow, camera: Camera) -> tuple[float, float]:
@@ -77,15 +94,15 @@ def _radius_px(rays: Floats, camera: Camera) -> float:
     return camera.fx_px * float(np.sqrt(np.mean(np.sum((xy - xy.mean(axis=0)) ** 2, axis=1))))
 
 
-def _is_contradicted(row: ClusterRow, views: CommonViews, members: Ints, radius_px: float, camera: Camera) -> bool:
+def _is_contradicted(row: ClusterRow, gap_s: float, grows: tuple[float, float], radius_px: float) -> bool:
     """Whether the picture of an object that is said to come nearer (go away) surely grows (shrinks) too little.
 
     The distances between its own points are blind to rotation, which the paths are not.
     """
-    grows_hz, sigma_hz = (float(v) for v in expansion_rate(views.first[members], views.now[members], views.gap_s))
+    grows_hz, sigma_hz = grows
     if not (np.isfinite(grows_hz) and np.isfinite(sigma_hz) and radius_px > 0.0):
         return False
-    sigma_hz = float(np.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * views.gap_s)))
+    sigma_hz = float(np.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * gap_s)))
     said_hz, said_sigma_hz = -float(np.asarray(row.state_abc_hz)[2]), float(np.sqrt(np.asarray(row.present_cov)[2, 2]))
     side = 1.0 if row.motion_state in _APPROACHING else -1.0
     is_seen = side * grows_hz > _SIGMAS_95 * sigma_hz

@@ -10,11 +10,10 @@ import numpy as np
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
-from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
 from ttcvid.model import SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Ints, MotionState, Status
 from ttcvid.stages.surfaces import nearest_surface
-from ttcvid.stages.track_states import TrackStates
+from ttcvid.stages.track_states import TrackStates, has_value
 
 # Approaching, receding and sideways motion are told at 95 % (one side).
 _SIGMAS_95 = 1.645
@@ -60,21 +59,18 @@ def object_row(
     states: TrackStates,
     xy_px: Floats,
     link_px: float,
-    common: tuple[Floats, Floats, float],
+    expansion_hz: float,
 ) -> ClusterRow:
     """An object with the state of its nearest well-supported surface; `with_times` adds what follows from it.
 
     Parameters
     ----------
-    common : rays of all tracks a common gap ago and now, (N, 3) each, and that gap in s: for the expansion.
+    expansion_hz : of all its tracks, NaN where unknown.
     """
     known: dict[str, Any] = {"motion_id": motion_id}
-    first, second, gap_s = common
-    expansion_hz = float(expansion_rate(first[motion.members], second[motion.members], gap_s)[0])
     if np.isfinite(expansion_hz):
-        known["expansion_hz"] = expansion_hz
-    usable = motion.members[states.has_value[motion.members]]
-    surface = usable[_nearest_surface(motion, states.take(usable), xy_px[usable], link_px)]
+        known["expansion_hz"] = float(expansion_hz)
+    surface = _nearest_surface(motion, states, xy_px, link_px)
     if len(surface):
         known |= _surface_state(states.take(surface), xy_px[surface])
     elif motion.status in (Status.ok, Status.epipole_at_infinity):
@@ -83,17 +79,18 @@ def object_row(
 
 
 def _nearest_surface(motion: ClusterMotion, states: TrackStates, xy_px: Floats, link_px: float) -> Ints:
-    """Which tracks bear the nearest surface: those with the largest rate speed / Z, whether it comes, goes or crosses.
+    """The tracks of the nearest surface: those with the largest rate speed / Z, whether it comes, goes or crosses.
 
     (Of a thing that approaches, the largest rate is also the largest 1 / ttc_z. Of one that recedes it is the smallest,
     and one that crosses has none: its tracks would make no surfaces.) What the tracks have in common moves all surfaces
     alike, and does not make one of two; but no surface is flat.
     """
-    if motion.direction is None or not len(xy_px):
+    usable = motion.members[has_value(states.status[motion.members])]
+    if motion.direction is None or not len(usable):
         return np.empty(0, dtype=np.int64)
-    rate_hz = states.abc_hz @ motion.direction
-    sigma_hz = np.hypot(states.own_sigma_along(motion.direction), _RELIEF * rate_hz)
-    return nearest_surface(rate_hz, sigma_hz, xy_px, link_px)
+    rate_hz = states.abc_hz[usable] @ motion.direction
+    sigma_hz = np.hypot(states.own_sigma_along(motion.direction, usable), _RELIEF * rate_hz)
+    return np.asarray(usable[nearest_surface(rate_hz, sigma_hz, xy_px[usable], link_px)])
 
 
 def motion_ids(clusters: tuple[ClusterMotion, ...]) -> list[int]:

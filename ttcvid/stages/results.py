@@ -70,17 +70,15 @@ def cluster_rows(
     history: TrackHistory, motions: FrameMotions, states: TrackStates, camera: Camera
 ) -> tuple[ClusterRow, ...]:
     """Rows of the scene and of all objects, ascending in ``cluster_id``."""
-    views = _common_views(history)
-    common = views.first, views.now, views.gap_s
-    numbers = motion_ids(motions.clusters)
+    views, members = _common_views(history), [motion.members for motion in motions.clusters]
+    expansion_hz, _ = views.expansions(members)
     rows = [
         scene_row(motion, history.xy_px)
         if motion.cluster_id == SCENE_CLUSTER
-        else object_row(motion, number, states, history.xy_px, motions.link_px, common)
-        for motion, number in zip(motions.clusters, numbers, strict=True)
+        else object_row(motion, number, states, history.xy_px, motions.link_px, grows_hz)
+        for motion, number, grows_hz in zip(motions.clusters, motion_ids(motions.clusters), expansion_hz, strict=True)
     ]
     rows = with_times(with_epipole_pixels(rows, camera), camera)
-    members = [motion.members for motion in motions.clusters]
     return tuple(ranked(with_seen_motion(rows, members, views, _age_s(history), camera)))
 
 

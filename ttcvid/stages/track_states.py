@@ -82,14 +82,18 @@ class TrackStates:
     status: Ints
     shared: SharedErrors | None = None
 
-    def own_sigma_along(self, direction: Floats) -> Floats:
-        """Standard deviation of (a, b, c) along ``direction (3,)`` by the noise of each track's own views: (N,) 1/s."""
-        own_hz: Floats = np.sqrt(np.einsum("i,nij,j->n", direction, self.cov, direction))
+    def own_sigma_along(self, direction: Floats, index: Ints) -> Floats:
+        """Standard deviation of (a, b, c) along ``direction (3,)`` by the noise of a track's own views.
+
+        Of the tracks ``index (M,)``: (M,) 1/s.
+        """
+        variance: Floats = self.cov[index] @ direction @ direction
         if self.shared is not None:
-            on_path = self.shared.path_of >= 0
-            along = self.shared.along[self.shared.path_of[on_path]] @ direction
-            own_hz[on_path] = np.sqrt(self.shared.rate_variance[on_path]) * np.abs(along)
-        return own_hz
+            path_of = self.shared.path_of[index]
+            on_path = path_of >= 0
+            along = self.shared.along[path_of[on_path]] @ direction
+            variance[on_path] = self.shared.rate_variance[index[on_path]] * along**2
+        return np.sqrt(variance)
 
     @property
     def has_value(self) -> Bools:
