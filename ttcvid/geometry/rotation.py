@@ -35,11 +35,8 @@ def normalize(v: Floats) -> Floats:
     array([[0. , 0.6, 0.8],
            [nan, nan, nan]])
     """
-    v = np.asarray(v, dtype=np.float64)
-    with np.errstate(over="ignore"):
-        length = np.sqrt(np.einsum("...i,...i->...", v, v))[..., None]
-    is_usable = np.isfinite(length) & (length > 0.0)
-    unit: Floats = np.divide(v, length, out=np.full_like(v, np.nan), where=is_usable)
+    unit = np.array(v, dtype=np.float64, order="C")
+    _normalize_each(unit.reshape(-1, unit.shape[-1]))
     return unit
 
 
@@ -146,15 +143,35 @@ def tangent_basis(direction: Floats) -> Floats:
     array([[0., 0., 1.],
            [1., 0., 0.]])
     """
-    direction = np.asarray(direction, dtype=np.float64)
-    x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
-    sign = np.where(1.0 + y < _CAP_ONE_PLUS_Y, -1.0, 1.0)
-    inverse = -1.0 / (sign + y)
-    cross_term = z * x * inverse
+    direction = np.array(direction, dtype=np.float64, order="C")
     basis = np.empty((*direction.shape, 2))
-    basis[..., 0, 0], basis[..., 1, 0], basis[..., 2, 0] = sign * cross_term, -sign * z, 1.0 + sign * z * z * inverse
-    basis[..., 0, 1], basis[..., 1, 1], basis[..., 2, 1] = sign + x * x * inverse, -x, cross_term
+    _basis_of_each(direction.reshape(-1, 3), basis.reshape(-1, 3, 2))
     return basis
+
+
+@compiled
+def _basis_of_each(directions: Floats, bases: Floats) -> None:
+    """Fills ``bases (N, 3, 2)`` from ``directions (N, 3)``."""
+    for i in range(len(directions)):
+        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
+        sign = -1.0 if 1.0 + y < _CAP_ONE_PLUS_Y else 1.0
+        inverse = -1.0 / (sign + y)
+        mixed, basis = z * x * inverse, bases[i]
+        basis[0, 0], basis[1, 0], basis[2, 0] = sign * mixed, -sign * z, 1.0 + sign * z * z * inverse
+        basis[0, 1], basis[1, 1], basis[2, 1] = sign + x * x * inverse, -x, mixed
+
+
+@compiled
+def _normalize_each(vectors: Floats) -> None:
+    """Brings ``vectors (N, n)`` to unit length in place."""
+    for i in range(len(vectors)):
+        square = 0.0
+        for j in range(vectors.shape[1]):
+            square += vectors[i, j] * vectors[i, j]
+        length = np.sqrt(square)
+        is_usable = np.isfinite(length) and length > 0.0
+        for j in range(vectors.shape[1]):
+            vectors[i, j] = vectors[i, j] / length if is_usable else np.nan
 
 
 @compiled
