@@ -313,6 +313,6 @@ def test_an_object_whose_state_contradicts_its_direction_has_that_of_its_state(o
     motion = replace(motion_of(1, believed, n=30), direction_cov=cov)
     flows = flows_of(position_m, velocity, sigma_px=0.05)
     states = two_frame_states(flows, np.tile(velocity, (30, 1)), np.tile(1e-6 * np.eye(3), (30, 1, 1)))
-    row = object_row(motion, 1, states, pixels(position_m), LINK_PX, (flows.first, flows.second, 0.4))
+    row = object_row(motion, 1, states, pixels(position_m), LINK_PX, np.nan)
     np.testing.assert_allclose(row.direction, velocity if is_of_state else believed, atol=1e-9)
     assert np.allclose(row.direction_cov @ row.direction, 0.0, atol=1e-12)
