@@ -229,13 +229,6 @@ class CollisionTimes:
         """The rows that a mask or an index array picks."""
         return CollisionTimes(*(getattr(self, f.name)[index] for f in fields(self)))
 
-    def placed(self, index: Ints, n: int) -> CollisionTimes:
-        """N rows with these at ``index (M,)``, the others without a result."""
-        placed = CollisionTimes.missing(n)
-        for f in fields(self):
-            getattr(placed, f.name)[index] = getattr(self, f.name)
-        return placed
-
 
 @dataclass(frozen=True)
 class TrackRows:

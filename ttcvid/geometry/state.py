@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross
@@ -128,11 +129,26 @@ def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, e_variance:
     ``variance (N,)`` of a ray's direction and ``e_variance (N,)`` or ``(1,)`` of e, in rad^2: the trace of its
     covariance, which is the variance along the worse axis of a direction that is open along one, at most twice it else.
     """
-    farther = np.zeros(len(q))
-    for ray in (q, r):
-        sine2 = quotient(_square_sum(cross(ray, e)), _square_sum(ray) * (variance + e_variance))
-        farther = np.fmax(farther, sine2)
-    return farther < SIGNIFICANCE_SIGMAS**2
+    is_at = np.empty(len(q), dtype=bool)
+    e, variance = np.ascontiguousarray(e), np.ascontiguousarray(np.broadcast_to(variance + e_variance, (len(q),)))
+    gate = SIGNIFICANCE_SIGMAS**2
+    _compare_with_noise(np.ascontiguousarray(q), np.ascontiguousarray(r), e, variance, gate, is_at)
+    return is_at
+
+
+@compiled
+def _compare_with_noise(q: Floats, r: Floats, e: Floats, variance: Floats, gate: float, is_at: Bools) -> None:
+    """Fills ``is_at (N,)`` of `is_at_epipole`: abs(ray x e) over abs(ray) is the sine of their angle."""
+    for i in range(len(q)):
+        farther = 0.0
+        for rays in (q, r):
+            x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
+            cx, cy, cz = y * e[i, 2] - z * e[i, 1], z * e[i, 0] - x * e[i, 2], x * e[i, 1] - y * e[i, 0]
+            sine2 = (cx * cx + cy * cy + cz * cz) / ((x * x + y * y + z * z) * variance[i])
+            # What is not known is no sign of being off.
+            if sine2 > farther:
+                farther = sine2
+        is_at[i] = farther < gate
 
 
 def _to_unit_depth(rays: Floats) -> Floats:

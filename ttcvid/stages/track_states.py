@@ -146,10 +146,16 @@ class TrackStates:
 
     def times(self) -> CollisionTimes:
         """The three times with their intervals: N rows."""
-        index = np.flatnonzero(self.has_value)
-        x, y = self.xy[index].T
-        found = collision_times_from_state(x, y, self.abc_hz[index], self.cov[index], self.sigma_norm[index])
-        return found.placed(index, len(self.status))
+        x, y = self.xy.T
+        return collision_times_from_state(x, y, self.abc_hz, self.cov, self.sigma_norm)
+
+
+def first_reason(n: int, reasons: list[tuple[Bools, Status | Ints]]) -> Ints:
+    """Status (N,) of the first condition (N,) that holds for each track, ok where none does."""
+    status = np.full(n, Status.ok, dtype=np.int64)
+    for holds, reason in reversed(reasons):
+        np.copyto(status, reason, where=holds)
+    return status
 
 
 def has_value(status: Ints) -> Bools:

@@ -19,7 +19,7 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.scene_path import scene_path
-from ttcvid.stages.track_states import SharedErrors, TrackStates, has_value
+from ttcvid.stages.track_states import SharedErrors, TrackStates, first_reason, has_value
 
 # A rate within this many of its standard deviations may be zero; below minus this, the point moves against its group.
 _RATE_SIGMAS = 2.0
@@ -155,26 +155,21 @@ def _on_paths(
     )
     shared = SharedErrors(path_of, paths.direction, rate_variance, found.jacobian, shared_cov, change)
     has_path, direction = path_of != NO_PATH, normalize(found.abc_hz)
-    status = np.select(
+    status = first_reason(
+        history.n_tracks,
         [
-            ~np.isfinite(history.xy[history.now, :, 0]) | (has_path & (rates.n_frames < 2)),
-            ~has_path,
-            _is_at_epipole(history, path_of, paths.direction, direction_variance) | ~np.isfinite(rates.rate_hz),
+            (~np.isfinite(history.xy[history.now, :, 0]) | (has_path & (rates.n_frames < 2)), Status.short_track),
+            (~has_path, motions.no_direction_status),
+            (
+                _is_at_epipole(history, path_of, paths.direction, direction_variance) | ~np.isfinite(rates.rate_hz),
+                Status.at_epipole,
+            ),
             # Along its path: how sure it is that a track moves at all, and forwards.
-            np.abs(rates.rate_hz) < _RATE_SIGMAS * found.along_sigma_hz,
-            rates.rate_hz < 0.0,
-            np.abs(direction[:, 2]) < INFINITY_COSINE,
+            (np.abs(rates.rate_hz) < _RATE_SIGMAS * found.along_sigma_hz, Status.no_parallax),
+            (rates.rate_hz < 0.0, Status.not_rigid),
+            (np.abs(direction[:, 2]) < INFINITY_COSINE, Status.epipole_at_infinity),
         ],
-        [
-            Status.short_track,
-            motions.no_direction_status,
-            Status.at_epipole,
-            Status.no_parallax,
-            Status.not_rigid,
-            Status.epipole_at_infinity,
-        ],
-        Status.ok,
-    ).astype(np.int64)
+    )
     is_gone = ~has_value(status)
     for values in (found.abc_hz, found.cov, direction):
         values[is_gone] = np.nan
@@ -214,16 +209,15 @@ def _with_free(
     direction = normalize(velocity)
     n_views = 2 if plane is not None else LEAST_FRAMES
     gates = window_gates(config.max_frames, 2 * LEAST_FRAMES - 1, config.window_probability)
-    status = np.select(
+    status = first_reason(
+        len(free),
         [
-            ~(found.n_frames >= n_views),
-            ~(moved > _NO_MOTION_CHI2),
-            found.chi2 > gates[np.maximum(found.n_frames, LEAST_FRAMES)],
-            np.abs(direction[:, 2]) < INFINITY_COSINE,
+            (~(found.n_frames >= n_views), Status.short_track),
+            (~(moved > _NO_MOTION_CHI2), Status.no_parallax),
+            (found.chi2 > gates[np.maximum(found.n_frames, LEAST_FRAMES)], Status.not_rigid),
+            (np.abs(direction[:, 2]) < INFINITY_COSINE, Status.epipole_at_infinity),
         ],
-        [Status.short_track, Status.no_parallax, Status.not_rigid, Status.epipole_at_infinity],
-        Status.ok,
-    ).astype(np.int64)
+    )
     is_valued = has_value(status)
     cov = np.full((len(free), 3, 3), np.nan)
     cov[is_valued] = np.linalg.inv(found.info_w[is_valued])
