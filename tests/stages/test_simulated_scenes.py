@@ -79,12 +79,30 @@ def test_before_a_resting_camera_directions_and_times_are_right(number, median_d
     assert mover.in_interval_part > 0.5
 
 
-@pytest.mark.xfail(strict=True, reason="what comes along our own direction, with no road below it, looks static")
 def test_an_aircraft_that_comes_straight_at_us_is_warned_of():
     head_on = run("aircraft_head_on")
     assert np.nanmedian(head_on.objects[1].off_deg) < 2.0
     (event,) = head_on.events
     assert event.cluster_id in head_on.objects[1].cluster_id
+
+
+def test_a_car_that_stands_in_our_lane_is_an_object_of_the_scenes_motion_and_warned_of():
+    scene = run("stopped_car_ahead")
+    car = scene.objects[CAR]
+    assert car.one_number_part > 0.9
+    rows = [row for result in scene.results for row in result.clusters if row.cluster_id in car.cluster_id]
+    assert np.mean([row.motion_id == 0 for row in rows]) > 0.8
+    (event,) = scene.events
+    assert event.cluster_id in car.cluster_id
+    # The cars touch at 4.3 s.
+    assert event.start_s <= 2.3 + 1e-9
+
+
+def test_cars_parked_along_our_way_are_nothing_in_our_way():
+    scene = run("parked_street")
+    assert scene.events == []
+    static = [r for result in scene.results for r in result.clusters if r.role == "object" and r.motion_id == 0]
+    assert len(static) <= 0.02 * len(scene.results)
 
 
 def test_rotations_stay_rotations_over_a_hundred_frames():

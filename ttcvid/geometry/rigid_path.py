@@ -7,7 +7,7 @@ a point at (x, y, 1) now was at (x + rho T_x, y + rho T_y, 1 + rho T_z), up to i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -36,6 +36,10 @@ class PathFit:
     rate_sigma_hz: Floats
     misfit: Floats
     n_views: Ints
+
+    def take(self, index: Ints) -> PathFit:
+        """The points that an index array picks."""
+        return PathFit(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
 def fit_on_paths(

@@ -7,6 +7,7 @@ hundred tracks of a resting car has a rate of its own, their mean is fifty times
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,27 +52,28 @@ def with_seen_motion(
     members : tracks of each row.
     age_s : (N,) for how long each track has been seen.
     """
-    growth = zip(*views.expansions(members), strict=True)
-    return [
-        replace(row, motion_state=_seen(row, views, index, grows, age_s, camera))
-        if row.state_abc_hz is not None
-        else row
-        for row, index, grows in zip(rows, members, growth, strict=True)
-    ]
+    asked = [k for k, row in enumerate(rows) if row.motion_state in (*_APPROACHING, MotionState.receding)]
+    if not asked:
+        return rows
+    growth = views.expansions([members[k] for k in asked])
+    rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in asked]))
+    seen = list(rows)
+    for k, ray, *grows in zip(asked, rays, *growth, strict=True):
+        seen[k] = replace(rows[k], motion_state=_seen(rows[k], ray, views, members[k], grows, age_s, camera))
+    return seen
 
 
 def _seen(
     row: ClusterRow,
+    ray: Floats,
     views: CommonViews,
     members: Ints,
-    grows: tuple[float, float],
+    grows: Sequence[float],
     age_s: Floats,
     camera: Camera,
 ) -> MotionState:
     state = row.motion_state
-    if state not in (*_APPROACHING, MotionState.receding):
-        return state
-    nearer_hz, sigma_hz = _radial_rate(row, camera)
+    nearer_hz, sigma_hz = _radial_rate(row, ray)
     radius_px = _radius_px(views.now[members], camera)
     if radius_px > 0.0:
         looked_s = min(float(np.median(age_s[members])), _DRIFT_S)
@@ -81,9 +83,8 @@ def _seen(
     return MotionState.unknown if _is_contradicted(row, views.gap_s, grows, radius_px) else state
 
 
-def _radial_rate(row: ClusterRow, camera: Camera) -> tuple[float, float]:
-    """Rate at which the distance shrinks, over itself, and its standard deviation, 1/s."""
-    ray = rays_from_pixels(camera, np.array([row.ref_px]))[0]
+def _radial_rate(row: ClusterRow, ray: Floats) -> tuple[float, float]:
+    """Rate at which the distance along ``ray (3,)`` shrinks, over itself, and its standard deviation, 1/s."""
     along = ray / (ray @ ray)
     return -float(along @ np.asarray(row.state_abc_hz)), float(np.sqrt(along @ np.asarray(row.present_cov) @ along))
 
@@ -94,7 +95,7 @@ def _radius_px(rays: Floats, camera: Camera) -> float:
     return camera.fx_px * float(np.sqrt(np.mean(np.sum((xy - xy.mean(axis=0)) ** 2, axis=1))))
 
 
-def _is_contradicted(row: ClusterRow, gap_s: float, grows: tuple[float, float], radius_px: float) -> bool:
+def _is_contradicted(row: ClusterRow, gap_s: float, grows: Sequence[float], radius_px: float) -> bool:
     """Whether the picture of an object that is said to come nearer (go away) surely grows (shrinks) too little.
 
     The distances between its own points are blind to rotation, which the paths are not.

@@ -23,6 +23,8 @@ _SIGMAS_95_OF_TWO = 2.45
 _SAME_DIRECTION_CHI2 = 9.21
 # Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
 _TRIMMED_VARIANCE = 1.35
+# Tracks that tell when a thing is reached that is one surface.
+_LEAST_OF_SURFACE = 3
 # The parts of a car's front lie in depths that differ by this (standard deviation, as a part of the distance).
 _RELIEF = 0.025
 # Least variance of a rate, 1/s^2, and noise of a point that is exact by definition.
@@ -34,7 +36,7 @@ class ClusterMotion:
     """What is known of a cluster before its times: ``members`` index the frame's tracks, ``direction`` is its ``dir``.
 
     ``horizon_offset_px`` how far off the horizon its epipole was found, before it was moved there; ``window_s`` for how
-    long its motion has been what it is.
+    long its motion has been what it is; ``is_static`` a thing that moves with the scene.
     """
 
     cluster_id: int
@@ -45,6 +47,7 @@ class ClusterMotion:
     method: str
     horizon_offset_px: float | None = None
     window_s: float = np.inf
+    is_static: bool = False
 
 
 def scene_row(motion: ClusterMotion, xy_px: Floats) -> ClusterRow:
@@ -90,7 +93,10 @@ def _nearest_surface(motion: ClusterMotion, states: TrackStates, xy_px: Floats, 
         return np.empty(0, dtype=np.int64)
     rate_hz = states.abc_hz[usable] @ motion.direction
     sigma_hz = np.hypot(states.own_sigma_along(motion.direction, usable), _RELIEF * rate_hz)
-    return np.asarray(usable[nearest_surface(rate_hz, sigma_hz, xy_px[usable], link_px)])
+    surface = usable[nearest_surface(rate_hz, sigma_hz, xy_px[usable], link_px)]
+    # What stands in our way was found as one surface, and may have few tracks.
+    is_whole = motion.is_static and not len(surface) and len(usable) >= _LEAST_OF_SURFACE
+    return np.asarray(usable if is_whole else surface)
 
 
 def motion_ids(clusters: tuple[ClusterMotion, ...]) -> list[int]:
@@ -100,7 +106,7 @@ def motion_ids(clusters: tuple[ClusterMotion, ...]) -> list[int]:
     next_number = 1
     for place, motion in enumerate(clusters):
         same = np.flatnonzero(is_same[place, :place])
-        if motion.cluster_id == SCENE_CLUSTER:
+        if motion.cluster_id == SCENE_CLUSTER or motion.is_static:
             numbers.append(0)
         elif len(same):
             numbers.append(numbers[same[0]])

@@ -9,15 +9,17 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.epipole import INFINITY_COSINE, MAX_DIRECTION_SIGMA_RAD
-from ttcvid.geometry.rotation import skew, turned_into_plane
+from ttcvid.geometry.rotation import normalize, skew, turned_into_plane
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
-from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Status
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
 from ttcvid.stages.history import TrackHistory
+from ttcvid.stages.obstacles import Obstacle, StaticPoints, find_obstacles, own_path
 from ttcvid.stages.planar import HorizonPlane, horizon_offset_px, onto_horizon, planar_directions
+from ttcvid.stages.road import find_road
 from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies, restarted_bodies
 
 # Tracks of one object hang together when they lie closer than this part of the picture's width.
@@ -30,6 +32,8 @@ _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR_PX = 0.1, 0.5
 _STAYING_PX, _STAYING_VIEWS = 0.5, 10
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
 _SURE_PART = 0.008
+# The direction of the scene's path, where that of the last step is not known.
+_WAY_SIGMA_RAD = float(np.radians(0.5))
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
 _LOST_MISFIT = 50.0
 
@@ -82,12 +86,19 @@ def find_motions(
     else:
         is_measured = not (camera.is_assumed or camera.is_found)
         error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR_PX
+        before = memory.obstacles
         found, memory = find_bodies(
             history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
         )
         history = replace(history, cam_R_past=found.scene.cam_R_past)
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
         objects = _object_motions(history, found, is_free, plane, camera, times)
+        obstacles, memory = _in_our_way(
+            history, egomotion, found, is_free, before, memory, link_px, plane, camera, config
+        )
+        objects = sorted([*objects, *obstacles], key=lambda motion: motion.cluster_id)
+        for obstacle in obstacles:
+            in_scene[obstacle.members] = False
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
     flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
@@ -114,6 +125,51 @@ def _object_motions(
     stays = _share(_stays_on_its_pixels(history, members), thing, len(public)) > 0.5
     parts = {int(public[number]): members[thing == number] for number in np.flatnonzero(~stays)}
     return motions_of(parts, history, plane, camera, config)
+
+
+def _in_our_way(
+    history: TrackHistory,
+    egomotion: Egomotion,
+    found: Segmentation,
+    is_free: Bools,
+    before: tuple[Obstacle, ...],
+    memory: BodyMemory,
+    link_px: float,
+    plane: HorizonPlane | None,
+    camera: Camera,
+    config: PipelineConfig,
+) -> tuple[list[ClusterMotion], BodyMemory]:
+    """What of the scene stands in our way, as objects that move as the scene does; and the memory with them."""
+    way = own_path(found.scene.path, history.since_s)
+    if way is None:
+        return [], memory
+    in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < config.bodies.scene_gate)
+    platform = config.egomotion.platform
+    road = memory.road.plane
+    if platform == Platform.free:
+        # We may well be on a road, or low over the ground.
+        road = find_road(found.scene_fit, in_scene, float(way.aim[1]))
+    seen = StaticPoints(history.track_id, history.xy_px, history.focal_px, link_px, found.scene_fit, in_scene)
+    public, obstacles, next_cluster_id = find_obstacles(
+        before,
+        seen,
+        way,
+        road,
+        memory.next_cluster_id,
+        config.bodies,
+        on_ground=platform == Platform.vehicle,
+    )
+    memory = replace(memory, obstacles=obstacles, next_cluster_id=next_cluster_id)
+    direction, covariance = egomotion.direction, egomotion.direction_cov
+    if direction is None or covariance is None:
+        # Two views tell no direction; all views of the scene do, roughly.
+        direction = -normalize(np.append(way.aim, 1.0)[None])[0]
+        covariance = _WAY_SIGMA_RAD**2 * (np.eye(3) - np.outer(direction, direction))
+    motions = [
+        replace(_on_plane(number, members, direction, covariance, "egomotion", plane, camera), is_static=True)
+        for number, members in public.items()
+    ]
+    return motions, memory
 
 
 def motions_of(

@@ -39,10 +39,14 @@ _FORGETTING, _ENOUGH = 0.8, 0.5
 
 @dataclass(frozen=True)
 class RoadMemory:
-    """Evidence of each track ``track_id (N,)`` against standing on the ground: ``evidence (N,)`` in 0 to 1."""
+    """Evidence of each track ``track_id (N,)`` against standing on the ground: ``evidence (N,)`` in 0 to 1.
+
+    ``plane (3,)`` is the road of this frame, as from `find_road`, None where there is none.
+    """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     evidence: Floats = field(default_factory=lambda: np.empty(0))
+    plane: Floats | None = None
 
     def contradicts(self) -> Bools:
         """Tracks that a static scene cannot hold: (N,)."""
@@ -69,7 +73,7 @@ def gathered_evidence(
     is_odd = np.zeros(len(track_id), dtype=bool)
     if road is not None:
         is_odd = _under_road(fit, road) | _floating(views, fit, key, road)
-    return RoadMemory(track_id, _FORGETTING * evidence + (1.0 - _FORGETTING) * is_odd)
+    return RoadMemory(track_id, _FORGETTING * evidence + (1.0 - _FORGETTING) * is_odd, road)
 
 
 def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:

@@ -29,6 +29,7 @@ from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.joining import merged, split
 from ttcvid.stages.new_movers import new_movers
+from ttcvid.stages.obstacles import Obstacle
 from ttcvid.stages.road import RoadMemory, gathered_evidence
 
 # Of more tracks than this only so many correct the scene; those of a crowded place count less: cells of this
@@ -53,7 +54,10 @@ _LEAST_MEASURED = 10
 
 @dataclass(frozen=True)
 class BodyMemory:
-    """What is known of the last frame: the scene, the movers, and for each track its body and its rate."""
+    """What is known of the last frame: the scene, the movers, and for each track its body and its rate.
+
+    ``obstacles`` are what of the scene stands in our way (`stages.obstacles`).
+    """
 
     scene: Body | None = None
     movers: tuple[Mover, ...] = ()
@@ -63,6 +67,7 @@ class BodyMemory:
     road: RoadMemory = field(default_factory=RoadMemory)
     next_key: int = SCENE_CLUSTER + 1
     next_cluster_id: int = SCENE_CLUSTER + 1
+    obstacles: tuple[Obstacle, ...] = ()
 
 
 @dataclass(frozen=True)

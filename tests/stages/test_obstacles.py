@@ -1,0 +1,154 @@
+"""What stands in our own path is found, keeps its number, and nothing that we pass by is taken for it."""
+
+import numpy as np
+import pytest
+from relative_motion import box_of_points
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.stages.obstacles import StaticPoints, find_obstacles, own_path
+
+CONFIG = BodiesConfig()
+FOCAL_PX, LINK_PX, DT_S, N_VIEWS = 500.0, 32.0, 0.05, 20
+SPEED_M_S, CAMERA_M = 10.0, 1.4
+SINCE_S = DT_S * np.arange(1 - N_VIEWS, 1)
+FOUND_IN = CONFIG.confirm_frames + 1
+
+
+def driven(yaw_rad_s=0.0):
+    """Where the scene was in the camera of now, less where it is now, in s of our speed: on a circle to the right."""
+    heading = yaw_rad_s * SINCE_S
+    if yaw_rad_s == 0.0:
+        return np.column_stack([0.0 * SINCE_S, 0.0 * SINCE_S, -SINCE_S])
+    return np.column_stack([-(1.0 - np.cos(heading)) / yaw_rad_s, 0.0 * SINCE_S, -np.sin(heading) / yaw_rad_s])
+
+
+def road(rng, n=150):
+    """Points of a level road, with x, y, z in m: as many in each part of the picture."""
+    below = rng.uniform(0.04, 0.3, n)
+    depth_m = CAMERA_M / below
+    return np.column_stack([rng.uniform(-0.4, 0.4, n) * depth_m, np.full(n, CAMERA_M), depth_m])
+
+
+ROAD_PLANE = np.array([0.0, 0.0, SPEED_M_S / CAMERA_M])
+
+
+def points_of(position_m, rng, noise=0.01, track_id=None):
+    rate_hz = SPEED_M_S / position_m[:, 2] * (1.0 + noise * rng.normal(size=len(position_m)))
+    place = position_m[:, :2] / position_m[:, 2:]
+    n = len(place)
+    fit = PathFit(place, rate_hz, (noise + 1e-3) * rate_hz, np.ones(n), np.full(n, N_VIEWS))
+    ids = np.arange(n) if track_id is None else track_id
+    return StaticPoints(ids, FOCAL_PX * place, FOCAL_PX, LINK_PX, fit, np.ones(n, dtype=bool))
+
+
+def watched(position_m, frames=FOUND_IN, plane=ROAD_PLANE, on_ground=True, yaw_rad_s=0.0, speed_m_s=SPEED_M_S):
+    """Public obstacles after some frames in which we come nearer."""
+    rng = np.random.default_rng(3)
+    memory, next_id, public, way = (), 1, {}, own_path(driven(yaw_rad_s), SINCE_S)
+    for k in range(frames):
+        now = position_m - np.array([0.0, 0.0, speed_m_s * DT_S * k])
+        public, memory, next_id = find_obstacles(
+            memory, points_of(now, rng), way, plane, next_id, CONFIG, on_ground=on_ground
+        )
+    return public
+
+
+def rear_of_car(rng, x_m, depth_m, n=20, width_m=1.8):
+    return box_of_points(rng, n, (x_m, CAMERA_M - 0.7, depth_m), (width_m, 1.2, 0.0))
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(1)
+
+
+def test_own_path_heads_straight_ahead():
+    way = own_path(driven(), SINCE_S)
+    assert way.aim == pytest.approx([0.0, 0.0])
+    assert way.turn_hz == 0.0
+    assert way.speed == pytest.approx(1.0)
+    assert way.reached_s(np.array([0.25])) == pytest.approx(4.0)
+
+
+def test_own_path_in_a_bend_leads_to_where_the_circle_goes():
+    yaw_rad_s, later_s = 0.2, 2.0
+    way = own_path(driven(yaw_rad_s), SINCE_S)
+    # After an angle of w t of the circle: aside by (1 - cos) / w, ahead by sin / w.
+    expected = (1.0 - np.cos(yaw_rad_s * later_s)) / np.sin(yaw_rad_s * later_s)
+    assert way.aim_at(np.array([later_s]))[0, 0] == pytest.approx(expected, rel=0.05)
+
+
+def test_a_car_that_does_not_move_ahead_has_no_path():
+    assert own_path(np.zeros((N_VIEWS, 3)), SINCE_S) is None
+    assert own_path(-driven(), SINCE_S) is None
+
+
+def test_a_stopped_car_in_our_lane_is_an_obstacle_once_it_has_lasted(rng):
+    scene = np.concatenate([road(rng), rear_of_car(rng, 0.2, 30.0)])
+    assert watched(scene, FOUND_IN - 1) == {}
+    public = watched(scene)
+    assert list(public) == [1]
+    on_car = public[1] >= 150
+    assert on_car.sum() >= 15
+    assert on_car.mean() > 0.8
+
+
+@pytest.mark.parametrize("aside_m", [-2.8, 2.8])
+def test_a_parked_car_at_the_roadside_is_none(rng, aside_m):
+    assert watched(np.concatenate([road(rng), rear_of_car(rng, aside_m, 25.0)])) == {}
+
+
+def test_the_road_alone_is_none(rng):
+    assert watched(road(rng, 400)) == {}
+    assert watched(road(rng, 400), plane=None) == {}
+
+
+def test_a_wall_along_our_way_is_none(rng):
+    depth_m = 10.0 / rng.uniform(0.16, 1.0, 300)
+    wall = np.column_stack([np.full(300, 1.6), rng.uniform(-2.0, CAMERA_M, 300), depth_m])
+    assert watched(np.concatenate([road(rng), wall])) == {}
+
+
+def test_a_bridge_over_our_road_is_none(rng):
+    bridge = box_of_points(rng, 60, (0.0, -3.6, 35.0), (20.0, 1.0, 0.0))
+    assert watched(np.concatenate([road(rng), bridge])) == {}
+    assert watched(bridge, plane=None) == {}
+
+
+def test_what_is_reached_in_ten_seconds_is_none_yet(rng):
+    assert watched(np.concatenate([road(rng), rear_of_car(rng, 0.0, 100.0)])) == {}
+
+
+def test_an_aircraft_head_on_is_one_with_the_four_tracks_that_it_has():
+    aircraft = np.array([[-2.2, 0.1, 36.0], [2.2, 0.1, 36.0], [0.0, 0.3, 35.5], [0.7, 0.2, 35.7]])
+    public = watched(aircraft, plane=None, on_ground=False)
+    assert [len(members) for members in public.values()] == [4]
+
+
+@pytest.mark.parametrize("turn", [-1.0, 1.0])
+def test_a_house_straight_ahead_in_a_bend_is_none(rng, turn):
+    house = box_of_points(rng, 60, (0.0, -1.0, 35.0), (8.0, 4.5, 0.0))
+    assert watched(np.concatenate([road(rng), house])) != {}
+    assert watched(np.concatenate([road(rng), house]), yaw_rad_s=0.25 * turn) == {}
+
+
+def test_an_obstacle_keeps_its_number_while_its_tracks_change_and_over_short_gaps(rng):
+    car = rear_of_car(rng, 0.0, 30.0, n=40)
+    way, noise = own_path(driven(), SINCE_S), np.random.default_rng(4)
+    memory, next_id, numbers = (), 7, []
+    for k in range(40):
+        now = car - np.array([0.0, 0.0, SPEED_M_S * DT_S * k])
+        # Every other frame one of its tracks ends and another begins; in three frames it is not seen at all.
+        kept = np.arange(k // 2, k // 2 + 12)
+        points = points_of(now[kept] if k not in (20, 21, 22) else now[kept] + [9.0, 0.0, 0.0], noise, track_id=kept)
+        public, memory, next_id = find_obstacles(memory, points, way, ROAD_PLANE, next_id, CONFIG, on_ground=True)
+        numbers += list(public)
+    assert set(numbers) == {7}
+    assert len(numbers) >= 40 - FOUND_IN - 3
+    assert next_id == 8
+
+
+def test_nothing_to_see_is_no_obstacle():
+    nothing = np.empty((0, 3))
+    assert watched(nothing) == {}

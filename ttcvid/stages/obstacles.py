@@ -1,0 +1,334 @@
+"""What stands in our own path: upright surfaces of the scene that our way leads through.
+
+A stopped car ahead moves with the scene, and so does, to all appearance, what comes along our own direction (an
+aircraft head-on looks like a static one that is nearer): for safety it is the same, it closes. Such a thing is an
+object that shares the scene's motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.connected import linked_pairs
+
+# What we reach later than this is no obstacle yet, s: half as long again as a warning looks ahead.
+_REACHED_WITHIN_S = 6.0
+# A track says something from so many views on, with a rate known to this part.
+_LEAST_VIEWS, _KNOWN_PART = 4, 0.2
+# Tracks of one surface have rates within this part of its median (natural logarithm), and two sigmas of their own.
+_ONE_SURFACE, _SURFACE_SIGMAS = 0.12, 2.0
+# A surface goes on to nearer tracks beside it when these are more than so many, and than this part of its own: it is
+# a slope or a wall along our way.
+_LEAST_GOES_ON, _GOES_ON = 2.0, 0.25
+# Where there is no road, tracks of one surface may lie so many times as far apart as those of a mover: of an aircraft,
+# wing tips and nose.
+_LINKS = 2.0
+# The box of the tracks covers the point that we go for but for this part of the distance of neighbours, for tracks do
+# not reach its rim; of one that has been found before, but for so many times as much.
+_OFF_LINK, _KEPT = 0.33, 1.5
+# Surfaces are looked for around tracks that lie this close to where we go, as a tangent, and followed as far as the
+# second; so many are looked at.
+_LOOK, _FOLLOWED, _MOST_SURFACES = 0.1, 0.5, 6
+# The turn of the own path is taken from views over this time at the least, s.
+_LEAST_TURN_S = 0.3
+# What stands on the ground that a car drives on reaches below its camera by this part of its height, or hangs over it.
+_BELOW_CAMERA = 0.15
+# Heights over the road, in heights of the camera: what ends below the first can be driven over, what begins above the
+# second is driven under; so many tracks of a thing stand above the first.
+_LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.3, 1.1, 2
+# An obstacle that is not found is an object for as long as a mover would be, and known again for so many times as long.
+_REMEMBERED = 4
+_TINY_HZ = 1e-9
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A surface in our path as remembered: its tracks, and ``cluster_id`` once it is public (None before)."""
+
+    cluster_id: int | None
+    track_id: Ints
+    n_found: int = 1
+    n_missed: int = 0
+
+
+@dataclass(frozen=True)
+class OwnPath:
+    """Where we go: ``aim (2,)`` the point of the plane z = 1 that we headed for ``age_s`` ago, ``turn_hz`` how fast it
+    moves to the right.
+
+    ``speed`` is the present one in units of the rates, ``ahead`` the part of it along z.
+    """
+
+    aim: Floats
+    turn_hz: float
+    speed: float
+    ahead: float
+    age_s: float
+
+    def reached_s(self, rate_hz: Floats) -> Floats:
+        """Time until the depth of points with these rates is reached."""
+        return np.asarray(1.0 / np.maximum(rate_hz * self.speed * self.ahead, _TINY_HZ))
+
+    def aim_at(self, reached_s: Floats) -> Floats:
+        """Where the places lie now (N, 2) that we reach after these times (N,), if we go on to turn as we do."""
+        later_s = self.age_s + 0.5 * reached_s
+        return np.asarray(self.aim + np.outer(later_s * self.turn_hz, [1.0, 0.0]))
+
+
+@dataclass(frozen=True)
+class StaticPoints:
+    """N tracks and their depths on the scene's path: ``track_id (N,)``, ``xy_px (N, 2)``, ``fit``.
+
+    ``in_scene (N,)`` those that move with the scene. Neighbours are nearer than ``link_px``.
+    """
+
+    track_id: Ints
+    xy_px: Floats
+    focal_px: float
+    link_px: float
+    fit: PathFit
+    in_scene: Bools
+
+    @property
+    def link(self) -> float:
+        """Distance of neighbours in the plane z = 1."""
+        return self.link_px / self.focal_px
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """Whether we drive on it, and its plane as from `stages.road.find_road`, where that is known."""
+
+    is_driven_on: bool
+    road: Floats | None
+
+
+def own_path(path: Floats, since_s: Floats) -> OwnPath | None:
+    """Where we go, by where the scene came from; None where we do not move ahead.
+
+    Parameters
+    ----------
+    path : (L, 3) where the scene was relative to the camera, less where it is now, oldest first, in s of a mean speed.
+    since_s : (L,) times relative to the present view, s.
+    """
+    middle = len(path) // 2
+    if middle < 1 or not np.linalg.norm(path[0]) > 0.0:
+        return None
+    late, early = path[middle], path[0] - path[middle]
+    if not (late[2] > 0.0 and early[2] > 0.0):
+        return None
+    turn_hz = 0.0
+    if -since_s[0] >= _LEAST_TURN_S:
+        turn_hz = float((late[0] / late[2] - early[0] / early[2]) / (-0.5 * since_s[0]))
+    speed = float(np.linalg.norm(late) / -since_s[middle])
+    aim = np.array([late[0] / late[2], path[0, 1] / path[0, 2]])
+    return OwnPath(aim, turn_hz, speed, float(late[2] / np.linalg.norm(late)), float(-0.5 * since_s[middle]))
+
+
+def find_obstacles(
+    before: tuple[Obstacle, ...],
+    points: StaticPoints,
+    way: OwnPath,
+    road: Floats | None,
+    next_cluster_id: int,
+    config: BodiesConfig,
+    *,
+    on_ground: bool,
+) -> tuple[dict[int, Ints], tuple[Obstacle, ...], int]:
+    """Tracks (M,) of every public obstacle by its number; what to remember; the next number.
+
+    Parameters
+    ----------
+    before : what the last frame remembered.
+    road : plane of the road, as from `stages.road.find_road`, or None.
+    on_ground : whether we drive.
+    """
+    track_id = points.track_id
+    surfaces = _surfaces(points, np.isin(track_id, _tracks_of(before)), way, _Ground(on_ground, road), config)
+    is_free = points.in_scene.copy()
+    for surface in surfaces:
+        is_free[surface] = False
+    obstacles: list[Obstacle] = []
+    for obstacle in before:
+        again = _again(obstacle, track_id, surfaces)
+        if again is not None:
+            obstacles.append(
+                replace(obstacle, track_id=track_id[surfaces.pop(again)], n_found=obstacle.n_found + 1, n_missed=0)
+            )
+            continue
+        left = track_id[is_free & np.isin(track_id, obstacle.track_id)]
+        if obstacle.n_missed < _REMEMBERED * config.forget_frames and len(left):
+            obstacles.append(replace(obstacle, track_id=left, n_missed=obstacle.n_missed + 1))
+    obstacles += [Obstacle(None, track_id[surface]) for surface in surfaces]
+    public: dict[int, Ints] = {}
+    for place, obstacle in enumerate(obstacles):
+        if obstacle.cluster_id is None and obstacle.n_found > config.confirm_frames:
+            obstacles[place] = obstacle = replace(obstacle, cluster_id=next_cluster_id)
+            next_cluster_id += 1
+        if obstacle.cluster_id is not None and obstacle.n_missed <= config.forget_frames:
+            public[obstacle.cluster_id] = np.flatnonzero(np.isin(track_id, obstacle.track_id))
+    return public, tuple(obstacles), next_cluster_id
+
+
+def _tracks_of(obstacles: Sequence[Obstacle]) -> Ints:
+    return np.concatenate([np.empty(0, dtype=np.int64), *(o.track_id for o in obstacles)])
+
+
+def _again(obstacle: Obstacle, track_id: Ints, surfaces: list[Ints]) -> int | None:
+    """Which of the surfaces has most of an obstacle's tracks."""
+    if not surfaces:
+        return None
+    shared = [np.count_nonzero(np.isin(track_id[surface], obstacle.track_id)) for surface in surfaces]
+    best = int(np.argmax(shared))
+    return best if 2 * shared[best] >= min(len(obstacle.track_id), len(surfaces[best])) else None
+
+
+def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Ground, config: BodiesConfig) -> list[Ints]:
+    """Upright surfaces that our way leads through, tracks (M,) of each; ``is_known (N,)`` those of known obstacles."""
+    index = _within_reach(points, way)
+    place, rate_hz = points.fit.place[index], points.fit.rate_hz[index]
+    off = np.linalg.norm(place - way.aim_at(way.reached_s(rate_hz)), axis=1)
+    index, off = index[off < _FOLLOWED], off[off < _FOLLOWED]
+    if len(index) < config.min_tracks or not off.min() < _LOOK:
+        return []
+    depths = _Depths(points.fit.take(index), ground)
+    asked = depths.stands & (off < _LOOK)
+    if not asked.any():
+        return []
+    pairs = linked_pairs(points.xy_px[index], (_LINKS if ground.road is None else 1.0) * points.link_px)
+    found, is_taken = list[Ints](), np.zeros(len(index), dtype=bool)
+    for _ in range(_MOST_SURFACES):
+        if not asked.any():
+            break
+        seed = int(np.argmin(np.where(asked, off, np.inf)))
+        surface = _surface_of(seed, depths, pairs)
+        asked[surface] = False
+        asked[seed] = False
+        surface = depths.without_road_beside(surface[~is_taken[surface]], _OFF_LINK * points.link)
+        if len(surface) < config.min_tracks or not depths.can_be_hit(surface, way):
+            continue
+        is_again = is_known[index[surface]].mean() > 0.5
+        if not is_again and _goes_on(surface, depths, pairs):
+            continue
+        link = points.link * (_KEPT if is_again else 1.0)
+        if _is_in_the_way(depths, surface, way, link):
+            found.append(index[surface])
+            is_taken[surface] = True
+    return found
+
+
+def _within_reach(points: StaticPoints, way: OwnPath) -> Ints:
+    """Tracks of the scene whose depth is known, and reached soon."""
+    fit = points.fit
+    is_rated = points.in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
+    return np.flatnonzero(is_rated & (way.reached_s(np.nan_to_num(fit.rate_hz)) < _REACHED_WITHIN_S))
+
+
+class _Depths:
+    """Depths of K tracks: ``log_rate (K,)`` with the ``tolerance (K,)`` within which another depth is the same one.
+
+    ``height (K,)`` over the road in heights of the camera, if the road goes on to their depth (None: there is no road);
+    ``stands (K,)`` tracks that do not lie on it.
+    """
+
+    def __init__(self, fit: PathFit, ground: _Ground) -> None:
+        self.ground, road = ground, ground.road
+        self.place = fit.place
+        self.log_rate = np.log(fit.rate_hz)
+        self.tolerance = _ONE_SURFACE + _SURFACE_SIGMAS * fit.rate_sigma_hz / fit.rate_hz
+        self.height: Floats | None = None
+        self.stands = np.ones(len(fit.rate_hz), dtype=bool)
+        if road is not None:
+            x, y = fit.place.T
+            horizon = -(road[0] + road[1] * x) / road[2]
+            self.height = 1.0 - (y - horizon) * road[2] / fit.rate_hz
+            self.stands = self.height > _LEAST_HEIGHT
+
+    def without_road_beside(self, surface: Ints, reach: float) -> Ints:
+        """A surface without the points of the road that lie beside what stands there."""
+        upright = self.place[surface[self.stands[surface]], 0]
+        if not len(upright):
+            return surface[:0]
+        x = self.place[surface, 0]
+        near: Ints = surface[(x > upright.min() - reach) & (x < upright.max() + reach)]
+        return near
+
+    def can_be_hit(self, surface: Ints, way: OwnPath) -> bool:
+        """Whether a thing is neither driven over nor driven under."""
+        if self.ground.is_driven_on:
+            top, bottom = self.place[surface, 1].min(), self.place[surface, 1].max()
+            if bottom - way.aim[1] < _BELOW_CAMERA * (bottom - top):
+                return False
+        if self.height is None:
+            return True
+        is_low_enough = self.height[surface].min() < _MOST_HEIGHT
+        return bool(is_low_enough and np.count_nonzero(self.stands[surface]) >= _LEAST_STANDING)
+
+
+def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
+    """Tracks that hang together with a seed and have its depth, then the depth of them all."""
+    is_own = np.zeros(len(depths.log_rate), dtype=bool)
+    _spread(seed, depths.log_rate, depths.tolerance, pairs, is_own)
+    return np.flatnonzero(is_own)
+
+
+@compiled
+def _spread(seed: int, log_rate: Floats, tolerance: Floats, pairs: Ints, is_own: Bools) -> None:
+    """Fill ``is_own (K,)``: along ``pairs (M, 2)`` to tracks like the seed, then to those like the median of all."""
+    centre = log_rate[seed]
+    for _ in range(2):
+        is_own[:] = False
+        is_own[seed] = True
+        grows = True
+        while grows:
+            grows = False
+            for m in range(len(pairs)):
+                i, j = pairs[m, 0], pairs[m, 1]
+                if is_own[i] == is_own[j]:
+                    continue
+                other = j if is_own[i] else i
+                if abs(log_rate[other] - centre) < tolerance[other]:
+                    is_own[other] = True
+                    grows = True
+        centre = np.median(log_rate[is_own])
+
+
+def _goes_on(surface: Ints, depths: _Depths, pairs: Ints) -> bool:
+    """Whether what stands beside a surface is nearer: then it is a part of something that leads up to us.
+
+    The ground before it is nearer, too, and lies below its foot.
+    """
+    is_own = np.zeros(len(depths.log_rate), dtype=bool)
+    is_own[surface] = True
+    crosses = is_own[pairs[:, 0]] != is_own[pairs[:, 1]]
+    beside = np.unique(np.where(is_own[pairs[crosses, 0]], pairs[crosses, 1], pairs[crosses, 0]))
+    is_ground = ~depths.stands[beside]
+    if depths.height is None and not depths.ground.is_driven_on:
+        is_ground = depths.place[beside, 1] > depths.place[surface, 1].max()
+    beside = beside[~is_ground]
+    nearer = depths.log_rate[beside] > np.median(depths.log_rate[surface]) + depths.tolerance[beside]
+    return bool(np.count_nonzero(nearer) > max(_LEAST_GOES_ON, _GOES_ON * len(surface)))
+
+
+def _is_in_the_way(depths: _Depths, surface: Ints, way: OwnPath, link: float) -> bool:
+    """Whether the box of a surface covers, or nearly covers, the place where we cross it, and has tracks near there.
+
+    Going on straight, and going on to turn as we do: nobody knows how long a bend is. What stands on the road that we
+    drive on, and can be hit, only has to be there sideways.
+    """
+    reached_s = way.reached_s(np.exp(np.median(depths.log_rate[surface]))[None])
+    aims = np.stack([way.aim, way.aim_at(reached_s)[0]])
+    place = depths.place[surface[depths.stands[surface]]]
+    if depths.ground.is_driven_on and depths.height is not None:
+        place, aims = place[:, :1], aims[:, :1]
+    gap = np.maximum(np.maximum(place.min(axis=0) - aims, aims - place.max(axis=0)), 0.0)
+    is_covered = np.all(gap <= _OFF_LINK * link, axis=1)
+    is_near = np.linalg.norm(place[:, None] - aims, axis=2).min(axis=0) <= _LINKS * link
+    return bool(np.all(is_covered & is_near))
