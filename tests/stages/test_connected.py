@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from ttcvid.stages.connected import connected_parts, linked_pairs, nearest_neighbours
+from ttcvid.stages.connected import connected_parts, linked_pairs, linked_parts, nearest_neighbours
 
 
 @st.composite
@@ -92,3 +92,14 @@ def test_parts_do_not_depend_on_the_order_of_the_pairs(graph, seed):
     is_in, pairs = graph
     shuffled = np.random.default_rng(seed).permuted(np.random.default_rng(seed).permutation(pairs), axis=1)
     np.testing.assert_array_equal(connected_parts(is_in, pairs), connected_parts(is_in, shuffled))
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 60))
+def test_linked_parts_are_those_that_near_pairs_of_one_group_and_like_values_join(seed, n):
+    rng = np.random.default_rng(seed)
+    xy, group, value = rng.uniform(0.0, 100.0, (n, 2)), rng.integers(0, 2, n), rng.uniform(0.0, 1.0, n)
+    tolerance = rng.choice([0.0, 0.2, np.inf], n)
+    one, other = linked_pairs(xy, 25.0).T
+    is_alike = (group[one] == group[other]) & (np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other])
+    expected = connected_parts(np.ones(n, dtype=bool), np.column_stack([one, other])[is_alike])
+    np.testing.assert_array_equal(linked_parts(xy, 25.0, group, value, tolerance), expected)

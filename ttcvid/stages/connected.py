@@ -45,6 +45,29 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
     """
     root = np.arange(len(is_in))
     _join(is_in, np.ascontiguousarray(pairs), root)
+    return _numbered(root)
+
+
+def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, tolerance: Floats) -> Ints:
+    """Number of the part that each point belongs to, (N,), numbered by their first point.
+
+    Two points hang together when they lie closer than a radius, are of one group, and their values differ by less than
+    the sum of their tolerances.
+
+    Parameters
+    ----------
+    xy_px : (N, 2); ``group, value, tolerance (N,)``.
+    """
+    root = np.arange(len(xy_px))
+    if len(xy_px) > 1:
+        cell, order, start, width = _cells(xy_px, radius_px, 1)
+        _link(xy_px[order], cell[order], order, start, width, radius_px, group, value, tolerance, root)
+    return _numbered(root)
+
+
+def _numbered(root: Ints) -> Ints:
+    """Numbers from 0 of the parts that the trees of union-find stand for, by the smallest index of each."""
+    _climb(root)
     label: Ints = np.unique(root, return_inverse=True)[1].astype(np.int64)
     return label
 
@@ -112,22 +135,53 @@ def _pairs(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radius:
 
 
 @compiled
+def _link(
+    xy: Floats,
+    cell: Ints,
+    order: Ints,
+    start: Ints,
+    width: int,
+    radius: float,
+    group: Ints,
+    value: Floats,
+    tolerance: Floats,
+    root: Ints,
+) -> None:
+    """Union-find of `linked_parts`; ``xy, cell`` in the order of cells."""
+    for here in range(len(xy)):
+        i = order[here]
+        for dy in range(2):
+            # What lies before in the order of cells has been looked at from there.
+            first = max(here + 1, start[cell[here] + dy * width - 1])
+            for place in range(first, start[cell[here] + dy * width + 2]):
+                j = order[place]
+                if group[i] == group[j] and abs(value[i] - value[j]) < tolerance[i] + tolerance[j]:
+                    distance = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
+                    if distance < radius * radius:
+                        _unite(root, i, j)
+
+
+@compiled
 def _join(is_in: Bools, pairs: Ints, root: Ints) -> None:
-    """Union-find: ``root (N,)`` is the smallest index of each part."""
+    """Union-find of ``pairs (M, 2)``."""
     for m in range(len(pairs)):
-        one, other = pairs[m, 0], pairs[m, 1]
-        if not (is_in[one] and is_in[other]):
-            continue
-        while root[one] != one:
-            one = root[one]
-        while root[other] != other:
-            other = root[other]
-        if one < other:
-            root[other] = one
-        else:
-            root[one] = other
+        if is_in[pairs[m, 0]] and is_in[pairs[m, 1]]:
+            _unite(root, pairs[m, 0], pairs[m, 1])
+
+
+@compiled
+def _unite(root: Ints, one: int, other: int) -> None:
+    """Hang the tree with the larger root on the other one."""
+    while root[one] != one:
+        one = root[one]
+    while root[other] != other:
+        other = root[other]
+    root[max(one, other)] = min(one, other)
+
+
+@compiled
+def _climb(root: Ints) -> None:
+    """Let each point of ``root (N,)`` point to the top of its tree, the smallest index there."""
     for i in range(len(root)):
-        top = i
-        while root[top] != top:
-            top = root[top]
-        root[i] = top
+        # The smaller indices are done, and a root is never larger.
+        root[i] = root[root[i]]

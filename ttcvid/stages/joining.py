@@ -13,7 +13,7 @@ from ttcvid.model import Floats, Ints
 from ttcvid.stages.belonging import Mover, numbers_of
 from ttcvid.stages.bodies import Body, refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
-from ttcvid.stages.connected import connected_parts, linked_pairs
+from ttcvid.stages.connected import linked_parts
 
 # Two bodies, or two parts of one, are one where their rates differ by less than this factor.
 _ONE_RATE = 1.5
@@ -138,11 +138,9 @@ def split(
     usual_hz = np.array([mover.body.rate_hz for mover in movers])[body]
     fit = views.points(own, body).fit([mover.body for mover in movers], usual_hz)
     rate_hz = np.maximum(np.nan_to_num(fit.rate_hz), _TINY_HZ)
-    log_rate, unsure = np.log(rate_hz), np.nan_to_num(fit.rate_sigma_hz / rate_hz, nan=np.inf)
-    one, other = linked_pairs(views.xy_px[own], views.link_px).T
-    apart = np.abs(log_rate[one] - log_rate[other])
-    is_one = (body[one] == body[other]) & (apart < np.log(_ONE_RATE) + 2.0 * (unsure[one] + unsure[other]))
-    label = connected_parts(np.ones(len(own), dtype=bool), np.column_stack([one, other])[is_one])
+    unsure = np.nan_to_num(fit.rate_sigma_hz / rate_hz, nan=np.inf)
+    tolerance = 0.5 * np.log(_ONE_RATE) + 2.0 * unsure
+    label = linked_parts(views.xy_px[own], views.link_px, body, np.log(rate_hz), tolerance)
     counts = np.bincount(label)
     first = np.unique(label, return_index=True)[1]
     mover_of, last = body[first], -1

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews
-from ttcvid.stages.connected import connected_parts, linked_pairs
+from ttcvid.stages.connected import linked_parts
 
 # The camera looks along the road within so much, as the tangent of its pitch; heights of the horizon that are tried.
 _PITCH, _N_HORIZONS = 0.06, 13
@@ -92,18 +93,11 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
     if len(index) < _LEAST_POINTS:
         return None
     x, y, rate = x[index], y[index], fit.rate_hz[index]
-    best, support = None, 0.0
-    for horizon_y in epipole_y + np.linspace(-_PITCH, _PITCH, _N_HORIZONS):
-        below = y - horizon_y > _LEAST_BELOW
-        if np.count_nonzero(below) < _LEAST_POINTS:
-            continue
-        slope = np.sort(np.log(rate[below] / (y[below] - horizon_y)))
-        within = np.searchsorted(slope, slope + 2.0 * _ROAD_SPREAD) - np.arange(len(slope))
-        under = np.searchsorted(slope, slope + _ROAD_SPREAD + np.log(_UNDER_PART))
-        score = within - under
-        densest = int(np.argmax(score))
-        if score[densest] > support:
-            best, support = (horizon_y, float(np.exp(slope[densest] + _ROAD_SPREAD))), float(score[densest])
+    horizon_y = epipole_y + np.linspace(-_PITCH, _PITCH, _N_HORIZONS)
+    below = y - horizon_y[:, None]
+    log_slope = np.where(below > _LEAST_BELOW, np.log(rate) - np.log(np.maximum(below, _LEAST_BELOW)), np.inf)
+    densest, log_slope_there = _densest(np.sort(log_slope, axis=1))
+    best = None if densest < 0 else (horizon_y[densest], float(np.exp(log_slope_there + _ROAD_SPREAD)))
     if best is None:
         return None
     road = np.array([-best[1] * best[0], 0.0, best[1]])
@@ -119,6 +113,32 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
         normal[1, 1] += normal[2, 2] * _ROLL_SIGMA**2
         road = np.linalg.solve(normal, used.T @ (rate[on_road] / predicted[on_road]))
     return road if road[2] > 0.0 else None
+
+
+@compiled
+def _densest(log_slope: Floats) -> tuple[int, float]:
+    """Which row of ``(H, N)`` holds the densest interval of 2 `_ROAD_SPREAD`, and where it starts; -1 without any.
+
+    Rows are ascending, with infinity where there is no point. What lies too far under the interval counts against it.
+    """
+    n, under_by = log_slope.shape[1], _ROAD_SPREAD + np.log(_UNDER_PART)
+    densest, start, support = -1, 0.0, 0
+    for row in range(len(log_slope)):
+        n_points = 0
+        while n_points < n and log_slope[row, n_points] < np.inf:
+            n_points += 1
+        if n_points < _LEAST_POINTS:
+            continue
+        end, under = 0, 0
+        for place in range(n_points):
+            here = log_slope[row, place]
+            while end < n_points and log_slope[row, end] < here + 2.0 * _ROAD_SPREAD:
+                end += 1
+            while log_slope[row, under] < here + under_by:
+                under += 1
+            if end - place - under > support:
+                densest, start, support = row, here, end - place - under
+    return densest, start
 
 
 def _rate_of_road(fit: PathFit, road: Floats) -> Floats:
@@ -139,11 +159,9 @@ def _floating(views: BodyViews, fit: PathFit, key: Ints, road: Floats) -> Bools:
     on_road = known & (np.abs(over - 1.0) < _ON_ROAD)
     floats = np.zeros(len(key), dtype=bool)
     index = np.flatnonzero(known & ~(over < _NO_ROAD))
-    pairs = linked_pairs(views.xy_px[index], views.link_px)
     log_rate = np.log(np.maximum(fit.rate_hz[index], 1e-12))
-    one, other = pairs.T
-    is_one = (np.abs(log_rate[one] - log_rate[other]) < _ONE_THING) & (key[index[one]] == key[index[other]])
-    label = connected_parts(np.ones(len(index), dtype=bool), pairs[is_one])
+    tolerance = np.full(len(index), 0.5 * _ONE_THING)
+    label = linked_parts(views.xy_px[index], views.link_px, key[index], log_rate, tolerance)
     x, y = fit.place.T
     for number in np.flatnonzero(np.bincount(label) >= _LEAST_THING):
         thing = index[label == number]
