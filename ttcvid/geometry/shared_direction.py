@@ -10,7 +10,7 @@ from ttcvid.model import Floats, Ints
 # A point off by more sigmas than this loses weight (Cauchy).
 _CAUCHY_SIGMAS = 3.0
 # Gauss-Newton ends after so many steps, or after one shorter than this (squared, in sigmas of the direction).
-_MAX_STEPS, _CONVERGED_CHI2 = 12, 1e-6
+_MAX_STEPS, _CONVERGED_CHI2 = 12, 1e-5
 # In the vote on the sense a point counts at most this many sigmas.
 _MAX_VOTE_SIGMAS = 3.0
 # A step is cut to this length.
@@ -84,7 +84,7 @@ def _fit_each(
             continue
         for _ in range(_MAX_STEPS):
             _tangents(e, basis)
-            _add_up(w, info, shared, members, e, basis, normal, score, mixed, chi2)
+            _add_up(w, info, shared, 0, members, e, basis, normal, score, mixed, chi2)
             ridge = _RIDGE * (normal[0, 0] + normal[1, 1] + 1e-300)
             one, other, both = normal[0, 0] + ridge, normal[1, 1] + ridge, normal[0, 1]
             determinant = one * other - both * both
@@ -99,7 +99,7 @@ def _fit_each(
             if p * score[0] + q * score[1] < _CONVERGED_CHI2:
                 break
         _tangents(e, basis)
-        votes = _add_up(w, info, shared, members, e, basis, normal, score, mixed, chi2)
+        votes = _add_up(w, info, shared, shared.shape[2], members, e, basis, normal, score, mixed, chi2)
         ridge = _RIDGE * (normal[0, 0] + normal[1, 1] + 1e-300)
         one, other, both = normal[0, 0] + ridge, normal[1, 1] + ridge, normal[0, 1]
         determinant = one * other - both * both
@@ -191,6 +191,7 @@ def _add_up(
     w: Floats,
     info: Floats,
     shared: Floats,
+    n_shared: int,
     members: Ints,
     e: Floats,
     basis: Floats,
@@ -199,13 +200,12 @@ def _add_up(
     mixed: Floats,
     chi2: Floats,
 ) -> float:
-    """Fill normal matrix (2, 2), score (2,), its change by shared errors (2, E) and ``chi2``; returns the vote.
+    """Fill normal matrix (2, 2), score (2,), its change by the first ``n_shared`` errors, ``chi2``; returns the vote.
 
     The best rate of a point is ``s = e' info w / e' info e``. Its residual r = w - s e follows e by
     ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
     information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e).
     """
-    n_shared = shared.shape[2]
     normal[:] = 0.0
     score[:] = 0.0
     mixed[:] = 0.0
