@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats, Ints
 
 
@@ -17,11 +18,25 @@ def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
     >>> medians(np.array([5.0, 1.0, 2.0, 4.0]), np.array([0, 0, 2, 0]), 3)
     array([ 4., nan,  2.])
     """
-    ordered = values[np.lexsort((values, group))]
-    count = np.bincount(group, minlength=n_groups)
-    first = np.cumsum(count) - count
     found = np.full(n_groups, np.nan)
-    has_any = count > 0
-    first, count = first[has_any], count[has_any]
-    found[has_any] = 0.5 * (ordered[first + (count - 1) // 2] + ordered[first + count // 2])
+    _fill(np.ascontiguousarray(values), np.ascontiguousarray(group), found)
     return found
+
+
+@compiled
+def _fill(values: Floats, group: Ints, found: Floats) -> None:
+    """Fill ``found (K,)``: the values are put in order of their groups, and each group is sorted."""
+    start = np.zeros(len(found) + 1, dtype=np.int64)
+    for number in group:
+        start[number + 1] += 1
+    for number in range(len(found)):
+        start[number + 1] += start[number]
+    ordered, end = np.empty(len(values)), start.copy()
+    for i in range(len(values)):
+        ordered[end[group[i]]] = values[i]
+        end[group[i]] += 1
+    for number in range(len(found)):
+        first, count = start[number], start[number + 1] - start[number]
+        if count > 0:
+            own = np.sort(ordered[first : first + count])
+            found[number] = 0.5 * (own[(count - 1) // 2] + own[count // 2])

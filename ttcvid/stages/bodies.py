@@ -9,7 +9,7 @@ import numpy as np
 
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathFit, corrected_views, fit_on_paths
-from ttcvid.geometry.rotation import each_turned_into_plane, rotation_from_vector, vector_from_rotation
+from ttcvid.geometry.rotation import each_turned_into_plane, turned_further, vector_from_rotation
 from ttcvid.model import Floats, Ints
 
 # Own rotation is known from own motion; a frame corrects it by about this much, rad.
@@ -179,9 +179,7 @@ def _refined_once(
     has_points = np.isfinite(typical)
     turn_rad[~has_points], shift[~has_points] = 0.0, 0.0
     moved = path + shift
-    before, after = np.linalg.norm(path[:, 0], axis=1), np.linalg.norm(moved[:, 0], axis=1)
+    before, after = np.sqrt(np.sum(path[:, 0] ** 2, axis=1)), np.sqrt(np.sum(moved[:, 0] ** 2, axis=1))
     has_length = np.minimum(before, after) > _NO_LENGTH
     moved *= np.divide(before, after, out=np.ones(len(path)), where=has_length)[:, None, None]
-    # By way of rotation vectors: products that go on for ever would cease to be rotations.
-    turned = rotation_from_vector(vector_from_rotation(rotation_from_vector(-turn_rad) @ cam_R_past))
-    return turned, moved, fit.rate_hz
+    return turned_further(-turn_rad, cam_R_past), moved, fit.rate_hz
