@@ -254,7 +254,9 @@ def _inflated(tracks: BodyTracks, scores: Floats, information: Floats, memory_s:
     apart_s = np.abs(frame_t_s[:, None] - frame_t_s[None, :])
     memory_s = min(memory_s, 0.25 * float(frame_t_s[-1] - frame_t_s[0]))
     kernel = np.maximum(1.0 - apart_s / max(memory_s, _TINY), 0.0)
-    spread = by_frame.T @ kernel @ by_frame
+    by_track = tracks.sums(scores)
+    few = tracks.n_tracks / max(tracks.n_tracks - 2.0, 0.5)
+    spread = by_frame.T @ kernel @ by_frame + few * (by_track.T @ by_track) - scores.T @ scores
     scale = np.sqrt(np.maximum(np.diag(information), _TINY))
     root = np.linalg.cholesky(information / np.outer(scale, scale) + 1e-9 * np.eye(N_SHARED)) * scale[:, None]
     inverse = np.linalg.inv(root)
