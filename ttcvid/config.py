@@ -145,6 +145,12 @@ class HorizonCalibrationConfig(StageConfig):
     )
     max_sigma_deg: PositiveFloat = Field(default=15.0, description="an epipole less certain than this is none, deg")
     floor_deg: PositiveFloat = Field(default=0.02, description="epipoles scatter by this even where they agree, deg")
+    picture_sigma_factor: float = Field(
+        default=2.0, ge=1, description="epipoles from pictures are this much less certain than their tracks say"
+    )
+    picture_floor_deg: PositiveFloat = Field(
+        default=0.2, description="and never more certain than this, deg: errors that all tracks of a mover share"
+    )
     min_drive_s: PositiveFloat = Field(default=2.0, description="shortest own motion of a driving camera, s")
     driving_floor_deg: PositiveFloat = Field(
         default=0.2, description="a driving car leans by this beside the road, deg: not measurable, in the band"

@@ -7,6 +7,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,8 @@ DEFAULT_OUT = Path("horizon.yaml")
 MOTIONS_NAME, PICTURE_NAME = "motions.parquet", "horizon.png"
 EXIT_UNDETERMINED = 5
 
-RESTING_DEFAULTS = {"tracking": {"window_px": 29, "max_forward_backward_px": 1.0}}
-"""Before a resting camera long tracks count for more than exact ones, people's clothes among them."""
+RESTING_DEFAULTS = {"tracking": {"window_px": 13, "max_forward_backward_px": 0.5, "min_distance_px": 4.0}}
+"""Before a resting camera only movers are followed: as many points as they have, people's clothes among them."""
 DRIVING_DEFAULTS = {"egomotion": {"platform": Platform.vehicle}}
 
 OnFrame = Callable[[int, int | None], None]
@@ -166,14 +167,15 @@ def watch_clips(
     for input_ in inputs:
         with open_clip(input_, configuration.options) as source:
             size = source.info.image_size
-            if calibration is None:
-                calibration = read_calibration(configuration.options, size)
-            elif size != calibration.camera.image_size:
-                raise UsageError(
-                    f"{input_}: pictures of {size}, but {calibration.camera.image_size} in {inputs[0]}: "
-                    "give clips of one camera and one size"
-                )
-            clips.append(watch(source, calibration, pipeline, len(clips), on_frame))
+        if calibration is None:
+            calibration = read_calibration(configuration.options, size)
+        elif size != calibration.camera.image_size:
+            raise UsageError(
+                f"{input_}: pictures of {size}, but {calibration.camera.image_size} in {inputs[0]}: "
+                "give clips of one camera and one size"
+            )
+        open_again = partial(open_clip, input_, configuration.options)
+        clips.append(watch(open_again, calibration, pipeline, len(clips), on_frame))
     assert calibration is not None
     return clips, calibration
 
@@ -194,7 +196,9 @@ def horizon_of(clips: list[WatchedClip], camera: Camera, configuration: Configur
     motions = [motion for clip in clips for motion in clip.motions]
     if complaints:
         return HorizonResult(None, tuple(motions), "; ".join(complaints))
-    return driving_horizon(motions, camera, config) if config.moving else calibrated_horizon(motions, camera, config)
+    if config.moving:
+        return driving_horizon(motions, camera, config)
+    return calibrated_horizon(motions, camera, config, from_pictures=any(clip.has_pictures for clip in clips))
 
 
 def horizon_from_fit(camera: Camera, fit: HorizonFit, origin: str) -> Horizon:

@@ -4,26 +4,32 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ttcvid.config import PipelineConfig
 from ttcvid.jobs.clip import Calibration
 from ttcvid.jobs.side_by_side import ReadAhead, map_ahead
-from ttcvid.model import FrameStatus, Picture, Platform
+from ttcvid.model import Frame, FrameStatus, Picture, Platform, PointSet
 from ttcvid.pipeline import TrackedFrame, analyze_frames, track_frames
 from ttcvid.sources import Source
 from ttcvid.stages.horizon_driving import own_motions, own_step
 from ttcvid.stages.horizon_motions import Motion, find_motions
 from ttcvid.stages.rest import Look, compare_looks, complaint_about_motion
-from ttcvid.stages.whole_tracks import Observations, joined, observations_of, without_ended_at_rest
+from ttcvid.stages.tracking.moving_parts import Background, background_of, content_centres, only_moving
+from ttcvid.stages.whole_tracks import Observations, joined, observations_of, recentred, without_ended_at_rest
 
 OnFrame = Callable[[int, int | None], None]
+OpenSource = Callable[[], Source]
 
 # Two frames are compared for rest this far apart, s.
 _LOOK_S = 0.4
 # Tracks that ended at rest are forgotten every so many frames.
 _CLEANING_FRAMES = 250
+# The background is the median of at least so many pictures, spread over the clip (all of a shorter one).
+_BACKGROUND_PICTURES = 30
+# Where the content of the windows lies is looked for in every such frame: it stays the same for a track's life.
+_CENTRE_FRAMES = 3
 
 
 @dataclass(frozen=True)
@@ -41,15 +47,56 @@ class WatchedClip:
     rows: Observations
     background: Picture | None
 
+    @property
+    def has_pictures(self) -> bool:
+        """Whether it is a clip of pictures, not a table of tracks."""
+        return self.background is not None
+
+
+@dataclass(frozen=True)
+class _FirstLook:
+    """A clip looked through: how still it is, pictures spread over it, its first one, and a table's tracks."""
+
+    looks: list[Look]
+    pictures: list[Picture]
+    picture: Picture | None
+    rows: Observations
+
 
 def watch_resting_clip(
-    source: Source, calibration: Calibration, config: PipelineConfig, number: int, on_frame: OnFrame | None
+    open_again: OpenSource, calibration: Calibration, config: PipelineConfig, number: int, on_frame: OnFrame | None
 ) -> WatchedClip:
-    """Follow the points of a camera that has to rest, and find the straight motions before it."""
+    """Find the straight motions before a camera that has to rest.
+
+    Pictures are gone through twice: to see whether the camera rests and what the background looks like, and to follow
+    what moves before it. A table of tracks is read once.
+    """
+    with open_again() as source:
+        first = _look_through(source, calibration, config, on_frame)
+        path, files, dt_s, report = source.info.path, source.files, source.info.nominal_dt_s, source.report
+    complaint, warnings = complaint_about_motion(first.looks), report.warnings
+    if complaint and config.egomotion.platform == Platform.static:
+        warnings, complaint = (*warnings, f"{path}: {complaint}; believed at rest, as --platform says"), ""
+    rows, camera, limits = first.rows, calibration.camera, config.horizon_calibration
+    if complaint:
+        return WatchedClip(path, files, [], complaint, warnings, rows, first.picture)
+    if first.pictures:
+        with open_again() as source:
+            rows = _moving_content(source, background_of(first.pictures), calibration, config, on_frame)
+    motions = find_motions(rows, camera, dt_s, limits, number)
+    return WatchedClip(path, files, motions, complaint, warnings, rows, first.picture)
+
+
+def _look_through(
+    source: Source, calibration: Calibration, config: PipelineConfig, on_frame: OnFrame | None
+) -> _FirstLook:
+    """Follow the points of the whole picture; of the tracks only those of a table are kept."""
     parts: list[Observations] = []
     looks: list[Look] = []
+    pictures: list[Picture] = []
+    every = 1
     recent: deque[TrackedFrame] = deque(maxlen=1 + max(1, round(_LOOK_S / source.info.nominal_dt_s)))
-    background: Picture | None = None
+    picture: Picture | None = None
     with ReadAhead(source) as frames:
         for n_done, tracked in enumerate(track_frames(frames, config.tracking, calibration.mask, map_ahead), 1):
             frame, points = tracked.frame, tracked.points
@@ -57,34 +104,64 @@ def watch_resting_clip(
                 on_frame(n_done, source.info.n_frames)
             if tracked.status not in (FrameStatus.ok, FrameStatus.first, FrameStatus.cut):
                 continue
-            if background is None:
-                background = frame.grey
+            picture = frame.grey if picture is None else picture
             if tracked.status == FrameStatus.cut:
                 recent.clear()
             recent.append(TrackedFrame(frame, points, tracked.status))
             if len(recent) == recent.maxlen:
                 look = compare_looks(recent[0].points, points, frame.t_s, source.info.image_size)
                 looks += [] if look is None else [look]
-            parts.append(observations_of(points, frame.index, frame.t_s))
-            if len(parts) > _CLEANING_FRAMES:
-                parts = [without_ended_at_rest(joined(parts), frame.index)]
-    rows = joined(parts)
-    complaint = complaint_about_motion(looks)
-    warnings = source.report.warnings
-    if complaint and config.egomotion.platform == Platform.static:
-        warnings, complaint = (*warnings, f"{source.info.path}: {complaint}; believed at rest, as --platform says"), ""
-    motions = (
-        []
-        if complaint
-        else find_motions(rows, calibration.camera, source.info.nominal_dt_s, config.horizon_calibration, number)
-    )
-    return WatchedClip(source.info.path, source.files, motions, complaint, warnings, rows, background)
+            if frame.grey is None:
+                parts = _with_points(parts, points, frame)
+            elif n_done % every == 0:
+                pictures.append(frame.grey)
+                if len(pictures) >= 2 * _BACKGROUND_PICTURES:
+                    pictures, every = pictures[1::2], 2 * every
+    return _FirstLook(looks, pictures, picture, joined(parts))
+
+
+def _moving_content(
+    source: Source, background: Background, calibration: Calibration, config: PipelineConfig, on_frame: OnFrame | None
+) -> Observations:
+    """Tracks of what moves before the background, each where the content of its window lies."""
+    parts: list[Observations] = []
+    centres: list[Observations] = []
+
+    def cut_out(frame: Frame) -> Frame:
+        return frame if frame.grey is None else replace(frame, grey=only_moving(frame.grey, background))
+
+    with ReadAhead(source) as frames:
+        moving = map_ahead(cut_out, frames)
+        for n_done, tracked in enumerate(track_frames(moving, config.tracking, calibration.mask), 1):
+            frame, points = tracked.frame, tracked.points
+            if on_frame is not None:
+                on_frame(n_done, source.info.n_frames)
+            if frame.grey is None or not len(points.track_id):
+                continue
+            parts = _with_points(parts, points, frame)
+            if frame.index % _CENTRE_FRAMES == 0:
+                found = content_centres(frame.grey, points.xy_px, config.tracking.window_px)
+                centres.append(observations_of(PointSet(points.track_id, found), frame.index, frame.t_s))
+    return recentred(joined(parts), joined(centres))
+
+
+def _with_points(parts: list[Observations], points: PointSet, frame: Frame) -> list[Observations]:
+    """The observations of a clip with those of one more frame."""
+    parts = [*parts, observations_of(points, frame.index, frame.t_s)]
+    return [without_ended_at_rest(joined(parts), frame.index)] if len(parts) > _CLEANING_FRAMES else parts
 
 
 def watch_driving_clip(
-    source: Source, calibration: Calibration, config: PipelineConfig, number: int, on_frame: OnFrame | None
+    open_again: OpenSource, calibration: Calibration, config: PipelineConfig, number: int, on_frame: OnFrame | None
 ) -> WatchedClip:
     """Analyse a drive, and take the directions of own motion from it."""
+    with open_again() as source:
+        return _driving_clip(source, calibration, config, number, on_frame)
+
+
+def _driving_clip(
+    source: Source, calibration: Calibration, config: PipelineConfig, number: int, on_frame: OnFrame | None
+) -> WatchedClip:
     background: Picture | None = None
     steps = []
     with ReadAhead(source) as frames:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.horizon_line import HorizonFit, band_px, fit_horizon, is_one_direction, widest_angle_rad
@@ -13,6 +14,8 @@ from ttcvid.stages.horizon_motions import Motion
 
 # Roll taken as zero still has this error, rad: a spirit level's.
 ROLL_ZERO_SIGMA_RAD = 1e-4
+# Part of a distribution below the upper border of its 95 % interval.
+_UPPER_95 = 0.975
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,18 @@ class HorizonResult:
     notes: tuple[str, ...] = ()
 
 
-def calibrated_horizon(motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig) -> HorizonResult:
+def calibrated_horizon(
+    motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig, *, from_pictures: bool = False
+) -> HorizonResult:
     """The line through the epipoles of straight motions.
 
     Undetermined with too few motions, with motions in one direction, and where the band is too wide to be of use. With
     ``config.roll_zero`` the line is level and one direction is enough.
+
+    Where tracks come ``from_pictures`` all tracks of a mover err alike (what their windows hold changes as it turns,
+    comes nearer, is hidden), which no scatter between them shows: their epipoles are taken as less certain than they
+    say, the pieces of one mover together as certain as one, by a factor that is itself known roughly only, so that the band is that of Student's distribution with as many
+    degrees of freedom as there are motions.
     """
     roll_zero = config.roll_zero
     usable = [motion for motion in motions if motion.status == "used"]
@@ -44,21 +54,30 @@ def calibrated_horizon(motions: list[Motion], camera: Camera, config: HorizonCal
         found = f"{len(usable)} straight motion{'s' * (len(usable) != 1)} found of {len(motions)}"
         return HorizonResult(None, refused, f"{found}, at least {least} needed: take a longer clip, or several")
     directions = np.array([motion.direction for motion in usable])
-    covariances = np.array([motion.covariance for motion in usable])
+    covariances = formal = np.array([motion.covariance for motion in usable])
     if not roll_zero:
         reason = _too_alike(directions, covariances, config)
         if reason:
             return HorizonResult(None, refused, reason)
+    if from_pictures:
+        _, same, count = np.unique([(m.clip, m.mover) for m in usable], axis=0, return_inverse=True, return_counts=True)
+        covariances = covariances * (config.picture_sigma_factor**2 * count[same.ravel()])[:, None, None]
+        floor_rad = max(floor_rad, float(np.radians(config.picture_floor_deg)))
     fit = fit_horizon(directions, covariances, floor_rad, ROLL_ZERO_SIGMA_RAD if roll_zero else None)
     if fit is None:
         return HorizonResult(None, refused, "the epipoles lie on no common line")
-    judged = iter(fit.is_used.tolist())
-    labelled = tuple(
-        replace(m, status="used" if next(judged) else "off_horizon") if m.status == "used" else m for m in motions
-    )
-    reason = _unusable(fit, directions, covariances, camera, config, roll_zero)
+    if from_pictures:
+        fit = replace(fit, quantile=float(stdtrit(fit.is_used.sum(), _UPPER_95)))
+    judged = iter(zip(fit.is_used.tolist(), covariances, strict=True))
+    labelled = tuple(_judged(motion, *next(judged)) if motion.status == "used" else motion for motion in motions)
+    reason = _unusable(fit, directions, formal, camera, config, roll_zero)
     notes = ("roll taken as zero",) if roll_zero else ()
     return HorizonResult(None if reason else fit, labelled, reason, roll_zero, notes)
+
+
+def _judged(motion: Motion, is_used: bool, covariance: np.ndarray) -> Motion:
+    """A motion with what the fit made of it."""
+    return replace(motion, status="used" if is_used else "off_horizon", covariance=covariance)
 
 
 def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonCalibrationConfig) -> str:

@@ -23,6 +23,8 @@ _FOREIGN_RESIDUAL = 3.0
 _MAX_ROUNDS = 5
 # Tracks left over are a mover of their own when they are at least this part of all.
 _OTHERS_PART = 0.25
+# Such a mover is no noisier than the first by more than this factor.
+_LEFTOVER_NOISE = 2.0
 # With more observations than this a body is thinned out frame by frame: neighbouring frames tell little that is new.
 _ENOUGH_OBSERVATIONS = 3000
 # Turns are believed from so many standard deviations on.
@@ -54,7 +56,11 @@ class Motion:
 
 
 def find_motions(
-    rows: Observations, camera: Camera, nominal_dt_s: float, config: HorizonCalibrationConfig, clip: int = 0
+    rows: Observations,
+    camera: Camera,
+    nominal_dt_s: float,
+    config: HorizonCalibrationConfig,
+    clip: int = 0,
 ) -> list[Motion]:
     """The motions of all movers of a clip with a resting camera.
 
@@ -101,7 +107,14 @@ def _motions_of(
     others = rows.take_tracks(~np.isin(rows.track_id[rows.starts], motion.track_id))
     if motion.status == "not_rigid" or len(others.starts) < _OTHERS_PART * len(rows.starts):
         return [motion]
-    return [motion, *_motions_of(others, focal_px, config, clip, mover)]
+    more = _motions_of(others, focal_px, config, clip, mover)
+    return [motion, *(_unless_noisier(other, motion) for other in more)]
+
+
+def _unless_noisier(other: Motion, main: Motion) -> Motion:
+    """What is left of a mover, refused where it is noisier: then it is no mover but where one hides another."""
+    is_leftover = other.noise_px > _LEFTOVER_NOISE * main.noise_px
+    return replace(other, status="not_rigid") if is_leftover and other.status == "used" else other
 
 
 def _pieces(rows: Observations, count: int, config: HorizonCalibrationConfig) -> list[Observations]:

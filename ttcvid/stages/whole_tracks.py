@@ -10,6 +10,8 @@ from ttcvid.model import Bools, Floats, Ints, PointSet
 
 # An ended track that stays within this of its start, px, is of no use.
 _STAYS_PX = 3.0
+# Enough for the number of a frame.
+_FRAME_BITS = 32
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,31 @@ def joined(parts: list[Observations]) -> Observations:
     t_s, xy_px = np.concatenate([part.t_s for part in parts]), np.concatenate([part.xy_px for part in parts])
     order = np.lexsort((frame, track_id))
     return Observations(track_id[order], frame[order], t_s[order], xy_px[order])
+
+
+def recentred(rows: Observations, centres: Observations) -> Observations:
+    """The tracks moved to where their content lies; a track whose content was never seen is left out.
+
+    A track follows the same content all its life, so that one shift holds for all of it: the median of those found.
+
+    Parameters
+    ----------
+    centres : where the content lay of some of the observations, in ``xy_px``; NaN where it was not found.
+    """
+    centres = joined([centres.take(np.isfinite(centres.xy_px[:, 0]))])
+    _, in_rows, in_centres = np.intersect1d(_key(rows), _key(centres), assume_unique=True, return_indices=True)
+    shift_px = centres.xy_px[in_centres] - rows.xy_px[in_rows]
+    track, first = np.unique(rows.track_id[in_rows], return_index=True)
+    medians = [np.median(part, axis=0) for part in np.split(shift_px, first[1:])] if len(track) else []
+    kept = rows.take(np.isin(rows.track_id, track))
+    moved = np.repeat(np.reshape(medians, (-1, 2)), kept.lengths, axis=0)
+    return Observations(kept.track_id, kept.frame, kept.t_s, kept.xy_px + moved)
+
+
+def _key(rows: Observations) -> Ints:
+    """One number for each (track, frame), ascending as the rows are."""
+    key: Ints = (rows.track_id << _FRAME_BITS) + rows.frame
+    return key
 
 
 def without_ended_at_rest(rows: Observations, frame: int) -> Observations:
