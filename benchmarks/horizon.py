@@ -134,7 +134,7 @@ def measure_pictures(report: Report, count: int) -> None:
             if camera is None:
                 report.say(f"{name}: undetermined")
                 continue
-            error_px, half_px, roll_error_deg = camera
+            error_px, half_px, _ = camera
             report.say(f"{name}: {error_px[1]:+.1f} px at the centre, band +-{half_px[1]:.1f} px")
             found.append(camera)
     report.figure("undetermined", len(scenes) - len(found), "cameras")

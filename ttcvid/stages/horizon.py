@@ -41,9 +41,9 @@ def calibrated_horizon(
     ``config.roll_zero`` the line is level and one direction is enough.
 
     Where tracks come ``from_pictures`` all tracks of a mover err alike (what their windows hold changes as it turns,
-    comes nearer, is hidden), which no scatter between them shows: their epipoles are taken as less certain than they
-    say, the pieces of one mover together as certain as one, by a factor that is itself known roughly only, so that the band is that of Student's distribution with as many
-    degrees of freedom as there are motions.
+    comes nearer, is hidden), which no scatter between them shows. Their epipoles are taken as less certain than they
+    say, and the pieces of one mover together as no more certain than one. By how much is known roughly only, so that
+    the band is that of Student's distribution with as many degrees of freedom as there are motions.
     """
     roll_zero = config.roll_zero
     usable = [motion for motion in motions if motion.status == "used"]

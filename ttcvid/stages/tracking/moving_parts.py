@@ -50,7 +50,7 @@ class Background:
 
 
 def background_of(pictures: Sequence[Picture]) -> Background:
-    """The median of pictures ``(H, W)`` uint8 spread over a clip: what is seen at a place more than half of the time."""
+    """The median of pictures ``(H, W)`` uint8 spread over a clip: what is seen at a place most of the time."""
     rows = range(0, pictures[0].shape[0], _ROWS_AT_ONCE)
     strips = [np.median([p[row : row + _ROWS_AT_ONCE] for p in pictures], axis=0).astype(np.float32) for row in rows]
     street = np.concatenate(strips)
