@@ -54,26 +54,28 @@ def points(n, rng):
 @pytest.mark.parametrize("is_step_known", [True, False])
 def test_a_steady_motion_is_carried_forward_exactly(is_step_known):
     before = body(EVERY_STEP.T @ DIRECTION)
-    after = carried_forward(before, EVERY_STEP, np.append(T_S, 0.05), -0.05 * DIRECTION if is_step_known else None)
+    step = -0.05 * DIRECTION if is_step_known else None
+    (after,) = carried_forward([before], EVERY_STEP, np.append(T_S, 0.05), step)
     np.testing.assert_allclose(after.path[1:], body().path, atol=1e-12)
     np.testing.assert_allclose(after.cam_R_past[1:], before.cam_R_past, atol=1e-12)
     assert len(after.path) == len(T_S) + 1
 
 
 def test_a_history_that_is_full_drops_its_oldest_view():
-    after = carried_forward(body(EVERY_STEP.T @ DIRECTION), EVERY_STEP, T_S + 0.05)
+    (after,) = carried_forward([body(EVERY_STEP.T @ DIRECTION)], EVERY_STEP, T_S + 0.05)
     np.testing.assert_allclose(after.path, body().path, atol=1e-12)
 
 
 def test_a_body_of_one_view_has_no_motion_to_go_on_with():
-    after = carried_forward(body(n_views=1), EVERY_STEP, T_S[-2:])
+    (after,) = carried_forward([body(n_views=1)], EVERY_STEP, T_S[-2:])
     np.testing.assert_array_equal(after.path, 0.0)
 
 
 def test_uneven_times_do_not_change_the_speed():
     t_s = np.array([-0.5, -0.38, -0.3, -0.1, 0.0])
     before = Body(np.broadcast_to(np.eye(3), (4, 3, 3)), straight_path(DIRECTION, t_s[:4] - t_s[3]))
-    np.testing.assert_allclose(carried_forward(before, np.eye(3), t_s).path, straight_path(DIRECTION, t_s), atol=1e-12)
+    (after,) = carried_forward([before], np.eye(3), t_s)
+    np.testing.assert_allclose(after.path, straight_path(DIRECTION, t_s), atol=1e-12)
 
 
 def test_a_right_scene_stays_as_it_is():

@@ -65,27 +65,32 @@ class Points:
         return fit_on_paths(xy, path, self.body, self.sigma_norm[self.track], rate_hz, least_rate_hz)
 
 
-def carried_forward(body: Body, cam_R_prev: Floats, t_s: Floats, step: Floats | None = None) -> Body:
-    """The body as the next camera sees it, its motion going on.
+def carried_forward(bodies: Sequence[Body], cam_R_prev: Floats, t_s: Floats, step: Floats | None = None) -> list[Body]:
+    """The bodies as the next camera sees them, their motions going on.
 
     Parameters
     ----------
     cam_R_prev : (3, 3) rotation from the last camera to this one.
     t_s : (L,) times of the views, the new one last.
-    step : (3,) where the thing was one step ago, if known; else it moves on as it did.
+    step : (3,) where the things were one step ago, if known; else they move on as they did.
     """
+    if not bodies:
+        return []
     n_past = len(t_s) - 1
-    path = body.path[-n_past:] @ cam_R_prev.T
+    past_R, past = _stacked(bodies)
+    path, cam_R_past = np.zeros((len(bodies), len(t_s), 3)), np.empty((len(bodies), len(t_s), 3, 3))
+    past = past[:, -n_past:] @ cam_R_prev.T
     if step is None:
         step = np.zeros(3)
-        if len(path) > 1:
-            back = max(-1 - _STEADY_VIEWS, -len(path))
-            step = path[back] * (t_s[-1] - t_s[-2]) / (t_s[-2] - t_s[back - 1])
-    return replace(
-        body,
-        cam_R_past=np.concatenate([cam_R_prev @ body.cam_R_past[-n_past:], np.eye(3)[None]]),
-        path=np.concatenate([path + step, np.zeros((1, 3))]),
-    )
+        if past.shape[1] > 1:
+            back = max(-1 - _STEADY_VIEWS, -past.shape[1])
+            step = past[:, back, None] * ((t_s[-1] - t_s[-2]) / (t_s[-2] - t_s[back - 1]))
+    path[:, :-1] = past + step
+    cam_R_past[:, :-1], cam_R_past[:, -1] = cam_R_prev @ past_R[:, -n_past:], np.eye(3)
+    return [
+        replace(body, cam_R_past=turned, path=moved)
+        for body, turned, moved in zip(bodies, cam_R_past, path, strict=True)
+    ]
 
 
 def recent_speed(body: Body, t_s: Floats) -> float:

@@ -38,7 +38,7 @@ class _Pair:
     small: Mover
     of_large: Ints
     of_small: Ints
-    limit: float
+    limit: float = _LEAST_MISFIT
 
 
 def merged(
@@ -78,13 +78,12 @@ def _worth_trying(
     counts = np.bincount(number, minlength=len(movers) + 1)
     codes = number[:, None] * len(counts) + number[views.neighbours]
     touch = np.bincount(codes.ravel(), minlength=len(counts) ** 2).reshape(len(counts), len(counts))
-    own = {place: np.flatnonzero(number == place + 1) for place in range(len(movers))}
+    tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
     pairs = []
     for places in np.argwhere(np.triu(touch[1:, 1:], 1)).tolist():
-        small, large = sorted(places, key=lambda place: (len(own[place]), -place))
-        if len(own[small]) >= _LEAST_TRACKS and _is_asked(min(movers[large].n_found, movers[small].n_found)):
-            limit = np.median(own_misfit[np.concatenate([own[large], own[small]])])
-            pairs.append(_Pair(movers[large], movers[small], own[large], own[small], max(float(limit), _LEAST_MISFIT)))
+        small, large = sorted(places, key=lambda place: (len(tracks_of[place]), -place))
+        if len(tracks_of[small]) >= _LEAST_TRACKS and _is_asked(min(movers[large].n_found, movers[small].n_found)):
+            pairs.append(_Pair(movers[large], movers[small], tracks_of[large], tracks_of[small]))
     if not pairs:
         return []
     few = np.repeat(np.arange(len(pairs)), [len(pair.of_small) for pair in pairs])
@@ -95,8 +94,11 @@ def _worth_trying(
     usual_hz = np.array([pair.large.body.rate_hz for pair in pairs])
     is_one_rate = (rate_hz < _PERHAPS_ONE_RATE * usual_hz) & (rate_hz * _PERHAPS_ONE_RATE > usual_hz)
     off = medians(fit.misfit, few, len(pairs)) / usual_misfit
-    is_worth = is_one_rate & (off <= _WORTH_TRYING * np.array([pair.limit for pair in pairs]))
-    return [pairs[place] for place in np.flatnonzero(is_worth)]
+    both = np.repeat(np.arange(len(pairs)), [len(pair.of_large) + len(pair.of_small) for pair in pairs])
+    own = np.concatenate([tracks for pair in pairs for tracks in (pair.of_large, pair.of_small)])
+    limit = np.maximum(medians(own_misfit[own], both, len(pairs)), _LEAST_MISFIT)
+    is_worth = is_one_rate & (off <= _WORTH_TRYING * limit)
+    return [replace(pairs[place], limit=float(limit[place])) for place in np.flatnonzero(is_worth)]
 
 
 def _is_asked(age: int) -> bool:

@@ -7,6 +7,7 @@ neighbouring tracks contradict the scene together and agree with each other.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -108,8 +109,9 @@ def find_bodies(
     views = body_views(history, is_free, link_px, model_error_px)
     key, rate_hz = _carried_labels(memory, history.track_id)
     is_continued = len(history.t_s) > 1 and memory.scene is not None
-    movers = [_carried(mover, egomotion, views) for mover in memory.movers] if is_continued else []
-    key[~np.isin(key, [m.key for m in movers])] = SCENE_CLUSTER
+    movers = _carried(memory.movers, egomotion, views) if is_continued else []
+    known = np.array([SCENE_CLUSTER] + [mover.key for mover in movers])
+    key[known[np.minimum(np.searchsorted(known, key), len(known) - 1)] != key] = SCENE_CLUSTER
     scene = _scene(
         history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, key, rate_hz
     )
@@ -161,8 +163,10 @@ def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:
     return key, rate_hz
 
 
-def _carried(mover: Mover, egomotion: Egomotion, views: BodyViews) -> Mover:
-    return replace(mover, body=carried_forward(mover.body, egomotion.cam_R_prev, views.t_s))
+def _carried(movers: Sequence[Mover], egomotion: Egomotion, views: BodyViews) -> list[Mover]:
+    """The movers as the present camera sees them, going on as they did."""
+    bodies = carried_forward([mover.body for mover in movers], egomotion.cam_R_prev, views.t_s)
+    return [replace(mover, body=body) for mover, body in zip(movers, bodies, strict=True)]
 
 
 def _scene(
@@ -184,7 +188,7 @@ def _scene(
         if egomotion.direction is not None:
             dt_s = views.t_s[-1] - views.t_s[-2]
             step = -egomotion.direction * dt_s * max(recent_speed(before, views.t_s[:-1]), _LEAST_SPEED)
-        carried = carried_forward(before, egomotion.cam_R_prev, views.t_s, step)
+        (carried,) = carried_forward([before], egomotion.cam_R_prev, views.t_s, step)
         # Own motion has corrected the rotations of the last frames by its own means: those are taken over.
         scene = replace(carried, cam_R_past=history.cam_R_past)
     used = np.flatnonzero(views.is_free)
