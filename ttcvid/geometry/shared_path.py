@@ -11,7 +11,7 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together, list_views
+from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together
 from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths
 from ttcvid.model import Floats, Ints
 
@@ -110,7 +110,7 @@ def fit_shared_paths(
     """
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
     seen, n_views = np.empty((len(path_of), longest), dtype=np.int64), np.empty(len(path_of), dtype=np.int64)
-    list_views(xy, np.argsort(np.abs(t_s), kind="stable"), beliefs.base, path_of, seen, n_views)
+    _list_views(xy, np.argsort(np.abs(t_s), kind="stable"), beliefs.base, path_of, seen, n_views)
     index, first = _some_of_each(np.where(n_views < LEAST_VIEWS, NO_PATH, path_of), len(beliefs.direction))
     xy, sigma_norm, path_of = np.ascontiguousarray(xy[:, index]), sigma_norm[index], path_of[index]
     points = xy, t_s, sigma_norm, seen[index], n_views[index], first
@@ -206,3 +206,23 @@ def _turn_views(xy: Floats, rotations: Floats, path_of: Ints, back: Floats) -> N
             depth = r[2, 0] * x + r[2, 1] * y + r[2, 2]
             back[place, i, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth
             back[place, i, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
+
+
+@compiled
+def _list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Ints, n_views: Ints) -> None:
+    """Fills ``seen (N, M)`` with the first M places in ``order`` at which a point and its path are known.
+
+    ``n_views (N,)`` says how many there are; none for a point without a path.
+    """
+    n_views[:] = 0
+    for i in range(xy.shape[1]):
+        if path_of[i] < 0:
+            continue
+        path, count = paths[path_of[i]], 0
+        for place in order:
+            if count == seen.shape[1]:
+                break
+            if np.isfinite(xy[place, i, 0] + xy[place, i, 1] + path[place, 0] + path[place, 2]):
+                seen[i, count] = place
+                count += 1
+        n_views[i] = count

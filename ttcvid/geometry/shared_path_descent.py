@@ -63,15 +63,16 @@ def descend_together(
     rotation, path, views = np.empty((n_times, 3, 3)), np.empty((n_times, 3)), np.empty((n_times, 2))
     information, score, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(N_LOCAL), np.empty(N_LOCAL)
     own, coupling, relative = np.empty((n, _N_OWN)), np.empty((n, 3, N_LOCAL)), np.empty(n)
-    scratch = np.empty((N_LOCAL + 3, N_LOCAL))
+    scratch, believed = np.empty((N_LOCAL + 3, N_LOCAL)), np.empty((N_LOCAL, N_LOCAL))
     for k in range(len(first) - 1):
         low, high = first[k], first[k + 1]
         offset[k] = 0.0
         _set_path(t_s, base[k], basis[k], offset[k], path, rotation)
         for i in range(low, high):
-            relative[i] = _start(xy[:, i], path, seen[i, : n_views[i]], sigma[i], state[i])
+            _turn(xy, rotation, i, seen[i, : n_views[i]], views)
+            relative[i] = _start(views, path, seen[i, : n_views[i]], sigma[i], state[i])
         _set_own_motion(turns_itself, basis[k], state[low:high], own_motion[k])
-        believed = own_motion[k].T @ prior[k] @ own_motion[k]
+        _set_belief(prior[k], own_motion[k], believed)
         for _ in range(_MAX_STEPS):
             misfit = max(1.0, np.sqrt(np.median(relative[low:high]))) if high > low else 1.0
             _set_prior(believed, offset[k], information, score)
@@ -126,15 +127,16 @@ def add_up_windows(
     turned back, ``path (K, L, 3)`` the paths at which the points were fitted.
     """
     own, coupling, scratch = np.empty(_N_OWN), np.empty((3, N_LOCAL)), np.empty((N_LOCAL + 3, N_LOCAL))
-    share = n_frames / n_views
+    share, views = n_frames / n_views, np.empty((len(xy), 2))
     for k in range(len(first) - 1):
         if first[k] == first[k + 1]:
             continue
         least = _LOYAL_SHARE * np.median(share[first[k] : first[k + 1]])
         for i in range(first[k], first[k + 1]):
             if share[i] >= least and n_frames[i] >= LEAST_VIEWS and np.isfinite(state[i, 2]):
+                views[:] = xy[:, i]
                 _add_point(
-                    xy[:, i],
+                    views,
                     t_s,
                     path[k],
                     basis[k],
@@ -148,26 +150,6 @@ def add_up_windows(
                     coupling,
                     scratch,
                 )
-
-
-@compiled
-def list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Ints, n_views: Ints) -> None:
-    """Fills ``seen (N, M)`` with the first M places in ``order`` at which a point and its path are known.
-
-    ``n_views (N,)`` says how many there are; none for a point without a path.
-    """
-    n_views[:] = 0
-    for i in range(xy.shape[1]):
-        if path_of[i] < 0:
-            continue
-        path, count = paths[path_of[i]], 0
-        for place in order:
-            if count == seen.shape[1]:
-                break
-            if np.isfinite(xy[place, i, 0] + xy[place, i, 1] + path[place, 0] + path[place, 2]):
-                seen[i, count] = place
-                count += 1
-        n_views[i] = count
 
 
 @compiled
@@ -368,6 +350,17 @@ def _set_own_motion(turns_itself: bool, basis: Floats, state: Floats, own_motion
         own_motion[2 + j, 5] = 2.0 * (e[1] * basis[2, j] - e[2] * basis[1, j])
         own_motion[2 + j, 6] = 2.0 * (e[2] * basis[0, j] - e[0] * basis[2, j])
         own_motion[2 + j, 7] = 2.0 * (e[0] * basis[1, j] - e[1] * basis[0, j])
+
+
+@compiled
+def _set_belief(prior: Floats, own_motion: Floats, believed: Floats) -> None:
+    """Fills ``believed (8, 8)`` with the information on offsets that ``prior`` means: M' prior M."""
+    for j in range(N_LOCAL):
+        for k in range(N_LOCAL):
+            believed[j, k] = 0.0
+            for m in range(N_LOCAL):
+                for n in range(N_LOCAL):
+                    believed[j, k] += own_motion[m, j] * prior[m, n] * own_motion[n, k]
 
 
 @compiled
