@@ -21,6 +21,8 @@ _TOGETHER, _LEAST_AROUND = 0.6, 3
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
 # A new path is refined in so many steps.
 _FIRST_STEPS = 3
+# The square window of a tracker slips on a road that grows and shears below it, by this part of its way in a frame.
+_SLIP = 0.02
 # Misfits below this say nothing any more.
 _NO_MISFIT = 0.1
 
@@ -32,6 +34,7 @@ def new_movers(
     n_views: Ints,
     misfit: Floats,
     usual_misfit: float,
+    on_road: Bools,
     config: BodiesConfig,
 ) -> list[tuple[Ints, Body]]:
     """Connected tracks of the scene that contradict it together and that a motion of their own explains.
@@ -40,12 +43,14 @@ def new_movers(
     ----------
     in_scene, n_views : (N,) which tracks belong to the scene by now, and their views.
     misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
+    on_road : (N,) tracks at the depth of the road on which they are seen.
 
     Returns
     -------
     Members (M,) and motion of each.
     """
-    candidates = _candidates(views, in_scene & views.is_free & (n_views >= _LEAST_VIEWS), misfit, config)
+    is_asked = in_scene & views.is_free & (n_views >= _LEAST_VIEWS)
+    candidates = _candidates(views, is_asked, np.where(on_road, _beside_slip(views), 1.0) * misfit, config)
     if len(candidates) < config.min_tracks:
         return []
     xy = views.points(candidates).in_plane([scene])
@@ -70,6 +75,15 @@ def new_movers(
         if np.isfinite(directions[number, 0]) and len(members) >= least:
             found.append((members, body))
     return found
+
+
+def _beside_slip(views: BodyViews) -> Floats:
+    """What part of its squared error each track (N,) would have if its window slips as well as may be."""
+    if len(views.rays) < 2:
+        return np.ones(len(views.sigma_norm))
+    moved = np.nan_to_num(views.rays[-1] - views.rays[-2])
+    slip2 = _SLIP**2 * np.einsum("ni,ni->n", moved, moved)
+    return np.asarray(views.sigma_norm**2 / (views.sigma_norm**2 + slip2))
 
 
 def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:

@@ -141,6 +141,13 @@ def _densest(log_slope: Floats) -> tuple[int, float]:
     return densest, start
 
 
+def on_road(fit: PathFit, memory: RoadMemory) -> Bools:
+    """Points at the depth of the road where they are seen: (N,); none where no road is known."""
+    if memory.plane is None:
+        return np.zeros(len(fit.rate_hz), dtype=bool)
+    return np.asarray(np.abs(fit.rate_hz / _rate_of_road(fit, memory.plane) - 1.0) < _ON_ROAD)
+
+
 def _rate_of_road(fit: PathFit, road: Floats) -> Floats:
     """Rate of the road where each point is seen: (N,), NaN at the horizon and above."""
     rate = road[0] + fit.place @ road[1:]

@@ -31,7 +31,7 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.joining import merged, split
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.obstacles import Obstacle
-from ttcvid.stages.road import RoadMemory, gathered_evidence
+from ttcvid.stages.road import RoadMemory, gathered_evidence, on_road
 
 # Of more tracks than this only so many correct the scene; those of a crowded place count less: cells of this
 # side, in units of the focal length.
@@ -137,7 +137,14 @@ def find_bodies(
     key, movers = merged(views, scene, key, movers, own_misfit, usual)
     next_key = memory.next_key
     for members, body in new_movers(
-        views, scene, (key == SCENE_CLUSTER) & may_start, scene_fit.n_views, misfit, usual, config
+        views,
+        scene,
+        (key == SCENE_CLUSTER) & may_start,
+        scene_fit.n_views,
+        misfit,
+        usual,
+        on_road(scene_fit, road),
+        config,
     ):
         key[members] = next_key
         movers.append(Mover(next_key, None, 1, 0, body))

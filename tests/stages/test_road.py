@@ -1,0 +1,40 @@
+"""The road as a plane of depths, and what lies on it."""
+
+import numpy as np
+import pytest
+
+from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.stages.road import RoadMemory, find_road, on_road
+
+SPEED_M_S, CAMERA_M = 10.0, 1.4
+
+
+def fit_of(position_m):
+    rate_hz = SPEED_M_S / position_m[:, 2]
+    n = len(position_m)
+    return PathFit(position_m[:, :2] / position_m[:, 2:], rate_hz, 0.01 * rate_hz, np.ones(n), np.full(n, 10))
+
+
+def road_and_wall(rng):
+    depth_m = CAMERA_M / rng.uniform(0.05, 0.3, 80)
+    road = np.column_stack([rng.uniform(-0.4, 0.4, 80) * depth_m, np.full(80, CAMERA_M), depth_m])
+    wall = np.column_stack([rng.uniform(-3.0, 3.0, 30), rng.uniform(-2.0, 0.4, 30), np.full(30, 12.0)])
+    return fit_of(np.concatenate([road, wall]))
+
+
+def test_the_road_is_the_plane_at_the_cameras_height():
+    fit = road_and_wall(np.random.default_rng(1))
+    plane = find_road(fit, np.ones(110, dtype=bool), 0.0)
+    assert plane == pytest.approx([0.0, 0.0, SPEED_M_S / CAMERA_M], abs=0.1)
+
+
+def test_points_of_the_road_lie_on_it_and_those_of_a_wall_that_stands_there_do_not():
+    fit = road_and_wall(np.random.default_rng(2))
+    plane = find_road(fit, np.ones(110, dtype=bool), 0.0)
+    lies = on_road(fit, RoadMemory(plane=plane))
+    assert lies[:80].all()
+    assert not lies[80:].any()
+
+
+def test_without_a_road_nothing_lies_on_it():
+    assert not on_road(road_and_wall(np.random.default_rng(3)), RoadMemory()).any()
