@@ -51,8 +51,8 @@ def one_way(tmp_path_factory):
     return path.parent / "scene"
 
 
-def calibrated(folder, out, **options):
-    return ttcvid.calibrate_horizon(folder / "tracks.parquet", out, camera=folder / "camera.yaml", **options)
+def calibrated(folder, out, clip="tracks.parquet", **options):
+    return ttcvid.calibrate_horizon(folder / clip, out, camera=folder / "camera.yaml", **options)
 
 
 def true_line(folder):
@@ -84,6 +84,16 @@ def test_the_truth_is_in_the_band_and_the_files_say_what_they_are_made_of(restin
     assert (motions.residual_deg.abs() < 4 * motions.sigma_deg)[motions.status == "used"].all()
     assert out.with_name("horizon.png").read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in out.parent.iterdir()) == ["horizon.png", "horizon.yaml", "motions.parquet"]
+
+
+@pytest.mark.slow
+def test_rendered_pictures_give_the_line_within_its_band(request, tmp_path):
+    ttcvid.simulate(request.config.rootpath / SCENES / "resting_six_movers.yaml", tmp_path / "scene")
+    done = calibrated(tmp_path / "scene", tmp_path / "horizon.yaml", clip="clip.mp4")
+    content = yaml.safe_load((tmp_path / "horizon.yaml").read_text())
+    error_px = np.array([done.horizon.y_left_px, done.horizon.y_right_px]) - true_line(tmp_path / "scene")
+    assert abs(error_px.mean()) < 3.0
+    assert abs(error_px.mean()) < content["band_95_px"]["centre"] < 10.0
 
 
 def test_two_runs_write_the_same_bytes(resting, tmp_path):
