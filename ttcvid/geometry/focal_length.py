@@ -42,7 +42,7 @@ _DIRECTIONS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [-1.
 class FocalFit:
     """``log_focal`` (f in px) with ``sigma``; ``spread_px`` of the residuals; ``behind`` part of the points that would
     lie behind the camera; ``lens_chi2`` how far principal point and distortion are from what lenses have (three
-    degrees of freedom); ``turned_rad`` the largest rotation between the frame in the middle and another one, twice.
+    degrees of freedom); ``turned_rad`` how far the camera has turned at most, but for turns about its optical axis.
     """
 
     log_focal: float
@@ -100,11 +100,11 @@ def _explains_enough(turning: BundleFit, moving: BundleFit, views: Views) -> boo
 
 
 def _turned_rad(bundle: Bundle) -> float:
-    """Twice the largest angle between the frame in the middle and another one, but for the turn about the optical axis.
+    """How far the camera has turned at most, but for the turn about its optical axis.
 
     That one tells nothing: it turns the picture, whatever the focal length.
     """
-    return 2.0 * float(np.max(np.linalg.norm(vector_from_rotation(bundle.rotation)[:, :2], axis=1)))
+    return float(np.linalg.norm(np.ptp(vector_from_rotation(bundle.rotation)[:, :2], axis=0)))
 
 
 def _result(fit: BundleFit, sigma_px: float, lens_chi2: float) -> FocalFit:
