@@ -107,7 +107,7 @@ def fit_whole_tracks(
 
     >>> z = np.array([10.0, 11.0, 12.0, 13.0])
     >>> xy = np.column_stack([1.0 / z, 0.0 * z])[:, None]
-    >>> fit_whole_tracks(xy, np.array([0.0, -0.1, -0.2, -0.3]), np.array([1e-6])).state.round(9) + 0.0
+    >>> fit_whole_tracks(xy, np.array([0.0, -0.1, -0.2, -0.3]), np.array([1e-6])).state.round(6) + 0.0
     array([[ 0.1,  0. ,  0. ,  0. , -1. ]])
     """
     n = xy.shape[1]
