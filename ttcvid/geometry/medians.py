@@ -19,13 +19,14 @@ def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
     array([ 4., nan,  2.])
     """
     found = np.full(n_groups, np.nan)
-    _fill(np.ascontiguousarray(values), np.ascontiguousarray(group), found)
+    order = np.argsort(values)
+    _fill(values[order], group[order], found)
     return found
 
 
 @compiled
 def _fill(values: Floats, group: Ints, found: Floats) -> None:
-    """Fill ``found (K,)``: the values are put in order of their groups, and each group is sorted."""
+    """Fill ``found (K,)``; ``values, group (N,)`` in ascending order of the values."""
     start = np.zeros(len(found) + 1, dtype=np.int64)
     for number in group:
         start[number + 1] += 1
@@ -38,5 +39,4 @@ def _fill(values: Floats, group: Ints, found: Floats) -> None:
     for number in range(len(found)):
         first, count = start[number], start[number + 1] - start[number]
         if count > 0:
-            own = np.sort(ordered[first : first + count])
-            found[number] = 0.5 * (own[(count - 1) // 2] + own[count // 2])
+            found[number] = 0.5 * (ordered[first + (count - 1) // 2] + ordered[first + count // 2])

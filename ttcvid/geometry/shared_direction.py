@@ -82,27 +82,24 @@ def _fit_each(
         members = order[start[number] : start[number + 1]]
         if not _main_axis(w, info, members, e):
             continue
-        for _ in range(_MAX_STEPS):
+        votes, one, other, both, determinant, is_converged = 0.0, 0.0, 0.0, 0.0, 0.0, False
+        for step in range(_MAX_STEPS + 1):
             _tangents(e, basis)
-            _add_up(w, info, shared, 0, members, e, basis, normal, score, mixed, chi2)
+            votes = _add_up(w, info, shared, members, e, basis, normal, score, mixed, chi2)
             ridge = _RIDGE * (normal[0, 0] + normal[1, 1] + 1e-300)
             one, other, both = normal[0, 0] + ridge, normal[1, 1] + ridge, normal[0, 1]
             determinant = one * other - both * both
+            if is_converged or step == _MAX_STEPS:
+                break
             p = (other * score[0] - both * score[1]) / determinant
             q = (one * score[1] - both * score[0]) / determinant
+            is_converged = p * score[0] + q * score[1] < _CONVERGED_CHI2
             cut = min(1.0, _LONGEST_STEP_RAD / max(np.sqrt(p * p + q * q), 1e-300))
             for a in range(3):
                 e[a] += cut * (p * basis[a, 0] + q * basis[a, 1])
             length = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
             for a in range(3):
                 e[a] /= length
-            if p * score[0] + q * score[1] < _CONVERGED_CHI2:
-                break
-        _tangents(e, basis)
-        votes = _add_up(w, info, shared, shared.shape[2], members, e, basis, normal, score, mixed, chi2)
-        ridge = _RIDGE * (normal[0, 0] + normal[1, 1] + 1e-300)
-        one, other, both = normal[0, 0] + ridge, normal[1, 1] + ridge, normal[0, 1]
-        determinant = one * other - both * both
         off, n_usable = 0.0, 0
         for i in members:
             if _is_usable(w, info, i):
@@ -191,7 +188,6 @@ def _add_up(
     w: Floats,
     info: Floats,
     shared: Floats,
-    n_shared: int,
     members: Ints,
     e: Floats,
     basis: Floats,
@@ -200,12 +196,13 @@ def _add_up(
     mixed: Floats,
     chi2: Floats,
 ) -> float:
-    """Fill normal matrix (2, 2), score (2,), its change by the first ``n_shared`` errors, ``chi2``; returns the vote.
+    """Fill normal matrix (2, 2), score (2,), its change by shared errors (2, E) and ``chi2``; returns the vote.
 
     The best rate of a point is ``s = e' info w / e' info e``. Its residual r = w - s e follows e by
     ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
     information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e).
     """
+    n_shared = shared.shape[2]
     normal[:] = 0.0
     score[:] = 0.0
     mixed[:] = 0.0
