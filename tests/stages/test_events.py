@@ -149,6 +149,12 @@ def test_what_is_not_sure_is_not_warned_of():
     assert first_warned(watched(drive(*HIT, 2.5, relative_sigma=1.0))[0]) is None
 
 
+def test_a_long_bus_that_crosses_well_before_us_is_not_warned_of():
+    # 12 m long, moves to the side along its length; it passes 8 m off.
+    frames = drive((-4.0, 0.0, 12.0), (8.0, 0.0, -1.5), 1.5, width_m=12.0)
+    assert first_warned(watched(frames)[0]) is None
+
+
 def changing(row, change):
     """The row of a body whose speed may change by a part of itself soon."""
     along = change**2 * np.outer(row.state_abc_hz, row.state_abc_hz)

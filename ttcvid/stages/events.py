@@ -14,6 +14,9 @@ from ttcvid.model import Camera, ClusterRow, Event, Floats, MotionState
 
 # A warning that stands goes on up to these multiples of the thresholds.
 _KEEP_TTC, _KEEP_MISS = 1.25, 1.5
+# What is seen of a thing counts by its part across the way that it goes, and half as much again for our own width; and
+# by this part in any case, since nothing is a line.
+_WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
 # A miss distance, in units of depth, without a side.
 _TINY = 1e-9
 
@@ -107,7 +110,9 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     miss = float(np.linalg.norm(off))
     sideways = off[None] / miss if miss > _TINY else tangent_basis(direction[None])[0].T
     variance = float(np.max(np.einsum("ki,ij,kj->k", sideways, cov, sideways)))
-    width = max(row.box_px[2] - row.box_px[0], 1.0) / camera.fx_px
+    # Across its way, with some of our own: a bus that crosses shows its length.
+    across = min(_WITH_OURS * float(abs(direction[2]) / np.hypot(direction[0], direction[2])) + _LEAST_ACROSS, 1.0)
+    width = across * max(row.box_px[2] - row.box_px[0], 1.0) / camera.fx_px
     return float(miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
 
 
