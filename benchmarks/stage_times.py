@@ -19,7 +19,7 @@ from ttcvid.jobs import outputs
 from ttcvid.jobs.clip import open_clip, read_calibration
 from ttcvid.jobs.configuration import configure_from_arguments
 from ttcvid.jobs.outputs import open_sinks
-from ttcvid.jobs.process import one_opencv_thread, share_freed_memory
+from ttcvid.jobs.process import one_opencv_thread, rare_garbage_collections, share_freed_memory
 from ttcvid.sinks.tables import TableSink
 from ttcvid.sinks.video import OverlayVideo
 
@@ -75,6 +75,7 @@ def milliseconds_per_stage(clip: Path, **options: Any) -> tuple[dict[str, float]
     share_freed_memory()
     with ExitStack() as stack:
         stack.enter_context(one_opencv_thread())
+        stack.enter_context(rare_garbage_collections())
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for name, stage in PIPELINE_STAGES.items():
             stack.enter_context(patch.object(pipeline, name, watch.timed(stage, getattr(pipeline, name))))

@@ -1,13 +1,14 @@
 """Settings of the whole process."""
 
 import ctypes
+import gc
 import subprocess
 import sys
 
 import cv2
 import pytest
 
-from ttcvid.jobs.process import one_opencv_thread
+from ttcvid.jobs.process import one_opencv_thread, rare_garbage_collections
 
 
 def test_opencv_has_one_thread_inside_and_its_own_number_afterwards():
@@ -15,6 +16,13 @@ def test_opencv_has_one_thread_inside_and_its_own_number_afterwards():
     with one_opencv_thread():
         assert cv2.getNumThreads() == 1
     assert cv2.getNumThreads() == before
+
+
+def test_garbage_is_collected_rarely_inside_and_as_before_afterwards():
+    before = gc.get_threshold()
+    with rare_garbage_collections():
+        assert gc.get_threshold()[0] > 10 * before[0]
+    assert gc.get_threshold() == before
 
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="needs glibc")
