@@ -7,7 +7,7 @@ call of it a tenth of a millisecond.
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtr, gammaincinv
+from scipy.special import gammaincinv
 
 from ttcvid.model import Floats, Ints
 
@@ -19,12 +19,3 @@ def chi2_quantile(probability: float, freedom: int | Ints) -> Floats:
     array([3.841, 5.991])
     """
     return np.asarray(2.0 * gammaincinv(np.asarray(freedom) / 2, probability))
-
-
-def chi2_probability(value: float, freedom: int) -> float:
-    """The probability that a sum of ``freedom`` squared standard normal numbers stays below a value.
-
-    >>> round(chi2_probability(3.841459, 1), 6)
-    0.95
-    """
-    return float(chdtr(freedom, value))

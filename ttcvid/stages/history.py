@@ -123,18 +123,6 @@ class TrackHistory:
         stop = int(np.searchsorted(self.since_s, window_s, side="right"))
         return slice(max(0, min(first, self.n_past + 1 - _LEAST_RECENT)), stop)
 
-    def xy_within(self, window_s: float | Floats) -> Floats:
-        """`xy` of the views within a time of the present one, of the last few at the least; NaN elsewhere.
-
-        Parameters
-        ----------
-        window_s : one for all, or ``(N,)`` one a track.
-        """
-        is_recent = np.abs(self.since_s[:, None]) <= np.broadcast_to(window_s, (self.n_tracks,))
-        is_recent[self.views_within(0.0)] = True
-        recent: Floats = np.where(is_recent[..., None], self.xy, np.nan)
-        return recent
-
     @property
     def since_s(self) -> Floats:
         """Times relative to the present frame, ``(L,)`` s: up to 0, but for later views."""
