@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
+from plain_epipole import plain_epipoles_px
 from report import REPOSITORY, Bar, Report
 from runs import TTCVID, analyze_command, analyzed, data_folder, shown, timed
 
@@ -65,6 +66,22 @@ def measure_straight(report: Report, tracker: str, folder: Path) -> None:
     report.figure("for comparison, no rotation at all, median error", float(truth.rot_deg.median()), "deg")
 
 
+def compare_plainly(report: Report) -> None:
+    """``kitti_odom_straight50`` without ttcvid, over one and over ten frames: is what is off common to all methods?"""
+    place = data_folder() / "kitti_odom_straight50"
+    images = sorted((place / "image_0").glob("*.png"))
+    truth = pd.read_csv(place / "foe_truth.csv", comment="#")[["foe_u", "foe_v"]].to_numpy()
+    calibration = np.loadtxt(place / "calib.txt", usecols=(0, 2, 6), max_rows=1)
+    report.heading("kitti_odom_straight50 by plain least squares, nothing of ttcvid (benchmarks/plain_epipole.py)")
+    for gap in (1, 10):
+        found = plain_epipoles_px(images, calibration[0], calibration[1:], gap)
+        true = truth[: len(found) * gap].reshape(-1, gap, 2).mean(axis=1)
+        errors = found - true
+        report.figure(f"{gap} frames: median error", float(np.median(np.hypot(*errors.T))), "px")
+        report.figure(f"{gap} frames: mean error in x", float(errors[:, 0].mean()), "px")
+        report.figure(f"{gap} frames: mean error in y", float(errors[:, 1].mean()), "px")
+
+
 def render(folder: Path) -> tuple[Path, list[str]]:
     """Render the swinging drive; its folder and the command line."""
     words = [str(TTCVID), "simulate", str(SCENE), "-o", str(folder / "swinging")]
@@ -103,6 +120,7 @@ def measure(report: Report, trackers: tuple[str, ...] = TRACKERS) -> None:
     """Both drives with each tracker."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        compare_plainly(report)
         scene, render_command = render(folder)
         for tracker in trackers:
             measure_straight(report, tracker, folder)
