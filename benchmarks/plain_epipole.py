@@ -7,6 +7,7 @@ or the camera's calibration is what is off.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,7 @@ _LOSS_PX = 0.3  # a residual beyond is taken for something else than noise
 
 
 def plain_epipoles_px(images: list[Path], focal_px: float, centre_px: np.ndarray, gap: int) -> np.ndarray:
-    """Epipole of the motion from frame i to i + gap, for i = 0, gap, 2 gap, ...: (M, 2) px."""
+    """Epipoles of the motions from frame i to i + gap, in the picture of i + gap; i = 0, gap, 2 gap...: (M, 2) px."""
     pictures = [cv2.imread(str(image), cv2.IMREAD_GRAYSCALE) for image in images]
     starts = range(0, len(pictures) - gap, gap)
     return np.array([_epipole_px(pictures[start : start + gap + 1], focal_px, centre_px) for start in starts])
@@ -48,7 +49,7 @@ def _followed(pictures: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     window = {"winSize": (15, 15), "maxLevel": 4}
     first = cv2.goodFeaturesToTrack(pictures[0], 1500, 0.005, 8).reshape(-1, 2)
     place, is_kept = first.copy(), np.ones(len(first), bool)
-    for one, two in zip(pictures[:-1], pictures[1:], strict=True):
+    for one, two in pairwise(pictures):
         moved, is_found, _ = cv2.calcOpticalFlowPyrLK(one, two, place, None, **window)
         back, is_back, _ = cv2.calcOpticalFlowPyrLK(two, one, moved, None, **window)
         is_kept &= (is_found[:, 0] > 0) & (is_back[:, 0] > 0)
