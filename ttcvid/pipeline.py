@@ -207,7 +207,9 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
     )
     seen = Seen(history, egomotion, motions, plane)
     tracks, clusters = _rows(seen, clip)
-    events, watch = update_events(memory.events, frame.index, frame.t_s, clusters, clip.camera, clip.config.events)
+    events, watch = update_events(
+        memory.events, frame.index, frame.t_s, clusters, clip.camera, clip.config.events, step_s=history.step_s
+    )
     result = FrameResult(
         frame=frame.index,
         t_s=frame.t_s,

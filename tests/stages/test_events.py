@@ -182,6 +182,26 @@ def test_blips_that_come_again_do_not_add_up():
     assert first_warned(watched(frames)[0]) is None
 
 
+def warned_at_s(times_s, step_s):
+    """Times at which a body that will hit us is warned of, looked at at these times and usually every `step_s`."""
+    memory, warned = EventMemory(), []
+    for frame, t_s in enumerate(times_s):
+        row = row_of(np.asarray(HIT[0]) + np.asarray(HIT[1]) * t_s, HIT[1])
+        events, memory = update_events(memory, frame, t_s, (row,), CAMERA, CONFIG, step_s=step_s)
+        warned += [t_s] if events else []
+    return warned
+
+
+@pytest.mark.parametrize("step_s", [1.0, 0.5, 1.0 / 3.0, 0.2])
+def test_what_is_looked_at_seldom_is_warned_of_at_the_first_look_after_the_persistence(step_s):
+    times_s = np.arange(0.0, 2.4, step_s)
+    assert warned_at_s(times_s, step_s) == [t_s for t_s in times_s if t_s >= CONFIG.persistence_s]
+
+
+def test_what_was_not_looked_at_for_longer_than_usual_has_not_persisted():
+    assert warned_at_s([0.0, 0.1, 0.2, 0.6, 0.7, 0.8, 0.95, 1.0], 0.1) == [0.95, 1.0]
+
+
 def test_a_warning_outlives_a_short_gap_and_keeps_its_number():
     hit = drive(*HIT, 2.5)
     frames = [*hit[:20], HARMLESS, None, HARMLESS, *hit[23:]]

@@ -17,6 +17,8 @@ _KEEP_TTC, _KEEP_MISS = 1.25, 1.5
 # What is seen of a thing counts by its part across the way that it goes, and half as much again for our own width; and
 # by this part in any case, since nothing is a line.
 _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
+# A step so many times as long as usual is a gap.
+_STALLED = 1.5
 # A miss distance, in units of depth, without a side.
 _TINY = 1e-9
 
@@ -39,13 +41,25 @@ class EventMemory:
 
 
 def update_events(
-    memory: EventMemory, frame: int, t_s: float, clusters: tuple[ClusterRow, ...], camera: Camera, config: EventsConfig
+    memory: EventMemory,
+    frame: int,
+    t_s: float,
+    clusters: tuple[ClusterRow, ...],
+    camera: Camera,
+    config: EventsConfig,
+    *,
+    step_s: float = 0.0,
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and what to remember.
 
     A warning starts when an object has met the condition for ``persistence_s`` without a gap and ends when it has
     not met the looser one for as long.
+
+    Parameters
+    ----------
+    step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
     """
+    longest_step_s = max(config.persistence_s, _STALLED * step_s)
     rows = {row.cluster_id: row for row in clusters}
     watched: dict[int, WatchedObject] = {}
     next_event_id = memory.next_event_id
@@ -57,7 +71,7 @@ def update_events(
             if before is not None and warned and t_s - before.last_s <= config.persistence_s:
                 watched[cluster_id] = before
             continue
-        if before is not None and not warned and t_s - before.last_s > config.persistence_s:
+        if before is not None and not warned and t_s - before.last_s > longest_step_s:
             # Not looked at in between (dark or doubled pictures): that is no persistence.
             before = None
         now = WatchedObject(t_s if before is None else before.since_s, t_s, None if before is None else before.event)

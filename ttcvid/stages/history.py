@@ -114,8 +114,12 @@ class TrackHistory:
     @property
     def rotation_rate_sigma_rad_s(self) -> float:
         """What is to be expected, per axis, of a rotation rate that own motion leaves in the past rays."""
-        steps_s = np.diff(self.t_s)
-        return ROTATION_DRIFT_RAD / float(np.median(steps_s)) if len(steps_s) else 0.0
+        return ROTATION_DRIFT_RAD / self.step_s if len(self.t_s) > 1 else 0.0
+
+    @property
+    def step_s(self) -> float:
+        """Usual time between views, 0 with a single one."""
+        return float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
     def views_within(self, window_s: float) -> slice:
         """The views within a time of the present one, and the last few up to it in any case."""
