@@ -149,6 +149,18 @@ def test_an_obstacle_keeps_its_number_while_its_tracks_change_and_over_short_gap
     assert next_id == 8
 
 
+def test_an_obstacle_keeps_its_number_over_frames_in_which_we_do_not_move_ahead(rng):
+    car, noise = rear_of_car(rng, 0.0, 30.0), np.random.default_rng(4)
+    memory, next_id, numbers = (), 7, []
+    for k in range(20):
+        way = None if k in (12, 13, 14) else own_path(driven(), SINCE_S)
+        points = points_of(car - np.array([0.0, 0.0, SPEED_M_S * DT_S * k]), noise)
+        public, memory, next_id = find_obstacles(memory, points, way, ROAD_PLANE, next_id, CONFIG, on_ground=True)
+        numbers.append(list(public))
+    assert numbers[11] == numbers[15] == numbers[19] == [7]
+    assert next_id == 8
+
+
 def test_nothing_to_see_is_no_obstacle():
     nothing = np.empty((0, 3))
     assert watched(nothing) == {}

@@ -141,12 +141,10 @@ def _in_our_way(
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What of the scene stands in our way, as objects that move as the scene does; and the memory with them."""
     way = own_path(found.scene.path, history.since_s)
-    if way is None:
-        return [], memory
     in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < config.bodies.scene_gate)
     platform = config.egomotion.platform
     road = memory.road.plane
-    if platform == Platform.free:
+    if platform == Platform.free and way is not None:
         # We may well be on a road, or low over the ground.
         road = find_road(found.scene_fit, in_scene, float(way.aim[1]))
     seen = StaticPoints(history.track_id, history.xy_px, history.focal_px, link_px, found.scene_fit, in_scene)
@@ -160,6 +158,8 @@ def _in_our_way(
         on_ground=platform == Platform.vehicle,
     )
     memory = replace(memory, obstacles=obstacles, next_cluster_id=next_cluster_id)
+    if way is None:
+        return [], memory
     direction, covariance = egomotion.direction, egomotion.direction_cov
     if direction is None or covariance is None:
         # Two views tell no direction; all views of the scene do, roughly.

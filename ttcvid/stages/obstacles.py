@@ -135,7 +135,7 @@ def own_path(path: Floats, since_s: Floats) -> OwnPath | None:
 def find_obstacles(
     before: tuple[Obstacle, ...],
     points: StaticPoints,
-    way: OwnPath,
+    way: OwnPath | None,
     road: Floats | None,
     next_cluster_id: int,
     config: BodiesConfig,
@@ -147,11 +147,14 @@ def find_obstacles(
     Parameters
     ----------
     before : what the last frame remembered.
+    way : None where we do not move ahead: nothing is in our way, but what was is known again for a while.
     road : plane of the road, as from `stages.road.find_road`, or None.
     on_ground : whether we drive.
     """
     track_id = points.track_id
-    surfaces = _surfaces(points, np.isin(track_id, _tracks_of(before)), way, _Ground(on_ground, road), config)
+    surfaces = list[Ints]()
+    if way is not None:
+        surfaces = _surfaces(points, np.isin(track_id, _tracks_of(before)), way, _Ground(on_ground, road), config)
     is_free = points.in_scene.copy()
     for surface in surfaces:
         is_free[surface] = False
