@@ -1,5 +1,7 @@
 """What is missing for some frames: numbers, histories and warnings go on behind the gap."""
 
+from tables_of_points import STILL, Body, box, driving, ids_of, results_of, street, table
+
 import ttcvid.stages.motions as motions
 
 
