@@ -145,11 +145,13 @@ class Horizon:
 class PointSet:
     """Observed points of one picture.
 
-    ``track_id (N,)`` ascending and unique; ``xy_px (N, 2)`` distorted source pixels.
+    ``track_id (N,)`` ascending and unique; ``xy_px (N, 2)`` distorted source pixels. ``window_px (N, 2)`` where the
+    windows stand by which a tracker follows them, None where they stand about the points.
     """
 
     track_id: Ints
     xy_px: Floats
+    window_px: Floats | None = None
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
@@ -157,6 +159,11 @@ class PointSet:
             raise ValueError(
                 f"PointSet: expected track_id (N,) and xy_px (N, 2), got {self.track_id.shape} and {self.xy_px.shape}"
             )
+
+    @property
+    def windows_px(self) -> Floats:
+        """Where the windows stand by which the points are followed: (N, 2)."""
+        return self.xy_px if self.window_px is None else self.window_px
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ttcvid.model import PointSet
-from ttcvid.stages.tracking.moving_parts import background_of, content_centres, only_moving
+from ttcvid.stages.tracking.moving_parts import background_of, only_moving
 from ttcvid.stages.whole_tracks import joined, observations_of, recentred
 
 SIZE = (120, 160)
@@ -53,39 +53,6 @@ def test_nothing_is_left_of_a_street_without_traffic(scene):
     background, _ = scene
     empty = np.clip(background.sharp, 0, 255).astype(np.uint8)
     assert (only_moving(empty, background) == background.plain).all()
-
-
-def test_content_lies_at_the_only_corner_wherever_the_window_stands():
-    grey = np.full(SIZE, 100, np.uint8)
-    grey[60, 80] = 200
-    at = np.array([[80.0, 60.0], [84.0, 57.0], [76.2, 63.4]])
-    np.testing.assert_allclose(content_centres(grey, at, 13), [[80.0, 60.0]] * 3, atol=1e-6)
-
-
-def test_a_window_without_a_corner_has_no_content():
-    grey = np.full(SIZE, 100, np.uint8)
-    grey[:, 80:] = 200  # an edge
-    assert np.isnan(content_centres(grey, np.array([[80.0, 60.0], [20.0, 60.0]]), 13)).all()
-
-
-def test_what_lucas_kanade_follows_expands_about_the_content_not_about_the_window():
-    """A texture that grows by 6 % about a fixed point: its step is that of where the content lies."""
-    rng = np.random.default_rng(3)
-    one = cv2.GaussianBlur(rng.uniform(0, 255, SIZE).astype(np.float32), (0, 0), 2.0)
-    one = cv2.normalize(one, None, 0, 255, cv2.NORM_MINMAX)
-    fixed, scale = np.array([80.0, 60.0]), 1.06
-    matrix = np.array([[scale, 0, fixed[0] * (1 - scale)], [0, scale, fixed[1] * (1 - scale)]])
-    other = cv2.warpAffine(one, matrix, SIZE[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-    one, other = one.astype(np.uint8), other.astype(np.uint8)
-    at = rng.uniform([30, 30], [130, 90], (60, 2)).round()
-    to, status, _ = cv2.calcOpticalFlowPyrLK(one, other, at.astype(np.float32), None, winSize=(21, 21), maxLevel=2)
-    ok = status.ravel() > 0
-    step = to[ok] - at[ok]
-    by_content = (content_centres(one, at, 21)[ok] - fixed) * (scale - 1)
-    by_window = (at[ok] - fixed) * (scale - 1)
-    good, naive = (np.sqrt(np.nanmean(np.sum((step - expected) ** 2, axis=1))) for expected in (by_content, by_window))
-    assert good < 0.03
-    assert naive > 5.0 * good
 
 
 def test_tracks_are_moved_to_the_median_of_their_content():

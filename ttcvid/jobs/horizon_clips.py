@@ -16,7 +16,8 @@ from ttcvid.sources import Source
 from ttcvid.stages.horizon_driving import own_motions, own_step
 from ttcvid.stages.horizon_motions import Motion, find_motions
 from ttcvid.stages.rest import Look, compare_looks, complaint_about_motion
-from ttcvid.stages.tracking.moving_parts import Background, background_of, content_centres, only_moving
+from ttcvid.stages.tracking.content import content_offsets
+from ttcvid.stages.tracking.moving_parts import Background, background_of, only_moving
 from ttcvid.stages.whole_tracks import Observations, joined, observations_of, recentred, without_ended_at_rest
 
 OnFrame = Callable[[int, int | None], None]
@@ -140,7 +141,8 @@ def _moving_content(
                 continue
             parts = _with_points(parts, points, frame)
             if frame.index % _CENTRE_FRAMES == 0:
-                found = content_centres(frame.grey, points.xy_px, config.tracking.window_px)
+                windows_px = points.windows_px
+                found = windows_px + content_offsets(frame.grey, windows_px, config.tracking.window_px)
                 centres.append(observations_of(PointSet(points.track_id, found), frame.index, frame.t_s))
     return recentred(joined(parts), joined(centres))
 

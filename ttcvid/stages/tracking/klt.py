@@ -1,4 +1,8 @@
-"""Points followed from picture to picture by pyramidal Lucas-Kanade, checked forth and back."""
+"""Points followed from picture to picture by pyramidal Lucas-Kanade, checked forth and back.
+
+A track stands where the content of its window lay when it began, and keeps that distance from the window: in what
+comes nearer the content stays with its surface, and the middle of the window does not (`stages.tracking.content`).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import numpy as np
 
 from ttcvid.config import TrackingConfig
 from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
+from ttcvid.stages.tracking.content import content_offsets
 from ttcvid.stages.tracking.corners import find_corners
 
 # Lucas-Kanade ends after so many iterations or when a step is shorter than this, px. Ended at 0.03 px it leaves errors
@@ -27,7 +32,7 @@ _TOP_UP_BELOW = 0.8
 
 @dataclass(frozen=True)
 class KltMemory:
-    """What is remembered between two pictures: the last one, its points and their last step."""
+    """What is remembered between two pictures: the last one, its points with their windows, and their last step."""
 
     grey: Picture
     points: PointSet
@@ -51,25 +56,29 @@ def follow_klt(
     memory : of this picture.
     survival : part of the points that were found again (1 where there were none): low after a cut.
     """
-    found, xy_px = _search(memory, grey, config)
+    found, window_px = _search(memory, grey, config)
+    before_px = memory.points.windows_px
+    xy_px = window_px + (memory.points.xy_px - before_px)
+    found &= _is_inside(xy_px, grey)
     if allowed is not None:
-        found &= _is_allowed(allowed, xy_px)
-    found &= ~_is_crowded(xy_px, found, memory.points.track_id)
+        found &= _is_allowed(allowed, window_px) & _is_allowed(allowed, xy_px)
+    found &= ~_is_crowded(window_px, found, memory.points.track_id)
     n_before = len(found)
-    points = PointSet(memory.points.track_id[found], xy_px[found])
-    step = (xy_px - memory.points.xy_px)[found]
+    points = PointSet(memory.points.track_id[found], xy_px[found], window_px[found])
+    step = (window_px - before_px)[found]
     survival = float(found.mean()) if n_before else 1.0
     followed = KltMemory(grey, points, step, memory.next_track_id)
     return _topped_up(followed, grey, allowed, config), survival
 
 
 def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[Bools, Floats]:
-    """Forward from a constant-step guess, then back from where it ended: (N,) found, (N, 2) px."""
+    """Windows forward from a constant-step guess, then back from where they ended: (N,) found, (N, 2) px."""
     n = len(memory.points.track_id)
     if n == 0:
         return np.zeros(0, dtype=bool), np.empty((0, 2))
-    before = memory.points.xy_px.astype(np.float32)
-    guess = (memory.points.xy_px + memory.step_px).astype(np.float32)
+    windows_px = memory.points.windows_px
+    before = windows_px.astype(np.float32)
+    guess = (windows_px + memory.step_px).astype(np.float32)
     found, there = _follow(memory.grey, grey, before, guess, config.window_px, config.pyramid_levels, _STEP_PX)
     # The way back starts beside its goal, on the side of the error of the guess, and not at the goal: a jump to a
     # similar texture nearby is found out only like this. So near it needs no pyramid, which is most of the time.
@@ -78,9 +87,14 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
     start = before + error * (_BACKWARD_START_PX / np.maximum(length_px, _BACKWARD_START_PX))
     came_back, back = _follow(grey, memory.grey, there, start, config.window_px, 0, _BACKWARD_STEP_PX)
     distance = np.linalg.norm(back - before, axis=1)
+    is_kept = found & came_back & _is_inside(there, grey) & (distance < config.max_forward_backward_px)
+    return is_kept, there.astype(np.float64)
+
+
+def _is_inside(xy_px: np.ndarray, grey: Picture) -> Bools:
+    """Points in the picture: (N,)."""
     height, width = grey.shape[:2]
-    inside = (there[:, 0] >= 0) & (there[:, 1] >= 0) & (there[:, 0] <= width - 1) & (there[:, 1] <= height - 1)
-    return found & came_back & inside & (distance < config.max_forward_backward_px), there.astype(np.float64)
+    return np.asarray((xy_px >= 0).all(axis=1) & (xy_px[:, 0] <= width - 1) & (xy_px[:, 1] <= height - 1))
 
 
 def _follow(
@@ -128,13 +142,21 @@ def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config
     n_live = len(points.track_id)
     if n_live >= _TOP_UP_BELOW * config.max_tracks:
         return memory
+    windows_px = points.windows_px
     new_px = find_corners(
-        grey, allowed, points.xy_px, config.max_tracks - n_live, config.min_distance_px, config.corner_quality
+        grey, allowed, windows_px, config.max_tracks - n_live, config.min_distance_px, config.corner_quality
     )
+    content_px = new_px + np.nan_to_num(content_offsets(grey, new_px, config.window_px))
+    is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
+    content_px = np.where(is_visible[:, None], content_px, new_px)
     new_id = memory.next_track_id + np.arange(len(new_px), dtype=np.int64)
     return KltMemory(
         grey=memory.grey,
-        points=PointSet(np.concatenate([points.track_id, new_id]), np.concatenate([points.xy_px, new_px])),
+        points=PointSet(
+            np.concatenate([points.track_id, new_id]),
+            np.concatenate([points.xy_px, content_px]),
+            np.concatenate([windows_px, new_px]),
+        ),
         step_px=np.concatenate([memory.step_px, np.zeros_like(new_px)]),
         next_track_id=memory.next_track_id + len(new_px),
     )

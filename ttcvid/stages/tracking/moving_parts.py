@@ -2,7 +2,8 @@
 
 A Lucas-Kanade window that holds both a mover and the street behind it follows a mixture of the two; and all windows
 that hold the same piece of a mover follow that piece, wherever they stand: they then seem not to come apart as the
-mover comes nearer. So the street is painted over, and each track is put where the content of its window lies.
+mover comes nearer. So the street is painted over, and each track is put where the content of its window lies
+(`stages.tracking.content`).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ttcvid.model import Floats, Picture
+from ttcvid.model import Picture
 
 # Differences from the background below this are sensor noise or compression, grey levels; and so many times the usual.
 _LEAST_CONTRAST, _CONTRAST_SIGMAS = 5.0, 5.0
@@ -31,8 +32,6 @@ _BORDER_PX, _BORDER_CONTRAST = 7, 0.5
 _FADE_PX = 0.8
 # The median of the background is taken over so many rows at a time, to keep memory small.
 _ROWS_AT_ONCE = 64
-# A window is a corner when the lesser of its two gradients is at least this part of the greater one.
-_LEAST_CORNER = 1e-3
 
 
 @dataclass(frozen=True)
@@ -77,39 +76,6 @@ def only_moving(grey: Picture, background: Background) -> Picture:
     part = cv2.morphologyEx(part, cv2.MORPH_CLOSE, np.ones((_CLOSED_PX, _CLOSED_PX), np.uint8))
     share = _smoothed(part, _FADE_PX)
     return np.asarray(share * grey + (1.0 - share) * background.plain, dtype=np.uint8)
-
-
-def content_centres(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
-    """Where the content lies that windows about points follow: ``(N, 2)`` px, NaN where a window holds no corner.
-
-    A Lucas-Kanade step is ``H^-1 sum(g g' d)`` over the window, with gradients g, ``H = sum(g g')`` and the
-    displacement d of each pixel. Where d is a shift and an expansion about any point, that is d at
-    ``H^-1 sum(g g' x)``.
-
-    Parameters
-    ----------
-    grey : (H, W) uint8.
-    xy_px : (N, 2) points.
-    window_px : side of the windows, odd.
-    """
-    reach = np.arange(-(window_px // 2), window_px // 2 + 1)
-    height, width = grey.shape[:2]
-    centre = np.rint(xy_px).astype(np.intp)
-    column = np.clip(centre[:, :1] + reach, 0, width - 1)
-    row = np.clip(centre[:, 1:] + reach, 0, height - 1)
-    gradient = (cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1))
-    gx, gy = (part[row[:, :, None], column[:, None, :]].astype(np.float64) for part in gradient)
-    xx, xy, yy = gx * gx, gx * gy, gy * gy
-    hxx, hxy, hyy = (part.sum(axis=(1, 2)) for part in (xx, xy, yy))
-    side_x = np.einsum("nij,j->n", xx, reach) + np.einsum("nij,i->n", xy, reach)
-    side_y = np.einsum("nij,j->n", xy, reach) + np.einsum("nij,i->n", yy, reach)
-    determinant = hxx * hyy - hxy**2
-    is_corner = determinant > _LEAST_CORNER * (hxx + hyy) ** 2
-    determinant = np.where(is_corner, determinant, np.nan)
-    offset = np.column_stack([hyy * side_x - hxy * side_y, hxx * side_y - hxy * side_x]) / determinant[:, None]
-    offset[np.abs(offset).max(axis=1) > window_px / 2] = np.nan
-    result: Floats = centre + offset
-    return result
 
 
 def _smoothed(picture: NDArray[np.generic], sigma_px: float) -> NDArray[np.float32]:
