@@ -46,6 +46,14 @@ def test_a_free_camera_may_travel_in_any_direction(travel_m):
     assert_is_true(estimate(views, FIRST, Platform.free), views)
 
 
+@pytest.mark.parametrize("platform", MOVING_PLATFORMS)
+def test_a_camera_that_went_ahead_and_now_goes_back_has_the_opposite_direction(platform):
+    """The residuals are those of the way ahead: what tells is on which side of the camera the points would lie."""
+    for travel_m in ((0.05, 0.02, -1.0), (0.0, 0.0, -0.3)):
+        views = two_views(np.random.default_rng(2), 300, TURN_DEG, travel_m, movers=[((0.0, 0.2), (0.5, 0, 0))])
+        assert_is_true(estimate(views, LAST, platform), views, direction_deg=1.0)
+
+
 MOVERS = {
     "two across": [((0.3, 0.5), (0.8, 0, 0)), ((0.6, 0.8), (-0.6, 0, -0.5))],
     "one ahead, faster": [((0.0, 0.4), (0, 0, 2.2))],

@@ -9,7 +9,7 @@ import numpy as np
 
 from ttcvid.geometry.rotation import cross, rotation_from_vector, vector_from_rotation
 from ttcvid.geometry.two_view_descent import descend_motion, descend_rotation
-from ttcvid.model import Floats, Ints
+from ttcvid.model import Bools, Floats, Ints
 
 # Standard deviation of a direction that nothing is known of, rad.
 _OPEN_DIRECTION_RAD = 1.0
@@ -25,6 +25,7 @@ class TwoViewFit:
     ``residual (N,)`` in sigmas; ``cost`` the sum of capped squares with the prior's part; ``information (k, k)`` on the
     unknowns and ``score (N, k)`` of each point, in 1/rad^2 and 1/rad: of two tangent coordinates of the direction
     (along `tangent_basis`) where there is one, then of the rotation vector; ``region (N,)`` as in `fit_rotation`.
+    ``is_wrong (N,)`` marks points that move against the direction by more than their noise: they would lie behind.
     """
 
     cam_R_prev: Floats
@@ -34,6 +35,7 @@ class TwoViewFit:
     information: Floats
     score: Floats
     region: Ints
+    is_wrong: Bools
 
     @cached_property
     def covariance(self) -> Floats:
@@ -88,7 +90,7 @@ def fit_rotation(
         rays_prev, rays_cam, sigma_rad, expected, prior.rotation_sigma_rad, offset, fitted, residual, score, information
     )
     cost = _capped_cost(residual) + float(offset @ offset) / prior.rotation_sigma_rad**2
-    return TwoViewFit(fitted, None, residual, cost, information, score, region)
+    return TwoViewFit(fitted, None, residual, cost, information, score, region, np.zeros(len(rays_cam), dtype=bool))
 
 
 def fit_motion(
@@ -128,8 +130,9 @@ def fit_motion(
         score,
         information,
     )
-    cost = _capped_cost(np.where(is_wrong > 0.0, np.inf, residual)) + _prior_cost(prior, offset, direction)
-    return TwoViewFit(fitted, direction, residual, cost, information, score, region)
+    against = is_wrong > 0.0
+    cost = _capped_cost(np.where(against, np.inf, residual)) + _prior_cost(prior, offset, direction)
+    return TwoViewFit(fitted, direction, residual, cost, information, score, region, against)
 
 
 def direction_from_flow(rays_prev: Floats, rays_cam: Floats, cam_R_prev: Floats) -> Floats:

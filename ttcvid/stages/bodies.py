@@ -103,7 +103,7 @@ def recent_speed(body: Body, t_s: Floats) -> float:
 
 def with_unit_speed(body: Body, since_s: Floats, rate_hz: Floats) -> tuple[Body, Floats]:
     """The same body, and the rates of points on it, in units in which its mean speed over the views is 1."""
-    length = float(np.linalg.norm(body.path[0]))
+    length = float(np.sqrt(np.max(np.sum(body.path**2, axis=1))))
     if length < _NO_LENGTH:
         return body, rate_hz
     speed = length / max(-since_s[0], _LEAST_TIME_S)
@@ -184,7 +184,7 @@ def _refined_once(
     has_points = np.isfinite(typical)
     turn_rad[~has_points], shift[~has_points] = 0.0, 0.0
     moved = path + shift
-    before, after = np.sqrt(np.sum(path[:, 0] ** 2, axis=1)), np.sqrt(np.sum(moved[:, 0] ** 2, axis=1))
+    before, after = (np.sqrt(np.max(np.sum(one**2, axis=2), axis=1)) for one in (path, moved))
     has_length = np.minimum(before, after) > _NO_LENGTH
     moved *= np.divide(before, after, out=np.ones(len(path)), where=has_length)[:, None, None]
     return turned_further(-turn_rad, cam_R_past), moved, fit.rate_hz

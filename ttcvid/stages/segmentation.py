@@ -41,6 +41,8 @@ _SCENE_STEPS = 2
 _LEAST_SPEED = 0.1
 # A rate above so many of its standard deviations is no standstill.
 _MOVES_SIGMAS = 3.0
+# A single pair of frames tells the direction to some degrees: within 20 deg of ahead it is ahead.
+_AHEAD_COSINE = float(np.cos(np.radians(20.0)))
 # The usual misfit is that of tracks with more views than this.
 _USUAL_VIEWS = 3
 # Steps of refinement a frame of a new mover, and of one that has been found in some frames; fewer points than this do
@@ -187,8 +189,10 @@ def _scene(
 ) -> Body:
     """The scene on its way, corrected by its tracks."""
     if before is None:
-        # Before any parallax shows where it goes, a camera that can move is taken to move ahead.
-        ahead = straight_path(FORWARD_DIR, history.since_s) if can_translate else np.zeros((len(views.t_s), 3))
+        # Before the parallax shows well where it goes, a camera that can move is taken to move ahead, if roughly.
+        seen = egomotion.direction
+        way = FORWARD_DIR if seen is None or seen @ FORWARD_DIR > _AHEAD_COSINE else seen
+        ahead = straight_path(way, history.since_s) if can_translate else np.zeros((len(views.t_s), 3))
         scene = Body(history.cam_R_past, ahead)
     else:
         step = None
@@ -197,11 +201,23 @@ def _scene(
             step = -egomotion.direction * dt_s * max(recent_speed(before, views.t_s[:-1]), _LEAST_SPEED)
         (carried,) = carried_forward([before], egomotion.cam_R_prev, views.t_s, step)
         # Own motion has corrected the rotations of the last frames by its own means: those are taken over.
-        scene = replace(carried, cam_R_past=history.cam_R_past)
+        path = carried.path if egomotion.direction is None else _without_unseen_return(history, carried.path)
+        scene = replace(carried, cam_R_past=history.cam_R_past, path=path)
     used = np.flatnonzero(views.is_free)
     used = used[:: max(1, len(used) // _ENOUGH_TRACKS)]
     weight = _balance(history.rays[-1, used])
     return refined_scene(scene, views.points(used), weight, rate_hz[used], _SCENE_STEPS)
+
+
+def _without_unseen_return(history: TrackHistory, path: Floats) -> Floats:
+    """The path ``(L, 3)`` without steps in which no travel was seen and that go against the present one.
+
+    A camera at rest is carried on along its last direction: where it then starts the other way, that was not so.
+    """
+    steps = np.diff(path, axis=0)
+    unseen = np.isnan(history.scene_direction[1:, 0])
+    steps[unseen & (steps @ steps[-1] < 0.0)] = 0.0
+    return np.append(-np.cumsum(steps[::-1], axis=0)[::-1], path[-1:], axis=0)
 
 
 def _moves_past(fit: PathFit, rays: Floats, is_free: Bools) -> bool:
