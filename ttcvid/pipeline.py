@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -26,8 +26,17 @@ from ttcvid.stages.smoothing import Seen, seen_again, views_after
 from ttcvid.stages.table_points import compare_table_points
 from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
 
+T = TypeVar("T")
 MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
-RunAhead = Callable[[Iterable["TrackedFrame"]], Iterable["TrackedFrame"]]
+
+
+class RunAhead(Protocol):
+    """Like ``iter``; may run the items early in another thread."""
+
+    def __call__(self, items: Iterable[T], /) -> Iterable[T]:
+        """The same items in the same order."""
+        ...
+
 
 NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
@@ -58,6 +67,16 @@ class TrackedFrame:
 
 
 @dataclass(frozen=True)
+class SeenFrame:
+    """A frame with what moves in it, which the next frame goes on from; None for a frame that gives no number."""
+
+    frame: Frame
+    dt_s: float | None
+    status: FrameStatus
+    seen: Seen | None
+
+
+@dataclass(frozen=True)
 class AnalyzedFrame:
     """A frame with its result and what that rests on; None for a frame that gives no number."""
 
@@ -68,14 +87,13 @@ class AnalyzedFrame:
 
 @dataclass(frozen=True)
 class Memory:
-    """Everything that is remembered from one frame to the next."""
+    """Everything about motions that is remembered from one frame to the next."""
 
     history: TrackHistory
     t_s: float | None = None
     egomotion: EgomotionMemory = field(default_factory=EgomotionMemory)
     frozen: FrozenMemory = field(default_factory=FrozenMemory)
     bodies: BodyMemory = field(default_factory=BodyMemory)
-    events: EventMemory = field(default_factory=EventMemory)
     scene_moves: bool = False
     plane: HorizonPlane | None = None
 
@@ -96,21 +114,30 @@ def analyze_frames(
     ----------
     mask : (H, W) uint8, 0 where nothing is to be looked at.
     map_ahead : like ``map``; may work some items early in other threads (finding features is the slow part).
-    run_ahead : like ``iter``; may run an iterator some items early in another thread (tracking ahead of geometry).
+    run_ahead : like ``iter``; may run a stage some items early in another thread (tracking ahead of motions, and these
+        ahead of the rows, of which no later frame knows).
     """
     clip = Clip(camera, config, horizon_plane(camera, horizon))
     tracked = run_ahead(track_frames(frames, config.tracking, mask, map_ahead))
-    analyzed = _analyzed(tracked, clip)
+    analyzed = _analyzed(run_ahead(_seen(tracked, clip)), clip)
     for item in _smoothed(analyzed, clip) if config.collision_times.smooth else analyzed:
         yield item.frame, item.result
 
 
-def _analyzed(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
-    """Each frame with its causal result."""
+def _seen(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[SeenFrame]:
+    """Each frame with what moves in it."""
     memory = Memory(empty_history(clip.camera, clip.config.tracking.sigma_start_px))
     for tracked in tracked_frames:
-        result, seen, memory = analyze_tracked(tracked, memory, clip)
-        yield AnalyzedFrame(tracked.frame, result, seen)
+        item, memory = see_motions(tracked, memory, clip)
+        yield item
+
+
+def _analyzed(seen_frames: Iterable[SeenFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
+    """Each frame with its causal result."""
+    watch = EventMemory()
+    for item in seen_frames:
+        result, watch = analyze_seen(item, watch, clip)
+        yield AnalyzedFrame(item.frame, result, item.seen)
 
 
 def _smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
@@ -175,15 +202,15 @@ def track_frames(
         yield TrackedFrame(frame, points, status)
 
 
-def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[FrameResult, Seen | None, Memory]:
-    """The geometry of one frame: own motion, bodies, times, warnings."""
+def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[SeenFrame, Memory]:
+    """What later frames go on from: own motion, and which tracks move together."""
     frame, points, status = tracked.frame, tracked.points, tracked.status
     dt_s = None if memory.t_s is None else frame.t_s - memory.t_s
     if status == FrameStatus.bad_dt:
-        return _empty_result(frame, dt_s, status, clip), None, memory
+        return SeenFrame(frame, dt_s, status, None), memory
     memory = replace(memory, t_s=frame.t_s)
     if status in (FrameStatus.dark, FrameStatus.duplicate):
-        return _empty_result(frame, dt_s, status, clip), None, memory
+        return SeenFrame(frame, dt_s, status, None), memory
     if status == FrameStatus.cut:
         memory = _after_cut(memory, clip)
 
@@ -205,16 +232,35 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
     motions, history, bodies = find_motions(
         history, egomotion, ~is_frozen, ~frozen.is_suspect, memory.bodies, plane, clip.camera, clip.config
     )
-    seen = Seen(history, egomotion, motions, plane)
+    memory = replace(
+        memory,
+        history=history,
+        frozen=frozen,
+        egomotion=ego_memory,
+        bodies=bodies,
+        scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
+        plane=plane,
+    )
+    return SeenFrame(frame, dt_s, status, Seen(history, egomotion, motions, plane)), memory
+
+
+def analyze_seen(item: SeenFrame, watch: EventMemory, clip: Clip) -> tuple[FrameResult, EventMemory]:
+    """The rows of a frame and its warnings: states, times, events."""
+    frame, seen = item.frame, item.seen
+    if seen is None:
+        return _empty_result(item, clip), watch
+    if item.status == FrameStatus.cut:
+        watch = restarted_events(watch)
     tracks, clusters = _rows(seen, clip)
     events, watch = update_events(
-        memory.events, frame.index, frame.t_s, clusters, clip.camera, clip.config.events, step_s=history.step_s
+        watch, frame.index, frame.t_s, clusters, clip.camera, clip.config.events, step_s=seen.history.step_s
     )
+    egomotion, plane = seen.egomotion, seen.plane
     result = FrameResult(
         frame=frame.index,
         t_s=frame.t_s,
-        dt_s=dt_s,
-        status=status,
+        dt_s=item.dt_s,
+        status=item.status,
         tracks=tracks,
         clusters=clusters,
         rotation_rad=None if egomotion is None else egomotion.rotation_rad,
@@ -223,17 +269,7 @@ def analyze_tracked(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[
         horizon_px=None if plane is None else plane.line_px,
         events=events,
     )
-    memory = replace(
-        memory,
-        history=history,
-        frozen=frozen,
-        egomotion=ego_memory,
-        bodies=bodies,
-        events=watch,
-        scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
-        plane=plane,
-    )
-    return result, seen, memory
+    return result, watch
 
 
 def _after_cut(memory: Memory, clip: Clip) -> Memory:
@@ -242,7 +278,6 @@ def _after_cut(memory: Memory, clip: Clip) -> Memory:
         history=empty_history(clip.camera, clip.config.tracking.sigma_start_px),
         t_s=memory.t_s,
         bodies=restarted_bodies(memory.bodies),
-        events=restarted_events(memory.events),
     )
 
 
@@ -268,7 +303,7 @@ def _shows_frozen_pixels(egomotion: Egomotion | None, camera: Camera) -> bool:
     return egomotion.direction is not None or turned_px > _TURNING_PX
 
 
-def _empty_result(frame: Frame, dt_s: float | None, status: FrameStatus, clip: Clip) -> FrameResult:
+def _empty_result(item: SeenFrame, clip: Clip) -> FrameResult:
     """A frame that gives no number, only a reason."""
     line_px = None if clip.plane is None else clip.plane.line_px
-    return FrameResult(frame.index, frame.t_s, dt_s, status, no_tracks(), (), horizon_px=line_px)
+    return FrameResult(item.frame.index, item.frame.t_s, item.dt_s, item.status, no_tracks(), (), horizon_px=line_px)

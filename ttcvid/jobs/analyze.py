@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from ttcvid.stages.horizon_watch import complaint_about_horizon
 from ttcvid.stages.planar import centre_sigma_px
 
 _LOG = logging.getLogger(__name__)
+T = TypeVar("T")
 
 LEAST_OFFSET_PX = 3.0
 """Epipoles may lie so far off the horizon, whatever the calibration says of itself: a road is not quite level."""
@@ -145,6 +146,10 @@ def _analyze_into(
         write = open_sinks(stack, folder, source, calibration, configuration)
         writer = stack.enter_context(WriteBehind(write))
         frames = stack.enter_context(ReadAhead(source))
+
+        def run_ahead(items: Iterable[T]) -> Iterable[T]:
+            return stop.until_requested(stack.enter_context(ReadAhead(items)))
+
         results = analyze_frames(
             frames,
             calibration.camera,
@@ -153,7 +158,7 @@ def _analyze_into(
             calibration.mask,
             # Only AKAZE has work that is worth threads of its own, picture by picture.
             map_ahead=map_ahead if pipeline.tracking.tracker == "akaze" else map,
-            run_ahead=lambda tracked: stop.until_requested(stack.enter_context(ReadAhead(tracked))),
+            run_ahead=run_ahead,
         )
         for frame, result in results:
             writer.put((frame, result))
