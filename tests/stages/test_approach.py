@@ -8,6 +8,7 @@ from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.approach import CommonViews, with_seen_motion
 from ttcvid.stages.clusters import with_times
+from ttcvid.stages.sets import TrackSets
 
 GAP_S, N = 0.5, 60
 AHEAD_M, ASIDE_M = (1.0, 0.5, 20.0), (8.0, 0.5, 20.0)
@@ -35,7 +36,9 @@ def seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05, see
         state_cov=sigma_hz**2 * np.eye(3),
     )
     (row,) = with_times([row], CAMERA)
-    (row,) = with_seen_motion([row], [np.arange(N)], CommonViews(first, now, GAP_S), np.full(N, age_s), CAMERA)
+    views, tracks = CommonViews(first, now, GAP_S), np.arange(N)
+    growth = views.expansions([tracks])
+    (row,) = with_seen_motion([row], TrackSets.of([tracks]), views, growth, np.full(N, age_s), CAMERA)
     return row.motion_state
 
 

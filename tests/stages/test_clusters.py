@@ -13,12 +13,12 @@ from ttcvid.stages.clusters import (
     epipole_pixels,
     motion_ids,
     neighbours_in_cluster,
-    object_row,
     ranked,
-    scene_row,
+    rows_of,
     with_epipole_pixels,
     with_times,
 )
+from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.track_states import two_frame_states
 
 LINK_PX = 32.0
@@ -42,7 +42,14 @@ def row_of(position_m, velocity_m_s, sigma_px=0.05, direction=None, cov=None, rn
     states = two_frame_states(flows, np.tile(direction, (n + n_others, 1)), np.tile(cov, (n + n_others, 1, 1)))
     motion = ClusterMotion(cluster_id, n_others + np.arange(n), direction, cov, Status.ok, "consensus")
     expansion_hz, _ = expansion_rate(flows.first[motion.members], flows.second[motion.members], 0.4)
-    return object_row(motion, 1, states, pixels(position_m), LINK_PX, float(expansion_hz))
+    return only_row(motion, states, pixels(position_m), float(expansion_hz))
+
+
+def only_row(motion, states, xy_px, expansion_hz=np.nan):
+    """Row of one cluster by itself."""
+    members = TrackSets.of([motion.members])
+    (row,) = rows_of([motion], members, states, xy_px, LINK_PX, np.array([expansion_hz]))
+    return row
 
 
 def timed(row):
@@ -151,11 +158,13 @@ def test_an_object_without_a_supported_surface_has_a_reason_and_no_times():
 
 def test_the_scene_has_an_epipole_and_no_times():
     xy_px = np.array([[10.0, 20.0], [600.0, 300.0], [5.0, 350.0]])
-    row = with_epipole_pixels([scene_row(motion_of(0, (0, 0, -1), n=3), xy_px)], CAMERA)[0]
+    states = two_frame_states(flows_of(np.ones((3, 3)), np.zeros(3)), np.zeros((3, 3)), np.zeros((3, 3, 3)))
+    row = with_epipole_pixels([only_row(motion_of(0, (0, 0, -1), n=3), states, xy_px)], CAMERA)[0]
     assert (row.role, row.motion_id, row.n_tracks, row.box_px) == ("scene", 0, 3, (5.0, 20.0, 600.0, 350.0))
     np.testing.assert_allclose(row.epipole_px, (CAMERA.cx_px, CAMERA.cy_px))
     assert np.isnan(row.times.tcpa_s[0])
-    resting = with_epipole_pixels([scene_row(motion_of(0, None, n=3, status=Status.no_parallax), xy_px)], CAMERA)[0]
+    still = motion_of(0, None, n=3, status=Status.no_parallax)
+    resting = with_epipole_pixels([only_row(still, states, xy_px)], CAMERA)[0]
     assert resting.motion_state == MotionState.no_relative_motion
     assert resting.epipole_px is None
 
@@ -313,6 +322,6 @@ def test_an_object_whose_state_contradicts_its_direction_has_that_of_its_state(o
     motion = replace(motion_of(1, believed, n=30), direction_cov=cov)
     flows = flows_of(position_m, velocity, sigma_px=0.05)
     states = two_frame_states(flows, np.tile(velocity, (30, 1)), np.tile(1e-6 * np.eye(3), (30, 1, 1)))
-    row = object_row(motion, 1, states, pixels(position_m), LINK_PX, np.nan)
+    row = only_row(motion, states, pixels(position_m))
     np.testing.assert_allclose(row.direction, velocity if is_of_state else believed, atol=1e-9)
     assert np.allclose(row.direction_cov @ row.direction, 0.0, atol=1e-12)

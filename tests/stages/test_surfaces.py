@@ -5,9 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ttcvid.stages.surfaces import nearest_surface
+from ttcvid.stages.sets import TrackSets
+from ttcvid.stages.surfaces import in_nearest_surface
 
 LINK_PX = 30.0
+
+
+def nearest_surface(rate_hz, sigma_hz, xy_px, link_px):
+    """Tracks of the nearest surface of one object."""
+    tracks = TrackSets.of([np.arange(len(rate_hz))])
+    return np.flatnonzero(in_nearest_surface(rate_hz, sigma_hz, xy_px, tracks, link_px))
 
 
 def places(rng, n, corner=(0.0, 0.0), size_px=40.0):
@@ -124,3 +131,14 @@ def test_of_a_surface_in_two_places_the_larger_part_counts():
     xy_px = np.concatenate([np.column_stack([29.0 * chain, 100.0 * len(chain) + 0.0 * chain]) for chain in chains])
     surface = nearest_surface(np.full(15, 0.5), np.full(15, 0.01), xy_px, LINK_PX)
     np.testing.assert_array_equal(surface, np.arange(6, 15))
+
+
+def test_each_of_several_objects_has_the_surface_that_it_has_alone():
+    rng = np.random.default_rng(59)
+    cars = [car(rng, n_face=int(n)) for n in (3, 8, 25)]
+    rate_hz, sigma_hz, xy_px, _ = (np.concatenate(values) for values in zip(*cars, strict=True))
+    lengths = [len(one[0]) for one in cars]
+    sets = TrackSets.of(np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1]))
+    together = np.split(in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, LINK_PX), np.cumsum(lengths)[:-1])
+    for is_in, one in zip(together, cars, strict=True):
+        np.testing.assert_array_equal(np.flatnonzero(is_in), nearest_surface(*one[:3], LINK_PX))

@@ -48,20 +48,14 @@ def expansion_rate(
     """
     *shape, m, _ = np.broadcast_shapes(rays_first.shape, rays_second.shape)
 
-    def of_regions(values: Floats | float, *last: int) -> Floats:
+    def one_after_the_other(values: Floats | float, *last: int) -> Floats:
         every = np.array(np.broadcast_to(values, (*shape, m, *last)), dtype=np.float64, order="C")
-        return every.reshape(math.prod(shape), m, *last)
+        return every.reshape(-1, *last)
 
-    scale, log_scale_variance = np.full(shape, np.nan), np.full(shape, np.nan)
-    _fit_each(
-        of_regions(rays_first, 3),
-        of_regions(rays_second, 3),
-        of_regions(1.0 if weights is None else weights),
-        scale.reshape(-1),
-        log_scale_variance.reshape(-1),
-    )
-    dt_s = np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
-    return (scale - 1.0) / dt_s, scale * np.sqrt(log_scale_variance) / dt_s
+    regions = np.arange(math.prod(shape) * m).reshape(math.prod(shape), m)
+    views = one_after_the_other(rays_first, 3), one_after_the_other(rays_second, 3)
+    weights = one_after_the_other(1.0 if weights is None else weights)
+    return _rates(*views, weights, regions, np.broadcast_to(dt_s, shape), shape)
 
 
 def expansion_of_neighbourhood(
@@ -84,20 +78,33 @@ def expansion_of_neighbourhood(
 
     Source: DESIGN equation 8.
     """
-    is_there = (neighbours >= 0).astype(np.float64)
-    return expansion_rate(rays_first[neighbours], rays_second[neighbours], dt_s, is_there)
+    views = np.ascontiguousarray(rays_first), np.ascontiguousarray(rays_second)
+    return _rates(*views, np.ones(len(rays_first)), neighbours, dt_s, [len(neighbours)])
+
+
+def _rates(
+    first: Floats, second: Floats, weights: Floats, regions: Ints, dt_s: float | Floats, shape: list[int]
+) -> tuple[Floats, Floats]:
+    """`expansion_rate` of ``regions (R, m)`` of N points, in the given shape."""
+    scale, log_scale_variance = np.full(len(regions), np.nan), np.full(len(regions), np.nan)
+    _fit_each(first, second, weights, np.asarray(regions, dtype=np.int64), scale, log_scale_variance)
+    dt_s = np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
+    scale = scale.reshape(shape)
+    return (scale - 1.0) / dt_s, scale * np.sqrt(log_scale_variance.reshape(shape)) / dt_s
 
 
 @compiled
-def _fit_each(first: Floats, second: Floats, weights: Floats, scale: Floats, log_scale_variance: Floats) -> None:
-    """Fills the similarity's ``scale (R,)`` of each region of m points, and the variance of its logarithm.
+def _fit_each(
+    first: Floats, second: Floats, weights: Floats, regions: Ints, scale: Floats, log_scale_variance: Floats
+) -> None:
+    """Fills the similarity's ``scale (R,)`` of each of the ``regions (R, m)``, and the variance of its logarithm.
 
     With u, v the offsets from the centroids of the two views: scale^2 = sum w v^2 / sum w u^2, and the residuals
     v - scale u have 2 m - 3 degrees of freedom.
     """
-    offset, w = np.empty((weights.shape[1], 4)), np.empty(weights.shape[1])
-    for region in range(len(weights)):
-        count = _offsets(first[region], second[region], weights[region], offset, w)
+    offset, w = np.empty((regions.shape[1], 4)), np.empty(regions.shape[1])
+    for region in range(len(regions)):
+        count = _offsets(first, second, weights, regions[region], offset, w)
         uu, vv, misfit = 0.0, 0.0, 0.0
         for i in range(count):
             uu += w[i] * (offset[i, 0] ** 2 + offset[i, 1] ** 2)
@@ -114,13 +121,16 @@ def _fit_each(first: Floats, second: Floats, weights: Floats, scale: Floats, log
 
 
 @compiled
-def _offsets(first: Floats, second: Floats, weights: Floats, offset: Floats, w: Floats) -> int:
-    """Fills ``offset (m, 4)`` from the centroids of both views with the points that are seen, and their weights."""
+def _offsets(first: Floats, second: Floats, weights: Floats, region: Ints, offset: Floats, w: Floats) -> int:
+    """Fills ``offset (m, 4)`` from the centroids of both views with the points that are seen, and their weights.
+
+    ``region (m,)`` are the points, negative: absent.
+    """
     count, total = 0, 0.0
     centre = np.zeros(4)
-    for i in range(len(weights)):
+    for i in region:
         # Comparisons with NaN are False.
-        if not (weights[i] > 0.0 and first[i, 2] > 0.0 and second[i, 2] > 0.0):
+        if i < 0 or not (weights[i] > 0.0 and first[i, 2] > 0.0 and second[i, 2] > 0.0):
             continue
         w[count] = weights[i]
         offset[count, 0], offset[count, 1] = first[i, 0] / first[i, 2], first[i, 1] / first[i, 2]

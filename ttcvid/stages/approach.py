@@ -7,6 +7,7 @@ hundred tracks of a resting car has a rate of its own, their mean is fifty times
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +16,7 @@ import numpy as np
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.model import Camera, ClusterRow, Floats, Ints, MotionState
+from ttcvid.stages.sets import TrackSets
 
 # Nearer and farther are told at 99 % (one side): there are ten objects in a frame.
 _SIGMAS_99 = 2.326
@@ -34,7 +36,7 @@ class CommonViews:
     now: Floats
     gap_s: float
 
-    def expansions(self, members: list[Ints]) -> tuple[Floats, Floats]:
+    def expansions(self, members: Sequence[Ints]) -> tuple[Floats, Floats]:
         """How each of K sets of tracks expands, and its standard deviation: (K,) each, 1/s; NaN where unknown."""
         padded = np.full((len(members), max((len(index) for index in members), default=0)), -1, dtype=np.int64)
         for row, index in zip(padded, members, strict=True):
@@ -43,56 +45,57 @@ class CommonViews:
 
 
 def with_seen_motion(
-    rows: list[ClusterRow], members: list[Ints], views: CommonViews, age_s: Floats, camera: Camera
+    rows: list[ClusterRow],
+    members: TrackSets,
+    views: CommonViews,
+    growth: tuple[Floats, Floats],
+    age_s: Floats,
+    camera: Camera,
 ) -> list[ClusterRow]:
-    """The same rows; what is said to approach or recede without its picture showing it is not said to.
+    """The same K rows; what is said to approach or recede without its picture showing it is not said to.
 
     Parameters
     ----------
-    members : tracks of each row.
+    members : tracks of the rows.
+    growth : (K,) each, how the pictures of the rows expand, and its standard deviation (`CommonViews.expansions`).
     age_s : (N,) for how long each track has been seen.
     """
     asked = [k for k, row in enumerate(rows) if row.motion_state in (*_APPROACHING, MotionState.receding)]
     if not asked:
         return rows
-    growth = views.expansions([members[k] for k in asked])
     rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in asked]))
+    radius_px = camera.fx_px * _spread(views.now, members)
+    looked_s = np.maximum(np.minimum(members.medians(age_s[members.index]), _DRIFT_S), views.gap_s)
+    grows = np.column_stack(growth).tolist()
     seen = list(rows)
-    for k, ray, *grows in zip(asked, rays, *growth, strict=True):
-        seen[k] = replace(rows[k], motion_state=_seen(rows[k], ray, views, members[k], grows, age_s, camera))
+    for k, ray in zip(asked, rays, strict=True):
+        outline_px = float(radius_px[k])
+        drift_hz = _COMMON_ERROR_PX / (outline_px * float(looked_s[k])) if outline_px > 0.0 else 0.0
+        is_contradicted = _is_contradicted(rows[k], views.gap_s, grows[k], outline_px)
+        seen[k] = replace(rows[k], motion_state=_seen_state(rows[k], ray, drift_hz, is_contradicted=is_contradicted))
     return seen
 
 
-def _seen(
-    row: ClusterRow,
-    ray: Floats,
-    views: CommonViews,
-    members: Ints,
-    grows: Sequence[float],
-    age_s: Floats,
-    camera: Camera,
-) -> MotionState:
+def _seen_state(row: ClusterRow, ray: Floats, drift_hz: float, *, is_contradicted: bool) -> MotionState:
     state = row.motion_state
     nearer_hz, sigma_hz = _radial_rate(row, ray)
-    radius_px = _radius_px(views.now[members], camera)
-    if radius_px > 0.0:
-        looked_s = min(float(np.median(age_s[members])), _DRIFT_S)
-        sigma_hz = np.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * max(looked_s, views.gap_s)))
-    if abs(nearer_hz) < _SIGMAS_99 * sigma_hz:
+    if abs(nearer_hz) < _SIGMAS_99 * math.hypot(sigma_hz, drift_hz):
         return MotionState.no_relative_motion if state == MotionState.constant_bearing else MotionState.unknown
-    return MotionState.unknown if _is_contradicted(row, views.gap_s, grows, radius_px) else state
+    return MotionState.unknown if is_contradicted else state
 
 
 def _radial_rate(row: ClusterRow, ray: Floats) -> tuple[float, float]:
     """Rate at which the distance along ``ray (3,)`` shrinks, over itself, and its standard deviation, 1/s."""
     along = ray / (ray @ ray)
-    return -float(along @ np.asarray(row.state_abc_hz)), float(np.sqrt(along @ np.asarray(row.present_cov) @ along))
+    return -float(along @ np.asarray(row.state_abc_hz)), math.sqrt(along @ np.asarray(row.present_cov) @ along)
 
 
-def _radius_px(rays: Floats, camera: Camera) -> float:
-    """Root mean square distance of the tracks from their centre, px."""
-    xy = rays[:, :2] / rays[:, 2:]
-    return camera.fx_px * float(np.sqrt(np.mean(np.sum((xy - xy.mean(axis=0)) ** 2, axis=1))))
+def _spread(rays: Floats, members: TrackSets) -> Floats:
+    """Root mean square distance (K,) of the tracks of each set from their centre, in the plane z = 1."""
+    own = rays[members.index]
+    offset = own[:, :2] / own[:, 2:]
+    offset -= members.means(offset)[members.set_of]
+    return np.sqrt(members.means(np.sum(offset**2, axis=1)))
 
 
 def _is_contradicted(row: ClusterRow, gap_s: float, grows: Sequence[float], radius_px: float) -> bool:
@@ -101,10 +104,10 @@ def _is_contradicted(row: ClusterRow, gap_s: float, grows: Sequence[float], radi
     The distances between its own points are blind to rotation, which the paths are not.
     """
     grows_hz, sigma_hz = grows
-    if not (np.isfinite(grows_hz) and np.isfinite(sigma_hz) and radius_px > 0.0):
+    if not (math.isfinite(grows_hz) and math.isfinite(sigma_hz) and radius_px > 0.0):
         return False
-    sigma_hz = float(np.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * gap_s)))
-    said_hz, said_sigma_hz = -float(np.asarray(row.state_abc_hz)[2]), float(np.sqrt(np.asarray(row.present_cov)[2, 2]))
+    sigma_hz = math.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * gap_s))
+    said_hz, said_sigma_hz = -float(np.asarray(row.state_abc_hz)[2]), math.sqrt(np.asarray(row.present_cov)[2, 2])
     side = 1.0 if row.motion_state in _APPROACHING else -1.0
     is_seen = side * grows_hz > _SIGMAS_95 * sigma_hz
-    return not is_seen and side * (said_hz - grows_hz) > _SIGMAS_95 * np.hypot(sigma_hz, said_sigma_hz)
+    return not is_seen and side * (said_hz - grows_hz) > _SIGMAS_95 * math.hypot(sigma_hz, said_sigma_hz)

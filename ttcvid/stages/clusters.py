@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -12,8 +12,9 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
 from ttcvid.model import SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Ints, MotionState, Status
-from ttcvid.stages.surfaces import nearest_surface
-from ttcvid.stages.track_states import TrackStates, has_value
+from ttcvid.stages.joint_states import joint_states
+from ttcvid.stages.sets import TrackSets
+from ttcvid.stages.track_states import TrackStates
 
 # Approaching, receding and sideways motion are told at 95 % (one side).
 _SIGMAS_95 = 1.645
@@ -21,14 +22,10 @@ _SIGMAS_95 = 1.645
 _SIGMAS_95_OF_TWO = 2.45
 # Two directions are one when their difference is inside 99 % of a 2-D Gaussian.
 _SAME_DIRECTION_CHI2 = 9.21
-# Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
-_TRIMMED_VARIANCE = 1.35
-# Tracks that tell when a thing is reached that is one surface.
-_LEAST_OF_SURFACE = 3
-# The parts of a car's front lie in depths that differ by this (standard deviation, as a part of the distance).
-_RELIEF = 0.025
-# Least variance of a rate, 1/s^2, and noise of a point that is exact by definition.
-_TINY, _EXACT = 1e-24, 1e-12
+# A cluster has a direction.
+_VALUED = (Status.ok, Status.epipole_at_infinity)
+# Noise of a point that is exact by definition.
+_EXACT = 1e-12
 
 
 @dataclass(frozen=True)
@@ -50,63 +47,76 @@ class ClusterMotion:
     is_static: bool = False
 
 
-def scene_row(motion: ClusterMotion, xy_px: Floats) -> ClusterRow:
-    """The scene: an epipole, no times (a scene has many depths)."""
-    is_resting = motion.status == Status.no_parallax
-    return _row(motion, xy_px, motion_state=MotionState.no_relative_motion if is_resting else MotionState.unknown)
-
-
-def object_row(
-    motion: ClusterMotion,
-    motion_id: int,
+def rows_of(
+    motions: Sequence[ClusterMotion],
+    members: TrackSets,
     states: TrackStates,
     xy_px: Floats,
     link_px: float,
-    expansion_hz: float,
-) -> ClusterRow:
-    """An object with the state of its nearest well-supported surface; `with_times` adds what follows from it.
+    expansion_hz: Floats,
+) -> list[ClusterRow]:
+    """A row for each cluster; an object's has the state of its nearest surface, and `with_times` what follows from it.
+
+    The scene has no state (it has many depths).
 
     Parameters
     ----------
-    expansion_hz : of all its tracks, NaN where unknown.
+    members : tracks of the K ``motions``.
+    expansion_hz : (K,) of all tracks of each, NaN where unknown.
     """
-    known: dict[str, Any] = {"motion_id": motion_id}
-    if np.isfinite(expansion_hz):
-        known["expansion_hz"] = float(expansion_hz)
-    surface = _nearest_surface(motion, states, xy_px, link_px)
-    if len(surface):
-        known |= _surface_state(states.take(surface), xy_px[surface])
-    elif motion.status in (Status.ok, Status.epipole_at_infinity):
-        known["status"] = Status.no_parallax
-    return _with_direction_of_state(_row(motion, xy_px, **known))
+    boxes, lengths = members.boxes(xy_px).tolist(), members.lengths.tolist()
+    rows = [_row(*each) for each in zip(motions, motion_ids(motions), boxes, lengths, expansion_hz, strict=True)]
+    direction, _ = _directions([replace(m, direction=None) if _is_scene(m) else m for m in motions])
+    is_static = np.array([motion.is_static for motion in motions], dtype=bool)
+    joint = joint_states(members, direction, is_static, states, xy_px, link_px)
+    for k, place in enumerate(joint.owner):
+        rows[place] = replace(
+            rows[place],
+            status=motions[place].status,
+            ref_px=(float(joint.ref_px[k, 0]), float(joint.ref_px[k, 1])),
+            state_abc_hz=joint.abc_hz[k],
+            state_cov=joint.cov[k],
+            speed_change=float(joint.speed_change[k]),
+        )
+    return _with_directions_of_states(rows)
 
 
-def _nearest_surface(motion: ClusterMotion, states: TrackStates, xy_px: Floats, link_px: float) -> Ints:
-    """The tracks of the nearest surface: those with the largest rate speed / Z, whether it comes, goes or crosses.
-
-    (Of a thing that approaches, the largest rate is also the largest 1 / ttc_z. Of one that recedes it is the smallest,
-    and one that crosses has none: its tracks would make no surfaces.) What the tracks have in common moves all surfaces
-    alike, and does not make one of two; but no surface is flat.
-    """
-    usable = motion.members[has_value(states.status[motion.members])]
-    if motion.direction is None or not len(usable):
-        return np.empty(0, dtype=np.int64)
-    rate_hz = states.abc_hz[usable] @ motion.direction
-    sigma_hz = np.hypot(states.own_sigma_along(motion.direction, usable), _RELIEF * rate_hz)
-    surface = usable[nearest_surface(rate_hz, sigma_hz, xy_px[usable], link_px)]
-    # What stands in our way was found as one surface, and may have few tracks.
-    is_whole = motion.is_static and not len(surface) and len(usable) >= _LEAST_OF_SURFACE
-    return np.asarray(usable if is_whole else surface)
+def _is_scene(motion: ClusterMotion) -> bool:
+    return motion.cluster_id == SCENE_CLUSTER
 
 
-def motion_ids(clusters: tuple[ClusterMotion, ...]) -> list[int]:
+def _row(motion: ClusterMotion, motion_id: int, box_px: list[float], n_tracks: int, expansion_hz: float) -> ClusterRow:
+    """What its motion and the places of its tracks say of a cluster; an object without a state has no parallax."""
+    status, motion_state = motion.status, MotionState.unknown
+    if _is_scene(motion):
+        motion_state = MotionState.no_relative_motion if status == Status.no_parallax else motion_state
+    elif status in _VALUED:
+        status = Status.no_parallax
+    x0, y0, x1, y1 = box_px
+    return ClusterRow(
+        cluster_id=motion.cluster_id,
+        motion_id=motion_id,
+        n_tracks=n_tracks,
+        box_px=(x0, y0, x1, y1),
+        status=status,
+        epipole_status=motion.status,
+        method=motion.method,
+        motion_state=motion_state,
+        direction=motion.direction,
+        direction_cov=motion.direction_cov,
+        horizon_offset_px=motion.horizon_offset_px,
+        expansion_hz=float(expansion_hz) if np.isfinite(expansion_hz) else None,
+    )
+
+
+def motion_ids(clusters: Sequence[ClusterMotion]) -> list[int]:
     """Number of each cluster's motion: clusters with one epipole share it; 0 is the scene's."""
     is_same = _have_same_direction(clusters)
     numbers: list[int] = []
     next_number = 1
     for place, motion in enumerate(clusters):
         same = np.flatnonzero(is_same[place, :place])
-        if motion.cluster_id == SCENE_CLUSTER or motion.is_static:
+        if _is_scene(motion) or motion.is_static:
             numbers.append(0)
         elif len(same):
             numbers.append(numbers[same[0]])
@@ -149,100 +159,29 @@ def epipole_pixels(directions: Floats, camera: Camera) -> Floats:
     return pixels_from_rays(camera, forward)
 
 
-def _row(motion: ClusterMotion, xy_px: Floats, **known: Any) -> ClusterRow:
-    """A row with what its motion and the places of its tracks say, and what else is ``known``."""
-    places = xy_px[motion.members]
-    low, high = places.min(axis=0), places.max(axis=0)
-    row: dict[str, Any] = {
-        "cluster_id": motion.cluster_id,
-        "motion_id": SCENE_CLUSTER,
-        "n_tracks": len(motion.members),
-        "box_px": (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
-        "status": motion.status,
-        "epipole_status": motion.status,
-        "method": motion.method,
-        "direction": motion.direction,
-        "direction_cov": motion.direction_cov,
-        "horizon_offset_px": motion.horizon_offset_px,
-    }
-    return ClusterRow(**(row | known))
-
-
 def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     """The times of all rows that have a state, and how they move; the others as they are."""
-    stated = [row for row in rows if row.state_abc_hz is not None and row.ref_px is not None]
+    stated = [place for place, row in enumerate(rows) if row.state_abc_hz is not None and row.ref_px is not None]
     if not stated:
         return rows
-    xy = rays_from_pixels(camera, np.array([row.ref_px for row in stated]))[:, :2]
-    abc_hz, cov = np.array([row.state_abc_hz for row in stated]), np.array([row.state_cov for row in stated])
+    xy = rays_from_pixels(camera, np.array([rows[place].ref_px for place in stated]))[:, :2]
+    abc_hz = np.array([rows[place].state_abc_hz for place in stated])
+    cov = np.array([rows[place].state_cov for place in stated])
     # The reference point is where the tracks are, by definition: it has no error of its own.
     sigma_norm = np.full(len(stated), _EXACT)
     times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
-    present_cov = np.array([row.present_cov for row in stated])
+    present_cov = np.array([rows[place].present_cov for place in stated])
     rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, present_cov, sigma_norm)
-    done = {
-        row.cluster_id: replace(row, times=times.take([i]), motion_state=_motion_state(rates[i], rates_cov[i]))
-        for i, row in enumerate(stated)
-    }
-    return [done.get(row.cluster_id, row) for row in rows]
+    sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
+    rows = list(rows)
+    for i, (place, rate, sigma) in enumerate(zip(stated, rates.tolist(), sigmas.tolist(), strict=True)):
+        rows[place] = replace(rows[place], times=times.take(slice(i, i + 1)), motion_state=_motion_state(rate, sigma))
+    return rows
 
 
-def _surface_state(states: TrackStates, xy_px: Floats) -> dict[str, Any]:
-    """The joint state of a surface's tracks at their centroid: part of its row."""
-    weight = 1.0 / np.maximum(states.cov[:, 2, 2], _TINY)
-    weight /= weight.sum()
-    ref_px = weight @ xy_px
-    return {
-        "ref_px": (float(ref_px[0]), float(ref_px[1])),
-        "state_abc_hz": weight @ states.abc_hz,
-        "state_cov": _joint_covariance(states, weight),
-        "speed_change": _speed_change(states),
-    }
-
-
-def _with_direction_of_state(row: ClusterRow) -> ClusterRow:
-    """Give an object whose state contradicts its direction that of its state.
-
-    The direction was found as if all tracks were straight, which is the surer way where they are. In a bend it lags,
-    and the curve is taken for depth. (On a horizon the plane says more than either.)
-    """
-    if row.state_abc_hz is None or row.state_cov is None or row.horizon_offset_px is not None:
-        return row
-    if row.direction is None or row.direction_cov is None:
-        return row
-    speed_hz = float(np.linalg.norm(row.state_abc_hz))
-    direction = row.state_abc_hz / speed_hz
-    across = (np.eye(3) - np.outer(direction, direction)) / speed_hz
-    cov = across @ row.state_cov @ across
-    if direction_chi2(direction, row.direction, cov + row.direction_cov) < _SAME_DIRECTION_CHI2:
-        return row
-    status = row.epipole_status
-    if status in (Status.ok, Status.epipole_at_infinity):
-        status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
-    return replace(row, direction=direction, direction_cov=cov, epipole_status=status)
-
-
-def _joint_covariance(states: TrackStates, weight: Floats) -> Floats:
-    """Covariance of the weighted mean of (a, b, c) = s e: own noise averages out, errors of e and of rotation do not.
-
-    Where each track has a direction of its own (three frames), nothing is common.
-    """
-    shared = states.shared
-    if shared is None or not shared.is_one_path:
-        return _TRIMMED_VARIANCE * np.asarray(np.einsum("n,nij->ij", weight**2, states.cov))
-    return shared.covariance_of_mean(states.abc_hz, weight, _TRIMMED_VARIANCE)
-
-
-def _speed_change(states: TrackStates) -> float:
-    """By what part the speed may change that the tracks share."""
-    shared = states.shared
-    return 0.0 if shared is None or not shared.is_one_path else float(shared.change[shared.path_of[0]])
-
-
-def _motion_state(rates: Floats, cov: Floats) -> MotionState:
+def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionState:
     """Test of the radial rate q (negative: nearer) and the transverse rate u at 95 %."""
-    q, u = rates
-    q_sigma, u_sigma = np.sqrt(np.diag(cov))
+    (q, u), (q_sigma, u_sigma) = rates, sigmas
     moves_across = u > _SIGMAS_95_OF_TWO * u_sigma
     if q < -_SIGMAS_95 * q_sigma:
         return MotionState.approaching if moves_across else MotionState.constant_bearing
@@ -251,15 +190,47 @@ def _motion_state(rates: Floats, cov: Floats) -> MotionState:
     return MotionState.unknown if moves_across else MotionState.no_relative_motion
 
 
-def _have_same_direction(clusters: tuple[ClusterMotion, ...]) -> Bools:
+def _with_directions_of_states(rows: list[ClusterRow]) -> list[ClusterRow]:
+    """Give objects whose state contradicts their direction that of their state.
+
+    The direction was found as if all tracks were straight, which is the surer way where they are. In a bend it lags,
+    and the curve is taken for depth. (On a horizon the plane says more than either.)
+    """
+    asked = [k for k, row in enumerate(rows) if row.state_abc_hz is not None and row.horizon_offset_px is None]
+    if not asked:
+        return rows
+    believed, believed_cov = _directions([rows[k] for k in asked])
+    abc_hz, state_cov = np.array([rows[k].state_abc_hz for k in asked]), np.array([rows[k].state_cov for k in asked])
+    speed_hz = np.linalg.norm(abc_hz, axis=1)[:, None]
+    direction = abc_hz / speed_hz
+    across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
+    cov = across @ state_cov @ across
+    # Without a covariance of the belief (NaN) it stays.
+    is_other = direction_chi2(direction, believed, cov + believed_cov) >= _SAME_DIRECTION_CHI2
+    rows = list(rows)
+    for i in np.flatnonzero(is_other):
+        row, status = rows[asked[i]], rows[asked[i]].epipole_status
+        if status in _VALUED:
+            status = Status.epipole_at_infinity if abs(direction[i, 2]) < INFINITY_COSINE else Status.ok
+        rows[asked[i]] = replace(row, direction=direction[i], direction_cov=cov[i], epipole_status=status)
+    return rows
+
+
+def _have_same_direction(clusters: Sequence[ClusterMotion]) -> Bools:
     """Which pairs of clusters (K, K) have one direction within their errors."""
-    nothing = np.full(3, np.nan), np.full((3, 3), np.nan)
-    known = [
-        nothing if m.direction is None or m.direction_cov is None else (m.direction, m.direction_cov) for m in clusters
-    ]
-    direction = np.reshape([one for one, _ in known], (len(clusters), 3))
-    cov = np.reshape([one for _, one in known], (len(clusters), 3, 3))
+    direction, cov = _directions(clusters)
     return np.asarray(direction_chi2(direction, direction[:, None], cov + cov[:, None]) < _SAME_DIRECTION_CHI2)
+
+
+def _directions(things: Sequence[ClusterMotion | ClusterRow]) -> tuple[Floats, Floats]:
+    """Directions (K, 3) and their covariances (K, 3, 3), NaN where one of them is not known."""
+    unknown = np.full(3, np.nan), np.full((3, 3), np.nan)
+    known = [
+        unknown if thing.direction is None or thing.direction_cov is None else (thing.direction, thing.direction_cov)
+        for thing in things
+    ]
+    direction = np.reshape([one for one, _ in known], (len(known), 3))
+    return direction, np.reshape([one for _, one in known], (len(known), 3, 3))
 
 
 def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:

@@ -18,17 +18,16 @@ from ttcvid.model import (
 )
 from ttcvid.stages.approach import CommonViews, with_seen_motion
 from ttcvid.stages.clusters import (
-    motion_ids,
     neighbours_in_cluster,
-    object_row,
     ranked,
-    scene_row,
+    rows_of,
     with_epipole_pixels,
     with_times,
 )
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.planar import HorizonPlane
+from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.track_states import TrackStates, three_frame_states, two_frame_states, with_constant_bearing
 from ttcvid.stages.whole_track_states import multi_frame_states
 
@@ -70,16 +69,16 @@ def cluster_rows(
     history: TrackHistory, motions: FrameMotions, states: TrackStates, camera: Camera
 ) -> tuple[ClusterRow, ...]:
     """Rows of the scene and of all objects, ascending in ``cluster_id``."""
-    views, members = _common_views(history), [motion.members for motion in motions.clusters]
-    expansion_hz, _ = views.expansions(members)
-    rows = [
-        scene_row(motion, history.xy_px)
-        if motion.cluster_id == SCENE_CLUSTER
-        else object_row(motion, number, states, history.xy_px, motions.link_px, grows_hz)
-        for motion, number, grows_hz in zip(motions.clusters, motion_ids(motions.clusters), expansion_hz, strict=True)
-    ]
+    members = TrackSets.of([motion.members for motion in motions.clusters])
+    views = _common_views(history)
+    # The scene's picture expands differently at each depth.
+    nothing = np.empty(0, dtype=np.int64)
+    growth = views.expansions(
+        [nothing if motion.cluster_id == SCENE_CLUSTER else motion.members for motion in motions.clusters]
+    )
+    rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, growth[0])
     rows = with_times(with_epipole_pixels(rows, camera), camera)
-    return tuple(ranked(with_seen_motion(rows, members, views, _age_s(history), camera)))
+    return tuple(ranked(with_seen_motion(rows, members, views, growth, _age_s(history), camera)))
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:

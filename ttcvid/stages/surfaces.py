@@ -1,4 +1,4 @@
-"""The nearest well-supported surface of an object: what is hit first."""
+"""The nearest well-supported surfaces of objects: what is hit first."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.sets import TrackSets
 
 # A surface is borne by this part of an object's tracks, and by at least so many (or all there are).
 _LEAST_PART, _LEAST_TRACKS = 0.1, 5
@@ -17,8 +18,8 @@ _NEXT_START_SIGMAS = 0.5
 _MAX_STEPS = 20
 
 
-def nearest_surface(rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, link_px: float) -> Ints:
-    """Tracks that bear the nearest well-supported surface: indices, empty where nothing is supported.
+def in_nearest_surface(rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, link_px: float) -> Bools:
+    """Which tracks (M,) of each set bear the nearest well-supported surface of it; none where nothing is supported.
 
     The largest rate with enough connected tracks inside 2 sigma is where the search starts; it then
     moves to the weighted mean of those tracks until it stays. Without that last step the largest of N noisy rates of
@@ -26,16 +27,24 @@ def nearest_surface(rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, link_px: f
 
     Parameters
     ----------
-    rate_hz, sigma_hz : (N,) rates, speed over depth, and their standard deviations, 1/s.
-    xy_px : (N, 2) places, px; tracks closer than ``link_px`` are connected.
+    rate_hz, sigma_hz : (M,) rates, speed over depth, and their standard deviations, 1/s, in the order of the sets.
+    xy_px : (M, 2) places, px; tracks closer than ``link_px`` are connected.
     """
-    n = len(rate_hz)
-    is_in = np.zeros(n, dtype=bool)
-    needed = min(n, max(_LEAST_TRACKS, int(np.ceil(_LEAST_PART * n))))
-    if needed:
-        starts = np.argsort(-rate_hz, kind="stable")
-        _find(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, starts, needed, is_in)
-    return np.flatnonzero(is_in)
+    is_in = np.zeros(len(rate_hz), dtype=bool)
+    starts = np.lexsort((-rate_hz, sets.set_of))
+    needed = np.minimum(sets.lengths, np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * sets.lengths).astype(np.int64)))
+    _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, starts, sets.first, needed, is_in)
+    return is_in
+
+
+@compiled
+def _find_each(
+    rate: Floats, sigma: Floats, xy: Floats, link: float, starts: Ints, first: Ints, needed: Ints, is_in: Bools
+) -> None:
+    """Fills ``is_in (M,)`` set by set; the ``starts (M,)`` of a set, counted over all sets, stand in its places."""
+    for k in range(len(first)):
+        low, high = first[k], first[k + 1] if k + 1 < len(first) else len(rate)
+        _find(rate[low:high], sigma[low:high], xy[low:high], link, starts[low:high] - low, needed[k], is_in[low:high])
 
 
 @compiled

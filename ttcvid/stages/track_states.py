@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ttcvid.geometry.three_frames import three_frame_direction
 from ttcvid.model import Bools, CollisionTimes, Floats, Ints, Status
 from ttcvid.stages.flows import Flows
 from ttcvid.stages.history import TrackHistory
+from ttcvid.stages.sets import TrackSets
 
 # Step of the numerical derivatives of the three-frame solution, in sigmas of the points.
 _DERIVATIVE_STEP_SIGMAS = 0.3
@@ -39,31 +40,22 @@ class SharedErrors:
     cov: Floats
     change: Floats
 
-    def take(self, index: Ints) -> SharedErrors:
-        """The tracks that an index array picks."""
-        return replace(
-            self,
-            path_of=self.path_of[index],
-            rate_variance=self.rate_variance[index],
-            jacobian=self.jacobian[index],
-        )
+    def covariances_of_means(self, sets: TrackSets, weight: Floats, mean_hz: Floats, own_factor: float) -> Floats:
+        """Covariances (K, 3, 3) of weighted means ``mean_hz (K, 3)`` of (a, b, c) over K sets, each of one path.
 
-    @property
-    def is_one_path(self) -> bool:
-        """Whether all tracks are on one path."""
-        return bool(self.path_of[0] >= 0 and np.all(self.path_of == self.path_of[0]))
-
-    def covariance_of_mean(self, abc_hz: Floats, weight: Floats, own_factor: float) -> Floats:
-        """Covariance (3, 3) of the weighted mean of ``abc_hz (N, 3)`` of tracks of one path.
-
-        Noise of their own averages out, up to ``own_factor``; what they share does not.
+        Noise of their own averages out, up to ``own_factor``; what they share does not. ``weight (M,)`` is that of the
+        tracks of the sets, with the sum 1 over each set.
         """
-        number = self.path_of[0]
-        mean = np.einsum("n,nij->ij", weight, self.jacobian)
-        own = own_factor * float(weight**2 @ self.rate_variance)
-        changed = self.change[number] * (weight @ abc_hz)
+        number = self.path_of[sets.index[sets.first]]
+        jacobian = sets.sums(weight[:, None, None] * self.jacobian[sets.index])
+        own = own_factor * sets.sums(weight**2 * self.rate_variance[sets.index])
+        changed = self.change[number][:, None] * mean_hz
         along = self.along[number]
-        return np.asarray(own * np.outer(along, along) + mean @ self.cov[number] @ mean.T + np.outer(changed, changed))
+        return np.asarray(
+            own[:, None, None] * along[:, :, None] * along[:, None, :]
+            + jacobian @ self.cov[number] @ np.swapaxes(jacobian, 1, 2)
+            + changed[:, :, None] * changed[:, None, :]
+        )
 
 
 @dataclass(frozen=True)
@@ -83,15 +75,15 @@ class TrackStates:
     shared: SharedErrors | None = None
 
     def own_sigma_along(self, direction: Floats, index: Ints) -> Floats:
-        """Standard deviation of (a, b, c) along ``direction (3,)`` by the noise of a track's own views.
+        """Standard deviation of (a, b, c) along ``direction (M, 3)`` by the noise of a track's own views.
 
         Of the tracks ``index (M,)``: (M,) 1/s.
         """
-        variance: Floats = self.cov[index] @ direction @ direction
+        variance: Floats = np.einsum("mi,mij,mj->m", direction, self.cov[index], direction)
         if self.shared is not None:
             path_of = self.shared.path_of[index]
             on_path = path_of >= 0
-            along = self.shared.along[path_of[on_path]] @ direction
+            along = np.sum(self.shared.along[path_of[on_path]] * direction[on_path], axis=1)
             variance[on_path] = self.shared.rate_variance[index[on_path]] * along**2
         return np.sqrt(variance)
 
@@ -138,11 +130,6 @@ class TrackStates:
         changed.direction[index] = np.where(is_valued[:, None], direction, np.nan)
         changed.status[index] = status
         return changed
-
-    def take(self, index: Ints) -> TrackStates:
-        """The states that an index array picks."""
-        own = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "shared"}
-        return TrackStates(**own, shared=None if self.shared is None else self.shared.take(index))
 
     def times(self) -> CollisionTimes:
         """The three times with their intervals: N rows."""
