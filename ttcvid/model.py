@@ -237,6 +237,9 @@ class CollisionTimes:
         return CollisionTimes(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
+_NO_TIMES = CollisionTimes.missing(1)
+
+
 @dataclass(frozen=True)
 class TrackRows:
     """Results of the N live tracks of one frame, ascending in ``track_id``.
@@ -283,7 +286,7 @@ class ClusterRow:
     speed_change: float = 0.0
     expansion_hz: float | None = None
     urgency_rank: int | None = None
-    times: CollisionTimes = field(default_factory=lambda: CollisionTimes.missing(1))
+    times: CollisionTimes = field(default_factory=lambda: _NO_TIMES)
 
     @property
     def role(self) -> str:

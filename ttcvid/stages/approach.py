@@ -72,7 +72,9 @@ def with_seen_motion(
         outline_px = float(radius_px[k])
         drift_hz = _COMMON_ERROR_PX / (outline_px * float(looked_s[k])) if outline_px > 0.0 else 0.0
         is_contradicted = _is_contradicted(rows[k], views.gap_s, grows[k], outline_px)
-        seen[k] = replace(rows[k], motion_state=_seen_state(rows[k], ray, drift_hz, is_contradicted=is_contradicted))
+        state = _seen_state(rows[k], ray, drift_hz, is_contradicted=is_contradicted)
+        if state != rows[k].motion_state:
+            seen[k] = replace(rows[k], motion_state=state)
     return seen
 
 

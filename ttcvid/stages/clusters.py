@@ -138,7 +138,7 @@ def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
         if row.motion_state in (MotionState.approaching, MotionState.constant_bearing)
     ]
     rank = {cluster_id: place + 1 for place, (_, cluster_id) in enumerate(sorted(urgent))}
-    return [replace(row, urgency_rank=rank.get(row.cluster_id)) for row in rows]
+    return [replace(row, urgency_rank=rank[row.cluster_id]) if row.cluster_id in rank else row for row in rows]
 
 
 def with_epipole_pixels(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:

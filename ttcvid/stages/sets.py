@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,35 +13,35 @@ from ttcvid.model import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class TrackSets:
-    """K sets of tracks, none of them empty, one after the other: ``index (M,)`` the tracks, ``set_of (M,)`` ascending.
-
-    ``first (K,)`` is where each set begins.
-    """
+    """K sets of tracks, none of them empty, one after the other: ``index (M,)`` the tracks, ``lengths (K,)``."""
 
     index: Ints
-    set_of: Ints
-    first: Ints
+    lengths: Ints
 
     @staticmethod
     def of(members: Sequence[Ints]) -> TrackSets:
         """The sets with these ``members``, each an index array."""
-        lengths = np.array([len(index) for index in members], dtype=np.int64)
         index = np.concatenate([np.empty(0, dtype=np.int64), *members])
-        return TrackSets(index, np.repeat(np.arange(len(members)), lengths), np.cumsum(lengths) - lengths)
+        return TrackSets(index, np.array([len(one) for one in members], dtype=np.int64))
 
     def where(self, holds: Bools) -> tuple[TrackSets, Ints]:
         """The same without the places at which ``holds (M,)`` is False, and which of the sets are left: (K',)."""
-        left, set_of = np.unique(self.set_of[holds], return_inverse=True)
-        first = np.searchsorted(set_of, np.arange(len(left)))
-        return TrackSets(self.index[holds], np.asarray(set_of, dtype=np.int64), first), left
+        lengths = np.bincount(self.set_of[holds], minlength=len(self))
+        left = np.flatnonzero(lengths)
+        return TrackSets(self.index[holds], lengths[left]), left
 
     def __len__(self) -> int:
-        return len(self.first)
+        return len(self.lengths)
 
-    @property
-    def lengths(self) -> Ints:
-        """Number of tracks of each set: (K,)."""
-        return np.diff(self.first, append=len(self.index))
+    @cached_property
+    def set_of(self) -> Ints:
+        """The set of each place: (M,), ascending."""
+        return np.repeat(np.arange(len(self)), self.lengths)
+
+    @cached_property
+    def first(self) -> Ints:
+        """Where each set begins: (K,)."""
+        return np.cumsum(self.lengths) - self.lengths
 
     def sums(self, values: Floats) -> Floats:
         """Sums over each set of ``values (M, ...)``: (K, ...)."""
@@ -54,8 +55,9 @@ class TrackSets:
     def medians(self, values: Floats) -> Floats:
         """Medians over each set of ``values (M,)``: (K,)."""
         ascending = values[np.lexsort((values, self.set_of))]
-        last, lengths = self.first + self.lengths - 1, self.lengths
-        return np.asarray(0.5 * (ascending[self.first + (lengths - 1) // 2] + ascending[last - (lengths - 1) // 2]))
+        return np.asarray(
+            0.5 * (ascending[self.first + (self.lengths - 1) // 2] + ascending[self.first + self.lengths // 2])
+        )
 
     def boxes(self, xy: Floats) -> Floats:
         """Least x and y, greatest x and y of each set: (K, 4), of the places ``xy (N, 2)`` of all tracks."""
