@@ -57,6 +57,22 @@ def test_pairs_are_all_that_are_closer_than_the_radius_each_once(xy, radius):
     assert (pairs[:, 0] < pairs[:, 1]).all()
 
 
+def test_points_far_outside_the_picture_cost_no_memory_and_change_nothing():
+    """A table may hold a point at a million pixels: the grid is of the cells that something lies in."""
+    rng = np.random.default_rng(3)
+    near = rng.uniform(0.0, 640.0, (300, 2))
+    far = np.concatenate([rng.uniform(-1e6, 1e6, (40, 2)), [[1e6, 0.0], [1e6 + 20.0, 0.0], [0.0, -1e6]]])
+    xy = np.concatenate([near, far])
+    distance, index = KDTree(xy).query(xy, k=range(2, 8), distance_upper_bound=60.0)
+    expected = np.where(np.isfinite(distance), index, np.arange(len(xy))[:, None])
+    np.testing.assert_array_equal(nearest_neighbours(xy, 6, 60.0), expected)
+    pairs = linked_pairs(xy, 30.0)
+    assert set(map(tuple, pairs.tolist())) == KDTree(xy).query_pairs(30.0)
+    one_group, same = np.zeros(len(xy), dtype=int), np.zeros(len(xy))
+    parts = linked_parts(xy, 30.0, one_group, same, same + 1.0)
+    np.testing.assert_array_equal(parts, connected_parts(np.ones(len(xy), dtype=bool), pairs))
+
+
 def test_points_exactly_a_radius_apart_are_no_neighbours():
     xy = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 3.9]])
     assert linked_pairs(xy, 5.0).tolist() == [[0, 2], [1, 2]]

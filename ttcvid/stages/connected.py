@@ -9,6 +9,8 @@ from ttcvid.model import Bools, Floats, Ints
 
 # The search for the nearest goes outwards by so many rings of cells.
 _N_RINGS = 3
+# A grid along one axis has at most so many cells: more than a picture has, of points far outside it.
+_MOST_CELLS = 1000
 
 
 def nearest_neighbours(xy_px: Floats, count: int, radius_px: float) -> Ints:
@@ -74,13 +76,27 @@ def _numbered(root: Ints) -> Ints:
 
 def _cells(xy_px: Floats, side_px: float, border: int) -> tuple[Ints, Ints, Ints, int]:
     """A grid with a border of empty cells: cell of each point, points in order of cells, where each starts, width."""
-    column_row = np.floor((xy_px - xy_px.min(axis=0)) / side_px).astype(np.int64) + border
+    column_row = np.floor((xy_px - xy_px.min(axis=0)) / side_px).astype(np.int64)
+    for axis in range(2):
+        if column_row[:, axis].max() > _MOST_CELLS:
+            column_row[:, axis] = _without_wide_gaps(column_row[:, axis], border)
+    column_row += border
     width = int(column_row[:, 0].max()) + border + 1
     cell = column_row[:, 1] * width + column_row[:, 0]
     order = np.argsort(cell, kind="stable")
     n_cells = width * (int(column_row[:, 1].max()) + border + 1)
     start = np.searchsorted(cell[order], np.arange(n_cells + 1))
     return cell, order, start, width
+
+
+def _without_wide_gaps(number: Ints, border: int) -> Ints:
+    """Columns or rows ``(N,)`` drawn together where nothing lies between: what is farther than the border stays so.
+
+    One point far outside the picture would otherwise ask for all the cells on the way to it.
+    """
+    distinct, place = np.unique(number, return_inverse=True)
+    steps = np.minimum(np.diff(distinct, prepend=distinct[0]), border + 1)
+    return np.asarray(np.cumsum(steps)[place])
 
 
 @compiled
