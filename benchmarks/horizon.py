@@ -62,7 +62,7 @@ def calibrate_camera(seed: int, one_direction: bool = False) -> Calibrated | Non
     camera, config = camera_of(scene), HorizonCalibrationConfig()
     tracks = simulate_tracks(scene, TrackOptions(sigma_px=SIGMA_PX, outlier_fraction=OUTLIERS))
     rows = joined([Observations(tracks.track_id, tracks.frame, tracks.t_s, tracks.xy_px)])
-    motions = find_motions(rows, camera, float(np.median(np.diff(np.unique(tracks.t_s)))), config)
+    motions = find_motions(rows, camera, config)
     result = calibrated_horizon(motions, camera, config)
     if result.fit is None:
         return None

@@ -1,6 +1,7 @@
 """Tracks of one moving thing are gathered; what is dragged along, or moves otherwise, is not."""
 
 import numpy as np
+import pytest
 
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import PointSet
@@ -39,7 +40,29 @@ def test_what_stays_is_dragged_along_or_swings_is_not():
 def test_neighbours_that_move_alike_belong_together_and_chains_of_them():
     car = [line([10 + 20 * i, 50], [2.0, 0.1 * i / 5]) for i in range(5)]
     oncoming = [line([100 + 20 * i, 60], [-2.0, 0.0]) for i in range(3)]
-    labels = group_movers(tracks(*car, *oncoming), DT_S, 30.0)
+    labels = group_movers(tracks(*car, *oncoming), 30.0)
+    assert len(set(labels[:5])) == 1
+    assert len(set(labels[5:])) == 1
+    assert labels[0] != labels[5]
+
+
+@pytest.mark.parametrize("kept", [slice(None, None, 3), slice(None, None, 4), slice(None, None, 7)])
+def test_movers_are_gathered_in_every_third_frame_as_in_all(kept):
+    """Frames keep their numbers in the source, and the times are theirs."""
+    assert_gathers(np.arange(N_FRAMES)[kept])
+
+
+def test_movers_are_gathered_where_frames_are_missing_here_and_there():
+    """What is compared is the time between two frames: in some 40 % of cases the one just a step later is missing."""
+    rng = np.random.default_rng(1)
+    assert_gathers(np.flatnonzero(rng.random(N_FRAMES) < 0.6))
+
+
+def assert_gathers(kept):
+    car = [line([10 + 20 * i, 50], [2.0, 0.1 * i / 5]) for i in range(5)]
+    oncoming = [line([100 + 20 * i, 60], [-2.0, 0.0]) for i in range(3)]
+    rows = tracks(*car, *oncoming)
+    labels = group_movers(rows.take(np.isin(rows.frame, kept)), 30.0)
     assert len(set(labels[:5])) == 1
     assert len(set(labels[5:])) == 1
     assert labels[0] != labels[5]
@@ -47,12 +70,12 @@ def test_neighbours_that_move_alike_belong_together_and_chains_of_them():
 
 def test_the_order_of_tracks_does_not_matter():
     paths = [line([10 + 20 * i, 50], [2.0, 0.0]) for i in range(3)] + [line([12, 80], [0.0, 2.0])]
-    one, other = (group_movers(tracks(*order), DT_S, 30.0) for order in (paths, paths[::-1]))
+    one, other = (group_movers(tracks(*order), 30.0) for order in (paths, paths[::-1]))
     assert (one[:, None] == one).tolist() == (other[::-1, None] == other[::-1]).tolist()
 
 
 def test_no_tracks_make_no_movers():
-    assert len(group_movers(joined([]), DT_S, 30.0)) == 0
+    assert len(group_movers(joined([]), 30.0)) == 0
 
 
 def test_tracks_at_rest_are_forgotten_when_they_end():

@@ -74,7 +74,7 @@ def watch_resting_clip(
     """
     with open_again() as source:
         first = _look_through(source, calibration, config, on_frame)
-        path, files, dt_s, report = source.info.path, source.files, source.info.nominal_dt_s, source.report
+        path, files, report = source.info.path, source.files, source.report
     complaint, warnings = complaint_about_motion(first.looks), report.warnings
     if complaint and config.egomotion.platform == Platform.static:
         warnings, complaint = (*warnings, f"{path}: {complaint}; believed at rest, as --platform says"), ""
@@ -84,7 +84,7 @@ def watch_resting_clip(
     if first.pictures:
         with open_again() as source:
             rows = _moving_content(source, background_of(first.pictures), calibration, config, on_frame)
-    motions = find_motions(rows, camera, dt_s, limits, number)
+    motions = find_motions(rows, camera, limits, number)
     return WatchedClip(path, files, motions, complaint, warnings, rows, first.picture)
 
 

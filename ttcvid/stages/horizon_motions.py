@@ -58,7 +58,6 @@ class Motion:
 def find_motions(
     rows: Observations,
     camera: Camera,
-    nominal_dt_s: float,
     config: HorizonCalibrationConfig,
     clip: int = 0,
 ) -> list[Motion]:
@@ -67,7 +66,6 @@ def find_motions(
     Parameters
     ----------
     rows : all tracks of the clip.
-    nominal_dt_s : usual time between two frames.
     clip : number of the clip, for the results.
     """
     rays = rays_from_pixels(camera, rows.xy_px)
@@ -76,7 +74,7 @@ def find_motions(
     if not len(rows.frame):
         return []
     rows = rows.take_tracks(moving_tracks(rows, config))
-    mover = group_movers(rows, nominal_dt_s, config.link_part * camera.image_size.width_px)
+    mover = group_movers(rows, config.link_part * camera.image_size.width_px)
     motions: list[Motion] = []
     for number in np.unique(mover):
         tracks = rows.take_tracks(mover == number)

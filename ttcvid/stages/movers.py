@@ -51,7 +51,7 @@ def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools
     return moves
 
 
-def group_movers(rows: Observations, nominal_dt_s: float, link_px: float) -> Ints:
+def group_movers(rows: Observations, link_px: float) -> Ints:
     """Number of the mover of each track: (M,), 0 .. (number of movers) - 1.
 
     Parameters
@@ -63,15 +63,11 @@ def group_movers(rows: Observations, nominal_dt_s: float, link_px: float) -> Int
     if n_tracks == 0:
         return np.empty(0, dtype=np.int64)
     number = np.repeat(np.arange(n_tracks), rows.lengths)
-    step = max(1, round(_STEP_S / nominal_dt_s))
-    frames = np.unique(rows.frame)
+    frames, first = np.unique(rows.frame, return_index=True)
     order = np.argsort(rows.frame, kind="stable")
-    bounds = np.searchsorted(rows.frame[order], frames)
-    at_frame = dict(zip(frames.tolist(), np.split(order, bounds[1:]), strict=True))
+    at_frame = np.split(order, np.searchsorted(rows.frame[order], frames)[1:])
     pairs = [
-        _neighbours(rows, number, at_frame[frame], at_frame[frame + step], link_px)
-        for frame in frames[:: max(1, step // 2)].tolist()
-        if frame + step in at_frame
+        _neighbours(rows, number, at_frame[now], at_frame[later], link_px) for now, later in _compared(rows.t_s[first])
     ]
     one, other, is_alike = (
         np.concatenate([getattr(pair, name) for pair in pairs]) if pairs else np.empty(0, dtype=np.int64)
@@ -83,6 +79,29 @@ def group_movers(rows: Observations, nominal_dt_s: float, link_px: float) -> Int
     graph = coo_matrix((np.ones(len(linked)), (linked // n_tracks, linked % n_tracks)), shape=(n_tracks, n_tracks))
     labels: Ints = connected_components(graph, directed=False)[1].astype(np.int64)
     return labels
+
+
+def _compared(t_s: Floats) -> list[tuple[int, int]]:
+    """Which two frames are compared: twice a step, one with that nearest in time to a step later.
+
+    Times may be uneven, and frames left out: what is by more than half a step too early or too late is not compared,
+    unless frames are as rare as that.
+
+    Parameters
+    ----------
+    t_s : (T,) times of the frames, ascending.
+    """
+    usual_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
+    compared, next_s = list[tuple[int, int]](), -np.inf
+    for now in range(len(t_s) - 1):
+        if t_s[now] < next_s:
+            continue
+        next_s = t_s[now] + 0.5 * (_STEP_S - usual_s)
+        late_s = np.abs(t_s[now + 1 :] - t_s[now] - _STEP_S)
+        nearest = int(np.argmin(late_s))
+        if late_s[nearest] <= max(0.5 * _STEP_S, usual_s):
+            compared.append((now, now + 1 + nearest))
+    return compared
 
 
 def _neighbours(rows: Observations, number: Ints, now: Ints, later: Ints, link_px: float) -> _Pairs:
