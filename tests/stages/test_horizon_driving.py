@@ -14,12 +14,12 @@ CONFIG = HorizonCalibrationConfig()
 SIGMA_RAD = 0.004
 
 
-def drive(pitch_deg, roll_deg, yaw_rate_rad_s=0.0, nod_rad=0.0, n_frames=200, rng=None):
+def drive(pitch_deg, roll_deg, yaw_rate_rad_s=0.0, nod_rad=0.0, n_frames=200, rng=None, dt_s=0.05):
     """Steps of a car that goes where it points, with a camera of that mounting, which nods on its springs."""
     pitch, roll = np.radians([pitch_deg, roll_deg])
     up = np.array([-np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch), -np.sin(pitch)])
     ahead = normalize(np.array([0.05, 0.0, 1.0]) - up * (up @ [0.05, 0.0, 1.0]))
-    dt_s, steps, nod_R = 0.05, [], np.eye(3)
+    steps, nod_R = [], np.eye(3)
     for frame in range(n_frames):
         nod = nod_rad * np.sin(2 * np.pi * 1.2 * frame * dt_s)
         nod_R_before, nod_R = nod_R, rotation_from_vector(nod * np.cross(up, ahead))
@@ -62,6 +62,17 @@ def test_a_drive_of_a_second_is_undetermined():
     result = driving_horizon(own_motions(steps), CAMERA, CONFIG)
     assert result.fit is None
     assert "2 s needed" in result.reason
+
+
+@pytest.mark.parametrize("fps", [1, 2, 4, 5.99, 6.01, 10])
+def test_at_any_frame_rate_the_whole_drive_counts(fps):
+    steps, _ = drive(2.0, 0.0, n_frames=int(12 * fps), rng=np.random.default_rng(5), dt_s=1 / fps)
+    motions = own_motions(steps)
+    covered_s = sum(motion.duration_s for motion in motions)
+    assert 0.7 * 12 < covered_s < 12 + 1e-9
+    result = driving_horizon(motions, CAMERA, CONFIG)
+    assert result.reason == ""
+    assert np.degrees(pitch_roll_rad(result.fit.normal))[0] == pytest.approx(2.0, abs=0.2)
 
 
 def test_gaps_and_standstill_are_left_out():

@@ -26,7 +26,8 @@ _ROLL_SIGMA_RAD = np.radians(2.0)
 _MEASURED_PART = 0.5
 # Rotations are added up over this long, s: their errors stay small beside those of the directions.
 _WINDOW_S = 4.0
-# Directions are averaged over this long, s: their errors hang together from frame to frame.
+# Directions are averaged over this long, s, since their errors hang together from frame to frame, and over so many
+# frames at least: half a frame more than that is never less.
 _BIN_S = 0.5
 _LEAST_FRAMES = 3
 
@@ -57,7 +58,7 @@ def own_step(result: FrameResult) -> OwnStep | None:
 
 
 def own_motions(steps: Iterable[OwnStep | None], clip: int = 0) -> list[Motion]:
-    """Directions of own motion over half a second each, in the camera of their window's mean tilt."""
+    """Directions of own motion over half a second or three frames each, in the camera of their window's mean tilt."""
     motions: list[Motion] = []
     for window in _windows(steps):
         motions += _motions_of_window(window, clip, len(motions))
@@ -125,16 +126,21 @@ def _motions_of_window(window: list[OwnStep], clip: int, first_number: int) -> l
     mean_from_ref = np.mean([rotation.T for rotation in ref_R_cam], axis=0)
     to_mean = np.linalg.inv(mean_from_ref).T
     start_s = window[0].t_s
+    bin_s = max(_BIN_S, (_LEAST_FRAMES + 0.5) * _usual_step_s(window))
     bins: dict[int, list[int]] = {}
     for place, step in enumerate(window):
         if np.isfinite(step.direction[0]):
-            bins.setdefault(int((step.t_s - start_s) / _BIN_S), []).append(place)
+            bins.setdefault(int((step.t_s - start_s) / bin_s), []).append(place)
     motions: list[Motion] = []
     for places in bins.values():
         if len(places) >= _LEAST_FRAMES:
             turned = [to_mean @ ref_R_cam[place] for place in places]
             motions.append(_averaged([window[place] for place in places], turned, clip, first_number + len(motions)))
     return motions
+
+
+def _usual_step_s(window: list[OwnStep]) -> float:
+    return float(np.median(np.diff([step.t_s for step in window]))) if len(window) > 1 else 0.0
 
 
 def _averaged(steps: list[OwnStep], turned: list[Floats], clip: int, number: int) -> Motion:
@@ -153,7 +159,8 @@ def _averaged(steps: list[OwnStep], turned: list[Floats], clip: int, number: int
         track_id=np.array([step.frame for step in steps], dtype=np.int64),
         first_frame=steps[0].frame,
         last_frame=steps[-1].frame,
-        duration_s=steps[-1].t_s - steps[0].t_s,
+        # Each step is own motion up to its frame: the first one counts as the others do.
+        duration_s=(steps[-1].t_s - steps[0].t_s) * len(steps) / (len(steps) - 1),
         direction=mean,
         covariance=basis @ (own + scatter) @ basis.T,
     )
