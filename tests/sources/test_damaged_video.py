@@ -83,6 +83,45 @@ def test_a_damaged_first_packet_is_skipped(tmp_path):
     assert source.report.n_packets_skipped == 1
 
 
+def lose_transport_packet(path, number):
+    """Take a piece out of one frame of a transport stream, as bad reception does."""
+    with av.open(str(path)) as container:
+        places = [packet.pos for packet in container.demux(video=0) if packet.size]
+    data = bytearray(path.read_bytes())
+    pid = data[places[number] + 1] & 31, data[places[number] + 2]
+    own = [at for at in range(0, len(data), 188) if (data[at + 1] & 31, data[at + 2]) == pid]
+    mine = [at for at in own if places[number] < at < places[number + 1]]
+    at = mine[len(mine) // 2]
+    del data[at : at + 188]
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(("packet", "n_lost"), [(9, 1), (8, 2), (12, 8)])
+def test_what_a_decoder_makes_up_for_lost_pieces_is_left_out(tmp_path, packet, n_lost):
+    """Packets 10 and 20 are keyframes. Nothing refers to the B frame of packet 9, but it does to that of packet 8."""
+    whole, _ = read(write_video(tmp_path / "whole.ts", n=25, key_every=10, reordered=True))
+    path = write_video(tmp_path / "a.ts", n=25, key_every=10, reordered=True)
+    lose_transport_packet(path, packet)
+    frames, source = read(path)
+    assert len(frames) == 25 - n_lost
+    for frame in frames:
+        assert frame.t_s == whole[frame.index].t_s
+        np.testing.assert_array_equal(frame.grey, whole[frame.index].grey)
+    assert (source.report.n_packets_skipped, source.report.is_truncated) == (n_lost, False)
+    assert "1 packets are damaged" in source.report.warnings[0]
+
+
+def test_what_follows_a_packet_that_cannot_be_decoded_is_left_out_up_to_the_next_keyframe(tmp_path):
+    path = write_video(tmp_path / "a.mkv", n=25, key_every=10, codec="mpeg4")
+    whole, _ = read(path)
+    damage(path, 13)
+    frames, source = read(path)
+    assert [frame.index for frame in frames] == [*range(13), *range(20, 25)]
+    for frame in frames:
+        np.testing.assert_array_equal(frame.grey, whole[frame.index].grey)
+    assert source.report.n_packets_skipped == 7
+
+
 CUT = {
     "a.mp4": {"container_options": {"movflags": "faststart"}, "reordered": True},
     "a.mkv": {"reordered": True},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -39,7 +39,8 @@ class PacketIndex:
     ``pts (N,)`` is in units of ``time_base``; None where the file knows no times. ``entry_packet (N,)`` is the
     number, in file order, of the packet from which decoding has to start for that frame. Where
     ``decoder_orders`` the file does not know the order of presentation, and only decoding tells it: the k-th
-    frame that comes out is frame k. ``is_cut`` says that the file ends earlier than it should.
+    frame that comes out is frame k. ``is_cut`` says that the file ends earlier than it should; ``damaged``
+    are the numbers, in file order, of packets of which something is missing.
     """
 
     pts: Ints | None
@@ -47,11 +48,17 @@ class PacketIndex:
     entry_packet: Ints
     decoder_orders: bool
     is_cut: bool
+    damaged: frozenset[int] = frozenset()
 
     @property
     def n_frames(self) -> int:
         """Number of frames that come out if all of them can be decoded."""
         return len(self.entry_packet)
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether frames are numbered in the order in which they come out, because their times do not tell."""
+        return self.pts is None or self.decoder_orders
 
     def times_s(self) -> Floats | None:
         """Presentation times ``(N,)`` in s, pts x time_base, the first one moved to 0 only where it is negative."""
@@ -68,11 +75,10 @@ class PacketIndex:
         """
         due = 0
         for picture in pictures:
-            counts = self.pts is None or self.decoder_orders
             if picture is None:
-                due += counts
+                due += self.is_counted
                 continue
-            index = due if counts else self._find(picture.pts, due)
+            index = due if self.is_counted else self._find(picture.pts, due)
             if index is not None:
                 due = index + 1
                 yield index, picture
@@ -122,11 +128,12 @@ def index_packets(path: Path) -> PacketIndex:
         delay = stream.codec_context.has_b_frames
     time_base = stream.time_base or Fraction(1)
     pts = [None if is_bare else row.pts for row in rows]
+    damaged = _damaged(rows, "mpegts" in container.format.name)
     shown = [i for i, row in enumerate(rows) if not row.is_discard]
     entry = _entry_packets(rows)
     known = [i for i in shown if pts[i] is not None]
     if not known:
-        return PacketIndex(None, time_base, np.zeros(len(shown), dtype=np.int64), True, is_cut)
+        return PacketIndex(None, time_base, np.zeros(len(shown), dtype=np.int64), True, is_cut, damaged)
     order = _presentation_order(rows, known)
     ordered_pts = np.array([rows[i].pts for i in order], dtype=np.int64)
     # an AVI file numbers its packets in the order of decoding, whatever the order of presentation
@@ -134,7 +141,7 @@ def index_packets(path: Path) -> PacketIndex:
     # a frame without time is numbered by counting, which has to begin at the first packet
     must_count = decoder_orders or len(known) < len(shown)
     first = np.zeros(len(order), dtype=np.int64) if must_count else np.array([entry[i] for i in order])
-    return PacketIndex(ordered_pts, time_base, first, decoder_orders, is_cut)
+    return PacketIndex(ordered_pts, time_base, first, decoder_orders, is_cut, damaged)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +214,25 @@ def _entry_packets(rows: list[_Packet]) -> list[int]:
     return entry
 
 
+def _damaged(rows: list[_Packet], is_transport_stream: bool) -> frozenset[int]:
+    """Numbers of the packets of which something is missing."""
+    marked = [i for i, row in enumerate(rows) if row.is_corrupt]
+    if not is_transport_stream:
+        return frozenset(marked)
+    # its parser gives a packet out while it reads the next one, and with the mark of that
+    damaged = {min(i + 1, len(rows) - 1) for i in marked}
+    # where two streams were put together nothing is missing, only the count of packets starts anew
+    return frozenset(i for i in damaged if not _clock_starts_anew(rows, i + 1))
+
+
+def _clock_starts_anew(rows: list[_Packet], number: int) -> bool:
+    """Whether the times of decoding fall at a packet."""
+    if number >= len(rows):
+        return False
+    before, here = rows[number - 1].dts, rows[number].dts
+    return before is not None and here is not None and here < before
+
+
 def _presentation_order(rows: list[_Packet], known: list[int]) -> list[int]:
     """Packet numbers in the order of presentation; a clock that jumps back (dts falls) starts anew behind."""
     order: list[int] = []
@@ -220,29 +246,3 @@ def _presentation_order(rows: list[_Packet], known: list[int]) -> list[int]:
         last_dts = dts if dts is not None else last_dts
         piece.append(i)
     return order + sorted(piece, key=lambda k: rows[k].pts or 0)
-
-
-def decode(container: InputContainer, stream: VideoStream, first_packet: int) -> Iterator[VideoFrame | None]:
-    """Decoded frames in the order of presentation, from a packet on; None for each packet that is damaged."""
-    packets = container.demux(stream)
-    number = -1
-    while True:
-        try:
-            packet = next(packets, None)
-        except av.error.FFmpegError:
-            break  # the container itself is damaged: nothing can be found behind this place
-        if packet is None:
-            break
-        if packet.size == 0:
-            continue  # an empty packet would end the decoding
-        number += 1
-        if number >= first_packet:
-            yield from _decode_packet(packet.decode)
-    yield from _decode_packet(lambda: stream.codec_context.decode(None))
-
-
-def _decode_packet(decode_once: Callable[[], list[VideoFrame]]) -> list[VideoFrame] | list[None]:
-    try:
-        return decode_once()
-    except av.error.FFmpegError:
-        return [None]

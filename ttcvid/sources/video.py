@@ -12,7 +12,8 @@ from ttcvid.errors import InputError, UsageError
 from ttcvid.model import Floats, Frame, ImageSize, Ints, Picture, SourceInfo
 from ttcvid.sources.base import OnePassSource, Selection, require_file
 from ttcvid.sources.clock import Clock
-from ttcvid.sources.packets import decode, index_packets, open_video
+from ttcvid.sources.decoding import decode
+from ttcvid.sources.packets import PacketIndex, index_packets, open_video
 from ttcvid.sources.pictures import Orientation, colour_picture, grey_picture
 
 
@@ -20,9 +21,9 @@ class VideoSource(OnePassSource):
     """A video file, upright, with ``t_s`` = pts x time base of the container (or what ``clock`` says instead).
 
     Times may be unevenly spaced, stand still or run backward: they are passed on as they are. ``frame`` is the
-    place in the order of presentation of all frames of the file: a frame that cannot be decoded leaves a gap
-    and is counted in ``n_packets_skipped``. ``is_truncated``: the file ends, or its pictures do, earlier than its
-    own index or header says, within what the selection asks for.
+    place in the order of presentation of all frames of the file: a frame that cannot be decoded, or only from damaged
+    packets, leaves a gap and is counted in ``n_packets_skipped``. ``is_truncated``: the file ends, or its pictures do,
+    earlier than its own index or header says, within what the selection asks for.
 
     Raises InputError where the file is no video, holds none, or nothing in it can be decoded, and where the size
     of the picture changes on the way; UsageError where the file knows no times and ``clock`` gives none.
@@ -33,7 +34,7 @@ class VideoSource(OnePassSource):
         self._path = path
         self._selection = selection
         self._index = index_packets(path)
-        self._orientation, size, warnings = _probe(path)
+        self._orientation, size, warnings = _probe(path, self._index)
         n = self._index.n_frames
         times_s = clock.times_s(n, f"frames in {path}")
         if times_s is None:
@@ -71,7 +72,8 @@ class VideoSource(OnePassSource):
         container, stream = open_video(self._path)
         with container:
             entry_packet = int(self._index.entry_packet[first : last + 1].min())
-            for index, picture in self._index.number(decode(container, stream, entry_packet)):
+            pictures = decode(container, stream, self._index, entry_packet)
+            for index, picture in self._index.number(pictures):
                 if index >= first:
                     yield index, picture
                 if index >= last:
@@ -98,6 +100,11 @@ class VideoSource(OnePassSource):
         end = self._index.n_frames - 1
         wants_more = self._selection.wants_more_after(end, float(self._times_s[end]), self.info.nominal_dt_s)
         self.is_truncated = due <= last or (self._index.is_cut and wants_more)
+        if self._index.damaged:
+            self.warnings += (
+                f"{self._path}: {len(self._index.damaged)} packets are damaged: what is made from them, mostly "
+                "all up to the next keyframe, is left out",
+            )
         if self.n_skipped:
             self.warnings += (f"{self._path}: {self.n_skipped} frames cannot be decoded and are left out",)
         if self.is_truncated:
@@ -109,11 +116,11 @@ def _colour(orientation: Orientation, picture: VideoFrame) -> Callable[[], Pictu
     return lambda: orientation.upright(colour_picture(picture))
 
 
-def _probe(path: Path) -> tuple[Orientation, ImageSize, tuple[str, ...]]:
+def _probe(path: Path, index: PacketIndex) -> tuple[Orientation, ImageSize, tuple[str, ...]]:
     """What only a decoded picture tells: how the clip is turned, its upright size, and what is odd about it."""
     container, stream = open_video(path)
     with container:
-        picture = next((picture for picture in decode(container, stream, 0) if picture is not None), None)
+        picture = next((picture for picture in decode(container, stream, index, 0) if picture is not None), None)
         aspect = stream.sample_aspect_ratio
     if picture is None:
         raise InputError(f"{path}: no picture in it can be decoded: it is cut or damaged, copy or record it again")
