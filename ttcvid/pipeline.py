@@ -12,9 +12,20 @@ import numpy as np
 from ttcvid.config import PipelineConfig, TrackingConfig
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
-from ttcvid.model import Camera, ClusterRow, Frame, FrameResult, FrameStatus, Horizon, Picture, PointSet, TrackRows
+from ttcvid.model import (
+    Camera,
+    ClusterRow,
+    Event,
+    Frame,
+    FrameResult,
+    FrameStatus,
+    Horizon,
+    Picture,
+    PointSet,
+    TrackRows,
+)
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory
-from ttcvid.stages.events import EventMemory, restarted_events, update_events
+from ttcvid.stages.events import EventMemory, restarted_events, standing_events, update_events
 from ttcvid.stages.frozen import FrozenMemory, find_frozen
 from ttcvid.stages.history import TrackHistory, empty_history, extended
 from ttcvid.stages.motions import find_motions
@@ -68,12 +79,16 @@ class TrackedFrame:
 
 @dataclass(frozen=True)
 class SeenFrame:
-    """A frame with what moves in it, which the next frame goes on from; None for a frame that gives no number."""
+    """A frame with what moves in it, which the next frame goes on from; ``seen`` None for one that gives no number.
+
+    ``dt_s`` is the time over which the motion of the frame goes, ``plane`` where the horizon was last seen to be.
+    """
 
     frame: Frame
     dt_s: float | None
     status: FrameStatus
-    seen: Seen | None
+    plane: HorizonPlane | None
+    seen: Seen | None = None
 
 
 @dataclass(frozen=True)
@@ -87,10 +102,14 @@ class AnalyzedFrame:
 
 @dataclass(frozen=True)
 class Memory:
-    """Everything about motions that is remembered from one frame to the next."""
+    """Everything about motions that is remembered from one frame to the next.
+
+    ``t_s`` is the time of the last frame, ``used_t_s`` that of the last one that gave points to the history.
+    """
 
     history: TrackHistory
     t_s: float | None = None
+    used_t_s: float | None = None
     egomotion: EgomotionMemory = field(default_factory=EgomotionMemory)
     frozen: FrozenMemory = field(default_factory=FrozenMemory)
     bodies: BodyMemory = field(default_factory=BodyMemory)
@@ -205,12 +224,14 @@ def track_frames(
 def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[SeenFrame, Memory]:
     """What later frames go on from: own motion, and which tracks move together."""
     frame, points, status = tracked.frame, tracked.points, tracked.status
-    dt_s = None if memory.t_s is None else frame.t_s - memory.t_s
+    followed = clip.plane if memory.plane is None else memory.plane
     if status == FrameStatus.bad_dt:
-        return SeenFrame(frame, dt_s, status, None), memory
+        return SeenFrame(frame, _since(memory.t_s, frame), status, followed), memory
+    dt_s = _since(memory.used_t_s, frame)
     memory = replace(memory, t_s=frame.t_s)
     if status in (FrameStatus.dark, FrameStatus.duplicate):
-        return SeenFrame(frame, dt_s, status, None), memory
+        return SeenFrame(frame, dt_s, status, followed), memory
+    memory = replace(memory, used_t_s=frame.t_s)
     if status == FrameStatus.cut:
         memory = _after_cut(memory, clip)
 
@@ -241,21 +262,25 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
         scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
         plane=plane,
     )
-    return SeenFrame(frame, dt_s, status, Seen(history, egomotion, motions, plane)), memory
+    return SeenFrame(frame, dt_s, status, plane, Seen(history, egomotion, motions, plane)), memory
+
+
+def _since(t_s: float | None, frame: Frame) -> float | None:
+    return None if t_s is None else frame.t_s - t_s
 
 
 def analyze_seen(item: SeenFrame, watch: EventMemory, clip: Clip) -> tuple[FrameResult, EventMemory]:
     """The rows of a frame and its warnings: states, times, events."""
     frame, seen = item.frame, item.seen
     if seen is None:
-        return _empty_result(item, clip), watch
+        return _empty_result(item, standing_events(watch, frame.t_s, clip.config.events)), watch
     if item.status == FrameStatus.cut:
         watch = restarted_events(watch)
     tracks, clusters = _rows(seen, clip)
     events, watch = update_events(
         watch, frame.index, frame.t_s, clusters, clip.camera, clip.config.events, step_s=seen.history.step_s
     )
-    egomotion, plane = seen.egomotion, seen.plane
+    egomotion = seen.egomotion
     result = FrameResult(
         frame=frame.index,
         t_s=frame.t_s,
@@ -266,7 +291,7 @@ def analyze_seen(item: SeenFrame, watch: EventMemory, clip: Clip) -> tuple[Frame
         rotation_rad=None if egomotion is None else egomotion.rotation_rad,
         rotation_sigma_rad=None if egomotion is None else egomotion.rotation_sigma_rad,
         min_ttc_z_s=minimum_ttc_z_s(clusters),
-        horizon_px=None if plane is None else plane.line_px,
+        horizon_px=_line_px(item.plane),
         events=events,
     )
     return result, watch
@@ -277,6 +302,7 @@ def _after_cut(memory: Memory, clip: Clip) -> Memory:
     return Memory(
         history=empty_history(clip.camera, clip.config.tracking.sigma_start_px),
         t_s=memory.t_s,
+        used_t_s=memory.used_t_s,
         bodies=restarted_bodies(memory.bodies),
     )
 
@@ -303,7 +329,13 @@ def _shows_frozen_pixels(egomotion: Egomotion | None, camera: Camera) -> bool:
     return egomotion.direction is not None or turned_px > _TURNING_PX
 
 
-def _empty_result(item: SeenFrame, clip: Clip) -> FrameResult:
-    """A frame that gives no number, only a reason."""
-    line_px = None if clip.plane is None else clip.plane.line_px
-    return FrameResult(item.frame.index, item.frame.t_s, item.dt_s, item.status, no_tracks(), (), horizon_px=line_px)
+def _empty_result(item: SeenFrame, events: tuple[Event, ...]) -> FrameResult:
+    """A frame that gives no number, only a reason: what was warned of before stands."""
+    frame, line_px = item.frame, _line_px(item.plane)
+    return FrameResult(
+        frame.index, frame.t_s, item.dt_s, item.status, no_tracks(), (), horizon_px=line_px, events=events
+    )
+
+
+def _line_px(plane: HorizonPlane | None) -> tuple[float, float] | None:
+    return None if plane is None else plane.line_px

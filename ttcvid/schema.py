@@ -144,7 +144,11 @@ TABLES: dict[str, tuple[Column, ...]] = {
     "frames": (
         _FRAME,
         _T_S,
-        _real("dt_s", "s", "time since the previous analysed frame; null for the first"),
+        _real(
+            "dt_s",
+            "s",
+            "time since the last frame that was used, which the rotation is since; null for the first",
+        ),
         _count("n_tracks", "live tracks"),
         _count("n_clusters", "clusters, the scene among them"),
         _real("rot_x_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about x"),

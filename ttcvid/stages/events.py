@@ -85,6 +85,12 @@ def update_events(
     return active, EventMemory(watched, next_event_id)
 
 
+def standing_events(memory: EventMemory, t_s: float, config: EventsConfig) -> tuple[Event, ...]:
+    """Warnings that stand in a frame in which nothing is looked at: as they were, until that has lasted too long."""
+    recent = [watched for watched in memory.watched.values() if t_s - watched.last_s <= config.persistence_s]
+    return tuple(watched.event for watched in recent if watched.event is not None)
+
+
 def restarted_events(memory: EventMemory) -> EventMemory:
     """Nothing under watch any more, but no number given out twice."""
     return EventMemory(next_event_id=memory.next_event_id)
