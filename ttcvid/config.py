@@ -86,7 +86,12 @@ class CollisionTimesConfig(StageConfig):
     smooth: bool = Field(
         default=False, description="multi-frame: directions, times and objects from frames on both sides"
     )
-    max_frames: int = Field(default=20, ge=3, le=100, description="multi-frame: most views of a track")
+    max_frames: int = Field(
+        default=20,
+        ge=3,
+        le=100,
+        description="multi-frame: most views of a track; above 30 frames/s thinned, to reach as far back as at 30",
+    )
     object_window_s: PositiveFloat = Field(
         default=0.6, description="multi-frame: how far back a mover is looked at; cars brake within a second"
     )

@@ -33,7 +33,7 @@ from ttcvid.stages.own_motion import find_own_motion
 from ttcvid.stages.planar import HorizonPlane, followed_plane, horizon_plane
 from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
 from ttcvid.stages.segmentation import BodyMemory, restarted_bodies
-from ttcvid.stages.smoothing import Seen, seen_again, views_after
+from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 from ttcvid.stages.table_points import compare_table_points
 from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
 
@@ -161,7 +161,7 @@ def _analyzed(seen_frames: Iterable[SeenFrame], clip: Clip) -> Iterator[Analyzed
 
 def _smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
     """Each frame once the frames after it have been analysed, its directions and times estimated again with them."""
-    n_after = views_after(clip.config.collision_times.max_frames)
+    max_frames = clip.config.collision_times.max_frames
     held: deque[AnalyzedFrame] = deque()
 
     def released() -> AnalyzedFrame:
@@ -175,7 +175,7 @@ def _smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[Analyze
                 yield released()
         # The picture is not looked at any more.
         held.append(replace(item, frame=replace(item.frame, grey=None)))
-        while len(held) > n_after:
+        while are_enough(len(held) - 1, item.frame.t_s - held[0].frame.t_s, max_frames):
             yield released()
     while held:
         yield released()
@@ -236,7 +236,8 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
         memory = _after_cut(memory, clip)
 
     history = _with_points(frame, points, memory, clip)
-    is_frozen, frozen = find_frozen(memory.frozen, points, scene_moves=memory.scene_moves)
+    step_s = np.inf if dt_s is None else dt_s
+    is_frozen, frozen = find_frozen(memory.frozen, points, scene_moves=memory.scene_moves, step_s=step_s)
     egomotion, history, ego_memory = find_own_motion(
         history,
         ~is_frozen,

@@ -15,7 +15,7 @@ def scene_px(frame, speed_px=2.0):
     return start + np.array([speed_px * frame, 0.0])
 
 
-def watch(n_frames, other_px, moves=True, speed_px=2.0, jitter_px=0.05):
+def watch(n_frames, other_px, moves=True, speed_px=2.0, jitter_px=0.05, step_s=0.1):
     """Is-frozen of the other points (T, M) and of the scene's (T, N), over a clip; and the last memory."""
     rng = np.random.default_rng(2)
     memory, others, scene = FrozenMemory(), [], []
@@ -23,7 +23,7 @@ def watch(n_frames, other_px, moves=True, speed_px=2.0, jitter_px=0.05):
         xy_px = np.concatenate([scene_px(frame, speed_px), other_px(frame)])
         xy_px = xy_px + jitter_px * rng.normal(size=xy_px.shape)
         points = PointSet(np.arange(len(xy_px)), xy_px)
-        is_frozen, memory = find_frozen(memory, points, scene_moves=moves)
+        is_frozen, memory = find_frozen(memory, points, scene_moves=moves, step_s=step_s)
         scene.append(is_frozen[:N_SCENE])
         others.append(is_frozen[N_SCENE:])
     return np.array(others), np.array(scene), memory
@@ -34,6 +34,21 @@ def test_burned_in_text_is_found_while_the_scene_moves():
     assert not text[:10].any()
     assert text[20:].all()
     assert not scene.any()
+
+
+def test_what_moves_slowly_is_not_frozen_in_a_fast_clip():
+    """Half a pixel in half a second: at 120 frames/s that is 0.3 px in 36 frames."""
+
+    def creeping_px(fps):
+        return lambda frame: LEAD_PX + np.array([frame / fps, 0.0])
+
+    for fps in (30.0, 120.0):
+        creeping, _, _ = watch(int(fps), creeping_px(fps), step_s=1.0 / fps, jitter_px=0.02, speed_px=60.0 / fps)
+        assert not creeping.any()
+        text, scene, _ = watch(int(fps), lambda _: TEXT_PX, step_s=1.0 / fps, jitter_px=0.02, speed_px=60.0 / fps)
+        assert not text[: int(0.4 * fps)].any()
+        assert text[int(0.6 * fps) :].all()
+        assert not scene.any()
 
 
 def test_a_resting_camera_marks_nothing():

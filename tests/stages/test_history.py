@@ -58,6 +58,35 @@ def test_no_more_than_the_wanted_frames_are_kept():
     np.testing.assert_allclose(history.rays[:, 0, 1], np.array([5, 6, 7, 8]) / 1000)
 
 
+def timed_history(fps, n_frames, max_frames=20):
+    history = start()
+    for frame in range(n_frames):
+        points, rays = point_set(1, 2)
+        history = extended(history, frame, frame / fps, points, rays + np.array([0, frame / 1000, 0]), max_frames)
+    return history
+
+
+@pytest.mark.parametrize("fps", [5.0, 9.6, 30000 / 1001, 30.0])
+def test_up_to_thirty_frames_a_second_every_view_is_kept(fps):
+    assert timed_history(fps, 50).frame.tolist() == list(range(30, 50))
+    rounded = start()
+    for frame in range(50):
+        rounded = extended(rounded, frame, round(frame / fps, 3), *point_set(1, 2), 20)
+    assert rounded.frame.tolist() == list(range(30, 50))
+
+
+@pytest.mark.parametrize("fps", [31.0, 48.0, 60.0, 120.0, 240.0])
+@pytest.mark.parametrize("n_more", range(5))
+def test_the_views_of_a_fast_clip_are_thinned_and_reach_as_far_back(fps, n_more):
+    history = timed_history(fps, int(2 * fps) + n_more)
+    assert len(history.frame) == 20
+    assert 0.61 < -history.since_s[0] < 0.75
+    assert np.diff(history.frame[-6:]).tolist() == [1] * 5
+    assert np.diff(history.t_s).max() < 0.085
+    np.testing.assert_allclose(history.t_s, history.frame / fps)
+    np.testing.assert_allclose(history.rays[:, 0, 1], history.frame / 1000)
+
+
 def test_a_frame_without_points_is_survived():
     history = history_of([1, 2], [], [3])
     assert history.track_id.tolist() == [3]

@@ -14,7 +14,7 @@ from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.flows import select_flows
 from ttcvid.stages.history import empty_history, extended, with_egomotion
 from ttcvid.stages.motions import FrameMotions, motions_of
-from ttcvid.stages.smoothing import Seen, seen_again, views_after
+from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 from ttcvid.stages.whole_track_states import multi_frame_states
 
 DT_S, N_FRAMES, MAX_FRAMES = 0.1, 25, 20
@@ -25,16 +25,18 @@ PIPELINE = PipelineConfig(collision_times=CONFIG)
 VELOCITY = np.array([-1.0, 0.1, -5.0])
 
 
-def histories(position_m, braking_m_s2=0.0, sigma_px=EXACT_SIGMA_PX, rng=None, n_alive=None):
+def histories(
+    position_m, braking_m_s2=0.0, sigma_px=EXACT_SIGMA_PX, rng=None, n_alive=None, step_s=DT_S, n_frames=N_FRAMES
+):
     """History of every frame, of points at `position_m` in frame NOW that move by VELOCITY there and slow down.
 
     The camera turns by TURN in every step, known exactly; from frame NOW + 3 on only the first `n_alive` points are
     still seen.
     """
     history, found = empty_history(CAMERA, sigma_px), []
-    cam_R_now = [np.linalg.matrix_power(TURN, frame - NOW) for frame in range(N_FRAMES)]
-    for frame in range(N_FRAMES):
-        since_s = (frame - NOW) * DT_S
+    cam_R_now = [np.linalg.matrix_power(TURN, frame - NOW) for frame in range(n_frames)]
+    for frame in range(n_frames):
+        since_s = (frame - NOW) * step_s
         moved = VELOCITY * since_s - 0.5 * braking_m_s2 * unit(VELOCITY) * since_s**2
         point = ((position_m + moved) @ cam_R_now[frame].T)[: n_alive if frame >= NOW + 3 else None]
         xy_px = pixels(point)
@@ -43,7 +45,7 @@ def histories(position_m, braking_m_s2=0.0, sigma_px=EXACT_SIGMA_PX, rng=None, n
         rays = (xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / CAMERA.fx_px
         rays = normalize(np.column_stack([rays, np.ones(len(rays))]))
         points = PointSet(np.arange(len(point)), xy_px)
-        history = extended(history, frame, frame * DT_S, points, rays, MAX_FRAMES)
+        history = extended(history, frame, frame * step_s, points, rays, MAX_FRAMES)
         if frame:
             history = with_egomotion(history, TURN, None, 1e-6)
         found.append(history)
@@ -260,4 +262,22 @@ def test_a_frame_is_not_continued_by_what_has_forgotten_it():
 
 
 def test_a_frame_waits_for_half_of_a_window():
-    assert (views_after(20), views_after(3)) == (10, 1)
+    def waits_for(step_s, max_frames=20):
+        return next(n for n in range(99) if are_enough(n, n * step_s, max_frames))
+
+    assert (waits_for(0.2), waits_for(1 / 30), waits_for(1 / 30, 3)) == (10, 10, 1)
+    assert waits_for(1 / 120) / 120 == pytest.approx(10 / 30, abs=0.02)
+
+
+def test_views_on_both_sides_of_a_frame_that_was_thinned_out_lie_where_they_were():
+    position, step_s, n_frames = car(), 1 / 120, 200
+    found = histories(position, step_s=step_s, n_frames=n_frames)
+    for now in (NOW + 100, NOW + 101, NOW + 102, NOW + 103):
+        history = smoothed(found, now, 40).history
+        assert history.frame[history.n_past] == now
+        assert history.since_s[0] < -0.2
+        assert history.since_s[-1] == pytest.approx(40 * step_s)
+        place = position + VELOCITY * (history.since_s + (now - NOW) * step_s)[:, None, None]
+        there = np.linalg.matrix_power(TURN, now - NOW)
+        place = place @ there.T
+        np.testing.assert_allclose(history.xy, place[..., :2] / place[..., 2:], atol=1e-9)

@@ -19,17 +19,23 @@ _STAYS_PX = 0.3
 _FROZEN_FRAMES = 15
 # After so many it may be on the way there: it does not found a new mover.
 _SUSPECT_FRAMES = 4
+# A frame that follows its last one sooner than this, s, counts by its part: at 120 frames/s whatever moves by less than
+# a pixel in half a second stays on its pixel for 15 frames.
+_WHOLE_FRAME_S = 0.03
 # A new track this close to a frozen one is taken as frozen from the start, px: corners of one burned-in letter.
 _NEAR_FROZEN_PX = 15.0
 
 
 @dataclass(frozen=True)
 class FrozenMemory:
-    """Per live track: the pixel it is compared with, and for how many frames of a moving scene it has stayed there."""
+    """Per live track: the pixel it is compared with, and for how many frames of a moving scene it has stayed there.
+
+    ``n_stayed (N,)`` counts frames of a fast clip by their part.
+    """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     anchor_px: Floats = field(default_factory=lambda: np.empty((0, 2)))
-    n_stayed: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    n_stayed: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def is_suspect(self) -> Bools:
@@ -37,15 +43,18 @@ class FrozenMemory:
         return np.asarray(self.n_stayed >= _SUSPECT_FRAMES)
 
 
-def find_frozen(memory: FrozenMemory, points: PointSet, *, scene_moves: bool) -> tuple[Bools, FrozenMemory]:
+def find_frozen(
+    memory: FrozenMemory, points: PointSet, *, scene_moves: bool, step_s: float = np.inf
+) -> tuple[Bools, FrozenMemory]:
     """Which of the points (N,) are frozen.
 
     Parameters
     ----------
     scene_moves : whether the camera translated or turned in the step before: only then does staying mean anything.
+    step_s : time since the last frame.
     """
     n = len(points.track_id)
-    anchor_px, n_stayed = points.xy_px.copy(), np.zeros(n, dtype=np.int64)
+    anchor_px, n_stayed = points.xy_px.copy(), np.zeros(n)
     is_new = np.ones(n, dtype=bool)
     if len(memory.track_id):
         place = np.minimum(np.searchsorted(memory.track_id, points.track_id), len(memory.track_id) - 1)
@@ -54,7 +63,7 @@ def find_frozen(memory: FrozenMemory, points: PointSet, *, scene_moves: bool) ->
         n_stayed[~is_new] = memory.n_stayed[place[~is_new]]
     stays = np.linalg.norm(points.xy_px - anchor_px, axis=1) < _STAYS_PX
     anchor_px[~stays] = points.xy_px[~stays]
-    n_stayed = np.where(stays, n_stayed + int(scene_moves), 0)
+    n_stayed = np.where(stays, n_stayed + int(scene_moves) * min(1.0, step_s / _WHOLE_FRAME_S), 0.0)
     is_frozen = n_stayed >= _FROZEN_FRAMES
     if is_frozen.any() and is_new.any():
         distance, _ = KDTree(points.xy_px[is_frozen]).query(points.xy_px[is_new])

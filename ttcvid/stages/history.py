@@ -13,6 +13,9 @@ from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
 
 # Views that count as recent, however long ago.
 _LEAST_RECENT = 4
+# Views are not thinned out among so many last ones: own motion looks back as far, and a track's roughness comes from
+# even steps. Half a frame is left to times that were rounded.
+_DENSE_VIEWS, _ROUNDING_FRAMES = 5, 0.5
 # Number of observations in a third difference; fewer tracks than that say nothing of what is typical.
 _DIFFERENCE_FRAMES, _LEAST_MEASURED = 4, 4
 # A track's noise is a mean over about 1 / (1 - 0.9) = 10 frames of its own, drawn towards the noise of all
@@ -20,6 +23,9 @@ _DIFFERENCE_FRAMES, _LEAST_MEASURED = 4, 4
 _FORGETTING, _PRIOR_WEIGHT = 0.9, 4.0
 # The noise of all tracks follows its new measurements with this weight a frame.
 _POOL_GAIN = 0.2
+
+FULL_RATE_HZ = 30.0
+"""The views of a clip that is faster are thinned, so that they reach as far back as they would at this rate."""
 
 ROTATION_DRIFT_RAD = float(np.radians(0.006))
 """What matching errs in common turns the camera by so much a frame, always the same way.
@@ -35,7 +41,7 @@ _MEDIAN_CHI2_2 = 0.6931
 
 @dataclass(frozen=True)
 class TrackHistory:
-    """The last L frames of the N live tracks, oldest first.
+    """The last L views of the N live tracks, oldest first: every frame, but where the clip is faster than 30/s.
 
     ``frame (L,)``, ``t_s (L,)``; ``cam_R_past (L, 3, 3)`` turns a ray of frame l into the present camera
     (`with_egomotion` brings it up to date); ``scene_direction (L, 3)`` is ``dir`` of the scene in the step up to frame
@@ -175,7 +181,7 @@ def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
 def extended(
     history: TrackHistory, frame: int, t_s: float, points: PointSet, rays: Floats, max_frames: int
 ) -> TrackHistory:
-    """The history with one more frame; tracks that are not among ``points`` end, at most ``max_frames`` are kept.
+    """The history with one more frame; tracks that are not among ``points`` end, at most ``max_frames`` views are kept.
 
     Parameters
     ----------
@@ -193,7 +199,8 @@ def extended(
         out[known] = values[source]
         return out
 
-    kept = history.rays[max(0, len(history.frame) - max_frames + 1) :]
+    stay = _views_that_stay(history.t_s, t_s, max_frames)
+    kept = history.rays[stay]
     with_past = np.empty((len(kept) + 1, n, 3))
     with_past[-1] = rays
     if history.n_tracks:
@@ -202,10 +209,10 @@ def extended(
     with_past[:-1, ~known] = np.nan
     return replace(
         history,
-        frame=np.append(history.frame, frame)[-max_frames:],
-        t_s=np.append(history.t_s, t_s)[-max_frames:],
-        cam_R_past=np.concatenate([history.cam_R_past, np.eye(3)[None]])[-max_frames:],
-        scene_direction=np.concatenate([history.scene_direction, np.full((1, 3), np.nan)])[-max_frames:],
+        frame=np.append(history.frame[stay], frame),
+        t_s=np.append(history.t_s[stay], t_s),
+        cam_R_past=np.concatenate([history.cam_R_past[stay], np.eye(3)[None]]),
+        scene_direction=np.concatenate([history.scene_direction[stay], np.full((1, 3), np.nan)]),
         track_id=points.track_id,
         n_frames=carried(history.n_frames, 0).astype(np.int64) + 1,
         xy_px=points.xy_px,
@@ -215,6 +222,20 @@ def extended(
         noise_sum=carried(history.noise_sum, 0.0),
         noise_weight=carried(history.noise_weight, 0.0),
     )
+
+
+def _views_that_stay(t_s: Floats, now_s: float, max_frames: int) -> slice | Ints:
+    """Which of the past views at the times ``t_s (L,)`` are kept beside a new one.
+
+    The oldest goes where the others reach far enough back without it; else the one whose neighbours are closest in
+    time, so that a fast clip is looked at over the same time with as many views.
+    """
+    first = max(0, len(t_s) - max_frames + 1)
+    wanted_s = (max_frames - 1 - _ROUNDING_FRAMES) / FULL_RATE_HZ
+    if first != 1 or max_frames < _DENSE_VIEWS + 2 or now_s - t_s[1] >= wanted_s:
+        return slice(first, None)
+    between_s = t_s[2 : len(t_s) - _DENSE_VIEWS + 1] - t_s[: len(t_s) - _DENSE_VIEWS - 1]
+    return np.delete(np.arange(len(t_s)), 1 + int(np.argmin(np.round(between_s, 6))))
 
 
 def last_frame_only(history: TrackHistory) -> TrackHistory:

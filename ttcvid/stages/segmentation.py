@@ -59,7 +59,7 @@ _LEAST_MEASURED = 10
 class BodyMemory:
     """What is known of the last frame: the scene, the movers, and for each track its body and its rate.
 
-    ``obstacles`` are what of the scene stands in our way (`stages.obstacles`).
+    ``obstacles`` are what of the scene stands in our way (`stages.obstacles`); ``frame (L,)`` the views of the bodies.
     """
 
     scene: Body | None = None
@@ -71,6 +71,7 @@ class BodyMemory:
     next_key: int = SCENE_CLUSTER + 1
     next_cluster_id: int = SCENE_CLUSTER + 1
     obstacles: tuple[Obstacle, ...] = ()
+    frame: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,7 @@ def find_bodies(
     model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
     """
     views = body_views(history, is_free, link_px, model_error_px)
+    memory = _over_views(memory, history.frame)
     key, rate_hz = _carried_labels(memory, history.track_id)
     is_continued = len(history.t_s) > 1 and memory.scene is not None
     movers = _carried(memory.movers, egomotion, views) if is_continued else []
@@ -153,13 +155,28 @@ def find_bodies(
         next_key += 1
     key, movers, next_key = split(views, key, movers, next_key, config)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
-    memory = BodyMemory(scene, tuple(movers), history.track_id, key, rate_hz, road, next_key, next_cluster_id)
+    memory = BodyMemory(
+        scene, tuple(movers), history.track_id, key, rate_hz, road, next_key, next_cluster_id, frame=history.frame
+    )
     return Segmentation(key, {m.key: m for m in movers}, scene, scene_fit, misfit), memory
 
 
 def restarted_bodies(memory: BodyMemory) -> BodyMemory:
     """Nothing known any more, but no number given out twice."""
     return BodyMemory(next_key=memory.next_key, next_cluster_id=memory.next_cluster_id)
+
+
+def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
+    """The bodies over those of their views that the history with the frames ``frame (L,)`` still has."""
+    if memory.scene is None or np.array_equal(memory.frame[1 - len(frame) :], frame[:-1]):
+        return memory
+    stays = np.isin(memory.frame, frame)
+
+    def over_them(body: Body) -> Body:
+        return replace(body, cam_R_past=body.cam_R_past[stays], path=body.path[stays])
+
+    movers = tuple(replace(mover, body=over_them(mover.body)) for mover in memory.movers)
+    return replace(memory, scene=over_them(memory.scene), movers=movers)
 
 
 def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:

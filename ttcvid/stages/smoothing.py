@@ -14,10 +14,10 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.rotation import normalize
-from ttcvid.model import SCENE_CLUSTER, Camera, Ints, Status
+from ttcvid.model import SCENE_CLUSTER, Camera, Floats, Ints, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import Egomotion
-from ttcvid.stages.history import TrackHistory
+from ttcvid.stages.history import FULL_RATE_HZ, TrackHistory
 from ttcvid.stages.motions import FrameMotions, motions_of, scene_motion
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.scene_path import with_scene_path
@@ -40,9 +40,15 @@ class Seen:
         return len(later.frame) > 1 and bool(later.frame[0] <= self.history.frame[-1])
 
 
-def views_after(max_frames: int) -> int:
-    """Frames after a frame that its estimates wait for: half of a window."""
-    return max_frames // 2
+def are_enough(n_after: int, after_s: float, max_frames: int) -> bool:
+    """Whether a frame's estimates wait no longer for the frames after it: these are half of a window.
+
+    Parameters
+    ----------
+    n_after : frames after it, the last of which came ``after_s`` later.
+    """
+    half = max_frames // 2
+    return n_after >= half and after_s >= (half - 0.5) / FULL_RATE_HZ
 
 
 def seen_again(seen: Seen, later: Sequence[Seen], camera: Camera, config: PipelineConfig) -> Seen:
@@ -67,23 +73,42 @@ def _around(history: TrackHistory, later: Sequence[TrackHistory]) -> TrackHistor
 
     The last one has the rotations of the whole window, corrected by all that came in between.
     """
-    last = later[-1]
-    now = int(np.searchsorted(last.frame, history.frame[-1]))
-    rays = np.full((len(last.frame), history.n_tracks, 3), np.nan)
-    rays[: now + 1] = history.rays[-1 - now :]
-    for entry, after in enumerate(later, start=now + 1):
-        lives, place = _same_tracks(history, after)
-        rays[entry, lives] = after.rays[-1, place]
+    last, now_frame = later[-1], history.frame[-1]
+    now = int(np.searchsorted(last.frame, now_frame))
+    frame, t_s = last.frame, last.t_s
+    cam_R_past, scene_direction = last.cam_R_past, last.scene_direction
+    if frame[now] != now_frame:
+        # The views of a fast clip are thinned, and this one has been left out.
+        frame, t_s = np.insert(frame, now, now_frame), np.insert(t_s, now, history.t_s[-1])
+        cam_R_past = np.insert(cam_R_past, now, cam_R_past[now] @ _turned_up_to(frame[now + 1], later), axis=0)
+        scene_direction = np.insert(scene_direction, now, history.scene_direction[-1], axis=0)
+    rays = np.full((len(frame), history.n_tracks, 3), np.nan)
+    rays[: now + 1] = history.rays[np.searchsorted(history.frame, frame[: now + 1])]
+    for after in later:
+        entry = int(np.searchsorted(frame, after.frame[-1]))
+        if frame[entry] == after.frame[-1]:
+            lives, place = _same_tracks(history, after)
+            rays[entry, lives] = after.rays[-1, place]
     return replace(
         history,
-        frame=last.frame,
-        t_s=last.t_s,
-        cam_R_past=last.cam_R_past[now].T @ last.cam_R_past,
-        scene_direction=last.scene_direction,
+        frame=frame,
+        t_s=t_s,
+        cam_R_past=cam_R_past[now].T @ cam_R_past,
+        scene_direction=scene_direction,
         rays=rays,
         scene=None,
-        now=now - len(last.frame),
+        now=now - len(frame),
     )
+
+
+def _turned_up_to(frame: int, later: Sequence[TrackHistory]) -> Floats:
+    """The rotation (3, 3) from the frame before the ``later`` ones to one of them, by the steps in between."""
+    turned = np.eye(3)
+    for after in later:
+        turned = after.cam_R_past[-2] @ turned
+        if after.frame[-1] == frame:
+            break
+    return turned
 
 
 def _same_tracks(history: TrackHistory, after: TrackHistory) -> tuple[Ints, Ints]:
