@@ -13,7 +13,7 @@ from relative_motion import (
     unit,
 )
 
-from ttcvid.geometry.rotation import rotation_from_vector
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Status
 from ttcvid.stages.flows import select_flows
 from ttcvid.stages.track_states import (
@@ -136,6 +136,34 @@ def test_intervals_of_three_frames_hold_the_truth_in_nine_of_ten_where_they_are_
     assert 0.85 <= in_z <= 0.95
     assert in_tcpa >= 0.87
     assert in_miss >= 0.87
+
+
+@pytest.mark.parametrize("place_m", [(0.0, 3.0, 12.0), (18.0, 3.0, 12.0), (18.0, -18.0, 12.0)])
+def test_covariance_of_three_frames_is_how_noise_of_the_rays_scatters_them_also_far_off_the_axis(place_m):
+    rng, n = np.random.default_rng(63), 4000
+    position_m, velocity = np.tile(place_m, (n, 1)), np.array([5.0, 0.3, -6.0])
+    history = history_of(position_m, velocity, 0.05 * np.arange(13))
+    sigma_rad = np.full(n, 1e-6)
+    noisy = replace(history, rays=normalize(history.rays + sigma_rad[0] * rng.normal(size=history.rays.shape)))
+    states = three_frame_states(noisy, replace(select_flows(noisy, 12, 1e6), sigma_rad=sigma_rad))
+    # Three views of one in a hundred or so lie off a plane by chance.
+    ok = states.status == Status.ok
+    assert ok.mean() > 0.95
+    scattered = np.std(states.abc_hz[ok], axis=0)
+    told = np.sqrt(np.median(np.einsum("nii->ni", states.cov[ok]), axis=0))
+    np.testing.assert_allclose(told, scattered, rtol=0.1)
+
+
+def test_a_state_of_three_frames_whose_error_nobody_can_say_is_none():
+    """Flow so short that a step of the noise leads to views that have no epipole."""
+    rng, n = np.random.default_rng(64), 3000
+    position_m = box_of_points(rng, n, (0.0, 0.0, 40.0), (40.0, 20.0, 40.0))
+    history = history_of(position_m, np.array([0.0, 0.0, -2.0]), 0.05 * np.arange(5), sigma_px=0.2, rng=rng)
+    states = three_frame_states(history, select_flows(history, 4, 1e6))
+    assert np.isfinite(states.cov[states.has_value]).all()
+    times = states.times()
+    assert np.isfinite(times.ttc_z_lo_s[states.has_value]).all()
+    assert (states.status[np.isnan(states.abc_hz[:, 0])] != Status.ok).all()
 
 
 def test_every_missing_result_has_its_reason():

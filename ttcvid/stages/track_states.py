@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.intervals import collision_times_from_state
-from ttcvid.geometry.rotation import cross, normalize
+from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.geometry.shared_path import N_SHARED
 from ttcvid.geometry.state import rate_from_direction, state_from_direction
 from ttcvid.geometry.three_frames import three_frame_direction
@@ -205,10 +205,12 @@ def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:
     abc_hz, direction, status = solve(rays)
     cov = np.zeros((len(abc_hz), 3, 3))
     step = (_DERIVATIVE_STEP_SIGMAS * flows.sigma_rad)[:, None]
+    # Across each ray: along x or y one far off the axis would turn by less than the step.
+    across = tangent_basis(rays)
     for view in range(3):
         for axis in range(2):
             offset = np.zeros_like(rays)
-            offset[view, :, axis] = step[:, 0]
+            offset[view] = step * across[view, :, :, axis]
             slope = (solve(rays + offset)[0] - solve(rays - offset)[0]) / (2.0 * step)
             cov += np.einsum("ni,nj->nij", slope, slope) * (flows.sigma_rad**2)[:, None, None]
     return _states(flows, abc_hz, cov, direction, status)
@@ -273,7 +275,8 @@ def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> 
 
 def _states(flows: Flows, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:
     xy = flows.second[:, :2] / flows.second[:, 2:]
-    is_known = np.isfinite(abc_hz).all(axis=1)
+    # A number of which nobody can say how sure it is is none: three views within noise of a degenerate case.
+    is_known = np.isfinite(abc_hz).all(axis=1) & np.isfinite(cov).all(axis=(1, 2))
     status = np.where(~is_known & has_value(status), Status.no_parallax, status)
     is_known &= has_value(status)
     abc_hz = np.where(is_known[:, None], abc_hz, np.nan)
