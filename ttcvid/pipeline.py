@@ -313,7 +313,9 @@ def _with_points(frame: Frame, points: PointSet, memory: Memory, clip: Clip) -> 
     rays = normalize(rays_from_pixels(clip.camera, points.xy_px))
     times = clip.config.collision_times
     max_frames = max(_LEAST_HISTORY, times.max_gap_frames + 1, times.max_frames)
-    return extended(memory.history, frame.index, frame.t_s, points, rays, max_frames)
+    # A tracker of pictures gives no number twice; of another one, who knows.
+    from_table = frame.points is not None
+    return extended(memory.history, frame.index, frame.t_s, points, rays, max_frames, may_come_back=from_table)
 
 
 def _motion_status(egomotion: Egomotion | None) -> FrameStatus:

@@ -20,11 +20,13 @@ def point_set(*track_ids):
     return PointSet(ids, xy_px), rays
 
 
-def history_of(*frames, max_frames=5):
+def history_of(*frames, max_frames=5, **options):
     history = start()
     for frame, ids in enumerate(frames):
         points, rays = point_set(*ids)
-        history = extended(history, frame, frame * DT_S, points, rays + np.array([0, frame / 1000, 0]), max_frames)
+        history = extended(
+            history, frame, frame * DT_S, points, rays + np.array([0, frame / 1000, 0]), max_frames, **options
+        )
     return history
 
 
@@ -45,6 +47,25 @@ def test_a_track_that_was_gone_for_a_frame_begins_anew():
     history = history_of([1, 2], [1], [1, 2])
     assert history.n_frames.tolist() == [3, 1]
     assert np.isnan(history.rays[:2, 1]).all()
+
+
+def test_a_track_that_may_come_back_goes_on_where_it_was():
+    history = history_of([1, 2, 5], [1], [5], [1, 2, 3], may_come_back=True)
+    assert history.track_id.tolist() == [1, 2, 3]
+    assert history.n_frames.tolist() == [3, 2, 1]
+    np.testing.assert_allclose(history.rays[[0, 1, 3], 0, 1], [0.0, 0.001, 0.003])
+    np.testing.assert_allclose(history.rays[[0, 3], 1], [[0.02, 0.0, 1.0], [0.02, 0.003, 1.0]])
+    assert np.isnan(history.rays[2, 0]).all()
+    assert np.isnan(history.rays[1:3, 1]).all()
+    assert np.isnan(history.rays[:3, 2]).all()
+    assert history.lost.track_id.tolist() == [5]
+
+
+def test_a_track_that_is_gone_for_longer_than_the_history_reaches_begins_anew():
+    frames = [[1, 2], [1], [1], [1], [1], [1, 2]]
+    assert history_of(*frames, max_frames=6, may_come_back=True).n_frames.tolist() == [6, 2]
+    assert history_of(*frames, max_frames=4, may_come_back=True).n_frames.tolist() == [6, 1]
+    assert history_of(*frames, max_frames=4, may_come_back=True).lost is None
 
 
 def test_no_more_than_the_wanted_frames_are_kept():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,21 @@ _MEDIAN_CHI2_2 = 0.6931
 
 
 @dataclass(frozen=True)
+class LostTracks:
+    """What a `TrackHistory` knows of M tracks that are not seen in its present frame and may come back.
+
+    ``rays (L, M, 3)`` over the views of the history; the rest (M,) as in the history.
+    """
+
+    track_id: Ints
+    n_frames: Ints
+    rays: Floats
+    sigma_px: Floats
+    noise_sum: Floats
+    noise_weight: Floats
+
+
+@dataclass(frozen=True)
 class TrackHistory:
     """The last L views of the N live tracks, oldest first: every frame, but where the clip is faster than 30/s.
 
@@ -52,7 +68,7 @@ class TrackHistory:
     evidence and ``pool_sigma_px`` the noise of all tracks together; ``focal_px`` turns px into rad. ``scene`` is the
     path of the static scene as its tracks see it together (`stages.scene_path`), None until it has been found in this
     frame. ``now`` is the entry of the present frame, counted from the end: the last one, but where a frame is looked at
-    once more with views of later ones (`stages.smoothing`).
+    once more with views of later ones (`stages.smoothing`). ``lost`` are tracks that may come back.
     """
 
     frame: Ints
@@ -71,6 +87,7 @@ class TrackHistory:
     focal_px: float
     scene: SharedPaths | None = None
     now: int = -1
+    lost: LostTracks | None = None
 
     @property
     def n_past(self) -> int:
@@ -179,14 +196,24 @@ def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
 
 
 def extended(
-    history: TrackHistory, frame: int, t_s: float, points: PointSet, rays: Floats, max_frames: int
+    history: TrackHistory,
+    frame: int,
+    t_s: float,
+    points: PointSet,
+    rays: Floats,
+    max_frames: int,
+    *,
+    may_come_back: bool = False,
 ) -> TrackHistory:
     """The history with one more frame; tracks that are not among ``points`` end, at most ``max_frames`` views are kept.
 
     Parameters
     ----------
     rays : (N, 3) unit rays of ``points``.
+    may_come_back : whether a track may be missing for some frames: it ends when no view of it is left.
     """
+    if history.lost is not None:
+        history = _with_lost(history, history.lost)
     n = len(points.track_id)
     before = np.searchsorted(history.track_id, points.track_id)
     known = np.zeros(n, dtype=bool)
@@ -221,6 +248,43 @@ def extended(
         sigma_px=carried(history.sigma_px, history.pool_sigma_px),
         noise_sum=carried(history.noise_sum, 0.0),
         noise_weight=carried(history.noise_weight, 0.0),
+        lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
+    )
+
+
+def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:
+    """The history with its lost tracks among the others, as if they were seen nowhere in its present frame."""
+    order = np.argsort(np.concatenate([history.track_id, lost.track_id]))
+
+    def joined(live: Floats | Ints, gone: Floats | Ints, axis: int = 0) -> Any:
+        return np.concatenate([live, gone], axis=axis).take(order, axis=axis)
+
+    return replace(
+        history,
+        track_id=joined(history.track_id, lost.track_id),
+        n_frames=joined(history.n_frames, lost.n_frames),
+        xy_px=joined(history.xy_px, np.full((len(lost.track_id), 2), np.nan)),
+        rays=joined(history.rays, lost.rays, 1),
+        sigma_px=joined(history.sigma_px, lost.sigma_px),
+        noise_sum=joined(history.noise_sum, lost.noise_sum),
+        noise_weight=joined(history.noise_weight, lost.noise_weight),
+        lost=None,
+    )
+
+
+def _lost_tracks(history: TrackHistory, track_id: Ints, kept: Floats) -> LostTracks | None:
+    """The tracks of a history that are not among those of the next frame but have been seen in its ``kept`` views."""
+    gone = np.flatnonzero(~np.isin(history.track_id, track_id, assume_unique=True))
+    gone = gone[np.isfinite(kept[:, gone, 0]).any(axis=0)]
+    if not len(gone):
+        return None
+    return LostTracks(
+        history.track_id[gone],
+        history.n_frames[gone],
+        np.concatenate([kept[:, gone], np.full((1, len(gone), 3), np.nan)]),
+        history.sigma_px[gone],
+        history.noise_sum[gone],
+        history.noise_weight[gone],
     )
 
 
@@ -247,6 +311,7 @@ def last_frame_only(history: TrackHistory) -> TrackHistory:
         cam_R_past=history.cam_R_past[-1:],
         scene_direction=history.scene_direction[-1:],
         rays=history.rays[-1:],
+        lost=None,
     )
 
 

@@ -98,6 +98,7 @@ def _around(history: TrackHistory, later: Sequence[TrackHistory]) -> TrackHistor
         rays=rays,
         scene=None,
         now=now - len(frame),
+        lost=None,
     )
 
 
