@@ -5,8 +5,10 @@ import pytest
 from drives import CAMERA, DT_S, drive, extended_by, start
 from two_views import FOCAL_PX
 
-from ttcvid.model import PointSet
-from ttcvid.stages.history import extended, last_frame_only, with_egomotion, with_noise
+from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.model import Camera, ImageSize, PointSet
+from ttcvid.stages.history import empty_history, extended, last_frame_only, with_egomotion, with_noise
 
 FLOOR_PX = 0.05
 FORWARD = np.array([0.0, 0.0, -1.0])
@@ -228,3 +230,46 @@ def test_new_tracks_start_with_the_noise_of_all_tracks():
     later = extended(history, 99, 9.9, grown, rays, 11)
     assert later.sigma_px[-1] == history.pool_sigma_px
     np.testing.assert_array_equal(later.sigma_px[:-1], history.sigma_px)
+
+
+LENSES = {
+    "none": ("none", (), 40.0),
+    "plumb_bob": ("plumb_bob", (-0.28, 0.09, 0.001, -0.0005, -0.01), 38.0),
+    "fisheye, middle": ("fisheye", (0.0, 0.0, 0.0, 0.0), 30.0),
+    "fisheye, far": ("fisheye", (0.02, -0.01, 0.0, 0.0), 70.0),
+}
+
+
+@pytest.mark.parametrize(("model", "coefficients", "off_deg"), LENSES.values(), ids=LENSES)
+def test_noise_of_a_ray_is_what_noise_of_the_pixel_makes_of_it_through_the_lens(model, coefficients, off_deg):
+    rng, n, sigma_px = np.random.default_rng(7), 20000, 0.2
+    lens = Camera(500.0, 500.0, 639.5, 479.5, ImageSize(1280, 960), model, coefficients)
+    off, turn = np.radians(off_deg), 0.7
+    true_ray = np.array([np.sin(off) * np.cos(turn), np.sin(off) * np.sin(turn), np.cos(off)])
+    xy_px = pixels_from_rays(lens, true_ray[None]) + sigma_px * rng.normal(size=(n, 2))
+    plane = rays_from_pixels(lens, xy_px)
+    rays = normalize(plane)
+    history = extended(empty_history(lens, sigma_px), 0, 0.0, PointSet(np.arange(n), xy_px), rays, 20)
+    # One number stands for the noise along the radius and across: the root of what both span.
+    scattered_norm = np.linalg.det(np.cov(plane[:, :2], rowvar=False)) ** 0.25
+    assert np.median(history.sigma_norm) == pytest.approx(scattered_norm, rel=0.05)
+    scattered_rad = np.linalg.det(np.cov(rays @ tangent_basis(true_ray), rowvar=False)) ** 0.25
+    assert np.median(history.sigma_rad) == pytest.approx(scattered_rad, rel=0.05)
+
+
+def test_how_rough_a_track_is_does_not_depend_on_where_a_fisheye_lens_shows_it():
+    rng = np.random.default_rng(8)
+    lens = Camera(500.0, 500.0, 639.5, 479.5, ImageSize(1280, 960), "fisheye", (0.0, 0.0, 0.0, 0.0))
+    off = np.repeat(np.radians([5.0, 65.0]), 300)
+    turn = rng.uniform(0.0, 2.0 * np.pi, 600)
+    true_rays = np.column_stack([np.sin(off) * np.cos(turn), np.sin(off) * np.sin(turn), np.cos(off)])
+    true_px = pixels_from_rays(lens, true_rays)
+    history = empty_history(lens, 0.2)
+    for frame in range(12):
+        xy_px = true_px + 0.2 * rng.normal(size=true_px.shape)
+        points = PointSet(np.arange(600), xy_px)
+        history = extended(history, frame, 0.1 * frame, points, normalize(rays_from_pixels(lens, xy_px)), 20)
+        history = with_noise(with_egomotion(history, np.eye(3), None, 0.0) if frame else history, 1.0, 0.01)
+    near, far = np.median(history.sigma_px[:300]), np.median(history.sigma_px[300:])
+    # Radius and across are taken as one, which is off by this much where they differ by a factor of three.
+    assert far == pytest.approx(near, rel=0.25)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.distortion import distort, undistort
+from ttcvid.geometry.distortion import distort, distorted_area, undistort
 from ttcvid.model import Camera, Floats
 
 UNDISTORTION_TOLERANCE_PX = 5e-11
@@ -35,6 +35,28 @@ def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
     rays[:, :2] = undistort(camera.distortion_model, camera.distortion, xy_distorted, tolerance)
     rays[~np.isfinite(rays).all(axis=1)] = np.nan
     return rays
+
+
+def plane_per_px(camera: Camera, rays: Floats) -> Floats:
+    """How much of the plane z = 1 a pixel spans at rays ``(N, 3)``, as a length: the root of its area there, (N,).
+
+    One over the focal length without distortion; a fisheye lens crowds the more into a pixel the farther off the axis.
+    That of the axis for rays without one (NaN, z <= 0, where the lens model folds over).
+
+    >>> from ttcvid.model import ImageSize
+    >>> camera = Camera(100.0, 100.0, 320.0, 240.0, ImageSize(640, 480), "fisheye", (0.0, 0.0, 0.0, 0.0))
+    >>> plane_per_px(camera, np.array([[0.0, 0.0, 1.0], [np.sqrt(3.0), 0.0, 1.0]])).round(4)
+    array([0.01  , 0.0257])
+    """
+    per_px = np.full(len(rays), 1.0 / np.sqrt(camera.fx_px * camera.fy_px))
+    if camera.distortion_model == "none":
+        return per_px
+    with np.errstate(all="ignore"):
+        xy = rays[:, :2] / np.where(rays[:, 2] > 0.0, rays[:, 2], np.nan)[:, None]
+        area = distorted_area(camera.distortion_model, camera.distortion, xy)
+    known = area > 0.0
+    per_px[known] /= np.sqrt(area[known])
+    return per_px
 
 
 def pixels_from_rays(camera: Camera, rays: Floats) -> Floats:

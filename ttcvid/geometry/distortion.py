@@ -60,6 +60,25 @@ def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
     return _nan_where(~is_valid, places)
 
 
+def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
+    """How many times smaller or larger `distort` makes a small area at each place ``(N, 2)``: its Jacobian, (N,).
+
+    >>> distorted_area("fisheye", (0.0, 0.0, 0.0, 0.0), np.array([[0.0, 0.0], [np.sqrt(3.0), 0.0]])).round(4)
+    array([1.    , 0.1511])
+    """
+    _check(model, coefficients)
+    if _does_nothing(model, coefficients):
+        return np.ones(len(xy))
+    x, y = xy.T
+    if model != "fisheye":
+        _, _, j_xx, j_xy, j_yy = _radial_tangential(_eight(coefficients), x, y)
+        return j_xx * j_yy - j_xy * j_xy
+    r = np.hypot(x, y)
+    angle_d, slope = _fisheye_angle(coefficients, np.arctan(r))
+    area: Floats = np.divide(angle_d, r, out=np.ones_like(r), where=r > 0.0) * slope / (1.0 + r * r)
+    return area
+
+
 def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats, tolerance: float) -> Floats:
     """Undistorted places ``(N, 2)`` of distorted ones ``(N, 2)``, both on the plane z = 1: the inverse of `distort`.
 

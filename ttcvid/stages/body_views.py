@@ -67,7 +67,7 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
     ----------
     model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
     """
-    sigma_norm = np.maximum(history.sigma_norm, model_error_px / history.focal_px)
+    sigma_norm = np.maximum(history.sigma_px, model_error_px) * history.plane_per_px
     neighbours = nearest_neighbours(history.xy_px, _N_NEIGHBOURS, link_px)
     return BodyViews(
         history.rays, sigma_norm, history.xy_px, history.t_s, history.focal_px, is_free, neighbours, link_px

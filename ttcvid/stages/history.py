@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ttcvid.geometry.camera import plane_per_px
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.shared_path import SharedPaths
 from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
@@ -65,7 +66,8 @@ class TrackHistory:
     ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far;
     ``xy_px (N, 2)`` present position; ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not
     observed; ``sigma_px (N,)`` noise of one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its
-    evidence and ``pool_sigma_px`` the noise of all tracks together; ``focal_px`` turns px into rad. ``scene`` is the
+    evidence and ``pool_sigma_px`` the noise of all tracks together; ``plane_per_px (N,)`` how much of the plane z = 1
+    a pixel spans where each track is (`geometry.camera.plane_per_px`). ``scene`` is the
     path of the static scene as its tracks see it together (`stages.scene_path`), None until it has been found in this
     frame. ``now`` is the entry of the present frame, counted from the end: the last one, but where a frame is looked at
     once more with views of later ones (`stages.smoothing`). ``lost`` are tracks that may come back.
@@ -84,7 +86,8 @@ class TrackHistory:
     noise_sum: Floats
     noise_weight: Floats
     pool_sigma_px: float
-    focal_px: float
+    plane_per_px: Floats
+    camera: Camera
     scene: SharedPaths | None = None
     now: int = -1
     lost: LostTracks | None = None
@@ -100,20 +103,24 @@ class TrackHistory:
         return len(self.track_id)
 
     @property
+    def focal_px(self) -> float:
+        """Pixels per rad about the axis."""
+        return 0.5 * (self.camera.fx_px + self.camera.fy_px)
+
+    @property
     def sigma_rad(self) -> Floats:
         """Noise of one coordinate of a unit ray, ``(N,)`` rad.
 
-        One pixel away from the optical axis spans a smaller angle: cos^2 along the radius and cos across, taken
-        together as cos^1.5.
+        What a pixel spans in the plane z = 1 is seen under a smaller angle away from the axis: cos^2 along the radius
+        and cos across, taken together as cos^1.5.
         """
         cosine: Floats = self.rays[self.now, :, 2]
-        return self.sigma_px / self.focal_px * np.clip(cosine, 0.1, 1.0) ** 1.5
+        return self.sigma_norm * np.clip(cosine, 0.1, 1.0) ** 1.5
 
     @property
     def sigma_norm(self) -> Floats:
         """Noise of one coordinate in the plane z = 1, ``(N,)``."""
-        sigma: Floats = self.sigma_px / self.focal_px
-        return sigma
+        return self.sigma_px * self.plane_per_px
 
     @cached_property
     def xy(self) -> Floats:
@@ -191,7 +198,8 @@ def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
         noise_sum=np.empty(0),
         noise_weight=np.empty(0),
         pool_sigma_px=sigma_start_px,
-        focal_px=0.5 * (camera.fx_px + camera.fy_px),
+        plane_per_px=np.empty(0),
+        camera=camera,
     )
 
 
@@ -248,6 +256,7 @@ def extended(
         sigma_px=carried(history.sigma_px, history.pool_sigma_px),
         noise_sum=carried(history.noise_sum, 0.0),
         noise_weight=carried(history.noise_weight, 0.0),
+        plane_per_px=plane_per_px(history.camera, rays),
         lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
     )
 
@@ -369,7 +378,8 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
     if np.ptp(steps_s) > _EVEN_STEPS * abs(float(np.mean(steps_s))):
         return nothing
     recent = slice(-_DIFFERENCE_FRAMES, None)
-    x3, x2, x1, x0 = history.focal_px * turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
+    plane = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
+    x3, x2, x1, x0 = plane / history.plane_per_px[:, None]
     roughness = np.sum((x0 - 3.0 * x1 + 3.0 * x2 - x3) ** 2, axis=1)
     is_measured = np.isfinite(roughness)
     if np.count_nonzero(is_measured) < _LEAST_MEASURED:
