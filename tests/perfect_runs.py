@@ -76,6 +76,27 @@ def perfect_run(truth: Truth, tracks: pd.DataFrame | None = None) -> RunTables:
     return RunTables(truth.frames, clusters, epipoles, tracks, events.reset_index(drop=True))
 
 
+def manifest_of_run(image_size: tuple[int, int] = (640, 360), **changes: object) -> dict[str, object]:
+    """What the manifest of a run has to say at the least."""
+    size = {"width_px": image_size[0], "height_px": image_size[1]}
+    lens = {"distortion_model": "none", "distortion": [], "origin": "hfov_deg", "is_assumed": False}
+    camera = {"fx_px": 500.0, "fy_px": 500.0, "cx_px": 319.5, "cy_px": 179.5, "image_size": size, **lens}
+    return {
+        "state": "complete",
+        "versions": {},
+        "configuration": {"analyze": {"stride": {"value": 1}}, "egomotion": {"platform": {"value": "vehicle"}}},
+        "input": {"nominal_dt_s": DT_S, "sha256": "", "n_files": 1, "kind": "images"},
+        "camera": camera,
+        "horizon": None,
+        "image_size": size,
+        "counts": {"frames": 1, "track_rows": 0, "objects": 0, "events": 0, "skipped_packets": 0},
+        "nearest": None,
+        "timings": {"total_s": 1.0, "frames_per_s": 1.0},
+        "warnings": [],
+        **changes,
+    }
+
+
 def write_run(folder: Path, run: RunTables) -> Path:
     """The run as the folder that ``ttcvid analyze`` writes; what a table does not hold becomes null or zero."""
     folder.mkdir()
@@ -87,7 +108,7 @@ def write_run(folder: Path, run: RunTables) -> Path:
         arrays = [pa.array(columns[f.name], type=_storage(f.type), from_pandas=True) for f in table_schema(name)]
         arrays = [array.cast(f.type) for array, f in zip(arrays, table_schema(name), strict=True)]
         pq.write_table(pa.Table.from_arrays(arrays, schema=table_schema(name)), folder / f"{name}.parquet")
-    write_manifest(folder / "manifest.json", {"state": "complete"})
+    write_manifest(folder / "manifest.json", manifest_of_run())
     return folder
 
 

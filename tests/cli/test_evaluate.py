@@ -1,5 +1,6 @@
 """``ttcvid evaluate`` on folders: perfect runs of simulated scenes, what it prints, and what it refuses."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -9,13 +10,14 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from perfect_runs import perfect_run, write_run
+from perfect_runs import manifest_of_run, perfect_run, write_run
 
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.jobs.evaluate import read_truth
 from ttcvid.jobs.simulate import simulate
 from ttcvid.simulate.tracks import TrackOptions
+from ttcvid.sinks.manifest import write_manifest
 from ttcvid.studies.metrics import METRICS
 from ttcvid.studies.truth import RunTables
 
@@ -193,6 +195,68 @@ def test_the_truth_of_another_clip_is_refused(
         code, message = refused(capsys, run, truth)
         assert code == 3
         assert says in message
+
+
+def rewritten(run: Path, folder: Path, **changes: object) -> Path:
+    """A copy of a run whose manifest says something else."""
+    shutil.copytree(run, folder)
+    write_manifest(folder / "manifest.json", manifest_of_run(**changes))
+    return folder
+
+
+def test_the_truth_of_another_picture_size_is_refused(
+    of_tracks: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = rewritten(of_tracks[0], tmp_path / "run", image_size=(1242, 375))
+    code, message = refused(capsys, run, of_tracks[1])
+    assert code == 3
+    assert "camera.yaml: is of pictures of 640x360" in message
+    assert "of 1242x375: give the truth of the clip that was analysed" in message
+
+
+def test_the_truth_of_another_clip_of_the_same_size_is_said(
+    of_tracks: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, truth = of_tracks
+    sha256 = hashlib.sha256((truth / "tracks.parquet").read_bytes()).hexdigest()
+    made_of = {"nominal_dt_s": 0.1, "n_files": 1, "kind": "tracks"}
+    for digest, n_lines in ((sha256, 0), ("0" * 64, 1)):
+        other = rewritten(run, tmp_path / digest, input={**made_of, "sha256": digest})
+        assert main(["evaluate", str(other), str(truth)]) == 0
+        said = capsys.readouterr().err
+        assert said.count("\n") == n_lines
+        assert not said or "tracks.parquet is not the file that the run" in said
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"camera": {}}, "field 'camera.fx_px' is missing"),
+        ({"camera": 3}, "field 'camera' = 3: expected fields below it"),
+        ({"state": "done"}, "field 'state' = 'done': expected one of complete, truncated, interrupted"),
+        ({"counts": {"frames": "many"}}, "field 'counts.frames' = 'many': expected a whole number"),
+        ({"horizon": {"y_left_px": 1e999}}, "field 'horizon.y_left_px'"),
+    ],
+)
+def test_a_manifest_that_was_cut_down_is_refused_by_every_command(
+    changes: dict[str, object],
+    says: str,
+    of_tracks: tuple[Path, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = Path(shutil.copytree(of_tracks[0], tmp_path / "run"))
+    (run / "manifest.json").write_text(json.dumps(manifest_of_run(**changes) | {"format": "ttcvid-run"}))
+    commands = {
+        "evaluate": (3, run, of_tracks[1]),
+        "collision-map": (3, run, "--ego-speed", "10", "-o", tmp_path / "map"),
+        "compare": (2, run, of_tracks[0]),
+    }
+    for name, (expected, *words) in commands.items():
+        assert main([name, *map(str, words)]) == expected
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert f"manifest.json: {says}" in said
 
 
 def test_a_missing_picture_of_labels_is_refused(

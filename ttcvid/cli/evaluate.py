@@ -44,11 +44,13 @@ def evaluate(
       ttcvid analyze scene/clip.mp4 --camera scene/camera.yaml -o run
       ttcvid evaluate run scene --fail-on 'ttc_z.median>0.1' --fail-on 'events.false>0'
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
+    from ttcvid.cli.progress import log_to_stderr
     from ttcvid.jobs.evaluate import evaluate as evaluate_run
     from ttcvid.jobs.evaluate import write_page
     from ttcvid.studies.metrics import check_from_text
 
     checks = [check_from_text(text) for text in conditions]
+    log_to_stderr(quiet=quiet)
     result = evaluate_run(run, truth)
     if html is not None:
         write_page(result, html)

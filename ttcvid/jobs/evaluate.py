@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -12,9 +13,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ttcvid.calibration import read_camera_image_size
 from ttcvid.errors import InputError
+from ttcvid.jobs.provenance import digest_of
 from ttcvid.jobs.run import Run
-from ttcvid.model import Ints
+from ttcvid.model import ImageSize, Ints
 from ttcvid.sinks.failures import output_errors
 from ttcvid.studies.evaluate import Evaluation, judge_run
 from ttcvid.studies.evaluation_page import evaluation_page
@@ -34,6 +37,8 @@ from ttcvid.studies.truth import (
     with_counted,
 )
 
+_LOG = logging.getLogger(__name__)
+
 REQUIRED_COLUMNS = {
     "truth_objects": ["frame", "t_s", "object_id", *BOX],
     "truth_frames": ["frame", "t_s", *ROTATION, *DIRECTION],
@@ -41,6 +46,9 @@ REQUIRED_COLUMNS = {
     "truth_tracks": ["frame", "track_id", "object_id", *POINT, *POSITION, *VELOCITY, "tcpa_s", "miss_s", "ttc_z_s"],
 }
 """Tables of a truth and what each has to hold; other columns of the simulator's tables may be missing."""
+CAMERA_NAME = "camera.yaml"
+CLIP_NAMES = {"clip.mp4": "video", "tracks.parquet": "tracks"}
+"""What a simulation is analysed by, and the kind of source that it is."""
 LABELS_NAME = "truth_labels"
 MAX_CLOCK_DIFFERENCE = 0.5
 """In frames: a larger difference between the times of run and truth means that they are not of the same clip."""
@@ -81,6 +89,7 @@ def evaluate(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
         Run or truth cannot be read, or are not of the same clip.
     """
     opened = run if isinstance(run, Run) else Run.open(run)
+    _check_clip(opened, Path(truth))
     tables = read_run_tables(opened)
     return EvaluatedRun(opened, Path(truth), judge_run(tables, read_truth(Path(truth), tables)))
 
@@ -149,6 +158,28 @@ def _check_clock(path: Path, truth: pd.DataFrame, frames: pd.DataFrame) -> None:
             f"{path}: frame {worst.frame:.0f} is at t_s = {worst.t_s_true:.3f} s, but at {worst.t_s:.3f} s in the run: "
             "give the truth of the clip that was analysed"
         )
+
+
+def _check_clip(run: Run, truth: Path) -> None:
+    """InputError where the truth is of another picture size; a warning where its folder holds another clip."""
+    if (camera := truth / CAMERA_NAME).is_file():
+        true_size, size = read_camera_image_size(camera), ImageSize(**run.manifest["image_size"])
+        if true_size is not None and true_size != size:
+            raise InputError(
+                f"{camera}: is of pictures of {true_size}, the run {run.folder} of {size}: "
+                "give the truth of the clip that was analysed"
+            )
+    analyzed = run.manifest["input"]
+    for name, kind in CLIP_NAMES.items():
+        clip = truth / name
+        if kind != analyzed["kind"] or analyzed["n_files"] != 1 or not clip.is_file():
+            continue
+        if digest_of((clip,)).sha256 != analyzed["sha256"]:
+            _LOG.warning(
+                "%s is not the file that the run %s was made of: the figures mean something only if both show the same",
+                clip,
+                run.folder,
+            )
 
 
 def _named(objects: pd.DataFrame) -> pd.DataFrame:

@@ -11,10 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ttcvid.errors import InputError, NotComparableError
-from ttcvid.jobs.run import EXIT_CODES, Run
+from ttcvid.jobs.run import Run
 from ttcvid.model import NO_CLUSTER
 from ttcvid.schema import SCHEMA_VERSION, TABLES, VERSION_KEY
-from ttcvid.sinks.manifest import MANIFEST_NAME
 from ttcvid.studies.compare import Results
 
 REMEDY = "analyse again with this version of ttcvid"
@@ -26,18 +25,12 @@ def read_run(run: str | Path | Run) -> Results:
         opened = run if isinstance(run, Run) else Run.open(run)
     except InputError as error:
         raise NotComparableError(str(error)) from None
-    _check_manifest(opened)
+    _require_tables(opened)
     tables = {name: read_table(opened.folder / f"{name}.parquet", name) for name in TABLES}
     return Results(str(opened.folder), tables, facts_of(opened.manifest), tables["frames"])
 
 
-def _check_manifest(run: Run) -> None:
-    path = run.folder / MANIFEST_NAME
-    state = run.manifest.get("state")
-    if state not in EXIT_CODES:
-        raise NotComparableError(
-            f"{path}: field 'state' = {state!r}: expected one of {', '.join(EXIT_CODES)}: {REMEDY}"
-        )
+def _require_tables(run: Run) -> None:
     for name in TABLES:
         if not (run.folder / f"{name}.parquet").is_file():
             raise NotComparableError(f"{run.folder / name}.parquet: not found, so the result is not whole: {REMEDY}")

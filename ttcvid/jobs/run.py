@@ -13,10 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ttcvid.errors import InputError
-from ttcvid.sinks.manifest import read_manifest
-
-EXIT_CODES = {"complete": 0, "truncated": 4, "interrupted": 130}
-"""Exit code of a run by the ``state`` in its manifest."""
+from ttcvid.jobs.run_manifest import EXIT_CODES, read_run_manifest
 
 _NULLABLE = {
     pa.int32(): pd.Int32Dtype(),
@@ -43,7 +40,7 @@ class Run:
         folder = Path(folder)
         if not folder.is_dir():
             raise InputError(f"{folder}: no such folder: expected the output folder of 'ttcvid analyze'")
-        return cls(folder, read_manifest(folder))
+        return cls(folder, read_run_manifest(folder))
 
     @property
     def state(self) -> str:
