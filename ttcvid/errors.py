@@ -1,5 +1,30 @@
 """Known failures: each becomes one line on stderr and an exit code, never a traceback."""
 
+from __future__ import annotations
+
+import datetime
+import reprlib
+from typing import Any
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 100
+_SHORT.maxlevel = 3
+
+
+def quoted(value: Any) -> str:
+    """A value as messages quote it: in short, and numpy's numbers, dates and nothing as a file has them.
+
+    >>> quoted("a"), quoted(None), quoted(datetime.date(2026, 1, 2)), len(quoted("x" * 10_000))
+    ("'a'", 'nothing', '2026-01-02', 100)
+    """
+    if value is None:
+        return "nothing"
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
+        value = value.item()
+    return _SHORT.repr(value)
+
 
 class TtcvidError(Exception):
     """Root of every failure that a user can mend.

@@ -235,7 +235,7 @@ def text_for_numbers(run: Path) -> None:
         (without_a_table, "clusters.parquet: not found, so the result is not whole"),
         (half_manifest, "manifest.json: cannot be read as JSON"),
         (of_another_program, "ttcvid did not write it"),
-        (without_state, "field 'state' = None"),
+        (without_state, "field 'state' is missing"),
         (of_another_schema, "frames.parquet: schema version 0, expected"),
         (foreign_table, "events.parquet: schema version none, expected"),
         (without_a_column, "frames.parquet: column 'rot_x_rad' is missing"),

@@ -1,11 +1,12 @@
 """Scene files: what is wrong in them is told in one line that says where."""
 
+import copy
 from pathlib import Path
 
 import pytest
 import yaml
 
-from ttcvid.errors import UsageError
+from ttcvid.errors import InputError, UsageError
 from ttcvid.simulate import encounters, load_scene
 
 SCENES = Path(__file__).resolve().parents[2] / "sample_configs" / "scenes"
@@ -40,7 +41,7 @@ def content(**changes):
             {"camera__distortion_model": "plumb_bob", "camera__distortion": [-0.9, 0, 0, 0, 0]},
             ["camera.distortion", "cannot reach"],
         ),
-        ({"bodies": [dict(CAR), dict(CAR)]}, ["'car'", "twice"]),
+        ({"bodies": [copy.deepcopy(CAR), copy.deepcopy(CAR)]}, ["'car'", "twice"]),
         ({"bodies__0__at_m": [1.0, 0.2, 0]}, ["camera is inside 'car'", "frame 0"]),
     ],
 )
@@ -70,7 +71,7 @@ def test_file_that_is_no_scene_is_an_error(tmp_path, text):
 
 
 def test_missing_file_is_an_error(tmp_path):
-    with pytest.raises(UsageError, match="cannot be read"):
+    with pytest.raises(InputError, match="No such file"):
         load_scene(tmp_path / "nowhere.yaml")
 
 

@@ -6,9 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ttcvid.errors import CalibrationError
+from ttcvid.strict_yaml import StrictLoader, StrictYamlError, load_yaml
 
 MAX_FILE_BYTES = 1_000_000
 """Camera files have a few kB; with the corners of all boards in it, some 100 kB."""
@@ -55,43 +54,14 @@ def read_text(path: Path, kind: str) -> str:
 _OPENCV_TAGS = "tag:yaml.org,2002:opencv-"
 
 
-class _PlainLoader(yaml.SafeLoader):
-    """YAML of numbers, text, lists and mappings: no aliases, no tags that make objects, no key twice."""
+class _CameraLoader(StrictLoader):
+    """YAML in which OpenCV's mappings may have their tags."""
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        event = self.peek_event()  # type: ignore[no-untyped-call]
-        problem = None
-        if isinstance(event, yaml.AliasEvent):
-            problem = "aliases (*name) are not accepted: write the value out"
-        elif event.tag is not None and not event.tag.startswith(_OPENCV_TAGS):
-            problem = f"the tag {event.tag} is not accepted: take it out"
-        elif event.tag is not None and not isinstance(event, yaml.MappingStartEvent):
-            problem = f"the tag {event.tag} stands before something without keys"
-        if problem:
-            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        seen: set[object] = set()
-        for key, _ in node.value:
-            # A key that is a list or mapping is refused by the base class.
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} is given twice", problem_mark=key.start_mark)
-            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
-        return super().construct_mapping(node, deep)
-
-
-# YAML 1.1, which PyYAML follows, takes 1e-05 for text; every other program writes small coefficients that way. .Nan is
-# how OpenCV spells it.
-_PlainLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$|^\.Nan$"),
-    list("-+.0123456789"),
-)
+    mapping_tags = (_OPENCV_TAGS,)
 
 
 # !!opencv-matrix and its like are mappings; what is in them is checked where it is used.
-_PlainLoader.add_multi_constructor(_OPENCV_TAGS, lambda loader, _, node: loader.construct_mapping(node, deep=True))
+_CameraLoader.add_multi_constructor(_OPENCV_TAGS, lambda loader, _, node: loader.construct_mapping(node, deep=True))
 
 
 def without_long_lists(text: str) -> str:
@@ -107,26 +77,10 @@ def parse_yaml(path: Path, text: str) -> Any:
     CalibrationError
         Malformed, too long, or it uses aliases, object tags or the same key twice.
     """
-    if len(text) > MAX_YAML_CHARACTERS:
-        raise CalibrationError(f"{path}: over {MAX_YAML_CHARACTERS // 1000} kB of YAML; expected a few kB")
     try:
-        loader = _PlainLoader(text)
-        try:
-            return loader.get_data()
-        finally:
-            loader.dispose()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        line = f", line {mark.line + 1}" if mark is not None else ""
+        return load_yaml(text, loader=_CameraLoader, max_characters=MAX_YAML_CHARACTERS, first_of_many=True)
+    except StrictYamlError as error:
         raise CalibrationError(
-            f"{path}{line}: not acceptable as YAML: {_one_line(error.problem)}; expected plain keys with numbers, text "
-            "and lists: correct the file"
+            f"{path}{error.place}: not acceptable as YAML: {error}; expected plain keys with numbers, text and lists: "
+            "correct the file"
         ) from error
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
-        raise CalibrationError(
-            f"{path}: not acceptable as YAML: {_one_line(error)}; expected plain keys with numbers, text and lists"
-        ) from error
-
-
-def _one_line(problem: object) -> str:
-    return " ".join(str(problem).split())[:200]

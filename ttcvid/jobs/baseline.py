@@ -12,10 +12,11 @@ import pandas as pd
 import pyarrow as pa
 import yaml
 
-from ttcvid.errors import NotComparableError
+from ttcvid.errors import NotComparableError, quoted
 from ttcvid.jobs.result_tables import in_ordinary_types
 from ttcvid.schema import SCHEMA_VERSION, TABLES
 from ttcvid.sinks.failures import output_errors
+from ttcvid.strict_yaml import StrictYamlError, load_yaml
 from ttcvid.studies.compare import Results
 from ttcvid.studies.compare_thinned import COLUMNS
 
@@ -59,14 +60,15 @@ def read_baseline(path: Path) -> Results:
         raise NotComparableError(f"{path}: there is no such baseline yet: write it with 'ttcvid regress --update'")
     try:
         text = path.read_text(encoding="utf-8")
-        content = yaml.safe_load(text)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        content = load_yaml(text)
+    except (OSError, UnicodeDecodeError, StrictYamlError) as error:
         reason = " ".join(str(error).split())
-        raise NotComparableError(f"{path}: cannot be read as a baseline ({reason}): {REMEDY}") from None
+        place = error.place if isinstance(error, StrictYamlError) else ""
+        raise NotComparableError(f"{path}{place}: cannot be read as a baseline ({reason}): {REMEDY}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise NotComparableError(f"{path}: is no baseline (field 'format' is not {FORMAT!r}): {REMEDY}")
     if content.get("schema_version") != SCHEMA_VERSION:
-        found = content.get("schema_version")
+        found = quoted(content.get("schema_version"))
         raise NotComparableError(f"{path}: schema version {found}, expected {SCHEMA_VERSION}: {REMEDY}")
     if not text.endswith(f"\n{END}\n"):
         raise NotComparableError(f"{path}: is not whole (its last line is not {END!r}): {REMEDY}")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ttcvid.errors import InputError
+from ttcvid.errors import InputError, quoted
 from ttcvid.sinks.manifest import MANIFEST_NAME, read_manifest
 
 EXIT_CODES = {"complete": 0, "truncated": 4, "interrupted": 130}
@@ -56,8 +55,7 @@ def read_run_manifest(folder: Path) -> dict[str, Any]:
             _require(path, name, manifest[name], fields)
     if manifest["state"] not in EXIT_CODES:
         raise InputError(
-            f"{path}: field 'state' = {reprlib.repr(manifest['state'])}: expected one of {', '.join(EXIT_CODES)}: "
-            f"{_REMEDY}"
+            f"{path}: field 'state' = {quoted(manifest['state'])}: expected one of {', '.join(EXIT_CODES)}: {_REMEDY}"
         )
     return manifest
 
@@ -65,10 +63,10 @@ def read_run_manifest(folder: Path) -> dict[str, Any]:
 def _require(path: Path, name: str, value: Any, expected: Any) -> None:
     if not isinstance(expected, Mapping):
         if not _is_of(value, expected):
-            raise InputError(f"{path}: field {name!r} = {reprlib.repr(value)}: expected {_KINDS[expected]}: {_REMEDY}")
+            raise InputError(f"{path}: field {name!r} = {quoted(value)}: expected {_KINDS[expected]}: {_REMEDY}")
         return
     if not isinstance(value, Mapping):
-        raise InputError(f"{path}: field {name!r} = {reprlib.repr(value)}: expected fields below it: {_REMEDY}")
+        raise InputError(f"{path}: field {name!r} = {quoted(value)}: expected fields below it: {_REMEDY}")
     for key, inner in expected.items():
         full = f"{name}.{key}".lstrip(".")
         if key not in value:

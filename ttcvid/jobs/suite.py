@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ttcvid.config import StageConfig
-from ttcvid.errors import UsageError
+from ttcvid.errors import UsageError, quoted
 from ttcvid.jobs.options import PATH_OPTIONS
 from ttcvid.jobs.yaml_file import read_yaml
 from ttcvid.studies.compare_tolerance import Tolerance, tolerance_from
@@ -108,7 +108,7 @@ def read_suite(path: Path) -> Suite:
     """Read and check a suite; UsageError that names file, clip and field where it cannot be used."""
     content = read_yaml(path)
     if not isinstance(content, dict):
-        raise UsageError(f"{path}: expected a list 'clips:' with name and clip or scene, found {content!r}")
+        raise UsageError(f"{path}: expected a list 'clips:' with name and clip or scene, found {quoted(content)}")
     try:
         suite = Suite(path, _SuiteFile.model_validate(content))
     except ValidationError as error:
@@ -130,7 +130,7 @@ def _texts(entry: Any) -> list[str]:
         return [entry]
     if isinstance(entry, dict):
         return [f"{key}: {value}" for key, value in entry.items()]
-    raise ValueError(f"{entry!r} is no expectation: expected text, such as 'events: none'")
+    raise ValueError(f"{quoted(entry)} is no expectation: expected text, such as 'events: none'")
 
 
 def _expectations(path: Path, clip: SuiteClip) -> tuple[Expectation, ...]:

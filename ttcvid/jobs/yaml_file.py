@@ -5,16 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ttcvid.errors import UsageError
+from ttcvid.strict_yaml import StrictYamlError, load_yaml
 
 
 def read_yaml(path: Path) -> Any:
     """The content of a YAML file; UsageError where it cannot be read."""
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        return load_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}): give a YAML file") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise UsageError(f"{path}: is no valid YAML: {' '.join(str(error).split())}: mend the file") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: is not text in UTF-8: expected YAML: mend the file") from None
+    except StrictYamlError as error:
+        raise UsageError(f"{path}{error.place}: is no valid YAML: {error}: mend the file") from None

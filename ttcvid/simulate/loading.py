@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ttcvid.errors import UsageError
+from ttcvid.errors import InputError, UsageError, quoted
 from ttcvid.simulate.scene import Scene
 from ttcvid.simulate.shapes import distance_to_parts_m
 from ttcvid.simulate.world import World, build_world
+from ttcvid.strict_yaml import StrictYamlError, load_yaml
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -22,17 +22,21 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises
     ------
+    InputError
+        There is no such file, or it cannot be read.
     UsageError
-        The file cannot be read, is no YAML, has an unknown key or a value out of bounds, or the camera is inside
+        The file is no YAML, has an unknown key or a value out of bounds, or the camera is inside
         a body in one of its pictures.
     """
     path = Path(path)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read as text ({error}); expected a scene file in YAML") from error
-    except yaml.YAMLError as error:
-        raise UsageError(f"{path}: no valid YAML: {' '.join(str(error).split())}") from error
+        content = load_yaml(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}): expected a scene file in YAML") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: is not text in UTF-8: expected a scene file in YAML") from error
+    except StrictYamlError as error:
+        raise UsageError(f"{path}{error.place}: no valid YAML: {error}: mend the file") from error
     if not isinstance(content, dict):
         raise UsageError(f"{path}: expected a mapping with the keys {', '.join(Scene.model_fields)}")
     try:
@@ -56,7 +60,7 @@ def _one_line(error: ErrorDetails) -> str:
         return f"{field}: missing, expected a value"
     if error["type"] == "value_error":
         return f"{field}: {message}" if field else message
-    return f"{field}: got {error['input']!r}; {message[0].lower()}{message[1:]}"
+    return f"{field}: got {quoted(error['input'])}; {message[0].lower()}{message[1:]}"
 
 
 def _known_keys(location: tuple[int | str, ...]) -> list[str]:

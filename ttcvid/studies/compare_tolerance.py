@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from ttcvid.config import Fraction, PositiveFloat, StageConfig
-from ttcvid.errors import UsageError
+from ttcvid.errors import UsageError, quoted
 from ttcvid.schema import TABLES
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -165,7 +165,7 @@ def tolerance_from(content: Any, place: str) -> Tolerance:
     """
     content = {} if content is None else content
     if not isinstance(content, Mapping):
-        raise UsageError(f"{place}: expected sections such as 'columns:', found {content!r}")
+        raise UsageError(f"{place}: expected sections such as 'columns:', found {quoted(content)}")
     sections = dict(content)
     try:
         columns = {name: ColumnTolerance.model_validate(v) for name, v in _section(sections, "columns", place)}
@@ -176,7 +176,8 @@ def tolerance_from(content: Any, place: str) -> Tolerance:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(map(str, first["loc"]))
-        raise UsageError(f"{place}: field {where!r} = {first['input']!r}: {first['msg']}: mend the file") from None
+        found = quoted(first["input"])
+        raise UsageError(f"{place}: field {where!r} = {found}: {first['msg']}: mend the file") from None
     known = {f"{table}.{column.name}" for table, of_table in TABLES.items() for column in of_table}
     merged = dict(DEFAULT_COLUMNS)
     for pattern, tolerance in columns.items():
@@ -191,7 +192,7 @@ def tolerance_from(content: Any, place: str) -> Tolerance:
 def _section(sections: Mapping[str, Any], name: str, place: str) -> list[tuple[str, Any]]:
     section = sections.get(name) or {}
     if not isinstance(section, Mapping):
-        raise UsageError(f"{place}: field {name!r}: expected names with their tolerances, found {section!r}")
+        raise UsageError(f"{place}: field {name!r}: expected names with their tolerances, found {quoted(section)}")
     return [(str(key), value if value is not None else {}) for key, value in section.items()]
 
 
