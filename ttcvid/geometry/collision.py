@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttcvid.geometry.quotient import quotient
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints, Status
 
@@ -54,6 +54,40 @@ def angle_from_direction(rays: Floats, origin_dir: Floats, plane_normal: Floats)
     across = np.einsum("...i,...i->...", cross(origin_dir, rays), normalize(plane_normal))
     angle: Floats = np.arctan2(across, along)
     return angle
+
+
+def angles_from_epipoles(rays: Floats, direction: Floats) -> Floats:
+    """Angle between each ray and the epipole of its own motion: alpha = angle(P, -dir), without a sign.
+
+    Parameters
+    ----------
+    rays
+        ``(N, 3)`` of any length.
+    direction
+        ``(N, 3)`` dir = V / abs(V).
+
+    Returns
+    -------
+    ``(N,)`` rad in [0, pi]; NaN where an input is NaN.
+
+    Source: DESIGN section 2, "Epipole".
+
+    >>> angles_from_epipoles(np.array([[1.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]]))
+    array([0.78539816])
+    """
+    angle_rad = np.empty(len(rays))
+    _angle_of_each(np.ascontiguousarray(rays), np.ascontiguousarray(direction), angle_rad)
+    return angle_rad
+
+
+@compiled
+def _angle_of_each(rays: Floats, direction: Floats, angle_rad: Floats) -> None:
+    """Fills ``angle_rad (N,)`` of `angles_from_epipoles`: the length of the cross product over the dot product."""
+    for i in range(len(rays)):
+        p, e = rays[i], direction[i]
+        x, y, z = p[1] * e[2] - p[2] * e[1], p[2] * e[0] - p[0] * e[2], p[0] * e[1] - p[1] * e[0]
+        along = p[0] * e[0] + p[1] * e[1] + p[2] * e[2]
+        angle_rad[i] = np.arctan2(np.sqrt(x * x + y * y + z * z), -along)
 
 
 def k_from_two_angles(alpha_rad: Floats, beta_rad: Floats, gap: float | Floats) -> tuple[Floats, Ints]:
@@ -147,13 +181,30 @@ def times_from_position_velocity(position: Floats, velocity: Floats) -> PointTim
     >>> [round(float(t[0]), 2) for t in times]
     [2.31, 1.54, 10.0]
     """
-    speed2 = np.einsum("...i,...i->...", velocity, velocity)
-    closing = -np.einsum("...i,...i->...", position, velocity)
-    angular = cross(position, velocity)
-    moment = np.sqrt(np.einsum("...i,...i->...", angular, angular))
-    return PointTimes(
-        quotient(closing, speed2), quotient(moment, speed2), quotient(-position[..., 2], velocity[..., 2])
+    every = np.broadcast_shapes(position.shape, velocity.shape)
+    times = PointTimes(*(np.full(every[:-1], np.nan) for _ in PointTimes._fields))
+    _times_of_each(
+        *(
+            np.ascontiguousarray(np.broadcast_to(v, every), dtype=np.float64).reshape(-1, 3)
+            for v in (position, velocity)
+        ),
+        *(time.reshape(-1) for time in times),
     )
+    return times
+
+
+@compiled
+def _times_of_each(position: Floats, velocity: Floats, tcpa_s: Floats, miss_s: Floats, ttc_z_s: Floats) -> None:
+    """Fills the three times ``(N,)`` of `times_from_position_velocity` where they are defined."""
+    for i in range(len(position)):
+        p, v = position[i], velocity[i]
+        speed2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+        if speed2 != 0.0:
+            x, y, z = p[1] * v[2] - p[2] * v[1], p[2] * v[0] - p[0] * v[2], p[0] * v[1] - p[1] * v[0]
+            tcpa_s[i] = -(p[0] * v[0] + p[1] * v[1] + p[2] * v[2]) / speed2
+            miss_s[i] = np.sqrt(x * x + y * y + z * z) / speed2
+        if v[2] != 0.0:
+            ttc_z_s[i] = -p[2] / v[2]
 
 
 def times_from_state(state: Floats) -> PointTimes:

@@ -13,7 +13,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
 from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together
 from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths
-from ttcvid.model import Floats, Ints
+from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED = 9
 """Shared unknowns, in this order: u (3), v (3) with the path ``+ u t + v t^2 / 2``, and a rotation rate (3), rad/s."""
@@ -151,7 +151,8 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
         return xy
     back = np.empty_like(xy)
     rotations = rotation_from_vector(-t_s[None, :, None] * turn_rad_s[:, None, :])
-    _turn_views(np.ascontiguousarray(xy), rotations, np.asarray(path_of, dtype=np.int64), back)
+    turns = np.asarray(turn_rad_s.any(axis=1))
+    _turn_views(np.ascontiguousarray(xy), rotations, turns, np.asarray(path_of, dtype=np.int64), back)
     return back
 
 
@@ -194,13 +195,13 @@ def _shared_paths(
 
 
 @compiled
-def _turn_views(xy: Floats, rotations: Floats, path_of: Ints, back: Floats) -> None:
-    """Fill ``back (L, N, 2)`` with the views turned by ``rotations (K, L, 3, 3)`` of their paths."""
+def _turn_views(xy: Floats, rotations: Floats, turns: Bools, path_of: Ints, back: Floats) -> None:
+    """Fill ``back (L, N, 2)`` with the views turned by ``rotations (K, L, 3, 3)`` of the paths that turn at all."""
     for place in range(len(xy)):
         for i in range(xy.shape[1]):
             x, y = xy[place, i, 0], xy[place, i, 1]
-            if path_of[i] < 0:
-                back[place, i] = xy[place, i]
+            if path_of[i] < 0 or not turns[path_of[i]]:
+                back[place, i, 0], back[place, i, 1] = x, y
                 continue
             r = rotations[path_of[i], place]
             depth = r[2, 0] * x + r[2, 1] * y + r[2, 2]

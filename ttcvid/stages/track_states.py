@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ttcvid.geometry.collision import angles_from_epipoles
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.intervals import collision_times_from_state
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
@@ -95,10 +96,7 @@ class TrackStates:
     @property
     def alpha_rad(self) -> Floats:
         """Angle between the ray and ``-dir``: (N,) in [0, pi], NaN where there is no direction."""
-        rays = normalize(np.column_stack([self.xy, np.ones(len(self.xy))]))
-        cosine = -np.einsum("ni,ni->n", rays, self.direction)
-        sine = np.linalg.norm(cross(rays, self.direction), axis=1)
-        return np.asarray(np.arctan2(sine, cosine))
+        return angles_from_epipoles(np.column_stack([self.xy, np.ones(len(self.xy))]), self.direction)
 
     def with_status(self, status: Ints) -> TrackStates:
         """The same states with other reasons."""
@@ -106,6 +104,8 @@ class TrackStates:
 
     def without(self, index: Bools, status: Status) -> TrackStates:
         """No result for the tracks of ``index (N,)``, for one reason."""
+        if not index.any():
+            return self
         gone = index[:, None]
         return replace(
             self,

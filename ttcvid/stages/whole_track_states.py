@@ -11,7 +11,8 @@ from ttcvid.geometry.path_velocity import velocities_on_paths
 from ttcvid.geometry.rotation import cross, normalize, skew
 from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, fit_shared_paths, joined_paths, turned_back
 from ttcvid.geometry.state import is_at_epipole
-from ttcvid.geometry.whole_track import LEAST_FRAMES, MotionPlane, fit_whole_tracks, window_gates
+from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks, window_gates
+from ttcvid.geometry.whole_track_descent import LEAST_FRAMES
 from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD
@@ -110,8 +111,9 @@ def _paths(
 
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     """Positions of all tracks over the time for which the motion of their cluster has been the same; NaN elsewhere."""
-    views = history.xy.copy()
-    for motion in motions.clusters:
+    changed = [motion for motion in motions.clusters if motion.window_s < history.reach_s]
+    views = history.xy.copy() if changed else history.xy
+    for motion in changed:
         within = history.views_within(motion.window_s)
         views[: within.start, motion.members] = np.nan
         views[within.stop :, motion.members] = np.nan
