@@ -1,10 +1,12 @@
 """Points on the path of one rigid thing, and what they show to be wrong with that path: exact, honest, robust."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
-from ttcvid.geometry.rigid_path import corrected_views, fit_on_paths
-from ttcvid.geometry.rotation import normalize, rotation_from_vector
+from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
 from ttcvid.geometry.whole_track_on_path import straight_path
 
 T_S = -0.05 * np.arange(12.0)[::-1]
@@ -13,6 +15,7 @@ NO_PRIOR = np.full(len(T_S), 1e3)
 STRAIGHT = straight_path(normalize(np.array([0.2, 0.05, -1.0])), T_S)
 BENT = STRAIGHT + 0.5 * T_S[:, None] ** 2 * np.array([0.6, 0.0, 0.3])
 SPEED_M_S = 8.0
+EYES = np.broadcast_to(np.eye(3), (len(T_S), 3, 3))
 
 
 def points(n, rng):
@@ -30,13 +33,21 @@ def sigmas(n, sigma=SIGMA):
     return np.full(n, sigma)
 
 
-def one_thing(xy):
-    return np.zeros(xy.shape[1], dtype=np.int64)
+def points_of(xy, sigma_norm, thing=None):
+    """All points of one thing, or each of its own."""
+    n_views, n = xy.shape[:2]
+    rays = normalize(np.concatenate([xy, np.ones((n_views, n, 1))], axis=2))
+    thing = np.zeros(n, dtype=np.int64) if thing is None else thing
+    return Points(rays, sigma_norm, T_S[-n_views:], np.arange(n), thing)
+
+
+def not_turned(paths):
+    return RigidPaths(np.broadcast_to(np.eye(3), (*paths.shape[:2], 3, 3)).copy(), paths)
 
 
 def fit_on_path(xy, path, sigma_norm, rate_hz=None, least_rate_hz=0.0):
     """All points on the path of one thing."""
-    return fit_on_paths(xy, path[None], one_thing(xy), sigma_norm, rate_hz, least_rate_hz)
+    return fit_on_paths(points_of(xy, sigma_norm), not_turned(path[None]), rate_hz, least_rate_hz)
 
 
 def converged(xy, path, sigma=SIGMA):
@@ -125,9 +136,9 @@ def test_no_points_and_a_single_view_are_no_errors():
     assert none.place.shape == (0, 2)
     single = fit_on_path(np.zeros((1, 4, 2)), np.zeros((1, 3)), sigmas(4))
     assert np.isnan(single.rate_hz).all()
-    turn, shift = corrections(np.zeros((1, 4, 2)), np.zeros((1, 3)), single, np.ones(1), np.ones(1))
-    assert not turn.any()
-    assert not shift.any()
+    after = refined(np.zeros((1, 4, 2)), np.zeros((1, 3)), np.ones(1), np.ones(1))
+    assert not after.turn_rad.any()
+    assert not after.path.any()
 
 
 def test_a_thing_that_rests_beside_us_has_no_rate_and_that_is_said():
@@ -147,76 +158,63 @@ def test_nothing_lies_behind_the_camera():
     np.testing.assert_allclose(fit_on_path(seen(position, STRAIGHT), STRAIGHT, sigmas(20), None, least).rate_hz, least)
 
 
-def _none(n_views):
-    return np.zeros((n_views, 3)), np.zeros((n_views, 3))
+@dataclass(frozen=True)
+class Refined:
+    """One path after refinement: how far each view turned from where it was expected, in rad; path; rates."""
+
+    turn_rad: np.ndarray
+    path: np.ndarray
+    rate_hz: np.ndarray
 
 
-def corrections(xy, path, fit, turn_sigma_rad=NO_PRIOR, shift_sigma=NO_PRIOR, weight=None, off=None):
-    n = xy.shape[1]
-    weight = np.ones(n) if weight is None else weight
-    turned_rad, shifted = _none(len(path)) if off is None else off
-    turn, shift = corrected_views(
-        xy,
-        path[None],
-        one_thing(xy),
-        fit,
-        sigmas(n),
-        weight,
-        turned_rad[None],
-        shifted[None],
-        turn_sigma_rad,
-        shift_sigma,
-    )
-    return turn[0], shift[0]
+def refined(xy, path, turn_sigma_rad=NO_PRIOR, shift_sigma=NO_PRIOR, weight=None, n_steps=1, rate_hz=None):
+    paths = not_turned(path[None])
+    priors = PathPriors(paths.cam_R_past[0], turn_sigma_rad, shift_sigma)
+    points = points_of(xy, sigmas(xy.shape[1]))
+    after, rate_hz = refined_paths(points, paths, priors, np.array([n_steps]), weight, rate_hz)
+    return Refined(-vector_from_rotation(after.cam_R_past[0]), after.path[0], rate_hz)
 
 
 def test_nothing_is_corrected_where_nothing_is_wrong():
-    xy = seen(points(60, np.random.default_rng(9)), BENT)
-    turn, shift = corrections(xy, BENT, converged(xy, BENT))
-    np.testing.assert_allclose(turn, 0.0, atol=1e-8)
-    np.testing.assert_allclose(shift, 0.0, atol=1e-8)
+    position = points(60, np.random.default_rng(9))
+    after = refined(seen(position, BENT), BENT, rate_hz=SPEED_M_S / position[:, 2])
+    np.testing.assert_allclose(after.turn_rad, 0.0, atol=1e-8)
+    np.testing.assert_allclose(after.path, BENT, atol=1e-8)
+    np.testing.assert_allclose(after.rate_hz, SPEED_M_S / position[:, 2], rtol=1e-9)
 
 
-def test_a_rotation_and_a_shift_put_in_on_purpose_are_found_view_by_view():
-    """One Gauss-Newton step: what remains is of second order."""
+def test_rotations_put_in_on_purpose_are_found_view_by_view():
     rng = np.random.default_rng(10)
     position = points(80, rng)
-    fit = converged(seen(position, STRAIGHT), STRAIGHT)
-    turn_rad, shift = 1e-4 * rng.normal(size=(len(T_S), 3)), 1e-3 * rng.normal(size=(len(T_S), 3))
-    turn_rad[-1] = shift[-1] = 0.0
-    xy = turned(seen(position, STRAIGHT + shift), turn_rad)
-    found_turn, found_shift = corrections(xy, STRAIGHT, fit)
-    np.testing.assert_allclose(found_turn, turn_rad, atol=3e-6)
-    np.testing.assert_allclose(found_shift, shift, atol=3e-5)
-    assert not found_turn[-1].any()
-    assert not found_shift[-1].any()
+    turn_rad = 1e-4 * rng.normal(size=(len(T_S), 3))
+    turn_rad[-1] = 0.0
+    xy = turned(seen(position, STRAIGHT), turn_rad)
+    after = refined(xy, STRAIGHT, np.full(len(T_S), 1e-2), np.full(len(T_S), 1e-4), n_steps=30)
+    np.testing.assert_allclose(after.turn_rad, turn_rad, atol=2e-5)
+    assert not after.turn_rad[-1].any()
+    assert not after.path[-1].any()
 
 
-def test_fitted_and_corrected_in_turn_the_path_of_a_bend_comes_out_and_the_rotation_is_gone():
+def test_the_path_of_a_bend_comes_out_and_the_rotation_is_gone():
     rng = np.random.default_rng(11)
     position = points(80, rng)
     turn_rad = np.zeros((len(T_S), 3))
     turn_rad[:-1] = 3e-4 * rng.normal(size=(len(T_S) - 1, 3))
-    xy, path, rate_hz = turned(seen(position, BENT), turn_rad), STRAIGHT.copy(), None
-    shift_sigma, turn_sigma = np.full(len(T_S), 0.3), np.full(len(T_S), 1e-2)
-    gone, moved = _none(len(T_S))
-    for _ in range(150):
-        fit = fit_on_path(xy, path, sigmas(80), rate_hz)
-        turn, shift = corrections(xy, path, fit, turn_sigma, shift_sigma, off=(gone, moved))
-        xy, path, rate_hz = turned(xy, -turn), path + shift, fit.rate_hz
-        gone, moved = gone + turn, moved + shift
-        path = path * np.linalg.norm(BENT[0]) / np.linalg.norm(path[0])
-    assert np.median(fit_on_path(xy, path, sigmas(80), rate_hz).misfit) < 1e-4
-    np.testing.assert_allclose(path, BENT, atol=1e-4)
-    np.testing.assert_allclose(gone, turn_rad, atol=1e-4)
+    xy = turned(seen(position, BENT), turn_rad)
+    start = STRAIGHT * np.linalg.norm(BENT[0]) / np.linalg.norm(STRAIGHT[0])
+    after = refined(xy, start, np.full(len(T_S), 1e-2), np.full(len(T_S), 0.3), n_steps=150)
+    np.testing.assert_allclose(after.path, BENT, atol=1e-4)
+    np.testing.assert_allclose(after.turn_rad, turn_rad, atol=1e-4)
 
 
 def test_errors_of_corrections_fall_with_the_number_of_points():
     rng, spread = np.random.default_rng(12), {}
     for n in (40, 640):
         position = points(n, rng)
-        fit = converged(seen(position, STRAIGHT), STRAIGHT)
-        found = [corrections(seen(position, STRAIGHT, SIGMA, rng), STRAIGHT, fit)[0][:-1] for _ in range(25)]
+        rate_hz = SPEED_M_S / position[:, 2]
+        found = [
+            refined(seen(position, STRAIGHT, SIGMA, rng), STRAIGHT, rate_hz=rate_hz).turn_rad[:-1] for _ in range(25)
+        ]
         spread[n] = np.sqrt(np.mean(np.square(found)))
     assert spread[40] / spread[640] == pytest.approx(4.0, rel=0.4)
 
@@ -225,42 +223,46 @@ def test_errors_of_corrections_fall_with_the_number_of_points():
 def test_points_that_move_otherwise_hardly_turn_the_views(part):
     rng = np.random.default_rng(13)
     position = points(100, rng)
-    fit = converged(seen(position, STRAIGHT), STRAIGHT)
+    rate_hz = SPEED_M_S / position[:, 2]
     xy = seen(position, STRAIGHT, SIGMA, rng)
     n_wild = int(100 * part)
     xy[:-1, :n_wild] += 0.1
-    turn, _ = corrections(xy, STRAIGHT, fit, np.full(len(T_S), 0.01), np.full(len(T_S), 0.1))
-    assert np.abs(turn).max() < 0.002
+    priors = np.full(len(T_S), 0.01), np.full(len(T_S), 0.1)
+    assert np.abs(refined(xy, STRAIGHT, *priors, rate_hz=rate_hz).turn_rad).max() < 0.002
     without = np.arange(100) >= n_wild
-    turn, _ = corrections(xy, STRAIGHT, fit, weight=without.astype(float))
-    np.testing.assert_array_equal(turn, corrections(xy[:, without], STRAIGHT, fit_of(fit, without))[0])
+    left_out = refined(xy, STRAIGHT, weight=without.astype(float), rate_hz=rate_hz)
+    alone = refined(xy[:, without], STRAIGHT, rate_hz=rate_hz[without])
+    np.testing.assert_array_equal(left_out.turn_rad, alone.turn_rad)
 
 
-def fit_of(fit, mask):
-    return type(fit)(*(getattr(fit, name)[mask] for name in type(fit).__dataclass_fields__))
-
-
-def test_without_points_views_go_back_to_where_they_are_expected():
-    xy = np.full((len(T_S), 5, 2), np.nan)
-    fit = fit_on_path(xy, STRAIGHT, sigmas(5))
-    rng = np.random.default_rng(14)
-    off = rng.normal(size=(2, len(T_S), 3))
-    turn, shift = corrections(xy, STRAIGHT, fit, np.full(len(T_S), 0.1), np.full(len(T_S), 0.1), off=tuple(off))
-    np.testing.assert_allclose(turn[:-1], -off[0, :-1])
-    np.testing.assert_allclose(shift[:-1], -off[1, :-1])
+def test_without_points_a_thing_keeps_its_motion():
+    after = refined(np.full((len(T_S), 5, 2), np.nan), BENT, n_steps=3)
+    assert not after.turn_rad.any()
+    np.testing.assert_array_equal(after.path, BENT)
+    assert np.isnan(after.rate_hz).all()
 
 
 def test_a_sharp_prior_holds_the_views_and_a_wide_one_lets_them_go():
     rng = np.random.default_rng(15)
     position = points(60, rng)
-    fit = converged(seen(position, STRAIGHT), STRAIGHT)
     turn_rad = np.zeros((len(T_S), 3))
     turn_rad[:-1, 1] = 1e-3
-    xy = turned(seen(position, STRAIGHT), turn_rad)
-    held, _ = corrections(xy, STRAIGHT, fit, np.full(len(T_S), 1e-8), np.full(len(T_S), 1e-8))
-    free, _ = corrections(xy, STRAIGHT, fit, np.full(len(T_S), 1e-1), np.full(len(T_S), 1e-8))
-    assert np.abs(held).max() < 1e-6
-    np.testing.assert_allclose(free, turn_rad, atol=2e-5)
+    xy, narrow, rate_hz = (
+        turned(seen(position, STRAIGHT), turn_rad),
+        np.full(len(T_S), 1e-8),
+        SPEED_M_S / position[:, 2],
+    )
+    held = refined(xy, STRAIGHT, narrow, narrow, rate_hz=rate_hz, n_steps=20)
+    free = refined(xy, STRAIGHT, np.full(len(T_S), 1e-1), narrow, rate_hz=rate_hz, n_steps=300)
+    assert np.abs(held.turn_rad).max() < 1e-6
+    np.testing.assert_allclose(free.turn_rad, turn_rad, atol=5e-5)
+
+
+def test_a_sharp_prior_draws_a_path_straight_that_no_point_shows():
+    """Points at infinity say nothing of a path."""
+    xy = np.zeros((len(T_S), 5, 2))
+    after = refined(xy, BENT, shift_sigma=np.full(len(T_S), 1e-3), rate_hz=np.zeros(5))
+    np.testing.assert_allclose(after.path, BENT[0] * (T_S / T_S[0])[:, None], atol=1e-12)
 
 
 def test_each_of_several_things_gets_what_it_would_get_alone():
@@ -271,16 +273,27 @@ def test_each_of_several_things_gets_what_it_would_get_alone():
     for number, path in enumerate(paths):
         xy[:, thing == number] = seen(position[thing == number], path + 1e-3 * rng.normal(size=path.shape), SIGMA, rng)
     least, weight = rng.uniform(0.0, 0.5, 60), rng.uniform(0.0, 1.0, 60)
-    turned_rad, shifted = 1e-3 * rng.normal(size=(2, *paths.shape))
     priors = np.full(len(T_S), 1e-2), np.full(len(T_S), 1e-1)
-    fit = fit_on_paths(xy, paths, thing, sigmas(60), None, least)
-    turn, shift = corrected_views(xy, paths, thing, fit, sigmas(60), weight, turned_rad, shifted, *priors)
+    every = points_of(xy, sigmas(60), thing)
+    fit = fit_on_paths(every, not_turned(paths), None, least)
+    n_steps = np.array([2, 0, 1])
+    after, rate_hz = refined_paths(every, not_turned(paths), PathPriors(EYES, *priors), n_steps, weight)
     for number, path in enumerate(paths):
         own = thing == number
         alone = fit_on_path(xy[:, own], path, sigmas(own.sum()), None, least[own])
         for name in ("place", "rate_hz", "rate_sigma_hz", "misfit", "n_views"):
             np.testing.assert_array_equal(getattr(fit, name)[own], getattr(alone, name))
-        off = turned_rad[number], shifted[number]
-        by_own = corrections(xy[:, own], path, alone, *priors, weight[own], off)
-        np.testing.assert_array_equal(turn[number], by_own[0])
-        np.testing.assert_array_equal(shift[number], by_own[1])
+        by_own = refined(xy[:, own], path, *priors, weight[own], n_steps[number])
+        np.testing.assert_array_equal(-vector_from_rotation(after.cam_R_past[number]), by_own.turn_rad)
+        np.testing.assert_array_equal(after.path[number], by_own.path)
+        np.testing.assert_array_equal(rate_hz[own], by_own.rate_hz)
+
+
+def test_a_thing_that_has_turned_is_expected_where_it_was_said_to_be():
+    """Rotations far from the expected ones come back to them where the points say nothing against it."""
+    turn_rad = np.linspace(1.2, 0.0, len(T_S))[:, None] * np.array([0.1, 0.9, -0.2])
+    paths = RigidPaths(rotation_from_vector(turn_rad)[None], np.zeros((1, len(T_S), 3)))
+    every = points_of(np.zeros((len(T_S), 5, 2)), sigmas(5, 1e6))
+    priors = PathPriors(EYES, np.full(len(T_S), 1e-3), NO_PRIOR)
+    after, _ = refined_paths(every, paths, priors, np.array([2]))
+    np.testing.assert_allclose(after.cam_R_past[0], EYES, atol=1e-9)

@@ -62,7 +62,8 @@ class Frame:
 
     @property
     def cluster_ids(self):
-        return {m.key: m.cluster_id for m in self.found.movers.values()}
+        movers = self.found.movers
+        return dict(zip(movers.key.tolist(), movers.cluster_id.tolist(), strict=True))
 
 
 def car(rng, centre_m, velocity_m_s, n=30, size_m=CAR_M, **options):
@@ -135,6 +136,6 @@ def bodies_of(
         found, memory = find_bodies(
             history, egomotion, platform, every, every, memory, LINK_PX, MODEL_ERROR_PX, BodiesConfig()
         )
-        history = replace(history, cam_R_past=found.scene.cam_R_past)
+        history = replace(history, cam_R_past=found.scene.cam_R_past[0])
         frames.append(Frame(found, memory, names[shown], numbers[shown]))
     return frames

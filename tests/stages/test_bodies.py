@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.geometry.whole_track_on_path import straight_path
-from ttcvid.stages.bodies import Body, Points, carried_forward, refined_movers, refined_scene
+from ttcvid.stages.bodies import carried_forward, refined_movers, refined_scene
 
 N_VIEWS = 12
 T_S = -0.05 * np.arange(float(N_VIEWS))[::-1]
@@ -25,7 +26,7 @@ def turning(n_views):
 
 
 def body(direction=DIRECTION, n_views=N_VIEWS):
-    return Body(turning(n_views), straight_path(direction, T_S[-n_views:]))
+    return RigidPaths(turning(n_views)[None], straight_path(direction, T_S[-n_views:])[None])
 
 
 def rays_of(position, path, cam_R_past, sigma=0.0, rng=None):
@@ -44,7 +45,7 @@ def of_one_body(rays):
 
 
 def median_misfit(one, rays):
-    return np.median(of_one_body(rays).fit([one], None).misfit)
+    return np.median(fit_on_paths(of_one_body(rays), one).misfit)
 
 
 def points(n, rng):
@@ -55,32 +56,32 @@ def points(n, rng):
 def test_a_steady_motion_is_carried_forward_exactly(is_step_known):
     before = body(EVERY_STEP.T @ DIRECTION)
     step = -0.05 * DIRECTION if is_step_known else None
-    (after,) = carried_forward([before], EVERY_STEP, np.append(T_S, 0.05), step)
-    np.testing.assert_allclose(after.path[1:], body().path, atol=1e-12)
-    np.testing.assert_allclose(after.cam_R_past[1:], before.cam_R_past, atol=1e-12)
-    assert len(after.path) == len(T_S) + 1
+    after = carried_forward(before, EVERY_STEP, np.append(T_S, 0.05), step)
+    np.testing.assert_allclose(after.path[0, 1:], body().path[0], atol=1e-12)
+    np.testing.assert_allclose(after.cam_R_past[0, 1:], before.cam_R_past[0], atol=1e-12)
+    assert after.path.shape[1] == len(T_S) + 1
 
 
 def test_a_history_that_is_full_drops_its_oldest_view():
-    (after,) = carried_forward([body(EVERY_STEP.T @ DIRECTION)], EVERY_STEP, T_S + 0.05)
-    np.testing.assert_allclose(after.path, body().path, atol=1e-12)
+    after = carried_forward(body(EVERY_STEP.T @ DIRECTION), EVERY_STEP, T_S + 0.05)
+    np.testing.assert_allclose(after.path[0], body().path[0], atol=1e-12)
 
 
 def test_a_body_of_one_view_has_no_motion_to_go_on_with():
-    (after,) = carried_forward([body(n_views=1)], EVERY_STEP, T_S[-2:])
+    after = carried_forward(body(n_views=1), EVERY_STEP, T_S[-2:])
     np.testing.assert_array_equal(after.path, 0.0)
 
 
 def test_uneven_times_do_not_change_the_speed():
     t_s = np.array([-0.5, -0.38, -0.3, -0.1, 0.0])
-    before = Body(np.broadcast_to(np.eye(3), (4, 3, 3)), straight_path(DIRECTION, t_s[:4] - t_s[3]))
-    (after,) = carried_forward([before], np.eye(3), t_s)
-    np.testing.assert_allclose(after.path, straight_path(DIRECTION, t_s), atol=1e-12)
+    before = RigidPaths(np.broadcast_to(np.eye(3), (1, 4, 3, 3)), straight_path(DIRECTION, t_s[:4] - t_s[3])[None])
+    after = carried_forward(before, np.eye(3), t_s)
+    np.testing.assert_allclose(after.path[0], straight_path(DIRECTION, t_s), atol=1e-12)
 
 
 def test_a_right_scene_stays_as_it_is():
     position, scene = points(80, np.random.default_rng(1)), body()
-    rays = rays_of(position, scene.path, scene.cam_R_past)
+    rays = rays_of(position, scene.path[0], scene.cam_R_past[0])
     rate_hz = SPEED_M_S / position[:, 2]
     after = refined_scene(scene, of_one_body(rays), np.ones(80), rate_hz, 3)
     np.testing.assert_allclose(after.path, scene.path, atol=1e-9)
@@ -90,7 +91,7 @@ def test_a_right_scene_stays_as_it_is():
 def test_wrong_rotations_of_the_scene_are_drawn_towards_the_right_ones():
     rng = np.random.default_rng(2)
     position, scene = points(200, rng), body()
-    rays = rays_of(position, scene.path, scene.cam_R_past, SIGMA, rng)
+    rays = rays_of(position, scene.path[0], scene.cam_R_past[0], SIGMA, rng)
     off_rad = 5e-4 * rng.normal(size=(len(T_S), 3))
     off_rad[-1] = 0.0
     after = replace(scene, cam_R_past=rotation_from_vector(off_rad) @ scene.cam_R_past)
@@ -99,17 +100,17 @@ def test_wrong_rotations_of_the_scene_are_drawn_towards_the_right_ones():
         after = refined_scene(after, of_one_body(rays), np.ones(200), np.full(200, np.nan), 2)
     assert misfit[1] > 2.0 * misfit[0]
     assert median_misfit(after, rays) < 1.1 * misfit[0]
-    rotations = after.cam_R_past @ np.swapaxes(after.cam_R_past, 1, 2)
+    rotations = after.cam_R_past[0] @ np.swapaxes(after.cam_R_past[0], 1, 2)
     np.testing.assert_allclose(rotations, np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12)
-    assert np.linalg.norm(after.path[0]) == pytest.approx(np.linalg.norm(scene.path[0]))
+    assert np.linalg.norm(after.path[0, 0]) == pytest.approx(np.linalg.norm(scene.path[0, 0]))
 
 
 def test_movers_among_the_tracks_do_not_turn_the_scene():
     rng = np.random.default_rng(3)
     position, scene = points(200, rng), body()
-    rays = rays_of(position, scene.path, scene.cam_R_past, SIGMA, rng)
+    rays = rays_of(position, scene.path[0], scene.cam_R_past[0], SIGMA, rng)
     across = straight_path(normalize(np.array([1.0, 0.0, -0.2])), T_S)
-    rays[:, :60] = rays_of(position[:60], across, scene.cam_R_past, SIGMA, rng)
+    rays[:, :60] = rays_of(position[:60], across, scene.cam_R_past[0], SIGMA, rng)
     after = scene
     for _ in range(10):
         after = refined_scene(after, of_one_body(rays), np.ones(200), np.full(200, np.nan), 2)
@@ -121,22 +122,22 @@ def test_a_mover_that_brakes_or_swerves_gets_a_path_that_explains_it(bend_hz):
     rng = np.random.default_rng(4)
     position, scene = points(60, rng), body(np.array([0.0, 0.0, -1.0]))
     mover = body()
-    bent = mover.path + 0.5 * T_S[:, None] ** 2 * np.array(bend_hz)
-    rays = rays_of(position, bent, scene.cam_R_past, SIGMA, rng)
+    bent = mover.path[0] + 0.5 * T_S[:, None] ** 2 * np.array(bend_hz)
+    rays = rays_of(position, bent, scene.cam_R_past[0], SIGMA, rng)
     before = median_misfit(mover, rays)
-    (after,) = refined_movers([mover], scene, of_one_body(rays), np.array([100]))
+    after, rate_hz = refined_movers(mover, scene, of_one_body(rays), np.array([100]))
     assert before > 2.0
     assert median_misfit(after, rays) < 1.3
     # The path keeps its length, and so rates are in units of the speed that it had.
-    scale = np.linalg.norm(bent[0]) / np.linalg.norm(mover.path[0])
-    assert after.rate_hz == pytest.approx(scale * np.median(SPEED_M_S / position[:, 2]), rel=0.1)
+    scale = np.linalg.norm(bent[0]) / np.linalg.norm(mover.path[0, 0])
+    assert rate_hz[0] == pytest.approx(scale * np.median(SPEED_M_S / position[:, 2]), rel=0.1)
 
 
 def test_a_mover_without_usable_points_stays_as_it_is():
     rays = np.full((len(T_S), 4, 3), np.nan)
-    (after,) = refined_movers([body()], body(), of_one_body(rays), np.array([3]))
+    after, rate_hz = refined_movers(body(), body(), of_one_body(rays), np.array([3]))
     np.testing.assert_array_equal(after.path, body().path)
-    assert after.rate_hz == 0.0
+    assert rate_hz[0] == 0.0
 
 
 def test_each_of_several_movers_is_refined_as_if_alone_and_by_its_own_number_of_steps():
@@ -148,12 +149,13 @@ def test_each_of_several_movers_is_refined_as_if_alone_and_by_its_own_number_of_
     number, n_steps = rng.integers(0, 3, 60), np.array([1, 3, 0])
     rays = np.empty((N_VIEWS, 60, 3))
     for place, mover in enumerate(movers):
-        own, bent = number == place, mover.path + 0.5 * T_S[:, None] ** 2 * np.array([0.0, 0.0, 0.5])
-        rays[:, own] = rays_of(points(own.sum(), rng), bent, scene.cam_R_past, SIGMA, rng)
-    together = refined_movers(movers, scene, replace(of_one_body(rays), body=number), n_steps)
+        own, bent = number == place, mover.path[0] + 0.5 * T_S[:, None] ** 2 * np.array([0.0, 0.0, 0.5])
+        rays[:, own] = rays_of(points(own.sum(), rng), bent, scene.cam_R_past[0], SIGMA, rng)
+    every = movers[0].joined(movers[1]).joined(movers[2])
+    together, together_hz = refined_movers(every, scene, replace(of_one_body(rays), thing=number), n_steps)
     for place, mover in enumerate(movers):
         alone = of_one_body(rays[:, number == place])
-        (expected,) = refined_movers([mover], scene, alone, n_steps[[place]])
-        np.testing.assert_array_equal(together[place].path, expected.path)
-        np.testing.assert_array_equal(together[place].cam_R_past, expected.cam_R_past)
-        assert together[place].rate_hz == expected.rate_hz
+        expected, expected_hz = refined_movers(mover, scene, alone, n_steps[[place]])
+        np.testing.assert_array_equal(together.path[place], expected.path[0])
+        np.testing.assert_array_equal(together.cam_R_past[place], expected.cam_R_past[0])
+        assert together_hz[place] == expected_hz[0]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rigid_worlds import Thing, bodies_of, car, world
 
 from ttcvid.config import BodiesConfig
-from ttcvid.model import Platform
+from ttcvid.model import NO_CLUSTER, Platform
 from ttcvid.stages.segmentation import restarted_bodies
 
 N_FRAMES, AHEAD, SLOWLY, STILL = 16, (0.0, 0.0, 10.0), (0.0, 0.0, 4.0), (0.0, 0.0, 0.0)
@@ -202,9 +202,9 @@ def test_a_mover_that_vanishes_is_forgotten_and_its_key_never_used_again():
     key = frames[9].keys_of(1)[0]
     assert key != 0
     gone = frames[10 + BodiesConfig().forget_frames + 1 :]
-    assert all(key not in frame.found.movers for frame in gone)
+    assert all(key not in frame.found.movers.key for frame in gone)
     assert_one_mover_each(frames, 2, since=20)
-    ids = [number for frame in frames for number in frame.cluster_ids.values() if number is not None]
+    ids = [number for frame in frames for number in frame.cluster_ids.values() if number != NO_CLUSTER]
     assert frames[-1].cluster_ids[frames[-1].keys_of(2)[0]] == 2
     assert set(ids) == {1, 2}
 
@@ -215,13 +215,13 @@ def test_after_a_restart_no_number_is_given_out_twice():
     before = bodies_of(things, N_FRAMES)
     memory = restarted_bodies(before[-1].memory)
     assert memory.scene is None
-    assert not memory.movers
+    assert not len(memory.movers)
     after = bodies_of(things, N_FRAMES, memory=memory)
     numbers = [
-        {number for frame in frames for number in frame.cluster_ids.values() if number is not None}
+        {number for frame in frames for number in frame.cluster_ids.values() if number != NO_CLUSTER}
         for frames in (before, after)
     ]
-    keys = [{key for frame in frames for key in frame.found.movers} for frames in (before, after)]
+    keys = [{key for frame in frames for key in frame.found.movers.key} for frames in (before, after)]
     assert numbers[0]
     assert numbers[1]
     assert numbers[0].isdisjoint(numbers[1])

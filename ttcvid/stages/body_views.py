@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.geometry.rigid_path import PathFit, Points, RigidPaths, fit_on_paths
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.bodies import Body, Points
 from ttcvid.stages.connected import nearest_neighbours
 from ttcvid.stages.history import TrackHistory
 
@@ -48,16 +46,16 @@ class BodyViews:
         """Which of the neighbours are another track: (N, K)."""
         return np.asarray(self.neighbours != np.arange(len(self.neighbours))[:, None])
 
-    def points(self, track: Ints, body: Ints | None = None) -> Points:
-        """These tracks as points of bodies: ``track, body (M,)``; None: all of one body."""
-        body = np.zeros(len(track), dtype=np.int64) if body is None else body
-        return Points(self.rays, self.sigma_norm, self.since_s, track, body)
+    def points(self, track: Ints, thing: Ints | None = None) -> Points:
+        """These tracks as points of bodies: ``track, thing (M,)``; None: all of one body."""
+        thing = np.zeros(len(track), dtype=np.int64) if thing is None else thing
+        return Points(self.rays, self.sigma_norm, self.since_s, track, thing)
 
 
-def fit_on_movers(points: Points, movers: Sequence[Body]) -> PathFit:
-    """The points on the paths of movers, their rates near what is usual on each."""
-    usual_hz = np.array([mover.rate_hz for mover in movers])[points.body]
-    return points.fit(movers, usual_hz, _LEAST_RATE * usual_hz)
+def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:
+    """The points on the paths of movers, their rates near what is usual on each: ``rate_hz (K,)``."""
+    usual_hz = rate_hz[points.thing]
+    return fit_on_paths(points, movers, usual_hz, _LEAST_RATE * usual_hz)
 
 
 def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_error_px: float) -> BodyViews:
@@ -69,6 +67,5 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
     """
     sigma_norm = np.maximum(history.sigma_px, model_error_px) * history.plane_per_px
     neighbours = nearest_neighbours(history.xy_px, _N_NEIGHBOURS, link_px)
-    return BodyViews(
-        history.rays, sigma_norm, history.xy_px, history.t_s, history.focal_px, is_free, neighbours, link_px
-    )
+    rays = np.ascontiguousarray(history.rays)
+    return BodyViews(rays, sigma_norm, history.xy_px, history.t_s, history.focal_px, is_free, neighbours, link_px)

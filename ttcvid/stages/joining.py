@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.medians import medians
-from ttcvid.model import Floats, Ints
-from ttcvid.stages.belonging import Mover, numbers_of
-from ttcvid.stages.bodies import Body, refined_movers
+from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.belonging import Movers, numbers_of
+from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import linked_parts
 
@@ -31,103 +31,132 @@ _TINY_HZ = 1e-9
 
 
 @dataclass(frozen=True)
-class _Pair:
-    """Two neighbouring movers, their tracks, and the misfit that is usual in both, in units of the scene's."""
+class _Pairs:
+    """P pairs of neighbouring movers: the places ``large, small (P,)`` of both.
 
-    large: Mover
-    small: Mover
-    of_large: Ints
-    of_small: Ints
-    limit: float = _LEAST_MISFIT
+    ``limit (P,)`` is the misfit that is usual in both, in units of the scene's.
+    """
+
+    large: Ints
+    small: Ints
+    limit: Floats
+
+    def take(self, index: Ints) -> _Pairs:
+        """The pairs that an index array picks."""
+        return _Pairs(self.large[index], self.small[index], self.limit[index])
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """The motions of P pairs taken as one, the median rate of their points, and whether each pair is one."""
+
+    paths: RigidPaths
+    rate_hz: Floats
+    is_one: Bools
+
+    def take(self, index: Ints) -> _Joint:
+        """The pairs that an index array picks."""
+        return _Joint(self.paths.take(index), self.rate_hz[index], self.is_one[index])
 
 
 def merged(
-    views: BodyViews, scene: Body, key: Ints, movers: Sequence[Mover], own_misfit: Floats, usual_misfit: float
-) -> tuple[Ints, list[Mover]]:
+    views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, own_misfit: Floats, usual_misfit: float
+) -> tuple[Ints, Movers]:
     """Movers side by side that one motion explains are one; the older one's number stays.
 
     Parameters
     ----------
     own_misfit : (N,) of each track on its body, in units of ``usual_misfit``.
     """
-    key = key.copy()
-    alive = {mover.key: mover for mover in movers}
-    pairs = _worth_trying(views, key, movers, own_misfit, usual_misfit)
-    for pair, joint in zip(pairs, _joint(views, scene, pairs, usual_misfit), strict=True):
-        large, small = alive.get(pair.large.key), alive.get(pair.small.key)
-        if large is None or small is None:
+    number = numbers_of(key, movers)
+    tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
+    pairs = _worth_trying(views, number, tracks_of, movers, own_misfit, usual_misfit)
+    if pairs is None:
+        return key, movers
+    every = _joint(views, scene, tracks_of, movers, pairs, usual_misfit)
+    key, paths, rate_hz = key.copy(), movers.paths.take(np.arange(len(movers))), movers.rate_hz.copy()
+    is_gone, is_changed = np.zeros(len(movers), dtype=bool), np.zeros(len(movers), dtype=bool)
+    for place in range(len(pairs.large)):
+        joint, pair = every.take(np.array([place])), pairs.take(np.array([place]))
+        both = [int(pair.large[0]), int(pair.small[0])]
+        if is_gone[both].any():
             continue
-        if large is not pair.large or small is not pair.small:
+        if is_changed[both].any():
             # One of the two has just become one with another.
-            of_large, of_small = np.flatnonzero(key == large.key), np.flatnonzero(key == small.key)
-            (joint,) = _joint(views, scene, [_Pair(large, small, of_large, of_small, pair.limit)], usual_misfit)
-        if joint is None:
+            movers = replace(movers, paths=paths, rate_hz=rate_hz)
+            joint = _joint(views, scene, tracks_of, movers, pair, usual_misfit)
+        if not joint.is_one[0]:
             continue
-        younger, older = sorted((large, small), key=lambda m: (m.n_found, -m.key))
-        key[key == younger.key] = older.key
-        alive[older.key] = replace(older, body=joint)
-        del alive[younger.key]
-    return key, list(alive.values())
+        younger, older = sorted(both, key=lambda mover: (movers.n_found[mover], -mover))
+        key[tracks_of[younger]] = movers.key[older]
+        tracks_of[older] = np.flatnonzero(key == movers.key[older])
+        is_gone[younger], is_changed[older] = True, True
+        paths.cam_R_past[older], paths.path[older] = joint.paths.cam_R_past[0], joint.paths.path[0]
+        rate_hz[older] = joint.rate_hz[0]
+    return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
 def _worth_trying(
-    views: BodyViews, key: Ints, movers: Sequence[Mover], own_misfit: Floats, usual_misfit: float
-) -> list[_Pair]:
-    """Neighbours that may be one."""
-    number = numbers_of(key, movers)
-    counts = np.bincount(number, minlength=len(movers) + 1)
-    codes = number[:, None] * len(counts) + number[views.neighbours]
-    touch = np.bincount(codes.ravel(), minlength=len(counts) ** 2).reshape(len(counts), len(counts))
-    tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
-    pairs = []
-    for places in np.argwhere(np.triu(touch[1:, 1:], 1)).tolist():
-        small, large = sorted(places, key=lambda place: (len(tracks_of[place]), -place))
-        if len(tracks_of[small]) >= _LEAST_TRACKS and _is_asked(min(movers[large].n_found, movers[small].n_found)):
-            pairs.append(_Pair(movers[large], movers[small], tracks_of[large], tracks_of[small]))
-    if not pairs:
-        return []
-    few = np.repeat(np.arange(len(pairs)), [len(pair.of_small) for pair in pairs])
-    points = views.points(np.concatenate([pair.of_small for pair in pairs]), few)
-    fit = fit_on_movers(points, [pair.large.body for pair in pairs])
+    views: BodyViews,
+    number: Ints,
+    tracks_of: list[Ints],
+    movers: Movers,
+    own_misfit: Floats,
+    usual_misfit: float,
+) -> _Pairs | None:
+    """Neighbours that may be one; None without any."""
+    counts, n_bodies = np.array([len(tracks) for tracks in tracks_of], dtype=np.int64), len(movers) + 1
+    codes = number[:, None] * n_bodies + number[views.neighbours]
+    touch = np.bincount(codes.ravel(), minlength=n_bodies**2).reshape(n_bodies, n_bodies)
+    one, other = np.nonzero(np.triu(touch[1:, 1:], 1))
+    is_first_large = counts[one] >= counts[other]
+    large, small = np.where(is_first_large, one, other), np.where(is_first_large, other, one)
+    age = np.minimum(movers.n_found[large], movers.n_found[small])
+    is_asked = (counts[small] >= _LEAST_TRACKS) & _is_asked(age)
+    large, small = large[is_asked], small[is_asked]
+    if not len(large):
+        return None
+    few = np.repeat(np.arange(len(large)), counts[small])
+    points = views.points(np.concatenate([tracks_of[place] for place in small]), few)
+    usual_hz = movers.rate_hz[large]
+    fit = fit_on_movers(points, movers.paths.take(large), usual_hz)
     known = np.isfinite(fit.rate_hz)
-    rate_hz = medians(fit.rate_hz[known], few[known], len(pairs))
-    usual_hz = np.array([pair.large.body.rate_hz for pair in pairs])
+    rate_hz = medians(fit.rate_hz[known], few[known], len(large))
     is_one_rate = (rate_hz < _PERHAPS_ONE_RATE * usual_hz) & (rate_hz * _PERHAPS_ONE_RATE > usual_hz)
-    off = medians(fit.misfit, few, len(pairs)) / usual_misfit
-    both = np.repeat(np.arange(len(pairs)), [len(pair.of_large) + len(pair.of_small) for pair in pairs])
-    own = np.concatenate([tracks for pair in pairs for tracks in (pair.of_large, pair.of_small)])
-    limit = np.maximum(medians(own_misfit[own], both, len(pairs)), _LEAST_MISFIT)
+    off = medians(fit.misfit, few, len(large)) / usual_misfit
+    both = np.repeat(np.arange(len(large)), counts[large] + counts[small])
+    own = np.concatenate([tracks_of[place] for pair in zip(large, small, strict=True) for place in pair])
+    limit = np.maximum(medians(own_misfit[own], both, len(large)), _LEAST_MISFIT)
     is_worth = is_one_rate & (off <= _WORTH_TRYING * limit)
-    return [replace(pairs[place], limit=float(limit[place])) for place in np.flatnonzero(is_worth)]
+    return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
 
 
-def _is_asked(age: int) -> bool:
-    """Whether two movers that have been found in so many frames may be taken as one."""
+def _is_asked(age: Ints) -> Bools:
+    """Whether two movers that have been found in so many frames, (P,), may be taken as one."""
     is_power_of_two = age & (age - 1) == 0
-    return age <= _YOUNG_FRAMES or is_power_of_two or age % _MERGE_FRAMES == 0
+    return np.asarray((age <= _YOUNG_FRAMES) | is_power_of_two | (age % _MERGE_FRAMES == 0))
 
 
-def _joint(views: BodyViews, scene: Body, pairs: Sequence[_Pair], usual_misfit: float) -> list[Body | None]:
-    """The motion of each pair taken as one, None where they are two."""
-    if not pairs:
-        return []
-    parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for p in pairs for tracks in (p.of_large, p.of_small)]
-    part = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts])
+def _joint(
+    views: BodyViews, scene: RigidPaths, tracks_of: list[Ints], movers: Movers, pairs: _Pairs, usual_misfit: float
+) -> _Joint:
+    """Each pair taken as one."""
+    of_pairs = [tracks_of[place] for pair in zip(pairs.large, pairs.small, strict=True) for place in pair]
+    parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in of_pairs]
+    part, n_pairs = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts]), len(pairs.large)
     points = views.points(np.concatenate(parts), part // 2)
-    joint = refined_movers([p.large.body for p in pairs], scene, points, np.full(len(pairs), _JOINT_STEPS))
-    fit = points.fit(joint, None)
+    steps = np.full(n_pairs, _JOINT_STEPS)
+    joint, joint_hz = refined_movers(movers.paths.take(pairs.large), scene, points, steps)
+    fit = fit_on_paths(points, joint)
     # A track that has just been born has no rate yet.
     known = np.isfinite(fit.rate_hz)
     one, other = medians(fit.rate_hz[known], part[known], len(parts)).reshape(-1, 2).T
     is_one = np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
-    limit = _MERGED_MISFIT * usual_misfit * np.array([p.limit for p in pairs])
-    is_one &= medians(fit.misfit, points.body, len(pairs)) < limit
-    return [body if fits else None for body, fits in zip(joint, is_one, strict=True)]
+    is_one &= medians(fit.misfit, points.thing, n_pairs) < _MERGED_MISFIT * usual_misfit * pairs.limit
+    return _Joint(joint, joint_hz, is_one)
 
 
-def split(
-    views: BodyViews, key: Ints, movers: Sequence[Mover], next_key: int, config: BodiesConfig
-) -> tuple[Ints, list[Mover], int]:
+def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, config: BodiesConfig) -> tuple[Ints, Movers, int]:
     """Parts of a mover that do not hang together in the picture, or lie at other depths, are movers of their own.
 
     The largest part keeps the number.
@@ -135,23 +164,19 @@ def split(
     number = numbers_of(key, movers)
     own = np.flatnonzero(np.bincount(number, minlength=len(movers) + 1)[number] * (number > 0) >= 2 * config.min_tracks)
     if not len(own):
-        return key, list(movers), next_key
-    body, key, all_movers = number[own] - 1, key.copy(), list(movers)
-    usual_hz = np.array([mover.body.rate_hz for mover in movers])[body]
-    fit = views.points(own, body).fit([mover.body for mover in movers], usual_hz)
+        return key, movers, next_key
+    body, key = number[own] - 1, key.copy()
+    fit = fit_on_paths(views.points(own, body), movers.paths, movers.rate_hz[body])
     rate_hz = np.maximum(np.nan_to_num(fit.rate_hz), _TINY_HZ)
     unsure = np.nan_to_num(fit.rate_sigma_hz / rate_hz, nan=np.inf)
     tolerance = 0.5 * np.log(_ONE_RATE) + 2.0 * unsure
     label = linked_parts(views.xy_px[own], views.link_px, body, np.log(rate_hz), tolerance)
     counts = np.bincount(label)
-    first = np.unique(label, return_index=True)[1]
-    mover_of, last = body[first], -1
-    for part in np.lexsort((-counts, mover_of)).tolist():
-        if mover_of[part] != last:
-            # The largest of this mover's parts.
-            last = mover_of[part]
-        elif counts[part] >= config.min_tracks:
-            key[own[label == part]] = next_key
-            all_movers.append(Mover(next_key, None, 1, 0, movers[last].body))
-            next_key += 1
-    return key, all_movers, next_key
+    mover_of = body[np.unique(label, return_index=True)[1]]
+    by_size = np.lexsort((-counts, mover_of))
+    is_largest = np.append(True, np.diff(mover_of[by_size]) > 0)
+    parts = by_size[~is_largest & (counts[by_size] >= config.min_tracks)]
+    for count, part in enumerate(parts.tolist()):
+        key[own[label == part]] = next_key + count
+    parents = mover_of[parts]
+    return key, movers.with_new(next_key, movers.paths.take(parents), movers.rate_hz[parents]), next_key + len(parts)

@@ -13,6 +13,7 @@ from ttcvid.geometry.rotation import each_turned_into_plane, normalize, skew
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
+from ttcvid.stages.belonging import numbers_of
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
@@ -90,7 +91,7 @@ def find_motions(
         found, memory = find_bodies(
             history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
         )
-        history = replace(history, cam_R_past=found.scene.cam_R_past)
+        history = replace(history, cam_R_past=found.scene.cam_R_past[0])
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
         objects = _object_motions(history, found, is_free, plane, camera, times)
         obstacles, memory = _in_our_way(
@@ -115,11 +116,7 @@ def _object_motions(
     config: CollisionTimesConfig,
 ) -> list[ClusterMotion]:
     """The movers that have a public number, each with the direction that the whole tracks of its points share."""
-    cluster_id = np.zeros(int(found.key.max(initial=0)) + 1, dtype=np.int64)
-    for mover in found.movers.values():
-        if mover.cluster_id is not None and mover.key < len(cluster_id):
-            cluster_id[mover.key] = mover.cluster_id
-    own_id = cluster_id[found.key]
+    own_id = np.append(NO_CLUSTER, found.movers.cluster_id)[numbers_of(found.key, found.movers)]
     members = np.flatnonzero((own_id > 0) & is_free)
     public, thing = np.unique(own_id[members], return_inverse=True)
     stays = _share(_stays_on_its_pixels(history, members), thing, len(public)) > 0.5
@@ -140,7 +137,7 @@ def _in_our_way(
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What of the scene stands in our way, as objects that move as the scene does; and the memory with them."""
-    way = own_path(found.scene.path, history.since_s)
+    way = own_path(found.scene.path[0], history.since_s)
     in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < config.bodies.scene_gate)
     platform = config.egomotion.platform
     road = memory.road.plane

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.rigid_path import RigidPaths
+from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import fit_whole_tracks
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.bodies import Body, refined_movers
+from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
 
@@ -29,14 +31,14 @@ _NO_MISFIT = 0.1
 
 def new_movers(
     views: BodyViews,
-    scene: Body,
+    scene: RigidPaths,
     in_scene: Bools,
     n_views: Ints,
     misfit: Floats,
     usual_misfit: float,
     on_road: Bools,
     config: BodiesConfig,
-) -> list[tuple[Ints, Body]]:
+) -> tuple[list[Ints], RigidPaths, Floats]:
     """Connected tracks of the scene that contradict it together and that a motion of their own explains.
 
     Parameters
@@ -47,34 +49,32 @@ def new_movers(
 
     Returns
     -------
-    Members (M,) and motion of each.
+    Tracks (M,), motion and median rate of each.
     """
+    none = list[Ints](), scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
     is_asked = in_scene & views.is_free & (n_views >= _LEAST_VIEWS)
     candidates = _candidates(views, is_asked, np.where(on_road, _beside_slip(views), 1.0) * misfit, config)
     if len(candidates) < config.min_tracks:
-        return []
-    xy = views.points(candidates).in_plane([scene])
+        return none
+    xy = turned_into_plane(views.rays[:, candidates], scene.cam_R_past[0])
     label = _alike_and_near(views, candidates, xy)
     is_one = np.bincount(label)[label] >= config.min_tracks
     if not is_one.any():
-        return []
+        return none
     xy, candidates = xy[:, is_one], candidates[is_one]
     numbers, thing = np.unique(label[is_one], return_inverse=True)
     tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates])
     directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
     points = views.points(candidates, thing)
-    starts = [Body(scene.cam_R_past, straight_path(direction, views.since_s)) for direction in directions]
-    bodies = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
-    misfit_by_own = fit_on_movers(points, bodies).misfit / usual_misfit
+    ways = np.stack([straight_path(direction, views.since_s) for direction in directions])
+    starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
+    paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
+    misfit_by_own = fit_on_movers(points, paths, rate_hz).misfit / usual_misfit
     is_better = misfit_by_own < misfit[candidates] / config.gain
-    found = []
-    for number, body in enumerate(bodies):
-        is_own = thing == number
-        members = candidates[is_better & is_own]
-        least = max(config.min_tracks, int(np.count_nonzero(is_own)) // 2 + 1)
-        if np.isfinite(directions[number, 0]) and len(members) >= least:
-            found.append((members, body))
-    return found
+    least = np.maximum(config.min_tracks, np.bincount(thing) // 2 + 1)
+    is_found = np.isfinite(directions[:, 0]) & (np.bincount(thing, is_better) >= least)
+    found = np.flatnonzero(is_found)
+    return [candidates[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 
 
 def _beside_slip(views: BodyViews) -> Floats:

@@ -7,18 +7,16 @@ neighbouring tracks contradict the scene together and agree with each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
-from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.belonging import Mover, assigned, kept, numbers_of
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
+from ttcvid.stages.belonging import Movers, assigned, kept, no_movers, numbers_of
 from ttcvid.stages.bodies import (
-    Body,
     carried_forward,
     recent_speed,
     refined_movers,
@@ -62,8 +60,8 @@ class BodyMemory:
     ``obstacles`` are what of the scene stands in our way (`stages.obstacles`); ``frame (L,)`` the views of the bodies.
     """
 
-    scene: Body | None = None
-    movers: tuple[Mover, ...] = ()
+    scene: RigidPaths | None = None
+    movers: Movers = field(default_factory=lambda: no_movers(0))
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     track_key: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     rate_hz: Floats = field(default_factory=lambda: np.empty(0))
@@ -76,14 +74,14 @@ class BodyMemory:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """The bodies of a frame: ``key (N,)`` of each track's body, the movers by key, and how the scene explains tracks.
+    """The bodies of a frame: ``key (N,)`` of each track's body, the movers, and how the scene explains tracks.
 
     ``misfit (N,)`` of each track on the scene's path, in units of what is usual there.
     """
 
     key: Ints
-    movers: dict[int, Mover]
-    scene: Body
+    movers: Movers
+    scene: RigidPaths
     scene_fit: PathFit
     misfit: Floats
 
@@ -113,25 +111,27 @@ def find_bodies(
     memory = _over_views(memory, history.frame)
     key, rate_hz = _carried_labels(memory, history.track_id)
     is_continued = len(history.t_s) > 1 and memory.scene is not None
-    movers = _carried(memory.movers, egomotion, views) if is_continued else []
-    known = np.array([SCENE_CLUSTER] + [mover.key for mover in movers])
-    key[known[np.minimum(np.searchsorted(known, key), len(known) - 1)] != key] = SCENE_CLUSTER
+    movers = no_movers(len(history.t_s))
+    if is_continued and len(memory.movers):
+        paths = carried_forward(memory.movers.paths, egomotion.cam_R_prev, views.t_s)
+        movers = replace(memory.movers, paths=paths)
+    key[~np.isin(key, movers.key)] = SCENE_CLUSTER
     scene = _scene(
         history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, key, rate_hz
     )
     scene, rate_hz = with_unit_speed(scene, views.since_s, rate_hz)
     every = views.points(np.arange(len(key)))
-    scene_fit = every.fit([scene], rate_hz)
+    scene_fit = fit_on_paths(every, scene, rate_hz)
     rate_hz = scene_fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
     if not is_sure and not _moves_past(scene_fit, history.rays[-1], is_free):
-        scene_fit = every.fit([replace(scene, path=np.zeros_like(scene.path))], None)
+        scene_fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     usual = _usual_misfit(scene_fit, (key == SCENE_CLUSTER) & is_free)
     misfit = scene_fit.misfit / usual
     road = RoadMemory()
-    if platform == Platform.vehicle and scene.path[0, 2] > 0.0:
+    if platform == Platform.vehicle and scene.path[0, 0, 2] > 0.0:
         in_scene = (key == SCENE_CLUSTER) & is_free & (misfit < config.scene_gate)
-        epipole_y = float(scene.path[0, 1] / scene.path[0, 2])
+        epipole_y = float(scene.path[0, 0, 1] / scene.path[0, 0, 2])
         road = gathered_evidence(memory.road, history.track_id, views, scene_fit, key, in_scene, epipole_y)
         misfit = _with_contradictions(misfit, road, key, config)
 
@@ -140,7 +140,7 @@ def find_bodies(
     key, movers = kept(key, movers, config)
     key, movers = merged(views, scene, key, movers, own_misfit, usual)
     next_key = memory.next_key
-    for members, body in new_movers(
+    found, paths, found_hz = new_movers(
         views,
         scene,
         (key == SCENE_CLUSTER) & may_start,
@@ -149,16 +149,16 @@ def find_bodies(
         usual,
         on_road(scene_fit, road),
         config,
-    ):
-        key[members] = next_key
-        movers.append(Mover(next_key, None, 1, 0, body))
-        next_key += 1
+    )
+    for count, members in enumerate(found):
+        key[members] = next_key + count
+    movers, next_key = movers.with_new(next_key, paths, found_hz), next_key + len(found)
     key, movers, next_key = split(views, key, movers, next_key, config)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
     memory = BodyMemory(
-        scene, tuple(movers), history.track_id, key, rate_hz, road, next_key, next_cluster_id, frame=history.frame
+        scene, movers, history.track_id, key, rate_hz, road, next_key, next_cluster_id, frame=history.frame
     )
-    return Segmentation(key, {m.key: m for m in movers}, scene, scene_fit, misfit), memory
+    return Segmentation(key, movers, scene, scene_fit, misfit), memory
 
 
 def restarted_bodies(memory: BodyMemory) -> BodyMemory:
@@ -171,12 +171,8 @@ def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
     if memory.scene is None or np.array_equal(memory.frame[1 - len(frame) :], frame[:-1]):
         return memory
     stays = np.isin(memory.frame, frame)
-
-    def over_them(body: Body) -> Body:
-        return replace(body, cam_R_past=body.cam_R_past[stays], path=body.path[stays])
-
-    movers = tuple(replace(mover, body=over_them(mover.body)) for mover in memory.movers)
-    return replace(memory, scene=over_them(memory.scene), movers=movers)
+    movers = replace(memory.movers, paths=memory.movers.paths.over(stays))
+    return replace(memory, scene=memory.scene.over(stays), movers=movers)
 
 
 def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:
@@ -189,37 +185,33 @@ def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:
     return key, rate_hz
 
 
-def _carried(movers: Sequence[Mover], egomotion: Egomotion, views: BodyViews) -> list[Mover]:
-    """The movers as the present camera sees them, going on as they did."""
-    bodies = carried_forward([mover.body for mover in movers], egomotion.cam_R_prev, views.t_s)
-    return [replace(mover, body=body) for mover, body in zip(movers, bodies, strict=True)]
-
-
 def _scene(
     history: TrackHistory,
     egomotion: Egomotion,
     can_translate: bool,
-    before: Body | None,
+    before: RigidPaths | None,
     views: BodyViews,
     key: Ints,
     rate_hz: Floats,
-) -> Body:
+) -> RigidPaths:
     """The scene on its way, corrected by its tracks."""
     if before is None:
         # Before the parallax shows well where it goes, a camera that can move is taken to move ahead, if roughly.
         seen = egomotion.direction
         way = FORWARD_DIR if seen is None or seen @ FORWARD_DIR > _AHEAD_COSINE else seen
         ahead = straight_path(way, history.since_s) if can_translate else np.zeros((len(views.t_s), 3))
-        scene = Body(history.cam_R_past, ahead)
+        scene = RigidPaths(history.cam_R_past[None], ahead[None])
     else:
         step = None
         if egomotion.direction is not None:
             dt_s = views.t_s[-1] - views.t_s[-2]
-            step = -egomotion.direction * dt_s * max(recent_speed(before, views.t_s[:-1]), _LEAST_SPEED)
-        (carried,) = carried_forward([before], egomotion.cam_R_prev, views.t_s, step)
+            step = -egomotion.direction * dt_s * max(recent_speed(before.path[0], views.t_s[:-1]), _LEAST_SPEED)
+        carried = carried_forward(before, egomotion.cam_R_prev, views.t_s, step)
         # Own motion has corrected the rotations of the last frames by its own means: those are taken over.
-        path = carried.path if egomotion.direction is None else _without_unseen_return(history, carried.path)
-        scene = replace(carried, cam_R_past=history.cam_R_past, path=path)
+        path = carried.path
+        if egomotion.direction is not None:
+            path = _without_unseen_return(history, carried.path[0])[None]
+        scene = RigidPaths(history.cam_R_past[None], path)
     used = np.flatnonzero(views.is_free)
     used = used[:: max(1, len(used) // _ENOUGH_TRACKS)]
     weight = _balance(history.rays[-1, used])
@@ -279,27 +271,20 @@ def _with_contradictions(misfit: Floats, road: RoadMemory, key: Ints, config: Bo
     return np.where(is_odd, np.maximum(misfit, 2.0 * config.scene_gate), misfit)
 
 
-def _refined(movers: list[Mover], scene: Body, views: BodyViews, key: Ints) -> list[Mover]:
+def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> Movers:
     """The movers, each corrected by the tracks that it had."""
     number = numbers_of(key, movers)
     has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
-    steps = np.array([_YOUNG_STEPS if mover.n_found < _YOUNG_FRAMES else _OLD_STEPS for mover in movers])
     track = np.flatnonzero(np.append(False, has_points)[number])
     if not len(track):
         return movers
-    bodies = refined_movers(
-        [mover.body for mover in movers], scene, views.points(track, number[track] - 1), steps * has_points
-    )
-    return [
-        replace(mover, body=body) if has else mover for mover, body, has in zip(movers, bodies, has_points, strict=True)
-    ]
+    steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS) * has_points
+    paths, rate_hz = refined_movers(movers.paths, scene, views.points(track, number[track] - 1), steps)
+    return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 
-def _named(movers: list[Mover], next_cluster_id: int, config: BodiesConfig) -> tuple[list[Mover], int]:
+def _named(movers: Movers, next_cluster_id: int, config: BodiesConfig) -> tuple[Movers, int]:
     """Public numbers for movers that have been found often enough."""
-    named = []
-    for mover in movers:
-        if mover.cluster_id is None and mover.n_found >= config.confirm_frames:
-            mover, next_cluster_id = replace(mover, cluster_id=next_cluster_id), next_cluster_id + 1
-        named.append(mover)
-    return named, next_cluster_id
+    asks = (movers.cluster_id == NO_CLUSTER) & (movers.n_found >= config.confirm_frames)
+    cluster_id = np.where(asks, next_cluster_id + np.cumsum(asks) - 1, movers.cluster_id)
+    return replace(movers, cluster_id=cluster_id), next_cluster_id + int(np.count_nonzero(asks))
