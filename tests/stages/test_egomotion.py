@@ -5,8 +5,8 @@ import pytest
 from two_views import FOCAL_PX, angle_deg, two_views
 
 from ttcvid.geometry.rotation import vector_from_rotation
-from ttcvid.model import Platform
-from ttcvid.stages.egomotion import EgomotionMemory, estimate_egomotion, picture_region
+from ttcvid.model import Camera, ImageSize, Platform
+from ttcvid.stages.egomotion import EgomotionMemory, estimate_egomotion, picture_region, region_side_of
 
 FORWARD = np.array([0.0, 0.0, -1.0])
 LEAST_PARALLAX_RAD = 0.25 / FOCAL_PX
@@ -206,8 +206,13 @@ def test_order_of_the_points_does_not_matter():
     np.testing.assert_allclose(other.residual, one.residual[order], atol=1e-4)
 
 
-def test_parts_of_the_picture_are_squares_of_a_tenth_of_the_focal_length():
+def test_parts_of_the_picture_are_squares_of_a_tenth_of_the_focal_length_or_of_the_width():
     rays = np.array([[0.01, 0.01, 1.0], [0.09, 0.09, 1.0], [0.11, 0.01, 1.0], [-0.01, 0.01, 1.0], [0.02, 0.18, 2.0]])
     one, same, right, left, deep = picture_region(rays)
     assert one == same == deep
     assert len({one, right, left}) == 3
+    ordinary, wide, long = (
+        Camera(focal_px, focal_px, 639.5, 359.5, ImageSize(1280, 720)) for focal_px in (1200.0, 500.0, 12000.0)
+    )
+    assert region_side_of(ordinary) == region_side_of(wide) == 0.1
+    assert region_side_of(long) * 12000.0 == pytest.approx(128.0)

@@ -9,7 +9,7 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.geometry.two_view import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion, fit_rotation
-from ttcvid.model import Floats, Ints, Platform
+from ttcvid.model import Camera, Floats, Ints, Platform
 
 # Yaw rates tried on the first pair of frames, where no previous rotation helps, rad.
 _FIRST_YAWS_RAD = np.radians([0.0, -1.0, 1.0, -2.5, 2.5])
@@ -24,9 +24,14 @@ _SOME_BEHIND = 0.25
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
 # Median of the absolute value of a standard normal variable, and of the length of two.
 _MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
-# Cells of the grid whose points err together: side in units of the focal length (80 px at f = 800 px), number
-# along one axis, and the least z of a ray that still has a cell of its own.
-_REGION, _REGION_COUNT, _LEAST_Z = 0.1, 200, 0.05
+# Number of the cells of `picture_region` along one axis, and the least z of a ray that still has a cell of its own.
+_REGION_COUNT, _LEAST_Z = 200, 0.05
+
+REGION = 0.1
+"""Side of the cells whose points err together, in focal lengths (80 px at f = 800 px), or part of the picture's width.
+
+The smaller one: through a long lens a tenth of the focal length is most of the picture.
+"""
 
 DIRECTION_FLOOR_RAD = float(np.radians(0.15))
 """Own direction of travel is not known better than this: matching errs in common over large parts of the picture.
@@ -120,6 +125,7 @@ def estimate_egomotion(
     least_parallax_rad: float,
     memory: EgomotionMemory,
     platform: Platform,
+    region_side: float = REGION,
 ) -> tuple[Egomotion, EgomotionMemory]:
     """Rotation and direction of travel by robust Gauss-Newton with priors.
 
@@ -133,6 +139,7 @@ def estimate_egomotion(
     sigma_rad : (N,) noise of one coordinate of a unit ray.
     least_parallax_rad : flow left after the rotation that is not taken for translation, however small the noise:
         matching errs in common where the light or the blur changes.
+    region_side : of the cells of `picture_region` (`region_side_of`).
 
     Notes
     -----
@@ -141,7 +148,7 @@ def estimate_egomotion(
     """
     belief = MOTION_PRIORS[platform]
     prior = _gaussian_prior(belief, memory)
-    region = picture_region(rays_cam)
+    region = picture_region(rays_cam, region_side)
     observed = (rays_prev, rays_cam, sigma_rad, region, prior)
     turning = _best([fit_rotation(*observed, start) for start in _rotation_starts(prior, memory)])
     rotation_memory = replace(memory, rotation_rad=vector_from_rotation(turning.cam_R_prev))
@@ -154,19 +161,24 @@ def estimate_egomotion(
     return _result(moving), replace(memory, rotation_rad=rotation_rad, direction=moving.direction)
 
 
-def picture_region(rays: Floats) -> Ints:
+def region_side_of(camera: Camera) -> float:
+    """Side of the cells of `picture_region`, in the plane z = 1."""
+    return REGION * min(1.0, camera.image_size.width_px / camera.fx_px)
+
+
+def picture_region(rays: Floats, side: float = REGION) -> Ints:
     """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,), without gaps."""
     region = np.empty(len(rays), dtype=np.int64)
-    _number_cells(np.ascontiguousarray(rays), region)
+    _number_cells(np.ascontiguousarray(rays), side, region)
     return region
 
 
 @compiled
-def _number_cells(rays: Floats, region: Ints) -> None:
+def _number_cells(rays: Floats, side: float, region: Ints) -> None:
     """Fills ``region (N,)``: cells are numbered in the order in which they are first met."""
     number, count = np.full((_REGION_COUNT, _REGION_COUNT), -1, dtype=np.int64), 0
     for i in range(len(rays)):
-        scale = 1.0 / (_REGION * max(rays[i, 2], _LEAST_Z))
+        scale = 1.0 / (side * max(rays[i, 2], _LEAST_Z))
         column = min(max(int(np.floor(rays[i, 0] * scale)) + _REGION_COUNT // 2, 0), _REGION_COUNT - 1)
         row = min(max(int(np.floor(rays[i, 1] * scale)) + _REGION_COUNT // 2, 0), _REGION_COUNT - 1)
         if number[column, row] < 0:

@@ -10,7 +10,7 @@ from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion, picture_region
+from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion, picture_region, region_side_of
 from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion, with_noise
 from ttcvid.stages.scene_path import with_scene_path
 
@@ -67,8 +67,8 @@ def _from_two_views(
     step = _pair(history, is_free, 1, config.min_tracks)
     if step is None:
         return None, last_frame_only(history), replace(memory, gap_frames=1)
-    parallax_rad = least_parallax_px / history.focal_px
-    egomotion, memory = estimate_egomotion(*step, parallax_rad, memory, config.platform)
+    parallax_rad, side = least_parallax_px / history.focal_px, region_side_of(history.camera)
+    egomotion, memory = estimate_egomotion(*step, parallax_rad, memory, config.platform, side)
     history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
     history = with_noise(history, egomotion.residual_spread, sigma_floor_px)
     gap = min(memory.gap_frames, len(history.frame) - 1)
@@ -77,7 +77,7 @@ def _from_two_views(
     if long_step is None:
         return egomotion, history, memory
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
-    over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
+    over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform, side)
     history = _corrected(history, over_gap, gap)
     egomotion = replace(egomotion, direction=over_gap.direction, direction_cov=over_gap.direction_cov)
     return egomotion, history, memory
@@ -90,17 +90,17 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> t
     seen = np.flatnonzero(is_free & np.isfinite(history.rays[-1 - gap, :, 0]) & np.isfinite(history.rays[-1, :, 0]))
     if len(seen) < min_tracks:
         return None
-    seen = _spread(history.rays[-1], history.sigma_rad, seen, min_tracks)
+    seen = _spread(history.rays[-1], history.sigma_rad, seen, min_tracks, region_side_of(history.camera))
     return history.rays[-1 - gap, seen], history.rays[-1, seen], history.sigma_rad[seen]
 
 
-def _spread(rays: Floats, sigma_rad: Floats, seen: Ints, min_tracks: int) -> Ints:
+def _spread(rays: Floats, sigma_rad: Floats, seen: Ints, min_tracks: int, side: float) -> Ints:
     """Tracks among ``seen`` so that no place of the picture holds too many: one textured lorry is not the world.
 
     A mover near by may hold most of the tracks, but it does not fill most of the picture.
     """
     is_kept = np.zeros(len(seen), dtype=bool)
-    _keep_some(np.ascontiguousarray(rays[seen]), sigma_rad[seen], picture_region(rays[seen]), is_kept)
+    _keep_some(np.ascontiguousarray(rays[seen]), sigma_rad[seen], picture_region(rays[seen], side), is_kept)
     spread = seen[is_kept]
     return spread if len(spread) >= min_tracks else seen
 
