@@ -99,19 +99,3 @@ def test_a_warning_stands_in_frames_without_numbers_and_ends_when_there_are_only
     assert [result.status for result in ended] == [FrameStatus.duplicate] * 11
     assert ended[0].events
     assert ended[-1].events == ()
-
-
-@pytest.mark.parametrize("n_missing", [1, 2, 5])
-def test_a_track_that_is_missing_in_some_frames_keeps_its_history(n_missing):
-    missing = range(15, 15 + n_missing)
-    results = results_of(
-        table(
-            [street()],
-            driving(10.0),
-            hidden=lambda i, body: np.full(len(body), i in missing) & (np.arange(len(body)) % 3 == 0),
-        )
-    )
-    for result in results[20:]:
-        n_frames = dict(zip(result.tracks.track_id.tolist(), result.tracks.n_frames.tolist(), strict=True))
-        behind = {track: n for track, n in n_frames.items() if n >= 12}
-        assert {n for track, n in behind.items() if track % 3 == 0} == {result.frame + 1 - n_missing}

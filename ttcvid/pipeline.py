@@ -13,6 +13,7 @@ from ttcvid.config import PipelineConfig, TrackingConfig
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import (
+    Bools,
     Camera,
     ClusterRow,
     Event,
@@ -105,6 +106,7 @@ class Memory:
     """Everything about motions that is remembered from one frame to the next.
 
     ``t_s`` is the time of the last frame, ``used_t_s`` that of the last one that gave points to the history.
+    ``before_gap`` is the history before frames with too few tracks: it goes on where enough of its tracks come back.
     """
 
     history: TrackHistory
@@ -115,6 +117,7 @@ class Memory:
     bodies: BodyMemory = field(default_factory=BodyMemory)
     scene_moves: bool = False
     plane: HorizonPlane | None = None
+    before_gap: TrackHistory | None = None
 
 
 def analyze_frames(
@@ -235,17 +238,14 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
     if status == FrameStatus.cut:
         memory = _after_cut(memory, clip)
 
-    history = _with_points(frame, points, memory, clip)
     step_s = np.inf if dt_s is None else dt_s
     is_frozen, frozen = find_frozen(memory.frozen, points, scene_moves=memory.scene_moves, step_s=step_s)
-    egomotion, history, ego_memory = find_own_motion(
-        history,
-        ~is_frozen,
-        memory.egomotion,
-        clip.config.egomotion,
-        LEAST_PARALLAX_PX,
-        clip.config.tracking.sigma_floor_px,
-    )
+    egomotion, history, ego_memory = _own_motion(frame, points, ~is_frozen, memory, clip)
+    before_gap = None
+    if egomotion is None:
+        before_gap = _before_gap(memory, frame.t_s)
+    else:
+        dt_s = float(history.t_s[-1] - history.t_s[-2])
     if status == FrameStatus.ok:
         status = _motion_status(egomotion)
     plane = followed_plane(
@@ -259,11 +259,38 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
         history=history,
         frozen=frozen,
         egomotion=ego_memory,
-        bodies=bodies,
+        bodies=restarted_bodies(bodies) if egomotion is None and before_gap is None else bodies,
         scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
         plane=plane,
+        before_gap=before_gap,
     )
     return SeenFrame(frame, dt_s, status, plane, Seen(history, egomotion, motions, plane)), memory
+
+
+def _own_motion(
+    frame: Frame, points: PointSet, is_free: Bools, memory: Memory, clip: Clip
+) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
+    """Own motion since the last frame, or since the one before a gap where that has more tracks to go on from."""
+    for before in (memory.before_gap, memory.history):
+        if before is None:
+            continue
+        found = find_own_motion(
+            _with_points(frame, points, before, clip),
+            is_free,
+            memory.egomotion,
+            clip.config.egomotion,
+            LEAST_PARALLAX_PX,
+            clip.config.tracking.sigma_floor_px,
+        )
+        if found[0] is not None:
+            break
+    return found
+
+
+def _before_gap(memory: Memory, t_s: float) -> TrackHistory | None:
+    """The history before a frame with too few tracks, for as long as it reaches back."""
+    before = memory.history if memory.before_gap is None else memory.before_gap
+    return before if len(before.t_s) > 1 and t_s - before.t_s[-1] <= before.t_s[-1] - before.t_s[0] else None
 
 
 def _since(t_s: float | None, frame: Frame) -> float | None:
@@ -308,14 +335,14 @@ def _after_cut(memory: Memory, clip: Clip) -> Memory:
     )
 
 
-def _with_points(frame: Frame, points: PointSet, memory: Memory, clip: Clip) -> TrackHistory:
+def _with_points(frame: Frame, points: PointSet, before: TrackHistory, clip: Clip) -> TrackHistory:
     """The history with this frame's points as rays; a point that no ray belongs to (far outside a lens) has NaN."""
     rays = normalize(rays_from_pixels(clip.camera, points.xy_px))
     times = clip.config.collision_times
     max_frames = max(_LEAST_HISTORY, times.max_gap_frames + 1, times.max_frames)
     # A tracker of pictures gives no number twice; of another one, who knows.
     from_table = frame.points is not None
-    return extended(memory.history, frame.index, frame.t_s, points, rays, max_frames, may_come_back=from_table)
+    return extended(before, frame.index, frame.t_s, points, rays, max_frames, may_come_back=from_table)
 
 
 def _motion_status(egomotion: Egomotion | None) -> FrameStatus:

@@ -21,7 +21,7 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.obstacles import Obstacle, StaticPoints, find_obstacles, own_path
 from ttcvid.stages.planar import HorizonPlane, horizon_offset_px, onto_horizon, planar_directions
 from ttcvid.stages.road import find_road
-from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies, restarted_bodies
+from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
 
 # Tracks of one object hang together when they lie closer than this part of the picture's width.
 _LINK_PART = 0.05
@@ -82,9 +82,7 @@ def find_motions(
     times = config.collision_times
     link_px = _LINK_PART * camera.image_size.width_px
     in_scene, objects = is_free, list[ClusterMotion]()
-    if egomotion is None:
-        memory = restarted_bodies(memory)
-    else:
+    if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
         error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR_PX
         before = memory.obstacles

@@ -171,6 +171,8 @@ def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
     if memory.scene is None or np.array_equal(memory.frame[1 - len(frame) :], frame[:-1]):
         return memory
     stays = np.isin(memory.frame, frame)
+    if not stays.any():
+        return restarted_bodies(memory)
     movers = replace(memory.movers, paths=memory.movers.paths.over(stays))
     return replace(memory, scene=memory.scene.over(stays), movers=movers)
 

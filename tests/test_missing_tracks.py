@@ -1,0 +1,51 @@
+"""Tracks and objects that are missing in some frames: histories, numbers and warnings go on behind the gap."""
+
+import numpy as np
+import pytest
+from tables_of_points import Body, box, driving, ids_of, moving, results_of, street, table
+
+
+@pytest.mark.parametrize("n_missing", [1, 2, 5])
+def test_a_track_that_is_missing_in_some_frames_keeps_its_history(n_missing):
+    missing = range(15, 15 + n_missing)
+    results = results_of(
+        table(
+            [street()],
+            driving(10.0),
+            hidden=lambda i, body: np.full(len(body), i in missing) & (np.arange(len(body)) % 3 == 0),
+        )
+    )
+    for result in results[20:]:
+        n_frames = dict(zip(result.tracks.track_id.tolist(), result.tracks.n_frames.tolist(), strict=True))
+        behind = {track: n for track, n in n_frames.items() if n >= 12}
+        assert {n for track, n in behind.items() if track % 3 == 0} == {result.frame + 1 - n_missing}
+
+
+CROSSING = Body(box((-12.0, 0.6, 42.0), (4.0, 1.4, 1.8), seed=2), moving(3.0, 0.0, 0.0))
+
+
+def warned(results):
+    return {event.event_id: event for result in results for event in result.events}
+
+
+@pytest.mark.parametrize("n_missing", [1, 2, 4])
+def test_frames_with_too_few_tracks_end_no_object_and_no_warning(n_missing):
+    """All but eight tracks are missing in some frames at 20/s: behind the gap everything goes on as before it."""
+    gap = range(30, 30 + n_missing)
+    frames = table(
+        [street(free_way=True, seed=6), CROSSING],
+        driving(10.0),
+        45,
+        20.0,
+        seed=1,
+        hidden=lambda i, body: (np.arange(len(body)) >= 8) & (i in gap),
+    )
+    results = results_of(frames)
+    assert [str(result.status) for result in results[30 : 31 + n_missing]] == ["few_tracks"] * n_missing + ["ok"]
+    assert [ids_of(result) for result in results[28:] if result.frame not in gap] == [[1]] * (17 - n_missing)
+    behind = results[30 + n_missing]
+    assert behind.dt_s == pytest.approx((1 + n_missing) / 20.0)
+    assert len(warned(results[:30])) == 1
+    assert len(warned(results)) == 1
+    tracks = dict(zip(behind.tracks.track_id.tolist(), behind.tracks.n_frames.tolist(), strict=True))
+    assert max(tracks.values()) == 31
