@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ttcvid.geometry.rotation import cross, rotation_from_vector, vector_from_rotation
-from ttcvid.geometry.two_view_descent import descend_motion, descend_rotation
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.geometry.two_view_descent import add_up_regions, descend_motion, descend_rotation
+from ttcvid.model import Floats, Ints
 
 # Standard deviation of a direction that nothing is known of, rad.
 _OPEN_DIRECTION_RAD = 1.0
@@ -25,7 +25,8 @@ class TwoViewFit:
     ``residual (N,)`` in sigmas; ``cost`` the sum of capped squares with the prior's part; ``information (k, k)`` on the
     unknowns and ``score (N, k)`` of each point, in 1/rad^2 and 1/rad: of two tangent coordinates of the direction
     (along `tangent_basis`) where there is one, then of the rotation vector; ``region (N,)`` as in `fit_rotation`.
-    ``is_wrong (N,)`` marks points that move against the direction by more than their noise: they would lie behind.
+    ``sense (N,)`` is 1 for points that move along the direction by more than their noise, -1 for those that move
+    against it (they would lie behind), else 0.
     """
 
     cam_R_prev: Floats
@@ -35,7 +36,7 @@ class TwoViewFit:
     information: Floats
     score: Floats
     region: Ints
-    is_wrong: Bools
+    sense: Floats
 
     @cached_property
     def covariance(self) -> Floats:
@@ -47,10 +48,12 @@ class TwoViewFit:
         eigenvalue of I^-1 sum g g', g the scores of a region.
         """
         inverse: Floats = np.linalg.inv(self.information).astype(np.float64)
-        k, n_used = len(inverse), int(np.count_nonzero(np.bincount(self.region)))
+        k, points = len(inverse), np.bincount(self.region)
+        n_used = int(np.count_nonzero(points))
         if n_used <= 2 * k:
             return inverse
-        sums = np.stack([np.bincount(self.region, self.score[:, j]) for j in range(k)])
+        sums = np.zeros((k, len(points)))
+        add_up_regions(self.region, self.score, sums)
         half = np.linalg.solve(np.linalg.cholesky(self.information), sums)
         ratio = float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k)
         return inverse * max(1.0, ratio)
@@ -90,7 +93,7 @@ def fit_rotation(
         rays_prev, rays_cam, sigma_rad, expected, prior.rotation_sigma_rad, offset, fitted, residual, score, information
     )
     cost = _capped_cost(residual) + float(offset @ offset) / prior.rotation_sigma_rad**2
-    return TwoViewFit(fitted, None, residual, cost, information, score, region, np.zeros(len(rays_cam), dtype=bool))
+    return TwoViewFit(fitted, None, residual, cost, information, score, region, np.zeros(len(rays_cam)))
 
 
 def fit_motion(
@@ -111,7 +114,7 @@ def fit_motion(
     n = len(rays_cam)
     expected = rotation_from_vector(prior.rotation_rad)
     offset, direction = vector_from_rotation(cam_R_prev @ expected.T), direction.copy()
-    fitted, residual, is_wrong = np.empty((3, 3)), np.empty(n), np.empty(n)
+    fitted, residual, sense = np.empty((3, 3)), np.empty(n), np.empty(n)
     score, information = np.empty((n, 5)), np.empty((5, 5))
     descend_motion(
         rays_prev,
@@ -126,13 +129,12 @@ def fit_motion(
         direction,
         fitted,
         residual,
-        is_wrong,
+        sense,
         score,
         information,
     )
-    against = is_wrong > 0.0
-    cost = _capped_cost(np.where(against, np.inf, residual)) + _prior_cost(prior, offset, direction)
-    return TwoViewFit(fitted, direction, residual, cost, information, score, region, against)
+    cost = _capped_cost(np.where(sense < 0.0, np.inf, residual)) + _prior_cost(prior, offset, direction)
+    return TwoViewFit(fitted, direction, residual, cost, information, score, region, sense)
 
 
 def direction_from_flow(rays_prev: Floats, rays_cam: Floats, cam_R_prev: Floats) -> Floats:

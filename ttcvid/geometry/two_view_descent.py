@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
-from ttcvid.model import Floats
+from ttcvid.model import Floats, Ints
 
 # Geman and McClure's weight falls to a quarter at so many sigmas and on towards zero: a lorry of two fifths of all
 # points, which Cauchy's weight lets pull for ever, is let go.
@@ -18,9 +18,9 @@ _REDESCENT = 4.0
 _MAX_STEPS, _CONVERGED_CHI2 = 15, 1e-2
 # A step of the direction is cut to this length, rad: beyond it the linearisation means nothing.
 _LONGEST_STEP_RAD = 0.3
-# A static point moves towards dir; one that moves the other way by more sigmas than this does not belong to
-# the scene and keeps only so small a weight that the estimate stays defined.
-_WRONG_WAY_SIGMAS, _WRONG_WAY_WEIGHT = -3.0, 0.02
+# A static point moves towards dir; one that moves the other way by more sigmas than this does not belong to the scene
+# and keeps only so small a weight that the estimate stays defined.
+_SENSE_SIGMAS, _WRONG_WAY_WEIGHT = 3.0, 0.02
 # Squared lengths below this are a point on the epipole itself, rad^2.
 _TINY = 1e-14
 
@@ -94,13 +94,13 @@ def descend_motion(
     direction: Floats,
     cam_R_prev: Floats,
     residual: Floats,
-    is_wrong: Floats,
+    sense: Floats,
     score: Floats,
     information: Floats,
 ) -> None:
     """Rotation and direction: ``offset (3,)`` and ``direction (3,)`` in and out.
 
-    Fills ``cam_R_prev``, the signed ``residual (N,)``, ``is_wrong (N,)`` 1 for points that move against the direction,
+    Fills ``cam_R_prev``, the signed ``residual (N,)``, ``sense (N,)`` (`_plane_residual`),
     ``score (N, 5)`` and ``information (5, 5)`` of two tangent coordinates of the direction and the rotation vector.
     """
     n = len(rays_prev)
@@ -117,13 +117,13 @@ def descend_motion(
                     + cam_R_prev[j, 1] * rays_prev[i, 1]
                     + cam_R_prev[j, 2] * rays_prev[i, 2]
                 )
-            _plane_residual(q, p, sigma[i], direction, basis, i, residual, is_wrong, jacobian)
+            _plane_residual(q, p, sigma[i], direction, basis, i, residual, sense, jacobian)
         scale = _robust_scale(residual)
         information[:] = 0.0
         total[:] = 0.0
         for i in range(n):
             weight = _weight(residual[i], scale)
-            if is_wrong[i] > 0.0:
+            if sense[i] < 0.0:
                 weight *= _WRONG_WAY_WEIGHT
             for j in range(5):
                 score[i, j] = -jacobian[i, j] * weight * residual[i]
@@ -156,6 +156,14 @@ def descend_motion(
 
 
 @compiled
+def add_up_regions(region: Ints, score: Floats, sums: Floats) -> None:
+    """Add the scores ``(N, k)`` of each region to ``sums (k, regions)``."""
+    for i in range(len(region)):
+        for j in range(score.shape[1]):
+            sums[j, region[i]] += score[i, j]
+
+
+@compiled
 def _plane_residual(
     q: Floats,
     p: Floats,
@@ -164,10 +172,12 @@ def _plane_residual(
     basis: Floats,
     i: int,
     residual: Floats,
-    is_wrong: Floats,
+    sense: Floats,
     jacobian: Floats,
 ) -> None:
-    """Residual of point i, whether it moves the wrong way, and its derivative by direction (2) and rotation (3).
+    """Residual of point i, its derivative by direction (2) and rotation (3), and its sense.
+
+    ``sense`` is 1 for a point that moves along the direction by more than its noise, -1 against it, else 0.
 
     The numerator is the triple product direction . (q x p); the denominator varies slowly and is held.
     """
@@ -189,7 +199,7 @@ def _plane_residual(
     for j in range(3):
         jacobian[i, 2 + j] = (along_q * p[j] - cosine * direction[j]) * scale
     towards = (along_p - along_q) / (np.sqrt(max(trace, _TINY)) * sigma)
-    is_wrong[i] = 1.0 if towards < _WRONG_WAY_SIGMAS else 0.0
+    sense[i] = 0.0 if abs(towards) < _SENSE_SIGMAS else np.sign(towards)
 
 
 @compiled

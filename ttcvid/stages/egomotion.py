@@ -17,8 +17,6 @@ _FIRST_YAWS_RAD = np.radians([0.0, -1.0, 1.0, -2.5, 2.5])
 _GRIC_CAP = 2.0
 # A fit with fewer points than this part within so many sigmas has started in the wrong place.
 _INLIER_SIGMAS, _GOOD_INLIERS = 3.0, 0.5
-# With more than this share of the points behind the camera, the camera may have begun to travel the other way.
-_SOME_BEHIND = 0.25
 # A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
 # most of its points are. With more than this share of the parts still, there is no translation to speak of.
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
@@ -210,8 +208,8 @@ def _fit_from_starts(
 
     Further starts: the rotation that explains most of the flow by itself (a camera that was swung), each with the
     last direction, forward, and the direction in which the flow planes meet. The residuals do not tell a direction from
-    its opposite, and no search leads from one to the other: where points would lie behind the camera, the opposite is
-    tried as well (a car that backs out of where it stopped).
+    its opposite, and no search leads from one to the other: where more points would lie behind the camera than before
+    it, the opposite is tried as well (a car that backs out of where it stopped).
     """
     rays_prev, rays_cam, _, _, prior = observed
     last = FORWARD_DIR if memory.direction is None else memory.direction
@@ -222,7 +220,7 @@ def _fit_from_starts(
             flow_direction = direction_from_flow(rays_prev, rays_cam, rotation)
             fits += [fit_motion(*observed, rotation, start) for start in (last, flow_direction)]
     best = _best(fits)
-    if np.mean(best.is_wrong) > _SOME_BEHIND and best.direction is not None:
+    if np.sum(best.sense) < 0.0 and best.direction is not None:
         best = _best([best, fit_motion(*observed, best.cam_R_prev, -best.direction)])
     return best
 
