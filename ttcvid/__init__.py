@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from ttcvid.errors import CalibrationError, InputError, NotComparableError, OutputError, TtcvidError, UsageError
+    from ttcvid.errors import (
+        CalibrationError,
+        InputError,
+        NotComparableError,
+        OutputError,
+        TtcvidError,
+        UndeterminedError,
+        UsageError,
+    )
     from ttcvid.jobs.analyze import analyze
     from ttcvid.jobs.calibrate_horizon import calibrate_horizon
     from ttcvid.jobs.collision_map import collision_map
@@ -33,6 +41,7 @@ __all__ = [
     "OutputError",
     "Run",
     "TtcvidError",
+    "UndeterminedError",
     "UsageError",
     "analyze",
     "calibrate_horizon",
@@ -51,6 +60,7 @@ _HOMES = {
     "OutputError": "ttcvid.errors",
     "Run": "ttcvid.jobs.run",
     "TtcvidError": "ttcvid.errors",
+    "UndeterminedError": "ttcvid.errors",
     "UsageError": "ttcvid.errors",
     "analyze": "ttcvid.jobs.analyze",
     "calibrate_horizon": "ttcvid.jobs.calibrate_horizon",

@@ -53,6 +53,8 @@ def clip(n: int = 4) -> str:
         (["analyze", "clip.mp4", "--start", "noon"], ["--start", "noon", "4.5s"]),
         (["analyze", "clip.mp4", "--set", "tracking.max_trakcs=5"], ["max_trakcs", "did you mean 'max_tracks'"]),
         (["analyze", "clip.mp4", "--config", "missing.toml"], ["missing.toml"]),
+        (["analyze", ""], ["INPUT is empty"]),
+        (["analyze", "a.csv", "--image-size", "999999x999999"], ["--image-size", "at most 100000 px"]),
     ],
 )
 def test_wrong_usage(arguments: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -104,6 +106,26 @@ def test_bad_input(
 ) -> None:
     fails_with(capsys, ["analyze", make(), *options], 3, *parts)
     assert not list(Path.cwd().glob("*_ttc"))
+
+
+def test_pipes_and_devices_are_called_what_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo("pipe.mp4")
+    for name, says in (("pipe.mp4", "is a pipe or a device"), ("/dev/null", "is a pipe or a device"), ("-", "save it")):
+        fails_with(capsys, ["analyze", name], 3, name, says, "save it as a file")
+
+
+def test_a_folder_is_no_mask(capsys: pytest.CaptureFixture[str]) -> None:
+    fails_with(capsys, ["analyze", clip(), "--mask", "."], 3, "is a folder; expected a mask")
+
+
+def test_a_missing_scene_is_unreadable_input(capsys: pytest.CaptureFixture[str]) -> None:
+    fails_with(capsys, ["simulate", "missing.yaml"], 3, "missing.yaml", "No such file")
+
+
+def test_a_video_larger_than_can_be_encoded_is_refused_before_it_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+    tracks = write_approaching_tracks(Path("tracks.csv"), n=3, n_tracks=4)
+    says = "a video of 100000x90000 cannot be encoded (at most 16384 px a side)"
+    fails_with(capsys, ["analyze", str(tracks), "--image-size", "100000x90000"], 2, says, "--no-overlay")
 
 
 def test_pictures_without_times_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

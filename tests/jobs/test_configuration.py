@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ttcvid.config import TrackingConfig
@@ -214,3 +215,26 @@ def test_unknown_variables_are_refused_and_reserved_or_empty_ones_are_not(monkey
 def test_an_unknown_python_argument_is_refused() -> None:
     with pytest.raises(UsageError, match="focal: unknown key 'focal': did you mean 'focal_px'"):
         configure_from_arguments({"focal": 700})
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"mask": np.zeros((3, 4))}, "mask: got an array of shape (3, 4): expected the path of a file"),
+        ({"focal_px": np.array([700.0])}, "focal_px: got an array of shape (1,): expected one value"),
+        ({"tracking": 5}, "tracking = 5: expected the parameters of this stage as a mapping"),
+        ({"focal_px": np.float64(-1.0)}, "focal_px = -1.0: expected greater than 0"),
+        ({"fps": 1e308}, "fps = 1e+308"),
+        ({"start": 4.5}, 'start = 4.5: expected a frame number, or text such as "120"'),
+        ({"timestamps": 3}, "timestamps = 3: expected"),
+    ],
+)
+def test_what_is_no_value_of_an_option_is_said_in_one_line(options: dict[str, object], says: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        configure_from_arguments(options)
+    assert says in str(caught.value)
+    assert "valid" not in str(caught.value)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    assert configure_from_arguments({"focal_px": np.float32(700.0)}).options.focal_px == 700

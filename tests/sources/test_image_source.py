@@ -224,7 +224,7 @@ def test_unreadable_last_pictures_are_a_truncation(tmp_path):
     frames, source = read(folder)
     assert len(frames) == N - 2
     assert (source.report.n_packets_skipped, source.report.is_truncated) == (0, True)
-    assert "the last 2 images cannot be read" in source.report.warnings[0]
+    assert "the last 2 images cannot be read, from 10.png on" in source.report.warnings[0]
     report = read(folder, None, "11")[1].report
     assert (report.n_packets_skipped, report.is_truncated) == (1, False)
 
@@ -302,3 +302,14 @@ def test_a_missing_or_binary_file_of_times_is_an_error(tmp_path):
     folder = write_pictures(tmp_path / "p", n=3)
     assert "no such file" in one_line_error(InputError, folder, fps=None, timestamps=tmp_path / "none.txt")
     assert "is no text" in one_line_error(InputError, folder, fps=None, timestamps=folder / "0.png")
+
+
+def test_what_cannot_be_read_is_named_and_nothing_else_is_said(tmp_path, capfd):
+    folder = write_pictures(tmp_path / "p")
+    for name in ("4.png", "6.png"):
+        data = (folder / name).read_bytes()
+        (folder / name).write_bytes(data[: len(data) // 2])
+    (folder / "5.png").write_bytes(b"garbage")
+    _, source = read(folder)
+    assert source.report.warnings == (f"{folder}: 3 images cannot be read and are left out, 4.png is the first",)
+    assert capfd.readouterr().err == ""

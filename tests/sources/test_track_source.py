@@ -56,8 +56,55 @@ def test_frame_numbers_may_have_gaps_and_tracks_may_end(path):
 
 
 def test_points_outside_the_picture_are_kept(path):
-    frames, _ = read(path, track_table().assign(x_px=-0.25, y_px=500.0))
-    assert (frames[0].points.xy_px == [-0.25, 500.0]).all()
+    table = track_table()
+    table.loc[table.track_id == 3, ["x_px", "y_px"]] = [-700.0, 500.0]
+    frames, _ = read(path, table)
+    assert (frames[0].points.xy_px[0] == [-700.0, 500.0]).all()
+
+
+def test_points_that_mostly_lie_outside_mean_a_wrong_picture_size(path):
+    message = one_line_error(InputError, path, track_table(), image_size=ImageSize(5, 5))
+    assert "points lie in pictures of 5x5: give the --image-size" in message
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "says"),
+    [
+        ("frame", 2.0**31, "row 2: frame is 2.14748e+09: expected whole numbers from 0 to 2^31 - 1"),
+        ("x_px", 1e12, "row 2: the point is at (1e+12, 6): expected pixels of the picture"),
+        ("y_px", -1e200, "row 2: the point is at (10, -1e+200)"),
+    ],
+)
+def test_numbers_too_large_are_named_with_their_row(path, column, value, says):
+    table = track_table().astype(float)
+    table.loc[1, column] = value
+    assert says in one_line_error(InputError, path, table)
+
+
+@pytest.mark.parametrize("factor", [1e-200, 1e-6, 1e9])
+def test_times_that_are_not_in_seconds_are_refused(path, factor):
+    table = track_table()
+    message = one_line_error(InputError, path, table.assign(t_s=table.t_s * factor))
+    assert f"t_s goes on by {0.1 * factor:g} s a frame: expected 1e-05 to 1000 s" in message
+
+
+def test_a_column_given_twice_is_refused(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text("frame,t_s,track_id,x_px,y_px,y_px\n0,0,1,2,3,4\n")
+    assert "column y_px is there 2 times" in one_line_error(InputError, path)
+
+
+@pytest.mark.parametrize(("mark", "word"), [(";", "semicolons"), ("\t", "tabs")])
+def test_other_separators_are_recognised(tmp_path, mark, word):
+    path = tmp_path / "tracks.csv"
+    track_table().to_csv(path, index=False, sep=mark)
+    assert f"its columns are separated by {word}, write it with commas" in one_line_error(InputError, path)
+
+
+def test_tracks_with_names_are_to_be_numbered(path):
+    table = track_table().astype({"track_id": str})
+    message = one_line_error(InputError, path, table.assign(track_id="car" + table.track_id))
+    assert "row 1: track_id is 'car7': expected a finite number (36 such rows), number the tracks" in message
 
 
 def test_whole_numbers_written_as_floats_are_whole(path):
@@ -118,7 +165,7 @@ def test_words_among_the_numbers_are_named_with_their_row(path):
 def test_nulls_are_refused(path):
     table = track_table().astype({"track_id": "Int64"})
     table.loc[1, "track_id"] = pd.NA
-    assert "row 2: track_id is None" in one_line_error(InputError, path, table)
+    assert "row 2: track_id is nothing" in one_line_error(InputError, path, table)
 
 
 @pytest.mark.parametrize("column", ["frame", "track_id"])

@@ -238,7 +238,7 @@ def test_fps_and_timestamps_together_are_an_error(tmp_path):
         open_source(str(write_pictures(tmp_path / "p")), fps=3, timestamps=tmp_path / "t.txt")
 
 
-@pytest.mark.parametrize("fps", [0, -1, float("nan"), float("inf")])
+@pytest.mark.parametrize("fps", [0, -1, 1e-300, 1e308, float("nan"), float("inf")])
 def test_a_frame_rate_is_finite_and_positive(tmp_path, fps):
     with pytest.raises(UsageError, match="--fps"):
         open_source(str(write_video(tmp_path / "a.mp4")), fps=fps)

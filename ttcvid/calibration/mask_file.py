@@ -51,6 +51,8 @@ def read_mask(path: Path, image_size: ImageSize) -> Picture:
 
 def _content(path: Path) -> bytes:
     try:
+        if path.is_dir():
+            raise CalibrationError(f"{path}: is a folder; expected a mask, one picture: name the file")
         if not path.is_file():
             raise CalibrationError(
                 f"{path}: no such file; expected a mask, a picture of the clip's size: check the path"

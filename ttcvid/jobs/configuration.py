@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from ttcvid.config import OverlayConfig, PipelineConfig, StageConfig
-from ttcvid.errors import UsageError
+from ttcvid.errors import UsageError, quoted
 from ttcvid.jobs.layers import (
     Entry,
     Layer,
@@ -163,4 +162,6 @@ def _usage_error(error: ValidationError, entries: Mapping[str, Entry]) -> UsageE
     first = error.errors(include_url=False)[0]
     entry = entries[str(first["loc"][0])]
     expectation = first["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
-    return UsageError(f"{entry.place} = {reprlib.repr(entry.value)}: {expectation}")
+    if first["type"] == "string_type":
+        expectation = "expected text"
+    return UsageError(f"{entry.place} = {quoted(entry.value)}: {expectation}")

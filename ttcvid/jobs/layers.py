@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ttcvid.errors import UsageError
+from ttcvid.errors import UsageError, quoted
 from ttcvid.jobs.options import AUTO_HORIZON, PATH_OPTIONS, SECTIONS, SHORTCUTS
 
 ENVIRONMENT_PREFIX = "TTCVID_"
@@ -42,7 +42,7 @@ class Layer:
         before = entries.get(key)
         if before is not None and before.value != value:
             raise UsageError(
-                f"{place} = {value!r} contradicts {before.place} = {before.value!r}: "
+                f"{place} = {quoted(value)} contradicts {before.place} = {quoted(before.value)}: "
                 f"both set [{section}] {key}, keep one"
             )
         entries[key] = Entry(value, place)
@@ -83,15 +83,24 @@ def layer_from_arguments(options: Mapping[str, Any]) -> Layer:
     for name, value in options.items():
         if isinstance(value, Mapping):
             for key, inner in value.items():
-                layer.add(name, key, _plain(inner), f"{name}[{key!r}]")
+                place = f"{name}[{key!r}]"
+                layer.add(name, key, _plain(inner, place), place)
+        elif name in SECTIONS and name not in SECTIONS["analyze"].model_fields:
+            raise UsageError(
+                f"{name} = {quoted(value)}: expected the parameters of this stage as a mapping, such as {name}={{...}}"
+            )
         elif value is not None:
-            layer.add("analyze", name, _plain(value), name)
+            layer.add("analyze", name, _plain(value, name), name)
     return layer
 
 
-def _plain(value: Any) -> Any:
-    """Numpy scalars as Python numbers."""
-    return value.item() if hasattr(value, "item") else value
+def _plain(value: Any, place: str) -> Any:
+    """Numpy scalars as Python numbers; UsageError for what holds several values."""
+    n_dimensions = getattr(value, "ndim", None)
+    if n_dimensions:
+        remedy = "the path of a file" if place in PATH_OPTIONS else "one value"
+        raise UsageError(f"{place}: got an array of shape {value.shape}: expected {remedy}")
+    return value.item() if n_dimensions == 0 else value
 
 
 def layer_from_environment(environment: Mapping[str, str]) -> Layer:

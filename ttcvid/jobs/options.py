@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator
 
+from ttcvid.calibration.fields import MAX_IMAGE_SIDE_PX
 from ttcvid.config import (
     CollisionMapConfig,
     OverlayConfig,
@@ -28,12 +29,17 @@ def image_size_from(value: Any) -> ImageSize:
     match = _SIZE.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         raise ValueError("expected WIDTHxHEIGHT in px, such as 1242x375")
-    return ImageSize(int(match[1]), int(match[2]))
+    size = ImageSize(int(match[1]), int(match[2]))
+    if max(size.width_px, size.height_px) > MAX_IMAGE_SIDE_PX:
+        raise ValueError(f"expected sides of at most {MAX_IMAGE_SIDE_PX} px")
+    return size
 
 
 def _place_text(value: Any) -> Any:
     """Frame numbers may come as numbers; ``Selection`` reads text."""
-    return str(value) if type(value) is int else value
+    if not isinstance(value, (int, str)) or isinstance(value, bool):
+        raise ValueError('expected a frame number, or text such as "120", "4.5s" or "00:01:02.5"')
+    return str(value)
 
 
 ImageSizeText = Annotated[ImageSize, PlainValidator(image_size_from), PlainSerializer(str)]
@@ -52,7 +58,7 @@ class AnalyzeOptions(StageConfig):
     image_size: ImageSizeText | None = None
     horizon: Path | None = None
     mask: Path | None = None
-    fps: PositiveFloat | None = None
+    fps: float | None = Field(default=None, ge=1e-3, le=1e5)
     timestamps: Path | None = None
     start: PlaceText | None = None
     end: PlaceText | None = None

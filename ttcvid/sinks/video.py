@@ -16,6 +16,8 @@ from ttcvid.errors import OutputError
 from ttcvid.model import ImageSize, Picture
 from ttcvid.sinks.failures import output_errors
 
+MAX_SIDE_PX = 16384
+"""What H.264 can hold, and libx264 takes."""
 TICKS_PER_S = 90_000  # the clock of broadcast video: exact for the usual frame rates
 KEYFRAME_INTERVAL_S = 2.0  # how far back a browser has to decode after a jump
 SD_COLOUR = 6  # ITU-T H.273 code of BT.601 (SMPTE 170M), in which OpenCV converts
@@ -65,6 +67,10 @@ class OverlayVideo:
         x264_params: str = "",
         threads: int = 1,
     ) -> None:
+        if max(image_size.width_px, image_size.height_px) > MAX_SIDE_PX:
+            raise OutputError(
+                f"{path}: a video of {image_size} cannot be encoded (at most {MAX_SIDE_PX} px a side): use --no-overlay"
+            )
         self._path = path
         self._image_size = image_size
         self._first_t_s: float | None = None

@@ -47,6 +47,8 @@ def open_source(
     from ttcvid.sources.tracks import TABLE_SUFFIXES, TrackSource
     from ttcvid.sources.video import VideoSource
 
+    if not input_.strip():
+        raise UsageError("INPUT is empty: expected a video, a folder or pattern of pictures, or a track table")
     path = Path(input_)
     clock = Clock(fps, timestamps)
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES or (not path.exists() and is_pattern(input_)):

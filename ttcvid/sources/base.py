@@ -15,6 +15,9 @@ import numpy as np
 from ttcvid.errors import InputError, UsageError
 from ttcvid.model import Bools, Floats, Frame, Ints, SourceInfo, SourceReport
 
+STEP_BOUNDS_S = (1e-5, 1e3)
+"""Time from frame to frame: from 100 000 frames a second to one in a quarter of an hour."""
+
 LONE_FRAME_DT_S = 1.0
 """Stands for the frame spacing of a source that has none (one frame): nothing is computed from it."""
 
@@ -168,8 +171,9 @@ class Selection:
         """``wanted``, with a UsageError where nothing is: it names what the source has."""
         wanted = self.wanted(frame, t_s)
         if not wanted.any():
+            given = [f"--{name} {place}" for name, place in (("start", self.start), ("end", self.end)) if place]
             raise UsageError(
-                f"{path}: --start {self.start} --end {self.end} selects no frame of {len(frame)}: "
+                f"{path}: {' '.join(given)} selects no frame of {len(frame)}: "
                 f"expected places within frames {frame[0]}..{frame[-1]} or {t_s.min():.3f}s..{t_s.max():.3f}s"
             )
         return wanted
@@ -191,12 +195,24 @@ def median_dt_s(t_s: Floats) -> float:
     return float(np.median(dt_s)) if len(dt_s) else LONE_FRAME_DT_S
 
 
+def require_plausible_step(what: str, t_s: Floats) -> None:
+    """InputError unless the median step of times ``(N,)`` in s lies within ``STEP_BOUNDS_S``; ``what`` names them."""
+    step_s, (least_s, most_s) = median_dt_s(t_s), STEP_BOUNDS_S
+    if not least_s <= step_s <= most_s:
+        raise InputError(
+            f"{what} goes on by {step_s:g} s a frame: expected {least_s:g} to {most_s:g} s: is it in seconds?"
+        )
+
+
 def require_file(path: Path) -> None:
     """InputError unless ``path`` is a readable file that is not empty."""
     if not path.exists():
-        raise InputError(f"{path}: no such file or folder: check the path")
-    if not path.is_file():
+        remedy = "standard input cannot be read twice: save it as a file" if str(path) == "-" else "check the path"
+        raise InputError(f"{path}: no such file or folder: {remedy}")
+    if path.is_dir():
         raise InputError(f"{path}: is a folder where a file was expected: name a file in it")
+    if not path.is_file():
+        raise InputError(f"{path}: is a pipe or a device, and what is read here is read twice: save it as a file")
     try:
         with path.open("rb") as stream:
             is_empty = not stream.read(1)

@@ -12,7 +12,10 @@ import numpy as np
 
 from ttcvid.errors import InputError, UsageError
 from ttcvid.model import Floats
-from ttcvid.sources.base import median_dt_s, require_file
+from ttcvid.sources.base import median_dt_s, require_file, require_plausible_step
+
+FPS_BOUNDS = (1e-3, 1e5)
+"""The same as the bounds of steps between times in a file, in frames/s."""
 
 NANOSECONDS = 10**9
 _KITTI = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
@@ -31,8 +34,9 @@ class Clock:
             raise UsageError(
                 f"--fps {self.fps} and --timestamps {self.timestamps}: both say when frames were taken; give only one"
             )
-        if self.fps is not None and not (math.isfinite(self.fps) and self.fps > 0):
-            raise UsageError(f"--fps: {self.fps!r} is no frame rate: expected a finite number of frames/s above 0")
+        least, most = FPS_BOUNDS
+        if self.fps is not None and not least <= self.fps <= most:
+            raise UsageError(f"--fps: {self.fps:g} is no frame rate: expected {least:g} to {most:g} frames/s")
 
     @property
     def origin(self) -> str | None:
@@ -79,6 +83,7 @@ def read_timestamps(path: Path, n_frames: int, counted: str) -> Floats:
         raise InputError(
             f"{path}: has {len(times_s)} times for {n_frames} {counted}: expected one line for each, mend the file"
         )
+    require_plausible_step(f"{path}: the time", np.array(times_s))
     return np.array(times_s, dtype=np.float64)
 
 

@@ -29,6 +29,7 @@ DEPTH_SAMPLES = 5
 DEPTH_PERCENTILES = (0.1, 99.9)
 """Range of deep pictures that is kept; single hot or dead pixels do not count."""
 
+_PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
 _PRINTF = re.compile(r"%(0?)(\d*)d")
 
 
@@ -49,6 +50,7 @@ class ImageSource(OnePassSource):
         if times_s is None:
             raise UsageError(f"{path}: images hold no times: give --fps or --timestamps (they are never guessed)")
         self._times_s: Floats = times_s
+        self._first_lost: int | None = None
         self._wanted = selection.require_any(path, np.arange(len(pictures)), times_s)
         first = _first_readable(path, pictures)
         self._dtype = first.dtype
@@ -69,6 +71,7 @@ class ImageSource(OnePassSource):
         for index in np.flatnonzero(self._wanted).tolist():
             picture = read_picture(self.files[index])
             if picture is None:
+                self._first_lost = index if self._first_lost is None else self._first_lost
                 lost.append(index)
                 continue
             self.n_skipped += len(lost)
@@ -105,10 +108,16 @@ class ImageSource(OnePassSource):
         self.is_truncated = bool(lost) and lost[-1] + 1 == len(self._wanted)
         if not self.is_truncated:
             self.n_skipped += len(lost)
-        if self.n_skipped:
-            self.warnings += (f"{self.info.path}: {self.n_skipped} images cannot be read and are left out",)
+        if self.n_skipped and self._first_lost is not None:
+            first = self.files[self._first_lost].name
+            self.warnings += (
+                f"{self.info.path}: {self.n_skipped} images cannot be read and are left out, {first} is the first",
+            )
         if self.is_truncated:
-            self.warnings += (f"{self.info.path}: the last {len(lost)} images cannot be read: the clip is cut short",)
+            first = self.files[lost[0]].name
+            self.warnings += (
+                f"{self.info.path}: the last {len(lost)} images cannot be read, from {first} on: the clip is cut short",
+            )
 
 
 @dataclass(frozen=True)
@@ -148,9 +157,14 @@ def read_picture(path: Path) -> NDArray[np.uint8 | np.uint16] | None:
         data = np.fromfile(path, dtype=np.uint8)
     except OSError:
         return None
-    if not len(data):
+    if not len(data) or _is_cut_png(data.tobytes()):
         return None
-    picture = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what cannot be read is told in our own words
+    try:
+        picture = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if picture is None:
         return None
     if picture.dtype == np.uint8:
@@ -158,6 +172,11 @@ def read_picture(path: Path) -> NDArray[np.uint8 | np.uint16] | None:
     if picture.dtype == np.uint16:
         return picture.astype(np.uint16, copy=False)
     raise InputError(f"{path}: holds {picture.dtype} pixels: expected 8 or 16 bit whole numbers, convert it")
+
+
+def _is_cut_png(data: bytes) -> bool:
+    """Whether a PNG file has no end; libpng would complain of it on the terminal."""
+    return data.startswith(_PNG_START) and _PNG_END not in data
 
 
 def list_pictures(input_: str) -> list[Path]:

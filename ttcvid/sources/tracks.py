@@ -13,14 +13,20 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from ttcvid.errors import InputError, UsageError
+from ttcvid.errors import InputError, UsageError, quoted
 from ttcvid.model import Floats, Frame, ImageSize, Ints, PointSet, SourceInfo
-from ttcvid.sources.base import OnePassSource, Selection, median_dt_s, require_file
+from ttcvid.sources.base import OnePassSource, Selection, median_dt_s, require_file, require_plausible_step
 from ttcvid.sources.clock import Clock
 
 TABLE_SUFFIXES = frozenset((".parquet", ".csv"))
-LARGEST_WHOLE = 2**53
-"""Numbers above this one lose digits on their way through float64."""
+LARGEST_FRAME = 2**31 - 1
+LARGEST_TRACK_ID = 2**53
+"""Frame numbers are kept in 32 bits; track numbers above 2^53 lose digits on their way through float64."""
+FARTHEST_PX = 1e6
+"""A point farther from the picture's corner is a mistake, not a prediction."""
+LEAST_SHARE_INSIDE = 0.5
+"""Where fewer of the points lie in the picture, the picture's size is a wrong one."""
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 COLUMNS = ("frame", "t_s", "track_id", "x_px", "y_px")
 
@@ -32,8 +38,8 @@ class TrackSource(OnePassSource):
     trackers predict there, and rays exist there. Frames carry ``points`` and no picture.
 
     Raises UsageError without an image size and with ``--fps`` or ``--timestamps`` (the table has its own times);
-    InputError where the table cannot be read, lacks columns, is empty, or holds missing, infinite, negative or
-    broken numbers, one track twice in a frame, or two times in one frame.
+    InputError where the table cannot be read, lacks columns, is empty, or holds missing, infinite, negative, broken
+    or huge numbers, one track twice in a frame, two times in one frame, or points that mostly lie outside the picture.
     """
 
     def __init__(self, path: Path, selection: Selection, clock: Clock, image_size: ImageSize | None) -> None:
@@ -42,12 +48,14 @@ class TrackSource(OnePassSource):
         if image_size is None:
             raise UsageError(f"{path}: a track table has no image size: give --image-size WxH or a --camera file")
         frame, t_s, track_id, xy_px = _read_columns(path)
+        _require_in_picture(path, xy_px, image_size)
         order = np.lexsort((track_id, frame))
         self._frame, self._track_id, self._xy_px = frame[order], track_id[order], xy_px[order]
         _require_unique(path, self._frame, self._track_id)
         _require_one_time(path, self._frame, t_s[order])
         self._numbers, self._starts = np.unique(self._frame, return_index=True)
         self._times_s = t_s[order][self._starts]
+        require_plausible_step(f"{path}: t_s", self._times_s)
         self._wanted = selection.require_any(str(path), self._numbers, self._times_s)
         info = SourceInfo(
             path=str(path),
@@ -71,17 +79,45 @@ class TrackSource(OnePassSource):
 def _read_columns(path: Path) -> tuple[Ints, Floats, Ints, Floats]:
     """The checked columns: frame (N,), t_s (N,), track_id (N,), xy_px (N, 2)."""
     table = _read_table(path)
-    missing = [name for name in COLUMNS if name not in table.column_names]
-    if missing:
-        raise InputError(
-            f"{path}: lacks column {', '.join(missing)}: expected {', '.join(COLUMNS)}, "
-            f"found {', '.join(table.column_names) or 'none'}"
-        )
+    _require_columns(path, table.column_names)
     if table.num_rows == 0:
         raise InputError(f"{path}: has no rows: expected one per observed point")
     frame, t_s, track_id, x_px, y_px = (_numbers(path, name, table[name]) for name in COLUMNS)
     xy_px = np.column_stack([x_px, y_px])
-    return _whole(path, "frame", frame), t_s, _whole(path, "track_id", track_id), xy_px
+    far = np.flatnonzero((np.abs(xy_px) > FARTHEST_PX).any(axis=1))
+    if len(far):
+        row = int(far[0])
+        x, y = xy_px[row]
+        raise InputError(
+            f"{path}: row {row + 1}: the point is at ({x:g}, {y:g}): expected pixels of the picture, at most "
+            f"{FARTHEST_PX:g} ({len(far)} such rows), leave such rows out"
+        )
+    frames = _whole(path, "frame", frame, LARGEST_FRAME, "2^31 - 1")
+    return frames, t_s, _whole(path, "track_id", track_id, LARGEST_TRACK_ID, "2^53"), xy_px
+
+
+def _require_columns(path: Path, found: list[str]) -> None:
+    missing = [name for name in COLUMNS if name not in found]
+    if missing:
+        separated = [words for mark, words in SEPARATORS.items() if len(found) == 1 and mark in found[0]]
+        remedy = f": its columns are separated by {separated[0]}, write it with commas" if separated else ""
+        raise InputError(
+            f"{path}: lacks column {', '.join(missing)}: expected {', '.join(COLUMNS)}, "
+            f"found {', '.join(found) or 'none'}{remedy}"
+        )
+    twice = [name for name in COLUMNS if found.count(name) > 1]
+    if twice:
+        raise InputError(f"{path}: column {twice[0]} is there {found.count(twice[0])} times: leave all but one out")
+
+
+def _require_in_picture(path: Path, xy_px: Floats, size: ImageSize) -> None:
+    within = (xy_px >= -0.5) & (xy_px <= [size.width_px - 0.5, size.height_px - 0.5])
+    inside = within[:, 0] & within[:, 1]
+    if inside.mean() < LEAST_SHARE_INSIDE:
+        raise InputError(
+            f"{path}: only {np.count_nonzero(inside)} of {len(inside)} points lie in pictures of {size}: give the "
+            "--image-size (or camera file) of the pictures that were tracked"
+        )
 
 
 def _read_table(path: Path) -> pa.Table:
@@ -108,9 +144,12 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray[Any]) -> Floats:
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         row = int(bad[0])
+        value = column[row].as_py()
+        are_names = name == "track_id" and isinstance(value, str)
+        remedy = "number the tracks" if are_names else "leave such rows out"
         raise InputError(
-            f"{path}: row {row + 1}: {name} is {column[row].as_py()!r}: expected a finite number "
-            f"({len(bad)} such rows), leave such rows out"
+            f"{path}: row {row + 1}: {name} is {quoted(value)}: expected a finite number ({len(bad)} such rows), "
+            f"{remedy}"
         )
     return np.asarray(values, dtype=np.float64)
 
@@ -122,12 +161,13 @@ def _float(value: object) -> float:
         return np.nan
 
 
-def _whole(path: Path, name: str, values: Floats) -> Ints:
-    bad = np.flatnonzero((values != np.floor(values)) | (values < 0) | (values > LARGEST_WHOLE))
+def _whole(path: Path, name: str, values: Floats, largest: int, largest_text: str) -> Ints:
+    bad = np.flatnonzero((values != np.floor(values)) | (values < 0) | (values > largest))
     if len(bad):
         row = int(bad[0])
         raise InputError(
-            f"{path}: row {row + 1}: {name} is {values[row]:g}: expected whole numbers from 0 to 2^53, mend the table"
+            f"{path}: row {row + 1}: {name} is {values[row]:g}: expected whole numbers from 0 to {largest_text}, "
+            "mend the table"
         )
     return values.astype(np.int64)
 
@@ -146,6 +186,5 @@ def _require_one_time(path: Path, frame: Ints, t_s: Floats) -> None:
     differing = np.flatnonzero((np.diff(frame) == 0) & (np.diff(t_s) != 0))
     if len(differing):
         i = differing[0]
-        raise InputError(
-            f"{path}: frame {frame[i]} has t_s {t_s[i]!r} and {t_s[i + 1]!r}: expected one time for each frame"
-        )
+        times = f"{t_s[i]} and {t_s[i + 1]}"
+        raise InputError(f"{path}: frame {frame[i]} has t_s {times}: expected one time for each frame")
