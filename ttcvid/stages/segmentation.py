@@ -24,16 +24,16 @@ from ttcvid.stages.bodies import (
     with_unit_speed,
 )
 from ttcvid.stages.body_views import BodyViews, body_views
-from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion
+from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion, picture_region, region_side_of
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.joining import merged, split
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.obstacles import Obstacle
 from ttcvid.stages.road import RoadMemory, gathered_evidence, on_road
 
-# Of more tracks than this only so many correct the scene; those of a crowded place count less: cells of this
-# side, in units of the focal length.
-_ENOUGH_TRACKS, _CELL = 400, 0.12
+# Of more tracks than this only so many correct the scene; those of a crowded place count less: so many times as large
+# as the parts of the picture for own motion.
+_ENOUGH_TRACKS, _CELLS = 400, 1.2
 _SCENE_STEPS = 2
 # Own speed does not fall below this part of what it was at the start of the window, so that it can rise again.
 _LEAST_SPEED = 0.1
@@ -124,7 +124,7 @@ def find_bodies(
     scene_fit = fit_on_paths(every, scene, rate_hz)
     rate_hz = scene_fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
-    if not is_sure and not _moves_past(scene_fit, history.rays[-1], is_free):
+    if not is_sure and not _moves_past(scene_fit, _places(history), is_free):
         scene_fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     usual = _usual_misfit(scene_fit, (key == SCENE_CLUSTER) & is_free)
     misfit = scene_fit.misfit / usual
@@ -216,7 +216,7 @@ def _scene(
         scene = RigidPaths(history.cam_R_past[None], path)
     used = np.flatnonzero(views.is_free)
     used = used[:: max(1, len(used) // _ENOUGH_TRACKS)]
-    weight = _balance(history.rays[-1, used])
+    weight = _balance(_places(history)[used])
     return refined_scene(scene, views.points(used), weight, rate_hz[used], _SCENE_STEPS)
 
 
@@ -231,7 +231,7 @@ def _without_unseen_return(history: TrackHistory, path: Floats) -> Floats:
     return np.append(-np.cumsum(steps[::-1], axis=0)[::-1], path[-1:], axis=0)
 
 
-def _moves_past(fit: PathFit, rays: Floats, is_free: Bools) -> bool:
+def _moves_past(fit: PathFit, region: Ints, is_free: Bools) -> bool:
     """Whether most parts of the picture show that the camera moves past the scene.
 
     A resting camera's scene has no flow; a lorry that comes nearer would fit a camera that moves towards it.
@@ -240,22 +240,19 @@ def _moves_past(fit: PathFit, rays: Floats, is_free: Bools) -> bool:
     if not len(known):
         return False
     moves = fit.rate_hz[known] > _MOVES_SIGMAS * fit.rate_sigma_hz[known]
-    _, number, count = np.unique(_cells(rays[known]), return_inverse=True, return_counts=True)
-    return bool(np.mean(np.bincount(number, moves) > 0.5 * count) > 0.5)
+    here = region[known]
+    per_region = np.bincount(here)
+    return bool(np.mean(np.bincount(here, moves)[per_region > 0] > 0.5 * per_region[per_region > 0]) > 0.5)
 
 
-def _cells(rays: Floats) -> Ints:
-    """The part of the picture that each ray ``(N, 3)`` lies in: (N,)."""
-    cell = np.floor(np.nan_to_num(rays[:, :2] / np.maximum(rays[:, 2:], 0.05)) / _CELL).astype(np.int64)
-    return np.asarray(cell[:, 0] * 4096 + cell[:, 1])
+def _places(history: TrackHistory) -> Ints:
+    """Number of the part of the picture that each track is in: (N,)."""
+    return picture_region(history.rays[-1], _CELLS * region_side_of(history.camera))
 
 
-def _balance(rays: Floats) -> Floats:
-    """Weight of each ray by how many share its part of the picture: one textured lorry is not the world."""
-    if not len(rays):
-        return np.empty(0)
-    _, number, count = np.unique(_cells(rays), return_inverse=True, return_counts=True)
-    return np.asarray(1.0 / np.sqrt(count[number]))
+def _balance(region: Ints) -> Floats:
+    """Weight of each track by how many share its part of the picture: one textured lorry is not the world."""
+    return np.asarray(1.0 / np.sqrt(np.bincount(region)[region]))
 
 
 def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
