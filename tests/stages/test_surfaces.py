@@ -11,10 +11,11 @@ from ttcvid.stages.surfaces import in_nearest_surface
 LINK_PX = 30.0
 
 
-def nearest_surface(rate_hz, sigma_hz, xy_px, link_px):
-    """Tracks of the nearest surface of one object."""
+def nearest_surface(rate_hz, sigma_hz, xy_px, link_px, n_tracks=None):
+    """Tracks of the nearest surface of one object, of `n_tracks` with those that have no rate."""
     tracks = TrackSets.of([np.arange(len(rate_hz))])
-    return np.flatnonzero(in_nearest_surface(rate_hz, sigma_hz, xy_px, tracks, link_px))
+    n_tracks = np.array([len(rate_hz) if n_tracks is None else n_tracks])
+    return np.flatnonzero(in_nearest_surface(rate_hz, sigma_hz, xy_px, tracks, n_tracks, link_px))
 
 
 def places(rng, n, corner=(0.0, 0.0), size_px=40.0):
@@ -96,6 +97,23 @@ def test_a_surface_is_borne_by_five_tracks_and_a_tenth_of_them(n_near, n_far, is
     assert eta_hz[surface].max() == (0.6 if is_found else 0.4)
 
 
+@pytest.mark.parametrize(
+    ("n_usable", "n_tracks", "is_found"),
+    [(1, 40, False), (4, 40, False), (5, 40, True), (5, 60, False), (6, 60, True), (4, 5, False), (3, 4, True)],
+)
+def test_what_bears_a_surface_is_counted_among_all_tracks_of_the_object(n_usable, n_tracks, is_found):
+    """Most tracks of a thing may have no state (too short, no parallax): the rest is not all of it."""
+    xy_px = places(np.random.default_rng(60), n_usable, size_px=20.0)
+    surface = nearest_surface(np.full(n_usable, 0.5), np.full(n_usable, 0.01), xy_px, LINK_PX, n_tracks)
+    assert len(surface) == (n_usable if is_found else 0)
+
+
+@pytest.mark.parametrize("n_tracks", [1, 2])
+def test_two_tracks_are_no_object_with_a_time(n_tracks):
+    surface = nearest_surface(np.full(n_tracks, 0.5), np.full(n_tracks, 0.01), np.zeros((n_tracks, 2)), LINK_PX)
+    assert not len(surface)
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 def test_order_of_tracks_does_not_matter(seed):
     rng = np.random.default_rng(seed)
@@ -139,6 +157,8 @@ def test_each_of_several_objects_has_the_surface_that_it_has_alone():
     rate_hz, sigma_hz, xy_px, _ = (np.concatenate(values) for values in zip(*cars, strict=True))
     lengths = [len(one[0]) for one in cars]
     sets = TrackSets.of(np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1]))
-    together = np.split(in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, LINK_PX), np.cumsum(lengths)[:-1])
+    together = np.split(
+        in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, sets.lengths, LINK_PX), np.cumsum(lengths)[:-1]
+    )
     for is_in, one in zip(together, cars, strict=True):
         np.testing.assert_array_equal(np.flatnonzero(is_in), nearest_surface(*one[:3], LINK_PX))

@@ -72,7 +72,7 @@ def _nearest_surfaces(
     along = direction[owner[usable.set_of]]
     rate_hz = np.sum(states.abc_hz[usable.index] * along, axis=1)
     sigma_hz = np.hypot(states.own_sigma_along(along, usable.index), _RELIEF * rate_hz)
-    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[usable.index], usable, link_px)
+    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[usable.index], usable, members.lengths[owner], link_px)
     # What stands in our way was found as one surface, and may have few tracks.
     has_none = usable.sums(is_in.astype(np.int64)) == 0
     is_whole = has_none & is_static[owner] & (usable.lengths >= _LEAST_OF_SURFACE)

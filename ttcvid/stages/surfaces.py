@@ -8,8 +8,9 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 
-# A surface is borne by this part of an object's tracks, and by at least so many (or all there are).
-_LEAST_PART, _LEAST_TRACKS = 0.1, 5
+# A surface is borne by this part of an object's tracks, and by at least so many; of an object of fewer tracks by all of
+# them, but for what any estimate needs.
+_LEAST_PART, _LEAST_TRACKS, _LEAST_OF_FEW = 0.1, 5, 3
 # Tracks within so many of their standard deviations of the surface's rate belong to it.
 _SURFACE_SIGMAS = 2.0
 # After a start without support the next one lies this much lower, in sigmas.
@@ -18,7 +19,9 @@ _NEXT_START_SIGMAS = 0.5
 _MAX_STEPS = 20
 
 
-def in_nearest_surface(rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, link_px: float) -> Bools:
+def in_nearest_surface(
+    rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, n_tracks: Ints, link_px: float
+) -> Bools:
     """Which tracks (M,) of each set bear the nearest well-supported surface of it; none where nothing is supported.
 
     The largest rate with enough connected tracks inside 2 sigma is where the search starts; it then
@@ -29,10 +32,12 @@ def in_nearest_surface(rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: T
     ----------
     rate_hz, sigma_hz : (M,) rates, speed over depth, and their standard deviations, 1/s, in the order of the sets.
     xy_px : (M, 2) places, px; tracks closer than ``link_px`` are connected.
+    n_tracks : (K,) of the whole object of each set, those without a rate among them.
     """
     is_in = np.zeros(len(rate_hz), dtype=bool)
     starts = np.lexsort((-rate_hz, sets.set_of))
-    needed = np.minimum(sets.lengths, np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * sets.lengths).astype(np.int64)))
+    needed = np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64))
+    needed[n_tracks < _LEAST_TRACKS] = _LEAST_OF_FEW
     _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, starts, sets.first, needed, is_in)
     return is_in
 
