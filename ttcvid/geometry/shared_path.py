@@ -119,13 +119,13 @@ def fit_shared_paths(
     state, offset, own_motion = np.empty((len(index), 3)), np.empty((len(basis), N_LOCAL)), np.empty_like(prior)
     descend_together(*points, beliefs.base, basis, prior, beliefs.turns_itself, own_motion, state, offset)
 
-    shared = _shared_paths(beliefs, basis, own_motion, offset, np.zeros_like(prior), t_s)
-    views = turned_back(xy, t_s, shared.turn_rad_s, path_of)
+    path, _ = _moved_paths(beliefs, basis, offset, t_s)
+    views = turned_back(xy, t_s, offset[:, -3:], path_of)
     rates = fit_rates_on_paths(
         views,
         t_s,
         sigma_norm,
-        shared.path,
+        path,
         path_of,
         max_frames,
         gate_probability,
@@ -135,7 +135,7 @@ def fit_shared_paths(
     prior = np.swapaxes(own_motion, 1, 2) @ prior @ own_motion
     information, score = prior.copy(), -_times(prior, offset)
     state = np.column_stack([rates.xy, rates.rate_hz])
-    add_up_windows(views, *points[1:], shared.path, basis, rates.n_frames, state, information, score)
+    add_up_windows(views, *points[1:], path, basis, rates.n_frames, state, information, score)
     cov: Floats = np.linalg.inv(information).astype(np.float64)
     return _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, t_s)
 
@@ -158,8 +158,10 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
 
 def _some_of_each(path_of: Ints, count: int) -> tuple[Ints, Ints]:
     """An even part of the points of each path, no more than `MOST_POINTS`, path by path; where each path begins."""
-    chosen = [np.flatnonzero(path_of == number) for number in range(count)]
-    chosen = [index[:: -(-len(index) // MOST_POINTS)] if len(index) else index for index in chosen]
+    order, end = np.argsort(path_of, kind="stable"), np.cumsum(np.bincount(path_of[path_of >= 0], minlength=count))
+    # Those without a path come first.
+    members = np.split(order, len(path_of) - end[-1:] + np.append(0, end))[1:-1] if count else []
+    chosen = [index[:: -(-len(index) // MOST_POINTS) or 1] for index in members]
     first = np.cumsum([0, *(len(index) for index in chosen)])
     return np.concatenate([np.empty(0, dtype=np.int64), *chosen]), first
 
@@ -175,23 +177,33 @@ def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     return prior
 
 
+def _moved_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, t_s: Floats) -> tuple[Floats, Floats]:
+    """The paths ``(K, L, 3)`` at the offsets ``local (K, 8)`` in their own axes, and their velocities at time 0 (K, 3).
+
+    A direction far from the believed one would be a longer one: the speed is 1 again on the paths, not in the velocity.
+    """
+    velocity = beliefs.direction + _times(basis[:, :, :2], local[:, :2])
+    speed = np.linalg.norm(velocity, axis=1)[:, None, None]
+    t = t_s[:, None]
+    change = t * (velocity - beliefs.direction)[:, None] + 0.5 * t * t * _times(basis, local[:, 2:5])[:, None]
+    return (beliefs.base + change) / speed, velocity
+
+
 def _shared_paths(
     beliefs: PathBeliefs, basis: Floats, own_motion: Floats, local: Floats, cov: Floats, t_s: Floats
 ) -> SharedPaths:
     """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``."""
+    path, velocity = _moved_paths(beliefs, basis, local, t_s)
+    speed = np.linalg.norm(velocity, axis=1)[:, None]
     columns = np.zeros((len(basis), N_SHARED, N_LOCAL))
     columns[:, :3, :2], columns[:, 3:6, 2:5], columns[:, 6:, 5:] = basis[:, :, :2], basis, np.eye(3)
     offset = _times(columns, local)
-    # A direction far from the believed one would be a longer one: the speed is 1 again.
-    velocity = beliefs.direction + offset[:, :3]
-    speed = np.linalg.norm(velocity, axis=1)[:, None]
     columns[:, :6] /= speed[..., None]
-    t = t_s[None, :, None]
-    path = (beliefs.base + t * offset[:, None, :3] + 0.5 * t * t * offset[:, None, 3:6]) / speed[..., None]
-    bend_hz = _times(basis, _times(own_motion, local)[:, 2:5])
-    own_cov = columns @ own_motion @ cov @ np.swapaxes(columns @ own_motion, 1, 2)
+    bend_hz = _times(basis, _times(own_motion[:, 2:5], local))
+    own_columns = columns[:, :3] @ own_motion
+    own_cov = own_columns @ cov @ np.swapaxes(own_columns, 1, 2)
     shared_cov = columns @ cov @ np.swapaxes(columns, 1, 2)
-    return SharedPaths(path, velocity / speed, offset, shared_cov, bend_hz, own_cov[:, :3, :3])
+    return SharedPaths(path, velocity / speed, offset, shared_cov, bend_hz, own_cov)
 
 
 @compiled
