@@ -10,6 +10,7 @@ import numpy as np
 from ttcvid.draw.palette import BLACK, HORIZON, WHITE, Colour, object_colour
 from ttcvid.draw.signs import Point, draw_arrow, draw_cross, draw_edge_arrow, draw_ring
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.rotation import cross
 from ttcvid.model import SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Picture
 
 # Square root of the 90 % quantile of chi-square with two degrees of freedom: the ellipse holds 90 %.
@@ -110,7 +111,7 @@ def _flows(camera: Camera, starts_px: Floats, directions: Floats) -> tuple[Float
     """
     rays = rays_from_pixels(camera, starts_px)
     flows = directions[:, :2] - rays[:, :2] * directions[:, 2:]
-    sideways = np.linalg.norm(np.cross(rays, directions), axis=1) / np.linalg.norm(rays, axis=1)
+    sideways = np.linalg.norm(cross(rays, directions), axis=1) / np.linalg.norm(rays, axis=1)
     steps = _SMALL_STEP * flows / np.maximum(np.linalg.norm(flows, axis=1, keepdims=True), 1e-12)
     ahead_px = pixels_from_rays(camera, rays + np.pad(steps, ((0, 0), (0, 1))))
     flows_px = ahead_px - starts_px

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from ttcvid.draw.palette import SCENE, UNASSIGNED, Colour, object_colour, object_colours
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, TrackRows
 
 _SUBPIXEL_BITS = 3  # OpenCV draws between pixels when coordinates are shifted
@@ -57,9 +58,16 @@ def _draw_lines(bgr: Picture, fixed_point: np.ndarray, colour: Colour, stroke_px
 
 def _draw_dots(bgr: Picture, xy_px: Floats, cluster_id: Ints, side_px: int) -> None:
     """Squares of ``side_px`` in the colours of their objects, all at once."""
+    corner = np.round(xy_px).astype(np.int64) - side_px // 2
+    _fill_squares(bgr, corner, object_colours(cluster_id), side_px)
+
+
+@compiled
+def _fill_squares(bgr: Picture, corner: Ints, colour: Picture, side_px: int) -> None:
+    """Fills squares from their upper left corners ``(N, 2)`` on, as far as they lie in the picture."""
     height, width = bgr.shape[:2]
-    offsets = np.stack(np.meshgrid(*[np.arange(side_px) - side_px // 2] * 2), axis=-1).reshape(-1, 2)
-    x, y = (np.round(xy_px).astype(int)[:, None] + offsets).reshape(-1, 2).T
-    colours = np.repeat(object_colours(cluster_id), len(offsets), axis=0)
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    bgr[y[inside], x[inside]] = colours[inside]
+    for i in range(len(corner)):
+        for y in range(max(corner[i, 1], 0), min(corner[i, 1] + side_px, height)):
+            for x in range(max(corner[i, 0], 0), min(corner[i, 0] + side_px, width)):
+                for channel in range(3):
+                    bgr[y, x, channel] = colour[i, channel]
