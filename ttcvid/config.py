@@ -76,7 +76,9 @@ class BodiesConfig(StageConfig):
     )
     gain: PositiveFloat = Field(default=4.0, description="how much better its own path explains a new mover's tracks")
     confirm_frames: int = Field(default=3, ge=1, description="frames until a new mover gets its cluster_id")
-    forget_frames: int = Field(default=2, ge=0, description="frames that a mover may miss before it is forgotten")
+    forget_frames: int = Field(
+        default=2, ge=0, description="frames that the last one or two tracks of a mover stay with it"
+    )
 
 
 class CollisionTimesConfig(StageConfig):

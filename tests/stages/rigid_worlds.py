@@ -29,6 +29,7 @@ class Thing:
     velocity_m_s: tuple = (0.0, 0.0, 0.0)
     yaw_rad_s: float = 0.0
     frames: tuple = (0, 10**9)
+    hidden: range = range(0)
 
     def at(self, t_s):
         centre = self.points.mean(axis=0)
@@ -42,6 +43,7 @@ class Thing:
 class Frame:
     """What was found in a frame, `truth` (N,) the number of each track's thing, 0 the static points."""
 
+    t_s: float
     found: object
     memory: BodyMemory
     track_id: np.ndarray
@@ -110,7 +112,7 @@ def bodies_of(
     history, world_to_cam, frames = empty_history(CAMERA, max(sigma_px, 0.05)), np.eye(3), []
     for frame in range(n_frames):
         t_s = frame * DT_S
-        alive = [thing.frames[0] <= frame < thing.frames[1] for thing in things]
+        alive = [thing.frames[0] <= frame < thing.frames[1] and frame not in thing.hidden for thing in things]
         numbers = np.repeat(np.arange(len(things)), [len(t.points) for t in things])
         is_seen = np.repeat(alive, [len(t.points) for t in things])
         position = np.concatenate([thing.at(t_s) for thing in things]) - np.asarray(camera_m_s) * t_s
@@ -125,7 +127,7 @@ def bodies_of(
         shown = shown[is_seen[shown]]
         rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / FOCAL_PX, np.ones(len(xy_px))]))
         points = PointSet(names[shown], xy_px[shown])
-        history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES)
+        history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES, may_come_back=True)
         if not frame:
             continue
         direction = world_to_cam @ (-np.asarray(camera_m_s) / speed) if speed > 0.0 else None
@@ -137,5 +139,5 @@ def bodies_of(
             history, egomotion, platform, every, every, memory, LINK_PX, MODEL_ERROR_PX, BodiesConfig()
         )
         history = replace(history, cam_R_past=found.scene.cam_R_past[0])
-        frames.append(Frame(found, memory, names[shown], numbers[shown]))
+        frames.append(Frame(t_s, found, memory, names[shown], numbers[shown]))
     return frames

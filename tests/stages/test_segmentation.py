@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rigid_worlds import Thing, bodies_of, car, world
+from rigid_worlds import DT_S, Thing, bodies_of, car, world
 
-from ttcvid.config import BodiesConfig
 from ttcvid.model import NO_CLUSTER, Platform
 from ttcvid.stages.segmentation import restarted_bodies
 
@@ -201,12 +200,47 @@ def test_a_mover_that_vanishes_is_forgotten_and_its_key_never_used_again():
     frames = bodies_of(things, 24, camera_m_s=SLOWLY)
     key = frames[9].keys_of(1)[0]
     assert key != 0
-    gone = frames[10 + BodiesConfig().forget_frames + 1 :]
+    gone = [frame for frame in frames if frame.t_s > 10 * DT_S + 1.0]
+    assert len(gone) == 3
     assert all(key not in frame.found.movers.key for frame in gone)
     assert_one_mover_each(frames, 2, since=20)
     ids = [number for frame in frames for number in frame.cluster_ids.values() if number != NO_CLUSTER]
     assert frames[-1].cluster_ids[frames[-1].keys_of(2)[0]] == 2
     assert set(ids) == {1, 2}
+
+
+@pytest.mark.parametrize("n_hidden", [1, 2, 3, 5])
+@pytest.mark.parametrize("same_tracks", [True, False])
+def test_a_car_that_a_post_hides_for_some_frames_keeps_its_key_and_number(n_hidden, same_tracks):
+    """A track table may know its tracks again; a tracker of pictures follows new ones."""
+    rng = np.random.default_rng(11)
+    whole, out_at = crossing(rng), 14 + n_hidden
+    before = replace(whole, frames=(0, 14))
+    # Ever so little: the same points are other tracks.
+    after = replace(whole, points=whole.points + 1e-9, frames=(out_at, 99))
+    if same_tracks:
+        before = replace(whole, hidden=range(14, out_at))
+        after = replace(after, frames=(99, 99))
+    things = world(rng, SLOWLY, 26, whole)
+    frames = bodies_of([things[0], before, after], 26, camera_m_s=SLOWLY)
+    number = 1 if same_tracks else 2
+    key = frames[12].keys_of(1)[0]
+    again = [frame for frame in frames if frame.t_s >= (out_at + (0 if same_tracks else 3)) * DT_S - 1e-9]
+    assert {frame.keys_of(number)[0] for frame in again} == {key}
+    assert {frame.cluster_ids[key] for frame in again} == {1}
+    assert min(frame.keys_of(number)[1] for frame in again) > 0.8
+    assert all(set(frame.cluster_ids) == {key} for frame in again)
+
+
+def test_what_comes_out_elsewhere_or_moves_otherwise_is_another_thing():
+    rng = np.random.default_rng(11)
+    first = replace(crossing(rng), frames=(0, 14))
+    x_m = 6.0 - 5.0 * 1.7
+    for place_m, velocity_m_s in (((x_m + 9.0, 0.5, 32.0), (-5.0, 0.0, 0.0)), ((x_m, 0.5, 32.0), (5.0, 0.0, 0.0))):
+        start_m = np.array(place_m) - 1.7 * np.array(velocity_m_s)
+        other = car(rng, start_m, velocity_m_s, frames=(17, 99))
+        frames = bodies_of(world(rng, SLOWLY, 26, first, other), 26, camera_m_s=SLOWLY)
+        assert frames[-1].keys_of(2)[0] not in (0, frames[12].keys_of(1)[0])
 
 
 def test_after_a_restart_no_number_is_given_out_twice():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +11,16 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.rigid_path import RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
+from ttcvid.stages.whereabouts import Whereabouts, nowhere
 
 # Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
 # much, where a track was before this much, and that most of the world stands still this much.
 _WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
 # The habit and the scene's bonus count for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
+# A mover that is hidden is known again for so long, s: after that it may well move otherwise. Its tracks have rates
+# within this factor then, and are within so many of its extents of where it has to be.
+_KNOWN_AGAIN_S, _ONE_RATE, _WITHIN_EXTENTS = 1.0, 4.0, 2.5
 
 
 @dataclass(frozen=True)
@@ -23,7 +28,8 @@ class Movers:
     """K movers as remembered, ascending in their internal ``key (K,)``.
 
     ``cluster_id (K,)`` is public, `NO_CLUSTER` until a mover has been confirmed; ``n_found, n_missed (K,)`` frames in
-    which it was found, and was not since; ``paths`` the motions, with the median rate ``rate_hz (K,)`` of their points.
+    which it was found, and was not since; ``paths`` the motions, with the median rate ``rate_hz (K,)`` of their points;
+    ``where`` they are.
     """
 
     key: Ints
@@ -32,6 +38,7 @@ class Movers:
     n_missed: Ints
     rate_hz: Floats
     paths: RigidPaths
+    where: Whereabouts
 
     def __len__(self) -> int:
         return len(self.key)
@@ -45,6 +52,7 @@ class Movers:
             self.n_missed[index],
             self.rate_hz[index],
             self.paths.take(index),
+            self.where.take(index),
         )
 
     def with_new(self, next_key: int, paths: RigidPaths, rate_hz: Floats) -> Movers:
@@ -57,13 +65,28 @@ class Movers:
             np.append(self.n_missed, np.zeros(count, dtype=np.int64)),
             np.append(self.rate_hz, rate_hz),
             self.paths.joined(paths),
+            self.where.with_new(count),
+        )
+
+    def found_again(self, mover: int, paths: RigidPaths, rate_hz: Floats, place: int) -> Movers:
+        """These, of which the one at an index is found again: with the motion that stands in a place of others."""
+        is_it = np.arange(len(self)) == mover
+        return replace(
+            self,
+            n_found=self.n_found + is_it,
+            n_missed=np.where(is_it, 0, self.n_missed),
+            rate_hz=np.where(is_it, rate_hz[place], self.rate_hz),
+            paths=RigidPaths(
+                np.where(is_it[:, None, None, None], paths.cam_R_past[place], self.paths.cam_R_past),
+                np.where(is_it[:, None, None], paths.path[place], self.paths.path),
+            ),
         )
 
 
 def no_movers(n_views: int) -> Movers:
     """None at all, over so many views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
-    return Movers(none, none, none, none, np.empty(0), paths)
+    return Movers(none, none, none, none, np.empty(0), paths, nowhere(0))
 
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:
@@ -107,14 +130,75 @@ def assigned(
     return np.append(SCENE_CLUSTER, movers.key)[best], off[every, best]
 
 
-def kept(key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:
-    """Movers that still have tracks; those with a last one or two wait for a while, then these go to the scene."""
-    counts = np.bincount(numbers_of(key, movers), minlength=len(movers) + 1)[1:]
-    is_found = counts >= min(3, config.min_tracks)
-    is_kept = is_found | ((counts > 0) & (movers.n_missed < config.forget_frames))
+def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:
+    """Movers that are still known; the last one or two tracks of a mover wait for a while, then these go to the scene.
+
+    What has a number is known for as long as it may come back with it.
+    """
+    number, now_s, least = numbers_of(key, movers), views.t_s[-1], min(3, config.min_tracks)
+    counts = np.bincount(number, minlength=len(movers) + 1)[1:]
+    is_found = counts >= least
+    is_held = is_found | (movers.n_missed < config.forget_frames)
+    is_hidden = (movers.cluster_id != NO_CLUSTER) & (is_held | (now_s - movers.where.seen_s <= _KNOWN_AGAIN_S))
     movers = replace(
         movers,
         n_found=movers.n_found + is_found,
         n_missed=np.where(is_found, 0, movers.n_missed + 1),
+        where=movers.where.seen_again(number, views.xy, movers.rate_hz, now_s, least),
     )
-    return np.where(np.isin(key, movers.key[~is_kept]), SCENE_CLUSTER, key), movers.take(is_kept)
+    key = np.where(np.isin(key, movers.key[~is_held]), SCENE_CLUSTER, key)
+    return key, movers.take(is_held & (counts > 0) | is_hidden)
+
+
+def known_again(
+    views: BodyViews,
+    key: Ints,
+    movers: Movers,
+    found: Sequence[Ints],
+    paths: RigidPaths,
+    rate_hz: Floats,
+    misfit: Floats,
+    usual_misfit: float,
+    config: BodiesConfig,
+) -> tuple[Ints, Movers, Bools]:
+    """Those of J new movers that are hidden ones: tracks where one of these has to be by now, moving as it did.
+
+    Parameters
+    ----------
+    key, movers : body of each track (N,), and the movers known by now.
+    found, paths, rate_hz : tracks, motion and median rate of each new one.
+    misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
+
+    Returns
+    -------
+    key, movers : with those that are known again.
+    is_known : (J,).
+    """
+    key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
+    hidden = np.flatnonzero(np.bincount(numbers_of(key, movers), minlength=len(movers) + 1)[1:] == 0)
+    hidden = hidden[movers.where.centre[hidden, 2] > 0.0]
+    for place, members in enumerate(found):
+        if not len(hidden):
+            break
+        as_hidden = _misfits_as_hidden(views, members, movers.take(hidden), usual_misfit)
+        best = int(np.argmin(as_hidden))
+        if as_hidden[best] > max(config.scene_gate, np.median(misfit[members]) / config.gain):
+            continue
+        mover = hidden[best]
+        key[members], is_known[place] = movers.key[mover], True
+        movers = movers.found_again(mover, paths, rate_hz, place)
+        hidden = np.delete(hidden, best)
+    return key, movers, is_known
+
+
+def _misfits_as_hidden(views: BodyViews, members: Ints, hidden: Movers, usual_misfit: float) -> Floats:
+    """How badly the motion of each hidden mover explains some tracks, (K,); infinite where they are not where it is."""
+    n, centre = len(members), hidden.where.centre
+    body = np.repeat(np.arange(len(hidden)), n)
+    fit = fit_on_movers(views.points(np.tile(members, len(hidden)), body), hidden.paths, hidden.rate_hz)
+    misfit = np.median(fit.misfit.reshape(-1, n), axis=1) / usual_misfit
+    rate = np.median(fit.rate_hz.reshape(-1, n), axis=1) * centre[:, 2]
+    away = np.linalg.norm(np.mean(views.xy[members], axis=0) - centre[:, :2] / centre[:, 2:], axis=1)
+    is_there = away < _WITHIN_EXTENTS * hidden.where.extent / centre[:, 2] + views.link_px / views.focal_px
+    is_alike = (rate < _ONE_RATE) & (rate * _ONE_RATE > 1.0)
+    return np.where(is_there & is_alike, misfit, np.inf)

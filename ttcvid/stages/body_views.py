@@ -42,6 +42,11 @@ class BodyViews:
         return np.asarray(self.t_s - self.t_s[-1])
 
     @property
+    def xy(self) -> Floats:
+        """Places now in the plane z = 1: (N, 2)."""
+        return np.asarray(self.rays[-1, :, :2] / self.rays[-1, :, 2:])
+
+    @property
     def has_neighbour(self) -> Bools:
         """Which of the neighbours are another track: (N, K)."""
         return np.asarray(self.neighbours != np.arange(len(self.neighbours))[:, None])

@@ -15,7 +15,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.belonging import Movers, assigned, kept, no_movers, numbers_of
+from ttcvid.stages.belonging import Movers, assigned, kept, known_again, no_movers, numbers_of
 from ttcvid.stages.bodies import (
     carried_forward,
     recent_speed,
@@ -114,7 +114,8 @@ def find_bodies(
     movers = no_movers(len(history.t_s))
     if is_continued and len(memory.movers):
         paths = carried_forward(memory.movers.paths, egomotion.cam_R_prev, views.t_s)
-        movers = replace(memory.movers, paths=paths)
+        where = memory.movers.where.carried_forward(egomotion.cam_R_prev, paths.path[:, -2])
+        movers = replace(memory.movers, paths=paths, where=where)
     key[~np.isin(key, movers.key)] = SCENE_CLUSTER
     scene = _scene(
         history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, key, rate_hz
@@ -137,7 +138,7 @@ def find_bodies(
 
     movers = _refined(movers, scene, views, key)
     key, own_misfit = assigned(views, movers, key, scene_fit.n_views, misfit, usual)
-    key, movers = kept(key, movers, config)
+    key, movers = kept(views, key, movers, config)
     key, movers = merged(views, scene, key, movers, own_misfit, usual)
     next_key = memory.next_key
     found, paths, found_hz = new_movers(
@@ -150,14 +151,17 @@ def find_bodies(
         on_road(scene_fit, road),
         config,
     )
+    if len(found) and len(movers):
+        key, movers, is_known = known_again(views, key, movers, found, paths, found_hz, misfit, usual, config)
+        found = [members for members, known in zip(found, is_known, strict=True) if not known]
+        paths, found_hz = paths.take(~is_known), found_hz[~is_known]
     for count, members in enumerate(found):
         key[members] = next_key + count
     movers, next_key = movers.with_new(next_key, paths, found_hz), next_key + len(found)
     key, movers, next_key = split(views, key, movers, next_key, config)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
-    memory = BodyMemory(
-        scene, movers, history.track_id, key, rate_hz, road, next_key, next_cluster_id, frame=history.frame
-    )
+    labels = _with_lost(history, memory, key, rate_hz)
+    memory = BodyMemory(scene, movers, *labels, road, next_key, next_cluster_id, frame=history.frame)
     return Segmentation(key, movers, scene, scene_fit, misfit), memory
 
 
@@ -185,6 +189,16 @@ def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:
         is_known = memory.track_id[place] == track_id
         key[is_known], rate_hz[is_known] = memory.track_key[place[is_known]], memory.rate_hz[place[is_known]]
     return key, rate_hz
+
+
+def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Floats) -> tuple[Ints, Ints, Floats]:
+    """All tracks that may be in the next frame, each with its body and rate."""
+    if history.lost is None:
+        return history.track_id, key, rate_hz
+    lost_key, lost_hz = _carried_labels(memory, history.lost.track_id)
+    track_id = np.concatenate([history.track_id, history.lost.track_id])
+    order = np.argsort(track_id)
+    return track_id[order], np.concatenate([key, lost_key])[order], np.concatenate([rate_hz, lost_hz])[order]
 
 
 def _scene(
