@@ -71,7 +71,7 @@ def test_an_essential_matrix_invents_a_turn_and_nearly_all_points_agree(motions)
     yaw_deg, away_deg, inliers = np.moveaxis(essential, -1, 0)
     invented = np.abs(yaw_deg) > 0.5
     assert invented.any()
-    assert away_deg[invented].min() > 45.0
+    assert away_deg[invented].min() > 40.0
     assert inliers[invented].min() > 0.9
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ttcvid.geometry.rigid_path import PathFit
-from ttcvid.stages.road import RoadMemory, find_road, on_road
+from ttcvid.stages.road import RoadMemory, find_road, on_road, steadied
 
 SPEED_M_S, CAMERA_M = 10.0, 1.4
 
@@ -38,3 +38,22 @@ def test_points_of_the_road_lie_on_it_and_those_of_a_wall_that_stands_there_do_n
 
 def test_without_a_road_nothing_lies_on_it():
     assert not on_road(road_and_wall(np.random.default_rng(3)), RoadMemory()).any()
+
+
+def test_the_horizon_of_a_noisy_road_is_steadied_along_our_way_while_the_camera_pitches():
+    rng = np.random.default_rng(4)
+    slope_hz, horizon = SPEED_M_S / CAMERA_M, 0.005
+    memory, raw, steady = RoadMemory(), [], []
+    for frame in range(60):
+        epipole_y = 0.02 * np.sin(frame)
+        seen = horizon + rng.normal(0.0, 0.004)
+        raw.append(seen - horizon)
+        plane = steadied(memory, np.array([-slope_hz * (epipole_y + seen), 0.0, slope_hz]), epipole_y)
+        steady.append(-plane[0] / plane[2] - epipole_y - horizon)
+        memory = RoadMemory(plane=plane, epipole_y=epipole_y)
+    assert np.std(steady[20:]) < 0.4 * np.std(raw)
+    assert plane[2] == pytest.approx(slope_hz)
+
+
+def test_a_road_that_is_not_seen_is_none():
+    assert steadied(RoadMemory(plane=np.array([0.0, 0.0, 7.0])), None, 0.0) is None

@@ -30,6 +30,8 @@ _LEAST_GOES_ON, _GOES_ON = 2.0, 0.25
 # Where there is no road, tracks of one surface may lie so many times as far apart as those of a mover: of an aircraft,
 # wing tips and nose.
 _LINKS = 2.0
+# On a road they are no farther apart than so many heights of the camera.
+_BESIDE = 1.5
 # The box of the tracks covers the point that we go for but for this part of the distance of neighbours, for tracks do
 # not reach its rim; of one that has been found before, but for so many times as much.
 _OFF_LINK, _KEPT = 0.33, 1.5
@@ -206,6 +208,7 @@ def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Grou
     if not asked.any():
         return []
     pairs = linked_pairs(points.xy_px[index], (_LINKS if ground.road is None else 1.0) * points.link_px)
+    pairs = pairs[depths.are_beside(pairs)]
     found, is_taken = list[Ints](), np.zeros(len(index), dtype=bool)
     for _ in range(_MOST_SURFACES):
         if not asked.any():
@@ -253,6 +256,18 @@ class _Depths:
             horizon = -(road[0] + road[1] * x) / road[2]
             self.height = 1.0 - (y - horizon) * road[2] / fit.rate_hz
             self.stands = self.height > _LEAST_HEIGHT
+
+    def are_beside(self, pairs: Ints) -> Bools:
+        """Which pairs (M, 2) are parts of one thing on the road: one of them stands, the other is near in metres too.
+
+        Without this all that has one depth on both sides of a road would be one thing.
+        """
+        road = self.ground.road
+        if road is None:
+            return np.ones(len(pairs), dtype=bool)
+        camera_height = np.exp(self.log_rate[pairs].min(axis=1)) / road[2]
+        apart = np.linalg.norm(self.place[pairs[:, 0]] - self.place[pairs[:, 1]], axis=1)
+        return np.asarray(self.stands[pairs].any(axis=1) & (apart < _BESIDE * camera_height))
 
     def without_road_beside(self, surface: Ints, reach: float) -> Ints:
         """A surface without the points of the road that lie beside what stands there."""

@@ -36,18 +36,22 @@ _FLOATS, _ONE_THING, _COMPACT, _NO_ROAD, _LEAST_THING = 1.5, 0.12, 1.3, 1.25, 6
 _ON_ROAD, _LEAST_SEEN, _SEEN_PART = 0.2, 2, 0.8
 # Evidence is gathered with this memory; a track contradicts a static scene with more than a half of it.
 _FORGETTING, _ENOUGH = 0.8, 0.5
+# The road itself changes slowly: beside our way its memory is longer.
+_ROAD_FORGETTING = 0.85
 
 
 @dataclass(frozen=True)
 class RoadMemory:
     """Evidence of each track ``track_id (N,)`` against standing on the ground: ``evidence (N,)`` in 0 to 1.
 
-    ``plane (3,)`` is the road of this frame, as from `find_road`, None where there is none.
+    ``plane (3,)`` is the road of this frame, as from `find_road` but steadied, None where there is none, and
+    ``epipole_y`` the height of our direction of travel.
     """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     evidence: Floats = field(default_factory=lambda: np.empty(0))
     plane: Floats | None = None
+    epipole_y: float = 0.0
 
     def contradicts(self) -> Bools:
         """Tracks that a static scene cannot hold: (N,)."""
@@ -70,11 +74,28 @@ def gathered_evidence(
         place = np.minimum(np.searchsorted(memory.track_id, track_id), len(memory.track_id) - 1)
         is_known = memory.track_id[place] == track_id
         evidence[is_known] = memory.evidence[place[is_known]]
-    road = find_road(fit, in_scene, epipole_y)
+    road = steadied(memory, find_road(fit, in_scene, epipole_y), epipole_y)
     is_odd = np.zeros(len(track_id), dtype=bool)
     if road is not None:
         is_odd = _under_road(fit, road) | _floating(views, fit, key, road)
-    return RoadMemory(track_id, _FORGETTING * evidence + (1.0 - _FORGETTING) * is_odd, road)
+    return RoadMemory(track_id, _FORGETTING * evidence + (1.0 - _FORGETTING) * is_odd, road, epipole_y)
+
+
+def steadied(memory: RoadMemory, road: Floats | None, epipole_y: float) -> Floats | None:
+    """The road (3,) of this frame with those of the last ones: where it is far, one frame errs by a car's height.
+
+    The road lies steadily below our way, not in the picture: its horizon is taken from the epipole on.
+    """
+    if road is None or memory.plane is None:
+        return road
+    before = _along_our_way(memory.plane, memory.epipole_y)
+    horizon, tilt, slope = before + (1.0 - _ROAD_FORGETTING) * (_along_our_way(road, epipole_y) - before)
+    return np.array([-slope * (epipole_y + horizon), slope * tilt, slope])
+
+
+def _along_our_way(road: Floats, epipole_y: float) -> Floats:
+    """Height of the horizon below the epipole, fall to the right, and rate a tangent below the horizon: (3,)."""
+    return np.array([-road[0] / road[2] - epipole_y, road[1] / road[2], road[2]])
 
 
 def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints, Picture
 
 # Side of the gradient window of the corner response, px.
@@ -16,6 +17,12 @@ _BLOCK_PX = 3
 # Least smaller eigenvalue of the gradient matrix (in cv2.cornerMinEigenVal's units, grey levels scaled to
 # 0..1): below it a "corner" is sensor noise of a plain surface.
 _MIN_RESPONSE = 2e-5
+
+# Corners are weighed against what is around them within this square, px.
+_AROUND_PX = 65
+# This part of the wanted corners, and all that find no place at the full distance, may stand as close as this part of
+# it: small things have few corners that far apart.
+_FINE_SHARE, _FINE_PART = 0.1, 0.57
 
 
 def occupied_cells(xy_px: Floats, shape: tuple[int, int], cell_px: float) -> Bools:
@@ -45,8 +52,10 @@ def find_corners(
 ) -> Floats:
     """Strongest corners that keep their distance from each other and from the points already there.
 
-    Each cell of a grid of side ``min_distance_px`` gives at most its strongest corner, and none where a point
-    stands in it or next to it; so plain regions get the few corners they have instead of a tree getting all.
+    First each cell of a grid of side ``min_distance_px`` gives at most its strongest corner, and none where a point
+    stands in it or next to it; so plain regions get the few corners they have instead of a tree getting all. What is
+    wanted beyond that may stand closer, those first that stand out of their surroundings: a car far away is two cells
+    wide, an aircraft less.
 
     Parameters
     ----------
@@ -59,13 +68,32 @@ def find_corners(
 
     Returns
     -------
-    (M, 2) float64 corners, px, strongest first, M <= n_wanted.
+    (M, 2) float64 corners, px, those of the grid first, best first, M <= n_wanted.
     """
     if n_wanted <= 0:
         return np.empty((0, 2))
+    shape = (grey.shape[0], grey.shape[1])
     response = cv2.cornerMinEigenVal(grey, _BLOCK_PX)
     # A stride of 4 in both axes leaves the percentile as it is and takes a sixteenth of the time.
     threshold = max(_MIN_RESPONSE, quality * float(np.percentile(response[::4, ::4], 99.9)))
+    x, y = _peaks(response, threshold, allowed)
+    strongest = np.argsort(-response[y, x], kind="stable")
+    coarse = strongest[_one_a_cell(x[strongest], y[strongest], xy_taken_px, shape, min_distance_px)]
+    xy = _refined(response, x[coarse], y[coarse])
+    is_chosen = _keeps_distance(xy, min_distance_px)
+    is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - int(_FINE_SHARE * n_wanted)
+    coarse, xy = coarse[is_chosen], xy[is_chosen]
+    x, y = np.delete(x, coarse), np.delete(y, coarse)
+    around = cv2.boxFilter(response, -1, (_AROUND_PX, _AROUND_PX))
+    outstanding = np.argsort(-response[y, x] / (around[y, x] + threshold), kind="stable")
+    x, y = x[outstanding], y[outstanding]
+    taken = np.concatenate([xy_taken_px, xy])
+    fine = _spread(x, y, taken, shape, _FINE_PART * min_distance_px, n_wanted - len(coarse))
+    return np.concatenate([xy, _refined(response, x[fine], y[fine])])
+
+
+def _peaks(response: NDArray[Any], threshold: float, allowed: Picture | None) -> tuple[Ints, Ints]:
+    """Columns and rows (N,) of the local maxima above a threshold."""
     is_peak = (response >= cv2.dilate(response, np.ones((3, 3), np.uint8))) & (response > threshold)
     margin = _BLOCK_PX + 1
     is_peak[:margin] = is_peak[-margin:] = False
@@ -73,16 +101,51 @@ def find_corners(
     if allowed is not None:
         is_peak &= allowed > 0
     # As fast as np.nonzero of two axes is slow.
-    y, x = np.divmod(np.flatnonzero(is_peak), grey.shape[1])
-    taken = occupied_cells(xy_taken_px, (grey.shape[0], grey.shape[1]), min_distance_px)
-    row, column = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
-    is_free = ~taken[row, column]
-    x, y, cell = x[is_free], y[is_free], (row * taken.shape[1] + column)[is_free]
-    order = np.argsort(-response[y, x], kind="stable")
-    _, strongest = np.unique(cell[order], return_index=True)
-    chosen = order[np.sort(strongest)]
-    xy = _refined(response, x[chosen], y[chosen])
-    return xy[_keeps_distance(xy, min_distance_px)][:n_wanted]
+    y, x = np.divmod(np.flatnonzero(is_peak), response.shape[1])
+    return x, y
+
+
+def _one_a_cell(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, int], cell_px: float) -> Ints:
+    """The best of the pixels (N,), best first, of each cell that is free and has no taken neighbour, best first."""
+    taken = occupied_cells(xy_taken_px, shape, cell_px)
+    row, column = (y / cell_px).astype(np.intp), (x / cell_px).astype(np.intp)
+    free = np.flatnonzero(~taken[row, column])
+    _, best = np.unique((row * taken.shape[1] + column)[free], return_index=True)
+    return np.asarray(free[np.sort(best)])
+
+
+def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, int], distance_px: float, n_wanted: int) -> Ints:
+    """Which of the pixels (N,), best first, keep their distance from each other and from the points already there."""
+    cell_px = distance_px / np.sqrt(2.0)
+    # Two rows and columns more on each side, so that every cell has its neighbours.
+    grid = np.full((int(shape[0] / cell_px) + 5, int(shape[1] / cell_px) + 5, 2), np.inf)
+    chosen = np.empty(max(n_wanted, 0), dtype=np.int64)
+    n = _choose(x.astype(np.float64), y.astype(np.float64), xy_taken_px, distance_px, cell_px, grid, chosen)
+    return chosen[:n]
+
+
+@compiled
+def _choose(x: Floats, y: Floats, taken: Floats, distance: float, cell: float, grid: Floats, chosen: Ints) -> int:
+    """Fills ``chosen`` by greedy choice; how many. ``grid`` holds one point a cell: two would be too close."""
+    for k in range(len(taken)):
+        row, column = int(taken[k, 1] / cell) + 2, int(taken[k, 0] / cell) + 2
+        grid[row, column, 0], grid[row, column, 1] = taken[k, 0], taken[k, 1]
+    n = 0
+    for k in range(len(x)):
+        if n == len(chosen):
+            break
+        row, column = int(y[k] / cell) + 2, int(x[k] / cell) + 2
+        is_free = True
+        for i in range(row - 2, row + 3):
+            for j in range(column - 2, column + 3):
+                off_x, off_y = grid[i, j, 0] - x[k], grid[i, j, 1] - y[k]
+                if off_x * off_x + off_y * off_y < distance * distance:
+                    is_free = False
+        if is_free:
+            grid[row, column, 0], grid[row, column, 1] = x[k], y[k]
+            chosen[n] = k
+            n += 1
+    return n
 
 
 def _keeps_distance(xy: Floats, min_distance_px: float) -> Bools:

@@ -23,6 +23,8 @@ _ITERATIONS, _STEP_PX, _BACKWARD_STEP_PX = 20, 0.01, 0.03
 _BACKWARD_START_PX = 1.5
 # Smaller eigenvalue of the gradient matrix, below which OpenCV gives a point up (its own default).
 _MIN_EIGENVALUE = 1e-4
+# Levels above the full picture that a point is looked for on once more.
+_FINE_LEVELS = 1
 # Two tracks in one cell of this side follow the same point, px.
 _CROWDED_PX = 2.0
 # New corners are looked for when the live tracks fall below this part of the wanted number: on a drive at 10 Hz in
@@ -79,16 +81,28 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
     windows_px = memory.points.windows_px
     before = windows_px.astype(np.float32)
     guess = (windows_px + memory.step_px).astype(np.float32)
-    found, there = _follow(memory.grey, grey, before, guess, config.window_px, config.pyramid_levels, _STEP_PX)
+    found, there = _there_and_back(memory.grey, grey, before, guess, config, config.pyramid_levels)
+    # The coarse pictures of the pyramid show what is large near a point: a post that sweeps over a car takes all of the
+    # car's points along, far beyond itself. From where they should be by now the fine pictures find them.
+    lost = np.flatnonzero(~found & np.any(memory.step_px != 0.0, axis=1))
+    if len(lost) and config.pyramid_levels > _FINE_LEVELS:
+        found[lost], there[lost] = _there_and_back(memory.grey, grey, before[lost], guess[lost], config, _FINE_LEVELS)
+    return found, there.astype(np.float64)
+
+
+def _there_and_back(
+    one: Picture, other: Picture, before: np.ndarray, guess: np.ndarray, config: TrackingConfig, levels: int
+) -> tuple[Bools, np.ndarray]:
+    """Points ``before (N, 2)`` float32 of one picture in the other, from a guess on: (N,) found, (N, 2) px."""
+    found, there = _follow(one, other, before, guess, config.window_px, levels, _STEP_PX)
     # The way back starts beside its goal, on the side of the error of the guess, and not at the goal: a jump to a
     # similar texture nearby is found out only like this. So near it needs no pyramid, which is most of the time.
     error = there - guess
     length_px = np.linalg.norm(error, axis=1, keepdims=True)
     start = before + error * (_BACKWARD_START_PX / np.maximum(length_px, _BACKWARD_START_PX))
-    came_back, back = _follow(grey, memory.grey, there, start, config.window_px, 0, _BACKWARD_STEP_PX)
+    came_back, back = _follow(other, one, there, start, config.window_px, 0, _BACKWARD_STEP_PX)
     distance = np.linalg.norm(back - before, axis=1)
-    is_kept = found & came_back & _is_inside(there, grey) & (distance < config.max_forward_backward_px)
-    return is_kept, there.astype(np.float64)
+    return found & came_back & _is_inside(there, other) & (distance < config.max_forward_backward_px), there
 
 
 def _is_inside(xy_px: np.ndarray, grey: Picture) -> Bools:
