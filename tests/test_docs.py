@@ -11,7 +11,7 @@ from types import ModuleType
 import click
 import pytest
 
-from ttcvid.cli.main import COMMANDS, cli
+from ttcvid.cli.commands import COMMANDS, cli
 from ttcvid.jobs.layers import layer_from_environment, layer_from_file
 from ttcvid.model import FrameStatus, Status
 from ttcvid.schema import TABLE_NAMES, TABLES, markdown_of

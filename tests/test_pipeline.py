@@ -414,8 +414,10 @@ def test_dark_and_doubled_pictures_give_a_status_and_no_number():
     assert np.nanmedian(results[-1].tracks.times.ttc_z_s) == pytest.approx(4.0 - 0.9, rel=0.08)
 
 
-def test_a_black_clip_is_dark_all_through():
-    results = results_of(pictures_of([np.zeros((HEIGHT, WIDTH), np.uint8)] * 3), PICTURE_CAMERA, SMALL)
+@pytest.mark.parametrize("black", [0, 16])
+def test_a_black_clip_is_dark_all_through(black):
+    """Also where the video says 16 for black."""
+    results = results_of(pictures_of([np.full((HEIGHT, WIDTH), black, np.uint8)] * 3), PICTURE_CAMERA, SMALL)
     assert statuses(results) == ["dark"] * 3
     assert all(has_no_numbers(result) for result in results)
 

@@ -8,7 +8,8 @@ import pytest
 
 from ttcvid.cli.analyze import ESTIMATORS, PLATFORMS, TRACKERS, analyze
 from ttcvid.cli.calibrate_horizon import calibrate_horizon
-from ttcvid.cli.main import COMMANDS, main
+from ttcvid.cli.commands import COMMANDS
+from ttcvid.cli.main import main
 from ttcvid.config import CollisionTimesConfig, TrackingConfig
 from ttcvid.jobs.options import SHORTCUTS, AnalyzeOptions
 from ttcvid.model import Platform

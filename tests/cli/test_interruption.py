@@ -136,3 +136,41 @@ def test_a_folder_without_manifest_or_no_folder_is_no_run(tmp_path: Path) -> Non
     for place in (tmp_path, tmp_path / "missing"):
         with pytest.raises(TtcvidError, match=str(place)):
             Run.open(place)
+
+
+SIGNAL_WHILE_IMPORTING = """
+import atexit, os, signal, sys
+from ttcvid.cli.main import main
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "click":
+            os.kill(os.getpid(), signal.{signal})
+
+sys.meta_path.insert(0, Finder())
+sys.argv[1:] = ["analyze", "clip.mp4"]
+code = main()
+for _ in range({n_more}):
+    os.kill(os.getpid(), signal.{signal})
+sys.exit(code)
+"""
+
+
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("n_more", [0, 2])
+def test_a_signal_before_anything_is_imported_is_one_line(number: str, n_more: int) -> None:
+    script = SIGNAL_WHILE_IMPORTING.format(signal=number, n_more=n_more)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 130
+    assert done.stderr == "ttcvid: error: interrupted, nothing was written\n"
+
+
+def test_output_that_cannot_be_written_is_no_fault_of_ours() -> None:
+    script = "import sys; from ttcvid.cli.main import main; sys.exit(main(['--version']))"
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", script], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "standard output cannot be written (No space left on device)" in done.stderr

@@ -115,8 +115,8 @@ def test_folder_of_another_origin_is_never_overwritten(tmp_path, name, text, wor
 
 def test_foreign_file_with_a_name_that_the_run_needs_is_found_before_the_run(tmp_path):
     make_run(tmp_path / "out", {"frames.parquet": "old"})
-    (tmp_path / "out" / "report.html").write_text("mine")
-    with pytest.raises(OutputError, match=r"report\.html: not a file of a former run"):
+    (tmp_path / "out" / "overlay.mp4").write_text("mine")
+    with pytest.raises(OutputError, match=r"overlay\.mp4: not a file of a former run"):
         OutputFolder.create(tmp_path / "out", overwrite=True)
 
 
@@ -211,6 +211,8 @@ def test_second_run_into_the_same_folder_is_refused_while_the_first_works(tmp_pa
     out = tmp_path / "out"
     with OutputFolder.create(out) as first:
         (first.partial / "frames.parquet").write_text("first")
+        with pytest.raises(OutputError, match="another run is writing there"):
+            OutputFolder.create(out)
         with pytest.raises(OutputError, match="another run is writing there"):
             OutputFolder.create(out, overwrite=True)
         first.publish(MANIFEST)

@@ -180,5 +180,5 @@ def test_missing_encoder_is_one_line_with_remedy(tmp_path, monkeypatch):
 
 
 def test_missing_folder_is_an_output_error(tmp_path):
-    with pytest.raises(OutputError, match="vanished"):
+    with pytest.raises(OutputError, match="does not exist"):
         OverlayVideo(tmp_path / "absent" / "overlay.mp4", ImageSize(64, 48), 0.1, "ultrafast", 23)

@@ -196,7 +196,7 @@ def test_full_disk_is_one_line_with_remedy(tmp_path, name):
 
 
 def test_missing_folder_is_an_output_error(tmp_path):
-    with pytest.raises(OutputError, match="vanished"):
+    with pytest.raises(OutputError, match="does not exist"):
         TableSink(tmp_path / "absent", METADATA, nominal_dt_s=DT_S)
 
 

@@ -76,3 +76,9 @@ def test_burned_in_points_are_left_out():
     found = find_focal_length(with_text, SIZE)
     assert found is not None
     assert found.focal_px == pytest.approx(600.0, rel=1e-3)
+
+
+def test_pictures_without_any_track_tell_nothing():
+    nothing = PointSet(np.empty(0, np.int64), np.empty((0, 2)))
+    seen = [replace(one, points=nothing) for one in seen_points(PAN, 600.0, n_frames=12)]
+    assert find_focal_length(seen, SIZE) is None

@@ -19,7 +19,7 @@ _REMEDIES = {
     errno.EEXIST: "a part of the path is a file, not a folder: choose another place with -o",
     errno.ENOTDIR: "a part of the path is a file, not a folder: choose another place with -o",
     errno.ENAMETOOLONG: "the name is too long: choose a shorter one with -o",
-    errno.ENOENT: "it vanished while it was being written: run again and leave the output folder alone meanwhile",
+    errno.ENOENT: "its folder does not exist (any more): make it, or choose another place",
 }
 
 

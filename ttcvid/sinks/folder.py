@@ -36,8 +36,7 @@ from ttcvid.sinks.manifest import MANIFEST_NAME, read_manifest, sync_folder, wri
 PARTIAL_NAME = ".ttcvid-partial"
 LOCK_NAME = ".lock"
 OVERLAY_NAME = "overlay.mp4"
-REPORT_NAME = "report.html"
-RESULT_NAMES = (*(f"{name}.parquet" for name in TABLE_NAMES), OVERLAY_NAME, REPORT_NAME)
+RESULT_NAMES = (*(f"{name}.parquet" for name in TABLE_NAMES), OVERLAY_NAME)
 
 
 class OutputFolder:
@@ -151,6 +150,7 @@ def _make_folder(path: Path, overwrite: bool) -> bool:
         if not path.is_dir():
             raise OutputError(f"{path}: is not a folder: choose another output folder with -o") from error
         if not overwrite:
+            _refuse_where_busy(path)
             raise OutputError(
                 f"{path}: {_what_it_holds(path)} exists already: give --overwrite to replace it, or use -o"
             ) from error
@@ -210,10 +210,23 @@ def _lock_partial(path: Path) -> TextIO:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         lock.close()
-        raise OutputError(
-            f"{path}: another run is writing there: wait for it, or choose another folder with -o"
-        ) from error
+        raise _busy(path) from error
     return lock
+
+
+def _refuse_where_busy(path: Path) -> None:
+    """OutputError where a run that is alive writes into the folder; nothing is made or changed."""
+    try:
+        with (path / PARTIAL_NAME / LOCK_NAME).open(encoding="utf-8") as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise _busy(path) from error
+    except FileNotFoundError:
+        return
+
+
+def _busy(path: Path) -> OutputError:
+    return OutputError(f"{path}: another run is writing there: wait for it, or choose another folder with -o")
 
 
 def _write_names(lock: TextIO, names: frozenset[str]) -> None:

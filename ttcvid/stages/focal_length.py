@@ -90,6 +90,8 @@ def _has_moved(one: PointSet, other: PointSet, image_size: ImageSize) -> bool:
     _, before, now = np.intersect1d(one.track_id, other.track_id, assume_unique=True, return_indices=True)
     if len(now) < _KEPT_POINTS * len(one.track_id):
         return True
+    if len(now) == 0:
+        return len(other.track_id) > 0
     moved_px = np.linalg.norm(other.xy_px[now] - one.xy_px[before], axis=1)
     return bool(np.median(moved_px) > _STEP_PART * image_size.width_px)
 

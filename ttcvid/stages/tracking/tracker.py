@@ -24,8 +24,8 @@ _CUT_SURVIVAL, _CUT_HISTOGRAM = 0.15, 0.2
 _LOST_SURVIVAL = 0.12
 # With so few tracks their survival says nothing, and the histogram has to be surer by itself.
 _FEW_TRACKS, _CUT_HISTOGRAM_ALONE = 8, 0.35
-# A picture whose brightest parts stay below this grey level shows nothing.
-_DARK_LEVEL = 16
+# A picture whose brightest parts stay below this grey level shows nothing; black is 16 in most videos.
+_DARK_LEVEL = 24
 
 
 @dataclass(frozen=True)
