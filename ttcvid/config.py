@@ -77,7 +77,9 @@ class BodiesConfig(StageConfig):
         default=5.0, description="misfit on the scene's path, over the usual one, from which a track contradicts it"
     )
     gain: PositiveFloat = Field(default=4.0, description="how much better its own path explains a new mover's tracks")
-    confirm_frames: int = Field(default=3, ge=1, description="frames until a new mover gets its cluster_id")
+    confirm_frames: int = Field(
+        default=3, ge=1, description="frames in which a new mover or obstacle is found before it gets its cluster_id"
+    )
     forget_frames: int = Field(
         default=2, ge=0, description="frames that the last one or two tracks of a mover stay with it"
     )

@@ -12,7 +12,7 @@ CONFIG = BodiesConfig()
 FOCAL_PX, LINK_PX, DT_S, N_VIEWS = 500.0, 32.0, 0.05, 20
 SPEED_M_S, CAMERA_M = 10.0, 1.4
 SINCE_S = DT_S * np.arange(1 - N_VIEWS, 1)
-FOUND_IN = CONFIG.confirm_frames + 1
+FOUND_IN = CONFIG.confirm_frames
 
 
 def driven(yaw_rad_s=0.0):

@@ -174,7 +174,7 @@ def find_obstacles(
     obstacles += [Obstacle(None, track_id[surface]) for surface in surfaces]
     public: dict[int, Ints] = {}
     for place, obstacle in enumerate(obstacles):
-        if obstacle.cluster_id is None and obstacle.n_found > config.confirm_frames:
+        if obstacle.cluster_id is None and obstacle.n_found >= config.confirm_frames:
             obstacles[place] = obstacle = replace(obstacle, cluster_id=next_cluster_id)
             next_cluster_id += 1
         if obstacle.cluster_id is not None and obstacle.n_missed <= config.forget_frames:
