@@ -58,7 +58,11 @@ def _real(name: str, unit: str, description: str, nullable: bool = True) -> Colu
 _AXES = (("x", "to the right"), ("y", "downwards"), ("z", "away from the camera"))
 _FRAME = _count("frame", "index of the picture in the source, from 0")
 _T_S = _real("t_s", "s", "presentation time of the picture", nullable=False)
-_STATUS = _name("status", "why there is a result, or why there is none", STATUS_NAMES)
+_STATUS = _name(
+    "status",
+    "why there is a result, or why there is none (no_approach is reserved: what recedes has negative times)",
+    STATUS_NAMES,
+)
 _CLUSTER_ID = _count("cluster_id", "0 the static scene, objects from 1; an object keeps its number for life")
 
 TIMES = (
