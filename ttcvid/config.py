@@ -278,4 +278,3 @@ class PipelineConfig(StageConfig):
     collision_times: CollisionTimesConfig = CollisionTimesConfig()
     events: EventsConfig = EventsConfig()
     horizon_calibration: HorizonCalibrationConfig = HorizonCalibrationConfig()
-    seed: int = Field(default=0, ge=0, description="seed of every random choice")

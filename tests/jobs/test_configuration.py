@@ -140,8 +140,11 @@ def test_python_arguments_take_numbers_paths_and_stages() -> None:
     assert configuration.as_manifest()["analyze"]["image_size"]["value"] == "640x480"
 
 
-def test_the_seed_reaches_the_pipeline() -> None:
-    assert configure_from_command_line({"seed": "7"}).pipeline.seed == 7
+def test_the_seed_is_recorded() -> None:
+    """Nothing in an analysis is random: it is a part of the resolved configuration, and reaches no stage."""
+    configuration = configure_from_command_line({"seed": "7"})
+    assert configuration.options.seed == 7
+    assert configuration.pipeline == configure_from_command_line({}).pipeline
 
 
 @pytest.mark.parametrize(

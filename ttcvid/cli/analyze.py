@@ -56,7 +56,7 @@ _output_option = option_under("Output")
     default=None,
     help="Directions, times and objects from frames on both sides; warnings stay causal.  [default: --no-smooth]",
 )
-@_method_option("--seed", metavar="N", help="Seed of every random choice.  [default: 0]")
+@_method_option("--seed", metavar="N", help="Recorded in the manifest; nothing in analyze is random.  [default: 0]")
 @_method_option("--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker.")
 @_method_option(
     "--set",

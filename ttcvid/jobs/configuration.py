@@ -99,7 +99,7 @@ def _resolve(explicit: Layer, config: Path | None) -> Configuration:
     merged, origins = _merge(explicit, config)
     stages = {name: values for name, values in merged.items() if name in PipelineConfig.model_fields}
     options = AnalyzeOptions(**merged["analyze"])
-    pipeline = PipelineConfig(**stages, seed=options.seed)
+    pipeline = PipelineConfig(**stages)
     for section in stages:
         _refuse_contradiction(section, getattr(pipeline, section))
     return Configuration(options, pipeline, OverlayConfig(**merged["overlay"]), origins)

@@ -65,7 +65,7 @@ class AnalyzeOptions(StageConfig):
     stride: int = Field(default=1, ge=1, description="every n-th frame")
     overlay: bool = True
     overwrite: bool = False
-    seed: int = Field(default=0, ge=0, description="seed of every random choice")
+    seed: int = Field(default=0, ge=0, description="recorded in the manifest; nothing in an analysis is random")
 
     @property
     def wants_auto_horizon(self) -> bool:
