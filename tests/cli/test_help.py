@@ -6,8 +6,9 @@ from typing import get_args
 
 import pytest
 
-from ttcvid.cli.analyze import ESTIMATORS, PLATFORMS, TRACKERS, analyze
+from ttcvid.cli.analyze import ESTIMATORS, PLATFORMS, analyze
 from ttcvid.cli.calibrate_horizon import calibrate_horizon
+from ttcvid.cli.clip_options import TRACKERS
 from ttcvid.cli.commands import COMMANDS
 from ttcvid.cli.main import main
 from ttcvid.config import CollisionTimesConfig, TrackingConfig

@@ -10,7 +10,7 @@ from ttcvid.errors import NotComparableError
 from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
 from ttcvid.jobs.result_tables import in_ordinary_types
 from ttcvid.schema import TABLES
-from ttcvid.studies.compare import Results, compare_results
+from ttcvid.studies.compare import Results, changes, compare_results
 from ttcvid.studies.compare_columns import JoinedRows, explanation, is_judged, judge_columns, reported_sigma
 from ttcvid.studies.compare_frames import join_frames
 from ttcvid.studies.compare_objects import OTHER_OBJECT, baseline_numbers, join_events, join_objects
@@ -95,6 +95,12 @@ def different(baseline: Results, run: Results, tolerance: Tolerance | None = Non
     comparison = compare_results(baseline, run, tolerance or Tolerance())
     complaints = [text for part in comparison.parts for text in part.complaints]
     return [column.name for column in comparison.columns if not column.is_same], complaints
+
+
+def test_facts_that_differ_by_rounding_alone_are_no_change():
+    one = Results("one", {}, {"input.nominal_dt_s": 0.05, "camera.fx_px": 700.0}, pd.DataFrame())
+    other = Results("other", {}, {"input.nominal_dt_s": 0.05 - 2.8e-17, "camera.fx_px": 700.0001}, pd.DataFrame())
+    assert [change.name for change in changes(one, other)] == ["camera.fx_px"]
 
 
 def test_a_result_is_the_same_as_itself():

@@ -7,64 +7,51 @@ from typing import Any
 
 import click
 
+from ttcvid.cli.clip_options import (
+    clip_options,
+    configuration_options,
+    message_options,
+    method_option,
+    output_option,
+    tracker_option,
+)
 from ttcvid.cli.grouped import GroupedCommand, option_under
 
-TRACKERS = ("klt", "akaze")
 ESTIMATORS = ("multi-frame", "three-frame", "two-frame")
 PLATFORMS = ("vehicle", "aircraft", "free", "static")
 
 
 _camera_option = option_under("Camera (without one: found in a clip that turns, else 55 deg assumed, and said)")
-_time_option = option_under("Time (frames as 120, seconds as 4.5s or 00:01:02.5)")
-_method_option = option_under("Method")
-_output_option = option_under("Output")
 
 
 @click.command(cls=GroupedCommand, short_help="Collision times of everything that moves in a clip.")
 @click.argument("input_", metavar="INPUT")
-@_output_option("-o", "--out", metavar="FOLDER", help="Output folder.  [default: INPUTSTEM_ttc]")
-@_output_option("--overlay/--no-overlay", default=None, help="Write the annotated video.  [default: --overlay]")
-@_output_option("--overwrite", is_flag=True, default=None, help="Replace an output folder that exists.")
-@_output_option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
-@_output_option("-q", "--quiet", is_flag=True, help="No progress and no warnings on stderr.")
-@_output_option("-v", "--verbose", is_flag=True, help="Say on stderr what is being done.")
+@output_option("-o", "--out", metavar="FOLDER", help="Output folder.  [default: INPUTSTEM_ttc]")
+@output_option("--overlay/--no-overlay", default=None, help="Write the annotated video.  [default: --overlay]")
+@output_option("--overwrite", is_flag=True, default=None, help="Replace an output folder that exists.")
+@message_options()
 @_camera_option(
     "--camera",
     metavar="FILE",
     help="Intrinsics and distortion, recognised by content: ttcvid YAML, ROS camera_info, Kalibr camchain, "
     "OpenCV FileStorage, KITTI calib.",
 )
-@_camera_option("--focal-px", metavar="PX", help="Focal length in px, principal point at the centre.")
-@_camera_option("--hfov", metavar="DEG", help="Horizontal field of view in degrees.")
-@_camera_option("--image-size", metavar="WxH", help="Picture size in px of a track table without a camera file.")
 @_camera_option("--horizon", metavar="FILE|auto", help="Horizon of the camera, or auto: switches planar motion on.")
-@_camera_option("--mask", metavar="FILE", help="Picture, black where nothing is to be looked at (own bonnet, text).")
-@_time_option("--fps", metavar="HZ", help="Frame rate of an image folder.")
-@_time_option("--timestamps", metavar="FILE", help="Times of an image folder: one second a line, or KITTI's format.")
-@_time_option("--start", metavar="PLACE", help="First frame or time.  [default: the beginning]")
-@_time_option("--end", metavar="PLACE", help="End, itself left out.  [default: the end]")
-@_time_option("--stride", metavar="N", help="Take every N-th frame.  [default: 1]")
-@_method_option(
+@clip_options(_camera_option)
+@method_option(
     "--platform",
     type=click.Choice(PLATFORMS),
     help="What carries the camera: expectations of its own motion.  [default: free]",
 )
-@_method_option("--tracker", type=click.Choice(TRACKERS), help="How points are followed.  [default: klt]")
-@_method_option("--estimator", type=click.Choice(ESTIMATORS), help="How times are estimated.  [default: multi-frame]")
-@_method_option(
+@tracker_option()
+@method_option("--estimator", type=click.Choice(ESTIMATORS), help="How times are estimated.  [default: multi-frame]")
+@method_option(
     "--smooth/--no-smooth",
     default=None,
     help="Directions, times and objects from frames on both sides; warnings stay causal.  [default: --no-smooth]",
 )
-@_method_option("--seed", metavar="N", help="Recorded in the manifest; nothing in analyze is random.  [default: 0]")
-@_method_option("--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker.")
-@_method_option(
-    "--set",
-    "settings",
-    metavar="SECTION.KEY=VALUE",
-    multiple=True,
-    help="A parameter of a stage, such as tracking.max_tracks=800. Repeatable.",
-)
+@method_option("--seed", metavar="N", help="Recorded in the manifest; nothing in analyze is random.  [default: 0]")
+@configuration_options("tracking.max_tracks=800")
 @click.pass_context
 def analyze(
     ctx: click.Context,

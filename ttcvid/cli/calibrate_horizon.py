@@ -7,18 +7,22 @@ from typing import Any
 
 import click
 
-from ttcvid.cli.analyze import TRACKERS
+from ttcvid.cli.clip_options import (
+    clip_options,
+    configuration_options,
+    message_options,
+    method_option,
+    output_option,
+    tracker_option,
+)
 from ttcvid.cli.grouped import GroupedCommand, option_under
 
 _camera_option = option_under("Camera (without one, 55 deg horizontal field of view is assumed, and said)")
-_time_option = option_under("Time (frames as 120, seconds as 4.5s or 00:01:02.5)")
-_method_option = option_under("Method")
-_output_option = option_under("Output")
 
 
 @click.command(cls=GroupedCommand, short_help="The horizon of a camera from things that move in straight lines.")
 @click.argument("clips", metavar="CLIP...", nargs=-1, required=True)
-@_output_option(
+@output_option(
     "-o",
     "--out",
     metavar="FILE",
@@ -26,34 +30,17 @@ _output_option = option_under("Output")
     show_default=True,
     help="Horizon file; motions.parquet and horizon.png are put beside it.",
 )
-@_output_option("--overwrite", is_flag=True, default=None, help="Replace files that exist.")
-@_output_option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
-@_output_option("-q", "--quiet", is_flag=True, help="No progress and no warnings on stderr.")
-@_output_option("-v", "--verbose", is_flag=True, help="Say on stderr what is being done.")
+@output_option("--overwrite", is_flag=True, default=None, help="Replace files that exist.")
+@message_options()
 @_camera_option("--camera", metavar="FILE", help="Intrinsics and distortion, as for analyze.")
-@_camera_option("--focal-px", metavar="PX", help="Focal length in px, principal point at the centre.")
-@_camera_option("--hfov", metavar="DEG", help="Horizontal field of view in degrees.")
-@_camera_option("--image-size", metavar="WxH", help="Picture size in px of a track table without a camera file.")
-@_camera_option("--mask", metavar="FILE", help="Picture, black where nothing is to be looked at (own bonnet, text).")
-@_time_option("--fps", metavar="HZ", help="Frame rate of an image folder.")
-@_time_option("--timestamps", metavar="FILE", help="Times of an image folder: one second a line, or KITTI's format.")
-@_time_option("--start", metavar="PLACE", help="First frame or time.  [default: the beginning]")
-@_time_option("--end", metavar="PLACE", help="End, itself left out.  [default: the end]")
-@_time_option("--stride", metavar="N", help="Take every N-th frame.  [default: 1]")
-@_method_option("--moving", is_flag=True, default=None, help="The camera drives: its own motion tells the horizon.")
-@_method_option("--roll-zero", is_flag=True, default=None, help="The camera stands level: one direction is enough.")
-@_method_option("--tracker", type=click.Choice(TRACKERS), help="How points are followed.  [default: klt]")
-@_method_option(
+@clip_options(_camera_option)
+@method_option("--moving", is_flag=True, default=None, help="The camera drives: its own motion tells the horizon.")
+@method_option("--roll-zero", is_flag=True, default=None, help="The camera stands level: one direction is enough.")
+@tracker_option()
+@method_option(
     "--platform", type=click.Choice(("vehicle", "free", "static")), help="static: believe without a look that it rests."
 )
-@_method_option("--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker.")
-@_method_option(
-    "--set",
-    "settings",
-    metavar="SECTION.KEY=VALUE",
-    multiple=True,
-    help="A parameter of a stage, such as horizon_calibration.min_motions=4. Repeatable.",
-)
+@configuration_options("horizon_calibration.min_motions=4")
 @click.pass_context
 def calibrate_horizon(
     ctx: click.Context,

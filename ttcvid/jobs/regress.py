@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ttcvid.errors import NotComparableError, TtcvidError, UsageError
 from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
-from ttcvid.jobs.clip_checks import ClipRun, ClipTask, in_own_process, render_scene, run_clip
+from ttcvid.jobs.clip_run import ClipRun, ClipTask, in_own_process, render_scene, run_clip
 from ttcvid.jobs.compare import write_junit
 from ttcvid.jobs.result_tables import read_run
 from ttcvid.jobs.suite import Suite, SuiteClip, read_suite, resolved

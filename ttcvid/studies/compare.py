@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -110,6 +111,8 @@ def compare_results(baseline: Results, run: Results, tolerance: Tolerance) -> Co
     return Comparison(baseline.name, run.name, changes(baseline, run), tuple(parts), tuple(columns), _notes(frames))
 
 
+SAME_FLOATS = 1e-12
+"""Facts of a run that differ by less than this part are the same number, differently rounded."""
 _PER_FRAME = ("frames", "epipoles", "clusters", "collision_times")
 _CLUSTERS = ("epipoles", "clusters")
 
@@ -119,8 +122,17 @@ def changes(baseline: Results, run: Results) -> tuple[Change, ...]:
     names = [*baseline.facts, *(name for name in run.facts if name not in baseline.facts)]
     both = [(name, baseline.facts.get(name, "none"), run.facts.get(name, "none")) for name in names]
     return tuple(
-        Change(name, _shown(before), _shown(now) + _growth(before, now)) for name, before, now in both if before != now
+        Change(name, _shown(before), _shown(now) + _growth(before, now))
+        for name, before, now in both
+        if not _is_alike(before, now)
     )
+
+
+def _is_alike(before: object, now: object) -> bool:
+    """Whether two facts are the same; numbers that come out of a division may differ by their last digit."""
+    if isinstance(before, float) and isinstance(now, float):
+        return math.isclose(before, now, rel_tol=SAME_FLOATS)
+    return before == now
 
 
 def _shown(fact: object) -> str:

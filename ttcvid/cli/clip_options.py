@@ -1,0 +1,84 @@
+"""Options that every command which reads a clip has, declared once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+from ttcvid.cli.grouped import option_under
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Option = Callable[..., Callable[[Command], Command]]
+
+TRACKERS = ("klt", "akaze")
+
+_IMAGE_SIZE = "Picture size in px of a track table without a camera file."
+_MASK = "Picture, black where nothing is to be looked at (own bonnet, text)."
+_TIMESTAMPS = "Times of an image folder: one second a line, or KITTI's format."
+_CONFIG = "TOML configuration; ./ttcvid.toml is read as well, and is weaker."
+
+_time_option = option_under("Time (frames as 120, seconds as 4.5s or 00:01:02.5)")
+method_option = option_under("Method")
+output_option = option_under("Output")
+
+
+def clip_options(camera_option: Option[Any]) -> Callable[[Command], Command]:
+    """Focal length, picture size, mask and times; ``camera_option`` declares under the command's own heading."""
+    return _in_order(
+        camera_option("--focal-px", metavar="PX", help="Focal length in px, principal point at the centre."),
+        camera_option("--hfov", metavar="DEG", help="Horizontal field of view in degrees."),
+        camera_option("--image-size", metavar="WxH", help=_IMAGE_SIZE),
+        camera_option(
+            "--mask", metavar="FILE", help="Picture, black where nothing is to be looked at (own bonnet, text)."
+        ),
+        _time_option("--fps", metavar="HZ", help="Frame rate of an image folder."),
+        _time_option(
+            "--timestamps", metavar="FILE", help="Times of an image folder: one second a line, or KITTI's format."
+        ),
+        _time_option("--start", metavar="PLACE", help="First frame or time.  [default: the beginning]"),
+        _time_option("--end", metavar="PLACE", help="End, itself left out.  [default: the end]"),
+        _time_option("--stride", metavar="N", help="Take every N-th frame.  [default: 1]"),
+    )
+
+
+def message_options() -> Callable[[Command], Command]:
+    """What is said, and where."""
+    return _in_order(
+        output_option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object."),
+        output_option("-q", "--quiet", is_flag=True, help="No progress and no warnings on stderr."),
+        output_option("-v", "--verbose", is_flag=True, help="Say on stderr what is being done."),
+    )
+
+
+def tracker_option() -> Callable[[Command], Command]:
+    """How points are followed."""
+    return method_option("--tracker", type=click.Choice(TRACKERS), help="How points are followed.  [default: klt]")
+
+
+def configuration_options(example: str) -> Callable[[Command], Command]:
+    """A file of settings, and single ones; ``example`` is a setting that means something to the command."""
+    return _in_order(
+        method_option(
+            "--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker."
+        ),
+        method_option(
+            "--set",
+            "settings",
+            metavar="SECTION.KEY=VALUE",
+            multiple=True,
+            help=f"A parameter of a stage, such as {example}. Repeatable.",
+        ),
+    )
+
+
+def _in_order(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """The options as one decorator, in the order in which help lists them."""
+
+    def decorate(command: Command) -> Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
