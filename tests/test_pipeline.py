@@ -1,86 +1,17 @@
 """All stages together on exact tracks: what changes nothing, what gives a status, and what the truth is."""
 
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from moving_clips import HEIGHT, WIDTH, approach, swaying
+from pipeline_runs import VEHICLE, assert_same, has_no_numbers, plain_run, results_of, scene, scene_row, statuses, table
 
-from ttcvid.config import CollisionTimesConfig, EgomotionConfig, PipelineConfig, TrackingConfig
-from ttcvid.model import Camera, Frame, FrameStatus, ImageSize, Platform, PointSet
+from ttcvid.model import Frame, FrameStatus, PointSet
 from ttcvid.pipeline import analyze_frames
-from ttcvid.simulate import TrackOptions, build_world, camera_of, load_scene, simulate_tracks
-
-SCENES = Path(__file__).resolve().parent.parent / "sample_configs" / "scenes"
-VEHICLE = PipelineConfig(egomotion=EgomotionConfig(platform=Platform.vehicle))
-NO_NUMBERS = (FrameStatus.bad_dt, FrameStatus.duplicate, FrameStatus.dark)
-PICTURE_CAMERA = Camera(180.0, 180.0, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, ImageSize(WIDTH, HEIGHT))
-
-
-@cache
-def scene(name, n_frames=12):
-    whole = load_scene(SCENES / f"{name}.yaml")
-    return whole.model_copy(update={"camera": whole.camera.model_copy(update={"n_frames": n_frames})})
-
-
-@cache
-def table(name, n_frames=12, sigma_px=0.1, n_tracks=180, min_per_object=8):
-    """Frames of point tracks of a sample scene, and its camera."""
-    options = TrackOptions(n_tracks, min_per_object=min_per_object, sigma_px=sigma_px)
-    tracks = simulate_tracks(scene(name, n_frames), options)
-    frames = []
-    for index in range(n_frames):
-        here = tracks.frame == index
-        points = PointSet(tracks.track_id[here], tracks.xy_px[here])
-        frames.append(Frame(index, float(tracks.t_s[here][0]), points=points))
-    return tuple(frames), camera_of(scene(name, n_frames))
-
-
-def results_of(frames, camera, config=VEHICLE, **options):
-    return [result for _, result in analyze_frames(frames, camera, config, **options)]
-
-
-@cache
-def plain_run(name):
-    return results_of(*table(name))
-
-
-def statuses(results):
-    return [str(result.status) for result in results]
-
-
-def scene_row(result):
-    return next((row for row in result.clusters if row.cluster_id == 0), None)
-
-
-def assert_same(one, other, rtol=0.0, atol=0.0):
-    """Two results with the same numbers, arrays and all."""
-    for a, b in zip(one, other, strict=True):
-        assert a.status == b.status
-        assert (a.rotation_rad is None) == (b.rotation_rad is None)
-        if a.rotation_rad is not None:
-            np.testing.assert_allclose(a.rotation_rad, b.rotation_rad, rtol, atol)
-        np.testing.assert_array_equal(a.tracks.track_id, b.tracks.track_id)
-        np.testing.assert_array_equal(a.tracks.cluster_id, b.tracks.cluster_id)
-        np.testing.assert_array_equal(a.tracks.status, b.tracks.status)
-        np.testing.assert_allclose(a.tracks.times.ttc_z_s, b.tracks.times.ttc_z_s, rtol, atol)
-        assert [row.cluster_id for row in a.clusters] == [row.cluster_id for row in b.clusters]
-
-
-def has_no_numbers(result):
-    return (
-        len(result.tracks.track_id) == 0
-        and result.clusters == ()
-        and result.rotation_rad is None
-        and result.rotation_sigma_rad is None
-        and result.min_ttc_z_s is None
-    )
-
+from ttcvid.simulate import build_world
 
 # --- what is true ---------------------------------------------------------------------------------------------------
 
@@ -186,104 +117,6 @@ def test_results_do_not_wait_for_the_end_of_the_clip():
     assert_same(first, plain_run("crossing_collision")[:6])
 
 
-# --- estimates from both sides --------------------------------------------------------------------------------------
-
-SMOOTH = VEHICLE.model_copy(update={"collision_times": CollisionTimesConfig(smooth=True, max_frames=10)})
-CAUSAL = VEHICLE.model_copy(update={"collision_times": CollisionTimesConfig(max_frames=10)})
-
-
-@cache
-def long_runs(name):
-    """The causal results, and those from both sides."""
-    frames, camera = table(name, 30)
-    return results_of(frames, camera, CAUSAL), results_of(frames, camera, SMOOTH)
-
-
-@pytest.mark.parametrize("name", ["crossing_collision", "lead_car_brakes", "resting_six_movers"])
-def test_smoothing_takes_nothing_back_that_was_found_out_on_the_way(name):
-    causal, smooth = long_runs(name)
-    for one, other in zip(causal, smooth, strict=True):
-        assert (one.frame, one.t_s, one.status, one.events) == (other.frame, other.t_s, other.status, other.events)
-        np.testing.assert_array_equal(one.rotation_rad, other.rotation_rad)
-        np.testing.assert_array_equal(one.tracks.track_id, other.tracks.track_id)
-        np.testing.assert_array_equal(one.tracks.xy_px, other.tracks.xy_px)
-        in_object = one.tracks.cluster_id > 0
-        np.testing.assert_array_equal(one.tracks.cluster_id[in_object], other.tracks.cluster_id[in_object])
-        assert {row.cluster_id for row in one.clusters} <= {row.cluster_id for row in other.clusters}
-    assert_same(causal[-1:], smooth[-1:])
-    middle = slice(8, 20)
-    changed = [
-        not np.array_equal(one.tracks.times.ttc_z_s, other.tracks.times.ttc_z_s, equal_nan=True)
-        for one, other in zip(causal[middle], smooth[middle], strict=True)
-    ]
-    assert all(changed)
-
-
-def test_objects_are_known_half_a_window_before_they_are_found():
-    causal, smooth = long_runs("crossing_collision")
-
-    def first_frames(results):
-        seen = [(row.cluster_id, result.frame) for result in results[::-1] for row in result.clusters]
-        return {cluster_id: frame for cluster_id, frame in seen if cluster_id}
-
-    found, known = first_frames(causal), first_frames(smooth)
-    assert found.keys() == known.keys()
-    earlier = [found[cluster_id] - known[cluster_id] for cluster_id in found]
-    assert 0 < max(earlier) <= SMOOTH.collision_times.max_frames // 2
-    assert min(earlier) >= 0
-
-
-def test_smoothed_warnings_are_those_of_the_causal_analysis():
-    frames, camera = table("crossing_collision", 50, n_tracks=200, min_per_object=30)
-    causal, smooth = results_of(frames, camera, CAUSAL), results_of(frames, camera, SMOOTH)
-    assert any(result.events for result in causal)
-    assert [result.events for result in causal] == [result.events for result in smooth]
-
-
-def test_smoothed_results_wait_for_half_a_window_and_no_longer():
-    frames, camera = table("crossing_collision", 30)
-    read = []
-
-    def source():
-        for frame in frames:
-            read.append(frame.index)
-            yield frame
-
-    stream = analyze_frames(source(), camera, SMOOTH)
-    for n in range(1, 20):
-        next(stream)
-        assert len(read) == n + SMOOTH.collision_times.max_frames // 2
-
-
-def test_smoothed_results_do_not_look_over_a_cut():
-    frames, camera = table("crossing_collision")
-    n_ids = 1 + max(frame.points.track_id.max() for frame in frames)
-    again = [
-        replace(f, index=f.index + 12, t_s=f.t_s + 1.0, points=replace(f.points, track_id=f.points.track_id + n_ids))
-        for f in frames
-    ]
-    alone, both = results_of(frames, camera, SMOOTH), results_of([*frames, *again], camera, SMOOTH)
-    assert both[12].status == FrameStatus.cut
-    assert_same(alone, both[:12])
-
-
-def test_frames_without_numbers_keep_their_place_among_smoothed_ones():
-    frames, camera = table("crossing_collision", 30)
-    bad = replace(frames[5], index=99, t_s=frames[5].t_s)
-    results = results_of([*frames[:6], bad, *frames[6:]], camera, SMOOTH)
-    assert [result.frame for result in results[:8]] == [0, 1, 2, 3, 4, 5, 99, 6]
-    assert has_no_numbers(results[6])
-    # The frames before it wait for as many frames as ever, one of which gives them no view.
-    assert_same(results[7:], long_runs("crossing_collision")[1][6:])
-
-
-@pytest.mark.parametrize("n_frames", [1, 2, 3])
-def test_a_clip_shorter_than_the_wait_is_smoothed_all_the_same(n_frames):
-    frames, camera = table("crossing_collision", 12)
-    results = results_of(frames[:n_frames], camera, SMOOTH)
-    assert [result.frame for result in results] == list(range(n_frames))
-
-
 # --- what gives a status and no number ------------------------------------------------------------------------------
 
 
@@ -358,86 +191,3 @@ def test_a_cut_restarts_everything_and_numbers_go_on():
         np.testing.assert_array_equal(one.tracks.n_frames, other.tracks.n_frames)
         if one.rotation_rad is not None:
             np.testing.assert_allclose(other.rotation_rad, one.rotation_rad, atol=1e-12)
-
-
-# --- pictures -------------------------------------------------------------------------------------------------------
-
-
-def pictures_of(pictures, dt_s=0.1):
-    return [Frame(index, index * dt_s, grey=grey) for index, grey in enumerate(pictures)]
-
-
-SMALL = PipelineConfig(tracking=TrackingConfig(max_tracks=120))
-
-
-@cache
-def approach_run():
-    return results_of(pictures_of(approach(10)), PICTURE_CAMERA, SMALL)
-
-
-def test_a_wall_that_comes_straight_on_has_the_time_it_was_given():
-    """The wall is all there is: it is the scene, its tracks have times, and the clip began 4 s before contact."""
-    results = approach_run()
-    assert statuses(results) == ["first", *["ok"] * 9]
-    last = results[-1]
-    ttc_z_s = last.tracks.times.ttc_z_s
-    assert np.isfinite(ttc_z_s).mean() > 0.5
-    assert np.nanmedian(ttc_z_s) == pytest.approx(4.0 - 0.9, rel=0.06)
-    assert scene_row(last).direction[2] < -0.99
-
-
-def test_dark_and_doubled_pictures_give_a_status_and_no_number():
-    clip = approach(10)
-    black = np.full((HEIGHT, WIDTH), 2, np.uint8)
-    clip[4], clip[7] = black, clip[6]
-    results = results_of(pictures_of(clip), PICTURE_CAMERA, SMALL)
-    assert statuses(results) == ["first", "ok", "ok", "ok", "dark", "ok", "ok", "duplicate", "ok", "ok"]
-    assert has_no_numbers(results[4])
-    assert has_no_numbers(results[7])
-    # Rates come from the times of the pictures that were used: the gap costs nothing.
-    assert np.nanmedian(results[-1].tracks.times.ttc_z_s) == pytest.approx(4.0 - 0.9, rel=0.08)
-
-
-@pytest.mark.parametrize("black", [0, 16])
-def test_a_black_clip_is_dark_all_through(black):
-    """Also where the video says 16 for black."""
-    results = results_of(pictures_of([np.full((HEIGHT, WIDTH), black, np.uint8)] * 3), PICTURE_CAMERA, SMALL)
-    assert statuses(results) == ["dark"] * 3
-    assert all(has_no_numbers(result) for result in results)
-
-
-def test_a_cut_between_pictures_restarts_the_tracks():
-    other = [255 - np.flipud(grey) // 2 for grey in swaying(4)]
-    results = results_of(pictures_of([*approach(5), *other]), PICTURE_CAMERA, SMALL)
-    assert statuses(results)[:6] == ["first", "ok", "ok", "ok", "ok", "cut"]
-    assert (results[5].tracks.n_frames == 1).all()
-    assert results[5].tracks.track_id.min() > results[4].tracks.track_id.max()
-
-
-def test_nothing_is_analysed_under_the_mask():
-    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
-    mask[80:] = 0
-    for result in results_of(pictures_of(approach(5)), PICTURE_CAMERA, SMALL, mask=mask):
-        assert len(result.tracks.track_id) > 20
-        assert (result.tracks.xy_px[:, 1] < 80).all()
-
-
-def test_work_done_ahead_changes_nothing():
-    """Pictures prepared in one go, as other threads do, instead of one by one."""
-    frames = pictures_of(approach(10))
-    ahead = results_of(frames, PICTURE_CAMERA, SMALL, map_ahead=lambda work, items: iter([work(i) for i in items]))
-    assert_same(ahead, approach_run())
-
-
-def test_text_burned_into_the_pictures_belongs_to_nothing():
-    """A station's logo: corners that never move look like constant bearing, and must not warn of anything."""
-    clip = [grey.copy() for grey in swaying(34)]
-    for grey in clip:
-        grey[6:26, 6:76] = 20
-        cv2.putText(grey, "TTC 42", (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 250, 1)
-    last = results_of(pictures_of(clip), PICTURE_CAMERA, SMALL)[-1]
-    x, y = last.tracks.xy_px.T
-    on_text = (x > 7) & (x < 75) & (y > 8) & (y < 25) & (last.tracks.n_frames > 25)
-    assert np.count_nonzero(on_text) >= 4
-    assert (last.tracks.cluster_id[on_text] == -1).mean() > 0.8
-    assert last.events == ()

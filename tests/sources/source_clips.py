@@ -7,6 +7,9 @@ import av
 import cv2
 import numpy as np
 import pandas as pd
+import pytest
+
+from ttcvid.sources import Selection, open_source
 
 N = 12
 FPS = 10
@@ -116,3 +119,19 @@ def cut(path: Path, share: float) -> Path:
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
     return path
+
+
+def read(path, *selection, **options):
+    """The frames of a clip, and its source; ``selection`` is start, end and stride."""
+    with open_source(str(path), selection=Selection(*selection), **options) as source:
+        return list(source), source
+
+
+def one_line_error(kind, path, **options) -> str:
+    """The message of an error that opening or reading has to raise: one line, with the path."""
+    with pytest.raises(kind) as caught, open_source(str(path), **options) as source:
+        list(source)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message

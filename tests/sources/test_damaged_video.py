@@ -12,25 +12,13 @@ from source_clips import (
     N,
     cut,
     damage,
+    one_line_error,
+    read,
     write_video,
 )
 
 from ttcvid.errors import InputError
-from ttcvid.sources import Selection, open_source
-
-
-def read(path, *selection, **options):
-    with open_source(str(path), selection=Selection(*selection), **options) as source:
-        return list(source), source
-
-
-def one_line_error(kind, path, **options) -> str:
-    with pytest.raises(kind) as caught, open_source(str(path), **options) as source:
-        list(source)
-    message = str(caught.value)
-    assert str(path) in message
-    assert "\n" not in message
-    return message
+from ttcvid.sources import Selection
 
 
 @pytest.mark.parametrize("bad", [1, 5])

@@ -14,30 +14,18 @@ from source_clips import (
     WIDTH,
     N,
     luma,
+    one_line_error,
     packets_of,
+    read,
     write_pictures,
     write_video,
 )
 
 from ttcvid.errors import UsageError
 from ttcvid.model import ImageSize
-from ttcvid.sources import Selection, open_source
+from ttcvid.sources import open_source
 
 UNEVEN_MS = [0, 40, 100, 101, 250, 251, 252, 400, 1000, 1033, 1066, 1100]
-
-
-def read(path, *selection, **options):
-    with open_source(str(path), selection=Selection(*selection), **options) as source:
-        return list(source), source
-
-
-def one_line_error(kind, path, **options) -> str:
-    with pytest.raises(kind) as caught, open_source(str(path), **options) as source:
-        list(source)
-    message = str(caught.value)
-    assert str(path) in message
-    assert "\n" not in message
-    return message
 
 
 def test_the_test_clips_hold_reordered_frames(tmp_path):

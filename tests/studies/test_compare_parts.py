@@ -1,22 +1,17 @@
-"""The parts of a comparison: joining frames, tracks, objects and warnings; judging columns; what baselines keep."""
+"""The parts of a comparison: joining frames, tracks, objects and warnings; judging columns."""
 
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from made_results import DT_S, FACTS, N_FRAMES, N_TRACKS, different, whole_result, with_table
 
-from ttcvid.errors import NotComparableError
-from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
-from ttcvid.jobs.result_tables import in_ordinary_types
 from ttcvid.schema import TABLES
 from ttcvid.studies.compare import Results, changes, compare_results
 from ttcvid.studies.compare_columns import JoinedRows, explanation, is_judged, judge_columns, reported_sigma
 from ttcvid.studies.compare_frames import join_frames
 from ttcvid.studies.compare_objects import OTHER_OBJECT, baseline_numbers, join_events, join_objects
-from ttcvid.studies.compare_thinned import N_FRAMES as N_KEPT
-from ttcvid.studies.compare_thinned import N_TRACKS as N_TRACKS_KEPT
-from ttcvid.studies.compare_thinned import thinned
 from ttcvid.studies.compare_tolerance import (
     NOT_JUDGED,
     EventTolerance,
@@ -27,74 +22,6 @@ from ttcvid.studies.compare_tolerance import (
     tolerance_from,
 )
 from ttcvid.studies.compare_tracks import join_tracks, positions_by_frame
-
-N_FRAMES, N_TRACKS, DT_S = 60, 40, 0.1
-FACTS = {"camera.fx_px": 500.0, "camera.fy_px": 500.0}
-
-
-def whole_result(seed: int = 0, name: str = "one") -> Results:
-    """A result with every column filled by numbers of ordinary size; object 3 lives in all frames, object 7 late."""
-    rng = np.random.default_rng(seed)
-    frame = np.arange(N_FRAMES)
-    frames = filled("frames", pd.DataFrame({"frame": frame, "t_s": frame * DT_S}), rng)
-    life = pd.DataFrame({"frame": np.concatenate([frame, frame, frame[40:]])})
-    life["cluster_id"] = np.repeat([0, 3, 7], [N_FRAMES, N_FRAMES, N_FRAMES - 40])
-    life = life.sort_values(["frame", "cluster_id"]).reset_index(drop=True)
-    life["t_s"] = life.frame * DT_S
-    x_px = 100.0 * life.cluster_id + life.frame
-    box = {"x0_px": x_px, "y0_px": 50.0 + life.frame, "x1_px": x_px + 60, "y1_px": 90.0 + life.frame}
-    clusters = filled("clusters", life.assign(**box, n_tracks=20), rng)
-    tracks = pd.DataFrame({"frame": np.repeat(frame, N_TRACKS), "track_id": np.tile(np.arange(N_TRACKS), N_FRAMES)})
-    places = rng.uniform(0, 600, (N_TRACKS, 2))
-    tracks["t_s"], tracks["cluster_id"] = tracks.frame * DT_S, np.where(tracks.track_id < 5, 3, 0)
-    tracks["x_px"] = places[tracks.track_id, 0] + 2.0 * tracks.frame
-    tracks["y_px"] = places[tracks.track_id, 1] + 1.0 * tracks.frame
-    events = pd.DataFrame({"event_id": [1], "kind": "collision_course", "cluster_id": [3], "start_frame": [10]})
-    events = events.assign(end_frame=30, start_s=1.0, end_s=3.0)
-    tables = {
-        "frames": frames,
-        "epipoles": filled("epipoles", life, rng),
-        "clusters": clusters,
-        "collision_times": filled("collision_times", tracks, rng),
-        "events": filled("events", events, rng),
-    }
-    return Results(name, tables, FACTS, frames)
-
-
-def filled(name: str, given: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
-    """The table with the columns of the schema; what is not given is random, all of one sign."""
-    columns = {}
-    for column in TABLES[name]:
-        if column.name in given:
-            columns[column.name] = given[column.name].to_numpy()
-        elif column.values:
-            columns[column.name] = np.full(len(given), column.values[0])
-        elif column.unit == "":
-            columns[column.name] = np.full(len(given), "name")
-        elif column.name.startswith("cov_"):
-            columns[column.name] = rng.uniform(1.0, 2.0, len(given)) * 1e-6
-        elif column.name == "rot_sigma_rad":
-            columns[column.name] = np.full(len(given), 1e-5)
-        elif column.name.startswith("rot_"):
-            columns[column.name] = rng.uniform(0.01, 0.02, len(given))
-        elif str(column.type).startswith("int"):
-            columns[column.name] = rng.integers(50, 60, len(given))
-        else:
-            low = {"_lo_s": 2.0, "_hi_s": 4.0}.get(column.name[-5:], 3.0)
-            columns[column.name] = low + rng.uniform(0.0, 0.1, len(given))
-    return in_ordinary_types(pd.DataFrame(columns), name)
-
-
-def with_table(results: Results, name: str, table: pd.DataFrame) -> Results:
-    clock = table if name == "frames" else results.clock
-    return Results("other", {**results.tables, name: table}, results.facts, clock, results.is_thinned)
-
-
-def different(baseline: Results, run: Results, tolerance: Tolerance | None = None) -> tuple[list[str], list[str]]:
-    """Names of the columns that differ, and all other complaints."""
-    comparison = compare_results(baseline, run, tolerance or Tolerance())
-    complaints = [text for part in comparison.parts for text in part.complaints]
-    return [column.name for column in comparison.columns if not column.is_same], complaints
 
 
 def test_facts_that_differ_by_rounding_alone_are_no_change():
@@ -358,48 +285,6 @@ def test_warnings_are_joined_by_object_and_time_and_the_rest_is_named():
     assert join_events(events((1, 1.0, 3.0)), events(), pairs, EventTolerance())[2][0].endswith("is missing")
     assert join_events(events((1, 1.0, 1.1)), events(), pairs, EventTolerance())[2] == ()
     assert join_events(events((1, 1.0, 1.1)), events(), pairs, EventTolerance(min_duration_s=0.05))[2] != ()
-
-
-def test_a_baseline_keeps_few_rows_and_is_read_as_it_was_written(tmp_path):
-    result = whole_result()
-    kept = thinned(result, ObjectTolerance())
-    assert len(kept.tables["frames"]) == N_KEPT
-    assert kept.tables["collision_times"].groupby("frame").size().max() == N_TRACKS_KEPT
-    path = tmp_path / "baseline.yaml"
-    write_baseline(path, baseline_text(kept))
-    read = read_baseline(path)
-    assert read.facts == FACTS
-    np.testing.assert_allclose(read.clock.t_s, result.clock.t_s, atol=1e-6)
-    assert read.clock.frame.tolist() == result.clock.frame.tolist()
-    assert baseline_text(read) == path.read_text()
-    assert different(read, result) == ([], [])
-
-
-def test_a_baseline_that_is_cut_off_anywhere_is_refused(tmp_path):
-    text = baseline_text(thinned(whole_result(), ObjectTolerance()))
-    ends_of_rows = [place + 1 for place, letter in enumerate(text) if letter == "\n"]
-    path = tmp_path / "baseline.yaml"
-    reasons = r"is not whole|cannot be read as a baseline|is no baseline|schema"
-    for length in [0, *range(1, len(text), len(text) // 25), *ends_of_rows[5:-1:12], ends_of_rows[-2], len(text) - 1]:
-        path.write_text(text[:length])
-        with pytest.raises(NotComparableError, match=reasons):
-            read_baseline(path)
-
-
-@pytest.mark.parametrize(
-    "times", [np.arange(40) / 30, np.round(np.arange(40) / 30, 3), np.arange(40) ** 1.2 / 30 + 5, np.zeros(1)]
-)
-def test_a_baseline_keeps_the_times_of_all_frames(tmp_path, times):
-    numbers = np.arange(len(times)) * 2 + 5
-    frames = filled("frames", pd.DataFrame({"frame": numbers, "t_s": times}), np.random.default_rng(0))
-    tables = {name: filled(name, pd.DataFrame(index=[]), np.random.default_rng(0)) for name in TABLES}
-    path = tmp_path / "baseline.yaml"
-    kept = thinned(Results("one", {**tables, "frames": frames}, {}, frames), ObjectTolerance())
-    write_baseline(path, baseline_text(kept))
-    read = read_baseline(path).clock
-    assert read.frame.tolist() == numbers.tolist()
-    step_s = np.median(np.diff(times)) if len(times) > 1 else 1.0
-    assert np.abs(read.t_s - times).max() < 0.06 * step_s
 
 
 def test_the_manual_lists_the_tolerances_as_they_are():
