@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import moving_points, views
 
-from ttcvid.geometry.rotation import rotation_from_vector
-from ttcvid.geometry.whole_track import carried_forward, fit_whole_tracks
+from ttcvid.geometry.whole_track import fit_whole_tracks
 
 SIGMA = 0.2 / 720.0
 T_S = -0.1 * np.arange(15.0)[::-1]
@@ -114,25 +113,6 @@ def test_outliers_lose_their_weight():
     found = fit_whole_tracks(xy, T_S, np.full(n, SIGMA))
     off = (found.state[:, 4] - truth[4]) / np.sqrt(found.cov[:, 4, 4])
     assert np.mean(np.abs(off) < 1.645) > 0.8
-
-
-def test_a_start_near_by_leads_to_the_same_state():
-    rng = np.random.default_rng(7)
-    xy, truth = many((6.0, 2.0, 25.0), (-1.0, 0.5, -8.0), 200, rng)
-    sigma = np.full(200, SIGMA)
-    cold = fit_whole_tracks(xy, T_S, sigma)
-    warm = fit_whole_tracks(xy, T_S, sigma, start=truth + 0.05 * rng.normal(size=(200, 5)) * np.abs(truth))
-    np.testing.assert_allclose(warm.state[:, 4], cold.state[:, 4], atol=0.02 * np.sqrt(cold.cov[0, 4, 4]))
-
-
-@given(moving_points(), st.floats(-0.3, 0.3))
-def test_a_state_carried_forward_is_that_of_the_point_later(scene, turn_rad):
-    position, velocity = scene
-    cam_R_prev = rotation_from_vector(np.array([0.1, turn_rad, -0.2]))
-    later, turned = (position + 0.3 * velocity) @ cam_R_prev.T, velocity @ cam_R_prev.T
-    carried = carried_forward(state_of(position, velocity), 0.3, cam_R_prev)
-    is_ahead = later[:, 2] > 0.2 * position[:, 2]
-    np.testing.assert_allclose(carried[is_ahead], state_of(later, turned)[is_ahead], rtol=1e-9, atol=1e-12)
 
 
 @given(moving_points(), st.floats(0.1, 10.0))

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.whole_track_descent import LEAST_DEPTH_RATIO, TAIL, fit_each
+from ttcvid.geometry.whole_track_descent import TAIL, fit_each
 from ttcvid.model import Floats, Ints
 
 
@@ -47,7 +47,6 @@ def fit_whole_tracks(
     xy: Floats,
     t_s: Floats,
     sigma_norm: Floats,
-    start: Floats | None = None,
     max_frames: int | None = None,
     gate_probability: float = 0.999,
     plane: MotionPlane | None = None,
@@ -67,9 +66,6 @@ def fit_whole_tracks(
         ``(L,)`` times relative to the reference, in s: 0 and before, or on both sides; in any order.
     sigma_norm
         ``(N,)`` standard deviation of a coordinate of one observation.
-    start
-        ``(N, 5)`` states to start from, such as those of the last frame carried forward (`carried_forward`); NaN rows,
-        or None: from the linear solve.
     max_frames
         Most views of a window; None: all.
     gate_probability
@@ -103,14 +99,12 @@ def fit_whole_tracks(
     state, cov = np.full((n, 5), np.nan), np.full((n, 5, 5), np.nan)
     info_w, chi2 = np.zeros((n, 3, 3)), np.zeros(n)
     n_frames = np.zeros(n, dtype=np.int64)
-    start = np.full((n, 5), np.nan) if start is None else start
     fit_each(
         np.ascontiguousarray(xy, dtype=np.float64),
         np.asarray(t_s, dtype=np.float64),
         np.asarray(sigma_norm, dtype=np.float64),
         order,
         longest,
-        np.asarray(start, dtype=np.float64),
         window_gates(longest, 5, gate_probability),
         window_gates(TAIL, 0, gate_probability),
         np.asarray(normal, dtype=np.float64),
@@ -124,17 +118,6 @@ def fit_whole_tracks(
     if plane is not None:
         _add_plane(plane, state, cov, info_w)
     return WholeTracks(state, cov, info_w, chi2, np.maximum(2 * n_frames - 5, 0), n_frames)
-
-
-def carried_forward(state: Floats, dt_s: float, cam_R_prev: Floats) -> Floats:
-    """States ``(N, 5)`` of the last reference as the present camera sees them ``dt_s`` later; NaN behind it.
-
-    ``cam_R_prev (3, 3)`` turns a ray of the last reference camera into the present one.
-    """
-    place = np.column_stack([state[:, :2], np.ones(len(state))]) + dt_s * state[:, 2:]
-    place, velocity = place @ cam_R_prev.T, state[:, 2:] @ cam_R_prev.T
-    depth = np.where(place[:, 2:] > LEAST_DEPTH_RATIO, place[:, 2:], np.nan)
-    return np.concatenate([place[:, :2] / depth, velocity / depth], axis=1)
 
 
 @lru_cache(maxsize=32)

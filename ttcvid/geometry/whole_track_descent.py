@@ -26,7 +26,7 @@ TAIL = 3
 # The depth of a point over that at time 0, 1 + c t, stays above this over the window; one step of c changes it by no
 # more than 1 at the window's end. c about zero is expected with a standard deviation of 3 over the window: it decides
 # where the views alone leave c open (two views, no flow), and nowhere else.
-LEAST_DEPTH_RATIO, _C_SIGMA = 0.1, 3.0
+_LEAST_DEPTH_RATIO, _C_SIGMA = 0.1, 3.0
 # Columns of the sums below.
 _N_SUMS = 14
 
@@ -38,7 +38,6 @@ def fit_each(
     sigma: Floats,
     order: Ints,
     longest: int,
-    start: Floats,
     gates: Floats,
     tail_gates: Floats,
     normal: Floats,
@@ -80,17 +79,13 @@ def fit_each(
         span = max(last - first, 1e-12)
         prior = (span / _C_SIGMA) ** 2
         inverse = 1.0 / sigma[i]
-        c_low = -(1.0 - LEAST_DEPTH_RATIO) / max(last, 1e-12)
-        c_high = (1.0 - LEAST_DEPTH_RATIO) / max(-first, 1e-12)
-        s[0], s[1] = start[i, 0] - x0, start[i, 1] - y0
-        s[2], s[3], s[4] = start[i, 2] - start[i, 4] * x0, start[i, 3] - start[i, 4] * y0, start[i, 4]
-        has_start = np.isfinite(s[0] + s[1] + s[2] + s[3] + s[4]) and c_low < s[4] < c_high
+        c_low = -(1.0 - _LEAST_DEPTH_RATIO) / max(last, 1e-12)
+        c_high = (1.0 - _LEAST_DEPTH_RATIO) / max(-first, 1e-12)
         n = m
-        if not has_start:
-            s[:] = 0.0
-            _add_up(t, px, py, m, s, inverse, True, sums)
-            _solve(sums[m], prior, s[4], c_low, c_high, 1.0 / span, step)
-            s += step
+        s[:] = 0.0
+        _add_up(t, px, py, m, s, inverse, True, sums)
+        _solve(sums[m], prior, s[4], c_low, c_high, 1.0 / span, step)
+        s += step
         for count in range(_MAX_STEPS):
             n = m if count < _WINDOW_STEPS else n
             _add_up(t, px, py, n, s, inverse, False, sums)

@@ -232,7 +232,6 @@ def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config:
         each_turned_into_plane(history.rays[views], members, history.cam_R_seen[views][None], np.zeros_like(members)),
         history.since_s[views],
         history.sigma_norm[members],
-        None,
         config.max_frames,
         config.window_probability,
     )

@@ -118,7 +118,7 @@ def find_bodies(
         movers = replace(memory.movers, paths=paths, where=where)
     key[~np.isin(key, movers.key)] = SCENE_CLUSTER
     scene = _scene(
-        history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, key, rate_hz
+        history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, rate_hz
     )
     scene, rate_hz = with_unit_speed(scene, views.since_s, rate_hz)
     every = views.points(np.arange(len(key)))
@@ -207,7 +207,6 @@ def _scene(
     can_translate: bool,
     before: RigidPaths | None,
     views: BodyViews,
-    key: Ints,
     rate_hz: Floats,
 ) -> RigidPaths:
     """The scene on its way, corrected by its tracks."""

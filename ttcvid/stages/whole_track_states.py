@@ -201,7 +201,6 @@ def _with_free(
         history.xy[:, free],
         history.since_s,
         history.sigma_norm[free],
-        None,
         config.max_frames,
         config.window_probability,
         None if plane is None else MotionPlane(plane.normal, plane.covariance),

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ttcvid.config import TrackingConfig
-from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
+from ttcvid.model import Bools, Floats, Picture, PointSet
 from ttcvid.stages.tracking.content import content_offsets
 from ttcvid.stages.tracking.corners import find_corners
 
@@ -64,7 +64,7 @@ def follow_klt(
     found &= _is_inside(xy_px, grey)
     if allowed is not None:
         found &= _is_allowed(allowed, window_px) & _is_allowed(allowed, xy_px)
-    found &= ~_is_crowded(window_px, found, memory.points.track_id)
+    found &= ~_is_crowded(window_px, found)
     n_before = len(found)
     points = PointSet(memory.points.track_id[found], xy_px[found], window_px[found])
     step = (window_px - before_px)[found]
@@ -138,12 +138,12 @@ def _is_allowed(allowed: Picture, xy_px: Floats) -> Bools:
     return answer
 
 
-def _is_crowded(xy_px: Floats, found: Bools, track_id: Ints) -> Bools:
+def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
     """Tracks (N,) that slid into the cell of an older one: two tracks of one point would count twice."""
     crowded = np.zeros(len(found), dtype=bool)
     candidates = np.flatnonzero(found)
     cell = np.floor(xy_px[candidates] / _CROWDED_PX).astype(np.int64)
-    # Ascending track_id is ascending age: np.unique keeps the first, hence the oldest, of a cell.
+    # Tracks are in the order of their age: np.unique keeps the first, hence the oldest, of a cell.
     _, oldest = np.unique(cell[:, 0] + (cell[:, 1] << 20), return_index=True)
     crowded[candidates] = True
     crowded[candidates[oldest]] = False
