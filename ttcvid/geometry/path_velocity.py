@@ -95,7 +95,8 @@ def _fill(
     jacobian: Floats,
 ) -> None:
     """Fill the results of `velocities_on_paths`."""
-    product = np.empty((3, N_SHARED))
+    n_shared = shared_cov.shape[1]
+    product = np.empty((3, n_shared))
     for i in range(len(path_of)):
         k = path_of[i]
         if k < 0 or not np.isfinite(rate_hz[i]):
@@ -122,16 +123,16 @@ def _fill(
             abc_hz[i, 1] += turn[2] * x - turn[0]
             abc_hz[i, 2] += turn[0] * y - turn[1] * x
         for j in range(3):
-            for m in range(N_SHARED):
+            for m in range(n_shared):
                 total = 0.0
-                for q in range(N_SHARED):
+                for q in range(n_shared):
                     total += slope[j, q] * shared[q, m]
                 product[j, m] = total
         along = 0.0
         for j in range(3):
             for m in range(3):
                 total = rate_variance[i] * e[j] * e[m]
-                for q in range(N_SHARED):
+                for q in range(n_shared):
                     total += product[j, q] * slope[m, q]
                 along += e[j] * total * e[m]
                 cov[i, j, m] = total + change[k] * change[k] * abc_hz[i, j] * abc_hz[i, m]

@@ -1,0 +1,41 @@
+"""Compiled functions are kept on disk by their own file: what they use of others would go stale unnoticed."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import ttcvid
+
+PACKAGE = Path(ttcvid.__file__).parent
+
+
+def compiled_functions(tree):
+    return [
+        node
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef)
+        and any(isinstance(mark, ast.Name) and mark.id == "compiled" for mark in node.decorator_list)
+    ]
+
+
+def names_from_our_other_files(tree):
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    return {
+        alias.asname or alias.name
+        for node in imports
+        if (node.module or "").startswith("ttcvid")
+        for alias in node.names
+    }
+
+
+FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if compiled_functions(ast.parse(path.read_text()))]
+
+
+@pytest.mark.parametrize("path", FILES, ids=[path.stem for path in FILES])
+def test_a_compiled_function_uses_nothing_of_our_other_files(path):
+    tree = ast.parse(path.read_text())
+    foreign = names_from_our_other_files(tree)
+    for function in compiled_functions(tree):
+        used = {node.id for line in function.body for node in ast.walk(line) if isinstance(node, ast.Name)}
+        assert not used & foreign, f"{function.name} in {path.name}"
