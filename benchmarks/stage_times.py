@@ -22,6 +22,7 @@ from ttcvid.jobs.outputs import open_sinks
 from ttcvid.jobs.process import one_opencv_thread, rare_garbage_collections, share_freed_memory
 from ttcvid.sinks.tables import TableSink
 from ttcvid.sinks.video import OverlayVideo
+from ttcvid.stages import analyzed_frames, seen_frames, tracked_frames
 
 PIPELINE_STAGES = {
     "prepare_picture": "tracking",
@@ -35,7 +36,8 @@ PIPELINE_STAGES = {
     "cluster_rows": "rows",
     "update_events": "rows",
 }
-"""Functions that ``ttcvid.pipeline`` calls, and the stage that each is counted to."""
+"""Functions that an analysis of frames calls, and the stage that each is counted to."""
+PIPELINE_MODULES = (tracked_frames, seen_frames, analyzed_frames)
 GEOMETRY = ("history", "own motion", "motions", "rows")
 STAGES = ("decode", "tracking", *GEOMETRY, "colour", "paint", "encode", "tables", "closing")
 
@@ -78,7 +80,8 @@ def milliseconds_per_stage(clip: Path, **options: Any) -> tuple[dict[str, float]
         stack.enter_context(rare_garbage_collections())
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for name, stage in PIPELINE_STAGES.items():
-            stack.enter_context(patch.object(pipeline, name, watch.timed(stage, getattr(pipeline, name))))
+            (home,) = (module for module in PIPELINE_MODULES if hasattr(module, name))
+            stack.enter_context(patch.object(home, name, watch.timed(stage, getattr(home, name))))
         for owner, name, stage in (
             (TableSink, "write", "tables"),
             (OverlayPainter, "paint", "paint"),

@@ -13,9 +13,9 @@ from ttcvid.jobs.clip import Calibration, open_clip
 from ttcvid.jobs.configuration import Configuration
 from ttcvid.jobs.side_by_side import ReadAhead
 from ttcvid.model import FrameStatus, Platform
-from ttcvid.pipeline import track_frames
 from ttcvid.sources import Source
 from ttcvid.stages.focal_length import SeenPoints, find_focal_length
+from ttcvid.stages.tracked_frames import track_frames
 
 _LOG = logging.getLogger(__name__)
 

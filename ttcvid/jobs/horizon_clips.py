@@ -11,11 +11,12 @@ from ttcvid.config import PipelineConfig
 from ttcvid.jobs.clip import Calibration
 from ttcvid.jobs.side_by_side import ReadAhead, map_ahead
 from ttcvid.model import Frame, FrameStatus, Picture, Platform, PointSet
-from ttcvid.pipeline import TrackedFrame, analyze_frames, track_frames
+from ttcvid.pipeline import analyze_frames
 from ttcvid.sources import Source
 from ttcvid.stages.horizon_driving import own_motions, own_step
 from ttcvid.stages.horizon_motions import Motion, find_motions
 from ttcvid.stages.rest import Look, compare_looks, complaint_about_motion
+from ttcvid.stages.tracked_frames import TrackedFrame, track_frames
 from ttcvid.stages.tracking.content import content_offsets
 from ttcvid.stages.tracking.moving_parts import Background, background_of, only_moving
 from ttcvid.stages.whole_tracks import Observations, joined, observations_of, recentred, without_ended_at_rest
