@@ -146,8 +146,10 @@ def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> t
         n_missed=np.where(is_found, 0, movers.n_missed + 1),
         where=movers.where.seen_again(number, views.xy, movers.rate_hz, now_s, least),
     )
-    key = np.where(np.isin(key, movers.key[~is_held]), SCENE_CLUSTER, key)
-    return key, movers.take(is_held & (counts > 0) | is_hidden)
+    is_kept = (is_held & (counts > 0)) | is_hidden
+    if not is_held.all():
+        key = np.where(np.append(True, is_held)[number], key, SCENE_CLUSTER)
+    return key, movers if is_kept.all() else movers.take(is_kept)
 
 
 def known_again(
@@ -175,8 +177,8 @@ def known_again(
     is_known : (J,).
     """
     key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
-    hidden = np.flatnonzero(np.bincount(numbers_of(key, movers), minlength=len(movers) + 1)[1:] == 0)
-    hidden = hidden[movers.where.centre[hidden, 2] > 0.0]
+    hidden = np.flatnonzero((movers.n_missed > 0) & (movers.where.centre[:, 2] > 0.0))
+    hidden = hidden[~np.isin(movers.key[hidden], key)] if len(hidden) else hidden
     for place, members in enumerate(found):
         if not len(hidden):
             break
@@ -193,12 +195,13 @@ def known_again(
 
 def _misfits_as_hidden(views: BodyViews, members: Ints, hidden: Movers, usual_misfit: float) -> Floats:
     """How badly the motion of each hidden mover explains some tracks, (K,); infinite where they are not where it is."""
-    n, centre = len(members), hidden.where.centre
-    body = np.repeat(np.arange(len(hidden)), n)
-    fit = fit_on_movers(views.points(np.tile(members, len(hidden)), body), hidden.paths, hidden.rate_hz)
-    misfit = np.median(fit.misfit.reshape(-1, n), axis=1) / usual_misfit
-    rate = np.median(fit.rate_hz.reshape(-1, n), axis=1) * centre[:, 2]
+    centre, misfit = hidden.where.centre, np.full(len(hidden), np.inf)
     away = np.linalg.norm(np.mean(views.xy[members], axis=0) - centre[:, :2] / centre[:, 2:], axis=1)
-    is_there = away < _WITHIN_EXTENTS * hidden.where.extent / centre[:, 2] + views.link_px / views.focal_px
-    is_alike = (rate < _ONE_RATE) & (rate * _ONE_RATE > 1.0)
-    return np.where(is_there & is_alike, misfit, np.inf)
+    limit = _WITHIN_EXTENTS * hidden.where.extent / centre[:, 2] + views.link_px / views.focal_px
+    for mover in np.flatnonzero(away < limit):
+        it = hidden.take(np.array([mover]))
+        fit = fit_on_movers(views.points(members), it.paths, it.rate_hz)
+        rate = np.median(fit.rate_hz) * centre[mover, 2]
+        if 1.0 / _ONE_RATE < rate < _ONE_RATE:
+            misfit[mover] = np.median(fit.misfit) / usual_misfit
+    return misfit

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 
 # A mover is seen as a whole with this part of its tracks; the number of these falls by this part a frame at the most.
@@ -49,22 +50,43 @@ class Whereabouts:
         rate_hz : (K,) median rate of the tracks of each mover.
         least : fewer tracks than this say nothing.
         """
-        n_movers = len(self.centre)
-        own = np.flatnonzero((number > 0) & np.isfinite(xy[:, 0]))
-        mover, xy = number[own] - 1, xy[own]
-        count = np.bincount(mover, minlength=n_movers)
-        some = np.maximum(count, 1)
-        middle = np.column_stack([np.bincount(mover, xy[:, axis], n_movers) / some for axis in (0, 1)])
-        square = np.bincount(mover, np.sum((xy - middle[mover]) ** 2, axis=1), n_movers) / some
-        is_whole = (count >= least) & (count >= _WHOLE * self.n_tracks)
-        away_s = 1.0 / np.maximum(rate_hz, _TINY_HZ)
-        centre = np.column_stack([middle, np.ones(n_movers)]) * away_s[:, None]
-        return Whereabouts(
-            np.where(is_whole[:, None], centre, self.centre),
-            np.where(is_whole, np.sqrt(square) * away_s, self.extent),
-            np.maximum(count, _FALLS * self.n_tracks),
-            np.where(count >= least, now_s, self.seen_s),
-        )
+        centre, extent = self.centre.copy(), self.extent.copy()
+        n_tracks, seen_s = self.n_tracks.copy(), self.seen_s.copy()
+        _see(number, xy, rate_hz, now_s, least, centre, extent, n_tracks, seen_s)
+        return Whereabouts(centre, extent, n_tracks, seen_s)
+
+
+@compiled
+def _see(
+    number: Ints,
+    xy: Floats,
+    rate_hz: Floats,
+    now_s: float,
+    least: int,
+    centre: Floats,
+    extent: Floats,
+    n_tracks: Floats,
+    seen_s: Floats,
+) -> None:
+    """Brings what `Whereabouts` knows up to date with the tracks of a frame."""
+    n_movers = len(rate_hz)
+    # Of the tracks of each mover: their number, the sums of x and y, and that of the squares of both.
+    count, sums = np.zeros(n_movers), np.zeros((n_movers, 3))
+    for i in range(len(number)):
+        x, y = xy[i, 0], xy[i, 1]
+        if number[i] > 0 and np.isfinite(x):
+            sums[number[i] - 1, 0] += x
+            sums[number[i] - 1, 1] += y
+            sums[number[i] - 1, 2] += x * x + y * y
+            count[number[i] - 1] += 1.0
+    for k in range(n_movers):
+        if count[k] >= least:
+            seen_s[k] = now_s
+            if count[k] >= _WHOLE * n_tracks[k]:
+                x, y, away_s = sums[k, 0] / count[k], sums[k, 1] / count[k], 1.0 / max(rate_hz[k], _TINY_HZ)
+                centre[k, 0], centre[k, 1], centre[k, 2] = x * away_s, y * away_s, away_s
+                extent[k] = np.sqrt(max(sums[k, 2] / count[k] - x * x - y * y, 0.0)) * away_s
+        n_tracks[k] = max(count[k], _FALLS * n_tracks[k])
 
 
 def nowhere(count: int) -> Whereabouts:
