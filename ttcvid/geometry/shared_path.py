@@ -95,6 +95,7 @@ def fit_shared_paths(
     path_of: Ints,
     max_frames: int | None = None,
     gate_probability: float = 0.999,
+    most_points: int = MOST_POINTS,
 ) -> SharedPaths:
     """What the points of each path say of it together, by Gauss-Newton on the paths and their points.
 
@@ -106,12 +107,14 @@ def fit_shared_paths(
     beliefs
         Times and axes of ``base`` as in `fit_rates_on_paths`.
     xy, t_s, sigma_norm, path_of, max_frames, gate_probability
-        As for `fit_rates_on_paths`. At most `MOST_POINTS` points of a path are used.
+        As for `fit_rates_on_paths`.
+    most_points
+        Of more points of a path an even part is used.
     """
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
     seen, n_views = np.empty((len(path_of), longest), dtype=np.int64), np.empty(len(path_of), dtype=np.int64)
     _list_views(xy, np.argsort(np.abs(t_s), kind="stable"), beliefs.base, path_of, seen, n_views)
-    index, first = _some_of_each(np.where(n_views < LEAST_VIEWS, NO_PATH, path_of), len(beliefs.direction))
+    index, first = _some_of_each(np.where(n_views < LEAST_VIEWS, NO_PATH, path_of), len(beliefs.direction), most_points)
     xy, sigma_norm, path_of = np.ascontiguousarray(xy[:, index]), sigma_norm[index], path_of[index]
     points = xy, t_s, sigma_norm, seen[index], n_views[index], first
     basis = np.concatenate([tangent_basis(beliefs.direction), beliefs.direction[:, :, None]], axis=2)
@@ -156,12 +159,12 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
     return back
 
 
-def _some_of_each(path_of: Ints, count: int) -> tuple[Ints, Ints]:
-    """An even part of the points of each path, no more than `MOST_POINTS`, path by path; where each path begins."""
+def _some_of_each(path_of: Ints, count: int, most: int) -> tuple[Ints, Ints]:
+    """An even part of the points of each path, no more than ``most``, path by path; where each path begins."""
     order, end = np.argsort(path_of, kind="stable"), np.cumsum(np.bincount(path_of[path_of >= 0], minlength=count))
     # Those without a path come first.
     members = np.split(order, len(path_of) - end[-1:] + np.append(0, end))[1:-1] if count else []
-    chosen = [index[:: -(-len(index) // MOST_POINTS) or 1] for index in members]
+    chosen = [index[:: -(-len(index) // most) or 1] for index in members]
     first = np.cumsum([0, *(len(index) for index in chosen)])
     return np.concatenate([np.empty(0, dtype=np.int64), *chosen]), first
 
