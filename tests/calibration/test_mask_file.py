@@ -88,5 +88,5 @@ def test_other_files_are_refused_in_one_line(tmp_path, content, words):
 def test_missing_mask(tmp_path):
     with pytest.raises(CalibrationError, match="no such file"):
         read_mask(tmp_path / "mask.png", SIZE)
-    with pytest.raises(CalibrationError, match="no such file"):
+    with pytest.raises(CalibrationError, match="is a folder"):
         read_mask(tmp_path, SIZE)
