@@ -65,6 +65,7 @@ def first_warned(active):
 
 HIT = ((0.0, 0.0, 30.0), (0.0, 0.0, -10.0))
 HARMLESS = row_of((0.0, 0.0, 30.0), (0.0, 0.0, 8.0))
+WITHOUT_STATE = ClusterRow(1, 1, 5, (0.0, 0.0, 9.0, 9.0), Status.no_parallax, Status.ok, "consensus")
 
 
 def test_a_collision_course_is_warned_of_once_it_has_lasted():
@@ -225,15 +226,47 @@ def test_a_warning_stands_on_what_is_a_little_beyond_the_threshold():
     assert len(watched(hit + [slower] * 30)[0][-1]) == 1
 
 
-@pytest.mark.parametrize("after", [HARMLESS, None], ids=["harmless", "lost"])
-def test_a_warning_ends_when_it_has_been_over_for_as_long_as_it_took_to_start(after):
+@pytest.mark.parametrize(
+    ("after", "n_frames"), [(HARMLESS, 6), (None, 18), (WITHOUT_STATE, 18)], ids=["harmless", "hidden", "no value"]
+)
+def test_a_warning_ends_when_it_is_over_and_later_when_what_it_is_of_is_hidden(after, n_frames):
+    """After as long as it took to start, or three times as long."""
     hit = drive(*HIT, 1.0)
-    active, _ = watched(hit + [after] * 20)
+    active, _ = watched(hit + [after] * 30)
     n_after = sum(bool(events) for events in active[len(hit) :])
-    assert n_after in (5, 6)
+    assert n_after in (n_frames - 1, n_frames)
     last = [e for events in active for e in events][-1]
     assert last.end_frame == len(hit) - 1
     assert last.end_s == pytest.approx((len(hit) - 1) * FRAME_S)
+
+
+def test_a_frame_without_a_value_is_not_the_end_of_what_persists():
+    hit = drive(*HIT, 1.0)
+    assert first_warned(watched([*hit[:3], WITHOUT_STATE, *hit[4:]])[0]) == 6
+    assert first_warned(watched([*hit[:3], HARMLESS, *hit[4:]])[0]) == 10
+
+
+def test_what_comes_out_behind_a_post_with_another_number_is_warned_of_at_once():
+    before, after = drive(*HIT, 1.0), drive((0.1, 0.0, 19.0), (0.0, 0.0, -10.0), 0.5, cluster_id=5)
+    active, _ = watched([*before, None, None, *after])
+    assert [(e.event_id, e.cluster_id) for e in active[len(before) + 1]] == [(1, 1)]
+    assert [(e.event_id, e.cluster_id) for e in active[len(before) + 2]] == [(2, 5)]
+
+
+def test_another_thing_that_appears_elsewhere_has_to_persist_by_itself():
+    before, after = drive(*HIT, 1.0), drive((4.0, 0.0, 19.0), (-2.1, 0.0, -10.0), 0.5, cluster_id=5)
+    active, _ = watched([*before, None, None, *after])
+    assert [e.cluster_id for e in active[len(before) + 2]] == [1]
+    assert [e.cluster_id for e in active[len(before) + 2 + 6]] == [1, 5]
+
+
+def test_both_numbers_are_watched_while_both_are_there():
+    one = drive(*HIT, 1.0)
+    other = [None] * 8 + drive((0.1, 0.0, 26.0), (0.0, 0.0, -10.0), 0.6, cluster_id=5)
+    frames = [tuple(row for row in pair if row is not None) for pair in zip(one, other, strict=True)]
+    active, _ = watched(frames)
+    assert [e.cluster_id for e in active[13]] == [1]
+    assert [e.cluster_id for e in active[14]] == [1, 5]
 
 
 def test_a_second_approach_is_a_second_warning():
@@ -268,5 +301,4 @@ def test_confidence_is_what_was_asked_for():
 
 
 def test_rows_without_a_state_are_left_alone():
-    row = ClusterRow(1, 1, 5, (0.0, 0.0, 9.0, 9.0), Status.no_parallax, Status.ok, "consensus")
-    assert first_warned(watched([row] * 10)[0]) is None
+    assert first_warned(watched([WITHOUT_STATE] * 10)[0]) is None

@@ -17,6 +17,10 @@ _KEEP_TTC, _KEEP_MISS = 1.25, 1.5
 # What is seen of a thing counts by its part across the way that it goes, and half as much again for our own width; and
 # by this part in any case, since nothing is a line.
 _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
+# A warning of what is hidden or has no value stands so many times as long as one that is over: it is still there.
+_HIDDEN = 3.0
+# What appears where something under watch was lost, with this part of the smaller box in common, is the same thing.
+_SAME_PLACE = 0.3
 # A step so many times as long as usual is a gap.
 _STALLED = 1.5
 # A miss distance, in units of depth, without a side.
@@ -25,11 +29,12 @@ _TINY = 1e-9
 
 @dataclass(frozen=True)
 class WatchedObject:
-    """An object under watch: since when its condition holds (or is gone), and its warning once there is one."""
+    """An object under watch: since when its condition holds, when and in which box it held last, and its warning."""
 
     since_s: float
     last_s: float
-    event: Event | None
+    box_px: tuple[float, float, float, float]
+    event: Event | None = None
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,8 @@ def update_events(
     """Warnings active in this frame, and what to remember.
 
     A warning starts when an object has met the condition for ``persistence_s`` without a gap and ends when it has
-    not met the looser one for as long.
+    not met the looser one for as long, or has been hidden for `_HIDDEN` times as long. An object that gets another
+    number behind what hid it is warned of at once.
 
     Parameters
     ----------
@@ -67,14 +73,25 @@ def update_events(
         before = memory.watched.get(cluster_id)
         warned = before is not None and before.event is not None
         row = rows.get(cluster_id)
-        if row is None or not is_collision_course(row, camera, config, is_warned=warned):
+        if row is None or row.state_abc_hz is None:
+            hidden_s = _HIDDEN * config.persistence_s if warned else longest_step_s
+            if before is not None and t_s - before.last_s <= hidden_s:
+                watched[cluster_id] = before
+            continue
+        if not is_collision_course(row, camera, config, is_warned=warned):
             if before is not None and warned and t_s - before.last_s <= config.persistence_s:
                 watched[cluster_id] = before
             continue
         if before is not None and not warned and t_s - before.last_s > longest_step_s:
             # Not looked at in between (dark or doubled pictures): that is no persistence.
             before = None
-        now = WatchedObject(t_s if before is None else before.since_s, t_s, None if before is None else before.event)
+        since_s = t_s if before is None else before.since_s
+        if before is None:
+            lost_id = _lost_at(row.box_px, watched, rows)
+            if lost_id is not None:
+                lost = watched.pop(lost_id)
+                since_s = lost.since_s if lost.event is None else min(lost.since_s, t_s - config.persistence_s)
+        now = WatchedObject(since_s, t_s, row.box_px, None if before is None else before.event)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
         elif t_s - now.since_s >= config.persistence_s:
@@ -85,9 +102,27 @@ def update_events(
     return active, EventMemory(watched, next_event_id)
 
 
+def _lost_at(
+    box_px: tuple[float, float, float, float], watched: dict[int, WatchedObject], rows: dict[int, ClusterRow]
+) -> int | None:
+    """Number of an object under watch that is not there any more and was last where this box is; None: none."""
+    for cluster_id, one in watched.items():
+        if cluster_id not in rows and _common_part(box_px, one.box_px) > _SAME_PLACE:
+            return cluster_id
+    return None
+
+
+def _common_part(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> float:
+    """Area that two boxes have in common over that of the smaller one."""
+    width = min(one[2], other[2]) - max(one[0], other[0])
+    height = min(one[3], other[3]) - max(one[1], other[1])
+    smaller = min((box[2] - box[0]) * (box[3] - box[1]) for box in (one, other))
+    return max(width, 0.0) * max(height, 0.0) / smaller if smaller > 0.0 else 0.0
+
+
 def standing_events(memory: EventMemory, t_s: float, config: EventsConfig) -> tuple[Event, ...]:
     """Warnings that stand in a frame in which nothing is looked at: as they were, until that has lasted too long."""
-    recent = [watched for watched in memory.watched.values() if t_s - watched.last_s <= config.persistence_s]
+    recent = [watched for watched in memory.watched.values() if t_s - watched.last_s <= _HIDDEN * config.persistence_s]
     return tuple(watched.event for watched in recent if watched.event is not None)
 
 
