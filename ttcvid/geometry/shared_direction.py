@@ -10,7 +10,7 @@ from ttcvid.model import Floats, Ints
 # A point off by more sigmas than this loses weight (Cauchy).
 _CAUCHY_SIGMAS = 3.0
 # Gauss-Newton ends after so many steps, or after one shorter than this (squared, in sigmas of the direction).
-_MAX_STEPS, _CONVERGED_CHI2 = 12, 1e-5
+_MAX_STEPS, _CONVERGED_CHI2 = 12, 1e-3
 # In the vote on the sense a point counts at most this many sigmas.
 _MAX_VOTE_SIGMAS = 3.0
 # A step is cut to this length.
@@ -85,7 +85,8 @@ def _fit_each(
         votes, one, other, both, determinant, is_converged = 0.0, 0.0, 0.0, 0.0, 0.0, False
         for step in range(_MAX_STEPS + 1):
             _tangents(e, basis)
-            votes = _add_up(w, info, shared, members, e, basis, normal, score, mixed, chi2)
+            n_shared = shared.shape[2] if is_converged or step == _MAX_STEPS else 0
+            votes = _add_up(w, info, shared, n_shared, members, e, basis, normal, score, mixed, chi2)
             ridge = _RIDGE * (normal[0, 0] + normal[1, 1] + 1e-300)
             one, other, both = normal[0, 0] + ridge, normal[1, 1] + ridge, normal[0, 1]
             determinant = one * other - both * both
@@ -188,6 +189,7 @@ def _add_up(
     w: Floats,
     info: Floats,
     shared: Floats,
+    n_shared: int,
     members: Ints,
     e: Floats,
     basis: Floats,
@@ -196,13 +198,12 @@ def _add_up(
     mixed: Floats,
     chi2: Floats,
 ) -> float:
-    """Fill normal matrix (2, 2), score (2,), its change by shared errors (2, E) and ``chi2``; returns the vote.
+    """Fill normal matrix (2, 2), score (2,), its change by the first ``n_shared`` errors, ``chi2``; returns the vote.
 
     The best rate of a point is ``s = e' info w / e' info e``. Its residual r = w - s e follows e by
     ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
     information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e).
     """
-    n_shared = shared.shape[2]
     normal[:] = 0.0
     score[:] = 0.0
     mixed[:] = 0.0

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rigid_path import RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
@@ -112,8 +113,8 @@ def assigned(
         return key, misfit
     every, n_bodies = np.arange(len(key)), len(movers) + 1
     number = numbers_of(key, movers)
-    at = every[:, None] * n_bodies + number[views.neighbours]
-    votes = np.bincount(at[views.has_neighbour], minlength=len(key) * n_bodies).reshape(len(key), n_bodies)
+    votes = np.zeros((len(key), n_bodies), dtype=np.int64)
+    _count_votes(number, views.neighbours, votes)
     is_asked = votes > 0
     is_asked[every, number] = True
     track, mover = np.nonzero(is_asked[:, 1:])
@@ -128,6 +129,15 @@ def assigned(
     score[every, number] -= _HABIT_WEIGHT * (n_views > _HABIT_VIEWS)
     best = np.argmin(score, axis=1)
     return np.append(SCENE_CLUSTER, movers.key)[best], off[every, best]
+
+
+@compiled
+def _count_votes(number: Ints, neighbours: Ints, votes: Ints) -> None:
+    """Add to ``votes (N, B)`` how many of the neighbours ``(N, K)`` of each track belong to each body."""
+    for i in range(len(number)):
+        for j in neighbours[i]:
+            if j != i:
+                votes[i, number[j]] += 1
 
 
 def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:

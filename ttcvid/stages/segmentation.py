@@ -116,7 +116,8 @@ def find_bodies(
         paths = carried_forward(memory.movers.paths, egomotion.cam_R_prev, views.t_s)
         where = memory.movers.where.carried_forward(egomotion.cam_R_prev, paths.path[:, -2])
         movers = replace(memory.movers, paths=paths, where=where)
-    key[~np.isin(key, movers.key)] = SCENE_CLUSTER
+    known = np.append(SCENE_CLUSTER, movers.key)
+    key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
     scene = _scene(
         history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, rate_hz
     )
