@@ -14,7 +14,9 @@ def compiled(function: F) -> F:
     """The same function of scalars and arrays, compiled by numba at its first call and kept on disk.
 
     It runs without the interpreter's lock. Divisions by zero give infinity or NaN as numpy's do; there is neither
-    reordering of sums (fastmath) nor threads inside, so that two runs give identical numbers. A compiled function may
-    call others of its own file only: a change in another file would go unnoticed by the copy on disk.
+    reordering of sums (fastmath) nor threads inside, so that two runs give identical numbers. A product and the sum
+    that it goes into are rounded once where the processor can (a sixth of the time; another kind of processor may
+    differ in the last digit). A compiled function may call others of its own file only: a change in another file would
+    go unnoticed by the copy on disk.
     """
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
