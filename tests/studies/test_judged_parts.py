@@ -132,6 +132,12 @@ def test_a_cluster_whose_tracks_lie_on_the_object_matches_it_whatever_its_box() 
     assert list(match_objects(truth, found, on_tracks).pairs.cluster_id) == [7]
 
 
+def test_the_box_of_a_single_track_is_the_same_as_itself_and_as_no_other() -> None:
+    point = np.array([[3.0, 4.0, 3.0, 4.0]])
+    assert intersection_over_union(point, point) == 1.0
+    assert intersection_over_union(point, point + 1.0) == 0.0
+
+
 @given(st.lists(st.floats(-50, 50), min_size=8, max_size=8))
 def test_intersection_over_union_is_symmetric_and_at_most_one(sides: list[float]) -> None:
     corners = np.split(np.array(sides), 2)

@@ -87,14 +87,15 @@ def best_one_to_one(first: Ints, second: Ints, weight: Ints | None = None) -> di
 
 
 def intersection_over_union(first: Floats, second: Floats) -> Floats:
-    """Intersection over union ``(N,)`` of boxes ``(N, 4)``: x0, y0, x1, y1.
+    """Intersection over union ``(N,)`` of boxes ``(N, 4)``: x0, y0, x1, y1; 1 for the same box, that of a point too.
 
     >>> intersection_over_union(np.array([[0.0, 0, 2, 2]]), np.array([[1.0, 0, 3, 2]])).round(3).tolist()
     [0.333]
     """
     common = _common_area(first, second)
     union = _area(first) + _area(second) - common
-    return common / np.maximum(union, np.finfo(float).tiny)
+    overlap = common / np.maximum(union, np.finfo(float).tiny)
+    return np.where(np.all(first == second, axis=1), 1.0, overlap)
 
 
 def share_inside(outer: Floats, inner: Floats) -> Floats:
