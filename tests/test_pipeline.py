@@ -32,7 +32,7 @@ def test_own_motion_of_a_drive_is_the_true_one(name):
 
 
 def test_a_resting_camera_neither_turns_nor_travels_and_sees_its_movers():
-    results = plain_run("resting_six_movers")
+    results = results_of(*table("resting_six_movers", n_tracks=240, min_per_object=16))
     assert statuses(results) == ["first", *["rotation_only"] * 11]
     assert max(np.degrees(np.linalg.norm(result.rotation_rad)) for result in results[1:]) < 0.03
     assert len(results[-1].clusters) >= 5

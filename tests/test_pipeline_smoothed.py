@@ -57,7 +57,7 @@ def test_objects_are_known_half_a_window_before_they_are_found():
 
 
 def test_smoothed_warnings_are_those_of_the_causal_analysis():
-    frames, camera = table("crossing_collision", 50, n_tracks=200, min_per_object=30)
+    frames, camera = table("crossing_collision", 60, n_tracks=200, min_per_object=30)
     causal, smooth = results_of(frames, camera, CAUSAL), results_of(frames, camera, SMOOTH)
     assert any(result.events for result in causal)
     assert [result.events for result in causal] == [result.events for result in smooth]

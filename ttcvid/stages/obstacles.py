@@ -35,6 +35,8 @@ _BESIDE = 1.5
 # The box of the tracks covers the point that we go for but for this part of the distance of neighbours, for tracks do
 # not reach its rim; of one that has been found before, but for so many times as much.
 _OFF_LINK, _KEPT = 0.33, 1.5
+# A surface in our way has so many tracks at the least. Fewer than a new mover: where it is looked for is known.
+_LEAST_TRACKS = 4
 # Surfaces are looked for around tracks that lie this close to where we go, as a tangent, and followed as far as the
 # second; so many are looked at.
 _LOOK, _FOLLOWED, _MOST_SURFACES = 0.1, 0.5, 6
@@ -156,7 +158,7 @@ def find_obstacles(
     track_id = points.track_id
     surfaces = list[Ints]()
     if way is not None:
-        surfaces = _surfaces(points, np.isin(track_id, _tracks_of(before)), way, _Ground(on_ground, road), config)
+        surfaces = _surfaces(points, np.isin(track_id, _tracks_of(before)), way, _Ground(on_ground, road))
     is_free = points.in_scene.copy()
     for surface in surfaces:
         is_free[surface] = False
@@ -195,13 +197,13 @@ def _again(obstacle: Obstacle, track_id: Ints, surfaces: list[Ints]) -> int | No
     return best if 2 * shared[best] >= min(len(obstacle.track_id), len(surfaces[best])) else None
 
 
-def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Ground, config: BodiesConfig) -> list[Ints]:
+def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Ground) -> list[Ints]:
     """Upright surfaces that our way leads through, tracks (M,) of each; ``is_known (N,)`` those of known obstacles."""
     index = _within_reach(points, way)
     place, rate_hz = points.fit.place[index], points.fit.rate_hz[index]
     off = np.linalg.norm(place - way.aim_at(way.reached_s(rate_hz)), axis=1)
     index, off = index[off < _FOLLOWED], off[off < _FOLLOWED]
-    if len(index) < config.min_tracks or not off.min() < _LOOK:
+    if len(index) < _LEAST_TRACKS or not off.min() < _LOOK:
         return []
     depths = _Depths(points.fit.take(index), ground)
     asked = depths.stands & (off < _LOOK)
@@ -218,7 +220,7 @@ def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Grou
         asked[surface] = False
         asked[seed] = False
         surface = depths.without_road_beside(surface[~is_taken[surface]], _OFF_LINK * points.link)
-        if len(surface) < config.min_tracks or not depths.can_be_hit(surface, way):
+        if len(surface) < _LEAST_TRACKS or not depths.can_be_hit(surface, way):
             continue
         is_again = is_known[index[surface]].mean() > 0.5
         if not is_again and _goes_on(surface, depths, pairs):

@@ -20,8 +20,8 @@ _MIN_RESPONSE = 2e-5
 
 # Corners are weighed against what is around them within this square, px.
 _AROUND_PX = 65
-# This part of the wanted corners, and all that find no place at the full distance, may stand as close as this part of
-# it: small things have few corners that far apart.
+# This part of the wanted corners may stand as close as this part of the full distance: small things have few corners
+# that far apart. Not more of them: windows that overlap err together, and pass for several witnesses.
 _FINE_SHARE, _FINE_PART = 0.1, 0.57
 
 
@@ -53,8 +53,8 @@ def find_corners(
     """Strongest corners that keep their distance from each other and from the points already there.
 
     First each cell of a grid of side ``min_distance_px`` gives at most its strongest corner, and none where a point
-    stands in it or next to it; so plain regions get the few corners they have instead of a tree getting all. What is
-    wanted beyond that may stand closer, those first that stand out of their surroundings: a car far away is two cells
+    stands in it or next to it; so plain regions get the few corners they have instead of a tree getting all. A tenth
+    of what is wanted may stand closer, those first that stand out of their surroundings: a car far away is two cells
     wide, an aircraft less.
 
     Parameters
@@ -81,14 +81,15 @@ def find_corners(
     coarse = strongest[_one_a_cell(x[strongest], y[strongest], xy_taken_px, shape, min_distance_px)]
     xy = _refined(response, x[coarse], y[coarse])
     is_chosen = _keeps_distance(xy, min_distance_px)
-    is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - int(_FINE_SHARE * n_wanted)
+    n_fine = int(_FINE_SHARE * n_wanted)
+    is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - n_fine
     coarse, xy = coarse[is_chosen], xy[is_chosen]
     x, y = np.delete(x, coarse), np.delete(y, coarse)
     around = cv2.boxFilter(response, -1, (_AROUND_PX, _AROUND_PX))
     outstanding = np.argsort(-response[y, x] / (around[y, x] + threshold), kind="stable")
     x, y = x[outstanding], y[outstanding]
     taken = np.concatenate([xy_taken_px, xy])
-    fine = _spread(x, y, taken, shape, _FINE_PART * min_distance_px, n_wanted - len(coarse))
+    fine = _spread(x, y, taken, shape, _FINE_PART * min_distance_px, n_fine)
     return np.concatenate([xy, _refined(response, x[fine], y[fine])])
 
 
@@ -119,7 +120,7 @@ def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, int], dista
     cell_px = distance_px / np.sqrt(2.0)
     # Two rows and columns more on each side, so that every cell has its neighbours.
     grid = np.full((int(shape[0] / cell_px) + 5, int(shape[1] / cell_px) + 5, 2), np.inf)
-    chosen = np.empty(max(n_wanted, 0), dtype=np.int64)
+    chosen = np.empty(n_wanted, dtype=np.int64)
     n = _choose(x.astype(np.float64), y.astype(np.float64), xy_taken_px, distance_px, cell_px, grid, chosen)
     return chosen[:n]
 
