@@ -23,6 +23,8 @@ _AROUND_PX = 65
 # This part of the wanted corners may stand as close as this part of the full distance: small things have few corners
 # that far apart. Not more of them: windows that overlap err together, and pass for several witnesses.
 _FINE_SHARE, _FINE_PART = 0.1, 0.57
+# Nearer than this two windows see the same, px.
+_LEAST_FINE_PX = 4.0
 
 
 def occupied_cells(xy_px: Floats, shape: tuple[int, int], cell_px: float) -> Bools:
@@ -81,7 +83,8 @@ def find_corners(
     coarse = strongest[_one_a_cell(x[strongest], y[strongest], xy_taken_px, shape, min_distance_px)]
     xy = _refined(response, x[coarse], y[coarse])
     is_chosen = _keeps_distance(xy, min_distance_px)
-    n_fine = int(_FINE_SHARE * n_wanted)
+    fine_px = _FINE_PART * min_distance_px
+    n_fine = int(_FINE_SHARE * n_wanted) if fine_px >= _LEAST_FINE_PX else 0
     is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - n_fine
     coarse, xy = coarse[is_chosen], xy[is_chosen]
     x, y = np.delete(x, coarse), np.delete(y, coarse)
@@ -89,7 +92,7 @@ def find_corners(
     outstanding = np.argsort(-response[y, x] / (around[y, x] + threshold), kind="stable")
     x, y = x[outstanding], y[outstanding]
     taken = np.concatenate([xy_taken_px, xy])
-    fine = _spread(x, y, taken, shape, _FINE_PART * min_distance_px, n_fine)
+    fine = _spread(x, y, taken, shape, fine_px, n_fine)
     return np.concatenate([xy, _refined(response, x[fine], y[fine])])
 
 
