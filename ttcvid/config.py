@@ -159,6 +159,13 @@ class HorizonCalibrationConfig(StageConfig):
     picture_sigma_factor: float = Field(
         default=2.0, ge=1, description="epipoles from pictures are this much less certain than their tracks say"
     )
+    rigid_noise_px: PositiveFloat = Field(
+        default=0.3,
+        description="and less certain in proportion where points scatter by more than this about a body, px",
+    )
+    outline_sigma_factor: float = Field(
+        default=1.5, ge=1, description="epipoles from outlines are this much less certain than they say"
+    )
     picture_floor_deg: PositiveFloat = Field(
         default=0.2, description="and never more certain than this, deg: errors that all tracks of a mover share"
     )

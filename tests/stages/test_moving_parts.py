@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ttcvid.model import PointSet
-from ttcvid.stages.tracking.moving_parts import background_of, only_moving
+from ttcvid.stages.tracking.moving_parts import StreetSample, background_of, moving_part, street_sample
 from ttcvid.stages.whole_tracks import joined, observations_of, recentred
 
 SIZE = (120, 160)
@@ -29,7 +29,11 @@ def scene():
     rng = np.random.default_rng(1)
     empty = street(rng)
     passing = [picture(empty, rng, left_px) for left_px in range(4, 130, 6)]
-    return background_of(passing), picture(empty, rng, 70)
+    return background_of(samples_of(passing)), picture(empty, rng, 70)
+
+
+def samples_of(pictures):
+    return [street_sample(*three) for three in zip(pictures, pictures[1:], pictures[2:], strict=False)]
 
 
 def test_the_background_is_what_is_seen_most_of_the_time(scene):
@@ -37,9 +41,54 @@ def test_the_background_is_what_is_seen_most_of_the_time(scene):
     assert background.smooth.max() < 125
 
 
+def test_a_place_where_coats_pass_most_of_the_time_is_still_seen_as_the_street():
+    """Plain dark coats, 24 px wide and 10 px apart, pass before a wall."""
+    rng = np.random.default_rng(2)
+    wall = cv2.GaussianBlur(rng.integers(60, 120, (120, 640)).astype(np.float32), (0, 0), 1.5)
+    columns = np.arange(640)
+    pictures = []
+    for k in range(60):
+        one = wall + rng.normal(0, 1, wall.shape)
+        one[40:80, (columns + 7 * k) % 34 < 24] = 20
+        pictures.append(np.clip(one, 0, 255).astype(np.uint8))
+    assert np.median(pictures, axis=0)[60].max() < 30
+    always = background_of([StreetSample(one, np.zeros((60, 320), np.uint8)) for one in pictures])
+    assert always.sharp[60].max() < 30
+    samples = [StreetSample(one, moves_of(k)) for k, one in enumerate(pictures)]
+    np.testing.assert_allclose(background_of(samples).sharp[45:75], wall[45:75], atol=15)
+
+
+def moves_of(k):
+    """Where the coats of picture ``k`` are, and 2 px about them."""
+    moves = np.zeros((120, 640), np.uint8)
+    moves[38:82, (np.arange(640) + 7 * k + 2) % 34 < 28] = 1
+    return moves[::2, ::2]
+
+
+def test_what_an_outline_encloses_moves_as_well():
+    rng = np.random.default_rng(3)
+    wall = cv2.GaussianBlur(rng.integers(60, 120, (120, 640)).astype(np.float32), (0, 0), 1.5)
+    pictures = []
+    for k in range(3):
+        one = wall + rng.normal(0, 1, wall.shape)
+        one[40:80, 300 + 7 * k : 330 + 7 * k] = 20
+        pictures.append(np.clip(one, 0, 255).astype(np.uint8))
+    moves = street_sample(*pictures).moves
+    assert moves.shape == (60, 320)
+    assert moves[22:38, 154:168].all()
+    assert not moves[:, :130].any()
+    assert not moves[:, 190:].any()
+
+
+def test_an_exposure_that_follows_the_traffic_is_no_motion(scene):
+    background, _ = scene
+    brighter = np.clip(1.12 * background.sharp, 0, 255).astype(np.uint8)
+    assert not moving_part(brighter, background)[0].any()
+
+
 def test_only_the_mover_is_left_and_its_border_is_where_it_is(scene):
     background, grey = scene
-    cut_out = only_moving(grey, background).astype(int)
+    cut_out = moving_part(grey, background)[1].astype(int)
     is_painted = np.abs(cut_out - background.plain) <= 1
     inside = np.zeros(SIZE, dtype=bool)
     inside[51:65, 71:93] = True
@@ -52,7 +101,9 @@ def test_only_the_mover_is_left_and_its_border_is_where_it_is(scene):
 def test_nothing_is_left_of_a_street_without_traffic(scene):
     background, _ = scene
     empty = np.clip(background.sharp, 0, 255).astype(np.uint8)
-    assert (only_moving(empty, background) == background.plain).all()
+    mask, cut_out = moving_part(empty, background)
+    assert not mask.any()
+    assert (cut_out == background.plain).all()
 
 
 def test_tracks_are_moved_to_the_median_of_their_content():

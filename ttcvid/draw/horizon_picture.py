@@ -13,7 +13,7 @@ from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.horizon_line import HorizonFit, band_px
 from ttcvid.model import Camera, Floats, Picture
-from ttcvid.stages.horizon_motions import Motion
+from ttcvid.stages.horizon_motion import Motion
 from ttcvid.stages.whole_tracks import Observations
 
 # Margin around the picture in which epipoles are shown, in picture widths and heights.

@@ -14,11 +14,19 @@ from ttcvid.model import Frame, FrameStatus, Picture, Platform, PointSet
 from ttcvid.pipeline import analyze_frames
 from ttcvid.sources import Source
 from ttcvid.stages.horizon_driving import own_motions, own_step
-from ttcvid.stages.horizon_motions import Motion, find_motions
+from ttcvid.stages.horizon_motion import Motion
+from ttcvid.stages.horizon_motions import find_motions
 from ttcvid.stages.rest import Look, compare_looks, complaint_about_motion
 from ttcvid.stages.tracked_frames import TrackedFrame, track_frames
 from ttcvid.stages.tracking.content import content_offsets
-from ttcvid.stages.tracking.moving_parts import Background, background_of, only_moving
+from ttcvid.stages.tracking.moving_parts import (
+    Background,
+    StreetSample,
+    background_of,
+    moving_part,
+    street_sample,
+)
+from ttcvid.stages.tracking.silhouettes import Silhouettes
 from ttcvid.stages.whole_tracks import Observations, joined, observations_of, recentred, without_ended_at_rest
 
 OnFrame = Callable[[int, int | None], None]
@@ -60,7 +68,7 @@ class _FirstLook:
     """A clip looked through: how still it is, pictures spread over it, its first one, and a table's tracks."""
 
     looks: list[Look]
-    pictures: list[Picture]
+    samples: list[StreetSample]
     picture: Picture | None
     rows: Observations
 
@@ -82,10 +90,11 @@ def watch_resting_clip(
     rows, camera, limits = first.rows, calibration.camera, config.horizon_calibration
     if complaint:
         return WatchedClip(path, files, [], complaint, warnings, rows, first.picture)
-    if first.pictures:
+    silhouettes: Silhouettes | None = None
+    if first.samples:
         with open_again() as source:
-            rows = _moving_content(source, background_of(first.pictures), calibration, config, on_frame)
-    motions = find_motions(rows, camera, limits, number)
+            rows, silhouettes = _moving_content(source, background_of(first.samples), calibration, config, on_frame)
+    motions = find_motions(rows, camera, limits, number, silhouettes)
     return WatchedClip(path, files, motions, complaint, warnings, rows, first.picture)
 
 
@@ -95,7 +104,7 @@ def _look_through(
     """Follow the points of the whole picture; of the tracks only those of a table are kept."""
     parts: list[Observations] = []
     looks: list[Look] = []
-    pictures: list[Picture] = []
+    samples: list[StreetSample] = []
     every = 1
     recent: deque[TrackedFrame] = deque(maxlen=1 + max(1, round(_LOOK_S / source.info.nominal_dt_s)))
     picture: Picture | None = None
@@ -115,22 +124,29 @@ def _look_through(
                 looks += [] if look is None else [look]
             if frame.grey is None:
                 parts = _with_points(parts, points, frame)
-            elif n_done % every == 0:
-                pictures.append(frame.grey)
-                if len(pictures) >= 2 * _BACKGROUND_PICTURES:
-                    pictures, every = pictures[1::2], 2 * every
-    return _FirstLook(looks, pictures, picture, joined(parts))
+            elif n_done % every == 0 and len(recent) == recent.maxlen:
+                before, now, after = (recent[place].frame.grey for place in (0, len(recent) // 2, -1))
+                if before is not None and now is not None and after is not None:
+                    samples.append(street_sample(before, now, after))
+                if len(samples) >= 2 * _BACKGROUND_PICTURES:
+                    samples, every = samples[1::2], 2 * every
+    return _FirstLook(looks, samples, picture, joined(parts))
 
 
 def _moving_content(
     source: Source, background: Background, calibration: Calibration, config: PipelineConfig, on_frame: OnFrame | None
-) -> Observations:
-    """Tracks of what moves before the background, each where the content of its window lies."""
+) -> tuple[Observations, Silhouettes]:
+    """Tracks of what moves before the background, each where the content of its window lies, and its outlines."""
     parts: list[Observations] = []
     centres: list[Observations] = []
+    silhouettes = Silhouettes()
 
     def cut_out(frame: Frame) -> Frame:
-        return frame if frame.grey is None else replace(frame, grey=only_moving(frame.grey, background))
+        if frame.grey is None:
+            return frame
+        mask, grey = moving_part(frame.grey, background)
+        silhouettes.put(frame.index, mask)
+        return replace(frame, grey=grey)
 
     with ReadAhead(source) as frames:
         moving = map_ahead(cut_out, frames)
@@ -145,7 +161,7 @@ def _moving_content(
                 windows_px = points.windows_px
                 found = windows_px + content_offsets(frame.grey, windows_px, config.tracking.window_px)
                 centres.append(observations_of(PointSet(points.track_id, found), frame.index, frame.t_s))
-    return recentred(joined(parts), joined(centres))
+    return recentred(joined(parts), joined(centres)), silhouettes
 
 
 def _with_points(parts: list[Observations], points: PointSet, frame: Frame) -> list[Observations]:

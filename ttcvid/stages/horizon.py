@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +10,8 @@ from scipy.special import stdtrit
 
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.horizon_line import HorizonFit, band_px, fit_horizon, is_one_direction, widest_angle_rad
-from ttcvid.model import Camera
-from ttcvid.stages.horizon_motions import Motion
+from ttcvid.model import Camera, Floats
+from ttcvid.stages.horizon_motion import TRACKS, Motion
 
 # Roll taken as zero still has this error, rad: a spirit level's.
 ROLL_ZERO_SIGMA_RAD = 1e-4
@@ -50,8 +51,9 @@ def calibrated_horizon(
     refused = tuple(motions)
     floor_rad = np.radians(config.floor_deg)
     least = 1 if roll_zero else config.min_motions
-    if len(usable) < least:
-        found = f"{len(usable)} straight motion{'s' * (len(usable) != 1)} found of {len(motions)}"
+    n_usable = _count(usable)
+    if n_usable < least:
+        found = f"{n_usable} straight motion{'s' * (n_usable != 1)} found of {_count(motions)}"
         return HorizonResult(None, refused, f"{found}, at least {least} needed: take a longer clip, or several")
     directions = np.array([motion.direction for motion in usable])
     covariances = formal = np.array([motion.covariance for motion in usable])
@@ -60,8 +62,7 @@ def calibrated_horizon(
         if reason:
             return HorizonResult(None, refused, reason)
     if from_pictures:
-        _, same, count = np.unique([(m.clip, m.mover) for m in usable], axis=0, return_inverse=True, return_counts=True)
-        covariances = covariances * (config.picture_sigma_factor**2 * count[same.ravel()])[:, None, None]
+        covariances = covariances * _picture_factors(usable, config)[:, None, None]
         floor_rad = max(floor_rad, float(np.radians(config.picture_floor_deg)))
     fit = fit_horizon(directions, covariances, floor_rad, ROLL_ZERO_SIGMA_RAD if roll_zero else None)
     if fit is None:
@@ -70,9 +71,30 @@ def calibrated_horizon(
         fit = replace(fit, quantile=float(stdtrit(fit.is_used.sum(), _UPPER_95)))
     judged = iter(zip(fit.is_used.tolist(), covariances, strict=True))
     labelled = tuple(_judged(motion, *next(judged)) if motion.status == "used" else motion for motion in motions)
-    reason = _unusable(fit, directions, formal, camera, config, roll_zero)
+    agreeing = [motion for motion, is_used in zip(usable, fit.is_used.tolist(), strict=True) if is_used]
+    reason = _unusable(fit, directions, formal, camera, config, (_count(agreeing), n_usable))
     notes = ("roll taken as zero",) if roll_zero else ()
     return HorizonResult(None if reason else fit, labelled, reason, roll_zero, notes)
+
+
+def _count(motions: Sequence[Motion]) -> int:
+    """Number of motions: those of points, and of outlines where a mover's points tell none."""
+    by_tracks = {(motion.clip, motion.mover) for motion in motions if motion.evidence == TRACKS}
+    return sum(motion.evidence == TRACKS or (motion.clip, motion.mover) not in by_tracks for motion in motions)
+
+
+def _picture_factors(motions: list[Motion], config: HorizonCalibrationConfig) -> Floats:
+    """How many times the variances ``(K,)`` of epipoles from pictures are larger than their own scatter says.
+
+    Points of a body that is not quite rigid (people: their limbs, their clothes) err together, and the more the more
+    they scatter.
+    """
+    who = [(motion.clip, motion.mover, motion.evidence == TRACKS) for motion in motions]
+    _, same, count = np.unique(who, axis=0, return_inverse=True, return_counts=True)
+    of_tracks = config.picture_sigma_factor * np.array([motion.looseness for motion in motions])
+    is_tracks = np.array([motion.evidence == TRACKS for motion in motions])
+    factors: Floats = np.where(is_tracks, of_tracks, config.outline_sigma_factor) ** 2 * count[same.ravel()]
+    return factors
 
 
 def _judged(motion: Motion, is_used: bool, covariance: np.ndarray) -> Motion:
@@ -96,10 +118,11 @@ def _unusable(
     covariances: np.ndarray,
     camera: Camera,
     config: HorizonCalibrationConfig,
-    roll_zero: bool,
+    counts: tuple[int, int],
 ) -> str:
-    """Why a fitted line is not to be believed, empty if it is."""
-    n_used, n_all = int(fit.is_used.sum()), len(directions)
+    """Why a fitted line is not to be believed, empty if it is; ``counts`` of the motions that agree, and of all."""
+    n_used, n_all = counts
+    roll_zero = config.roll_zero
     if n_used < (1 if roll_zero else config.min_motions):
         return f"only {n_used} of {n_all} motions agree on a horizon"
     if 2 * n_used < n_all:

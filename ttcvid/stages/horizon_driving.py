@@ -18,7 +18,7 @@ from ttcvid.geometry.horizon_line import band_px, fit_horizon, pitch_roll_covari
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 from ttcvid.model import SCENE_CLUSTER, Camera, Floats, FrameResult
 from ttcvid.stages.horizon import ROLL_ZERO_SIGMA_RAD, HorizonResult
-from ttcvid.stages.horizon_motions import Motion
+from ttcvid.stages.horizon_motion import Motion
 
 # Cameras in cars are mounted upright within this, rad; a drive that turns says more.
 _ROLL_SIGMA_RAD = np.radians(2.0)

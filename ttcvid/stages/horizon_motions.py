@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,8 +10,11 @@ from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.moving_body import BodyTracks, direction_from_lines
 from ttcvid.geometry.translation import Translation, fit_translation
-from ttcvid.model import Bools, Camera, Floats, Ints
+from ttcvid.model import Bools, Camera, Ints
+from ttcvid.stages.horizon_motion import Motion
+from ttcvid.stages.horizon_outlines import outline_motions
 from ttcvid.stages.movers import group_movers, moving_tracks
+from ttcvid.stages.tracking.silhouettes import Silhouettes
 from ttcvid.stages.whole_tracks import Observations
 
 # Noise of a coordinate that the fit starts with, px; it is estimated from the residuals.
@@ -27,32 +30,13 @@ _OTHERS_PART = 0.25
 _LEFTOVER_NOISE = 2.0
 # With more observations than this a body is thinned out frame by frame: neighbouring frames tell little that is new.
 _ENOUGH_OBSERVATIONS = 3000
+# Points that scatter about a body by more than this part of its size are not those of a rigid one; and by more than the
+# other, of none that tells a direction: a pigeon. Cars are found to scatter by 0.1 to 0.5 %, people by 0.6 to 3 %.
+_LOOSE_PART, _MOST_LOOSE_PART = 0.005, 0.02
+# An outline is followed with at least so many tracks on it.
+_OUTLINE_TRACKS = 3
 # Turns are believed from so many standard deviations on.
 _SURE_SIGMAS = 3.0
-
-
-@dataclass(frozen=True)
-class Motion:
-    """One straight motion of one mover in one clip.
-
-    ``status``: ``used`` (of the horizon), ``off_horizon``, ``curved``, ``not_rigid`` (the tracks do not move as one),
-    ``uncertain`` (the epipole could be anywhere). ``track_id`` are its tracks; ``direction (3,)`` and ``covariance
-    (3, 3)`` NaN where there are none; ``turned_rad`` by how much its path bends; ``noise_px``, ``correlation`` as in
-    `Translation`.
-    """
-
-    clip: int
-    mover: int
-    status: str
-    track_id: Ints
-    first_frame: int
-    last_frame: int
-    duration_s: float
-    direction: Floats
-    covariance: Floats
-    turned_rad: float = np.nan
-    noise_px: float = np.nan
-    correlation: float = np.nan
 
 
 def find_motions(
@@ -60,6 +44,7 @@ def find_motions(
     camera: Camera,
     config: HorizonCalibrationConfig,
     clip: int = 0,
+    silhouettes: Silhouettes | None = None,
 ) -> list[Motion]:
     """The motions of all movers of a clip with a resting camera.
 
@@ -67,18 +52,23 @@ def find_motions(
     ----------
     rows : all tracks of the clip.
     clip : number of the clip, for the results.
+    silhouettes : outlines of what moves, where there are pictures.
     """
     rays = rays_from_pixels(camera, rows.xy_px)
-    rows = replace(rows, xy_px=rays[:, :2] * camera.fx_px)  # undistorted from here on, about the principal point
-    rows = rows.take(np.isfinite(rows.xy_px[:, 0]))
+    is_seen = np.isfinite(rays[:, 0])
+    source, rows = rows.take(is_seen), replace(rows, xy_px=rays[:, :2] * camera.fx_px).take(is_seen)
     if not len(rows.frame):
         return []
-    rows = rows.take_tracks(moving_tracks(rows, config))
+    moves = moving_tracks(rows, config)
+    source, rows = source.take_tracks(moves), rows.take_tracks(moves)  # rows: undistorted, about the principal point
     mover = group_movers(rows, config.link_part * camera.image_size.width_px)
     motions: list[Motion] = []
     for number in np.unique(mover):
         tracks = rows.take_tracks(mover == number)
         motions += _motions_of(tracks, camera.fx_px, config, clip, int(number))
+        if silhouettes is not None and len(tracks.starts) >= _OUTLINE_TRACKS:
+            whole = source.take_tracks(mover == number)
+            motions += outline_motions(whole, silhouettes, camera, config, clip, int(number))
     return motions
 
 
@@ -151,12 +141,15 @@ def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfi
     if straight is None:
         return nothing
     sigma_rad = float(np.sqrt(np.linalg.norm(straight.covariance, 2)))
+    noise_px, size_px = straight.noise * _SIGMA_START_PX, _size(tracks) * focal_px
+    is_loose = noise_px > max(config.rigid_noise_px, _MOST_LOOSE_PART * size_px)
     return replace(
         found,
-        status="uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used",
+        status="not_rigid" if is_loose else "uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used",
         direction=straight.direction,
         covariance=straight.covariance,
-        noise_px=straight.noise * _SIGMA_START_PX,
+        noise_px=noise_px,
+        looseness=max(1.0, noise_px / max(config.rigid_noise_px, _LOOSE_PART * size_px)),
         correlation=straight.correlation,
     )
 
@@ -167,6 +160,15 @@ def _bare(rows: Observations, clip: int, mover: int, status: str, track_id: Ints
     return Motion(
         clip, mover, status, track_id, int(frames.min()), int(frames.max()), seen_s, nothing, np.full((3, 3), np.nan)
     )
+
+
+def _size(tracks: BodyTracks) -> float:
+    """How far the points of a body are apart: the diagonal about them, at most times."""
+    order = np.argsort(tracks.t_s, kind="stable")
+    _, first = np.unique(tracks.t_s[order], return_index=True)
+    xy = tracks.xy[order]
+    sides = np.maximum.reduceat(xy, first) - np.minimum.reduceat(xy, first)
+    return float(np.median(np.linalg.norm(sides, axis=1)))
 
 
 def _body(rows: Observations, focal_px: float) -> tuple[BodyTracks, Ints]:

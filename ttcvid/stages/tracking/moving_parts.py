@@ -24,6 +24,10 @@ _SIGMA_PER_MEDIAN = 1.4826
 _SAMPLED_PX = 4
 # Smoothing before pictures are compared: for what moves at all, and for where exactly it ends.
 _SMOOTH_PX, _SHARP_PX = 1.0, 0.7
+# What an outline encloses is closed up to this part of the picture's width: the inside of a plain coat.
+_ENCLOSED_PART = 0.04
+# Places darker than this, grey levels, tell nothing of the brightness of a picture.
+_DARK = 20.0
 # Gaps in a mover are closed up to this width, px; what is narrower than the other is noise.
 _CLOSED_PX, _OPENED_PX = 5, 3
 # Within this distance of its border a mover ends where its contrast has fallen to this part of the largest near it.
@@ -32,6 +36,14 @@ _BORDER_PX, _BORDER_CONTRAST = 7, 0.5
 _FADE_PX = 0.8
 # The median of the background is taken over so many rows at a time, to keep memory small.
 _ROWS_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class StreetSample:
+    """A ``picture (H, W)`` uint8 and where something ``moves`` in it, (H / 2, W / 2) uint8, not 0 where it does."""
+
+    picture: Picture
+    moves: Picture
 
 
 @dataclass(frozen=True)
@@ -48,34 +60,104 @@ class Background:
     plain: int
 
 
-def background_of(pictures: Sequence[Picture]) -> Background:
-    """The median of pictures ``(H, W)`` uint8 spread over a clip: what is seen at a place most of the time."""
-    rows = range(0, pictures[0].shape[0], _ROWS_AT_ONCE)
-    strips = [np.median([p[row : row + _ROWS_AT_ONCE] for p in pictures], axis=0).astype(np.float32) for row in rows]
-    street = np.concatenate(strips)
+def street_sample(before: Picture, now: Picture, after: Picture) -> StreetSample:
+    """A picture ``(H, W)`` uint8 with what moves between it and those some tenths of a second before and after it.
+
+    The inside of a plain coat does not change as it passes, so that what its outline encloses counts as well.
+    """
+    middle = _halved(now)
+    small = [picture / _brightness(picture, middle) for picture in (_halved(before), middle, _halved(after))]
+    change = np.maximum(np.abs(small[0] - small[1]), np.abs(small[2] - small[1]))
+    changes = (change > _threshold(change)).astype(np.uint8)
+    opened = cv2.morphologyEx(changes, cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
+    width = 2 * max(1, round(0.5 * _ENCLOSED_PART * middle.shape[1])) + 1
+    moves = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
+    return StreetSample(now, cv2.dilate(moves, np.ones((_CLOSED_PX, _CLOSED_PX), np.uint8)).astype(np.uint8))
+
+
+def background_of(samples: Sequence[StreetSample]) -> Background:
+    """The median of the pictures spread over a clip, of each place where nothing moved there, all in one brightness.
+
+    Without a look at what moves, a place where people pass more than half of the time would look like their coats. A
+    place where something always moves is taken as it looks most of the time.
+    """
+    first = _median([sample.picture for sample in samples], None)
+    pictures = [_levelled(sample.picture, first) for sample in samples]
+    moves = [sample.moves for sample in samples]
+    street = _median(pictures, moves)
     smooth, sharp = _smoothed(street, _SMOOTH_PX), _smoothed(street, _SHARP_PX)
-    sampled = [_smoothed(picture, _SMOOTH_PX) - smooth for picture in pictures]
-    usual = float(np.median([np.abs(d[::_SAMPLED_PX, ::_SAMPLED_PX]) for d in sampled]))
-    contrast = max(_LEAST_CONTRAST, _CONTRAST_SIGMAS * _SIGMA_PER_MEDIAN * usual)
-    return Background(smooth, sharp, contrast, int(np.median(street)))
+    sampled = [_smoothed(picture, _SMOOTH_PX)[::_SAMPLED_PX, ::_SAMPLED_PX] for picture in pictures]
+    differences = np.abs(np.array(sampled) - smooth[::_SAMPLED_PX, ::_SAMPLED_PX])
+    return Background(smooth, sharp, _threshold(differences), int(np.median(street)))
 
 
-def only_moving(grey: Picture, background: Background) -> Picture:
-    """The picture ``(H, W)`` uint8 with everything that looks like the background painted over.
+def _halved(picture: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Half as wide and high, each pixel the mean of four: (ceil(H / 2), ceil(W / 2))."""
+    size = (-(-picture.shape[1] // 2), -(-picture.shape[0] // 2))
+    return np.asarray(cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _levelled(picture: Picture, street: NDArray[np.float32]) -> Picture:
+    """The picture as bright as the street."""
+    return np.clip(np.rint(picture / np.float32(_brightness(picture, street))), 0, 255).astype(np.uint8)
+
+
+def _median(pictures: Sequence[NDArray[np.generic]], moves: Sequence[Picture] | None) -> NDArray[np.float32]:
+    """Median of pictures ``(H, W)`` at each place, without those in which something moves there."""
+    height, width = pictures[0].shape
+    strips = []
+    for row in range(0, height, _ROWS_AT_ONCE):
+        values = np.array([picture[row : row + _ROWS_AT_ONCE] for picture in pictures], dtype=np.float32)
+        if moves is not None:
+            in_row = (np.arange(row, row + values.shape[1]) * moves[0].shape[0]) // height
+            in_column = (np.arange(width) * moves[0].shape[1]) // width
+            moving = np.array([mask[np.ix_(in_row, in_column)] for mask in moves]) > 0
+            values[moving & ~moving.all(axis=0)] = np.inf
+        values.sort(axis=0)
+        count = np.isfinite(values).sum(axis=0)
+        middle = [np.take_along_axis(values, place[None], axis=0)[0] for place in ((count - 1) // 2, count // 2)]
+        strips.append(0.5 * (middle[0] + middle[1]))
+    return np.concatenate(strips)
+
+
+def _threshold(difference: NDArray[np.float32]) -> float:
+    """Absolute differences above this are more than noise: most of the picture rests."""
+    usual = float(np.median(difference))
+    return max(_LEAST_CONTRAST, _CONTRAST_SIGMAS * _SIGMA_PER_MEDIAN * usual)
+
+
+def _brightness(picture: Picture | NDArray[np.float32], street: NDArray[np.float32]) -> float:
+    """How much brighter a picture is than the street in most places: an exposure that follows the traffic."""
+    sampled = street[::_SAMPLED_PX, ::_SAMPLED_PX]
+    is_bright = sampled > _DARK
+    if not is_bright.any():
+        return 1.0
+    return float(np.median(picture[::_SAMPLED_PX, ::_SAMPLED_PX][is_bright] / sampled[is_bright]))
+
+
+def moving_part(grey: Picture, background: Background) -> tuple[Picture, Picture]:
+    """What moves in a picture ``(H, W)`` uint8: its mask (H, W) of 0 and 1, and the picture with all else painted over.
 
     A smoothed difference reaches beyond the border of a mover by about a pixel, always the same, however near the mover
     comes; therefore the border is put where the contrast has fallen to a half.
     """
-    differs = np.abs(_smoothed(grey, _SMOOTH_PX) - background.smooth) > background.contrast
+    factor = _brightness(grey, background.sharp)
+    level = grey.astype(np.float32) / factor
+    # Bright lamps follow an exposure in part only: anything between the two is the background.
+    low, high = background.smooth * min(1.0, 1.0 / factor), background.smooth * max(1.0, 1.0 / factor)
+    smooth = _smoothed(level, _SMOOTH_PX)
+    differs = np.maximum(low - smooth, smooth - high) > background.contrast
     whole = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((_CLOSED_PX, _CLOSED_PX), np.uint8))
     square = np.ones((_BORDER_PX, _BORDER_PX), np.uint8)
-    contrast = np.abs(_smoothed(grey, _SHARP_PX) - background.sharp)
+    contrast = np.abs(_smoothed(level, _SHARP_PX) - background.sharp)
     is_inner = cv2.erode(whole, square) > 0
-    part = (whole > 0) & (is_inner | (contrast > _BORDER_CONTRAST * cv2.dilate(contrast, square)))
-    part = cv2.morphologyEx(part.astype(np.uint8), cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
+    rough = (whole > 0) & (is_inner | (contrast > _BORDER_CONTRAST * cv2.dilate(contrast, square)))
+    part = cv2.morphologyEx(rough.astype(np.uint8), cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
     part = cv2.morphologyEx(part, cv2.MORPH_CLOSE, np.ones((_CLOSED_PX, _CLOSED_PX), np.uint8))
     share = _smoothed(part, _FADE_PX)
-    return np.asarray(share * grey + (1.0 - share) * background.plain, dtype=np.uint8)
+    cut_out = np.clip(share * level + (1.0 - share) * background.plain, 0, 255).astype(np.uint8)
+    whole = cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
+    return whole.astype(np.uint8), cut_out
 
 
 def _smoothed(picture: NDArray[np.generic], sigma_px: float) -> NDArray[np.float32]:

@@ -1,0 +1,179 @@
+"""The direction of a thing that moves as a whole, from the top and the bottom of its outline.
+
+A straight motion makes a point at the top and one at the bottom run along two lines of the picture, which meet at the
+motion's epipole, where the thing would have no height. Whatever its speed, (x, top, bottom) runs along one straight
+line in three dimensions then, and the epipole is where that line crosses the plane top = bottom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.model import Floats, Ints
+
+# The line is started through each pair of so many places along the way.
+_PLACES = 20
+_ROUNDS = 30
+# Scale of the Cauchy weights, in sigmas.
+_CAUCHY_SIGMAS = 2.0
+# Median of the length of two standard normal variables.
+_MEDIAN_RAYLEIGH = 1.1774
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class OutlineFit:
+    """An epipole ``direction (3,)``, its sign along the motion, with ``covariance (3, 3)`` in its tangent plane, rad^2.
+
+    ``noise`` is the scatter about the line in the units of the outlines, ``share`` the part of them that lie near it,
+    ``bend_sigmas`` by how many standard deviations the way bends; ``steadiness`` the part of the variance along the way
+    that a constant rate explains, small where an outline only gets smaller as something hides it.
+    """
+
+    direction: Floats
+    covariance: Floats
+    noise: float
+    share: float
+    bend_sigmas: float
+    steadiness: float
+
+
+def fit_outline(
+    outline: Floats, t_s: Floats, block: Ints, n_independent: float, border_sigma: float
+) -> OutlineFit | None:
+    """Fit the line of (x, top, bottom), robustly, as outlines run into each other where things hide each other.
+
+    Parameters
+    ----------
+    outline
+        ``(N, 3)`` x, top and bottom in undistorted normalised coordinates.
+    t_s
+        ``(N,)`` their times, ascending.
+    block
+        ``(N,)`` ascending numbers; errors of different blocks are independent. The covariance is the jackknife's: what
+        leaving out one block after the other changes (Efron and Stein, Annals of Statistics 1981).
+    n_independent
+        Number of outlines with independent errors that they are worth. The covariance is at least what so many tell.
+    border_sigma
+        Error of the top and of the bottom that lasts, in the units of ``outline``: where exactly the outline is seen.
+
+    Returns
+    -------
+    None where there are less than three blocks, or no line.
+    """
+    numbers = np.unique(block)
+    if len(numbers) < 3:
+        return None
+    point, along, weight, noise = _line(outline, _start(outline))
+    epipole = _epipole(point, along)
+    if not np.isfinite(epipole).all():
+        return None
+    basis = tangent_basis(epipole)
+    parts = [_line(outline[block != number], (point, along)) for number in numbers]
+    left_out = np.array([_like(_epipole(part[0], part[1]), epipole) for part in parts])
+    change = (left_out - left_out.mean(axis=0)) @ basis
+    spread = (len(numbers) - 1) / len(numbers) * change.T @ change
+    spread = _at_least(spread, _formal(outline, n_independent, (point, along), noise, basis))
+    for side in (1, 2):
+        moved = point.copy()
+        moved[side] += border_sigma
+        shift = (_like(_epipole(moved, along), epipole) - epipole) @ basis
+        spread += np.outer(shift, shift)
+    way = (outline - point) @ along
+    together = float(np.cov(t_s, way, aweights=weight)[0, 1])
+    steadiness = together**2 / max(float(np.prod(np.diag(np.cov(t_s, way, aweights=weight)))), _TINY**2)
+    forth = np.sign(together) * np.array([along[0], along[1:].mean()])
+    towards = epipole[:2] - np.array([point[0], point[1:].mean()]) * epipole[2]
+    return OutlineFit(
+        direction=epipole if towards @ forth >= 0 else -epipole,
+        covariance=basis @ spread @ basis.T,
+        noise=noise,
+        share=float(np.mean(weight > 0.5)),
+        bend_sigmas=_bend_sigmas(outline, block, point, along, weight),
+        steadiness=steadiness,
+    )
+
+
+def _start(outline: Floats) -> tuple[Floats, Floats]:
+    """Of the lines through pairs of outlines that from which the median distance is least."""
+    chosen = outline[np.unique(np.linspace(0, len(outline) - 1, _PLACES).astype(np.int64))]
+    one, other = np.triu_indices(len(chosen), 1)
+    point, along = chosen[one], normalize(chosen[other] - chosen[one])
+    is_line = np.isfinite(along).all(axis=1)
+    point, along = point[is_line], along[is_line]
+    offset = outline[None] - point[:, None]
+    across = offset - np.einsum("lni,li->ln", offset, along)[:, :, None] * along[:, None]
+    best = int(np.argmin(np.median(np.linalg.norm(across, axis=2), axis=1)))
+    return point[best], along[best]
+
+
+def _line(outline: Floats, start: tuple[Floats, Floats]) -> tuple[Floats, Floats, Floats, float]:
+    """Total least squares with Cauchy weights: a point, the direction, weights ``(N,)`` and noise."""
+    point, along = start
+    weight, noise = np.ones(len(outline)), 0.0
+    for _ in range(_ROUNDS):
+        offset = outline - point
+        distance = np.linalg.norm(offset - (offset @ along)[:, None] * along, axis=1)
+        noise = float(np.median(distance)) / _MEDIAN_RAYLEIGH
+        weight = 1.0 / (1.0 + (distance / max(_CAUCHY_SIGMAS * noise, _TINY)) ** 2)
+        point = weight @ outline / weight.sum()
+        offset = outline - point
+        along = np.linalg.eigh((weight[:, None] * offset).T @ offset)[1][:, -1]
+    return point, along, weight, noise
+
+
+def _epipole(point: Floats, along: Floats) -> Floats:
+    """Where the height is zero, as a unit ray ``(3,)`` of either sign; at infinity where the height does not change."""
+    height, growth = point[2] - point[1], along[2] - along[1]
+    ray = np.append(growth * point[[0, 2]] - height * along[[0, 2]], growth)
+    return normalize(ray)
+
+
+def _formal(outline: Floats, n_independent: float, line: tuple[Floats, Floats], noise: float, basis: Floats) -> Floats:
+    """Covariance ``(2, 2)`` of the epipole from so many independent outlines along the way."""
+    point, along = line
+    way = (outline - point) @ along
+    of_point = noise**2 / n_independent
+    of_along = of_point / max(float(np.mean(way**2)), _TINY)
+    epipole = _epipole(point, along)
+    covariance = np.zeros((2, 2))
+    for across in tangent_basis(along).T:
+        by_point = _like(_epipole(point + np.sqrt(of_point) * across, along), epipole) - epipole
+        by_along = _like(_epipole(point, normalize(along + np.sqrt(of_along) * across)), epipole) - epipole
+        for shift in (by_point @ basis, by_along @ basis):
+            covariance += np.outer(shift, shift)
+    return covariance
+
+
+def _at_least(covariance: Floats, least: Floats) -> Floats:
+    """A covariance ``(2, 2)``, and ``least`` in the directions in which it is smaller."""
+    root = np.linalg.cholesky(least + _TINY * np.eye(2))
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ covariance @ inverse.T)
+    larger: Floats = root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T
+    return larger
+
+
+def _like(ray: Floats, other: Floats) -> Floats:
+    return -ray if ray @ other < 0 else ray
+
+
+def _bend_sigmas(outline: Floats, block: Ints, point: Floats, along: Floats, weight: Floats) -> float:
+    """How surely (x, top, bottom) bends: the square term of each of its two distances from the line, by blocks."""
+    way = (outline - point) @ along
+    terms = np.column_stack([np.ones_like(way), way, way**2])
+    scale = np.abs(terms).max(axis=0) + _TINY
+    across = (outline - point) @ tangent_basis(along)
+
+    def square(rows: np.ndarray) -> Floats:
+        design = terms[rows] / scale * np.sqrt(weight[rows])[:, None]
+        found: Floats = np.linalg.lstsq(design, across[rows] * np.sqrt(weight[rows])[:, None], rcond=None)[0][2]
+        return found
+
+    numbers = np.unique(block)
+    left_out = np.array([square(block != number) for number in numbers])
+    error = np.sqrt((len(numbers) - 1) / len(numbers) * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    return float(np.max(np.abs(square(block >= 0)) / np.maximum(error, _TINY)))
