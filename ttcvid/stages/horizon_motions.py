@@ -30,9 +30,9 @@ _OTHERS_PART = 0.25
 _LEFTOVER_NOISE = 2.0
 # With more observations than this a body is thinned out frame by frame: neighbouring frames tell little that is new.
 _ENOUGH_OBSERVATIONS = 3000
-# Points that scatter about a body by more than this part of its size are not those of a rigid one; and by more than the
-# other, of none that tells a direction: a pigeon. Cars are found to scatter by 0.1 to 0.5 %, people by 0.6 to 3 %.
-_LOOSE_PART, _MOST_LOOSE_PART = 0.005, 0.02
+# Points that scatter about a body by more than this part of its size are not those of a rigid one: cars are found to
+# scatter by 0.1 to 0.5 %, people by 0.6 to 3 %.
+_LOOSE_PART = 0.005
 # An outline is followed with at least so many tracks on it.
 _OUTLINE_TRACKS = 3
 # Turns are believed from so many standard deviations on.
@@ -65,10 +65,13 @@ def find_motions(
     motions: list[Motion] = []
     for number in np.unique(mover):
         tracks = rows.take_tracks(mover == number)
-        motions += _motions_of(tracks, camera.fx_px, config, clip, int(number))
+        by_tracks = _motions_of(tracks, camera.fx_px, config, clip, int(number))
         if silhouettes is not None and len(tracks.starts) >= _OUTLINE_TRACKS:
             whole = source.take_tracks(mover == number)
-            motions += outline_motions(whole, silhouettes, camera, config, clip, int(number))
+            by_outline = outline_motions(whole, silhouettes, camera, config, clip, int(number))
+            by_tracks = _unless_loose(by_tracks, by_outline)
+            motions += by_outline
+        motions += by_tracks
     return motions
 
 
@@ -97,6 +100,15 @@ def _motions_of(
         return [motion]
     more = _motions_of(others, focal_px, config, clip, mover)
     return [motion, *(_unless_noisier(other, motion) for other in more)]
+
+
+def _unless_loose(by_tracks: list[Motion], by_outline: list[Motion]) -> list[Motion]:
+    """Points that are not those of a rigid body are refused where no outline says that they are of one body at all."""
+    is_confirmed = any(motion.status == "used" for motion in by_outline)
+    return [
+        replace(motion, status="not_rigid") if motion.looseness > 1.0 and not is_confirmed else motion
+        for motion in by_tracks
+    ]
 
 
 def _unless_noisier(other: Motion, main: Motion) -> Motion:
@@ -142,10 +154,9 @@ def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfi
         return nothing
     sigma_rad = float(np.sqrt(np.linalg.norm(straight.covariance, 2)))
     noise_px, size_px = straight.noise * _SIGMA_START_PX, _size(tracks) * focal_px
-    is_loose = noise_px > max(config.rigid_noise_px, _MOST_LOOSE_PART * size_px)
     return replace(
         found,
-        status="not_rigid" if is_loose else "uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used",
+        status="uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used",
         direction=straight.direction,
         covariance=straight.covariance,
         noise_px=noise_px,
