@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ttcvid.config import EgomotionConfig, PipelineConfig
+from ttcvid.config import BodiesConfig, EgomotionConfig, PipelineConfig, TrackingConfig
 from ttcvid.model import Frame, Platform
 from ttcvid.pipeline import analyze_frames
 from ttcvid.simulate import camera_of
@@ -67,7 +67,12 @@ def test_a_car_that_comes_out_from_behind_a_post_keeps_its_number():
     cars = [(picture.labels > 0) & (picture.labels < np.iinfo(np.uint16).max) for picture in pictures]
     assert [picture.frame for picture, car in zip(pictures, cars, strict=True) if not car.any()] == list(range(34, 39))
     frames = [Frame(p.frame, p.t_s, grey=cv2.cvtColor(p.bgr, cv2.COLOR_BGR2GRAY)) for p in pictures]
-    config = PipelineConfig(egomotion=EgomotionConfig(platform=Platform.vehicle))
+    # The car is some 20 px high: its tracks stand close, and few make it an object.
+    config = PipelineConfig(
+        tracking=TrackingConfig(min_distance_px=5.0),
+        egomotion=EgomotionConfig(platform=Platform.vehicle),
+        bodies=BodiesConfig(min_tracks=4),
+    )
     results = [result for _, result in analyze_frames(frames, camera_of(scene()), config)]
     before = numbers_on_car(results[BEFORE], cars[BEFORE])
     behind = numbers_on_car(results[BEHIND], cars[BEHIND])

@@ -23,8 +23,9 @@ _ITERATIONS, _STEP_PX, _BACKWARD_STEP_PX = 20, 0.01, 0.03
 _BACKWARD_START_PX = 1.5
 # Smaller eigenvalue of the gradient matrix, below which OpenCV gives a point up (its own default).
 _MIN_EIGENVALUE = 1e-4
-# Levels above the full picture that a point is looked for on once more.
-_FINE_LEVELS = 1
+# Levels above the full picture that a point is looked for on once more; not where most points are lost, as at a cut:
+# fine pictures find something similar anywhere.
+_FINE_LEVELS, _LEAST_FOUND = 1, 0.5
 # Two tracks in one cell of this side follow the same point, px.
 _CROWDED_PX = 2.0
 # New corners are looked for when the live tracks fall below this part of the wanted number: on a drive at 10 Hz in
@@ -85,7 +86,7 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
     # The coarse pictures of the pyramid show what is large near a point: a post that sweeps over a car takes all of the
     # car's points along, far beyond itself. From where they should be by now the fine pictures find them.
     lost = np.flatnonzero(~found & np.any(memory.step_px != 0.0, axis=1))
-    if len(lost) and config.pyramid_levels > _FINE_LEVELS:
+    if len(lost) and found.mean() > _LEAST_FOUND and config.pyramid_levels > _FINE_LEVELS:
         found[lost], there[lost] = _there_and_back(memory.grey, grey, before[lost], guess[lost], config, _FINE_LEVELS)
     return found, there.astype(np.float64)
 
