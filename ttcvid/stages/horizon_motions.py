@@ -68,7 +68,10 @@ def find_motions(
         by_tracks = _motions_of(tracks, camera.fx_px, config, clip, int(number))
         if silhouettes is not None and len(tracks.starts) >= _OUTLINE_TRACKS:
             whole = source.take_tracks(mover == number)
-            by_outline = outline_motions(whole, silhouettes, camera, config, clip, int(number))
+            is_straight = any(motion.status == "used" and motion.looseness == 1.0 for motion in by_tracks)
+            by_outline = outline_motions(
+                whole, silhouettes, camera, config, clip, int(number), may_bend=not is_straight
+            )
             by_tracks = _unless_loose(by_tracks, by_outline)
             motions += by_outline
         motions += by_tracks

@@ -39,16 +39,19 @@ def outline_motions(
     config: HorizonCalibrationConfig,
     clip: int,
     mover: int,
+    *,
+    may_bend: bool,
 ) -> list[Motion]:
-    """The motions of one mover from its outlines: one, or more where its way bends.
+    """The motions of one mover from its outlines: one, or two or more where its way bends.
 
     Parameters
     ----------
     rows : its tracks, source pixels.
+    may_bend : False where the points of a rigid body go straight: an outline that bends then changes its shape.
     """
     track_id = np.unique(rows.track_id)
     outline, frame, t_s = _outlines(rows, silhouettes, camera)
-    return _motions_of(outline, frame, t_s, camera, config, (clip, mover, track_id))
+    return _motions_of(outline, frame, t_s, camera, config, (clip, mover, track_id), may_bend)
 
 
 def _outlines(rows: Observations, silhouettes: Silhouettes, camera: Camera) -> tuple[Floats, Ints, Floats]:
@@ -83,6 +86,7 @@ def _motions_of(
     camera: Camera,
     config: HorizonCalibrationConfig,
     who: tuple[int, int, Ints],
+    may_bend: bool,
 ) -> list[Motion]:
     duration_s = float(np.ptp(t_s)) if len(t_s) else 0.0
     least_s = max(config.min_motion_s, _LEAST_MEMORIES * config.error_memory_s)
@@ -97,10 +101,12 @@ def _motions_of(
     fit = fit_outline(outline, t_s, block, duration_s / config.error_memory_s, _BORDER_PX / camera.fy_px)
     if fit is None:
         return []
-    if fit.bend_sigmas > _SURE_SIGMAS and duration_s >= 2 * least_s:
+    if may_bend and fit.bend_sigmas > _SURE_SIGMAS and duration_s >= 2 * least_s:
         half = t_s < t_s[0] + 0.5 * duration_s
         return [
-            m for part in (half, ~half) for m in _motions_of(outline[part], frame[part], t_s[part], camera, config, who)
+            m
+            for part in (half, ~half)
+            for m in _motions_of(outline[part], frame[part], t_s[part], camera, config, who, may_bend)
         ]
     sigma_rad = float(np.sqrt(np.linalg.norm(fit.covariance, 2)))
     status = "uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used"
