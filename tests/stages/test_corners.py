@@ -8,7 +8,8 @@ from wave_pictures import HEIGHT, WIDTH, wave_picture
 from ttcvid.stages.tracking.corners import find_corners, occupied_cells
 
 NO_POINTS = np.empty((0, 2))
-# Of the distance between corners, what is kept on small things.
+# Part of the corners that may stand close, and of the distance what is kept between those.
+CLOSE_SHARE = 0.1
 CLOSEST = 0.57
 
 
@@ -19,7 +20,7 @@ def checkerboard(square_px=20, contrast=200):
 
 
 def test_corners_of_a_checkerboard_are_found_between_its_pixels():
-    found = find_corners(checkerboard(), None, NO_POINTS, 500, 7.0, 0.01)
+    found = find_corners(checkerboard(), None, NO_POINTS, 500, 7.0, 0.01, CLOSE_SHARE)
     x, y = np.meshgrid(np.arange(20, WIDTH, 20) - 0.5, np.arange(20, HEIGHT, 20) - 0.5)
     true = np.column_stack([x.ravel(), y.ravel()])
     distance = np.linalg.norm(true[:, None] - found[None], axis=2)
@@ -30,15 +31,15 @@ def test_corners_of_a_checkerboard_are_found_between_its_pixels():
 def test_plain_picture_has_no_corners_and_sensor_noise_makes_none():
     plain = np.full((HEIGHT, WIDTH), 120, np.uint8)
     noisy = np.rint(120 + np.random.default_rng(3).normal(0, 0.5, plain.shape)).astype(np.uint8)
-    assert find_corners(plain, None, NO_POINTS, 100, 7.0, 0.005).shape == (0, 2)
-    assert find_corners(noisy, None, NO_POINTS, 100, 7.0, 0.005).shape == (0, 2)
+    assert find_corners(plain, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE).shape == (0, 2)
+    assert find_corners(noisy, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE).shape == (0, 2)
 
 
 def test_a_tree_does_not_take_all_corners():
     """A quarter of the picture has three times the contrast; the rest keeps its share all the same."""
     picture = wave_picture().astype(float) - 128
     picture[:, WIDTH // 4 :] *= 0.33
-    found = find_corners(np.rint(picture + 128).astype(np.uint8), None, NO_POINTS, 1000, 7.0, 0.005)
+    found = find_corners(np.rint(picture + 128).astype(np.uint8), None, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
     in_faint_part = found[:, 0] > WIDTH / 4 + 3
     density_faint = np.count_nonzero(in_faint_part) / (0.75 * WIDTH)
     density_strong = np.count_nonzero(~in_faint_part) / (0.25 * WIDTH)
@@ -48,7 +49,7 @@ def test_a_tree_does_not_take_all_corners():
 def test_strongest_corners_come_first():
     picture = checkerboard(contrast=40)
     picture[:, : WIDTH // 2] = checkerboard(contrast=250)[:, : WIDTH // 2]
-    found = find_corners(picture, None, NO_POINTS, 20, 7.0, 0.001)
+    found = find_corners(picture, None, NO_POINTS, 20, 7.0, 0.001, CLOSE_SHARE)
     assert len(found) == 20
     of_the_grid = found[:18]
     assert (of_the_grid[:, 0] < WIDTH / 2 + 1).all()
@@ -57,7 +58,7 @@ def test_strongest_corners_come_first():
 @pytest.mark.parametrize("min_distance_px", [5.0, 7.0, 15.0])
 def test_new_corners_keep_their_distance_from_points_already_there(min_distance_px):
     taken = np.random.default_rng(1).uniform([0, 0], [WIDTH - 1, HEIGHT - 1], (60, 2))
-    found = find_corners(wave_picture(), None, taken, 1000, min_distance_px, 0.005)
+    found = find_corners(wave_picture(), None, taken, 1000, min_distance_px, 0.005, CLOSE_SHARE)
     distance = np.linalg.norm(found[:, None] - taken[None], axis=2)
     assert len(found) > 10
     # A corner may move by half a pixel when it is refined.
@@ -65,7 +66,7 @@ def test_new_corners_keep_their_distance_from_points_already_there(min_distance_
 
 
 def test_a_cell_gives_one_corner_before_more_are_wanted():
-    found = find_corners(wave_picture(), None, NO_POINTS, 60, 10.0, 0.001)[:54]
+    found = find_corners(wave_picture(), None, NO_POINTS, 60, 10.0, 0.001, CLOSE_SHARE)[:54]
     cells = np.unique(np.floor(np.rint(found) / 10.0), axis=0)
     # Refined by up to half a pixel, a corner may look as if it stood in the next cell.
     assert len(cells) > 0.9 * len(found)
@@ -74,7 +75,7 @@ def test_a_cell_gives_one_corner_before_more_are_wanted():
 def test_a_small_thing_before_a_plain_wall_has_more_corners_than_the_grid_has_cells_there():
     picture = np.full((HEIGHT, WIDTH), 120, np.uint8)
     picture[100:120, 100:120] = checkerboard(square_px=5)[100:120, 100:120]
-    on_it = find_corners(picture, None, NO_POINTS, 1000, 10.0, 0.005)
+    on_it = find_corners(picture, None, NO_POINTS, 1000, 10.0, 0.005, CLOSE_SHARE)
     assert ((on_it > 97) & (on_it < 122)).all()
     assert len(on_it) >= 8
 
@@ -86,7 +87,7 @@ def test_what_stands_out_of_its_surroundings_gets_the_corners_that_may_stand_clo
     picture[sky] = 120
     thing = np.s_[40:52, 100:124]
     picture[thing] = 120 + 0.15 * (checkerboard(square_px=6).astype(float)[thing] - 100)
-    found = find_corners(np.rint(picture).astype(np.uint8), None, NO_POINTS, 120, 10.0, 0.005)
+    found = find_corners(np.rint(picture).astype(np.uint8), None, NO_POINTS, 120, 10.0, 0.005, CLOSE_SHARE)
     on_thing = (found[:, 1] < 56) & (np.abs(found[:, 0] - 112) < 16)
     assert len(found) <= 120
     assert np.count_nonzero(on_thing) >= 6
@@ -94,27 +95,34 @@ def test_what_stands_out_of_its_surroundings_gets_the_corners_that_may_stand_clo
 
 @pytest.mark.parametrize("picture", [checkerboard(), wave_picture()], ids=["checkerboard", "texture"])
 def test_new_corners_keep_their_distance_from_each_other(picture):
-    found = find_corners(picture, None, NO_POINTS, 1000, 7.0, 0.005)
+    found = find_corners(picture, None, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
     assert pdist(found).min() > CLOSEST * 7.0 - 1.5
 
 
+def test_without_a_share_of_close_corners_all_keep_the_whole_distance():
+    wanted = 1000
+    apart = find_corners(wave_picture(), None, NO_POINTS, wanted, 10.0, 0.005, 0.0)
+    assert pdist(apart).min() > 10.0 - 1.5
+    assert len(apart) < len(find_corners(wave_picture(), None, NO_POINTS, wanted, 10.0, 0.005, CLOSE_SHARE))
+
+
 def test_asked_for_none_gives_none_and_never_more_than_asked():
-    assert len(find_corners(wave_picture(), None, NO_POINTS, 0, 7.0, 0.005)) == 0
-    assert len(find_corners(wave_picture(), None, NO_POINTS, -5, 7.0, 0.005)) == 0
-    assert len(find_corners(wave_picture(), None, NO_POINTS, 17, 7.0, 0.005)) == 17
+    assert len(find_corners(wave_picture(), None, NO_POINTS, 0, 7.0, 0.005, CLOSE_SHARE)) == 0
+    assert len(find_corners(wave_picture(), None, NO_POINTS, -5, 7.0, 0.005, CLOSE_SHARE)) == 0
+    assert len(find_corners(wave_picture(), None, NO_POINTS, 17, 7.0, 0.005, CLOSE_SHARE)) == 17
 
 
 def test_corners_stand_only_where_the_mask_allows_them():
     allowed = np.zeros((HEIGHT, WIDTH), np.uint8)
     allowed[40:90, 60:200] = 255
-    found = find_corners(wave_picture(), allowed, NO_POINTS, 1000, 7.0, 0.005)
+    found = find_corners(wave_picture(), allowed, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
     column, row = np.rint(found).astype(int).T
     assert len(found) > 20
     assert (allowed[row, column] > 0).all()
 
 
 def test_corners_keep_clear_of_the_rim_of_the_picture():
-    found = find_corners(wave_picture(), None, NO_POINTS, 1000, 7.0, 0.001)
+    found = find_corners(wave_picture(), None, NO_POINTS, 1000, 7.0, 0.001, CLOSE_SHARE)
     assert (found > 3).all()
     assert (found < [WIDTH - 4, HEIGHT - 4]).all()
 

@@ -99,7 +99,7 @@ def test_a_surface_is_borne_by_five_tracks_and_a_tenth_of_them(n_near, n_far, is
 
 @pytest.mark.parametrize(
     ("n_usable", "n_tracks", "is_found"),
-    [(1, 40, False), (4, 40, False), (5, 40, True), (5, 60, False), (6, 60, True), (4, 5, False), (3, 4, True)],
+    [(1, 40, False), (4, 40, False), (5, 40, True), (5, 60, False), (6, 60, True), (4, 5, False), (4, 4, False)],
 )
 def test_what_bears_a_surface_is_counted_among_all_tracks_of_the_object(n_usable, n_tracks, is_found):
     """Most tracks of a thing may have no state (too short, no parallax): the rest is not all of it."""
@@ -108,8 +108,9 @@ def test_what_bears_a_surface_is_counted_among_all_tracks_of_the_object(n_usable
     assert len(surface) == (n_usable if is_found else 0)
 
 
-@pytest.mark.parametrize("n_tracks", [1, 2])
-def test_two_tracks_are_no_object_with_a_time(n_tracks):
+@pytest.mark.parametrize("n_tracks", [1, 2, 4])
+def test_few_tracks_are_no_surface_though_they_agree(n_tracks):
+    """What is left of a mover behind a post: the rates of three of its tracks agree by chance."""
     surface = nearest_surface(np.full(n_tracks, 0.5), np.full(n_tracks, 0.01), np.zeros((n_tracks, 2)), LINK_PX)
     assert not len(surface)
 
@@ -138,10 +139,10 @@ def test_without_tracks_or_with_rates_that_all_differ_there_is_none():
     assert not len(nearest_surface(np.linspace(0, 1, 12), np.full(12, 1e-3), places(rng, 12), LINK_PX))
 
 
-def test_three_tracks_bear_a_surface_when_there_are_no_more():
-    eta_hz = np.array([0.50, 0.51, 0.49])
-    xy_px = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]])
-    assert sorted(nearest_surface(eta_hz, np.full(3, 0.01), xy_px, LINK_PX)) == [0, 1, 2]
+def test_five_tracks_bear_a_surface_when_there_are_no_more():
+    eta_hz = np.array([0.50, 0.51, 0.49, 0.50, 0.50])
+    xy_px = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0], [10.0, 10.0], [5.0, 5.0]])
+    assert sorted(nearest_surface(eta_hz, np.full(5, 0.01), xy_px, LINK_PX)) == [0, 1, 2, 3, 4]
 
 
 def test_of_a_surface_in_two_places_the_larger_part_counts():
@@ -153,7 +154,7 @@ def test_of_a_surface_in_two_places_the_larger_part_counts():
 
 def test_each_of_several_objects_has_the_surface_that_it_has_alone():
     rng = np.random.default_rng(59)
-    cars = [car(rng, n_face=int(n)) for n in (3, 8, 25)]
+    cars = [car(rng, n_face=int(n)) for n in (5, 8, 25)]
     rate_hz, sigma_hz, xy_px, _ = (np.concatenate(values) for values in zip(*cars, strict=True))
     lengths = [len(one[0]) for one in cars]
     sets = TrackSets.of(np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1]))

@@ -37,8 +37,11 @@ DEFAULT_OUT = Path("horizon.yaml")
 MOTIONS_NAME, PICTURE_NAME = "motions.parquet", "horizon.png"
 EXIT_UNDETERMINED = 5
 
-RESTING_DEFAULTS = {"tracking": {"window_px": 13, "max_forward_backward_px": 0.5, "min_distance_px": 4.0}}
-"""Before a resting camera only movers are followed: as many points as they have, people's clothes among them."""
+RESTING_DEFAULTS = {
+    "tracking": {"window_px": 13, "max_forward_backward_px": 0.5, "min_distance_px": 4.0, "close_share": 0.0}
+}
+"""Before a resting camera only movers are followed: as many points as they have, people's clothes among them. Closer
+than that their windows would see the same."""
 DRIVING_DEFAULTS = {"egomotion": {"platform": Platform.vehicle}}
 
 OnFrame = Callable[[int, int | None], None]

@@ -8,9 +8,9 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 
-# A surface is borne by this part of an object's tracks, and by at least so many; of an object of fewer tracks by all of
-# them, but for what any estimate needs.
-_LEAST_PART, _LEAST_TRACKS, _LEAST_OF_FEW = 0.1, 5, 3
+# A surface is borne by this part of an object's tracks, and by at least so many: what a mover that has lost nearly all
+# of its tracks seems to do is no time that anybody could be warned by.
+_LEAST_PART, _LEAST_TRACKS = 0.1, 5
 # Tracks within so many of their standard deviations of the surface's rate belong to it.
 _SURFACE_SIGMAS = 2.0
 # After a start without support the next one lies this much lower, in sigmas.
@@ -37,7 +37,6 @@ def in_nearest_surface(
     is_in = np.zeros(len(rate_hz), dtype=bool)
     starts = np.lexsort((-rate_hz, sets.set_of))
     needed = np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64))
-    needed[n_tracks < _LEAST_TRACKS] = _LEAST_OF_FEW
     _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, starts, sets.first, needed, is_in)
     return is_in
 

@@ -20,11 +20,8 @@ _MIN_RESPONSE = 2e-5
 
 # Corners are weighed against what is around them within this square, px.
 _AROUND_PX = 65
-# This part of the wanted corners may stand as close as this part of the full distance: small things have few corners
-# that far apart. Not more of them: windows that overlap err together, and pass for several witnesses.
-_FINE_SHARE, _FINE_PART = 0.1, 0.57
-# Nearer than this two windows see the same, px.
-_LEAST_FINE_PX = 4.0
+# Close corners stand this part of the full distance apart.
+_CLOSE_PART = 0.57
 
 
 def occupied_cells(xy_px: Floats, shape: tuple[int, int], cell_px: float) -> Bools:
@@ -51,13 +48,14 @@ def find_corners(
     n_wanted: int,
     min_distance_px: float,
     quality: float,
+    close_share: float,
 ) -> Floats:
     """Strongest corners that keep their distance from each other and from the points already there.
 
     First each cell of a grid of side ``min_distance_px`` gives at most its strongest corner, and none where a point
-    stands in it or next to it; so plain regions get the few corners they have instead of a tree getting all. A tenth
-    of what is wanted may stand closer, those first that stand out of their surroundings: a car far away is two cells
-    wide, an aircraft less.
+    stands in it or next to it; so plain regions get the few corners they have instead of a tree getting all. A part of
+    what is wanted may stand closer, those first that stand out of their surroundings: a car far away is two cells wide,
+    an aircraft less. A small part: windows that overlap err together, and pass for several witnesses.
 
     Parameters
     ----------
@@ -67,6 +65,7 @@ def find_corners(
     n_wanted : most corners to return.
     min_distance_px : grid cell, px.
     quality : least response relative to the 99.9th percentile of the picture.
+    close_share : part of ``n_wanted`` that may stand at 0.57 of the distance, 0..1.
 
     Returns
     -------
@@ -83,17 +82,16 @@ def find_corners(
     coarse = strongest[_one_a_cell(x[strongest], y[strongest], xy_taken_px, shape, min_distance_px)]
     xy = _refined(response, x[coarse], y[coarse])
     is_chosen = _keeps_distance(xy, min_distance_px)
-    fine_px = _FINE_PART * min_distance_px
-    n_fine = int(_FINE_SHARE * n_wanted) if fine_px >= _LEAST_FINE_PX else 0
-    is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - n_fine
+    n_close = int(close_share * n_wanted)
+    is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - n_close
     coarse, xy = coarse[is_chosen], xy[is_chosen]
     x, y = np.delete(x, coarse), np.delete(y, coarse)
     around = cv2.boxFilter(response, -1, (_AROUND_PX, _AROUND_PX))
     outstanding = np.argsort(-response[y, x] / (around[y, x] + threshold), kind="stable")
     x, y = x[outstanding], y[outstanding]
     taken = np.concatenate([xy_taken_px, xy])
-    fine = _spread(x, y, taken, shape, fine_px, n_fine)
-    return np.concatenate([xy, _refined(response, x[fine], y[fine])])
+    close = _spread(x, y, taken, shape, _CLOSE_PART * min_distance_px, n_close)
+    return np.concatenate([xy, _refined(response, x[close], y[close])])
 
 
 def _peaks(response: NDArray[Any], threshold: float, allowed: Picture | None) -> tuple[Ints, Ints]:

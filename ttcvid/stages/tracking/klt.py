@@ -159,7 +159,13 @@ def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config
         return memory
     windows_px = points.windows_px
     new_px = find_corners(
-        grey, allowed, windows_px, config.max_tracks - n_live, config.min_distance_px, config.corner_quality
+        grey,
+        allowed,
+        windows_px,
+        n_wanted=config.max_tracks - n_live,
+        min_distance_px=config.min_distance_px,
+        quality=config.corner_quality,
+        close_share=config.close_share,
     )
     content_px = new_px + np.nan_to_num(content_offsets(grey, new_px, config.window_px))
     is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
