@@ -167,7 +167,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _name("kind", "what was warned of", EVENT_KINDS),
         _count("cluster_id", "object that was warned of"),
         _count("start_frame", "first frame of the warning"),
-        _count("end_frame", "last frame of the warning"),
+        _count("end_frame", "last frame in which it holds; of what is hidden the pictures show it a little longer"),
         _real("start_s", "s", "presentation time of start_frame", nullable=False),
         _real("end_s", "s", "presentation time of end_frame", nullable=False),
         _real("min_ttc_z_s", "s", "smallest ttc_z_s while the warning was on"),
