@@ -1,0 +1,66 @@
+"""How long before a contact a warning comes, and what is warned of for nothing: drawn scenes that are in no test.
+
+python benchmarks/warnings_ahead.py [--first N] [--last N] [--only KIND]
+
+Of each kind of encounter (benchmarks/warning_scenes.py) the scenes of these numbers are rendered, one that ends in a
+collision and one that passes, analysed with their own camera, and evaluated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import pandas as pd
+import yaml
+from warning_scenes import KINDS, scene_values
+
+import ttcvid
+
+BAR_S = 2.0
+"""A warning comes this long before the contact."""
+
+
+def judged(kind: str, number: int, folder: Path, *, collides: bool) -> tuple[str, float | None, float]:
+    """Name of a scene, how long before the contact its first warning starts (None: none), and its false warnings."""
+    values = scene_values(kind, number, collides=collides)
+    path = folder / f"{values['name']}.yaml"
+    path.write_text(yaml.safe_dump(values, sort_keys=False))
+    scene, out = folder / path.stem, folder / f"{path.stem}_run"
+    ttcvid.simulate(path, scene)
+    platform = "aircraft" if kind == "aircraft" else "vehicle"
+    run = ttcvid.analyze(
+        str(scene / "clip.mp4"), out, camera=str(scene / "camera.yaml"), platform=platform, overlay=False
+    )
+    false = float(ttcvid.evaluate(out, scene).evaluation.metrics["events.false"] or 0.0)
+    contact_s = pd.read_parquet(scene / "truth_encounters.parquet").t_contact_s.min()
+    has_lead = collides and len(run.events) > 0
+    return path.stem, float(contact_s - run.events.start_s.min()) if has_lead else None, false
+
+
+def main() -> None:
+    """Print a line a scene, and the sums."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--first", type=int, default=2, help="number of the first scene of each kind")
+    parser.add_argument("--last", type=int, default=3, help="number of the last one")
+    parser.add_argument("--only", choices=list(KINDS), help="one kind of encounter")
+    arguments = parser.parse_args()
+    leads_s: list[float | None] = []
+    n_false = 0.0
+    with tempfile.TemporaryDirectory() as temporary:
+        for kind in [arguments.only] if arguments.only else list(KINDS):
+            for number in range(arguments.first, arguments.last + 1):
+                for collides in (True, False):
+                    name, lead_s, false = judged(kind, number, Path(temporary), collides=collides)
+                    n_false += false
+                    if collides:
+                        leads_s.append(lead_s)
+                    said = "-" if not collides else "none" if lead_s is None else f"{lead_s:.2f} s"
+                    print(f"{name:24} warned before the contact: {said:8} false warnings: {false:.0f}", flush=True)
+    early = sum(lead_s is not None and lead_s >= BAR_S for lead_s in leads_s)
+    print(f"warned {BAR_S:g} s before the contact: {early} of {len(leads_s)}; false warnings: {n_false:.0f}")
+
+
+if __name__ == "__main__":
+    main()
