@@ -1,4 +1,4 @@
-"""Scenes for benchmarks/warnings.py: encounters of many kinds, drawn by number, half of them collisions.
+"""Scenes for benchmarks/warnings_ahead.py: encounters of many kinds, drawn by number, half of them collisions.
 
 Each kind of encounter is one function of a random generator and of whether it is to be a collision; what stands around
 is drawn too. Number k of a kind is always the same scene.

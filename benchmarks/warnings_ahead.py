@@ -1,9 +1,9 @@
 """How long before a contact a warning comes, and what is warned of for nothing: drawn scenes that are in no test.
 
-python benchmarks/warnings_ahead.py [--first N] [--last N] [--only KIND]
+python benchmarks/warnings_ahead.py [--first N] [--last N] [--only KIND] [--keep FOLDER]
 
 Of each kind of encounter (benchmarks/warning_scenes.py) the scenes of these numbers are rendered, one that ends in a
-collision and one that passes, analysed with their own camera, and evaluated.
+collision and one that passes, analysed with their own camera, and evaluated. A scene takes some 10 s.
 """
 
 from __future__ import annotations
@@ -28,10 +28,16 @@ def judged(kind: str, number: int, folder: Path, *, collides: bool) -> tuple[str
     path = folder / f"{values['name']}.yaml"
     path.write_text(yaml.safe_dump(values, sort_keys=False))
     scene, out = folder / path.stem, folder / f"{path.stem}_run"
-    ttcvid.simulate(path, scene)
+    if not scene.exists():
+        ttcvid.simulate(path, scene)
     platform = "aircraft" if kind == "aircraft" else "vehicle"
     run = ttcvid.analyze(
-        str(scene / "clip.mp4"), out, camera=str(scene / "camera.yaml"), platform=platform, overlay=False
+        str(scene / "clip.mp4"),
+        out,
+        camera=str(scene / "camera.yaml"),
+        platform=platform,
+        overlay=False,
+        overwrite=True,
     )
     false = float(ttcvid.evaluate(out, scene).evaluation.metrics["events.false"] or 0.0)
     contact_s = pd.read_parquet(scene / "truth_encounters.parquet").t_contact_s.min()
@@ -45,14 +51,17 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=2, help="number of the first scene of each kind")
     parser.add_argument("--last", type=int, default=3, help="number of the last one")
     parser.add_argument("--only", choices=list(KINDS), help="one kind of encounter")
+    parser.add_argument("--keep", type=Path, help="folder for scenes and results; scenes that are there are taken")
     arguments = parser.parse_args()
     leads_s: list[float | None] = []
     n_false = 0.0
     with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) if arguments.keep is None else arguments.keep
+        folder.mkdir(parents=True, exist_ok=True)
         for kind in [arguments.only] if arguments.only else list(KINDS):
             for number in range(arguments.first, arguments.last + 1):
                 for collides in (True, False):
-                    name, lead_s, false = judged(kind, number, Path(temporary), collides=collides)
+                    name, lead_s, false = judged(kind, number, folder, collides=collides)
                     n_false += false
                     if collides:
                         leads_s.append(lead_s)
