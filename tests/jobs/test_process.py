@@ -8,7 +8,7 @@ import sys
 import cv2
 import pytest
 
-from ttcvid.jobs.process import one_opencv_thread, rare_garbage_collections
+from ttcvid.jobs.process import one_opencv_thread, quick_thread_switches, rare_garbage_collections
 
 
 def test_opencv_has_one_thread_inside_and_its_own_number_afterwards():
@@ -23,6 +23,13 @@ def test_garbage_is_collected_rarely_inside_and_as_before_afterwards():
     with rare_garbage_collections():
         assert gc.get_threshold()[0] > 10 * before[0]
     assert gc.get_threshold() == before
+
+
+def test_threads_switch_quickly_inside_and_at_their_own_pace_afterwards():
+    before_s = sys.getswitchinterval()
+    with quick_thread_switches():
+        assert sys.getswitchinterval() < 0.2 * before_s
+    assert sys.getswitchinterval() == before_s
 
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="needs glibc")

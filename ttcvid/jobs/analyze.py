@@ -22,7 +22,12 @@ from ttcvid.jobs.clip import (
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
 from ttcvid.jobs.found_focal import with_found_focal
 from ttcvid.jobs.outputs import check_overlay, open_sinks
-from ttcvid.jobs.process import one_opencv_thread, rare_garbage_collections, share_freed_memory
+from ttcvid.jobs.process import (
+    one_opencv_thread,
+    quick_thread_switches,
+    rare_garbage_collections,
+    share_freed_memory,
+)
 from ttcvid.jobs.provenance import (
     Tally,
     describe_calibration,
@@ -143,6 +148,7 @@ def _analyze_into(
         share_freed_memory()
         stack.enter_context(one_opencv_thread())
         stack.enter_context(rare_garbage_collections())
+        stack.enter_context(quick_thread_switches())
         write = open_sinks(stack, folder, source, calibration, configuration)
         writer = stack.enter_context(WriteBehind(write))
         frames = stack.enter_context(ReadAhead(source))
