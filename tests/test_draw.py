@@ -157,6 +157,42 @@ def test_scene_tracks_are_grey_and_object_tracks_have_the_colour_of_the_object()
     assert tuple(picture[60, 200]) == object_colour(2)
 
 
+def trail_over(*places_px, cluster_id=2, stroke_px=1):
+    picture, trails = blank(), Trails(4)
+    for place_px in places_px:
+        tracks = tracks_at([place_px], cluster_id=[cluster_id])
+        trails.follow(tracks)
+    trails.draw(picture, tracks, stroke_px)
+    return (picture != GREY).any(axis=-1)
+
+
+@pytest.mark.parametrize("end_px", [(140.0, 90.0), (105.0, 60.0), (70.0, 80.0)])
+def test_a_trail_is_a_line_without_gaps_from_the_oldest_place_to_the_track(end_px):
+    start_px = np.array([100.0, 100.0])
+    is_drawn = trail_over(*(start_px + part * (end_px - start_px) for part in np.linspace(0.0, 1.0, 5)))
+    low, high = np.sort([start_px, end_px], axis=0).astype(int)
+    for axis in range(2):
+        is_covered = is_drawn.any(axis=axis)
+        assert is_covered[low[axis] : high[axis] + 1].all()
+    assert is_drawn.sum() < (high - low).max() + 5
+
+
+def test_a_thick_trail_lies_evenly_about_its_line():
+    is_drawn = trail_over((100.0, 50.0), (110.0, 50.0), (120.0, 50.0), stroke_px=2)
+    assert np.flatnonzero(is_drawn[:, 110]).tolist() == [49, 50, 51]
+
+
+@pytest.mark.parametrize("place_px", [(1e12, 50.0), (-40.0, -40.0)])
+def test_a_trail_to_far_away_is_left_out_and_one_over_the_edge_cut_off(place_px):
+    assert not trail_over(place_px, place_px).any()
+    assert trail_over(place_px, (10.0, 10.0), (20.0, 20.0), (30.0, 30.0)).sum() < 100
+
+
+def test_a_trail_of_the_scene_is_shorter_than_that_of_an_object():
+    places_px = [(100.0 + 10.0 * k, 50.0) for k in range(5)]
+    assert trail_over(*places_px, cluster_id=0).any(axis=0).sum() < 0.6 * trail_over(*places_px).any(axis=0).sum()
+
+
 def test_the_cross_stands_on_the_epipole_and_the_arrow_at_the_edge_when_it_is_outside():
     inside = object_cluster(epipole_px=np.array([60.0, 150.0]), box_px=(200.0, 20.0, 250.0, 60.0), ref_px=(225.0, 40.0))
     assert tuple(painted(frame_result(1, clusters=[inside]))[150, 60]) == object_colour(1)

@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ttcvid.draw.palette import Colour
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import ImageSize, Picture
 
 _FONT = cv2.FONT_HERSHEY_DUPLEX
@@ -39,10 +39,9 @@ class Lettering:
     def __init__(self, cap_px: int) -> None:
         self.cap_px = cap_px
         self.line_px = round(cap_px * 1.75)
-        # All three channels are spelled out, because numpy is slow in loops of three.
-        self._covers = {letter: np.repeat(_glyph(letter, cap_px)[..., None], 3, axis=2) for letter in _PRINTABLE}
+        self._covers = {letter: _glyph(letter, cap_px) for letter in _PRINTABLE}
         # What stays from picture to picture (numbers, words, notes) is put together once.
-        self._layers_of = lru_cache(maxsize=256)(self._layers)
+        self._cover_of = lru_cache(maxsize=256)(self._cover)
         self._widths_px = {letter: cover.shape[1] for letter, cover in self._covers.items()}
 
     def width_px(self, text: str) -> int:
@@ -52,20 +51,26 @@ class Lettering:
 
     def draw(self, bgr: Picture, text: str, x: int, y: int, ink: Colour) -> None:
         """Write ``text`` with the upper left corner of its capitals at (x, y); what lies outside is cut off."""
-        kept, added = self._layers_of(text, ink)
-        height, width = bgr.shape[:2]
-        x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + kept.shape[1], width), min(y + kept.shape[0], height)
-        if x0 < x1 and y0 < y1:
-            within = slice(y0 - y, y1 - y), slice(x0 - x, x1 - x)
-            part = bgr[y0:y1, x0:x1]
-            part[:] = (part * kept[within] + added[within]) >> 8
+        _blend(bgr, self._cover_of(text), x, y, *ink)
 
-    def _layers(self, text: str, ink: Colour) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """What a text leaves of the picture and what it adds, both ``(height, width, 3)``, times 255."""
+    def _cover(self, text: str) -> Picture:
+        """How much of each pixel a text covers, ``(height, width)``."""
         unknown = self._covers["?"]
-        covers = [self._covers.get(letter, unknown) for letter in text]
-        cover = np.concatenate([unknown[:, :0], *covers], axis=1, dtype=np.uint16)
-        return 255 - cover, cover * np.array(ink, dtype=np.uint16)
+        return np.concatenate([unknown[:, :0], *(self._covers.get(letter, unknown) for letter in text)], axis=1)
+
+
+@compiled
+def _blend(bgr: Picture, cover: Picture, x: int, y: int, blue: int, green: int, red: int) -> None:
+    """Lays a colour over a picture from (x, y) on, where it is covered, as far as that lies in the picture."""
+    height, width = bgr.shape[:2]
+    for row in range(max(-y, 0), min(cover.shape[0], height - y)):
+        for column in range(max(-x, 0), min(cover.shape[1], width - x)):
+            share = int(cover[row, column])
+            if share:
+                pixel = bgr[y + row, x + column]
+                pixel[0] = (pixel[0] * (255 - share) + share * blue) // 255
+                pixel[1] = (pixel[1] * (255 - share) + share * green) // 255
+                pixel[2] = (pixel[2] * (255 - share) + share * red) // 255
 
 
 def _glyph(letter: str, cap_px: int) -> Picture:

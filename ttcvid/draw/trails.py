@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from ttcvid.draw.palette import SCENE, UNASSIGNED, Colour, object_colour, object_colours
+from ttcvid.draw.palette import SCENE, UNASSIGNED, object_colours
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, TrackRows
 
-_SUBPIXEL_BITS = 3  # OpenCV draws between pixels when coordinates are shifted
-_UNASSIGNED_POSITIONS = 2  # tracks of no cluster show their last step only
-# Lines go through every second position: paths are smooth, and thick lines are most of what a picture takes to draw.
+# Tracks of no cluster show their last step only, those of the scene half of their way.
+_LOOSE_STEPS, _SCENE_PART = 1, 0.5
+# Lines go through every second position: paths are smooth.
 _LINE_STEP = 2
 
 
@@ -37,29 +36,50 @@ class Trails:
 
     def draw(self, bgr: Picture, tracks: TrackRows, stroke_px: int) -> None:
         """Draw all tracks, objects last and with the full trail, so that they stand out from the scene."""
-        fixed_point = np.round(self.positions_px * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-        is_loose = tracks.cluster_id == NO_CLUSTER
-        _draw_lines(bgr, fixed_point[is_loose, :_UNASSIGNED_POSITIONS], UNASSIGNED, 1)
-        is_scene = tracks.cluster_id == SCENE_CLUSTER
-        _draw_lines(bgr, fixed_point[is_scene, : (self._n_positions + 1) // 2 : _LINE_STEP], SCENE, 1)
-        is_object = ~is_loose & ~is_scene
-        for cluster_id in np.unique(tracks.cluster_id[is_object]).tolist():
-            way = fixed_point[tracks.cluster_id == cluster_id, ::_LINE_STEP]
-            _draw_lines(bgr, way, object_colour(cluster_id), stroke_px)
-        _draw_dots(bgr, tracks.xy_px[is_object], tracks.cluster_id[is_object], stroke_px + 1)
+        is_loose, is_scene = tracks.cluster_id == NO_CLUSTER, tracks.cluster_id == SCENE_CLUSTER
+        is_object = ~(is_loose | is_scene)
+        colour = object_colours(tracks.cluster_id)
+        colour[is_loose], colour[is_scene] = UNASSIGNED, SCENE
+        n_steps = np.where(is_object, self._n_positions - 1, int(_SCENE_PART * (self._n_positions - 1)))
+        n_steps[is_loose] = _LOOSE_STEPS
+        order = np.concatenate([np.flatnonzero(is_loose), np.flatnonzero(is_scene), np.flatnonzero(is_object)])
+        # An odd width lies evenly about its line.
+        stroke = np.where(is_object, stroke_px | 1, 1)
+        _draw_lines(bgr, self.positions_px, n_steps, np.where(is_loose, 1, _LINE_STEP), order, colour, stroke)
+        side_px = stroke_px + 1
+        corner = np.round(tracks.xy_px[is_object]).astype(np.int64) - side_px // 2
+        _fill_squares(bgr, corner, colour[is_object], side_px)
 
 
-def _draw_lines(bgr: Picture, fixed_point: np.ndarray, colour: Colour, stroke_px: int) -> None:
-    if len(fixed_point):
-        cv2.polylines(
-            bgr, list(np.ascontiguousarray(fixed_point)), False, colour, stroke_px, cv2.LINE_8, _SUBPIXEL_BITS
-        )
+@compiled
+def _draw_lines(
+    bgr: Picture, way: Floats, n_steps: Ints, line_step: Ints, order: Ints, colour: Picture, stroke: Ints
+) -> None:
+    """Lines through the ways ``(N, positions, 2)``, over ``n_steps (N,)`` and ``line_step`` of them at a time.
 
-
-def _draw_dots(bgr: Picture, xy_px: Floats, cluster_id: Ints, side_px: int) -> None:
-    """Squares of ``side_px`` in the colours of their objects, all at once."""
-    corner = np.round(xy_px).astype(np.int64) - side_px // 2
-    _fill_squares(bgr, corner, object_colours(cluster_id), side_px)
+    Along its longer axis a line has one bar of ``stroke`` pixels at each pixel. A line longer than the picture is left
+    out.
+    """
+    height, width = bgr.shape[:2]
+    for i in order:
+        low = stroke[i] // 2
+        for k in range(0, n_steps[i], line_step[i]):
+            last = min(k + line_step[i], n_steps[i])
+            x, y = way[i, k, 0], way[i, k, 1]
+            dx, dy = way[i, last, 0] - x, way[i, last, 1] - y
+            length = max(abs(dx), abs(dy))
+            if not length < width + height:
+                continue
+            count = int(length) + 1
+            down = abs(dx) > abs(dy)
+            for step in range(count + 1):
+                column = int(np.floor(x + dx * step / count + 0.5)) - (0 if down else low)
+                row = int(np.floor(y + dy * step / count + 0.5)) - (low if down else 0)
+                for across in range(stroke[i]):
+                    u, v = (column, row + across) if down else (column + across, row)
+                    if 0 <= u < width and 0 <= v < height:
+                        for channel in range(3):
+                            bgr[v, u, channel] = colour[i, channel]
 
 
 @compiled
