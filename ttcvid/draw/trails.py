@@ -70,7 +70,7 @@ def _draw_lines(
             length = max(abs(dx), abs(dy))
             if not length < width + height:
                 continue
-            count = int(length) + 1
+            count = max(int(np.ceil(length)), 1)
             down = abs(dx) > abs(dy)
             for step in range(count + 1):
                 column = int(np.floor(x + dx * step / count + 0.5)) - (0 if down else low)
