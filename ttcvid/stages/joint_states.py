@@ -85,19 +85,22 @@ def _joint_covariances(
 ) -> tuple[Floats, Floats]:
     """Covariances of weighted means of (a, b, c), and by what part the speeds that the tracks share may change.
 
-    Own noise averages out, errors of what they share do not. Where each track has a direction of its own (three
-    frames), nothing is common.
+    Own noise averages out, errors of what they share do not. Tracks of a surface share one path, but for those timed by
+    expansion: their neighbourhoods overlap, so that they are taken to err as one. Where each track has a direction of
+    its own (three frames), nothing is common.
     """
     shared = states.shared
     if shared is None:
         return _averaged_out(states, surfaces, weight), np.zeros(len(surfaces))
-    path_of = shared.path_of[surfaces.index]
-    number = path_of[surfaces.first]
-    has_one = (number >= 0) & np.logical_and.reduceat(path_of == number[surfaces.set_of], surfaces.first)
-    cov = shared.covariances_of_means(surfaces, weight, abc_hz, _TRIMMED_VARIANCE)
-    if not has_one.all():
-        cov = np.where(has_one[:, None, None], cov, _averaged_out(states, surfaces, weight))
-    return cov, np.where(has_one, shared.change[number], 0.0)
+    number = np.maximum.reduceat(shared.path_of[surfaces.index], surfaces.first)
+    on_path = shared.path_of[surfaces.index] == number[surfaces.set_of]
+    has_path = number >= 0
+    on_path &= has_path[surfaces.set_of]
+    cov = shared.covariances_of_means(surfaces, np.where(on_path, weight, 0.0), abc_hz, number, _TRIMMED_VARIANCE)
+    off_weight = np.where(on_path, 0.0, weight)
+    off_cov = surfaces.sums(off_weight[:, None, None] * states.cov[surfaces.index])
+    cov = np.where(has_path[:, None, None], cov, 0.0) + surfaces.sums(off_weight)[:, None, None] * off_cov
+    return cov, np.where(has_path, shared.change[number], 0.0)
 
 
 def _averaged_out(states: TrackStates, surfaces: TrackSets, weight: Floats) -> Floats:

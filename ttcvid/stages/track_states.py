@@ -41,13 +41,14 @@ class SharedErrors:
     cov: Floats
     change: Floats
 
-    def covariances_of_means(self, sets: TrackSets, weight: Floats, mean_hz: Floats, own_factor: float) -> Floats:
-        """Covariances (K, 3, 3) of weighted means ``mean_hz (K, 3)`` of (a, b, c) over K sets, each of one path.
+    def covariances_of_means(
+        self, sets: TrackSets, weight: Floats, mean_hz: Floats, number: Ints, own_factor: float
+    ) -> Floats:
+        """Covariances (K, 3, 3) of weighted means ``mean_hz (K, 3)`` of (a, b, c) over K sets, by the tracks on a path.
 
-        Noise of their own averages out, up to ``own_factor``; what they share does not. ``weight (M,)`` is that of the
-        tracks of the sets, with the sum 1 over each set.
+        Noise of their own averages out, up to ``own_factor``; what they share does not. ``number (K,)`` is the path of
+        each set, ``weight (M,)`` that of the tracks, 0 for those on none.
         """
-        number = self.path_of[sets.index[sets.first]]
         jacobian = sets.sums(weight[:, None, None] * self.jacobian[sets.index])
         own = own_factor * sets.sums(weight**2 * self.rate_variance[sets.index])
         changed = self.change[number][:, None] * mean_hz

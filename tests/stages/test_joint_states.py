@@ -1,0 +1,79 @@
+"""The state of an object from its tracks: what they share does not average out, however each of them was timed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ttcvid.stages.joint_states import joint_states
+from ttcvid.stages.sets import TrackSets
+from ttcvid.stages.track_states import SharedErrors, TrackStates
+
+N, N_SHARED = 40, 9
+RATE_HZ, OWN_PART, SHARED_PART, CHANGE = 0.4, 0.05, 0.08, 0.1
+AHEAD = np.array([0.0, 0.0, -1.0])
+FOCAL_PX, LINK_PX = 700.0, 40.0
+
+
+def states_on_one_path():
+    """Tracks of a plate straight ahead, whose rates have errors of their own and one in common."""
+    own = np.full(N, (OWN_PART * RATE_HZ) ** 2)
+    jacobian, cov = np.zeros((N, 3, N_SHARED)), np.zeros((N, 3, 3))
+    jacobian[:, 2, 2] = RATE_HZ
+    shared_cov = np.zeros((1, N_SHARED, N_SHARED))
+    shared_cov[0, 2, 2] = SHARED_PART**2
+    cov[:, 2, 2] = own + (SHARED_PART * RATE_HZ) ** 2 + (CHANGE * RATE_HZ) ** 2
+    cov[:, 0, 0] = cov[:, 1, 1] = 1e-6
+    shared = SharedErrors(
+        path_of=np.zeros(N, dtype=np.int64),
+        along=AHEAD[None],
+        rate_variance=own,
+        jacobian=jacobian,
+        cov=shared_cov,
+        change=np.array([CHANGE]),
+    )
+    return TrackStates(
+        xy=np.random.default_rng(90).uniform(-0.03, 0.03, (N, 2)),
+        abc_hz=np.tile(RATE_HZ * AHEAD, (N, 1)),
+        cov=cov,
+        sigma_norm=np.full(N, 1e-4),
+        direction=np.tile(AHEAD, (N, 1)),
+        status=np.zeros(N, dtype=np.int64),
+        shared=shared,
+    )
+
+
+def without_path(states, index):
+    path_of = states.shared.path_of.copy()
+    path_of[index] = -1
+    return replace(states, shared=replace(states.shared, path_of=path_of))
+
+
+def sigma_and_change(states):
+    """Standard deviation of the object's rate as a part of it, and by what part its speed may change."""
+    members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
+    joint = joint_states(members, AHEAD[None], np.array([False]), states, xy_px, LINK_PX)
+    return float(np.sqrt(joint.cov[0, 2, 2])) / RATE_HZ, float(joint.speed_change[0])
+
+
+def test_what_tracks_share_does_not_average_out():
+    sigma, change = sigma_and_change(states_on_one_path())
+    own = OWN_PART / np.sqrt(N)
+    assert sigma == pytest.approx(np.sqrt(SHARED_PART**2 + CHANGE**2 + own**2), rel=0.02)
+    assert change == CHANGE
+
+
+@pytest.mark.parametrize("first", [0, 7])
+@pytest.mark.parametrize("count", [1, 20])
+def test_tracks_timed_by_expansion_do_not_make_an_object_surer_of_the_path_of_the_others(first, count):
+    states = states_on_one_path()
+    sigma, change = sigma_and_change(without_path(states, np.arange(first, first + count)))
+    expected, _ = sigma_and_change(states)
+    assert 0.9 * expected < sigma < 1.1 * expected
+    assert change == CHANGE
+
+
+def test_tracks_timed_by_expansion_err_as_one():
+    sigma, change = sigma_and_change(without_path(states_on_one_path(), np.arange(N)))
+    assert sigma == pytest.approx(np.sqrt(OWN_PART**2 + SHARED_PART**2 + CHANGE**2), rel=0.02)
+    assert change == 0.0
