@@ -13,12 +13,17 @@ from ttcvid.model import Floats, Ints
 N_STEPS = 2
 """Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames."""
 
-# Residuals beyond this, in sigmas, count by their length, no longer by its square.
+# Residuals beyond this, in sigmas, count by their length (Huber), no longer by its square. In `whole_track_descent` and
+# the files that follow it their weight is 1 / r^2, and chi-square grows no further; here it tells to which thing a
+# track belongs, and has to grow with the misfit. Where a path is corrected (`_add_up`), the scale is that of Cauchy's
+# weight, which lets go of outliers.
 _ROBUST_SIGMAS = 3.0
 # Gauss-Newton on a point ends after a step that lowers chi-square by less than this: the step is taken, its fall is
 # what the linearisation says.
 _SMALL_FALL = 0.1
-# The depth of a point over that at time 0, 1 + rho T_z, is taken as at least this.
+# The depth of a point over that at time 0, 1 + rho T_z, is taken as at least this. Not the 0.1 of `whole_track_on_path`
+# and `shared_path_descent`, where it limits the rate: here a rate of the wrong path is fitted, too, and only the
+# prediction is kept from its pole.
 _LEAST_DEPTH_RATIO = 0.05
 # Least z of a turned unit ray that still has a place in the plane z = 1, as in `rotation.turned_into_plane`.
 _LEAST_FORWARD = 0.05
@@ -137,7 +142,8 @@ def _fit(
 ) -> tuple[float, float, float, float, float]:
     """Place x, y and rate by robust Gauss-Newton, the rate's information, and chi-square (Huber's).
 
-    It starts where the point is seen now, and with so few steps a point that does not fit stays near there.
+    It starts where the point is seen now, and with so few steps a point that does not fit stays near there. The same
+    unknowns as in `whole_track_on_path`, `shared_path_descent`: there without a last rate, to convergence.
     """
     last, information, chi2, inverse = len(views) - 1, 0.0, 0.0, 1.0 / (sigma * sigma)
     x, y, rho = views[last, 0], views[last, 1], max(start, least)
@@ -303,7 +309,10 @@ def _length(v: Floats) -> float:
 
 @compiled
 def _solve(a: Floats, b: Floats) -> None:
-    """Solve ``a x = b`` in place by Cholesky's decomposition, given the lower half of ``a (6, 6)``."""
+    """Solve ``a x = b`` in place by Cholesky's decomposition, given the lower half of ``a (6, 6)``.
+
+    Half the work of the elimination in `two_view_descent` and `shared_path_descent`, which keep their matrix.
+    """
     for i in range(6):
         for j in range(i + 1):
             value = a[i, j]
@@ -339,7 +348,10 @@ def _vector_between(expected: Floats, rotation: Floats, vector: Floats) -> None:
 
 @compiled
 def _turn_back(turn: Floats, rotation: Floats) -> None:
-    """``rotation`` turned further by minus the vector ``turn``, by way of the quaternion, and orthonormal again."""
+    """``rotation`` turned further by minus the vector ``turn``, by way of the quaternion, and orthonormal again.
+
+    The turn is that of `rotation.rotation_from_vector`, whose file a compiled function may not call.
+    """
     angle = _length(turn)
     scale = -0.5 if angle < 1e-12 else -np.sin(0.5 * angle) / angle
     w, x, y, z = np.cos(0.5 * angle), scale * turn[0], scale * turn[1], scale * turn[2]

@@ -19,7 +19,7 @@ N_SHARED = 9
 """Shared unknowns, in this order: u (3), v (3) with the path ``+ u t + v t^2 / 2``, and a rotation rate (3), rad/s."""
 
 MOST_POINTS = 150
-"""Of more points than this only an even part is asked: errors that neighbours share are what limits a path."""
+"""With more points, use every n-th: errors shared by neighbours limit the path, not their number."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ LEAST_VIEWS = 3
 _MAX_STEPS, _CONVERGED_CHI2 = 6, 0.1
 # A point whose window has less than this part of its views, over the same of the median point, is left out.
 _LOYAL_SHARE = 0.7
-# As in the fit of each point (`whole_track_on_path`).
+# As in the fit of each point (`whole_track_on_path`), weights 1 / r^2 too; a compiled function may not call its file.
 _ROBUST_SIGMAS, _LEAST_DEPTH_RATIO = 3.0, 0.1
 # Numbers kept of a point while what it shares is solved for: information on its place, couplings of x and y with rho,
 # information on rho, score of x, y, rho.
@@ -170,6 +170,8 @@ def _add_point(
 ) -> float:
     """Adds one point to the ``information (8, 8)`` and ``score (8,)`` of its path, its place and rate eliminated.
 
+    The sums of x, y, rho are those of `whole_track_on_path._add_up`.
+
     Fills ``own (7,)`` and the couplings ``(3, 8)`` of x, y, rho with what is shared. Returns the mean square residual.
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does.
@@ -293,7 +295,10 @@ def _rate_limits(path: Floats, places: Ints) -> tuple[float, float]:
 
 @compiled
 def _set_path(t_s: Floats, base: Floats, basis: Floats, offset: Floats, path: Floats, rotation: Floats) -> None:
-    """Fills the path ``(L, 3)`` at an offset, and the rotations ``(L, 3, 3)`` that turn its views back (Rodrigues)."""
+    """Fills the path ``(L, 3)`` at an offset, and the rotations ``(L, 3, 3)`` that turn its views back.
+
+    Those are `rotation.rotation_from_vector` of minus t times the rate, here with the factors that t shares out.
+    """
     wx, wy, wz = offset[5], offset[6], offset[7]
     rate = np.sqrt(wx * wx + wy * wy + wz * wz)
     for place in range(len(t_s)):
@@ -375,7 +380,10 @@ def _set_prior(prior: Floats, offset: Floats, information: Floats, score: Floats
 
 @compiled
 def _solve(matrix: Floats, right: Floats, solution: Floats) -> float:
-    """Fills the solution of a positive definite system, by elimination; returns ``right . solution``."""
+    """Fills the solution of a positive definite system, by elimination; returns ``right . solution``.
+
+    As in `two_view_descent`, whose file a compiled function may not call.
+    """
     rest = matrix.copy()
     solution[:] = right
     for j in range(N_LOCAL):

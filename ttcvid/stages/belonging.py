@@ -143,7 +143,7 @@ def _count_votes(number: Ints, neighbours: Ints, votes: Ints) -> None:
 def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:
     """Movers that are still known; the last one or two tracks of a mover wait for a while, then these go to the scene.
 
-    What has a number is known for as long as it may come back with it.
+    A mover with a number is remembered for `_KNOWN_AGAIN_S` after it was last seen.
     """
     number, now_s, least = numbers_of(key, movers), views.t_s[-1], min(3, config.min_tracks)
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
@@ -173,7 +173,7 @@ def known_again(
     usual_misfit: float,
     config: BodiesConfig,
 ) -> tuple[Ints, Movers, Bools]:
-    """Those of J new movers that are hidden ones: tracks where one of these has to be by now, moving as it did.
+    """Which of J new movers are hidden ones seen again: they lie where a hidden one should be, and move as it did.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ def find_motions(
     Parameters
     ----------
     is_free : (N,) tracks that are not frozen to their pixel.
-    may_start : (N,) tracks that are not about to be: a new mover may be made of them.
+    may_start : (N,) tracks that do not look like becoming frozen, either: a new mover may start from them.
 
     Returns
     -------

@@ -32,8 +32,8 @@ _LEAST_GOES_ON, _GOES_ON = 2.0, 0.25
 _LINKS = 2.0
 # On a road they are no farther apart than so many heights of the camera.
 _BESIDE = 1.5
-# The box of the tracks covers the point that we go for but for this part of the distance of neighbours, for tracks do
-# not reach its rim; of one that has been found before, but for so many times as much.
+# The box of the tracks may miss the aim by `_OFF_LINK` link lengths, since tracks do not reach the rim; by `_KEPT`
+# times that for a known obstacle.
 _OFF_LINK, _KEPT = 0.33, 1.5
 # A surface in our way has so many tracks at the least. Fewer than a new mover: where it is looked for is known.
 _LEAST_TRACKS = 4
@@ -47,7 +47,7 @@ _BELOW_CAMERA = 0.15
 # Heights over the road, in heights of the camera: what ends below the first can be driven over, what begins above the
 # second is driven under; so many tracks of a thing stand above the first.
 _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.3, 1.1, 2
-# An obstacle that is not found is an object for as long as a mover would be, and known again for so many times as long.
+# A missed obstacle stays an object for `forget_frames`, and can be re-identified for this many times as long.
 _REMEMBERED = 4
 _TINY_HZ = 1e-9
 

@@ -13,8 +13,8 @@ from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import ROTATION_DRIFT_RAD, TrackHistory
 
-# The direction comes from part of the views that the path is fitted to: it is believed this much less, so that these
-# count once, and to no better than this angle.
+# The prior direction was fitted to some of the same views. Its covariance would be inflated by this factor for that (1:
+# it is not); the square of this angle is added, its floor.
 _BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 1.0, float(np.radians(0.02))
 # Own acceleration over own speed: 2 m/s^2 at 5 m/s. Across, the single steps have turned already.
 _OWN_ALONG_HZ, _OWN_ACROSS_HZ = 0.4, 0.02
@@ -27,8 +27,8 @@ _GAP_FRAMES, _GATE_CHI2 = 5, 9.0
 def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion) -> TrackHistory:
     """The history with the path of the scene as its whole tracks show it.
 
-    Three things that two views cannot tell, or only with the errors that their matching has in common, are left in the
-    sum of the single steps: a wrong direction at its end, an acceleration, and a rotation rate. All tracks share them.
+    Summed single steps keep three errors that two views cannot resolve: final direction, acceleration, rotation rate.
+    All tracks share them.
     (The direction of the epipole stays that of two views, which follows a swinging one more closely: 0.07 against
     0.13 deg. So do the steps: the next frame's path is to be fitted to views, not to itself.)
 

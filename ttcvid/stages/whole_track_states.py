@@ -26,8 +26,8 @@ from ttcvid.stages.track_states import SharedErrors, TrackStates, first_reason, 
 _RATE_SIGMAS = 2.0
 # The whole velocity may be zero inside 95 % of a 3-D Gaussian.
 _NO_MOTION_CHI2 = float(chi2_quantile(0.95, 3))
-# An object's direction comes from part of the views that its path is fitted to, as if that were straight: it is
-# believed this much less, so that these count once, and to no better than this angle.
+# The prior direction was fitted to some of the same views, as if the path were straight; its covariance is inflated by
+# this factor so that they are not counted twice, and the square of this angle is added, its floor.
 _BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(1.0))
 # Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
 _OBJECT_BEND_HZ = 0.2
