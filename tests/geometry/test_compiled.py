@@ -15,7 +15,9 @@ def compiled_functions(tree):
         node
         for node in tree.body
         if isinstance(node, ast.FunctionDef)
-        and any(isinstance(mark, ast.Name) and mark.id == "compiled" for mark in node.decorator_list)
+        and any(
+            isinstance(mark, ast.Name) and mark.id in ("compiled", "compiled_in_place") for mark in node.decorator_list
+        )
     ]
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
+from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths, views_by_track
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
 from ttcvid.geometry.whole_track_on_path import straight_path
 
@@ -38,7 +38,7 @@ def points_of(xy, sigma_norm, thing=None):
     n_views, n = xy.shape[:2]
     rays = normalize(np.concatenate([xy, np.ones((n_views, n, 1))], axis=2))
     thing = np.zeros(n, dtype=np.int64) if thing is None else thing
-    return Points(rays, sigma_norm, T_S[-n_views:], np.arange(n), thing)
+    return Points(views_by_track(rays), sigma_norm, T_S[-n_views:], np.arange(n), thing)
 
 
 def not_turned(paths):

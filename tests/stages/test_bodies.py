@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths
+from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.stages.bodies import carried_forward, refined_movers, refined_scene
@@ -41,7 +41,7 @@ def rays_of(position, path, cam_R_past, sigma=0.0, rng=None):
 
 def of_one_body(rays):
     n = rays.shape[1]
-    return Points(rays, np.full(n, SIGMA), T_S, np.arange(n), np.zeros(n, dtype=np.int64))
+    return Points(views_by_track(rays), np.full(n, SIGMA), T_S, np.arange(n), np.zeros(n, dtype=np.int64))
 
 
 def median_misfit(one, rays):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path_descent import N_STEPS, fit_each, refine_each
+from ttcvid.geometry.rigid_path_descent import LANES, N_STEPS, fit_each, list_views, refine_each
 from ttcvid.model import Bools, Floats, Ints
 
 
@@ -46,7 +46,7 @@ class RigidPaths:
 class Points:
     """M points, each of one of K things: which of the N tracks and which thing, ``track, thing (M,)``.
 
-    ``rays (L, N, 3)`` unit rays of the tracks, each in the camera of its view, NaN where not observed; ``sigma_norm
+    ``rays (N, 3, M)`` unit rays of the tracks, each in the camera of its view (`views_by_track`); ``sigma_norm
     (N,)`` standard deviation of one coordinate in the plane z = 1; ``since_s (L,)`` times relative to the present view,
     the last one, s.
     """
@@ -89,6 +89,17 @@ class PathPriors:
     cam_R_past: Floats
     turn_sigma_rad: Floats
     shift_sigma: Floats
+
+
+def views_by_track(rays: Floats) -> Floats:
+    """The views of each track side by side, for `Points`: ``(N, 3, M)`` from ``rays (L, N, 3)``.
+
+    NaN where not observed. M is L, filled up with unobserved views to a multiple of `LANES`.
+    """
+    n_views, n = rays.shape[:2]
+    by_track = np.empty((n, 3, -(-n_views // LANES) * LANES))
+    list_views(np.ascontiguousarray(rays), by_track)
+    return by_track
 
 
 def fit_on_paths(

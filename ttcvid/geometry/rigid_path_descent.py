@@ -13,6 +13,9 @@ from ttcvid.model import Floats, Ints
 N_STEPS = 2
 """Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames."""
 
+LANES = 8
+"""Views of a point, and points of a view, are worked at so many at a time, as fits the processor's registers."""
+
 # Residuals beyond this, in sigmas, count by their length (Huber), no longer by its square. In `whole_track_descent` and
 # the files that follow it their weight is 1 / r^2, and chi-square grows no further; here it tells to which thing a
 # track belongs, and has to grow with the misfit. Where a path is corrected (`_add_up`), the scale is that of Cauchy's
@@ -29,8 +32,20 @@ _LEAST_DEPTH_RATIO = 0.05
 _LEAST_FORWARD = 0.05
 # Weight of a point falls to a half where its misfit is twice the typical one, which counts as this at the least.
 _HALF_WEIGHT, _LEAST_TYPICAL_MISFIT = 2.0, 0.25
+# Numbers of a view: its rotation (9) and shift (3); of a point: place (2), rate, information, weight.
+_N_WAY, _N_POINT = 12, 5
 # Paths shorter than this have no scale to keep.
 _NO_LENGTH = 1e-9
+
+
+@compiled
+def list_views(rays: Floats, by_track: Floats) -> None:
+    """Fill ``by_track (N, 3, M)`` from ``rays (L, N, 3)``; what is left over of M is not seen."""
+    n_frames = len(rays)
+    for i in range(rays.shape[1]):
+        for k in range(n_frames):
+            by_track[i, 0, k], by_track[i, 1, k], by_track[i, 2, k] = rays[k, i, 0], rays[k, i, 1], rays[k, i, 2]
+        by_track[i, :, n_frames:] = np.nan
 
 
 @compiled
@@ -51,14 +66,18 @@ def fit_each(
     n_views: Ints,
 ) -> None:
     """Fill the results of `rigid_path.fit_on_paths`, point by point."""
-    views = np.empty((len(rays), 2))
+    last = paths.shape[1] - 1
+    ways = np.zeros((len(paths), _N_WAY, rays.shape[2]))
+    for b in range(len(paths)):
+        _list_way(rotations[b], paths[b], ways[b])
     for m in range(len(track)):
-        path, n = paths[thing[m]], _turn_into_plane(rays, track[m], rotations[thing[m]], views)
+        x, y, rho, information, chi2, n = _fit(
+            rays[track[m]], ways[thing[m]], last, start[m], sigma[track[m]], least[m], n_steps
+        )
         n_views[m] = n
         if n < 2:
             place[m], rate[m], rate_sigma[m], misfit[m] = np.nan, np.nan, np.nan, 0.0
             continue
-        x, y, rho, information, chi2 = _fit(views, path, start[m], sigma[track[m]], least[m], n_steps)
         place[m, 0], place[m, 1], rate[m] = x, y, rho
         rate_sigma[m], misfit[m] = 1.0 / np.sqrt(information), chi2 / (2 * n - 3 if n > 2 else 1)
 
@@ -84,73 +103,79 @@ def refine_each(
 
     Points of thing b are ``order[first[b] : first[b + 1]]``; their ``rate (M,)`` are starts and results.
     """
-    n_frames, n_most = len(rays), 0
+    n_frames, n_most = paths.shape[1], 0
     for b in range(len(paths)):
         n_most = max(n_most, first[b + 1] - first[b])
-    views, place = np.empty((n_most, n_frames, 2)), np.empty((n_most, 2))
-    misfit, used = np.empty(n_most), np.empty(n_most)
+    points, misfit, used = np.empty((_N_POINT, n_most + LANES)), np.empty(n_most), np.empty(n_most)
+    views, way = np.empty((n_frames, 3, n_most + LANES)), np.zeros((_N_WAY, rays.shape[2]))
     normal, score = np.empty((n_frames, 6, 6)), np.empty((n_frames, 6))
     for b in range(len(paths)):
         members = order[first[b] : first[b + 1]]
+        n_lanes = -(-len(members) // LANES) * LANES
+        for c in range(n_lanes):
+            if c < len(members) and weight[members[c]] > 0.0:
+                for k in range(n_frames):
+                    for i in range(3):
+                        views[k, i, c] = rays[track[members[c]], i, k]
+            else:
+                views[:, :, c] = np.nan
         for _ in range(n_steps[b]):
+            _list_way(rotations[b], paths[b], way)
+            points[:] = 0.0
             n_used = 0
             for c in range(len(members)):
                 m = members[c]
-                n = _turn_into_plane(rays, track[m], rotations[b], views[c])
+                x, y, rho, _, chi2, n = _fit(rays[track[m]], way, n_frames - 1, rate[m], sigma[track[m]], 0.0, N_STEPS)
                 if n < 2:
                     rate[m] = np.nan
                     continue
-                x, y, rate[m], _, chi2 = _fit(views[c], paths[b], rate[m], sigma[track[m]], 0.0, N_STEPS)
-                place[c, 0], place[c, 1], misfit[c] = x, y, chi2 / (2 * n - 3 if n > 2 else 1)
+                rate[m], misfit[c] = rho, chi2 / (2 * n - 3 if n > 2 else 1)
+                points[0, c], points[1, c], points[2, c], points[3, c] = x, y, rho, sigma[track[m]] ** -2.0
                 if weight[m] > 0.0:
                     used[n_used] = misfit[c]
                     n_used += 1
             if n_used == 0:
                 break
             typical = max(np.median(used[:n_used]), _LEAST_TYPICAL_MISFIT)
-            normal[:], score[:] = 0.0, 0.0
             for c in range(len(members)):
-                m = members[c]
-                if weight[m] > 0.0 and np.isfinite(rate[m]):
-                    w = weight[m] / (1.0 + misfit[c] / (_HALF_WEIGHT * typical))
-                    _add_up(views[c], paths[b], place[c], rate[m], sigma[track[m]], w, normal, score)
+                if points[3, c] > 0.0:
+                    points[4, c] = weight[members[c]] / (1.0 + misfit[c] / (_HALF_WEIGHT * typical))
+            for k in range(n_frames - 1):
+                _add_up(views[k], n_lanes, rotations[b, k], paths[b, k], points, normal[k], score[k])
             _correct(since_s, expected, turn_sigma, shift_sigma, normal, score, rotations[b], paths[b])
 
 
 @compiled
-def _turn_into_plane(rays: Floats, i: int, rotation: Floats, views: Floats) -> int:
-    """Fill ``views (L, 2)`` with where track i was seen, as if its thing had not turned, NaN: not observed; how often.
-
-    None at all if it is not seen now.
-    """
-    n = 0
-    for k in range(len(rays)):
-        a, b, c = rays[k, i, 0], rays[k, i, 1], rays[k, i, 2]
-        depth = rotation[k, 2, 0] * a + rotation[k, 2, 1] * b + rotation[k, 2, 2] * c
-        if depth > _LEAST_FORWARD:
-            views[k, 0] = (rotation[k, 0, 0] * a + rotation[k, 0, 1] * b + rotation[k, 0, 2] * c) / depth
-            views[k, 1] = (rotation[k, 1, 0] * a + rotation[k, 1, 1] * b + rotation[k, 1, 2] * c) / depth
-            n += 1
-        else:
-            views[k, 0] = np.nan
-    return 0 if np.isnan(views[len(rays) - 1, 0]) else n
+def _list_way(rotation: Floats, path: Floats, way: Floats) -> None:
+    """Fill ``way (12, M)``, view by view: the rotation ``(L, 3, 3)``, row by row, and the path ``(L, 3)``."""
+    for k in range(len(path)):
+        for i in range(3):
+            for j in range(3):
+                way[3 * i + j, k] = rotation[k, i, j]
+            way[9 + i, k] = path[k, i]
 
 
 @compiled
 def _fit(
-    views: Floats, path: Floats, start: float, sigma: float, least: float, n_steps: int
-) -> tuple[float, float, float, float, float]:
-    """Place x, y and rate by robust Gauss-Newton, the rate's information, and chi-square (Huber's).
+    ray: Floats, way: Floats, last: int, start: float, sigma: float, least: float, n_steps: int
+) -> tuple[float, float, float, float, float, int]:
+    """Place x, y and rate by robust Gauss-Newton, the rate's information, chi-square (Huber's), and the views.
 
-    It starts where the point is seen now, and with so few steps a point that does not fit stays near there. The same
-    unknowns as in `whole_track_on_path`, `shared_path_descent`: there without a last rate, to convergence.
+    It starts where the point is seen now, in view ``last``, and with so few steps a point that does not fit stays near
+    there. No views at all if it is not seen now. The same unknowns as in `whole_track_on_path`,
+    `shared_path_descent`: there without a last rate, to convergence.
     """
-    last, information, chi2, inverse = len(views) - 1, 0.0, 0.0, 1.0 / (sigma * sigma)
-    x, y, rho = views[last, 0], views[last, 1], max(start, least)
+    a, b, c = ray[0, last], ray[1, last], ray[2, last]
+    depth = way[6, last] * a + way[7, last] * b + way[8, last] * c
+    if not depth > _LEAST_FORWARD:
+        return np.nan, np.nan, np.nan, 0.0, 0.0, 0
+    x = (way[0, last] * a + way[1, last] * b + way[2, last] * c) / depth
+    y = (way[3, last] * a + way[4, last] * b + way[5, last] * c) / depth
+    rho, information, chi2, n_views, inverse = max(start, least), 0.0, 0.0, 0.0, 1.0 / (sigma * sigma)
     for count in range(n_steps + 1):
-        one, by_x, by_y, both, score_x, score_y, score, chi2 = _sums(views, path, x, y, rho, inverse)
+        one, by_x, by_y, both, score_x, score_y, score, chi2, n_views = _sums(ray, way, x, y, rho, inverse)
         information = both - (by_x * by_x + by_y * by_y) / one
-        if count == n_steps:
+        if count == n_steps or n_views < 2.0:
             break
         across = score - (by_x * score_x + by_y * score_y) / one
         change = max(across / information, least - rho) if information > 0.0 else 0.0
@@ -161,35 +186,37 @@ def _fit(
         if fall < _SMALL_FALL:
             chi2 = max(chi2 - fall, 0.0)
             break
-    return x, y, rho, information, chi2
+    return x, y, rho, information, chi2, int(n_views)
 
 
 @compiled
 def _sums(
-    views: Floats, path: Floats, x: float, y: float, rho: float, inverse: float
-) -> tuple[float, float, float, float, float, float, float, float]:
-    """Normal equations of x, y, rho over the views ``(L, 2)`` of a point, and the robust chi-square.
+    ray: Floats, way: Floats, x: float, y: float, rho: float, inverse: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Normal equations of x, y, rho over the views ``ray (3, M)`` of a point, the robust chi-square, and the views.
 
     Returns the information on x (and y), the couplings of x and y with rho, the information on rho, the score of x, y,
-    rho, and chi-square (Huber). With h = 1 / (1 + rho T_z), d (px, py) / d (x, y, rho) has the rows (h, 0, j_x) and
-    (0, h, j_y), j = h (T_xy - (px, py) T_z).
+    rho, chi-square (Huber), and how often the point was seen. With h = 1 / (1 + rho T_z), d (px, py) / d (x, y, rho)
+    has the rows (h, 0, j_x) and (0, h, j_y), j = h (T_xy - (px, py) T_z). Without a branch: views are worked at
+    `LANES` at a time, and turned anew at each call, which costs less than to keep them.
     """
-    one, by_x, by_y, both, score_x, score_y, score, chi2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    one = by_x = by_y = both = score_x = score_y = score = chi2 = n = 0.0
     limit = _ROBUST_SIGMAS * _ROBUST_SIGMAS
-    for k in range(len(views)):
-        if np.isnan(views[k, 0]):
-            continue
-        h = 1.0 / max(1.0 + rho * path[k, 2], _LEAST_DEPTH_RATIO)
-        px, py = (x + rho * path[k, 0]) * h, (y + rho * path[k, 1]) * h
-        rx, ry = views[k, 0] - px, views[k, 1] - py
+    for k in range(ray.shape[1]):
+        a, b, c, tx, ty, tz = ray[0, k], ray[1, k], ray[2, k], way[9, k], way[10, k], way[11, k]
+        depth = way[6, k] * a + way[7, k] * b + way[8, k] * c
+        is_seen = depth > _LEAST_FORWARD
+        forward, h = 1.0 / depth, 1.0 / max(1.0 + rho * tz, _LEAST_DEPTH_RATIO)
+        px, py = (x + rho * tx) * h, (y + rho * ty) * h
+        rx = (way[0, k] * a + way[1, k] * b + way[2, k] * c) * forward - px if is_seen else 0.0
+        ry = (way[3, k] * a + way[4, k] * b + way[5, k] * c) * forward - py if is_seen else 0.0
+        n += 1.0 if is_seen else 0.0
+        w = inverse if is_seen else 0.0
         square = (rx * rx + ry * ry) * inverse
-        w = inverse
-        if square > limit:
-            length = np.sqrt(square)
-            w *= _ROBUST_SIGMAS / length
-            square = 2.0 * _ROBUST_SIGMAS * length - limit
-        chi2 += square
-        jx, jy = (path[k, 0] - px * path[k, 2]) * h, (path[k, 1] - py * path[k, 2]) * h
+        length, is_far = np.sqrt(square), square > limit
+        w = w * _ROBUST_SIGMAS / length if is_far else w
+        chi2 += 2.0 * _ROBUST_SIGMAS * length - limit if is_far else square
+        jx, jy = (tx - px * tz) * h, (ty - py * tz) * h
         wh = w * h
         one += wh * h
         by_x += wh * jx
@@ -198,62 +225,68 @@ def _sums(
         score_x += wh * rx
         score_y += wh * ry
         score += w * (jx * rx + jy * ry)
-    return one, by_x, by_y, both, score_x, score_y, score, chi2
+    return one, by_x, by_y, both, score_x, score_y, score, chi2, n
 
 
 @compiled
 def _add_up(
-    views: Floats,
-    path: Floats,
-    place: Floats,
-    rho: float,
-    sigma: float,
-    weight: float,
-    normal: Floats,
-    score: Floats,
+    views: Floats, n_lanes: int, rotation: Floats, path: Floats, points: Floats, normal: Floats, score: Floats
 ) -> None:
-    """Add a point to ``normal (L, 6, 6)``, its lower half, and ``score (L, 6)`` of each past view.
+    """Fill ``normal (6, 6)``, its lower half, and ``score (6,)`` of a past view, by rays ``(3, M)`` of its points.
 
     A point seen at p = (x, y, 1) moves in the picture by B (omega x p + g s) when the view turns by omega and the
     thing shifts by s, with B = [[1, 0, -x], [0, 1, -y]] and g = rho / (1 + rho T_z). Rotations come first.
+    ``points (5, M)`` are place (2), rate, information of one coordinate, and weight of each.
     """
-    inverse = 1.0 / (sigma * sigma)
-    soft = inverse / (_ROBUST_SIGMAS * _ROBUST_SIGMAS)
-    for k in range(len(views) - 1):
-        depth = 1.0 + rho * path[k, 2]
-        if np.isnan(views[k, 0]) or depth < _LEAST_DEPTH_RATIO:
-            continue
-        h = 1.0 / depth
-        x, y = (place[0] + rho * path[k, 0]) * h, (place[1] + rho * path[k, 1]) * h
-        rx, ry = views[k, 0] - x, views[k, 1] - y
-        w = weight * inverse / (1.0 + (rx * rx + ry * ry) * soft)
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    tx, ty, tz, soft = path[0], path[1], path[2], 1.0 / (_ROBUST_SIGMAS * _ROBUST_SIGMAS)
+    n00 = n10 = n11 = n20 = n21 = n22 = n30 = n31 = n32 = n33 = n40 = n42 = n50 = n51 = n53 = n54 = n55 = 0.0
+    s0 = s1 = s2 = s3 = s4 = s5 = 0.0
+    for c in range(n_lanes):
+        a, b, z, rho = views[0, c], views[1, c], views[2, c], points[2, c]
+        ahead, depth = r20 * a + r21 * b + r22 * z, 1.0 + rho * tz
+        is_used = (ahead > _LEAST_FORWARD) & (depth >= _LEAST_DEPTH_RATIO)
+        h, forward = 1.0 / depth, 1.0 / ahead
+        x, y = (points[0, c] + rho * tx) * h, (points[1, c] + rho * ty) * h
+        rx = (r00 * a + r01 * b + r02 * z) * forward - x if is_used else 0.0
+        ry = (r10 * a + r11 * b + r12 * z) * forward - y if is_used else 0.0
+        inverse = points[3, c]
+        w = points[4, c] * inverse / (1.0 + (rx * rx + ry * ry) * inverse * soft) if is_used else 0.0
         g = rho * h
-        xx, yy, xyw, wg = 1.0 + x * x, 1.0 + y * y, w * x * y, w * g
-        normal[k, 0, 0] += w * yy * yy + xyw * x * y
-        normal[k, 1, 0] -= xyw * (xx + yy)
-        normal[k, 1, 1] += w * xx * xx + xyw * x * y
-        normal[k, 2, 0] -= w * x
-        normal[k, 2, 1] -= w * y
-        normal[k, 2, 2] += w * (x * x + y * y)
-        normal[k, 3, 0] -= xyw * g
-        normal[k, 3, 1] += wg * xx
-        normal[k, 3, 2] -= wg * y
-        normal[k, 4, 0] -= wg * yy
-        normal[k, 4, 1] += xyw * g
-        normal[k, 4, 2] += wg * x
-        normal[k, 5, 0] += wg * y * (xx + y * y)
-        normal[k, 5, 1] -= wg * x * (xx + y * y)
-        normal[k, 3, 3] += wg * g
-        normal[k, 4, 4] += wg * g
-        normal[k, 5, 3] -= wg * g * x
-        normal[k, 5, 4] -= wg * g * y
-        normal[k, 5, 5] += wg * g * (x * x + y * y)
-        score[k, 0] -= xyw * rx + w * yy * ry
-        score[k, 1] += w * xx * rx + xyw * ry
-        score[k, 2] += w * (x * ry - y * rx)
-        score[k, 3] += wg * rx
-        score[k, 4] += wg * ry
-        score[k, 5] -= wg * (x * rx + y * ry)
+        xx, yy, both, xyw, wg = 1.0 + x * x, 1.0 + y * y, x * x + y * y, w * x * y, w * g
+        wgg = wg * g
+        n00 += w * yy * yy + xyw * x * y
+        n10 += xyw * (1.0 + xx + y * y)
+        n11 += w * xx * xx + xyw * x * y
+        n20 += w * x
+        n21 += w * y
+        n22 += w * both
+        n30 += xyw * g
+        n31 += wg * xx
+        n32 += wg * y
+        n40 += wg * yy
+        n42 += wg * x
+        n50 += wg * y * (1.0 + both)
+        n51 += wg * x * (1.0 + both)
+        n33 += wgg
+        n53 += wgg * x
+        n54 += wgg * y
+        n55 += wgg * both
+        s0 += xyw * rx + w * yy * ry
+        s1 += w * xx * rx + xyw * ry
+        s2 += w * (x * ry - y * rx)
+        s3 += wg * rx
+        s4 += wg * ry
+        s5 += wg * (x * rx + y * ry)
+    normal[0, 0], normal[1, 0], normal[1, 1] = n00, -n10, n11
+    normal[2, 0], normal[2, 1], normal[2, 2] = -n20, -n21, n22
+    normal[3, 0], normal[3, 1], normal[3, 2], normal[3, 3] = -n30, n31, -n32, n33
+    normal[4, 0], normal[4, 1], normal[4, 2], normal[4, 3], normal[4, 4] = -n40, n30, n42, 0.0, n33
+    normal[5, 0], normal[5, 1], normal[5, 2] = n50, -n51, 0.0
+    normal[5, 3], normal[5, 4], normal[5, 5] = -n53, -n54, n55
+    score[0], score[1], score[2], score[3], score[4], score[5] = -s0, s1, s2, s3, s4, -s5
 
 
 @compiled
@@ -295,9 +328,7 @@ def _correct(
 
 @compiled
 def _longest(path: Floats) -> float:
-    longest = 0.0
-    for k in range(len(path)):
-        longest = max(longest, _length(path[k]))
+    longest: float = np.sqrt(np.max(np.sum(path * path, axis=1)))
     return longest
 
 
@@ -309,10 +340,7 @@ def _length(v: Floats) -> float:
 
 @compiled
 def _solve(a: Floats, b: Floats) -> None:
-    """Solve ``a x = b`` in place by Cholesky's decomposition, given the lower half of ``a (6, 6)``.
-
-    Half the work of the elimination in `two_view_descent` and `shared_path_descent`, which keep their matrix.
-    """
+    """Solve ``a x = b`` in place by Cholesky's decomposition of the lower half of ``a (6, 6)``: half an elimination."""
     for i in range(6):
         for j in range(i + 1):
             value = a[i, j]
@@ -348,10 +376,7 @@ def _vector_between(expected: Floats, rotation: Floats, vector: Floats) -> None:
 
 @compiled
 def _turn_back(turn: Floats, rotation: Floats) -> None:
-    """``rotation`` turned further by minus the vector ``turn``, by way of the quaternion, and orthonormal again.
-
-    The turn is that of `rotation.rotation_from_vector`, whose file a compiled function may not call.
-    """
+    """``rotation`` turned further by minus the vector ``turn``, by way of the quaternion, and orthonormal again."""
     angle = _length(turn)
     scale = -0.5 if angle < 1e-12 else -np.sin(0.5 * angle) / angle
     w, x, y, z = np.cos(0.5 * angle), scale * turn[0], scale * turn[1], scale * turn[2]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_in_place
 from ttcvid.model import Floats, Ints
 
 # Geman and McClure's weight falls to a quarter at so many sigmas and on towards zero: a lorry of two fifths of all
@@ -42,40 +42,30 @@ def descend_rotation(
     ``information (3, 3)``.
     """
     n = len(rays_prev)
-    turned, total, step = np.empty((n, 3)), np.empty(3), np.empty(3)
+    before, now, turned = _by_axis(rays_prev), _by_axis(rays_cam), np.empty((3, n))
+    total, step = np.empty(3), np.empty(3)
     prior = 1.0 / (prior_sigma * prior_sigma)
-    for _ in range(_MAX_STEPS):
+    for count in range(_MAX_STEPS):
         _turn(offset, expected, cam_R_prev)
+        _turn_rays(cam_R_prev, before, turned)
         for i in range(n):
-            square = 0.0
-            for j in range(3):
-                turned[i, j] = (
-                    cam_R_prev[j, 0] * rays_prev[i, 0]
-                    + cam_R_prev[j, 1] * rays_prev[i, 1]
-                    + cam_R_prev[j, 2] * rays_prev[i, 2]
-                )
-                square += (rays_cam[i, j] - turned[i, j]) ** 2
-            residual[i] = np.sqrt(0.5 * square) / sigma[i]
+            x, y, z = now[0, i] - turned[0, i], now[1, i] - turned[1, i], now[2, i] - turned[2, i]
+            residual[i] = np.sqrt(0.5 * (x * x + y * y + z * z)) / sigma[i]
         scale = _robust_scale(np.sqrt(0.5) * residual)
-        information[:] = 0.0
+        _add_up_rotation(turned, now, sigma, residual, scale, information, total)
         for j in range(3):
-            information[j, j] = prior
-            total[j] = -offset[j] * prior
-        for i in range(n):
-            weight = _weight(residual[i], scale) * 0.5 / (sigma[i] * sigma[i])
-            q, p = turned[i], rays_cam[i]
-            # d(omega x q) . (p - q): the information of a unit ray is the projector across it.
-            score[i, 0] = weight * (q[1] * p[2] - q[2] * p[1])
-            score[i, 1] = weight * (q[2] * p[0] - q[0] * p[2])
-            score[i, 2] = weight * (q[0] * p[1] - q[1] * p[0])
-            for j in range(3):
-                total[j] += score[i, j]
-                information[j, j] += weight
-                for k in range(3):
-                    information[j, k] -= weight * q[j] * q[k]
+            information[j, j] += prior
+            total[j] -= offset[j] * prior
         _solve(information, total, step)
+        is_last = count == _MAX_STEPS - 1 or _square(information, step) < _CONVERGED_CHI2
+        if is_last:
+            for i in range(n):
+                weight = _weight(residual[i], scale) * 0.5 / (sigma[i] * sigma[i])
+                for j in range(3):
+                    k, m = (j + 1) % 3, (j + 2) % 3
+                    score[i, j] = weight * (turned[k, i] * now[m, i] - turned[m, i] * now[k, i])
         offset += step
-        if _square(information, step) < _CONVERGED_CHI2:
+        if is_last:
             break
     _turn(offset, expected, cam_R_prev)
 
@@ -104,35 +94,19 @@ def descend_motion(
     ``score (N, 5)`` and ``information (5, 5)`` of two tangent coordinates of the direction and the rotation vector.
     """
     n = len(rays_prev)
-    jacobian, basis, q, total, step = np.empty((n, 5)), np.empty((3, 2)), np.empty(3), np.empty(5), np.empty(5)
+    before, now, turned = _by_axis(rays_prev), _by_axis(rays_cam), np.empty((3, n))
+    basis, total, step = np.empty((3, 2)), np.empty(5), np.empty(5)
     prior = 1.0 / (prior_sigma * prior_sigma)
-    for _ in range(_MAX_STEPS):
+    for count in range(_MAX_STEPS):
         _tangents(direction, basis)
         _turn(offset, expected, cam_R_prev)
+        _turn_rays(cam_R_prev, before, turned)
+        axes = _axes(direction, basis)
         for i in range(n):
-            p = rays_cam[i]
-            for j in range(3):
-                q[j] = (
-                    cam_R_prev[j, 0] * rays_prev[i, 0]
-                    + cam_R_prev[j, 1] * rays_prev[i, 1]
-                    + cam_R_prev[j, 2] * rays_prev[i, 2]
-                )
-            _plane_residual(q, p, sigma[i], direction, basis, i, residual, sense, jacobian)
+            q, p = (turned[0, i], turned[1, i], turned[2, i]), (now[0, i], now[1, i], now[2, i])
+            residual[i] = _plane_residual(q, p, axes, sigma[i])[0]
         scale = _robust_scale(residual)
-        information[:] = 0.0
-        total[:] = 0.0
-        for i in range(n):
-            weight = _weight(residual[i], scale)
-            if sense[i] < 0.0:
-                weight *= _WRONG_WAY_WEIGHT
-            for j in range(5):
-                score[i, j] = -jacobian[i, j] * weight * residual[i]
-                total[j] += score[i, j]
-                for k in range(j + 1):
-                    information[j, k] += weight * jacobian[i, j] * jacobian[i, k]
-        for j in range(5):
-            for k in range(j):
-                information[k, j] = information[j, k]
+        _add_up_motion(turned, now, sigma, axes, scale, information, total)
         for j in range(3):
             information[2 + j, 2 + j] += prior
             total[2 + j] -= prior * offset[j]
@@ -146,11 +120,19 @@ def descend_motion(
         shorter = min(1.0, _LONGEST_STEP_RAD / max(length, _TINY))
         step[0] *= shorter
         step[1] *= shorter
+        is_last = count == _MAX_STEPS - 1 or _square(information, step) < _CONVERGED_CHI2
+        if is_last:
+            for i in range(n):
+                q, p = (turned[0, i], turned[1, i], turned[2, i]), (now[0, i], now[1, i], now[2, i])
+                r, j0, j1, j2, j3, j4, sense[i] = _plane_residual(q, p, axes, sigma[i])
+                pull = -_weight(r, scale) * (_WRONG_WAY_WEIGHT if sense[i] < 0.0 else 1.0) * r
+                score[i, 0], score[i, 1] = pull * j0, pull * j1
+                score[i, 2], score[i, 3], score[i, 4] = pull * j2, pull * j3, pull * j4
         for j in range(3):
             direction[j] += basis[j, 0] * step[0] + basis[j, 1] * step[1]
             offset[j] += step[2 + j]
         direction /= np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
-        if _square(information, step) < _CONVERGED_CHI2:
+        if is_last:
             break
     _turn(offset, expected, cam_R_prev)
 
@@ -164,45 +146,154 @@ def add_up_regions(region: Ints, score: Floats, sums: Floats) -> None:
 
 
 @compiled
-def _plane_residual(
-    q: Floats,
-    p: Floats,
-    sigma: float,
-    direction: Floats,
-    basis: Floats,
-    i: int,
-    residual: Floats,
-    sense: Floats,
-    jacobian: Floats,
-) -> None:
-    """Residual of point i, its derivative by direction (2) and rotation (3), and its sense.
+def _by_axis(rays: Floats) -> Floats:
+    """Rays ``(N, 3)`` as ``(3, N)``: loops over them then work at several at a time."""
+    by_axis = np.empty((3, len(rays)))
+    for i in range(len(rays)):
+        by_axis[0, i], by_axis[1, i], by_axis[2, i] = rays[i, 0], rays[i, 1], rays[i, 2]
+    return by_axis
 
-    ``sense`` is 1 for a point that moves along the direction by more than its noise, -1 against it, else 0.
+
+@compiled
+def _turn_rays(rotation: Floats, rays: Floats, turned: Floats) -> None:
+    """Fill ``turned (3, N)``, axis by axis."""
+    for j in range(3):
+        a, b, c, row = rotation[j, 0], rotation[j, 1], rotation[j, 2], turned[j]
+        for i in range(rays.shape[1]):
+            row[i] = a * rays[0, i] + b * rays[1, i] + c * rays[2, i]
+
+
+@compiled
+def _add_up_rotation(
+    turned: Floats, now: Floats, sigma: Floats, residual: Floats, scale: float, information: Floats, total: Floats
+) -> None:
+    """Fill ``information (3, 3)`` and score ``total (3,)`` of all points.
+
+    d(omega x q) . (p - q): the information of a unit ray is the projector across it.
+    """
+    xx, xy, yy, xz, yz, zz, s0, s1, s2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(sigma)):
+        weight = _weight(residual[i], scale) * 0.5 / (sigma[i] * sigma[i])
+        x, y, z = turned[0, i], turned[1, i], turned[2, i]
+        s0 += weight * (y * now[2, i] - z * now[1, i])
+        s1 += weight * (z * now[0, i] - x * now[2, i])
+        s2 += weight * (x * now[1, i] - y * now[0, i])
+        xx += weight * x * x
+        xy += weight * x * y
+        yy += weight * y * y
+        xz += weight * x * z
+        yz += weight * y * z
+        zz += weight * z * z
+    total[0], total[1], total[2] = s0, s1, s2
+    # Unit rays: the sum of the weights is that of the squares.
+    information[0, 0], information[1, 1], information[2, 2] = yy + zz, xx + zz, xx + yy
+    information[0, 1] = information[1, 0] = -xy
+    information[0, 2] = information[2, 0] = -xz
+    information[1, 2] = information[2, 1] = -yz
+
+
+@compiled
+def _add_up_motion(
+    turned: Floats,
+    now: Floats,
+    sigma: Floats,
+    axes: tuple[float, ...],
+    scale: float,
+    information: Floats,
+    total: Floats,
+) -> None:
+    """Fill ``information (5, 5)`` and score ``total (5,)`` of all points."""
+    n00, n10, n11, n20, n21, n22, n30, n31 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    n32, n33, n40, n41, n42, n43, n44 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    s0, s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(sigma)):
+        q, p = (turned[0, i], turned[1, i], turned[2, i]), (now[0, i], now[1, i], now[2, i])
+        r, j0, j1, j2, j3, j4, sense = _plane_residual(q, p, axes, sigma[i])
+        weight = _weight(r, scale) * (_WRONG_WAY_WEIGHT if sense < 0.0 else 1.0)
+        w0, w1, w2, w3, w4 = weight * j0, weight * j1, weight * j2, weight * j3, weight * j4
+        n00 += w0 * j0
+        n10 += w1 * j0
+        n11 += w1 * j1
+        n20 += w2 * j0
+        n21 += w2 * j1
+        n22 += w2 * j2
+        n30 += w3 * j0
+        n31 += w3 * j1
+        n32 += w3 * j2
+        n33 += w3 * j3
+        n40 += w4 * j0
+        n41 += w4 * j1
+        n42 += w4 * j2
+        n43 += w4 * j3
+        n44 += w4 * j4
+        s0 += w0 * r
+        s1 += w1 * r
+        s2 += w2 * r
+        s3 += w3 * r
+        s4 += w4 * r
+    total[0], total[1], total[2], total[3], total[4] = -s0, -s1, -s2, -s3, -s4
+    information[0, 0], information[1, 0], information[1, 1] = n00, n10, n11
+    information[2, 0], information[2, 1], information[2, 2] = n20, n21, n22
+    information[3, 0], information[3, 1], information[3, 2], information[3, 3] = n30, n31, n32, n33
+    information[4, 0], information[4, 1], information[4, 2] = n40, n41, n42
+    information[4, 3], information[4, 4] = n43, n44
+    for j in range(5):
+        for k in range(j):
+            information[k, j] = information[j, k]
+
+
+@compiled
+def _axes(direction: Floats, basis: Floats) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """The direction and its two tangents as plain numbers: no array that a loop fills can hold them."""
+    return (
+        direction[0],
+        direction[1],
+        direction[2],
+        basis[0, 0],
+        basis[1, 0],
+        basis[2, 0],
+        basis[0, 1],
+        basis[1, 1],
+        basis[2, 1],
+    )
+
+
+@compiled_in_place
+def _plane_residual(
+    q: tuple[float, float, float], p: tuple[float, float, float], axes: tuple[float, ...], sigma: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Residual of a point, its derivative by direction (2) and rotation (3), and its sense.
+
+    The sense is 1 for a point that moves along the direction by more than its noise, -1 against it, else 0.
 
     The numerator is the triple product direction . (q x p); the denominator varies slowly and is held.
     """
-    u0 = q[0] * basis[0, 0] + q[1] * basis[1, 0] + q[2] * basis[2, 0]
-    u1 = q[0] * basis[0, 1] + q[1] * basis[1, 1] + q[2] * basis[2, 1]
-    v0 = p[0] * basis[0, 0] + p[1] * basis[1, 0] + p[2] * basis[2, 0]
-    v1 = p[0] * basis[0, 1] + p[1] * basis[1, 1] + p[2] * basis[2, 1]
+    q0, q1, q2 = q
+    p0, p1, p2 = p
+    d0, d1, d2, a0, a1, a2, b0, b1, b2 = axes
+    u0, u1 = q0 * a0 + q1 * a1 + q2 * a2, q0 * b0 + q1 * b1 + q2 * b2
+    v0, v1 = p0 * a0 + p1 * a1 + p2 * a2, p0 * b0 + p1 * b1 + p2 * b2
     area = u0 * v1 - u1 * v0
     trace = u0 * u0 + u1 * u1 + v0 * v0 + v1 * v1
     largest = 0.5 * (trace + np.sqrt(max(trace * trace - 4.0 * area * area, 0.0)))
     scale = 1.0 / (np.sqrt(max(largest, _TINY)) * sigma)
-    n0, n1, n2 = q[1] * p[2] - q[2] * p[1], q[2] * p[0] - q[0] * p[2], q[0] * p[1] - q[1] * p[0]
-    along_q = q[0] * direction[0] + q[1] * direction[1] + q[2] * direction[2]
-    along_p = p[0] * direction[0] + p[1] * direction[1] + p[2] * direction[2]
-    cosine = q[0] * p[0] + q[1] * p[1] + q[2] * p[2]
-    residual[i] = (n0 * direction[0] + n1 * direction[1] + n2 * direction[2]) * scale
-    for j in range(2):
-        jacobian[i, j] = (n0 * basis[0, j] + n1 * basis[1, j] + n2 * basis[2, j]) * scale
-    for j in range(3):
-        jacobian[i, 2 + j] = (along_q * p[j] - cosine * direction[j]) * scale
+    n0, n1, n2 = q1 * p2 - q2 * p1, q2 * p0 - q0 * p2, q0 * p1 - q1 * p0
+    along_q, along_p = q0 * d0 + q1 * d1 + q2 * d2, p0 * d0 + p1 * d1 + p2 * d2
+    cosine = q0 * p0 + q1 * p1 + q2 * p2
     towards = (along_p - along_q) / (np.sqrt(max(trace, _TINY)) * sigma)
-    sense[i] = 0.0 if abs(towards) < _SENSE_SIGMAS else np.sign(towards)
+    wrong_way = -1.0 if towards <= -_SENSE_SIGMAS else 0.0
+    return (
+        (n0 * d0 + n1 * d1 + n2 * d2) * scale,
+        (n0 * a0 + n1 * a1 + n2 * a2) * scale,
+        (n0 * b0 + n1 * b1 + n2 * b2) * scale,
+        (along_q * p0 - cosine * d0) * scale,
+        (along_q * p1 - cosine * d1) * scale,
+        (along_q * p2 - cosine * d2) * scale,
+        1.0 if towards >= _SENSE_SIGMAS else wrong_way,
+    )
 
 
-@compiled
+@compiled_in_place
 def _weight(residual: float, scale: float) -> float:
     relative = residual / (scale * _REDESCENT)
     weight: float = 1.0 / (1.0 + relative * relative) ** 2 / (scale * scale)

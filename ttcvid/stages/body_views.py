@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path import PathFit, Points, RigidPaths, fit_on_paths
+from ttcvid.geometry.rigid_path import PathFit, Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.connected import nearest_neighbours
 from ttcvid.stages.history import TrackHistory
@@ -22,12 +22,14 @@ _LEAST_RATE = 0.4
 class BodyViews:
     """N tracks over L views.
 
-    ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed; ``sigma_norm (N,)``; ``xy_px (N, 2)``
+    ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as
+    `views_by_track`; ``sigma_norm (N,)``; ``xy_px (N, 2)``
     now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their pixel; ``neighbours (N, K)`` the nearest tracks
     within ``link_px``, the track itself standing in for missing ones.
     """
 
     rays: Floats
+    rays_by_track: Floats
     sigma_norm: Floats
     xy_px: Floats
     t_s: Floats
@@ -54,7 +56,7 @@ class BodyViews:
     def points(self, track: Ints, thing: Ints | None = None) -> Points:
         """These tracks as points of bodies: ``track, thing (M,)``; None: all of one body."""
         thing = np.zeros(len(track), dtype=np.int64) if thing is None else thing
-        return Points(self.rays, self.sigma_norm, self.since_s, track, thing)
+        return Points(self.rays_by_track, self.sigma_norm, self.since_s, track, thing)
 
 
 def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:
@@ -72,5 +74,14 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
     """
     sigma_norm = np.maximum(history.sigma_px, model_error_px) * history.plane_per_px
     neighbours = nearest_neighbours(history.xy_px, _N_NEIGHBOURS, link_px)
-    rays = np.ascontiguousarray(history.rays)
-    return BodyViews(rays, sigma_norm, history.xy_px, history.t_s, history.focal_px, is_free, neighbours, link_px)
+    return BodyViews(
+        history.rays,
+        views_by_track(history.rays),
+        sigma_norm,
+        history.xy_px,
+        history.t_s,
+        history.focal_px,
+        is_free,
+        neighbours,
+        link_px,
+    )

@@ -9,6 +9,8 @@ from ttcvid.model import Bools, Floats, Ints
 
 # The search for the nearest goes outwards by so many rings of cells.
 _N_RINGS = 3
+# Bits of a key that hold the index of a point: a million of them.
+_INDEX = (1 << 20) - 1
 # A grid along one axis has at most so many cells: more than a picture has, of points far outside it.
 _MOST_CELLS = 1000
 
@@ -63,7 +65,18 @@ def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, to
     root = np.arange(len(xy_px))
     if len(xy_px) > 1:
         cell, order, start, width = _cells(xy_px, radius_px, 1)
-        _link(xy_px[order], cell[order], order, start, width, radius_px, group, value, tolerance, root)
+        _link(
+            xy_px[order],
+            cell[order],
+            order,
+            start,
+            width,
+            radius_px,
+            group[order],
+            value[order],
+            tolerance[order],
+            root,
+        )
     return _numbered(root)
 
 
@@ -76,17 +89,16 @@ def _numbered(root: Ints) -> Ints:
 
 def _cells(xy_px: Floats, side_px: float, border: int) -> tuple[Ints, Ints, Ints, int]:
     """A grid with a border of empty cells: cell of each point, points in order of cells, where each starts, width."""
-    column_row = np.floor((xy_px - xy_px.min(axis=0)) / side_px).astype(np.int64)
+    column_row = np.empty((2, len(xy_px)), dtype=np.int64)
+    _place_on_grid(xy_px, side_px, column_row)
     for axis in range(2):
-        if column_row[:, axis].max() > _MOST_CELLS:
-            column_row[:, axis] = _without_wide_gaps(column_row[:, axis], border)
-    column_row += border
-    width = int(column_row[:, 0].max()) + border + 1
-    cell = column_row[:, 1] * width + column_row[:, 0]
-    order = np.argsort(cell, kind="stable")
-    n_cells = width * (int(column_row[:, 1].max()) + border + 1)
-    start = np.searchsorted(cell[order], np.arange(n_cells + 1))
-    return cell, order, start, width
+        if column_row[axis].max() > _MOST_CELLS:
+            column_row[axis] = _without_wide_gaps(column_row[axis], border)
+    width, height = column_row.max(axis=1) + (2 * border + 1)
+    cell, n_cells = (column_row[1] + border) * width + (column_row[0] + border), width * height
+    order, start = np.empty(len(cell), dtype=np.int64), np.zeros(n_cells + 1, dtype=np.int64)
+    _sort_by_cell(cell, order, start)
+    return cell, order, start, int(width)
 
 
 def _without_wide_gaps(number: Ints, border: int) -> Ints:
@@ -100,38 +112,63 @@ def _without_wide_gaps(number: Ints, border: int) -> Ints:
 
 
 @compiled
+def _place_on_grid(xy: Floats, side: float, column_row: Ints) -> None:
+    """Fill ``column_row (2, N)`` of points ``(N, 2)``, counted from the first of each."""
+    for axis in range(2):
+        first = xy[0, axis]
+        for i in range(len(xy)):
+            first = min(first, xy[i, axis])
+        for i in range(len(xy)):
+            column_row[axis, i] = int(np.floor((xy[i, axis] - first) / side))
+
+
+@compiled
+def _sort_by_cell(cell: Ints, order: Ints, start: Ints) -> None:
+    """Fill ``order (N,)``, points in order of their cells, and where each of the cells starts, ``start (C + 1,)``."""
+    for number in cell:
+        start[number + 1] += 1
+    for number in range(1, len(start)):
+        start[number] += start[number - 1]
+    free = start.copy()
+    for i in range(len(cell)):
+        order[free[cell[i]]] = i
+        free[cell[i]] += 1
+
+
+@compiled
 def _nearest(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radius: float, neighbours: Ints) -> None:
     """Fill ``neighbours (N, K)``, ring of cells by ring of cells; ``xy, cell`` in the order of cells.
 
-    What lies beyond ring r is farther away than r cells.
+    What lies beyond ring r is farther away than r cells. A candidate is one number, its squared distance with the index
+    in place of the last bits: it sinks through the sorted ones before it without a branch.
     """
-    count = neighbours.shape[1]
-    square, side = np.empty(count), radius / _N_RINGS
+    count, side, none = neighbours.shape[1], radius / _N_RINGS, _as_key(radius * radius, 0)
+    nearest = np.empty(count, dtype=np.int64)
     for here in range(len(xy)):
-        i, found = order[here], 0
+        x, y = xy[here, 0], xy[here, 1]
+        nearest[:] = none
         for ring in range(_N_RINGS + 1):
             for dy in range(-ring, ring + 1):
                 # Whole rows at the top and the bottom of a ring, its two ends between.
-                step = 1 if abs(dy) == ring else 2 * ring
-                for dx in range(-ring, ring + 1, step):
-                    at = cell[here] + dy * width + dx
-                    for place in range(start[at], start[at + 1]):
-                        j = order[place]
-                        distance = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
-                        if j == i or distance >= radius * radius:
-                            continue
-                        k = min(found, count)
-                        while k > 0 and (
-                            distance < square[k - 1] or (distance == square[k - 1] and j < neighbours[i, k - 1])
-                        ):
-                            if k < count:
-                                square[k], neighbours[i, k] = square[k - 1], neighbours[i, k - 1]
-                            k -= 1
-                        if k < count:
-                            square[k], neighbours[i, k] = distance, j
-                            found = min(found + 1, count)
-            if found == count and square[count - 1] < (ring * side) ** 2:
+                reach = ring if abs(dy) == ring else 0
+                for middle in range(-ring + reach, ring - reach + 1, max(2 * ring, 1)):
+                    at = cell[here] + dy * width + middle
+                    for place in range(start[at - reach], start[at + reach + 1]):
+                        if place != here:
+                            key = _as_key((xy[place, 0] - x) ** 2 + (xy[place, 1] - y) ** 2, order[place])
+                            if key < nearest[count - 1]:
+                                for k in range(count):
+                                    nearest[k], key = min(nearest[k], key), max(nearest[k], key)
+            if nearest[count - 1] < _as_key((ring * side) ** 2, 0):
                 break
+        for k in range(count):
+            neighbours[order[here], k] = nearest[k] & _INDEX if nearest[k] < none else order[here]
+
+
+@compiled
+def _as_key(square: float, index: int) -> int:
+    """The bits of a positive number, which are in order of its size, the last of them replaced by an index."""
+    return (int(np.float64(square).view(np.int64)) & ~_INDEX) | index
 
 
 @compiled
@@ -163,18 +200,17 @@ def _link(
     tolerance: Floats,
     root: Ints,
 ) -> None:
-    """Union-find of `linked_parts`; ``xy, cell`` in the order of cells."""
+    """Union-find of `linked_parts`; all but ``root (N,)`` in the order of cells."""
     for here in range(len(xy)):
-        i = order[here]
         for dy in range(2):
             # What lies before in the order of cells has been looked at from there.
             first = max(here + 1, start[cell[here] + dy * width - 1])
             for place in range(first, start[cell[here] + dy * width + 2]):
-                j = order[place]
-                if group[i] == group[j] and abs(value[i] - value[j]) < tolerance[i] + tolerance[j]:
-                    distance = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
-                    if distance < radius * radius:
-                        _unite(root, i, j)
+                square = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
+                differs = abs(value[place] - value[here]) - tolerance[place] - tolerance[here]
+                # One branch, that seldom goes another way than the last time.
+                if (square < radius * radius) & (differs < 0.0) & (group[place] == group[here]):
+                    _unite(root, order[here], order[place])
 
 
 @compiled
