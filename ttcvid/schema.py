@@ -124,7 +124,10 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _T_S,
         _CLUSTER_ID,
         _name("role", "the static scene or one object", ROLE_NAMES),
-        _count("motion_id", "clusters with the same epipole share it; 0 moves with the scene"),
+        _count(
+            "motion_id",
+            "0: the scene, and what of it stands in our way; movers with one direction share a number from 1 on",
+        ),
         _count("n_tracks", "tracks of the cluster"),
         _real("x0_px", "px", "left side of the box around its tracks"),
         _real("y0_px", "px", "upper side of the box around its tracks"),

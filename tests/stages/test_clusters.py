@@ -9,6 +9,7 @@ from relative_motion import CAMERA, FOCAL_PX, box_of_points, direction_noise, fl
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.clusters import (
+    ON_HORIZON,
     ClusterMotion,
     epipole_pixels,
     motion_ids,
@@ -156,6 +157,13 @@ def test_an_object_without_a_supported_surface_has_a_reason_and_no_times():
     assert np.isnan(row.times.ttc_z_s[0])
 
 
+def test_an_object_of_few_tracks_that_all_have_times_has_none_and_not_for_want_of_parallax():
+    position_m = box_of_points(np.random.default_rng(77), 4, (3.0, 0.5, 15.0), PLATE_M)
+    row = timed(row_of(position_m, [0.0, 0.0, -6.0]))
+    assert row.status == Status.not_rigid
+    assert row.state_abc_hz is None
+
+
 def test_the_scene_has_an_epipole_and_no_times():
     xy_px = np.array([[10.0, 20.0], [600.0, 300.0], [5.0, 350.0]])
     states = two_frame_states(flows_of(np.ones((3, 3)), np.zeros(3)), np.zeros((3, 3)), np.zeros((3, 3, 3)))
@@ -186,17 +194,23 @@ def test_coming_and_going_have_the_same_epipole_pixel():
     np.testing.assert_allclose(pixels_, np.tile((319.5 + 144.0, 179.5 - 72.0), (2, 1)))
 
 
-def test_clusters_with_one_epipole_share_a_motion_and_the_scenes_is_zero():
+def test_movers_with_one_epipole_share_a_motion_and_only_what_stands_has_the_scenes():
     clusters = (
         motion_of(0, (0, 0, -1)),
         motion_of(1, (1, 0, -1)),
         motion_of(2, (0.001, 0, -1)),
+        replace(motion_of(8, (0.001, 0, -1)), is_static=True),
         motion_of(3, (1.001, 0, -1)),
         motion_of(4, (-1, 0, 1)),
         motion_of(7, None, status=Status.no_epipole),
         motion_of(9, None, status=Status.no_epipole),
     )
-    assert motion_ids(clusters) == [0, 1, 0, 1, 2, 3, 4]
+    assert motion_ids(clusters) == [0, 1, 2, 0, 1, 3, 4, 5]
+
+
+def test_directions_that_could_be_any_are_not_said_to_be_one():
+    clusters = (motion_of(1, (1, 0, -1)), motion_of(2, (1, 0.3, -1), sigma_rad=np.radians(20.0)))
+    assert motion_ids(clusters) == [1, 2]
 
 
 def test_objects_count_their_motions_from_one_where_the_scene_rests_or_is_not_seen():
@@ -325,3 +339,6 @@ def test_an_object_whose_state_contradicts_its_direction_has_that_of_its_state(o
     row = only_row(motion, states, pixels(position_m))
     np.testing.assert_allclose(row.direction, velocity if is_of_state else believed, atol=1e-9)
     assert np.allclose(row.direction_cov @ row.direction, 0.0, atol=1e-12)
+    # A horizon says more than the state does, wherever on it the epipole lies.
+    on_horizon = replace(motion, method="whole-tracks" + ON_HORIZON)
+    np.testing.assert_allclose(only_row(on_horizon, states, pixels(position_m)).direction, believed, atol=1e-9)

@@ -166,12 +166,15 @@ def test_minimum_ttc_is_taken_over_approaching_objects_only(frame):
     rows = cluster_rows(history, motions, states, CAMERA)
     assert minimum_ttc_z_s(rows) == pytest.approx(2.5, rel=1e-6)
 
-    def seen(ttc_z_s, state):
-        times = replace(CollisionTimes.missing(1), ttc_z_s=np.array([ttc_z_s]))
+    def seen(ttc_z_s, state, hi_s=None):
+        hi_s = 2.0 * ttc_z_s if hi_s is None else hi_s
+        times = replace(CollisionTimes.missing(1), ttc_z_s=np.array([ttc_z_s]), ttc_z_hi_s=np.array([hi_s]))
         return replace(rows[1], times=times, motion_state=MotionState(state))
 
     soon = seen(1.5, "constant_bearing")
     others = seen(0.5, "receding"), seen(-1.0, "approaching"), seen(0.2, "no_relative_motion"), seen(np.nan, "unknown")
+    # By way of infinity: as likely never.
+    others += (seen(1.0, "approaching", hi_s=-20.0),)
     assert minimum_ttc_z_s((*rows, soon, *others)) == pytest.approx(1.5)
     assert minimum_ttc_z_s(others) is None
     assert minimum_ttc_z_s(()) is None

@@ -22,10 +22,17 @@ _SIGMAS_95 = 1.645
 _SIGMAS_95_OF_TWO = 2.45
 # Two directions are one when their difference is inside 99 % of a 2-D Gaussian.
 _SAME_DIRECTION_CHI2 = 9.21
+# Directions known less well than this could be any, rad.
+_KNOWN_DIRECTION_RAD = float(np.radians(10.0))
+# Number of the motion of the scene.
+_SCENE_MOTION = 0
 # A cluster has a direction.
 _VALUED = (Status.ok, Status.epipole_at_infinity)
 # Noise of a point that is exact by definition.
 _EXACT = 1e-12
+
+ON_HORIZON = "+horizon"
+"""End of the ``method`` of a direction that was moved onto the horizon."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,7 @@ def rows_of(
     expansion_hz : (K,) of all tracks of each, NaN where unknown.
     """
     boxes, lengths = members.boxes(xy_px).tolist(), members.lengths.tolist()
-    rows = [_row(*each) for each in zip(motions, motion_ids(motions), boxes, lengths, expansion_hz, strict=True)]
+    rows = [_row(*each) for each in zip(motions, boxes, lengths, expansion_hz, strict=True)]
     direction, _ = _directions([replace(m, direction=None) if _is_scene(m) else m for m in motions])
     is_static = np.array([motion.is_static for motion in motions], dtype=bool)
     joint = joint_states(members, direction, is_static, states, xy_px, link_px)
@@ -78,14 +85,18 @@ def rows_of(
             state_cov=joint.cov[k],
             speed_change=float(joint.speed_change[k]),
         )
-    return _with_directions_of_states(rows)
+    rows = _with_directions_of_states(_with_reasons(rows, members, states))
+    numbers = motion_ids(
+        [replace(m, direction=r.direction, direction_cov=r.direction_cov) for m, r in zip(motions, rows, strict=True)]
+    )
+    return [replace(row, motion_id=number) for row, number in zip(rows, numbers, strict=True)]
 
 
 def _is_scene(motion: ClusterMotion) -> bool:
     return motion.cluster_id == SCENE_CLUSTER
 
 
-def _row(motion: ClusterMotion, motion_id: int, box_px: list[float], n_tracks: int, expansion_hz: float) -> ClusterRow:
+def _row(motion: ClusterMotion, box_px: list[float], n_tracks: int, expansion_hz: float) -> ClusterRow:
     """What its motion and the places of its tracks say of a cluster; an object without a state has no parallax."""
     status, motion_state = motion.status, MotionState.unknown
     if _is_scene(motion):
@@ -95,7 +106,7 @@ def _row(motion: ClusterMotion, motion_id: int, box_px: list[float], n_tracks: i
     x0, y0, x1, y1 = box_px
     return ClusterRow(
         cluster_id=motion.cluster_id,
-        motion_id=motion_id,
+        motion_id=_SCENE_MOTION,
         n_tracks=n_tracks,
         box_px=(x0, y0, x1, y1),
         status=status,
@@ -109,20 +120,31 @@ def _row(motion: ClusterMotion, motion_id: int, box_px: list[float], n_tracks: i
     )
 
 
+def _with_reasons(rows: list[ClusterRow], members: TrackSets, states: TrackStates) -> list[ClusterRow]:
+    """Objects without a state whose tracks have values, but too few of them one value, are not rigid."""
+    has_values = members.sums(states.has_value[members.index].astype(np.int64)) > 0
+    return [
+        replace(row, status=Status.not_rigid)
+        if row.status == Status.no_parallax and row.role == "object" and k
+        else row
+        for row, k in zip(rows, has_values.tolist(), strict=True)
+    ]
+
+
 def motion_ids(clusters: Sequence[ClusterMotion]) -> list[int]:
-    """Number of each cluster's motion: clusters with one epipole share it; 0 is the scene's."""
+    """Number of each cluster's motion: that of the scene and of what stands in our way is 0; movers count from 1.
+
+    Movers share a number where their directions, both known well, are one. A mover has none of the scene's, though it
+    may go along our own line: who is told that a thing stands still takes our speed for its closing speed.
+    """
     is_same = _have_same_direction(clusters)
     numbers: list[int] = []
-    next_number = 1
     for place, motion in enumerate(clusters):
-        same = np.flatnonzero(is_same[place, :place])
         if _is_scene(motion) or motion.is_static:
-            numbers.append(0)
-        elif len(same):
-            numbers.append(numbers[same[0]])
-        else:
-            numbers.append(next_number)
-            next_number += 1
+            numbers.append(_SCENE_MOTION)
+            continue
+        same = [numbers[other] for other in np.flatnonzero(is_same[place, :place]) if numbers[other] != _SCENE_MOTION]
+        numbers.append(same[0] if same else max([_SCENE_MOTION, *numbers]) + 1)
     return numbers
 
 
@@ -196,7 +218,7 @@ def _with_directions_of_states(rows: list[ClusterRow]) -> list[ClusterRow]:
     The direction was found as if all tracks were straight, which is the surer way where they are. In a bend it lags,
     and the curve is taken for depth. (On a horizon the plane says more than either.)
     """
-    asked = [k for k, row in enumerate(rows) if row.state_abc_hz is not None and row.horizon_offset_px is None]
+    asked = [k for k, row in enumerate(rows) if row.state_abc_hz is not None and not row.method.endswith(ON_HORIZON)]
     if not asked:
         return rows
     believed, believed_cov = _directions([rows[k] for k in asked])
@@ -217,9 +239,11 @@ def _with_directions_of_states(rows: list[ClusterRow]) -> list[ClusterRow]:
 
 
 def _have_same_direction(clusters: Sequence[ClusterMotion]) -> Bools:
-    """Which pairs of clusters (K, K) have one direction within their errors."""
+    """Which pairs of clusters (K, K) have one direction within their errors, and not only because these are large."""
     direction, cov = _directions(clusters)
-    return np.asarray(direction_chi2(direction, direction[:, None], cov + cov[:, None]) < _SAME_DIRECTION_CHI2)
+    is_one = direction_chi2(direction, direction[:, None], cov + cov[:, None]) < _SAME_DIRECTION_CHI2
+    is_known = np.trace(cov, axis1=1, axis2=2) < _KNOWN_DIRECTION_RAD**2
+    return np.asarray(is_one & is_known & is_known[:, None])
 
 
 def _directions(things: Sequence[ClusterMotion | ClusterRow]) -> tuple[Floats, Floats]:

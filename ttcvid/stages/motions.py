@@ -14,7 +14,7 @@ from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
 from ttcvid.stages.belonging import numbers_of
-from ttcvid.stages.clusters import ClusterMotion
+from ttcvid.stages.clusters import ON_HORIZON, ClusterMotion
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
 from ttcvid.stages.history import TrackHistory
@@ -281,7 +281,7 @@ def _on_plane(
     if plane is not None:
         offset_px = horizon_offset_px(direction, plane, camera)
         direction, covariance = onto_horizon(direction, covariance, plane)
-        method = f"{method}+horizon"
+        method += ON_HORIZON
     status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
     return ClusterMotion(cluster_id, members, direction, covariance, status, method, offset_px)
 

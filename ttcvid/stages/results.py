@@ -82,11 +82,12 @@ def cluster_rows(
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
-    """Smallest time to depth zero over approaching objects, None where none approaches."""
+    """Smallest time to depth zero over objects that approach and reach it for sure, None without any."""
     ahead = [
         float(row.times.ttc_z_s[0])
         for row in clusters
-        if row.motion_state in (MotionState.approaching, MotionState.constant_bearing) and row.times.ttc_z_s[0] > 0.0
+        if row.motion_state in (MotionState.approaching, MotionState.constant_bearing)
+        and 0.0 < row.times.ttc_z_s[0] <= row.times.ttc_z_hi_s[0]
     ]
     return min(ahead) if ahead else None
 
