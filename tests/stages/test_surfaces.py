@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ttcvid.stages.sets import TrackSets
-from ttcvid.stages.surfaces import in_nearest_surface
+from ttcvid.stages.surfaces import in_nearest_surface, tracks_needed
 
 LINK_PX = 30.0
 
@@ -15,7 +15,7 @@ def nearest_surface(rate_hz, sigma_hz, xy_px, link_px, n_tracks=None):
     """Tracks of the nearest surface of one object, of `n_tracks` with those that have no rate."""
     tracks = TrackSets.of([np.arange(len(rate_hz))])
     n_tracks = np.array([len(rate_hz) if n_tracks is None else n_tracks])
-    return np.flatnonzero(in_nearest_surface(rate_hz, sigma_hz, xy_px, tracks, n_tracks, link_px))
+    return np.flatnonzero(in_nearest_surface(rate_hz, sigma_hz, xy_px, tracks, tracks_needed(n_tracks), link_px))
 
 
 def places(rng, n, corner=(0.0, 0.0), size_px=40.0):
@@ -159,7 +159,8 @@ def test_each_of_several_objects_has_the_surface_that_it_has_alone():
     lengths = [len(one[0]) for one in cars]
     sets = TrackSets.of(np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1]))
     together = np.split(
-        in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, sets.lengths, LINK_PX), np.cumsum(lengths)[:-1]
+        in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, tracks_needed(sets.lengths), LINK_PX),
+        np.cumsum(lengths)[:-1],
     )
     for is_in, one in zip(together, cars, strict=True):
         np.testing.assert_array_equal(np.flatnonzero(is_in), nearest_surface(*one[:3], LINK_PX))

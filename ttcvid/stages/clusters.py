@@ -85,7 +85,9 @@ def rows_of(
             state_cov=joint.cov[k],
             speed_change=float(joint.speed_change[k]),
         )
-    rows = _with_directions_of_states(_with_reasons(rows, members, states))
+    place_cov = np.zeros((len(rows), 3, 3))
+    place_cov[joint.owner] = joint.place_cov
+    rows = _with_directions_of_states(_with_reasons(rows, members, states), place_cov)
     numbers = motion_ids(
         [replace(m, direction=r.direction, direction_cov=r.direction_cov) for m, r in zip(motions, rows, strict=True)]
     )
@@ -212,11 +214,12 @@ def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionStat
     return MotionState.unknown if moves_across else MotionState.no_relative_motion
 
 
-def _with_directions_of_states(rows: list[ClusterRow]) -> list[ClusterRow]:
+def _with_directions_of_states(rows: list[ClusterRow], place_cov: Floats) -> list[ClusterRow]:
     """Give objects whose state contradicts their direction that of their state.
 
     The direction was found as if all tracks were straight, which is the surer way where they are. In a bend it lags,
-    and the curve is taken for depth. (On a horizon the plane says more than either.)
+    and the curve is taken for depth. (On a horizon the plane says more than either.) ``place_cov (N, 3, 3)`` is what
+    the states vary by over the places of things that turn: no reason to keep a direction found as if nothing did.
     """
     asked = [k for k, row in enumerate(rows) if row.state_abc_hz is not None and not row.method.endswith(ON_HORIZON)]
     if not asked:
@@ -226,9 +229,9 @@ def _with_directions_of_states(rows: list[ClusterRow]) -> list[ClusterRow]:
     speed_hz = np.linalg.norm(abc_hz, axis=1)[:, None]
     direction = abc_hz / speed_hz
     across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
-    cov = across @ state_cov @ across
+    cov, cov_here = across @ state_cov @ across, across @ (state_cov - place_cov[asked]) @ across
     # Without a covariance of the belief (NaN) it stays.
-    is_other = direction_chi2(direction, believed, cov + believed_cov) >= _SAME_DIRECTION_CHI2
+    is_other = direction_chi2(direction, believed, cov_here + believed_cov) >= _SAME_DIRECTION_CHI2
     rows = list(rows)
     for i in np.flatnonzero(is_other):
         row, status = rows[asked[i]], rows[asked[i]].epipole_status

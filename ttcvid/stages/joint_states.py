@@ -8,7 +8,8 @@ import numpy as np
 
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
-from ttcvid.stages.surfaces import in_nearest_surface
+from ttcvid.stages.slant import nearest_parts
+from ttcvid.stages.surfaces import in_nearest_surface, tracks_needed
 from ttcvid.stages.track_states import TrackStates, has_value
 
 # Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
@@ -17,6 +18,8 @@ _TRIMMED_VARIANCE = 1.35
 _LEAST_OF_SURFACE = 3
 # The parts of a car's front lie in depths that differ by this (standard deviation, as a part of the distance).
 _RELIEF = 0.025
+# An end of a line is so many times the variance of its points away from its middle, squared.
+_END_VARIANCE = 3.0
 # Least variance of a rate, 1/s^2.
 _TINY = 1e-24
 
@@ -25,13 +28,15 @@ _TINY = 1e-24
 class JointStates:
     """States of K surfaces at their centroids ``ref_px (K, 2)``; ``owner (K,)`` says whose each of them is.
 
-    ``abc_hz (K, 3)`` = V / Z with ``cov (K, 3, 3)`` in 1/s^2, ``speed_change (K,)`` by what part the speed may change.
+    ``abc_hz (K, 3)`` = V / Z with ``cov (K, 3, 3)`` in 1/s^2, of which ``place_cov`` comes from not knowing the very
+    place; ``speed_change (K,)`` by what part the speed may change.
     """
 
     owner: Ints
     ref_px: Floats
     abc_hz: Floats
     cov: Floats
+    place_cov: Floats
     speed_change: Floats
 
 
@@ -47,51 +52,65 @@ def joint_states(
     states, xy_px, link_px
         Of all tracks, as for `in_nearest_surface`.
     """
-    surfaces, owner = _nearest_surfaces(members, direction, is_static, states, xy_px, link_px)
+    surfaces, owner, above_hz, variance = _nearest_surfaces(members, direction, is_static, states, xy_px, link_px)
     index = surfaces.index
+    along = states.along_paths(direction[owner[surfaces.set_of]], index)
     weight = 1.0 / np.maximum(states.cov[index, 2, 2], _TINY)
     weight /= surfaces.sums(weight)[surfaces.set_of]
-    abc_hz = surfaces.sums(weight[:, None] * states.abc_hz[index])
-    cov, speed_change = _joint_covariances(states, surfaces, weight, abc_hz)
-    return JointStates(owner, surfaces.sums(weight[:, None] * xy_px[index]), abc_hz, cov, speed_change)
+    abc_hz = surfaces.sums(weight[:, None] * (states.abc_hz[index] + above_hz[:, None] * along))
+    cov, place_cov, speed_change = _joint_covariances(states, surfaces, weight, abc_hz)
+    along = along[surfaces.first]
+    cov = cov + place_cov + variance[:, None, None] * along[:, :, None] * along[:, None, :]
+    return JointStates(owner, surfaces.sums(weight[:, None] * xy_px[index]), abc_hz, cov, place_cov, speed_change)
 
 
 def _nearest_surfaces(
     members: TrackSets, direction: Floats, is_static: Bools, states: TrackStates, xy_px: Floats, link_px: float
-) -> tuple[TrackSets, Ints]:
+) -> tuple[TrackSets, Ints, Floats, Floats]:
     """The tracks of the nearest surfaces: those with the largest rate speed / Z, whether it comes, goes or crosses.
 
     (Of a thing that approaches, the largest rate is also the largest 1 / ttc_z. Of one that recedes it is the smallest,
     and one that crosses has none: its tracks would make no surfaces.) What the tracks have in common moves all surfaces
     alike, and does not make one of two; but no surface is flat.
+
+    Returns
+    -------
+    the surfaces, whose they are, and of `nearest_parts` by how much the rate of each track is too low, with variances.
     """
     is_usable = has_value(states.status[members.index]) & np.isfinite(direction[members.set_of, 0])
     usable, owner = members.where(is_usable)
     if not len(usable):
-        return usable, owner
+        return usable, owner, np.empty(0), np.empty(0)
     along = direction[owner[usable.set_of]]
-    rate_hz = np.sum(states.abc_hz[usable.index] * along, axis=1)
-    sigma_hz = np.hypot(states.own_sigma_along(along, usable.index), _RELIEF * rate_hz)
-    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[usable.index], usable, members.lengths[owner], link_px)
+    rate_hz, own_hz = states.rates_along(along, usable.index)
+    sigma_hz = np.hypot(own_hz, _RELIEF * rate_hz)
+    needed = tracks_needed(members.lengths[owner])
+    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[usable.index], usable, needed, link_px)
+    is_in, above_hz, variance = nearest_parts(
+        usable, rate_hz, sigma_hz, *states.shared_rate_errors(usable), states.xy[usable.index], needed, is_in
+    )
     # What stands in our way was found as one surface, and may have few tracks.
     has_none = usable.sums(is_in.astype(np.int64)) == 0
     is_whole = has_none & is_static[owner] & (usable.lengths >= _LEAST_OF_SURFACE)
-    surfaces, left = usable.where(is_in | is_whole[usable.set_of])
-    return surfaces, owner[left]
+    is_in |= is_whole[usable.set_of]
+    surfaces, left = usable.where(is_in)
+    return surfaces, owner[left], above_hz[is_in], variance[left]
 
 
 def _joint_covariances(
     states: TrackStates, surfaces: TrackSets, weight: Floats, abc_hz: Floats
-) -> tuple[Floats, Floats]:
-    """Covariances of weighted means of (a, b, c), and by what part the speeds that the tracks share may change.
+) -> tuple[Floats, Floats, Floats]:
+    """Covariances of weighted means of (a, b, c), by noise and by place, and by what part the speeds may change.
 
     Own noise averages out, errors of what they share do not. Tracks of a surface share one path, but for those timed by
     expansion: their neighbourhoods overlap, so that they are taken to err as one. Where each track has a direction of
-    its own (three frames), nothing is common.
+    its own (three frames), nothing is common. What turns has another velocity at each of its places, and which of them
+    is the nearest is not known: it may be any end of the surface.
     """
     shared = states.shared
+    place_cov = np.zeros((len(surfaces), 3, 3))
     if shared is None:
-        return _averaged_out(states, surfaces, weight), np.zeros(len(surfaces))
+        return _averaged_out(states, surfaces, weight), place_cov, np.zeros(len(surfaces))
     number = np.maximum.reduceat(shared.path_of[surfaces.index], surfaces.first)
     on_path = shared.path_of[surfaces.index] == number[surfaces.set_of]
     has_path = number >= 0
@@ -100,7 +119,10 @@ def _joint_covariances(
     off_weight = np.where(on_path, 0.0, weight)
     off_cov = surfaces.sums(off_weight[:, None, None] * states.cov[surfaces.index])
     cov = np.where(has_path[:, None, None], cov, 0.0) + surfaces.sums(off_weight)[:, None, None] * off_cov
-    return cov, np.where(has_path, shared.change[number], 0.0)
+    if shared.turn_rad_s.any():
+        by_place = shared.covariances_by_place(surfaces, weight, states.xy[surfaces.index], number)
+        place_cov = np.where(has_path[:, None, None], _END_VARIANCE * by_place, 0.0)
+    return cov, place_cov, np.where(has_path, shared.change[number], 0.0)
 
 
 def _averaged_out(states: TrackStates, surfaces: TrackSets, weight: Floats) -> Floats:

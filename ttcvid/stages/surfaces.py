@@ -20,7 +20,7 @@ _MAX_STEPS = 20
 
 
 def in_nearest_surface(
-    rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, n_tracks: Ints, link_px: float
+    rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, needed: Ints, link_px: float
 ) -> Bools:
     """Which tracks (M,) of each set bear the nearest well-supported surface of it; none where nothing is supported.
 
@@ -32,13 +32,17 @@ def in_nearest_surface(
     ----------
     rate_hz, sigma_hz : (M,) rates, speed over depth, and their standard deviations, 1/s, in the order of the sets.
     xy_px : (M, 2) places, px; tracks closer than ``link_px`` are connected.
-    n_tracks : (K,) of the whole object of each set, those without a rate among them.
+    needed : (K,) tracks that a surface needs, see `tracks_needed`.
     """
     is_in = np.zeros(len(rate_hz), dtype=bool)
     starts = np.lexsort((-rate_hz, sets.set_of))
-    needed = np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64))
     _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, starts, sets.first, needed, is_in)
     return is_in
+
+
+def tracks_needed(n_tracks: Ints) -> Ints:
+    """Tracks (K,) that bear a surface of objects of ``n_tracks (K,)``, those without a rate among them."""
+    return np.asarray(np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64)))
 
 
 @compiled

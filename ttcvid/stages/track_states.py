@@ -29,17 +29,21 @@ class SharedErrors:
     """What is a track's own in the error of its (a, b, c), and what it shares with others of its path.
 
     ``path_of (N,)`` the path of each track, negative for none; ``along (K, 3)`` the direction in which the noise of a
-    track's own views counts, with ``rate_variance (N,)``, 1/s^2; ``jacobian (N, 3, 9)`` of (a, b, c) by the shared
-    unknowns, in the order of `geometry.shared_path`, and their covariance ``cov (K, 9, 9)``; ``change (K,)`` by what
-    part the speed along each path may change soon.
+    track's own views counts; ``rate_hz (N,)`` speed along the path over depth, with ``rate_variance (N,)``, 1/s^2, by
+    that noise; ``jacobian (N, 3, 9)`` of (a, b, c) and ``rate_jacobian (N, 9)`` of the rates by the shared unknowns, in
+    the order of `geometry.shared_path`, and their covariance ``cov (K, 9, 9)``; ``change (K,)`` by what part the speed
+    along each path may change soon; ``turn_rad_s (K, 3)`` how the things on them turn themselves.
     """
 
     path_of: Ints
     along: Floats
+    rate_hz: Floats
     rate_variance: Floats
     jacobian: Floats
+    rate_jacobian: Floats
     cov: Floats
     change: Floats
+    turn_rad_s: Floats
 
     def covariances_of_means(
         self, sets: TrackSets, weight: Floats, mean_hz: Floats, number: Ints, own_factor: float
@@ -59,6 +63,15 @@ class SharedErrors:
             + changed[:, :, None] * changed[:, None, :]
         )
 
+    def covariances_by_place(self, sets: TrackSets, weight: Floats, xy: Floats, number: Ints) -> Floats:
+        """What (a, b, c) vary by, (K, 3, 3), over the places ``xy (M, 2)`` of K sets, as the things turn.
+
+        ``number (K,)`` is the path of each set, ``weight (M,)`` that of the tracks, with the sum 1 over each set.
+        """
+        offset = xy - sets.sums(weight[:, None] * xy)[sets.set_of]
+        by_place = cross(self.turn_rad_s[number][sets.set_of], np.column_stack([offset, np.zeros(len(offset))]))
+        return np.asarray(sets.sums(weight[:, None, None] * by_place[:, :, None] * by_place[:, None, :]))
+
 
 @dataclass(frozen=True)
 class TrackStates:
@@ -76,18 +89,34 @@ class TrackStates:
     status: Ints
     shared: SharedErrors | None = None
 
-    def own_sigma_along(self, direction: Floats, index: Ints) -> Floats:
-        """Standard deviation of (a, b, c) along ``direction (M, 3)`` by the noise of a track's own views.
+    def rates_along(self, direction: Floats, index: Ints) -> tuple[Floats, Floats]:
+        """Speed over depth of the tracks ``index (M,)``, and its standard deviation by their own noise: (M,) 1/s each.
 
-        Of the tracks ``index (M,)``: (M,) 1/s.
+        On a path the speed is one for all of its points: those of a turning thing have velocities of their own, and
+        still the nearest has the largest rate. For other tracks it is the speed along ``direction (M, 3)``.
         """
+        rate_hz: Floats = np.sum(self.abc_hz[index] * direction, axis=1)
         variance: Floats = np.einsum("mi,mij,mj->m", direction, self.cov[index], direction)
         if self.shared is not None:
-            path_of = self.shared.path_of[index]
-            on_path = path_of >= 0
-            along = np.sum(self.shared.along[path_of[on_path]] * direction[on_path], axis=1)
-            variance[on_path] = self.shared.rate_variance[index[on_path]] * along**2
-        return np.sqrt(variance)
+            on_path = self.shared.path_of[index] >= 0
+            rate_hz[on_path] = self.shared.rate_hz[index[on_path]]
+            variance[on_path] = self.shared.rate_variance[index[on_path]]
+        return rate_hz, np.sqrt(variance)
+
+    def shared_rate_errors(self, sets: TrackSets) -> tuple[Floats, Floats]:
+        """What errors that tracks share do to the rates of the sets, (M, 9), and their covariances: (K, 9, 9)."""
+        if self.shared is None:
+            return np.zeros((len(sets.index), N_SHARED)), np.zeros((len(sets), N_SHARED, N_SHARED))
+        path_of = self.shared.path_of[sets.index]
+        by_shared = np.where((path_of >= 0)[:, None], self.shared.rate_jacobian[sets.index], 0.0)
+        return by_shared, self.shared.cov[np.maximum.reduceat(path_of, sets.first)]
+
+    def along_paths(self, direction: Floats, index: Ints) -> Floats:
+        """Along what the rates of the tracks ``index (M,)`` count: (M, 3), their paths, or ``direction`` without."""
+        if self.shared is None:
+            return direction
+        path_of = self.shared.path_of[index]
+        return np.where((path_of >= 0)[:, None], self.shared.along[path_of], direction)
 
     @property
     def has_value(self) -> Bools:
@@ -179,10 +208,20 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     jacobian[:, :, 6:] = direction[:, :, None] * (flows.rotation_error_rad[:, None] * by_rotation)[:, None, :]
     shared_cov = np.zeros((len(first), N_SHARED, N_SHARED))
     shared_cov[:, :3, :3], shared_cov[:, 6:, 6:] = direction_cov[first], np.eye(3)
+    rate_jacobian = np.sum(direction[:, :, None] * jacobian, axis=1)
     path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
-    return replace(
-        states, shared=SharedErrors(path_of, direction[first], own, jacobian, shared_cov, np.zeros(len(first)))
+    shared = SharedErrors(
+        path_of,
+        direction[first],
+        rate_hz,
+        own,
+        jacobian,
+        rate_jacobian,
+        shared_cov,
+        np.zeros(len(first)),
+        np.zeros((len(first), 3)),
     )
+    return replace(states, shared=shared)
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:

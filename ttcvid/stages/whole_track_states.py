@@ -159,7 +159,19 @@ def _on_paths(
     found = velocities_on_paths(
         rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov, change
     )
-    shared = SharedErrors(path_of, paths.direction, rate_variance, found.jacobian, shared_cov, change)
+    # A rotation rate taken for too large turns the views back too far.
+    rate_jacobian = np.concatenate([rates.by_path, -rates.by_rotation], axis=1)
+    shared = SharedErrors(
+        path_of,
+        paths.direction,
+        rates.rate_hz,
+        rate_variance,
+        found.jacobian,
+        rate_jacobian,
+        shared_cov,
+        change,
+        turn_rad_s,
+    )
     has_path, direction = path_of != NO_PATH, normalize(found.abc_hz)
     status = first_reason(
         history.n_tracks,

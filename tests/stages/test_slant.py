@@ -1,0 +1,118 @@
+"""The nearest part of a surface that slopes away from us: the plane's nearest tenth, not the luckiest of its tracks."""
+
+import numpy as np
+import pytest
+
+from ttcvid.stages.sets import TrackSets
+from ttcvid.stages.slant import nearest_parts
+
+NO_ERRORS = np.zeros((1, 2, 2))
+
+
+def one_set(n):
+    return TrackSets.of([np.arange(n)])
+
+
+def parts(rate_hz, sigma_hz, xy, needed, is_in=None, by_shared=None, shared_cov=NO_ERRORS):
+    n = len(rate_hz)
+    is_in = np.ones(n, dtype=bool) if is_in is None else is_in
+    by_shared = np.zeros((n, 2)) if by_shared is None else by_shared
+    return nearest_parts(one_set(n), rate_hz, sigma_hz, by_shared, shared_cov, xy, np.array([needed]), is_in)
+
+
+def places(rng, n):
+    return rng.uniform(-0.2, 0.2, (n, 2))
+
+
+def sloping(xy, slope=0.5):
+    """Rates of a wall whose left end is nearer, 0.2 Hz in its middle."""
+    return 0.2 * (1.0 - slope * xy[:, 0] / 0.2)
+
+
+def test_of_a_sloping_wall_the_nearest_tenth_is_kept():
+    rng = np.random.default_rng(1)
+    xy = places(rng, 100)
+    rate_hz = sloping(xy)
+    is_near, above_hz, variance = parts(rate_hz, np.full(100, 0.002), xy, 10)
+    tenth = np.sort(rate_hz)[-10]
+    assert is_near[rate_hz >= tenth].all()
+    assert not is_near[rate_hz < 0.985 * tenth].any()
+    assert np.abs(above_hz[is_near]).max() < 0.002
+    assert 0.0 < variance[0] < 0.002**2
+
+
+def test_a_wall_parallel_to_the_picture_is_near_as_a_whole():
+    rng = np.random.default_rng(2)
+    kept = 0
+    for _ in range(300):
+        is_near, above_hz, _ = parts(0.2 + 0.01 * rng.standard_normal(40), np.full(40, 0.01), places(rng, 40), 5)
+        kept += is_near.all() and not above_hz.any()
+    assert kept >= 297
+
+
+@pytest.mark.parametrize("sigma_hz", [0.002, 0.01, 0.02])
+def test_the_rate_of_the_nearest_part_is_not_that_of_its_luckiest_tracks(sigma_hz):
+    rng = np.random.default_rng(3)
+    errors = []
+    for _ in range(200):
+        xy = places(rng, 80)
+        true_hz = sloping(xy)
+        rate_hz = true_hz + sigma_hz * rng.standard_normal(80)
+        is_near, above_hz, variance = parts(rate_hz, np.full(80, sigma_hz), xy, 8)
+        errors.append(((rate_hz + above_hz)[is_near].mean() - true_hz[is_near].mean()) / np.sqrt(variance[0]))
+    assert abs(np.mean(errors)) < 0.4
+    assert 0.7 < np.std(errors) < 1.3
+
+
+def test_the_rest_of_a_wall_is_found_where_only_a_part_of_it_was_taken_for_the_surface():
+    rng = np.random.default_rng(4)
+    xy = places(rng, 200)
+    rate_hz, is_in = sloping(xy), np.abs(xy[:, 0]) < 0.05
+    is_near, _, _ = parts(rate_hz, np.full(200, 0.002), xy, 20, is_in)
+    assert xy[is_near, 0].max() < -0.15
+
+
+def test_what_lies_off_the_plane_of_a_wall_is_no_part_of_it():
+    rng = np.random.default_rng(5)
+    xy = places(rng, 60)
+    rate_hz, is_in = sloping(xy), np.arange(60) >= 10
+    rate_hz[:10] += 0.1
+    is_near, _, _ = parts(rate_hz, np.full(60, 0.002), xy, 6, is_in)
+    assert is_near.any()
+    assert not is_near[:10].any()
+
+
+def test_a_slope_that_an_error_of_all_tracks_may_be_is_none():
+    rng = np.random.default_rng(6)
+    xy = places(rng, 60)
+    rate_hz, sigma_hz = sloping(xy, slope=0.1), np.full(60, 0.002)
+    by_shared = np.column_stack([np.zeros(60), xy[:, 0]])
+    shared_cov = np.diag([0.0, 0.1**2])[None]
+    assert not parts(rate_hz, sigma_hz, xy, 6)[0].all()
+    is_near, above_hz, _ = parts(rate_hz, sigma_hz, xy, 6, None, by_shared, shared_cov)
+    assert is_near.all()
+    assert not above_hz.any()
+
+
+def test_tracks_on_a_line_tell_no_slope_across_it():
+    rng = np.random.default_rng(7)
+    x = rng.uniform(-0.2, 0.2, 40)
+    xy = np.column_stack([x, 0.5 * x])
+    is_near, _, _ = parts(sloping(xy), np.full(40, 0.002), xy, 5)
+    assert is_near.all()
+
+
+def test_each_set_has_a_plane_of_its_own():
+    rng = np.random.default_rng(8)
+    xy = places(rng, 100)
+    rate_hz = np.concatenate([sloping(xy[:50]), np.full(50, 0.3)])
+    sets = TrackSets.of([np.arange(50), np.arange(50, 100)])
+    nothing = np.zeros((100, 2)), np.zeros((2, 2, 2))
+    needed = np.array([5, 5])
+    is_near, _, variance = nearest_parts(
+        sets, rate_hz, np.full(100, 0.002), *nothing, xy, needed, np.ones(100, dtype=bool)
+    )
+    alone, _, _ = parts(rate_hz[:50], np.full(50, 0.002), xy[:50], 5)
+    np.testing.assert_array_equal(is_near[:50], alone)
+    assert is_near[50:].all()
+    assert variance[1] == 0.0

@@ -1,0 +1,169 @@
+"""Surfaces that turn a side to us: how their depth slopes, and which part of them is the nearest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.chi_square import chi2_quantile
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.sets import TrackSets
+
+# A slope has two components; it is believed where noise would hardly look like it (99.9 %).
+_N_SLOPES, _SLOPE_CHI2 = 2, float(chi2_quantile(0.999, 2))
+# Tracks within so many of their standard deviations of a plane lie on it.
+_PLANE_SIGMAS = 2.0
+# What lies behind the nearest tracks by no more than this part of the distance is as near.
+_DEPTH_PART = 0.01
+# Tracks whose spread across a line is this part of that along it tell no slope across.
+_LEAST_SPREAD_PART = 1e-3
+# Numbers that tell a plane: its middle (x, y) and the rate there, its slope (x, y), and of the covariance of these the
+# variance of the rate and xx, xy, yy of the slope.
+_N_PLANE = 9
+
+
+def nearest_parts(
+    sets: TrackSets,
+    rate_hz: Floats,
+    sigma_hz: Floats,
+    by_shared: Floats,
+    shared_cov: Floats,
+    xy: Floats,
+    needed: Ints,
+    is_in: Bools,
+) -> tuple[Bools, Floats, Floats]:
+    """The nearest parts of those surfaces that slope away from us; other surfaces as they are.
+
+    Inverse depths on a plane are linear in the picture. A plane through the tracks of a surface finds the others that
+    lie on it, and with them the part of it that is hit first; to ask the tracks themselves for that would take those
+    with the largest errors.
+
+    Parameters
+    ----------
+    sets : tracks of K objects.
+    rate_hz, sigma_hz, xy : (M,), (M,), (M, 2) rates, speed over depth, with standard deviations, and places.
+    by_shared, shared_cov : (M, n) and (K, n, n), what errors that tracks share do to their rates: a wrong turn looks
+        like a slope.
+    needed : (K,) tracks that bear the nearest part.
+    is_in : (M,) those on the nearest surface.
+
+    Returns
+    -------
+    which tracks bear the nearest part (M,), by how much the plane's rate is above that of each (M,), 1/s, and the
+    variance (K,) of the plane's mean rate there, 1/s^2: both zero where nothing slopes.
+    """
+    is_near, above_hz, variance = is_in.copy(), np.zeros(len(rate_hz)), np.zeros(len(sets))
+    _find_each(
+        rate_hz,
+        sigma_hz,
+        by_shared,
+        shared_cov,
+        np.ascontiguousarray(xy),
+        sets.first,
+        sets.lengths,
+        needed,
+        is_near,
+        above_hz,
+        variance,
+    )
+    return is_near, above_hz, variance
+
+
+@compiled
+def _find_each(
+    rate: Floats,
+    sigma: Floats,
+    by_shared: Floats,
+    shared_cov: Floats,
+    xy: Floats,
+    first: Ints,
+    lengths: Ints,
+    needed: Ints,
+    is_near: Bools,
+    above: Floats,
+    variance: Floats,
+) -> None:
+    """Fills the results of `nearest_parts`, set by set; ``is_near (M,)`` tells the surfaces when it comes."""
+    plane, again, on_plane = np.empty(_N_PLANE), np.empty(len(rate), dtype=np.bool_), np.empty(len(rate))
+    for k in range(len(first)):
+        low, high = first[k], first[k] + lengths[k]
+        of_set, cov = (rate[low:high], sigma[low:high], by_shared[low:high], xy[low:high]), shared_cov[k]
+        if not _fit(*of_set, cov, is_near[low:high], plane):
+            continue
+        count = 0
+        for i in range(low, high):
+            again[i] = abs(rate[i] - _rate_at(plane, xy[i])) < _PLANE_SIGMAS * sigma[i]
+            count += again[i]
+        if count < needed[k] or not _fit(*of_set, cov, again[low:high], plane):
+            continue
+        for i in range(low, high):
+            on_plane[i] = _rate_at(plane, xy[i]) if again[i] else -np.inf
+        last = np.sort(on_plane[low:high])[high - low - needed[k]]
+        x, y, near = 0.0, 0.0, 0
+        for i in range(low, high):
+            is_near[i] = on_plane[i] >= last - _DEPTH_PART * abs(last)
+            if is_near[i]:
+                above[i] = on_plane[i] - rate[i]
+                x, y, near = x + xy[i, 0], y + xy[i, 1], near + 1
+        dx, dy = x / near - plane[0], y / near - plane[1]
+        variance[k] = plane[5] + dx * dx * plane[6] + 2.0 * dx * dy * plane[7] + dy * dy * plane[8]
+
+
+@compiled
+def _rate_at(plane: Floats, xy: Floats) -> float:
+    rate: float = plane[2] + plane[3] * (xy[0] - plane[0]) + plane[4] * (xy[1] - plane[1])
+    return rate
+
+
+@compiled
+def _fit(
+    rate: Floats, sigma: Floats, by_shared: Floats, xy: Floats, shared_cov: Floats, is_in: Bools, plane: Floats
+) -> bool:
+    """Fills the ``plane (9,)`` through the tracks that are in; returns whether it slopes.
+
+    Weighted least squares; the slope is drawn towards none by what its errors make of it (Stein's shrinkage).
+    """
+    weights, x, y, mean, count = 0.0, 0.0, 0.0, 0.0, 0
+    for i in range(len(rate)):
+        if is_in[i]:
+            w = 1.0 / (sigma[i] * sigma[i])
+            weights, x, y, mean, count = weights + w, x + w * xy[i, 0], y + w * xy[i, 1], mean + w * rate[i], count + 1
+    if count < 2 + _N_SLOPES:
+        return False
+    x, y, mean = x / weights, y / weights, mean / weights
+    n = by_shared.shape[1]
+    xx, xy_, yy, rr = 0.0, 0.0, 0.0, 0.0
+    # Along x and along y: first the rates themselves, then what the shared errors do to them.
+    along = np.zeros((2, 1 + n))
+    for i in range(len(rate)):
+        if is_in[i]:
+            w, dx, dy, dr = 1.0 / (sigma[i] * sigma[i]), xy[i, 0] - x, xy[i, 1] - y, rate[i] - mean
+            xx, xy_, yy, rr = xx + w * dx * dx, xy_ + w * dx * dy, yy + w * dy * dy, rr + w * dr * dr
+            along[0, 0] += w * dx * dr
+            along[1, 0] += w * dy * dr
+            for j in range(n):
+                along[0, 1 + j] += w * dx * by_shared[i, j]
+                along[1, 1 + j] += w * dy * by_shared[i, j]
+    determinant = xx * yy - xy_ * xy_
+    if not determinant > (_LEAST_SPREAD_PART * (xx + yy)) ** 2:
+        return False
+    slope = np.empty_like(along)
+    for j in range(1 + n):
+        slope[0, j] = (yy * along[0, j] - xy_ * along[1, j]) / determinant
+        slope[1, j] = (xx * along[1, j] - xy_ * along[0, j]) / determinant
+    gx, gy = slope[0, 0], slope[1, 0]
+    left = rr - gx * along[0, 0] - gy * along[1, 0]
+    misfit = max(left / (count - 1 - _N_SLOPES), 1.0)
+    vxx, vxy, vyy = misfit * yy / determinant, -misfit * xy_ / determinant, misfit * xx / determinant
+    for j in range(n):
+        for m in range(n):
+            vxx += slope[0, 1 + j] * shared_cov[j, m] * slope[0, 1 + m]
+            vxy += slope[0, 1 + j] * shared_cov[j, m] * slope[1, 1 + m]
+            vyy += slope[1, 1 + j] * shared_cov[j, m] * slope[1, 1 + m]
+    chi2 = (vyy * gx * gx - 2.0 * vxy * gx * gy + vxx * gy * gy) / (vxx * vyy - vxy * vxy)
+    if not chi2 > _SLOPE_CHI2:
+        return False
+    part = 1.0 - _N_SLOPES / chi2
+    plane[0], plane[1], plane[2], plane[3], plane[4] = x, y, mean, part * gx, part * gy
+    plane[5], plane[6], plane[7], plane[8] = misfit / weights, vxx, vxy, vyy
+    return True
