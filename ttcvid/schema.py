@@ -69,15 +69,15 @@ TIMES = (
     _real(
         "tcpa_s", "s", "time until closest approach (the paper's k); positive is ahead, negative has already happened"
     ),
-    _real("tcpa_lo_s", "s", "lower end of the 90 % interval of tcpa_s"),
-    _real("tcpa_hi_s", "s", "upper end of the 90 % interval of tcpa_s"),
+    _real("tcpa_lo_s", "s", "lower end of the interval of tcpa_s, border of the 90 % region of tcpa and miss together"),
+    _real("tcpa_hi_s", "s", "upper end of the interval of tcpa_s, border of the 90 % region of tcpa and miss together"),
     _real(
         "miss_s",
         "s",
         "distance of the closest approach (the paper's H), in seconds of relative motion: metres = miss_s |V|",
     ),
-    _real("miss_lo_s", "s", "lower end of the 90 % interval of miss_s"),
-    _real("miss_hi_s", "s", "upper end of the 90 % interval of miss_s"),
+    _real("miss_lo_s", "s", "lower end of the interval of miss_s, border of the 90 % region of tcpa and miss together"),
+    _real("miss_hi_s", "s", "upper end of the interval of miss_s, border of the 90 % region of tcpa and miss together"),
     _real("ttc_z_s", "s", "time until depth zero, -Z/Vz, what lidar and KITTI call TTC; positive approaches"),
     _real(
         "ttc_z_lo_s", "s", "lower end of the 90 % interval of ttc_z_s, made on 1/time; lo > hi: runs through infinity"

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import moving_points, views
 
-from ttcvid.geometry.whole_track import fit_whole_tracks
+from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks
 
 SIGMA = 0.2 / 720.0
 T_S = -0.1 * np.arange(15.0)[::-1]
@@ -85,6 +85,28 @@ def test_too_little_to_say_anything_is_no_number():
     assert np.isnan(found.state).all()
     assert (found.info_w == 0.0).all()
     assert found.n_frames.tolist() == [0, 1, 0]
+
+
+def test_where_nothing_tells_the_depth_the_covariance_is_not_known_with_a_plane_or_without():
+    """A point that keeps its place exactly: any motion along its ray explains it."""
+    xy = np.tile([0.3, 0.2], (len(T_S), 1, 1))
+    level = np.array([0.0, 1.0, 0.0])
+    plane = MotionPlane(level, np.radians(0.5) ** 2 * (np.eye(3) - np.outer(level, level)))
+    for found in (
+        fit_whole_tracks(xy, T_S, np.array([SIGMA])),
+        fit_whole_tracks(xy, T_S, np.array([SIGMA]), plane=plane),
+    ):
+        np.testing.assert_allclose(found.state[0], [0.3, 0.2, 0.0, 0.0, 0.0], atol=1e-12)
+        assert np.isnan(found.cov).all()
+        assert np.isfinite(found.info_w).all()
+
+
+def test_a_plane_leaves_the_covariance_of_noisy_points_at_rest_positive():
+    xy = np.array([0.3, 0.2]) + SIGMA * np.random.default_rng(8).normal(size=(len(T_S), 500, 2))
+    level = np.array([0.0, 1.0, 0.0])
+    plane = MotionPlane(level, np.radians(0.5) ** 2 * (np.eye(3) - np.outer(level, level)))
+    cov = fit_whole_tracks(xy, T_S, np.full(500, SIGMA), plane=plane).cov
+    assert (np.einsum("njj->nj", cov) > 0.0).all()
 
 
 def test_a_constant_velocity_keeps_its_window():

@@ -136,14 +136,38 @@ def test_differences_are_judged_in_the_reported_sigmas():
 
 def test_sigmas_come_from_what_stands_beside_the_value():
     rows = pd.DataFrame({"ttc_z_s": [2.0], "ttc_z_lo_s": [1.0], "ttc_z_hi_s": [4.0], "dir_x": [0.0], "cov_xx": [4e-6]})
-    assert reported_sigma(rows, "ttc_z_s", None) == pytest.approx((1 - 0.25) / 2 / 1.645)
+    assert reported_sigma(rows, "ttc_z_s", None) == pytest.approx((1 - 0.25) / 2 / 1.645, rel=1e-3)
     assert reported_sigma(rows, "dir_x", None) == pytest.approx(2e-3)
     assert np.isnan(reported_sigma(rows, "alpha_rad", None)).all()
+    # A 90 % interval of one value ends at 1.645 sigmas; those of tcpa and miss are the borders of a region of both.
+    both = pd.DataFrame(
+        {"tcpa_s": [2.0], "tcpa_lo_s": [1.0], "tcpa_hi_s": [3.0], "k_frames": [20.0]}
+        | {"miss_s": [0.2], "miss_lo_s": [0.1], "miss_hi_s": [0.4]}
+    )
+    assert reported_sigma(both, "tcpa_s", None) == pytest.approx(1.0 / 2.146, rel=1e-3)
+    assert reported_sigma(both, "k_frames", None) == pytest.approx(10.0 / 2.146, rel=1e-3)
+    assert reported_sigma(both, "miss_s", None) == pytest.approx(0.15 / 2.146, rel=1e-3)
     epipole = pd.DataFrame(
         {"dir_x": [0.0], "dir_y": [0.0], "dir_z": [-1.0], "cov_xx": [4e-6], "cov_yy": [1e-6], "cov_zz": [0.0]}
     )
     assert reported_sigma(epipole, "x_px", (500.0, 600.0)) == pytest.approx(1.0)
     assert reported_sigma(epipole, "y_px", (500.0, 600.0)) == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("off_axis_deg", [0.0, 20.0, 45.0])
+def test_the_sigma_of_an_epipole_pixel_is_that_of_draws(off_axis_deg):
+    rng, off = np.random.default_rng(3), np.radians(off_axis_deg)
+    mean = np.array([0.8 * np.sin(off), 0.6 * np.sin(off), np.cos(off)])
+    root = 1e-3 * (np.eye(3) - np.outer(mean, mean)) @ np.diag([1.0, 2.0, 3.0])
+    cov = root @ root.T
+    drawn = mean + rng.normal(size=(40000, 3)) @ root.T
+    epipole = pd.DataFrame(
+        {f"dir_{axis}": [mean[k]] for k, axis in enumerate("xyz")}
+        | {f"cov_{axis * 2}": [cov[k, k]] for k, axis in enumerate("xyz")}
+    )
+    for k, axis in enumerate("xy"):
+        drawn_px = (500.0, 600.0)[k] * drawn[:, k] / drawn[:, 2]
+        assert reported_sigma(epipole, f"{axis}_px", (500.0, 600.0)) == pytest.approx(drawn_px.std(), rel=0.02)
 
 
 def test_an_interval_without_an_end_gives_no_sigma():

@@ -8,16 +8,22 @@ that over the 90 % ellipse of (q, u). Both are harmonic, so that their extremes 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ttcvid.geometry.collision import times_from_state
 from ttcvid.geometry.compiled import compiled
-from ttcvid.geometry.inversion_range import inversion_range
+from ttcvid.geometry.inversion_range import CHI2_90_TWO, inversion_range
 from ttcvid.geometry.quotient import quotient
 from ttcvid.model import CollisionTimes, Floats
 
-# 90 % two-sided quantile of the normal distribution.
-_NORMAL_90 = 1.6448536269514722
+NORMAL_90_SIGMAS = 1.6448536269514722
+"""A 90 % interval of one normal value ends so many standard deviations from it: those of 1 / ttc_z."""
+
+REGION_90_SIGMAS = math.sqrt(CHI2_90_TWO)
+"""Those of tcpa and miss end so many from it, where they are short: they are the borders of the 90 % region of both
+together, so that each alone holds 97 %."""
 
 
 def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats) -> CollisionTimes:
@@ -62,8 +68,8 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
         miss_lo_s=miss_lo,
         miss_hi_s=miss_hi,
         ttc_z_s=times.ttc_z_s,
-        ttc_z_lo_s=quotient(1.0, eta + _NORMAL_90 * eta_sigma),
-        ttc_z_hi_s=quotient(1.0, eta - _NORMAL_90 * eta_sigma),
+        ttc_z_lo_s=quotient(1.0, eta + NORMAL_90_SIGMAS * eta_sigma),
+        ttc_z_hi_s=quotient(1.0, eta - NORMAL_90_SIGMAS * eta_sigma),
     )
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats
 
-# 90 % quantile of chi-square with two degrees of freedom.
-_CHI2_90_TWO = 4.605170185988092
+CHI2_90_TWO = 4.605170185988092
+"""90 % quantile of chi-square with two degrees of freedom."""
 
 _N_UNIFORM = 8
 _N_DENSE = 20
@@ -58,13 +58,13 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
     for i in range(len(rates)):
         q, u = rates[i, 0], rates[i, 1]
         variance_q, variance_u, mixed = cov[i, 0, 0], cov[i, 1, 1], cov[i, 0, 1]
-        reaches_axis = u * u <= _CHI2_90_TWO * variance_u
+        reaches_axis = u * u <= CHI2_90_TWO * variance_u
         if reaches_axis:
             bounds[2, i] = 0.0
         mahalanobis = variance_u * q * q - 2.0 * mixed * q * u + variance_q * u * u
         determinant = variance_q * variance_u - mixed * mixed
         # Not written as its opposite: NaN ends here too.
-        if not mahalanobis >= _CHI2_90_TWO * determinant or (q == 0.0 and u == 0.0):
+        if not mahalanobis >= CHI2_90_TWO * determinant or (q == 0.0 and u == 0.0):
             continue
         _set_ellipse(q, u, variance_q, variance_u, mixed, ellipse)
         is_small = ellipse[2] ** 2 + ellipse[3] ** 2 < _SMALL_PART**2 * (q * q + u * u)
@@ -79,7 +79,7 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
             value = max(value, sign * (u if component else q) / (q * q + u * u))
             if reaches_axis and not component:
                 slope = mixed / variance_u if variance_u > 0.0 else 0.0
-                left_over = _CHI2_90_TWO - (u * u / variance_u if variance_u > 0.0 else 0.0)
+                left_over = CHI2_90_TWO - (u * u / variance_u if variance_u > 0.0 else 0.0)
                 half_width = np.sqrt(max(left_over, 0.0) * max(variance_q - slope * mixed, 0.0))
                 for side in (-1.0, 1.0):
                     crossing = q - slope * u + side * half_width
@@ -100,7 +100,7 @@ def _set_ellipse(q: float, u: float, variance_q: float, variance_u: float, mixed
     longer = 0.5 * (variance_q + variance_u) + np.hypot(half_difference, mixed)
     shorter = (variance_q * variance_u - mixed * mixed) / longer if longer > 0.0 else 0.0
     angle = 0.5 * np.arctan2(mixed, half_difference)
-    long, short = np.sqrt(_CHI2_90_TWO * max(longer, 0.0)), np.sqrt(_CHI2_90_TWO * max(shorter, 0.0))
+    long, short = np.sqrt(CHI2_90_TWO * max(longer, 0.0)), np.sqrt(CHI2_90_TWO * max(shorter, 0.0))
     ellipse[0], ellipse[1] = q, u
     ellipse[2], ellipse[3] = long * np.cos(angle), long * np.sin(angle)
     ellipse[4], ellipse[5] = -short * np.sin(angle), short * np.cos(angle)

@@ -28,7 +28,8 @@ class MotionPlane:
 class WholeTracks:
     """States of N tracks at time 0.
 
-    ``state (N, 5)`` x, y without unit, a, b, c in 1/s, with ``cov (N, 5, 5)``, NaN with fewer than three views;
+    ``state (N, 5)`` x, y without unit, a, b, c in 1/s, with ``cov (N, 5, 5)``, NaN with fewer than three views and
+    where these say nothing of c (a point that keeps its place exactly moves along its ray, or not at all: c = 0);
     ``info_w (N, 3, 3)`` in s^2: information on w = (a, b, c) alone, x and y marginalised out, so that the
     likelihood of any other w is ``exp(-(w - state[2:])' info_w (w - state[2:]) / 2)``. Two views have rank 2 (their
     state has c = 0, one of the w that explain them), one view has none. ``chi2 (N,)`` of the robust residuals over
@@ -134,6 +135,7 @@ def _add_plane(plane: MotionPlane, state: Floats, cov: Floats, info_w: Floats) -
     variance = np.einsum("ni,ij,nj->n", state[:, 2:], plane.covariance, state[:, 2:])
     has_rate = variance > 0.0
     info_w[has_rate] += np.outer(plane.normal, plane.normal) / variance[has_rate, None, None]
+    # NaN, where a covariance is not known, stays NaN.
     towards = cov[:, :, 2:] @ plane.normal
     spread = variance + towards[:, 2:] @ plane.normal
     cov -= np.einsum("ni,nj->nij", towards, towards) / spread[:, None, None]

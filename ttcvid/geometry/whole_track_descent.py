@@ -27,6 +27,8 @@ TAIL = 3
 # more than 1 at the window's end. c about zero is expected with a standard deviation of 3 over the window: it decides
 # where the views alone leave c open (two views, no flow), and nowhere else.
 _LEAST_DEPTH_RATIO, _C_SIGMA = 0.1, 3.0
+# Views that say less of c than this part of what is expected of it say nothing: what they say is rounding.
+_LEAST_INFO = 1e-6
 # Columns of the sums below.
 _N_SUMS = 14
 
@@ -106,7 +108,7 @@ def fit_each(
             if fall < _CONVERGED_CHI2:
                 break
         n_frames[i] = n
-        _store(sums[n], n, s, x0, y0, state[i], cov[i], info_w[i])
+        _store(sums[n], n, s, x0, y0, _LEAST_INFO * prior, state[i], cov[i], info_w[i])
 
 
 @compiled
@@ -225,8 +227,21 @@ def _solve_on_plane(
 
 
 @compiled
-def _store(row: Floats, n: int, s: Floats, x0: float, y0: float, state: Floats, cov: Floats, info_w: Floats) -> None:
-    """State, covariance and information of a track, moved back to the picture plane about its own origin."""
+def _store(
+    row: Floats,
+    n: int,
+    s: Floats,
+    x0: float,
+    y0: float,
+    least_info_c: float,
+    state: Floats,
+    cov: Floats,
+    info_w: Floats,
+) -> None:
+    """State, covariance and information of a track, moved back to the picture plane about its own origin.
+
+    The covariance stays NaN where the views say less of c than ``least_info_c``.
+    """
     state[0], state[1] = s[0] + x0, s[1] + y0
     state[2], state[3], state[4] = s[2] + s[4] * x0, s[3] + s[4] * y0, s[4]
     rest = 1.0 / row[0]
@@ -246,10 +261,12 @@ def _store(row: Floats, n: int, s: Floats, x0: float, y0: float, state: Floats, 
     along[0], along[2] = (row[2] * row[3] - row[1] * row[4]) * inverse, (row[0] * row[4] - row[1] * row[3]) * inverse
     along[1], along[3] = (row[2] * row[5] - row[1] * row[6]) * inverse, (row[0] * row[6] - row[1] * row[5]) * inverse
     info_c = row[7] - row[3] * along[0] - row[4] * along[2] - row[5] * along[1] - row[6] * along[3]
+    if not info_c > least_info_c:
+        return
     along[2] += x0
     along[3] += y0
     along[4] = 1.0
-    variance_c = 1.0 / max(info_c, 1e-300)
+    variance_c = 1.0 / info_c
     for j in range(5):
         for k in range(5):
             cov[j, k] = along[j] * along[k] * variance_c

@@ -13,6 +13,7 @@ from ttcvid.config import CollisionMapConfig
 from ttcvid.errors import UsageError
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.horizon import normal_from_horizon
+from ttcvid.geometry.intervals import REGION_90_SIGMAS
 from ttcvid.jobs.ego_speed import ego_speed_m_s
 from ttcvid.jobs.moments import Clip, Moment, own_body
 from ttcvid.jobs.run import Run
@@ -24,8 +25,6 @@ from ttcvid.studies.truth import DIRECTION, ROTATION, plain
 
 _TURN_WINDOW_S, _LEAST_TURN_RAD_S = 0.5, math.radians(1.0)
 """Own turning is the median over this time; slower than this it is none."""
-_SIGMAS_90 = 2 * 1.6448536269514722
-"""Standard deviations between the ends of a 90 % interval."""
 _ON_ROAD_PLATFORM = "vehicle"
 
 
@@ -124,7 +123,7 @@ class _FrameReader:
         if points is not None:
             rays = self._rays(points, "x_px", "y_px")
             range_s = np.hypot(points.tcpa_s.to_numpy(float), points.miss_s.to_numpy(float))
-            sigma = (points.tcpa_hi_s - points.tcpa_lo_s).to_numpy(float) / _SIGMAS_90 / range_s
+            sigma = (points.tcpa_hi_s - points.tcpa_lo_s).to_numpy(float) / (2 * REGION_90_SIGMAS) / range_s
             is_known = np.isfinite(rays).all(axis=1) & np.isfinite(sigma)
             rays, range_s, sigma = rays[is_known], range_s[is_known], sigma[is_known]
         direction: Floats = np.full(3, np.nan)

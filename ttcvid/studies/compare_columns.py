@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from ttcvid.geometry.intervals import NORMAL_90_SIGMAS, REGION_90_SIGMAS
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.schema import TABLES, Column
 from ttcvid.studies.compare_tolerance import NOT_JUDGED, ColumnTolerance, Tolerance
 
-INTERVAL_SIGMAS = 1.645
-"""A 90 % interval ends this many standard deviations from the value."""
 N_WORST = 5
 EXPLAINED_SHARE = 0.8
 """A change of sign, factor or offset is named where it explains this share of the rows that are large enough."""
@@ -149,9 +148,16 @@ def _variance_of(name: str) -> str:
 
 
 def _epipole_sigma_px(table: pd.DataFrame, axis: str, focal_px: tuple[float, float]) -> Floats:
-    """Of f dir_x / dir_z, to first order, from the variances along both."""
-    along, depth = table[f"dir_{axis}"].to_numpy(float), table.dir_z.to_numpy(float)
-    variance = table[f"cov_{axis}{axis}"].to_numpy(float) + (along / depth) ** 2 * table.cov_zz.to_numpy(float)
+    """Of f dir_x / dir_z, to first order, from the covariance of dir.
+
+    What x and z have in common follows from the three variances, which is all that a baseline keeps: the covariance
+    lies in the plane normal to dir, so that cov_xx dir_x^2 + cov_zz dir_z^2 + 2 cov_xz dir_x dir_z = cov_yy dir_y^2.
+    """
+    other = "xy"[axis == "x"]
+    along, across, depth = (table[f"dir_{name}"].to_numpy(float) for name in (axis, other, "z"))
+    own, of_other, of_depth = (table[f"cov_{name * 2}"].to_numpy(float) for name in (axis, other, "z"))
+    twice_both = (of_other * across**2 - own * along**2 - of_depth * depth**2) / depth**2
+    variance = own - twice_both + of_depth * (along / depth) ** 2
     return np.asarray(focal_px["xy".index(axis)] * np.sqrt(variance) / np.abs(depth))
 
 
@@ -160,7 +166,7 @@ def _interval_sigma(table: pd.DataFrame, name: str) -> Floats:
     if not {f"{stem}_lo_s", f"{stem}_hi_s"} <= set(table):
         return np.full(len(table), np.nan)
     low, high = (judged_values(stem, table[f"{stem}_{end}_s"]) for end in ("lo", "hi"))
-    sigma = np.abs(high - low) / (2 * INTERVAL_SIGMAS)
+    sigma = np.abs(high - low) / (2 * (NORMAL_90_SIGMAS if stem == "ttc_z" else REGION_90_SIGMAS))
     if name == "k_frames":
         with np.errstate(invalid="ignore", divide="ignore"):
             sigma = sigma * np.abs(table.k_frames.to_numpy(float) / table.tcpa_s.to_numpy(float))
