@@ -176,7 +176,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _real("min_ttc_z_s", "s", "smallest ttc_z_s while the warning was on"),
         _real("min_tcpa_s", "s", "smallest tcpa_s while the warning was on"),
         _real("miss_s", "s", "distance of the closest approach, in seconds of relative motion"),
-        _real("confidence", "1", "probability that the object does approach", nullable=False),
+        _real("confidence", "1", "probability that the object comes nearer, at its smallest tcpa_s", nullable=False),
     ),
 }
 TABLE_NAMES = tuple(TABLES)

@@ -73,7 +73,8 @@ def test_a_collision_course_is_warned_of_once_it_has_lasted():
     # 3 s away from the start: the condition holds at once, the warning stands 0.3 s later.
     assert first_warned(active) == 6
     (event,) = active[6]
-    assert (event.event_id, event.cluster_id, event.start_frame, event.confidence) == (1, 1, 6, 0.95)
+    assert (event.event_id, event.cluster_id, event.start_frame) == (1, 1, 6)
+    assert event.confidence == pytest.approx(1.0)
     assert event.start_s == pytest.approx(0.3)
     assert event.kind == "constant_bearing"
     assert all(len(events) == 1 for events in active[6:])
@@ -292,11 +293,14 @@ def test_a_cut_ends_all_warnings_but_gives_no_number_twice():
     assert [e.event_id for e in active[-1]] == [2]
 
 
-def test_confidence_is_what_was_asked_for():
+def test_confidence_is_the_probability_of_the_approach_and_as_high_as_asked_for():
     """A harder confidence warns of less: an approach known to 30 % is sure at 95 % but not at 99.99 %."""
     hit = drive(*HIT, 1.5, relative_sigma=0.3, width_m=8.0)
     wide = CONFIG.model_copy(update={"max_miss_widths": 100.0})
-    assert first_warned(watched(hit, wide)[0]) == 6
+    active, _ = watched(hit, wide)
+    assert first_warned(active) == 6
+    # The rate is 1 / 0.3 of its standard deviations away from none.
+    assert active[6][0].confidence == pytest.approx(0.99957, abs=1e-5)
     assert first_warned(watched(hit, wide.model_copy(update={"confidence": 0.9999}))[0]) is None
 
 

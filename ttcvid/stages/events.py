@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera import rays_from_pixels
@@ -95,7 +95,7 @@ def update_events(
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
         elif t_s - now.since_s >= config.persistence_s:
-            now = replace(now, event=_started(next_event_id, row, frame, t_s, config))
+            now = replace(now, event=_started(next_event_id, row, frame, t_s))
             next_event_id += 1
         watched[cluster_id] = now
     active = tuple(w.event for w in watched.values() if w.event is not None)
@@ -144,12 +144,19 @@ def is_collision_course(row: ClusterRow, camera: Camera, config: EventsConfig, *
     max_ttc_s = config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
     sigmas = float(ndtri(config.confidence))
-    surely_hz = -float(row.state_abc_hz[2]) - sigmas * float(np.sqrt(row.present_cov[2, 2]))
     return bool(
         0.0 < row.times.tcpa_s[0] <= max_ttc_s
-        and surely_hz > 0.0
+        and _surety(row) > config.confidence
         and _miss_widths(row, row.state_abc_hz, row.present_cov, camera, sigmas) <= max_miss_widths
     )
+
+
+def _surety(row: ClusterRow) -> float:
+    """Probability that an object comes nearer in depth, by its state now; 0 without one."""
+    if row.state_abc_hz is None or row.present_cov is None:
+        return 0.0
+    sigma_hz = max(float(np.sqrt(row.present_cov[2, 2])), _TINY)
+    return float(ndtr(-float(row.state_abc_hz[2]) / sigma_hz))
 
 
 def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, sigmas: float) -> float:
@@ -171,9 +178,9 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     return float(miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
 
 
-def _started(event_id: int, row: ClusterRow, frame: int, t_s: float, config: EventsConfig) -> Event:
+def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
     kind = "constant_bearing" if row.motion_state == MotionState.constant_bearing else "collision_course"
-    event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, config.confidence)
+    event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, _surety(row))
     return _continued(event, row, frame, t_s)
 
 
@@ -188,4 +195,5 @@ def _continued(event: Event, row: ClusterRow, frame: int, t_s: float) -> Event:
         min_ttc_z_s=min(ahead) if ahead else None,
         min_tcpa_s=tcpa_s if is_nearer else event.min_tcpa_s,
         miss_s=float(row.times.miss_s[0]) if is_nearer else event.miss_s,
+        confidence=_surety(row) if is_nearer else event.confidence,
     )
