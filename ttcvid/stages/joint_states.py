@@ -10,7 +10,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.slant import nearest_parts
 from ttcvid.stages.surfaces import in_nearest_surface, tracks_needed
-from ttcvid.stages.track_states import TrackStates, has_value
+from ttcvid.stages.track_states import EXPANSION_NEIGHBOURS, TrackStates, has_value
 
 # Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
 _TRIMMED_VARIANCE = 1.35
@@ -103,7 +103,7 @@ def _joint_covariances(
     """Covariances of weighted means of (a, b, c), by noise and by place, and by what part the speeds may change.
 
     Own noise averages out, errors of what they share do not. Tracks of a surface share one path, but for those timed by
-    expansion: their neighbourhoods overlap, so that they are taken to err as one. Where each track has a direction of
+    expansion: each of these is in the neighbourhoods of others, which err with it. Where each track has a direction of
     its own (three frames), nothing is common. What turns has another velocity at each of its places, and which of them
     is the nearest is not known: it may be any end of the surface.
     """
@@ -116,13 +116,19 @@ def _joint_covariances(
     has_path = number >= 0
     on_path &= has_path[surfaces.set_of]
     cov = shared.covariances_of_means(surfaces, np.where(on_path, weight, 0.0), abc_hz, number, _TRIMMED_VARIANCE)
-    off_weight = np.where(on_path, 0.0, weight)
-    off_cov = surfaces.sums(off_weight[:, None, None] * states.cov[surfaces.index])
-    cov = np.where(has_path[:, None, None], cov, 0.0) + surfaces.sums(off_weight)[:, None, None] * off_cov
+    cov = np.where(has_path[:, None, None], cov, 0.0) + _by_expansion(states, surfaces, np.where(on_path, 0.0, weight))
     if shared.turn_rad_s.any():
         by_place = shared.covariances_by_place(surfaces, weight, states.xy[surfaces.index], number)
         place_cov = np.where(has_path[:, None, None], _END_VARIANCE * by_place, 0.0)
     return cov, place_cov, np.where(has_path, shared.change[number], 0.0)
+
+
+def _by_expansion(states: TrackStates, surfaces: TrackSets, weight: Floats) -> Floats:
+    """Covariances (K, 3, 3) of what tracks timed by expansion add to means; ``weight (M,)`` is 0 for all others."""
+    squares = surfaces.sums(weight**2)
+    count = np.divide(surfaces.sums(weight) ** 2, squares, out=np.zeros(len(surfaces)), where=squares > 0.0)
+    err_together = np.minimum(count, EXPANSION_NEIGHBOURS)
+    return err_together[:, None, None] * surfaces.sums((weight**2)[:, None, None] * states.cov[surfaces.index])
 
 
 def _averaged_out(states: TrackStates, surfaces: TrackSets, weight: Floats) -> Floats:

@@ -28,13 +28,17 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.sets import TrackSets
-from ttcvid.stages.track_states import TrackStates, three_frame_states, two_frame_states, with_constant_bearing
+from ttcvid.stages.track_states import (
+    EXPANSION_NEIGHBOURS,
+    TrackStates,
+    three_frame_states,
+    two_frame_states,
+    with_constant_bearing,
+)
 from ttcvid.stages.whole_track_states import multi_frame_states
 
 # Expansions are measured over so many steps of the history, where there are as many.
 _EXPANSION_FRAMES = 5
-# Tracks of one cluster around a point that say how its surroundings expand.
-_EXPANSION_NEIGHBOURS = 8
 
 
 def track_rows(
@@ -110,7 +114,7 @@ def _with_expansions(history: TrackHistory, motions: FrameMotions, states: Track
     if gap < 1 or not asks.any():
         return states
     neighbours = neighbours_in_cluster(
-        history.xy_px, motions.cluster_id, np.flatnonzero(asks), _EXPANSION_NEIGHBOURS, motions.link_px
+        history.xy_px, motions.cluster_id, np.flatnonzero(asks), EXPANSION_NEIGHBOURS, motions.link_px
     )
     return with_constant_bearing(states, history, neighbours, gap, asks)
 

@@ -20,6 +20,8 @@ from ttcvid.stages.sets import TrackSets
 
 # Step of the numerical derivatives of the three-frame solution, in sigmas of the points.
 _DERIVATIVE_STEP_SIGMAS = 0.3
+EXPANSION_NEIGHBOURS = 8
+"""Tracks around a point, itself among them, whose expansion is that of its surroundings."""
 # An expansion is taken for one above so many of its standard deviations.
 _EXPANSION_SIGMAS = 3.0
 
