@@ -74,6 +74,10 @@ class MotionState(StrEnum):
     unknown = "unknown"
 
 
+APPROACHING = frozenset({MotionState.approaching, MotionState.constant_bearing})
+"""The states of what comes nearer."""
+
+
 class Platform(StrEnum):
     """What carries the camera; chooses the priors on own motion."""
 

@@ -1,9 +1,12 @@
 """What is said to come nearer has to be seen to: beyond what matching errs by, and in the picture's growth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from relative_motion import CAMERA, box_of_points
 
+from ttcvid.geometry.camera import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.approach import CommonViews, with_seen_motion
@@ -15,14 +18,13 @@ AHEAD_M, ASIDE_M = (1.0, 0.5, 20.0), (8.0, 0.5, 20.0)
 NEARER = (MotionState.approaching, MotionState.constant_bearing)
 
 
-def seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05, seed=1, age_s=2.0):
+def seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05, seed=1, age_s=2.0, camera=CAMERA):
     """State of a car's rear whose row says ``abc_hz``, and whose tracks moved by ``moved_m`` over the common gap."""
     rng = np.random.default_rng(seed)
     now_m = box_of_points(rng, N, at_m, (size_m, size_m, 0.0))
     first, now = normalize(now_m - np.asarray(moved_m)), normalize(now_m)
     first = normalize(first + noise_px / CAMERA.fx_px * rng.normal(size=first.shape))
-    x, y = at_m[0] / at_m[2], at_m[1] / at_m[2]
-    ref_px = (CAMERA.cx_px + x * CAMERA.fx_px, CAMERA.cy_px + y * CAMERA.fy_px)
+    ((x_px, y_px),) = pixels_from_rays(camera, np.array([at_m]))
     row = ClusterRow(
         1,
         1,
@@ -31,14 +33,14 @@ def seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05, see
         Status.ok,
         Status.ok,
         "whole-tracks",
-        ref_px=ref_px,
+        ref_px=(float(x_px), float(y_px)),
         state_abc_hz=np.asarray(abc_hz, float),
         state_cov=sigma_hz**2 * np.eye(3),
     )
-    (row,) = with_times([row], CAMERA)
+    (row,) = with_times([row], camera)
     views, tracks = CommonViews(first, now, GAP_S), np.arange(N)
     growth = views.expansions([tracks])
-    (row,) = with_seen_motion([row], TrackSets.of([tracks]), views, growth, np.full(N, age_s), CAMERA)
+    (row,) = with_seen_motion([row], TrackSets.of([tracks]), views, growth, np.full(N, age_s), camera)
     return row.motion_state
 
 
@@ -59,6 +61,15 @@ def test_what_all_tracks_may_err_by_in_common_is_no_approach_however_sure_they_a
 def test_a_car_that_crosses_before_us_without_growing_still_comes_nearer():
     # It comes from the side: nearer by its way across, at the same depth.
     assert seen((-0.8, 0.0, 0.0), 0.01, (-8.0, 0.0, 0.0), ASIDE_M) == MotionState.approaching
+
+
+@pytest.mark.parametrize(("nearer_hz", "is_sure"), [(0.055, False), (0.12, True)])
+def test_the_outline_is_as_small_as_it_is_seen_through_a_fisheye_off_its_axis(nearer_hz, is_sure):
+    """A car 60 deg off the axis: 12 px, of which the drift is a larger part than of the 27 px without the lens."""
+    fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
+    at_m = np.array([20.0 * np.tan(np.radians(60.0)), 0.5, 20.0])
+    said, moved = -nearer_hz * at_m / at_m[2], -nearer_hz * GAP_S * at_m
+    assert (seen(said, 1e-4, moved, at_m, camera=fisheye) in NEARER) == is_sure
 
 
 @pytest.mark.parametrize("sigma_hz", [0.02, 0.1])

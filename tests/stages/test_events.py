@@ -7,9 +7,10 @@ import pytest
 from relative_motion import CAMERA, FOCAL_PX
 
 from ttcvid.config import EventsConfig
-from ttcvid.model import ClusterRow, Status
+from ttcvid.geometry.camera import pixels_from_rays
+from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.clusters import with_times
-from ttcvid.stages.events import EventMemory, restarted_events, update_events
+from ttcvid.stages.events import EventMemory, is_collision_course, restarted_events, update_events
 
 CONFIG = EventsConfig(max_ttc_s=4.0, max_miss_widths=1.0, persistence_s=0.3)
 FRAME_S = 0.05
@@ -87,7 +88,7 @@ def test_a_collision_course_is_warned_of_once_it_has_lasted():
 def test_a_near_miss_inside_a_width_is_a_collision_course():
     active, _ = watched(drive((1.2, 0.0, 20.0), (0.0, 0.0, -8.0), 2.0, relative_sigma=0.003))
     (event,) = active[-1]
-    assert event.kind in ("collision_course", "constant_bearing")
+    assert event.kind == "collision_course"
     assert event.miss_s == pytest.approx(1.2 / 8.0, rel=1e-6)
     assert (
         watched(drive((1.2, 0.0, 10.0), (0.0, 0.0, -8.0), 1.0, relative_sigma=0.003))[0][-1][0].kind
@@ -121,6 +122,41 @@ def test_a_passing_car_is_never_warned_of(widths, speed_m_s):
 )
 def test_what_does_not_come_near_is_not_warned_of(position_m, velocity_m_s):
     assert first_warned(watched(drive(position_m, velocity_m_s, 1.5))[0]) is None
+
+
+@pytest.mark.parametrize("off_axis_deg", [0.0, 40.0, 60.0, 75.0])
+@pytest.mark.parametrize(("miss_widths", "is_hit"), [(0.4, True), (2.0, False)])
+def test_a_width_is_as_wide_through_a_fisheye_off_its_axis_as_without_a_lens(off_axis_deg, miss_widths, is_hit):
+    """Off the axis a fisheye crowds a thing into few pixels."""
+    fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
+    place = np.array([np.tan(np.radians(off_axis_deg)), 0.0, 1.0])
+    across = np.array([place[2], 0.0, -place[0]]) / np.linalg.norm(place)
+    half, to_us = 0.1, 0.3 * (miss_widths * 0.2 * across - place)
+    row = replace(row_of(10.0 * place, 10.0 * to_us, relative_sigma=0.001), motion_state=MotionState.approaching)
+    for camera in (CAMERA, fisheye):
+        middle, left, right = pixels_from_rays(
+            camera, place + half * np.array([[0.0], [-1.0], [1.0]]) * (1.0, 0.0, 0.0)
+        )
+        seen = replace(row, ref_px=tuple(middle), box_px=(left[0], left[1] - 9.0, right[0], right[1] + 9.0))
+        assert is_collision_course(seen, camera, CONFIG, is_warned=False) == is_hit
+
+
+@pytest.mark.parametrize(("start_m", "is_hit"), [((0.0, 5.0, 0.5), True), ((0.0, 5.0, 10.0), False)])
+def test_what_goes_straight_up_shows_its_whole_width(start_m, is_hit):
+    """Asked for at less than even chance: whether it comes nearer in depth is open."""
+    config = EventsConfig(max_ttc_s=4.0, max_miss_widths=1.0, confidence=0.4)
+    row = replace(row_of(start_m, (0.0, -5.0, 0.0), relative_sigma=0.001), motion_state=MotionState.approaching)
+    assert is_collision_course(row, CAMERA, config, is_warned=False) == is_hit
+
+
+def test_what_reaches_beyond_a_right_angle_off_the_axis_is_wide():
+    fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
+    place = np.array([np.tan(np.radians(60.0)), 0.0, 1.0])
+    row = replace(row_of(10.0 * place, -3.0 * place, relative_sigma=0.001), motion_state=MotionState.approaching)
+    x_px = CAMERA.cx_px + FOCAL_PX * np.radians([30.0, 60.0, 100.0])
+    seen = replace(row, ref_px=(x_px[1], CAMERA.cy_px), box_px=(x_px[0], 0.0, x_px[2], 300.0))
+    seen = with_times([seen], fisheye)[0]
+    assert is_collision_course(replace(seen, motion_state=row.motion_state), fisheye, CONFIG, is_warned=False)
 
 
 def test_the_same_geometry_is_judged_alike_at_two_and_at_twenty_metres_a_second():

@@ -6,7 +6,7 @@ import math
 from enum import IntEnum
 
 from ttcvid.draw.palette import CLOSE, DARK, WARNING, WHITE, Colour
-from ttcvid.model import ClusterRow, Event, FrameResult, MotionState
+from ttcvid.model import APPROACHING, ClusterRow, Event, FrameResult, MotionState
 
 CLOSE_TTC_S = 4.0  # from here on an approach is marked, warned of or not
 LONGEST_TTC_S = 99.0  # longer ones are written as this
@@ -36,7 +36,7 @@ def urgency_of(cluster: ClusterRow, events: tuple[Event, ...]) -> Urgency:
     if any(event.cluster_id == cluster.cluster_id for event in events):
         return Urgency.warned
     ttc_s, lo_s, hi_s = _ttc_z(cluster)
-    is_approach = cluster.motion_state in (MotionState.approaching, MotionState.constant_bearing)
+    is_approach = cluster.motion_state in APPROACHING
     is_certain = not lo_s > hi_s
     return Urgency.close if is_approach and is_certain and 0 < ttc_s <= CLOSE_TTC_S else Urgency.calm
 

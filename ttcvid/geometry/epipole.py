@@ -15,8 +15,9 @@ from ttcvid.model import Floats, Status
 
 # A motion or an angle below this many standard deviations is noise.
 SIGNIFICANCE_SIGMAS = 3.0
-# Within 1 deg of the picture plane an epipole is at infinity, for its pixel; its direction is as good as any.
-INFINITY_COSINE = float(np.sin(np.radians(1.0)))
+# Within 1 deg of the picture plane an epipole is at infinity, for its pixel; its direction is as good as any. As the
+# cosine between dir and the optical axis, which is dir_z.
+INFINITY_COSINE = float(np.cos(np.radians(89.0)))
 
 # Flow lines in the picture are parallel when their normals span less than this (ratio of singular values).
 _PARALLEL_RATIO = 1e-10

@@ -1,4 +1,4 @@
-"""Whether an object comes nearer or goes away beyond what matching errs by, and whether its picture grows or shrinks.
+"""Whether an object approaches or recedes by more than the tracker's common error, and whether its picture agrees.
 
 A state says what the paths of the tracks are best explained by. Where nothing moves, that is what their errors are best
 explained by, and these are not independent: they drift, together and in one direction. At a red light each of three
@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
-from ttcvid.model import Camera, ClusterRow, Floats, Ints, MotionState
+from ttcvid.model import APPROACHING, Camera, ClusterRow, Floats, Ints, MotionState
 from ttcvid.stages.sets import TrackSets
 
 # Nearer and farther are told at 99 % (one side): there are ten objects in a frame.
@@ -25,7 +25,6 @@ _SIGMAS_95 = 1.645
 # Tracks drift together by a part of a pixel, as standard deviation at the outline of their object, px; over this time
 # at the most, s, since a longer look is not less wrong.
 _COMMON_ERROR_PX, _DRIFT_S = 0.25, 0.6
-_APPROACHING = (MotionState.approaching, MotionState.constant_bearing)
 
 
 @dataclass(frozen=True)
@@ -60,11 +59,11 @@ def with_seen_motion(
     growth : (K,) each, how the pictures of the rows expand, and its standard deviation (`CommonViews.expansions`).
     age_s : (N,) for how long each track has been seen.
     """
-    asked = [k for k, row in enumerate(rows) if row.motion_state in (*_APPROACHING, MotionState.receding)]
+    asked = [k for k, row in enumerate(rows) if row.motion_state in {*APPROACHING, MotionState.receding}]
     if not asked:
         return rows
     rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in asked]))
-    radius_px = camera.fx_px * _spread(views.now, members)
+    radius_px = _spread(pixels_from_rays(camera, views.now), members)
     looked_s = np.maximum(np.minimum(members.medians(age_s[members.index]), _DRIFT_S), views.gap_s)
     grows = np.column_stack(growth).tolist()
     seen = list(rows)
@@ -92,10 +91,9 @@ def _radial_rate(row: ClusterRow, ray: Floats) -> tuple[float, float]:
     return -float(along @ np.asarray(row.state_abc_hz)), math.sqrt(along @ np.asarray(row.present_cov) @ along)
 
 
-def _spread(rays: Floats, members: TrackSets) -> Floats:
-    """Root mean square distance (K,) of the tracks of each set from their centre, in the plane z = 1."""
-    own = rays[members.index]
-    offset = own[:, :2] / own[:, 2:]
+def _spread(xy_px: Floats, members: TrackSets) -> Floats:
+    """Root mean square distance (K,) of the tracks of each set from their centre, px."""
+    offset = xy_px[members.index]
     offset -= members.means(offset)[members.set_of]
     return np.sqrt(members.means(np.sum(offset**2, axis=1)))
 
@@ -110,6 +108,6 @@ def _is_contradicted(row: ClusterRow, gap_s: float, grows: Sequence[float], radi
         return False
     sigma_hz = math.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * gap_s))
     said_hz, said_sigma_hz = -float(np.asarray(row.state_abc_hz)[2]), math.sqrt(np.asarray(row.present_cov)[2, 2])
-    side = 1.0 if row.motion_state in _APPROACHING else -1.0
+    side = 1.0 if row.motion_state in APPROACHING else -1.0
     is_seen = side * grows_hz > _SIGMAS_95 * sigma_hz
     return not is_seen and side * (said_hz - grows_hz) > _SIGMAS_95 * math.hypot(sigma_hz, said_sigma_hz)

@@ -11,7 +11,7 @@ from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
-from ttcvid.model import SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Ints, MotionState, Status
+from ttcvid.model import APPROACHING, SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Ints, MotionState, Status
 from ttcvid.stages.joint_states import joint_states
 from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.track_states import TrackStates
@@ -159,7 +159,7 @@ def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
     urgent = [
         (float(np.hypot(row.times.tcpa_s[0], row.times.miss_s[0])), row.cluster_id)
         for row in rows
-        if row.motion_state in (MotionState.approaching, MotionState.constant_bearing)
+        if row.motion_state in APPROACHING
     ]
     rank = {cluster_id: place + 1 for place, (_, cluster_id) in enumerate(sorted(urgent))}
     return [replace(row, urgency_rank=rank[row.cluster_id]) if row.cluster_id in rank else row for row in rows]

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.rotation import tangent_basis
-from ttcvid.model import Camera, ClusterRow, Event, Floats, MotionState
+from ttcvid.model import APPROACHING, Camera, ClusterRow, Event, Floats, MotionState
 
 # A warning that stands goes on up to these multiples of the thresholds.
 _KEEP_TTC, _KEEP_MISS = 1.25, 1.5
@@ -137,7 +137,7 @@ def is_collision_course(row: ClusterRow, camera: Camera, config: EventsConfig, *
     The miss distance is judged in widths of the object from the same state: a fixed ``miss_s`` would mean 6 m at 20 m/s
     and 0.6 m at 2 m/s. A car that brakes hard has no sure time, but comes nearer surely, and straight at us.
     """
-    if row.motion_state not in (MotionState.approaching, MotionState.constant_bearing):
+    if row.motion_state not in APPROACHING:
         return False
     if row.state_abc_hz is None or row.present_cov is None:
         return False
@@ -164,7 +164,7 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
 
     Both in units of depth: how fast the object comes has no part in it, only where to.
     """
-    place = rays_from_pixels(camera, np.array([row.ref_px]))[0]
+    place, left, right = _reference_and_sides(row, camera)
     speed = np.linalg.norm(abc_hz)
     direction = abc_hz / speed
     ahead = float(place @ direction)
@@ -173,9 +173,21 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     sideways = off[None] / miss if miss > _TINY else tangent_basis(direction[None])[0].T
     variance = float(np.max(np.einsum("ki,ij,kj->k", sideways, cov, sideways)))
     # Across its way, with some of our own: a bus that crosses shows its length.
-    across = min(_WITH_OURS * float(abs(direction[2]) / np.hypot(direction[0], direction[2])) + _LEAST_ACROSS, 1.0)
-    width = across * max(row.box_px[2] - row.box_px[0], 1.0) / camera.fx_px
+    level = float(np.hypot(direction[0], direction[2]))
+    across = min(_WITH_OURS * abs(float(direction[2])) / level + _LEAST_ACROSS, 1.0) if level > 0.0 else 1.0
+    width = across * max(right - left, 1.0 / camera.fx_px)
     return float(miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
+
+
+def _reference_and_sides(row: ClusterRow, camera: Camera) -> tuple[Floats, float, float]:
+    """Ray (3,) of the reference point, and where both sides of the box are at its height, in the plane z = 1.
+
+    A side at 90 deg or more off the axis (of a fisheye) is nowhere in that plane: infinitely far.
+    """
+    assert row.ref_px is not None
+    x_px, y_px = row.ref_px
+    place, left, right = rays_from_pixels(camera, np.array([[x, y_px] for x in (x_px, row.box_px[0], row.box_px[2])]))
+    return place, float(np.nan_to_num(left[0], nan=-np.inf)), float(np.nan_to_num(right[0], nan=np.inf))
 
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.horizon import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
 from ttcvid.geometry.planar import planar_epipole
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
@@ -114,7 +115,7 @@ def horizon_offset_px(direction: Floats, plane: HorizonPlane, camera: Camera) ->
 
     None where the epipole is at infinity.
     """
-    if abs(direction[2]) < np.sin(np.radians(1.0)):
+    if abs(direction[2]) < INFINITY_COSINE:
         return None
     x_px = camera.fx_px * direction[0] / direction[2] + camera.cx_px
     y_px = camera.fy_px * direction[1] / direction[2] + camera.cy_px

@@ -6,13 +6,13 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.model import (
+    APPROACHING,
     NO_CLUSTER,
     SCENE_CLUSTER,
     Camera,
     ClusterRow,
     CollisionTimes,
     Floats,
-    MotionState,
     Status,
     TrackRows,
 )
@@ -90,8 +90,7 @@ def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
     ahead = [
         float(row.times.ttc_z_s[0])
         for row in clusters
-        if row.motion_state in (MotionState.approaching, MotionState.constant_bearing)
-        and 0.0 < row.times.ttc_z_s[0] <= row.times.ttc_z_hi_s[0]
+        if row.motion_state in APPROACHING and 0.0 < row.times.ttc_z_s[0] <= row.times.ttc_z_hi_s[0]
     ]
     return min(ahead) if ahead else None
 
