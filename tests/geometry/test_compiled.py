@@ -3,9 +3,11 @@
 import ast
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ttcvid
+from ttcvid.geometry.compiled import compiled
 
 PACKAGE = Path(ttcvid.__file__).parent
 
@@ -41,3 +43,17 @@ def test_a_compiled_function_uses_nothing_of_our_other_files(path):
     for function in compiled_functions(tree):
         used = {node.id for line in function.body for node in ast.walk(line) if isinstance(node, ast.Name)}
         assert not used & foreign, f"{function.name} in {path.name}"
+
+
+@compiled
+def _finite_sums(xy, path):
+    count = 0
+    for i in range(len(xy)):
+        count += np.isfinite(xy[i, 0] + xy[i, 1] + path[i, 0] + path[i, 2])
+    return count
+
+
+def test_compiled_sums_that_hold_a_nan_are_not_finite():
+    xy, path = np.ones((6, 2)), np.ones((6, 3))
+    xy[2, 1], path[3, 0], path[4, 2] = np.nan, np.nan, np.inf
+    assert _finite_sums(xy, path) == 3
