@@ -206,7 +206,6 @@ class SourceInfo:
 class SourceReport:
     """What happened while a source was read; valid once the iteration has ended."""
 
-    n_frames_read: int = 0
     n_packets_skipped: int = 0
     is_truncated: bool = False
     warnings: tuple[str, ...] = ()

@@ -74,16 +74,6 @@ def test_maximum_likelihood_is_unbiased_where_unit_normals_are_not():
     assert (rmse_px > 0.7 * bound_px).all()
 
 
-def test_robust_weights_leave_out_flows_of_another_motion():
-    rng = np.random.default_rng(8)
-    q, p = jitter(np.concatenate([shared_motion(60, 9, (1, 0, -8)), shared_motion(15, 10, (-6, 1, 1))], 1), 2e-4, rng)
-    truth = normalize(np.array([1.0, 0, -8]))
-    robust, _, chi2, _ = epipole_maximum_likelihood(q, p, np.full(75, 2e-4), cauchy_sigmas=2.4)
-    plain, _, _, _ = epipole_maximum_likelihood(q, p, np.full(75, 2e-4))
-    assert np.degrees(np.arccos(robust @ truth)) < 0.3 < np.degrees(np.arccos(plain @ truth))
-    assert np.median(chi2[:60]) < 1 < np.median(chi2[60:])
-
-
 @given(st.integers(0, 10**6), st.sampled_from(VELOCITIES))
 def test_order_of_tracks_and_mirroring(seed, velocity):
     rng = np.random.default_rng(seed)
@@ -98,16 +88,13 @@ def test_order_of_tracks_and_mirroring(seed, velocity):
     assert status == same
 
 
-def test_weights_of_zero_and_missing_rays_are_left_out():
+def test_missing_rays_are_left_out():
     q, p = shared_motion(10, 11, (1, 0, -8))
-    q, p = q.copy(), p.copy()
-    q[0], p[1] = np.nan, [0, 1, 0]
-    direction, _, chi2, status = epipole_maximum_likelihood(
-        q, p, np.full(10, 1e-5), weights=np.array([1.0, 0] + [1] * 8), start=np.array([0, 0, 1.0])
-    )
+    q = q.copy()
+    q[0] = np.nan
+    direction, _, chi2, status = epipole_maximum_likelihood(q, p, np.full(10, 1e-5))
     np.testing.assert_allclose(direction, normalize(np.array([1.0, 0, -8])), atol=1e-9)
-    assert np.isnan(chi2[0])
-    assert chi2[1] > 1e3
+    assert np.isnan(chi2).tolist() == [True] + [False] * 9
     assert status == Status.ok
 
 

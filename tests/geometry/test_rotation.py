@@ -11,7 +11,6 @@ from ttcvid.geometry.rotation import (
     rotation_from_vector,
     skew,
     tangent_basis,
-    turned_further,
     vector_from_rotation,
 )
 
@@ -29,19 +28,6 @@ def test_rotation_is_orthonormal_and_keeps_its_axis(rotvec):
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(R @ rotvec, rotvec, atol=1e-14)
     assert np.linalg.det(R) == pytest.approx(1.0)
-
-
-def test_a_rotation_turned_further_is_the_product_and_stays_a_rotation_for_ever():
-    rng = np.random.default_rng(3)
-    rotvec, rotation = rng.normal(size=(2, 5, 3)), rotation_from_vector(rng.normal(size=(2, 5, 3)))
-    product = rotation_from_vector(rotvec) @ rotation
-    np.testing.assert_allclose(turned_further(rotvec, rotation), product, atol=1e-14)
-    np.testing.assert_allclose(turned_further(rotvec, rotation * (1.0 + 1e-9)), product, atol=1e-8)
-    for _ in range(3000):
-        rotation = turned_further(rotvec, rotation)
-    np.testing.assert_allclose(
-        rotation @ np.swapaxes(rotation, 2, 3), np.broadcast_to(np.eye(3), (2, 5, 3, 3)), atol=1e-14
-    )
 
 
 def test_quarter_turn_about_y_takes_forward_to_right():

@@ -2,13 +2,17 @@
 
 import importlib.metadata
 import json
+import re
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.jobs import doctor
+from ttcvid.jobs.provenance import versions
 
 
 def test_a_sound_installation_is_well(capsys: pytest.CaptureFixture[str]) -> None:
@@ -28,6 +32,13 @@ def test_json_is_one_object(capsys: pytest.CaptureFixture[str]) -> None:
     assert content["problems"] == []
     assert content["machine"]["cores"] >= 1
     assert {"numpy", "opencv", "av"} <= set(content["versions"])
+
+
+def test_every_library_that_ttcvid_needs_is_looked_at_and_those_that_compute_stand_in_manifests() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    needed = {re.split("[<>=]", line)[0].removesuffix("-python-headless") for line in project["dependencies"]}
+    assert set(doctor.LIBRARIES) == needed
+    assert {"numpy", "scipy", "numba", "opencv", "av"} <= set(versions())
 
 
 def test_two_opencv_wheels_are_found(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

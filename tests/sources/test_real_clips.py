@@ -39,7 +39,7 @@ def test_a_whole_video(data_dir):
         frames = [(frame.index, frame.t_s) for frame in source]
     assert [index for index, _ in frames] == list(range(328))
     assert [t_s for _, t_s in frames] == [i * 1000 / 30000 for i in range(328)]
-    assert source.report.n_frames_read == 328
+    assert source.n_read == 328
 
 
 def test_track_tables(data_dir):

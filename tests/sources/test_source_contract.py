@@ -133,7 +133,7 @@ def test_all_frames_come_in_order_with_their_times(clip):
     frames, source = read(clip)
     assert [frame.index for frame in frames] == list(range(N))
     assert [frame.t_s for frame in frames] == [i / FPS for i in range(N)]
-    assert source.report.n_frames_read == N
+    assert source.n_read == N
     assert (source.report.n_packets_skipped, source.report.is_truncated, source.report.warnings) == (0, False, ())
 
 
@@ -200,7 +200,7 @@ def test_selection_keeps_source_indices_times_and_pictures(clip, selection, indi
     frames, source = read(clip, *selection)
     assert [frame.index for frame in frames] == list(indices)
     assert [frame.t_s for frame in frames] == [i / FPS for i in indices]
-    assert source.info.n_frames == len(frames) == source.report.n_frames_read
+    assert source.info.n_frames == len(frames) == source.n_read
     assert source.info.nominal_dt_s == pytest.approx(1 / FPS, rel=1e-12)
     assert (source.report.n_packets_skipped, source.report.is_truncated) == (0, False)
     whole = {frame.index: frame for frame in read(clip)[0]}
@@ -225,7 +225,7 @@ def test_leaving_the_context_ends_the_reading(clip):
         frames = iter(source)
         assert next(frames).index == 0
     assert list(frames) == []
-    assert source.report.n_frames_read == 1
+    assert source.n_read == 1
     source.close()
 
 

@@ -88,7 +88,6 @@ def test_tracks_of_one_observation_have_no_flow():
     assert flows.has_flow.tolist() == [True] * motion.n + [False]
     assert flows.gap_frames[-1] == 0
     assert np.isnan(flows.first[-1]).all()
-    assert np.isnan(flows.length_sigmas[-1])
     assert np.isfinite(flows.sigma_rad).all()
 
 
@@ -115,7 +114,8 @@ def test_error_of_the_rotation_is_shared_out_to_both_rays():
 
 def test_length_in_sigmas_is_chi_for_noise_alone():
     motion = drive(2, np.random.default_rng(10), n=3000, speed_m=0.0, sigma_px=0.2, depth_m=(1e6, 2e6))
-    length = select_flows(history_of(motion), 10, 8.0).length_sigmas
+    flows = select_flows(history_of(motion), 10, 8.0)
+    length = np.linalg.norm(flows.second - flows.first, axis=1) / (np.sqrt(2.0) * flows.sigma_rad)
     assert np.mean(length**2) == pytest.approx(2.0, rel=0.1)
 
 

@@ -179,6 +179,7 @@ def _inverse_sigma(bundle: Bundle) -> float:
 def _equations(
     views: Views, bundle: Bundle, sigma_px: float, residual: Floats, shared_mean: Floats, precision: Floats
 ) -> _Equations:
+    """The normal equations of all unknowns at a bundle, with the prior of the shared ones."""
     n, k = views.n_points, N_POSE * views.n_frames + N_SHARED
     equations = _Equations(
         np.empty((k, k)), np.empty(k), np.empty((k, n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, k))
@@ -223,6 +224,7 @@ def _reduced(equations: _Equations, damping: float) -> tuple[Floats, Floats, Flo
 
 
 def _stepped(bundle: Bundle, equations: _Equations, damping: float, is_free: Bools) -> Bundle:
+    """The bundle after one damped (Levenberg-Marquardt) step; poses and shared unknowns that are not free stay."""
     schur, carried, inverse = _reduced(equations, damping)
     gradient = equations.pose_gradient - np.einsum("kna,na->k", carried, equations.point_gradient)
     damped = schur + np.diag(damping * np.diag(equations.pose_hessian) + _TINY)

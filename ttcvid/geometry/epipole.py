@@ -69,14 +69,7 @@ def epipole_from_flow_lines(first_px: Floats, second_px: Floats) -> tuple[Floats
     return centre + solution, Status.ok
 
 
-def epipole_maximum_likelihood(
-    q: Floats,
-    p: Floats,
-    sigma_rad: Floats,
-    weights: Floats | None = None,
-    start: Floats | None = None,
-    cauchy_sigmas: float | None = None,
-) -> tuple[Floats, Floats, Floats, Status]:
+def epipole_maximum_likelihood(q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats, Floats, Status]:
     """Direction of motion shared by N flows, by maximum likelihood on the unit sphere.
 
     Minimises the sum of `flow_line_chi2` by Gauss-Newton in the tangent plane. Unlike least squares on unit normals
@@ -85,21 +78,15 @@ def epipole_maximum_likelihood(
     Parameters
     ----------
     q, p
-        ``(N, 3)`` unit rays of the first and the second view.
+        ``(N, 3)`` unit rays of the first and the second view; NaN rays are left out.
     sigma_rad
         ``(N,)`` standard deviation of a ray's direction per axis.
-    weights
-        ``(N,)`` factors of chi-square; 0 leaves a flow out. NaN rays are left out by themselves.
-    start
-        ``(3,)`` unit vector, either sign; without it the better of two eigenvector solutions.
-    cauchy_sigmas
-        Scale of robust Cauchy weights in sigmas; None: plain least squares.
 
     Returns
     -------
     direction : ``(3,)`` unit vector, its sign chosen by the flow; NaN for ``no_parallax`` and ``no_epipole``.
-    cov : ``(3, 3)`` rad^2 in its tangent plane, from the Hessian of the (weighted) chi-square.
-    chi2 : ``(N,)`` of each flow, unweighted.
+    cov : ``(3, 3)`` rad^2 in its tangent plane, from the Hessian of chi-square.
+    chi2 : ``(N,)`` of each flow.
     status : ``no_parallax`` (all flow within noise), ``no_epipole`` (fewer than two flows, or the direction is not
         determined to 0.5 rad), ``epipole_at_infinity`` (within 1 deg of the picture plane; values are there).
 
@@ -107,20 +94,17 @@ def epipole_maximum_likelihood(
     """
     n_flows = len(q)
     nothing = np.full(3, np.nan), np.full((3, 3), np.nan), np.full(n_flows, np.nan)
-    weights = np.ones(n_flows) if weights is None else weights
-    is_usable = np.isfinite(q).all(axis=1) & np.isfinite(p).all(axis=1) & (sigma_rad > 0.0) & (weights > 0.0)
+    is_usable = np.isfinite(q).all(axis=1) & np.isfinite(p).all(axis=1) & (sigma_rad > 0.0)
     if is_usable.sum() < 2:
         return *nothing, Status.no_epipole
     used = q[is_usable], p[is_usable], sigma_rad[is_usable]
     if not _has_motion(*used):
         return *nothing, Status.no_parallax
-    direction = eigen_epipole(*used, weights[is_usable]) if start is None else start
-    direction, cov = _descend(direction, *used, weights[is_usable], cauchy_sigmas)
+    direction, cov = _descend(_eigen_epipole(*used), *used)
     if not np.linalg.norm(cov, 2) < MAX_DIRECTION_SIGMA_RAD**2:
         return *nothing, Status.no_epipole
-    factor = _robust_factor(flow_line_chi2(direction, *used), cauchy_sigmas) * weights[is_usable]
     votes = np.clip(moves_towards(direction, *used), -_MAX_VOTE_SIGMAS, _MAX_VOTE_SIGMAS)
-    direction = direction * np.where(factor @ votes < 0.0, -1.0, 1.0)
+    direction = direction * np.where(votes.sum() < 0.0, -1.0, 1.0)
     at_infinity = abs(direction[2]) < INFINITY_COSINE
     status = Status.epipole_at_infinity if at_infinity else Status.ok
     return direction, cov, flow_line_chi2(direction, q, p, sigma_rad), status
@@ -153,23 +137,23 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
     return np.where(np.sum(one * other, axis=-1) < 0.0, np.inf, chi2)
 
 
-def eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats, weights: Floats) -> Floats:
+def _eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats) -> Floats:
     """Start for the maximum likelihood: the best of five closed solutions, ``(3,)`` of either sign.
 
-    The two smaller eigenvectors of ``sum w n n' / sigma^2`` and of ``sum w n n' / abs(n)^2`` with ``n = q x p`` (the
+    The two smaller eigenvectors of ``sum n n' / sigma^2`` and of ``sum n n' / abs(n)^2`` with ``n = q x p`` (the
     first weights flows by their length, the second, the paper's on the sphere, does not; both are biased), and the
     mean flow.
     """
     normals = cross(q, p)
     length2 = np.einsum("ni,ni->n", normals, normals)
-    factors = np.stack([quotient(weights, sigma_rad**2), np.nan_to_num(quotient(weights, length2))])
+    factors = np.stack([quotient(1.0, sigma_rad**2), np.nan_to_num(quotient(1.0, length2))])
     _, vectors = np.linalg.eigh(np.einsum("kn,ni,nj->kij", factors, normals, normals))
     # A small thing that crosses has its flow along its own plane: there the direction is that of the mean flow, and
     # the smallest eigenvectors may lie on the thing itself.
     mean_flow = normalize(np.mean(p - q, axis=0))
     candidates = np.concatenate([vectors[:, :, 0], vectors[:, :, 1], mean_flow[None]])
     # By the logarithm, so that some flows of another motion do not choose.
-    cost = np.log1p(flow_line_chi2(candidates, q, p, sigma_rad)) @ weights
+    cost = np.log1p(flow_line_chi2(candidates, q, p, sigma_rad)).sum(axis=-1)
     best: Floats = candidates[np.argmin(cost)]
     return best
 
@@ -181,26 +165,23 @@ def _has_motion(q: Floats, p: Floats, sigma_rad: Floats) -> bool:
     return bool(chi2 > freedom + SIGNIFICANCE_SIGMAS * np.sqrt(2.0 * freedom))
 
 
-def _descend(
-    direction: Floats, q: Floats, p: Floats, sigma_rad: Floats, weights: Floats, cauchy_sigmas: float | None
-) -> tuple[Floats, Floats]:
+def _descend(direction: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
     """Gauss-Newton from a start: the direction at the minimum and its covariance (infinite where undetermined)."""
     normals, cosines = cross(p, q), np.einsum("ni,ni->n", p, q)
     basis = tangent_basis(direction)
     residual, jacobian = _residuals(direction, basis, q, p, normals, cosines, sigma_rad)
-    cost = _robust_cost(residual**2, weights, cauchy_sigmas)
+    cost = float(residual @ residual)
     for _ in range(_MAX_ITERATIONS):
-        weighted = jacobian * (weights * _robust_factor(residual**2, cauchy_sigmas))[:, None]
-        tangent_cov = _inverse_2x2(weighted.T @ jacobian)
+        tangent_cov = _inverse_2x2(jacobian.T @ jacobian)
         if tangent_cov is None:
             return direction, np.full((3, 3), np.inf)
         cov = basis @ tangent_cov @ basis.T
-        step = -basis @ (tangent_cov @ (weighted.T @ residual))
+        step = -basis @ (tangent_cov @ (jacobian.T @ residual))
         for fraction in _STEP_FRACTIONS:
             trial = normalize(direction + fraction * step)
             trial_basis = tangent_basis(trial)
             trial_residual, jacobian = _residuals(trial, trial_basis, q, p, normals, cosines, sigma_rad)
-            trial_cost = _robust_cost(trial_residual**2, weights, cauchy_sigmas)
+            trial_cost = float(trial_residual @ trial_residual)
             if trial_cost < cost:
                 break
         if not trial_cost < cost:
@@ -244,17 +225,3 @@ def _residuals(
     residual = triple * scale
     relative = 0.5 * residual / lambda_max
     return residual, by_direction * scale[:, None] - relative[:, None] * d_lambda
-
-
-def _robust_factor(chi2: Floats, cauchy_sigmas: float | None) -> Floats:
-    """Cauchy weight of each flow; ones without a scale."""
-    if cauchy_sigmas is None:
-        return np.ones_like(chi2)
-    weight: Floats = 1.0 / (1.0 + chi2 / cauchy_sigmas**2)
-    return weight
-
-
-def _robust_cost(chi2: Floats, weights: Floats, cauchy_sigmas: float | None) -> float:
-    """Weighted sum over flows of chi-square ``(N,)``, or of its Cauchy loss."""
-    loss = chi2 if cauchy_sigmas is None else cauchy_sigmas**2 * np.log1p(chi2 / cauchy_sigmas**2)
-    return float(loss @ weights)

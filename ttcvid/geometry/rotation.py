@@ -97,19 +97,6 @@ def vector_from_rotation(rotation: Floats) -> Floats:
     return vectors
 
 
-def turned_further(rotvec_rad: Floats, rotations: Floats) -> Floats:
-    """``rotation_from_vector(rotvec_rad) @ rotations``, orthonormal again: products that go on for ever cease to be so.
-
-    Parameters
-    ----------
-    rotvec_rad, rotations
-        ``(..., 3)`` in rad and ``(..., 3, 3)``.
-    """
-    turned = rotation_from_vector(rotvec_rad)
-    _turn_and_straighten(turned.reshape(-1, 3, 3), np.ascontiguousarray(rotations).reshape(-1, 3, 3))
-    return turned
-
-
 def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
     """Where turned rays meet the plane z = 1: ``(L, N, 2)`` of ``rays (L, N, 3)`` and ``rotations (L, 3, 3)``.
 
@@ -205,31 +192,6 @@ def _turn_each(vectors: Floats, rotations: Floats) -> None:
         r[0, 1], r[1, 0] = versed * x * y - sine * z, versed * x * y + sine * z
         r[0, 2], r[2, 0] = versed * x * z + sine * y, versed * x * z - sine * y
         r[1, 2], r[2, 1] = versed * y * z - sine * x, versed * y * z + sine * x
-
-
-@compiled
-def _turn_and_straighten(turned: Floats, rotations: Floats) -> None:
-    """``turned[i] = turned[i] @ rotations[i]``, made orthonormal by Gram and Schmidt."""
-    row = np.empty(3)
-    for i in range(len(turned)):
-        r = turned[i]
-        for a in range(3):
-            for b in range(3):
-                row[b] = r[a, 0] * rotations[i, 0, b] + r[a, 1] * rotations[i, 1, b] + r[a, 2] * rotations[i, 2, b]
-            for b in range(3):
-                r[a, b] = row[b]
-        length = np.sqrt(r[0, 0] * r[0, 0] + r[0, 1] * r[0, 1] + r[0, 2] * r[0, 2])
-        for b in range(3):
-            r[0, b] /= length
-        along = r[0, 0] * r[1, 0] + r[0, 1] * r[1, 1] + r[0, 2] * r[1, 2]
-        for b in range(3):
-            r[1, b] -= along * r[0, b]
-        length = np.sqrt(r[1, 0] * r[1, 0] + r[1, 1] * r[1, 1] + r[1, 2] * r[1, 2])
-        for b in range(3):
-            r[1, b] /= length
-        for b in range(3):
-            c, d = (b + 1) % 3, (b + 2) % 3
-            r[2, b] = r[0, c] * r[1, d] - r[0, d] * r[1, c]
 
 
 @compiled

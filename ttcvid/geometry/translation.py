@@ -215,6 +215,7 @@ def _step(
 def _result(
     tracks: BodyTracks, unknowns: Unknowns, prior: _Prior, memory_s: float, drift_sigma: float
 ) -> Translation | None:
+    """Direction, its covariance and what goes with it at the minimum; None where that covariance is not finite."""
     residual = residuals(tracks, unknowns)
     equations = _equations(tracks, unknowns, residual, prior, 0.0)
     own, shared = equations.jacobian[:, :, :N_OWN], equations.jacobian[:, :, N_OWN:]

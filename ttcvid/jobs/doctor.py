@@ -19,6 +19,7 @@ import ttcvid
 LIBRARIES = {
     "numpy": "numpy",
     "scipy": "scipy",
+    "numba": "numba",
     "opencv": "cv2",
     "av": "av",
     "pyarrow": "pyarrow",
@@ -27,6 +28,7 @@ LIBRARIES = {
     "PyYAML": "yaml",
     "click": "click",
     "rich": "rich",
+    "matplotlib": "matplotlib",
 }
 """Names that users know, and the modules behind them."""
 

@@ -14,9 +14,11 @@ from typing import Any
 
 import av
 import cv2
+import numba
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import scipy
 
 import ttcvid
 from ttcvid.errors import InputError
@@ -31,6 +33,8 @@ def versions() -> dict[str, str]:
         "ttcvid": ttcvid.__version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "numba": numba.__version__,
         "opencv": cv2.__version__,
         "av": av.__version__,
         "pyarrow": pa.__version__,

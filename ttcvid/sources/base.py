@@ -85,7 +85,7 @@ class OnePassSource(ABC):
     @property
     def report(self) -> SourceReport:
         """What has happened so far; final once the iteration has ended."""
-        return SourceReport(self.n_read, self.n_skipped, self.is_truncated, self.warnings)
+        return SourceReport(self.n_skipped, self.is_truncated, self.warnings)
 
     def close(self) -> None:
         """End the reading and let go of the files."""

@@ -40,24 +40,6 @@ class Flows:
         """Tracks with two observations: (N,)."""
         return self.gap_frames > 0
 
-    @property
-    def length_sigmas(self) -> Floats:
-        """Length of the flow over its standard deviation: (N,), NaN where there is none."""
-        flow = np.linalg.norm(self.second - self.first, axis=1)
-        length: Floats = flow / (np.sqrt(2.0) * self.sigma_rad)
-        return length
-
-    def take(self, index: Bools | Ints) -> Flows:
-        """The flows that a mask or an index array picks."""
-        return Flows(
-            self.first[index],
-            self.second[index],
-            self.gap_frames[index],
-            self.gap_s[index],
-            self.sigma_rad[index],
-            self.rotation_error_rad[index],
-        )
-
 
 def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: float) -> Flows:
     """Per track the smallest gap with a flow of ``target_flow_px``, or the largest that there is.

@@ -88,6 +88,7 @@ def _motions_of(
     who: tuple[int, int, Ints],
     may_bend: bool,
 ) -> list[Motion]:
+    """The motion of one outline ``(n, 3)``, in halves where its way bends; none of what is too short or too small."""
     duration_s = float(np.ptp(t_s)) if len(t_s) else 0.0
     least_s = max(config.min_motion_s, _LEAST_MEMORIES * config.error_memory_s)
     if duration_s < least_s:

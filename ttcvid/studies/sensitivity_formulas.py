@@ -74,16 +74,6 @@ def general(case: Case, n_frames: int) -> Errors:
     )
 
 
-def variance_of_c(case: Case, n_frames: int) -> float:
-    """The variance of c = Vz / Z in 1/s^2 by the formula of moments that `general` names."""
-    x, y, a, b, c = case.state
-    t = case.times_s(n_frames)
-    tau = t / (1.0 + c * t)
-    m2, m3, m4 = (float(((tau - tau.mean()) ** k).sum()) for k in (2, 3, 4))
-    flow2 = (a - x * c) ** 2 + (b - y * c) ** 2
-    return float(case.sigma_norm**2 / (flow2 * (m4 - m3 * m3 / m2 - m2 * m2 / n_frames)))
-
-
 def stereo(case: Case) -> Errors:
     """A stereo pair: depth from the disparity d = B f / Z, velocity from two depths.
 
