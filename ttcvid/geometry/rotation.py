@@ -179,6 +179,7 @@ def _turn_each(vectors: Floats, rotations: Floats) -> None:
     """Fill ``rotations (N, 3, 3)`` from ``vectors (N, 3)``."""
     for i in range(len(vectors)):
         x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+        # A sum is finite where all of its terms are.
         if not np.isfinite(x + y + z):
             rotations[i] = np.nan
             continue

@@ -130,6 +130,7 @@ def _fit_each(
 @compiled
 def _is_usable(w: Floats, info: Floats, i: int) -> bool:
     """Whether a point says anything."""
+    # A sum is finite where all of its terms are.
     has_velocity: bool = np.isfinite(w[i, 0] + w[i, 1] + w[i, 2])
     return has_velocity and info[i, 0, 0] + info[i, 1, 1] + info[i, 2, 2] > 0.0
 

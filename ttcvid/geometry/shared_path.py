@@ -238,6 +238,7 @@ def _list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Int
         for place in order:
             if count == seen.shape[1]:
                 break
+            # A sum is finite where all of its terms are.
             if np.isfinite(xy[place, i, 0] + xy[place, i, 1] + path[place, 0] + path[place, 2]):
                 seen[i, count] = place
                 count += 1

@@ -65,6 +65,7 @@ def fit_each(
         for place in order:
             if m == longest:
                 break
+            # A sum is finite where all of its terms are.
             if np.isfinite(xy[place, i, 0] + xy[place, i, 1]):
                 t[m], px[m], py[m] = t_s[place], xy[place, i, 0], xy[place, i, 1]
                 m += 1

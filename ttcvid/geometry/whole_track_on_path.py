@@ -158,6 +158,7 @@ def _fit_each(
             if m == longest:
                 break
             tz = paths[path_of[i], place, 2]
+            # A sum is finite where all of its terms are.
             if np.isfinite(xy[place, i, 0] + xy[place, i, 1] + paths[path_of[i], place, 0] + tz):
                 t[m] = t_s[place]
                 views[m] = xy[place, i]
