@@ -84,7 +84,7 @@ class BodiesConfig(StageConfig):
         default=3, ge=1, description="frames in which a new mover or obstacle is found before it gets its cluster_id"
     )
     forget_frames: int = Field(
-        default=2, ge=0, description="frames that the last one or two tracks of a mover stay with it"
+        default=2, ge=0, description="frames for which a mover with fewer than three tracks keeps them"
     )
 
 
@@ -107,7 +107,12 @@ class CollisionTimesConfig(StageConfig):
     window_probability: Fraction = Field(
         default=0.999, description="multi-frame: chi-square probability within which one motion explains the views"
     )
-    max_gap_frames: int = Field(default=10, ge=1, le=60, description="largest frame gap of the flexible baseline")
+    max_gap_frames: int = Field(
+        default=10,
+        ge=1,
+        le=60,
+        description="largest gap of the flexible baseline, in views: frames, but above 30 frames/s thinned",
+    )
     target_flow_px: PositiveFloat = Field(default=8.0, description="the gap grows until the flow is this long")
 
     def contradiction(self) -> str | None:
@@ -164,13 +169,14 @@ class HorizonCalibrationConfig(StageConfig):
     )
     rigid_noise_px: PositiveFloat = Field(
         default=0.3,
-        description="and less certain in proportion where points scatter by more than this about a body, px",
+        description="scatter about a body, px, above which its epipole's sigma grows in proportion",
     )
     outline_sigma_factor: float = Field(
         default=1.5, ge=1, description="epipoles from outlines are this much less certain than they say"
     )
     picture_floor_deg: PositiveFloat = Field(
-        default=0.2, description="and never more certain than this, deg: errors that all tracks of a mover share"
+        default=0.2,
+        description="least standard deviation of an epipole found from pictures, deg: its tracks err alike",
     )
     min_drive_s: PositiveFloat = Field(default=2.0, description="shortest own motion of a driving camera, s")
     driving_floor_deg: PositiveFloat = Field(

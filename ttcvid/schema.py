@@ -63,6 +63,10 @@ _STATUS = _name(
     "why there is a result, or why there is none (no_approach is reserved: what recedes has negative times)",
     STATUS_NAMES,
 )
+_STATE = (
+    "how the cluster moves relative to the camera, as far as it is sure: nearer and across (approaching), nearer but "
+    "not across (constant_bearing), farther (receding), neither (no_relative_motion); the scene: unknown where we move"
+)
 _CLUSTER_ID = _count("cluster_id", "0 the static scene, objects from 1; an object keeps its number for life")
 
 TIMES = (
@@ -115,8 +119,12 @@ TABLES: dict[str, tuple[Column, ...]] = {
         ),
         _real("x_px", "px", "where the line along dir meets the picture plane; null within 1 deg of that plane"),
         _real("y_px", "px", "where the line along dir meets the picture plane; null within 1 deg of that plane"),
-        _real("horizon_offset_px", "px", "distance of the epipole from the horizon; null without a horizon"),
-        _count("n_tracks", "tracks that support the epipole"),
+        _real(
+            "horizon_offset_px",
+            "px",
+            "distance of the epipole from the horizon, positive below; null without one and at infinity",
+        ),
+        _count("n_tracks", "tracks of the cluster, whether they speak for the epipole or not"),
         _STATUS,
     ),
     "clusters": (
@@ -142,7 +150,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
             _real(f"cov_{ij}", "1/s^2", f"covariance of (a, b, c), element {ij}")
             for ij in ("aa", "ab", "ac", "bb", "bc", "cc")
         ),
-        _name("state", "how the cluster moves relative to the camera", MOTION_STATE_NAMES),
+        _name("state", _STATE, MOTION_STATE_NAMES),
         _real("expansion_hz", "1/s", "rate at which the cluster's picture grows; positive approaches"),
         *TIMES,
         _count("urgency_rank", "1 is the most urgent object of the frame; null: not ranked", nullable=True),
@@ -154,7 +162,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _real(
             "dt_s",
             "s",
-            "time since the last frame that was used, which the rotation is since; null for the first",
+            "time since the frame that the rotation is measured from; null for the first",
         ),
         _count("n_tracks", "live tracks"),
         _count("n_clusters", "clusters, the scene among them"),
@@ -170,7 +178,10 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _name("kind", "what was warned of", EVENT_KINDS),
         _count("cluster_id", "object that was warned of"),
         _count("start_frame", "first frame of the warning"),
-        _count("end_frame", "last frame in which it holds; of what is hidden the pictures show it a little longer"),
+        _count(
+            "end_frame",
+            "last frame in which the condition held; the overlay shows a hidden object's warning longer",
+        ),
         _real("start_s", "s", "presentation time of start_frame", nullable=False),
         _real("end_s", "s", "presentation time of end_frame", nullable=False),
         _real("min_ttc_z_s", "s", "smallest ttc_z_s while the warning was on"),

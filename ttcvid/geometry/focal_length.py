@@ -63,7 +63,7 @@ def fit_focal_length(views: Views, t_s: Floats, width_px: float, least_turn_rad:
     ----------
     t_s : (J,) times of the frames; where the search starts, the speed is taken as steady.
     width_px : width of the picture.
-    least_turn_rad : turned less than this, at the first focal length tried, the search ends there.
+    least_turn_rad : if the camera turned less than this at the first trial focal length, return None.
     """
     mean = np.array([np.log(width_px), 0.0, 0.0, 0.0])
     sigma = np.array([_LOG_FOCAL_SIGMA, _CENTRE_SIGMA * width_px, _CENTRE_SIGMA * width_px, _DISTORTION_SIGMA])

@@ -171,7 +171,6 @@ def _add_point(
     """Adds one point to the ``information (8, 8)`` and ``score (8,)`` of its path, its place and rate eliminated.
 
     The sums of x, y, rho are those of `whole_track_on_path._add_up`.
-
     Fills ``own (7,)`` and the couplings ``(3, 8)`` of x, y, rho with what is shared. Returns the mean square residual.
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does.
@@ -297,7 +296,7 @@ def _rate_limits(path: Floats, places: Ints) -> tuple[float, float]:
 def _set_path(t_s: Floats, base: Floats, basis: Floats, offset: Floats, path: Floats, rotation: Floats) -> None:
     """Fills the path ``(L, 3)`` at an offset, and the rotations ``(L, 3, 3)`` that turn its views back.
 
-    Those are `rotation.rotation_from_vector` of minus t times the rate, here with the factors that t shares out.
+    Those are `rotation.rotation_from_vector` of minus t times the rate.
     """
     wx, wy, wz = offset[5], offset[6], offset[7]
     rate = np.sqrt(wx * wx + wy * wy + wz * wz)

@@ -8,8 +8,8 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 
-# A surface is borne by this part of an object's tracks, and by at least so many: what a mover that has lost nearly all
-# of its tracks seems to do is no time that anybody could be warned by.
+# A surface is borne by this part of an object's tracks, and by at least so many: with fewer tracks, a nearly lost
+# mover's rate is not reliable enough to warn by.
 _LEAST_PART, _LEAST_TRACKS = 0.1, 5
 # Tracks within so many of their standard deviations of the surface's rate belong to it.
 _SURFACE_SIGMAS = 2.0

@@ -73,7 +73,7 @@ METRICS: dict[str, tuple[str, str]] = {
     "events.true": ("1", "of these, warned of at least 1 s before contact"),
     "events.late": ("1", "of these, warned of later"),
     "events.missed": ("1", "of these, never warned of"),
-    "events.false": ("1", "warnings of what does not collide with us"),
+    "events.false": ("1", "warnings of what does not collide with us, each counted"),
     "events.true_per_10min": ("1/10 min", "events.true per 10 minutes of clip"),
     "events.missed_per_10min": ("1/10 min", "events.missed per 10 minutes of clip"),
     "events.false_per_10min": ("1/10 min", "events.false per 10 minutes of clip"),
