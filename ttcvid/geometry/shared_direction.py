@@ -173,7 +173,10 @@ def _main_axis(w: Floats, info: Floats, members: Ints, e: Floats) -> bool:
 
 @compiled
 def _tangents(e: Floats, basis: Floats) -> None:
-    """Fill ``basis (3, 2)`` with two unit vectors normal to ``e`` and to each other."""
+    """Fill ``basis (3, 2)`` with two unit vectors normal to ``e`` and to each other.
+
+    Not those of `rotation.tangent_basis`: any will do here, and `_add_up` and `_fit_each` use one and the same.
+    """
     least = 0
     for a in range(1, 3):
         least = a if abs(e[a]) < abs(e[least]) else least

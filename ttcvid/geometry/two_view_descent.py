@@ -312,7 +312,7 @@ def _robust_scale(residual: Floats) -> float:
 
 @compiled
 def _solve(matrix: Floats, right: Floats, solution: Floats) -> None:
-    """Fill ``solution`` of a positive definite system, by elimination."""
+    """Fill ``solution`` of a positive definite system, by elimination; as in `shared_path_descent`."""
     n = len(right)
     rest = matrix.copy()
     solution[:] = right
@@ -339,7 +339,7 @@ def _square(information: Floats, step: Floats) -> float:
 
 @compiled
 def _turn(offset: Floats, expected: Floats, rotation: Floats) -> None:
-    """Fill ``rotation`` with ``expected`` turned by the rotation vector ``offset``, by Rodrigues' formula."""
+    """Fill ``rotation`` with ``expected`` turned as `rotation.rotation_from_vector` of ``offset`` does."""
     x, y, z = offset[0], offset[1], offset[2]
     square = x * x + y * y + z * z
     angle = np.sqrt(square)

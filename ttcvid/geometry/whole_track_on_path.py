@@ -20,7 +20,8 @@ NO_PATH = -1
 LEAST_FRAMES = 2
 """Views that the rate needs; a window is never cut below them."""
 
-# As for the free state (`whole_track`).
+# As for the free state (`whole_track_descent`, which a compiled function of this file may not call). The same sums
+# stand in `shared_path_descent`, and with other weights in `rigid_path_descent`, which says why.
 _ROBUST_SIGMAS = 3.0
 _MAX_STEPS, _CONVERGED_CHI2, _WINDOW_STEPS, _TAIL = 8, 1e-2, 3, 3
 _LEAST_DEPTH_RATIO = 0.1
