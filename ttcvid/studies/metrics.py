@@ -64,10 +64,10 @@ METRICS: dict[str, tuple[str, str]] = {
                                              "their difference"))
        for key, (unit, text) in _OF_ANGLE.items()},
     "tracks.n": ("1", "rows of tracks whose true object is known and counts; on outlines it is not known"),
-    "tracks.right": ("1", "share of them in the right group, the static scene among the groups"),
-    "tracks.objects_right": ("1", "share of those on true objects that are in the object's group"),
-    "tracks.objects_pure": ("1", "share of those in groups other than the scene that lie on the group's object"),
-    "tracks.unassigned": ("1", "share of them in no group: an error"),
+    "tracks.right": ("1", "share of them in the right cluster, the static scene among the clusters"),
+    "tracks.objects_right": ("1", "share of those on true objects that are in the object's cluster"),
+    "tracks.objects_pure": ("1", "share of those in clusters other than the scene that lie on the cluster's object"),
+    "tracks.unassigned": ("1", "share of them in no cluster: an error"),
     "events.expected": ("1", "collisions that have to be warned of: contact at most 2 s after the clip, and the object "
                         "in view 2 s before it"),
     "events.true": ("1", "of these, warned of at least 1 s before contact"),
