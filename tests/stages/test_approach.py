@@ -9,7 +9,7 @@ from relative_motion import CAMERA, box_of_points
 from ttcvid.geometry.camera import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
-from ttcvid.stages.approach import CommonViews, with_seen_motion
+from ttcvid.stages.approach import CommonViews, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import with_times
 from ttcvid.stages.sets import TrackSets
 
@@ -18,8 +18,8 @@ AHEAD_M, ASIDE_M = (1.0, 0.5, 20.0), (8.0, 0.5, 20.0)
 NEARER = (MotionState.approaching, MotionState.constant_bearing)
 
 
-def seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05, seed=1, age_s=2.0, camera=CAMERA):
-    """State of a car's rear whose row says ``abc_hz``, and whose tracks moved by ``moved_m`` over the common gap."""
+def row_seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05, seed=1, age_s=2.0, camera=CAMERA):
+    """Row of a car's rear that says ``abc_hz``, and whose tracks moved by ``moved_m`` over the common gap."""
     rng = np.random.default_rng(seed)
     now_m = box_of_points(rng, N, at_m, (size_m, size_m, 0.0))
     first, now = normalize(now_m - np.asarray(moved_m)), normalize(now_m)
@@ -37,11 +37,16 @@ def seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05, see
         state_abc_hz=np.asarray(abc_hz, float),
         state_cov=sigma_hz**2 * np.eye(3),
     )
-    (row,) = with_times([row], camera)
     views, tracks = CommonViews(first, now, GAP_S), np.arange(N)
-    growth = views.expansions([tracks])
-    (row,) = with_seen_motion([row], TrackSets.of([tracks]), views, growth, np.full(N, age_s), camera)
-    return row.motion_state
+    members, growth = TrackSets.of([tracks]), views.expansions([tracks])
+    rows = with_times(with_common_errors([row], members, views, np.full(N, age_s), camera), camera)
+    (row,) = with_seen_motion(rows, members, views, growth, camera)
+    return row
+
+
+def seen(*args, **options):
+    """What the row of `row_seen` says of its motion."""
+    return row_seen(*args, **options).motion_state
 
 
 def test_a_car_that_comes_nearer_and_grows_approaches():
@@ -56,6 +61,14 @@ def test_a_car_that_stays_as_large_as_it_was_does_not_approach_whatever_its_path
 def test_what_all_tracks_may_err_by_in_common_is_no_approach_however_sure_they_are():
     # 0.002 of 20 px in 0.6 s: a fiftieth of a pixel.
     assert seen((0.0, 0.0, -0.002), 1e-5, (0.0, 0.0, -0.02)) not in NEARER
+
+
+def test_a_time_that_may_be_a_common_error_of_the_tracks_has_an_interval_by_way_of_infinity():
+    times = row_seen((0.0, 0.0, -0.002), 1e-5, (0.0, 0.0, -0.02)).times
+    assert times.ttc_z_lo_s[0] > times.ttc_z_hi_s[0]
+    # Of what is large in the picture, a part of a pixel is nothing: its interval is that of its own noise.
+    times = row_seen((0.0, 0.0, -0.5), 0.02, (0.0, 0.0, -5.0), size_m=10.0).times
+    assert 1.0 / times.ttc_z_lo_s[0] - 1.0 / times.ttc_z_hi_s[0] == pytest.approx(2 * 1.645 * 0.02, rel=0.05)
 
 
 def test_a_car_that_crosses_before_us_without_growing_still_comes_nearer():

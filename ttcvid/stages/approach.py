@@ -25,6 +25,8 @@ _SIGMAS_95 = 1.645
 # Tracks drift together by a part of a pixel, as standard deviation at the outline of their object, px; over this time
 # at the most, s, since a longer look is not less wrong.
 _COMMON_ERROR_PX, _DRIFT_S = 0.25, 0.6
+# Tracks all in one place tell nothing of its growth, px.
+_LEAST_RADIUS_PX = 1e-3
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,33 @@ class CommonViews:
         return expansion_of_neighbourhood(self.first, self.now, padded, self.gap_s)
 
 
+def with_common_errors(
+    rows: list[ClusterRow], members: TrackSets, views: CommonViews, age_s: Floats, camera: Camera
+) -> list[ClusterRow]:
+    """The same K rows; their states no surer than what all tracks of an object may err by in common leaves them.
+
+    Parameters
+    ----------
+    members : tracks of the rows.
+    age_s : (N,) for how long each track has been seen.
+    """
+    stated = [k for k, row in enumerate(rows) if row.state_cov is not None]
+    if not stated:
+        return rows
+    rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in stated]))
+    radius_px = _radius_px(views, members, camera)[stated]
+    looked_s = np.maximum(np.minimum(members.medians(age_s[members.index]), _DRIFT_S), views.gap_s)[stated]
+    drift_hz = _COMMON_ERROR_PX / (np.maximum(radius_px, _LEAST_RADIUS_PX) * looked_s)
+    # What seems to grow, seems to come along its ray.
+    common = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
+    rows = list(rows)
+    for k, cov in zip(stated, common, strict=True):
+        rows[k] = replace(rows[k], state_cov=rows[k].state_cov + cov)
+    return rows
+
+
 def with_seen_motion(
-    rows: list[ClusterRow],
-    members: TrackSets,
-    views: CommonViews,
-    growth: tuple[Floats, Floats],
-    age_s: Floats,
-    camera: Camera,
+    rows: list[ClusterRow], members: TrackSets, views: CommonViews, growth: tuple[Floats, Floats], camera: Camera
 ) -> list[ClusterRow]:
     """The same K rows; what is said to approach or recede without its picture showing it is not said to.
 
@@ -57,30 +79,26 @@ def with_seen_motion(
     ----------
     members : tracks of the rows.
     growth : (K,) each, how the pictures of the rows expand, and its standard deviation (`CommonViews.expansions`).
-    age_s : (N,) for how long each track has been seen.
     """
     asked = [k for k, row in enumerate(rows) if row.motion_state in {*APPROACHING, MotionState.receding}]
     if not asked:
         return rows
     rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in asked]))
-    radius_px = _spread(pixels_from_rays(camera, views.now), members)
-    looked_s = np.maximum(np.minimum(members.medians(age_s[members.index]), _DRIFT_S), views.gap_s)
+    radius_px = _radius_px(views, members, camera)
     grows = np.column_stack(growth).tolist()
     seen = list(rows)
     for k, ray in zip(asked, rays, strict=True):
-        outline_px = float(radius_px[k])
-        drift_hz = _COMMON_ERROR_PX / (outline_px * float(looked_s[k])) if outline_px > 0.0 else 0.0
-        is_contradicted = _is_contradicted(rows[k], views.gap_s, grows[k], outline_px)
-        state = _seen_state(rows[k], ray, drift_hz, is_contradicted=is_contradicted)
+        is_contradicted = _is_contradicted(rows[k], views.gap_s, grows[k], float(radius_px[k]))
+        state = _seen_state(rows[k], ray, is_contradicted=is_contradicted)
         if state != rows[k].motion_state:
             seen[k] = replace(rows[k], motion_state=state)
     return seen
 
 
-def _seen_state(row: ClusterRow, ray: Floats, drift_hz: float, *, is_contradicted: bool) -> MotionState:
+def _seen_state(row: ClusterRow, ray: Floats, *, is_contradicted: bool) -> MotionState:
     state = row.motion_state
     nearer_hz, sigma_hz = _radial_rate(row, ray)
-    if abs(nearer_hz) < _SIGMAS_99 * math.hypot(sigma_hz, drift_hz):
+    if abs(nearer_hz) < _SIGMAS_99 * sigma_hz:
         return MotionState.no_relative_motion if state == MotionState.constant_bearing else MotionState.unknown
     return MotionState.unknown if is_contradicted else state
 
@@ -91,9 +109,9 @@ def _radial_rate(row: ClusterRow, ray: Floats) -> tuple[float, float]:
     return -float(along @ np.asarray(row.state_abc_hz)), math.sqrt(along @ np.asarray(row.present_cov) @ along)
 
 
-def _spread(xy_px: Floats, members: TrackSets) -> Floats:
+def _radius_px(views: CommonViews, members: TrackSets, camera: Camera) -> Floats:
     """Root mean square distance (K,) of the tracks of each set from their centre, px."""
-    offset = xy_px[members.index]
+    offset = pixels_from_rays(camera, views.now)[members.index]
     offset -= members.means(offset)[members.set_of]
     return np.sqrt(members.means(np.sum(offset**2, axis=1)))
 

@@ -16,7 +16,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.stages.approach import CommonViews, with_seen_motion
+from ttcvid.stages.approach import CommonViews, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import (
     neighbours_in_cluster,
     ranked,
@@ -81,8 +81,9 @@ def cluster_rows(
         [nothing if motion.cluster_id == SCENE_CLUSTER else motion.members for motion in motions.clusters]
     )
     rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, growth[0])
+    rows = with_common_errors(rows, members, views, _age_s(history), camera)
     rows = with_times(with_epipole_pixels(rows, camera), camera)
-    return tuple(ranked(with_seen_motion(rows, members, views, growth, _age_s(history), camera)))
+    return tuple(ranked(with_seen_motion(rows, members, views, growth, camera)))
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
