@@ -102,9 +102,7 @@ def descend_motion(
         _turn(offset, expected, cam_R_prev)
         _turn_rays(cam_R_prev, before, turned)
         axes = _axes(direction, basis)
-        for i in range(n):
-            q, p = (turned[0, i], turned[1, i], turned[2, i]), (now[0, i], now[1, i], now[2, i])
-            residual[i] = _plane_residual(q, p, axes, sigma[i])[0]
+        _set_residuals(turned, now, sigma, axes, residual)
         scale = _robust_scale(residual)
         _add_up_motion(turned, now, sigma, axes, scale, information, total)
         for j in range(3):
@@ -190,6 +188,14 @@ def _add_up_rotation(
     information[0, 1] = information[1, 0] = -xy
     information[0, 2] = information[2, 0] = -xz
     information[1, 2] = information[2, 1] = -yz
+
+
+@compiled
+def _set_residuals(turned: Floats, now: Floats, sigma: Floats, axes: tuple[float, ...], residual: Floats) -> None:
+    """Fill ``residual (N,)``."""
+    for i in range(len(sigma)):
+        q, p = (turned[0, i], turned[1, i], turned[2, i]), (now[0, i], now[1, i], now[2, i])
+        residual[i] = _plane_residual(q, p, axes, sigma[i])[0]
 
 
 @compiled
