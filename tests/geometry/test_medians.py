@@ -1,10 +1,10 @@
-"""Medians of groups are those of numpy, group by group."""
+"""Medians and quantiles are those of numpy, of groups group by group."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ttcvid.geometry.medians import medians
+from ttcvid.geometry.medians import median, medians, quantile
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 40), n_groups=st.integers(1, 6))
@@ -15,3 +15,14 @@ def test_the_median_of_each_group_is_that_of_numpy(seed, n, n_groups):
     for number in range(n_groups):
         own = values[group == number]
         np.testing.assert_equal(found[number], np.median(own) if len(own) else np.nan)
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 40), part=st.floats(0.0, 1.0))
+def test_median_and_quantile_are_those_of_numpy(seed, n, part):
+    values = np.random.default_rng(seed).integers(0, 9, 2 * n)[::2] / 7.0
+    assert median(values) == np.median(values)
+    np.testing.assert_allclose(quantile(values, part), np.quantile(values, part), rtol=1e-12, atol=1e-12)
+
+
+def test_nothing_has_no_median():
+    assert np.isnan(median(np.empty(0)))

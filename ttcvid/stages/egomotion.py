@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.geometry.two_view import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion, fit_rotation
 from ttcvid.model import Camera, Floats, Ints, Platform
@@ -93,9 +94,9 @@ class Egomotion:
         """
         size = np.abs(self.residual)
         middle = _MEDIAN_NORMAL if self.direction is not None else _MEDIAN_RAYLEIGH
-        spread = float(np.median(size)) / middle
+        spread = median(size) / middle
         for _ in range(3):
-            spread = float(np.median(size[size <= _INLIER_SIGMAS * spread])) / middle
+            spread = median(size[size <= _INLIER_SIGMAS * spread]) / middle
         return spread
 
     @property

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ttcvid.geometry.camera import plane_per_px
+from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.shared_path import SharedPaths
 from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
@@ -149,7 +150,7 @@ class TrackHistory:
     @property
     def step_s(self) -> float:
         """Usual time between views, 0 with a single one."""
-        return float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
+        return median(np.diff(self.t_s)) if len(self.t_s) > 1 else 0.0
 
     def views_within(self, window_s: float) -> slice:
         """The views within a time of the present one, and the last few up to it in any case."""
@@ -389,7 +390,7 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
     is_measured = np.isfinite(roughness)
     if np.count_nonzero(is_measured) < _LEAST_MEASURED:
         return nothing
-    typical = float(np.median(roughness[is_measured])) / _MEDIAN_CHI2_2
+    typical = median(roughness[is_measured]) / _MEDIAN_CHI2_2
     if typical <= 0.0:
         return nothing
     return np.where(is_measured, roughness, 0.0) / typical, is_measured

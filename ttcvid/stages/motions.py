@@ -198,7 +198,7 @@ def _share(is_one: Bools, thing: Ints, n_things: int) -> Floats:
 
 def _stays_on_its_pixels(history: TrackHistory, members: Ints) -> Bools:
     """Tracks that have not moved in the picture for long, (M,): a mover of them is burned-in text before a scene."""
-    first = np.argmax(np.isfinite(history.rays[:, :, 0]), axis=0)[members]
+    first = np.argmax(np.isfinite(history.rays[:, members, 0]), axis=0)
     is_old = len(history.rays) - first >= _STAYING_VIEWS
     moved_rad = np.linalg.norm(history.rays[-1, members] - history.rays[first, members], axis=1)
     return np.asarray(is_old & (moved_rad * history.focal_px < _STAYING_PX))

@@ -8,6 +8,7 @@ import numpy as np
 
 from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion, picture_region, region_side_of
@@ -128,7 +129,7 @@ def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     flow_px = flow_px[np.isfinite(flow_px)]
     if not len(flow_px):
         return 1
-    return int(np.clip(np.ceil(_WANTED_FLOW_PX / max(float(np.median(flow_px)), _TINY_PX)), 1, _LONGEST_GAP))
+    return int(np.clip(np.ceil(_WANTED_FLOW_PX / max(median(flow_px), _TINY_PX)), 1, _LONGEST_GAP))
 
 
 def _corrected(history: TrackHistory, over_gap: Egomotion, gap: int) -> TrackHistory:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.medians import median, quantile
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews
@@ -193,7 +194,7 @@ def _floating(views: BodyViews, fit: PathFit, key: Ints, road: Floats) -> Bools:
     x, y = fit.place.T
     for number in np.flatnonzero(np.bincount(label) >= _LEAST_THING):
         thing = index[label == number]
-        near_hz, far_hz = np.quantile(fit.rate_hz[thing], [0.95, 0.05])
+        near_hz, far_hz = quantile(fit.rate_hz[thing], 0.95), quantile(fit.rate_hz[thing], 0.05)
         if near_hz > _COMPACT * far_hz:
             continue
         lowest = thing[np.argsort(-y[thing], kind="stable")[:2]]
@@ -202,7 +203,7 @@ def _floating(views: BodyViews, fit: PathFit, key: Ints, road: Floats) -> Bools:
             continue
         bottom_y = y[lowest].min()
         # Where a static thing at this depth would stand on the road.
-        stands_y = (np.median(fit.rate_hz[thing]) - road[0] - road[1] * np.median(x[thing])) / road[2]
+        stands_y = (median(fit.rate_hz[thing]) - road[0] - road[1] * median(x[thing])) / road[2]
         beneath = on_road & (x > x[thing].min()) & (x < x[thing].max())
         beneath &= (y > bottom_y) & (y < bottom_y + _SEEN_PART * (stands_y - bottom_y))
         floats[thing] = np.count_nonzero(beneath) >= _LEAST_SEEN

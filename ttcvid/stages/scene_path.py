@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.geometry.flow_line import flow_line_chi2
-from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
-from ttcvid.geometry.whole_track_on_path import NO_PATH
+from ttcvid.geometry.rotation import each_turned_into_plane
+from ttcvid.geometry.shared_path import MOST_POINTS, PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import ROTATION_DRIFT_RAD, TrackHistory
@@ -39,12 +39,15 @@ def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion)
     """
     if egomotion.direction is None or egomotion.direction_cov is None:
         return history
-    is_used = is_free & _follows(history, egomotion.direction)
-    if np.count_nonzero(is_used) < _LEAST_TRACKS:
+    used = np.flatnonzero(is_free & _follows(history, egomotion.direction))
+    if len(used) < _LEAST_TRACKS:
         return history
+    # Those that the fit would leave out need not be turned.
+    used = used[:: -(-len(used) // MOST_POINTS)]
     belief = _belief(history, egomotion.direction, egomotion.direction_cov)
-    path_of = np.where(is_used, 0, NO_PATH)
-    return replace(history, scene=fit_shared_paths(history.xy, history.since_s, history.sigma_norm, belief, path_of))
+    path_of = np.zeros(len(used), dtype=np.int64)
+    xy = each_turned_into_plane(history.rays, used, history.cam_R_seen[None], path_of)
+    return replace(history, scene=fit_shared_paths(xy, history.since_s, history.sigma_norm[used], belief, path_of))
 
 
 def scene_path(history: TrackHistory, direction: Floats, direction_cov: Floats) -> SharedPaths:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.medians import median
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
@@ -272,7 +273,7 @@ def _balance(region: Ints) -> Floats:
 def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
     """Median misfit of the scene's tracks: what the model does not know of, beyond their noise."""
     measured = fit.misfit[in_scene & (fit.n_views > _USUAL_VIEWS)]
-    return max(float(np.median(measured)), _LEAST_MISFIT) if len(measured) > _LEAST_MEASURED else _LEAST_MISFIT
+    return max(median(measured), _LEAST_MISFIT) if len(measured) > _LEAST_MEASURED else _LEAST_MISFIT
 
 
 def _with_contradictions(misfit: Floats, road: RoadMemory, key: Ints, config: BodiesConfig) -> Floats:
