@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ttcvid.config import TrackingConfig
-from ttcvid.model import Bools, Floats, Picture, PointSet
+from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
 from ttcvid.stages.tracking.content import content_offsets
 from ttcvid.stages.tracking.corners import find_corners
 
@@ -23,8 +23,8 @@ _ITERATIONS, _STEP_PX, _BACKWARD_STEP_PX = 20, 0.01, 0.03
 _BACKWARD_START_PX = 1.5
 # Smaller eigenvalue of the gradient matrix, below which OpenCV gives a point up (its own default).
 _MIN_EIGENVALUE = 1e-4
-# Levels above the full picture that a point is looked for on once more; not where most points are lost, as at a cut:
-# fine pictures find something similar anywhere.
+# Levels above the full picture on which a point is looked for where it should be by now. Not where most points are
+# lost, as at a cut: fine pictures find something similar anywhere.
 _FINE_LEVELS, _LEAST_FOUND = 1, 0.5
 # Two tracks in one cell of this side follow the same point, px.
 _CROWDED_PX = 2.0
@@ -35,7 +35,10 @@ _TOP_UP_BELOW = 0.8
 
 @dataclass(frozen=True)
 class KltMemory:
-    """What is remembered between two pictures: the last one, its points with their windows, and their last step."""
+    """What is remembered between two pictures: the last one, its points with their windows, and their last step.
+
+    ``step_px (N, 2)`` is NaN for a point that has made none yet.
+    """
 
     grey: Picture
     points: PointSet
@@ -81,13 +84,21 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
         return np.zeros(0, dtype=bool), np.empty((0, 2))
     windows_px = memory.points.windows_px
     before = windows_px.astype(np.float32)
-    guess = (windows_px + memory.step_px).astype(np.float32)
-    found, there = _there_and_back(memory.grey, grey, before, guess, config, config.pyramid_levels)
-    # The coarse pictures of the pyramid show what is large near a point: a post that sweeps over a car takes all of the
-    # car's points along, far beyond itself. From where they should be by now the fine pictures find them.
-    lost = np.flatnonzero(~found & np.any(memory.step_px != 0.0, axis=1))
-    if len(lost) and found.mean() > _LEAST_FOUND and config.pyramid_levels > _FINE_LEVELS:
-        found[lost], there[lost] = _there_and_back(memory.grey, grey, before[lost], guess[lost], config, _FINE_LEVELS)
+    guess = (windows_px + np.nan_to_num(memory.step_px)).astype(np.float32)
+    found, there = np.zeros(n, dtype=bool), guess.copy()
+
+    def look_for(which: Ints, levels: int) -> None:
+        if len(which):
+            found[which], there[which] = _there_and_back(memory.grey, grey, before[which], guess[which], config, levels)
+
+    # Where a point should be by now the fine pictures find it, in less time. The coarse ones of the pyramid show what
+    # is large near it: a post that sweeps over a car takes all of the car's points along, far beyond itself. They are
+    # for points that have made no step yet, and for those that have changed theirs.
+    expected = np.flatnonzero(np.isfinite(memory.step_px[:, 0]))
+    look_for(expected, min(_FINE_LEVELS, config.pyramid_levels))
+    if found.sum() < _LEAST_FOUND * len(expected):
+        found[:] = False
+    look_for(np.flatnonzero(~found), config.pyramid_levels)
     return found, there.astype(np.float64)
 
 
@@ -178,6 +189,6 @@ def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config
             np.concatenate([points.xy_px, content_px]),
             np.concatenate([windows_px, new_px]),
         ),
-        step_px=np.concatenate([memory.step_px, np.zeros_like(new_px)]),
+        step_px=np.concatenate([memory.step_px, np.full_like(new_px, np.nan)]),
         next_track_id=memory.next_track_id + len(new_px),
     )
