@@ -6,13 +6,14 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.epipole import INFINITY_COSINE
+from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.path_velocity import velocities_on_paths
 from ttcvid.geometry.rotation import cross, normalize, skew
 from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, fit_shared_paths, joined_paths, turned_back
-from ttcvid.geometry.state import is_at_epipole
 from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks, window_gates
 from ttcvid.geometry.whole_track_descent import LEAST_FRAMES
+from ttcvid.geometry.whole_track_on_path import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
 from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD
@@ -34,6 +35,9 @@ _OBJECT_BEND_HZ = 0.2
 # What this many points of an object say of its path together, more of them do not say better: the lead car and the
 # simulated ones have the same errors with 150, in twice the time.
 _MOST_POINTS = 80
+# Compiled code knows whole numbers, no names.
+_OK, _AT_INFINITY, _SHORT = int(Status.ok), int(Status.epipole_at_infinity), int(Status.short_track)
+_AT_EPIPOLE, _NO_PARALLAX, _NOT_RIGID = int(Status.at_epipole), int(Status.no_parallax), int(Status.not_rigid)
 # A car turns itself by some deg/s.
 _OBJECT_TURN_RAD_S = 0.02
 # A time takes the velocity as lasting. Where it was seen to change, it is uncertain by what it changes in so long, s:
@@ -172,27 +176,83 @@ def _on_paths(
         change,
         turn_rad_s,
     )
-    has_path, direction = path_of != NO_PATH, normalize(found.abc_hz)
-    status = first_reason(
-        history.n_tracks,
-        [
-            (~np.isfinite(history.xy[history.now, :, 0]) | (has_path & (rates.n_frames < 2)), Status.short_track),
-            (~has_path, motions.no_direction_status),
-            (
-                _is_at_epipole(history, path_of, paths.direction, direction_variance) | ~np.isfinite(rates.rate_hz),
-                Status.at_epipole,
-            ),
-            # Along its path: how sure it is that a track moves at all, and forwards.
-            (np.abs(rates.rate_hz) < _RATE_SIGMAS * found.along_sigma_hz, Status.no_parallax),
-            (rates.rate_hz < 0.0, Status.not_rigid),
-            (np.abs(direction[:, 2]) < INFINITY_COSINE, Status.epipole_at_infinity),
-        ],
+    direction, status = np.full((history.n_tracks, 3), np.nan), np.empty(history.n_tracks, dtype=np.int64)
+    _judge(
+        history.xy,
+        history.now % len(history.xy),
+        path_of,
+        paths.direction,
+        direction_variance,
+        history.sigma_norm,
+        rates.rate_hz,
+        rates.n_frames,
+        found.along_sigma_hz,
+        motions.no_direction_status,
+        found.abc_hz,
+        found.cov,
+        direction,
+        status,
     )
-    is_gone = ~has_value(status)
-    for values in (found.abc_hz, found.cov, direction):
-        values[is_gone] = np.nan
-    xy = history.xy[history.now]
-    return TrackStates(xy, found.abc_hz, found.cov, history.sigma_norm, direction, status, shared)
+    return TrackStates(history.xy[history.now], found.abc_hz, found.cov, history.sigma_norm, direction, status, shared)
+
+
+@compiled
+def _judge(
+    xy: Floats,
+    now: int,
+    path_of: Ints,
+    path_direction: Floats,
+    direction_variance: Floats,
+    sigma_norm: Floats,
+    rate_hz: Floats,
+    n_frames: Ints,
+    along_sigma_hz: Floats,
+    no_direction: Ints,
+    abc_hz: Floats,
+    cov: Floats,
+    direction: Floats,
+    status: Ints,
+) -> None:
+    """Fills ``direction (N, 3)`` and ``status (N,)``; without a result, ``abc_hz (N, 3)`` and ``cov`` become NaN."""
+    for i in range(len(path_of)):
+        k = path_of[i]
+        if not np.isfinite(xy[now, i, 0]) or (k >= 0 and n_frames[i] < LEAST_FRAMES_ON_PATH):
+            status[i] = _SHORT
+        elif k < 0:
+            status[i] = no_direction[i]
+        elif not np.isfinite(rate_hz[i]) or _is_at_epipole(
+            xy[:, i], now, path_direction[k], sigma_norm[i] ** 2 + direction_variance[k]
+        ):
+            status[i] = _AT_EPIPOLE
+        # Along its path: how sure it is that a track moves at all, and forwards.
+        elif abs(rate_hz[i]) < _RATE_SIGMAS * along_sigma_hz[i]:
+            status[i] = _NO_PARALLAX
+        elif rate_hz[i] < 0.0:
+            status[i] = _NOT_RIGID
+        else:
+            speed_hz = np.sqrt(abc_hz[i, 0] ** 2 + abc_hz[i, 1] ** 2 + abc_hz[i, 2] ** 2)
+            for j in range(3):
+                direction[i, j] = abc_hz[i, j] / speed_hz
+            status[i] = _AT_INFINITY if abs(direction[i, 2]) < INFINITY_COSINE else _OK
+            continue
+        abc_hz[i], cov[i] = np.nan, np.nan
+
+
+@compiled
+def _is_at_epipole(xy: Floats, now: int, e: Floats, variance: float) -> bool:
+    """Whether the first and the last of the views ``(L, 2)`` lie on the line along e within noise (rad^2).
+
+    As `geometry.state.is_at_epipole`: abs(ray x e) over abs(ray) is the sine of their angle.
+    """
+    first = 0
+    while not np.isfinite(xy[first, 0]):
+        first += 1
+    for place in (first, now):
+        x, y = xy[place, 0], xy[place, 1]
+        cx, cy, cz = y * e[2] - e[1], e[0] - x * e[2], x * e[1] - y * e[0]
+        if not cx * cx + cy * cy + cz * cz < (x * x + y * y + 1.0) * variance * SIGNIFICANCE_SIGMAS**2:
+            return False
+    return True
 
 
 def _misfit(path_of: Ints, rates: PathRates, count: int) -> Floats:
@@ -242,15 +302,3 @@ def _with_free(
     turn = skew(np.column_stack([found.state[:, :2], np.ones(len(free))]))
     cov += turn @ history.rotation_rate_cov @ np.swapaxes(turn, 1, 2)
     return states.replaced(free, velocity, cov, direction, status)
-
-
-def _is_at_epipole(history: TrackHistory, path_of: Ints, direction: Floats, direction_variance: Floats) -> Bools:
-    """Tracks whose first and last view both lie on the line along the direction of their path, within noise."""
-    xy, ones = history.xy, np.ones(history.n_tracks)
-    oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
-    first, last = xy[oldest, np.arange(history.n_tracks)], xy[history.now]
-    # `NO_PATH` picks the last ones.
-    direction = np.concatenate([direction, np.full((1, 3), np.nan)])[path_of]
-    direction_variance = np.append(direction_variance, 0.0)[path_of]
-    rays = np.column_stack([first, ones]), np.column_stack([last, ones])
-    return is_at_epipole(*rays, direction, history.sigma_norm**2, direction_variance)
