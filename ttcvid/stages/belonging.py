@@ -9,7 +9,8 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.compiled import compiled
-from ttcvid.geometry.rigid_path import RigidPaths
+from ttcvid.geometry.medians import medians
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.whereabouts import Whereabouts, nowhere
@@ -138,6 +139,32 @@ def _count_votes(number: Ints, neighbours: Ints, votes: Ints) -> None:
         for j in neighbours[i]:
             if j != i:
                 votes[i, number[j]] += 1
+
+
+def along_our_way(
+    movers: Movers, scene: RigidPaths, scene_fit: PathFit, key: Ints, own_misfit: Floats, seen_misfit: Floats
+) -> Movers:
+    """The movers, with the scene's path for those whose tracks it explains better than their own does.
+
+    What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
+    refinement a frame lags behind that, and the next step goes on from there.
+
+    Parameters
+    ----------
+    own_misfit, seen_misfit : (N,) of each track on its body's path, and on the scene's, in the same units.
+    """
+    number, n = numbers_of(key, movers), len(movers)
+    track = np.flatnonzero((number > 0) & np.isfinite(scene_fit.rate_hz))
+    thing = number[track] - 1
+    is_along = medians(seen_misfit[track], thing, n) < medians(own_misfit[track], thing, n)
+    if not is_along.any():
+        return movers
+    paths = RigidPaths(
+        np.where(is_along[:, None, None, None], scene.cam_R_past, movers.paths.cam_R_past),
+        np.where(is_along[:, None, None], scene.path, movers.paths.path),
+    )
+    rate_hz = np.where(is_along, medians(scene_fit.rate_hz[track], thing, n), movers.rate_hz)
+    return replace(movers, paths=paths, rate_hz=rate_hz)
 
 
 def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:

@@ -35,6 +35,7 @@ def new_movers(
     in_scene: Bools,
     n_views: Ints,
     misfit: Floats,
+    seen_misfit: Floats,
     usual_misfit: float,
     on_road: Bools,
     config: BodiesConfig,
@@ -44,7 +45,8 @@ def new_movers(
     Parameters
     ----------
     in_scene, n_views : (N,) which tracks belong to the scene by now, and their views.
-    misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
+    misfit, seen_misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``, with what the road
+        contradicts and without it.
     on_road : (N,) tracks at the depth of the road on which they are seen.
 
     Returns
@@ -57,7 +59,8 @@ def new_movers(
     if len(candidates) < config.min_tracks:
         return none
     xy = turned_into_plane(views.rays[:, candidates], scene.cam_R_past[0])
-    label = _alike_and_near(views, candidates, xy)
+    is_along = (misfit > config.scene_gate) & (seen_misfit < config.scene_gate)
+    label = _alike_and_near(views, candidates, xy, is_along[candidates])
     is_one = np.bincount(label)[label] >= config.min_tracks
     if not is_one.any():
         return none
@@ -67,6 +70,8 @@ def new_movers(
     directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
     points = views.points(candidates, thing)
     ways = np.stack([straight_path(direction, views.since_s) for direction in directions])
+    # What contradicts the scene by its place alone moves along our own path.
+    ways[np.bincount(thing, is_along[candidates]) > 0.0] = scene.path[0]
     starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
     misfit_by_own = fit_on_movers(points, paths, rate_hz).misfit / usual_misfit
@@ -99,8 +104,11 @@ def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: Bodie
     return np.asarray(index[(median > _TOGETHER * np.log(config.scene_gate)) & (n >= _LEAST_AROUND)])
 
 
-def _alike_and_near(views: BodyViews, index: Ints, xy: Floats) -> Ints:
-    """Number of the part that each track of ``index`` belongs to: near ones of similar flow are connected."""
+def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:
+    """Number of the part that each track of ``index`` belongs to: near ones of similar flow are connected.
+
+    Those that move along our own path, ``is_along``, only with each other.
+    """
     pairs = linked_pairs(views.xy_px[index], views.link_px)
     oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
     span_s = -views.since_s[oldest]
@@ -109,4 +117,5 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats) -> Ints:
     mean = 0.5 * (np.linalg.norm(one, axis=1) + np.linalg.norm(other, axis=1))
     floor = _FLOW_PX / views.focal_px / np.minimum(span_s[pairs[:, 0]], span_s[pairs[:, 1]])
     is_alike = np.linalg.norm(one - other, axis=1) < _FLOW_PART * mean + floor
+    is_alike &= is_along[pairs[:, 0]] == is_along[pairs[:, 1]]
     return connected_parts(np.ones(len(index), dtype=bool), pairs[is_alike])

@@ -1,7 +1,7 @@
 """What a road tells of movers along our own direction, which look like static points at a wrong depth.
 
 A car ahead that we close on slowly looks like something far away: what lies below the horizon would lie under the road.
-An oncoming car looks nearer than it is: it floats over the road that is seen below it, and nothing bears it.
+An oncoming car looks nearer than it is: nothing bears it (`stages.floating`).
 """
 
 from __future__ import annotations
@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
-from ttcvid.geometry.medians import median, quantile
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews
-from ttcvid.stages.connected import linked_parts
+from ttcvid.stages.floating import Floating, find_floating
 
 # The camera looks along the road within so much, as the tangent of its pitch; heights of the horizon that are tried.
 _PITCH, _N_HORIZONS = 0.06, 13
@@ -29,14 +28,14 @@ _LEAST_POINTS, _LEAST_SHARE = 12, 0.3
 # How much the road may fall to one side, beside how much it comes nearer downwards: roll of the camera.
 _ROLL_SIGMA = 0.1
 _UNDER_SIGMAS, _LEAST_VIEWS = 3.0, 4
-# A thing floats when even its lowest points have this many times the rate of the road there; its points hang together
-# within this part of their rates, differ by no more than this factor in all (a row of houses does), and are no road.
-_FLOATS, _ONE_THING, _COMPACT, _NO_ROAD, _LEAST_THING = 1.5, 0.12, 1.3, 1.25, 6
-# Points of the road within this part of its rate, as many between a floating thing and where it would stand, show that
-# nothing bears it; the last part down to there may be hidden.
-_ON_ROAD, _LEAST_SEEN, _SEEN_PART = 0.2, 2, 0.8
-# Evidence is gathered with this memory; a track contradicts a static scene with more than a half of it.
-_FORGETTING, _ENOUGH = 0.8, 0.5
+# A point lies on the road within this part of its rate.
+_ON_ROAD = 0.2
+# Evidence is gathered with this memory, and kept with the other where a frame says nothing, as where the road has no
+# texture; a track contradicts a static scene with more than a half of it.
+_FORGETTING, _NOTHING_SAID, _ENOUGH = 0.8, 0.97, 0.5
+# A point of the road that has newly come to be seen below a thing is an error as often as not: a track at an outline
+# slides. Two of them are enough.
+_DOUBT = 0.5
 # The road itself changes slowly: beside our way its memory is longer.
 _ROAD_FORGETTING = 0.85
 
@@ -46,13 +45,14 @@ class RoadMemory:
     """Evidence of each track ``track_id (N,)`` against standing on the ground: ``evidence (N,)`` in 0 to 1.
 
     ``plane (3,)`` is the road of this frame, as from `find_road` but steadied, None where there is none, and
-    ``epipole_y`` the height of our direction of travel.
+    ``epipole_y`` the height of our direction of travel; ``is_below (N,)`` road seen below a thing.
     """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     evidence: Floats = field(default_factory=lambda: np.empty(0))
     plane: Floats | None = None
     epipole_y: float = 0.0
+    is_below: Bools = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     def contradicts(self) -> Bools:
         """Tracks that a static scene cannot hold: (N,)."""
@@ -70,16 +70,35 @@ def gathered_evidence(
     key : (N,) body of each track by now; ``in_scene (N,)`` tracks that a road may be made of.
     epipole_y : height of own direction of travel in the plane z = 1.
     """
-    evidence = np.zeros(len(track_id))
+    evidence, is_known, was_below = np.zeros(len(track_id)), *np.zeros((2, len(track_id)), dtype=bool)
     if len(memory.track_id):
         place = np.minimum(np.searchsorted(memory.track_id, track_id), len(memory.track_id) - 1)
         is_known = memory.track_id[place] == track_id
         evidence[is_known] = memory.evidence[place[is_known]]
+        was_below[is_known] = memory.is_below[place[is_known]]
     road = steadied(memory, find_road(fit, in_scene, epipole_y), epipole_y)
-    is_odd = np.zeros(len(track_id), dtype=bool)
-    if road is not None:
-        is_odd = _under_road(fit, road) | _floating(views, fit, key, road)
-    return RoadMemory(track_id, _FORGETTING * evidence + (1.0 - _FORGETTING) * is_odd, road, epipole_y)
+    if road is None:
+        return RoadMemory(track_id, _FORGETTING * evidence, None, epipole_y, was_below)
+    is_rated = views.is_free & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
+    road_hz = _rate_of_road(fit, road)
+    floating = find_floating(views.xy_px, views.link_px, fit, key, road_hz, float(road[2]), is_rated)
+    evidence = _floating_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), floating, was_below)
+    is_under = _under_road(fit, road)
+    decays = np.where(floating.is_borne | (floating.thing < 0), _FORGETTING, _NOTHING_SAID)
+    evidence = np.where(is_under, _FORGETTING * evidence + 1.0 - _FORGETTING, decays * evidence)
+    return RoadMemory(track_id, evidence, road, epipole_y, floating.below >= 0)
+
+
+def _floating_evidence(evidence: Floats, is_old: Bools, floating: Floating, was_below: Bools) -> Floats:
+    """The evidence (N,), the same for all points of a thing: the mean of its old ones, and what is newly seen below."""
+    own, new = np.flatnonzero(floating.thing >= 0), np.flatnonzero((floating.below >= 0) & ~was_below)
+    thing, n_things = floating.thing[own], int(floating.thing.max(initial=-1)) + 1
+    count = np.bincount(thing, is_old[own], n_things)
+    mean = np.bincount(thing, is_old[own] * evidence[own], n_things) / np.maximum(count, 1.0)
+    mean = 1.0 - (1.0 - mean) * _DOUBT ** np.bincount(floating.below[new], minlength=n_things)
+    evidence = evidence.copy()
+    evidence[own] = mean[thing]
+    return evidence
 
 
 def steadied(memory: RoadMemory, road: Floats | None, epipole_y: float) -> Floats | None:
@@ -179,32 +198,3 @@ def _rate_of_road(fit: PathFit, road: Floats) -> Floats:
 def _under_road(fit: PathFit, road: Floats) -> Bools:
     limit = _UNDER_PART * _rate_of_road(fit, road)
     return np.asarray((fit.n_views >= _LEAST_VIEWS) & (limit - fit.rate_hz > _UNDER_SIGMAS * fit.rate_sigma_hz))
-
-
-def _floating(views: BodyViews, fit: PathFit, key: Ints, road: Floats) -> Bools:
-    """Tracks of things that nothing bears: even their lowest points are far nearer than the road seen below them."""
-    known = views.is_free & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
-    over = fit.rate_hz / _rate_of_road(fit, road)
-    on_road = known & (np.abs(over - 1.0) < _ON_ROAD)
-    floats = np.zeros(len(key), dtype=bool)
-    index = np.flatnonzero(known & ~(over < _NO_ROAD))
-    log_rate = np.log(np.maximum(fit.rate_hz[index], 1e-12))
-    tolerance = np.full(len(index), 0.5 * _ONE_THING)
-    label = linked_parts(views.xy_px[index], views.link_px, key[index], log_rate, tolerance)
-    x, y = fit.place.T
-    for number in np.flatnonzero(np.bincount(label) >= _LEAST_THING):
-        thing = index[label == number]
-        near_hz, far_hz = quantile(fit.rate_hz[thing], 0.95), quantile(fit.rate_hz[thing], 0.05)
-        if near_hz > _COMPACT * far_hz:
-            continue
-        lowest = thing[np.argsort(-y[thing], kind="stable")[:2]]
-        # At the horizon and above it there is no road to float over.
-        if not over[lowest].max() > _FLOATS:
-            continue
-        bottom_y = y[lowest].min()
-        # Where a static thing at this depth would stand on the road.
-        stands_y = (median(fit.rate_hz[thing]) - road[0] - road[1] * median(x[thing])) / road[2]
-        beneath = on_road & (x > x[thing].min()) & (x < x[thing].max())
-        beneath &= (y > bottom_y) & (y < bottom_y + _SEEN_PART * (stands_y - bottom_y))
-        floats[thing] = np.count_nonzero(beneath) >= _LEAST_SEEN
-    return floats

@@ -16,7 +16,7 @@ from ttcvid.geometry.medians import median
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.belonging import Movers, assigned, kept, known_again, no_movers, numbers_of
+from ttcvid.stages.belonging import Movers, along_our_way, assigned, kept, known_again, no_movers, numbers_of
 from ttcvid.stages.bodies import (
     carried_forward,
     recent_speed,
@@ -130,16 +130,19 @@ def find_bodies(
     if not is_sure and not _moves_past(scene_fit, _places(history), is_free):
         scene_fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     usual = _usual_misfit(scene_fit, (key == SCENE_CLUSTER) & is_free)
-    misfit = scene_fit.misfit / usual
+    misfit = seen_misfit = scene_fit.misfit / usual
     road = RoadMemory()
     if platform == Platform.vehicle and scene.path[0, 0, 2] > 0.0:
         in_scene = (key == SCENE_CLUSTER) & is_free & (misfit < config.scene_gate)
         epipole_y = float(scene.path[0, 0, 1] / scene.path[0, 0, 2])
-        road = gathered_evidence(memory.road, history.track_id, views, scene_fit, key, in_scene, epipole_y)
+        # What moves as the scene does belongs together by its depth alone, whatever was taken for a part of it.
+        alike = np.where(misfit < config.scene_gate, SCENE_CLUSTER, key)
+        road = gathered_evidence(memory.road, history.track_id, views, scene_fit, alike, in_scene, epipole_y)
         misfit = _with_contradictions(misfit, road, key, config)
 
     movers = _refined(movers, scene, views, key)
     key, own_misfit = assigned(views, movers, key, scene_fit.n_views, misfit, usual)
+    movers = along_our_way(movers, scene, scene_fit, key, own_misfit, seen_misfit)
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, scene, key, movers, own_misfit, usual)
     next_key = memory.next_key
@@ -149,6 +152,7 @@ def find_bodies(
         (key == SCENE_CLUSTER) & may_start,
         scene_fit.n_views,
         misfit,
+        seen_misfit,
         usual,
         on_road(scene_fit, road),
         config,
@@ -279,7 +283,7 @@ def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
 def _with_contradictions(misfit: Floats, road: RoadMemory, key: Ints, config: BodiesConfig) -> Floats:
     """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers."""
     is_odd = road.contradicts()
-    for number in np.unique(key[(key != SCENE_CLUSTER) & is_odd]):
+    for number in np.unique(key[key != SCENE_CLUSTER]):
         own = key == number
         is_odd[own] |= np.mean(road.evidence[own]) > _MOVER_EVIDENCE
     return np.where(is_odd, np.maximum(misfit, 2.0 * config.scene_gate), misfit)
