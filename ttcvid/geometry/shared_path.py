@@ -5,7 +5,7 @@ One track can hardly tell a braking car from a slower one, or a bent path from a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -52,7 +52,8 @@ class SharedPaths:
 
     ``offset (K, 9)`` the shared unknowns, from the belief on, with ``cov (K, 9, 9)``. Of the middle of what turns
     itself: ``bend_hz (K, 3)`` acceleration over speed, beside what the belief has of it, and ``direction_cov (K, 3,
-    3)`` in rad^2.
+    3)`` in rad^2. What is left in all views: the ``squares (K,)`` of the residuals in sigmas, each no larger than a
+    robust fit counts it, and what is ``usual (K,)`` by the degree of freedom; 0 where nothing was fitted.
     """
 
     path: Floats
@@ -61,6 +62,8 @@ class SharedPaths:
     cov: Floats
     bend_hz: Floats
     direction_cov: Floats
+    squares: Floats
+    usual: Floats
 
     @property
     def turn_rad_s(self) -> Floats:
@@ -75,6 +78,12 @@ def joined_paths(parts: list[SharedPaths]) -> SharedPaths:
     )
 
 
+def chosen_paths(first: SharedPaths, second: SharedPaths, takes_second: Bools) -> SharedPaths:
+    """Of K paths fitted twice, the second ones where ``takes_second (K,)`` holds."""
+    pairs = [(getattr(first, field.name), getattr(second, field.name)) for field in fields(SharedPaths)]
+    return SharedPaths(*(np.where(takes_second.reshape(-1, *[1] * (one.ndim - 1)), other, one) for one, other in pairs))
+
+
 def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
     """The paths as they are believed, with what is not known of them."""
     count = len(beliefs.direction)
@@ -83,7 +92,14 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
     cov[:, 3:6, 3:6] = beliefs.bend_cov()
     cov[:, 6:, 6:] = beliefs.turn_sigma_rad_s**2 * np.eye(3)
     return SharedPaths(
-        beliefs.base, beliefs.direction, np.zeros((count, N_SHARED)), cov, np.zeros((count, 3)), cov[:, :3, :3]
+        beliefs.base,
+        beliefs.direction,
+        np.zeros((count, N_SHARED)),
+        cov,
+        np.zeros((count, 3)),
+        cov[:, :3, :3],
+        np.zeros(count),
+        np.zeros(count),
     )
 
 
@@ -120,7 +136,8 @@ def fit_shared_paths(
     basis = np.concatenate([tangent_basis(beliefs.direction), beliefs.direction[:, :, None]], axis=2)
     prior = _prior(beliefs, basis)
     state, offset, own_motion = np.empty((len(index), 3)), np.empty((len(basis), N_LOCAL)), np.empty_like(prior)
-    descend_together(*points, beliefs.base, basis, prior, beliefs.turns_itself, own_motion, state, offset)
+    left = np.empty((len(basis), 2))
+    descend_together(*points, beliefs.base, basis, prior, beliefs.turns_itself, own_motion, state, offset, left)
 
     path, _ = _moved_paths(beliefs, basis, offset, t_s)
     views = turned_back(xy, t_s, offset[:, -3:], path_of)
@@ -140,7 +157,8 @@ def fit_shared_paths(
     state = np.column_stack([rates.xy, rates.rate_hz])
     add_up_windows(views, *points[1:], path, basis, rates.n_frames, state, information, score)
     cov: Floats = np.linalg.inv(information).astype(np.float64)
-    return _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, t_s)
+    found = _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, t_s)
+    return replace(found, squares=left[:, 0], usual=left[:, 1])
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
@@ -206,7 +224,8 @@ def _shared_paths(
     own_columns = columns[:, :3] @ own_motion
     own_cov = own_columns @ cov @ np.swapaxes(own_columns, 1, 2)
     shared_cov = columns @ cov @ np.swapaxes(columns, 1, 2)
-    return SharedPaths(path, velocity / speed, offset, shared_cov, bend_hz, own_cov)
+    nothing = np.zeros(len(basis))
+    return SharedPaths(path, velocity / speed, offset, shared_cov, bend_hz, own_cov, nothing, nothing)
 
 
 @compiled

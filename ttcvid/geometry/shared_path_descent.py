@@ -25,9 +25,9 @@ _MAX_STEPS, _CONVERGED_CHI2 = 6, 0.1
 _LOYAL_SHARE = 0.7
 # As in the fit of each point (`whole_track_on_path`), weights 1 / r^2 too; a compiled function may not call its file.
 _ROBUST_SIGMAS, _LEAST_DEPTH_RATIO = 3.0, 0.1
-# Numbers kept of a point while what it shares is solved for: information on its place, couplings of x and y with rho,
-# information on rho, score of x, y, rho.
-_N_OWN = 7
+# Kept of a point while what it shares is solved for: information on its place, couplings of x and y with rho,
+# information on rho, score of x, y, rho, squared residuals.
+_N_OWN = 8
 
 
 @compiled
@@ -45,10 +45,13 @@ def descend_together(
     own_motion: Floats,
     state: Floats,
     offset: Floats,
+    left: Floats,
 ) -> None:
     """Paths and points together, over all views: fills ``state (N, 3)`` (x, y, rho) and ``offset (K, 8)``.
 
-    Fills ``own_motion (K, 8, 8)`` too: what takes offsets to that of which the belief speaks (`_set_own_motion`).
+    Fills ``own_motion (K, 8, 8)`` too: what takes offsets to that of which the belief speaks (`_set_own_motion`); and
+    ``left (K, 2)``, before the last step: sum of squared residuals in sigmas, none counted for more than the robust
+    limit, and the median of what the points have by the degree of freedom.
 
     No view is cut off: a believed path may be wrong by hundreds of sigmas at its far end, where a window would end at
     once and nothing be learned of it. A view loses weight beyond three times the usual residual of its path's points.
@@ -64,17 +67,19 @@ def descend_together(
     information, score, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(N_LOCAL), np.empty(N_LOCAL)
     own, coupling, relative = np.empty((n, _N_OWN)), np.empty((n, 3, N_LOCAL)), np.empty(n)
     scratch, believed = np.empty((N_LOCAL + 3, N_LOCAL)), np.empty((N_LOCAL, N_LOCAL))
+    sums = information, score
     for k in range(len(first) - 1):
-        low, high = first[k], first[k + 1]
-        offset[k] = 0.0
-        _set_path(t_s, base[k], basis[k], offset[k], path, rotation)
+        low, high, axes = first[k], first[k + 1], basis[k]
+        offset[k], left[k] = 0.0, 0.0
+        _set_path(t_s, base[k], axes, offset[k], path, rotation)
         for i in range(low, high):
             _turn(xy, rotation, i, seen[i, : n_views[i]], views)
             relative[i] = _start(views, path, seen[i, : n_views[i]], sigma[i], state[i])
-        _set_own_motion(turns_itself, basis[k], state[low:high], own_motion[k])
+        _set_own_motion(turns_itself, axes, state[low:high], own_motion[k])
         _set_belief(prior[k], own_motion[k], believed)
         for _ in range(_MAX_STEPS):
             misfit = max(1.0, np.sqrt(np.median(relative[low:high]))) if high > low else 1.0
+            limit = (_ROBUST_SIGMAS * misfit) ** 2
             _set_prior(believed, offset[k], information, score)
             for i in range(low, high):
                 places = seen[i, : n_views[i]]
@@ -83,23 +88,13 @@ def descend_together(
                 if not slowest < state[i, 2] < fastest:
                     _start(views, path, places, sigma[i], state[i])
                 relative[i] = _add_point(
-                    views,
-                    t_s,
-                    path,
-                    basis[k],
-                    places,
-                    state[i],
-                    1.0 / sigma[i],
-                    (_ROBUST_SIGMAS * misfit) ** 2,
-                    information,
-                    score,
-                    own[i],
-                    coupling[i],
-                    scratch,
+                    views, t_s, path, axes, places, state[i], 1.0 / sigma[i], limit, *sums, own[i], coupling[i], scratch
                 )
+            if high > low:
+                left[k, 0], left[k, 1] = np.sum(own[low:high, 7]), np.median(relative[low:high])
             fall = _solve(information, score, step)
             offset[k] += step
-            _set_path(t_s, base[k], basis[k], offset[k], path, rotation)
+            _set_path(t_s, base[k], axes, offset[k], path, rotation)
             for i in range(low, high):
                 _follow(own[i], coupling[i], step, state[i])
             if fall < _CONVERGED_CHI2 * misfit * misfit:
@@ -171,7 +166,7 @@ def _add_point(
     """Adds one point to the ``information (8, 8)`` and ``score (8,)`` of its path, its place and rate eliminated.
 
     The sums of x, y, rho are those of `whole_track_on_path._add_up`.
-    Fills ``own (7,)`` and the couplings ``(3, 8)`` of x, y, rho with what is shared. Returns the mean square residual.
+    Fills ``own (8,)`` and the couplings ``(3, 8)`` of x, y, rho with what is shared. Returns the mean square residual.
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does.
     """
@@ -186,6 +181,7 @@ def _add_point(
         square = rx * rx + ry * ry
         weight = limit / square if square > limit else 1.0
         total += weight * square
+        own[7] += min(square, _ROBUST_SIGMAS * _ROBUST_SIGMAS)
         a = h * inverse
         jx, jy = a * (tx - x * tz), a * (ty - y * tz)
         moved, half = s[2] * a * t_s[place], 0.5 * t_s[place]

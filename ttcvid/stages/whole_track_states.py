@@ -10,12 +10,13 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.path_velocity import velocities_on_paths
 from ttcvid.geometry.rotation import cross, normalize, skew
-from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, fit_shared_paths, joined_paths, turned_back
+from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, joined_paths, turned_back
 from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks, window_gates
 from ttcvid.geometry.whole_track_descent import LEAST_FRAMES
 from ttcvid.geometry.whole_track_on_path import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
 from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
+from ttcvid.stages.bends import STRAIGHT_TURN_RAD_S, straight_or_in_bend
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
@@ -32,14 +33,9 @@ _NO_MOTION_CHI2 = float(chi2_quantile(0.95, 3))
 _BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(1.0))
 # Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
 _OBJECT_BEND_HZ = 0.2
-# What this many points of an object say of its path together, more of them do not say better: the lead car and the
-# simulated ones have the same errors with 150, in twice the time.
-_MOST_POINTS = 80
 # Compiled code knows whole numbers, no names.
 _OK, _AT_INFINITY, _SHORT = int(Status.ok), int(Status.epipole_at_infinity), int(Status.short_track)
 _AT_EPIPOLE, _NO_PARALLAX, _NOT_RIGID = int(Status.at_epipole), int(Status.no_parallax), int(Status.not_rigid)
-# A car turns itself by some deg/s.
-_OBJECT_TURN_RAD_S = 0.02
 # A time takes the velocity as lasting. Where it was seen to change, it is uncertain by what it changes in so long, s:
 # on the lead car of kitti_sfnd_ttc, whose brakes come and go, 90 % intervals hold then in about 80 % of the frames.
 _LASTING_S = 0.4
@@ -98,22 +94,11 @@ def _paths(
         _BELIEF_FACTOR * cov + _BELIEF_FLOOR_RAD**2 * across,
         _OBJECT_BEND_HZ,
         _OBJECT_BEND_HZ,
-        _OBJECT_TURN_RAD_S,
+        STRAIGHT_TURN_RAD_S,
         turns_itself=True,
     )
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
-    parts.append(
-        fit_shared_paths(
-            views,
-            history.since_s,
-            history.sigma_norm,
-            beliefs,
-            of_objects,
-            config.max_frames,
-            config.window_probability,
-            _MOST_POINTS,
-        )
-    )
+    parts.append(straight_or_in_bend(views, history.since_s, history.sigma_norm, beliefs, of_objects, config))
     return joined_paths(parts), path_of, np.arange(first + count) >= first
 
 

@@ -1,0 +1,62 @@
+"""A thing drives straight on unless its views say that it turns."""
+
+import numpy as np
+import pytest
+
+from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
+from ttcvid.geometry.shared_path import PathBeliefs
+from ttcvid.stages.bends import STRAIGHT_TURN_RAD_S, straight_or_in_bend
+
+T_S = 0.05 * np.arange(-12.0, 1.0)
+VELOCITY_M_S = np.array([-4.0, 0.0, -5.0])
+DIRECTION = normalize(VELOCITY_M_S)
+SIGMA_NORM = 0.1 / 500.0
+
+
+def views(middle_m, half_size_m, turn_rad_s, noise, n=60, seed=1):
+    """Points about a middle that moves straight, and about which they turn: (L, N, 2)."""
+    rng = np.random.default_rng(seed)
+    offset = rng.uniform(-1.0, 1.0, (n, 3)) * half_size_m
+    turn = rotation_from_vector(T_S[:, None] * np.asarray(turn_rad_s))
+    place = middle_m + T_S[:, None, None] * VELOCITY_M_S + np.einsum("lij,nj->lni", turn, offset)
+    return place[..., :2] / place[..., 2:] + noise * rng.standard_normal((len(T_S), n, 2))
+
+
+def fitted(xy):
+    across = np.eye(3) - np.outer(DIRECTION, DIRECTION)
+    beliefs = PathBeliefs(
+        T_S[None, :, None] * DIRECTION,
+        DIRECTION[None],
+        (np.radians(1.0) ** 2 * across)[None],
+        0.2,
+        0.2,
+        STRAIGHT_TURN_RAD_S,
+        turns_itself=True,
+    )
+    n = xy.shape[1]
+    config = CollisionTimesConfig()
+    return straight_or_in_bend(xy, T_S, np.full(n, SIGMA_NORM), beliefs, np.zeros(n, dtype=np.int64), config)
+
+
+@pytest.mark.parametrize("turn_deg_s", [-8.0, 12.0])
+def test_a_bus_that_turns_is_found_to(turn_deg_s):
+    turn = np.radians([0.0, turn_deg_s, 0.0])
+    found = fitted(views(np.array([2.0, 0.0, 14.0]), np.array([1.5, 1.5, 3.0]), turn, SIGMA_NORM))
+    np.testing.assert_allclose(found.turn_rad_s[0], turn, atol=0.2 * np.abs(turn).max())
+
+
+def test_what_drives_straight_on_is_not_taken_to_turn():
+    turns = [
+        fitted(views(np.array([2.0, 0.0, 25.0]), np.array([1.0, 0.7, 0.5]), np.zeros(3), SIGMA_NORM, 15, seed))
+        for seed in range(30)
+    ]
+    turn_rad_s = np.concatenate([one.turn_rad_s for one in turns])
+    assert np.degrees(np.abs(turn_rad_s)).max() < 1.0
+
+
+def test_what_is_left_of_the_views_is_their_noise():
+    found = fitted(views(np.array([2.0, 0.0, 25.0]), np.array([1.0, 0.7, 0.5]), np.zeros(3), SIGMA_NORM))
+    n_left = 60 * (2 * len(T_S) - 3)
+    assert 0.9 * n_left < found.squares[0] < 1.1 * n_left
+    assert 0.8 < found.usual[0] < 1.1

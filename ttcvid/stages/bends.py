@@ -1,0 +1,80 @@
+"""Objects that drive straight on, and those in a bend: which of them each of their paths is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.chi_square import chi2_quantile
+from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, chosen_paths, fit_shared_paths
+from ttcvid.geometry.whole_track_on_path import NO_PATH
+from ttcvid.model import Floats, Ints
+
+STRAIGHT_TURN_RAD_S = 0.006
+"""What drives straight on turns itself by some tenths of a deg/s: to believe in more would take noise for a turn, and
+that for a wrong velocity."""
+
+# In a bend it turns by some deg/s. That is believed where the views explain it much better than none (chi-square with
+# three degrees of freedom, 99.9 %).
+_BEND_TURN_RAD_S = 0.02
+_BEND_CHI2 = float(chi2_quantile(0.999, 3))
+# Residuals whose squares are so many times what noise makes of them reject a straight path in any case.
+_REJECTED = 4.0
+# Information on a turn below this part of what is believed is none.
+_LEAST_TURN_PART = 1e-3
+# What this many points of an object say of its path together, more of them do not say better: the lead car and the
+# simulated ones have the same errors with 150, in twice the time.
+_MOST_POINTS = 80
+
+
+def straight_or_in_bend(
+    views: Floats,
+    since_s: Floats,
+    sigma_norm: Floats,
+    beliefs: PathBeliefs,
+    path_of: Ints,
+    config: CollisionTimesConfig,
+) -> SharedPaths:
+    """Paths of K things that hardly turn, or, where that explains their views much better, of things in a bend.
+
+    Parameters
+    ----------
+    views, since_s, sigma_norm, path_of
+        As ``xy, t_s, sigma_norm, path_of`` of `fit_shared_paths`.
+    beliefs
+        Of things that drive straight on, with `STRAIGHT_TURN_RAD_S`.
+    """
+
+    def fitted(believed: PathBeliefs, path_of: Ints) -> SharedPaths:
+        return fit_shared_paths(
+            views,
+            since_s,
+            sigma_norm,
+            believed,
+            path_of,
+            config.max_frames,
+            config.window_probability,
+            _MOST_POINTS,
+        )
+
+    straight = fitted(beliefs, path_of)
+    speaks_against = _turn_chi2(straight, beliefs.turn_sigma_rad_s) > _BEND_CHI2 * np.maximum(straight.usual, 1.0)
+    may_turn = speaks_against | (straight.usual > _REJECTED)
+    if not may_turn.any():
+        return straight
+    asked = np.where((path_of != NO_PATH) & may_turn[path_of], path_of, NO_PATH)
+    in_bend = fitted(replace(beliefs, turn_sigma_rad_s=_BEND_TURN_RAD_S), asked)
+    gain = straight.squares - in_bend.squares
+    return chosen_paths(straight, in_bend, may_turn & (gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)))
+
+
+def _turn_chi2(paths: SharedPaths, sigma_rad_s: float) -> Floats:
+    """Chi-square (K,) of the turns that the views alone would show, to first order: the belief in none taken out."""
+    pull = np.linalg.inv(paths.cov[:, 6:, 6:])
+    by_views = pull - np.eye(3) / sigma_rad_s**2
+    score = (pull @ paths.turn_rad_s[..., None])[..., 0]
+    # Views may say nothing of a turn about some axis.
+    least = _LEAST_TURN_PART / sigma_rad_s**2 * np.eye(3)
+    return np.asarray(np.sum(score * np.linalg.solve(by_views + least, score[..., None])[..., 0], axis=1))
