@@ -52,8 +52,9 @@ def _median(values: Floats) -> float:
 def _quantile(values: Floats, part: float) -> float:
     ordered, place = np.sort(values), part * (len(values) - 1)
     below = min(int(place), len(values) - 2) if len(values) > 1 else 0
-    above: float = ordered[min(below + 1, len(values) - 1)]
-    return ordered[below] + (place - below) * (above - ordered[below])
+    above = ordered[min(below + 1, len(values) - 1)]
+    between: float = ordered[below] + (place - below) * (above - ordered[below])
+    return between
 
 
 @compiled

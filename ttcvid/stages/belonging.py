@@ -112,24 +112,19 @@ def assigned(
     """
     if not len(movers):
         return key, misfit
-    every, n_bodies = np.arange(len(key)), len(movers) + 1
-    number = numbers_of(key, movers)
+    number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = np.zeros((len(key), n_bodies), dtype=np.int64)
     _count_votes(number, views.neighbours, votes)
     is_asked = votes > 0
-    is_asked[every, number] = True
+    is_asked[np.arange(len(key)), number] = True
     track, mover = np.nonzero(is_asked[:, 1:])
+    fit = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
     off = np.full((len(key), n_bodies), np.inf)
     off[:, 0] = misfit
-    fit = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
     off[track, mover + 1] = fit.misfit / usual_misfit
-    score = np.full((len(key), n_bodies), np.inf)
-    score[:, 0] = np.log1p(np.minimum(misfit, _WORST_MISFIT)) - _SCENE_WEIGHT * (n_views > _SCENE_VIEWS)
-    score[track, mover + 1] = np.log1p(np.minimum(off[track, mover + 1], _WORST_MISFIT))
-    score -= votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1), 1))[:, None]
-    score[every, number] -= _HABIT_WEIGHT * (n_views > _HABIT_VIEWS)
-    best = np.argmin(score, axis=1)
-    return np.append(SCENE_CLUSTER, movers.key)[best], off[every, best]
+    best = np.zeros(len(key), dtype=np.int64)
+    _choose(off, votes, number, n_views, best)
+    return np.append(SCENE_CLUSTER, movers.key)[best], off[np.arange(len(key)), best]
 
 
 @compiled
@@ -139,6 +134,24 @@ def _count_votes(number: Ints, neighbours: Ints, votes: Ints) -> None:
         for j in neighbours[i]:
             if j != i:
                 votes[i, number[j]] += 1
+
+
+@compiled
+def _choose(off: Floats, votes: Ints, number: Ints, n_views: Ints, best: Ints) -> None:
+    """Fill ``best (N,)`` of the bodies, the scene first, on which tracks are ``off (N, B)``, infinite: not asked."""
+    for i in range(len(off)):
+        all_votes, least = 0, np.inf
+        for b in range(off.shape[1]):
+            all_votes += votes[i, b]
+        for b in range(off.shape[1]):
+            if off[i, b] < np.inf:
+                score = np.log1p(min(off[i, b], _WORST_MISFIT)) - votes[i, b] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
+                if b == 0 and n_views[i] > _SCENE_VIEWS:
+                    score -= _SCENE_WEIGHT
+                if b == number[i] and n_views[i] > _HABIT_VIEWS:
+                    score -= _HABIT_WEIGHT
+                if score < least:
+                    best[i], least = b, score
 
 
 def along_our_way(
