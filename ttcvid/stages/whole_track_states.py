@@ -20,6 +20,7 @@ from ttcvid.stages.bends import STRAIGHT_TURN_RAD_S, straight_or_in_bend
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
+from ttcvid.stages.overlaps import overlap_factors
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.scene_path import scene_path
 from ttcvid.stages.track_states import SharedErrors, TrackStates, first_reason, has_value
@@ -134,7 +135,8 @@ def _on_paths(
         config.max_frames,
         config.window_probability,
     )
-    misfit = _misfit(path_of, rates, len(paths.direction))
+    # Tracks of a small object look at the same pixels: so much less do they know together.
+    misfit = _misfit(path_of, rates, len(paths.direction)) * overlap_factors(history.xy_px, path_of, is_object)
     across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
     shared_cov = paths.cov * misfit[:, None, None]
     shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
