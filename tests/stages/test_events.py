@@ -149,6 +149,17 @@ def test_what_goes_straight_up_shows_its_whole_width(start_m, is_hit):
     assert is_collision_course(row, CAMERA, config, is_warned=False) == is_hit
 
 
+@pytest.mark.parametrize(("aside_m", "is_hit"), [(4.0, True), (12.0, False)])
+def test_which_end_of_a_lorry_is_the_reference_changes_nothing(aside_m, is_hit):
+    """The lorry is seen from its side, 9 m long."""
+    row = row_of((aside_m, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.001, width_m=9.0)
+    assert row.ref_px is not None
+    row = replace(row, motion_state=MotionState.approaching)
+    for x_px in (row.box_px[0], row.ref_px[0], row.box_px[2]):
+        seen = replace(row, ref_px=(x_px, row.ref_px[1]))
+        assert is_collision_course(seen, CAMERA, CONFIG, is_warned=False) == is_hit
+
+
 def test_what_reaches_beyond_a_right_angle_off_the_axis_is_wide():
     fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
     place = np.array([np.tan(np.radians(60.0)), 0.0, 1.0])

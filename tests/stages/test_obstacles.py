@@ -94,6 +94,12 @@ def test_a_stopped_car_in_our_lane_is_an_obstacle_once_it_has_lasted(rng):
     assert on_car.mean() > 0.8
 
 
+@pytest.mark.parametrize(("height_m", "is_one"), [(0.38, True), (0.15, False)])
+def test_a_car_of_which_only_bumper_and_plate_are_seen_is_one_and_a_flat_box_is_driven_over(rng, height_m, is_one):
+    low = box_of_points(rng, 12, (0.0, CAMERA_M - height_m, 25.0), (1.6, 0.06, 0.0))
+    assert bool(watched(np.concatenate([road(rng), low]))) == is_one
+
+
 @pytest.mark.parametrize("aside_m", [-2.8, 2.8])
 def test_a_parked_car_at_the_roadside_is_none(rng, aside_m):
     assert watched(np.concatenate([road(rng), rear_of_car(rng, aside_m, 25.0)])) == {}

@@ -157,7 +157,7 @@ def _choose(off: Floats, votes: Ints, number: Ints, n_views: Ints, best: Ints) -
 def along_our_way(
     movers: Movers, scene: RigidPaths, scene_fit: PathFit, key: Ints, own_misfit: Floats, seen_misfit: Floats
 ) -> Movers:
-    """The movers, with the scene's path for those whose tracks it explains better than their own does.
+    """The movers, with the scene's path for those of which it explains most tracks better than their own does.
 
     What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
     refinement a frame lags behind that, and the next step goes on from there.
@@ -167,16 +167,17 @@ def along_our_way(
     own_misfit, seen_misfit : (N,) of each track on its body's path, and on the scene's, in the same units.
     """
     number, n = numbers_of(key, movers), len(movers)
-    track = np.flatnonzero((number > 0) & np.isfinite(scene_fit.rate_hz))
-    thing = number[track] - 1
-    is_along = medians(seen_misfit[track], thing, n) < medians(own_misfit[track], thing, n)
+    is_better = np.bincount(number, seen_misfit < own_misfit, n + 1)[1:]
+    is_along = is_better > 0.5 * np.bincount(number, minlength=n + 1)[1:]
     if not is_along.any():
         return movers
+    track = np.flatnonzero(np.append(False, is_along)[number] & np.isfinite(scene_fit.rate_hz))
+    rate_hz = medians(scene_fit.rate_hz[track], number[track] - 1, n)
     paths = RigidPaths(
         np.where(is_along[:, None, None, None], scene.cam_R_past, movers.paths.cam_R_past),
         np.where(is_along[:, None, None], scene.path, movers.paths.path),
     )
-    rate_hz = np.where(is_along, medians(scene_fit.rate_hz[track], thing, n), movers.rate_hz)
+    rate_hz = np.where(np.isfinite(rate_hz), rate_hz, movers.rate_hz)
     return replace(movers, paths=paths, rate_hz=rate_hz)
 
 

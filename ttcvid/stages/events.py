@@ -164,7 +164,7 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
 
     Both in units of depth: how fast the object comes has no part in it, only where to.
     """
-    place, left, right = _reference_and_sides(row, camera)
+    place, left, right = _middle_and_sides(row, camera)
     speed = np.linalg.norm(abc_hz)
     direction = abc_hz / speed
     ahead = float(place @ direction)
@@ -179,14 +179,16 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     return float(miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
 
 
-def _reference_and_sides(row: ClusterRow, camera: Camera) -> tuple[Floats, float, float]:
-    """Ray (3,) of the reference point, and where both sides of the box are at its height, in the plane z = 1.
+def _middle_and_sides(row: ClusterRow, camera: Camera) -> tuple[Floats, float, float]:
+    """Ray (3,) of the middle of the box, and where both its sides are, in the plane z = 1, at the reference's height.
 
-    A side at 90 deg or more off the axis (of a fisheye) is nowhere in that plane: infinitely far.
+    The reference point itself may be at either side: of a lorry that crosses, the end that is nearer. A side at 90 deg
+    or more off the axis (of a fisheye) is nowhere in that plane: infinitely far.
     """
     assert row.ref_px is not None
-    x_px, y_px = row.ref_px
-    place, left, right = rays_from_pixels(camera, np.array([[x, y_px] for x in (x_px, row.box_px[0], row.box_px[2])]))
+    x0_px, x1_px, y_px = row.box_px[0], row.box_px[2], row.ref_px[1]
+    three_px = np.array([[x, y_px] for x in (0.5 * (x0_px + x1_px), x0_px, x1_px)])
+    place, left, right = rays_from_pixels(camera, three_px)
     return place, float(np.nan_to_num(left[0], nan=-np.inf)), float(np.nan_to_num(right[0], nan=np.inf))
 
 

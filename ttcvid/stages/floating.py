@@ -66,7 +66,6 @@ def find_floating(
     x, y = fit.place.T
     for number in np.flatnonzero(np.bincount(label) >= _LEAST_THING):
         thing = index[label == number]
-        near_hz, far_hz = quantile(fit.rate_hz[thing], 0.95), quantile(fit.rate_hz[thing], 0.05)
         found.thing[thing] = number
         lowest = thing[np.argsort(-y[thing], kind="stable")[:2]]
         if not np.isfinite(over[lowest]).all():
@@ -74,6 +73,7 @@ def find_floating(
         if not over[lowest].min() > _FLOATS:
             found.is_borne[thing] = True
             continue
+        near_hz, far_hz = quantile(fit.rate_hz[thing], 0.95), quantile(fit.rate_hz[thing], 0.05)
         if near_hz > _MOST_DEPTH_RATIO * far_hz and slope_hz * (1.0 / far_hz - 1.0 / near_hz) > _MOST_LENGTH:
             continue
         bottom = thing[y[thing] >= y[lowest[0]] - _BOTTOM * (y[lowest[0]] - y[thing].min())]

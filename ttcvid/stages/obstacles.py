@@ -46,7 +46,7 @@ _LEAST_TURN_S = 0.3
 _BELOW_CAMERA = 0.15
 # Heights over the road, in heights of the camera: what ends below the first can be driven over, what begins above the
 # second is driven under; so many tracks of a thing stand above the first.
-_LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.3, 1.1, 2
+_LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
 # A missed obstacle stays an object for `forget_frames`, and can be re-identified for this many times as long.
 _REMEMBERED = 4
 _TINY_HZ = 1e-9
