@@ -56,7 +56,7 @@ def test_what_drives_straight_on_is_not_taken_to_turn():
 
 
 def test_what_is_left_of_the_views_is_their_noise():
-    found = fitted(views(np.array([2.0, 0.0, 25.0]), np.array([1.0, 0.7, 0.5]), np.zeros(3), SIGMA_NORM))
-    n_left = 60 * (2 * len(T_S) - 3)
+    found = fitted(views(np.array([2.0, 0.0, 25.0]), np.array([1.0, 0.7, 0.5]), np.zeros(3), SIGMA_NORM, n=40))
+    n_left = 40 * (2 * len(T_S) - 3)
     assert 0.9 * n_left < found.squares[0] < 1.1 * n_left
     assert 0.8 < found.usual[0] < 1.1

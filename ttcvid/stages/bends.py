@@ -20,13 +20,15 @@ that for a wrong velocity."""
 # three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
 _BEND_CHI2 = float(chi2_quantile(0.999, 3))
+# The first order promises more than a fit keeps: a second one is not made for less than this.
+_PROMISED_CHI2 = 2.5 * _BEND_CHI2
 # Residuals whose squares are so many times what noise makes of them reject a straight path in any case.
-_REJECTED = 4.0
+_REJECTED = 10.0
 # Information on a turn below this part of what is believed is none.
 _LEAST_TURN_PART = 1e-3
 # What this many points of an object say of its path together, more of them do not say better: the lead car and the
-# simulated ones have the same errors with 150, in twice the time.
-_MOST_POINTS = 80
+# simulated ones have the same errors with 80 or 150, in so much more time.
+_MOST_POINTS = 50
 
 
 def straight_or_in_bend(
@@ -60,7 +62,7 @@ def straight_or_in_bend(
         )
 
     straight = fitted(beliefs, path_of)
-    speaks_against = _turn_chi2(straight, beliefs.turn_sigma_rad_s) > _BEND_CHI2 * np.maximum(straight.usual, 1.0)
+    speaks_against = _turn_chi2(straight, beliefs.turn_sigma_rad_s) > _PROMISED_CHI2 * np.maximum(straight.usual, 1.0)
     may_turn = speaks_against | (straight.usual > _REJECTED)
     if not may_turn.any():
         return straight
