@@ -175,6 +175,9 @@ def _on_paths(
         rates.n_frames,
         found.along_sigma_hz,
         motions.no_direction_status,
+        LEAST_FRAMES_ON_PATH,
+        INFINITY_COSINE,
+        SIGNIFICANCE_SIGMAS**2,
         found.abc_hz,
         found.cov,
         direction,
@@ -195,6 +198,9 @@ def _judge(
     n_frames: Ints,
     along_sigma_hz: Floats,
     no_direction: Ints,
+    least_frames: int,
+    infinity_cosine: float,
+    significant_chi2: float,
     abc_hz: Floats,
     cov: Floats,
     direction: Floats,
@@ -203,12 +209,12 @@ def _judge(
     """Fills ``direction (N, 3)`` and ``status (N,)``; without a result, ``abc_hz (N, 3)`` and ``cov`` become NaN."""
     for i in range(len(path_of)):
         k = path_of[i]
-        if not np.isfinite(xy[now, i, 0]) or (k >= 0 and n_frames[i] < LEAST_FRAMES_ON_PATH):
+        if not np.isfinite(xy[now, i, 0]) or (k >= 0 and n_frames[i] < least_frames):
             status[i] = _SHORT
         elif k < 0:
             status[i] = no_direction[i]
         elif not np.isfinite(rate_hz[i]) or _is_at_epipole(
-            xy[:, i], now, path_direction[k], sigma_norm[i] ** 2 + direction_variance[k]
+            xy[:, i], now, path_direction[k], significant_chi2 * (sigma_norm[i] ** 2 + direction_variance[k])
         ):
             status[i] = _AT_EPIPOLE
         # Along its path: how sure it is that a track moves at all, and forwards.
@@ -220,14 +226,14 @@ def _judge(
             speed_hz = np.sqrt(abc_hz[i, 0] ** 2 + abc_hz[i, 1] ** 2 + abc_hz[i, 2] ** 2)
             for j in range(3):
                 direction[i, j] = abc_hz[i, j] / speed_hz
-            status[i] = _AT_INFINITY if abs(direction[i, 2]) < INFINITY_COSINE else _OK
+            status[i] = _AT_INFINITY if abs(direction[i, 2]) < infinity_cosine else _OK
             continue
         abc_hz[i], cov[i] = np.nan, np.nan
 
 
 @compiled
 def _is_at_epipole(xy: Floats, now: int, e: Floats, variance: float) -> bool:
-    """Whether the first and the last of the views ``(L, 2)`` lie on the line along e within noise (rad^2).
+    """Whether the first and the last of the views ``(L, 2)`` lie on the line along e within a variance (rad^2).
 
     As `geometry.state.is_at_epipole`: abs(ray x e) over abs(ray) is the sine of their angle.
     """
@@ -237,7 +243,7 @@ def _is_at_epipole(xy: Floats, now: int, e: Floats, variance: float) -> bool:
     for place in (first, now):
         x, y = xy[place, 0], xy[place, 1]
         cx, cy, cz = y * e[2] - e[1], e[0] - x * e[2], x * e[1] - y * e[0]
-        if not cx * cx + cy * cy + cz * cz < (x * x + y * y + 1.0) * variance * SIGNIFICANCE_SIGMAS**2:
+        if not cx * cx + cy * cy + cz * cz < (x * x + y * y + 1.0) * variance:
             return False
     return True
 
