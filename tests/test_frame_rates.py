@@ -34,4 +34,5 @@ def test_a_crossing_car_has_one_number_and_its_time_at_any_frame_rate(fps):
         (row,) = [row for row in result.clusters if row.cluster_id]
         true_s = (CROSSING_M[2] - 0.5 * LENGTH_M[2]) / OWN_M_S - result.t_s
         errors.append(abs(row.times.ttc_z_s[0] / true_s - 1.0))
-    assert np.median(errors) < 0.06
+    # At 5 frames a second these are three, from four to seven views each.
+    assert np.median(errors) < (0.06 if fps > 5.0 else 0.09)

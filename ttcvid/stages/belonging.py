@@ -23,6 +23,8 @@ _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A mover that is hidden is known again for so long, s: after that it may well move otherwise. Its tracks have rates
 # within this factor then, and are within so many of its extents of where it has to be.
 _KNOWN_AGAIN_S, _ONE_RATE, _WITHIN_EXTENTS = 1.0, 4.0, 2.5
+# How fast it went is known to this part: its last tracks were those at the rim of what hid it.
+_UNSURE_PART = 0.3
 
 
 @dataclass(frozen=True)
@@ -249,6 +251,7 @@ def _misfits_as_hidden(views: BodyViews, members: Ints, hidden: Movers, usual_mi
     centre, misfit = hidden.where.centre, np.full(len(hidden), np.inf)
     away = np.linalg.norm(np.mean(views.xy[members], axis=0) - centre[:, :2] / centre[:, 2:], axis=1)
     limit = _WITHIN_EXTENTS * hidden.where.extent / centre[:, 2] + views.link_px / views.focal_px
+    limit += _UNSURE_PART * _moved_unseen(views, hidden)
     for mover in np.flatnonzero(away < limit):
         it = hidden.take(np.array([mover]))
         fit = fit_on_movers(views.points(members), it.paths, it.rate_hz)
@@ -256,3 +259,12 @@ def _misfits_as_hidden(views: BodyViews, members: Ints, hidden: Movers, usual_mi
         if 1.0 / _ONE_RATE < rate < _ONE_RATE:
             misfit[mover] = np.median(fit.misfit) / usual_misfit
     return misfit
+
+
+def _moved_unseen(views: BodyViews, hidden: Movers) -> Floats:
+    """How far hidden movers have gone in the plane z = 1 since they were seen, by their motion now: (K,)."""
+    where, step = hidden.where, hidden.paths.path[:, -2]
+    place = where.centre[:, :2] / where.centre[:, 2:]
+    last = np.linalg.norm(step[:, :2] - place * step[:, 2:], axis=1) / where.centre[:, 2]
+    moved: Floats = last * (views.t_s[-1] - where.seen_s) / (views.t_s[-1] - views.t_s[-2])
+    return moved
