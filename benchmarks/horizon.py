@@ -36,7 +36,7 @@ from ttcvid.stages.whole_tracks import Observations, joined
 N_CAMERAS = 200
 SIGMA_PX, OUTLIERS = 0.3, 0.01
 """Noise of the simulated tracks, and the part of observations that are thrown off by up to 12 px."""
-N_PICTURES, FIRST_PICTURE = 10, 100
+N_PICTURES, FIRST_PICTURE = 20, 100
 """Rendered cameras and the seed of the first one: those below were looked at when the method was made."""
 OTHER_WINDOWS_PX = (21, 29)
 """Sides of the tracker's window that the result should not depend on."""
