@@ -126,7 +126,9 @@ def test_any_camera_comes_back_with_the_same_numbers(case, fx, ratio, cx, cy, co
     coefficients = (*coefficients[:4], 0.0) if model == "plumb_bob" else coefficients
     camera = Camera(fx, fx * ratio, cx, cy, SIZE, model, coefficients)
     with tempfile.TemporaryDirectory() as folder:
-        read = read_camera(saved(folder, write(camera)), SIZE)
+        read = camera_or_refusal(saved(folder, write(camera)))
+    # A lens that folds over within the picture is none.
+    assume(read is not None)
     np.testing.assert_allclose(
         [read.fx_px, read.fy_px, read.cx_px, read.cy_px, *read.distortion],
         [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion],
