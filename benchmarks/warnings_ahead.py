@@ -12,7 +12,6 @@ import argparse
 import tempfile
 from pathlib import Path
 
-import pandas as pd
 import yaml
 from warning_scenes import KINDS, scene_values
 
@@ -31,7 +30,7 @@ def judged(kind: str, number: int, folder: Path, *, collides: bool) -> tuple[str
     if not scene.exists():
         ttcvid.simulate(path, scene)
     platform = "aircraft" if kind == "aircraft" else "vehicle"
-    run = ttcvid.analyze(
+    ttcvid.analyze(
         str(scene / "clip.mp4"),
         out,
         camera=str(scene / "camera.yaml"),
@@ -39,10 +38,8 @@ def judged(kind: str, number: int, folder: Path, *, collides: bool) -> tuple[str
         overlay=False,
         overwrite=True,
     )
-    false = float(ttcvid.evaluate(out, scene).evaluation.metrics["events.false"] or 0.0)
-    contact_s = pd.read_parquet(scene / "truth_encounters.parquet").t_contact_s.min()
-    has_lead = collides and len(run.events) > 0
-    return path.stem, float(contact_s - run.events.start_s.min()) if has_lead else None, false
+    metrics = ttcvid.evaluate(out, scene).evaluation.metrics
+    return path.stem, metrics["events.lead_s"] if collides else None, float(metrics["events.false"] or 0.0)
 
 
 def main() -> None:

@@ -43,8 +43,8 @@ class TrackingConfig(StageConfig):
     max_tracks: int = Field(
         default=1300, ge=20, le=20000, description="tracks held alive (klt) or features taken (akaze)"
     )
-    min_distance_px: PositiveFloat = Field(
-        default=7.0, description="usual least distance between a new corner and any track"
+    min_distance_px: float = Field(
+        default=7.0, ge=1.0, description="usual least distance between a new corner and any track"
     )
     close_share: float = Field(
         default=0.1, ge=0.0, le=1.0, description="part of the new corners that may stand at 0.57 of it, on small things"

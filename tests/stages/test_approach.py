@@ -71,6 +71,22 @@ def test_a_time_that_may_be_a_common_error_of_the_tracks_has_an_interval_by_way_
     assert 1.0 / times.ttc_z_lo_s[0] - 1.0 / times.ttc_z_hi_s[0] == pytest.approx(2 * 1.645 * 0.02, rel=0.05)
 
 
+def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
+    car = box_of_points(np.random.default_rng(2), N, AHEAD_M, (1.8, 1.8, 0.0))
+    now = normalize(car)
+    row = ClusterRow(1, 1, N, (0.0, 0.0, 1.0, 1.0), Status.ok, Status.ok, "whole-tracks", ref_px=(340.0, 190.0))
+    row = replace(row, state_abc_hz=np.array([0.0, 0.0, -0.2]), state_cov=1e-6 * np.eye(3))
+    members, age_s = TrackSets.of([np.arange(N)]), np.full(N, 2.0)
+
+    def cov_of(rays):
+        return with_common_errors([row], members, CommonViews(rays, rays, GAP_S), age_s, CAMERA)[0].state_cov
+
+    without_one, unseen = now.copy(), np.full_like(now, np.nan)
+    without_one[0] = np.nan
+    np.testing.assert_allclose(cov_of(without_one), cov_of(now), rtol=0.1)
+    assert np.isfinite(cov_of(unseen)).all()
+
+
 def test_a_car_that_crosses_before_us_without_growing_still_comes_nearer():
     # It comes from the side: nearer by its way across, at the same depth.
     assert seen((-0.8, 0.0, 0.0), 0.01, (-8.0, 0.0, 0.0), ASIDE_M) == MotionState.approaching

@@ -88,3 +88,13 @@ def test_tracks_timed_by_expansion_err_with_their_neighbours(count, independent)
     of_a_track = OWN_PART**2 + SHARED_PART**2 + CHANGE**2
     assert joint.cov[0, 2, 2] / RATE_HZ**2 == pytest.approx(of_a_track / independent, rel=0.02)
     assert joint.speed_change[0] == 0.0
+
+
+def test_tracks_without_a_rate_on_the_path_have_no_part_in_what_the_others_share():
+    """Such as a point on the epipole, which nothing but expansion times."""
+    states, index = states_on_one_path(), np.arange(3)
+    off_path = without_path(states, index)
+    expected = sigma_and_change(off_path)
+    for values in (off_path.shared.jacobian, off_path.shared.rate_variance):
+        values[index] = np.nan
+    assert sigma_and_change(off_path) == expected

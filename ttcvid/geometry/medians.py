@@ -9,7 +9,7 @@ from ttcvid.model import Floats, Ints
 
 
 def median(values: Floats) -> float:
-    """Median of numbers ``(N,)``; NaN without any.
+    """Median of finite numbers ``(N,)``; NaN without any.
 
     >>> median(np.array([3.0, 1.0, 2.0, 5.0]))
     2.5
@@ -18,7 +18,7 @@ def median(values: Floats) -> float:
 
 
 def quantile(values: Floats, part: float) -> float:
-    """The number below which so large a part of ``values (N,)`` lies, interpolated; N > 0.
+    """The number below which so large a part of ``values (N,)`` lies, interpolated; all of them finite, N > 0.
 
     >>> quantile(np.array([3.0, 1.0, 2.0, 5.0]), 0.25)
     1.75

@@ -24,9 +24,8 @@ _ROBUST_SIGMAS = 3.0
 # Gauss-Newton on a point ends after a step that lowers chi-square by less than this: the step is taken, its fall is
 # what the linearisation says.
 _SMALL_FALL = 0.1
-# The depth of a point over that at time 0, 1 + rho T_z, is taken as at least this. Not the 0.1 of `whole_track_on_path`
-# and `shared_path_descent`, where it limits the rate: here a rate of the wrong path is fitted, too, and only the
-# prediction is kept from its pole.
+# The depth of a point over that at time 0, 1 + rho T_z, is taken as at least this. `whole_track_on_path` and
+# `shared_path_descent` have 0.1 to limit the rate: here, on wrong paths too, only the prediction is kept from its pole.
 _LEAST_DEPTH_RATIO = 0.05
 # Least z of a turned unit ray that still has a place in the plane z = 1, as in `rotation.turned_into_plane`.
 _LEAST_FORWARD = 0.05
@@ -125,6 +124,7 @@ def refine_each(
             n_used = 0
             for c in range(len(members)):
                 m = members[c]
+                rate[m] = rate[m] if np.isfinite(rate[m]) else 0.0
                 x, y, rho, _, chi2, n = _fit(rays[track[m]], way, n_frames - 1, rate[m], sigma[track[m]], 0.0, N_STEPS)
                 if n < 2:
                     rate[m] = np.nan

@@ -110,10 +110,18 @@ def _radial_rate(row: ClusterRow, ray: Floats) -> tuple[float, float]:
 
 
 def _radius_px(views: CommonViews, members: TrackSets, camera: Camera) -> Floats:
-    """Root mean square distance (K,) of the tracks of each set from their centre, px."""
-    offset = pixels_from_rays(camera, views.now)[members.index]
-    offset -= members.means(offset)[members.set_of]
-    return np.sqrt(members.means(np.sum(offset**2, axis=1)))
+    """Root mean square distance (K,) of the tracks of each set from their centre, px; 0 without any.
+
+    Points outside of what the lens maps have no ray, and no part in it.
+    """
+    radius_px = np.zeros(len(members))
+    xy_px = pixels_from_rays(camera, views.now)
+    seen, owner = members.where(np.isfinite(xy_px[members.index, 0]))
+    if len(seen):
+        offset = xy_px[seen.index]
+        offset -= seen.means(offset)[seen.set_of]
+        radius_px[owner] = np.sqrt(seen.means(np.sum(offset**2, axis=1)))
+    return radius_px
 
 
 def _is_contradicted(row: ClusterRow, gap_s: float, grows: Sequence[float], radius_px: float) -> bool:

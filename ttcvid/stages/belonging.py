@@ -173,7 +173,7 @@ def along_our_way(
     is_along = is_better > 0.5 * np.bincount(number, minlength=n + 1)[1:]
     if not is_along.any():
         return movers
-    track = np.flatnonzero(np.append(False, is_along)[number] & np.isfinite(scene_fit.rate_hz))
+    track = np.flatnonzero(np.append(False, is_along)[number] & (scene_fit.rate_sigma_hz > 0.0))
     rate_hz = medians(scene_fit.rate_hz[track], number[track] - 1, n)
     paths = RigidPaths(
         np.where(is_along[:, None, None, None], scene.cam_R_past, movers.paths.cam_R_past),

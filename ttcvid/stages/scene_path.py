@@ -13,9 +13,8 @@ from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import ROTATION_DRIFT_RAD, TrackHistory
 
-# The prior direction was fitted to some of the same views. Its covariance would be inflated by this factor for that (1:
-# it is not); the square of this angle is added, its floor.
-_BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 1.0, float(np.radians(0.02))
+# The prior direction is believed to no better than this angle: it was fitted to some of the same views.
+_BELIEF_FLOOR_RAD = float(np.radians(0.02))
 # Own acceleration over own speed: 2 m/s^2 at 5 m/s. Across, the single steps have turned already.
 _OWN_ALONG_HZ, _OWN_ACROSS_HZ = 0.4, 0.02
 # Tracks that the path needs.
@@ -67,7 +66,7 @@ def _follows(history: TrackHistory, direction: Floats) -> Bools:
 
 def _belief(history: TrackHistory, direction: Floats, direction_cov: Floats) -> PathBeliefs:
     across = np.eye(3) - np.outer(direction, direction)
-    cov = _BELIEF_FACTOR * direction_cov + _BELIEF_FLOOR_RAD**2 * across
+    cov = direction_cov + _BELIEF_FLOOR_RAD**2 * across
     sigma_rad_s = history.rotation_rate_sigma_rad_s
     return PathBeliefs(
         history.scene_steps[None], direction[None], cov[None], _OWN_ALONG_HZ, _OWN_ACROSS_HZ, sigma_rad_s

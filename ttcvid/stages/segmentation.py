@@ -127,7 +127,8 @@ def find_bodies(
     scene_fit = fit_on_paths(every, scene, rate_hz)
     rate_hz = scene_fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
-    if not is_sure and not _moves_past(scene_fit, _places(history), is_free):
+    rests = not is_sure and not _moves_past(scene_fit, _places(history), is_free)
+    if rests:
         scene_fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     usual = _usual_misfit(scene_fit, (key == SCENE_CLUSTER) & is_free)
     misfit = seen_misfit = scene_fit.misfit / usual
@@ -142,7 +143,8 @@ def find_bodies(
 
     movers = _refined(movers, scene, views, key)
     key, own_misfit = assigned(views, movers, key, scene_fit.n_views, misfit, usual)
-    movers = along_our_way(movers, scene, scene_fit, key, own_misfit, seen_misfit)
+    if not rests:
+        movers = along_our_way(movers, scene, scene_fit, key, own_misfit, seen_misfit)
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, scene, key, movers, own_misfit, usual)
     next_key = memory.next_key

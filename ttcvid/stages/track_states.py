@@ -55,8 +55,11 @@ class SharedErrors:
         Noise of their own averages out, up to ``own_factor``; what they share does not. ``number (K,)`` is the path of
         each set, ``weight (M,)`` that of the tracks, 0 for those on none.
         """
-        jacobian = sets.sums(weight[:, None, None] * self.jacobian[sets.index])
-        own = own_factor * sets.sums(weight**2 * self.rate_variance[sets.index])
+        # What has no path may have no rate on one either.
+        has_path = weight > 0.0
+        by_shared = np.where(has_path[:, None, None], self.jacobian[sets.index], 0.0)
+        jacobian = sets.sums(weight[:, None, None] * by_shared)
+        own = own_factor * sets.sums(weight**2 * np.where(has_path, self.rate_variance[sets.index], 0.0))
         changed = self.change[number][:, None] * mean_hz
         along = self.along[number]
         return np.asarray(
