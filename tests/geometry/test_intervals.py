@@ -196,3 +196,18 @@ def test_a_thousand_points_are_quick():
         collision_times_from_state(x, y, abc, cov, sigma)
         durations.append(time.process_time() - start)
     assert min(durations) < 0.015, "measured 2 ms; the bound leaves room for a busy machine"
+
+
+def test_no_value_lies_outside_of_its_interval_by_rounding():
+    """Covariances of nearly one direction: the border of the region then runs close by the value."""
+    rng = np.random.default_rng(11)
+    n = 20_000
+    x, y = rng.uniform(-0.8, 0.8, (2, n))
+    abc_hz = rng.normal(0.0, 0.4, (n, 3))
+    along = rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-6, -1, n)[:, None]
+    cov = along[:, :, None] * along[:, None, :]
+    times = collision_times_from_state(x, y, abc_hz, cov, np.full(n, 1e-9))
+    for name in ("tcpa", "miss"):
+        value, low, high = (getattr(times, f"{name}{end}_s") for end in ("", "_lo", "_hi"))
+        assert not (value < low).any()
+        assert not (value > high).any()

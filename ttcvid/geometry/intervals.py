@@ -60,13 +60,14 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     eta, eta_sigma = -abc_hz[:, 2], np.sqrt(np.maximum(cov[:, 2, 2], 0.0))
     rates, rates_cov = radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm)
     tcpa_lo, tcpa_hi, miss_lo, miss_hi = inversion_range(rates, rates_cov)
+    # The value itself is in the region; by another way of rounding it may seem to lie beyond the border.
     return CollisionTimes(
         tcpa_s=times.tcpa_s,
-        tcpa_lo_s=tcpa_lo,
-        tcpa_hi_s=tcpa_hi,
+        tcpa_lo_s=np.minimum(tcpa_lo, times.tcpa_s),
+        tcpa_hi_s=np.maximum(tcpa_hi, times.tcpa_s),
         miss_s=times.miss_s,
-        miss_lo_s=miss_lo,
-        miss_hi_s=miss_hi,
+        miss_lo_s=np.minimum(miss_lo, times.miss_s),
+        miss_hi_s=np.maximum(miss_hi, times.miss_s),
         ttc_z_s=times.ttc_z_s,
         ttc_z_lo_s=quotient(1.0, eta + NORMAL_90_SIGMAS * eta_sigma),
         ttc_z_hi_s=quotient(1.0, eta - NORMAL_90_SIGMAS * eta_sigma),
