@@ -26,8 +26,8 @@ _PROMISED_CHI2 = 2.5 * _BEND_CHI2
 _REJECTED = 10.0
 # Information on a turn below this part of what is believed is none.
 _LEAST_TURN_PART = 1e-3
-# What this many points of an object say of its path together, more of them do not say better: the lead car and the
-# simulated ones have the same errors with 80 or 150, in so much more time.
+# What this many points of an object say of its path together, more of them hardly say better, in so much more time:
+# errors that neighbours have in common limit it.
 _MOST_POINTS = 50
 
 
