@@ -2,15 +2,13 @@
 
 python benchmarks/memory.py [--clip CLIP] [--frames 3000] [--check]
 
-The clip is repeated without encoding it again, as often as it takes, and analysed in this process with tables and
-overlay; after each frame the resident memory is read from /proc (Linux only).
+The clip is repeated without encoding it again, as often as it takes, and analysed from this process with tables
+and overlay; after each frame the resident memory of all its processes is read from /proc (Linux only).
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import resource
 import sys
 import tempfile
 from pathlib import Path
@@ -22,13 +20,13 @@ from runs import data_folder
 
 from ttcvid.jobs.analyze import run_analysis
 from ttcvid.jobs.configuration import configure_from_arguments
+from ttcvid.jobs.memory import PeakMemory, resident_mb
 
 PEAK_BAR, GROWTH_BAR = Bar(500.0), Bar(20.0)
 """MB (10^6 bytes)."""
 N_FRAMES, EARLY_FRAME = 3000, 500
 SMOOTHING_FRAMES = 50
 """The figure at a frame is the median over the frames up to it: one reading depends on what waits in the queues."""
-_MB = 1e6
 
 
 def repeat_clip(clip: Path, out: Path, n_frames: int) -> None:
@@ -52,12 +50,6 @@ def _later(packet: av.Packet, delay: int, stream: av.VideoStream) -> av.Packet:
     return copy
 
 
-def resident_mb() -> float:
-    """Resident memory of this process now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / _MB
-
-
 def measure(report: Report, clip: Path, camera: Path | None, n_frames: int = N_FRAMES) -> None:
     """Analyse the repeated clip and say what memory it took."""
     report.heading(f"Memory over {n_frames} frames")
@@ -67,18 +59,19 @@ def measure(report: Report, clip: Path, camera: Path | None, n_frames: int = N_F
     with tempfile.TemporaryDirectory() as folder:
         long_clip = Path(folder) / "long.mp4"
         repeat_clip(clip, long_clip, n_frames)
-        run_analysis(
-            str(long_clip),
-            Path(folder) / "run",
-            configure_from_arguments({**options, "end": n_frames}),
-            on_frame=lambda done, total: readings_mb.append(resident_mb()),
-        )
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / _MB
+        with PeakMemory() as memory:
+            run_analysis(
+                str(long_clip),
+                Path(folder) / "run",
+                configure_from_arguments({**options, "end": n_frames}),
+                on_frame=lambda done, total: readings_mb.append(resident_mb()),
+            )
+            peak_mb = memory.peak_mb
     early_mb, late_mb = (resident_at(readings_mb, frame) for frame in (EARLY_FRAME, len(readings_mb)))
     report.figure(f"resident memory at frame {EARLY_FRAME}", early_mb, "MB")
     report.figure(f"resident memory at frame {len(readings_mb)}", late_mb, "MB")
     report.figure("growth", late_mb - early_mb, "MB", GROWTH_BAR)
-    report.figure("peak of the process", peak_mb, "MB", PEAK_BAR)
+    report.figure("peak of its processes together", peak_mb, "MB", PEAK_BAR)
 
 
 def resident_at(readings_mb: list[float], frame: int) -> float:

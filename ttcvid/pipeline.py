@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
 from typing import Protocol, TypeVar
 
 from ttcvid.config import PipelineConfig
@@ -17,18 +20,24 @@ from ttcvid.stages.analyzed_frames import AnalyzedFrame, analyze_seen, smoothed
 from ttcvid.stages.events import EventMemory
 from ttcvid.stages.history import empty_history
 from ttcvid.stages.planar import horizon_plane
-from ttcvid.stages.seen_frames import Clip, Memory, SeenFrame, see_motions
+from ttcvid.stages.seen_frames import Clip, Memory, see_motions
 from ttcvid.stages.tracked_frames import MapAhead, TrackedFrame, track_frames
 
 T = TypeVar("T")
+R = TypeVar("R")
 
 
-class RunAhead(Protocol):
-    """Like ``iter``; may run the items early in another thread."""
+class RunApart(Protocol):
+    """Calls a function of a stream with the stream; may do so in another process."""
 
-    def __call__(self, items: Iterable[T], /) -> Iterable[T]:
-        """The same items in the same order."""
+    def __call__(self, function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T], /) -> Iterable[R]:
+        """What ``function(items)`` yields."""
         ...
+
+
+def run_here(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
+    """What ``function(items)`` yields."""
+    return function(items)
 
 
 def analyze_frames(
@@ -39,7 +48,7 @@ def analyze_frames(
     mask: Picture | None = None,
     *,
     map_ahead: MapAhead = map,
-    run_ahead: RunAhead = iter,
+    run_apart: RunApart = run_here,
 ) -> Iterator[tuple[Frame, FrameResult]]:
     """Each frame with its result, in order; memory does not grow with the length of the clip.
 
@@ -47,27 +56,38 @@ def analyze_frames(
     ----------
     mask : (H, W) uint8, 0 where nothing is to be looked at.
     map_ahead : like ``map``; may work some items early in other threads (finding features is the slow part).
-    run_ahead : like ``iter``; may run a stage some items early in another thread (tracking ahead of motions, and these
-        ahead of the rows, of which no later frame knows).
+    run_apart : may run the geometry of all frames in another process; only points of tracks go there, and results back.
     """
     clip = Clip(camera, config, horizon_plane(camera, horizon))
-    tracked = run_ahead(track_frames(frames, config.tracking, mask, map_ahead))
-    analyzed = _analyzed(run_ahead(_seen(tracked, clip)), clip)
-    for item in smoothed(analyzed, clip) if config.collision_times.smooth else analyzed:
-        yield item.frame, item.result
+    waiting = deque[Frame]()
+    tracked = _without_pictures(track_frames(frames, config.tracking, mask, map_ahead), waiting, config)
+    for result in run_apart(partial(_results, clip=clip), tracked):
+        yield waiting.popleft(), result
 
 
-def _seen(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[SeenFrame]:
-    """Each frame with what moves in it."""
+def _without_pictures(
+    tracked_frames: Iterable[TrackedFrame], waiting: deque[Frame], config: PipelineConfig
+) -> Iterator[TrackedFrame]:
+    """The points of each frame alone; the frames themselves go to those that are ``waiting`` for their results."""
+    for tracked in tracked_frames:
+        frame = tracked.frame
+        # Many wait for those that come after them: they keep only what is drawn on.
+        waiting.append(replace(frame, grey=None) if config.collision_times.smooth else frame)
+        yield replace(tracked, frame=replace(frame, grey=None, colour=None))
+
+
+def _results(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[FrameResult]:
+    """The result of each frame."""
+    analyzed = _analyzed(tracked_frames, clip)
+    for item in smoothed(analyzed, clip) if clip.config.collision_times.smooth else analyzed:
+        yield item.result
+
+
+def _analyzed(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
+    """Each frame with its causal result."""
     memory = Memory(empty_history(clip.camera, clip.config.tracking.sigma_start_px))
+    watch = EventMemory()
     for tracked in tracked_frames:
         item, memory = see_motions(tracked, memory, clip)
-        yield item
-
-
-def _analyzed(seen_frames: Iterable[SeenFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
-    """Each frame with its causal result."""
-    watch = EventMemory()
-    for item in seen_frames:
         result, watch = analyze_seen(item, watch, clip)
-        yield AnalyzedFrame(item.frame, result, item.seen)
+        yield AnalyzedFrame(result, item.seen)

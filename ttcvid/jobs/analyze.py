@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from ttcvid.jobs.beside import beside
 from ttcvid.jobs.clip import (
     Calibration,
     camera_warnings,
@@ -47,6 +48,7 @@ from ttcvid.stages.planar import centre_sigma_px
 
 _LOG = logging.getLogger(__name__)
 T = TypeVar("T")
+R = TypeVar("R")
 
 LEAST_OFFSET_PX = 3.0
 """Epipoles may lie so far off the horizon, whatever the calibration says of itself: a road is not quite level."""
@@ -153,8 +155,8 @@ def _analyze_into(
         writer = stack.enter_context(WriteBehind(write))
         frames = stack.enter_context(ReadAhead(source))
 
-        def run_ahead(items: Iterable[T]) -> Iterable[T]:
-            return stop.until_requested(stack.enter_context(ReadAhead(items)))
+        def run_apart(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
+            return stack.enter_context(beside(function, stop.until_requested(items)))
 
         results = analyze_frames(
             frames,
@@ -164,7 +166,7 @@ def _analyze_into(
             calibration.mask,
             # Only AKAZE has work that is worth threads of its own, picture by picture.
             map_ahead=map_ahead if pipeline.tracking.tracker == "akaze" else map,
-            run_ahead=run_ahead,
+            run_apart=run_apart,
         )
         for frame, result in results:
             writer.put((frame, result))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
-import resource
-import sys
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -17,6 +15,7 @@ import numpy as np
 
 from ttcvid.errors import TtcvidError
 from ttcvid.jobs.analyze import analyze
+from ttcvid.jobs.memory import PeakMemory
 from ttcvid.jobs.run import Run
 from ttcvid.model import Horizon, Platform
 from ttcvid.studies.metrics import Value
@@ -35,7 +34,6 @@ CALIBRATION_OPTIONS = (
     "stride",
 )
 """What a calibration of the horizon takes over from the options of the analysis."""
-_STATUS = Path("/proc/self/status")
 
 
 @dataclass(frozen=True)
@@ -97,8 +95,9 @@ def run_clip(task: ClipTask) -> ClipRun:
     What only those need is imported after the analysis: it would count as memory of the analysis.
     """
     logging.getLogger("ttcvid").addHandler(logging.NullHandler())
-    run = analyze(task.input, task.out, **{"overlay": False, **task.options, "overwrite": True})
-    max_rss_mb = peak_memory_mb()
+    with PeakMemory() as memory:
+        run = analyze(task.input, task.out, **{"overlay": False, **task.options, "overwrite": True})
+        max_rss_mb = memory.peak_mb
     horizon_y_px, reason = _horizon(run, task) if task.needs_horizon else (None, "")
     metrics = _metrics(run, task.truth) if task.truth is not None else None
     counts, timings = run.manifest["counts"], run.manifest["timings"]
@@ -113,19 +112,6 @@ def run_clip(task: ClipTask) -> ClipRun:
         horizon_reason=reason,
         metrics=metrics,
     )
-
-
-def peak_memory_mb() -> float:
-    """Peak of resident memory of this process so far, in 10^6 bytes.
-
-    On Linux from the kernel's own count, because what ``getrusage`` says of a new process begins with its parent's.
-    """
-    if _STATUS.is_file():
-        lines = _STATUS.read_text().splitlines()
-        (kilobytes,) = (line.split()[1] for line in lines if line.startswith("VmHWM:"))
-        return int(kilobytes) * 1024 / 1e6
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
 
 def _recorded_dt_s(run: Run) -> float:

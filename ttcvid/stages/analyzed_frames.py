@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from ttcvid.model import (
     ClusterRow,
     Event,
-    Frame,
     FrameResult,
     FrameStatus,
     TrackRows,
@@ -23,9 +22,8 @@ from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 
 @dataclass(frozen=True)
 class AnalyzedFrame:
-    """A frame with its result and what that rests on; None for a frame that gives no number."""
+    """The result of a frame and what that rests on; None for a frame that gives no number."""
 
-    frame: Frame
     result: FrameResult
     seen: Seen | None
 
@@ -72,9 +70,8 @@ def smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[Analyzed
         if seen is not None and any(not h.seen.is_continued_by(seen.history) for h in held if h.seen is not None):
             while held:
                 yield released()
-        # The picture is not looked at any more.
-        held.append(replace(item, frame=replace(item.frame, grey=None)))
-        while are_enough(len(held) - 1, item.frame.t_s - held[0].frame.t_s, max_frames):
+        held.append(item)
+        while are_enough(len(held) - 1, item.result.t_s - held[0].result.t_s, max_frames):
             yield released()
     while held:
         yield released()

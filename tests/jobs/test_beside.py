@@ -1,0 +1,210 @@
+"""A stream worked out beside the caller: in order, failures handed over, nothing left behind, whatever happens."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator
+
+import pytest
+
+from ttcvid.errors import InputError, TtcvidError
+from ttcvid.jobs import beside as module
+from ttcvid.jobs.beside import AHEAD_ITEMS, OtherProcess, beside, can_copy_itself
+
+DEADLINE_S = 30.0
+needs_fork = pytest.mark.skipif(not can_copy_itself(), reason="processes cannot be copied here")
+
+
+@pytest.fixture(params=["process", "thread"], autouse=True)
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Every test holds for both ways."""
+    if request.param == "thread":
+        monkeypatch.setattr(module, "can_copy_itself", lambda: False)
+    elif not can_copy_itself():
+        pytest.skip("processes cannot be copied here")
+    return str(request.param)
+
+
+@pytest.fixture(autouse=True)
+def nothing_left() -> Iterator[None]:
+    threads = threading.active_count()
+    yield
+    assert threading.active_count() == threads
+    assert not multiprocessing.active_children()
+
+
+def running_sum(numbers: Iterable[int]) -> Iterator[int]:
+    total = 0
+    for number in numbers:
+        total += number
+        yield total
+
+
+def looking_ahead(numbers: Iterable[int]) -> Iterator[int]:
+    """Yields nothing before it has seen everything."""
+    yield from reversed(list(numbers))
+
+
+def failing_at_three(numbers: Iterable[int]) -> Iterator[int]:
+    for number in numbers:
+        if number == 3:
+            raise InputError("no three")
+        yield number
+
+
+def until_five(numbers: Iterable[int]) -> Iterator[int]:
+    for number in numbers:
+        if number == 5:
+            return
+        yield number
+
+
+def test_results_are_those_of_the_function_in_its_order() -> None:
+    with beside(running_sum, range(200)) as results:
+        assert list(results) == list(running_sum(range(200)))
+
+
+def test_a_function_may_look_as_far_ahead_as_it_likes() -> None:
+    with beside(looking_ahead, range(50)) as results:
+        assert list(results) == list(reversed(range(50)))
+
+
+def test_a_function_may_end_before_its_items() -> None:
+    with beside(until_five, range(10**9)) as results:
+        assert list(results) == [0, 1, 2, 3, 4]
+
+
+def test_a_failure_of_the_function_comes_after_its_results() -> None:
+    seen = []
+    with pytest.raises(InputError, match="no three"), beside(failing_at_three, range(10)) as results:
+        seen.extend(results)
+    assert seen == [0, 1, 2]
+
+
+def test_a_failure_of_the_items_comes_after_the_results_of_those_before_it() -> None:
+    def items() -> Iterator[int]:
+        yield from (1, 2)
+        raise InputError("broken packet")
+
+    seen = []
+    with pytest.raises(InputError, match="broken packet"), beside(running_sum, items()) as results:
+        seen.extend(results)
+    assert seen == [1, 3]
+
+
+def test_leaving_early_ends_everything() -> None:
+    def take_one_and_stop() -> None:
+        with beside(running_sum, range(10**9)) as results:
+            next(iter(results))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        take_one_and_stop()
+
+
+def test_large_results_that_nobody_takes_do_not_keep_it_from_ending() -> None:
+    def large(numbers: Iterable[int]) -> Iterator[bytes]:
+        for _ in numbers:
+            yield bytes(1 << 20)
+
+    with beside(large, (bytes(1 << 20) for _ in range(100))) as results:
+        next(iter(results))
+        time.sleep(0.1)
+
+
+def test_items_are_not_made_long_before_they_are_needed() -> None:
+    made = []
+
+    def items() -> Iterator[int]:
+        for n in range(1000):
+            made.append(n)
+            yield n
+
+    def slow(numbers: Iterable[int]) -> Iterator[int]:
+        for number in numbers:
+            time.sleep(0.01)
+            yield number
+
+    with beside(slow, items()) as results:
+        for n, _ in zip(range(20), results, strict=False):
+            assert len(made) <= n + 2 * AHEAD_ITEMS + 4
+
+
+def test_a_process_that_is_ended_from_outside_is_told_from_one_that_is_done(way: str) -> None:
+    if way == "thread":
+        pytest.skip("a thread cannot be ended")
+
+    def kill_it_at_ten() -> None:
+        with OtherProcess(running_sum, range(10**9)) as results:
+            for number in results:
+                if number == 10:
+                    (process,) = multiprocessing.active_children()
+                    process.kill()
+
+    with pytest.raises(TtcvidError, match="enough memory"):
+        kill_it_at_ten()
+
+
+@needs_fork
+def test_whoever_may_have_no_processes_works_all_the_same(way: str) -> None:
+    context = multiprocessing.get_context("fork")
+    process = context.Process(target=_work_as_daemon, daemon=True)
+    process.start()
+    process.join(DEADLINE_S)
+    assert process.exitcode == 0
+
+
+def _work_as_daemon() -> None:
+    with beside(running_sum, range(10)) as results:
+        assert list(results) == list(running_sum(range(10)))
+
+
+@needs_fork
+def test_the_other_process_ends_with_one_that_is_killed(way: str) -> None:
+    script = """
+import multiprocessing
+from ttcvid.jobs.beside import OtherProcess
+def numbers(items):
+    for item in items:
+        yield item
+with OtherProcess(numbers, range(10**9)) as results:
+    for number in results:
+        if number == 5:
+            print(multiprocessing.active_children()[0].pid, flush=True)
+"""
+    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    other = int(process.stdout.readline())
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    end_s = time.monotonic() + DEADLINE_S
+    while _is_running(other):
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+def _is_running(pid: int) -> bool:
+    """Whether a process is there and does something (an ended one may wait for somebody to ask)."""
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@needs_fork
+def test_ctrl_c_of_the_terminal_does_not_end_it(way: str) -> None:
+    if way == "thread":
+        pytest.skip("a thread gets no signals")
+    with OtherProcess(running_sum, range(100)) as results:
+        stream = iter(results)
+        next(stream)
+        (process,) = multiprocessing.active_children()
+        assert process.pid is not None
+        os.kill(process.pid, signal.SIGINT)
+        assert sum(1 for _ in stream) == 99

@@ -1,0 +1,49 @@
+"""Memory of this process and of those that it has started."""
+
+import multiprocessing
+import time
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ttcvid.jobs.memory import PeakMemory, resident_mb
+
+pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
+BLOCK_MB = 100
+
+
+def block() -> np.ndarray:
+    return np.ones(BLOCK_MB * 1_000_000, dtype=np.uint8)
+
+
+def hold(is_there: Event, may_end: Event) -> None:
+    taken = block()
+    is_there.set()
+    may_end.wait()
+    del taken
+
+
+def test_memory_of_a_process_that_was_started_counts() -> None:
+    context = multiprocessing.get_context("fork")
+    is_there, may_end = context.Event(), context.Event()
+    before_mb = resident_mb()
+    process = context.Process(target=hold, args=(is_there, may_end))
+    process.start()
+    is_there.wait()
+    grown_mb = resident_mb() - before_mb
+    may_end.set()
+    process.join()
+    # What both share counts once: not another whole interpreter.
+    assert BLOCK_MB < grown_mb < BLOCK_MB + 50
+
+
+def test_the_peak_stays_when_the_memory_is_free_again() -> None:
+    with PeakMemory() as memory:
+        before_mb = resident_mb()
+        taken = block()
+        time.sleep(0.5)
+        del taken
+        assert resident_mb() < before_mb + BLOCK_MB / 2
+        assert memory.peak_mb > before_mb + 0.9 * BLOCK_MB
