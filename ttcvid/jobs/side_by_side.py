@@ -1,8 +1,9 @@
 """Decoding, tracking and drawing side by side: threads joined by short queues.
 
-OpenCV and PyAV release the interpreter lock, so threads suffice for them (for geometry they do not: `beside`). Order is always kept, so results do not depend on
-timing. Queues are bounded, so memory does not depend on the length of a clip. A failure in a thread is raised in the
-thread that uses it; leaving the ``with`` block ends the thread, whatever happened.
+OpenCV and PyAV release the interpreter lock, so threads suffice for them (for geometry they do not: `beside`). Order is
+always kept, so results do not depend on timing. Queues are bounded, so memory does not depend on the length of a clip.
+A failure in a thread is raised in the thread that uses it; leaving the ``with`` block ends the thread, whatever
+happened.
 """
 
 from __future__ import annotations
