@@ -1,6 +1,9 @@
 """Compiled functions are kept on disk by their own file: what they use of others would go stale unnoticed."""
 
 import ast
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -57,3 +60,38 @@ def test_compiled_sums_that_hold_a_nan_are_not_finite():
     xy, path = np.ones((6, 2)), np.ones((6, 3))
     xy[2, 1], path[3, 0], path[4, 2] = np.nan, np.nan, np.inf
     assert _finite_sums(xy, path) == 3
+
+
+SCRIPT = """
+import numpy as np
+from ttcvid.geometry import compiled
+from ttcvid.geometry.medians import median
+before = compiled.part_on_disk()
+median(np.arange(5.0))
+print(compiled.has_place_on_disk(), before, compiled.part_on_disk())
+"""
+
+
+# Numba asks each of these for a place; a folder that root may not write to is not to be had everywhere.
+WITHOUT_PLACE = "from numba.core import caching; caching.CacheImpl._locator_classes = []"
+
+
+def parts_on_disk(folder, before=""):
+    """Whether there is a place, and the part that lies there before and after a function was used, in a new process."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+    run = subprocess.run(
+        [sys.executable, "-c", before + SCRIPT], env=environment, capture_output=True, text=True, check=True
+    )
+    has_place, before, after = run.stdout.split()
+    return has_place == "True", float(before), float(after)
+
+
+def test_what_a_former_run_has_compiled_is_found_on_disk(tmp_path):
+    has_place, before, after = parts_on_disk(tmp_path)
+    assert has_place
+    assert before == 0.0 < after
+    assert parts_on_disk(tmp_path)[1] == after
+
+
+def test_without_a_place_on_disk_it_is_compiled_all_the_same(tmp_path):
+    assert parts_on_disk(tmp_path, WITHOUT_PLACE) == (False, 0.0, 0.0)

@@ -64,3 +64,10 @@ def test_a_library_that_cannot_be_imported_is_found(monkeypatch: pytest.MonkeyPa
     diagnosis = doctor.examine()
     assert diagnosis.exit_code == 1
     assert any(problem.startswith("av: cannot be imported") for problem in diagnosis.problems)
+
+
+def test_an_installation_that_can_keep_no_compiled_code_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ttcvid.jobs.compilation.has_place_on_disk", lambda: False)
+    (problem,) = doctor.examine().problems
+    assert problem.startswith("numba: no folder to keep compiled code in")
+    assert "NUMBA_CACHE_DIR" in problem

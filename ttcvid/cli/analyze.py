@@ -79,13 +79,14 @@ def analyze(
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     from ttcvid.cli.progress import log_to_stderr, progress_on_terminal
     from ttcvid.jobs.analyze import run_analysis
+    from ttcvid.jobs.compilation import compilation_note
     from ttcvid.jobs.configuration import configure_from_command_line
 
     log_to_stderr(quiet=quiet, verbose=verbose)
     configuration = configure_from_command_line(
         {name: _as_text(value) for name, value in options.items()}, settings, Path(config) if config else None
     )
-    with progress_on_terminal(enabled=not quiet) as progress:
+    with progress_on_terminal(compilation_note(), enabled=not quiet) as progress:
         run = run_analysis(input_, Path(out) if out else None, configuration, arguments=ctx.obj, on_frame=progress)
     click.echo(run.summary_json() if as_json else run.summary())
     ctx.exit(run.exit_code)

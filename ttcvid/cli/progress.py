@@ -14,10 +14,11 @@ LOGGER_NAME = "ttcvid"
 
 
 @contextmanager
-def progress_on_terminal(enabled: bool = True) -> Iterator[Callable[[int, int | None], None]]:
+def progress_on_terminal(note: str = "", *, enabled: bool = True) -> Iterator[Callable[[int, int | None], None]]:
     """A function to call with (frames done, frames in all or None); shows frames/s and the time left.
 
-    The bar appears where stderr is a terminal, and is gone when the block is left.
+    The bar appears where stderr is a terminal, and is gone when the block is left. The ``note`` stands there until the
+    first frame is done.
     """
     console = Console(stderr=True)
     bar = Progress(
@@ -25,16 +26,17 @@ def progress_on_terminal(enabled: bool = True) -> Iterator[Callable[[int, int | 
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]} frames/s"),
         TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
         console=console,
         transient=True,
         disable=not (enabled and console.is_terminal),
     )
     with bar:
-        task = bar.add_task("frames", total=None, rate="  -")
+        task = bar.add_task("frames", total=None, rate="  -", note=note)
 
         def show(n_done: int, n_total: int | None) -> None:
             rate = bar.tasks[0].speed
-            bar.update(task, completed=n_done, total=n_total, rate="  -" if rate is None else f"{rate:.1f}")
+            bar.update(task, completed=n_done, total=n_total, rate="  -" if rate is None else f"{rate:.1f}", note="")
 
         yield show
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
@@ -12,11 +13,13 @@ F = TypeVar("F", bound=Callable[..., Any])
 # Without "nsz": together with "reassoc" it lets the compiler take x - x for zero, so that no sum with a NaN in it would
 # be found not to be finite.
 _OPTIONS: dict[str, Any] = {
-    "cache": True,
     "nogil": True,
     "error_model": "numpy",
     "fastmath": {"contract", "reassoc"},
 }
+
+
+_FUNCTIONS: list[Any] = []
 
 
 def compiled(function: F) -> F:
@@ -28,9 +31,40 @@ def compiled(function: F) -> F:
     kind of processor may differ in the last digits. A compiled function may call others of its own file only: a change
     in another file would go unnoticed by the copy on disk.
     """
-    return cast(F, numba.njit(**_OPTIONS)(function))
+    return _compiled(function)
 
 
 def compiled_in_place(function: F) -> F:
     """The same, put in where it is called: only so can a loop that calls it work at several items side by side."""
-    return cast(F, numba.njit(**_OPTIONS, forceinline=True)(function))
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: F, **more: Any) -> F:
+    try:
+        done = numba.njit(cache=True, **_OPTIONS, **more)(function)
+    except RuntimeError as error:
+        if "no locator" not in str(error):
+            raise
+        # Neither the package's folder nor the user's can be written to.
+        done = numba.njit(**_OPTIONS, **more)(function)
+    _FUNCTIONS.append(done)
+    return cast(F, done)
+
+
+def has_place_on_disk() -> bool:
+    """Whether what is compiled can be kept for the next run."""
+    return all(function.stats.cache_path for function in _FUNCTIONS)
+
+
+def part_on_disk() -> float:
+    """The part of all compiled functions imported so far that a former run has left on disk."""
+    return sum(map(_is_on_disk, _FUNCTIONS)) / max(len(_FUNCTIONS), 1)
+
+
+def _is_on_disk(function: Any) -> bool:
+    if not function.stats.cache_path:
+        return False
+    code = function.py_func.__code__
+    name = f"{Path(code.co_filename).stem}.{function.py_func.__qualname__}-{code.co_firstlineno}.*.nbi"
+    written_s = Path(code.co_filename).stat().st_mtime
+    return any(file.stat().st_mtime >= written_s for file in Path(function.stats.cache_path).glob(name))

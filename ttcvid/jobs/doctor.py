@@ -134,11 +134,22 @@ def _old_python() -> str | None:
     return f"python: {platform.python_version()} is too old: expected {oldest} or later, install one"
 
 
+def _nowhere_to_keep_compiled_code() -> str | None:
+    try:
+        importlib.import_module("ttcvid.pipeline")
+        from ttcvid.jobs.compilation import compilation_complaint
+    except Exception:
+        return None  # reported as an import that fails
+    complaint = compilation_complaint()
+    return complaint and f"numba: {complaint}"
+
+
 CHECKS: tuple[Callable[[], str | None], ...] = (
     _old_python,
     _several_opencv_wheels,
     _opencv_without_akaze,
     _av_without_h264,
+    _nowhere_to_keep_compiled_code,
 )
 
 
