@@ -151,6 +151,20 @@ def test_expectations_fail_by_themselves_and_are_named(clip, ran):
     assert "warnings, expected at least 9" in text
 
 
+@pytest.mark.parametrize(("note", "n_runs"), [("", 1), ("compiling", 2)])
+def test_a_clip_is_run_once_for_the_compiler_where_something_has_to_be_compiled(note, n_runs, clip, ran, monkeypatch):
+    calls = []
+
+    def counted(function, *arguments):
+        calls.append(function.__name__)
+        return function(*arguments)
+
+    monkeypatch.setattr("ttcvid.jobs.regress.in_own_process", counted)
+    monkeypatch.setattr("ttcvid.jobs.regress.compilation_note", lambda: note)
+    ran([{**entry(clip, expectations=["max_rss_mb: 2000"]), "baseline": False}])
+    assert calls == ["run_clip"] * n_runs
+
+
 def test_a_scene_is_rendered_with_camera_horizon_and_truth(ran, tmp_path):
     (tmp_path / "small.yaml").write_text(SCENE)
     scene = {
