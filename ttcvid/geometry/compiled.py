@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -58,13 +59,19 @@ def has_place_on_disk() -> bool:
 
 def part_on_disk() -> float:
     """The part of all compiled functions imported so far that a former run has left on disk."""
-    return sum(map(_is_on_disk, _FUNCTIONS)) / max(len(_FUNCTIONS), 1)
+    folders = {function.stats.cache_path for function in _FUNCTIONS} - {None}
+    written_s = {
+        entry.name.rpartition(".py")[0]: entry.stat().st_mtime
+        for folder in folders
+        if os.path.isdir(folder)
+        for entry in os.scandir(folder)
+        if entry.name.endswith(".nbi")
+    }
+    return sum(_is_among(function.py_func, written_s) for function in _FUNCTIONS) / max(len(_FUNCTIONS), 1)
 
 
-def _is_on_disk(function: Any) -> bool:
-    if not function.stats.cache_path:
-        return False
-    code = function.py_func.__code__
-    name = f"{Path(code.co_filename).stem}.{function.py_func.__qualname__}-{code.co_firstlineno}.*.nbi"
-    written_s = Path(code.co_filename).stat().st_mtime
-    return any(file.stat().st_mtime >= written_s for file in Path(function.stats.cache_path).glob(name))
+def _is_among(function: Any, written_s: dict[str, float]) -> bool:
+    """Whether a function is among those on disk, by numba's names for them, and not older than its source."""
+    code = function.__code__
+    name = f"{Path(code.co_filename).stem}.{function.__qualname__}-{code.co_firstlineno}"
+    return written_s.get(name, 0.0) >= os.stat(code.co_filename).st_mtime
