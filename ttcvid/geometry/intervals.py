@@ -98,7 +98,7 @@ def _rates_of_each(
     by_velocity, by_ray = np.empty((2, 3)), np.empty((2, 3))
     for i in range(len(x)):
         inverse = 1.0 / np.sqrt(x[i] * x[i] + y[i] * y[i] + 1.0)
-        r, v = (x[i] * inverse, y[i] * inverse, inverse), abc_hz[i]
+        r, v = (x[i] * inverse, y[i] * inverse, inverse), (abc_hz[i, 0], abc_hz[i, 1], abc_hz[i, 2])
         q = (r[0] * v[0] + r[1] * v[1] + r[2] * v[2]) * inverse
         tx, ty, tz = v[0] * inverse - q * r[0], v[1] * inverse - q * r[1], v[2] * inverse - q * r[2]
         u = np.sqrt(tx * tx + ty * ty + tz * tz)
