@@ -45,15 +45,16 @@ def descend_together(
     prior: Floats,
     turns_itself: bool,
     own_motion: Floats,
+    believed: Floats,
     state: Floats,
     offset: Floats,
     left: Floats,
 ) -> None:
     """Paths and points together, over all views: fills ``state (N, 3)`` (x, y, rho) and ``offset (K, 8)``.
 
-    Fills ``own_motion (K, 8, 8)`` too: what takes offsets to that of which the belief speaks (`_set_own_motion`); and
-    ``left (K, 2)``, before the last step: sum of squared residuals in sigmas, none counted for more than the robust
-    limit, and the median of what the points have by the degree of freedom.
+    Fills ``own_motion (K, 8, 8)`` too: what takes offsets to that of which the belief speaks (`_set_own_motion`), with
+    ``believed (K, 8, 8)``, the information on offsets; and ``left (K, 2)``, before the last step: sum of squared
+    residuals in sigmas, none counted for more than the robust limit, and the points' median by the degree of freedom.
 
     No view is cut off: a believed path may be wrong by hundreds of sigmas at its far end, where a window would end at
     once and nothing be learned of it. A view loses weight beyond three times the usual residual of its path's points.
@@ -68,7 +69,7 @@ def descend_together(
     rotation, path, views = np.empty((n_times, 3, 3)), np.empty((n_times, 3)), np.empty((n_times, 2))
     information, score, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(N_LOCAL), np.empty(N_LOCAL)
     own, coupling, relative = np.empty((n, _N_OWN)), np.empty((n, 3, N_LOCAL)), np.empty(n)
-    scratch, believed = np.empty((N_LOCAL + 3, N_LOCAL)), np.empty((N_LOCAL, N_LOCAL))
+    scratch = np.empty((N_LOCAL + 3, N_LOCAL))
     for k in range(len(first) - 1):
         low, high, axes = first[k], first[k + 1], basis[k]
         offset[k], left[k] = 0.0, 0.0
@@ -78,14 +79,14 @@ def descend_together(
             slowest, fastest = _rate_limits(path, i, seen, n_views[i])
             relative[i] = _start(views, path, i, seen, n_views[i], sigma[i], slowest, fastest, state)
         _set_own_motion(turns_itself, axes, state[low:high], own_motion[k])
+        _set_belief(prior[k], own_motion[k], believed[k])
         if low == high:
             continue
         usual = np.median(relative[low:high])
-        _set_belief(prior[k], own_motion[k], believed)
         for _ in range(_MAX_STEPS):
             misfit = max(1.0, np.sqrt(usual))
             limit = (_ROBUST_SIGMAS * misfit) ** 2
-            _set_prior(believed, offset[k], information, score)
+            _set_prior(believed[k], offset[k], information, score)
             for i in range(low, high):
                 _turn(xy, rotation, i, seen, n_views[i], views)
                 slowest, fastest = _rate_limits(path, i, seen, n_views[i])
@@ -134,13 +135,12 @@ def add_up_windows(
         if low == high:
             continue
         least = _LOYAL_SHARE * np.median(share[low:high])
-        of_path, score_of_path = information[k], score[k]
         for i in range(low, high):
             if share[i] >= least and n_frames[i] >= LEAST_VIEWS and np.isfinite(state[i, 2]):
                 for place in range(len(views)):
                     views[place, 0], views[place, 1] = xy[place, i, 0], xy[place, i, 1]
                 _add_point(views, t_s, along, axes, i, seen, n_frames[i], state, sigma, limit, own, coupling, scratch)
-                _eliminate(i, own, coupling, scratch, of_path, score_of_path)
+                _eliminate(i, own, coupling, scratch, information[k], score[k])
 
 
 @compiled
@@ -216,8 +216,7 @@ def _add_point(
 def _eliminate(i: int, own: Floats, coupling: Floats, scratch: Floats, information: Floats, score: Floats) -> None:
     """Adds to ``information (8, 8)`` and ``score (8,)`` what point i says once x, y, rho follow (Schur complement).
 
-    ``own[i]`` and ``coupling[i]`` become those of rho with x and y eliminated. Without information on rho nothing is
-    added.
+    ``own[i]`` and ``coupling[i]`` become those of rho with x and y eliminated. No information on rho adds nothing.
     """
     rest = 1.0 / own[i, 0]
     left = own[i, 3] - (own[i, 1] * own[i, 1] + own[i, 2] * own[i, 2]) * rest

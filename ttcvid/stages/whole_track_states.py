@@ -106,12 +106,25 @@ def _paths(
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     """Positions of all tracks over the time for which the motion of their cluster has been the same; NaN elsewhere."""
     changed = [motion for motion in motions.clusters if motion.window_s < history.reach_s]
-    views = history.xy.copy() if changed else history.xy
+    if not changed:
+        return history.xy
+    first, stop = np.zeros(history.n_tracks, dtype=np.int64), np.full(history.n_tracks, len(history.t_s))
     for motion in changed:
         within = history.views_within(motion.window_s)
-        views[: within.start, motion.members] = np.nan
-        views[within.stop :, motion.members] = np.nan
+        first[motion.members], stop[motion.members] = within.start, within.stop
+    views = np.empty_like(history.xy)
+    _keep_within(history.xy, first, stop, views)
     return views
+
+
+@compiled
+def _keep_within(xy: Floats, first: Ints, stop: Ints, views: Floats) -> None:
+    """Fills ``views (L, N, 2)`` with those of each track from ``first (N,)`` up to ``stop (N,)``, NaN elsewhere."""
+    for place in range(len(xy)):
+        for i in range(xy.shape[1]):
+            is_within = first[i] <= place < stop[i]
+            views[place, i, 0] = xy[place, i, 0] if is_within else np.nan
+            views[place, i, 1] = xy[place, i, 1] if is_within else np.nan
 
 
 def _on_paths(
