@@ -259,12 +259,10 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
 
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     """Information (K, 8, 8) of the belief on what moves along a path."""
-    prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
+    sigma = [1.0] * 2 + [beliefs.across_sigma_hz] * 2 + [beliefs.along_sigma_hz] + [beliefs.turn_sigma_rad_s] * 3
+    prior = np.tile(np.diag(1.0 / np.square(sigma)), (len(basis), 1, 1))
     tangent = basis[:, :, :2]
     prior[:, :2, :2] = np.linalg.inv(np.swapaxes(tangent, 1, 2) @ beliefs.direction_cov @ tangent)
-    sigma = [beliefs.across_sigma_hz] * 2 + [beliefs.along_sigma_hz] + [beliefs.turn_sigma_rad_s] * 3
-    diagonal = np.arange(2, N_LOCAL)
-    prior[:, diagonal, diagonal] = 1.0 / np.square(sigma)
     return prior
 
 
@@ -273,11 +271,9 @@ def _moved_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, t_s: Floats
 
     A direction far from the believed one would be a longer one: the speed is 1 again on the paths, not in the velocity.
     """
-    velocity = beliefs.direction + _times(basis[:, :, :2], local[:, :2])
-    speed = np.linalg.norm(velocity, axis=1)[:, None, None]
-    t = t_s[:, None]
-    change = t * (velocity - beliefs.direction)[:, None] + 0.5 * t * t * _times(basis, local[:, 2:5])[:, None]
-    return (beliefs.base + change) / speed, velocity
+    path, velocity = np.empty_like(beliefs.base), np.empty((len(basis), 3))
+    _move_paths(beliefs.base, beliefs.direction, basis, local, t_s, path, velocity)
+    return path, velocity
 
 
 def _shared_paths(
@@ -296,6 +292,25 @@ def _shared_paths(
     shared_cov = columns @ cov @ np.swapaxes(columns, 1, 2)
     nothing = np.zeros(len(basis))
     return SharedPaths(path, velocity / speed, offset, shared_cov, bend_hz, own_cov, nothing, nothing)
+
+
+@compiled
+def _move_paths(
+    base: Floats, direction: Floats, basis: Floats, local: Floats, t_s: Floats, path: Floats, velocity: Floats
+) -> None:
+    """Fills ``path (K, L, 3)`` and ``velocity (K, 3)`` of `_moved_paths`."""
+    for k in range(len(base)):
+        square = 0.0
+        for j in range(3):
+            velocity[k, j] = direction[k, j] + basis[k, j, 0] * local[k, 0] + basis[k, j, 1] * local[k, 1]
+            square += velocity[k, j] * velocity[k, j]
+        slower = 1.0 / np.sqrt(square)
+        for j in range(3):
+            bend = basis[k, j, 0] * local[k, 2] + basis[k, j, 1] * local[k, 3] + basis[k, j, 2] * local[k, 4]
+            change = velocity[k, j] - direction[k, j]
+            for place in range(len(t_s)):
+                t = t_s[place]
+                path[k, place, j] = (base[k, place, j] + t * change + 0.5 * t * t * bend) * slower
 
 
 @compiled

@@ -105,7 +105,8 @@ def _paths(
 
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     """Positions of all tracks over the time for which the motion of their cluster has been the same; NaN elsewhere."""
-    changed = [motion for motion in motions.clusters if motion.window_s < history.reach_s]
+    reach_s = history.reach_s
+    changed = [motion for motion in motions.clusters if motion.window_s < reach_s]
     if not changed:
         return history.xy
     first, stop = np.zeros(history.n_tracks, dtype=np.int64), np.full(history.n_tracks, len(history.t_s))
