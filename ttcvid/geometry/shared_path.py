@@ -259,10 +259,12 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
 
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     """Information (K, 8, 8) of the belief on what moves along a path."""
-    sigma = [1.0] * 2 + [beliefs.across_sigma_hz] * 2 + [beliefs.along_sigma_hz] + [beliefs.turn_sigma_rad_s] * 3
-    prior = np.tile(np.diag(1.0 / np.square(sigma)), (len(basis), 1, 1))
+    prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
     tangent = basis[:, :, :2]
     prior[:, :2, :2] = np.linalg.inv(np.swapaxes(tangent, 1, 2) @ beliefs.direction_cov @ tangent)
+    sigma = [beliefs.across_sigma_hz] * 2 + [beliefs.along_sigma_hz] + [beliefs.turn_sigma_rad_s] * 3
+    diagonal = np.arange(2, N_LOCAL)
+    prior[:, diagonal, diagonal] = 1.0 / np.square(sigma)
     return prior
 
 
