@@ -95,7 +95,8 @@ def _fill(
     jacobian: Floats,
 ) -> None:
     """Fill the results of `velocities_on_paths`."""
-    product = np.empty((3, N_SHARED))
+    n_shared = shared_cov.shape[1]
+    product = np.empty((3, n_shared))
     for i in range(len(path_of)):
         k = path_of[i]
         if k < 0 or not np.isfinite(rate_hz[i]):
@@ -120,16 +121,16 @@ def _fill(
             abc_hz[i, 1] += turn_rad_s[k, 2] * x - turn_rad_s[k, 0]
             abc_hz[i, 2] += turn_rad_s[k, 0] * y - turn_rad_s[k, 1] * x
         for j in range(3):
-            for m in range(N_SHARED):
+            for m in range(n_shared):
                 total = 0.0
-                for q in range(N_SHARED):
+                for q in range(n_shared):
                     total += jacobian[i, j, q] * shared_cov[k, q, m]
                 product[j, m] = total
         along = 0.0
         for j in range(3):
             for m in range(3):
                 total = rate_variance[i] * direction[k, j] * direction[k, m]
-                for q in range(N_SHARED):
+                for q in range(n_shared):
                     total += product[j, q] * jacobian[i, m, q]
                 along += direction[k, j] * total * direction[k, m]
                 cov[i, j, m] = total + change[k] * change[k] * abc_hz[i, j] * abc_hz[i, m]

@@ -171,7 +171,7 @@ def points_of_paths(
     seen, n_views = np.empty((len(path_of), longest), dtype=np.int64), np.empty(len(path_of), dtype=np.int64)
     index, first = np.empty(len(path_of), dtype=np.int64), np.empty(len(base) + 1, dtype=np.int64)
     _list_views(xy, np.argsort(np.abs(t_s), kind="stable"), base, path_of, seen, n_views)
-    _pick_some_of_each(path_of, n_views, most_points, index, first)
+    _pick_some_of_each(path_of, n_views, LEAST_VIEWS, most_points, index, first)
     index = index[: first[-1]]
     return PathPoints(
         np.ascontiguousarray(xy[:, index]),
@@ -352,14 +352,14 @@ def _list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Int
 
 
 @compiled
-def _pick_some_of_each(path_of: Ints, n_views: Ints, most: int, index: Ints, first: Ints) -> None:
+def _pick_some_of_each(path_of: Ints, n_views: Ints, least_views: int, most: int, index: Ints, first: Ints) -> None:
     """Fills ``index`` with an even part of the points of each path, no more than ``most``, path by path.
 
-    ``first (K + 1,)`` is where each path begins, and where the last one ends. Points of too few views have no part.
+    ``first (K + 1,)`` is where each path begins, and where the last one ends. Points of fewer views have no part.
     """
     first[:] = 0
     for i in range(len(path_of)):
-        if n_views[i] >= LEAST_VIEWS:
+        if n_views[i] >= least_views:
             first[path_of[i] + 1] += 1
     every, passed, place = np.empty_like(first), np.zeros_like(first), np.empty_like(first)
     for k in range(len(first) - 1):
@@ -367,7 +367,7 @@ def _pick_some_of_each(path_of: Ints, n_views: Ints, most: int, index: Ints, fir
         place[k] = first[k]
         first[k + 1] = first[k] + -(-first[k + 1] // every[k])
     for i in range(len(path_of)):
-        if n_views[i] >= LEAST_VIEWS:
+        if n_views[i] >= least_views:
             k = path_of[i]
             if passed[k] % every[k] == 0:
                 index[place[k]] = i
