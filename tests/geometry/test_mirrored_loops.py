@@ -63,7 +63,7 @@ def test_what_a_point_says_of_its_place_and_rate_is_the_same_alone_and_together(
     sums = np.zeros((n + 1, on_path._N_SUMS))
     on_path._add_up(seen, path, n, s, inverse, False, sums)
     row, n_local = sums[n], shared_path_descent.N_LOCAL
-    own, coupling = np.empty(shared_path_descent._N_OWN), np.empty((3, n_local))
+    own, coupling = np.empty((1, shared_path_descent._N_OWN)), np.empty((1, 3, n_local))
     scratch = np.empty((n_local + 3, n_local))
     information, score = np.zeros((n_local, n_local)), np.zeros(n_local)
     mean_square = shared_path_descent._add_point(
@@ -71,16 +71,17 @@ def test_what_a_point_says_of_its_place_and_rate_is_the_same_alone_and_together(
         -0.1 * np.arange(n),
         path,
         np.eye(3),
-        np.arange(n),
-        s,
-        inverse,
+        0,
+        np.arange(n)[None],
+        n,
+        s[None].copy(),
+        np.array([1.0 / inverse]),
         shared_path_descent._ROBUST_SIGMAS**2,
-        information,
-        score,
         own,
         coupling,
         scratch,
     )
+    shared_path_descent._eliminate(0, own, coupling, scratch, information, score)
     rate = row[3] - (row[1] ** 2 + row[2] ** 2) / row[0], row[6] - (row[1] * row[4] + row[2] * row[5]) / row[0]
-    np.testing.assert_allclose(own[:7], [row[0], row[1], row[2], rate[0], row[4], row[5], rate[1]], rtol=1e-9)
+    np.testing.assert_allclose(own[0, :7], [row[0], row[1], row[2], rate[0], row[4], row[5], rate[1]], rtol=1e-9)
     assert mean_square == pytest.approx(row[7] / (2 * n - 3))

@@ -7,7 +7,14 @@ import pytest
 
 from ttcvid.geometry.path_velocity import velocities_on_paths
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
-from ttcvid.geometry.shared_path import PathBeliefs, believed_paths, fit_shared_paths, joined_paths, turned_back
+from ttcvid.geometry.shared_path import (
+    PathBeliefs,
+    believed_paths,
+    fit_shared_paths,
+    joined_paths,
+    points_of_paths,
+    turned_back,
+)
 from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths, straight_path
 
 T_S = -0.05 * np.arange(20.0)[::-1]
@@ -37,7 +44,8 @@ def belief(direction=DIRECTION, direction_sigma_rad=0.02, bend_hz=0.3, turn_rad_
 
 def fitted(xy, beliefs, sigma=SIGMA, t_s=T_S):
     n = xy.shape[1]
-    return fit_shared_paths(xy, t_s, np.full(n, sigma), beliefs, np.zeros(n, np.int64))
+    points = points_of_paths(xy, t_s, np.full(n, sigma), beliefs.base, np.zeros(n, np.int64))
+    return fit_shared_paths(points, beliefs)
 
 
 @pytest.mark.parametrize("t_s", [T_S, BOTH_SIDES_S], ids=["past", "both sides"])
@@ -132,7 +140,8 @@ def test_points_that_move_otherwise_do_not_bend_the_path():
 
 def test_paths_without_points_stay_as_believed():
     xy = seen(body(10, np.random.default_rng(7)))
-    found = fit_shared_paths(xy, T_S, np.full(10, SIGMA), belief(), np.full(10, NO_PATH))
+    points = points_of_paths(xy, T_S, np.full(10, SIGMA), belief().base, np.full(10, NO_PATH))
+    found = fit_shared_paths(points, belief())
     believed = believed_paths(belief())
     np.testing.assert_allclose(found.path, believed.path)
     np.testing.assert_allclose(found.cov, believed.cov, atol=1e-9)

@@ -9,7 +9,7 @@ from relative_motion import CAMERA, box_of_points
 from ttcvid.geometry.camera import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
-from ttcvid.stages.approach import CommonViews, with_common_errors, with_seen_motion
+from ttcvid.stages.approach import CommonViews, radii_px, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import with_times
 from ttcvid.stages.sets import TrackSets
 
@@ -39,8 +39,9 @@ def row_seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05,
     )
     views, tracks = CommonViews(first, now, GAP_S), np.arange(N)
     members, growth = TrackSets.of([tracks]), views.expansions([tracks])
-    rows = with_times(with_common_errors([row], members, views, np.full(N, age_s), camera), camera)
-    (row,) = with_seen_motion(rows, members, views, growth, camera)
+    radius_px = radii_px(now, members, np.array([True]), camera)
+    rows = with_common_errors([row], members, radius_px, np.full(N, age_s), GAP_S, camera)
+    (row,) = with_seen_motion(with_times(rows, camera), radius_px, growth, GAP_S, camera)
     return row
 
 
@@ -79,7 +80,8 @@ def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
     members, age_s = TrackSets.of([np.arange(N)]), np.full(N, 2.0)
 
     def cov_of(rays):
-        return with_common_errors([row], members, CommonViews(rays, rays, GAP_S), age_s, CAMERA)[0].state_cov
+        radius_px = radii_px(rays, members, np.array([True]), CAMERA)
+        return with_common_errors([row], members, radius_px, age_s, GAP_S, CAMERA)[0].state_cov
 
     without_one, unseen = now.copy(), np.full_like(now, np.nan)
     without_one[0] = np.nan

@@ -84,7 +84,7 @@ def angles_from_epipoles(rays: Floats, direction: Floats) -> Floats:
 def _angle_of_each(rays: Floats, direction: Floats, angle_rad: Floats) -> None:
     """Fills ``angle_rad (N,)`` of `angles_from_epipoles`: the length of the cross product over the dot product."""
     for i in range(len(rays)):
-        p, e = rays[i], direction[i]
+        p, e = (rays[i, 0], rays[i, 1], rays[i, 2]), (direction[i, 0], direction[i, 1], direction[i, 2])
         x, y, z = p[1] * e[2] - p[2] * e[1], p[2] * e[0] - p[0] * e[2], p[0] * e[1] - p[1] * e[0]
         along = p[0] * e[0] + p[1] * e[1] + p[2] * e[2]
         angle_rad[i] = np.arctan2(np.sqrt(x * x + y * y + z * z), -along)
@@ -197,7 +197,7 @@ def times_from_position_velocity(position: Floats, velocity: Floats) -> PointTim
 def _times_of_each(position: Floats, velocity: Floats, tcpa_s: Floats, miss_s: Floats, ttc_z_s: Floats) -> None:
     """Fills the three times ``(N,)`` of `times_from_position_velocity` where they are defined."""
     for i in range(len(position)):
-        p, v = position[i], velocity[i]
+        p, v = (position[i, 0], position[i, 1], position[i, 2]), (velocity[i, 0], velocity[i, 1], velocity[i, 2])
         speed2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
         if speed2 != 0.0:
             x, y, z = p[1] * v[2] - p[2] * v[1], p[2] * v[0] - p[0] * v[2], p[0] * v[1] - p[1] * v[0]

@@ -31,6 +31,10 @@ def compiled(function: F) -> F:
     as many terms side by side as the processor can (a third of the time): two runs give identical numbers, another
     kind of processor may differ in the last digits. A compiled function may call others of its own file only: a change
     in another file would go unnoticed by the copy on disk.
+
+    Where speed counts, functions called for every point take whole arrays and an index, and end in one place: a slice
+    counts who holds its array, up and down, as does a function with several ends for what it was given. Such a count
+    waits for the other processors, as long as a dozen products take.
     """
     return _compiled(function)
 

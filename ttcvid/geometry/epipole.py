@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.flow_line import flow_line_chi2, flow_normals, moves_towards
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
@@ -129,12 +130,36 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
     >>> direction_chi2(ahead, np.array([aside, -aside]), 0.01**2 * np.eye(3)).round(9)
     array([ 4., inf])
     """
-    basis = tangent_basis(one)
-    turned = np.swapaxes(basis, -1, -2)
-    (xx, xy), (_, yy) = np.moveaxis(turned @ covariance @ basis, (-2, -1), (0, 1))
-    x, y = np.moveaxis((turned @ other[..., None])[..., 0], -1, 0)
-    chi2 = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
-    return np.where(np.sum(one * other, axis=-1) < 0.0, np.inf, chi2)
+    shape = np.broadcast_shapes(one.shape[:-1], other.shape[:-1], covariance.shape[:-2])
+
+    def one_after_the_other(values: Floats, *size: int) -> Floats:
+        return np.ascontiguousarray(np.broadcast_to(values, (*shape, *size))).reshape(-1, *size)
+
+    chi2 = np.empty(shape)
+    _direction_chi2_of_each(
+        one_after_the_other(one, 3),
+        one_after_the_other(tangent_basis(one), 3, 2),
+        one_after_the_other(other, 3),
+        one_after_the_other(covariance, 3, 3),
+        chi2.reshape(-1),
+    )
+    return chi2
+
+
+@compiled
+def _direction_chi2_of_each(one: Floats, basis: Floats, other: Floats, covariance: Floats, chi2: Floats) -> None:
+    """Fills ``chi2 (N,)`` of `direction_chi2`; ``basis (N, 3, 2)`` are the tangents of ``one (N, 3)``."""
+    for i in range(len(chi2)):
+        along, x, y, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(3):
+            along += one[i, j] * other[i, j]
+            x += basis[i, j, 0] * other[i, j]
+            y += basis[i, j, 1] * other[i, j]
+            for k in range(3):
+                xx += basis[i, j, 0] * covariance[i, j, k] * basis[i, k, 0]
+                xy += basis[i, j, 0] * covariance[i, j, k] * basis[i, k, 1]
+                yy += basis[i, j, 1] * covariance[i, j, k] * basis[i, k, 1]
+        chi2[i] = np.inf if along < 0.0 else (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 
 def _eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats) -> Floats:

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ttcvid.geometry.collision import times_from_state
+from ttcvid.geometry.collision import times_from_position_velocity
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.inversion_range import CHI2_90_TWO, inversion_range
 from ttcvid.geometry.quotient import quotient
@@ -56,7 +56,9 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     >>> [round(float(v[0]), 2) for v in (times.tcpa_lo_s, times.tcpa_s, times.tcpa_hi_s)]
     [2.3, 2.31, 2.32]
     """
-    times = times_from_state(np.column_stack([x, y, abc_hz]))
+    rays = np.ones((len(x), 3))
+    rays[:, 0], rays[:, 1] = x, y
+    times = times_from_position_velocity(rays, abc_hz)
     eta, eta_sigma = -abc_hz[:, 2], np.sqrt(np.maximum(cov[:, 2, 2], 0.0))
     rates, rates_cov = radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm)
     tcpa_lo, tcpa_hi, miss_lo, miss_hi = inversion_range(rates, rates_cov)
@@ -98,7 +100,7 @@ def _rates_of_each(
     by_velocity, by_ray = np.empty((2, 3)), np.empty((2, 3))
     for i in range(len(x)):
         inverse = 1.0 / np.sqrt(x[i] * x[i] + y[i] * y[i] + 1.0)
-        r, v = (x[i] * inverse, y[i] * inverse, inverse), abc_hz[i]
+        r, v = (x[i] * inverse, y[i] * inverse, inverse), (abc_hz[i, 0], abc_hz[i, 1], abc_hz[i, 2])
         q = (r[0] * v[0] + r[1] * v[1] + r[2] * v[2]) * inverse
         tx, ty, tz = v[0] * inverse - q * r[0], v[1] * inverse - q * r[1], v[2] * inverse - q * r[2]
         u = np.sqrt(tx * tx + ty * ty + tz * tz)

@@ -97,13 +97,19 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
 def _set_ellipse(q: float, u: float, variance_q: float, variance_u: float, mixed: float, ellipse: Floats) -> None:
     """Centre and semi-axes (q and u of the longer one, of the shorter one) of the 90 % ellipse."""
     half_difference = 0.5 * (variance_q - variance_u)
-    longer = 0.5 * (variance_q + variance_u) + np.hypot(half_difference, mixed)
+    root = np.sqrt(half_difference * half_difference + mixed * mixed)
+    longer = 0.5 * (variance_q + variance_u) + root
     shorter = (variance_q * variance_u - mixed * mixed) / longer if longer > 0.0 else 0.0
-    angle = 0.5 * np.arctan2(mixed, half_difference)
+    # Of twice the angle of the longer axis, these are cosine and sine.
+    cos_twice, sin_twice = (half_difference / root, mixed / root) if root > 0.0 else (1.0, 0.0)
+    # The larger one of the two by a root, so that no digits are lost.
+    larger = np.sqrt(0.5 * (1.0 + abs(cos_twice)))
+    other = 0.5 * sin_twice / larger
+    cos, sin = (larger, other) if cos_twice >= 0.0 else (abs(other), np.copysign(larger, sin_twice))
     long, short = np.sqrt(CHI2_90_TWO * max(longer, 0.0)), np.sqrt(CHI2_90_TWO * max(shorter, 0.0))
     ellipse[0], ellipse[1] = q, u
-    ellipse[2], ellipse[3] = long * np.cos(angle), long * np.sin(angle)
-    ellipse[4], ellipse[5] = -short * np.sin(angle), short * np.cos(angle)
+    ellipse[2], ellipse[3] = long * cos, long * sin
+    ellipse[4], ellipse[5] = -short * sin, short * cos
 
 
 @compiled

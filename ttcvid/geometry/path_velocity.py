@@ -102,38 +102,36 @@ def _fill(
         if k < 0 or not np.isfinite(rate_hz[i]):
             continue
         x, y = xy[i, 0], xy[i, 1]
-        slope, e, shared = jacobian[i], direction[k], shared_cov[k]
         for j in range(3):
-            abc_hz[i, j] = rate_hz[i] * e[j]
+            abc_hz[i, j] = rate_hz[i] * direction[k, j]
             for m in range(6):
-                slope[j, m] = e[j] * by_path[i, m]
-            slope[j, j] += rate_hz[i]
+                jacobian[i, j, m] = direction[k, j] * by_path[i, m]
+            jacobian[i, j, j] += rate_hz[i]
             for m in range(3):
                 # A rotation rate taken for too large turns the views back too far.
-                slope[j, 6 + m] = -e[j] * by_rotation[i, m]
+                jacobian[i, j, 6 + m] = -direction[k, j] * by_rotation[i, m]
         if is_own_turn[k]:
-            slope[0, 7] += 1.0
-            slope[0, 8] -= y
-            slope[1, 6] -= 1.0
-            slope[1, 8] += x
-            slope[2, 6] += y
-            slope[2, 7] -= x
-            turn = turn_rad_s[k]
-            abc_hz[i, 0] += turn[1] - turn[2] * y
-            abc_hz[i, 1] += turn[2] * x - turn[0]
-            abc_hz[i, 2] += turn[0] * y - turn[1] * x
+            jacobian[i, 0, 7] += 1.0
+            jacobian[i, 0, 8] -= y
+            jacobian[i, 1, 6] -= 1.0
+            jacobian[i, 1, 8] += x
+            jacobian[i, 2, 6] += y
+            jacobian[i, 2, 7] -= x
+            abc_hz[i, 0] += turn_rad_s[k, 1] - turn_rad_s[k, 2] * y
+            abc_hz[i, 1] += turn_rad_s[k, 2] * x - turn_rad_s[k, 0]
+            abc_hz[i, 2] += turn_rad_s[k, 0] * y - turn_rad_s[k, 1] * x
         for j in range(3):
             for m in range(n_shared):
                 total = 0.0
                 for q in range(n_shared):
-                    total += slope[j, q] * shared[q, m]
+                    total += jacobian[i, j, q] * shared_cov[k, q, m]
                 product[j, m] = total
         along = 0.0
         for j in range(3):
             for m in range(3):
-                total = rate_variance[i] * e[j] * e[m]
+                total = rate_variance[i] * direction[k, j] * direction[k, m]
                 for q in range(n_shared):
-                    total += product[j, q] * slope[m, q]
-                along += e[j] * total * e[m]
+                    total += product[j, q] * jacobian[i, m, q]
+                along += direction[k, j] * total * direction[k, m]
                 cov[i, j, m] = total + change[k] * change[k] * abc_hz[i, j] * abc_hz[i, m]
         along_sigma_hz[i] = np.sqrt(along)

@@ -12,7 +12,7 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
 from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together
-from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths
+from ttcvid.geometry.whole_track_on_path import fit_rates_on_paths
 from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED = 9
@@ -39,6 +39,16 @@ class PathBeliefs:
     across_sigma_hz: float
     turn_sigma_rad_s: float
     turns_itself: bool = False
+
+    def of(self, is_asked: Bools, turn_sigma_rad_s: float) -> PathBeliefs:
+        """What is believed of the paths for which ``is_asked (K,)`` holds, with another belief in their turns."""
+        return replace(
+            self,
+            base=self.base[is_asked],
+            direction=self.direction[is_asked],
+            direction_cov=self.direction_cov[is_asked],
+            turn_sigma_rad_s=turn_sigma_rad_s,
+        )
 
     def bend_cov(self) -> Floats:
         """Covariance (K, 3, 3) of the acceleration over the speed."""
@@ -78,10 +88,16 @@ def joined_paths(parts: list[SharedPaths]) -> SharedPaths:
     )
 
 
-def chosen_paths(first: SharedPaths, second: SharedPaths, takes_second: Bools) -> SharedPaths:
-    """Of K paths fitted twice, the second ones where ``takes_second (K,)`` holds."""
-    pairs = [(getattr(first, field.name), getattr(second, field.name)) for field in fields(SharedPaths)]
-    return SharedPaths(*(np.where(takes_second.reshape(-1, *[1] * (one.ndim - 1)), other, one) for one, other in pairs))
+def chosen_paths(first: SharedPaths, second: SharedPaths, asked: Ints, takes_second: Bools) -> SharedPaths:
+    """Of K paths of which those of ``asked (Q,)`` were fitted again, these where ``takes_second (Q,)`` holds."""
+    if not takes_second.any():
+        return first
+    chosen = []
+    for field in fields(SharedPaths):
+        values = getattr(first, field.name).copy()
+        values[asked[takes_second]] = getattr(second, field.name)[takes_second]
+        chosen.append(values)
+    return SharedPaths(*chosen)
 
 
 def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
@@ -103,15 +119,73 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
     )
 
 
-def fit_shared_paths(
+@dataclass(frozen=True)
+class PathPoints:
+    """M points that tell K paths, path by path: ``first (K + 1,)`` is where each begins, and where the last one ends.
+
+    ``xy (L, M, 2)`` views at the times ``t_s (L,)``, with the noise ``sigma_norm (M,)``; point i is seen at the places
+    ``seen[i, : n_views[i]]``, nearest first; ``path_of (M,)``, ascending.
+    """
+
+    xy: Floats
+    t_s: Floats
+    sigma_norm: Floats
+    seen: Ints
+    n_views: Ints
+    path_of: Ints
+    first: Ints
+
+    def of(self, is_asked: Bools) -> PathPoints:
+        """The points of the paths for which ``is_asked (K,)`` holds, as points of these paths alone."""
+        kept, n_points = is_asked[self.path_of], np.diff(self.first)[is_asked]
+        return PathPoints(
+            np.ascontiguousarray(self.xy[:, kept]),
+            self.t_s,
+            self.sigma_norm[kept],
+            self.seen[kept],
+            self.n_views[kept],
+            np.repeat(np.arange(len(n_points)), n_points),
+            np.append(0, np.cumsum(n_points)),
+        )
+
+
+def points_of_paths(
     xy: Floats,
     t_s: Floats,
     sigma_norm: Floats,
-    beliefs: PathBeliefs,
+    base: Floats,
     path_of: Ints,
     max_frames: int | None = None,
-    gate_probability: float = 0.999,
     most_points: int = MOST_POINTS,
+) -> PathPoints:
+    """Those of N points that are seen often enough to tell of their path; of more than ``most_points`` an even part.
+
+    Parameters
+    ----------
+    xy, t_s, sigma_norm, path_of, max_frames
+        As for `fit_rates_on_paths`.
+    base
+        ``(K, L, 3)`` believed paths: a view at which its path is not known is none.
+    """
+    longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
+    seen, n_views = np.empty((len(path_of), longest), dtype=np.int64), np.empty(len(path_of), dtype=np.int64)
+    index, first = np.empty(len(path_of), dtype=np.int64), np.empty(len(base) + 1, dtype=np.int64)
+    _list_views(xy, np.argsort(np.abs(t_s), kind="stable"), base, path_of, seen, n_views)
+    _pick_some_of_each(path_of, n_views, LEAST_VIEWS, most_points, index, first)
+    index = index[: first[-1]]
+    return PathPoints(
+        np.ascontiguousarray(xy[:, index]),
+        t_s,
+        sigma_norm[index],
+        seen[index],
+        n_views[index],
+        path_of[index],
+        first,
+    )
+
+
+def fit_shared_paths(
+    points: PathPoints, beliefs: PathBeliefs, max_frames: int | None = None, gate_probability: float = 0.999
 ) -> SharedPaths:
     """What the points of each path say of it together, by Gauss-Newton on the paths and their points.
 
@@ -122,40 +196,46 @@ def fit_shared_paths(
     ----------
     beliefs
         Times and axes of ``base`` as in `fit_rates_on_paths`.
-    xy, t_s, sigma_norm, path_of, max_frames, gate_probability
+    max_frames, gate_probability
         As for `fit_rates_on_paths`.
-    most_points
-        Of more points of a path an even part is used.
     """
-    longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
-    seen, n_views = np.empty((len(path_of), longest), dtype=np.int64), np.empty(len(path_of), dtype=np.int64)
-    _list_views(xy, np.argsort(np.abs(t_s), kind="stable"), beliefs.base, path_of, seen, n_views)
-    index, first = _some_of_each(np.where(n_views < LEAST_VIEWS, NO_PATH, path_of), len(beliefs.direction), most_points)
-    xy, sigma_norm, path_of = np.ascontiguousarray(xy[:, index]), sigma_norm[index], path_of[index]
-    points = xy, t_s, sigma_norm, seen[index], n_views[index], first
+    t_s = points.t_s
+    seen = points.seen, points.n_views, points.first
     basis = np.concatenate([tangent_basis(beliefs.direction), beliefs.direction[:, :, None]], axis=2)
     prior = _prior(beliefs, basis)
-    state, offset, own_motion = np.empty((len(index), 3)), np.empty((len(basis), N_LOCAL)), np.empty_like(prior)
-    left = np.empty((len(basis), 2))
-    descend_together(*points, beliefs.base, basis, prior, beliefs.turns_itself, own_motion, state, offset, left)
-
+    believed, own_motion = np.empty_like(prior), np.empty_like(prior)
+    state, offset, left = np.empty((len(points.path_of), 3)), np.empty((len(basis), N_LOCAL)), np.empty((len(basis), 2))
+    descend_together(
+        points.xy,
+        t_s,
+        points.sigma_norm,
+        *seen,
+        beliefs.base,
+        basis,
+        prior,
+        beliefs.turns_itself,
+        own_motion,
+        believed,
+        state,
+        offset,
+        left,
+    )
     path, _ = _moved_paths(beliefs, basis, offset, t_s)
-    views = turned_back(xy, t_s, offset[:, -3:], path_of)
+    views = turned_back(points.xy, t_s, offset[:, -3:], points.path_of)
     rates = fit_rates_on_paths(
         views,
         t_s,
-        sigma_norm,
+        points.sigma_norm,
         path,
-        path_of,
+        points.path_of,
         max_frames,
         gate_probability,
         state,
         has_sensitivities=False,
     )
-    prior = np.swapaxes(own_motion, 1, 2) @ prior @ own_motion
-    information, score = prior.copy(), -_times(prior, offset)
+    information, score = believed.copy(), -_times(believed, offset)
     state = np.column_stack([rates.xy, rates.rate_hz])
-    add_up_windows(views, *points[1:], path, basis, rates.n_frames, state, information, score)
+    add_up_windows(views, t_s, points.sigma_norm, *seen, path, basis, rates.n_frames, state, information, score)
     cov: Floats = np.linalg.inv(information).astype(np.float64)
     found = _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, t_s)
     return replace(found, squares=left[:, 0], usual=left[:, 1])
@@ -177,16 +257,6 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
     return back
 
 
-def _some_of_each(path_of: Ints, count: int, most: int) -> tuple[Ints, Ints]:
-    """An even part of the points of each path, no more than ``most``, path by path; where each path begins."""
-    order, end = np.argsort(path_of, kind="stable"), np.cumsum(np.bincount(path_of[path_of >= 0], minlength=count))
-    # Those without a path come first.
-    members = np.split(order, len(path_of) - end[-1:] + np.append(0, end))[1:-1] if count else []
-    chosen = [index[:: -(-len(index) // most) or 1] for index in members]
-    first = np.cumsum([0, *(len(index) for index in chosen)])
-    return np.concatenate([np.empty(0, dtype=np.int64), *chosen]), first
-
-
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     """Information (K, 8, 8) of the belief on what moves along a path."""
     prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
@@ -203,11 +273,9 @@ def _moved_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, t_s: Floats
 
     A direction far from the believed one would be a longer one: the speed is 1 again on the paths, not in the velocity.
     """
-    velocity = beliefs.direction + _times(basis[:, :, :2], local[:, :2])
-    speed = np.linalg.norm(velocity, axis=1)[:, None, None]
-    t = t_s[:, None]
-    change = t * (velocity - beliefs.direction)[:, None] + 0.5 * t * t * _times(basis, local[:, 2:5])[:, None]
-    return (beliefs.base + change) / speed, velocity
+    path, velocity = np.empty_like(beliefs.base), np.empty((len(basis), 3))
+    _move_paths(beliefs.base, beliefs.direction, basis, local, t_s, path, velocity)
+    return path, velocity
 
 
 def _shared_paths(
@@ -226,6 +294,25 @@ def _shared_paths(
     shared_cov = columns @ cov @ np.swapaxes(columns, 1, 2)
     nothing = np.zeros(len(basis))
     return SharedPaths(path, velocity / speed, offset, shared_cov, bend_hz, own_cov, nothing, nothing)
+
+
+@compiled
+def _move_paths(
+    base: Floats, direction: Floats, basis: Floats, local: Floats, t_s: Floats, path: Floats, velocity: Floats
+) -> None:
+    """Fills ``path (K, L, 3)`` and ``velocity (K, 3)`` of `_moved_paths`."""
+    for k in range(len(base)):
+        square = 0.0
+        for j in range(3):
+            velocity[k, j] = direction[k, j] + basis[k, j, 0] * local[k, 0] + basis[k, j, 1] * local[k, 1]
+            square += velocity[k, j] * velocity[k, j]
+        slower = 1.0 / np.sqrt(square)
+        for j in range(3):
+            bend = basis[k, j, 0] * local[k, 2] + basis[k, j, 1] * local[k, 3] + basis[k, j, 2] * local[k, 4]
+            change = velocity[k, j] - direction[k, j]
+            for place in range(len(t_s)):
+                t = t_s[place]
+                path[k, place, j] = (base[k, place, j] + t * change + 0.5 * t * t * bend) * slower
 
 
 @compiled
@@ -262,3 +349,27 @@ def _list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Int
                 seen[i, count] = place
                 count += 1
         n_views[i] = count
+
+
+@compiled
+def _pick_some_of_each(path_of: Ints, n_views: Ints, least_views: int, most: int, index: Ints, first: Ints) -> None:
+    """Fills ``index`` with an even part of the points of each path, no more than ``most``, path by path.
+
+    ``first (K + 1,)`` is where each path begins, and where the last one ends. Points of fewer views have no part.
+    """
+    first[:] = 0
+    for i in range(len(path_of)):
+        if n_views[i] >= least_views:
+            first[path_of[i] + 1] += 1
+    every, passed, place = np.empty_like(first), np.zeros_like(first), np.empty_like(first)
+    for k in range(len(first) - 1):
+        every[k] = max(-(-first[k + 1] // most), 1)
+        place[k] = first[k]
+        first[k + 1] = first[k] + -(-first[k + 1] // every[k])
+    for i in range(len(path_of)):
+        if n_views[i] >= least_views:
+            k = path_of[i]
+            if passed[k] % every[k] == 0:
+                index[place[k]] = i
+                place[k] += 1
+            passed[k] += 1

@@ -28,6 +28,8 @@ _ROBUST_SIGMAS, _LEAST_DEPTH_RATIO = 3.0, 0.1
 # Kept of a point while what it shares is solved for: information on its place, couplings of x and y with rho,
 # information on rho, score of x, y, rho, squared residuals.
 _N_OWN = 8
+# Rows of the scratch after those of the information: how a view's x and y move with what is shared, and the score.
+_BY_X, _BY_Y, _SCORE = N_LOCAL, N_LOCAL + 1, N_LOCAL + 2
 
 
 @compiled
@@ -43,15 +45,16 @@ def descend_together(
     prior: Floats,
     turns_itself: bool,
     own_motion: Floats,
+    believed: Floats,
     state: Floats,
     offset: Floats,
     left: Floats,
 ) -> None:
     """Paths and points together, over all views: fills ``state (N, 3)`` (x, y, rho) and ``offset (K, 8)``.
 
-    Fills ``own_motion (K, 8, 8)`` too: what takes offsets to that of which the belief speaks (`_set_own_motion`); and
-    ``left (K, 2)``, before the last step: sum of squared residuals in sigmas, none counted for more than the robust
-    limit, and the median of what the points have by the degree of freedom.
+    Fills ``own_motion (K, 8, 8)`` too: what takes offsets to that of which the belief speaks (`_set_own_motion`), with
+    ``believed (K, 8, 8)``, the information on offsets; and ``left (K, 2)``, before the last step: sum of squared
+    residuals in sigmas, none counted for more than the robust limit, and the points' median by the degree of freedom.
 
     No view is cut off: a believed path may be wrong by hundreds of sigmas at its far end, where a window would end at
     once and nothing be learned of it. A view loses weight beyond three times the usual residual of its path's points.
@@ -66,37 +69,40 @@ def descend_together(
     rotation, path, views = np.empty((n_times, 3, 3)), np.empty((n_times, 3)), np.empty((n_times, 2))
     information, score, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(N_LOCAL), np.empty(N_LOCAL)
     own, coupling, relative = np.empty((n, _N_OWN)), np.empty((n, 3, N_LOCAL)), np.empty(n)
-    scratch, believed = np.empty((N_LOCAL + 3, N_LOCAL)), np.empty((N_LOCAL, N_LOCAL))
-    sums = information, score
+    scratch = np.empty((N_LOCAL + 3, N_LOCAL))
     for k in range(len(first) - 1):
         low, high, axes = first[k], first[k + 1], basis[k]
         offset[k], left[k] = 0.0, 0.0
         _set_path(t_s, base[k], axes, offset[k], path, rotation)
         for i in range(low, high):
-            _turn(xy, rotation, i, seen[i, : n_views[i]], views)
-            relative[i] = _start(views, path, seen[i, : n_views[i]], sigma[i], state[i])
+            _turn(xy, rotation, i, seen, n_views[i], views)
+            slowest, fastest = _rate_limits(path, i, seen, n_views[i])
+            relative[i] = _start(views, path, i, seen, n_views[i], sigma[i], slowest, fastest, state)
         _set_own_motion(turns_itself, axes, state[low:high], own_motion[k])
-        _set_belief(prior[k], own_motion[k], believed)
+        _set_belief(prior[k], own_motion[k], believed[k])
+        if low == high:
+            continue
+        usual = np.median(relative[low:high])
         for _ in range(_MAX_STEPS):
-            misfit = max(1.0, np.sqrt(np.median(relative[low:high]))) if high > low else 1.0
+            misfit = max(1.0, np.sqrt(usual))
             limit = (_ROBUST_SIGMAS * misfit) ** 2
-            _set_prior(believed, offset[k], information, score)
+            _set_prior(believed[k], offset[k], information, score)
             for i in range(low, high):
-                places = seen[i, : n_views[i]]
-                _turn(xy, rotation, i, places, views)
-                slowest, fastest = _rate_limits(path, places)
+                _turn(xy, rotation, i, seen, n_views[i], views)
+                slowest, fastest = _rate_limits(path, i, seen, n_views[i])
                 if not slowest < state[i, 2] < fastest:
-                    _start(views, path, places, sigma[i], state[i])
+                    _start(views, path, i, seen, n_views[i], sigma[i], slowest, fastest, state)
                 relative[i] = _add_point(
-                    views, t_s, path, axes, places, state[i], 1.0 / sigma[i], limit, *sums, own[i], coupling[i], scratch
+                    views, t_s, path, axes, i, seen, n_views[i], state, sigma, limit, own, coupling, scratch
                 )
-            if high > low:
-                left[k, 0], left[k, 1] = np.sum(own[low:high, 7]), np.median(relative[low:high])
+                _eliminate(i, own, coupling, scratch, information, score)
+            usual = np.median(relative[low:high])
+            left[k, 0], left[k, 1] = np.sum(own[low:high, 7]), usual
             fall = _solve(information, score, step)
             offset[k] += step
             _set_path(t_s, base[k], axes, offset[k], path, rotation)
             for i in range(low, high):
-                _follow(own[i], coupling[i], step, state[i])
+                _follow(i, own, coupling, step, state)
             if fall < _CONVERGED_CHI2 * misfit * misfit:
                 break
 
@@ -121,30 +127,20 @@ def add_up_windows(
     Points that leave their path much sooner than others do move otherwise, and are left out. ``xy (L, N, 2)`` are views
     turned back, ``path (K, L, 3)`` the paths at which the points were fitted.
     """
-    own, coupling, scratch = np.empty(_N_OWN), np.empty((3, N_LOCAL)), np.empty((N_LOCAL + 3, N_LOCAL))
+    own, coupling = np.empty((len(sigma), _N_OWN)), np.empty((len(sigma), 3, N_LOCAL))
+    scratch, limit = np.empty((N_LOCAL + 3, N_LOCAL)), _ROBUST_SIGMAS * _ROBUST_SIGMAS
     share, views = n_frames / n_views, np.empty((len(xy), 2))
     for k in range(len(first) - 1):
-        if first[k] == first[k + 1]:
+        low, high, axes, along = first[k], first[k + 1], basis[k], path[k]
+        if low == high:
             continue
-        least = _LOYAL_SHARE * np.median(share[first[k] : first[k + 1]])
-        for i in range(first[k], first[k + 1]):
+        least = _LOYAL_SHARE * np.median(share[low:high])
+        for i in range(low, high):
             if share[i] >= least and n_frames[i] >= LEAST_VIEWS and np.isfinite(state[i, 2]):
-                views[:] = xy[:, i]
-                _add_point(
-                    views,
-                    t_s,
-                    path[k],
-                    basis[k],
-                    seen[i, : n_frames[i]],
-                    state[i],
-                    1.0 / sigma[i],
-                    _ROBUST_SIGMAS * _ROBUST_SIGMAS,
-                    information[k],
-                    score[k],
-                    own,
-                    coupling,
-                    scratch,
-                )
+                for place in range(len(views)):
+                    views[place, 0], views[place, 1] = xy[place, i, 0], xy[place, i, 1]
+                _add_point(views, t_s, along, axes, i, seen, n_frames[i], state, sigma, limit, own, coupling, scratch)
+                _eliminate(i, own, coupling, scratch, information[k], score[k])
 
 
 @compiled
@@ -153,112 +149,118 @@ def _add_point(
     t_s: Floats,
     path: Floats,
     basis: Floats,
-    places: Ints,
-    s: Floats,
-    inverse: float,
+    i: int,
+    seen: Ints,
+    n: int,
+    state: Floats,
+    sigma: Floats,
     limit: float,
-    information: Floats,
-    score: Floats,
     own: Floats,
     coupling: Floats,
     scratch: Floats,
 ) -> float:
-    """Adds one point to the ``information (8, 8)`` and ``score (8,)`` of its path, its place and rate eliminated.
+    """Sums over the first n views of point i, for `_eliminate`: what it has of its own and what it shares.
 
-    The sums of x, y, rho are those of `whole_track_on_path._add_up`.
-    Fills ``own (8,)`` and the couplings ``(3, 8)`` of x, y, rho with what is shared. Returns the mean square residual.
+    Fills ``own[i]``, the couplings ``coupling[i] (3, 8)`` of x, y, rho with what is shared, and ``scratch``: the lower
+    half of the information on what is shared, then two rows for use here, then its score. The sums of x, y, rho are
+    those of `whole_track_on_path._add_up`. Returns the mean square residual.
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does.
     """
-    by_x, by_y, right, whole = scratch[N_LOCAL], scratch[N_LOCAL + 1], scratch[N_LOCAL + 2], scratch[:N_LOCAL]
-    own[:], coupling[:], whole[:], right[:] = 0.0, 0.0, 0.0, 0.0
-    total = 0.0
-    for place in places:
+    for j in range(N_LOCAL):
+        own[i, j] = coupling[i, 0, j] = coupling[i, 1, j] = coupling[i, 2, j] = scratch[_SCORE, j] = 0.0
+        for k in range(N_LOCAL):
+            scratch[j, k] = 0.0
+    inverse, total = 1.0 / sigma[i], 0.0
+    for nearest in range(n):
+        place = seen[i, nearest]
         tx, ty, tz = path[place, 0], path[place, 1], path[place, 2]
-        h = 1.0 / (1.0 + s[2] * tz)
-        x, y = (s[0] + s[2] * tx) * h, (s[1] + s[2] * ty) * h
+        h = 1.0 / (1.0 + state[i, 2] * tz)
+        x, y = (state[i, 0] + state[i, 2] * tx) * h, (state[i, 1] + state[i, 2] * ty) * h
         rx, ry = (views[place, 0] - x) * inverse, (views[place, 1] - y) * inverse
         square = rx * rx + ry * ry
         weight = limit / square if square > limit else 1.0
         total += weight * square
-        own[7] += min(square, _ROBUST_SIGMAS * _ROBUST_SIGMAS)
+        own[i, 7] += min(square, _ROBUST_SIGMAS * _ROBUST_SIGMAS)
         a = h * inverse
         jx, jy = a * (tx - x * tz), a * (ty - y * tz)
-        moved, half = s[2] * a * t_s[place], 0.5 * t_s[place]
+        moved, half = state[i, 2] * a * t_s[place], 0.5 * t_s[place]
         for j in range(3):
             gx, gy = moved * (basis[0, j] - x * basis[2, j]), moved * (basis[1, j] - y * basis[2, j])
             if j < 2:
-                by_x[j], by_y[j] = gx, gy
-            by_x[2 + j], by_y[2 + j] = half * gx, half * gy
+                scratch[_BY_X, j], scratch[_BY_Y, j] = gx, gy
+            scratch[_BY_X, 2 + j], scratch[_BY_Y, 2 + j] = half * gx, half * gy
         turned = inverse * t_s[place]
-        by_x[5], by_x[6], by_x[7] = -x * y * turned, (1.0 + x * x) * turned, -y * turned
-        by_y[5], by_y[6], by_y[7] = -(1.0 + y * y) * turned, x * y * turned, x * turned
-        own[0] += weight * a * a
-        own[1] += weight * a * jx
-        own[2] += weight * a * jy
-        own[3] += weight * (jx * jx + jy * jy)
-        own[4] += weight * a * rx
-        own[5] += weight * a * ry
-        own[6] += weight * (jx * rx + jy * ry)
+        scratch[_BY_X, 5], scratch[_BY_Y, 5] = -x * y * turned, -(1.0 + y * y) * turned
+        scratch[_BY_X, 6], scratch[_BY_Y, 6] = (1.0 + x * x) * turned, x * y * turned
+        scratch[_BY_X, 7], scratch[_BY_Y, 7] = -y * turned, x * turned
+        own[i, 0] += weight * a * a
+        own[i, 1] += weight * a * jx
+        own[i, 2] += weight * a * jy
+        own[i, 3] += weight * (jx * jx + jy * jy)
+        own[i, 4] += weight * a * rx
+        own[i, 5] += weight * a * ry
+        own[i, 6] += weight * (jx * rx + jy * ry)
         for j in range(N_LOCAL):
-            wx, wy = weight * by_x[j], weight * by_y[j]
-            coupling[0, j] += a * wx
-            coupling[1, j] += a * wy
-            coupling[2, j] += jx * wx + jy * wy
-            right[j] += rx * wx + ry * wy
+            wx, wy = weight * scratch[_BY_X, j], weight * scratch[_BY_Y, j]
+            coupling[i, 0, j] += a * wx
+            coupling[i, 1, j] += a * wy
+            coupling[i, 2, j] += jx * wx + jy * wy
+            scratch[_SCORE, j] += rx * wx + ry * wy
             for k in range(j + 1):
-                whole[j, k] += wx * by_x[k] + wy * by_y[k]
-    _eliminate(own, coupling, whole, right, information, score)
-    return total / (2 * len(places) - 3)
+                scratch[j, k] += wx * scratch[_BY_X, k] + wy * scratch[_BY_Y, k]
+    return total / (2 * n - 3)
 
 
 @compiled
-def _eliminate(own: Floats, coupling: Floats, whole: Floats, right: Floats, information: Floats, score: Floats) -> None:
-    """Adds what is left of ``whole`` (its lower half) and ``right`` once x, y and then rho follow (Schur complement).
+def _eliminate(i: int, own: Floats, coupling: Floats, scratch: Floats, information: Floats, score: Floats) -> None:
+    """Adds to ``information (8, 8)`` and ``score (8,)`` what point i says once x, y, rho follow (Schur complement).
 
-    ``own`` and ``coupling`` become those of rho with x and y eliminated. Without information on rho nothing is added.
+    ``own[i]`` and ``coupling[i]`` become those of rho with x and y eliminated. No information on rho adds nothing.
     """
-    rest = 1.0 / own[0]
-    own[3] -= (own[1] * own[1] + own[2] * own[2]) * rest
-    if not own[3] > 0.0:
-        own[3] = 0.0
-        return
-    own[6] -= (own[1] * own[4] + own[2] * own[5]) * rest
-    rate_variance = 1.0 / own[3]
+    rest = 1.0 / own[i, 0]
+    left = own[i, 3] - (own[i, 1] * own[i, 1] + own[i, 2] * own[i, 2]) * rest
+    is_known = left > 0.0
+    own[i, 3], rate_variance = (left, 1.0 / left) if is_known else (0.0, 0.0)
+    own[i, 6] -= (own[i, 1] * own[i, 4] + own[i, 2] * own[i, 5]) * rest
     for j in range(N_LOCAL):
-        coupling[2, j] -= (own[1] * coupling[0, j] + own[2] * coupling[1, j]) * rest
-    for j in range(N_LOCAL):
-        along_x, along_y, along = coupling[0, j] * rest, coupling[1, j] * rest, coupling[2, j] * rate_variance
-        score[j] += right[j] - along_x * own[4] - along_y * own[5] - along * own[6]
+        coupling[i, 2, j] -= (own[i, 1] * coupling[i, 0, j] + own[i, 2] * coupling[i, 1, j]) * rest
+    for j in range(N_LOCAL if is_known else 0):
+        along_x, along_y, along = coupling[i, 0, j] * rest, coupling[i, 1, j] * rest, coupling[i, 2, j] * rate_variance
+        score[j] += scratch[_SCORE, j] - along_x * own[i, 4] - along_y * own[i, 5] - along * own[i, 6]
         for k in range(j + 1):
-            left = whole[j, k] - along_x * coupling[0, k] - along_y * coupling[1, k] - along * coupling[2, k]
-            information[j, k] += left
+            added = (
+                scratch[j, k] - along_x * coupling[i, 0, k] - along_y * coupling[i, 1, k] - along * coupling[i, 2, k]
+            )
+            information[j, k] += added
             if k < j:
-                information[k, j] += left
+                information[k, j] += added
 
 
 @compiled
-def _follow(own: Floats, coupling: Floats, step: Floats, s: Floats) -> None:
-    """Moves a point by its own part of a joint step: what was eliminated, put back."""
-    if own[3] == 0.0:
-        return
-    x, y, rate = own[4], own[5], own[6]
+def _follow(i: int, own: Floats, coupling: Floats, step: Floats, state: Floats) -> None:
+    """Moves point i by its own part of a joint step: what was eliminated, put back."""
+    x, y, rate = own[i, 4], own[i, 5], own[i, 6]
     for j in range(N_LOCAL):
-        x -= coupling[0, j] * step[j]
-        y -= coupling[1, j] * step[j]
-        rate -= coupling[2, j] * step[j]
-    rate /= own[3]
-    s[0] += (x - own[1] * rate) / own[0]
-    s[1] += (y - own[2] * rate) / own[0]
-    s[2] += rate
+        x -= coupling[i, 0, j] * step[j]
+        y -= coupling[i, 1, j] * step[j]
+        rate -= coupling[i, 2, j] * step[j]
+    is_known = own[i, 3] > 0.0
+    rate, rest = (rate / own[i, 3], 1.0 / own[i, 0]) if is_known else (0.0, 0.0)
+    state[i, 0] += (x - own[i, 1] * rate) * rest
+    state[i, 1] += (y - own[i, 2] * rate) * rest
+    state[i, 2] += rate
 
 
 @compiled
-def _start(views: Floats, path: Floats, places: Ints, sigma: float, s: Floats) -> float:
-    """Fills ``s (3,)`` by the linear solve of x + rho (T_x - x_i T_z) = x_i; returns its mean square residual."""
-    x0, y0, rest = views[places[0], 0], views[places[0], 1], 1.0 / len(places)
+def _start(
+    views: Floats, path: Floats, i: int, seen: Ints, n: int, sigma: float, slowest: float, fastest: float, state: Floats
+) -> float:
+    """Fills ``state[i]`` by the linear solve of x + rho (T_x - x_i T_z) = x_i; returns its mean square residual."""
+    x0, y0, rest = views[seen[i, 0], 0], views[seen[i, 0], 1], 1.0 / n
     sum_x, sum_y, sum_jj, right_x, right_y, right, total = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for place in places:
+    for nearest in range(n):
+        place = seen[i, nearest]
         x, y = views[place, 0], views[place, 1]
         jx, jy = path[place, 0] - x * path[place, 2], path[place, 1] - y * path[place, 2]
         x, y = x - x0, y - y0
@@ -269,22 +271,23 @@ def _start(views: Floats, path: Floats, places: Ints, sigma: float, s: Floats) -
         right_y += y
         right += jx * x + jy * y
         total += x * x + y * y
-    slowest, fastest = _rate_limits(path, places)
     information = sum_jj - (sum_x * sum_x + sum_y * sum_y) * rest
     along = right - (sum_x * right_x + sum_y * right_y) * rest
     rate = along / information if information > 0.0 else 0.0
-    s[2] = min(max(rate, 0.5 * slowest), 0.5 * fastest)
-    s[0], s[1] = x0 + (right_x - sum_x * s[2]) * rest, y0 + (right_y - sum_y * s[2]) * rest
+    held = min(max(rate, 0.5 * slowest), 0.5 * fastest)
+    state[i, 0], state[i, 1] = x0 + (right_x - sum_x * held) * rest, y0 + (right_y - sum_y * held) * rest
+    state[i, 2] = held
     total -= (right_x * right_x + right_y * right_y) * rest + rate * along
-    return max(total, 0.0) / (sigma * sigma * (2 * len(places) - 3))
+    return max(total, 0.0) / (sigma * sigma * (2 * n - 3))
 
 
 @compiled
-def _rate_limits(path: Floats, places: Ints) -> tuple[float, float]:
-    """Rates between which all views of a point are in front of the camera."""
+def _rate_limits(path: Floats, i: int, seen: Ints, n: int) -> tuple[float, float]:
+    """Rates between which the first n views of point i are in front of the camera."""
     nearest, farthest = 0.0, 0.0
-    for place in places:
-        nearest, farthest = min(nearest, path[place, 2]), max(farthest, path[place, 2])
+    for view in range(n):
+        depth = path[seen[i, view], 2]
+        nearest, farthest = min(nearest, depth), max(farthest, depth)
     return -(1.0 - _LEAST_DEPTH_RATIO) / max(farthest, 1e-12), (1.0 - _LEAST_DEPTH_RATIO) / max(-nearest, 1e-12)
 
 
@@ -296,32 +299,32 @@ def _set_path(t_s: Floats, base: Floats, basis: Floats, offset: Floats, path: Fl
     """
     wx, wy, wz = offset[5], offset[6], offset[7]
     rate = np.sqrt(wx * wx + wy * wy + wz * wz)
-    for place in range(len(t_s)):
-        t = t_s[place]
+    for k in range(len(t_s)):
+        t = t_s[k]
         for j in range(3):
-            path[place, j] = base[place, j]
+            path[k, j] = base[k, j]
             for m in range(3):
                 u = offset[m] if m < 2 else 0.0
-                path[place, j] += basis[j, m] * (t * u + 0.5 * t * t * offset[2 + m])
+                path[k, j] += basis[j, m] * (t * u + 0.5 * t * t * offset[2 + m])
         sine = np.sin(rate * t) / rate if rate > 0.0 else t
         half = np.sin(0.5 * rate * t) / rate if rate > 0.0 else 0.5 * t
         versed = 2.0 * half * half
-        r = rotation[place]
-        r[0, 0], r[1, 1] = 1.0 - versed * (wy * wy + wz * wz), 1.0 - versed * (wx * wx + wz * wz)
-        r[2, 2] = 1.0 - versed * (wx * wx + wy * wy)
-        r[0, 1], r[1, 0] = versed * wx * wy + sine * wz, versed * wx * wy - sine * wz
-        r[0, 2], r[2, 0] = versed * wx * wz - sine * wy, versed * wx * wz + sine * wy
-        r[1, 2], r[2, 1] = versed * wy * wz + sine * wx, versed * wy * wz - sine * wx
+        rotation[k, 0, 0], rotation[k, 1, 1] = 1.0 - versed * (wy * wy + wz * wz), 1.0 - versed * (wx * wx + wz * wz)
+        rotation[k, 2, 2] = 1.0 - versed * (wx * wx + wy * wy)
+        rotation[k, 0, 1], rotation[k, 1, 0] = versed * wx * wy + sine * wz, versed * wx * wy - sine * wz
+        rotation[k, 0, 2], rotation[k, 2, 0] = versed * wx * wz - sine * wy, versed * wx * wz + sine * wy
+        rotation[k, 1, 2], rotation[k, 2, 1] = versed * wy * wz + sine * wx, versed * wy * wz - sine * wx
 
 
 @compiled
-def _turn(xy: Floats, rotation: Floats, i: int, places: Ints, views: Floats) -> None:
-    """Fills ``views (L, 2)`` with those of point i turned by ``rotation (L, 3, 3)``."""
-    for place in places:
-        r, x, y = rotation[place], xy[place, i, 0], xy[place, i, 1]
-        depth = 1.0 / (r[2, 0] * x + r[2, 1] * y + r[2, 2])
-        views[place, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) * depth
-        views[place, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) * depth
+def _turn(xy: Floats, rotation: Floats, i: int, seen: Ints, n: int, views: Floats) -> None:
+    """Fills ``views (L, 2)`` with the first n of point i turned by ``rotation (L, 3, 3)``."""
+    for nearest in range(n):
+        k = seen[i, nearest]
+        x, y = xy[k, i, 0], xy[k, i, 1]
+        depth = 1.0 / (rotation[k, 2, 0] * x + rotation[k, 2, 1] * y + rotation[k, 2, 2])
+        views[k, 0] = (rotation[k, 0, 0] * x + rotation[k, 0, 1] * y + rotation[k, 0, 2]) * depth
+        views[k, 1] = (rotation[k, 1, 0] * x + rotation[k, 1, 1] * y + rotation[k, 1, 2]) * depth
 
 
 @compiled

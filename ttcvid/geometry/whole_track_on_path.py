@@ -162,8 +162,10 @@ def _fit_each(
             # A sum is finite where all of its terms are.
             if np.isfinite(xy[place, i, 0] + xy[place, i, 1] + paths[path_of[i], place, 0] + tz):
                 t[m] = t_s[place]
-                views[m] = xy[place, i]
-                path[m] = paths[path_of[i], place]
+                for j in range(2):
+                    views[m, j] = xy[place, i, j]
+                for j in range(3):
+                    path[m, j] = paths[path_of[i], place, j]
                 nearest, farthest = min(nearest, tz), max(farthest, tz)
                 m += 1
         n_frames[i] = m
@@ -174,44 +176,46 @@ def _fit_each(
         high = (1.0 - _LEAST_DEPTH_RATIO) / max(-nearest, 1e-12)
         has_start = np.isfinite(start[i, 0] + start[i, 1] + start[i, 2]) and low < start[i, 2] < high
         if has_start:
-            s[:] = start[i]
+            s[0], s[1], s[2] = start[i, 0], start[i, 1], start[i, 2]
         else:
             s[0], s[1], s[2] = views[0, 0], views[0, 1], 0.0
             _add_up(views, path, m, s, inverse, True, sums)
-            _solve(sums[m], s[2], low, high, step)
-            s += step
+            _solve(sums, m, s[2], low, high, step)
+            for j in range(3):
+                s[j] += step[j]
         for count in range(_MAX_STEPS):
             n = m if count < _WINDOW_STEPS else n
             _add_up(views, path, n, s, inverse, False, sums)
-            fall = _solve(sums[n], s[2], low, high, step)
+            fall = _solve(sums, n, s[2], low, high, step)
             while n > LEAST_FRAMES:
                 whole = sums[n, 7] - fall
                 if whole <= gates[n]:
                     k = max(n - _TAIL, LEAST_FRAMES)
-                    near = sums[k, 7] - _solve(sums[k], s[2], low, high, step_near)
+                    near = sums[k, 7] - _solve(sums, k, s[2], low, high, step_near)
                     if whole - near <= tail_gates[n - k]:
                         break
                 n -= 1
-                fall = _solve(sums[n], s[2], low, high, step)
-            s += step
+                fall = _solve(sums, n, s[2], low, high, step)
+            for j in range(3):
+                s[j] += step[j]
             chi2[i] = max(sums[n, 7] - fall, 0.0)
             if fall < _CONVERGED_CHI2:
                 break
         n_frames[i] = n
-        row = sums[n]
-        information = row[3] - (row[1] * row[1] + row[2] * row[2]) / row[0]
+        own, along_x, along_y = 1.0 / sums[n, 0], -sums[n, 1] / sums[n, 0], -sums[n, 2] / sums[n, 0]
+        information = sums[n, 3] + along_x * sums[n, 1] + along_y * sums[n, 2]
         if not information > 0.0:
             continue
-        state[i] = s
-        along_x, along_y, variance = -row[1] / row[0], -row[2] / row[0], 1.0 / information
-        cov[i, 0, 0] = 1.0 / row[0] + along_x * along_x * variance
-        cov[i, 1, 1] = 1.0 / row[0] + along_y * along_y * variance
+        variance = 1.0 / information
+        state[i, 0], state[i, 1], state[i, 2] = s[0], s[1], s[2]
+        cov[i, 0, 0] = own + along_x * along_x * variance
+        cov[i, 1, 1] = own + along_y * along_y * variance
         cov[i, 0, 1] = cov[i, 1, 0] = along_x * along_y * variance
         cov[i, 0, 2] = cov[i, 2, 0] = along_x * variance
         cov[i, 1, 2] = cov[i, 2, 1] = along_y * variance
         cov[i, 2, 2] = variance
         if has_sensitivities:
-            _sensitivities(t, views, path, n, s, inverse, along_x, along_y, variance, by_path[i], by_rotation[i])
+            _sensitivities(t, views, path, n, s, inverse, along_x, along_y, variance, i, by_path, by_rotation)
 
 
 @compiled
@@ -229,11 +233,10 @@ def _add_up(views: Floats, path: Floats, m: int, s: Floats, inverse: float, is_l
         x, y = (s[0] + s[2] * path[k, 0]) * h, (s[1] + s[2] * path[k, 1]) * h
         rx, ry = (views[k, 0] - x) * inverse, (views[k, 1] - y) * inverse
         square = rx * rx + ry * ry
-        weight = 1.0
+        # Without a branch: which views are far off cannot be guessed.
+        weight = 1.0 if is_linear else limit / max(square, limit)
         if is_linear:
             x, y = views[k, 0], views[k, 1]
-        elif square > limit:
-            weight = limit / square
         jx, jy = path[k, 0] - x * path[k, 2], path[k, 1] - y * path[k, 2]
         hi = h * inverse
         w = weight * hi * hi
@@ -246,23 +249,24 @@ def _add_up(views: Floats, path: Floats, m: int, s: Floats, inverse: float, is_l
         score_y += gy
         score_rate += gx * jx + gy * jy
         total += weight * square
-        row = sums[k + 1]
-        row[0], row[1], row[2], row[3] = info, with_x, with_y, info_rate
-        row[4], row[5], row[6], row[7] = score_x, score_y, score_rate, total
+        sums[k + 1, 0], sums[k + 1, 1], sums[k + 1, 2], sums[k + 1, 3] = info, with_x, with_y, info_rate
+        sums[k + 1, 4], sums[k + 1, 5], sums[k + 1, 6], sums[k + 1, 7] = score_x, score_y, score_rate, total
 
 
 @compiled
-def _solve(row: Floats, rate: float, low: float, high: float, step: Floats) -> float:
-    """Gauss-Newton step ``(3,)`` of x, y, rho; returns by how much chi-square falls."""
-    rest = 1.0 / row[0]
-    information = row[3] - (row[1] * row[1] + row[2] * row[2]) * rest
-    score = row[6] - (row[1] * row[4] + row[2] * row[5]) * rest
+def _solve(sums: Floats, n: int, rate: float, low: float, high: float, step: Floats) -> float:
+    """Gauss-Newton step ``(3,)`` of x, y, rho by the first n views; returns by how much chi-square falls."""
+    rest = 1.0 / sums[n, 0]
+    information = sums[n, 3] - (sums[n, 1] * sums[n, 1] + sums[n, 2] * sums[n, 2]) * rest
+    score = sums[n, 6] - (sums[n, 1] * sums[n, 4] + sums[n, 2] * sums[n, 5]) * rest
     change = score / information if information > 0.0 else 0.0
     # Half of the way to a limit at most.
     change = min(max(change, 0.5 * (low - rate)), 0.5 * (high - rate))
-    step[0], step[1] = (row[4] - row[1] * change) * rest, (row[5] - row[2] * change) * rest
+    step[0], step[1] = (sums[n, 4] - sums[n, 1] * change) * rest, (sums[n, 5] - sums[n, 2] * change) * rest
     step[2] = change
-    fall: float = (row[4] * row[4] + row[5] * row[5]) * rest + change * (2.0 * score - information * change)
+    fall: float = (sums[n, 4] * sums[n, 4] + sums[n, 5] * sums[n, 5]) * rest + change * (
+        2.0 * score - information * change
+    )
     return fall
 
 
@@ -277,12 +281,13 @@ def _sensitivities(
     along_x: float,
     along_y: float,
     variance: float,
+    i: int,
     by_path: Floats,
     by_rotation: Floats,
 ) -> None:
-    """What a wrong path and a rotation left in the views do to rho: see `PathRates`."""
-    by_path[:] = 0.0
-    by_rotation[:] = 0.0
+    """What a wrong path and a rotation left in the views of point i do to its rho: see `PathRates`."""
+    for j in range(3):
+        by_path[i, j] = by_path[i, 3 + j] = by_rotation[i, j] = 0.0
     for k in range(n):
         h = 1.0 / (1.0 + s[2] * path[k, 2])
         x, y = (s[0] + s[2] * path[k, 0]) * h, (s[1] + s[2] * path[k, 1]) * h
@@ -294,9 +299,9 @@ def _sensitivities(
         px, py = gain * (path[k, 0] - x * path[k, 2] + along_x), gain * (path[k, 1] - y * path[k, 2] + along_y)
         for j in range(2):
             moved = s[2] * h * (t[k] if j == 0 else 0.5 * t[k] * t[k])
-            by_path[3 * j] -= moved * px
-            by_path[3 * j + 1] -= moved * py
-            by_path[3 * j + 2] += moved * (x * px + y * py)
-        by_rotation[0] -= t[k] * (x * y * px + (1.0 + y * y) * py)
-        by_rotation[1] += t[k] * ((1.0 + x * x) * px + x * y * py)
-        by_rotation[2] += t[k] * (x * py - y * px)
+            by_path[i, 3 * j] -= moved * px
+            by_path[i, 3 * j + 1] -= moved * py
+            by_path[i, 3 * j + 2] += moved * (x * px + y * py)
+        by_rotation[i, 0] -= t[k] * (x * y * px + (1.0 + y * y) * py)
+        by_rotation[i, 1] += t[k] * ((1.0 + x * x) * px + x * y * py)
+        by_rotation[i, 2] += t[k] * (x * py - y * px)

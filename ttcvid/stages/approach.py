@@ -15,7 +15,7 @@ import numpy as np
 
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
-from ttcvid.model import APPROACHING, Camera, ClusterRow, Floats, Ints, MotionState
+from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
 from ttcvid.stages.sets import TrackSets
 
 # Nearer and farther are told at 99 % (one side): there are ten objects in a frame.
@@ -46,22 +46,25 @@ class CommonViews:
 
 
 def with_common_errors(
-    rows: list[ClusterRow], members: TrackSets, views: CommonViews, age_s: Floats, camera: Camera
+    rows: list[ClusterRow], members: TrackSets, radius_px: Floats, age_s: Floats, gap_s: float, camera: Camera
 ) -> list[ClusterRow]:
     """The same K rows; their states no surer than what all tracks of an object may err by in common leaves them.
 
     Parameters
     ----------
-    members : tracks of the rows.
+    members, radius_px : tracks of the rows, and their `radii_px`.
     age_s : (N,) for how long each track has been seen.
+    gap_s : time over which all tracks are looked at (`CommonViews`).
     """
     stated = [k for k, row in enumerate(rows) if row.state_cov is not None]
     if not stated:
         return rows
     rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in stated]))
-    radius_px = _radius_px(views, members, camera)[stated]
-    looked_s = np.maximum(np.minimum(members.medians(age_s[members.index]), _DRIFT_S), views.gap_s)[stated]
-    drift_hz = _COMMON_ERROR_PX / (np.maximum(radius_px, _LEAST_RADIUS_PX) * looked_s)
+    has_state = np.zeros(len(rows), dtype=bool)
+    has_state[stated] = True
+    of_stated, _ = members.where(has_state[members.set_of])
+    looked_s = np.maximum(np.minimum(of_stated.medians(age_s[of_stated.index]), _DRIFT_S), gap_s)
+    drift_hz = _COMMON_ERROR_PX / (np.maximum(radius_px[stated], _LEAST_RADIUS_PX) * looked_s)
     # What seems to grow, seems to come along its ray.
     common = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
     rows = list(rows)
@@ -71,24 +74,24 @@ def with_common_errors(
 
 
 def with_seen_motion(
-    rows: list[ClusterRow], members: TrackSets, views: CommonViews, growth: tuple[Floats, Floats], camera: Camera
+    rows: list[ClusterRow], radius_px: Floats, growth: tuple[Floats, Floats], gap_s: float, camera: Camera
 ) -> list[ClusterRow]:
     """The same K rows; what is said to approach or recede without its picture showing it is not said to.
 
     Parameters
     ----------
-    members : tracks of the rows.
+    radius_px : `radii_px` of the tracks of the rows.
     growth : (K,) each, how the pictures of the rows expand, and its standard deviation (`CommonViews.expansions`).
+    gap_s : time over which they do.
     """
     asked = [k for k, row in enumerate(rows) if row.motion_state in {*APPROACHING, MotionState.receding}]
     if not asked:
         return rows
     rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in asked]))
-    radius_px = _radius_px(views, members, camera)
     grows = np.column_stack(growth).tolist()
     seen = list(rows)
     for k, ray in zip(asked, rays, strict=True):
-        is_contradicted = _is_contradicted(rows[k], views.gap_s, grows[k], float(radius_px[k]))
+        is_contradicted = _is_contradicted(rows[k], gap_s, grows[k], float(radius_px[k]))
         state = _seen_state(rows[k], ray, is_contradicted=is_contradicted)
         if state != rows[k].motion_state:
             seen[k] = replace(rows[k], motion_state=state)
@@ -109,16 +112,19 @@ def _radial_rate(row: ClusterRow, ray: Floats) -> tuple[float, float]:
     return -float(along @ np.asarray(row.state_abc_hz)), math.sqrt(along @ np.asarray(row.present_cov) @ along)
 
 
-def _radius_px(views: CommonViews, members: TrackSets, camera: Camera) -> Floats:
-    """Root mean square distance (K,) of the tracks of each set from their centre, px; 0 without any.
+def radii_px(rays: Floats, members: TrackSets, is_asked: Bools, camera: Camera) -> Floats:
+    """Root mean square distance (K,) of the tracks of each set from their centre, px; 0 without any, and if not asked.
 
-    Points outside of what the lens maps have no ray, and no part in it.
+    Points outside of what the lens maps have no ray (of ``rays (N, 3)``), and no part in it. ``is_asked (K,)``.
     """
     radius_px = np.zeros(len(members))
-    xy_px = pixels_from_rays(camera, views.now)
-    seen, owner = members.where(np.isfinite(xy_px[members.index, 0]))
+    asked = is_asked[members.set_of]
+    xy_px = pixels_from_rays(camera, rays[members.index[asked]])
+    is_seen = np.isfinite(xy_px[:, 0])
+    asked[asked] = is_seen
+    seen, owner = members.where(asked)
     if len(seen):
-        offset = xy_px[seen.index]
+        offset = xy_px[is_seen]
         offset -= seen.means(offset)[seen.set_of]
         radius_px[owner] = np.sqrt(seen.means(np.sum(offset**2, axis=1)))
     return radius_px

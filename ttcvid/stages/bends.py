@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, chosen_paths, fit_shared_paths
-from ttcvid.geometry.whole_track_on_path import NO_PATH
+from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, chosen_paths, fit_shared_paths, points_of_paths
 from ttcvid.model import Floats, Ints
 
 STRAIGHT_TURN_RAD_S = 0.006
@@ -44,32 +41,21 @@ def straight_or_in_bend(
     Parameters
     ----------
     views, since_s, sigma_norm, path_of
-        As ``xy, t_s, sigma_norm, path_of`` of `fit_shared_paths`.
+        As ``xy, t_s, sigma_norm, path_of`` of `points_of_paths`.
     beliefs
         Of things that drive straight on, with `STRAIGHT_TURN_RAD_S`.
     """
-
-    def fitted(believed: PathBeliefs, path_of: Ints) -> SharedPaths:
-        return fit_shared_paths(
-            views,
-            since_s,
-            sigma_norm,
-            believed,
-            path_of,
-            config.max_frames,
-            config.window_probability,
-            _MOST_POINTS,
-        )
-
-    straight = fitted(beliefs, path_of)
+    longest, probability = config.max_frames, config.window_probability
+    points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
+    straight = fit_shared_paths(points, beliefs, longest, probability)
     speaks_against = _turn_chi2(straight, beliefs.turn_sigma_rad_s) > _PROMISED_CHI2 * np.maximum(straight.usual, 1.0)
     may_turn = speaks_against | (straight.usual > _REJECTED)
     if not may_turn.any():
         return straight
-    asked = np.where((path_of != NO_PATH) & may_turn[path_of], path_of, NO_PATH)
-    in_bend = fitted(replace(beliefs, turn_sigma_rad_s=_BEND_TURN_RAD_S), asked)
-    gain = straight.squares - in_bend.squares
-    return chosen_paths(straight, in_bend, may_turn & (gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)))
+    in_bend = fit_shared_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
+    gain = straight.squares[may_turn] - in_bend.squares
+    turns = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
+    return chosen_paths(straight, in_bend, np.flatnonzero(may_turn), turns)
 
 
 def _turn_chi2(paths: SharedPaths, sigma_rad_s: float) -> Floats:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
 from ttcvid.model import APPROACHING, SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Ints, MotionState, Status
-from ttcvid.stages.joint_states import joint_states
+from ttcvid.stages.joint_states import JointStates, joint_states
 from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.track_states import TrackStates
 
@@ -71,78 +73,94 @@ def rows_of(
     members : tracks of the K ``motions``.
     expansion_hz : (K,) of all tracks of each, NaN where unknown.
     """
-    boxes, lengths = members.boxes(xy_px).tolist(), members.lengths.tolist()
-    rows = [_row(*each) for each in zip(motions, boxes, lengths, expansion_hz, strict=True)]
-    direction, _ = _directions([replace(m, direction=None) if _is_scene(m) else m for m in motions])
+    believed, believed_cov = _directions(motions)
+    is_scene = np.array([_is_scene(motion) for motion in motions], dtype=bool)
     is_static = np.array([motion.is_static for motion in motions], dtype=bool)
-    joint = joint_states(members, direction, is_static, states, xy_px, link_px)
-    for k, place in enumerate(joint.owner):
-        rows[place] = replace(
-            rows[place],
-            status=motions[place].status,
-            ref_px=(float(joint.ref_px[k, 0]), float(joint.ref_px[k, 1])),
-            state_abc_hz=joint.abc_hz[k],
-            state_cov=joint.cov[k],
-            speed_change=float(joint.speed_change[k]),
-        )
-    place_cov = np.zeros((len(rows), 3, 3))
-    place_cov[joint.owner] = joint.place_cov
-    rows = _with_directions_of_states(_with_reasons(rows, members, states), place_cov)
-    numbers = motion_ids(
-        [replace(m, direction=r.direction, direction_cov=r.direction_cov) for m, r in zip(motions, rows, strict=True)]
+    joint = joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_static, states, xy_px, link_px)
+    stated: dict[int, dict[str, Any]] = {}
+    for place, ref_px, abc_hz, cov, change in zip(
+        joint.owner.tolist(), joint.ref_px.tolist(), joint.abc_hz, joint.cov, joint.speed_change.tolist(), strict=True
+    ):
+        stated[place] = {
+            "status": motions[place].status,
+            "ref_px": tuple(ref_px),
+            "state_abc_hz": abc_hz,
+            "state_cov": cov,
+            "speed_change": change,
+        }
+    turned = _directions_of_states(motions, joint, believed, believed_cov)
+    for place, direction, cov, status in turned:
+        believed[place], believed_cov[place] = direction, cov
+        stated[place].update(direction=direction, direction_cov=cov, epipole_status=status)
+    facts = zip(
+        members.boxes(xy_px).tolist(),
+        members.lengths.tolist(),
+        expansion_hz.tolist(),
+        (members.sums(states.has_value[members.index].astype(np.int64)) > 0).tolist(),
+        motion_ids(is_scene | is_static, believed, believed_cov),
+        strict=True,
     )
-    return [replace(row, motion_id=number) for row, number in zip(rows, numbers, strict=True)]
+    return [
+        _row(motion, *each, stated.get(place, {}))
+        for place, (motion, each) in enumerate(zip(motions, facts, strict=True))
+    ]
 
 
 def _is_scene(motion: ClusterMotion) -> bool:
     return motion.cluster_id == SCENE_CLUSTER
 
 
-def _row(motion: ClusterMotion, box_px: list[float], n_tracks: int, expansion_hz: float) -> ClusterRow:
-    """What its motion and the places of its tracks say of a cluster; an object without a state has no parallax."""
+def _row(
+    motion: ClusterMotion,
+    box_px: list[float],
+    n_tracks: int,
+    expansion_hz: float,
+    has_values: bool,
+    motion_id: int,
+    stated: dict[str, Any],
+) -> ClusterRow:
+    """The row of a cluster, with what is ``stated`` of it beside what its motion and the places of its tracks say.
+
+    An object without a state has no parallax. Where its tracks have values, but too few of them one value, it is not
+    rigid.
+    """
     status, motion_state = motion.status, MotionState.unknown
     if _is_scene(motion):
         motion_state = MotionState.no_relative_motion if status == Status.no_parallax else motion_state
-    elif status in _VALUED:
-        status = Status.no_parallax
+    elif status in {*_VALUED, Status.no_parallax}:
+        status = Status.not_rigid if has_values else Status.no_parallax
     x0, y0, x1, y1 = box_px
-    return ClusterRow(
-        cluster_id=motion.cluster_id,
-        motion_id=_SCENE_MOTION,
-        n_tracks=n_tracks,
-        box_px=(x0, y0, x1, y1),
-        status=status,
-        epipole_status=motion.status,
-        method=motion.method,
-        motion_state=motion_state,
-        direction=motion.direction,
-        direction_cov=motion.direction_cov,
-        horizon_offset_px=motion.horizon_offset_px,
-        expansion_hz=float(expansion_hz) if np.isfinite(expansion_hz) else None,
-    )
+    facts: dict[str, Any] = {
+        "cluster_id": motion.cluster_id,
+        "motion_id": motion_id,
+        "n_tracks": n_tracks,
+        "box_px": (x0, y0, x1, y1),
+        "status": status,
+        "epipole_status": motion.status,
+        "method": motion.method,
+        "motion_state": motion_state,
+        "direction": motion.direction,
+        "direction_cov": motion.direction_cov,
+        "horizon_offset_px": motion.horizon_offset_px,
+        "expansion_hz": expansion_hz if math.isfinite(expansion_hz) else None,
+    }
+    return ClusterRow(**{**facts, **stated})
 
 
-def _with_reasons(rows: list[ClusterRow], members: TrackSets, states: TrackStates) -> list[ClusterRow]:
-    """Objects without a state whose tracks have values, but too few of them one value, are not rigid."""
-    has_values = members.sums(states.has_value[members.index].astype(np.int64)) > 0
-    return [
-        replace(row, status=Status.not_rigid)
-        if row.status == Status.no_parallax and row.role == "object" and k
-        else row
-        for row, k in zip(rows, has_values.tolist(), strict=True)
-    ]
-
-
-def motion_ids(clusters: Sequence[ClusterMotion]) -> list[int]:
-    """Number of each cluster's motion: that of the scene and of what stands in our way is 0; movers count from 1.
+def motion_ids(is_ours: Bools, direction: Floats, direction_cov: Floats) -> list[int]:
+    """Number of each cluster's motion: 0 for those of our own, the scene and what stands in our way; movers from 1.
 
     Movers share a number where their directions, both known well, are one. A mover has none of the scene's, though it
     may go along our own line: who is told that a thing stands still takes our speed for its closing speed.
+
+    Parameters
+    ----------
+    is_ours, direction, direction_cov : (K,), (K, 3), (K, 3, 3) of the clusters; NaN where not known.
     """
-    is_same = _have_same_direction(clusters)
+    is_same = _have_same_direction(direction, direction_cov)
     numbers: list[int] = []
-    for place, motion in enumerate(clusters):
-        if _is_scene(motion) or motion.is_static:
+    for place, has_our_motion in enumerate(is_ours.tolist()):
+        if has_our_motion:
             numbers.append(_SCENE_MOTION)
             continue
         same = [numbers[other] for other in np.flatnonzero(is_same[place, :place]) if numbers[other] != _SCENE_MOTION]
@@ -214,47 +232,48 @@ def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionStat
     return MotionState.unknown if moves_across else MotionState.no_relative_motion
 
 
-def _with_directions_of_states(rows: list[ClusterRow], place_cov: Floats) -> list[ClusterRow]:
-    """Give objects whose state contradicts their direction that of their state.
+def _directions_of_states(
+    motions: Sequence[ClusterMotion], joint: JointStates, believed: Floats, believed_cov: Floats
+) -> list[tuple[int, Floats, Floats, Status]]:
+    """Objects whose states contradict their directions: which, and the directions of the states with their covariances.
 
     The direction was found as if all tracks were straight, which is the surer way where they are. In a bend it lags,
-    and the curve is taken for depth. (On a horizon the plane says more than either.) ``place_cov (N, 3, 3)`` is what
-    the states vary by over the places of things that turn: no reason to keep a direction found as if nothing did.
+    and the curve is taken for depth. (On a horizon the plane says more than either.) What the states vary by over the
+    places of things that turn is no reason to keep a direction found as if nothing did.
     """
-    asked = [k for k, row in enumerate(rows) if row.state_abc_hz is not None and not row.method.endswith(ON_HORIZON)]
-    if not asked:
-        return rows
-    believed, believed_cov = _directions([rows[k] for k in asked])
-    abc_hz, state_cov = np.array([rows[k].state_abc_hz for k in asked]), np.array([rows[k].state_cov for k in asked])
+    asked = np.array([not motions[place].method.endswith(ON_HORIZON) for place in joint.owner], dtype=bool)
+    if not asked.any():
+        return []
+    owner, abc_hz = joint.owner[asked], joint.abc_hz[asked]
     speed_hz = np.linalg.norm(abc_hz, axis=1)[:, None]
     direction = abc_hz / speed_hz
     across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
-    cov, cov_here = across @ state_cov @ across, across @ (state_cov - place_cov[asked]) @ across
+    cov = across @ joint.cov[asked] @ across
+    cov_here = across @ (joint.cov - joint.place_cov)[asked] @ across
     # Without a covariance of the belief (NaN) it stays.
-    is_other = direction_chi2(direction, believed, cov_here + believed_cov) >= _SAME_DIRECTION_CHI2
-    rows = list(rows)
+    is_other = direction_chi2(direction, believed[owner], cov_here + believed_cov[owner]) >= _SAME_DIRECTION_CHI2
+    found = []
     for i in np.flatnonzero(is_other):
-        row, status = rows[asked[i]], rows[asked[i]].epipole_status
+        status = motions[owner[i]].status
         if status in _VALUED:
             status = Status.epipole_at_infinity if abs(direction[i, 2]) < INFINITY_COSINE else Status.ok
-        rows[asked[i]] = replace(row, direction=direction[i], direction_cov=cov[i], epipole_status=status)
-    return rows
+        found.append((int(owner[i]), direction[i], cov[i], status))
+    return found
 
 
-def _have_same_direction(clusters: Sequence[ClusterMotion]) -> Bools:
+def _have_same_direction(direction: Floats, cov: Floats) -> Bools:
     """Which pairs of clusters (K, K) have one direction within their errors, and not only because these are large."""
-    direction, cov = _directions(clusters)
     is_one = direction_chi2(direction, direction[:, None], cov + cov[:, None]) < _SAME_DIRECTION_CHI2
     is_known = np.trace(cov, axis1=1, axis2=2) < _KNOWN_DIRECTION_RAD**2
     return np.asarray(is_one & is_known & is_known[:, None])
 
 
-def _directions(things: Sequence[ClusterMotion | ClusterRow]) -> tuple[Floats, Floats]:
+def _directions(motions: Sequence[ClusterMotion]) -> tuple[Floats, Floats]:
     """Directions (K, 3) and their covariances (K, 3, 3), NaN where one of them is not known."""
     unknown = np.full(3, np.nan), np.full((3, 3), np.nan)
     known = [
-        unknown if thing.direction is None or thing.direction_cov is None else (thing.direction, thing.direction_cov)
-        for thing in things
+        unknown if one.direction is None or one.direction_cov is None else (one.direction, one.direction_cov)
+        for one in motions
     ]
     direction = np.reshape([one for one, _ in known], (len(known), 3))
     return direction, np.reshape([one for _, one in known], (len(known), 3, 3))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import (
     APPROACHING,
     NO_CLUSTER,
@@ -16,7 +17,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.stages.approach import CommonViews, with_common_errors, with_seen_motion
+from ttcvid.stages.approach import CommonViews, radii_px, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import (
     neighbours_in_cluster,
     ranked,
@@ -76,14 +77,16 @@ def cluster_rows(
     members = TrackSets.of([motion.members for motion in motions.clusters])
     views = _common_views(history)
     # The scene's picture expands differently at each depth.
+    is_object = np.array([motion.cluster_id != SCENE_CLUSTER for motion in motions.clusters], dtype=bool)
     nothing = np.empty(0, dtype=np.int64)
     growth = views.expansions(
-        [nothing if motion.cluster_id == SCENE_CLUSTER else motion.members for motion in motions.clusters]
+        [motion.members if asked else nothing for motion, asked in zip(motions.clusters, is_object, strict=True)]
     )
     rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, growth[0])
-    rows = with_common_errors(rows, members, views, _age_s(history), camera)
+    radius_px = radii_px(views.now, members, is_object, camera)
+    rows = with_common_errors(rows, members, radius_px, _age_s(history), views.gap_s, camera)
     rows = with_times(with_epipole_pixels(rows, camera), camera)
-    return tuple(ranked(with_seen_motion(rows, members, views, growth, camera)))
+    return tuple(ranked(with_seen_motion(rows, radius_px, growth, views.gap_s, camera)))
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
@@ -127,6 +130,18 @@ def _common_views(history: TrackHistory) -> CommonViews:
 
 def _age_s(history: TrackHistory) -> Floats:
     """For how long each track is seen, (N,) s, as far as the history goes."""
-    is_seen = np.isfinite(history.rays[:, :, 0])
-    first, last = np.argmax(is_seen, axis=0), len(is_seen) - 1 - np.argmax(is_seen[::-1], axis=0)
-    return np.asarray(history.t_s[last] - history.t_s[first])
+    age_s = np.empty(history.n_tracks)
+    _fill_ages(history.rays, history.t_s, age_s)
+    return age_s
+
+
+@compiled
+def _fill_ages(rays: Floats, t_s: Floats, age_s: Floats) -> None:
+    """Fills ``age_s (N,)`` with the time from the first to the last of the ``rays (L, N, 3)`` of each track."""
+    for i in range(len(age_s)):
+        first, last = 0, len(rays) - 1
+        while first < last and np.isnan(rays[first, i, 0]):
+            first += 1
+        while last > first and np.isnan(rays[last, i, 0]):
+            last -= 1
+        age_s[i] = t_s[last] - t_s[first]

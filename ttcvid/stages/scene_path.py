@@ -8,7 +8,14 @@ import numpy as np
 
 from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import each_turned_into_plane
-from ttcvid.geometry.shared_path import MOST_POINTS, PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
+from ttcvid.geometry.shared_path import (
+    MOST_POINTS,
+    PathBeliefs,
+    SharedPaths,
+    believed_paths,
+    fit_shared_paths,
+    points_of_paths,
+)
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import ROTATION_DRIFT_RAD, TrackHistory
@@ -46,7 +53,8 @@ def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion)
     belief = _belief(history, egomotion.direction, egomotion.direction_cov)
     path_of = np.zeros(len(used), dtype=np.int64)
     xy = each_turned_into_plane(history.rays, used, history.cam_R_seen[None], path_of)
-    return replace(history, scene=fit_shared_paths(xy, history.since_s, history.sigma_norm[used], belief, path_of))
+    points = points_of_paths(xy, history.since_s, history.sigma_norm[used], belief.base, path_of)
+    return replace(history, scene=fit_shared_paths(points, belief))
 
 
 def scene_path(history: TrackHistory, direction: Floats, direction_cov: Floats) -> SharedPaths:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.collision import angles_from_epipoles
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.intervals import collision_times_from_state
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
@@ -308,14 +309,24 @@ def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> 
 
     The residuals of the similarity may be smaller by chance, or where pictures repeat exactly.
     """
-    is_there = (neighbours >= 0)[..., None]
-    count = np.count_nonzero(is_there, axis=1)
-    xy = np.where(is_there, states.xy[neighbours], 0.0)
-    offsets = np.where(is_there, xy - (xy.sum(axis=1) / np.maximum(count, 1))[:, None], 0.0)
-    size = np.sqrt(np.sum(offsets**2, axis=(1, 2)))
-    sigma = np.max(np.where(is_there[..., 0], states.sigma_norm[neighbours], 0.0), axis=1)
-    noise: Floats = np.divide(np.sqrt(2.0) * sigma, size * gap_s, out=np.full(len(size), np.inf), where=size > 0.0)
-    return noise
+    noise_hz = np.empty(len(neighbours))
+    _fill_noise(np.ascontiguousarray(states.xy), states.sigma_norm, neighbours, gap_s, noise_hz)
+    return noise_hz
+
+
+@compiled
+def _fill_noise(xy: Floats, sigma_norm: Floats, neighbours: Ints, gap_s: float, noise_hz: Floats) -> None:
+    """Fills ``noise_hz (Q,)`` of `_expansion_noise_hz`: by the noisiest of each neighbourhood, over its size."""
+    for k in range(len(neighbours)):
+        x, y, sigma, count = 0.0, 0.0, 0.0, 0
+        for i in neighbours[k]:
+            if i >= 0:
+                x, y, sigma, count = x + xy[i, 0], y + xy[i, 1], max(sigma, sigma_norm[i]), count + 1
+        square = 0.0
+        for i in neighbours[k]:
+            if i >= 0:
+                square += (xy[i, 0] - x / count) ** 2 + (xy[i, 1] - y / count) ** 2
+        noise_hz[k] = np.sqrt(2.0) * sigma / (np.sqrt(square) * gap_s) if square > 0.0 else np.inf
 
 
 def _states(flows: Flows, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:

@@ -9,7 +9,7 @@ from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.path_velocity import velocities_on_paths
-from ttcvid.geometry.rotation import cross, normalize, skew
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, joined_paths, turned_back
 from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks, window_gates
 from ttcvid.geometry.whole_track_descent import LEAST_FRAMES
@@ -42,6 +42,8 @@ _AT_EPIPOLE, _NO_PARALLAX, _NOT_RIGID = int(Status.at_epipole), int(Status.no_pa
 _LASTING_S = 0.4
 # What a velocity may change by, over itself, without being seen to: 0.5 m/s^2 at 5 m/s.
 _UNSEEN_BEND_HZ = 0.1
+# What is left of a sum of squares below this part of it is rounding.
+_ROUNDING = 1e-15
 
 
 def multi_frame_states(
@@ -105,13 +107,27 @@ def _paths(
 
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     """Positions of all tracks over the time for which the motion of their cluster has been the same; NaN elsewhere."""
-    changed = [motion for motion in motions.clusters if motion.window_s < history.reach_s]
-    views = history.xy.copy() if changed else history.xy
+    reach_s = history.reach_s
+    changed = [motion for motion in motions.clusters if motion.window_s < reach_s]
+    if not changed:
+        return history.xy
+    first, stop = np.zeros(history.n_tracks, dtype=np.int64), np.full(history.n_tracks, len(history.t_s))
     for motion in changed:
         within = history.views_within(motion.window_s)
-        views[: within.start, motion.members] = np.nan
-        views[within.stop :, motion.members] = np.nan
+        first[motion.members], stop[motion.members] = within.start, within.stop
+    views = np.empty_like(history.xy)
+    _keep_within(history.xy, first, stop, views)
     return views
+
+
+@compiled
+def _keep_within(xy: Floats, first: Ints, stop: Ints, views: Floats) -> None:
+    """Fills ``views (L, N, 2)`` with those of each track from ``first (N,)`` up to ``stop (N,)``, NaN elsewhere."""
+    for place in range(len(xy)):
+        for i in range(xy.shape[1]):
+            is_within = first[i] <= place < stop[i]
+            views[place, i, 0] = xy[place, i, 0] if is_within else np.nan
+            views[place, i, 1] = xy[place, i, 1] if is_within else np.nan
 
 
 def _on_paths(
@@ -288,10 +304,39 @@ def _with_free(
             (np.abs(direction[:, 2]) < INFINITY_COSINE, Status.epipole_at_infinity),
         ],
     )
-    is_valued = has_value(status)
     cov = np.full((len(free), 3, 3), np.nan)
-    cov[is_valued] = np.linalg.inv(found.info_w[is_valued])
-    # A turn that is not there moves a point as a velocity of (its rate) x (the ray) would.
-    turn = skew(np.column_stack([found.state[:, :2], np.ones(len(free))]))
-    cov += turn @ history.rotation_rate_cov @ np.swapaxes(turn, 1, 2)
+    _fill_free_covariances(found.info_w, found.state, has_value(status), history.rotation_rate_cov, cov)
     return states.replaced(free, velocity, cov, direction, status)
+
+
+@compiled
+def _fill_free_covariances(info_w: Floats, state: Floats, is_valued: Bools, rotation_cov: Floats, cov: Floats) -> None:
+    """Fills ``cov (M, 3, 3)`` of the velocities of tracks with a value: by their views, and by a turn left in these.
+
+    The first is the inverse of ``info_w (M, 3, 3)``, by Cholesky factors. A turn that is not there moves a point as a
+    velocity of (its rate, of covariance ``rotation_cov (3, 3)``) x (the ray) would.
+    """
+    root, turn = np.zeros((3, 3)), np.zeros((3, 3))
+    for i in range(len(info_w)):
+        if not is_valued[i]:
+            continue
+        aa, ab, ac = info_w[i, 0, 0], info_w[i, 1, 0], info_w[i, 2, 0]
+        # The inverse of the lower factor.
+        root[0, 0] = 1.0 / np.sqrt(aa)
+        b_a, c_a = ab * root[0, 0], ac * root[0, 0]
+        root[1, 1] = 1.0 / np.sqrt(max(info_w[i, 1, 1] - b_a * b_a, _ROUNDING * info_w[i, 1, 1]))
+        c_b = (info_w[i, 2, 1] - c_a * b_a) * root[1, 1]
+        root[2, 2] = 1.0 / np.sqrt(max(info_w[i, 2, 2] - c_a * c_a - c_b * c_b, _ROUNDING * info_w[i, 2, 2]))
+        root[1, 0], root[2, 1] = -b_a * root[0, 0] * root[1, 1], -c_b * root[1, 1] * root[2, 2]
+        root[2, 0] = -(c_a * root[0, 0] + c_b * root[1, 0]) * root[2, 2]
+        x, y = state[i, 0], state[i, 1]
+        turn[0, 1], turn[0, 2], turn[1, 2] = -1.0, y, -x
+        turn[1, 0], turn[2, 0], turn[2, 1] = 1.0, -y, x
+        for j in range(3):
+            for k in range(3):
+                total = 0.0
+                for p in range(3):
+                    total += root[p, j] * root[p, k]
+                    for q in range(3):
+                        total += turn[j, p] * rotation_cov[p, q] * turn[k, q]
+                cov[i, j, k] = total
