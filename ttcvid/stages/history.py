@@ -108,15 +108,15 @@ class TrackHistory:
         """Pixels per rad about the axis."""
         return 0.5 * (self.camera.fx_px + self.camera.fy_px)
 
-    @property
+    @cached_property
     def sigma_rad(self) -> Floats:
         """Noise of one coordinate of a unit ray, ``(N,)`` rad.
 
         What a pixel spans in the plane z = 1 is seen under a smaller angle away from the axis: cos^2 along the radius
         and cos across, taken together as cos^1.5.
         """
-        cosine: Floats = self.rays[self.now, :, 2]
-        return self.sigma_norm * np.clip(cosine, 0.1, 1.0) ** 1.5
+        cosine = np.minimum(np.maximum(self.rays[self.now, :, 2], 0.1), 1.0)
+        return np.asarray(self.sigma_norm * cosine * np.sqrt(cosine))
 
     @property
     def sigma_norm(self) -> Floats:

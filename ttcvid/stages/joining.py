@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.model import Bools, Floats, Ints
@@ -69,7 +70,8 @@ def merged(
     own_misfit : (N,) of each track on its body, in units of ``usual_misfit``.
     """
     number = numbers_of(key, movers)
-    tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
+    order = np.argsort(number, kind="stable")
+    tracks_of = np.split(order, np.searchsorted(number[order], np.arange(1, len(movers) + 1)))[1:]
     pairs = _worth_trying(views, number, tracks_of, movers, own_misfit, usual_misfit)
     if pairs is None:
         return key, movers
@@ -106,8 +108,8 @@ def _worth_trying(
 ) -> _Pairs | None:
     """Neighbours that may be one; None without any."""
     counts, n_bodies = np.array([len(tracks) for tracks in tracks_of], dtype=np.int64), len(movers) + 1
-    codes = number[:, None] * n_bodies + number[views.neighbours]
-    touch = np.bincount(codes.ravel(), minlength=n_bodies**2).reshape(n_bodies, n_bodies)
+    touch = np.zeros((n_bodies, n_bodies), dtype=bool)
+    _note_touching(number, views.neighbours, touch)
     one, other = np.nonzero(np.triu(touch[1:, 1:], 1))
     is_first_large = counts[one] >= counts[other]
     large, small = np.where(is_first_large, one, other), np.where(is_first_large, other, one)
@@ -129,6 +131,14 @@ def _worth_trying(
     limit = np.maximum(medians(own_misfit[own], both, len(large)), _LEAST_MISFIT)
     is_worth = is_one_rate & (off <= _WORTH_TRYING * limit)
     return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
+
+
+@compiled
+def _note_touching(number: Ints, neighbours: Ints, touch: Bools) -> None:
+    """Note in ``touch (B, B)`` of which bodies tracks are ``neighbours (N, K)`` of each other."""
+    for i in range(len(number)):
+        for j in neighbours[i]:
+            touch[number[i], number[j]] = True
 
 
 def _is_asked(age: Ints) -> Bools:
