@@ -62,6 +62,8 @@ class Movers:
     def with_new(self, next_key: int, paths: RigidPaths, rate_hz: Floats) -> Movers:
         """These and J new ones, whose keys count up from ``next_key``."""
         count = len(paths)
+        if not count:
+            return self
         return Movers(
             np.append(self.key, next_key + np.arange(count)),
             np.append(self.cluster_id, np.full(count, NO_CLUSTER)),

@@ -70,8 +70,8 @@ def scene_directions(history: TrackHistory, flows: Flows) -> Floats:
     as steady over the gap, own direction is not.
     """
     steps = np.einsum("lij,lj->li", history.cam_R_past, history.scene_direction)
-    sums = np.cumsum(np.nan_to_num(steps[::-1]), axis=0)
-    length = np.linalg.norm(sums, axis=1)
+    sums = np.cumsum(np.where(np.isfinite(steps), steps, 0.0)[::-1], axis=0)
+    length = np.sqrt(np.einsum("li,li->l", sums, sums))
     means = np.divide(sums, length[:, None], out=np.full_like(sums, np.nan), where=length[:, None] > 0.0)
     chosen: Floats = means[np.maximum(flows.gap_frames - 1, 0)]
     return chosen

@@ -63,7 +63,7 @@ def find_frozen(
         n_stayed[~is_new] = memory.n_stayed[place[~is_new]]
     moved_x, moved_y = (points.xy_px - anchor_px).T
     stays = moved_x * moved_x + moved_y * moved_y < _STAYS_PX**2
-    anchor_px[~stays] = points.xy_px[~stays]
+    anchor_px = np.where(stays[:, None], anchor_px, points.xy_px)
     n_stayed = np.where(stays, n_stayed + int(scene_moves) * min(1.0, step_s / _WHOLE_FRAME_S), 0.0)
     is_frozen = n_stayed >= _FROZEN_FRAMES
     if is_frozen.any() and is_new.any():

@@ -328,14 +328,14 @@ def _assigned(
     status[~is_free] = Status.no_parallax
     direction[~is_free] = np.nan
     for motion in clusters:
-        cluster_id[motion.members] = motion.cluster_id
-        status[motion.members] = motion.status
-        direction[motion.members] = np.nan if motion.direction is None else motion.direction
-        cov = np.full((3, 3), np.nan) if motion.direction_cov is None else motion.direction_cov
-        if motion.cluster_id == SCENE_CLUSTER and motion.direction is not None:
+        own, way, cov = motion.members, motion.direction, motion.direction_cov
+        cluster_id[own], status[own] = motion.cluster_id, motion.status
+        if way is None or cov is None:
+            direction[own], covariance[own] = np.nan, np.nan
+        elif motion.cluster_id == SCENE_CLUSTER:
             # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
-            if plane is None:
-                direction[motion.members] = along_scene[motion.members]
-            cov = cov + DIRECTION_FLOOR_RAD**2 * (np.eye(3) - np.outer(motion.direction, motion.direction))
-        covariance[motion.members] = cov
+            direction[own] = along_scene[own] if plane is None else way
+            covariance[own] = cov + DIRECTION_FLOOR_RAD**2 * (np.eye(3) - np.outer(way, way))
+        else:
+            direction[own], covariance[own] = way, cov
     return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px, is_free)

@@ -126,9 +126,9 @@ def _keep_some(rays: Floats, sigma: Floats, region: Ints, is_kept: Bools) -> Non
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     """Frames after which the median derotated flow has the wanted length, by the flow of the last step."""
-    flow = (history.rays[-1] - history.derotated(-2))[is_free]
+    flow = history.rays[-1] - history.derotated(-2)
     flow_px = np.sqrt(np.einsum("ni,ni->n", flow, flow)) * history.focal_px
-    flow_px = flow_px[np.isfinite(flow_px)]
+    flow_px = flow_px[is_free & np.isfinite(flow_px)]
     if not len(flow_px):
         return 1
     return int(np.clip(np.ceil(_WANTED_FLOW_PX / max(median(flow_px), _TINY_PX)), 1, _LONGEST_GAP))
