@@ -33,7 +33,8 @@ def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
     tolerance = UNDISTORTION_TOLERANCE_PX / max(camera.fx_px, camera.fy_px)
     rays = np.ones((len(xy_px), 3))
     rays[:, :2] = undistort(camera.distortion_model, camera.distortion, xy_distorted, tolerance)
-    rays[~np.isfinite(rays).all(axis=1)] = np.nan
+    # A sum is finite where all of its terms are.
+    rays[~np.isfinite(rays[:, 0] + rays[:, 1])] = np.nan
     return rays
 
 

@@ -13,7 +13,7 @@ from ttcvid.model import Floats, Ints
 N_STEPS = 2
 """Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames."""
 
-LANES = 8
+LANES = 4
 """Views of a point, and points of a view, are worked at so many at a time, as fits the processor's registers."""
 
 # Residuals beyond this, in sigmas, count by their length (Huber), no longer by its square. In `whole_track_descent` and

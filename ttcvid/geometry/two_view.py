@@ -54,7 +54,7 @@ class TwoViewFit:
             return inverse
         sums = np.zeros((k, len(points)))
         add_up_regions(self.region, self.score, sums)
-        half = np.linalg.solve(np.linalg.cholesky(self.information), sums)
+        half = np.linalg.cholesky(inverse).T @ sums
         ratio = float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k)
         return inverse * max(1.0, ratio)
 

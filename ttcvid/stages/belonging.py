@@ -62,6 +62,8 @@ class Movers:
     def with_new(self, next_key: int, paths: RigidPaths, rate_hz: Floats) -> Movers:
         """These and J new ones, whose keys count up from ``next_key``."""
         count = len(paths)
+        if not count:
+            return self
         return Movers(
             np.append(self.key, next_key + np.arange(count)),
             np.append(self.cluster_id, np.full(count, NO_CLUSTER)),
@@ -95,7 +97,19 @@ def no_movers(n_views: int) -> Movers:
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:
     """0 for a track of the scene, else 1 + place of its mover: (N,)."""
-    return np.asarray(np.searchsorted(movers.key, key, side="right"))
+    number = np.empty(len(key), dtype=np.int64)
+    _number(np.ascontiguousarray(movers.key), key, number)
+    return number
+
+
+@compiled
+def _number(known: Ints, key: Ints, number: Ints) -> None:
+    """Fill ``number (N,)`` with how many of the ascending ``known (K,)`` are no larger than each key."""
+    for i in range(len(key)):
+        count = 0
+        for j in range(len(known)):
+            count += known[j] <= key[i]
+        number[i] = count
 
 
 def assigned(
@@ -117,16 +131,16 @@ def assigned(
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = np.zeros((len(key), n_bodies), dtype=np.int64)
     _count_votes(number, views.neighbours, votes)
-    is_asked = votes > 0
-    is_asked[np.arange(len(key)), number] = True
-    track, mover = np.nonzero(is_asked[:, 1:])
+    track, mover = np.empty((2, votes.size), dtype=np.int64)
+    count = _list_asked(votes, number, track, mover)
+    track, mover = track[:count], mover[:count]
     fit = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
     off = np.full((len(key), n_bodies), np.inf)
     off[:, 0] = misfit
     off[track, mover + 1] = fit.misfit / usual_misfit
-    best = np.zeros(len(key), dtype=np.int64)
-    _choose(off, votes, number, n_views, best)
-    return np.append(SCENE_CLUSTER, movers.key)[best], off[np.arange(len(key)), best]
+    best, own_misfit = np.zeros(len(key), dtype=np.int64), np.empty(len(key))
+    _choose(off, votes, number, n_views, best, own_misfit)
+    return np.append(SCENE_CLUSTER, movers.key)[best], own_misfit
 
 
 @compiled
@@ -139,8 +153,23 @@ def _count_votes(number: Ints, neighbours: Ints, votes: Ints) -> None:
 
 
 @compiled
-def _choose(off: Floats, votes: Ints, number: Ints, n_views: Ints, best: Ints) -> None:
-    """Fill ``best (N,)`` of the bodies, the scene first, on which tracks are ``off (N, B)``, infinite: not asked."""
+def _list_asked(votes: Ints, number: Ints, track: Ints, mover: Ints) -> int:
+    """Fill the tracks and movers that are asked about: those with ``votes (N, B)``, and the track's own; how many."""
+    count = 0
+    for i in range(len(votes)):
+        for b in range(1, votes.shape[1]):
+            if votes[i, b] > 0 or b == number[i]:
+                track[count], mover[count] = i, b - 1
+                count += 1
+    return count
+
+
+@compiled
+def _choose(off: Floats, votes: Ints, number: Ints, n_views: Ints, best: Ints, least_off: Floats) -> None:
+    """Fill ``best (N,)`` of the bodies, the scene first, and how far off it is, ``least_off (N,)``.
+
+    ``off (N, B)`` is the misfit of each track on each body, infinite: not asked.
+    """
     for i in range(len(off)):
         all_votes, least = 0, np.inf
         for b in range(off.shape[1]):
@@ -154,6 +183,7 @@ def _choose(off: Floats, votes: Ints, number: Ints, n_views: Ints, best: Ints) -
                     score -= _HABIT_WEIGHT
                 if score < least:
                     best[i], least = b, score
+        least_off[i] = off[i, best[i]]
 
 
 def along_our_way(

@@ -93,7 +93,8 @@ def refined_movers(movers: RigidPaths, scene: RigidPaths, points: Points, n_step
     priors = PathPriors(scene.cam_R_past[0], turn_sigma, _shift_sigma(points.since_s))
     movers, rate_hz = refined_paths(points, movers, priors, n_steps)
     known = np.isfinite(rate_hz)
-    return movers, np.nan_to_num(medians(rate_hz[known], points.thing[known], len(movers)))
+    usual_hz = medians(rate_hz[known], points.thing[known], len(movers))
+    return movers, np.where(np.isfinite(usual_hz), usual_hz, 0.0)
 
 
 def _shift_sigma(since_s: Floats) -> Floats:

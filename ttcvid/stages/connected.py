@@ -82,8 +82,8 @@ def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, to
 
 def _numbered(root: Ints) -> Ints:
     """Numbers from 0 of the parts that the trees of union-find stand for, by the smallest index of each."""
-    _climb(root)
-    label: Ints = np.unique(root, return_inverse=True)[1].astype(np.int64)
+    label = np.empty(len(root), dtype=np.int64)
+    _number(root, label)
     return label
 
 
@@ -232,8 +232,13 @@ def _unite(root: Ints, one: int, other: int) -> None:
 
 
 @compiled
-def _climb(root: Ints) -> None:
-    """Let each point of ``root (N,)`` point to the top of its tree, the smallest index there."""
+def _number(root: Ints, label: Ints) -> None:
+    """Fill ``label (N,)``: the top of each tree of ``root (N,)``, its smallest index, has the next number."""
+    count = 0
     for i in range(len(root)):
         # The smaller indices are done, and a root is never larger.
-        root[i] = root[root[i]]
+        if root[i] == i:
+            label[i] = count
+            count += 1
+        else:
+            label[i] = label[root[i]]

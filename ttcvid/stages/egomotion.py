@@ -175,15 +175,20 @@ def picture_region(rays: Floats, side: float = REGION) -> Ints:
 @compiled
 def _number_cells(rays: Floats, side: float, region: Ints) -> None:
     """Fills ``region (N,)``: cells are numbered in the order in which they are first met."""
-    number, count = np.full((_REGION_COUNT, _REGION_COUNT), -1, dtype=np.int64), 0
+    first, last = _REGION_COUNT * _REGION_COUNT, 0
     for i in range(len(rays)):
         scale = 1.0 / (side * max(rays[i, 2], _LEAST_Z))
         column = min(max(int(np.floor(rays[i, 0] * scale)) + _REGION_COUNT // 2, 0), _REGION_COUNT - 1)
         row = min(max(int(np.floor(rays[i, 1] * scale)) + _REGION_COUNT // 2, 0), _REGION_COUNT - 1)
-        if number[column, row] < 0:
-            number[column, row] = count
+        region[i] = row * _REGION_COUNT + column
+        first, last = min(first, region[i]), max(last, region[i])
+    # A picture fills some rows of all that there may be.
+    number, count = np.full(max(last - first + 1, 0), -1, dtype=np.int64), 0
+    for i in range(len(rays)):
+        if number[region[i] - first] < 0:
+            number[region[i] - first] = count
             count += 1
-        region[i] = number[column, row]
+        region[i] = number[region[i] - first]
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:

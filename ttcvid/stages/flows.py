@@ -50,11 +50,11 @@ def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: flo
     """
     n = history.n_tracks
     second = history.rays[-1]
-    first = np.full((n, 3), np.nan)
+    first, flow_rad = np.full((n, 3), np.nan), np.zeros(n)
     gap_frames = np.zeros(n, dtype=np.int64)
     max_gap = min(max_gap_frames, len(history.frame) - 1)
-    _select(history.rays, history.cam_R_past, max_gap, target_flow_px / history.focal_px, first, gap_frames)
-    flow_rad = np.nan_to_num(np.linalg.norm(second - first, axis=1))
+    target_rad = target_flow_px / history.focal_px
+    _select(history.rays, history.cam_R_past, max_gap, target_rad, first, gap_frames, flow_rad)
     # The rotation's error moves one end of the flow; it is shared out to both.
     rotation_rad = history.rotation_sigma_rad / np.sqrt(2.0)
     sigma_rad = np.sqrt(history.sigma_rad**2 + (_ERROR_PER_FLOW * flow_rad) ** 2 + rotation_rad**2)
@@ -70,16 +70,24 @@ def scene_directions(history: TrackHistory, flows: Flows) -> Floats:
     as steady over the gap, own direction is not.
     """
     steps = np.einsum("lij,lj->li", history.cam_R_past, history.scene_direction)
-    sums = np.cumsum(np.nan_to_num(steps[::-1]), axis=0)
-    length = np.linalg.norm(sums, axis=1)
+    sums = np.cumsum(np.where(np.isfinite(steps), steps, 0.0)[::-1], axis=0)
+    length = np.sqrt(np.einsum("li,li->l", sums, sums))
     means = np.divide(sums, length[:, None], out=np.full_like(sums, np.nan), where=length[:, None] > 0.0)
     chosen: Floats = means[np.maximum(flows.gap_frames - 1, 0)]
     return chosen
 
 
 @compiled
-def _select(rays: Floats, cam_R_past: Floats, max_gap: int, target_rad: float, first: Floats, gap_frames: Ints) -> None:
-    """Fill ``first (N, 3)`` and ``gap_frames (N,)`` of `select_flows`."""
+def _select(
+    rays: Floats,
+    cam_R_past: Floats,
+    max_gap: int,
+    target_rad: float,
+    first: Floats,
+    gap_frames: Ints,
+    flow_rad: Floats,
+) -> None:
+    """Fill ``first (N, 3)`` and ``gap_frames (N,)`` of `select_flows`, and ``flow_rad (N,)``, its length."""
     last = len(rays) - 1
     for i in range(rays.shape[1]):
         for gap in range(1, max_gap + 1):
@@ -90,6 +98,6 @@ def _select(rays: Floats, cam_R_past: Floats, max_gap: int, target_rad: float, f
             for a in range(3):
                 first[i, a] = r[a, 0] * ray[0] + r[a, 1] * ray[1] + r[a, 2] * ray[2]
                 square += (rays[last, i, a] - first[i, a]) ** 2
-            gap_frames[i] = gap
+            gap_frames[i], flow_rad[i] = gap, np.sqrt(square)
             if square >= target_rad * target_rad:
                 break

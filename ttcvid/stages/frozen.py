@@ -61,8 +61,9 @@ def find_frozen(
         is_new = memory.track_id[place] != points.track_id
         anchor_px[~is_new] = memory.anchor_px[place[~is_new]]
         n_stayed[~is_new] = memory.n_stayed[place[~is_new]]
-    stays = np.linalg.norm(points.xy_px - anchor_px, axis=1) < _STAYS_PX
-    anchor_px[~stays] = points.xy_px[~stays]
+    moved_x, moved_y = (points.xy_px - anchor_px).T
+    stays = moved_x * moved_x + moved_y * moved_y < _STAYS_PX**2
+    anchor_px = np.where(stays[:, None], anchor_px, points.xy_px)
     n_stayed = np.where(stays, n_stayed + int(scene_moves) * min(1.0, step_s / _WHOLE_FRAME_S), 0.0)
     is_frozen = n_stayed >= _FROZEN_FRAMES
     if is_frozen.any() and is_new.any():

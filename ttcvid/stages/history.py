@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ttcvid.geometry.camera import plane_per_px
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.shared_path import SharedPaths
@@ -108,15 +109,15 @@ class TrackHistory:
         """Pixels per rad about the axis."""
         return 0.5 * (self.camera.fx_px + self.camera.fy_px)
 
-    @property
+    @cached_property
     def sigma_rad(self) -> Floats:
         """Noise of one coordinate of a unit ray, ``(N,)`` rad.
 
         What a pixel spans in the plane z = 1 is seen under a smaller angle away from the axis: cos^2 along the radius
         and cos across, taken together as cos^1.5.
         """
-        cosine: Floats = self.rays[self.now, :, 2]
-        return self.sigma_norm * np.clip(cosine, 0.1, 1.0) ** 1.5
+        cosine = np.minimum(np.maximum(self.rays[self.now, :, 2], 0.1), 1.0)
+        return np.asarray(self.sigma_norm * cosine * np.sqrt(cosine))
 
     @property
     def sigma_norm(self) -> Floats:
@@ -244,10 +245,7 @@ def extended(
     kept = history.rays[stay]
     with_past = np.empty((len(kept) + 1, n, 3))
     with_past[-1] = rays
-    if history.n_tracks:
-        # A track without a past takes anyone's, and then none.
-        np.take(kept, np.where(known, before, 0), axis=1, out=with_past[:-1], mode="clip")
-    with_past[:-1, ~known] = np.nan
+    _carry_views(kept, np.where(known, before, -1), with_past)
     return replace(
         history,
         frame=np.append(history.frame[stay], frame),
@@ -265,6 +263,19 @@ def extended(
         plane_per_px=plane_per_px(history.camera, rays),
         lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
     )
+
+
+@compiled
+def _carry_views(past: Floats, place: Ints, views: Floats) -> None:
+    """Fill all but the last of ``views (L, N, 3)``: ``past (L - 1, P, 3)`` at ``place (N,)``, NaN where that is -1."""
+    for k in range(len(past)):
+        for i in range(len(place)):
+            if place[i] >= 0:
+                for a in range(3):
+                    views[k, i, a] = past[k, place[i], a]
+            else:
+                for a in range(3):
+                    views[k, i, a] = np.nan
 
 
 def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:
@@ -386,7 +397,8 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
     recent = slice(-_DIFFERENCE_FRAMES, None)
     plane = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
     x3, x2, x1, x0 = plane / history.plane_per_px[:, None]
-    roughness = np.sum((x0 - 3.0 * x1 + 3.0 * x2 - x3) ** 2, axis=1)
+    third_x, third_y = (x0 - 3.0 * x1 + 3.0 * x2 - x3).T
+    roughness = third_x * third_x + third_y * third_y
     is_measured = np.isfinite(roughness)
     if np.count_nonzero(is_measured) < _LEAST_MEASURED:
         return nothing

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.model import Bools, Floats, Ints
@@ -69,8 +70,11 @@ def merged(
     own_misfit : (N,) of each track on its body, in units of ``usual_misfit``.
     """
     number = numbers_of(key, movers)
+    neighbours = _asked_neighbours(views, number, movers)
+    if neighbours is None:
+        return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
-    pairs = _worth_trying(views, number, tracks_of, movers, own_misfit, usual_misfit)
+    pairs = _worth_trying(views, tracks_of, movers, *neighbours, own_misfit, usual_misfit)
     if pairs is None:
         return key, movers
     every = _joint(views, scene, tracks_of, movers, pairs, usual_misfit)
@@ -96,26 +100,31 @@ def merged(
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
-def _worth_trying(
-    views: BodyViews,
-    number: Ints,
-    tracks_of: list[Ints],
-    movers: Movers,
-    own_misfit: Floats,
-    usual_misfit: float,
-) -> _Pairs | None:
-    """Neighbours that may be one; None without any."""
-    counts, n_bodies = np.array([len(tracks) for tracks in tracks_of], dtype=np.int64), len(movers) + 1
-    codes = number[:, None] * n_bodies + number[views.neighbours]
-    touch = np.bincount(codes.ravel(), minlength=n_bodies**2).reshape(n_bodies, n_bodies)
+def _asked_neighbours(views: BodyViews, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
+    """The places of the larger and the smaller of each two neighbours that are asked about; None without any."""
+    n_bodies = len(movers) + 1
+    counts = np.bincount(number, minlength=n_bodies)[1:]
+    touch = np.zeros((n_bodies, n_bodies), dtype=bool)
+    _note_touching(number, views.neighbours, touch)
     one, other = np.nonzero(np.triu(touch[1:, 1:], 1))
     is_first_large = counts[one] >= counts[other]
     large, small = np.where(is_first_large, one, other), np.where(is_first_large, other, one)
     age = np.minimum(movers.n_found[large], movers.n_found[small])
     is_asked = (counts[small] >= _LEAST_TRACKS) & _is_asked(age)
-    large, small = large[is_asked], small[is_asked]
-    if not len(large):
-        return None
+    return (large[is_asked], small[is_asked]) if is_asked.any() else None
+
+
+def _worth_trying(
+    views: BodyViews,
+    tracks_of: list[Ints],
+    movers: Movers,
+    large: Ints,
+    small: Ints,
+    own_misfit: Floats,
+    usual_misfit: float,
+) -> _Pairs | None:
+    """Neighbours, at the places ``large, small (P,)``, that may be one; None without any."""
+    counts = np.array([len(tracks) for tracks in tracks_of], dtype=np.int64)
     few = np.repeat(np.arange(len(large)), counts[small])
     points = views.points(np.concatenate([tracks_of[place] for place in small]), few)
     usual_hz = movers.rate_hz[large]
@@ -129,6 +138,14 @@ def _worth_trying(
     limit = np.maximum(medians(own_misfit[own], both, len(large)), _LEAST_MISFIT)
     is_worth = is_one_rate & (off <= _WORTH_TRYING * limit)
     return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
+
+
+@compiled
+def _note_touching(number: Ints, neighbours: Ints, touch: Bools) -> None:
+    """Note in ``touch (B, B)`` of which bodies tracks are ``neighbours (N, K)`` of each other."""
+    for i in range(len(number)):
+        for j in neighbours[i]:
+            touch[number[i], number[j]] = True
 
 
 def _is_asked(age: Ints) -> Bools:
@@ -162,7 +179,8 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, config: Bo
     The largest part keeps the number.
     """
     number = numbers_of(key, movers)
-    own = np.flatnonzero(np.bincount(number, minlength=len(movers) + 1)[number] * (number > 0) >= 2 * config.min_tracks)
+    counts = np.bincount(number, minlength=len(movers) + 1)[1:]
+    own = np.flatnonzero(np.append(False, counts >= 2 * config.min_tracks)[number])
     if not len(own):
         return key, movers, next_key
     body, key = number[own] - 1, key.copy()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import each_turned_into_plane, normalize, skew
 from ttcvid.geometry.shared_direction import shared_directions
@@ -198,10 +199,22 @@ def _share(is_one: Bools, thing: Ints, n_things: int) -> Floats:
 
 def _stays_on_its_pixels(history: TrackHistory, members: Ints) -> Bools:
     """Tracks that have not moved in the picture for long, (M,): a mover of them is burned-in text before a scene."""
-    first = np.argmax(np.isfinite(history.rays[:, members, 0]), axis=0)
-    is_old = len(history.rays) - first >= _STAYING_VIEWS
-    moved_rad = np.linalg.norm(history.rays[-1, members] - history.rays[first, members], axis=1)
-    return np.asarray(is_old & (moved_rad * history.focal_px < _STAYING_PX))
+    stays = np.empty(len(members), dtype=bool)
+    _find_staying(history.rays, members, _STAYING_PX / history.focal_px, stays)
+    return stays
+
+
+@compiled
+def _find_staying(rays: Floats, members: Ints, limit_rad: float, stays: Bools) -> None:
+    """Fill ``stays (M,)``: over `_STAYING_VIEWS` of ``rays (L, N, 3)`` at least, and not moved by the limit."""
+    last = len(rays) - 1
+    for m in range(len(members)):
+        i, first, square = members[m], 0, 0.0
+        while first < last and not np.isfinite(rays[first, i, 0]):
+            first += 1
+        for a in range(3):
+            square += (rays[last, i, a] - rays[first, i, a]) ** 2
+        stays[m] = last + 1 - first >= _STAYING_VIEWS and square < limit_rad * limit_rad
 
 
 def _directions(
@@ -247,14 +260,25 @@ def _shared_directions(history: TrackHistory, tracks: WholeTracks, thing: Ints, 
 
 def _are_sure(tracks: WholeTracks, direction: Floats, thing: Ints) -> Bools:
     """Things (K,) whose rate their tracks tell well enough, all together and apart from what errs in common."""
-    along = direction[thing]
-    pull = (tracks.info_w @ along[:, :, None])[:, :, 0]
-    information = np.sum(pull * along, axis=1)
-    towards = np.sum(pull * tracks.state[:, 2:], axis=1)
-    # The rate of a track is towards / information.
-    known = information > 0.0
-    square = np.divide(towards**2, information, out=np.zeros(len(thing)), where=known)
-    return np.asarray(np.bincount(thing, np.nan_to_num(square), len(direction)) > _SURE_PART**-2)
+    squares = np.zeros(len(direction))
+    _add_up_rates(tracks.state[:, 2:], tracks.info_w, direction, thing, squares)
+    return np.asarray(squares > _SURE_PART**-2)
+
+
+@compiled
+def _add_up_rates(w: Floats, info: Floats, direction: Floats, thing: Ints, squares: Floats) -> None:
+    """Add to ``squares (K,)`` the squared rate of each track along the direction of its thing, in its sigmas.
+
+    The rate is ``e' info w / e' info e`` (`shared_direction`).
+    """
+    for i in range(len(thing)):
+        e, information, towards = direction[thing[i]], 0.0, 0.0
+        for a in range(3):
+            pull = info[i, a, 0] * e[0] + info[i, a, 1] * e[1] + info[i, a, 2] * e[2]
+            information += pull * e[a]
+            towards += pull * w[i, a]
+        if information > 0.0 and np.isfinite(towards):
+            squares[thing[i]] += towards * towards / information
 
 
 def scene_motion(
@@ -304,15 +328,14 @@ def _assigned(
     status[~is_free] = Status.no_parallax
     direction[~is_free] = np.nan
     for motion in clusters:
-        cluster_id[motion.members] = motion.cluster_id
-        status[motion.members] = motion.status
-        direction[motion.members] = np.nan if motion.direction is None else motion.direction
-        covariance[motion.members] = np.nan if motion.direction_cov is None else motion.direction_cov
-        if motion.cluster_id == SCENE_CLUSTER and motion.direction is not None:
+        own, way, cov = motion.members, motion.direction, motion.direction_cov
+        cluster_id[own], status[own] = motion.cluster_id, motion.status
+        if way is None or cov is None:
+            direction[own], covariance[own] = np.nan, np.nan
+        elif motion.cluster_id == SCENE_CLUSTER:
             # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
-            if plane is None:
-                direction[motion.members] = along_scene[motion.members]
-            covariance[motion.members] += DIRECTION_FLOOR_RAD**2 * (
-                np.eye(3) - np.outer(motion.direction, motion.direction)
-            )
+            direction[own] = along_scene[own] if plane is None else way
+            covariance[own] = cov + DIRECTION_FLOOR_RAD**2 * (np.eye(3) - np.outer(way, way))
+        else:
+            direction[own], covariance[own] = way, cov
     return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px, is_free)

@@ -86,8 +86,9 @@ def _beside_slip(views: BodyViews) -> Floats:
     """What part of its squared error each track (N,) would have if its window slips as well as may be."""
     if len(views.rays) < 2:
         return np.ones(len(views.sigma_norm))
-    moved = np.nan_to_num(views.rays[-1] - views.rays[-2])
-    slip2 = _SLIP**2 * np.einsum("ni,ni->n", moved, moved)
+    moved = views.rays[-1] - views.rays[-2]
+    # The square of a track that was not seen is NaN, which `fmax` takes for nothing.
+    slip2 = _SLIP**2 * np.fmax(np.einsum("ni,ni->n", moved, moved), 0.0)
     return np.asarray(views.sigma_norm**2 / (views.sigma_norm**2 + slip2))
 
 

@@ -88,11 +88,12 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> t
     """Rays ``gap`` frames ago and now, each in its own camera, and their noise; None with too few tracks."""
     if not 0 < gap < len(history.frame):
         return None
-    seen = np.flatnonzero(is_free & np.isfinite(history.rays[-1 - gap, :, 0]) & np.isfinite(history.rays[-1, :, 0]))
+    before, now, sigma_rad = history.rays[-1 - gap], history.rays[-1], history.sigma_rad
+    seen = np.flatnonzero(is_free & np.isfinite(before[:, 0]) & np.isfinite(now[:, 0]))
     if len(seen) < min_tracks:
         return None
-    seen = _spread(history.rays[-1], history.sigma_rad, seen, min_tracks, region_side_of(history.camera))
-    return history.rays[-1 - gap, seen], history.rays[-1, seen], history.sigma_rad[seen]
+    seen = _spread(now, sigma_rad, seen, min_tracks, region_side_of(history.camera))
+    return before[seen], now[seen], sigma_rad[seen]
 
 
 def _spread(rays: Floats, sigma_rad: Floats, seen: Ints, min_tracks: int, side: float) -> Ints:
@@ -100,8 +101,8 @@ def _spread(rays: Floats, sigma_rad: Floats, seen: Ints, min_tracks: int, side: 
 
     A mover near by may hold most of the tracks, but it does not fill most of the picture.
     """
-    is_kept = np.zeros(len(seen), dtype=bool)
-    _keep_some(np.ascontiguousarray(rays[seen]), sigma_rad[seen], picture_region(rays[seen], side), is_kept)
+    is_kept, rays = np.zeros(len(seen), dtype=bool), rays[seen]
+    _keep_some(rays, sigma_rad[seen], picture_region(rays, side), is_kept)
     spread = seen[is_kept]
     return spread if len(spread) >= min_tracks else seen
 
@@ -125,8 +126,9 @@ def _keep_some(rays: Floats, sigma: Floats, region: Ints, is_kept: Bools) -> Non
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     """Frames after which the median derotated flow has the wanted length, by the flow of the last step."""
-    flow_px = np.linalg.norm(history.rays[-1] - history.derotated(-2), axis=1)[is_free] * history.focal_px
-    flow_px = flow_px[np.isfinite(flow_px)]
+    flow = history.rays[-1] - history.derotated(-2)
+    flow_px = np.sqrt(np.einsum("ni,ni->n", flow, flow)) * history.focal_px
+    flow_px = flow_px[is_free & np.isfinite(flow_px)]
     if not len(flow_px):
         return 1
     return int(np.clip(np.ceil(_WANTED_FLOW_PX / max(median(flow_px), _TINY_PX)), 1, _LONGEST_GAP))

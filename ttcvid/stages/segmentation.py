@@ -236,7 +236,7 @@ def _scene(
             path = _without_unseen_return(history, carried.path[0])[None]
         scene = RigidPaths(history.cam_R_past[None], path)
     used = np.flatnonzero(views.is_free)
-    used = used[:: max(1, len(used) // _ENOUGH_TRACKS)]
+    used = used[:: max(1, -(-len(used) // _ENOUGH_TRACKS))]
     weight = _balance(_places(history)[used])
     return refined_scene(scene, views.points(used), weight, rate_hz[used], _SCENE_STEPS)
 
@@ -285,9 +285,9 @@ def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
 def _with_contradictions(misfit: Floats, road: RoadMemory, key: Ints, config: BodiesConfig) -> Floats:
     """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers."""
     is_odd = road.contradicts()
-    for number in np.unique(key[key != SCENE_CLUSTER]):
-        own = key == number
-        is_odd[own] |= np.mean(road.evidence[own]) > _MOVER_EVIDENCE
+    bodies, body = np.unique(key, return_inverse=True)
+    mean = np.bincount(body, road.evidence, len(bodies)) / np.bincount(body, minlength=len(bodies))
+    is_odd |= ((bodies != SCENE_CLUSTER) & (mean > _MOVER_EVIDENCE))[body]
     return np.where(is_odd, np.maximum(misfit, 2.0 * config.scene_gate), misfit)
 
 
@@ -306,5 +306,7 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> 
 def _named(movers: Movers, next_cluster_id: int, config: BodiesConfig) -> tuple[Movers, int]:
     """Public numbers for movers that have been found often enough."""
     asks = (movers.cluster_id == NO_CLUSTER) & (movers.n_found >= config.confirm_frames)
+    if not asks.any():
+        return movers, next_cluster_id
     cluster_id = np.where(asks, next_cluster_id + np.cumsum(asks) - 1, movers.cluster_id)
     return replace(movers, cluster_id=cluster_id), next_cluster_id + int(np.count_nonzero(asks))
