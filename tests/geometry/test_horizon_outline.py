@@ -74,3 +74,33 @@ def test_what_is_hidden_by_and_by_does_not_go_on_steadily():
 def test_too_few_blocks_tell_nothing():
     outline, t_s = outlines((1.2, 0, 0.8))
     assert fit_outline(outline, t_s, (t_s > 2).astype(int), 2.0, 0.0) is None
+
+
+def bobbing(outline, t_s, rng, part=0.013, steps_hz=1.9):
+    """The outline of somebody whose head goes up and down with the steps, seen with some noise."""
+    height = outline[:, 2] - outline[:, 1]
+    bobbed = outline + rng.normal(0, 0.5 / F_PX, outline.shape)
+    bobbed[:, 1] -= part * height * np.sin(2 * np.pi * steps_hz * t_s + rng.uniform(0, 6.3))
+    return bobbed
+
+
+def test_a_head_that_bobs_with_the_steps_costs_little():
+    rng = np.random.default_rng(3)
+    outline, t_s = outlines((1.2, 0, 0.8))
+    still, bobs = (fitted(bobbing(outline, t_s, rng, part), t_s) for part in (0.0, 0.013))
+    assert np.isnan(still.steps_hz)
+    assert abs(bobs.steps_hz - 1.9) < 0.07
+    assert bobs.noise < 1.3 * still.noise
+    assert np.sqrt(bobs.covariance[1, 1]) < 1.5 * np.sqrt(still.covariance[1, 1])
+
+
+def test_the_covariance_of_those_who_bob_is_as_large_as_the_error():
+    rng = np.random.default_rng(6)
+    ratio, error = [], []
+    for _ in range(60):
+        outline, t_s = outlines((1.2, 0, rng.choice([-0.8, 0.8])))
+        fit = fitted(bobbing(outline, t_s, rng, steps_hz=rng.uniform(1.5, 2.2)), t_s)
+        ratio.append(fit.direction[1] / np.sqrt(fit.covariance[1, 1]))
+        error.append(fit.direction[1])
+    assert 0.2 < np.sqrt(np.mean(np.square(ratio))) < 1.2
+    assert np.degrees(np.sqrt(np.mean(np.square(error)))) < 0.3

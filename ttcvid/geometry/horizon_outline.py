@@ -3,6 +3,9 @@
 A straight motion makes a point at the top and one at the bottom run along two lines of the picture, which meet at the
 motion's epipole, where the thing would have no height. Whatever its speed, (x, top, bottom) runs along one straight
 line in three dimensions then, and the epipole is where that line crosses the plane top = bottom.
+
+Whoever walks bobs about that line, once a step and as regularly as the steps are: no scatter that averages out slowly,
+but a wave that is fitted along with the line (`ttcvid.geometry.gait`).
 """
 
 from __future__ import annotations
@@ -11,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.geometry.gait import Wave, find_steps
 from ttcvid.geometry.rotation import normalize, tangent_basis
-from ttcvid.model import Floats, Ints
+from ttcvid.model import Bools, Floats, Ints
 
 # The line is started through each pair of so many places along the way.
 _PLACES = 20
@@ -28,7 +32,8 @@ _TINY = 1e-12
 class OutlineFit:
     """An epipole ``direction (3,)``, its sign along the motion, with ``covariance (3, 3)`` in its tangent plane, rad^2.
 
-    ``noise`` is the scatter about the line in the units of the outlines, ``share`` the part of them that lie near it,
+    ``noise`` is the scatter about the line in the units of the outlines, without the bobbing at ``steps_hz`` (NaN where
+    there is none); ``share`` the part of them that lie near it,
     ``bend_sigmas`` by how many standard deviations the way bends; ``steadiness`` the part of the variance along the way
     that a constant rate explains, small where an outline only gets smaller as something hides it.
     """
@@ -39,6 +44,21 @@ class OutlineFit:
     share: float
     bend_sigmas: float
     steadiness: float
+    steps_hz: float
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line by a ``point`` and the direction ``along``; ``level (N, 3)`` are the outlines without their bobbing.
+
+    ``weight (N,)``, and ``noise``, the scatter of a coordinate about the line.
+    """
+
+    point: Floats
+    along: Floats
+    level: Floats
+    weight: Floats
+    noise: float
 
 
 def fit_outline(
@@ -67,34 +87,44 @@ def fit_outline(
     numbers = np.unique(block)
     if len(numbers) < 3:
         return None
-    point, along, weight, noise = _line(outline, _start(outline))
-    epipole = _epipole(point, along)
+    line = _line(outline, _start(outline))
+    wave = find_steps(_across(outline, line)[:, 1], t_s, outline[:, 2] - outline[:, 1], line.weight)
+    if wave is not None:
+        line = _line(outline, (line.point, line.along), wave.terms)
+    epipole = _epipole(line.point, line.along)
     if not np.isfinite(epipole).all():
         return None
     basis = tangent_basis(epipole)
-    parts = [_line(outline[block != number], (point, along)) for number in numbers]
-    left_out = np.array([_like(_epipole(part[0], part[1]), epipole) for part in parts])
+    left_out = np.array([_like(_without(outline, block == number, line, wave), epipole) for number in numbers])
     change = (left_out - left_out.mean(axis=0)) @ basis
     spread = (len(numbers) - 1) / len(numbers) * change.T @ change
-    spread = _at_least(spread, _formal(outline, n_independent, (point, along), noise, basis))
+    spread = _at_least(spread, _formal(line, n_independent, basis))
     for side in (1, 2):
-        moved = point.copy()
+        moved = line.point.copy()
         moved[side] += border_sigma
-        shift = (_like(_epipole(moved, along), epipole) - epipole) @ basis
+        shift = (_like(_epipole(moved, line.along), epipole) - epipole) @ basis
         spread += np.outer(shift, shift)
-    way = (outline - point) @ along
-    together = float(np.cov(t_s, way, aweights=weight)[0, 1])
-    steadiness = together**2 / max(float(np.prod(np.diag(np.cov(t_s, way, aweights=weight)))), _TINY**2)
-    forth = np.sign(together) * np.array([along[0], along[1:].mean()])
-    towards = epipole[:2] - np.array([point[0], point[1:].mean()]) * epipole[2]
+    way = (line.level - line.point) @ line.along
+    together = float(np.cov(t_s, way, aweights=line.weight)[0, 1])
+    steadiness = together**2 / max(float(np.prod(np.diag(np.cov(t_s, way, aweights=line.weight)))), _TINY**2)
+    forth = np.sign(together) * np.array([line.along[0], line.along[1:].mean()])
+    towards = epipole[:2] - np.array([line.point[0], line.point[1:].mean()]) * epipole[2]
     return OutlineFit(
         direction=epipole if towards @ forth >= 0 else -epipole,
         covariance=basis @ spread @ basis.T,
-        noise=noise,
-        share=float(np.mean(weight > 0.5)),
-        bend_sigmas=_bend_sigmas(outline, block, point, along, weight),
+        noise=line.noise,
+        share=float(np.mean(line.weight > 0.5)),
+        bend_sigmas=_bend_sigmas(line, block),
         steadiness=steadiness,
+        steps_hz=np.nan if wave is None else wave.steps_hz,
     )
+
+
+def _without(outline: Floats, is_left_out: Bools, line: _Line, wave: Wave | None) -> Floats:
+    """The epipole from the other outlines."""
+    terms = None if wave is None else wave.terms[~is_left_out]
+    part = _line(outline[~is_left_out], (line.point, line.along), terms)
+    return _epipole(part.point, part.along)
 
 
 def _start(outline: Floats) -> tuple[Floats, Floats]:
@@ -110,19 +140,31 @@ def _start(outline: Floats) -> tuple[Floats, Floats]:
     return point[best], along[best]
 
 
-def _line(outline: Floats, start: tuple[Floats, Floats]) -> tuple[Floats, Floats, Floats, float]:
-    """Total least squares with Cauchy weights: a point, the direction, weights ``(N,)`` and noise."""
+def _line(outline: Floats, start: tuple[Floats, Floats], terms: Floats | None = None) -> _Line:
+    """Total least squares with Cauchy weights, of top and bottom less what the ``terms (N, k)`` of a wave explain."""
     point, along = start
-    weight, noise = np.ones(len(outline)), 0.0
+    level, weight, noise = outline.copy(), np.ones(len(outline)), 0.0
     for _ in range(_ROUNDS):
-        offset = outline - point
+        offset = level - point
         distance = np.linalg.norm(offset - (offset @ along)[:, None] * along, axis=1)
         noise = float(np.median(distance)) / _MEDIAN_RAYLEIGH
         weight = 1.0 / (1.0 + (distance / max(_CAUCHY_SIGMAS * noise, _TINY)) ** 2)
-        point = weight @ outline / weight.sum()
-        offset = outline - point
+        point = weight @ level / weight.sum()
+        offset = level - point
         along = np.linalg.eigh((weight[:, None] * offset).T @ offset)[1][:, -1]
-    return point, along, weight, noise
+        if terms is not None:
+            offset = outline - point
+            across = (offset - (offset @ along)[:, None] * along)[:, 1:]
+            root = np.sqrt(weight)[:, None]
+            level[:, 1:] = outline[:, 1:] - terms @ np.linalg.lstsq(root * terms, root * across, rcond=None)[0]
+    return _Line(point, along, level, weight, noise)
+
+
+def _across(outline: Floats, line: _Line) -> Floats:
+    """Distances ``(N, 3)`` from a line."""
+    offset = outline - line.point
+    distances: Floats = offset - (offset @ line.along)[:, None] * line.along
+    return distances
 
 
 def _epipole(point: Floats, along: Floats) -> Floats:
@@ -132,11 +174,11 @@ def _epipole(point: Floats, along: Floats) -> Floats:
     return normalize(ray)
 
 
-def _formal(outline: Floats, n_independent: float, line: tuple[Floats, Floats], noise: float, basis: Floats) -> Floats:
+def _formal(line: _Line, n_independent: float, basis: Floats) -> Floats:
     """Covariance ``(2, 2)`` of the epipole from so many independent outlines along the way."""
-    point, along = line
-    way = (outline - point) @ along
-    of_point = noise**2 / n_independent
+    point, along = line.point, line.along
+    way = (line.level - point) @ along
+    of_point = line.noise**2 / n_independent
     of_along = of_point / max(float(np.mean(way**2)), _TINY)
     epipole = _epipole(point, along)
     covariance = np.zeros((2, 2))
@@ -161,12 +203,12 @@ def _like(ray: Floats, other: Floats) -> Floats:
     return -ray if ray @ other < 0 else ray
 
 
-def _bend_sigmas(outline: Floats, block: Ints, point: Floats, along: Floats, weight: Floats) -> float:
+def _bend_sigmas(line: _Line, block: Ints) -> float:
     """How surely (x, top, bottom) bends: the square term of each of its two distances from the line, by blocks."""
-    way = (outline - point) @ along
+    way, weight = (line.level - line.point) @ line.along, line.weight
     terms = np.column_stack([np.ones_like(way), way, way**2])
     scale = np.abs(terms).max(axis=0) + _TINY
-    across = (outline - point) @ tangent_basis(along)
+    across = (line.level - line.point) @ tangent_basis(line.along)
 
     def square(rows: np.ndarray) -> Floats:
         design = terms[rows] / scale * np.sqrt(weight[rows])[:, None]
