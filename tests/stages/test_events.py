@@ -85,6 +85,18 @@ def test_a_collision_course_is_warned_of_once_it_has_lasted():
     assert last.min_tcpa_s == pytest.approx(last.min_ttc_z_s)
 
 
+@pytest.mark.parametrize("first_frame", [0, 54, 131])
+@pytest.mark.parametrize("n_frames", [3, 4, 6])
+def test_how_long_a_condition_has_lasted_does_not_hang_on_rounding(first_frame, n_frames):
+    # The difference of two rounded times falls short of the persistence by its last bit now and then, or exceeds it.
+    config = CONFIG.model_copy(update={"persistence_s": n_frames * FRAME_S})
+    rows = drive(*HIT, 2.0)
+    assert first_warned(watched(rows, config, first_frame=first_frame)[0]) == n_frames
+    # It stands until the condition has been gone for longer than that.
+    warned = [*rows[: n_frames + 1], *[HARMLESS] * n_frames]
+    assert watched(warned, config, first_frame=first_frame)[0][-1]
+
+
 def test_a_near_miss_inside_a_width_is_a_collision_course():
     active, _ = watched(drive((1.2, 0.0, 20.0), (0.0, 0.0, -8.0), 2.0, relative_sigma=0.003))
     (event,) = active[-1]

@@ -23,6 +23,9 @@ _HIDDEN = 3.0
 _SAME_PLACE = 0.3
 # A step so many times as long as usual is a gap.
 _STALLED = 1.5
+# Times of pictures are rounded to the clock of their container, and differences of them once more: what has lasted as
+# long as the persistence within this, s, has lasted as long.
+_ROUNDING_S = 1e-3
 # A miss distance, in units of depth, without a side.
 _TINY = 1e-9
 
@@ -65,7 +68,8 @@ def update_events(
     ----------
     step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
     """
-    longest_step_s = max(config.persistence_s, _STALLED * step_s)
+    gone_s = config.persistence_s + _ROUNDING_S
+    longest_step_s = max(gone_s, _STALLED * step_s)
     rows = {row.cluster_id: row for row in clusters}
     watched: dict[int, WatchedObject] = {}
     next_event_id = memory.next_event_id
@@ -74,12 +78,12 @@ def update_events(
         warned = before is not None and before.event is not None
         row = rows.get(cluster_id)
         if row is None or row.state_abc_hz is None:
-            hidden_s = _HIDDEN * config.persistence_s if warned else longest_step_s
+            hidden_s = _HIDDEN * gone_s if warned else longest_step_s
             if before is not None and t_s - before.last_s <= hidden_s:
                 watched[cluster_id] = before
             continue
         if not is_collision_course(row, camera, config, is_warned=warned):
-            if before is not None and warned and t_s - before.last_s <= config.persistence_s:
+            if before is not None and warned and t_s - before.last_s <= gone_s:
                 watched[cluster_id] = before
             continue
         if before is not None and not warned and t_s - before.last_s > longest_step_s:
@@ -94,7 +98,7 @@ def update_events(
         now = WatchedObject(since_s, t_s, row.box_px, None if before is None else before.event)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
-        elif t_s - now.since_s >= config.persistence_s:
+        elif t_s - now.since_s >= config.persistence_s - _ROUNDING_S:
             now = replace(now, event=_started(next_event_id, row, frame, t_s))
             next_event_id += 1
         watched[cluster_id] = now
