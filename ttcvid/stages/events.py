@@ -171,6 +171,7 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     place, left, right = _middle_and_sides(row, camera)
     speed = np.linalg.norm(abc_hz)
     direction = abc_hz / speed
+    place = _at_nearest_height(place, direction, row, camera)
     ahead = float(place @ direction)
     off = place - ahead * direction
     miss = float(np.linalg.norm(off))
@@ -194,6 +195,22 @@ def _middle_and_sides(row: ClusterRow, camera: Camera) -> tuple[Floats, float, f
     three_px = np.array([[x, y_px] for x in (0.5 * (x0_px + x1_px), x0_px, x1_px)])
     place, left, right = rays_from_pixels(camera, three_px)
     return place, float(np.nan_to_num(left[0], nan=-np.inf)), float(np.nan_to_num(right[0], nan=np.inf))
+
+
+def _at_nearest_height(place: Floats, direction: Floats, row: ClusterRow, camera: Camera) -> Floats:
+    """The place (3,) moved up or down within the box to where it passes nearest: a thing is as high as it is seen.
+
+    Of somebody who walks before a car the feet pass below the camera by three times the width.
+    """
+    across = np.array([0.0, 1.0, 0.0]) - direction[1] * direction
+    square = float(across @ across)
+    if square < _TINY:
+        return place
+    x_px = 0.5 * (row.box_px[0] + row.box_px[2])
+    ends = rays_from_pixels(camera, np.array([[x_px, row.box_px[1]], [x_px, row.box_px[3]]]))[:, 1]
+    top, bottom = (min(ends[0], place[1]), max(ends[1], place[1])) if np.isfinite(ends).all() else (place[1], place[1])
+    nearest = place[1] - float(place @ across) / square
+    return np.array([place[0], np.clip(nearest, top, bottom), place[2]])
 
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
