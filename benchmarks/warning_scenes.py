@@ -99,7 +99,9 @@ def walker(rng: np.random.Generator, collides: bool) -> Values:
         start, velocity = [at_m, side * pace * _AHEAD_S, 0.0], [0.0, -side * pace, 0.0]
     else:
         start, velocity = [at_m - 8.0, side * rng.uniform(4.2, 5.2), 0.0], [side * pace, 0.0, 0.0]
+    # Flat figures: what faces the way that it walks would show us its edge, and be next to nothing in the picture.
     thing = {"name": "walker", "kind": "walker", "at_m": start, "velocity_m_s": velocity, "colour_rgb": _colour(rng)}
+    thing["heading_deg"] = 180.0
     return _street(rng, own, [thing])
 
 

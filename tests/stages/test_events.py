@@ -85,6 +85,18 @@ def test_a_collision_course_is_warned_of_once_it_has_lasted():
     assert last.min_tcpa_s == pytest.approx(last.min_ttc_z_s)
 
 
+@pytest.mark.parametrize("first_frame", [0, 54, 131])
+@pytest.mark.parametrize("n_frames", [3, 4, 6])
+def test_how_long_a_condition_has_lasted_does_not_hang_on_rounding(first_frame, n_frames):
+    # The difference of two rounded times falls short of the persistence by its last bit now and then, or exceeds it.
+    config = CONFIG.model_copy(update={"persistence_s": n_frames * FRAME_S})
+    rows = drive(*HIT, 2.0)
+    assert first_warned(watched(rows, config, first_frame=first_frame)[0]) == n_frames
+    # It stands until the condition has been gone for longer than that.
+    warned = [*rows[: n_frames + 1], *[HARMLESS] * n_frames]
+    assert watched(warned, config, first_frame=first_frame)[0][-1]
+
+
 def test_a_near_miss_inside_a_width_is_a_collision_course():
     active, _ = watched(drive((1.2, 0.0, 20.0), (0.0, 0.0, -8.0), 2.0, relative_sigma=0.003))
     (event,) = active[-1]
@@ -353,3 +365,25 @@ def test_confidence_is_the_probability_of_the_approach_and_as_high_as_asked_for(
 
 def test_rows_without_a_state_are_left_alone():
     assert first_warned(watched([WITHOUT_STATE] * 10)[0]) is None
+
+
+def standing(width_m, height_m, ref_below_m, centre_below_m, position_m=(0.0, 0.0, 16.0)):
+    """Row of an upright thing that comes straight on, its reference point and its middle so far below the camera."""
+    x_m, _, z_m = position_m
+    row = row_of((x_m, ref_below_m, z_m), (0.0, 0.0, -8.0), relative_sigma=0.003)
+    half_px = 0.5 * FOCAL_PX / z_m * np.array([width_m, height_m])
+    centre_px = FOCAL_PX / z_m * np.array([x_m, centre_below_m]) + (CAMERA.cx_px, CAMERA.cy_px)
+    return replace(row, box_px=(*(centre_px - half_px).tolist(), *(centre_px + half_px).tolist()))
+
+
+def test_a_thing_is_hit_over_its_whole_height():
+    # Somebody 1.75 m tall, 0.6 m wide, whose feet are seen best, 1.4 m below the camera.
+    walker = standing(0.6, 1.75, ref_below_m=1.3, centre_below_m=0.53)
+    assert is_collision_course(walker, CAMERA, CONFIG, is_warned=False)
+    beside = standing(0.6, 1.75, ref_below_m=1.3, centre_below_m=0.53, position_m=(1.2, 0.0, 16.0))
+    assert not is_collision_course(beside, CAMERA, CONFIG, is_warned=False)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_what_ends_far_below_or_begins_far_above_is_not_hit(side):
+    assert not is_collision_course(standing(0.6, 0.4, 1.5 * side, 1.5 * side), CAMERA, CONFIG, is_warned=False)

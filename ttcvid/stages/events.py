@@ -23,6 +23,9 @@ _HIDDEN = 3.0
 _SAME_PLACE = 0.3
 # A step so many times as long as usual is a gap.
 _STALLED = 1.5
+# Times of pictures are rounded to the clock of their container, and differences of them once more: what has lasted as
+# long as the persistence within this, s, has lasted as long.
+_ROUNDING_S = 1e-3
 # A miss distance, in units of depth, without a side.
 _TINY = 1e-9
 
@@ -65,7 +68,8 @@ def update_events(
     ----------
     step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
     """
-    longest_step_s = max(config.persistence_s, _STALLED * step_s)
+    gone_s = config.persistence_s + _ROUNDING_S
+    longest_step_s = max(gone_s, _STALLED * step_s)
     rows = {row.cluster_id: row for row in clusters}
     watched: dict[int, WatchedObject] = {}
     next_event_id = memory.next_event_id
@@ -74,12 +78,12 @@ def update_events(
         warned = before is not None and before.event is not None
         row = rows.get(cluster_id)
         if row is None or row.state_abc_hz is None:
-            hidden_s = _HIDDEN * config.persistence_s if warned else longest_step_s
+            hidden_s = _HIDDEN * gone_s if warned else longest_step_s
             if before is not None and t_s - before.last_s <= hidden_s:
                 watched[cluster_id] = before
             continue
         if not is_collision_course(row, camera, config, is_warned=warned):
-            if before is not None and warned and t_s - before.last_s <= config.persistence_s:
+            if before is not None and warned and t_s - before.last_s <= gone_s:
                 watched[cluster_id] = before
             continue
         if before is not None and not warned and t_s - before.last_s > longest_step_s:
@@ -94,7 +98,7 @@ def update_events(
         now = WatchedObject(since_s, t_s, row.box_px, None if before is None else before.event)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
-        elif t_s - now.since_s >= config.persistence_s:
+        elif t_s - now.since_s >= config.persistence_s - _ROUNDING_S:
             now = replace(now, event=_started(next_event_id, row, frame, t_s))
             next_event_id += 1
         watched[cluster_id] = now
@@ -167,6 +171,7 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     place, left, right = _middle_and_sides(row, camera)
     speed = np.linalg.norm(abc_hz)
     direction = abc_hz / speed
+    place = _at_nearest_height(place, direction, row, camera)
     ahead = float(place @ direction)
     off = place - ahead * direction
     miss = float(np.linalg.norm(off))
@@ -190,6 +195,22 @@ def _middle_and_sides(row: ClusterRow, camera: Camera) -> tuple[Floats, float, f
     three_px = np.array([[x, y_px] for x in (0.5 * (x0_px + x1_px), x0_px, x1_px)])
     place, left, right = rays_from_pixels(camera, three_px)
     return place, float(np.nan_to_num(left[0], nan=-np.inf)), float(np.nan_to_num(right[0], nan=np.inf))
+
+
+def _at_nearest_height(place: Floats, direction: Floats, row: ClusterRow, camera: Camera) -> Floats:
+    """The place (3,) moved up or down within the box to where it passes nearest: a thing is as high as it is seen.
+
+    Of somebody who walks before a car the feet pass below the camera by three times the width.
+    """
+    across = np.array([0.0, 1.0, 0.0]) - direction[1] * direction
+    square = float(across @ across)
+    if square < _TINY:
+        return place
+    x_px = 0.5 * (row.box_px[0] + row.box_px[2])
+    ends = rays_from_pixels(camera, np.array([[x_px, row.box_px[1]], [x_px, row.box_px[3]]]))[:, 1]
+    top, bottom = (min(ends[0], place[1]), max(ends[1], place[1])) if np.isfinite(ends).all() else (place[1], place[1])
+    nearest = place[1] - float(place @ across) / square
+    return np.array([place[0], np.clip(nearest, top, bottom), place[2]])
 
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
