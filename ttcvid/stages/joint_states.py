@@ -87,7 +87,7 @@ def _nearest_surfaces(
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[usable.index], usable, needed, link_px)
     is_in, above_hz, variance = nearest_parts(
-        usable, rate_hz, sigma_hz, *states.shared_rate_errors(usable), states.xy[usable.index], needed, is_in
+        usable, rate_hz, own_hz, sigma_hz, *states.shared_rate_errors(usable), states.xy[usable.index], needed, is_in
     )
     # What stands in our way was found as one surface, and may have few tracks.
     has_none = usable.sums(is_in.astype(np.int64)) == 0
