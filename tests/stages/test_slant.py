@@ -13,11 +13,12 @@ def one_set(n):
     return TrackSets.of([np.arange(n)])
 
 
-def parts(rate_hz, sigma_hz, xy, needed, is_in=None, by_shared=None, shared_cov=NO_ERRORS):
+def parts(rate_hz, sigma_hz, xy, needed, is_in=None, by_shared=None, shared_cov=NO_ERRORS, own_hz=None):
     n = len(rate_hz)
     is_in = np.ones(n, dtype=bool) if is_in is None else is_in
     by_shared = np.zeros((n, 2)) if by_shared is None else by_shared
-    return nearest_parts(one_set(n), rate_hz, sigma_hz, by_shared, shared_cov, xy, np.array([needed]), is_in)
+    own_hz = sigma_hz if own_hz is None else own_hz
+    return nearest_parts(one_set(n), rate_hz, own_hz, sigma_hz, by_shared, shared_cov, xy, np.array([needed]), is_in)
 
 
 def places(rng, n):
@@ -41,13 +42,26 @@ def test_of_a_sloping_wall_the_nearest_tenth_is_kept():
     assert 0.0 < variance[0] < 0.002**2
 
 
-def test_a_wall_parallel_to_the_picture_is_near_as_a_whole():
+def test_a_wall_parallel_to_the_picture_is_hardly_nearer_than_it_is():
+    """What noise makes of its slope is less than what it makes of its rate, and mostly nothing."""
     rng = np.random.default_rng(2)
-    kept = 0
+    kept, too_high = 0, []
     for _ in range(300):
-        is_near, above_hz, _ = parts(0.2 + 0.01 * rng.standard_normal(40), np.full(40, 0.01), places(rng, 40), 5)
+        rate_hz = 0.2 + 0.01 * rng.standard_normal(40)
+        is_near, above_hz, _ = parts(rate_hz, np.full(40, 0.01), places(rng, 40), 5)
         kept += is_near.all() and not above_hz.any()
-    assert kept >= 297
+        too_high.append((rate_hz + above_hz)[is_near].mean() - 0.2)
+    assert kept > 150
+    assert np.mean(too_high) < 0.01 / np.sqrt(40)
+
+
+def test_the_rear_of_a_car_at_an_angle_slopes_by_less_than_other_rears_are_not_flat_by():
+    rng = np.random.default_rng(9)
+    xy = places(rng, 20)
+    rate_hz = sloping(xy, slope=0.025) + 0.001 * rng.standard_normal(20)
+    is_near, above_hz, _ = parts(rate_hz, np.full(20, 0.005), xy, 5, own_hz=np.full(20, 0.001))
+    assert not is_near[xy[:, 0] > 0.0].any()
+    assert (rate_hz + above_hz)[is_near].mean() == pytest.approx(sloping(xy, 0.025)[is_near].mean(), abs=0.001)
 
 
 @pytest.mark.parametrize("sigma_hz", [0.002, 0.01, 0.02])
@@ -110,7 +124,7 @@ def test_each_set_has_a_plane_of_its_own():
     nothing = np.zeros((100, 2)), np.zeros((2, 2, 2))
     needed = np.array([5, 5])
     is_near, _, variance = nearest_parts(
-        sets, rate_hz, np.full(100, 0.002), *nothing, xy, needed, np.ones(100, dtype=bool)
+        sets, rate_hz, *2 * (np.full(100, 0.002),), *nothing, xy, needed, np.ones(100, dtype=bool)
     )
     alone, _, _ = parts(rate_hz[:50], np.full(50, 0.002), xy[:50], 5)
     np.testing.assert_array_equal(is_near[:50], alone)

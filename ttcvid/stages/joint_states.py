@@ -58,9 +58,9 @@ def joint_states(
     weight = 1.0 / np.maximum(states.cov[index, 2, 2], _TINY)
     weight /= surfaces.sums(weight)[surfaces.set_of]
     abc_hz = surfaces.sums(weight[:, None] * (states.abc_hz[index] + above_hz[:, None] * along))
-    cov, place_cov, speed_change = _joint_covariances(states, surfaces, weight, abc_hz)
+    cov, place_cov, speed_change = _joint_covariances(states, surfaces, weight, abc_hz, variance > 0.0)
     along = along[surfaces.first]
-    cov = cov + place_cov + variance[:, None, None] * along[:, :, None] * along[:, None, :]
+    cov = cov + place_cov + _TRIMMED_VARIANCE * variance[:, None, None] * along[:, :, None] * along[:, None, :]
     return JointStates(owner, surfaces.sums(weight[:, None] * xy_px[index]), abc_hz, cov, place_cov, speed_change)
 
 
@@ -87,7 +87,7 @@ def _nearest_surfaces(
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[usable.index], usable, needed, link_px)
     is_in, above_hz, variance = nearest_parts(
-        usable, rate_hz, sigma_hz, *states.shared_rate_errors(usable), states.xy[usable.index], needed, is_in
+        usable, rate_hz, own_hz, sigma_hz, *states.shared_rate_errors(usable), states.xy[usable.index], needed, is_in
     )
     # What stands in our way was found as one surface, and may have few tracks.
     has_none = usable.sums(is_in.astype(np.int64)) == 0
@@ -98,14 +98,15 @@ def _nearest_surfaces(
 
 
 def _joint_covariances(
-    states: TrackStates, surfaces: TrackSets, weight: Floats, abc_hz: Floats
+    states: TrackStates, surfaces: TrackSets, weight: Floats, abc_hz: Floats, is_plane: Bools
 ) -> tuple[Floats, Floats, Floats]:
     """Covariances of weighted means of (a, b, c), by noise and by place, and by what part the speeds may change.
 
     Own noise averages out, errors of what they share do not. Tracks of a surface share one path, but for those timed by
     expansion: each of these is in the neighbourhoods of others, which err with it. Where each track has a direction of
     its own (three frames), nothing is common. What turns has another velocity at each of its places, and which of them
-    is the nearest is not known: it may be any end of the surface.
+    is the nearest is not known: it may be any end of the surface. Where the rates are those of a plane, ``is_plane``
+    (K,), their noise is in its variance.
     """
     shared = states.shared
     place_cov = np.zeros((len(surfaces), 3, 3))
@@ -115,7 +116,8 @@ def _joint_covariances(
     on_path = shared.path_of[surfaces.index] == number[surfaces.set_of]
     has_path = number >= 0
     on_path &= has_path[surfaces.set_of]
-    cov = shared.covariances_of_means(surfaces, np.where(on_path, weight, 0.0), abc_hz, number, _TRIMMED_VARIANCE)
+    own_factor = np.where(is_plane, 0.0, _TRIMMED_VARIANCE)
+    cov = shared.covariances_of_means(surfaces, np.where(on_path, weight, 0.0), abc_hz, number, own_factor)
     cov = np.where(has_path[:, None, None], cov, 0.0) + _by_expansion(states, surfaces, np.where(on_path, 0.0, weight))
     if shared.turn_rad_s.any():
         by_place = shared.covariances_by_place(surfaces, weight, states.xy[surfaces.index], number)

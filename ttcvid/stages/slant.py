@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 
-# A slope has two components; it is believed where noise would hardly look like it (99.9 %).
-_N_SLOPES, _SLOPE_CHI2 = 2, float(chi2_quantile(0.999, 2))
+# A slope has two components.
+_N_SLOPES = 2
 # Tracks within so many of their standard deviations of a plane lie on it.
 _PLANE_SIGMAS = 2.0
 # What lies behind the nearest tracks by no more than this part of the distance is as near.
@@ -25,6 +24,7 @@ _N_PLANE = 9
 def nearest_parts(
     sets: TrackSets,
     rate_hz: Floats,
+    own_hz: Floats,
     sigma_hz: Floats,
     by_shared: Floats,
     shared_cov: Floats,
@@ -41,7 +41,8 @@ def nearest_parts(
     Parameters
     ----------
     sets : tracks of K objects.
-    rate_hz, sigma_hz, xy : (M,), (M,), (M, 2) rates, speed over depth, with standard deviations, and places.
+    rate_hz, xy : (M,), (M, 2) rates, speed over depth, and places.
+    own_hz, sigma_hz : (M,) standard deviations of the rates by noise, and by noise and what surfaces are not flat by.
     by_shared, shared_cov : (M, n) and (K, n, n), what errors that tracks share do to their rates: a wrong turn looks
         like a slope.
     needed : (K,) tracks that bear the nearest part.
@@ -55,6 +56,7 @@ def nearest_parts(
     is_near, above_hz, variance = is_in.copy(), np.zeros(len(rate_hz)), np.zeros(len(sets))
     _find_each(
         rate_hz,
+        own_hz,
         sigma_hz,
         by_shared,
         shared_cov,
@@ -72,6 +74,7 @@ def nearest_parts(
 @compiled
 def _find_each(
     rate: Floats,
+    own: Floats,
     sigma: Floats,
     by_shared: Floats,
     shared_cov: Floats,
@@ -87,7 +90,8 @@ def _find_each(
     plane, again, on_plane = np.empty(_N_PLANE), np.empty(len(rate), dtype=np.bool_), np.empty(len(rate))
     for k in range(len(first)):
         low, high = first[k], first[k] + lengths[k]
-        of_set, cov = (rate[low:high], sigma[low:high], by_shared[low:high], xy[low:high]), shared_cov[k]
+        of_set = (rate[low:high], own[low:high], sigma[low:high], by_shared[low:high], xy[low:high])
+        cov = shared_cov[k]
         if not _fit(*of_set, cov, is_near[low:high], plane):
             continue
         count = 0
@@ -117,18 +121,30 @@ def _rate_at(plane: Floats, xy: Floats) -> float:
 
 @compiled
 def _fit(
-    rate: Floats, sigma: Floats, by_shared: Floats, xy: Floats, shared_cov: Floats, is_in: Bools, plane: Floats
+    rate: Floats,
+    own: Floats,
+    sigma: Floats,
+    by_shared: Floats,
+    xy: Floats,
+    shared_cov: Floats,
+    is_in: Bools,
+    plane: Floats,
 ) -> bool:
-    """Fills the ``plane (9,)`` through the tracks that are in; returns whether it slopes.
+    """Fills the ``plane (9,)`` through the tracks that are in; returns whether it slopes at all.
 
-    Weighted least squares; the slope is drawn towards none by what its errors make of it (Stein's shrinkage).
+    Weighted least squares. Errors alone make a chi-square of about 2 of the slope: by that part it is drawn towards
+    none (Stein's shrinkage), wholly where it has no more. To wait until a slope is sure would say of most that they are
+    none, and put the nearest part too far away. How flat the surface is, its tracks say: what they scatter by about the
+    plane, no less than noise makes of it.
     """
-    weights, x, y, mean, count = 0.0, 0.0, 0.0, 0.0, 0
+    weights, x, y, mean, noise, count = 0.0, 0.0, 0.0, 0.0, 0.0, 0
     for i in range(len(rate)):
         if is_in[i]:
             w = 1.0 / (sigma[i] * sigma[i])
             weights, x, y, mean, count = weights + w, x + w * xy[i, 0], y + w * xy[i, 1], mean + w * rate[i], count + 1
-    if count < 2 + _N_SLOPES:
+            noise += w * own[i] * own[i]
+    dof = count - 1 - _N_SLOPES
+    if dof <= 2:
         return False
     x, y, mean = x / weights, y / weights, mean / weights
     n = by_shared.shape[1]
@@ -153,7 +169,7 @@ def _fit(
         slope[1, j] = (xx * along[1, j] - xy_ * along[0, j]) / determinant
     gx, gy = slope[0, 0], slope[1, 0]
     left = rr - gx * along[0, 0] - gy * along[1, 0]
-    misfit = max(left / (count - 1 - _N_SLOPES), 1.0)
+    misfit = max(left / dof, noise / count)
     vxx, vxy, vyy = misfit * yy / determinant, -misfit * xy_ / determinant, misfit * xx / determinant
     for j in range(n):
         for m in range(n):
@@ -161,9 +177,11 @@ def _fit(
             vxy += slope[0, 1 + j] * shared_cov[j, m] * slope[1, 1 + m]
             vyy += slope[1, 1 + j] * shared_cov[j, m] * slope[1, 1 + m]
     chi2 = (vyy * gx * gx - 2.0 * vxy * gx * gy + vxx * gy * gy) / (vxx * vyy - vxy * vxy)
-    if not chi2 > _SLOPE_CHI2:
+    # The mean of Fisher's F, times the slopes: the scatter is measured.
+    by_errors = _N_SLOPES * dof / (dof - 2.0)
+    if not chi2 > by_errors:
         return False
-    part = 1.0 - _N_SLOPES / chi2
+    part = 1.0 - by_errors / chi2
     plane[0], plane[1], plane[2], plane[3], plane[4] = x, y, mean, part * gx, part * gy
     plane[5], plane[6], plane[7], plane[8] = misfit / weights, vxx, vxy, vyy
     return True

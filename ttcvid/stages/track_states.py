@@ -49,12 +49,12 @@ class SharedErrors:
     turn_rad_s: Floats
 
     def covariances_of_means(
-        self, sets: TrackSets, weight: Floats, mean_hz: Floats, number: Ints, own_factor: float
+        self, sets: TrackSets, weight: Floats, mean_hz: Floats, number: Ints, own_factor: Floats
     ) -> Floats:
         """Covariances (K, 3, 3) of weighted means ``mean_hz (K, 3)`` of (a, b, c) over K sets, by the tracks on a path.
 
-        Noise of their own averages out, up to ``own_factor``; what they share does not. ``number (K,)`` is the path of
-        each set, ``weight (M,)`` that of the tracks, 0 for those on none.
+        Noise of their own averages out, up to ``own_factor (K,)``; what they share does not. ``number (K,)`` is the
+        path of each set, ``weight (M,)`` that of the tracks, 0 for those on none.
         """
         # What has no path may have no rate on one either.
         has_path = weight > 0.0
