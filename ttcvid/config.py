@@ -136,7 +136,7 @@ class EventsConfig(StageConfig):
 class OverlayConfig(StageConfig):
     """The annotated video."""
 
-    preset: Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium"] = "superfast"
+    preset: Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium"] = "ultrafast"
     crf: int = Field(default=24, ge=0, le=51, description="H.264 constant rate factor")
     trail_frames: int = Field(default=8, ge=1, le=60, description="length of the drawn track trails")
 

@@ -16,7 +16,7 @@ from ttcvid.jobs.provenance import table_metadata
 from ttcvid.model import Frame, FrameResult, ImageSize, Picture
 from ttcvid.sinks.folder import OVERLAY_NAME
 from ttcvid.sinks.tables import TableSink
-from ttcvid.sinks.video import QUICK_X264, OverlayVideo, check_video
+from ttcvid.sinks.video import OverlayVideo, check_video
 from ttcvid.sources import Source
 
 
@@ -31,9 +31,7 @@ def open_sinks(
         return lambda item: tables.write(item[1])
     dt_s = info.nominal_dt_s * options.stride
     path = folder / OVERLAY_NAME
-    video = stack.enter_context(
-        OverlayVideo(path, info.image_size, dt_s, overlay.preset, overlay.crf, x264_params=QUICK_X264)
-    )
+    video = stack.enter_context(OverlayVideo(path, info.image_size, dt_s, overlay.preset, overlay.crf))
     is_smooth = configuration.pipeline.collision_times.smooth
     painter = OverlayPainter(calibration.camera, info.image_size, overlay.trail_frames, is_smooth)
 

@@ -22,11 +22,6 @@ TICKS_PER_S = 90_000  # the clock of broadcast video: exact for the usual frame 
 KEYFRAME_INTERVAL_S = 2.0  # how far back a browser has to decode after a jump
 SD_COLOUR = 6  # ITU-T H.273 code of BT.601 (SMPTE 170M), in which OpenCV converts
 LIMITED_RANGE = 1  # luma from 16 to 235
-QUICK_X264 = "bframes=0:cabac=0:subme=0:partitions=none:8x8dct=0"
-"""Parameters of x264 beside a preset: no pictures from two sides, the simpler entropy code, motion to whole pixels,
-blocks of one size. Of the preset superfast they leave 58 % of the time, at a third more bytes for the same quality
-(kitti_speed_300 with its trails: 4.5 instead of 7.8 ms and 52 instead of 39 KB a frame), and no picture waits in the
-encoder."""
 
 
 class OverlayVideo:
@@ -46,8 +41,6 @@ class OverlayVideo:
         Usual frame interval in s: shows the last picture that long, and spaces the key frames.
     preset, crf
         x264's speed and quality (`ttcvid.config.OverlayConfig`).
-    x264_params
-        Further parameters of x264, ``name=value:name=value``, such as `QUICK_X264`.
     threads
         Encoder threads; one, because the analysis runs beside.
 
@@ -64,7 +57,6 @@ class OverlayVideo:
         nominal_dt_s: float,
         preset: str,
         crf: int,
-        x264_params: str = "",
         threads: int = 1,
     ) -> None:
         if max(image_size.width_px, image_size.height_px) > MAX_SIDE_PX:
@@ -82,7 +74,7 @@ class OverlayVideo:
             path.touch()  # PyAV opens the file at the first picture only; what is wrong with the place shows here
             self._container = av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"})
         try:
-            options = {"preset": preset, "crf": str(crf), "x264-params": x264_params}
+            options = {"preset": preset, "crf": str(crf)}
             self._stream = self._add_stream(nominal_dt_s, options, threads)
         except BaseException:
             self._container.close()
