@@ -20,6 +20,9 @@ from ttcvid.stages.whereabouts import Whereabouts, nowhere
 _WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
 # The habit and the scene's bonus count for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
+# A track that the scene explains, with a misfit (over the usual one) below the first, is no part of a mover whose
+# tracks lie so many times as far away: a bus seen from behind at 10 m ends at 22 m.
+_SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
 # A mover that is hidden is known again for so long, s: after that it may well move otherwise. Its tracks have rates
 # within this factor then, and are within so many of its extents of where it has to be.
 _KNOWN_AGAIN_S, _ONE_RATE, _WITHIN_EXTENTS = 1.0, 4.0, 2.5
@@ -137,10 +140,28 @@ def assigned(
     fit = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
     off = np.full((len(key), n_bodies), np.inf)
     off[:, 0] = misfit
-    off[track, mover + 1] = fit.misfit / usual_misfit
+    is_other = misfit[track] < _SCENE_EXPLAINS
+    is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, number[track] == mover + 1, len(movers))
+    off[track, mover + 1] = np.where(is_other, np.inf, fit.misfit / usual_misfit)
     best, own_misfit = np.zeros(len(key), dtype=np.int64), np.empty(len(key))
     _choose(off, votes, number, n_views, best, own_misfit)
     return np.append(SCENE_CLUSTER, movers.key)[best], own_misfit
+
+
+def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_things: int) -> Bools:
+    """Which tracks (M,) lie so much nearer than the other tracks of a thing that they are hardly a part of it.
+
+    Of a car ahead that goes our way, or nearly, the path is that of the scene but for its speed: it explains the road
+    before the car as well as the scene does, at another depth.
+
+    Parameters
+    ----------
+    rate_hz, sigma_hz : (M,) speed over depth of each track on the path of a thing ``thing (M,)``.
+    is_own : (M,) those that belong to it by now.
+    """
+    usual_hz = medians(rate_hz[is_own], thing[is_own], n_things)[thing]
+    # Without a rate (NaN), of its own or of the thing, nothing is said.
+    return np.asarray(rate_hz - usual_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(usual_hz))
 
 
 @compiled
