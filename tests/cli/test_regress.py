@@ -151,8 +151,10 @@ def test_expectations_fail_by_themselves_and_are_named(clip, ran):
     assert "warnings, expected at least 9" in text
 
 
-@pytest.mark.parametrize(("note", "n_runs"), [("", 1), ("compiling", 2)])
-def test_a_clip_is_run_once_for_the_compiler_where_something_has_to_be_compiled(note, n_runs, clip, ran, monkeypatch):
+@pytest.mark.parametrize(("has_place", "part", "n_runs"), [(True, 1.0, 1), (True, 0.2, 2), (False, 0.0, 1)])
+def test_a_clip_is_run_once_for_the_compiler_where_something_is_compiled_once(
+    has_place, part, n_runs, clip, ran, monkeypatch
+):
     calls = []
 
     def counted(function, *arguments):
@@ -160,7 +162,8 @@ def test_a_clip_is_run_once_for_the_compiler_where_something_has_to_be_compiled(
         return function(*arguments)
 
     monkeypatch.setattr("ttcvid.jobs.regress.in_own_process", counted)
-    monkeypatch.setattr("ttcvid.jobs.regress.compilation_note", lambda: note)
+    monkeypatch.setattr("ttcvid.jobs.compilation.has_place_on_disk", lambda: has_place)
+    monkeypatch.setattr("ttcvid.jobs.compilation.part_on_disk", lambda: part)
     ran([{**entry(clip, expectations=["max_rss_mb: 2000"]), "baseline": False}])
     assert calls == ["run_clip"] * n_runs
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterable, Iterator
 
 import pytest
+from numba.core.compiler_lock import global_compiler_lock
 
 from ttcvid.errors import InputError, TtcvidError
 from ttcvid.jobs import beside as module
@@ -96,6 +97,35 @@ def test_a_failure_of_the_items_comes_after_the_results_of_those_before_it() -> 
     assert seen == [1, 3]
 
 
+def test_a_connection_that_the_items_lose_is_a_failure_like_any_other() -> None:
+    def items() -> Iterator[int]:
+        yield 1
+        raise ConnectionResetError("the camera has gone")
+
+    with pytest.raises(ConnectionResetError, match="camera"), beside(running_sum, items()) as results:
+        list(results)
+
+
+class HardToTellError(Exception):
+    """Cannot be put together again from what it is taken apart into."""
+
+    def __init__(self, what: str, why: str) -> None:
+        super().__init__(f"{what}: {why}")
+
+
+def hard_to_tell(numbers: Iterable[int]) -> Iterator[int]:
+    yield from numbers
+    raise HardToTellError("all of it", "no reason")
+
+
+def test_a_failure_that_cannot_be_sent_is_told_in_words() -> None:
+    with (
+        pytest.raises((HardToTellError, RuntimeError), match="all of it: no reason"),
+        beside(hard_to_tell, []) as found,
+    ):
+        list(found)
+
+
 def test_leaving_early_ends_everything() -> None:
     def take_one_and_stop() -> None:
         with beside(running_sum, range(10**9)) as results:
@@ -164,6 +194,52 @@ def _work_as_daemon() -> None:
 
 
 @needs_fork
+def test_one_of_two_that_dies_is_noticed_while_the_other_works_on(way: str) -> None:
+    if way == "thread":
+        pytest.skip("a thread cannot be ended")
+    one = OtherProcess(running_sum, range(10**9))
+
+    def kill_one_while_another_works() -> None:
+        with one as first:
+            stream = iter(first)
+            next(stream)
+            (process,) = multiprocessing.active_children()
+            with OtherProcess(running_sum, range(10**9)) as second:
+                next(iter(second))
+                process.kill()
+                for _ in stream:
+                    pass
+
+    with pytest.raises(TtcvidError, match="enough memory"):
+        kill_one_while_another_works()
+
+
+@needs_fork
+def test_a_thread_that_compiles_meanwhile_does_not_block_it(way: str) -> None:
+    if way == "thread":
+        pytest.skip("a thread has no copy of the lock")
+    is_held, may_go = threading.Event(), threading.Event()
+
+    def compile_for_long() -> None:
+        with global_compiler_lock:
+            is_held.set()
+            may_go.wait(0.3)
+
+    thread = threading.Thread(target=compile_for_long)
+    thread.start()
+    is_held.wait()
+    with OtherProcess(compiling, range(3)) as results:
+        assert list(results) == [0, 1, 2]
+    thread.join()
+
+
+def compiling(numbers: Iterable[int]) -> Iterator[int]:
+    for number in numbers:
+        with global_compiler_lock:
+            yield number
+
+
+@needs_fork
 def test_the_other_process_ends_with_one_that_is_killed(way: str) -> None:
     script = """
 import multiprocessing
@@ -198,7 +274,8 @@ def _is_running(pid: int) -> bool:
 
 
 @needs_fork
-def test_ctrl_c_of_the_terminal_does_not_end_it(way: str) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_all_processes_does_not_end_it(number: signal.Signals, way: str) -> None:
     if way == "thread":
         pytest.skip("a thread gets no signals")
     with OtherProcess(running_sum, range(100)) as results:
@@ -206,5 +283,5 @@ def test_ctrl_c_of_the_terminal_does_not_end_it(way: str) -> None:
         next(stream)
         (process,) = multiprocessing.active_children()
         assert process.pid is not None
-        os.kill(process.pid, signal.SIGINT)
+        os.kill(process.pid, number)
         assert sum(1 for _ in stream) == 99

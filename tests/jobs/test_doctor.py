@@ -68,6 +68,5 @@ def test_a_library_that_cannot_be_imported_is_found(monkeypatch: pytest.MonkeyPa
 
 def test_an_installation_that_can_keep_no_compiled_code_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ttcvid.jobs.compilation.has_place_on_disk", lambda: False)
-    (problem,) = doctor.examine().problems
-    assert problem.startswith("numba: no folder to keep compiled code in")
-    assert "NUMBA_CACHE_DIR" in problem
+    problems = [problem for problem in doctor.examine().problems if problem.startswith("numba: no folder to keep")]
+    assert any("NUMBA_CACHE_DIR" in problem for problem in problems)

@@ -24,6 +24,7 @@ def test_a_rate_that_is_hardly_known_says_nothing():
     assert not nearer([0.1] * 5, [0.3, 0.4, 0.5], sigma_hz=0.2).any()
     assert not nearer([0.1] * 5, [np.nan, 0.1, 0.1]).any()
     assert not nearer([np.nan] * 5, [0.3, 0.4, 0.5]).any()
+    assert nearer([0.1, 0.11, np.nan, np.nan, np.nan], [0.3, 0.1, 0.1]).tolist() == [False] * 5 + [True, False, False]
 
 
 def test_each_mover_is_asked_for_itself():

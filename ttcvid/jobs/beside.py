@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import pickle
 import signal
 import sys
 import threading
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from enum import Enum
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
+
+from numba.core.compiler_lock import global_compiler_lock
 
 from ttcvid.errors import TtcvidError
 from ttcvid.jobs.side_by_side import ReadAhead
@@ -28,6 +31,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 Stream = Callable[[Iterable[T]], Iterator[R]]
 
+_FORKING = threading.Lock()
 AHEAD_ITEMS = 4
 """Items that may be on their way to the other process: as few as keep it busy, since each has its picture waiting."""
 
@@ -72,25 +76,33 @@ class OtherProcess(Generic[T, R]):
 
     def __init__(self, function: Stream[T, R], items: Iterable[T]) -> None:
         self._items = items
-        context = multiprocessing.get_context("fork")
-        self._connection, self._theirs = context.Pipe()
-        self._process = context.Process(
-            target=_serve, args=(function, self._theirs, self._connection), name="ttcvid-geometry", daemon=True
-        )
+        self._function = function
         self._thread = threading.Thread(target=self._send_items, name="ttcvid-send", daemon=True)
         self._has_room = threading.Semaphore(AHEAD_ITEMS)
-        self._is_cancelled = self._is_finished = False
+        self._is_cancelled = False
         self._error: BaseException | None = None
 
     def __enter__(self) -> Self:
-        with warnings.catch_warnings():
-            # Python 3.12 warns that locks of other threads stay locked in the copy. It takes none but the
-            # interpreter's own, which are made anew: it has arrays in and arrays out, and logs nothing.
+        context = multiprocessing.get_context("fork")
+        # One at a time: another copy made in between would hold the far end of this pipe open. And not while a thread
+        # compiles: the lock of the compiler would stay locked in the copy.
+        with _FORKING, global_compiler_lock, warnings.catch_warnings():
+            # Python 3.12 warns of other locks. The copy takes none but the interpreter's own, which are made anew: it
+            # has arrays in and arrays out, and logs nothing.
             warnings.simplefilter("ignore", DeprecationWarning)
+            self._connection, theirs = context.Pipe()
+            self._process = context.Process(
+                target=_serve, args=(self._function, theirs, self._connection), name="ttcvid-geometry", daemon=True
+            )
             self._process.start()
-        # Its end is closed here, so that the last word of a process that dies is the end of the stream.
-        self._theirs.close()
-        self._thread.start()
+            # Its end is closed here, so that the last word of a process that dies is the end of the stream.
+            theirs.close()
+        try:
+            self._thread.start()
+        except BaseException:
+            self._process.kill()
+            self._process.join()
+            raise
         return self
 
     def __iter__(self) -> Iterator[R]:
@@ -109,14 +121,13 @@ class OtherProcess(Generic[T, R]):
                 raise content
             else:
                 break
-        self._is_finished = True
         self._end_sending()
         if self._error is not None:
             raise self._error
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        if not self._is_finished:
-            self._process.kill()
+        # Whatever it had to say has been said, or nobody wants it any more.
+        self._process.kill()
         self._end_sending()
         self._process.join()
         self._connection.close()
@@ -130,16 +141,19 @@ class OtherProcess(Generic[T, R]):
         try:
             for item in self._items:
                 self._has_room.acquire()
-                if self._is_cancelled:
+                if self._is_cancelled or not self._send(False, item):
                     return
-                self._connection.send((False, item))
-        except ConnectionError:
-            # Whoever iterates over the results is told.
-            return
         except BaseException as error:
             self._error = error
-        with suppress(ConnectionError):
-            self._connection.send((True, None))
+        self._send(True, None)
+
+    def _send(self, is_end: bool, item: T | None) -> bool:
+        """Whether the other process is there to take it; whoever iterates over the results is told if it is not."""
+        try:
+            self._connection.send((is_end, item))
+        except ConnectionError:
+            return False
+        return True
 
 
 class _AbandonedError(Exception):
@@ -151,9 +165,10 @@ def _serve(function: Stream[Any, Any], connection: Connection, other_end: Connec
     other_end.close()
     # What is there stays: to look through it for garbage would write to pages that both processes share.
     gc.freeze()
-    # Ctrl-C goes to all processes of a terminal; the one that began says what becomes of it.
+    # Ctrl-C goes to all processes of a terminal, and a job's end to all of the job; the one that began says what
+    # becomes of it, and ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
         for result in function(_received(connection)):
             connection.send((_Says.result, result))
@@ -161,9 +176,19 @@ def _serve(function: Stream[Any, Any], connection: Connection, other_end: Connec
     except (_AbandonedError, ConnectionError):
         return
     except BaseException as error:
-        error.add_note("".join(traceback.format_exception(error)))
-        last = (_Says.failure, error)
+        last = (_Says.failure, _told(error))
     connection.send(last)
+
+
+def _told(error: BaseException) -> BaseException:
+    """The error as the other process can be told of it, with its traceback."""
+    trace = "".join(traceback.format_exception(error))
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever its class does when it is taken apart and put together
+        error = RuntimeError(f"{type(error).__name__}: {error}")
+    error.add_note(trace)
+    return error
 
 
 def _received(connection: Connection) -> Iterator[Any]:

@@ -8,11 +8,16 @@ from ttcvid.geometry.compiled import has_place_on_disk, part_on_disk
 _LEAST_PART = 0.5
 
 
+def compiles_once() -> bool:
+    """Whether a run now would compile most of them, and the next one none."""
+    return has_place_on_disk() and part_on_disk() < _LEAST_PART
+
+
 def compilation_note() -> str:
     """Why the first frame will be long in coming; empty where it will not."""
     if not has_place_on_disk():
         return "compiling, which takes a minute"
-    return "compiling, which takes a minute the first time" if part_on_disk() < _LEAST_PART else ""
+    return "compiling, which takes a minute the first time" if compiles_once() else ""
 
 
 def compilation_complaint() -> str | None:

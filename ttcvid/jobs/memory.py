@@ -51,17 +51,22 @@ class PeakMemory:
 def resident_mb() -> float:
     """Resident memory now of this process and of those that it has started, in 10^6 bytes; Linux only.
 
-    Each page counts by the part of it that is theirs: one that n processes share is 1 / n of a page in each.
+    Each page counts by the part of it that is theirs: one that n processes share, be they ours or not, is 1 / n of a
+    page in each. A kernel that does not tell this counts it whole in each.
     """
     processes = [os.getpid(), *(process.pid for process in multiprocessing.active_children())]
-    return sum(_kilobytes(_PROC / str(pid) / "smaps_rollup", "Pss:") for pid in processes) * 1024 / _MB
+    return sum(_resident_kilobytes(_PROC / str(pid)) for pid in processes) * 1024 / _MB
+
+
+def _resident_kilobytes(process: Path) -> int:
+    return _kilobytes(process / "smaps_rollup", "Pss:") or _kilobytes(process / "status", "VmRSS:")
 
 
 def _kilobytes(file: Path, field: str) -> int:
-    """A field of a file of the kernel's, 0 once the process has ended."""
+    """A field of a file of the kernel's, 0 once the process has ended, or where the kernel does not tell."""
     try:
         lines = file.read_text().splitlines()
-    except (FileNotFoundError, ProcessLookupError):
+    except OSError:
         return 0
     return next((int(line.split()[1]) for line in lines if line.startswith(field)), 0)
 

@@ -13,7 +13,7 @@ from ttcvid.errors import NotComparableError, TtcvidError, UsageError
 from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
 from ttcvid.jobs.clip_run import ClipRun, ClipTask, in_own_process, render_scene, run_clip
 from ttcvid.jobs.compare import write_junit
-from ttcvid.jobs.compilation import compilation_note
+from ttcvid.jobs.compilation import compiles_once
 from ttcvid.jobs.result_tables import read_run
 from ttcvid.jobs.suite import Suite, SuiteClip, read_suite, resolved
 from ttcvid.sources.images import is_pattern
@@ -164,7 +164,7 @@ def _checked(suite: Suite, clip: SuiteClip, folder: Path, update: bool) -> ClipO
     try:
         former = _former(path, update) if clip.baseline else None
         task = _task(suite, clip, folder)
-        if compilation_note():
+        if compiles_once():
             # Time and memory of the first run on a machine would be those of the compiler.
             in_own_process(run_clip, task)
         run = in_own_process(run_clip, task)

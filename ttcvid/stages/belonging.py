@@ -159,6 +159,7 @@ def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_
     rate_hz, sigma_hz : (M,) speed over depth of each track on the path of a thing ``thing (M,)``.
     is_own : (M,) those that belong to it by now.
     """
+    is_own = is_own & np.isfinite(rate_hz)
     usual_hz = medians(rate_hz[is_own], thing[is_own], n_things)[thing]
     # Without a rate (NaN), of its own or of the thing, nothing is said.
     return np.asarray(rate_hz - usual_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(usual_hz))

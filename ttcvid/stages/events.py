@@ -68,7 +68,7 @@ def update_events(
     ----------
     step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
     """
-    gone_s = config.persistence_s + _ROUNDING_S
+    gone_s = _gone_s(config)
     longest_step_s = max(gone_s, _STALLED * step_s)
     rows = {row.cluster_id: row for row in clusters}
     watched: dict[int, WatchedObject] = {}
@@ -124,9 +124,14 @@ def _common_part(one: tuple[float, float, float, float], other: tuple[float, flo
     return max(width, 0.0) * max(height, 0.0) / smaller if smaller > 0.0 else 0.0
 
 
+def _gone_s(config: EventsConfig) -> float:
+    """What is gone for longer has gone."""
+    return config.persistence_s + _ROUNDING_S
+
+
 def standing_events(memory: EventMemory, t_s: float, config: EventsConfig) -> tuple[Event, ...]:
     """Warnings that stand in a frame in which nothing is looked at: as they were, until that has lasted too long."""
-    recent = [watched for watched in memory.watched.values() if t_s - watched.last_s <= _HIDDEN * config.persistence_s]
+    recent = [watched for watched in memory.watched.values() if t_s - watched.last_s <= _HIDDEN * _gone_s(config)]
     return tuple(watched.event for watched in recent if watched.event is not None)
 
 
