@@ -187,7 +187,7 @@ def _log_start(source: Source, path: Path, configuration: Configuration) -> None
     for name, origin in sorted(configuration.origins.items()):
         _LOG.info("%s is set by %s", name, origin)
     _LOG.info("writing to %s", path)
-    if note := compilation_note():
+    if _LOG.isEnabledFor(logging.INFO) and (note := compilation_note()):
         _LOG.info("%s", note)
     if complaint := compilation_complaint():
         _LOG.warning("%s", complaint)

@@ -13,20 +13,13 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.shared_path import SharedPaths
-from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
+from ttcvid.model import Camera, Floats, Ints, PointSet
 
 # Views that count as recent, however long ago.
 _LEAST_RECENT = 4
 # Views are not thinned out among so many last ones: own motion looks back as far, and a track's roughness comes from
 # even steps. Half a frame is left to times that were rounded.
 _DENSE_VIEWS, _ROUNDING_FRAMES = 5, 0.5
-# Number of observations in a third difference; fewer tracks than that say nothing of what is typical.
-_DIFFERENCE_FRAMES, _LEAST_MEASURED = 4, 4
-# A track's noise is a mean over about 1 / (1 - 0.9) = 10 frames of its own, drawn towards the noise of all
-# tracks with the weight of 4 of them.
-_FORGETTING, _PRIOR_WEIGHT = 0.9, 4.0
-# The noise of all tracks follows its new measurements with this weight a frame.
-_POOL_GAIN = 0.2
 
 FULL_RATE_HZ = 30.0
 """The views of a clip that is faster are thinned, so that they reach as far back as they would at this rate."""
@@ -36,11 +29,6 @@ ROTATION_DRIFT_RAD = float(np.radians(0.006))
 
 Measured: 0.004 deg on simulated streets, 0.013 deg of yaw on kitti_odom_straight50.
 """
-
-# Time steps that differ by more than this part make a third difference meaningless.
-_EVEN_STEPS = 0.1
-# Median of a chi-square variable with two degrees of freedom, divided by two.
-_MEDIAN_CHI2_2 = 0.6931
 
 
 @dataclass(frozen=True)
@@ -357,52 +345,3 @@ def with_egomotion(
     return replace(
         history, cam_R_past=cam_R_past, scene_direction=scene_direction, rotation_sigma_rad=rotation_sigma_rad
     )
-
-
-def with_noise(history: TrackHistory, residual_spread: float | None, sigma_floor_px: float) -> TrackHistory:
-    """Update the noise of all tracks from the scene's residuals, and of each from the roughness of its path.
-
-    The level comes from how well the scene fits (``residual_spread``, the robust standard deviation of its residuals in
-    units of the noise assumed so far; None where there is none). How much noisier one track is than the others
-    comes from the third difference of its derotated path: a constant relative velocity leaves none worth mentioning
-    (6 rho / k^3 per frame^3, rho px from the epipole and k frames before the collision), independent noise leaves 20
-    times its variance, two components make two degrees of freedom a frame. (The third difference alone would put the
-    level too low: the errors of Lucas-Kanade follow the picture's texture and change slowly from frame to frame.)
-    Call after `with_egomotion`.
-    """
-    pool = history.pool_sigma_px
-    if residual_spread is not None:
-        pool = max(sigma_floor_px, pool * residual_spread**_POOL_GAIN)
-    fresh, is_measured = _relative_roughness(history)
-    noise_sum = _FORGETTING * history.noise_sum + 2.0 * fresh
-    noise_weight = _FORGETTING * history.noise_weight + 2.0 * is_measured
-    relative_variance = (_PRIOR_WEIGHT + noise_sum) / (_PRIOR_WEIGHT + noise_weight)
-    return replace(
-        history,
-        sigma_px=np.maximum(pool * np.sqrt(relative_variance), sigma_floor_px),
-        noise_sum=noise_sum,
-        noise_weight=noise_weight,
-        pool_sigma_px=pool,
-    )
-
-
-def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
-    """Squared third difference of each track over the typical one, 0 where unknown; and where it is known."""
-    nothing = np.zeros(history.n_tracks), np.zeros(history.n_tracks, dtype=bool)
-    if len(history.frame) < _DIFFERENCE_FRAMES:
-        return nothing
-    steps_s = np.diff(history.t_s[-_DIFFERENCE_FRAMES:])
-    if np.ptp(steps_s) > _EVEN_STEPS * abs(float(np.mean(steps_s))):
-        return nothing
-    recent = slice(-_DIFFERENCE_FRAMES, None)
-    plane = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
-    x3, x2, x1, x0 = plane / history.plane_per_px[:, None]
-    third_x, third_y = (x0 - 3.0 * x1 + 3.0 * x2 - x3).T
-    roughness = third_x * third_x + third_y * third_y
-    is_measured = np.isfinite(roughness)
-    if np.count_nonzero(is_measured) < _LEAST_MEASURED:
-        return nothing
-    typical = median(roughness[is_measured]) / _MEDIAN_CHI2_2
-    if typical <= 0.0:
-        return nothing
-    return np.where(is_measured, roughness, 0.0) / typical, is_measured

@@ -12,8 +12,9 @@ from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion, picture_region, region_side_of
-from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion, with_noise
+from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion
 from ttcvid.stages.scene_path import with_scene_path
+from ttcvid.stages.track_noise import with_noise
 
 # In each part of the picture (`picture_region`) only so many tracks are used: errors that neighbours share are what
 # limits own motion.
