@@ -95,3 +95,21 @@ def test_what_a_former_run_has_compiled_is_found_on_disk(tmp_path):
 
 def test_without_a_place_on_disk_it_is_compiled_all_the_same(tmp_path):
     assert parts_on_disk(tmp_path, WITHOUT_PLACE) == (False, 0.0, 0.0)
+
+
+IMPORTS = """
+import sys
+import numpy as np
+from ttcvid.geometry.medians import median
+before = set(sys.modules)
+median(np.arange(5.0))
+print(len(set(sys.modules) - before))
+"""
+
+
+def test_the_first_call_of_what_lies_on_disk_imports_nothing_more(tmp_path):
+    """A process that is copied before the first call would have to import it twice."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", IMPORTS]
+    runs = [subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
+    assert runs[1].stdout.strip() == "0"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.registry import cpu_target
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -21,6 +22,10 @@ _OPTIONS: dict[str, Any] = {
 
 
 _FUNCTIONS: list[Any] = []
+
+# numba imports the seventy modules that say what compiled code is made of when a compiled function is first called.
+# Imported with all else, they are there before a process is copied: loaded once, and not by both.
+cpu_target.target_context.refresh()
 
 
 def compiled(function: F) -> F:
