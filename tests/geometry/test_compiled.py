@@ -40,10 +40,11 @@ def with_what_is_made_of_them(tree, names):
     """The names, and those of the module's variables whose values come of these."""
     names = set(names)
     for line in tree.body:
-        if isinstance(line, ast.Assign | ast.AnnAssign) and line.value is not None:
-            if names & {node.id for node in ast.walk(line.value) if isinstance(node, ast.Name)}:
-                targets = line.targets if isinstance(line, ast.Assign) else [line.target]
-                names |= {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
+        if not isinstance(line, ast.Assign | ast.AnnAssign) or line.value is None:
+            continue
+        if names & {node.id for node in ast.walk(line.value) if isinstance(node, ast.Name)}:
+            targets = line.targets if isinstance(line, ast.Assign) else [line.target]
+            names |= {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
     return names
 
 

@@ -133,9 +133,7 @@ def _by_expansion(states: TrackStates, surfaces: TrackSets, weight: Floats) -> F
     return err_together[:, None, None] * surfaces.sums((weight**2)[:, None, None] * states.cov[surfaces.index])
 
 
-def _averaged_out(
-    states: TrackStates, surfaces: TrackSets, weight: Floats, along: Floats, is_plane: Bools
-) -> Floats:
+def _averaged_out(states: TrackStates, surfaces: TrackSets, weight: Floats, along: Floats, is_plane: Bools) -> Floats:
     """Covariances (K, 3, 3) of means of tracks that have nothing in common; of a plane's, across ``along`` (K, 3)."""
     cov = _TRIMMED_VARIANCE * surfaces.sums((weight**2)[:, None, None] * states.cov[surfaces.index])
     across = np.eye(3) - np.where(is_plane[:, None, None], along[:, :, None] * along[:, None, :], 0.0)

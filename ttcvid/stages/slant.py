@@ -37,8 +37,8 @@ def nearest_parts(
     """The nearest parts of those surfaces that slope away from us; other surfaces as they are.
 
     Inverse depths on a plane are linear in the picture. A plane through the tracks of a surface finds the others that
-    lie on it, until it finds no more, and with them the part of it that is hit first; to ask the tracks themselves for that would take those
-    with the largest errors.
+    lie on it, until it finds no more, and with them the part of it that is hit first; to ask the tracks themselves for
+    that would take those with the largest errors.
 
     Parameters
     ----------
