@@ -69,6 +69,20 @@ def test_a_change_of_exposure_by_a_tenth_is_no_cut(config):
     assert statuses([wave_picture(), flash], config) == ["first", "ok"]
 
 
+@pytest.mark.parametrize("gain", [0.6, 0.75, 1.35])
+def test_a_lamp_that_flickers_or_the_end_of_a_tunnel_is_no_cut_either(gain):
+    """Of Lucas-Kanade: in a darker picture AKAZE finds other features."""
+    here, there, later = (0.6 * wave_picture(Warp(shift_px=(x, 0.0))).astype(float) for x in (0.0, 2.0, 4.0))
+    pictures = [np.clip(grey, 0, 255).astype(np.uint8) for grey in (here, gain * there, gain * later)]
+    results = follow_all(pictures, KLT)
+    assert [str(status) for _, status in results] == ["first", "ok", "ok"]
+    for (before, _), (after, _) in zip(results, results[1:], strict=False):
+        _, one, other = np.intersect1d(before.track_id, after.track_id, return_indices=True)
+        assert len(one) > 0.6 * len(before.track_id)
+        moved_px = after.xy_px[other] - before.xy_px[one]
+        assert np.abs(np.median(moved_px, axis=0) - [2.0, 0.0]).max() < 0.1
+
+
 @both_trackers
 def test_darkness_gives_no_points_and_the_tracks_go_on_after_it(config):
     pictures = [wave_picture(), wave_picture(Warp(scale=1.005)), BLACK, BLACK, wave_picture(Warp(scale=1.01))]
