@@ -1,5 +1,7 @@
 """What a new picture is to the last one: its continuation, a cut, a copy, or darkness; for both trackers."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from wave_pictures import HEIGHT, WIDTH, Warp, wave_picture
@@ -76,7 +78,7 @@ def test_a_lamp_that_flickers_or_the_end_of_a_tunnel_is_no_cut_either(gain):
     pictures = [np.clip(grey, 0, 255).astype(np.uint8) for grey in (here, gain * there, gain * later)]
     results = follow_all(pictures, KLT)
     assert [str(status) for _, status in results] == ["first", "ok", "ok"]
-    for (before, _), (after, _) in zip(results, results[1:], strict=False):
+    for (before, _), (after, _) in pairwise(results):
         _, one, other = np.intersect1d(before.track_id, after.track_id, return_indices=True)
         assert len(one) > 0.6 * len(before.track_id)
         moved_px = after.xy_px[other] - before.xy_px[one]
