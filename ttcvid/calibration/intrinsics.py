@@ -120,8 +120,8 @@ def _check_size(intrinsics: Intrinsics, image_size: ImageSize) -> None:
     if abs(size.height_px * scale - image_size.height_px) < 1.0:
         # Pixels are counted from the centre of the first one.
         remedy += (
-            f", or, if the clip was scaled, multiply fx, fy, cx, cy by {scale:.6g}, add {(scale - 1.0) / 2.0:.6g} to cx "
-            f"and cy, and write {image_size} into it"
+            f", or, if the clip was scaled, multiply fx, fy, cx, cy by {scale:.6g}, add {(scale - 1.0) / 2.0:.6g} to "
+            f"cx and cy, and write {image_size} into it"
         )
     raise intrinsics.fields.error(
         "image size", f"the file is for {size}", f"{image_size}, the size of the clip: {remedy}"

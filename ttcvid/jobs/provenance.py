@@ -129,7 +129,8 @@ class Tally:
         return (
             f"{self.n_repeated} of {self.n_frames} pictures repeat the one before, at uneven distances: the clip was "
             f"converted from another frame rate, its times are not those of the camera, and speeds and times to "
-            f"collision may be off by {100 * off:.0f} %; give the clip as it was recorded, or its true times by --timestamps"
+            f"collision may be off by {100 * off:.0f} %; give the clip as it was recorded, or its true times by "
+            f"--timestamps"
         )
 
     def counts(self, info: SourceInfo, n_packets_skipped: int) -> dict[str, Any]:
