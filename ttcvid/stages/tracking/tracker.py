@@ -132,8 +132,13 @@ def _followed(
 
 def _steps_px(last: PointSet, now: PointSet) -> Floats:
     """How far the tracks of both pictures have moved."""
-    _, before, after = np.intersect1d(last.track_id, now.track_id, assume_unique=True, return_indices=True)
-    return np.asarray(np.linalg.norm(now.xy_px[after] - last.xy_px[before], axis=1))
+    if not len(last.track_id):
+        return np.empty(0)
+    order = np.argsort(last.track_id, kind="stable")
+    place = np.searchsorted(last.track_id, now.track_id, sorter=order)
+    before = order[np.minimum(place, len(order) - 1)]
+    way_px = (now.xy_px - last.xy_px[before])[last.track_id[before] == now.track_id]
+    return np.asarray(np.hypot(way_px[:, 0], way_px[:, 1]))
 
 
 def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
