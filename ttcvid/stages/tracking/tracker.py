@@ -23,8 +23,8 @@ _CUT_SURVIVAL, _CUT_HISTOGRAM = 0.15, 0.2
 # With hardly a track left (up to 10 % of AKAZE features match anything) everything begins anew, whatever the look.
 _LOST_SURVIVAL = 0.12
 # Lucas-Kanade takes brightness as lasting, and loses most tracks where it changes by a fifth. Below this survival they
-# are looked for once more in the picture as bright as the last one.
-_POOR_SURVIVAL = 0.5
+# are looked for once more in the picture as bright as the last one, if that is not the same.
+_POOR_SURVIVAL, _LEAST_EXPOSURE_CHANGE = 0.5, 0.05
 # With so few tracks their survival says nothing, and the histogram has to be surer by itself.
 _FEW_TRACKS, _CUT_HISTOGRAM_ALONE = 8, 0.35
 # A picture that was sent twice is not the same twice once a codec has been at it, but nearly all of its tracks stand
@@ -122,8 +122,9 @@ def _followed(
     if memory.klt is None:
         raise ValueError("follow_points: the memory belongs to another tracker than the one configured")
     klt, survival = follow_klt(memory.klt, prepared.grey, allowed, config)
-    if survival < _POOR_SURVIVAL and memory.prepared is not None:
-        exposed = _exposed_as(memory.prepared, prepared)
+    gain = 1.0 if memory.prepared is None else _exposure_gain(memory.prepared, prepared)
+    if survival < _POOR_SURVIVAL and abs(gain - 1.0) > _LEAST_EXPOSURE_CHANGE:
+        exposed = np.asarray(cv2.convertScaleAbs(prepared.grey, alpha=gain), dtype=np.uint8)
         again, survival_exposed = follow_klt(memory.klt, exposed, allowed, config)
         if survival_exposed > survival:
             klt, survival = replace(again, grey=prepared.grey), survival_exposed
@@ -148,10 +149,9 @@ def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
     return bool(np.mean(steps_px < _STILL_PART * last.step_px) >= _STILL_SHARE)
 
 
-def _exposed_as(last: PreparedPicture, now: PreparedPicture) -> Picture:
-    """The picture as bright as the last one."""
-    gain = float(last.thumbnail.mean()) / max(float(now.thumbnail.mean()), 1.0)
-    return np.asarray(cv2.convertScaleAbs(now.grey, alpha=gain), dtype=np.uint8)
+def _exposure_gain(last: PreparedPicture, now: PreparedPicture) -> float:
+    """What makes a picture as bright as the last one."""
+    return float(last.thumbnail.mean()) / max(float(now.thumbnail.mean()), 1.0)
 
 
 def _points(memory: TrackerMemory) -> PointSet:
