@@ -224,7 +224,7 @@ def test_size_mismatch_of_a_scaled_clip_says_how_to_scale(message):
     text = message(FLAT, ImageSize(1280, 960))
     assert "640x480" in text
     assert "1280x960" in text
-    assert "multiply fx, fy, cx, cy by 2" in text
+    assert "multiply fx, fy, cx, cy by 2, add 0.5 to cx and cy, and write 1280x960" in text
 
 
 @pytest.mark.parametrize("text", ["horizon: {y_left_px: 1, y_right_px: 2}\nimage_size: [640, 480]", "focal: 3", "{}"])

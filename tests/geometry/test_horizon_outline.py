@@ -88,8 +88,6 @@ def test_a_head_that_bobs_with_the_steps_costs_little():
     rng = np.random.default_rng(3)
     outline, t_s = outlines((1.2, 0, 0.8))
     still, bobs = (fitted(bobbing(outline, t_s, rng, part), t_s) for part in (0.0, 0.013))
-    assert np.isnan(still.steps_hz)
-    assert abs(bobs.steps_hz - 1.9) < 0.07
     assert bobs.noise < 1.3 * still.noise
     assert np.sqrt(bobs.covariance[1, 1]) < 1.5 * np.sqrt(still.covariance[1, 1])
 

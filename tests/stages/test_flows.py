@@ -91,6 +91,19 @@ def test_tracks_of_one_observation_have_no_flow():
     assert np.isfinite(flows.sigma_rad).all()
 
 
+def test_tracks_without_a_present_ray_have_no_flow():
+    """A point that a lens which bends lines does not map any more."""
+    motion = drive(4, np.random.default_rng(7))
+    rays = motion.rays[3].copy()
+    rays[5] = np.nan
+    history = extended(history_of(drive(3, np.random.default_rng(7))), 3, 3 * DT_S, motion.points(3), rays, 11)
+    flows = select_flows(history, 10, 8.0)
+    assert np.flatnonzero(~flows.has_flow).tolist() == [5]
+    assert flows.gap_frames[5] == flows.gap_s[5] == 0
+    assert np.isnan(flows.first[5]).all()
+    assert np.isnan(flows.second[5]).all()
+
+
 def test_a_track_that_is_younger_than_the_others_uses_what_it_has():
     motion = drive(6, np.random.default_rng(8), speed_m=0.01)
     history = start()

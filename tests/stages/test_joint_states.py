@@ -98,3 +98,29 @@ def test_tracks_without_a_rate_on_the_path_have_no_part_in_what_the_others_share
     for values in (off_path.shared.jacobian, off_path.shared.rate_variance):
         values[index] = np.nan
     assert sigma_and_change(off_path) == expected
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.3, 0.5])
+def test_the_rate_of_a_wall_at_a_slant_is_as_sure_as_it_says_where_each_track_has_a_direction_of_its_own(slope):
+    """Three frames: nothing is common, and what the plane's tracks do not know of its rate counts once."""
+    rng, half, sigma_hz, n_trials = np.random.default_rng(91), 0.08, 0.1 * RATE_HZ, 300
+    members, covariance = TrackSets.of([np.arange(N_WALL)]), np.diag([RATE_HZ / 20, RATE_HZ / 20, sigma_hz]) ** 2
+    errors_hz, told_hz = [], []
+    for _ in range(n_trials):
+        xy = rng.uniform(-half, half, (N_WALL, 2))
+        rate_hz = RATE_HZ * (1.0 + slope * xy[:, 0] / half)
+        states = TrackStates(
+            xy=xy,
+            abc_hz=rate_hz[:, None] * AHEAD + rng.multivariate_normal(np.zeros(3), covariance, N_WALL),
+            cov=np.tile(covariance, (N_WALL, 1, 1)),
+            sigma_norm=np.full(N_WALL, 1e-4),
+            direction=np.tile(AHEAD, (N_WALL, 1)),
+            status=np.zeros(N_WALL, dtype=np.int64),
+        )
+        joint = joint_states(members, AHEAD[None], np.array([False]), states, FOCAL_PX * xy, 60.0)
+        true_hz = RATE_HZ * (1.0 + slope * joint.ref_px[0, 0] / FOCAL_PX / half)
+        errors_hz.append(-joint.abc_hz[0, 2] - true_hz)
+        told_hz.append(np.sqrt(joint.cov[0, 2, 2]))
+    error_hz, sigma_hz = np.array(errors_hz), np.array(told_hz)
+    assert abs(error_hz.mean()) < 0.3 * error_hz.std()
+    assert 0.85 <= np.mean(np.abs(error_hz) < 1.645 * sigma_hz) <= 0.95

@@ -1,5 +1,7 @@
 """What a new picture is to the last one: its continuation, a cut, a copy, or darkness; for both trackers."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from wave_pictures import HEIGHT, WIDTH, Warp, wave_picture
@@ -69,6 +71,20 @@ def test_a_change_of_exposure_by_a_tenth_is_no_cut(config):
     assert statuses([wave_picture(), flash], config) == ["first", "ok"]
 
 
+@pytest.mark.parametrize("gain", [0.6, 0.75, 1.35])
+def test_a_lamp_that_flickers_or_the_end_of_a_tunnel_is_no_cut_either(gain):
+    """Of Lucas-Kanade: in a darker picture AKAZE finds other features."""
+    here, there, later = (0.6 * wave_picture(Warp(shift_px=(x, 0.0))).astype(float) for x in (0.0, 2.0, 4.0))
+    pictures = [np.clip(grey, 0, 255).astype(np.uint8) for grey in (here, gain * there, gain * later)]
+    results = follow_all(pictures, KLT)
+    assert [str(status) for _, status in results] == ["first", "ok", "ok"]
+    for (before, _), (after, _) in pairwise(results):
+        _, one, other = np.intersect1d(before.track_id, after.track_id, return_indices=True)
+        assert len(one) > 0.6 * len(before.track_id)
+        moved_px = after.xy_px[other] - before.xy_px[one]
+        assert np.abs(np.median(moved_px, axis=0) - [2.0, 0.0]).max() < 0.1
+
+
 @both_trackers
 def test_darkness_gives_no_points_and_the_tracks_go_on_after_it(config):
     pictures = [wave_picture(), wave_picture(Warp(scale=1.005)), BLACK, BLACK, wave_picture(Warp(scale=1.01))]
@@ -99,6 +115,44 @@ def test_a_picture_that_differs_in_one_grey_level_is_no_duplicate():
     other = wave_picture()
     other[50, 50] ^= 1
     assert statuses([wave_picture(), other], KLT) == ["first", "ok"]
+
+
+def as_sent(grey, seed):
+    """The picture as another codec frame brings it: with a little noise of its own."""
+    noise = np.random.default_rng(seed).normal(0.0, 1.0, grey.shape)
+    return np.clip(np.rint(grey + noise), 0, 255).astype(np.uint8)
+
+
+def drive_of(shifts_px):
+    return [as_sent(wave_picture(Warp(shift_px=(x, 0.0))), seed) for seed, x in enumerate(shifts_px)]
+
+
+@both_trackers
+@pytest.mark.parametrize("times", [1, 5])
+def test_pictures_sent_again_are_duplicates_though_a_codec_changed_them(config, times):
+    shifts_px = [0, 4, 8, *[12] * (1 + times), 16, 20]
+    results = follow_all(drive_of(shifts_px), config)
+    expected = ["first", "ok", "ok", "ok", *["duplicate"] * times, "ok", "ok"]
+    assert [str(status) for _, status in results] == expected
+    assert len(results[4][0].track_id) == 0
+    assert np.isin(results[-2][0].track_id, results[3][0].track_id).mean() > 0.6
+
+
+def test_a_camera_that_has_stopped_is_no_repeated_picture_for_long():
+    assert statuses(drive_of([0, 4, 8, *[12] * 9]), KLT)[4:] == [*["duplicate"] * 5, *["ok"] * 3]
+
+
+def test_a_camera_that_comes_to_rest_or_rests_repeats_nothing():
+    assert "duplicate" not in statuses(drive_of([0, 4, 6, 7, 7.5, 7.8, 7.9, *[7.9] * 4]), KLT)
+    assert "duplicate" not in statuses(drive_of([0] * 5), KLT)
+
+
+def test_what_moves_before_a_camera_at_rest_shows_that_a_picture_is_no_repeated_one():
+    """A panning camera stops, and somebody walks on through a fifth of its picture."""
+    pictures = drive_of([0, 4, 8, 8, 8])
+    for step, grey in enumerate(pictures):
+        grey[:, : WIDTH // 5] = as_sent(wave_picture(Warp(shift_px=(3.0 * step, 0.0)), seed=3), 9)[:, : WIDTH // 5]
+    assert statuses(pictures, KLT) == ["first", *["ok"] * 4]
 
 
 def test_a_plain_bright_picture_is_not_dark_but_has_no_points():

@@ -32,6 +32,19 @@ def test_a_baseline_keeps_few_rows_and_is_read_as_it_was_written(tmp_path):
     assert different(read, result) == ([], [])
 
 
+def test_a_track_of_an_object_that_is_too_small_to_count_is_known_again(tmp_path):
+    result = whole_result()
+    clusters, tracks = result.tables["clusters"], result.tables["collision_times"]
+    small = clusters.n_tracks.where(clusters.cluster_id != 3, 2)
+    result.tables["clusters"]["n_tracks"], result.tables["epipoles"]["n_tracks"] = small, small
+    tracks["cluster_id"] = np.where(tracks.cluster_id == 0, 3, 0)
+    kept = thinned(result, ObjectTolerance())
+    assert set(kept.tables["clusters"].cluster_id) == {3, 7}
+    path = tmp_path / "baseline.yaml"
+    write_baseline(path, baseline_text(kept))
+    assert different(read_baseline(path), result) == ([], [])
+
+
 def test_a_baseline_that_is_cut_off_anywhere_is_refused(tmp_path):
     text = baseline_text(thinned(whole_result(), ObjectTolerance()))
     ends_of_rows = [place + 1 for place, letter in enumerate(text) if letter == "\n"]

@@ -118,7 +118,11 @@ def _check_size(intrinsics: Intrinsics, image_size: ImageSize) -> None:
     scale = image_size.width_px / size.width_px
     remedy = "give the camera file of this clip"
     if abs(size.height_px * scale - image_size.height_px) < 1.0:
-        remedy += f", or, if the clip was scaled, multiply fx, fy, cx, cy by {scale:.6g} and write {image_size} into it"
+        # Pixels are counted from the centre of the first one.
+        remedy += (
+            f", or, if the clip was scaled, multiply fx, fy, cx, cy by {scale:.6g}, add {(scale - 1.0) / 2.0:.6g} to "
+            f"cx and cy, and write {image_size} into it"
+        )
     raise intrinsics.fields.error(
         "image size", f"the file is for {size}", f"{image_size}, the size of the clip: {remedy}"
     )

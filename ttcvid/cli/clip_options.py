@@ -16,7 +16,8 @@ TRACKERS = ("klt", "akaze")
 
 _IMAGE_SIZE = "Picture size in px of a track table without a camera file."
 _MASK = "Picture, black where nothing is to be looked at (own bonnet, text)."
-_TIMESTAMPS = "Times of an image folder: one second a line, or KITTI's format."
+_FPS = "Frame rate of an image folder; of a video, instead of its own times."
+_TIMESTAMPS = "Such times, one second a line, or KITTI's format."
 _CONFIG = "TOML configuration; ./ttcvid.toml is read as well, and is weaker."
 
 _time_option = option_under("Time (frames as 120, seconds as 4.5s or 00:01:02.5)")
@@ -30,13 +31,9 @@ def clip_options(camera_option: Option[Any]) -> Callable[[Command], Command]:
         camera_option("--focal-px", metavar="PX", help="Focal length in px, principal point at the centre."),
         camera_option("--hfov", metavar="DEG", help="Horizontal field of view in degrees."),
         camera_option("--image-size", metavar="WxH", help=_IMAGE_SIZE),
-        camera_option(
-            "--mask", metavar="FILE", help="Picture, black where nothing is to be looked at (own bonnet, text)."
-        ),
-        _time_option("--fps", metavar="HZ", help="Frame rate of an image folder."),
-        _time_option(
-            "--timestamps", metavar="FILE", help="Times of an image folder: one second a line, or KITTI's format."
-        ),
+        camera_option("--mask", metavar="FILE", help=_MASK),
+        _time_option("--fps", metavar="HZ", help=_FPS),
+        _time_option("--timestamps", metavar="FILE", help=_TIMESTAMPS),
         _time_option("--start", metavar="PLACE", help="First frame or time.  [default: the beginning]"),
         _time_option("--end", metavar="PLACE", help="End, itself left out.  [default: the end]"),
         _time_option("--stride", metavar="N", help="Take every N-th frame.  [default: 1]"),

@@ -12,6 +12,9 @@ from numba.core.registry import cpu_target
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+# Whoever changes these removes the copies on disk (`make clean`, or what lies in NUMBA_CACHE_DIR): numba knows a copy
+# by its source file and the processor, not by what it was compiled with. An installation replaces all source files,
+# which makes all copies stale.
 # Without "nsz": together with "reassoc" it lets the compiler take x - x for zero, so that no sum with a NaN in it would
 # be found not to be finite.
 _OPTIONS: dict[str, Any] = {

@@ -32,10 +32,10 @@ _TINY = 1e-12
 class OutlineFit:
     """An epipole ``direction (3,)``, its sign along the motion, with ``covariance (3, 3)`` in its tangent plane, rad^2.
 
-    ``noise`` is the scatter about the line in the units of the outlines, without the bobbing at ``steps_hz`` (NaN where
-    there is none); ``share`` the part of them that lie near it,
-    ``bend_sigmas`` by how many standard deviations the way bends; ``steadiness`` the part of the variance along the way
-    that a constant rate explains, small where an outline only gets smaller as something hides it.
+    ``noise`` is the scatter about the line in the units of the outlines, without the bobbing of steps; ``share`` the
+    part of them that lie near it, ``bend_sigmas`` by how many standard deviations the way bends; ``steadiness`` the
+    part of the variance along the way that a constant rate explains, small where an outline only gets smaller as
+    something hides it.
     """
 
     direction: Floats
@@ -44,7 +44,6 @@ class OutlineFit:
     share: float
     bend_sigmas: float
     steadiness: float
-    steps_hz: float
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,6 @@ def fit_outline(
         share=float(np.mean(line.weight > 0.5)),
         bend_sigmas=_bend_sigmas(line, block),
         steadiness=steadiness,
-        steps_hz=np.nan if wave is None else wave.steps_hz,
     )
 
 

@@ -23,7 +23,7 @@ import scipy
 import ttcvid
 from ttcvid.errors import InputError
 from ttcvid.jobs.clip import Calibration
-from ttcvid.model import SCENE_CLUSTER, Camera, FrameResult, SourceInfo
+from ttcvid.model import SCENE_CLUSTER, Camera, FrameResult, FrameStatus, SourceInfo
 from ttcvid.stages.horizon_watch import horizon_offset_of
 
 
@@ -80,6 +80,12 @@ def digest_of(files: tuple[Path, ...]) -> Digest:
     return Digest(sha256 if len(files) == 1 else total.hexdigest(), size_bytes)
 
 
+# Frames that tell motion since another one, see `Tally.complaint_about_repeats`.
+_MOVED_ON = (FrameStatus.ok, FrameStatus.rotation_only)
+# From this part of the pictures on repeated ones are the way a clip was made; steps that differ by so much are uneven.
+_MANY_REPEATED, _UNEVEN = 0.05, 0.25
+
+
 @dataclass
 class Tally:
     """What an analysis has brought so far."""
@@ -91,6 +97,8 @@ class Tally:
     event_ids: set[int] = field(default_factory=set)
     nearest: dict[str, Any] | None = None
     horizon_offset_px: list[float] = field(default_factory=list)
+    n_repeated: int = 0
+    steps_s: list[float] = field(default_factory=list)
 
     def add(self, result: FrameResult) -> None:
         """Count one frame."""
@@ -102,9 +110,28 @@ class Tally:
         offset_px = horizon_offset_of(result)
         if offset_px is not None:
             self.horizon_offset_px.append(offset_px)
+        self.n_repeated += result.status == FrameStatus.duplicate
+        if result.status in _MOVED_ON and result.dt_s is not None:
+            self.steps_s.append(result.dt_s)
         ttc_z_s = result.min_ttc_z_s
         if ttc_z_s is not None and (self.nearest is None or ttc_z_s < self.nearest["ttc_z_s"]):
             self.nearest = {"ttc_z_s": float(ttc_z_s), "frame": result.frame, "t_s": result.t_s}
+
+    def complaint_about_repeats(self) -> str:
+        """What to say of a clip that was converted from another frame rate by repeating pictures unevenly."""
+        if not self.steps_s or self.n_repeated < _MANY_REPEATED * self.n_frames:
+            return ""
+        steps_s = np.array(self.steps_s)
+        typical_s = float(np.median(steps_s))
+        if np.mean(np.abs(steps_s - typical_s) > _UNEVEN * typical_s) < _MANY_REPEATED:
+            return ""
+        off = abs(float(np.mean(steps_s)) / typical_s - 1.0)
+        return (
+            f"{self.n_repeated} of {self.n_frames} pictures repeat the one before, at uneven distances: the clip was "
+            f"converted from another frame rate, its times are not those of the camera, and speeds and times to "
+            f"collision may be off by {100 * off:.0f} %; give the clip as it was recorded, or its true times by "
+            f"--timestamps"
+        )
 
     def counts(self, info: SourceInfo, n_packets_skipped: int) -> dict[str, Any]:
         """The counts of the manifest; ``frames_expected`` is what the input promised (null: unknown)."""

@@ -22,10 +22,11 @@ _ERROR_PER_FLOW = 0.0035
 class Flows:
     """Flow of N tracks up to the present frame, with own rotation removed.
 
-    ``first, second (N, 3)`` unit rays in the present camera, NaN for a track of one observation; ``gap_frames (N,)``
-    steps of the history between them (0: none), ``gap_s (N,)``; ``sigma_rad (N,)`` noise of one coordinate of a
-    ray, with the error of the last rotation; ``rotation_error_rad (N,)`` error, per axis and common to all tracks of
-    one gap, of the rotation over it.
+    ``first, second (N, 3)`` unit rays in the present camera, ``first`` NaN for a track of one observation, both where
+    the present one lies outside of what the lens maps; ``gap_frames (N,)`` steps of the history between them (0: none),
+    ``gap_s (N,)``; ``sigma_rad (N,)`` noise of one coordinate of a ray, with the error of the last rotation, NaN
+    without a present ray; ``rotation_error_rad (N,)`` error, per axis and common to all tracks of one gap, of the
+    rotation over it.
     """
 
     first: Floats
@@ -37,7 +38,7 @@ class Flows:
 
     @property
     def has_flow(self) -> Bools:
-        """Tracks with two observations: (N,)."""
+        """Tracks with two rays, one of them the present one: (N,)."""
         return self.gap_frames > 0
 
 
@@ -90,6 +91,8 @@ def _select(
     """Fill ``first (N, 3)`` and ``gap_frames (N,)`` of `select_flows`, and ``flow_rad (N,)``, its length."""
     last = len(rays) - 1
     for i in range(rays.shape[1]):
+        if not np.isfinite(rays[last, i, 0]):
+            continue
         for gap in range(1, max_gap + 1):
             r, ray = cam_R_past[last - gap], rays[last - gap, i]
             if not np.isfinite(ray[0]):

@@ -58,8 +58,8 @@ def joint_states(
     weight = 1.0 / np.maximum(states.cov[index, 2, 2], _TINY)
     weight /= surfaces.sums(weight)[surfaces.set_of]
     abc_hz = surfaces.sums(weight[:, None] * (states.abc_hz[index] + above_hz[:, None] * along))
-    cov, place_cov, speed_change = _joint_covariances(states, surfaces, weight, abc_hz, variance > 0.0)
     along = along[surfaces.first]
+    cov, place_cov, speed_change = _joint_covariances(states, surfaces, weight, abc_hz, along, variance > 0.0)
     cov = cov + place_cov + _TRIMMED_VARIANCE * variance[:, None, None] * along[:, :, None] * along[:, None, :]
     return JointStates(owner, surfaces.sums(weight[:, None] * xy_px[index]), abc_hz, cov, place_cov, speed_change)
 
@@ -98,20 +98,20 @@ def _nearest_surfaces(
 
 
 def _joint_covariances(
-    states: TrackStates, surfaces: TrackSets, weight: Floats, abc_hz: Floats, is_plane: Bools
+    states: TrackStates, surfaces: TrackSets, weight: Floats, abc_hz: Floats, along: Floats, is_plane: Bools
 ) -> tuple[Floats, Floats, Floats]:
     """Covariances of weighted means of (a, b, c), by noise and by place, and by what part the speeds may change.
 
     Own noise averages out, errors of what they share do not. Tracks of a surface share one path, but for those timed by
     expansion: each of these is in the neighbourhoods of others, which err with it. Where each track has a direction of
     its own (three frames), nothing is common. What turns has another velocity at each of its places, and which of them
-    is the nearest is not known: it may be any end of the surface. Where the rates are those of a plane, ``is_plane``
-    (K,), their noise is in its variance.
+    is the nearest is not known: it may be any end of the surface. Where the rates along ``along`` (K, 3) are those of a
+    plane, ``is_plane`` (K,), their noise is in its variance.
     """
     shared = states.shared
     place_cov = np.zeros((len(surfaces), 3, 3))
     if shared is None:
-        return _averaged_out(states, surfaces, weight), place_cov, np.zeros(len(surfaces))
+        return _averaged_out(states, surfaces, weight, along, is_plane), place_cov, np.zeros(len(surfaces))
     number = np.maximum.reduceat(shared.path_of[surfaces.index], surfaces.first)
     on_path = shared.path_of[surfaces.index] == number[surfaces.set_of]
     has_path = number >= 0
@@ -133,5 +133,8 @@ def _by_expansion(states: TrackStates, surfaces: TrackSets, weight: Floats) -> F
     return err_together[:, None, None] * surfaces.sums((weight**2)[:, None, None] * states.cov[surfaces.index])
 
 
-def _averaged_out(states: TrackStates, surfaces: TrackSets, weight: Floats) -> Floats:
-    return _TRIMMED_VARIANCE * surfaces.sums((weight**2)[:, None, None] * states.cov[surfaces.index])
+def _averaged_out(states: TrackStates, surfaces: TrackSets, weight: Floats, along: Floats, is_plane: Bools) -> Floats:
+    """Covariances (K, 3, 3) of means of tracks that have nothing in common; of a plane's, across ``along`` (K, 3)."""
+    cov = _TRIMMED_VARIANCE * surfaces.sums((weight**2)[:, None, None] * states.cov[surfaces.index])
+    across = np.eye(3) - np.where(is_plane[:, None, None], along[:, :, None] * along[:, None, :], 0.0)
+    return np.asarray(across @ cov @ across)

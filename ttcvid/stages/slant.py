@@ -12,6 +12,8 @@ from ttcvid.stages.sets import TrackSets
 _N_SLOPES = 2
 # Tracks within so many of their standard deviations of a plane lie on it.
 _PLANE_SIGMAS = 2.0
+# The search for the tracks of a plane settles within so many steps.
+_MAX_STEPS = 8
 # What lies behind the nearest tracks by no more than this part of the distance is as near.
 _DEPTH_PART = 0.01
 # Tracks whose spread across a line is this part of that along it tell no slope across.
@@ -35,8 +37,8 @@ def nearest_parts(
     """The nearest parts of those surfaces that slope away from us; other surfaces as they are.
 
     Inverse depths on a plane are linear in the picture. A plane through the tracks of a surface finds the others that
-    lie on it, and with them the part of it that is hit first; to ask the tracks themselves for that would take those
-    with the largest errors.
+    lie on it, until it finds no more, and with them the part of it that is hit first; to ask the tracks themselves for
+    that would take those with the largest errors.
 
     Parameters
     ----------
@@ -92,13 +94,18 @@ def _find_each(
         low, high = first[k], first[k] + lengths[k]
         of_set = (rate[low:high], own[low:high], sigma[low:high], by_shared[low:high], xy[low:high])
         cov = shared_cov[k]
-        if not _fit(*of_set, cov, is_near[low:high], plane):
-            continue
-        count = 0
-        for i in range(low, high):
-            again[i] = abs(rate[i] - _rate_at(plane, xy[i])) < _PLANE_SIGMAS * sigma[i]
-            count += again[i]
-        if count < needed[k] or not _fit(*of_set, cov, again[low:high], plane):
+        slopes = _fit(*of_set, cov, is_near[low:high], plane)
+        # Tracks of one rate make a plane that slopes too little; each next one has more of the surface to go by.
+        count, before = 0, -1
+        for _ in range(_MAX_STEPS):
+            if not slopes or count == before:
+                break
+            before, count = count, 0
+            for i in range(low, high):
+                again[i] = abs(rate[i] - _rate_at(plane, xy[i])) < _PLANE_SIGMAS * sigma[i]
+                count += again[i]
+            slopes = count >= needed[k] and _fit(*of_set, cov, again[low:high], plane)
+        if not slopes:
             continue
         for i in range(low, high):
             on_plane[i] = _rate_at(plane, xy[i]) if again[i] else -np.inf

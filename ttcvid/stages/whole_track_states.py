@@ -34,9 +34,15 @@ _NO_MOTION_CHI2 = float(chi2_quantile(0.95, 3))
 _BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(1.0))
 # Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
 _OBJECT_BEND_HZ = 0.2
-# Compiled code knows whole numbers, no names.
-_OK, _AT_INFINITY, _SHORT = int(Status.ok), int(Status.epipole_at_infinity), int(Status.short_track)
-_AT_EPIPOLE, _NO_PARALLAX, _NOT_RIGID = int(Status.at_epipole), int(Status.no_parallax), int(Status.not_rigid)
+# What `_judge` says of tracks: their numbers are an argument, for a copy on disk would not notice that they changed.
+_JUDGEMENTS = (
+    Status.short_track,
+    Status.at_epipole,
+    Status.no_parallax,
+    Status.not_rigid,
+    Status.epipole_at_infinity,
+    Status.ok,
+)
 # A time takes the velocity as lasting. Where it was seen to change, it is uncertain by what it changes in so long, s:
 # on the lead car of kitti_sfnd_ttc, whose brakes come and go, 90 % intervals hold then in about 80 % of the frames.
 _LASTING_S = 0.4
@@ -191,6 +197,7 @@ def _on_paths(
         rates.n_frames,
         found.along_sigma_hz,
         motions.no_direction_status,
+        tuple(int(judgement) for judgement in _JUDGEMENTS),
         LEAST_FRAMES_ON_PATH,
         INFINITY_COSINE,
         SIGNIFICANCE_SIGMAS**2,
@@ -214,6 +221,7 @@ def _judge(
     n_frames: Ints,
     along_sigma_hz: Floats,
     no_direction: Ints,
+    judgements: tuple[int, ...],
     least_frames: int,
     infinity_cosine: float,
     significant_chi2: float,
@@ -222,27 +230,31 @@ def _judge(
     direction: Floats,
     status: Ints,
 ) -> None:
-    """Fills ``direction (N, 3)`` and ``status (N,)``; without a result, ``abc_hz (N, 3)`` and ``cov`` become NaN."""
+    """Fills ``direction (N, 3)`` and ``status (N,)``; without a result, ``abc_hz (N, 3)`` and ``cov`` become NaN.
+
+    ``judgements`` are the numbers of `_JUDGEMENTS`, ``no_direction (N,)`` those of tracks without a path.
+    """
+    short, at_epipole, no_parallax, not_rigid, at_infinity, ok = judgements
     for i in range(len(path_of)):
         k = path_of[i]
         if not np.isfinite(xy[now, i, 0]) or (k >= 0 and n_frames[i] < least_frames):
-            status[i] = _SHORT
+            status[i] = short
         elif k < 0:
             status[i] = no_direction[i]
         elif not np.isfinite(rate_hz[i]) or _is_at_epipole(
             xy[:, i], now, path_direction[k], significant_chi2 * (sigma_norm[i] ** 2 + direction_variance[k])
         ):
-            status[i] = _AT_EPIPOLE
+            status[i] = at_epipole
         # Along its path: how sure it is that a track moves at all, and forwards.
         elif abs(rate_hz[i]) < _RATE_SIGMAS * along_sigma_hz[i]:
-            status[i] = _NO_PARALLAX
+            status[i] = no_parallax
         elif rate_hz[i] < 0.0:
-            status[i] = _NOT_RIGID
+            status[i] = not_rigid
         else:
             speed_hz = np.sqrt(abc_hz[i, 0] ** 2 + abc_hz[i, 1] ** 2 + abc_hz[i, 2] ** 2)
             for j in range(3):
                 direction[i, j] = abc_hz[i, j] / speed_hz
-            status[i] = _AT_INFINITY if abs(direction[i, 2]) < infinity_cosine else _OK
+            status[i] = at_infinity if abs(direction[i, 2]) < infinity_cosine else ok
             continue
         abc_hz[i], cov[i] = np.nan, np.nan
 

@@ -1,0 +1,42 @@
+"""What a run says of a clip whose pictures repeat."""
+
+import numpy as np
+import pytest
+from frame_results import no_tracks
+
+from ttcvid.jobs.provenance import Tally
+from ttcvid.model import FrameResult, FrameStatus
+
+
+def tally_of(is_repeated, dt_s=0.04):
+    """Of frames ``dt_s`` apart, each repeated or not."""
+    tally, last_s = Tally(), None
+    for frame, again in enumerate(is_repeated):
+        t_s = frame * dt_s
+        status = FrameStatus.duplicate if again else FrameStatus.ok if frame else FrameStatus.first
+        tally.add(FrameResult(frame, t_s, None if last_s is None else t_s - last_s, status, no_tracks(), ()))
+        if not again:
+            last_s = t_s
+    return tally
+
+
+def test_a_clip_whose_every_fifth_picture_repeats_is_said_to_be_off_by_a_quarter():
+    complaint = tally_of([False, False, False, False, True] * 60).complaint_about_repeats()
+    assert complaint.startswith("60 of 300 pictures repeat the one before, at uneven distances")
+    assert "by 25 %" in complaint
+    assert "\n" not in complaint
+
+
+@pytest.mark.parametrize("is_repeated", [[False] * 60, [False, True] * 30, [False] * 30 + [True] + [False] * 29])
+def test_a_clip_whose_pictures_repeat_evenly_or_hardly_ever_is_right(is_repeated):
+    assert tally_of(is_repeated).complaint_about_repeats() == ""
+
+
+def test_uneven_times_without_repeated_pictures_are_right():
+    rng, t_s, tally = np.random.default_rng(1), 0.0, Tally()
+    for frame in range(60):
+        step_s = rng.choice([0.04, 0.08])
+        t_s += step_s
+        status = FrameStatus.ok if frame else FrameStatus.first
+        tally.add(FrameResult(frame, t_s, step_s if frame else None, status, no_tracks(), ()))
+    assert tally.complaint_about_repeats() == ""
