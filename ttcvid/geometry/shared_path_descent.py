@@ -183,8 +183,8 @@ def _add_point(
     c0 = c1 = c2 = c3 = c4 = c5 = c6 = c7 = c8 = c9 = c10 = c11 = c12 = c13 = 0.0
     r00 = r10 = r11 = r20 = r21 = r22 = s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = 0.0
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = a8 = a9 = a10 = b0 = b1 = b2 = b3 = b4 = b5 = b6 = b7 = b8 = 0.0
-    # Without a branch, several views at a time.
-    for k in range(begin, views.shape[2]):
+    # Without a branch, and by an index without a sign: one that may count from the end takes the lanes apart.
+    for k in range(np.uint64(begin), np.uint64(views.shape[2])):
         seen_x, seen_y, t, tx, ty, tz = views[i, 0, k], views[i, 1, k], way[_TIME, k], way[9, k], way[10, k], way[11, k]
         is_seen = np.isfinite(seen_x)
         ahead = 1.0 / (way[6, k] * seen_x + way[7, k] * seen_y + way[8, k])
