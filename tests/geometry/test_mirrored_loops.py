@@ -33,9 +33,9 @@ def test_rotations_are_those_of_the_rotation_vector(angle):
     rigid_path_descent._turn_back(vector, back)
     np.testing.assert_allclose(turned, rotation_from_vector(vector) @ before, atol=1e-14)
     np.testing.assert_allclose(back, rotation_from_vector(-vector) @ before, atol=1e-14)
-    t_s, path, rotations = np.array([-0.7, 0.0]), np.empty((2, 3)), np.empty((2, 3, 3))
-    offset = np.append(np.zeros(5), vector)
-    shared_path_descent._set_path(t_s, np.zeros((2, 3)), np.eye(3), offset, path, rotations)
+    t_s, way = np.array([-0.7, 0.0]), np.zeros((13, 8))
+    shared_path_descent._set_way(t_s, np.zeros((2, 3)), np.eye(3), np.append(np.zeros(5), vector), way)
+    rotations = way[:9, -2:].T.reshape(2, 3, 3)
     np.testing.assert_allclose(rotations, rotation_from_vector(-t_s[:, None] * vector), atol=1e-14)
 
 
@@ -62,26 +62,50 @@ def test_what_a_point_says_of_its_place_and_rate_is_the_same_alone_and_together(
     seen[2] += 0.01
     sums = np.zeros((n + 1, on_path._N_SUMS))
     on_path._add_up(seen, path, n, s, inverse, False, sums)
-    row, n_local = sums[n], shared_path_descent.N_LOCAL
-    own, coupling = np.empty((1, shared_path_descent._N_OWN)), np.empty((1, 3, n_local))
-    scratch = np.empty((n_local + 3, n_local))
-    information, score = np.zeros((n_local, n_local)), np.zeros(n_local)
-    mean_square = shared_path_descent._add_point(
-        seen,
-        -0.1 * np.arange(n),
-        path,
-        np.eye(3),
-        0,
-        np.arange(n)[None],
-        n,
-        s[None].copy(),
-        np.array([1.0 / inverse]),
-        shared_path_descent._ROBUST_SIGMAS**2,
-        own,
-        coupling,
-        scratch,
-    )
-    shared_path_descent._eliminate(0, own, coupling, scratch, information, score)
+    kept, mean_square, _ = added_together(seen, -0.1 * np.arange(n), path, s, 1.0 / inverse)
+    row = sums[n]
     rate = row[3] - (row[1] ** 2 + row[2] ** 2) / row[0], row[6] - (row[1] * row[4] + row[2] * row[5]) / row[0]
-    np.testing.assert_allclose(own[0, :7], [row[0], row[1], row[2], rate[0], row[4], row[5], rate[1]], rtol=1e-9)
+    np.testing.assert_allclose(kept[3, :7], [row[0], row[1], row[2], rate[0], row[4], row[5], rate[1]], rtol=1e-9)
     assert mean_square == pytest.approx(row[7] / (2 * n - 3))
+
+
+def test_what_a_point_says_of_what_it_shares_is_what_is_left_when_its_own_unknowns_follow():
+    """Against the derivatives of the predicted views, taken as differences, without any of the loops."""
+    rng = np.random.default_rng(5)
+    n, s, sigma = 11, np.array([0.2, -0.1, 0.3]), 3e-4
+    t_s, path = -0.1 * np.arange(n), np.column_stack([0.1 * rng.normal(size=(n, 2)), np.linspace(0.0, 0.8, n)])
+
+    def predicted(unknowns):
+        x, y, rho = s + unknowns[:3]
+        moved = path + t_s[:, None] * unknowns[3:6] + 0.5 * t_s[:, None] ** 2 * unknowns[6:9]
+        place = np.array([x, y, 1.0]) + rho * moved
+        place = np.einsum("lij,lj->li", rotation_from_vector(t_s[:, None] * unknowns[9:]), place)
+        return place[:, :2] / place[:, 2:]
+
+    seen = predicted(np.zeros(12)) + sigma * rng.normal(size=(n, 2))
+    seen[2] += 0.01
+    step = 1e-6
+    slope = [(predicted(step * one) - predicted(-step * one)) / (2.0 * step * sigma) for one in np.eye(12)]
+    residual = (seen - predicted(np.zeros(12))) / sigma
+    square = np.sum(residual**2, axis=1)
+    weight = np.minimum(1.0, shared_path_descent._ROBUST_SIGMAS**2 / square)[:, None]
+    by = np.array(slope)
+    whole, right = np.einsum("ilc,jlc->ij", by * weight, by), np.einsum("ilc,lc->i", by * weight, residual)
+    follow = np.linalg.solve(whole[:3, :3], whole[:3, 3:]).T
+    _, _, sums = added_together(seen, t_s, path, s, sigma)
+    expected = whole[3:, 3:] - follow @ whole[:3, 3:]
+    np.testing.assert_allclose(np.tril(sums[:9]), np.tril(expected), rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+    expected = right[3:] - follow @ right[:3]
+    np.testing.assert_allclose(sums[9], expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+
+
+def added_together(seen, t_s, path, s, sigma):
+    """What `_add_point` keeps of a point with views (L, 2) on a path, its mean square residual, and the sums."""
+    n_lanes = -(-len(t_s) // 8) * 8
+    way, views = np.zeros((13, n_lanes)), np.full((1, 2, n_lanes), np.nan)
+    views[0, :, n_lanes - len(t_s) :] = seen.T
+    shared_path_descent._set_way(t_s, path, np.eye(3), np.zeros(8), way)
+    kept, sums = np.zeros((1, 4, 9)), np.zeros((10, 9))
+    far = shared_path_descent._ROBUST_SIGMAS**2
+    mean_square = shared_path_descent._add_point(views, 0, way, 0, s[None].copy(), sigma, far, kept, sums)
+    return kept[0], mean_square, sums

@@ -37,8 +37,7 @@ def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
     array([ 4., nan,  2.])
     """
     found = np.full(n_groups, np.nan)
-    order = np.argsort(values)
-    _fill(values[order], group[order], found)
+    _fill(np.ascontiguousarray(values), np.ascontiguousarray(group), found)
     return found
 
 
@@ -59,17 +58,16 @@ def _quantile(values: Floats, part: float) -> float:
 
 @compiled
 def _fill(values: Floats, group: Ints, found: Floats) -> None:
-    """Fill ``found (K,)``; ``values, group (N,)`` in ascending order of the values."""
+    """Fill ``found (K,)``."""
     start = np.zeros(len(found) + 1, dtype=np.int64)
     for number in group:
         start[number + 1] += 1
     for number in range(len(found)):
         start[number + 1] += start[number]
-    ordered, end = np.empty(len(values)), start.copy()
+    by_group, end = np.empty(len(values)), start.copy()
     for i in range(len(values)):
-        ordered[end[group[i]]] = values[i]
+        by_group[end[group[i]]] = values[i]
         end[group[i]] += 1
     for number in range(len(found)):
-        first, count = start[number], start[number + 1] - start[number]
-        if count > 0:
-            found[number] = 0.5 * (ordered[first + (count - 1) // 2] + ordered[first + count // 2])
+        if start[number + 1] > start[number]:
+            found[number] = np.median(by_group[start[number] : start[number + 1]])

@@ -11,7 +11,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path_descent import LANES, N_STEPS, fit_each, list_views, refine_each
+from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.rigid_path_descent import LANES, N_STEPS, fit_each, refine_each
 from ttcvid.model import Bools, Floats, Ints
 
 
@@ -94,11 +95,11 @@ class PathPriors:
 def views_by_track(rays: Floats) -> Floats:
     """The views of each track side by side, for `Points`: ``(N, 3, M)`` from ``rays (L, N, 3)``.
 
-    NaN where not observed. M is L, filled up with unobserved views to a multiple of `LANES`.
+    NaN where not observed. M is L, filled up with unobserved views, the first ones, to a multiple of `LANES`.
     """
     n_views, n = rays.shape[:2]
     by_track = np.empty((n, 3, -(-n_views // LANES) * LANES))
-    list_views(np.ascontiguousarray(rays), by_track)
+    _list_views(np.ascontiguousarray(rays), by_track)
     return by_track
 
 
@@ -190,3 +191,15 @@ def refined_paths(
 def _known(rate_hz: Floats | None, count: int) -> Floats:
     """Rates to start from: 0 where none is known."""
     return np.zeros(count) if rate_hz is None else np.where(np.isfinite(rate_hz), rate_hz, 0.0)
+
+
+@compiled
+def _list_views(rays: Floats, by_track: Floats) -> None:
+    """Fill ``by_track (N, 3, M)`` from ``rays (L, N, 3)``; what is left over of M stands first and is not seen."""
+    before = by_track.shape[2] - len(rays)
+    for i in range(rays.shape[1]):
+        for k in range(before):
+            by_track[i, 0, k] = by_track[i, 1, k] = by_track[i, 2, k] = np.nan
+        for k in range(len(rays)):
+            for j in range(3):
+                by_track[i, j, before + k] = rays[k, i, j]

@@ -13,8 +13,11 @@ from ttcvid.model import Floats, Ints
 N_STEPS = 2
 """Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames."""
 
-LANES = 4
-"""Views of a point, and points of a view, are worked at so many at a time, as fits the processor's registers."""
+LANES = 8
+"""Views of a point, and points of a view, are worked at so many at a time, as fits the processor's registers.
+
+Lanes that are left over stand before the first view: a track of few views, the last ones, needs few of them.
+"""
 
 # Residuals beyond this, in sigmas, count by their length (Huber), no longer by its square. In `whole_track_descent` and
 # the files that follow it their weight is 1 / r^2, and chi-square grows no further; here it tells to which thing a
@@ -38,16 +41,6 @@ _NO_LENGTH = 1e-9
 
 
 @compiled
-def list_views(rays: Floats, by_track: Floats) -> None:
-    """Fill ``by_track (N, 3, M)`` from ``rays (L, N, 3)``; what is left over of M is not seen."""
-    n_frames = len(rays)
-    for i in range(rays.shape[1]):
-        for k in range(n_frames):
-            by_track[i, 0, k], by_track[i, 1, k], by_track[i, 2, k] = rays[k, i, 0], rays[k, i, 1], rays[k, i, 2]
-        by_track[i, :, n_frames:] = np.nan
-
-
-@compiled
 def fit_each(
     rays: Floats,
     track: Ints,
@@ -65,13 +58,12 @@ def fit_each(
     n_views: Ints,
 ) -> None:
     """Fill the results of `rigid_path.fit_on_paths`, point by point."""
-    last = paths.shape[1] - 1
     ways = np.zeros((len(paths), _N_WAY, rays.shape[2]))
     for b in range(len(paths)):
-        _list_way(rotations[b], paths[b], ways[b])
+        _list_way(rotations, paths, b, ways, b)
     for m in range(len(track)):
         x, y, rho, information, chi2, n = _fit(
-            rays[track[m]], ways[thing[m]], last, start[m], sigma[track[m]], least[m], n_steps
+            rays, track[m], ways, thing[m], start[m], sigma[track[m]], least[m], n_steps
         )
         n_views[m] = n
         if n < 2:
@@ -102,11 +94,11 @@ def refine_each(
 
     Points of thing b are ``order[first[b] : first[b + 1]]``; their ``rate (M,)`` are starts and results.
     """
-    n_frames, n_most = paths.shape[1], 0
+    n_frames, n_most, before = paths.shape[1], 0, rays.shape[2] - paths.shape[1]
     for b in range(len(paths)):
         n_most = max(n_most, first[b + 1] - first[b])
     points, misfit, used = np.empty((_N_POINT, n_most + LANES)), np.empty(n_most), np.empty(n_most)
-    views, way = np.empty((n_frames, 3, n_most + LANES)), np.zeros((_N_WAY, rays.shape[2]))
+    views, way = np.empty((n_frames, 3, n_most + LANES)), np.zeros((1, _N_WAY, rays.shape[2]))
     normal, score = np.empty((n_frames, 6, 6)), np.empty((n_frames, 6))
     for b in range(len(paths)):
         members = order[first[b] : first[b + 1]]
@@ -115,17 +107,17 @@ def refine_each(
             if c < len(members) and weight[members[c]] > 0.0:
                 for k in range(n_frames):
                     for i in range(3):
-                        views[k, i, c] = rays[track[members[c]], i, k]
+                        views[k, i, c] = rays[track[members[c]], i, before + k]
             else:
                 views[:, :, c] = np.nan
         for _ in range(n_steps[b]):
-            _list_way(rotations[b], paths[b], way)
+            _list_way(rotations, paths, b, way, 0)
             points[:] = 0.0
             n_used = 0
             for c in range(len(members)):
                 m = members[c]
                 rate[m] = rate[m] if np.isfinite(rate[m]) else 0.0
-                x, y, rho, _, chi2, n = _fit(rays[track[m]], way, n_frames - 1, rate[m], sigma[track[m]], 0.0, N_STEPS)
+                x, y, rho, _, chi2, n = _fit(rays, track[m], way, 0, rate[m], sigma[track[m]], 0.0, N_STEPS)
                 if n < 2:
                     rate[m] = np.nan
                     continue
@@ -146,34 +138,41 @@ def refine_each(
 
 
 @compiled
-def _list_way(rotation: Floats, path: Floats, way: Floats) -> None:
-    """Fill ``way (12, M)``, view by view: the rotation ``(L, 3, 3)``, row by row, and the path ``(L, 3)``."""
-    for k in range(len(path)):
+def _list_way(rotations: Floats, paths: Floats, b: int, ways: Floats, place: int) -> None:
+    """Fill ``ways[place] (12, M)``, view by view: the rotation ``rotations[b, k]``, row by row, and ``paths[b, k]``."""
+    before = ways.shape[2] - paths.shape[1]
+    for k in range(paths.shape[1]):
         for i in range(3):
             for j in range(3):
-                way[3 * i + j, k] = rotation[k, i, j]
-            way[9 + i, k] = path[k, i]
+                ways[place, 3 * i + j, before + k] = rotations[b, k, i, j]
+            ways[place, 9 + i, before + k] = paths[b, k, i]
 
 
 @compiled
 def _fit(
-    ray: Floats, way: Floats, last: int, start: float, sigma: float, least: float, n_steps: int
+    rays: Floats, i: int, ways: Floats, q: int, start: float, sigma: float, least: float, n_steps: int
 ) -> tuple[float, float, float, float, float, int]:
     """Place x, y and rate by robust Gauss-Newton, the rate's information, chi-square (Huber's), and the views.
 
-    It starts where the point is seen now, in view ``last``, and with so few steps a point that does not fit stays near
-    there. No views at all if it is not seen now. The same unknowns as in `whole_track_on_path`,
+    Of track i on path q. It starts where the point is seen now, in the last view, and with so few steps a point that
+    does not fit stays near there. No views at all if it is not seen now. The same unknowns as in `whole_track_on_path`,
     `shared_path_descent`: there without a last rate, to convergence.
     """
-    a, b, c = ray[0, last], ray[1, last], ray[2, last]
-    depth = way[6, last] * a + way[7, last] * b + way[8, last] * c
+    last, first = rays.shape[2] - 1, 0
+    a, b, c = rays[i, 0, last], rays[i, 1, last], rays[i, 2, last]
+    depth = ways[q, 6, last] * a + ways[q, 7, last] * b + ways[q, 8, last] * c
     if not depth > _LEAST_FORWARD:
         return np.nan, np.nan, np.nan, 0.0, 0.0, 0
-    x = (way[0, last] * a + way[1, last] * b + way[2, last] * c) / depth
-    y = (way[3, last] * a + way[4, last] * b + way[5, last] * c) / depth
+    while np.isnan(rays[i, 0, first]):
+        first += 1
+    first -= first % LANES
+    x = (ways[q, 0, last] * a + ways[q, 1, last] * b + ways[q, 2, last] * c) / depth
+    y = (ways[q, 3, last] * a + ways[q, 4, last] * b + ways[q, 5, last] * c) / depth
     rho, information, chi2, n_views, inverse = max(start, least), 0.0, 0.0, 0.0, 1.0 / (sigma * sigma)
     for count in range(n_steps + 1):
-        one, by_x, by_y, both, score_x, score_y, score, chi2, n_views = _sums(ray, way, x, y, rho, inverse)
+        one, by_x, by_y, both, score_x, score_y, score, chi2, n_views = _sums(
+            rays, i, first, ways, q, x, y, rho, inverse
+        )
         information = both - (by_x * by_x + by_y * by_y) / one
         if count == n_steps or n_views < 2.0:
             break
@@ -191,9 +190,9 @@ def _fit(
 
 @compiled
 def _sums(
-    ray: Floats, way: Floats, x: float, y: float, rho: float, inverse: float
+    rays: Floats, i: int, first: int, ways: Floats, q: int, x: float, y: float, rho: float, inverse: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Normal equations of x, y, rho over the views ``ray (3, M)`` of a point, the robust chi-square, and the views.
+    """Normal equations of x, y, rho over the views of track i, from ``first`` on, the robust chi-square, and the views.
 
     Returns the information on x (and y), the couplings of x and y with rho, the information on rho, the score of x, y,
     rho, chi-square (Huber), and how often the point was seen. With h = 1 / (1 + rho T_z), d (px, py) / d (x, y, rho)
@@ -202,14 +201,15 @@ def _sums(
     """
     one = by_x = by_y = both = score_x = score_y = score = chi2 = n = 0.0
     limit = _ROBUST_SIGMAS * _ROBUST_SIGMAS
-    for k in range(ray.shape[1]):
-        a, b, c, tx, ty, tz = ray[0, k], ray[1, k], ray[2, k], way[9, k], way[10, k], way[11, k]
-        depth = way[6, k] * a + way[7, k] * b + way[8, k] * c
+    # An index without a sign: one that may count from the end takes the lanes apart.
+    for k in range(np.uint64(first), np.uint64(rays.shape[2])):
+        a, b, c, tx, ty, tz = rays[i, 0, k], rays[i, 1, k], rays[i, 2, k], ways[q, 9, k], ways[q, 10, k], ways[q, 11, k]
+        depth = ways[q, 6, k] * a + ways[q, 7, k] * b + ways[q, 8, k] * c
         is_seen = depth > _LEAST_FORWARD
         forward, h = 1.0 / depth, 1.0 / max(1.0 + rho * tz, _LEAST_DEPTH_RATIO)
         px, py = (x + rho * tx) * h, (y + rho * ty) * h
-        rx = (way[0, k] * a + way[1, k] * b + way[2, k] * c) * forward - px if is_seen else 0.0
-        ry = (way[3, k] * a + way[4, k] * b + way[5, k] * c) * forward - py if is_seen else 0.0
+        rx = (ways[q, 0, k] * a + ways[q, 1, k] * b + ways[q, 2, k] * c) * forward - px if is_seen else 0.0
+        ry = (ways[q, 3, k] * a + ways[q, 4, k] * b + ways[q, 5, k] * c) * forward - py if is_seen else 0.0
         n += 1.0 if is_seen else 0.0
         w = inverse if is_seen else 0.0
         square = (rx * rx + ry * ry) * inverse

@@ -11,7 +11,8 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together
+from ttcvid.geometry.shared_path_belief import set_beliefs
+from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together, start_points
 from ttcvid.geometry.whole_track_on_path import fit_rates_on_paths
 from ttcvid.model import Bools, Floats, Ints
 
@@ -135,6 +136,10 @@ class PathPoints:
     path_of: Ints
     first: Ints
 
+    def views(self, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, Ints, Ints]:
+        """What the descent asks for, with the views ``xy (L, M, 2)``."""
+        return xy, self.t_s, self.sigma_norm, self.seen, self.n_views, self.first
+
     def of(self, is_asked: Bools) -> PathPoints:
         """The points of the paths for which ``is_asked (K,)`` holds, as points of these paths alone."""
         kept, n_points = is_asked[self.path_of], np.diff(self.first)[is_asked]
@@ -200,26 +205,14 @@ def fit_shared_paths(
         As for `fit_rates_on_paths`.
     """
     t_s = points.t_s
-    seen = points.seen, points.n_views, points.first
     basis = np.concatenate([tangent_basis(beliefs.direction), beliefs.direction[:, :, None]], axis=2)
     prior = _prior(beliefs, basis)
     believed, own_motion = np.empty_like(prior), np.empty_like(prior)
-    state, offset, left = np.empty((len(points.path_of), 3)), np.empty((len(basis), N_LOCAL)), np.empty((len(basis), 2))
-    descend_together(
-        points.xy,
-        t_s,
-        points.sigma_norm,
-        *seen,
-        beliefs.base,
-        basis,
-        prior,
-        beliefs.turns_itself,
-        own_motion,
-        believed,
-        state,
-        offset,
-        left,
-    )
+    n, count = len(points.path_of), len(basis)
+    state, relative, offset, left = np.empty((n, 3)), np.empty(n), np.empty((count, N_LOCAL)), np.empty((count, 2))
+    start_points(points.views(points.xy), beliefs.base, basis, state, relative)
+    set_beliefs(beliefs.turns_itself, basis, state, points.first, prior, own_motion, believed)
+    descend_together(points.views(points.xy), beliefs.base, basis, believed, state, relative, offset, left)
     path, _ = _moved_paths(beliefs, basis, offset, t_s)
     views = turned_back(points.xy, t_s, offset[:, -3:], points.path_of)
     rates = fit_rates_on_paths(
@@ -235,7 +228,7 @@ def fit_shared_paths(
     )
     information, score = believed.copy(), -_times(believed, offset)
     state = np.column_stack([rates.xy, rates.rate_hz])
-    add_up_windows(views, t_s, points.sigma_norm, *seen, path, basis, rates.n_frames, state, information, score)
+    add_up_windows(points.views(views), path, basis, rates.n_frames, state, information, score)
     cov: Floats = np.linalg.inv(information).astype(np.float64)
     found = _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, t_s)
     return replace(found, squares=left[:, 0], usual=left[:, 1])

@@ -147,10 +147,10 @@ def _nearest(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radiu
     for here in range(len(xy)):
         x, y = xy[here, 0], xy[here, 1]
         nearest[:] = none
-        for ring in range(_N_RINGS + 1):
+        for ring in range(1, _N_RINGS + 1):
             for dy in range(-ring, ring + 1):
-                # Whole rows at the top and the bottom of a ring, its two ends between.
-                reach = ring if abs(dy) == ring else 0
+                # Whole rows at the top and the bottom of a ring, its two ends between; the first has the middle too.
+                reach = ring if abs(dy) == ring or ring == 1 else 0
                 for middle in range(-ring + reach, ring - reach + 1, max(2 * ring, 1)):
                     at = cell[here] + dy * width + middle
                     for place in range(start[at - reach], start[at + reach + 1]):

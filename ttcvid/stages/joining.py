@@ -185,8 +185,9 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, config: Bo
         return key, movers, next_key
     body, key = number[own] - 1, key.copy()
     fit = fit_on_paths(views.points(own, body), movers.paths, movers.rate_hz[body])
-    rate_hz = np.maximum(np.nan_to_num(fit.rate_hz), _TINY_HZ)
-    unsure = np.nan_to_num(fit.rate_sigma_hz / rate_hz, nan=np.inf)
+    # Where nothing is known (NaN), the rate is none, and may be any.
+    rate_hz = np.fmax(fit.rate_hz, _TINY_HZ)
+    unsure = np.fmin(fit.rate_sigma_hz / rate_hz, np.inf)
     tolerance = 0.5 * np.log(_ONE_RATE) + 2.0 * unsure
     label = linked_parts(views.xy_px[own], views.link_px, body, np.log(rate_hz), tolerance)
     counts = np.bincount(label)

@@ -1,0 +1,73 @@
+"""What is believed of a path, said of what its points share, compiled: see `shared_path_descent` for the unknowns.
+
+All arrays that a function fills are arguments of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Floats, Ints
+
+
+@compiled
+def set_beliefs(
+    turns_itself: bool,
+    basis: Floats,
+    state: Floats,
+    first: Ints,
+    prior: Floats,
+    own_motion: Floats,
+    believed: Floats,
+) -> None:
+    """Fills ``own_motion (K, 8, 8)``: from offsets to that of which the belief speaks; and ``believed (K, 8, 8)``.
+
+    That is the information on offsets that ``prior (K, 8, 8)`` means: M' prior M.
+
+    Parameters
+    ----------
+    turns_itself : whether it is the thing on a path that turns, about its own middle, or the camera.
+    basis : (K, 3, 3) axes of the paths; ``state (N, 3)`` the points of path k from ``first[k]`` on.
+    """
+    n, half = prior.shape[1], np.empty(prior.shape[1:])
+    for k in range(len(basis)):
+        _set_own_motion(turns_itself, basis[k], state[first[k] : first[k + 1]], own_motion[k])
+        half[:] = 0.0
+        for i in range(n):
+            for j in range(n):
+                for m in range(n):
+                    half[i, m] += prior[k, i, j] * own_motion[k, j, m]
+        believed[k] = 0.0
+        for i in range(n):
+            for j in range(n):
+                for m in range(n):
+                    believed[k, j, m] += own_motion[k, i, j] * half[i, m]
+
+
+@compiled
+def _set_own_motion(turns_itself: bool, basis: Floats, state: Floats, own_motion: Floats) -> None:
+    """Fills the matrix ``(8, 8)`` that takes shared offsets to the motion of the middle of what turns itself.
+
+    Views of a point at C + V t + A t^2 / 2, turned back at the rate omega, show it moving by
+    (V - omega x C) t + (A - 2 omega x V) t^2 / 2, to first order in omega. The offsets are the latter. C is (x, y, 1) /
+    rho of the middle of the points, in units in which the speed is 1, and V the unit vector of the direction.
+    """
+    for j in range(len(own_motion)):
+        for k in range(len(own_motion)):
+            own_motion[j, k] = 1.0 if j == k else 0.0
+    if not turns_itself or len(state) == 0:
+        return
+    rate = np.median(state[:, 2])
+    if rate > 0.0:
+        x, y, z = np.median(state[:, 0]) / rate, np.median(state[:, 1]) / rate, 1.0 / rate
+        for j in range(2):
+            # omega x C along the axis b is omega . (C x b).
+            own_motion[j, 5] = y * basis[2, j] - z * basis[1, j]
+            own_motion[j, 6] = z * basis[0, j] - x * basis[2, j]
+            own_motion[j, 7] = x * basis[1, j] - y * basis[0, j]
+    e = basis[:, 2]
+    for j in range(3):
+        own_motion[2 + j, 5] = 2.0 * (e[1] * basis[2, j] - e[2] * basis[1, j])
+        own_motion[2 + j, 6] = 2.0 * (e[2] * basis[0, j] - e[0] * basis[2, j])
+        own_motion[2 + j, 7] = 2.0 * (e[0] * basis[1, j] - e[1] * basis[0, j])
