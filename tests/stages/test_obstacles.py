@@ -104,6 +104,8 @@ def test_what_looks_near_but_hangs_over_the_road_is_none(rng):
     """A car far ahead that moves as we do, and a little to the side: all of it lies beside the point we head for."""
     upper = box_of_points(rng, 12, (0.3, 0.1 * CAMERA_M, 25.0), (1.2, 0.6 * CAMERA_M, 0.0))
     assert watched(np.concatenate([road(rng), upper])) == {}
+    # In the air nothing has to.
+    assert len(watched(np.concatenate([road(rng), upper]), on_ground=False)) == 1
     # It reaches down to the road, as anything that stands there.
     lower = box_of_points(rng, 4, (0.3, 0.8 * CAMERA_M, 25.0), (1.2, 0.2 * CAMERA_M, 0.0))
     assert len(watched(np.concatenate([road(rng), upper, lower]))) == 1

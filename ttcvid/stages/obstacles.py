@@ -296,7 +296,9 @@ class _Depths:
 
     def reaches_down(self, surface: Ints) -> bool:
         """Whether two tracks of a thing, of which one may be an error, are as low as what stands on the road."""
-        return self.height is None or bool(np.sort(self.height[surface])[1] < _MOST_FOOT)
+        if self.height is None or not self.ground.is_driven_on:
+            return True
+        return bool(np.sort(self.height[surface])[1] < _MOST_FOOT)
 
 
 def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
