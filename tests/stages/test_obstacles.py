@@ -100,6 +100,17 @@ def test_a_car_of_which_only_bumper_and_plate_are_seen_is_one_and_a_flat_box_is_
     assert bool(watched(np.concatenate([road(rng), low]))) == is_one
 
 
+def test_what_looks_near_but_hangs_over_the_road_is_none(rng):
+    """A car far ahead that moves as we do, and a little to the side: all of it lies beside the point we head for."""
+    upper = box_of_points(rng, 12, (0.3, 0.1 * CAMERA_M, 25.0), (1.2, 0.6 * CAMERA_M, 0.0))
+    assert watched(np.concatenate([road(rng), upper])) == {}
+    # In the air nothing has to.
+    assert len(watched(np.concatenate([road(rng), upper]), on_ground=False)) == 1
+    # It reaches down to the road, as anything that stands there.
+    lower = box_of_points(rng, 4, (0.3, 0.8 * CAMERA_M, 25.0), (1.2, 0.2 * CAMERA_M, 0.0))
+    assert len(watched(np.concatenate([road(rng), upper, lower]))) == 1
+
+
 @pytest.mark.parametrize("aside_m", [-2.8, 2.8])
 def test_a_parked_car_at_the_roadside_is_none(rng, aside_m):
     assert watched(np.concatenate([road(rng), rear_of_car(rng, aside_m, 25.0)])) == {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.rigid_path import RigidPaths
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import fit_whole_tracks
@@ -14,6 +14,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
+from ttcvid.stages.occlusions import between_surfaces
 
 # Views that a track needs to contradict the scene.
 _LEAST_VIEWS = 3
@@ -33,7 +34,7 @@ def new_movers(
     views: BodyViews,
     scene: RigidPaths,
     in_scene: Bools,
-    n_views: Ints,
+    scene_fit: PathFit,
     misfit: Floats,
     seen_misfit: Floats,
     usual_misfit: float,
@@ -44,7 +45,7 @@ def new_movers(
 
     Parameters
     ----------
-    in_scene, n_views : (N,) which tracks belong to the scene by now, and their views.
+    in_scene : (N,) which tracks belong to the scene by now, and how its path explains them: ``scene_fit``.
     misfit, seen_misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``, with what the road
         contradicts and without it.
     on_road : (N,) tracks at the depth of the road on which they are seen.
@@ -54,7 +55,7 @@ def new_movers(
     Tracks (M,), motion and median rate of each.
     """
     none = list[Ints](), scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
-    is_asked = in_scene & views.is_free & (n_views >= _LEAST_VIEWS)
+    is_asked = in_scene & views.is_free & (scene_fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(views, is_asked, np.where(on_road, _beside_slip(views), 1.0) * misfit, config)
     if len(candidates) < config.min_tracks:
         return none
@@ -76,8 +77,12 @@ def new_movers(
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
     misfit_by_own = fit_on_movers(points, paths, rate_hz).misfit / usual_misfit
     is_better = misfit_by_own < misfit[candidates] / config.gain
-    least = np.maximum(config.min_tracks, np.bincount(thing) // 2 + 1)
-    is_found = np.isfinite(directions[:, 0]) & (np.bincount(thing, is_better) >= least)
+    is_static = in_scene & (misfit < config.scene_gate)
+    may_slide = between_surfaces(views, scene, scene_fit, is_static, candidates, xy) & ~is_along[candidates]
+    # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
+    is_sure = is_better & (~may_slide | (misfit_by_own < misfit[candidates] / config.gain**2))
+    is_found = np.isfinite(directions[:, 0]) & (np.bincount(thing, is_better) > 0.5 * np.bincount(thing))
+    is_found &= np.bincount(thing, is_sure) >= config.min_tracks
     found = np.flatnonzero(is_found)
     return [candidates[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 

@@ -47,6 +47,9 @@ _BELOW_CAMERA = 0.15
 # Heights over the road, in heights of the camera: what ends below the first can be driven over, what begins above the
 # second is driven under; so many tracks of a thing stand above the first.
 _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
+# What stands on the road reaches down to it: two of its tracks have once been below this height. A car far ahead on a
+# bend that moves as we do, and a little to the side, looks near, and then seems to hang at the height of the camera.
+_MOST_FOOT = 0.5
 # A missed obstacle stays an object for `forget_frames`, and can be re-identified for this many times as long.
 _REMEMBERED = 4
 _TINY_HZ = 1e-9
@@ -223,7 +226,7 @@ def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Grou
         if len(surface) < _LEAST_TRACKS or not depths.can_be_hit(surface, way):
             continue
         is_again = is_known[index[surface]].mean() > 0.5
-        if not is_again and _goes_on(surface, depths, pairs):
+        if not is_again and (not depths.reaches_down(surface) or _goes_on(surface, depths, pairs)):
             continue
         link = points.link * (_KEPT if is_again else 1.0)
         if _is_in_the_way(depths, surface, way, link):
@@ -290,6 +293,12 @@ class _Depths:
             return True
         is_low_enough = self.height[surface].min() < _MOST_HEIGHT
         return bool(is_low_enough and np.count_nonzero(self.stands[surface]) >= _LEAST_STANDING)
+
+    def reaches_down(self, surface: Ints) -> bool:
+        """Whether two tracks of a thing, of which one may be an error, are as low as what stands on the road."""
+        if self.height is None or not self.ground.is_driven_on:
+            return True
+        return bool(np.sort(self.height[surface])[1] < _MOST_FOOT)
 
 
 def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:

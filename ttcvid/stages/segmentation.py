@@ -152,7 +152,7 @@ def find_bodies(
         views,
         scene,
         (key == SCENE_CLUSTER) & may_start,
-        scene_fit.n_views,
+        scene_fit,
         misfit,
         seen_misfit,
         usual,
