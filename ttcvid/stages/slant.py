@@ -12,10 +12,18 @@ from ttcvid.stages.sets import TrackSets
 _N_SLOPES = 2
 # Tracks within so many of their standard deviations of a plane lie on it.
 _PLANE_SIGMAS = 2.0
+# A plane through two sides of a thing lies on neither. Looked at again so often, with what its tracks themselves
+# scatter by for what they may leave it by, it settles on the side that more of them show. No side is known to be
+# flatter than this part of what surfaces are not flat by: 0.5 % of the distance.
+_LOOKS, _LEAST_FLATNESS = 4, 0.2
+# Standard deviation of a Gaussian over its median deviation.
+_BY_MEDIAN = 1.4826
 # What lies behind the nearest tracks by no more than this part of the distance is as near.
 _DEPTH_PART = 0.01
 # Tracks whose spread across a line is this part of that along it tell no slope across.
 _LEAST_SPREAD_PART = 1e-3
+# Least that a surface is not flat by, 1/s.
+_TINY = 1e-12
 # Numbers that tell a plane: its middle (x, y) and the rate there, its slope (x, y), and of the covariance of these the
 # variance of the rate and xx, xy, yy of the slope.
 _N_PLANE = 9
@@ -94,12 +102,17 @@ def _find_each(
         cov = shared_cov[k]
         if not _fit(*of_set, cov, is_near[low:high], plane):
             continue
-        count = 0
-        for i in range(low, high):
-            again[i] = abs(rate[i] - _rate_at(plane, xy[i])) < _PLANE_SIGMAS * sigma[i]
-            count += again[i]
-        if count < needed[k] or not _fit(*of_set, cov, again[low:high], plane):
+        flatness, is_plane = 1.0, False
+        for _ in range(_LOOKS):
+            count = _mark(*of_set, flatness, plane, again[low:high])
+            if count < needed[k] or not _fit(*of_set, cov, again[low:high], plane):
+                break
+            is_plane = True
+            flatness = min(flatness, max(_flatness(*of_set, plane, again[low:high]), _LEAST_FLATNESS))
+        if not is_plane:
             continue
+        if _mark(*of_set, flatness, plane, again[low:high]) < needed[k]:
+            _mark(*of_set, 1.0, plane, again[low:high])
         for i in range(low, high):
             on_plane[i] = _rate_at(plane, xy[i]) if again[i] else -np.inf
         last = np.sort(on_plane[low:high])[high - low - needed[k]]
@@ -111,6 +124,41 @@ def _find_each(
                 x, y, near = x + xy[i, 0], y + xy[i, 1], near + 1
         dx, dy = x / near - plane[0], y / near - plane[1]
         variance[k] = plane[5] + dx * dx * plane[6] + 2.0 * dx * dy * plane[7] + dy * dy * plane[8]
+
+
+@compiled
+def _mark(
+    rate: Floats, own: Floats, sigma: Floats, by_shared: Floats, xy: Floats, flatness: float, plane: Floats, lies: Bools
+) -> int:
+    """Fills ``lies (N,)``: the tracks on the plane, where that is as flat as said (1: as surfaces are); their count."""
+    count = 0
+    for i in range(len(rate)):
+        relief = flatness * _relief(own[i], sigma[i])
+        lies[i] = abs(rate[i] - _rate_at(plane, xy[i])) < _PLANE_SIGMAS * np.hypot(own[i], relief)
+        count += lies[i]
+    return count
+
+
+@compiled
+def _flatness(
+    rate: Floats, own: Floats, sigma: Floats, by_shared: Floats, xy: Floats, plane: Floats, is_in: Bools
+) -> float:
+    """What the median track leaves the plane by, as a standard deviation, over what surfaces are not flat by."""
+    count, parts = 0, np.empty(len(rate))
+    for i in range(len(rate)):
+        if is_in[i]:
+            relief = max(_relief(own[i], sigma[i]), _TINY)
+            parts[count] = _BY_MEDIAN * abs(rate[i] - _rate_at(plane, xy[i])) / relief
+            count += 1
+    found: float = np.median(parts[:count])
+    return found
+
+
+@compiled
+def _relief(own: float, sigma: float) -> float:
+    """What surfaces are not flat by, 1/s: what the standard deviation has beside noise."""
+    found: float = np.sqrt(max(sigma * sigma - own * own, 0.0))
+    return found
 
 
 @compiled
