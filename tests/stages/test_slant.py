@@ -64,6 +64,25 @@ def test_the_rear_of_a_car_at_an_angle_slopes_by_less_than_other_rears_are_not_f
     assert (rate_hz + above_hz)[is_near].mean() == pytest.approx(sloping(xy, 0.025)[is_near].mean(), abs=0.001)
 
 
+def test_of_two_sides_that_meet_at_an_edge_the_nearest_part_is_at_the_edge():
+    """A bus that turns shows its flank and its front: a plane through both would put the front's far end nearest."""
+    rng = np.random.default_rng(12)
+    place_errors, rate_errors = [], []
+    for _ in range(100):
+        xy = places(rng, 120)
+        x = xy[:, 0]
+        # The edge, at x = 0.1, is nearest: 0.2 Hz. The flank falls off to the left, the front faster to the right.
+        true_hz = 0.2 * np.where(x < 0.1, 1.0 + 0.4 * (x - 0.1), 1.0 - 0.8 * (x - 0.1))
+        rate_hz = true_hz + 0.0002 * rng.standard_normal(120)
+        is_near, above_hz, _ = parts(rate_hz, 0.025 * rate_hz, xy, 12, own_hz=np.full(120, 0.0002))
+        tenth = np.sort(true_hz)[-12] * 0.99
+        place_errors.append(x[is_near].mean() - x[true_hz >= tenth].mean())
+        rate_errors.append((rate_hz + above_hz)[is_near].mean() / true_hz[is_near].mean() - 1.0)
+    # With one plane through both sides: 0.053 and 1.8 %.
+    assert abs(np.mean(place_errors)) < 0.02
+    assert abs(np.mean(rate_errors)) < 0.005
+
+
 @pytest.mark.parametrize("sigma_hz", [0.002, 0.01, 0.02])
 def test_the_rate_of_the_nearest_part_is_not_that_of_its_luckiest_tracks(sigma_hz):
     rng = np.random.default_rng(3)

@@ -12,12 +12,18 @@ from ttcvid.stages.sets import TrackSets
 _N_SLOPES = 2
 # Tracks within so many of their standard deviations of a plane lie on it.
 _PLANE_SIGMAS = 2.0
-# The search for the tracks of a plane settles within so many steps.
-_MAX_STEPS = 8
+# A plane through two sides of a thing lies on neither. Looked at again so often, with what its tracks themselves
+# scatter by for what they may leave it by, it settles on the side that more of them show. No side is known to be
+# flatter than this part of what surfaces are not flat by: 0.5 % of the distance.
+_LOOKS, _LEAST_FLATNESS = 4, 0.2
+# Standard deviation of a Gaussian over its median deviation.
+_BY_MEDIAN = 1.4826
 # What lies behind the nearest tracks by no more than this part of the distance is as near.
 _DEPTH_PART = 0.01
 # Tracks whose spread across a line is this part of that along it tell no slope across.
 _LEAST_SPREAD_PART = 1e-3
+# Least that a surface is not flat by, 1/s.
+_TINY = 1e-12
 # Numbers that tell a plane: its middle (x, y) and the rate there, its slope (x, y), and of the covariance of these the
 # variance of the rate and xx, xy, yy of the slope.
 _N_PLANE = 9
@@ -37,8 +43,8 @@ def nearest_parts(
     """The nearest parts of those surfaces that slope away from us; other surfaces as they are.
 
     Inverse depths on a plane are linear in the picture. A plane through the tracks of a surface finds the others that
-    lie on it, until it finds no more, and with them the part of it that is hit first; to ask the tracks themselves for
-    that would take those with the largest errors.
+    lie on it, and with them the part of it that is hit first; to ask the tracks themselves for that would take those
+    with the largest errors.
 
     Parameters
     ----------
@@ -94,19 +100,19 @@ def _find_each(
         low, high = first[k], first[k] + lengths[k]
         of_set = (rate[low:high], own[low:high], sigma[low:high], by_shared[low:high], xy[low:high])
         cov = shared_cov[k]
-        slopes = _fit(*of_set, cov, is_near[low:high], plane)
-        # Tracks of one rate make a plane that slopes too little; each next one has more of the surface to go by.
-        count, before = 0, -1
-        for _ in range(_MAX_STEPS):
-            if not slopes or count == before:
-                break
-            before, count = count, 0
-            for i in range(low, high):
-                again[i] = abs(rate[i] - _rate_at(plane, xy[i])) < _PLANE_SIGMAS * sigma[i]
-                count += again[i]
-            slopes = count >= needed[k] and _fit(*of_set, cov, again[low:high], plane)
-        if not slopes:
+        if not _fit(*of_set, cov, is_near[low:high], plane):
             continue
+        flatness, is_plane = 1.0, False
+        for _ in range(_LOOKS):
+            count = _mark(*of_set, flatness, plane, again[low:high])
+            if count < needed[k] or not _fit(*of_set, cov, again[low:high], plane):
+                break
+            is_plane = True
+            flatness = min(flatness, max(_flatness(*of_set, plane, again[low:high]), _LEAST_FLATNESS))
+        if not is_plane:
+            continue
+        if _mark(*of_set, flatness, plane, again[low:high]) < needed[k]:
+            _mark(*of_set, 1.0, plane, again[low:high])
         for i in range(low, high):
             on_plane[i] = _rate_at(plane, xy[i]) if again[i] else -np.inf
         last = np.sort(on_plane[low:high])[high - low - needed[k]]
@@ -118,6 +124,41 @@ def _find_each(
                 x, y, near = x + xy[i, 0], y + xy[i, 1], near + 1
         dx, dy = x / near - plane[0], y / near - plane[1]
         variance[k] = plane[5] + dx * dx * plane[6] + 2.0 * dx * dy * plane[7] + dy * dy * plane[8]
+
+
+@compiled
+def _mark(
+    rate: Floats, own: Floats, sigma: Floats, by_shared: Floats, xy: Floats, flatness: float, plane: Floats, lies: Bools
+) -> int:
+    """Fills ``lies (N,)``: the tracks on the plane, where that is as flat as said (1: as surfaces are); their count."""
+    count = 0
+    for i in range(len(rate)):
+        relief = flatness * _relief(own[i], sigma[i])
+        lies[i] = abs(rate[i] - _rate_at(plane, xy[i])) < _PLANE_SIGMAS * np.hypot(own[i], relief)
+        count += lies[i]
+    return count
+
+
+@compiled
+def _flatness(
+    rate: Floats, own: Floats, sigma: Floats, by_shared: Floats, xy: Floats, plane: Floats, is_in: Bools
+) -> float:
+    """What the median track leaves the plane by, as a standard deviation, over what surfaces are not flat by."""
+    count, parts = 0, np.empty(len(rate))
+    for i in range(len(rate)):
+        if is_in[i]:
+            relief = max(_relief(own[i], sigma[i]), _TINY)
+            parts[count] = _BY_MEDIAN * abs(rate[i] - _rate_at(plane, xy[i])) / relief
+            count += 1
+    found: float = np.median(parts[:count])
+    return found
+
+
+@compiled
+def _relief(own: float, sigma: float) -> float:
+    """What surfaces are not flat by, 1/s: what the standard deviation has beside noise."""
+    found: float = np.sqrt(max(sigma * sigma - own * own, 0.0))
+    return found
 
 
 @compiled
