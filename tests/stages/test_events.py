@@ -8,7 +8,7 @@ from relative_motion import CAMERA, FOCAL_PX
 
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera import pixels_from_rays
-from ttcvid.model import ClusterRow, MotionState, Status
+from ttcvid.model import Closing, ClusterRow, MotionState, Status
 from ttcvid.stages.clusters import with_times
 from ttcvid.stages.events import EventMemory, is_collision_course, restarted_events, update_events
 
@@ -227,6 +227,41 @@ def test_a_car_that_brakes_has_no_sure_time_and_is_warned_of_all_the_same():
     assert not frames[0].times.ttc_z_hi_s[0] > 0.0
     assert first_warned(watched(frames)[0]) == 6
     aside = [changing(row, 0.7) for row in drive((5.4, 0.0, 30.0), HIT[1], 1.0)]
+    assert first_warned(watched(aside)[0]) is None
+
+
+def braking_from_behind(acceleration_sigma_hz2, range_m=16.0, braking_m_s2=5.0, seconds=1.5):
+    """Rows of a car at our own speed that has just begun to brake, with the acceleration that its picture shows."""
+    rows = []
+    for t_s in np.arange(FRAME_S, seconds, FRAME_S):
+        z_m, speed_m_s = range_m - 0.5 * braking_m_s2 * t_s**2, braking_m_s2 * t_s
+        cov = np.diag([0.02, acceleration_sigma_hz2]) ** 2
+        closing = Closing(-speed_m_s / z_m, -braking_m_s2 / z_m, cov)
+        rows.append(replace(row_of((0.0, 0.0, z_m), (0.0, 0.0, -speed_m_s)), closing=closing))
+    return rows
+
+
+def test_a_car_that_has_just_begun_to_brake_is_warned_of_by_its_acceleration_where_that_is_sure():
+    """At constant velocity 4 s are left 0.78 s after it began to; its brakes tell 0.4 s earlier."""
+    by_velocity = [replace(row, closing=None) for row in braking_from_behind(0.05)]
+    assert first_warned(watched(by_velocity)[0]) == 20
+    assert first_warned(watched(braking_from_behind(0.05))[0]) < 13
+    assert first_warned(watched(braking_from_behind(0.3))[0]) == 20
+
+
+def test_an_acceleration_is_not_taken_to_last_for_ever():
+    """At 40 m it would be reached in 4 s by going on as now; nobody knows that it does."""
+    rows = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
+    assert rows[0].closing.contact_s(9.0) < 4.0 < rows[-1].closing.contact_s(1.0)
+    assert first_warned(watched(rows)[0]) is None
+
+
+def test_a_car_that_brakes_beside_our_way_is_not_warned_of():
+    rows = braking_from_behind(0.02)
+    aside = [
+        replace(row, **{name: getattr(off, name) for name in ("box_px", "ref_px", "times")})
+        for row, off in zip(rows, (row_of((5.4, 0.0, 16.0), (0.0, 0.0, -2.0)) for _ in rows), strict=True)
+    ]
     assert first_warned(watched(aside)[0]) is None
 
 
