@@ -265,6 +265,47 @@ def test_a_car_that_brakes_beside_our_way_is_not_warned_of():
     assert first_warned(watched(aside)[0]) is None
 
 
+def low_part(offset_m, z_m=15.0):
+    """Row of the legs of somebody 0.5 m wide who stands on the road, 1.5 m below us, and comes straight at us."""
+    row = row_of((offset_m, 1.0, z_m), (0.0, 0.0, -8.0), width_m=0.5)
+    x_px, y_px = row.ref_px
+    half_px, low_px = 0.25 * FOCAL_PX / z_m, 0.5 * FOCAL_PX / z_m
+    return replace(row, box_px=(x_px - half_px, y_px - low_px, x_px + half_px, y_px + low_px))
+
+
+def is_course(row, **options):
+    """Whether a row is on collision course."""
+    return is_collision_course(row, CAMERA, CONFIG, is_warned=False, **options)
+
+
+def test_what_passes_below_the_camera_on_the_road_hits_our_car():
+    """Of somebody who walks onto the road only the legs may be told from the background; an aircraft passes below."""
+    assert is_course(low_part(0.0), on_ground=True)
+    assert not is_course(low_part(0.0))
+    assert not is_course(low_part(2.5), on_ground=True)
+
+
+def side_of_lorry(offset_m, z_m=30.0, length_m=9.0):
+    """Row of a lorry that shows its side, and whose middle passes us by ``offset_m``; our camera is 1.5 m high."""
+    row = row_of((offset_m, 0.0, z_m), (0.0, 0.0, -10.0), width_m=length_m, relative_sigma=0.005)
+    x_px, y_px = row.ref_px
+    half_px, foot_px = 0.5 * length_m * FOCAL_PX / z_m, 1.5 * FOCAL_PX / z_m
+    return replace(row, box_px=(x_px - half_px, y_px - foot_px, x_px + half_px, y_px + foot_px))
+
+
+def test_on_the_road_half_a_lorry_and_half_our_width_are_what_it_must_not_come_closer_by():
+    assert is_course(side_of_lorry(4.5 + 0.9), on_ground=True)
+    assert not is_course(side_of_lorry(4.5 + 3.9), on_ground=True)
+    # Where nothing tells how large it is, its own width has to do.
+    assert is_course(side_of_lorry(4.5 + 3.9))
+
+
+def test_a_small_thing_on_the_road_is_judged_by_its_width_as_before():
+    for offset_m in (0.0, 1.2, 1.6, 2.2, 3.5):
+        row = row_of((offset_m, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
+        assert is_course(row, on_ground=True) == is_course(row)
+
+
 def test_a_short_blip_is_not_warned_of():
     hit = drive(*HIT, 2.5)
     for n_frames in (1, 3, 5):
