@@ -45,15 +45,6 @@ def test_a_crossing_car_is_found_soon_and_keeps_its_key_and_number(seed):
     assert set(named) == {1}
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_what_comes_at_constant_bearing_is_found_though_its_flows_diverge(seed):
-    """It has hardly any flow beside its growth, by which it is an aircraft whose wings go opposite ways."""
-    rng = np.random.default_rng(seed)
-    wings = car(rng, (14.0, -1.0, 63.0), (-14.0 / 2.6, 1.0 / 2.6, 10.0 - 63.0 / 2.6), 14, size_m=(12.0, 1.5, 2.0))
-    frames = bodies_of(world(rng, AHEAD, N_FRAMES, wings), N_FRAMES, seed=seed, platform=Platform.aircraft)
-    assert_one_mover_each(frames, 1, since=13, part=0.65)
-
-
 def test_without_movers_everything_is_the_scene():
     rng = np.random.default_rng(1)
     frames = bodies_of(world(rng, AHEAD, N_FRAMES), N_FRAMES)

@@ -21,10 +21,6 @@ _LEAST_VIEWS = 3
 _TOGETHER, _LEAST_AROUND = 0.6, 3
 # Flows of two tracks are alike when they differ by less than this part of their mean and this, px over the window.
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
-# Flows of what comes nearer diverge; by no more than of what is reached in 2 s, 1/s.
-_GROWS_HZ = 0.5
-# Least squared distance of two tracks, a divisor.
-_TINY = 1e-18
 # A new path is refined in so many steps.
 _FIRST_STEPS = 3
 # The square window of a tracker slips on a road that grows and shears below it, by this part of its way in a frame.
@@ -64,7 +60,7 @@ def new_movers(
         return none
     xy = turned_into_plane(views.rays[:, candidates], scene.cam_R_past[0])
     is_along = (misfit > config.scene_gate) & (seen_misfit < config.scene_gate)
-    label = _alike_and_near(views, candidates, xy, is_along[candidates], config.min_tracks)
+    label = _alike_and_near(views, candidates, xy, is_along[candidates])
     is_one = np.bincount(label)[label] >= config.min_tracks
     if not is_one.any():
         return none
@@ -109,11 +105,10 @@ def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: Bodie
     return np.asarray(index[(median > _TOGETHER * np.log(config.scene_gate)) & (n >= _LEAST_AROUND)])
 
 
-def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools, least: int) -> Ints:
+def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:
     """Number of the part that each track of ``index`` belongs to: near ones of similar flow are connected.
 
-    Those that move along our own path, ``is_along``, only with each other. What comes straight at us has hardly any
-    flow beside its growth: tracks that make no part of at least so many by flow alone may diverge.
+    Those that move along our own path, ``is_along``, only with each other.
     """
     pairs = linked_pairs(views.xy_px[index], views.link_px)
     oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
@@ -122,15 +117,6 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools, 
     one, other = flow[pairs[:, 0]], flow[pairs[:, 1]]
     mean = 0.5 * (np.linalg.norm(one, axis=1) + np.linalg.norm(other, axis=1))
     floor = _FLOW_PX / views.focal_px / np.minimum(span_s[pairs[:, 0]], span_s[pairs[:, 1]])
-    is_same = is_along[pairs[:, 0]] == is_along[pairs[:, 1]]
-    limit = _FLOW_PART * mean + floor
-    differ = one - other
-    is_alike = is_same & (np.linalg.norm(differ, axis=1) < limit)
-    every = np.ones(len(index), dtype=bool)
-    label = connected_parts(every, pairs[is_alike])
-    is_left = np.bincount(label)[label] < least
-    apart = xy[-1, pairs[:, 0]] - xy[-1, pairs[:, 1]]
-    grows_hz = np.einsum("pi,pi->p", differ, apart) / np.maximum(np.einsum("pi,pi->p", apart, apart), _TINY)
-    differ -= np.clip(grows_hz, 0.0, _GROWS_HZ)[:, None] * apart
-    is_alike |= is_same & is_left[pairs].all(axis=1) & (np.linalg.norm(differ, axis=1) < limit)
-    return connected_parts(every, pairs[is_alike])
+    is_alike = np.linalg.norm(one - other, axis=1) < _FLOW_PART * mean + floor
+    is_alike &= is_along[pairs[:, 0]] == is_along[pairs[:, 1]]
+    return connected_parts(np.ones(len(index), dtype=bool), pairs[is_alike])
