@@ -8,7 +8,7 @@ from relative_motion import CAMERA, FOCAL_PX
 
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera import pixels_from_rays
-from ttcvid.model import ClusterRow, MotionState, Status
+from ttcvid.model import Closing, ClusterRow, MotionState, Status
 from ttcvid.stages.clusters import with_times
 from ttcvid.stages.events import EventMemory, is_collision_course, restarted_events, update_events
 
@@ -228,6 +228,82 @@ def test_a_car_that_brakes_has_no_sure_time_and_is_warned_of_all_the_same():
     assert first_warned(watched(frames)[0]) == 6
     aside = [changing(row, 0.7) for row in drive((5.4, 0.0, 30.0), HIT[1], 1.0)]
     assert first_warned(watched(aside)[0]) is None
+
+
+def braking_from_behind(acceleration_sigma_hz2, range_m=16.0, braking_m_s2=5.0, seconds=1.5):
+    """Rows of a car at our own speed that has just begun to brake, with the acceleration that its picture shows."""
+    rows = []
+    for t_s in np.arange(FRAME_S, seconds, FRAME_S):
+        z_m, speed_m_s = range_m - 0.5 * braking_m_s2 * t_s**2, braking_m_s2 * t_s
+        cov = np.diag([0.02, acceleration_sigma_hz2]) ** 2
+        closing = Closing(-speed_m_s / z_m, -braking_m_s2 / z_m, cov)
+        rows.append(replace(row_of((0.0, 0.0, z_m), (0.0, 0.0, -speed_m_s)), closing=closing))
+    return rows
+
+
+def test_a_car_that_has_just_begun_to_brake_is_warned_of_by_its_acceleration_where_that_is_sure():
+    """At constant velocity 4 s are left 0.78 s after it began to; its brakes tell 0.4 s earlier."""
+    by_velocity = [replace(row, closing=None) for row in braking_from_behind(0.05)]
+    assert first_warned(watched(by_velocity)[0]) == 20
+    assert first_warned(watched(braking_from_behind(0.05))[0]) < 13
+    assert first_warned(watched(braking_from_behind(0.3))[0]) == 20
+
+
+def test_an_acceleration_is_not_taken_to_last_for_ever():
+    """At 40 m it would be reached in 4 s by going on as now; nobody knows that it does."""
+    rows = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
+    assert rows[0].closing.contact_s(9.0) < 4.0 < rows[-1].closing.contact_s(1.0)
+    assert first_warned(watched(rows)[0]) is None
+
+
+def test_a_car_that_brakes_beside_our_way_is_not_warned_of():
+    rows = braking_from_behind(0.02)
+    aside = [
+        replace(row, **{name: getattr(off, name) for name in ("box_px", "ref_px", "times")})
+        for row, off in zip(rows, (row_of((5.4, 0.0, 16.0), (0.0, 0.0, -2.0)) for _ in rows), strict=True)
+    ]
+    assert first_warned(watched(aside)[0]) is None
+
+
+def low_part(offset_m, z_m=15.0):
+    """Row of the legs of somebody 0.5 m wide who stands on the road, 1.5 m below us, and comes straight at us."""
+    row = row_of((offset_m, 1.0, z_m), (0.0, 0.0, -8.0), width_m=0.5)
+    x_px, y_px = row.ref_px
+    half_px, low_px = 0.25 * FOCAL_PX / z_m, 0.5 * FOCAL_PX / z_m
+    return replace(row, box_px=(x_px - half_px, y_px - low_px, x_px + half_px, y_px + low_px))
+
+
+def is_course(row, **options):
+    """Whether a row is on collision course."""
+    return is_collision_course(row, CAMERA, CONFIG, is_warned=False, **options)
+
+
+def test_what_passes_below_the_camera_on_the_road_hits_our_car():
+    """Of somebody who walks onto the road only the legs may be told from the background; an aircraft passes below."""
+    assert is_course(low_part(0.0), on_ground=True)
+    assert not is_course(low_part(0.0))
+    assert not is_course(low_part(2.5), on_ground=True)
+
+
+def side_of_lorry(offset_m, z_m=30.0, length_m=9.0):
+    """Row of a lorry that shows its side, and whose middle passes us by ``offset_m``; our camera is 1.5 m high."""
+    row = row_of((offset_m, 0.0, z_m), (0.0, 0.0, -10.0), width_m=length_m, relative_sigma=0.005)
+    x_px, y_px = row.ref_px
+    half_px, foot_px = 0.5 * length_m * FOCAL_PX / z_m, 1.5 * FOCAL_PX / z_m
+    return replace(row, box_px=(x_px - half_px, y_px - foot_px, x_px + half_px, y_px + foot_px))
+
+
+def test_on_the_road_half_a_lorry_and_half_our_width_are_what_it_must_not_come_closer_by():
+    assert is_course(side_of_lorry(4.5 + 0.9), on_ground=True)
+    assert not is_course(side_of_lorry(4.5 + 3.9), on_ground=True)
+    # Where nothing tells how large it is, its own width has to do.
+    assert is_course(side_of_lorry(4.5 + 3.9))
+
+
+def test_a_small_thing_on_the_road_is_judged_by_its_width_as_before():
+    for offset_m in (0.0, 1.2, 1.6, 2.2, 3.5):
+        row = row_of((offset_m, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
+        assert is_course(row, on_ground=True) == is_course(row)
 
 
 def test_a_short_blip_is_not_warned_of():

@@ -11,6 +11,7 @@ from ttcvid.model import (
     Event,
     FrameResult,
     FrameStatus,
+    Platform,
     TrackRows,
 )
 from ttcvid.stages.events import EventMemory, restarted_events, standing_events, update_events
@@ -37,7 +38,14 @@ def analyze_seen(item: SeenFrame, watch: EventMemory, clip: Clip) -> tuple[Frame
         watch = restarted_events(watch)
     tracks, clusters = _rows(seen, clip)
     events, watch = update_events(
-        watch, frame.index, frame.t_s, clusters, clip.camera, clip.config.events, step_s=seen.history.step_s
+        watch,
+        frame.index,
+        frame.t_s,
+        clusters,
+        clip.camera,
+        clip.config.events,
+        step_s=seen.history.step_s,
+        on_ground=clip.config.egomotion.platform == Platform.vehicle,
     )
     egomotion = seen.egomotion
     result = FrameResult(

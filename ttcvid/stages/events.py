@@ -26,6 +26,11 @@ _STALLED = 1.5
 # Times of pictures are rounded to the clock of their container, and differences of them once more: what has lasted as
 # long as the persistence within this, s, has lasted as long.
 _ROUNDING_S = 1e-3
+# What closes in ever faster is told at 99 % (one side), as nearer and farther are; who brakes goes on with it for about
+# so long, s.
+_SIGMAS_99, _LASTING_S = 2.326, 1.0
+# Half of our own width and some room beside it, in heights of the camera above the road: cars, vans and lorries alike.
+_ROOM_HEIGHTS = 1.0
 # A miss distance, in units of depth, without a side.
 _TINY = 1e-9
 
@@ -57,6 +62,7 @@ def update_events(
     config: EventsConfig,
     *,
     step_s: float = 0.0,
+    on_ground: bool = False,
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and what to remember.
 
@@ -67,6 +73,7 @@ def update_events(
     Parameters
     ----------
     step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
+    on_ground : we drive on a road; as of `is_collision_course`.
     """
     gone_s = _gone_s(config)
     longest_step_s = max(gone_s, _STALLED * step_s)
@@ -82,7 +89,7 @@ def update_events(
             if before is not None and t_s - before.last_s <= hidden_s:
                 watched[cluster_id] = before
             continue
-        if not is_collision_course(row, camera, config, is_warned=warned):
+        if not is_collision_course(row, camera, config, is_warned=warned, on_ground=on_ground):
             if before is not None and warned and t_s - before.last_s <= gone_s:
                 watched[cluster_id] = before
             continue
@@ -140,11 +147,15 @@ def restarted_events(memory: EventMemory) -> EventMemory:
     return EventMemory(next_event_id=memory.next_event_id)
 
 
-def is_collision_course(row: ClusterRow, camera: Camera, config: EventsConfig, *, is_warned: bool) -> bool:
+def is_collision_course(
+    row: ClusterRow, camera: Camera, config: EventsConfig, *, is_warned: bool, on_ground: bool = False
+) -> bool:
     """Whether an object comes close, soon and surely: at the configured confidence, one side each.
 
     The miss distance is judged in widths of the object from the same state: a fixed ``miss_s`` would mean 6 m at 20 m/s
     and 0.6 m at 2 m/s. A car that brakes hard has no sure time, but comes nearer surely, and straight at us.
+    What is on the road with us, ``on_ground``, is met by a vehicle of usual width that reaches from the camera down to
+    the road: what passes below the camera hits it, and a long lorry need not pass as far off as it is long.
     """
     if row.motion_state not in APPROACHING:
         return False
@@ -154,10 +165,22 @@ def is_collision_course(row: ClusterRow, camera: Camera, config: EventsConfig, *
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
     sigmas = float(ndtri(config.confidence))
     return bool(
-        0.0 < row.times.tcpa_s[0] <= max_ttc_s
+        0.0 < _soonest_s(row) <= max_ttc_s
         and _surety(row) > config.confidence
-        and _miss_widths(row, row.state_abc_hz, row.present_cov, camera, sigmas) <= max_miss_widths
+        and _miss_widths(row, row.state_abc_hz, row.present_cov, camera, sigmas, on_ground) <= max_miss_widths
     )
+
+
+def _soonest_s(row: ClusterRow) -> float:
+    """Time to closest approach, or the shorter one until contact with what surely closes in ever faster, s.
+
+    At constant velocity a car that has just begun to brake seems far away for long.
+    """
+    tcpa_s = float(row.times.tcpa_s[0])
+    closing = row.closing
+    if closing is None or not closing.acceleration_hz2 < -_SIGMAS_99 * closing.acceleration_sigma_hz2:
+        return tcpa_s
+    return min(tcpa_s, closing.contact_s(_LASTING_S))
 
 
 def _surety(row: ClusterRow) -> float:
@@ -168,7 +191,9 @@ def _surety(row: ClusterRow) -> float:
     return float(ndtr(-float(row.state_abc_hz[2]) / sigma_hz))
 
 
-def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, sigmas: float) -> float:
+def _miss_widths(
+    row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, sigmas: float, on_ground: bool = False
+) -> float:
     """Distance at closest approach over the object's width, so many standard deviations above the best estimate.
 
     Both in units of depth: how fast the object comes has no part in it, only where to.
@@ -179,6 +204,10 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     place = _at_nearest_height(place, direction, row, camera)
     ahead = float(place @ direction)
     off = place - ahead * direction
+    if on_ground and off[1] > 0.0:
+        # Our own car is below the camera.
+        down = _down_across(direction)
+        off = off - float(off @ down) * down
     miss = float(np.linalg.norm(off))
     sideways = off[None] / miss if miss > _TINY else tangent_basis(direction[None])[0].T
     variance = float(np.max(np.einsum("ki,ij,kj->k", sideways, cov, sideways)))
@@ -186,6 +215,8 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, s
     level = float(np.hypot(direction[0], direction[2]))
     across = min(_WITH_OURS * abs(float(direction[2])) / level + _LEAST_ACROSS, 1.0) if level > 0.0 else 1.0
     width = across * max(right - left, 1.0 / camera.fx_px)
+    if on_ground:
+        width = min(width, 0.5 * width + _ROOM_HEIGHTS * _camera_height(direction, row, camera))
     return float(miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
 
 
@@ -200,6 +231,21 @@ def _middle_and_sides(row: ClusterRow, camera: Camera) -> tuple[Floats, float, f
     three_px = np.array([[x, y_px] for x in (0.5 * (x0_px + x1_px), x0_px, x1_px)])
     place, left, right = rays_from_pixels(camera, three_px)
     return place, float(np.nan_to_num(left[0], nan=-np.inf)), float(np.nan_to_num(right[0], nan=np.inf))
+
+
+def _down_across(direction: Floats) -> Floats:
+    """The unit vector (3,) down across a unit vector (3,) that is not upright."""
+    across = np.array([0.0, 1.0, 0.0]) - direction[1] * direction
+    return np.asarray(across / np.linalg.norm(across))
+
+
+def _camera_height(direction: Floats, row: ClusterRow, camera: Camera) -> float:
+    """Height of the camera above the foot of an object that moves level to us, in units of its depth."""
+    if abs(float(direction[2])) < _TINY:
+        return np.inf
+    foot_px = np.array([[0.5 * (row.box_px[0] + row.box_px[2]), row.box_px[3]]])
+    below = float(rays_from_pixels(camera, foot_px)[0, 1]) - float(direction[1] / direction[2])
+    return max(below, 0.0) if np.isfinite(below) else np.inf
 
 
 def _at_nearest_height(place: Floats, direction: Floats, row: ClusterRow, camera: Camera) -> Floats:

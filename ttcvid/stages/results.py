@@ -17,7 +17,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.stages.approach import CommonViews, radii_px, with_common_errors, with_seen_motion
+from ttcvid.stages.approach import CommonViews, radii_px, with_closings, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import (
     neighbours_in_cluster,
     ranked,
@@ -86,7 +86,12 @@ def cluster_rows(
     radius_px = radii_px(views.now, members, is_object, camera)
     rows = with_common_errors(rows, members, radius_px, _age_s(history), views.gap_s, camera)
     rows = with_times(with_epipole_pixels(rows, camera), camera)
-    return tuple(ranked(with_seen_motion(rows, radius_px, growth, views.gap_s, camera)))
+    rows = with_seen_motion(rows, radius_px, growth, views.gap_s, camera)
+    past = slice(0, history.n_past + 1)
+    rows = with_closings(
+        rows, [one.members for one in motions.clusters], history.xy[past], history.since_s[past], history.focal_px
+    )
+    return tuple(ranked(rows))
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:

@@ -26,8 +26,8 @@ _MIN_EIGENVALUE = 1e-4
 # Levels above the full picture on which a point is looked for where it should be by now. Not where most points are
 # lost, as at a cut: fine pictures find something similar anywhere.
 _FINE_LEVELS, _LEAST_FOUND = 1, 0.5
-# Where more are found, those that are lost are mostly gone for good: of 80, coarse pictures find some 3 again, for a fifth
-# of the time of tracking.
+# Where more are found, those that are lost are mostly gone for good: of 80, coarse pictures find some 3 again, for a
+# fifth of the time of tracking.
 _MOST_FOUND = 0.875
 # Two tracks in one cell of this side follow the same point, px.
 _CROWDED_PX = 2.0

@@ -1,0 +1,101 @@
+"""Rate and acceleration of a depth from the sizes of pictures, against exact motions."""
+
+import numpy as np
+import pytest
+
+from ttcvid.geometry.closing import depths_over_time, fit_closing
+from ttcvid.model import Closing
+
+FOCAL_PX, FPS = 530.0, 20.0
+SINCE_S = -np.arange(20)[::-1] / FPS
+
+
+def depths_m(closing_m_s, braking_m_s2, range_m=16.0):
+    """Depths (L,) of what closes in by now with a speed and an acceleration, and has done so for all views."""
+    return range_m - closing_m_s * SINCE_S - 0.5 * braking_m_s2 * SINCE_S**2
+
+
+def views(depth_m, rng, n=40, noise_px=0.0, drift_px=0.0):
+    """Places (L, n, 2) of points of a car's rear that also moves to the side; sizes err by a random walk.
+
+    ``drift_px`` is its standard deviation after 0.6 s, at the root mean square radius.
+    """
+    rear = rng.uniform([-0.85, -0.7], [0.85, 0.7], (n, 2))
+    offset = np.stack([1.0 + 0.4 * SINCE_S, np.full(len(SINCE_S), 0.9)], axis=1)
+    xy = (rear[None] + offset[:, None]) / depth_m[:, None, None]
+    middle = xy.mean(axis=1, keepdims=True)
+    radius_px = FOCAL_PX * np.sqrt(np.mean(np.sum((xy[-1] - middle[-1]) ** 2, axis=1)))
+    walk = np.cumsum(rng.normal(0.0, drift_px / radius_px / np.sqrt(0.6 * FPS), len(xy)))
+    return middle + (xy - middle) * (1.0 + walk[:, None, None]) + rng.normal(0.0, noise_px / FOCAL_PX, xy.shape)
+
+
+def closing_of(xy, drift_px=0.25):
+    """What is found from all views of one thing."""
+    depth, variance, radius = depths_over_time(xy, np.array([0, xy.shape[1]]))
+    return fit_closing(depth[0], variance[0], SINCE_S, (drift_px / (FOCAL_PX * radius[0])) ** 2 / 0.6)
+
+
+@pytest.mark.parametrize(("closing_m_s", "braking_m_s2"), [(2.0, 5.0), (0.0, 5.0), (6.0, 0.0), (6.0, -3.0)])
+def test_exact_views_give_rate_and_acceleration_exactly(closing_m_s, braking_m_s2):
+    found = closing_of(views(depths_m(closing_m_s, braking_m_s2), np.random.default_rng(1)))
+    assert found.rate_hz == pytest.approx(-closing_m_s / 16.0, abs=1e-9)
+    assert found.acceleration_hz2 == pytest.approx(-braking_m_s2 / 16.0, abs=1e-9)
+
+
+def test_tracks_of_the_road_before_a_car_do_not_count():
+    rng = np.random.default_rng(2)
+    car, road = views(depths_m(2.0, 5.0), rng), views(depths_m(12.0, 0.0), rng, n=9)
+    found = closing_of(np.concatenate([car, road + np.array([0.0, 0.06])], axis=1))
+    assert found.acceleration_hz2 == pytest.approx(-5.0 / 16.0, abs=0.01)
+
+
+def test_two_things_are_told_apart_and_gaps_are_no_views():
+    rng = np.random.default_rng(3)
+    xy = np.concatenate([views(depths_m(2.0, 5.0), rng), views(depths_m(6.0, 0.0), rng, n=20)], axis=1)
+    xy[:7, ::2] = np.nan
+    xy[10, :40] = np.nan
+    depth, variance, _ = depths_over_time(xy, np.array([0, 40, 60]))
+    assert np.isnan(depth[0, 10])
+    found = [fit_closing(*each, SINCE_S, 1e-4) for each in zip(depth, variance, strict=True)]
+    assert [round(one.acceleration_hz2, 6) for one in found] == [-0.3125, 0.0]
+
+
+@pytest.mark.parametrize("drift_px", [0.0, 0.25])
+def test_noise_is_taken_for_an_acceleration_as_seldom_as_stated(drift_px):
+    rng = np.random.default_rng(4)
+    found = [closing_of(views(depths_m(2.0, 0.0), rng, noise_px=0.15, drift_px=drift_px)) for _ in range(400)]
+    sigmas = np.array([one.acceleration_hz2 / one.acceleration_sigma_hz2 for one in found])
+    assert np.mean(sigmas < -2.326) < 0.025
+    assert np.std(sigmas) < 1.15
+
+
+def test_an_acceleration_within_its_noise_is_covered():
+    rng = np.random.default_rng(5)
+    found = [closing_of(views(depths_m(2.0, 3.0), rng, noise_px=0.15, drift_px=0.25)) for _ in range(400)]
+    off = [(one.acceleration_hz2 + 3.0 / 16.0) / one.acceleration_sigma_hz2 for one in found]
+    assert 0.86 < np.mean(np.abs(off) < 1.645) < 0.96
+
+
+def test_too_few_views_or_points_tell_nothing():
+    xy = views(depths_m(2.0, 5.0), np.random.default_rng(6))
+    few = xy.copy()
+    few[:15] = np.nan
+    assert closing_of(few) is None
+    depth, _, radius = depths_over_time(xy[:, :2], np.array([0, 2]))
+    assert np.isnan(depth[0]).sum() == len(SINCE_S) - 1
+    assert radius[0] == 0.0
+
+
+@pytest.mark.parametrize(("rate_hz", "acceleration_hz2"), [(-0.5, 0.0), (-0.2, -0.3), (0.1, -0.4), (-0.5, 0.1)])
+def test_the_time_until_contact_is_where_the_depth_is_zero(rate_hz, acceleration_hz2):
+    for lasting_s in (0.5, 1.0, 9.0):
+        t = Closing(rate_hz, acceleration_hz2, np.eye(2)).contact_s(lasting_s)
+        while_s = min(t, lasting_s)
+        gone = rate_hz * while_s + 0.5 * acceleration_hz2 * while_s**2
+        gone += (rate_hz + acceleration_hz2 * lasting_s) * max(t - lasting_s, 0.0)
+        assert gone == pytest.approx(-1.0) or t == np.inf
+
+
+def test_what_goes_away_is_never_reached():
+    assert Closing(0.3, 0.0, np.eye(2)).contact_s(1.0) == np.inf
+    assert Closing(-0.1, 0.3, np.eye(2)).contact_s(1.0) == np.inf

@@ -1,0 +1,139 @@
+"""How a thing closes in, and by how much faster all the while: from the sizes of its picture over time.
+
+Sizes are blind to the rotation of the camera (to first order) and to the direction of the thing: what is left is depth.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Closing, Floats, Ints
+
+# Views that a depth, its rate and its acceleration need, with some to tell their noise.
+_LEAST_VIEWS = 6
+# Steps of the robust fit of a size: from equal sizes these are enough.
+_STEPS = 3
+# What so many tracks say of a size, more of them hardly say better, in so much more time: their common error limits it.
+_MOST_TRACKS = 40
+# From a median of lengths of two components to their standard deviation per axis; squares beyond so many of these
+# variances count half (Cauchy).
+_SIGMA_OF_MEDIAN, _CAUCHY_SIGMAS = 0.849, 2.4
+# Points lie nowhere better than this, over the focal length: a divisor.
+_TINY = 1e-9
+
+
+def depths_over_time(xy: Floats, first: Ints) -> tuple[Floats, Floats, Floats]:
+    """Depth of each of K things in past views, over their present one, by the sizes of their pictures.
+
+    Robust: a part of the tracks may belong to something else. Of many tracks every n-th is looked at.
+
+    Parameters
+    ----------
+    xy : (L, M, 2) places in the plane z = 1 without rotation, NaN where not seen; the last view is the present one.
+    first : (K + 1,) where the tracks of each thing begin, and where the last ones end.
+
+    Returns
+    -------
+    depth : (K, L) Z(t) / Z(0), NaN where not known.
+    variance : (K, L) of it, by how well the tracks agree.
+    radius : (K,) root mean square distance of the points that agree from their centre, in the plane z = 1.
+    """
+    count = len(first) - 1
+    depth, variance = np.full((count, len(xy)), np.nan), np.full((count, len(xy)), np.nan)
+    radius = np.zeros(count)
+    _fit_sizes(np.ascontiguousarray(xy), np.asarray(first, dtype=np.int64), depth, variance, radius)
+    return depth, variance, radius
+
+
+def fit_closing(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float) -> Closing | None:
+    """Rate and acceleration of a depth (L,) seen with noise and with an error that drifts; None with too few views.
+
+    Generalised least squares: the present view's noise is in all of ``depth``, so that the present depth is unknown
+    too; what matching errs by adds up like a random walk away from now.
+
+    Parameters
+    ----------
+    depth, variance : as of `depths_over_time`, NaN where not known.
+    since_s : (L,) times up to 0.
+    drift_hz : variance that the random walk gains in a second.
+    """
+    known = np.isfinite(depth) & np.isfinite(variance)
+    if np.count_nonzero(known) < _LEAST_VIEWS:
+        return None
+    t = since_s[known]
+    noise = np.median(variance[known]) * np.eye(len(t)) + drift_hz * np.minimum.outer(-t, -t)
+    columns = np.column_stack([np.ones_like(t), t, 0.5 * t * t])
+    whitened = np.linalg.solve(noise, np.column_stack([columns, depth[known]]))
+    cov = np.linalg.inv(columns.T @ whitened[:, :3])
+    found = cov @ columns.T @ whitened[:, 3]
+    left = depth[known] - columns @ found
+    chi2 = float(left @ np.linalg.solve(noise, left)) / (len(t) - 3)
+    cov *= max(chi2, 1.0)
+    return Closing(float(found[1] / found[0]), float(found[2] / found[0]), cov[1:, 1:] / found[0] ** 2)
+
+
+@compiled
+def _fit_sizes(xy: Floats, first: Ints, depth: Floats, variance: Floats, radius: Floats) -> None:
+    """Fills ``depth, variance (K, L)`` and ``radius (K,)`` of `depths_over_time`."""
+    now = len(xy) - 1
+    for k in range(len(first) - 1):
+        low, high = first[k], first[k + 1]
+        every = max(1, -(-(high - low) // _MOST_TRACKS))
+        offset, w, square = np.empty((_MOST_TRACKS, 4)), np.empty(_MOST_TRACKS), np.empty(_MOST_TRACKS)
+        for view in range(now):
+            n = 0
+            for i in range(low, high, every):
+                if np.isfinite(xy[view, i, 0]) and np.isfinite(xy[now, i, 0]):
+                    offset[n, :2], offset[n, 2:] = xy[view, i], xy[now, i]
+                    n += 1
+            if n < 3:
+                continue
+            # As if the size were the same: what flows as most of them do.
+            flow_x, flow_y = np.median(offset[:n, 2] - offset[:n, 0]), np.median(offset[:n, 3] - offset[:n, 1])
+            for i in range(n):
+                dx, dy = offset[i, 2] - offset[i, 0] - flow_x, offset[i, 3] - offset[i, 1] - flow_y
+                square[i] = dx * dx + dy * dy
+            scale, uu, vv, total, misfit, squares = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for _ in range(_STEPS):
+                sigma2 = _SIGMA_OF_MEDIAN**2 * np.median(square[:n]) + _TINY**2
+                total, squares = 0.0, 0.0
+                centre = np.zeros(4)
+                for i in range(n):
+                    w[i] = 1.0 / (1.0 + square[i] / (_CAUCHY_SIGMAS**2 * sigma2))
+                    total += w[i]
+                    squares += w[i] * w[i]
+                    centre += w[i] * offset[i]
+                centre /= total
+                uu, vv = 0.0, 0.0
+                for i in range(n):
+                    uu += w[i] * ((offset[i, 0] - centre[0]) ** 2 + (offset[i, 1] - centre[1]) ** 2)
+                    vv += w[i] * ((offset[i, 2] - centre[2]) ** 2 + (offset[i, 3] - centre[3]) ** 2)
+                if not (uu > 0.0 and vv > 0.0):
+                    break
+                scale = np.sqrt(vv / uu)
+                misfit = 0.0
+                for i in range(n):
+                    dx = offset[i, 2] - centre[2] - scale * (offset[i, 0] - centre[0])
+                    dy = offset[i, 3] - centre[3] - scale * (offset[i, 1] - centre[1])
+                    square[i] = dx * dx + dy * dy
+                    misfit += w[i] * w[i] * square[i]
+            count = total * total / squares
+            if not (uu > 0.0 and vv > 0.0 and count > 2.0):
+                continue
+            # Weighted points tell a size as well as so many equal ones would.
+            point_variance = misfit * count / (squares * (2.0 * count - 3.0) * (1.0 + scale * scale))
+            depth[k, view] = scale
+            variance[k, view] = scale * scale * point_variance * (total / count) * (1.0 / uu + 1.0 / vv)
+            radius[k] = np.sqrt(vv / total)
+        depth[k, now], variance[k, now] = 1.0, _smallest_known(variance[k])
+
+
+@compiled
+def _smallest_known(values: Floats) -> float:
+    """The smallest value that is one, NaN without any."""
+    least = np.nan
+    for value in values:
+        if np.isfinite(value) and not value >= least:
+            least = value
+    return least
