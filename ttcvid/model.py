@@ -261,42 +261,6 @@ class TrackRows:
 
 
 @dataclass(frozen=True)
-class Closing:
-    """Depth over time, Z(t) / Z(0) = 1 + ``rate_hz`` t + ``acceleration_hz2`` t^2 / 2, with its covariance (2, 2).
-
-    Negative: it comes nearer, ever faster.
-    """
-
-    rate_hz: float
-    acceleration_hz2: float
-    cov: Floats
-
-    @property
-    def acceleration_sigma_hz2(self) -> float:
-        """Standard deviation of the acceleration over the depth, 1/s^2."""
-        return float(np.sqrt(self.cov[1, 1]))
-
-    def contact_s(self, lasting_s: float) -> float:
-        """Time until the depth is zero when the acceleration lasts for so long and the speed then stays; inf: never.
-
-        A car 20 m ahead at our own speed that begins to brake with 5 m/s^2, and goes on with it, is reached soon:
-
-        >>> round(Closing(0.0, -5 / 20, np.eye(2)).contact_s(10.0), 3)
-        2.828
-        >>> round(Closing(0.0, -5 / 20, np.eye(2)).contact_s(1.0), 3)
-        4.5
-        """
-        c, g = self.rate_hz, self.acceleration_hz2
-        # The root of 1 + c t + g t^2 / 2 that comes first, without cancellation.
-        inside = c * c - 2.0 * g
-        pull = -c + np.sqrt(max(inside, 0.0))
-        if inside >= 0.0 and pull > 0.0 and 2.0 / pull <= lasting_s:
-            return float(2.0 / pull)
-        then, left = c + g * lasting_s, 1.0 + c * lasting_s + 0.5 * g * lasting_s**2
-        return float(lasting_s - left / then) if then < 0.0 else float("inf")
-
-
-@dataclass(frozen=True)
 class ClusterRow:
     """One cluster (the scene or an object) in one frame.
 
@@ -304,8 +268,7 @@ class ClusterRow:
     tangent plane. ``epipole_px`` (2,) is None within 1 deg of the picture plane. ``state_abc_hz`` (3,) is
     (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2, in which ``speed_change`` is
     the part by which abs(V) may change soon: that tells how sure the times are, not whether and where to it moves now.
-    ``times`` has one row; ``closing`` is how its depth changes, where it approaches and has been seen for long enough:
-    times take the velocity as lasting, warnings do not. ``method`` names how the epipole was found.
+    ``times`` has one row. ``method`` names how the epipole was found.
     """
 
     cluster_id: int
@@ -326,7 +289,6 @@ class ClusterRow:
     speed_change: float = 0.0
     expansion_hz: float | None = None
     urgency_rank: int | None = None
-    closing: Closing | None = None
     times: CollisionTimes = field(default_factory=lambda: _NO_TIMES)
 
     @property

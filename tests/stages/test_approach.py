@@ -9,7 +9,7 @@ from relative_motion import CAMERA, box_of_points
 from ttcvid.geometry.camera import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
-from ttcvid.stages.approach import CommonViews, radii_px, with_closings, with_common_errors, with_seen_motion
+from ttcvid.stages.approach import CommonViews, closing_of, radii_px, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import with_times
 from ttcvid.stages.sets import TrackSets
 
@@ -114,17 +114,12 @@ def test_nothing_is_said_to_approach_by_noise_more_often_than_stated(sigma_hz):
     assert approaching < 0.01 + 0.011
 
 
-def test_what_approaches_has_its_acceleration_and_what_does_not_has_none():
+def test_what_approaches_shows_its_acceleration():
     since_s = -np.arange(20)[::-1] / 20.0
     rear_m = box_of_points(np.random.default_rng(1), N, (0.0, 0.0, 0.0), (1.8, 1.4, 0.0))[:, :2]
     depth_m = 20.0 - 2.0 * since_s - 2.0 * since_s**2
-    xy = rear_m[None] / depth_m[:, None, None]
-    row = replace(row_seen((0.0, 0.0, -0.1), 0.01, (0.0, 0.0, -2.0)), motion_state=MotionState.approaching)
-    away = replace(row, motion_state=MotionState.receding)
-    half = np.arange(N // 2)
-    none, found = with_closings([away, row], [half, half + N // 2], xy, since_s, CAMERA.fx_px)
-    assert none.closing is None
-    assert found.closing.rate_hz == pytest.approx(-0.1, abs=1e-6)
-    assert found.closing.acceleration_hz2 == pytest.approx(-0.2, abs=1e-6)
+    found = closing_of(rear_m[None] / depth_m[:, None, None], since_s, CAMERA.fx_px)
+    assert found.rate_hz == pytest.approx(-0.1, abs=1e-6)
+    assert found.acceleration_hz2 == pytest.approx(-0.2, abs=1e-6)
     # 0.25 px at the outline, as a random walk over 0.6 s: a quarter of that acceleration in a second.
-    assert found.closing.acceleration_sigma_hz2 == pytest.approx(0.05, rel=0.4)
+    assert found.acceleration_sigma_hz2 == pytest.approx(0.05, rel=0.4)

@@ -8,7 +8,8 @@ from relative_motion import CAMERA, FOCAL_PX
 
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera import pixels_from_rays
-from ttcvid.model import Closing, ClusterRow, MotionState, Status
+from ttcvid.geometry.closing import Closing
+from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.clusters import with_times
 from ttcvid.stages.events import EventMemory, is_collision_course, restarted_events, update_events
 
@@ -49,12 +50,18 @@ def drive(position_m, velocity_m_s, seconds, **options):
     return rows
 
 
-def watched(frames, config=CONFIG, memory=None, first_frame=0):
-    """Events active in each frame; a frame is a tuple of rows, or one row, or None."""
+def watched(frames, config=CONFIG, memory=None, first_frame=0, closings=None):
+    """Events active in each frame; a frame is a tuple of rows, or one row, or None.
+
+    ``closings``: of each frame, how the depth of all objects changes.
+    """
     memory, active = memory or EventMemory(), []
     for number, rows in enumerate(frames, first_frame):
         rows = () if rows is None else rows if isinstance(rows, tuple) else (rows,)
-        events, memory = update_events(memory, number, number * FRAME_S, rows, CAMERA, config)
+        closing = None if closings is None else closings[number]
+        events, memory = update_events(
+            memory, number, number * FRAME_S, rows, CAMERA, config, closing_of={1: closing}.get
+        )
         active.append(events)
     return active, memory
 
@@ -230,39 +237,36 @@ def test_a_car_that_brakes_has_no_sure_time_and_is_warned_of_all_the_same():
     assert first_warned(watched(aside)[0]) is None
 
 
-def braking_from_behind(acceleration_sigma_hz2, range_m=16.0, braking_m_s2=5.0, seconds=1.5):
-    """Rows of a car at our own speed that has just begun to brake, with the acceleration that its picture shows."""
-    rows = []
+def braking_from_behind(acceleration_sigma_hz2, range_m=16.0, braking_m_s2=5.0, seconds=1.5, aside_m=0.0):
+    """Rows of a car at our own speed that has just begun to brake, and the acceleration that its picture shows."""
+    rows, closings = [], []
     for t_s in np.arange(FRAME_S, seconds, FRAME_S):
         z_m, speed_m_s = range_m - 0.5 * braking_m_s2 * t_s**2, braking_m_s2 * t_s
         cov = np.diag([0.02, acceleration_sigma_hz2]) ** 2
-        closing = Closing(-speed_m_s / z_m, -braking_m_s2 / z_m, cov)
-        rows.append(replace(row_of((0.0, 0.0, z_m), (0.0, 0.0, -speed_m_s)), closing=closing))
-    return rows
+        rows.append(row_of((aside_m, 0.0, z_m), (0.0, 0.0, -speed_m_s)))
+        closings.append(Closing(-speed_m_s / z_m, -braking_m_s2 / z_m, cov))
+    return rows, closings
 
 
 def test_a_car_that_has_just_begun_to_brake_is_warned_of_by_its_acceleration_where_that_is_sure():
     """At constant velocity 4 s are left 0.78 s after it began to; its brakes tell 0.4 s earlier."""
-    by_velocity = [replace(row, closing=None) for row in braking_from_behind(0.05)]
-    assert first_warned(watched(by_velocity)[0]) == 20
-    assert first_warned(watched(braking_from_behind(0.05))[0]) < 13
-    assert first_warned(watched(braking_from_behind(0.3))[0]) == 20
+    rows, closings = braking_from_behind(0.05)
+    _, unsure = braking_from_behind(0.3)
+    assert first_warned(watched(rows)[0]) == 20
+    assert first_warned(watched(rows, closings=closings)[0]) < 13
+    assert first_warned(watched(rows, closings=unsure)[0]) == 20
 
 
 def test_an_acceleration_is_not_taken_to_last_for_ever():
     """At 40 m it would be reached in 4 s by going on as now; nobody knows that it does."""
-    rows = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
-    assert rows[0].closing.contact_s(9.0) < 4.0 < rows[-1].closing.contact_s(1.0)
-    assert first_warned(watched(rows)[0]) is None
+    rows, closings = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
+    assert closings[0].contact_s(9.0) < 4.0 < closings[-1].contact_s(1.0)
+    assert first_warned(watched(rows, closings=closings)[0]) is None
 
 
 def test_a_car_that_brakes_beside_our_way_is_not_warned_of():
-    rows = braking_from_behind(0.02)
-    aside = [
-        replace(row, **{name: getattr(off, name) for name in ("box_px", "ref_px", "times")})
-        for row, off in zip(rows, (row_of((5.4, 0.0, 16.0), (0.0, 0.0, -2.0)) for _ in rows), strict=True)
-    ]
-    assert first_warned(watched(aside)[0]) is None
+    rows, closings = braking_from_behind(0.02, aside_m=5.4)
+    assert first_warned(watched(rows, closings=closings)[0]) is None
 
 
 def low_part(offset_m, z_m=15.0):

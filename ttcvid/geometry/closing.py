@@ -5,10 +5,12 @@ Sizes are blind to the rotation of the camera (to first order) and to the direct
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
-from ttcvid.model import Closing, Floats, Ints
+from ttcvid.model import Floats
 
 # Views that a depth, its rate and its acceleration need, with some to tell their noise.
 _LEAST_VIEWS = 6
@@ -23,26 +25,61 @@ _SIGMA_OF_MEDIAN, _CAUCHY_SIGMAS = 0.849, 2.4
 _TINY = 1e-9
 
 
-def depths_over_time(xy: Floats, first: Ints) -> tuple[Floats, Floats, Floats]:
-    """Depth of each of K things in past views, over their present one, by the sizes of their pictures.
+@dataclass(frozen=True)
+class Closing:
+    """Depth over time, Z(t) / Z(0) = 1 + ``rate_hz`` t + ``acceleration_hz2`` t^2 / 2, with its covariance (2, 2).
+
+    Negative: it comes nearer, ever faster.
+    """
+
+    rate_hz: float
+    acceleration_hz2: float
+    cov: Floats
+
+    @property
+    def acceleration_sigma_hz2(self) -> float:
+        """Standard deviation of the acceleration over the depth, 1/s^2."""
+        return float(np.sqrt(self.cov[1, 1]))
+
+    def contact_s(self, lasting_s: float) -> float:
+        """Time until the depth is zero when the acceleration lasts for so long and the speed then stays; inf: never.
+
+        A car 20 m ahead at our own speed that begins to brake with 5 m/s^2, and goes on with it, is reached soon:
+
+        >>> round(Closing(0.0, -5 / 20, np.eye(2)).contact_s(10.0), 3)
+        2.828
+        >>> round(Closing(0.0, -5 / 20, np.eye(2)).contact_s(1.0), 3)
+        4.5
+        """
+        c, g = self.rate_hz, self.acceleration_hz2
+        # The root of 1 + c t + g t^2 / 2 that comes first, without cancellation.
+        inside = c * c - 2.0 * g
+        pull = -c + np.sqrt(max(inside, 0.0))
+        if inside >= 0.0 and pull > 0.0 and 2.0 / pull <= lasting_s:
+            return float(2.0 / pull)
+        then, left = c + g * lasting_s, 1.0 + c * lasting_s + 0.5 * g * lasting_s**2
+        return float(lasting_s - left / then) if then < 0.0 else float("inf")
+
+
+def depths_over_time(xy: Floats) -> tuple[Floats, Floats, float]:
+    """Depth of a thing in past views, over its present one, by the sizes of its picture.
 
     Robust: a part of the tracks may belong to something else. Of many tracks every n-th is looked at.
 
     Parameters
     ----------
-    xy : (L, M, 2) places in the plane z = 1 without rotation, NaN where not seen; the last view is the present one.
-    first : (K + 1,) where the tracks of each thing begin, and where the last ones end.
+    xy : (L, M, 2) places of its tracks in the plane z = 1 without rotation, NaN where not seen; the last view is the
+        present one.
 
     Returns
     -------
-    depth : (K, L) Z(t) / Z(0), NaN where not known.
-    variance : (K, L) of it, by how well the tracks agree.
-    radius : (K,) root mean square distance of the points that agree from their centre, in the plane z = 1.
+    depth : (L,) Z(t) / Z(0), NaN where not known.
+    variance : (L,) of it, by how well the tracks agree.
+    radius : root mean square distance of the points that agree from their centre, in the plane z = 1.
     """
-    count = len(first) - 1
-    depth, variance = np.full((count, len(xy)), np.nan), np.full((count, len(xy)), np.nan)
-    radius = np.zeros(count)
-    _fit_sizes(np.ascontiguousarray(xy), np.asarray(first, dtype=np.int64), depth, variance, radius)
+    every = max(1, -(-xy.shape[1] // _MOST_TRACKS))
+    depth, variance = np.full(len(xy), np.nan), np.full(len(xy), np.nan)
+    radius = _fit_sizes(np.ascontiguousarray(xy[:, ::every]), depth, variance)
     return depth, variance, radius
 
 
@@ -74,59 +111,57 @@ def fit_closing(depth: Floats, variance: Floats, since_s: Floats, drift_hz: floa
 
 
 @compiled
-def _fit_sizes(xy: Floats, first: Ints, depth: Floats, variance: Floats, radius: Floats) -> None:
-    """Fills ``depth, variance (K, L)`` and ``radius (K,)`` of `depths_over_time`."""
-    now = len(xy) - 1
-    for k in range(len(first) - 1):
-        low, high = first[k], first[k + 1]
-        every = max(1, -(-(high - low) // _MOST_TRACKS))
-        offset, w, square = np.empty((_MOST_TRACKS, 4)), np.empty(_MOST_TRACKS), np.empty(_MOST_TRACKS)
-        for view in range(now):
-            n = 0
-            for i in range(low, high, every):
-                if np.isfinite(xy[view, i, 0]) and np.isfinite(xy[now, i, 0]):
-                    offset[n, :2], offset[n, 2:] = xy[view, i], xy[now, i]
-                    n += 1
-            if n < 3:
-                continue
-            # As if the size were the same: what flows as most of them do.
-            flow_x, flow_y = np.median(offset[:n, 2] - offset[:n, 0]), np.median(offset[:n, 3] - offset[:n, 1])
+def _fit_sizes(xy: Floats, depth: Floats, variance: Floats) -> float:
+    """Fills ``depth, variance (L,)`` of `depths_over_time`; returns its ``radius``."""
+    now, n_tracks, radius = len(xy) - 1, xy.shape[1], 0.0
+    offset, w, square = np.empty((n_tracks, 4)), np.empty(n_tracks), np.empty(n_tracks)
+    for view in range(now):
+        n = 0
+        for i in range(n_tracks):
+            if np.isfinite(xy[view, i, 0]) and np.isfinite(xy[now, i, 0]):
+                offset[n, :2], offset[n, 2:] = xy[view, i], xy[now, i]
+                n += 1
+        if n < 3:
+            continue
+        # As if the size were the same: what flows as most of them do.
+        flow_x, flow_y = np.median(offset[:n, 2] - offset[:n, 0]), np.median(offset[:n, 3] - offset[:n, 1])
+        for i in range(n):
+            dx, dy = offset[i, 2] - offset[i, 0] - flow_x, offset[i, 3] - offset[i, 1] - flow_y
+            square[i] = dx * dx + dy * dy
+        scale, uu, vv, total, misfit, squares = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for _ in range(_STEPS):
+            sigma2 = _SIGMA_OF_MEDIAN**2 * np.median(square[:n]) + _TINY**2
+            total, squares = 0.0, 0.0
+            centre = np.zeros(4)
             for i in range(n):
-                dx, dy = offset[i, 2] - offset[i, 0] - flow_x, offset[i, 3] - offset[i, 1] - flow_y
+                w[i] = 1.0 / (1.0 + square[i] / (_CAUCHY_SIGMAS**2 * sigma2))
+                total += w[i]
+                squares += w[i] * w[i]
+                centre += w[i] * offset[i]
+            centre /= total
+            uu, vv = 0.0, 0.0
+            for i in range(n):
+                uu += w[i] * ((offset[i, 0] - centre[0]) ** 2 + (offset[i, 1] - centre[1]) ** 2)
+                vv += w[i] * ((offset[i, 2] - centre[2]) ** 2 + (offset[i, 3] - centre[3]) ** 2)
+            if not (uu > 0.0 and vv > 0.0):
+                break
+            scale = np.sqrt(vv / uu)
+            misfit = 0.0
+            for i in range(n):
+                dx = offset[i, 2] - centre[2] - scale * (offset[i, 0] - centre[0])
+                dy = offset[i, 3] - centre[3] - scale * (offset[i, 1] - centre[1])
                 square[i] = dx * dx + dy * dy
-            scale, uu, vv, total, misfit, squares = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for _ in range(_STEPS):
-                sigma2 = _SIGMA_OF_MEDIAN**2 * np.median(square[:n]) + _TINY**2
-                total, squares = 0.0, 0.0
-                centre = np.zeros(4)
-                for i in range(n):
-                    w[i] = 1.0 / (1.0 + square[i] / (_CAUCHY_SIGMAS**2 * sigma2))
-                    total += w[i]
-                    squares += w[i] * w[i]
-                    centre += w[i] * offset[i]
-                centre /= total
-                uu, vv = 0.0, 0.0
-                for i in range(n):
-                    uu += w[i] * ((offset[i, 0] - centre[0]) ** 2 + (offset[i, 1] - centre[1]) ** 2)
-                    vv += w[i] * ((offset[i, 2] - centre[2]) ** 2 + (offset[i, 3] - centre[3]) ** 2)
-                if not (uu > 0.0 and vv > 0.0):
-                    break
-                scale = np.sqrt(vv / uu)
-                misfit = 0.0
-                for i in range(n):
-                    dx = offset[i, 2] - centre[2] - scale * (offset[i, 0] - centre[0])
-                    dy = offset[i, 3] - centre[3] - scale * (offset[i, 1] - centre[1])
-                    square[i] = dx * dx + dy * dy
-                    misfit += w[i] * w[i] * square[i]
-            count = total * total / squares
-            if not (uu > 0.0 and vv > 0.0 and count > 2.0):
-                continue
-            # Weighted points tell a size as well as so many equal ones would.
-            point_variance = misfit * count / (squares * (2.0 * count - 3.0) * (1.0 + scale * scale))
-            depth[k, view] = scale
-            variance[k, view] = scale * scale * point_variance * (total / count) * (1.0 / uu + 1.0 / vv)
-            radius[k] = np.sqrt(vv / total)
-        depth[k, now], variance[k, now] = 1.0, _smallest_known(variance[k])
+                misfit += w[i] * w[i] * square[i]
+        count = total * total / squares
+        if not (uu > 0.0 and vv > 0.0 and count > 2.0):
+            continue
+        # Weighted points tell a size as well as so many equal ones would.
+        point_variance = misfit * count / (squares * (2.0 * count - 3.0) * (1.0 + scale * scale))
+        depth[view] = scale
+        variance[view] = scale * scale * point_variance * (total / count) * (1.0 / uu + 1.0 / vv)
+        radius = np.sqrt(vv / total)
+    depth[now], variance[now] = 1.0, _smallest_known(variance)
+    return radius
 
 
 @compiled

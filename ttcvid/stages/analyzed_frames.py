@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ttcvid.model import (
     ClusterRow,
@@ -16,7 +17,7 @@ from ttcvid.model import (
 )
 from ttcvid.stages.events import EventMemory, restarted_events, standing_events, update_events
 from ttcvid.stages.planar import HorizonPlane
-from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
+from ttcvid.stages.results import closing_of_cluster, cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
 from ttcvid.stages.seen_frames import Clip, SeenFrame
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 
@@ -46,6 +47,7 @@ def analyze_seen(item: SeenFrame, watch: EventMemory, clip: Clip) -> tuple[Frame
         clip.config.events,
         step_s=seen.history.step_s,
         on_ground=clip.config.egomotion.platform == Platform.vehicle,
+        closing_of=partial(closing_of_cluster, history=seen.history, motions=seen.motions),
     )
     egomotion = seen.egomotion
     result = FrameResult(

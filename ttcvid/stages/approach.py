@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
-from ttcvid.geometry.closing import depths_over_time, fit_closing
+from ttcvid.geometry.closing import Closing, depths_over_time, fit_closing
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
 from ttcvid.stages.sets import TrackSets
@@ -99,28 +99,17 @@ def with_seen_motion(
     return seen
 
 
-def with_closings(
-    rows: list[ClusterRow], members: Sequence[Ints], xy: Floats, since_s: Floats, focal_px: float
-) -> list[ClusterRow]:
-    """The same K rows; those that approach with how their depths change, and faster all the while.
+def closing_of(xy: Floats, since_s: Floats, focal_px: float) -> Closing | None:
+    """How the depth of a thing changes, and faster all the while; None where it has not been seen for long enough.
 
     Parameters
     ----------
-    members : tracks of the rows.
-    xy, since_s : (L, N, 2) places of all tracks in the plane z = 1 of the present camera, the last view the present
+    xy, since_s : (L, M, 2) places of its tracks in the plane z = 1 of the present camera, the last view the present
         one, and (L,) when that was.
     """
-    asked = [k for k, row in enumerate(rows) if row.motion_state in APPROACHING]
-    if not asked:
-        return rows
-    first = np.append(0, np.cumsum([len(members[k]) for k in asked]))
-    depth, variance, radius = depths_over_time(xy[:, np.concatenate([members[k] for k in asked])], first)
-    drift_hz = (_COMMON_ERROR_PX / (np.maximum(radius * focal_px, _LEAST_RADIUS_PX))) ** 2 / _DRIFT_S
-    rows = list(rows)
-    for place, k in enumerate(asked):
-        closing = fit_closing(depth[place], variance[place], since_s, float(drift_hz[place]))
-        rows[k] = replace(rows[k], closing=closing)
-    return rows
+    depth, variance, radius = depths_over_time(xy)
+    drift_hz = (_COMMON_ERROR_PX / max(radius * focal_px, _LEAST_RADIUS_PX)) ** 2 / _DRIFT_S
+    return fit_closing(depth, variance, since_s, drift_hz)
 
 
 def _seen_state(row: ClusterRow, ray: Floats, *, is_contradicted: bool) -> MotionState:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,8 +11,12 @@ from scipy.special import ndtr, ndtri
 
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import APPROACHING, Camera, ClusterRow, Event, Floats, MotionState
+
+ClosingOf = Callable[[int], Closing | None]
+"""From the number of a cluster to how its depth changes; None where that is not known."""
 
 # A warning that stands goes on up to these multiples of the thresholds.
 _KEEP_TTC, _KEEP_MISS = 1.25, 1.5
@@ -53,6 +59,10 @@ class EventMemory:
     next_event_id: int = 1
 
 
+def unknown_closing(_: int) -> None:
+    """Nothing is known of how the depth of any cluster changes."""
+
+
 def update_events(
     memory: EventMemory,
     frame: int,
@@ -63,6 +73,7 @@ def update_events(
     *,
     step_s: float = 0.0,
     on_ground: bool = False,
+    closing_of: ClosingOf = unknown_closing,
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and what to remember.
 
@@ -73,7 +84,7 @@ def update_events(
     Parameters
     ----------
     step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
-    on_ground : we drive on a road; as of `is_collision_course`.
+    on_ground, closing_of : as of `is_collision_course`.
     """
     gone_s = _gone_s(config)
     longest_step_s = max(gone_s, _STALLED * step_s)
@@ -89,7 +100,7 @@ def update_events(
             if before is not None and t_s - before.last_s <= hidden_s:
                 watched[cluster_id] = before
             continue
-        if not is_collision_course(row, camera, config, is_warned=warned, on_ground=on_ground):
+        if not is_collision_course(row, camera, config, is_warned=warned, on_ground=on_ground, closing_of=closing_of):
             if before is not None and warned and t_s - before.last_s <= gone_s:
                 watched[cluster_id] = before
             continue
@@ -148,14 +159,24 @@ def restarted_events(memory: EventMemory) -> EventMemory:
 
 
 def is_collision_course(
-    row: ClusterRow, camera: Camera, config: EventsConfig, *, is_warned: bool, on_ground: bool = False
+    row: ClusterRow,
+    camera: Camera,
+    config: EventsConfig,
+    *,
+    is_warned: bool,
+    on_ground: bool = False,
+    closing_of: ClosingOf = unknown_closing,
 ) -> bool:
     """Whether an object comes close, soon and surely: at the configured confidence, one side each.
 
     The miss distance is judged in widths of the object from the same state: a fixed ``miss_s`` would mean 6 m at 20 m/s
     and 0.6 m at 2 m/s. A car that brakes hard has no sure time, but comes nearer surely, and straight at us.
-    What is on the road with us, ``on_ground``, is met by a vehicle of usual width that reaches from the camera down to
-    the road: what passes below the camera hits it, and a long lorry need not pass as far off as it is long.
+
+    Parameters
+    ----------
+    on_ground : we drive on a road. What is on it is met by a vehicle of usual width that reaches from the camera down
+        to the road: what passes below the camera hits it, and a long lorry need not pass as far off as it is long.
+    closing_of : tells how the depth of a cluster changes; asked where all depends on that, since it takes its time.
     """
     if row.motion_state not in APPROACHING:
         return False
@@ -165,22 +186,21 @@ def is_collision_course(
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
     sigmas = float(ndtri(config.confidence))
     return bool(
-        0.0 < _soonest_s(row) <= max_ttc_s
+        row.times.tcpa_s[0] > 0.0
         and _surety(row) > config.confidence
         and _miss_widths(row, row.state_abc_hz, row.present_cov, camera, sigmas, on_ground) <= max_miss_widths
+        and (row.times.tcpa_s[0] <= max_ttc_s or _contact_s(closing_of(row.cluster_id)) <= max_ttc_s)
     )
 
 
-def _soonest_s(row: ClusterRow) -> float:
-    """Time to closest approach, or the shorter one until contact with what surely closes in ever faster, s.
+def _contact_s(closing: Closing | None) -> float:
+    """Time until contact with what surely closes in ever faster, s; infinite for anything else.
 
     At constant velocity a car that has just begun to brake seems far away for long.
     """
-    tcpa_s = float(row.times.tcpa_s[0])
-    closing = row.closing
     if closing is None or not closing.acceleration_hz2 < -_SIGMAS_99 * closing.acceleration_sigma_hz2:
-        return tcpa_s
-    return min(tcpa_s, closing.contact_s(_LASTING_S))
+        return math.inf
+    return closing.contact_s(_LASTING_S)
 
 
 def _surety(row: ClusterRow) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import (
     APPROACHING,
@@ -17,7 +18,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.stages.approach import CommonViews, radii_px, with_closings, with_common_errors, with_seen_motion
+from ttcvid.stages.approach import CommonViews, closing_of, radii_px, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import (
     neighbours_in_cluster,
     ranked,
@@ -86,12 +87,14 @@ def cluster_rows(
     radius_px = radii_px(views.now, members, is_object, camera)
     rows = with_common_errors(rows, members, radius_px, _age_s(history), views.gap_s, camera)
     rows = with_times(with_epipole_pixels(rows, camera), camera)
-    rows = with_seen_motion(rows, radius_px, growth, views.gap_s, camera)
+    return tuple(ranked(with_seen_motion(rows, radius_px, growth, views.gap_s, camera)))
+
+
+def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMotions) -> Closing | None:
+    """How the depth of an object changes, by the sizes of its picture; None without enough views."""
+    members = next(motion.members for motion in motions.clusters if motion.cluster_id == cluster_id)
     past = slice(0, history.n_past + 1)
-    rows = with_closings(
-        rows, [one.members for one in motions.clusters], history.xy[past], history.since_s[past], history.focal_px
-    )
-    return tuple(ranked(rows))
+    return closing_of(history.xy[past][:, members], history.since_s[past], history.focal_px)
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
