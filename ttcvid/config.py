@@ -41,7 +41,7 @@ class TrackingConfig(StageConfig):
 
     tracker: Literal["klt", "akaze"] = "klt"
     max_tracks: int = Field(
-        default=1250, ge=20, le=20000, description="tracks held alive (klt) or features taken (akaze)"
+        default=1300, ge=20, le=20000, description="tracks held alive (klt) or features taken (akaze)"
     )
     min_distance_px: float = Field(
         default=7.0, ge=1.0, description="usual least distance between a new corner and any track"
