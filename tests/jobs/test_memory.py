@@ -35,8 +35,9 @@ def test_memory_of_a_process_that_was_started_counts() -> None:
     grown_mb = resident_mb() - before_mb
     may_end.set()
     process.join()
-    # What both share counts once: not another whole interpreter.
-    assert BLOCK_MB < grown_mb < BLOCK_MB + 50
+    # What both share counts once: not another whole interpreter. What is shared with other programs counts in parts, and
+    # these come and go.
+    assert 0.9 * BLOCK_MB < grown_mb < BLOCK_MB + 0.7 * before_mb
 
 
 def test_the_peak_stays_when_the_memory_is_free_again() -> None:

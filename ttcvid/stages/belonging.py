@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
+from ttcvid.stages.velocities import Velocities, unknown_velocities
 from ttcvid.stages.whereabouts import Whereabouts, nowhere
 
 # Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
@@ -23,11 +23,8 @@ _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A track that the scene explains, with a misfit (over the usual one) below the first, is no part of a mover whose
 # tracks lie so many times as far away: a bus seen from behind at 10 m ends at 22 m.
 _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
-# A mover that is hidden is known again for so long, s: after that it may well move otherwise. Its tracks have rates
-# within this factor then, and are within so many of its extents of where it has to be.
-_KNOWN_AGAIN_S, _ONE_RATE, _WITHIN_EXTENTS = 1.0, 4.0, 2.5
-# How fast it went is known to this part: its last tracks were those at the rim of what hid it.
-_UNSURE_PART = 0.3
+# A mover that is hidden is known again for so long, s: after that it may well move otherwise.
+_KNOWN_AGAIN_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class Movers:
 
     ``cluster_id (K,)`` is public, `NO_CLUSTER` until a mover has been confirmed; ``n_found, n_missed (K,)`` frames in
     which it was found, and was not since; ``paths`` the motions, with the median rate ``rate_hz (K,)`` of their points;
-    ``where`` they are.
+    ``where`` they are, and their ``velocity``.
     """
 
     key: Ints
@@ -46,6 +43,7 @@ class Movers:
     rate_hz: Floats
     paths: RigidPaths
     where: Whereabouts
+    velocity: Velocities
 
     def __len__(self) -> int:
         return len(self.key)
@@ -60,6 +58,7 @@ class Movers:
             self.rate_hz[index],
             self.paths.take(index),
             self.where.take(index),
+            self.velocity.take(index),
         )
 
     def with_new(self, next_key: int, paths: RigidPaths, rate_hz: Floats) -> Movers:
@@ -75,6 +74,7 @@ class Movers:
             np.append(self.rate_hz, rate_hz),
             self.paths.joined(paths),
             self.where.with_new(count),
+            self.velocity.with_new(count),
         )
 
     def found_again(self, mover: int, paths: RigidPaths, rate_hz: Floats, place: int) -> Movers:
@@ -95,7 +95,7 @@ class Movers:
 def no_movers(n_views: int) -> Movers:
     """None at all, over so many views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
-    return Movers(none, none, none, none, np.empty(0), paths, nowhere(0))
+    return Movers(none, none, none, none, np.empty(0), paths, nowhere(0), unknown_velocities(0))
 
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:
@@ -255,68 +255,3 @@ def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> t
     if not is_held.all():
         key = np.where(np.append(True, is_held)[number], key, SCENE_CLUSTER)
     return key, movers if is_kept.all() else movers.take(is_kept)
-
-
-def known_again(
-    views: BodyViews,
-    key: Ints,
-    movers: Movers,
-    found: Sequence[Ints],
-    paths: RigidPaths,
-    rate_hz: Floats,
-    misfit: Floats,
-    usual_misfit: float,
-    config: BodiesConfig,
-) -> tuple[Ints, Movers, Bools]:
-    """Which of J new movers are hidden ones seen again: they lie where a hidden one should be, and move as it did.
-
-    Parameters
-    ----------
-    key, movers : body of each track (N,), and the movers known by now.
-    found, paths, rate_hz : tracks, motion and median rate of each new one.
-    misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
-
-    Returns
-    -------
-    key, movers : with those that are known again.
-    is_known : (J,).
-    """
-    key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
-    hidden = np.flatnonzero((movers.n_missed > 0) & (movers.where.centre[:, 2] > 0.0))
-    hidden = hidden[~np.isin(movers.key[hidden], key)] if len(hidden) else hidden
-    for place, members in enumerate(found):
-        if not len(hidden):
-            break
-        as_hidden = _misfits_as_hidden(views, members, movers.take(hidden), usual_misfit)
-        best = int(np.argmin(as_hidden))
-        if as_hidden[best] > max(config.scene_gate, np.median(misfit[members]) / config.gain):
-            continue
-        mover = hidden[best]
-        key[members], is_known[place] = movers.key[mover], True
-        movers = movers.found_again(mover, paths, rate_hz, place)
-        hidden = np.delete(hidden, best)
-    return key, movers, is_known
-
-
-def _misfits_as_hidden(views: BodyViews, members: Ints, hidden: Movers, usual_misfit: float) -> Floats:
-    """How badly the motion of each hidden mover explains some tracks, (K,); infinite where they are not where it is."""
-    centre, misfit = hidden.where.centre, np.full(len(hidden), np.inf)
-    away = np.linalg.norm(np.mean(views.xy[members], axis=0) - centre[:, :2] / centre[:, 2:], axis=1)
-    limit = _WITHIN_EXTENTS * hidden.where.extent / centre[:, 2] + views.link_px / views.focal_px
-    limit += _UNSURE_PART * _moved_unseen(views, hidden)
-    for mover in np.flatnonzero(away < limit):
-        it = hidden.take(np.array([mover]))
-        fit = fit_on_movers(views.points(members), it.paths, it.rate_hz)
-        rate = np.median(fit.rate_hz) * centre[mover, 2]
-        if 1.0 / _ONE_RATE < rate < _ONE_RATE:
-            misfit[mover] = np.median(fit.misfit) / usual_misfit
-    return misfit
-
-
-def _moved_unseen(views: BodyViews, hidden: Movers) -> Floats:
-    """How far hidden movers have gone in the plane z = 1 since they were seen, by their motion now: (K,)."""
-    where, step = hidden.where, hidden.paths.path[:, -2]
-    place = where.centre[:, :2] / where.centre[:, 2:]
-    last = np.linalg.norm(step[:, :2] - place * step[:, 2:], axis=1) / where.centre[:, 2]
-    moved: Floats = last * (views.t_s[-1] - where.seen_s) / (views.t_s[-1] - views.t_s[-2])
-    return moved

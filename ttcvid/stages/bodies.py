@@ -12,7 +12,7 @@ from ttcvid.model import Floats, Ints
 _SCENE_TURN_RAD = float(np.radians(0.05))
 # A mover turns on its own by about this rate. Every body leaves a straight steady path by this part of its length a
 # second (3 m/s^2 at 10 m/s): a car in a bend, a braking one. The floor is there at once.
-_TURN_RATE_RAD_S, _SHIFT_RATE_HZ, _SHIFT_FLOOR = float(np.radians(10.0)), 0.3, 0.02
+_TURN_RATE_RAD_S, SHIFT_RATE_HZ, _SHIFT_FLOOR = float(np.radians(10.0)), 0.3, 0.02
 # A body goes on as it did over so many views.
 _STEADY_VIEWS = 5
 # A turn prior needs some width at the present view too.
@@ -98,4 +98,4 @@ def refined_movers(movers: RigidPaths, scene: RigidPaths, points: Points, n_step
 
 
 def _shift_sigma(since_s: Floats) -> Floats:
-    return _SHIFT_FLOOR - _SHIFT_RATE_HZ * since_s
+    return _SHIFT_FLOOR - SHIFT_RATE_HZ * since_s

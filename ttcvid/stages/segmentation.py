@@ -16,7 +16,7 @@ from ttcvid.geometry.medians import median
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.belonging import Movers, along_our_way, assigned, kept, known_again, no_movers, numbers_of
+from ttcvid.stages.belonging import Movers, along_our_way, assigned, kept, no_movers, numbers_of
 from ttcvid.stages.bodies import (
     carried_forward,
     recent_speed,
@@ -28,6 +28,7 @@ from ttcvid.stages.body_views import BodyViews, body_views
 from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion, picture_region, region_side_of
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.joining import merged, split
+from ttcvid.stages.known_again import known_again, with_velocities
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.obstacles import Obstacle
 from ttcvid.stages.road import RoadMemory, gathered_evidence, on_road
@@ -116,7 +117,10 @@ def find_bodies(
     if is_continued and len(memory.movers):
         paths = carried_forward(memory.movers.paths, egomotion.cam_R_prev, views.t_s)
         where = memory.movers.where.carried_forward(egomotion.cam_R_prev, paths.path[:, -2])
-        movers = replace(memory.movers, paths=paths, where=where)
+        velocity = memory.movers.velocity.carried_forward(
+            egomotion.cam_R_prev, memory.movers.where.centre, views.t_s[-1] - views.t_s[-2]
+        )
+        movers = replace(memory.movers, paths=paths, where=where, velocity=velocity)
     known = np.append(SCENE_CLUSTER, movers.key)
     key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
     scene = _scene(
@@ -160,13 +164,14 @@ def find_bodies(
         config,
     )
     if len(found) and len(movers):
-        key, movers, is_known = known_again(views, key, movers, found, paths, found_hz, misfit, usual, config)
+        key, movers, is_known = known_again(views, scene, key, movers, found, paths, found_hz, usual)
         found = [members for members, known in zip(found, is_known, strict=True) if not known]
         paths, found_hz = paths.take(~is_known), found_hz[~is_known]
     for count, members in enumerate(found):
         key[members] = next_key + count
     movers, next_key = movers.with_new(next_key, paths, found_hz), next_key + len(found)
     key, movers, next_key = split(views, key, movers, next_key, config)
+    movers = with_velocities(views, scene, key, movers)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
     labels = _with_lost(history, memory, key, rate_hz)
     memory = BodyMemory(scene, movers, *labels, road, next_key, next_cluster_id, frame=history.frame)

@@ -1,0 +1,117 @@
+"""The velocity that the points of a thing have in common, over its depth, and how surely they tell it.
+
+A point at (x, y, 1) now, of relative depth 1 / rho in the thing, was at (x + rho a t, y + rho b t, 1 + rho c t), up to
+its depth, when the thing moves by (a, b, c) = V / Z: the state of DESIGN section 3, of a whole thing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.rigid_path import Points
+from ttcvid.model import Floats, Ints
+
+# Things are about so many times as deep as they are wide in the picture, root mean square of both: depths of their
+# points, as a part of the depth.
+_DEPTH_OF_WIDTH, _LEAST_DEPTH = 2.0, 0.01
+# As in `rigid_path_descent`: residuals beyond this, in sigmas, count by their length; least depth of a point over that
+# at time 0, and least z of a turned ray.
+_ROBUST_SIGMAS, _LEAST_DEPTH_RATIO, _LEAST_FORWARD = 3.0, 0.05, 0.05
+
+
+def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int) -> tuple[Floats, Floats]:
+    """V / Z of each of K things, 1/s, and its information matrix: ``(K, 3)`` and ``(K, 3, 3)``.
+
+    Gauss-Newton with robust weights on where the points were seen; place and depth of each point are unknown, too.
+
+    Parameters
+    ----------
+    cam_R_past : (L, 3, 3) turns a ray of each view into the present camera.
+    start_hz : (K, 3) V / Z to start from.
+    """
+    velocity, info = start_hz.copy(), np.zeros((len(start_hz), 3, 3))
+    for _ in range(n_steps):
+        info, score = np.zeros((len(start_hz), 3, 3)), np.zeros((len(start_hz), 3))
+        _add_points(
+            points.rays,
+            points.track,
+            points.thing,
+            points.sigma_norm,
+            points.since_s,
+            np.ascontiguousarray(cam_R_past),
+            velocity,
+            info,
+            score,
+        )
+        is_known = np.linalg.det(info) > 0.0
+        step = np.linalg.solve(np.where(is_known[:, None, None], info, np.eye(3)), score[:, :, None])[:, :, 0]
+        velocity = velocity + np.where(is_known[:, None], step, 0.0)
+    return velocity, info
+
+
+@compiled
+def _add_points(
+    rays: Floats,
+    track: Ints,
+    thing: Ints,
+    sigma: Floats,
+    since_s: Floats,
+    rotations: Floats,
+    velocity: Floats,
+    info: Floats,
+    score: Floats,
+) -> None:
+    """Add to ``info (K, 3, 3)`` and ``score (K, 3)`` what each point says of the velocity of its thing."""
+    n_views, n_things = len(since_s), len(velocity)
+    before, last = rays.shape[2] - n_views, rays.shape[2] - 1
+    sums = np.zeros((n_things, 4))
+    for m in range(len(track)):
+        i, k = track[m], thing[m]
+        if rays[i, 2, last] > _LEAST_FORWARD:
+            x, y = rays[i, 0, last] / rays[i, 2, last], rays[i, 1, last] / rays[i, 2, last]
+            sums[k, 0] += 1.0
+            sums[k, 1] += x
+            sums[k, 2] += y
+            sums[k, 3] += x * x + y * y
+    a, b, d = np.empty((6, 6)), np.empty(6), np.empty((2, 6))
+    for m in range(len(track)):
+        i, k = track[m], thing[m]
+        if not rays[i, 2, last] > _LEAST_FORWARD:
+            continue
+        n, x, y = sums[k, 0], rays[i, 0, last] / rays[i, 2, last], rays[i, 1, last] / rays[i, 2, last]
+        width2 = max(sums[k, 3] / n - (sums[k, 1] * sums[k, 1] + sums[k, 2] * sums[k, 2]) / (n * n), 0.0)
+        a[:], b[:] = 0.0, 0.0
+        # Place, depth, velocity; the relative depth is 1 within what is usual.
+        a[2, 2] = 1.0 / (_DEPTH_OF_WIDTH * _DEPTH_OF_WIDTH * width2 + _LEAST_DEPTH * _LEAST_DEPTH)
+        for v in range(n_views):
+            t, p, q, s = since_s[v], rays[i, 0, before + v], rays[i, 1, before + v], rays[i, 2, before + v]
+            ahead = rotations[v, 2, 0] * p + rotations[v, 2, 1] * q + rotations[v, 2, 2] * s
+            if not ahead > _LEAST_FORWARD:
+                continue
+            h = 1.0 / max(1.0 + velocity[k, 2] * t, _LEAST_DEPTH_RATIO)
+            was_x, was_y = (x + velocity[k, 0] * t) * h, (y + velocity[k, 1] * t) * h
+            off_x = (rotations[v, 0, 0] * p + rotations[v, 0, 1] * q + rotations[v, 0, 2] * s) / ahead - was_x
+            off_y = (rotations[v, 1, 0] * p + rotations[v, 1, 1] * q + rotations[v, 1, 2] * s) / ahead - was_y
+            length = np.sqrt(off_x * off_x + off_y * off_y) / sigma[i]
+            w = sigma[i] ** -2.0 * (_ROBUST_SIGMAS / length if length > _ROBUST_SIGMAS else 1.0)
+            th = t * h
+            d[0, 0], d[0, 1], d[0, 2] = h, 0.0, (velocity[k, 0] - was_x * velocity[k, 2]) * th
+            d[0, 3], d[0, 4], d[0, 5] = th, 0.0, -was_x * th
+            d[1, 0], d[1, 1], d[1, 2] = 0.0, h, (velocity[k, 1] - was_y * velocity[k, 2]) * th
+            d[1, 3], d[1, 4], d[1, 5] = 0.0, th, -was_y * th
+            for r in range(6):
+                b[r] += w * (d[0, r] * off_x + d[1, r] * off_y)
+                for c in range(r + 1):
+                    a[r, c] += w * (d[0, r] * d[0, c] + d[1, r] * d[1, c])
+        # What place and depth explain is taken away, one unknown after the other.
+        for r in range(3):
+            for q2 in range(r + 1, 6):
+                part = a[q2, r] / a[r, r]
+                b[q2] -= part * b[r]
+                for c in range(r + 1, q2 + 1):
+                    a[q2, c] -= part * a[c, r]
+        for r in range(3):
+            score[k, r] += b[3 + r]
+            for c in range(3):
+                info[k, r, c] += a[3 + max(r, c), 3 + min(r, c)]

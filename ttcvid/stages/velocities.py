@@ -1,0 +1,70 @@
+"""How movers move, over their depth, also while they are hidden."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.geometry.common_velocity import common_velocities
+from ttcvid.geometry.rigid_path import Points
+from ttcvid.model import Bools, Floats, Ints
+
+# A velocity is that of the last views, s: cars brake within a second.
+_RECENT_S = 0.6
+_LEAST_DEPTH_RATIO = 0.05
+
+
+@dataclass(frozen=True)
+class Velocities:
+    """V / Z of K movers relative to the camera now, ``v_hz (K, 3)`` in 1/s, by when they were last found.
+
+    ``info (K, 3, 3)`` is its information matrix; 0 where nothing is known.
+    """
+
+    v_hz: Floats
+    info: Floats
+
+    def take(self, index: Ints | Bools) -> Velocities:
+        """Those of the movers that an index array or a mask picks."""
+        return Velocities(self.v_hz[index], self.info[index])
+
+    def with_new(self, count: int) -> Velocities:
+        """These, and so many of which nothing is known yet."""
+        new = unknown_velocities(count)
+        return Velocities(np.concatenate([self.v_hz, new.v_hz]), np.concatenate([self.info, new.info]))
+
+    def carried_forward(self, cam_R_prev: Floats, centre: Floats, dt_s: float) -> Velocities:
+        """As the next camera sees them: V is the same, the depth another.
+
+        Parameters
+        ----------
+        cam_R_prev : (3, 3) rotation from the last camera to this one.
+        centre : (K, 3) where they were; NaN: not known.
+        """
+        place = centre / centre[:, 2:]
+        ratio = (place + dt_s * self.v_hz) @ cam_R_prev[2]
+        ratio = np.where(ratio > _LEAST_DEPTH_RATIO, ratio, 1.0)
+        return Velocities(
+            self.v_hz @ cam_R_prev.T / ratio[:, None],
+            cam_R_prev @ self.info @ cam_R_prev.T * (ratio**2)[:, None, None],
+        )
+
+    def seen_again(self, points: Points, cam_R_past: Floats, is_seen: Bools, n_steps: int) -> Velocities:
+        """With what the points of those that are seen, ``is_seen (K,)``, show; ``cam_R_past (L, 3, 3)``."""
+        v_hz, info = recent_velocities(points, cam_R_past, self.v_hz, n_steps)
+        return Velocities(
+            np.where(is_seen[:, None], v_hz, self.v_hz), np.where(is_seen[:, None, None], info, self.info)
+        )
+
+
+def recent_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int) -> tuple[Floats, Floats]:
+    """`common_velocities` by the last views."""
+    first = np.searchsorted(points.since_s, -_RECENT_S)
+    recent = replace(points, since_s=points.since_s[first:])
+    return common_velocities(recent, cam_R_past[first:], start_hz, n_steps)
+
+
+def unknown_velocities(count: int) -> Velocities:
+    """Of so many movers nothing is known."""
+    return Velocities(np.zeros((count, 3)), np.zeros((count, 3, 3)))
