@@ -35,8 +35,8 @@ def test_memory_of_a_process_that_was_started_counts() -> None:
     grown_mb = resident_mb() - before_mb
     may_end.set()
     process.join()
-    # What both share counts once: not another whole interpreter. What is shared with other programs counts in parts, and
-    # these come and go.
+    # What both share counts once: not another whole interpreter. What is shared with other programs counts in parts,
+    # and these come and go.
     assert 0.9 * BLOCK_MB < grown_mb < BLOCK_MB + 0.7 * before_mb
 
 
