@@ -27,6 +27,12 @@ def test_a_clip_whose_every_fifth_picture_repeats_is_said_to_be_off_by_a_quarter
     assert "\n" not in complaint
 
 
+@pytest.mark.parametrize("n_frames", range(298, 306))
+def test_24_pictures_a_second_sent_as_60_are_noticed_wherever_the_clip_ends(n_frames):
+    film = ([False, True, False, True, True] * 61)[:n_frames]
+    assert "by " in tally_of(film, dt_s=1.0 / 60.0).complaint_about_repeats()
+
+
 @pytest.mark.parametrize("is_repeated", [[False] * 60, [False, True] * 30, [False] * 30 + [True] + [False] * 29])
 def test_a_clip_whose_pictures_repeat_evenly_or_hardly_ever_is_right(is_repeated):
     assert tally_of(is_repeated).complaint_about_repeats() == ""

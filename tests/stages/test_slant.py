@@ -83,6 +83,23 @@ def test_of_two_sides_that_meet_at_an_edge_the_nearest_part_is_at_the_edge():
     assert abs(np.mean(rate_errors)) < 0.005
 
 
+def test_a_plane_that_too_few_tracks_lie_on_is_none():
+    """Of two sides in all positions: a rate of the nearest part is a number, whatever the tracks are."""
+    rng = np.random.default_rng(14)
+    for _ in range(3000):
+        n = int(rng.integers(6, 30))
+        xy = places(rng, n)
+        x = xy[:, 0] - rng.uniform(-0.15, 0.15)
+        rate_hz = 0.2 * np.where(x < 0.0, 1.0 + rng.uniform(0, 2) * x, 1.0 - rng.uniform(0, 3) * x)
+        own_hz = rng.uniform(0.0001, 0.02)
+        rate_hz += own_hz * rng.standard_normal(n)
+        sigma_hz = np.hypot(own_hz, 0.025 * np.abs(rate_hz))
+        needed = int(rng.integers(4, max(5, 2 * n // 3)))
+        _, above_hz, variance = parts(rate_hz, sigma_hz, xy, needed, own_hz=np.full(n, own_hz))
+        assert np.isfinite(above_hz).all()
+        assert np.isfinite(variance).all()
+
+
 @pytest.mark.parametrize("sigma_hz", [0.002, 0.01, 0.02])
 def test_the_rate_of_the_nearest_part_is_not_that_of_its_luckiest_tracks(sigma_hz):
     rng = np.random.default_rng(3)

@@ -147,6 +147,15 @@ def test_a_camera_that_comes_to_rest_or_rests_repeats_nothing():
     assert "duplicate" not in statuses(drive_of([0] * 5), KLT)
 
 
+@pytest.mark.parametrize("gap", ["dark", "frozen", "left out"])
+def test_the_first_picture_after_a_gap_and_the_next_are_none_that_were_sent_again(gap):
+    """A slow pan goes on in between, and makes one long step."""
+    before, after = drive_of(1.5 * np.arange(5)), drive_of(6.0 + 18.0 + 1.5 * np.arange(4))
+    between = {"dark": [np.zeros_like(before[0])] * 3, "frozen": [before[-1]] * 3, "left out": []}[gap]
+    found = statuses([*before, *between, *after], KLT)
+    assert found[len(before) + len(between) :] == ["ok"] * 4
+
+
 def test_what_moves_before_a_camera_at_rest_shows_that_a_picture_is_no_repeated_one():
     """A panning camera stops, and somebody walks on through a fifth of its picture."""
     pictures = drive_of([0, 4, 8, 8, 8])

@@ -17,7 +17,7 @@ TRACKERS = ("klt", "akaze")
 _IMAGE_SIZE = "Picture size in px of a track table without a camera file."
 _MASK = "Picture, black where nothing is to be looked at (own bonnet, text)."
 _FPS = "Frame rate of an image folder; of a video, instead of its own times."
-_TIMESTAMPS = "Such times, one second a line, or KITTI's format."
+_TIMESTAMPS = "Times of all frames in seconds, one a line, or in KITTI's format."
 _CONFIG = "TOML configuration; ./ttcvid.toml is read as well, and is weaker."
 
 _time_option = option_under("Time (frames as 120, seconds as 4.5s or 00:01:02.5)")

@@ -99,7 +99,7 @@ def fit_closing(depth: Floats, variance: Floats, since_s: Floats, drift_hz: floa
     if np.count_nonzero(known) < _LEAST_VIEWS:
         return None
     t = since_s[known]
-    noise = np.median(variance[known]) * np.eye(len(t)) + drift_hz * np.minimum.outer(-t, -t)
+    noise = max(float(np.median(variance[known])), _TINY**2) * np.eye(len(t)) + drift_hz * np.minimum.outer(-t, -t)
     columns = np.column_stack([np.ones_like(t), t, 0.5 * t * t])
     whitened = np.linalg.solve(noise, np.column_stack([columns, depth[known]]))
     cov = np.linalg.inv(columns.T @ whitened[:, :3])

@@ -122,7 +122,7 @@ class Tally:
         if not self.steps_s or self.n_repeated < _MANY_REPEATED * self.n_frames:
             return ""
         steps_s = np.array(self.steps_s)
-        typical_s = float(np.median(steps_s))
+        typical_s = float(np.sort(steps_s)[len(steps_s) // 2])  # one that occurs: of two kinds, no mean of both
         if np.mean(np.abs(steps_s - typical_s) > _UNEVEN * typical_s) < _MANY_REPEATED:
             return ""
         off = abs(float(np.mean(steps_s)) / typical_s - 1.0)

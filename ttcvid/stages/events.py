@@ -32,8 +32,7 @@ _STALLED = 1.5
 # Times of pictures are rounded to the clock of their container, and differences of them once more: what has lasted as
 # long as the persistence within this, s, has lasted as long.
 _ROUNDING_S = 1e-3
-# What closes in ever faster is told at 99 % (one side), as nearer and farther are; who brakes goes on with it for about
-# so long, s.
+# What closes in ever faster is told at 99 % (one side); who brakes goes on with it for about so long, s.
 _SIGMAS_99, _LASTING_S = 2.326, 1.0
 # Half of our own width and some room beside it, in heights of the camera above the road: cars, vans and lorries alike.
 _ROOM_HEIGHTS = 1.0

@@ -57,7 +57,7 @@ def known_again(
             break
         as_hidden = _chi2_as_hidden(views, scene, members, movers.take(hidden), usual_misfit)
         best = int(np.argmin(as_hidden))
-        if as_hidden[best] > _SAME_VELOCITY:
+        if not as_hidden[best] <= _SAME_VELOCITY:
             continue
         mover = hidden[best]
         key[members], is_known[place] = movers.key[mover], True

@@ -14,6 +14,8 @@ from ttcvid.stages.body_views import BodyViews
 
 # Views of a track whose depth counts; a surface is as near or as far as is sure by so many standard deviations.
 _LEAST_VIEWS, _SIGMAS = 3, 2.0
+# A point may have been nearer than now (driving backwards), but never at the camera.
+_LEAST_DEPTH_RATIO = 0.05
 
 
 def between_surfaces(
@@ -44,7 +46,7 @@ def between_surfaces(
     def was(rate_hz: Floats) -> Floats:
         """Where a point with this rate was in the oldest view of each track: (M, 2)."""
         rho = np.where(are_two, rate_hz, 0.0)[:, None]
-        return np.asarray((xy[-1] + rho * since[:, :2]) / (1.0 + rho * since[:, 2:]))
+        return np.asarray((xy[-1] + rho * since[:, :2]) / np.maximum(1.0 + rho * since[:, 2:], _LEAST_DEPTH_RATIO))
 
     near, far = was(near_hz), was(far_hz)
     off = np.linalg.norm(xy[oldest, np.arange(len(track))] - 0.5 * (near + far), axis=1)

@@ -111,8 +111,11 @@ def _find_each(
             flatness = min(flatness, max(_flatness(*of_set, plane, again[low:high]), _LEAST_FLATNESS))
         if not is_plane:
             continue
-        if _mark(*of_set, flatness, plane, again[low:high]) < needed[k]:
-            _mark(*of_set, 1.0, plane, again[low:high])
+        count = _mark(*of_set, flatness, plane, again[low:high])
+        if count < needed[k]:
+            count = _mark(*of_set, 1.0, plane, again[low:high])
+        if count < needed[k]:
+            continue
         for i in range(low, high):
             on_plane[i] = _rate_at(plane, xy[i]) if again[i] else -np.inf
         last = np.sort(on_plane[low:high])[high - low - needed[k]]

@@ -10,8 +10,8 @@ from ttcvid.geometry.common_velocity import common_velocities
 from ttcvid.geometry.rigid_path import Points
 from ttcvid.model import Bools, Floats, Ints
 
-# A velocity is that of the last views, s: cars brake within a second.
-_RECENT_S = 0.6
+# A velocity is that of the last views, s: cars brake within a second. So many views in any case, at low frame rates.
+_RECENT_S, _LEAST_RECENT = 0.6, 4
 _LEAST_DEPTH_RATIO = 0.05
 
 
@@ -59,8 +59,8 @@ class Velocities:
 
 
 def recent_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int) -> tuple[Floats, Floats]:
-    """`common_velocities` by the last views."""
-    first = np.searchsorted(points.since_s, -_RECENT_S)
+    """`common_velocities` by the last views, `_LEAST_RECENT` in any case."""
+    first = max(0, min(int(np.searchsorted(points.since_s, -_RECENT_S)), len(points.since_s) - _LEAST_RECENT))
     recent = replace(points, since_s=points.since_s[first:])
     return common_velocities(recent, cam_R_past[first:], start_hz, n_steps)
 

@@ -31,6 +31,7 @@ _FEW_TRACKS, _CUT_HISTOGRAM_ALONE = 8, 0.35
 # still, where the last step of most was longer than this: no camera stops between two pictures. (Doubled pictures of a
 # rendered drive moved this part of its tracks by 0.1 to 0.2 px at an H.264 CRF of 14 to 28, others by 3 px at least.)
 _LEAST_STEP_PX, _STILL_PART, _STILL_SHARE = 1.0, 0.1, 0.9
+_NO_STEPS = (0.0, 0.0)
 # So often at most, 5 pictures a second sent as 30: what stands still for longer has stopped.
 _MOST_REPEATED = 5
 # A picture whose brightest parts stay below this grey level shows nothing; black is 16 in most videos.
@@ -50,14 +51,14 @@ class PreparedPicture:
 class TrackerMemory:
     """State of the tracker in use, and the last picture's look; everything None before the first picture.
 
-    ``step_px`` is the median length of the tracks' last steps, ``n_repeated`` counts the pictures since then in which
-    they stood still.
+    ``steps_px`` are the median lengths of the tracks' last two steps, 0 where there was none, and None after pictures
+    that were left out; ``n_repeated`` counts the pictures since then in which the tracks stood still.
     """
 
     prepared: PreparedPicture | None = None
     klt: KltMemory | None = None
     akaze: AkazeMemory | None = None
-    step_px: float = 0.0
+    steps_px: tuple[float, float] | None = _NO_STEPS
     n_repeated: int = 0
 
 
@@ -83,13 +84,13 @@ def follow_points(
     memory : for the next picture.
     """
     if int(prepared.thumbnail.max()) < _DARK_LEVEL:
-        return _no_points(), FrameStatus.dark, memory
+        return _no_points(), FrameStatus.dark, replace(memory, steps_px=None)
     last = memory.prepared
     if last is None:
         points, started = _started(memory, prepared, allowed, config)
         return points, FrameStatus.first, started
     if np.array_equal(last.thumbnail, prepared.thumbnail) and np.array_equal(last.grey, prepared.grey):
-        return _no_points(), FrameStatus.duplicate, memory
+        return _no_points(), FrameStatus.duplicate, replace(memory, steps_px=None)
     followed, survival, n_before = _followed(memory, prepared, allowed, config)
     if _is_cut(survival, n_before, last.thumbnail, prepared.thumbnail):
         points, started = _started(memory, prepared, allowed, config)
@@ -98,7 +99,8 @@ def follow_points(
     if _stand_still(steps_px, memory):
         return _no_points(), FrameStatus.duplicate, replace(memory, n_repeated=memory.n_repeated + 1)
     step_px = float(np.median(steps_px)) if len(steps_px) >= _FEW_TRACKS else 0.0
-    return _points(followed), FrameStatus.ok, replace(followed, step_px=step_px)
+    last_steps_px = _NO_STEPS if memory.steps_px is None else (memory.steps_px[1], step_px)
+    return _points(followed), FrameStatus.ok, replace(followed, steps_px=last_steps_px)
 
 
 def _started(
@@ -144,9 +146,14 @@ def _steps_px(last: PointSet, now: PointSet) -> Floats:
 
 def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
     """Whether nearly all tracks stand still that moved before, as only a repeated picture has it."""
-    if len(steps_px) < _FEW_TRACKS or last.step_px < _LEAST_STEP_PX or last.n_repeated >= _MOST_REPEATED:
+    if last.steps_px is None or len(steps_px) < _FEW_TRACKS or last.n_repeated >= _MOST_REPEATED:
         return False
-    return bool(np.mean(steps_px < _STILL_PART * last.step_px) >= _STILL_SHARE)
+    before_px, last_px = last.steps_px
+    if last_px < _LEAST_STEP_PX:
+        return False
+    # A step over a gap in the times is no measure of the next; nor is one to a repeated picture that was not known yet.
+    step_px = min(before_px, last_px) if before_px >= _LEAST_STEP_PX else last_px
+    return bool(np.mean(steps_px < _STILL_PART * step_px) >= _STILL_SHARE)
 
 
 def _exposure_gain(last: PreparedPicture, now: PreparedPicture) -> float:
