@@ -160,15 +160,5 @@ def _fit_sizes(xy: Floats, depth: Floats, variance: Floats) -> float:
         depth[view] = scale
         variance[view] = scale * scale * point_variance * (total / count) * (1.0 / uu + 1.0 / vv)
         radius = np.sqrt(vv / total)
-    depth[now], variance[now] = 1.0, _smallest_known(variance)
+    depth[now], variance[now] = 1.0, np.nanmin(variance)
     return radius
-
-
-@compiled
-def _smallest_known(values: Floats) -> float:
-    """The smallest value that is one, NaN without any."""
-    least = np.nan
-    for value in values:
-        if np.isfinite(value) and not value >= least:
-            least = value
-    return least
