@@ -1,0 +1,254 @@
+"""What is on collision course: what will hit us, soon and surely, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from relative_motion import CAMERA, FOCAL_PX
+from watched_rows import CONFIG, FRAME_S, HIT, WIDTH_M, drive, first_warned, row_of, watched
+
+from ttcvid.config import EventsConfig
+from ttcvid.geometry.camera import pixels_from_rays
+from ttcvid.geometry.closing import Closing
+from ttcvid.model import MotionState
+from ttcvid.stages.clusters import with_times
+from ttcvid.stages.events import is_collision_course
+
+
+def test_a_near_miss_inside_a_width_is_a_collision_course():
+    active, _ = watched(drive((1.2, 0.0, 20.0), (0.0, 0.0, -8.0), 2.0, relative_sigma=0.003))
+    (event,) = active[-1]
+    assert event.kind == "collision_course"
+    assert event.miss_s == pytest.approx(1.2 / 8.0, rel=1e-6)
+    assert (
+        watched(drive((1.2, 0.0, 10.0), (0.0, 0.0, -8.0), 1.0, relative_sigma=0.003))[0][-1][0].kind
+        == "collision_course"
+    )
+
+
+def test_it_is_not_warned_of_before_it_is_near_in_time():
+    active, _ = watched(drive((0.0, 0.0, 80.0), (0.0, 0.0, -10.0), 7.0))
+    # 4 s away at frame 80.
+    assert first_warned(active) in (86, 87)
+
+
+@pytest.mark.parametrize("widths", [3.0, 5.0])
+@pytest.mark.parametrize("speed_m_s", [2.0, 20.0])
+def test_a_passing_car_is_never_warned_of(widths, speed_m_s):
+    start_m = (widths * WIDTH_M, 0.0, 6.0 * speed_m_s)
+    active, _ = watched(drive(start_m, (0.0, 0.0, -speed_m_s), 6.0))
+    assert first_warned(active) is None
+
+
+@pytest.mark.parametrize(
+    ("position_m", "velocity_m_s"),
+    [
+        ((0.0, 0.0, 10.0), (0.0, 0.0, 5.0)),
+        ((0.0, 0.0, 10.0), (0.0, 0.0, -0.1)),
+        ((-12.0, 0.0, 20.0), (10.0, 0.0, 0.0)),
+        ((-3.0, 0.0, 10.0), (-4.0, 0.0, -4.0)),
+    ],
+    ids=["recedes", "near at our speed", "crosses ahead", "turns away"],
+)
+def test_what_does_not_come_near_is_not_warned_of(position_m, velocity_m_s):
+    assert first_warned(watched(drive(position_m, velocity_m_s, 1.5))[0]) is None
+
+
+@pytest.mark.parametrize("off_axis_deg", [0.0, 40.0, 60.0, 75.0])
+@pytest.mark.parametrize(("miss_widths", "is_hit"), [(0.4, True), (2.0, False)])
+def test_a_width_is_as_wide_through_a_fisheye_off_its_axis_as_without_a_lens(off_axis_deg, miss_widths, is_hit):
+    """Off the axis a fisheye crowds a thing into few pixels."""
+    fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
+    place = np.array([np.tan(np.radians(off_axis_deg)), 0.0, 1.0])
+    across = np.array([place[2], 0.0, -place[0]]) / np.linalg.norm(place)
+    half, to_us = 0.1, 0.3 * (miss_widths * 0.2 * across - place)
+    row = replace(row_of(10.0 * place, 10.0 * to_us, relative_sigma=0.001), motion_state=MotionState.approaching)
+    for camera in (CAMERA, fisheye):
+        middle, left, right = pixels_from_rays(
+            camera, place + half * np.array([[0.0], [-1.0], [1.0]]) * (1.0, 0.0, 0.0)
+        )
+        seen = replace(row, ref_px=tuple(middle), box_px=(left[0], left[1] - 9.0, right[0], right[1] + 9.0))
+        assert is_collision_course(seen, camera, CONFIG, is_warned=False) == is_hit
+
+
+@pytest.mark.parametrize(("start_m", "is_hit"), [((0.0, 5.0, 0.5), True), ((0.0, 5.0, 10.0), False)])
+def test_what_goes_straight_up_shows_its_whole_width(start_m, is_hit):
+    """Asked for at less than even chance: whether it comes nearer in depth is open."""
+    config = EventsConfig(max_ttc_s=4.0, max_miss_widths=1.0, confidence=0.4)
+    row = replace(row_of(start_m, (0.0, -5.0, 0.0), relative_sigma=0.001), motion_state=MotionState.approaching)
+    assert is_collision_course(row, CAMERA, config, is_warned=False) == is_hit
+
+
+@pytest.mark.parametrize(("aside_m", "is_hit"), [(4.0, True), (12.0, False)])
+def test_which_end_of_a_lorry_is_the_reference_changes_nothing(aside_m, is_hit):
+    """The lorry is seen from its side, 9 m long."""
+    row = row_of((aside_m, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.001, width_m=9.0)
+    assert row.ref_px is not None
+    row = replace(row, motion_state=MotionState.approaching)
+    for x_px in (row.box_px[0], row.ref_px[0], row.box_px[2]):
+        seen = replace(row, ref_px=(x_px, row.ref_px[1]))
+        assert is_collision_course(seen, CAMERA, CONFIG, is_warned=False) == is_hit
+
+
+def test_what_reaches_beyond_a_right_angle_off_the_axis_is_wide():
+    fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
+    place = np.array([np.tan(np.radians(60.0)), 0.0, 1.0])
+    row = replace(row_of(10.0 * place, -3.0 * place, relative_sigma=0.001), motion_state=MotionState.approaching)
+    x_px = CAMERA.cx_px + FOCAL_PX * np.radians([30.0, 60.0, 100.0])
+    seen = replace(row, ref_px=(x_px[1], CAMERA.cy_px), box_px=(x_px[0], 0.0, x_px[2], 300.0))
+    seen = with_times([seen], fisheye)[0]
+    assert is_collision_course(replace(seen, motion_state=row.motion_state), fisheye, CONFIG, is_warned=False)
+
+
+def test_the_same_geometry_is_judged_alike_at_two_and_at_twenty_metres_a_second():
+    """A fixed miss_s would mean 0.6 m at one speed and 6 m at the other; widths mean the same."""
+    for lateral_widths in (0.0, 0.5, 0.85, 1.5, 3.0):
+        verdicts = {
+            speed: first_warned(
+                watched(
+                    drive((lateral_widths * WIDTH_M, 0.0, 3.0 * speed), (0.0, 0.0, -speed), 2.0, relative_sigma=5e-4)
+                )[0]
+            )
+            for speed in (2.0, 20.0)
+        }
+        assert (verdicts[2.0] is None) == (verdicts[20.0] is None) == (lateral_widths > 1.0)
+    scaled = [
+        [
+            e.start_frame
+            for events in watched(drive((s, 0.0, 30.0 * s), (0.0, 0.0, -10.0 * s), 2.5, width_m=2.0 * s))[0]
+            for e in events
+        ]
+        for s in (1.0, 10.0)
+    ]
+    assert scaled[0] == scaled[1]
+    assert scaled[0]
+
+
+def test_what_is_not_sure_is_not_warned_of():
+    assert first_warned(watched(drive(*HIT, 2.5, relative_sigma=1.0))[0]) is None
+
+
+def test_a_long_bus_that_crosses_well_before_us_is_not_warned_of():
+    # 12 m long, moves to the side along its length; it passes 8 m off.
+    frames = drive((-4.0, 0.0, 12.0), (8.0, 0.0, -1.5), 1.5, width_m=12.0)
+    assert first_warned(watched(frames)[0]) is None
+
+
+def changing(row, change):
+    """The row of a body whose speed may change by a part of itself soon."""
+    along = change**2 * np.outer(row.state_abc_hz, row.state_abc_hz)
+    return with_times([replace(row, state_cov=row.state_cov + along, speed_change=change)], CAMERA)[0]
+
+
+def test_a_car_that_brakes_has_no_sure_time_and_is_warned_of_all_the_same():
+    frames = [changing(row, 0.7) for row in drive(*HIT, 1.0)]
+    assert not frames[0].times.ttc_z_hi_s[0] > 0.0
+    assert first_warned(watched(frames)[0]) == 6
+    aside = [changing(row, 0.7) for row in drive((5.4, 0.0, 30.0), HIT[1], 1.0)]
+    assert first_warned(watched(aside)[0]) is None
+
+
+def braking_from_behind(acceleration_sigma_hz2, range_m=16.0, braking_m_s2=5.0, seconds=1.5, aside_m=0.0):
+    """Rows of a car at our own speed that has just begun to brake, and the acceleration that its picture shows."""
+    rows, closings = [], []
+    for t_s in np.arange(FRAME_S, seconds, FRAME_S):
+        z_m, speed_m_s = range_m - 0.5 * braking_m_s2 * t_s**2, braking_m_s2 * t_s
+        cov = np.diag([0.02, acceleration_sigma_hz2]) ** 2
+        rows.append(row_of((aside_m, 0.0, z_m), (0.0, 0.0, -speed_m_s)))
+        closings.append(Closing(-speed_m_s / z_m, -braking_m_s2 / z_m, cov))
+    return rows, closings
+
+
+def test_a_car_that_has_just_begun_to_brake_is_warned_of_by_its_acceleration_where_that_is_sure():
+    """At constant velocity 4 s are left 0.78 s after it began to; its brakes tell 0.4 s earlier."""
+    rows, closings = braking_from_behind(0.05)
+    _, unsure = braking_from_behind(0.3)
+    assert first_warned(watched(rows)[0]) == 20
+    assert first_warned(watched(rows, closings=closings)[0]) < 13
+    assert first_warned(watched(rows, closings=unsure)[0]) == 20
+
+
+def test_an_acceleration_is_not_taken_to_last_for_ever():
+    """At 40 m it would be reached in 4 s by going on as now; nobody knows that it does."""
+    rows, closings = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
+    assert closings[0].contact_s(9.0) < 4.0 < closings[-1].contact_s(1.0)
+    assert first_warned(watched(rows, closings=closings)[0]) is None
+
+
+def test_a_car_that_brakes_beside_our_way_is_not_warned_of():
+    rows, closings = braking_from_behind(0.02, aside_m=5.4)
+    assert first_warned(watched(rows, closings=closings)[0]) is None
+
+
+def low_part(offset_m, z_m=15.0):
+    """Row of the legs of somebody 0.5 m wide who stands on the road, 1.5 m below us, and comes straight at us."""
+    row = row_of((offset_m, 1.0, z_m), (0.0, 0.0, -8.0), width_m=0.5)
+    x_px, y_px = row.ref_px
+    half_px, low_px = 0.25 * FOCAL_PX / z_m, 0.5 * FOCAL_PX / z_m
+    return replace(row, box_px=(x_px - half_px, y_px - low_px, x_px + half_px, y_px + low_px))
+
+
+def is_course(row, **options):
+    """Whether a row is on collision course."""
+    return is_collision_course(row, CAMERA, CONFIG, is_warned=False, **options)
+
+
+def test_what_passes_below_the_camera_on_the_road_hits_our_car():
+    """Of somebody who walks onto the road only the legs may be told from the background; an aircraft passes below."""
+    assert is_course(low_part(0.0), on_ground=True)
+    assert not is_course(low_part(0.0))
+    assert not is_course(low_part(2.5), on_ground=True)
+
+
+def side_of_lorry(offset_m, z_m=30.0, length_m=9.0):
+    """Row of a lorry that shows its side, and whose middle passes us by ``offset_m``; our camera is 1.5 m high."""
+    row = row_of((offset_m, 0.0, z_m), (0.0, 0.0, -10.0), width_m=length_m, relative_sigma=0.005)
+    x_px, y_px = row.ref_px
+    half_px, foot_px = 0.5 * length_m * FOCAL_PX / z_m, 1.5 * FOCAL_PX / z_m
+    return replace(row, box_px=(x_px - half_px, y_px - foot_px, x_px + half_px, y_px + foot_px))
+
+
+def test_on_the_road_half_a_lorry_and_half_our_width_are_what_it_must_not_come_closer_by():
+    assert is_course(side_of_lorry(4.5 + 0.9), on_ground=True)
+    assert not is_course(side_of_lorry(4.5 + 3.9), on_ground=True)
+    # Where nothing tells how large it is, its own width has to do.
+    assert is_course(side_of_lorry(4.5 + 3.9))
+
+
+def test_a_small_thing_on_the_road_is_judged_by_its_width_as_before():
+    for offset_m in (0.0, 1.2, 1.6, 2.2, 3.5):
+        row = row_of((offset_m, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
+        assert is_course(row, on_ground=True) == is_course(row)
+
+
+def test_confidence_is_the_probability_of_the_approach_and_as_high_as_asked_for():
+    """A harder confidence warns of less: an approach known to 30 % is sure at 95 % but not at 99.99 %."""
+    hit = drive(*HIT, 1.5, relative_sigma=0.3, width_m=8.0)
+    wide = CONFIG.model_copy(update={"max_miss_widths": 100.0})
+    active, _ = watched(hit, wide)
+    assert first_warned(active) == 6
+    # The rate is 1 / 0.3 of its standard deviations away from none.
+    assert active[6][0].confidence == pytest.approx(0.99957, abs=1e-5)
+    assert first_warned(watched(hit, wide.model_copy(update={"confidence": 0.9999}))[0]) is None
+
+
+def standing(width_m, height_m, ref_below_m, centre_below_m, position_m=(0.0, 0.0, 16.0)):
+    """Row of an upright thing that comes straight on, its reference point and its middle so far below the camera."""
+    x_m, _, z_m = position_m
+    row = row_of((x_m, ref_below_m, z_m), (0.0, 0.0, -8.0), relative_sigma=0.003)
+    half_px = 0.5 * FOCAL_PX / z_m * np.array([width_m, height_m])
+    centre_px = FOCAL_PX / z_m * np.array([x_m, centre_below_m]) + (CAMERA.cx_px, CAMERA.cy_px)
+    return replace(row, box_px=(*(centre_px - half_px).tolist(), *(centre_px + half_px).tolist()))
+
+
+def test_a_thing_is_hit_over_its_whole_height():
+    # Somebody 1.75 m tall, 0.6 m wide, whose feet are seen best, 1.4 m below the camera.
+    walker = standing(0.6, 1.75, ref_below_m=1.3, centre_below_m=0.53)
+    assert is_collision_course(walker, CAMERA, CONFIG, is_warned=False)
+    beside = standing(0.6, 1.75, ref_below_m=1.3, centre_below_m=0.53, position_m=(1.2, 0.0, 16.0))
+    assert not is_collision_course(beside, CAMERA, CONFIG, is_warned=False)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_what_ends_far_below_or_begins_far_above_is_not_hit(side):
+    assert not is_collision_course(standing(0.6, 0.4, 1.5 * side, 1.5 * side), CAMERA, CONFIG, is_warned=False)
