@@ -40,6 +40,14 @@ def test_without_a_road_nothing_lies_on_it():
     assert not on_road(road_and_wall(np.random.default_rng(3)), RoadMemory()).any()
 
 
+def test_an_aircraft_below_our_way_whose_belly_is_a_little_nearer_is_no_road():
+    rng = np.random.default_rng(5)
+    x_m = np.concatenate([rng.uniform(-8.0, 8.0, 80), rng.uniform(-1.0, 1.0, 60)])
+    y_m = np.concatenate([rng.normal(2.5, 0.2, 80), rng.uniform(0.5, 4.0, 60)])
+    fit = fit_of(np.column_stack([x_m, y_m, 30.0 - 1.5 * (y_m - 2.5)]))
+    assert find_road(fit, np.ones(140, dtype=bool), 0.0) is None
+
+
 def test_the_horizon_of_a_noisy_road_is_steadied_along_our_way_while_the_camera_pitches():
     rng = np.random.default_rng(4)
     slope_hz, horizon = SPEED_M_S / CAMERA_M, 0.005

@@ -25,6 +25,8 @@ _LEAST_BELOW, _KNOWN_PART = 0.03, 0.1
 _ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
 # A road is borne by so many points, and by this part of all below the horizon.
 _LEAST_POINTS, _LEAST_SHARE = 12, 0.3
+# Points whose rates agree within this (natural logarithm) may have one depth: the road's tolerance to both sides.
+_ONE_DEPTH = 3.0 * _ROAD_SPREAD
 # How much the road may fall to one side, beside how much it comes nearer downwards: roll of the camera.
 _ROLL_SIGMA = 0.1
 _UNDER_SIGMAS, _LEAST_VIEWS = 3.0, 4
@@ -153,7 +155,13 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
         normal = used.T @ used
         normal[1, 1] += normal[2, 2] * _ROLL_SIGMA**2
         road = np.linalg.solve(normal, used.T @ (rate[on_road] / predicted[on_road]))
-    return road if road[2] > 0.0 else None
+    return road if road[2] > 0.0 and not _is_upright(rate[on_road]) else None
+
+
+def _is_upright(rate_hz: Floats) -> bool:
+    """Whether one depth holds more than half of the points (K,): a wall fits a road where it is low enough."""
+    log_rate, half = np.sort(np.log(rate_hz)), len(rate_hz) // 2
+    return bool((log_rate[half:] - log_rate[: len(rate_hz) - half]).min() < _ONE_DEPTH)
 
 
 @compiled
