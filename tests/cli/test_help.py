@@ -29,6 +29,15 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     assert done.stdout
 
 
+def test_the_package_runs_as_the_program_does() -> None:
+    command = [sys.executable, "-m", "ttcvid"]
+    done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("ttcvid")
+    failed = subprocess.run([*command, "analyze", "no-such-clip.mp4"], capture_output=True, text=True, check=False)
+    assert failed.returncode == 3
+    assert failed.stderr.count("\n") == 1
+
+
 def test_the_list_of_commands_names_every_command_with_its_first_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
