@@ -26,10 +26,10 @@ from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
 
 # Tracks of one object hang together when they lie closer than this part of the picture's width.
 _LINK_PART = 0.05
-# Error of a position that no track's noise knows of, px: what lens and shutter leave with a calibrated camera, and what
-# a lens that nobody measured does to a picture that turns by some degrees: distortion of some per cent, a shutter that
-# rolls, a focal length that is off by 15 %.
-_MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR_PX = 0.1, 0.5
+# Error of a position that no track's noise knows of: what lens and shutter leave with a calibrated camera, px, and what
+# a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
+# rolls, a focal length that is off by 15 %), as a part of the picture's width: half a pixel of 960.
+_MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
 # A track that has moved by less than this over so many views has stayed where it was, px.
 _STAYING_PX, _STAYING_VIEWS = 0.5, 10
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
@@ -85,7 +85,7 @@ def find_motions(
     in_scene, objects = is_free, list[ClusterMotion]()
     if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
-        error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR_PX
+        error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.width_px
         before = memory.obstacles
         found, memory = find_bodies(
             history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
