@@ -83,11 +83,11 @@ class PathFit:
 class PathPriors:
     """How views may leave what is expected of them: Gaussian, by view.
 
-    ``cam_R_past (L, 3, 3)`` are the rotations expected, with ``turn_sigma_rad (L,)``; a path is expected to be straight
-    and steady, within ``shift_sigma (L,)`` of its length.
+    ``cam_R_past (L, 3, 3)`` are the rotations expected, with ``turn_sigma_rad (L,)``, None: those that each step starts
+    from, of one thing; a path is expected to be straight and steady, within ``shift_sigma (L,)`` of its length.
     """
 
-    cam_R_past: Floats
+    cam_R_past: Floats | None
     turn_sigma_rad: Floats
     shift_sigma: Floats
 
@@ -168,17 +168,17 @@ def refined_paths(
     m = len(points.track)
     rotations, path = paths.cam_R_past.copy(), paths.path.copy()
     rate = _known(rate_hz, m)
-    order = np.argsort(points.thing, kind="stable")
+    order, first = np.empty(m, dtype=np.int64), np.zeros(len(paths) + 1, dtype=np.int64)
+    _sort_by_thing(points.thing, order, first)
+    expected = rotations[0] if priors.cam_R_past is None else np.ascontiguousarray(priors.cam_R_past)
     refine_each(
         points.rays,
         points.track,
         order,
-        np.searchsorted(points.thing[order], np.arange(len(paths) + 1)),
+        first,
         points.sigma_norm,
         points.since_s,
-        np.ascontiguousarray(priors.cam_R_past),
-        priors.turn_sigma_rad,
-        priors.shift_sigma,
+        (expected, priors.turn_sigma_rad, priors.shift_sigma),
         n_steps,
         np.ones(m) if weight is None else weight,
         rotations,
@@ -191,6 +191,19 @@ def refined_paths(
 def _known(rate_hz: Floats | None, count: int) -> Floats:
     """Rates to start from: 0 where none is known."""
     return np.zeros(count) if rate_hz is None else np.where(np.isfinite(rate_hz), rate_hz, 0.0)
+
+
+@compiled
+def _sort_by_thing(thing: Ints, order: Ints, first: Ints) -> None:
+    """Fill ``order (M,)``, points in order of ``thing (M,)``, and where each thing starts in it, ``first (K + 1,)``."""
+    for number in thing:
+        first[number + 1] += 1
+    for number in range(1, len(first)):
+        first[number] += first[number - 1]
+    free = first.copy()
+    for m in range(len(thing)):
+        order[free[thing[m]]] = m
+        free[thing[m]] += 1
 
 
 @compiled

@@ -38,6 +38,8 @@ _HALF_WEIGHT, _LEAST_TYPICAL_MISFIT = 2.0, 0.25
 _N_WAY, _N_POINT = 12, 5
 # Paths shorter than this have no scale to keep.
 _NO_LENGTH = 1e-9
+# By view: the rotations expected, and the standard deviations of turns and shifts (`rigid_path.PathPriors`).
+_Priors = tuple[Floats, Floats, Floats]
 
 
 @compiled
@@ -81,9 +83,7 @@ def refine_each(
     first: Ints,
     sigma: Floats,
     since_s: Floats,
-    expected: Floats,
-    turn_sigma: Floats,
-    shift_sigma: Floats,
+    priors: _Priors,
     n_steps: Ints,
     weight: Floats,
     rotations: Floats,
@@ -92,28 +92,20 @@ def refine_each(
 ) -> None:
     """Draw ``rotations (K, L, 3, 3)`` and ``paths (K, L, 3)`` towards what the points show, in place.
 
-    Points of thing b are ``order[first[b] : first[b + 1]]``; their ``rate (M,)`` are starts and results.
+    Points of thing b are ``order[first[b] : first[b + 1]]``; their ``rate (M,)`` are starts and results. Of a
+    single thing the rotations may be those of the priors, too: then each step is expected to change nothing.
     """
-    n_frames, n_most, before = paths.shape[1], 0, rays.shape[2] - paths.shape[1]
-    for b in range(len(paths)):
-        n_most = max(n_most, first[b + 1] - first[b])
-    points, misfit, used = np.empty((_N_POINT, n_most + LANES)), np.empty(n_most), np.empty(n_most)
-    views, way = np.empty((n_frames, 3, n_most + LANES)), np.zeros((1, _N_WAY, rays.shape[2]))
+    n_frames, m = paths.shape[1], len(order)
+    points, misfit, used = np.empty((_N_POINT, m + LANES)), np.empty(m), np.empty(m)
+    views, way = np.empty((n_frames, 3, m + LANES)), np.zeros((1, _N_WAY, rays.shape[2]))
     normal, score = np.empty((n_frames, 6, 6)), np.empty((n_frames, 6))
     for b in range(len(paths)):
         members = order[first[b] : first[b + 1]]
         n_lanes = -(-len(members) // LANES) * LANES
-        for c in range(n_lanes):
-            if c < len(members) and weight[members[c]] > 0.0:
-                for k in range(n_frames):
-                    for i in range(3):
-                        views[k, i, c] = rays[track[members[c]], i, before + k]
-            else:
-                views[:, :, c] = np.nan
+        _list_views(rays, track, members, views)
         for _ in range(n_steps[b]):
             _list_way(rotations, paths, b, way, 0)
-            points[:] = 0.0
-            n_used = 0
+            points[:, :n_lanes], n_used = 0.0, 0
             for c in range(len(members)):
                 m = members[c]
                 rate[m] = rate[m] if np.isfinite(rate[m]) else 0.0
@@ -134,7 +126,23 @@ def refine_each(
                     points[4, c] = weight[members[c]] / (1.0 + misfit[c] / (_HALF_WEIGHT * typical))
             for k in range(n_frames - 1):
                 _add_up(views[k], n_lanes, rotations[b, k], paths[b, k], points, normal[k], score[k])
-            _correct(since_s, expected, turn_sigma, shift_sigma, normal, score, rotations[b], paths[b])
+            _correct(since_s, priors, normal, score, rotations[b], paths[b])
+
+
+@compiled
+def _list_views(rays: Floats, track: Ints, members: Ints, views: Floats) -> None:
+    """Fill ``views (L, 3, M)`` with the rays of points, side by side; the last point fills up the last block.
+
+    A block of points at a time, view by view: that reads and writes next to where it did before.
+    """
+    rows, before = np.empty(LANES, dtype=np.uint64), np.uint64(rays.shape[2] - len(views))
+    for start in range(0, len(members), LANES):
+        for c in range(LANES):
+            rows[c] = track[members[min(start + c, len(members) - 1)]]
+        for k in range(np.uint64(len(views))):
+            for i in range(np.uint64(3)):
+                for c in range(np.uint64(LANES)):
+                    views[k, i, np.uint64(start) + c] = rays[rows[c], i, before + k]
 
 
 @compiled
@@ -290,21 +298,13 @@ def _add_up(
 
 
 @compiled
-def _correct(
-    since_s: Floats,
-    expected: Floats,
-    turn_sigma: Floats,
-    shift_sigma: Floats,
-    normal: Floats,
-    score: Floats,
-    rotation: Floats,
-    path: Floats,
-) -> None:
+def _correct(since_s: Floats, priors: _Priors, normal: Floats, score: Floats, rotation: Floats, path: Floats) -> None:
     """Turn the past views and shift the path of one thing by robust least squares with Gaussian priors.
 
     The priors draw rotations towards ``expected (L, 3, 3)`` and the path towards a steady straight one; the path keeps
     the length of its farthest view.
     """
+    expected, turn_sigma, shift_sigma = priors
     off, start, before = np.empty(3), path[0].copy(), _longest(path)
     for k in range(len(path) - 1):
         a, b, turn_precision = normal[k], score[k], 1.0 / turn_sigma[k] ** 2

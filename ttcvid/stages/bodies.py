@@ -72,10 +72,8 @@ def refined_scene(scene: RigidPaths, points: Points, weight: Floats, rate_hz: Fl
     weight, rate_hz : (M,) of each point.
     """
     turn_sigma = np.full(len(points.since_s), _SCENE_TURN_RAD)
-    for _ in range(n_steps):
-        priors = PathPriors(scene.cam_R_past[0], turn_sigma, _shift_sigma(points.since_s))
-        scene, rate_hz = refined_paths(points, scene, priors, np.array([1]), weight, rate_hz)
-    return scene
+    priors = PathPriors(None, turn_sigma, _shift_sigma(points.since_s))
+    return refined_paths(points, scene, priors, np.array([n_steps]), weight, rate_hz)[0]
 
 
 def refined_movers(movers: RigidPaths, scene: RigidPaths, points: Points, n_steps: Ints) -> tuple[RigidPaths, Floats]:
