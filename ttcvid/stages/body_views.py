@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,17 +39,17 @@ class BodyViews:
     neighbours: Ints
     link_px: float
 
-    @property
+    @cached_property
     def since_s(self) -> Floats:
         """Times relative to the present view: (L,)."""
         return np.asarray(self.t_s - self.t_s[-1])
 
-    @property
+    @cached_property
     def xy(self) -> Floats:
         """Places now in the plane z = 1: (N, 2)."""
         return np.asarray(self.rays[-1, :, :2] / self.rays[-1, :, 2:])
 
-    @property
+    @cached_property
     def has_neighbour(self) -> Bools:
         """Which of the neighbours are another track: (N, K)."""
         return np.asarray(self.neighbours != np.arange(len(self.neighbours))[:, None])

@@ -22,11 +22,10 @@ def nearest_neighbours(xy_px: Floats, count: int, radius_px: float) -> Ints:
     ----------
     xy_px : (N, 2). Nearer ones first; of equally near ones the one with the smaller index.
     """
-    n = len(xy_px)
-    neighbours = np.repeat(np.arange(n)[:, None], count, axis=1)
-    if n:
-        cell, order, start, width = _cells(xy_px, radius_px / _N_RINGS, _N_RINGS)
-        _nearest(xy_px[order], cell[order], order, start, width, radius_px, neighbours)
+    neighbours = np.empty((len(xy_px), count), dtype=np.int64)
+    if len(xy_px):
+        xy_px = np.ascontiguousarray(xy_px)
+        _nearest(xy_px, _on_grid(xy_px, radius_px / _N_RINGS, _N_RINGS), radius_px, neighbours)
     return neighbours
 
 
@@ -34,12 +33,8 @@ def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
     """All pairs of points ``(N, 2)`` closer than a radius: (M, 2), the smaller index first."""
     if len(xy_px) < 2:
         return np.empty((0, 2), dtype=np.int64)
-    cell, order, start, width = _cells(xy_px, radius_px, 1)
-    places = np.ascontiguousarray(xy_px)
-    count = _pairs(places, cell, order, start, width, radius_px, np.empty((0, 2), dtype=np.int64))
-    pairs = np.empty((count, 2), dtype=np.int64)
-    _pairs(places, cell, order, start, width, radius_px, pairs)
-    return pairs
+    xy_px = np.ascontiguousarray(xy_px)
+    return _pairs(xy_px, _on_grid(xy_px, radius_px, 1), radius_px)
 
 
 def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
@@ -47,9 +42,9 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
 
     The others have numbers of their own. Parts are numbered by their first track.
     """
-    root = np.arange(len(is_in))
-    _join(is_in, np.ascontiguousarray(pairs), root)
-    return _numbered(root)
+    label = np.empty(len(is_in), dtype=np.int64)
+    _join(is_in, np.ascontiguousarray(pairs), label)
+    return label
 
 
 def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, tolerance: Floats) -> Ints:
@@ -62,43 +57,21 @@ def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, to
     ----------
     xy_px : (N, 2); ``group, value, tolerance (N,)``.
     """
-    root = np.arange(len(xy_px))
+    label = np.zeros(len(xy_px), dtype=np.int64)
     if len(xy_px) > 1:
-        cell, order, start, width = _cells(xy_px, radius_px, 1)
-        _link(
-            xy_px[order],
-            cell[order],
-            order,
-            start,
-            width,
-            radius_px,
-            group[order],
-            value[order],
-            tolerance[order],
-            root,
-        )
-    return _numbered(root)
-
-
-def _numbered(root: Ints) -> Ints:
-    """Numbers from 0 of the parts that the trees of union-find stand for, by the smallest index of each."""
-    label = np.empty(len(root), dtype=np.int64)
-    _number(root, label)
+        xy_px = np.ascontiguousarray(xy_px)
+        _link(xy_px, _on_grid(xy_px, radius_px, 1), radius_px, group, value, tolerance, label)
     return label
 
 
-def _cells(xy_px: Floats, side_px: float, border: int) -> tuple[Ints, Ints, Ints, int]:
-    """A grid with a border of empty cells: cell of each point, points in order of cells, where each starts, width."""
+def _on_grid(xy_px: Floats, side_px: float, border: int) -> Ints:
+    """Column and row of each point on a grid: (2, N). Where that has gaps, they are no wider than the border needs."""
     column_row = np.empty((2, len(xy_px)), dtype=np.int64)
-    _place_on_grid(xy_px, side_px, column_row)
-    for axis in range(2):
-        if column_row[axis].max() > _MOST_CELLS:
-            column_row[axis] = _without_wide_gaps(column_row[axis], border)
-    width, height = column_row.max(axis=1) + (2 * border + 1)
-    cell, n_cells = (column_row[1] + border) * width + (column_row[0] + border), width * height
-    order, start = np.empty(len(cell), dtype=np.int64), np.zeros(n_cells + 1, dtype=np.int64)
-    _sort_by_cell(cell, order, start)
-    return cell, order, start, int(width)
+    if _place_on_grid(xy_px, side_px, column_row) > _MOST_CELLS:
+        for axis in range(2):
+            if column_row[axis].max() > _MOST_CELLS:
+                column_row[axis] = _without_wide_gaps(column_row[axis], border)
+    return column_row
 
 
 def _without_wide_gaps(number: Ints, border: int) -> Ints:
@@ -112,47 +85,57 @@ def _without_wide_gaps(number: Ints, border: int) -> Ints:
 
 
 @compiled
-def _place_on_grid(xy: Floats, side: float, column_row: Ints) -> None:
-    """Fill ``column_row (2, N)`` of points ``(N, 2)``, counted from the first of each."""
+def _place_on_grid(xy: Floats, side: float, column_row: Ints) -> int:
+    """Fill ``column_row (2, N)`` of points ``(N, 2)``, counted from the first of each; returns the largest."""
+    most = 0
     for axis in range(2):
         first = xy[0, axis]
         for i in range(len(xy)):
             first = min(first, xy[i, axis])
         for i in range(len(xy)):
-            column_row[axis, i] = int(np.floor((xy[i, axis] - first) / side))
+            number = int(np.floor((xy[i, axis] - first) / side))
+            column_row[axis, i], most = number, max(most, number)
+    return most
 
 
 @compiled
-def _sort_by_cell(cell: Ints, order: Ints, start: Ints) -> None:
-    """Fill ``order (N,)``, points in order of their cells, and where each of the cells starts, ``start (C + 1,)``."""
-    for number in cell:
-        start[number + 1] += 1
+def _sorted_by_cell(column_row: Ints, border: int) -> tuple[Ints, Ints, Ints, int]:
+    """A grid with a border of empty cells: cell of each point, points in order of cells, where each starts, width."""
+    n = column_row.shape[1]
+    width, height = np.max(column_row[0]) + 2 * border + 1, np.max(column_row[1]) + 2 * border + 1
+    cell, order, start = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(width * height + 1, np.int64)
+    for i in range(n):
+        cell[i] = (column_row[1, i] + border) * width + column_row[0, i] + border
+        start[cell[i] + 1] += 1
     for number in range(1, len(start)):
         start[number] += start[number - 1]
     free = start.copy()
-    for i in range(len(cell)):
+    for i in range(n):
         order[free[cell[i]]] = i
         free[cell[i]] += 1
+    return cell, order, start, width
 
 
 @compiled
-def _nearest(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radius: float, neighbours: Ints) -> None:
-    """Fill ``neighbours (N, K)``, ring of cells by ring of cells; ``xy, cell`` in the order of cells.
+def _nearest(xy_px: Floats, column_row: Ints, radius: float, neighbours: Ints) -> None:
+    """Fill ``neighbours (N, K)``, ring of cells by ring of cells.
 
     What lies beyond ring r is farther away than r cells. A candidate is one number, its squared distance with the index
     in place of the last bits: it sinks through the sorted ones before it without a branch.
     """
+    cell, order, start, width = _sorted_by_cell(column_row, _N_RINGS)
+    xy = xy_px[order]
     count, side, none = neighbours.shape[1], radius / _N_RINGS, _as_key(radius * radius, 0)
     nearest = np.empty(count, dtype=np.int64)
     for here in range(len(xy)):
-        x, y = xy[here, 0], xy[here, 1]
+        x, y, own = xy[here, 0], xy[here, 1], order[here]
         nearest[:] = none
         for ring in range(1, _N_RINGS + 1):
             for dy in range(-ring, ring + 1):
                 # Whole rows at the top and the bottom of a ring, its two ends between; the first has the middle too.
                 reach = ring if abs(dy) == ring or ring == 1 else 0
                 for middle in range(-ring + reach, ring - reach + 1, max(2 * ring, 1)):
-                    at = cell[here] + dy * width + middle
+                    at = cell[own] + dy * width + middle
                     for place in range(start[at - reach], start[at + reach + 1]):
                         if place != here:
                             key = _as_key((xy[place, 0] - x) ** 2 + (xy[place, 1] - y) ** 2, order[place])
@@ -162,7 +145,7 @@ def _nearest(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radiu
             if nearest[count - 1] < _as_key((ring * side) ** 2, 0):
                 break
         for k in range(count):
-            neighbours[order[here], k] = nearest[k] & _INDEX if nearest[k] < none else order[here]
+            neighbours[own, k] = nearest[k] & _INDEX if nearest[k] < none else own
 
 
 @compiled
@@ -172,68 +155,74 @@ def _as_key(square: float, index: int) -> int:
 
 
 @compiled
-def _pairs(xy: Floats, cell: Ints, order: Ints, start: Ints, width: int, radius: float, pairs: Ints) -> int:
-    """Fill ``pairs`` as far as it reaches; how many there are."""
-    count = 0
+def _pairs(xy: Floats, column_row: Ints, radius: float) -> Ints:
+    """All pairs of `linked_pairs`."""
+    cell, order, start, width = _sorted_by_cell(column_row, 1)
+    pairs, count = np.empty((8 * len(xy), 2), dtype=np.int64), 0
     for i in range(len(xy)):
         for dy in range(-1, 2):
             first = cell[i] + dy * width - 1
             for place in range(start[first], start[first + 3]):
                 j = order[place]
                 if j > i and (xy[j, 0] - xy[i, 0]) ** 2 + (xy[j, 1] - xy[i, 1]) ** 2 < radius * radius:
-                    if count < len(pairs):
-                        pairs[count, 0], pairs[count, 1] = i, j
+                    if count == len(pairs):
+                        pairs = np.concatenate((pairs, np.empty_like(pairs)))
+                    pairs[count, 0], pairs[count, 1] = i, j
                     count += 1
-    return count
+    return pairs[:count]
 
 
 @compiled
 def _link(
-    xy: Floats,
-    cell: Ints,
-    order: Ints,
-    start: Ints,
-    width: int,
-    radius: float,
-    group: Ints,
-    value: Floats,
-    tolerance: Floats,
-    root: Ints,
+    xy_px: Floats, column_row: Ints, radius: float, of_group: Ints, of_value: Floats, slack: Floats, label: Ints
 ) -> None:
-    """Union-find of `linked_parts`; all but ``root (N,)`` in the order of cells."""
+    """Fill ``label (N,)`` of `linked_parts`."""
+    cell, order, start, width = _sorted_by_cell(column_row, 1)
+    root, xy, group, value, tolerance = (
+        np.arange(len(cell)),
+        xy_px[order],
+        of_group[order],
+        of_value[order],
+        slack[order],
+    )
     for here in range(len(xy)):
         for dy in range(2):
             # What lies before in the order of cells has been looked at from there.
-            first = max(here + 1, start[cell[here] + dy * width - 1])
-            for place in range(first, start[cell[here] + dy * width + 2]):
+            at = cell[order[here]] + dy * width
+            for place in range(max(here + 1, start[at - 1]), start[at + 2]):
                 square = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
                 differs = abs(value[place] - value[here]) - tolerance[place] - tolerance[here]
                 # One branch, that seldom goes another way than the last time.
                 if (square < radius * radius) & (differs < 0.0) & (group[place] == group[here]):
                     _unite(root, order[here], order[place])
+    _number(root, label)
 
 
 @compiled
-def _join(is_in: Bools, pairs: Ints, root: Ints) -> None:
-    """Union-find of ``pairs (M, 2)``."""
+def _join(is_in: Bools, pairs: Ints, label: Ints) -> None:
+    """Fill ``label (N,)`` of `connected_parts`."""
+    root = np.arange(len(is_in))
     for m in range(len(pairs)):
         if is_in[pairs[m, 0]] and is_in[pairs[m, 1]]:
             _unite(root, pairs[m, 0], pairs[m, 1])
+    _number(root, label)
 
 
 @compiled
 def _unite(root: Ints, one: int, other: int) -> None:
-    """Hang the tree with the larger root on the other one."""
+    """Union-find: hang the tree with the larger root on the other one, and what is passed on the way up higher."""
     while root[one] != one:
+        root[one] = root[root[one]]
         one = root[one]
     while root[other] != other:
+        root[other] = root[root[other]]
         other = root[other]
     root[max(one, other)] = min(one, other)
 
 
 @compiled
 def _number(root: Ints, label: Ints) -> None:
-    """Fill ``label (N,)``: the top of each tree of ``root (N,)``, its smallest index, has the next number."""
+    """Fill ``label (N,)``: the top of each tree of ``root (N,)``, its smallest index, has the next number, from 0."""
     count = 0
     for i in range(len(root)):
         # The smaller indices are done, and a root is never larger.
