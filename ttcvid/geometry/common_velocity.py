@@ -31,23 +31,30 @@ def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_st
     start_hz : (K, 3) V / Z to start from.
     """
     velocity, info = start_hz.copy(), np.zeros((len(start_hz), 3, 3))
+    score, cam_R_past = np.zeros((len(start_hz), 3)), np.ascontiguousarray(cam_R_past)
     for _ in range(n_steps):
-        info, score = np.zeros((len(start_hz), 3, 3)), np.zeros((len(start_hz), 3))
+        info[:], score[:] = 0.0, 0.0
         _add_points(
             points.rays,
             points.track,
             points.thing,
             points.sigma_norm,
             points.since_s,
-            np.ascontiguousarray(cam_R_past),
+            cam_R_past,
             velocity,
             info,
             score,
         )
-        is_known = np.linalg.det(info) > 0.0
-        step = np.linalg.solve(np.where(is_known[:, None, None], info, np.eye(3)), score[:, :, None])[:, :, 0]
-        velocity = velocity + np.where(is_known[:, None], step, 0.0)
+        _step(info, score, velocity)
     return velocity, info
+
+
+@compiled
+def _step(info: Floats, score: Floats, velocity: Floats) -> None:
+    """Move each ``velocity (K, 3)`` by what its normal equations say, if these say all of it."""
+    for k in range(len(velocity)):
+        if np.linalg.det(info[k]) > 0.0:
+            velocity[k] += np.linalg.solve(info[k], score[k])
 
 
 @compiled

@@ -10,7 +10,7 @@ import numpy as np
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, MAX_DIRECTION_SIGMA_RAD
-from ttcvid.geometry.rotation import each_turned_into_plane, normalize, skew
+from ttcvid.geometry.rotation import each_turned_into_plane, normalize
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
@@ -117,7 +117,9 @@ def _object_motions(
     """The movers that have a public number, each with the direction that the whole tracks of its points share."""
     own_id = np.append(NO_CLUSTER, found.movers.cluster_id)[numbers_of(found.key, found.movers)]
     members = np.flatnonzero((own_id > 0) & is_free)
-    public, thing = np.unique(own_id[members], return_inverse=True)
+    ids = own_id[members]
+    public = np.flatnonzero(np.bincount(ids))
+    thing = np.searchsorted(public, ids)
     stays = _share(_stays_on_its_pixels(history, members), thing, len(public)) > 0.5
     parts = {int(public[number]): members[thing == number] for number in np.flatnonzero(~stays)}
     return motions_of(parts, history, plane, camera, config)
@@ -162,7 +164,7 @@ def _in_our_way(
         direction = -normalize(np.append(way.aim, 1.0)[None])[0]
         covariance = _WAY_SIGMA_RAD**2 * (np.eye(3) - np.outer(direction, direction))
     motions = [
-        replace(_on_plane(number, members, direction, covariance, "egomotion", plane, camera), is_static=True)
+        _on_plane(number, members, direction, covariance, "egomotion", plane, camera, is_static=True)
         for number, members in public.items()
     ]
     return motions, memory
@@ -182,11 +184,20 @@ def motions_of(
     window_s, direction, covariance = _directions(
         history, np.concatenate(list(members.values())), thing, len(members), config
     )
-    motions = []
+    motions, variance = [], covariance.trace(axis1=1, axis2=2)
     for number, (cluster_id, index) in enumerate(members.items()):
-        if np.trace(covariance[number]) < MAX_DIRECTION_SIGMA_RAD**2:
-            motion = _on_plane(cluster_id, index, direction[number], covariance[number], "whole-tracks", plane, camera)
-            motions.append(replace(motion, window_s=float(window_s[number])))
+        if variance[number] < MAX_DIRECTION_SIGMA_RAD**2:
+            motion = _on_plane(
+                cluster_id,
+                index,
+                direction[number],
+                covariance[number],
+                "whole-tracks",
+                plane,
+                camera,
+                window_s=float(window_s[number]),
+            )
+            motions.append(motion)
         else:
             motions.append(ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks"))
     return motions
@@ -252,10 +263,20 @@ def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config:
 
 def _shared_directions(history: TrackHistory, tracks: WholeTracks, thing: Ints, n_things: int) -> tuple[Floats, Floats]:
     """The direction of each thing and its covariance, with the rotation that may be left in all of its tracks."""
-    places = np.column_stack([tracks.state[:, :2], np.ones(len(tracks.state))])
-    by_rotation = skew(places) * history.rotation_rate_sigma_rad_s
+    by_rotation = np.empty((len(thing), 3, 3))
+    _turn_each(tracks.state, history.rotation_rate_sigma_rad_s, by_rotation)
     direction, covariance, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, n_things, by_rotation)
     return direction, covariance
+
+
+@compiled
+def _turn_each(state: Floats, rate: float, by_rotation: Floats) -> None:
+    """Fill ``by_rotation (N, 3, 3)``: what a rate of turning about each axis does to w of points at x, y (`skew`)."""
+    for i in range(len(state)):
+        x, y = rate * state[i, 0], rate * state[i, 1]
+        by_rotation[i, 0, 0], by_rotation[i, 0, 1], by_rotation[i, 0, 2] = 0.0, -rate, y
+        by_rotation[i, 1, 0], by_rotation[i, 1, 1], by_rotation[i, 1, 2] = rate, 0.0, -x
+        by_rotation[i, 2, 0], by_rotation[i, 2, 1], by_rotation[i, 2, 2] = -y, x, 0.0
 
 
 def _are_sure(tracks: WholeTracks, direction: Floats, thing: Ints) -> Bools:
@@ -299,6 +320,9 @@ def _on_plane(
     method: str,
     plane: HorizonPlane | None,
     camera: Camera,
+    *,
+    window_s: float = np.inf,
+    is_static: bool = False,
 ) -> ClusterMotion:
     """The motion as found, or moved onto the horizon with the offset noted."""
     offset_px = None
@@ -307,7 +331,9 @@ def _on_plane(
         direction, covariance = onto_horizon(direction, covariance, plane)
         method += ON_HORIZON
     status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
-    return ClusterMotion(cluster_id, members, direction, covariance, status, method, offset_px)
+    return ClusterMotion(
+        cluster_id, members, direction, covariance, status, method, offset_px, window_s=window_s, is_static=is_static
+    )
 
 
 def _assigned(
@@ -320,22 +346,55 @@ def _assigned(
 ) -> FrameMotions:
     """Each track's direction: its cluster's, or with a horizon its own."""
     n = len(flows.gap_s)
-    cluster_id = np.full(n, NO_CLUSTER, dtype=np.int64)
     direction, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     status = np.full(n, Status.no_epipole, dtype=np.int64)
     if plane is not None:
         direction, covariance, status = planar_directions(flows, plane)
     status[~is_free] = Status.no_parallax
     direction[~is_free] = np.nan
-    for motion in clusters:
-        own, way, cov = motion.members, motion.direction, motion.direction_cov
-        cluster_id[own], status[own] = motion.cluster_id, motion.status
-        if way is None or cov is None:
-            direction[own], covariance[own] = np.nan, np.nan
-        elif motion.cluster_id == SCENE_CLUSTER:
-            # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
-            direction[own] = along_scene[own] if plane is None else way
-            covariance[own] = cov + DIRECTION_FLOOR_RAD**2 * (np.eye(3) - np.outer(way, way))
-        else:
-            direction[own], covariance[own] = way, cov
+    # Which of the clusters each track is in, and what it takes from there: the first stands for none of them.
+    place = np.zeros(n, dtype=np.int64)
+    ids, statuses = np.full(len(clusters) + 1, NO_CLUSTER), np.empty(len(clusters) + 1, dtype=np.int64)
+    ways, covs = np.full((len(clusters) + 1, 3), np.nan), np.full((len(clusters) + 1, 3, 3), np.nan)
+    for number, motion in enumerate(clusters, start=1):
+        place[motion.members], ids[number], statuses[number] = number, motion.cluster_id, motion.status
+        way, cov = motion.direction, motion.direction_cov
+        if way is not None and cov is not None:
+            ways[number], covs[number] = way, cov
+            if motion.cluster_id == SCENE_CLUSTER:
+                covs[number] += DIRECTION_FLOOR_RAD**2 * (np.eye(3) - np.outer(way, way))
+    cluster_id = np.empty(n, dtype=np.int64)
+    # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
+    _take_over(place, ids, statuses, ways, covs, along_scene, plane is None, cluster_id, status, direction, covariance)
     return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px, is_free)
+
+
+@compiled
+def _take_over(
+    place: Ints,
+    ids: Ints,
+    statuses: Ints,
+    ways: Floats,
+    covs: Floats,
+    along_scene: Floats,
+    is_followed: bool,
+    cluster_id: Ints,
+    status: Ints,
+    direction: Floats,
+    covariance: Floats,
+) -> None:
+    """Fill what each of N tracks takes from its cluster, at ``place (N,)`` of those of K + 1 rows; 0 is no cluster.
+
+    With ``is_followed`` the tracks of a scene that has a direction take their own one ``along_scene (N, 3)``.
+    """
+    for i in range(len(place)):
+        k = place[i]
+        cluster_id[i] = ids[k]
+        if k == 0:
+            continue
+        status[i] = statuses[k]
+        for a in range(3):
+            is_along = is_followed and ids[k] == SCENE_CLUSTER and np.isfinite(ways[k, 0])
+            direction[i, a] = along_scene[i, a] if is_along else ways[k, a]
+            for b in range(3):
+                covariance[i, a, b] = covs[k, a, b]
