@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.geometry.shared_direction import shared_directions
@@ -56,7 +57,7 @@ def new_movers(
     """
     none = list[Ints](), scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
     is_asked = in_scene & views.is_free & (scene_fit.n_views >= _LEAST_VIEWS)
-    candidates = _candidates(views, is_asked, np.where(on_road, _beside_slip(views), 1.0) * misfit, config)
+    candidates = _candidates(views, is_asked, _without_slip(views, on_road, misfit), config)
     if len(candidates) < config.min_tracks:
         return none
     xy = turned_into_plane(views.rays[:, candidates], scene.cam_R_past[0])
@@ -87,27 +88,57 @@ def new_movers(
     return [candidates[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 
 
-def _beside_slip(views: BodyViews) -> Floats:
-    """What part of its squared error each track (N,) would have if its window slips as well as may be."""
+def _without_slip(views: BodyViews, on_road: Bools, misfit: Floats) -> Floats:
+    """Misfits (N,), those of tracks on a road as if their window had slipped as much as it may."""
     if len(views.rays) < 2:
-        return np.ones(len(views.sigma_norm))
-    moved = views.rays[-1] - views.rays[-2]
-    # The square of a track that was not seen is NaN, which `fmax` takes for nothing.
-    slip2 = _SLIP**2 * np.fmax(np.einsum("ni,ni->n", moved, moved), 0.0)
-    return np.asarray(views.sigma_norm**2 / (views.sigma_norm**2 + slip2))
+        return misfit
+    least = np.empty(len(misfit))
+    _take_slip(views.rays, views.sigma_norm, on_road, misfit, least)
+    return least
+
+
+@compiled
+def _take_slip(rays: Floats, sigma: Floats, on_road: Bools, misfit: Floats, least: Floats) -> None:
+    """Fill ``least (N,)``: the part of each misfit that is left if the slip of the last frame is noise, too."""
+    now, before = len(rays) - 1, len(rays) - 2
+    for i in range(len(misfit)):
+        moved2 = 0.0
+        for a in range(3):
+            moved2 += (rays[now, i, a] - rays[before, i, a]) ** 2
+        least[i] = misfit[i]
+        # NaN: it was not seen before.
+        if on_road[i] and moved2 > 0.0:
+            noise2 = sigma[i] * sigma[i]
+            least[i] *= noise2 / (noise2 + _SLIP * _SLIP * moved2)
 
 
 def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:
     """Tracks that contradict the scene, in a neighbourhood that does."""
-    index = np.flatnonzero(is_asked & (misfit > config.scene_gate))
-    if len(index) < config.min_tracks:
-        return index
-    around = np.column_stack([index, views.neighbours[index]])
-    counts = np.column_stack([np.ones(len(index), dtype=bool), views.has_neighbour[index]]) & is_asked[around]
-    ordered = np.sort(np.where(counts, np.log(np.maximum(misfit[around], _NO_MISFIT)), np.inf), axis=1)
-    every, n = np.arange(len(index)), np.count_nonzero(counts, axis=1)
-    median = 0.5 * (ordered[every, (n - 1) // 2] + ordered[every, n // 2])
-    return np.asarray(index[(median > _TOGETHER * np.log(config.scene_gate)) & (n >= _LEAST_AROUND)])
+    is_candidate = np.empty(len(misfit), dtype=bool)
+    _contradict(views.neighbours, is_asked, misfit, config.scene_gate, is_candidate)
+    return np.flatnonzero(is_candidate)
+
+
+@compiled
+def _contradict(neighbours: Ints, is_asked: Bools, misfit: Floats, gate: float, is_candidate: Bools) -> None:
+    """Fill ``is_candidate (N,)`` by the median of ln(misfit) of each track and its ``neighbours (N, K)``."""
+    around = np.empty(neighbours.shape[1] + 1)
+    for i in range(len(misfit)):
+        is_candidate[i] = False
+        if not (is_asked[i] and misfit[i] > gate):
+            continue
+        around[0], n = misfit[i], 1
+        for j in neighbours[i]:
+            if j != i and is_asked[j]:
+                place = n
+                while place > 0 and around[place - 1] > misfit[j]:
+                    around[place] = around[place - 1]
+                    place -= 1
+                around[place] = misfit[j]
+                n += 1
+        if n >= _LEAST_AROUND:
+            one, other = max(around[(n - 1) // 2], _NO_MISFIT), max(around[n // 2], _NO_MISFIT)
+            is_candidate[i] = 0.5 * (np.log(one) + np.log(other)) > _TOGETHER * np.log(gate)
 
 
 def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:
@@ -116,12 +147,26 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     Those that move along our own path, ``is_along``, only with each other.
     """
     pairs = linked_pairs(views.xy_px[index], views.link_px)
-    oldest = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
-    span_s = -views.since_s[oldest]
-    flow = (xy[-1] - xy[oldest, np.arange(len(index))]) / span_s[:, None]
-    one, other = flow[pairs[:, 0]], flow[pairs[:, 1]]
-    mean = 0.5 * (np.linalg.norm(one, axis=1) + np.linalg.norm(other, axis=1))
-    floor = _FLOW_PX / views.focal_px / np.minimum(span_s[pairs[:, 0]], span_s[pairs[:, 1]])
-    is_alike = np.linalg.norm(one - other, axis=1) < _FLOW_PART * mean + floor
-    is_alike &= is_along[pairs[:, 0]] == is_along[pairs[:, 1]]
+    is_alike = np.empty(len(pairs), dtype=bool)
+    _are_alike(xy, views.since_s, pairs, is_along, _FLOW_PX / views.focal_px, is_alike)
     return connected_parts(np.ones(len(index), dtype=bool), pairs[is_alike])
+
+
+@compiled
+def _are_alike(xy: Floats, since_s: Floats, pairs: Ints, is_along: Bools, floor: float, is_alike: Bools) -> None:
+    """Fill ``is_alike (P,)``: whether two tracks flow alike since each was first seen; ``floor`` of the whole way."""
+    last, n = len(xy) - 1, xy.shape[1]
+    flow, length, span_s = np.empty((n, 2)), np.empty(n), np.empty(n)
+    for i in range(n):
+        oldest = 0
+        while oldest < last and not np.isfinite(xy[oldest, i, 0]):
+            oldest += 1
+        span_s[i] = -since_s[oldest]
+        for a in range(2):
+            flow[i, a] = (xy[last, i, a] - xy[oldest, i, a]) / span_s[i]
+        length[i] = np.sqrt(flow[i, 0] * flow[i, 0] + flow[i, 1] * flow[i, 1])
+    for m in range(len(pairs)):
+        i, j = pairs[m, 0], pairs[m, 1]
+        x, y = flow[i, 0] - flow[j, 0], flow[i, 1] - flow[j, 1]
+        limit = _FLOW_PART * 0.5 * (length[i] + length[j]) + floor / min(span_s[i], span_s[j])
+        is_alike[m] = np.sqrt(x * x + y * y) < limit and is_along[i] == is_along[j]

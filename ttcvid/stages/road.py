@@ -73,11 +73,7 @@ def gathered_evidence(
     epipole_y : height of own direction of travel in the plane z = 1.
     """
     evidence, is_known, was_below = np.zeros(len(track_id)), *np.zeros((2, len(track_id)), dtype=bool)
-    if len(memory.track_id):
-        place = np.minimum(np.searchsorted(memory.track_id, track_id), len(memory.track_id) - 1)
-        is_known = memory.track_id[place] == track_id
-        evidence[is_known] = memory.evidence[place[is_known]]
-        was_below[is_known] = memory.is_below[place[is_known]]
+    _carry(memory.track_id, memory.evidence, memory.is_below, track_id, is_known, evidence, was_below)
     road = steadied(memory, find_road(fit, in_scene, epipole_y), epipole_y)
     if road is None:
         return RoadMemory(track_id, _FORGETTING * evidence, None, epipole_y, was_below)
@@ -89,6 +85,25 @@ def gathered_evidence(
     decays = np.where(floating.is_borne | (floating.thing < 0), _FORGETTING, _NOTHING_SAID)
     evidence = np.where(is_under, _FORGETTING * evidence + 1.0 - _FORGETTING, decays * evidence)
     return RoadMemory(track_id, evidence, road, epipole_y, floating.below >= 0)
+
+
+@compiled
+def _carry(
+    before: Ints,
+    evidence: Floats,
+    is_below: Bools,
+    track_id: Ints,
+    is_known: Bools,
+    carried: Floats,
+    was_below: Bools,
+) -> None:
+    """Fill what was known of those of the tracks ``track_id (N,)`` that are among ``before (M,)``, both ascending."""
+    place = 0
+    for i in range(len(track_id)):
+        while place < len(before) and before[place] < track_id[i]:
+            place += 1
+        if place < len(before) and before[place] == track_id[i]:
+            is_known[i], carried[i], was_below[i] = True, evidence[place], is_below[place]
 
 
 def _floating_evidence(evidence: Floats, is_old: Bools, floating: Floating, was_below: Bools) -> Floats:
@@ -130,32 +145,56 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
     ----------
     fit : of N points on the path of the scene; ``in_scene (N,)`` those that may lie on the road.
     """
-    x, y = fit.place.T
-    known = in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
-    index = np.flatnonzero(known & (y > epipole_y - _PITCH + _LEAST_BELOW))
+    index = np.flatnonzero(_may_be_road(fit, in_scene, epipole_y))
     if len(index) < _LEAST_POINTS:
         return None
-    x, y, rate = x[index], y[index], fit.rate_hz[index]
+    place, rate = fit.place[index], fit.rate_hz[index]
     horizon_y = epipole_y + np.linspace(-_PITCH, _PITCH, _N_HORIZONS)
-    below = y - horizon_y[:, None]
+    below = place[:, 1] - horizon_y[:, None]
     log_slope = np.where(below > _LEAST_BELOW, np.log(rate) - np.log(np.maximum(below, _LEAST_BELOW)), np.inf)
     densest, log_slope_there = _densest(np.sort(log_slope, axis=1))
-    best = None if densest < 0 else (horizon_y[densest], float(np.exp(log_slope_there + _ROAD_SPREAD)))
-    if best is None:
+    if densest < 0:
         return None
-    road = np.array([-best[1] * best[0], 0.0, best[1]])
-    columns = np.column_stack([np.ones_like(x), x, y])
+    slope = float(np.exp(log_slope_there + _ROAD_SPREAD))
+    road = np.array([-slope * horizon_y[densest], 0.0, slope])
+    on_road = np.empty(len(rate), dtype=bool)
+    is_borne = _fit_plane(place, rate, road, on_road)
+    return road if is_borne and road[2] > 0.0 and not _is_upright(rate[on_road]) else None
+
+
+def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
+    """Points (N,) of the scene below any horizon, of a known rate."""
+    is_rated = in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
+    return np.asarray(is_rated & (fit.place[:, 1] > epipole_y - _PITCH + _LEAST_BELOW))
+
+
+@compiled
+def _fit_plane(place: Floats, rate: Floats, road: Floats, on_road: Bools) -> bool:
+    """Bring ``road (3,)`` to the plane of the points that lie on it, twice; False where these are too few.
+
+    Least squares of rates over what the road before has there, with a prior on the roll. Fills ``on_road (N,)``.
+    """
+    normal, right = np.empty((3, 3)), np.empty(3)
     for _ in range(2):
-        predicted = columns @ road
-        on_road = np.abs(rate - predicted) < 1.5 * _ROAD_SPREAD * predicted
-        below = predicted > _LEAST_BELOW * road[2]
-        if np.count_nonzero(on_road) < max(_LEAST_POINTS, _LEAST_SHARE * np.count_nonzero(below)):
-            return None
-        used = columns[on_road] / predicted[on_road, None]
-        normal = used.T @ used
-        normal[1, 1] += normal[2, 2] * _ROLL_SIGMA**2
-        road = np.linalg.solve(normal, used.T @ (rate[on_road] / predicted[on_road]))
-    return road if road[2] > 0.0 and not _is_upright(rate[on_road]) else None
+        normal[:], right[:] = 0.0, 0.0
+        n_on_road, n_below = 0, 0
+        for i in range(len(rate)):
+            x, y = place[i, 0], place[i, 1]
+            predicted = road[0] + road[1] * x + road[2] * y
+            n_below += predicted > _LEAST_BELOW * road[2]
+            on_road[i] = abs(rate[i] - predicted) < 1.5 * _ROAD_SPREAD * predicted
+            if on_road[i]:
+                n_on_road += 1
+                columns = (1.0 / predicted, x / predicted, y / predicted)
+                for a in range(3):
+                    right[a] += columns[a] * (rate[i] / predicted)
+                    for b in range(3):
+                        normal[a, b] += columns[a] * columns[b]
+        if n_on_road < max(_LEAST_POINTS, _LEAST_SHARE * n_below):
+            return False
+        normal[1, 1] += normal[2, 2] * _ROLL_SIGMA * _ROLL_SIGMA
+        road[:] = np.linalg.solve(normal, right)
+    return True
 
 
 def _is_upright(rate_hz: Floats) -> bool:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
@@ -197,11 +198,19 @@ def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
 def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:
     """Body and rate that each track had; new ones are with the scene."""
     key, rate_hz = np.full(len(track_id), SCENE_CLUSTER), np.full(len(track_id), np.nan)
-    if len(memory.track_id):
-        place = np.minimum(np.searchsorted(memory.track_id, track_id), len(memory.track_id) - 1)
-        is_known = memory.track_id[place] == track_id
-        key[is_known], rate_hz[is_known] = memory.track_key[place[is_known]], memory.rate_hz[place[is_known]]
+    _carry(memory.track_id, memory.track_key, memory.rate_hz, track_id, key, rate_hz)
     return key, rate_hz
+
+
+@compiled
+def _carry(before: Ints, key: Ints, rate_hz: Floats, track_id: Ints, new_key: Ints, new_hz: Floats) -> None:
+    """Fill what was known of those of the tracks ``track_id (N,)`` that are among ``before (M,)``, both ascending."""
+    place = 0
+    for i in range(len(track_id)):
+        while place < len(before) and before[place] < track_id[i]:
+            place += 1
+        if place < len(before) and before[place] == track_id[i]:
+            new_key[i], new_hz[i] = key[place], rate_hz[place]
 
 
 def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Floats) -> tuple[Ints, Ints, Floats]:
@@ -289,11 +298,23 @@ def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
 
 def _with_contradictions(misfit: Floats, road: RoadMemory, key: Ints, config: BodiesConfig) -> Floats:
     """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers."""
-    is_odd = road.contradicts()
-    bodies, body = np.unique(key, return_inverse=True)
-    mean = np.bincount(body, road.evidence, len(bodies)) / np.bincount(body, minlength=len(bodies))
-    is_odd |= ((bodies != SCENE_CLUSTER) & (mean > _MOVER_EVIDENCE))[body]
-    return np.where(is_odd, np.maximum(misfit, 2.0 * config.scene_gate), misfit)
+    least, raised = 2.0 * config.scene_gate, misfit.copy()
+    _raise_odd(key, road.evidence, road.contradicts(), least, raised)
+    return raised
+
+
+@compiled
+def _raise_odd(key: Ints, evidence: Floats, is_odd: Bools, least: float, misfit: Floats) -> None:
+    """Raise each ``misfit (N,)`` to the least one where a track is odd, or the mean evidence against its mover."""
+    n_keys = np.max(key) + 1 if len(key) else 0
+    sums, counts = np.zeros(n_keys), np.zeros(n_keys)
+    for i in range(len(key)):
+        sums[key[i]] += evidence[i]
+        counts[key[i]] += 1.0
+    for i in range(len(key)):
+        k = key[i]
+        if is_odd[i] or (k != SCENE_CLUSTER and sums[k] > _MOVER_EVIDENCE * counts[k]):
+            misfit[i] = max(misfit[i], least)
 
 
 def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> Movers:
