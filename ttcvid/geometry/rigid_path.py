@@ -121,8 +121,8 @@ def fit_on_paths(
     """
     m = len(points.track)
     place, rate, sigma, misfit = np.empty((m, 2)), np.empty(m), np.empty(m), np.empty(m)
-    n_views, least = np.empty(m, dtype=np.int64), np.empty(m)
-    least[:] = least_rate_hz
+    n_views = np.empty(m, dtype=np.int64)
+    least = least_rate_hz if isinstance(least_rate_hz, np.ndarray) else np.full(m, least_rate_hz)
     fit_each(
         points.rays,
         points.track,
@@ -130,7 +130,7 @@ def fit_on_paths(
         paths.cam_R_past,
         paths.path,
         points.sigma_norm,
-        _known(rate_hz, m),
+        np.zeros(m) if rate_hz is None else rate_hz,
         least,
         2 * N_STEPS if rate_hz is None else N_STEPS,
         place,
@@ -167,7 +167,7 @@ def refined_paths(
     """
     m = len(points.track)
     rotations, path = paths.cam_R_past.copy(), paths.path.copy()
-    rate = _known(rate_hz, m)
+    rate = np.zeros(m) if rate_hz is None else rate_hz.copy()
     order, first = np.empty(m, dtype=np.int64), np.zeros(len(paths) + 1, dtype=np.int64)
     _sort_by_thing(points.thing, order, first)
     expected = rotations[0] if priors.cam_R_past is None else np.ascontiguousarray(priors.cam_R_past)
@@ -186,11 +186,6 @@ def refined_paths(
         rate,
     )
     return RigidPaths(rotations, path), rate
-
-
-def _known(rate_hz: Floats | None, count: int) -> Floats:
-    """Rates to start from: 0 where none is known."""
-    return np.zeros(count) if rate_hz is None else np.where(np.isfinite(rate_hz), rate_hz, 0.0)
 
 
 @compiled

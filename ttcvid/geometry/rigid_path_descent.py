@@ -64,9 +64,8 @@ def fit_each(
     for b in range(len(paths)):
         _list_way(rotations, paths, b, ways, b)
     for m in range(len(track)):
-        x, y, rho, information, chi2, n = _fit(
-            rays, track[m], ways, thing[m], start[m], sigma[track[m]], least[m], n_steps
-        )
+        i, rho = track[m], start[m] if np.isfinite(start[m]) else 0.0
+        x, y, rho, information, chi2, n = _fit(rays, i, ways, thing[m], rho, sigma[i], least[m], n_steps)
         n_views[m] = n
         if n < 2:
             place[m], rate[m], rate_sigma[m], misfit[m] = np.nan, np.nan, np.nan, 0.0

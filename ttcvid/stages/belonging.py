@@ -133,18 +133,13 @@ def assigned(
         return key, misfit
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = np.zeros((len(key), n_bodies), dtype=np.int64)
-    _count_votes(number, views.neighbours, votes)
-    track, mover = np.empty((2, votes.size), dtype=np.int64)
-    count = _list_asked(votes, number, track, mover)
-    track, mover = track[:count], mover[:count]
+    track, mover = _asked(number, views.neighbours, votes)
     fit = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
-    off = np.full((len(key), n_bodies), np.inf)
-    off[:, 0] = misfit
     is_other = misfit[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, number[track] == mover + 1, len(movers))
-    off[track, mover + 1] = np.where(is_other, np.inf, fit.misfit / usual_misfit)
+    off = np.where(is_other, np.inf, fit.misfit / usual_misfit)
     best, own_misfit = np.zeros(len(key), dtype=np.int64), np.empty(len(key))
-    _choose(off, votes, number, n_views, best, own_misfit)
+    _choose(misfit, track, mover, off, votes, number, n_views, best, own_misfit)
     return np.append(SCENE_CLUSTER, movers.key)[best], own_misfit
 
 
@@ -166,46 +161,62 @@ def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_
 
 
 @compiled
-def _count_votes(number: Ints, neighbours: Ints, votes: Ints) -> None:
-    """Add to ``votes (N, B)`` how many of the neighbours ``(N, K)`` of each track belong to each body."""
+def _asked(number: Ints, neighbours: Ints, votes: Ints) -> tuple[Ints, Ints]:
+    """Tracks and movers that are asked about, (M,) each, track by track: those of a track's neighbours, and its own.
+
+    Adds to ``votes (N, B)`` how many of the neighbours ``(N, K)`` of each track belong to each body.
+    """
+    track, mover, count = np.empty(votes.size, dtype=np.int64), np.empty(votes.size, dtype=np.int64), 0
     for i in range(len(number)):
         for j in neighbours[i]:
             if j != i:
                 votes[i, number[j]] += 1
-
-
-@compiled
-def _list_asked(votes: Ints, number: Ints, track: Ints, mover: Ints) -> int:
-    """Fill the tracks and movers that are asked about: those with ``votes (N, B)``, and the track's own; how many."""
-    count = 0
-    for i in range(len(votes)):
         for b in range(1, votes.shape[1]):
             if votes[i, b] > 0 or b == number[i]:
                 track[count], mover[count] = i, b - 1
                 count += 1
-    return count
+    return track[:count], mover[:count]
 
 
 @compiled
-def _choose(off: Floats, votes: Ints, number: Ints, n_views: Ints, best: Ints, least_off: Floats) -> None:
+def _choose(
+    misfit: Floats,
+    track: Ints,
+    mover: Ints,
+    off: Floats,
+    votes: Ints,
+    number: Ints,
+    n_views: Ints,
+    best: Ints,
+    least_off: Floats,
+) -> None:
     """Fill ``best (N,)`` of the bodies, the scene first, and how far off it is, ``least_off (N,)``.
 
-    ``off (N, B)`` is the misfit of each track on each body, infinite: not asked.
+    ``misfit (N,)`` is that of each track on the scene, ``off (M,)`` those on the movers that are asked about, infinite:
+    it is none of it.
     """
-    for i in range(len(off)):
-        all_votes, least = 0, np.inf
-        for b in range(off.shape[1]):
+    place = 0
+    for i in range(len(misfit)):
+        least_off[i] = misfit[i]
+        if place == len(track) or track[place] != i:
+            continue
+        all_votes = 0
+        for b in range(votes.shape[1]):
             all_votes += votes[i, b]
-        for b in range(off.shape[1]):
-            if off[i, b] < np.inf:
-                score = np.log1p(min(off[i, b], _WORST_MISFIT)) - votes[i, b] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
-                if b == 0 and n_views[i] > _SCENE_VIEWS:
-                    score -= _SCENE_WEIGHT
+        least = np.log1p(min(misfit[i], _WORST_MISFIT)) - votes[i, 0] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
+        if n_views[i] > _SCENE_VIEWS:
+            least -= _SCENE_WEIGHT
+        if number[i] == 0 and n_views[i] > _HABIT_VIEWS:
+            least -= _HABIT_WEIGHT
+        while place < len(track) and track[place] == i:
+            b = mover[place] + 1
+            if off[place] < np.inf:
+                score = np.log1p(min(off[place], _WORST_MISFIT)) - votes[i, b] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
                 if b == number[i] and n_views[i] > _HABIT_VIEWS:
                     score -= _HABIT_WEIGHT
                 if score < least:
-                    best[i], least = b, score
-        least_off[i] = off[i, best[i]]
+                    best[i], least, least_off[i] = b, score, off[place]
+            place += 1
 
 
 def along_our_way(

@@ -50,18 +50,25 @@ def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: flo
     max_gap_frames : largest gap tried, in frames of the history.
     """
     n = history.n_tracks
-    second = history.rays[-1]
-    first, flow_rad = np.full((n, 3), np.nan), np.zeros(n)
-    gap_frames = np.zeros(n, dtype=np.int64)
+    first, gap_frames, sigma_rad = np.full((n, 3), np.nan), np.zeros(n, dtype=np.int64), np.empty(n)
     max_gap = min(max_gap_frames, len(history.frame) - 1)
     target_rad = target_flow_px / history.focal_px
-    _select(history.rays, history.cam_R_past, max_gap, target_rad, first, gap_frames, flow_rad)
     # The rotation's error moves one end of the flow; it is shared out to both.
-    rotation_rad = history.rotation_sigma_rad / np.sqrt(2.0)
-    sigma_rad = np.sqrt(history.sigma_rad**2 + (_ERROR_PER_FLOW * flow_rad) ** 2 + rotation_rad**2)
+    turn_rad = history.rotation_sigma_rad / np.sqrt(2.0)
+    _select(
+        history.rays,
+        history.cam_R_past,
+        max_gap,
+        target_rad,
+        turn_rad,
+        history.sigma_rad,
+        first,
+        gap_frames,
+        sigma_rad,
+    )
     gap_s = history.t_s[-1] - history.t_s[len(history.frame) - 1 - gap_frames]
     rotation_error_rad: Floats = ROTATION_DRIFT_RAD * gap_frames.astype(np.float64)
-    return Flows(first, second, gap_frames, gap_s, sigma_rad, rotation_error_rad)
+    return Flows(first, history.rays[-1], gap_frames, gap_s, sigma_rad, rotation_error_rad)
 
 
 def scene_directions(history: TrackHistory, flows: Flows) -> Floats:
@@ -70,12 +77,28 @@ def scene_directions(history: TrackHistory, flows: Flows) -> Floats:
     The mean of the directions of the single steps, each turned into the present camera: own speed is taken
     as steady over the gap, own direction is not.
     """
-    steps = np.einsum("lij,lj->li", history.cam_R_past, history.scene_direction)
-    sums = np.cumsum(np.where(np.isfinite(steps), steps, 0.0)[::-1], axis=0)
-    length = np.sqrt(np.einsum("li,li->l", sums, sums))
-    means = np.divide(sums, length[:, None], out=np.full_like(sums, np.nan), where=length[:, None] > 0.0)
-    chosen: Floats = means[np.maximum(flows.gap_frames - 1, 0)]
+    chosen = np.empty((len(flows.gap_frames), 3))
+    _follow_scene(history.cam_R_past, history.scene_direction, flows.gap_frames, chosen)
     return chosen
+
+
+@compiled
+def _follow_scene(cam_R_past: Floats, direction: Floats, gap_frames: Ints, chosen: Floats) -> None:
+    """Fill ``chosen (N, 3)`` of `scene_directions`."""
+    n_views = len(direction)
+    means, total = np.full((n_views, 3), np.nan), np.zeros(3)
+    for gap in range(n_views):
+        r, step = cam_R_past[n_views - 1 - gap], direction[n_views - 1 - gap]
+        if np.isfinite(step[0] + step[1] + step[2]):
+            for a in range(3):
+                total[a] += r[a, 0] * step[0] + r[a, 1] * step[1] + r[a, 2] * step[2]
+        length = np.sqrt(total[0] * total[0] + total[1] * total[1] + total[2] * total[2])
+        if length > 0.0:
+            for a in range(3):
+                means[gap, a] = total[a] / length
+    for i in range(len(gap_frames)):
+        for a in range(3):
+            chosen[i, a] = means[max(gap_frames[i] - 1, 0), a]
 
 
 @compiled
@@ -84,16 +107,17 @@ def _select(
     cam_R_past: Floats,
     max_gap: int,
     target_rad: float,
+    turn_rad: float,
+    noise_rad: Floats,
     first: Floats,
     gap_frames: Ints,
-    flow_rad: Floats,
+    sigma_rad: Floats,
 ) -> None:
-    """Fill ``first (N, 3)`` and ``gap_frames (N,)`` of `select_flows`, and ``flow_rad (N,)``, its length."""
+    """Fill ``first (N, 3)``, ``gap_frames (N,)`` and ``sigma_rad (N,)`` of `select_flows`."""
     last = len(rays) - 1
     for i in range(rays.shape[1]):
-        if not np.isfinite(rays[last, i, 0]):
-            continue
-        for gap in range(1, max_gap + 1):
+        square = 0.0
+        for gap in range(1, max_gap + 1 if np.isfinite(rays[last, i, 0]) else 1):
             r, ray = cam_R_past[last - gap], rays[last - gap, i]
             if not np.isfinite(ray[0]):
                 continue
@@ -101,6 +125,8 @@ def _select(
             for a in range(3):
                 first[i, a] = r[a, 0] * ray[0] + r[a, 1] * ray[1] + r[a, 2] * ray[2]
                 square += (rays[last, i, a] - first[i, a]) ** 2
-            gap_frames[i], flow_rad[i] = gap, np.sqrt(square)
+            gap_frames[i] = gap
             if square >= target_rad * target_rad:
                 break
+        by_flow = _ERROR_PER_FLOW * _ERROR_PER_FLOW * square
+        sigma_rad[i] = np.sqrt(noise_rad[i] * noise_rad[i] + by_flow + turn_rad * turn_rad)

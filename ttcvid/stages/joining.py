@@ -102,15 +102,12 @@ def merged(
 
 def _asked_neighbours(views: BodyViews, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
     """The places of the larger and the smaller of each two neighbours that are asked about; None without any."""
-    n_bodies = len(movers) + 1
-    counts = np.bincount(number, minlength=n_bodies)[1:]
-    touch = np.zeros((n_bodies, n_bodies), dtype=bool)
-    _note_touching(number, views.neighbours, touch)
-    one, other = np.nonzero(np.triu(touch[1:, 1:], 1))
-    is_first_large = counts[one] >= counts[other]
-    large, small = np.where(is_first_large, one, other), np.where(is_first_large, other, one)
-    age = np.minimum(movers.n_found[large], movers.n_found[small])
-    is_asked = (counts[small] >= _LEAST_TRACKS) & _is_asked(age)
+    if len(movers) < 2:
+        return None
+    pairs = np.empty((len(movers) * (len(movers) - 1) // 2, 2), dtype=np.int64)
+    count = _list_touching(number, views.neighbours, len(movers), pairs)
+    large, small = pairs[:count].T
+    is_asked = _is_asked(np.minimum(movers.n_found[large], movers.n_found[small]))
     return (large[is_asked], small[is_asked]) if is_asked.any() else None
 
 
@@ -141,11 +138,27 @@ def _worth_trying(
 
 
 @compiled
-def _note_touching(number: Ints, neighbours: Ints, touch: Bools) -> None:
-    """Note in ``touch (B, B)`` of which bodies tracks are ``neighbours (N, K)`` of each other."""
+def _list_touching(number: Ints, neighbours: Ints, n_movers: int, pairs: Ints) -> int:
+    """Fill ``pairs (P, 2)`` with movers that have tracks beside each other, the larger one first; how many there are.
+
+    ``number (N,)`` as from `numbers_of`, ``neighbours (N, K)``. The smaller one has `_LEAST_TRACKS`.
+    """
+    touch, counts, n_pairs = np.zeros((n_movers + 1, n_movers + 1), dtype=np.bool_), np.zeros(n_movers + 1), 0
     for i in range(len(number)):
-        for j in neighbours[i]:
-            touch[number[i], number[j]] = True
+        counts[number[i]] += 1
+        if number[i] > 0:
+            for j in neighbours[i]:
+                touch[number[i], number[j]] = True
+    for one in range(1, n_movers + 1):
+        for other in range(one + 1, n_movers + 1):
+            if touch[one, other] and min(counts[one], counts[other]) >= _LEAST_TRACKS:
+                is_large = counts[one] >= counts[other]
+                pairs[n_pairs, 0], pairs[n_pairs, 1] = (
+                    (one if is_large else other) - 1,
+                    (other if is_large else one) - 1,
+                )
+                n_pairs += 1
+    return n_pairs
 
 
 def _is_asked(age: Ints) -> Bools:

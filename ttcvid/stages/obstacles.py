@@ -7,6 +7,7 @@ object that shares the scene's motion.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -126,7 +127,7 @@ def own_path(path: Floats, since_s: Floats) -> OwnPath | None:
     since_s : (L,) times relative to the present view, s.
     """
     middle = len(path) // 2
-    if middle < 1 or not np.linalg.norm(path[0]) > 0.0:
+    if middle < 1 or not path[0].any():
         return None
     late, early = path[middle], path[0] - path[middle]
     if not (late[2] > 0.0 and early[2] > 0.0):
@@ -134,9 +135,10 @@ def own_path(path: Floats, since_s: Floats) -> OwnPath | None:
     turn_hz = 0.0
     if -since_s[0] >= _LEAST_TURN_S:
         turn_hz = float((late[0] / late[2] - early[0] / early[2]) / (-0.5 * since_s[0]))
-    speed = float(np.linalg.norm(late) / -since_s[middle])
-    aim = np.array([late[0] / late[2], path[0, 1] / path[0, 2]])
-    return OwnPath(aim, turn_hz, speed, float(late[2] / np.linalg.norm(late)), float(-0.5 * since_s[middle]))
+    length, aim = math.sqrt(late @ late), np.array([late[0] / late[2], path[0, 1] / path[0, 2]])
+    return OwnPath(
+        aim, turn_hz, length / float(-since_s[middle]), float(late[2]) / length, float(-0.5 * since_s[middle])
+    )
 
 
 def find_obstacles(
