@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_in_place
 from ttcvid.model import Floats, Ints
 
 N_STEPS = 2
@@ -155,7 +155,7 @@ def _list_way(rotations: Floats, paths: Floats, b: int, ways: Floats, place: int
             ways[place, 9 + i, before + k] = paths[b, k, i]
 
 
-@compiled
+@compiled_in_place
 def _fit(
     rays: Floats, i: int, ways: Floats, q: int, start: float, sigma: float, least: float, n_steps: int
 ) -> tuple[float, float, float, float, float, int]:
@@ -195,7 +195,7 @@ def _fit(
     return x, y, rho, information, chi2, int(n_views)
 
 
-@compiled
+@compiled_in_place
 def _sums(
     rays: Floats, i: int, first: int, ways: Floats, q: int, x: float, y: float, rho: float, inverse: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
