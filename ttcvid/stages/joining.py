@@ -204,7 +204,11 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, config: Bo
     tolerance = 0.5 * np.log(_ONE_RATE) + 2.0 * unsure
     label = linked_parts(views.xy_px[own], views.link_px, body, np.log(rate_hz), tolerance)
     counts = np.bincount(label)
-    mover_of = body[np.unique(label, return_index=True)[1]]
+    if len(counts) == np.count_nonzero(np.bincount(body)):
+        # Each is of one piece.
+        return key, movers, next_key
+    mover_of = np.empty(len(counts), dtype=np.int64)
+    mover_of[label] = body
     by_size = np.lexsort((-counts, mover_of))
     is_largest = np.append(True, np.diff(mover_of[by_size]) > 0)
     parts = by_size[~is_largest & (counts[by_size] >= config.min_tracks)]

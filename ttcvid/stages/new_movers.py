@@ -78,11 +78,13 @@ def new_movers(
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
     misfit_by_own = fit_on_movers(points, paths, rate_hz).misfit / usual_misfit
     is_better = misfit_by_own < misfit[candidates] / config.gain
+    is_found = np.isfinite(directions[:, 0]) & (np.bincount(thing, is_better) > 0.5 * np.bincount(thing))
+    if not is_found.any():
+        return none
     is_static = in_scene & (misfit < config.scene_gate)
     may_slide = between_surfaces(views, scene, scene_fit, is_static, candidates, xy) & ~is_along[candidates]
     # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
     is_sure = is_better & (~may_slide | (misfit_by_own < misfit[candidates] / config.gain**2))
-    is_found = np.isfinite(directions[:, 0]) & (np.bincount(thing, is_better) > 0.5 * np.bincount(thing))
     is_found &= np.bincount(thing, is_sure) >= config.min_tracks
     found = np.flatnonzero(is_found)
     return [candidates[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
