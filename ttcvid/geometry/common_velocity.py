@@ -81,36 +81,44 @@ def _add_points(
             sums[k, 1] += x
             sums[k, 2] += y
             sums[k, 3] += x * x + y * y
-    a, b, d = np.empty((6, 6)), np.empty(6), np.empty((2, 6))
+    a, b = np.empty((6, 6)), np.empty(6)
     for m in range(len(track)):
         i, k = track[m], thing[m]
         if not rays[i, 2, last] > _LEAST_FORWARD:
             continue
         n, x, y = sums[k, 0], rays[i, 0, last] / rays[i, 2, last], rays[i, 1, last] / rays[i, 2, last]
         width2 = max(sums[k, 3] / n - (sums[k, 1] * sums[k, 1] + sums[k, 2] * sums[k, 2]) / (n * n), 0.0)
-        a[:], b[:] = 0.0, 0.0
-        # Place, depth, velocity; the relative depth is 1 within what is usual.
-        a[2, 2] = 1.0 / (_DEPTH_OF_WIDTH * _DEPTH_OF_WIDTH * width2 + _LEAST_DEPTH * _LEAST_DEPTH)
+        vx, vy, vz, inverse = velocity[k, 0], velocity[k, 1], velocity[k, 2], 1.0 / sigma[i]
+        hh = hx = hy = dd = ht = tx = ty = tt = hu = hv = du = tu = tv = uu = 0.0
+        b0 = b1 = b2 = b3 = b4 = b5 = 0.0
         for v in range(n_views):
             t, p, q, s = since_s[v], rays[i, 0, before + v], rays[i, 1, before + v], rays[i, 2, before + v]
             ahead = rotations[v, 2, 0] * p + rotations[v, 2, 1] * q + rotations[v, 2, 2] * s
             if not ahead > _LEAST_FORWARD:
                 continue
-            h = 1.0 / max(1.0 + velocity[k, 2] * t, _LEAST_DEPTH_RATIO)
-            was_x, was_y = (x + velocity[k, 0] * t) * h, (y + velocity[k, 1] * t) * h
+            h = 1.0 / max(1.0 + vz * t, _LEAST_DEPTH_RATIO)
+            was_x, was_y = (x + vx * t) * h, (y + vy * t) * h
             off_x = (rotations[v, 0, 0] * p + rotations[v, 0, 1] * q + rotations[v, 0, 2] * s) / ahead - was_x
             off_y = (rotations[v, 1, 0] * p + rotations[v, 1, 1] * q + rotations[v, 1, 2] * s) / ahead - was_y
-            length = np.sqrt(off_x * off_x + off_y * off_y) / sigma[i]
-            w = sigma[i] ** -2.0 * (_ROBUST_SIGMAS / length if length > _ROBUST_SIGMAS else 1.0)
+            length = np.sqrt(off_x * off_x + off_y * off_y) * inverse
+            w = inverse * inverse * (_ROBUST_SIGMAS / length if length > _ROBUST_SIGMAS else 1.0)
+            # Rows of x and y: (h, 0, d_x, th, 0, by_x) and (0, h, d_y, 0, th, by_y).
             th = t * h
-            d[0, 0], d[0, 1], d[0, 2] = h, 0.0, (velocity[k, 0] - was_x * velocity[k, 2]) * th
-            d[0, 3], d[0, 4], d[0, 5] = th, 0.0, -was_x * th
-            d[1, 0], d[1, 1], d[1, 2] = 0.0, h, (velocity[k, 1] - was_y * velocity[k, 2]) * th
-            d[1, 3], d[1, 4], d[1, 5] = 0.0, th, -was_y * th
-            for r in range(6):
-                b[r] += w * (d[0, r] * off_x + d[1, r] * off_y)
-                for c in range(r + 1):
-                    a[r, c] += w * (d[0, r] * d[0, c] + d[1, r] * d[1, c])
+            d_x, d_y, by_x, by_y = (vx - was_x * vz) * th, (vy - was_y * vz) * th, -was_x * th, -was_y * th
+            wh, wt = w * h, w * th
+            hh, hx, hy, dd = hh + wh * h, hx + wh * d_x, hy + wh * d_y, dd + w * (d_x * d_x + d_y * d_y)
+            ht, tx, ty, tt = ht + wh * th, tx + wt * d_x, ty + wt * d_y, tt + wt * th
+            hu, hv, du = hu + wh * by_x, hv + wh * by_y, du + w * (d_x * by_x + d_y * by_y)
+            tu, tv, uu = tu + wt * by_x, tv + wt * by_y, uu + w * (by_x * by_x + by_y * by_y)
+            b0, b1, b2 = b0 + wh * off_x, b1 + wh * off_y, b2 + w * (d_x * off_x + d_y * off_y)
+            b3, b4, b5 = b3 + wt * off_x, b4 + wt * off_y, b5 + w * (by_x * off_x + by_y * off_y)
+        # Place, depth, velocity, the lower half; the relative depth is 1 within what is usual.
+        usual = 1.0 / (_DEPTH_OF_WIDTH * _DEPTH_OF_WIDTH * width2 + _LEAST_DEPTH * _LEAST_DEPTH)
+        a[0, 0], a[1, 0], a[1, 1], a[2, 0], a[2, 1], a[2, 2] = hh, 0.0, hh, hx, hy, dd + usual
+        a[3, 0], a[3, 1], a[3, 2], a[3, 3] = ht, 0.0, tx, tt
+        a[4, 0], a[4, 1], a[4, 2], a[4, 3], a[4, 4] = 0.0, ht, ty, 0.0, tt
+        a[5, 0], a[5, 1], a[5, 2], a[5, 3], a[5, 4], a[5, 5] = hu, hv, du, tu, tv, uu
+        b[0], b[1], b[2], b[3], b[4], b[5] = b0, b1, b2, b3, b4, b5
         # What place and depth explain is taken away, one unknown after the other.
         for r in range(3):
             for q2 in range(r + 1, 6):
