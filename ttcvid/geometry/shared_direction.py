@@ -50,11 +50,13 @@ def shared_directions(
     n = len(velocity_hz)
     direction, covariance = np.full((n_things, 3), np.nan), np.full((n_things, 3, 3), np.nan)
     chi2 = np.zeros(n)
+    order = np.argsort(thing, kind="stable")
     _fit_each(
         np.ascontiguousarray(velocity_hz),
         np.ascontiguousarray(info_w),
         np.zeros((n, 3, 0)) if by_shared is None else np.ascontiguousarray(by_shared),
-        thing,
+        order,
+        np.searchsorted(thing[order], np.arange(n_things + 1)),
         direction,
         covariance,
         chi2,
@@ -67,16 +69,17 @@ def _fit_each(
     w: Floats,
     info: Floats,
     shared: Floats,
-    thing: Ints,
+    order: Ints,
+    start: Ints,
     direction: Floats,
     covariance: Floats,
     chi2: Floats,
 ) -> None:
-    """Fill the results of `shared_directions`."""
+    """Fill the results of `shared_directions`; the points of thing k are ``order[start[k] : start[k + 1]]``."""
     e, basis, errors = np.empty(3), np.empty((3, 2)), np.empty((3, shared.shape[2]))
     normal, score, mixed = np.empty((2, 2)), np.empty(2), np.empty((2, shared.shape[2]))
     for number in range(len(direction)):
-        members: Ints = np.flatnonzero(thing == number)
+        members = order[start[number] : start[number + 1]]
         if not _main_axis(w, info, members, e):
             continue
         votes, one, other, both, determinant, is_converged = 0.0, 0.0, 0.0, 0.0, 0.0, False
@@ -205,39 +208,46 @@ def _add_up(
     ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
     information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e).
     """
+    normal[:] = 0.0
+    score[:] = 0.0
     mixed[:] = 0.0
-    votes = one = other = both = score_p = score_q = 0.0
-    ex, ey, ez = e[0], e[1], e[2]
-    px, py, pz, qx, qy, qz = basis[0, 0], basis[1, 0], basis[2, 0], basis[0, 1], basis[1, 1], basis[2, 1]
+    votes = 0.0
+    along, off, pull = np.empty(3), np.empty(3), np.empty((2, 3))
     for i in members:
         chi2[i] = 0.0
         if not _is_usable(w, info, i):
             continue
-        i00, i01, i02, i10, i11 = info[i, 0, 0], info[i, 0, 1], info[i, 0, 2], info[i, 1, 0], info[i, 1, 1]
-        i12, i20, i21, i22 = info[i, 1, 2], info[i, 2, 0], info[i, 2, 1], info[i, 2, 2]
-        ax, ay, az = i00 * ex + i01 * ey + i02 * ez, i10 * ex + i11 * ey + i12 * ez, i20 * ex + i21 * ey + i22 * ez
-        square = ax * ex + ay * ey + az * ez
+        for a in range(3):
+            along[a] = info[i, a, 0] * e[0] + info[i, a, 1] * e[1] + info[i, a, 2] * e[2]
+        square = along[0] * e[0] + along[1] * e[1] + along[2] * e[2]
         if not square > 0.0:
             continue
-        rate = (ax * w[i, 0] + ay * w[i, 1] + az * w[i, 2]) / square
+        rate = (along[0] * w[i, 0] + along[1] * w[i, 1] + along[2] * w[i, 2]) / square
         votes += min(max(rate * np.sqrt(square), -_MAX_VOTE_SIGMAS), _MAX_VOTE_SIGMAS)
-        x, y, z = w[i, 0] - rate * ex, w[i, 1] - rate * ey, w[i, 2] - rate * ez
-        ox, oy, oz = i00 * x + i01 * y + i02 * z, i10 * x + i11 * y + i12 * z, i20 * x + i21 * y + i22 * z
-        chi2[i] = x * ox + y * oy + z * oz
-        weight = rate / (1.0 + chi2[i] / (_CAUCHY_SIGMAS * _CAUCHY_SIGMAS))
-        p_mean, q_mean = (ax * px + ay * py + az * pz) / square, (ax * qx + ay * qy + az * qz) / square
-        p_x, p_y = i00 * px + i01 * py + i02 * pz - p_mean * ax, i10 * px + i11 * py + i12 * pz - p_mean * ay
-        q_x, q_y = i00 * qx + i01 * qy + i02 * qz - q_mean * ax, i10 * qx + i11 * qy + i12 * qz - q_mean * ay
-        p_z, q_z = i20 * px + i21 * py + i22 * pz - p_mean * az, i20 * qx + i21 * qy + i22 * qz - q_mean * az
-        score_p += weight * (ox * px + oy * py + oz * pz)
-        score_q += weight * (ox * qx + oy * qy + oz * qz)
-        one += weight * rate * (p_x * px + p_y * py + p_z * pz)
-        both += weight * rate * (q_x * px + q_y * py + q_z * pz)
-        other += weight * rate * (q_x * qx + q_y * qy + q_z * qz)
-        for k in range(n_shared):
-            sx, sy, sz = shared[i, 0, k], shared[i, 1, k], shared[i, 2, k]
-            mixed[0, k] += weight * (p_x * sx + p_y * sy + p_z * sz)
-            mixed[1, k] += weight * (q_x * sx + q_y * sy + q_z * sz)
-    normal[0, 0], normal[0, 1], normal[1, 0], normal[1, 1] = one, both, both, other
-    score[0], score[1] = score_p, score_q
+        x, y, z = w[i, 0] - rate * e[0], w[i, 1] - rate * e[1], w[i, 2] - rate * e[2]
+        for a in range(3):
+            off[a] = info[i, a, 0] * x + info[i, a, 1] * y + info[i, a, 2] * z
+        chi2[i] = x * off[0] + y * off[1] + z * off[2]
+        weight = 1.0 / (1.0 + chi2[i] / (_CAUCHY_SIGMAS * _CAUCHY_SIGMAS))
+        for j in range(2):
+            mean = (along[0] * basis[0, j] + along[1] * basis[1, j] + along[2] * basis[2, j]) / square
+            for a in range(3):
+                pull[j, a] = (
+                    info[i, a, 0] * basis[0, j] + info[i, a, 1] * basis[1, j] + info[i, a, 2] * basis[2, j]
+                ) - mean * along[a]
+            score[j] += weight * rate * (off[0] * basis[0, j] + off[1] * basis[1, j] + off[2] * basis[2, j])
+            for k in range(n_shared):
+                mixed[j, k] += (
+                    weight
+                    * rate
+                    * (pull[j, 0] * shared[i, 0, k] + pull[j, 1] * shared[i, 1, k] + pull[j, 2] * shared[i, 2, k])
+                )
+            for k in range(j + 1):
+                normal[j, k] += (
+                    weight
+                    * rate
+                    * rate
+                    * (pull[j, 0] * basis[0, k] + pull[j, 1] * basis[1, k] + pull[j, 2] * basis[2, k])
+                )
+    normal[0, 1] = normal[1, 0]
     return votes

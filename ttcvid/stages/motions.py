@@ -363,9 +363,10 @@ def _assigned(
             ways[number], covs[number] = way, cov
             if motion.cluster_id == SCENE_CLUSTER:
                 covs[number] += DIRECTION_FLOOR_RAD**2 * (np.eye(3) - np.outer(way, way))
-    cluster_id = np.empty(n, dtype=np.int64)
     # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
-    _take_over(place, ids, statuses, ways, covs, along_scene, plane is None, cluster_id, status, direction, covariance)
+    is_followed = plane is None and np.isfinite(ways[:, 0]) & (ids == SCENE_CLUSTER)
+    cluster_id, followed = np.empty(n, dtype=np.int64), int(np.argmax(is_followed))
+    _take_over(place, ids, statuses, ways, covs, along_scene, followed, cluster_id, status, direction, covariance)
     return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px, is_free)
 
 
@@ -377,7 +378,7 @@ def _take_over(
     ways: Floats,
     covs: Floats,
     along_scene: Floats,
-    is_followed: bool,
+    followed: int,
     cluster_id: Ints,
     status: Ints,
     direction: Floats,
@@ -385,7 +386,7 @@ def _take_over(
 ) -> None:
     """Fill what each of N tracks takes from its cluster, at ``place (N,)`` of those of K + 1 rows; 0 is no cluster.
 
-    With ``is_followed`` the tracks of a scene that has a direction take their own one ``along_scene (N, 3)``.
+    Those at the place ``followed`` take directions of their own, ``along_scene (N, 3)``; 0: none do.
     """
     for i in range(len(place)):
         k = place[i]
@@ -394,7 +395,6 @@ def _take_over(
             continue
         status[i] = statuses[k]
         for a in range(3):
-            is_along = is_followed and ids[k] == SCENE_CLUSTER and np.isfinite(ways[k, 0])
-            direction[i, a] = along_scene[i, a] if is_along else ways[k, a]
+            direction[i, a] = along_scene[i, a] if k == followed else ways[k, a]
             for b in range(3):
                 covariance[i, a, b] = covs[k, a, b]

@@ -299,12 +299,12 @@ def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
 def _with_contradictions(misfit: Floats, road: RoadMemory, key: Ints, config: BodiesConfig) -> Floats:
     """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers."""
     least, raised = 2.0 * config.scene_gate, misfit.copy()
-    _raise_odd(key, road.evidence, road.contradicts(), least, raised)
+    _raise_odd(key, SCENE_CLUSTER, road.evidence, road.contradicts(), least, raised)
     return raised
 
 
 @compiled
-def _raise_odd(key: Ints, evidence: Floats, is_odd: Bools, least: float, misfit: Floats) -> None:
+def _raise_odd(key: Ints, scene: int, evidence: Floats, is_odd: Bools, least: float, misfit: Floats) -> None:
     """Raise each ``misfit (N,)`` to the least one where a track is odd, or the mean evidence against its mover."""
     n_keys = np.max(key) + 1 if len(key) else 0
     sums, counts = np.zeros(n_keys), np.zeros(n_keys)
@@ -313,7 +313,7 @@ def _raise_odd(key: Ints, evidence: Floats, is_odd: Bools, least: float, misfit:
         counts[key[i]] += 1.0
     for i in range(len(key)):
         k = key[i]
-        if is_odd[i] or (k != SCENE_CLUSTER and sums[k] > _MOVER_EVIDENCE * counts[k]):
+        if is_odd[i] or (k != scene and sums[k] > _MOVER_EVIDENCE * counts[k]):
             misfit[i] = max(misfit[i], least)
 
 
