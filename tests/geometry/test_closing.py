@@ -96,3 +96,20 @@ def test_the_time_until_contact_is_where_the_depth_is_zero(rate_hz, acceleration
 def test_what_goes_away_is_never_reached():
     assert Closing(0.3, 0.0, np.eye(2)).contact_s(1.0) == np.inf
     assert Closing(-0.1, 0.3, np.eye(2)).contact_s(1.0) == np.inf
+
+
+def test_the_fit_is_that_of_generalised_least_squares():
+    rng, since_s, drift_hz = np.random.default_rng(3), np.linspace(-1.0, 0.0, 12), 1e-3
+    depth, variance = 1.0 - 0.3 * since_s + 0.1 * rng.normal(size=12), rng.uniform(1e-5, 1e-4, 12)
+    depth[4] = np.nan
+    known = np.isfinite(depth)
+    t, of_known = since_s[known], np.median(variance[known])
+    weight = np.linalg.inv(of_known * np.eye(len(t)) + drift_hz * np.minimum.outer(-t, -t))
+    columns = np.column_stack([np.ones_like(t), t, 0.5 * t * t])
+    cov = np.linalg.inv(columns.T @ weight @ columns)
+    found = cov @ columns.T @ weight @ depth[known]
+    left = depth[known] - columns @ found
+    cov *= max(left @ weight @ left / (len(t) - 3), 1.0)
+    closing = fit_closing(depth, variance, since_s, drift_hz)
+    assert [closing.rate_hz, closing.acceleration_hz2] == pytest.approx(found[1:] / found[0], rel=1e-8)
+    assert closing.cov == pytest.approx(cov[1:, 1:] / found[0] ** 2, rel=1e-8)

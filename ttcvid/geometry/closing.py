@@ -95,19 +95,45 @@ def fit_closing(depth: Floats, variance: Floats, since_s: Floats, drift_hz: floa
     since_s : (L,) times up to 0.
     drift_hz : variance that the random walk gains in a second.
     """
-    known = np.isfinite(depth) & np.isfinite(variance)
-    if np.count_nonzero(known) < _LEAST_VIEWS:
+    rows = np.empty((len(depth), 4))
+    n_views = _whiten(depth, variance, since_s, drift_hz, rows)
+    if n_views < _LEAST_VIEWS:
         return None
-    t = since_s[known]
-    noise = max(float(np.median(variance[known])), _TINY**2) * np.eye(len(t)) + drift_hz * np.minimum.outer(-t, -t)
-    columns = np.column_stack([np.ones_like(t), t, 0.5 * t * t])
-    whitened = np.linalg.solve(noise, np.column_stack([columns, depth[known]]))
-    cov = np.linalg.inv(columns.T @ whitened[:, :3])
-    found = cov @ columns.T @ whitened[:, 3]
-    left = depth[known] - columns @ found
-    chi2 = float(left @ np.linalg.solve(noise, left)) / (len(t) - 3)
-    cov *= max(chi2, 1.0)
+    columns, depths = rows[:n_views, :3], rows[:n_views, 3]
+    cov = np.linalg.inv(columns.T @ columns)
+    found = cov @ (columns.T @ depths)
+    left = depths - columns @ found
+    cov *= max(float(left @ left) / (n_views - 3), 1.0)
     return Closing(float(found[1] / found[0]), float(found[2] / found[0]), cov[1:, 1:] / found[0] ** 2)
+
+
+@compiled
+def _whiten(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float, rows: Floats) -> int:
+    """Fills ``rows (L, 4)`` with 1, t, t^2 / 2 and the depth of each known view, made independent of unit variance.
+
+    That is, multiplied by the inverse of the Cholesky factor of what the views err by. Returns how many are known;
+    with too few, they stay as they are.
+    """
+    n, noise, t = 0, np.empty(len(depth)), np.empty(len(depth))
+    for i in range(len(depth)):
+        if np.isfinite(depth[i]) and np.isfinite(variance[i]):
+            noise[n], t[n] = variance[i], since_s[i]
+            rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = 1.0, t[n], 0.5 * t[n] * t[n], depth[i]
+            n += 1
+    if n < _LEAST_VIEWS:
+        return n
+    factor, own = np.empty((n, n)), max(np.median(noise[:n]), _TINY * _TINY)
+    for i in range(n):
+        for k in range(i + 1):
+            rest = drift_hz * min(-t[i], -t[k]) + (own if i == k else 0.0)
+            for m in range(k):
+                rest -= factor[i, m] * factor[k, m]
+            factor[i, k] = np.sqrt(rest) if i == k else rest / factor[k, k]
+        for column in range(4):
+            for m in range(i):
+                rows[i, column] -= factor[i, m] * rows[m, column]
+            rows[i, column] /= factor[i, i]
+    return n
 
 
 @compiled

@@ -12,6 +12,7 @@ from scipy.special import ndtr, ndtri
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.closing import Closing
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import APPROACHING, Camera, ClusterRow, Event, Floats, MotionState
 
@@ -179,15 +180,16 @@ def is_collision_course(
     """
     if row.motion_state not in APPROACHING:
         return False
-    if row.state_abc_hz is None or row.present_cov is None:
+    if not row.times.tcpa_s[0] > 0.0 or row.state_abc_hz is None:
+        return False
+    cov = row.present_cov
+    if cov is None or not _surety(row.state_abc_hz, cov) > config.confidence:
         return False
     max_ttc_s = config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
     sigmas = float(ndtri(config.confidence))
     return bool(
-        row.times.tcpa_s[0] > 0.0
-        and _surety(row) > config.confidence
-        and _miss_widths(row, row.state_abc_hz, row.present_cov, camera, sigmas, on_ground) <= max_miss_widths
+        _miss_widths(row, row.state_abc_hz, cov, camera, sigmas, on_ground) <= max_miss_widths
         and (row.times.tcpa_s[0] <= max_ttc_s or _contact_s(closing_of(row.cluster_id)) <= max_ttc_s)
     )
 
@@ -202,12 +204,12 @@ def _contact_s(closing: Closing | None) -> float:
     return closing.contact_s(_LASTING_S)
 
 
-def _surety(row: ClusterRow) -> float:
+def _surety(abc_hz: Floats | None, cov: Floats | None) -> float:
     """Probability that an object comes nearer in depth, by its state now; 0 without one."""
-    if row.state_abc_hz is None or row.present_cov is None:
+    if abc_hz is None or cov is None:
         return 0.0
-    sigma_hz = max(float(np.sqrt(row.present_cov[2, 2])), _TINY)
-    return float(ndtr(-float(row.state_abc_hz[2]) / sigma_hz))
+    sigma_hz = max(math.sqrt(cov[2, 2]), _TINY)
+    return float(ndtr(-float(abc_hz[2]) / sigma_hz))
 
 
 def _miss_widths(
@@ -215,77 +217,77 @@ def _miss_widths(
 ) -> float:
     """Distance at closest approach over the object's width, so many standard deviations above the best estimate.
 
-    Both in units of depth: how fast the object comes has no part in it, only where to.
-    """
-    place, left, right = _middle_and_sides(row, camera)
-    speed = np.linalg.norm(abc_hz)
-    direction = abc_hz / speed
-    place = _at_nearest_height(place, direction, row, camera)
-    ahead = float(place @ direction)
-    off = place - ahead * direction
-    if on_ground and off[1] > 0.0:
-        # Our own car is below the camera.
-        down = _down_across(direction)
-        off = off - float(off @ down) * down
-    miss = float(np.linalg.norm(off))
-    sideways = off[None] / miss if miss > _TINY else tangent_basis(direction[None])[0].T
-    variance = float(np.max(np.einsum("ki,ij,kj->k", sideways, cov, sideways)))
-    # Across its way, with some of our own: a bus that crosses shows its length.
-    level = float(np.hypot(direction[0], direction[2]))
-    across = min(_WITH_OURS * abs(float(direction[2])) / level + _LEAST_ACROSS, 1.0) if level > 0.0 else 1.0
-    width = across * max(right - left, 1.0 / camera.fx_px)
-    if on_ground:
-        width = min(width, 0.5 * width + _ROOM_HEIGHTS * _camera_height(direction, row, camera))
-    return float(miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
-
-
-def _middle_and_sides(row: ClusterRow, camera: Camera) -> tuple[Floats, float, float]:
-    """Ray (3,) of the middle of the box, and where both its sides are, in the plane z = 1, at the reference's height.
-
-    The reference point itself may be at either side: of a lorry that crosses, the end that is nearer. A side at 90 deg
-    or more off the axis (of a fisheye) is nowhere in that plane: infinitely far.
+    Both in units of depth: how fast the object comes has no part in it, only where to. Where its sides are is seen at
+    the height of the reference point, which itself may be at either side: of a lorry that crosses, the end that is
+    nearer.
     """
     assert row.ref_px is not None
-    x0_px, x1_px, y_px = row.box_px[0], row.box_px[2], row.ref_px[1]
-    three_px = np.array([[x, y_px] for x in (0.5 * (x0_px + x1_px), x0_px, x1_px)])
-    place, left, right = rays_from_pixels(camera, three_px)
-    return place, float(np.nan_to_num(left[0], nan=-np.inf)), float(np.nan_to_num(right[0], nan=np.inf))
+    (x0_px, top_px, x1_px, bottom_px), y_px = row.box_px, row.ref_px[1]
+    x_px = 0.5 * (x0_px + x1_px)
+    outline_px = ((x_px, y_px), (x0_px, y_px), (x1_px, y_px), (x_px, top_px), (x_px, bottom_px))
+    rays = rays_from_pixels(camera, np.array(outline_px))
+    direction = abc_hz / np.linalg.norm(abc_hz)
+    basis = tangent_basis(direction)
+    return _miss_over_width(rays, abc_hz, cov, basis, sigmas, on_ground, 1.0 / camera.fx_px)
 
 
-def _down_across(direction: Floats) -> Floats:
-    """The unit vector (3,) down across a unit vector (3,) that is not upright."""
-    across = np.array([0.0, 1.0, 0.0]) - direction[1] * direction
-    return np.asarray(across / np.linalg.norm(across))
+@compiled
+def _miss_over_width(
+    outline: Floats, abc_hz: Floats, cov: Floats, basis: Floats, sigmas: float, on_ground: bool, least_width: float
+) -> float:
+    """`_miss_widths` of the rays ``outline (5, 3)`` of a box: its middle, left, right, top and bottom.
 
-
-def _camera_height(direction: Floats, row: ClusterRow, camera: Camera) -> float:
-    """Height of the camera above the foot of an object that moves level to us, in units of its depth."""
-    if abs(float(direction[2])) < _TINY:
-        return np.inf
-    foot_px = np.array([[0.5 * (row.box_px[0] + row.box_px[2]), row.box_px[3]]])
-    below = float(rays_from_pixels(camera, foot_px)[0, 1]) - float(direction[1] / direction[2])
-    return max(below, 0.0) if np.isfinite(below) else np.inf
-
-
-def _at_nearest_height(place: Floats, direction: Floats, row: ClusterRow, camera: Camera) -> Floats:
-    """The place (3,) moved up or down within the box to where it passes nearest: a thing is as high as it is seen.
-
-    Of somebody who walks before a car the feet pass below the camera by three times the width.
+    A thing is as high as it is seen: of somebody who walks before a car the feet pass below the camera by three times
+    the width. A side at 90 deg or more off the axis (of a fisheye) is nowhere in the plane z = 1: infinitely far.
+    ``basis (3, 2)`` are two directions across that of ``abc_hz (3,)``.
     """
-    across = np.array([0.0, 1.0, 0.0]) - direction[1] * direction
-    square = float(across @ across)
-    if square < _TINY:
-        return place
-    x_px = 0.5 * (row.box_px[0] + row.box_px[2])
-    ends = rays_from_pixels(camera, np.array([[x_px, row.box_px[1]], [x_px, row.box_px[3]]]))[:, 1]
-    top, bottom = (min(ends[0], place[1]), max(ends[1], place[1])) if np.isfinite(ends).all() else (place[1], place[1])
-    nearest = place[1] - float(place @ across) / square
-    return np.array([place[0], np.clip(nearest, top, bottom), place[2]])
+    speed = np.sqrt(abc_hz[0] ** 2 + abc_hz[1] ** 2 + abc_hz[2] ** 2)
+    dx, dy, dz = abc_hz[0] / speed, abc_hz[1] / speed, abc_hz[2] / speed
+    x, y, z = outline[0, 0], outline[0, 1], outline[0, 2]
+    # Down across the way that it goes, (0, 1, 0) - dy d, of the squared length 1 - dy^2.
+    down2 = (dy * dx) ** 2 + (1.0 - dy * dy) ** 2 + (dy * dz) ** 2
+    top, bottom = outline[3, 1], outline[4, 1]
+    if down2 >= _TINY and np.isfinite(top) and np.isfinite(bottom):
+        # Where the thing passes nearest, up or down within the box.
+        nearest = y - (y - dy * (x * dx + y * dy + z * dz)) / down2
+        y = min(max(nearest, min(top, y)), max(bottom, y))
+    ahead = x * dx + y * dy + z * dz
+    off_x, off_y, off_z = x - ahead * dx, y - ahead * dy, z - ahead * dz
+    if on_ground and off_y > 0.0:
+        # Our own car is below the camera.
+        part = (off_y - dy * (off_x * dx + off_y * dy + off_z * dz)) / down2
+        off_x, off_y, off_z = off_x + part * dy * dx, off_y - part * (1.0 - dy * dy), off_z + part * dy * dz
+    miss = np.sqrt(off_x * off_x + off_y * off_y + off_z * off_z)
+    sideways = np.empty((3, 2))
+    sideways[:] = basis
+    if miss > _TINY:
+        sideways[0], sideways[1], sideways[2] = off_x / miss, off_y / miss, off_z / miss
+    variance = 0.0
+    for side in range(2):
+        total = 0.0
+        for j in range(3):
+            for k in range(3):
+                total += sideways[j, side] * cov[j, k] * sideways[k, side]
+        # What is not known stays so.
+        variance = variance if total <= variance else total
+    # Across its way, with some of our own: a bus that crosses shows its length.
+    level = np.sqrt(dx * dx + dz * dz)
+    across = min(_WITH_OURS * abs(dz) / level + _LEAST_ACROSS, 1.0) if level > 0.0 else 1.0
+    left = outline[1, 0] if np.isfinite(outline[1, 0]) else -np.inf
+    right = outline[2, 0] if np.isfinite(outline[2, 0]) else np.inf
+    width = across * max(right - left, least_width)
+    if on_ground and abs(dz) >= _TINY:
+        # The height of the camera above the foot of what moves level to us, in units of its depth.
+        height = bottom - dy / dz
+        if np.isfinite(height):
+            width = min(width, 0.5 * width + _ROOM_HEIGHTS * max(height, 0.0))
+    found: float = (miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
+    return found
 
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
     kind = "constant_bearing" if row.motion_state == MotionState.constant_bearing else "collision_course"
-    event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, _surety(row))
+    event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, _surety(row.state_abc_hz, row.present_cov))
     return _continued(event, row, frame, t_s)
 
 
@@ -300,5 +302,5 @@ def _continued(event: Event, row: ClusterRow, frame: int, t_s: float) -> Event:
         min_ttc_z_s=min(ahead) if ahead else None,
         min_tcpa_s=tcpa_s if is_nearer else event.min_tcpa_s,
         miss_s=float(row.times.miss_s[0]) if is_nearer else event.miss_s,
-        confidence=_surety(row) if is_nearer else event.confidence,
+        confidence=_surety(row.state_abc_hz, row.present_cov) if is_nearer else event.confidence,
     )
