@@ -140,12 +140,13 @@ def _whiten(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float, r
 def _fit_sizes(xy: Floats, depth: Floats, variance: Floats) -> float:
     """Fills ``depth, variance (L,)`` of `depths_over_time`; returns its ``radius``."""
     now, n_tracks, radius = len(xy) - 1, xy.shape[1], 0.0
-    offset, w, square = np.empty((n_tracks, 4)), np.empty(n_tracks), np.empty(n_tracks)
+    offset, w, square, centre = np.empty((n_tracks, 4)), np.empty(n_tracks), np.empty(n_tracks), np.empty(4)
     for view in range(now):
         n = 0
         for i in range(n_tracks):
             if np.isfinite(xy[view, i, 0]) and np.isfinite(xy[now, i, 0]):
-                offset[n, :2], offset[n, 2:] = xy[view, i], xy[now, i]
+                offset[n, 0], offset[n, 1] = xy[view, i, 0], xy[view, i, 1]
+                offset[n, 2], offset[n, 3] = xy[now, i, 0], xy[now, i, 1]
                 n += 1
         if n < 3:
             continue
@@ -158,13 +159,15 @@ def _fit_sizes(xy: Floats, depth: Floats, variance: Floats) -> float:
         for _ in range(_STEPS):
             sigma2 = _SIGMA_OF_MEDIAN**2 * np.median(square[:n]) + _TINY**2
             total, squares = 0.0, 0.0
-            centre = np.zeros(4)
+            centre[0], centre[1], centre[2], centre[3] = 0.0, 0.0, 0.0, 0.0
             for i in range(n):
                 w[i] = 1.0 / (1.0 + square[i] / (_CAUCHY_SIGMAS**2 * sigma2))
                 total += w[i]
                 squares += w[i] * w[i]
-                centre += w[i] * offset[i]
-            centre /= total
+                for j in range(4):
+                    centre[j] += w[i] * offset[i, j]
+            for j in range(4):
+                centre[j] /= total
             uu, vv = 0.0, 0.0
             for i in range(n):
                 uu += w[i] * ((offset[i, 0] - centre[0]) ** 2 + (offset[i, 1] - centre[1]) ** 2)

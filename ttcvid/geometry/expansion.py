@@ -127,18 +127,24 @@ def _offsets(first: Floats, second: Floats, weights: Floats, region: Ints, offse
     ``region (m,)`` are the points, negative: absent.
     """
     count, total = 0, 0.0
-    centre = np.zeros(4)
+    first_x, first_y, second_x, second_y = 0.0, 0.0, 0.0, 0.0
     for i in region:
         # Comparisons with NaN are False.
         if i < 0 or not (weights[i] > 0.0 and first[i, 2] > 0.0 and second[i, 2] > 0.0):
             continue
-        w[count] = weights[i]
-        offset[count, 0], offset[count, 1] = first[i, 0] / first[i, 2], first[i, 1] / first[i, 2]
-        offset[count, 2], offset[count, 3] = second[i, 0] / second[i, 2], second[i, 1] / second[i, 2]
-        if np.isfinite(offset[count].sum()):
-            centre += w[count] * offset[count]
+        x, y = first[i, 0] / first[i, 2], first[i, 1] / first[i, 2]
+        u, v = second[i, 0] / second[i, 2], second[i, 1] / second[i, 2]
+        # A sum is finite where all of its terms are.
+        if np.isfinite(x + y + u + v):
+            w[count] = weights[i]
+            offset[count, 0], offset[count, 1], offset[count, 2], offset[count, 3] = x, y, u, v
+            first_x, first_y = first_x + w[count] * x, first_y + w[count] * y
+            second_x, second_y = second_x + w[count] * u, second_y + w[count] * v
             total += w[count]
             count += 1
     for i in range(count):
-        offset[i] -= centre / total
+        offset[i, 0] -= first_x / total
+        offset[i, 1] -= first_y / total
+        offset[i, 2] -= second_x / total
+        offset[i, 3] -= second_y / total
     return count

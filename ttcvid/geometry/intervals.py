@@ -9,13 +9,12 @@ that over the 90 % ellipse of (q, u). Both are harmonic, so that their extremes 
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
 import numpy as np
 
-from ttcvid.geometry.collision import times_from_position_velocity
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.inversion_range import CHI2_90_TWO, inversion_range
-from ttcvid.geometry.quotient import quotient
 from ttcvid.model import CollisionTimes, Floats
 
 NORMAL_90_SIGMAS = 1.6448536269514722
@@ -56,24 +55,38 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     >>> [round(float(v[0]), 2) for v in (times.tcpa_lo_s, times.tcpa_s, times.tcpa_hi_s)]
     [2.3, 2.31, 2.32]
     """
-    rays = np.ones((len(x), 3))
-    rays[:, 0], rays[:, 1] = x, y
-    times = times_from_position_velocity(rays, abc_hz)
-    eta, eta_sigma = -abc_hz[:, 2], np.sqrt(np.maximum(cov[:, 2, 2], 0.0))
-    rates, rates_cov = radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm)
-    tcpa_lo, tcpa_hi, miss_lo, miss_hi = inversion_range(rates, rates_cov)
+    times = np.full((len(fields(CollisionTimes)), len(x)), np.nan)
+    found = CollisionTimes(*times)
+    _times_of_each(x, y, abc_hz, cov, times)
+    bounds = inversion_range(*radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm))
     # The value itself is in the region; by another way of rounding it may seem to lie beyond the border.
-    return CollisionTimes(
-        tcpa_s=times.tcpa_s,
-        tcpa_lo_s=np.minimum(tcpa_lo, times.tcpa_s),
-        tcpa_hi_s=np.maximum(tcpa_hi, times.tcpa_s),
-        miss_s=times.miss_s,
-        miss_lo_s=np.minimum(miss_lo, times.miss_s),
-        miss_hi_s=np.maximum(miss_hi, times.miss_s),
-        ttc_z_s=times.ttc_z_s,
-        ttc_z_lo_s=quotient(1.0, eta + NORMAL_90_SIGMAS * eta_sigma),
-        ttc_z_hi_s=quotient(1.0, eta - NORMAL_90_SIGMAS * eta_sigma),
-    )
+    np.minimum(bounds[0], found.tcpa_s, out=found.tcpa_lo_s)
+    np.maximum(bounds[1], found.tcpa_s, out=found.tcpa_hi_s)
+    np.minimum(bounds[2], found.miss_s, out=found.miss_lo_s)
+    np.maximum(bounds[3], found.miss_s, out=found.miss_hi_s)
+    return found
+
+
+@compiled
+def _times_of_each(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, times: Floats) -> None:
+    """Fills of ``times (9, N)``, in the order of `CollisionTimes`, the times themselves and the bounds of ttc_z.
+
+    The times are those of `geometry.collision.times_from_position_velocity`, at the ray (x, y, 1).
+    """
+    for i in range(len(x)):
+        a, b, c = abc_hz[i, 0], abc_hz[i, 1], abc_hz[i, 2]
+        speed2 = a * a + b * b + c * c
+        if speed2 != 0.0:
+            across_x, across_y, across_z = y[i] * c - b, a - x[i] * c, x[i] * b - y[i] * a
+            times[0, i] = -(x[i] * a + y[i] * b + c) / speed2
+            times[3, i] = np.sqrt(across_x * across_x + across_y * across_y + across_z * across_z) / speed2
+        if c != 0.0:
+            times[6, i] = -1.0 / c
+        reach = NORMAL_90_SIGMAS * np.sqrt(max(cov[i, 2, 2], 0.0))
+        if reach - c != 0.0:
+            times[7, i] = 1.0 / (reach - c)
+        if reach + c != 0.0:
+            times[8, i] = -1.0 / (reach + c)
 
 
 def radial_and_transverse_rate(

@@ -128,10 +128,11 @@ def _fill(
                 product[j, m] = total
         along = 0.0
         for j in range(3):
-            for m in range(3):
+            for m in range(j + 1):
                 total = rate_variance[i] * direction[k, j] * direction[k, m]
                 for q in range(n_shared):
                     total += product[j, q] * jacobian[i, m, q]
-                along += direction[k, j] * total * direction[k, m]
-                cov[i, j, m] = total + change[k] * change[k] * abc_hz[i, j] * abc_hz[i, m]
+                along += (1.0 if m == j else 2.0) * direction[k, j] * total * direction[k, m]
+                total += change[k] * change[k] * abc_hz[i, j] * abc_hz[i, m]
+                cov[i, j, m] = cov[i, m, j] = total
         along_sigma_hz[i] = np.sqrt(along)

@@ -258,16 +258,13 @@ def _miss_over_width(
         part = (off_y - dy * (off_x * dx + off_y * dy + off_z * dz)) / down2
         off_x, off_y, off_z = off_x + part * dy * dx, off_y - part * (1.0 - dy * dy), off_z + part * dy * dz
     miss = np.sqrt(off_x * off_x + off_y * off_y + off_z * off_z)
-    sideways = np.empty((3, 2))
-    sideways[:] = basis
-    if miss > _TINY:
-        sideways[0], sideways[1], sideways[2] = off_x / miss, off_y / miss, off_z / miss
     variance = 0.0
     for side in range(2):
-        total = 0.0
-        for j in range(3):
-            for k in range(3):
-                total += sideways[j, side] * cov[j, k] * sideways[k, side]
+        u, v, w = basis[0, side], basis[1, side], basis[2, side]
+        if miss > _TINY:
+            u, v, w = off_x / miss, off_y / miss, off_z / miss
+        total = u * u * cov[0, 0] + v * v * cov[1, 1] + w * w * cov[2, 2]
+        total += 2.0 * (u * v * cov[0, 1] + u * w * cov[0, 2] + v * w * cov[1, 2])
         # What is not known stays so.
         variance = variance if total <= variance else total
     # Across its way, with some of our own: a bus that crosses shows its length.
@@ -287,7 +284,19 @@ def _miss_over_width(
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
     kind = "constant_bearing" if row.motion_state == MotionState.constant_bearing else "collision_course"
-    event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, _surety(row.state_abc_hz, row.present_cov))
+    event = Event(
+        event_id,
+        kind,
+        row.cluster_id,
+        frame,
+        frame,
+        t_s,
+        t_s,
+        None,
+        None,
+        None,
+        _surety(row.state_abc_hz, row.present_cov),
+    )
     return _continued(event, row, frame, t_s)
 
 

@@ -24,15 +24,26 @@ def overlap_factors(xy_px: Floats, set_of: Ints, is_asked: Bools) -> Floats:
     is_asked : (K,) the others have 1.
     """
     factor = np.ones(len(is_asked))
-    order = np.argsort(set_of, kind="stable")
-    first = np.searchsorted(set_of[order], np.arange(len(is_asked) + 1))
-    _fill(np.ascontiguousarray(xy_px), order, first, is_asked, factor)
+    if is_asked.any():
+        _fill(np.ascontiguousarray(xy_px), set_of, is_asked, factor)
     return factor
 
 
 @compiled
-def _fill(xy: Floats, order: Ints, first: Ints, is_asked: Bools, factor: Floats) -> None:
-    """Fills ``factor (K,)``; the tracks of set k are ``order[first[k] : first[k + 1]]``."""
+def _fill(xy: Floats, set_of: Ints, is_asked: Bools, factor: Floats) -> None:
+    """Fills ``factor (K,)``."""
+    # Tracks in order of their sets: those of set k are ``order[first[k] : first[k + 1]]``.
+    first, order = np.zeros(len(factor) + 1, dtype=np.int64), np.empty(len(set_of), dtype=np.int64)
+    for i in range(len(set_of)):
+        if set_of[i] >= 0:
+            first[set_of[i] + 1] += 1
+    for k in range(len(factor)):
+        first[k + 1] += first[k]
+    end = first.copy()
+    for i in range(len(set_of)):
+        if set_of[i] >= 0:
+            order[end[set_of[i]]] = i
+            end[set_of[i]] += 1
     for k in range(len(factor)):
         if not is_asked[k] or first[k] == first[k + 1]:
             continue

@@ -303,7 +303,7 @@ def _with_free(
         None if plane is None else MotionPlane(plane.normal, plane.covariance),
     )
     velocity = found.state[:, 2:]
-    moved = np.einsum("ni,nij,nj->n", velocity, found.info_w, velocity)
+    moved = np.einsum("ni,ni->n", (found.info_w @ velocity[:, :, None])[:, :, 0], velocity)
     direction = normalize(velocity)
     n_views = 2 if plane is not None else LEAST_FRAMES
     gates = window_gates(config.max_frames, 2 * LEAST_FRAMES - 1, config.window_probability)
