@@ -39,7 +39,7 @@ def row_seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05,
     )
     views, tracks = CommonViews(first, now, GAP_S), np.arange(N)
     members, growth = TrackSets.of([tracks]), views.expansions([tracks])
-    radius_px = radii_px(now, members, np.array([True]), camera)
+    radius_px = radii_px(pixels_from_rays(camera, now), now, members, np.array([True]))
     rows = with_common_errors([row], members, radius_px, np.full(N, age_s), GAP_S, camera)
     (row,) = with_seen_motion(with_times(rows, camera), radius_px, growth, GAP_S, camera)
     return row
@@ -80,7 +80,7 @@ def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
     members, age_s = TrackSets.of([np.arange(N)]), np.full(N, 2.0)
 
     def cov_of(rays):
-        radius_px = radii_px(rays, members, np.array([True]), CAMERA)
+        radius_px = radii_px(pixels_from_rays(CAMERA, rays), rays, members, np.array([True]))
         return with_common_errors([row], members, radius_px, age_s, GAP_S, CAMERA)[0].state_cov
 
     without_one, unseen = now.copy(), np.full_like(now, np.nan)

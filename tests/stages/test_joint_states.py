@@ -124,3 +124,48 @@ def test_the_rate_of_a_wall_at_a_slant_is_as_sure_as_it_says_where_each_track_ha
     error_hz, sigma_hz = np.array(errors_hz), np.array(told_hz)
     assert abs(error_hz.mean()) < 0.3 * error_hz.std()
     assert 0.85 <= np.mean(np.abs(error_hz) < 1.645 * sigma_hz) <= 0.95
+
+
+def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_plain_formula_says():
+    """On a thing that turns, with errors of all kinds, and no plane through it."""
+    rng, count = np.random.default_rng(92), 12
+    root = 0.02 * rng.normal(size=(1, N_SHARED, N_SHARED))
+    shared = SharedErrors(
+        path_of=np.where(np.arange(count) < 9, 0, -1),
+        along=TO_US[None],
+        rate_hz=np.full(count, RATE_HZ),
+        rate_variance=rng.uniform(1e-4, 2e-4, count),
+        jacobian=rng.normal(size=(count, 3, N_SHARED)),
+        rate_jacobian=np.zeros((count, N_SHARED)),
+        cov=root @ np.swapaxes(root, 1, 2),
+        change=np.array([CHANGE]),
+        turn_rad_s=np.array([[0.02, -0.05, 0.03]]),
+    )
+    spread = 0.02 * rng.normal(size=(count, 3, 3))
+    states = TrackStates(
+        xy=np.tile(rng.uniform(-0.01, 0.01, 2), (count, 1)) + 1e-3 * rng.normal(size=(count, 2)),
+        abc_hz=RATE_HZ * TO_US + 0.01 * rng.normal(size=(count, 3)),
+        cov=spread @ np.swapaxes(spread, 1, 2) + 1e-4 * np.eye(3),
+        sigma_norm=np.full(count, 1e-4),
+        direction=np.tile(TO_US, (count, 1)),
+        status=np.zeros(count, dtype=np.int64),
+        shared=shared,
+    )
+    members, xy_px = TrackSets.of([np.arange(count)]), FOCAL_PX * states.xy
+    joint = joint_states(members, TO_US[None], np.array([False]), states, xy_px, LINK_PX)
+    weight = 1.0 / states.cov[:, 2, 2]
+    weight /= weight.sum()
+    mean = weight @ states.abc_hz
+    np.testing.assert_allclose(joint.abc_hz, [mean], rtol=1e-12)
+    np.testing.assert_allclose(joint.ref_px, [weight @ xy_px], rtol=1e-12)
+    on, off = weight[:9], weight[9:]
+    by_shared = np.einsum("n,nij->ij", on, shared.jacobian[:9])
+    cov = 1.35 * np.sum(on**2 * shared.rate_variance[:9]) * np.outer(TO_US, TO_US)
+    cov += by_shared @ shared.cov[0] @ by_shared.T + CHANGE**2 * np.outer(mean, mean)
+    cov += off.sum() ** 2 / np.sum(off**2) * np.einsum("n,nij->ij", off**2, states.cov[9:])
+    offset = np.column_stack([states.xy - weight @ states.xy, np.zeros(count)])
+    by_place = np.cross(shared.turn_rad_s[0], offset)
+    place_cov = 3.0 * np.einsum("n,ni,nj->ij", weight, by_place, by_place)
+    np.testing.assert_allclose(joint.place_cov, [place_cov], rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(joint.cov, [cov + place_cov], rtol=1e-9)
+    assert joint.speed_change[0] == CHANGE

@@ -1,4 +1,4 @@
-"""Sums, means, medians and boxes over sets of tracks are those of each set by itself."""
+"""Sums, medians, boxes and radii over sets of tracks are those of each set by itself."""
 
 import numpy as np
 
@@ -12,13 +12,23 @@ SETS = TrackSets.of(MEMBERS)
 def test_figures_of_each_set_are_those_of_its_members():
     of_tracks = VALUES[SETS.index]
     np.testing.assert_allclose(SETS.sums(of_tracks), [VALUES[index].sum(axis=0) for index in MEMBERS])
-    np.testing.assert_allclose(SETS.means(of_tracks), [VALUES[index].mean(axis=0) for index in MEMBERS])
-    np.testing.assert_allclose(SETS.means(of_tracks[:, 0]), [VALUES[index, 0].mean() for index in MEMBERS])
     np.testing.assert_allclose(SETS.medians(of_tracks[:, 0]), [np.median(VALUES[index, 0]) for index in MEMBERS])
     lowest, highest = SETS.boxes(VALUES)[:, :2], SETS.boxes(VALUES)[:, 2:]
     np.testing.assert_allclose(lowest, [VALUES[index].min(axis=0) for index in MEMBERS])
     np.testing.assert_allclose(highest, [VALUES[index].max(axis=0) for index in MEMBERS])
     np.testing.assert_array_equal(SETS.lengths, [3, 1, 4])
+
+
+def test_the_radius_of_a_set_is_that_of_its_places_that_are_known():
+    places, asked = VALUES.copy(), np.array([True, True, False])
+    np.testing.assert_allclose(SETS.radii(places, asked), [_radius(VALUES[MEMBERS[0]]), 0.0, 0.0])
+    places[MEMBERS[0][1]] = places[MEMBERS[1]] = np.nan
+    np.testing.assert_allclose(SETS.radii(places, asked), [_radius(VALUES[MEMBERS[0][[0, 2]]]), 0.0, 0.0])
+
+
+def _radius(places):
+    """Root mean square distance from the middle."""
+    return np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))
 
 
 def test_a_set_that_loses_all_its_tracks_is_left_out():
@@ -34,4 +44,4 @@ def test_there_may_be_no_sets():
     none = TrackSets.of([])
     assert len(none) == 0
     assert none.boxes(VALUES).shape == (0, 4)
-    assert none.means(np.empty(0)).shape == none.medians(np.empty(0)).shape == (0,)
+    assert none.medians(np.empty(0)).shape == none.radii(VALUES, np.empty(0, dtype=bool)).shape == (0,)

@@ -130,10 +130,12 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
     >>> direction_chi2(ahead, np.array([aside, -aside]), 0.01**2 * np.eye(3)).round(9)
     array([ 4., inf])
     """
-    shape = np.broadcast_shapes(one.shape[:-1], other.shape[:-1], covariance.shape[:-2])
+    shape = np.broadcast(one[..., 0], other[..., 0], covariance[..., 0, 0]).shape
 
     def one_after_the_other(values: Floats, *size: int) -> Floats:
-        return np.ascontiguousarray(np.broadcast_to(values, (*shape, *size))).reshape(-1, *size)
+        every = np.empty((*shape, *size))
+        every[...] = values
+        return every.reshape(-1, *size)
 
     chi2 = np.empty(shape)
     _direction_chi2_of_each(

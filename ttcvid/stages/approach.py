@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.closing import Closing, depths_over_time, fit_closing
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
@@ -89,11 +89,16 @@ def with_seen_motion(
     if not asked:
         return rows
     rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in asked]))
+    abc_hz, cov = np.array([rows[k].state_abc_hz for k in asked]), np.array([rows[k].present_cov for k in asked])
+    nearer = zip(*_radial_rates(rays, abc_hz, cov), strict=True)
     grows = np.column_stack(growth).tolist()
     seen = list(rows)
-    for k, ray in zip(asked, rays, strict=True):
-        is_contradicted = _is_contradicted(rows[k], gap_s, grows[k], float(radius_px[k]))
-        state = _seen_state(rows[k], ray, is_contradicted=is_contradicted)
+    for k, (nearer_hz, sigma_hz), c_hz, c_variance in zip(
+        asked, nearer, abc_hz[:, 2].tolist(), cov[:, 2, 2].tolist(), strict=True
+    ):
+        said = (-c_hz, math.sqrt(c_variance))
+        is_contradicted = _is_contradicted(rows[k].motion_state, gap_s, grows[k], said, float(radius_px[k]))
+        state = _seen_state(rows[k].motion_state, nearer_hz, sigma_hz, is_contradicted=is_contradicted)
         if state != rows[k].motion_state:
             seen[k] = replace(rows[k], motion_state=state)
     return seen
@@ -112,48 +117,41 @@ def closing_of(xy: Floats, since_s: Floats, focal_px: float) -> Closing | None:
     return fit_closing(depth, variance, since_s, drift_hz)
 
 
-def _seen_state(row: ClusterRow, ray: Floats, *, is_contradicted: bool) -> MotionState:
-    state = row.motion_state
-    nearer_hz, sigma_hz = _radial_rate(row, ray)
+def _seen_state(state: MotionState, nearer_hz: float, sigma_hz: float, *, is_contradicted: bool) -> MotionState:
     if abs(nearer_hz) < _SIGMAS_999 * sigma_hz:
         return MotionState.no_relative_motion if state == MotionState.constant_bearing else MotionState.unknown
     return MotionState.unknown if is_contradicted else state
 
 
-def _radial_rate(row: ClusterRow, ray: Floats) -> tuple[float, float]:
-    """Rate at which the distance along ``ray (3,)`` shrinks, over itself, and its standard deviation, 1/s."""
-    along = ray / (ray @ ray)
-    return -float(along @ np.asarray(row.state_abc_hz)), math.sqrt(along @ np.asarray(row.present_cov) @ along)
+def _radial_rates(rays: Floats, abc_hz: Floats, cov: Floats) -> tuple[list[float], list[float]]:
+    """Rates at which distances along ``rays (K, 3)`` shrink, over themselves, and their standard deviations, 1/s."""
+    along = rays / np.einsum("ki,ki->k", rays, rays)[:, None]
+    variance = np.einsum("ki,kij,kj->k", along, cov, along)
+    return (-np.einsum("ki,ki->k", along, abc_hz)).tolist(), np.sqrt(variance).tolist()
 
 
-def radii_px(rays: Floats, members: TrackSets, is_asked: Bools, camera: Camera) -> Floats:
+def radii_px(xy_px: Floats, rays: Floats, members: TrackSets, is_asked: Bools) -> Floats:
     """Root mean square distance (K,) of the tracks of each set from their centre, px; 0 without any, and if not asked.
 
-    Points outside of what the lens maps have no ray (of ``rays (N, 3)``), and no part in it. ``is_asked (K,)``.
+    Points ``xy_px (N, 2)`` outside of what the lens maps have no ray (of ``rays (N, 3)``), and no part in it.
+    ``is_asked (K,)``.
     """
-    radius_px = np.zeros(len(members))
-    asked = is_asked[members.set_of]
-    xy_px = pixels_from_rays(camera, rays[members.index[asked]])
-    is_seen = np.isfinite(xy_px[:, 0])
-    asked[asked] = is_seen
-    seen, owner = members.where(asked)
-    if len(seen):
-        offset = xy_px[is_seen]
-        offset -= seen.means(offset)[seen.set_of]
-        radius_px[owner] = np.sqrt(seen.means(np.sum(offset**2, axis=1)))
-    return radius_px
+    return members.radii(np.where(np.isfinite(rays[:, :1]), xy_px, np.nan), is_asked)
 
 
-def _is_contradicted(row: ClusterRow, gap_s: float, grows: Sequence[float], radius_px: float) -> bool:
+def _is_contradicted(
+    state: MotionState, gap_s: float, grows: Sequence[float], said: tuple[float, float], radius_px: float
+) -> bool:
     """Whether the picture of an object that is said to come nearer (go away) surely grows (shrinks) too little.
 
-    The distances between its own points are blind to rotation, which the paths are not.
+    The distances between its own points are blind to rotation, which the paths are not. ``grows`` and ``said`` are
+    rates with their standard deviations.
     """
     grows_hz, sigma_hz = grows
     if not (math.isfinite(grows_hz) and math.isfinite(sigma_hz) and radius_px > 0.0):
         return False
     sigma_hz = math.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * gap_s))
-    said_hz, said_sigma_hz = -float(np.asarray(row.state_abc_hz)[2]), math.sqrt(np.asarray(row.present_cov)[2, 2])
-    side = 1.0 if row.motion_state in APPROACHING else -1.0
+    said_hz, said_sigma_hz = said
+    side = 1.0 if state in APPROACHING else -1.0
     is_seen = side * grows_hz > _SIGMAS_95 * sigma_hz
     return not is_seen and side * (said_hz - grows_hz) > _SIGMAS_95 * math.hypot(sigma_hz, said_sigma_hz)

@@ -96,7 +96,7 @@ def rows_of(
         members.boxes(xy_px).tolist(),
         members.lengths.tolist(),
         expansion_hz.tolist(),
-        (members.sums(states.has_value[members.index].astype(np.int64)) > 0).tolist(),
+        np.logical_or.reduceat(states.has_value[members.index], members.first).tolist(),
         motion_ids(is_scene | is_static, believed, believed_cov),
         strict=True,
     )
@@ -157,15 +157,14 @@ def motion_ids(is_ours: Bools, direction: Floats, direction_cov: Floats) -> list
     ----------
     is_ours, direction, direction_cov : (K,), (K, 3), (K, 3, 3) of the clusters; NaN where not known.
     """
-    is_same = _have_same_direction(direction, direction_cov)
-    numbers: list[int] = []
-    for place, has_our_motion in enumerate(is_ours.tolist()):
-        if has_our_motion:
-            numbers.append(_SCENE_MOTION)
-            continue
-        same = [numbers[other] for other in np.flatnonzero(is_same[place, :place]) if numbers[other] != _SCENE_MOTION]
-        numbers.append(same[0] if same else max([_SCENE_MOTION, *numbers]) + 1)
-    return numbers
+    movers = np.flatnonzero(~is_ours)
+    is_same = _have_same_direction(direction[movers], direction_cov[movers]) if len(movers) > 1 else np.ones((1, 1))
+    numbers, ids = list[int](), [_SCENE_MOTION] * len(is_ours)
+    for place, mover in enumerate(movers.tolist()):
+        same = np.flatnonzero(is_same[place, :place])
+        numbers.append(numbers[same[0]] if len(same) else max([_SCENE_MOTION, *numbers]) + 1)
+        ids[mover] = numbers[-1]
+    return ids
 
 
 def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
@@ -212,7 +211,8 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     # The reference point is where the tracks are, by definition: it has no error of its own.
     sigma_norm = np.full(len(stated), _EXACT)
     times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
-    present_cov = np.array([rows[place].present_cov for place in stated])
+    change = np.array([rows[place].speed_change for place in stated])
+    present_cov = cov - (change**2)[:, None, None] * (abc_hz[:, :, None] * abc_hz[:, None, :])
     rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, present_cov, sigma_norm)
     sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
     rows = list(rows)
@@ -264,19 +264,17 @@ def _directions_of_states(
 def _have_same_direction(direction: Floats, cov: Floats) -> Bools:
     """Which pairs of clusters (K, K) have one direction within their errors, and not only because these are large."""
     is_one = direction_chi2(direction, direction[:, None], cov + cov[:, None]) < _SAME_DIRECTION_CHI2
-    is_known = np.trace(cov, axis1=1, axis2=2) < _KNOWN_DIRECTION_RAD**2
+    is_known = cov[:, 0, 0] + cov[:, 1, 1] + cov[:, 2, 2] < _KNOWN_DIRECTION_RAD**2
     return np.asarray(is_one & is_known & is_known[:, None])
 
 
 def _directions(motions: Sequence[ClusterMotion]) -> tuple[Floats, Floats]:
     """Directions (K, 3) and their covariances (K, 3, 3), NaN where one of them is not known."""
-    unknown = np.full(3, np.nan), np.full((3, 3), np.nan)
-    known = [
-        unknown if one.direction is None or one.direction_cov is None else (one.direction, one.direction_cov)
-        for one in motions
-    ]
-    direction = np.reshape([one for one, _ in known], (len(known), 3))
-    return direction, np.reshape([one for _, one in known], (len(known), 3, 3))
+    direction, cov = np.full((len(motions), 3), np.nan), np.full((len(motions), 3, 3), np.nan)
+    for place, one in enumerate(motions):
+        if one.direction is not None and one.direction_cov is not None:
+            direction[place], cov[place] = one.direction, one.direction_cov
+    return direction, cov
 
 
 def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:
@@ -285,20 +283,28 @@ def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int,
     Returns ``(N, count)`` tracks within the radius, nearest first, -1 where absent and for tracks not asked.
     """
     found = np.full((len(xy_px), count), -1, dtype=np.int64)
-    _find_neighbours(np.ascontiguousarray(xy_px), cluster, asked, radius_px, found)
+    by_cluster = asked[np.argsort(cluster[asked], kind="stable")]
+    _find_neighbours(np.ascontiguousarray(xy_px), cluster, by_cluster, radius_px, found)
     return found
 
 
 @compiled
 def _find_neighbours(xy: Floats, cluster: Ints, asked: Ints, radius: float, found: Ints) -> None:
-    """Fills ``found (N, K)`` of `neighbours_in_cluster`."""
-    most = found.shape[1]
-    square = np.empty(most)
+    """Fills ``found (N, K)`` of `neighbours_in_cluster`; the tracks that are ``asked`` come cluster by cluster."""
+    most, n_members, last = found.shape[1], 0, -1
+    square, members = np.empty(most), np.empty(len(xy), dtype=np.int64)
     for i in asked:
+        if last < 0 or cluster[i] != cluster[last]:
+            n_members, last = 0, i
+            for j in range(len(xy)):
+                if cluster[j] == cluster[i]:
+                    members[n_members] = j
+                    n_members += 1
         count = 0
-        for j in range(len(xy)):
+        for m in range(n_members):
+            j = members[m]
             distance = (xy[j, 0] - xy[i, 0]) ** 2 + (xy[j, 1] - xy[i, 1]) ** 2
-            if cluster[j] != cluster[i] or distance >= radius * radius or (count == most and distance >= square[-1]):
+            if distance >= radius * radius or (count == most and distance >= square[-1]):
                 continue
             place = min(count, most - 1)
             while place > 0 and distance < square[place - 1]:

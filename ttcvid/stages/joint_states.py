@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.slant import nearest_parts
 from ttcvid.stages.surfaces import in_nearest_surface, tracks_needed
-from ttcvid.stages.track_states import EXPANSION_NEIGHBOURS, TrackStates, has_value
+from ttcvid.stages.track_states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
 
 # Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
 _TRIMMED_VARIANCE = 1.35
@@ -45,6 +46,11 @@ def joint_states(
 ) -> JointStates:
     """The state of the nearest surface of each object that has one.
 
+    The nearest is the one with the largest rate speed / Z, whether it comes, goes or crosses. (Of a thing that
+    approaches, the largest rate is also the largest 1 / ttc_z. Of one that recedes it is the smallest, and one that
+    crosses has none: its tracks would make no surfaces.) What the tracks have in common moves all surfaces alike, and
+    does not make one of two; but no surface is flat.
+
     Parameters
     ----------
     members, direction, is_static
@@ -52,49 +58,217 @@ def joint_states(
     states, xy_px, link_px
         Of all tracks, as for `in_nearest_surface`.
     """
-    surfaces, owner, above_hz, variance = _nearest_surfaces(members, direction, is_static, states, xy_px, link_px)
-    index = surfaces.index
-    along = states.along_paths(direction[owner[surfaces.set_of]], index)
-    weight = 1.0 / np.maximum(states.cov[index, 2, 2], _TINY)
-    weight /= surfaces.sums(weight)[surfaces.set_of]
-    abc_hz = surfaces.sums(weight[:, None] * (states.abc_hz[index] + above_hz[:, None] * along))
-    along = along[surfaces.first]
+    shared = nothing_shared(len(states.xy)) if states.shared is None else states.shared
+    rated = _rated_tracks(members, direction, states, shared, xy_px)
+    needed = tracks_needed(members.lengths[rated.owner])
+    is_in = in_nearest_surface(rated.rate_hz, rated.sigma_hz, rated.xy_px, rated.sets, needed, link_px)
+    by_shared, shared_cov = rated.by_shared, shared.cov[rated.path]
+    is_in, above_hz, variance = nearest_parts(
+        rated.sets, rated.rate_hz, rated.own_hz, rated.sigma_hz, by_shared, shared_cov, rated.xy, needed, is_in
+    )
+    return _joined(rated, is_in, above_hz, variance, is_static[rated.owner], states, shared)
+
+
+@dataclass(frozen=True)
+class _RatedTracks:
+    """The tracks with a rate of K objects that have any: ``sets``, ``owner (K,)`` which of all objects each is.
+
+    ``path (K,)`` the path that they share, -1 for none, and ``along (K, 3)`` the directions of the objects. Of M
+    tracks: rates ``rate_hz`` = speed over depth, with standard deviations ``own_hz`` by their own noise and
+    ``sigma_hz`` by that and the relief of surfaces, ``(M,)`` each; ``by_shared (M, 9)`` what errors that tracks share
+    do to them; places ``xy, xy_px (M, 2)``.
+    """
+
+    sets: TrackSets
+    owner: Ints
+    path: Ints
+    along: Floats
+    rate_hz: Floats
+    own_hz: Floats
+    sigma_hz: Floats
+    by_shared: Floats
+    xy: Floats
+    xy_px: Floats
+
+
+def _rated_tracks(
+    members: TrackSets, direction: Floats, states: TrackStates, shared: SharedErrors, xy_px: Floats
+) -> _RatedTracks:
+    n, count = len(members.index), len(members)
+    index, lengths, path = np.empty(n, dtype=np.int64), np.zeros(count, np.int64), np.empty(count, np.int64)
+    rates, by_shared, places = np.empty((3, n)), np.empty((n, shared.rate_jacobian.shape[1])), np.empty((2, n, 2))
+    m = _rate_each(
+        members.index,
+        members.lengths,
+        states.has_value,
+        np.ascontiguousarray(direction),
+        (states.abc_hz, states.cov),
+        (shared.path_of, shared.rate_hz, shared.rate_variance, shared.rate_jacobian),
+        (np.ascontiguousarray(states.xy), np.ascontiguousarray(xy_px)),
+        index,
+        lengths,
+        path,
+        rates,
+        by_shared,
+        places,
+    )
+    owner = np.flatnonzero(lengths)
+    rate_hz, own_hz, sigma_hz = rates[:, :m]
+    sets, (xy, xy_px) = TrackSets(index[:m], lengths[owner]), places[:, :m]
+    return _RatedTracks(sets, owner, path[owner], direction[owner], rate_hz, own_hz, sigma_hz, by_shared[:m], xy, xy_px)
+
+
+@compiled
+def _rate_each(
+    members: Ints,
+    n_members: Ints,
+    has_value: Bools,
+    direction: Floats,
+    state: tuple[Floats, Floats],
+    shared: tuple[Ints, Floats, Floats, Floats],
+    places: tuple[Floats, Floats],
+    index: Ints,
+    lengths: Ints,
+    path: Ints,
+    rates: Floats,
+    by_shared: Floats,
+    found_places: Floats,
+) -> int:
+    """Fills what `_RatedTracks` has, of all objects with a ``direction (K, 3)``; how many tracks those have.
+
+    On a path the speed is one for all of its points: those of a turning thing have velocities of their own, and still
+    the nearest has the largest rate. For other tracks it is the speed along the direction of the object.
+    """
+    abc_hz, cov = state
+    path_of, path_rate_hz, path_variance, jacobian = shared
+    m, place = 0, 0
+    for k in range(len(n_members)):
+        path[k] = -1
+        for _ in range(n_members[k]):
+            i = members[place]
+            place += 1
+            if not (has_value[i] and np.isfinite(direction[k, 0])):
+                continue
+            if path_of[i] >= 0:
+                rate, variance = path_rate_hz[i], path_variance[i]
+                for j in range(by_shared.shape[1]):
+                    by_shared[m, j] = jacobian[i, j]
+            else:
+                rate, variance = 0.0, 0.0
+                for j in range(3):
+                    rate += abc_hz[i, j] * direction[k, j]
+                    for q in range(3):
+                        variance += direction[k, j] * cov[i, j, q] * direction[k, q]
+                for j in range(by_shared.shape[1]):
+                    by_shared[m, j] = 0.0
+            rates[0, m], rates[1, m] = rate, np.sqrt(variance)
+            rates[2, m] = np.hypot(rates[1, m], _RELIEF * rate)
+            for which in range(2):
+                found_places[which, m, 0], found_places[which, m, 1] = places[which][i, 0], places[which][i, 1]
+            path[k] = max(path[k], path_of[i])
+            index[m] = i
+            lengths[k] += 1
+            m += 1
+    return m
+
+
+def _joined(
+    rated: _RatedTracks,
+    is_in: Bools,
+    above_hz: Floats,
+    variance: Floats,
+    is_static: Bools,
+    states: TrackStates,
+    shared: SharedErrors,
+) -> JointStates:
+    """The states of surfaces of the tracks that ``is_in (M,)`` picks, by `nearest_parts` with what else that gives.
+
+    Their covariances come from noise, from not knowing the place, and of a plane from its ``variance (K,)``.
+    """
+    n, count = len(rated.sets.index), len(rated.sets)
+    index, lengths, weight = np.empty(n, dtype=np.int64), np.zeros(count, np.int64), np.empty(n)
+    along, ref_px, abc_hz = rated.along.copy(), np.zeros((count, 2)), np.zeros((count, 3))
+    # What stands in our way was found as one surface, and may have few tracks.
+    m = _join_each(
+        rated.sets.index,
+        rated.sets.lengths,
+        is_in,
+        is_static & (rated.sets.lengths >= _LEAST_OF_SURFACE),
+        above_hz,
+        (states.abc_hz, states.cov),
+        rated.xy_px,
+        (shared.path_of, shared.along),
+        index,
+        lengths,
+        weight,
+        along,
+        ref_px,
+        abc_hz,
+    )
+    left = np.flatnonzero(lengths)
+    surfaces, weight = TrackSets(index[:m], lengths[left]), weight[:m]
+    along, ref_px, abc_hz, variance = along[left], ref_px[left], abc_hz[left], variance[left]
     cov, place_cov, speed_change = _joint_covariances(states, surfaces, weight, abc_hz, along, variance > 0.0)
     cov = cov + place_cov + _TRIMMED_VARIANCE * variance[:, None, None] * along[:, :, None] * along[:, None, :]
-    return JointStates(owner, surfaces.sums(weight[:, None] * xy_px[index]), abc_hz, cov, place_cov, speed_change)
+    return JointStates(rated.owner[left], ref_px, abc_hz, cov, place_cov, speed_change)
 
 
-def _nearest_surfaces(
-    members: TrackSets, direction: Floats, is_static: Bools, states: TrackStates, xy_px: Floats, link_px: float
-) -> tuple[TrackSets, Ints, Floats, Floats]:
-    """The tracks of the nearest surfaces: those with the largest rate speed / Z, whether it comes, goes or crosses.
+@compiled
+def _join_each(
+    rated: Ints,
+    n_rated: Ints,
+    is_in: Bools,
+    is_whole: Bools,
+    above: Floats,
+    state: tuple[Floats, Floats],
+    xy_px: Floats,
+    path: tuple[Ints, Floats],
+    index: Ints,
+    lengths: Ints,
+    weight: Floats,
+    along: Floats,
+    ref_px: Floats,
+    abc_hz: Floats,
+) -> int:
+    """Fills the tracks of each surface, and the means over them, by weight; how many tracks all surfaces have.
 
-    (Of a thing that approaches, the largest rate is also the largest 1 / ttc_z. Of one that recedes it is the smallest,
-    and one that crosses has none: its tracks would make no surfaces.) What the tracks have in common moves all surfaces
-    alike, and does not make one of two; but no surface is flat.
-
-    Returns
-    -------
-    the surfaces, whose they are, and of `nearest_parts` by how much the rate of each track is too low, with variances.
+    All of what ``is_whole (K,)`` makes up a surface where none was found. ``along (K, 3)`` comes as the directions of
+    the objects and becomes along what the rate of the first track counts: its path, if it has one.
     """
-    is_usable = has_value(states.status[members.index]) & np.isfinite(direction[members.set_of, 0])
-    usable, owner = members.where(is_usable)
-    if not len(usable):
-        return usable, owner, np.empty(0), np.empty(0)
-    along = direction[owner[usable.set_of]]
-    rate_hz, own_hz = states.rates_along(along, usable.index)
-    sigma_hz = np.hypot(own_hz, _RELIEF * rate_hz)
-    needed = tracks_needed(members.lengths[owner])
-    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[usable.index], usable, needed, link_px)
-    is_in, above_hz, variance = nearest_parts(
-        usable, rate_hz, own_hz, sigma_hz, *states.shared_rate_errors(usable), states.xy[usable.index], needed, is_in
-    )
-    # What stands in our way was found as one surface, and may have few tracks.
-    has_none = usable.sums(is_in.astype(np.int64)) == 0
-    is_whole = has_none & is_static[owner] & (usable.lengths >= _LEAST_OF_SURFACE)
-    is_in |= is_whole[usable.set_of]
-    surfaces, left = usable.where(is_in)
-    return surfaces, owner[left], above_hz[is_in], variance[left]
+    velocity, cov = state
+    path_of, path_along = path
+    m, place = 0, 0
+    for k in range(len(n_rated)):
+        low, high, begin, total = place, place + n_rated[k], m, 0.0
+        place = high
+        takes_all = is_whole[k]
+        for p in range(low, high):
+            takes_all = takes_all and not is_in[p]
+        for p in range(low, high):
+            if is_in[p] or takes_all:
+                index[m], weight[m] = rated[p], 1.0 / max(cov[rated[p], 2, 2], _TINY)
+                total += weight[m]
+                m += 1
+        lengths[k] = m - begin
+        dx, dy, dz = along[k, 0], along[k, 1], along[k, 2]
+        q = begin
+        for p in range(low, high):
+            if not (is_in[p] or takes_all):
+                continue
+            i = index[q]
+            weight[q] /= total
+            x, y, z = dx, dy, dz
+            if path_of[i] >= 0:
+                x, y, z = path_along[path_of[i], 0], path_along[path_of[i], 1], path_along[path_of[i], 2]
+            if q == begin:
+                along[k, 0], along[k, 1], along[k, 2] = x, y, z
+            abc_hz[k, 0] += weight[q] * (velocity[i, 0] + above[p] * x)
+            abc_hz[k, 1] += weight[q] * (velocity[i, 1] + above[p] * y)
+            abc_hz[k, 2] += weight[q] * (velocity[i, 2] + above[p] * z)
+            ref_px[k, 0] += weight[q] * xy_px[p, 0]
+            ref_px[k, 1] += weight[q] * xy_px[p, 1]
+            q += 1
+    return m
 
 
 def _joint_covariances(
@@ -108,29 +282,99 @@ def _joint_covariances(
     is the nearest is not known: it may be any end of the surface. Where the rates along ``along`` (K, 3) are those of a
     plane, ``is_plane`` (K,), their noise is in its variance.
     """
-    shared = states.shared
-    place_cov = np.zeros((len(surfaces), 3, 3))
+    shared, count = states.shared, len(surfaces)
+    place_cov, speed_change = np.zeros((count, 3, 3)), np.zeros(count)
     if shared is None:
-        return _averaged_out(states, surfaces, weight, along, is_plane), place_cov, np.zeros(len(surfaces))
-    number = np.maximum.reduceat(shared.path_of[surfaces.index], surfaces.first)
-    on_path = shared.path_of[surfaces.index] == number[surfaces.set_of]
-    has_path = number >= 0
-    on_path &= has_path[surfaces.set_of]
-    own_factor = np.where(is_plane, 0.0, _TRIMMED_VARIANCE)
-    cov = shared.covariances_of_means(surfaces, np.where(on_path, weight, 0.0), abc_hz, number, own_factor)
-    cov = np.where(has_path[:, None, None], cov, 0.0) + _by_expansion(states, surfaces, np.where(on_path, 0.0, weight))
-    if shared.turn_rad_s.any():
-        by_place = shared.covariances_by_place(surfaces, weight, states.xy[surfaces.index], number)
-        place_cov = np.where(has_path[:, None, None], _END_VARIANCE * by_place, 0.0)
-    return cov, place_cov, np.where(has_path, shared.change[number], 0.0)
+        return _averaged_out(states, surfaces, weight, along, is_plane), place_cov, speed_change
+    cov = np.zeros((count, 3, 3))
+    _fill_covariances(
+        surfaces.index,
+        surfaces.lengths,
+        weight,
+        abc_hz,
+        np.where(is_plane, 0.0, _TRIMMED_VARIANCE),
+        (states.cov, np.ascontiguousarray(states.xy)),
+        (shared.path_of, shared.rate_variance, shared.jacobian),
+        (shared.along, shared.cov, shared.change, shared.turn_rad_s),
+        EXPANSION_NEIGHBOURS,
+        cov,
+        place_cov,
+        speed_change,
+    )
+    return cov, place_cov, speed_change
 
 
-def _by_expansion(states: TrackStates, surfaces: TrackSets, weight: Floats) -> Floats:
-    """Covariances (K, 3, 3) of what tracks timed by expansion add to means; ``weight (M,)`` is 0 for all others."""
-    squares = surfaces.sums(weight**2)
-    count = np.divide(surfaces.sums(weight) ** 2, squares, out=np.zeros(len(surfaces)), where=squares > 0.0)
-    err_together = np.minimum(count, EXPANSION_NEIGHBOURS)
-    return err_together[:, None, None] * surfaces.sums((weight**2)[:, None, None] * states.cov[surfaces.index])
+@compiled
+def _fill_covariances(
+    index: Ints,
+    lengths: Ints,
+    weight: Floats,
+    abc_hz: Floats,
+    own_factor: Floats,
+    state: tuple[Floats, Floats],
+    of_tracks: tuple[Ints, Floats, Floats],
+    of_paths: tuple[Floats, Floats, Floats, Floats],
+    err_together: int,
+    cov: Floats,
+    place_cov: Floats,
+    speed_change: Floats,
+) -> None:
+    """Fills the results of `_joint_covariances`, surface by surface: all of them come as zeros.
+
+    Noise of the tracks' own counts ``own_factor (K,)`` times. Of those without the path of the others, no more than
+    ``err_together`` err together.
+    """
+    track_cov, xy = state
+    path_of, rate_variance, jacobian = of_tracks
+    path_along, shared_cov, change, turn_rad_s = of_paths
+    n_shared, low = shared_cov.shape[1], 0
+    by_shared, product, by_place = np.empty((3, n_shared)), np.empty(n_shared), np.empty(3)
+    for k in range(len(lengths)):
+        high, path, x, y = low + lengths[k], -1, 0.0, 0.0
+        for m in range(low, high):
+            path = max(path, path_of[index[m]])
+            x, y = x + weight[m] * xy[index[m], 0], y + weight[m] * xy[index[m], 1]
+        for j in range(3):
+            for q in range(n_shared):
+                by_shared[j, q] = 0.0
+        own, others, squares = 0.0, 0.0, 0.0
+        for m in range(low, high):
+            i, w = index[m], weight[m]
+            if path >= 0 and path_of[i] == path:
+                own += w * w * rate_variance[i]
+                for j in range(3):
+                    for q in range(n_shared):
+                        by_shared[j, q] += w * jacobian[i, j, q]
+                continue
+            others, squares = others + w, squares + w * w
+            for j in range(3):
+                for q in range(3):
+                    cov[k, j, q] += w * w * track_cov[i, j, q]
+        count = min(others * others / squares, err_together) if squares > 0.0 else 0.0
+        for j in range(3):
+            for q in range(3):
+                cov[k, j, q] *= count
+        if path >= 0:
+            speed_change[k] = change[path]
+            for j in range(3):
+                for q in range(n_shared):
+                    product[q] = 0.0
+                    for r in range(n_shared):
+                        product[q] += by_shared[j, r] * shared_cov[path, r, q]
+                for r in range(3):
+                    total = own_factor[k] * own * path_along[path, j] * path_along[path, r]
+                    total += change[path] * change[path] * abc_hz[k, j] * abc_hz[k, r]
+                    for q in range(n_shared):
+                        total += product[q] * by_shared[r, q]
+                    cov[k, j, r] += total
+            tx, ty, tz = turn_rad_s[path, 0], turn_rad_s[path, 1], turn_rad_s[path, 2]
+            for m in range(low, high):
+                dx, dy = xy[index[m], 0] - x, xy[index[m], 1] - y
+                by_place[0], by_place[1], by_place[2] = -tz * dy, tz * dx, tx * dy - ty * dx
+                for j in range(3):
+                    for r in range(3):
+                        place_cov[k, j, r] += _END_VARIANCE * weight[m] * by_place[j] * by_place[r]
+        low = high
 
 
 def _averaged_out(states: TrackStates, surfaces: TrackSets, weight: Floats, along: Floats, is_plane: Bools) -> Floats:

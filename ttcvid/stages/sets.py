@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 
 
@@ -47,20 +49,54 @@ class TrackSets:
         """Sums over each set of ``values (M, ...)``: (K, ...)."""
         return np.asarray(np.add.reduceat(values, self.first, axis=0))
 
-    def means(self, values: Floats) -> Floats:
-        """Means over each set of ``values (M,)`` or ``(M, n)``."""
-        sums = self.sums(values)
-        return np.asarray(sums / self.lengths.reshape(-1, *[1] * (sums.ndim - 1)))
-
     def medians(self, values: Floats) -> Floats:
         """Medians over each set of ``values (M,)``: (K,)."""
-        ascending = values[np.lexsort((values, self.set_of))]
-        return np.asarray(
-            0.5 * (ascending[self.first + (self.lengths - 1) // 2] + ascending[self.first + self.lengths // 2])
-        )
+        return medians(values, self.set_of, len(self))
 
     def boxes(self, xy: Floats) -> Floats:
         """Least x and y, greatest x and y of each set: (K, 4), of the places ``xy (N, 2)`` of all tracks."""
-        places = xy[self.index]
-        low = np.minimum.reduceat(places, self.first, axis=0)
-        return np.concatenate([low, np.maximum.reduceat(places, self.first, axis=0)], axis=1)
+        boxes = np.empty((len(self), 4))
+        _fill_boxes(self.index, self.lengths, np.ascontiguousarray(xy), boxes)
+        return boxes
+
+    def radii(self, xy: Floats, is_asked: Bools) -> Floats:
+        """Root mean square distance (K,) of the tracks of each set from their centre; 0 if not asked.
+
+        ``is_asked (K,)``. Places ``xy (N, 2)`` that are NaN have no part in it; without any other, it is 0.
+        """
+        radii = np.zeros(len(self))
+        _fill_radii(self.index, self.lengths, np.ascontiguousarray(xy), is_asked, radii)
+        return radii
+
+
+@compiled
+def _fill_boxes(index: Ints, lengths: Ints, xy: Floats, boxes: Floats) -> None:
+    """Fills ``boxes (K, 4)``."""
+    place = 0
+    for k in range(len(lengths)):
+        box = boxes[k]
+        box[0] = box[2] = xy[index[place], 0]
+        box[1] = box[3] = xy[index[place], 1]
+        for _ in range(lengths[k]):
+            x, y = xy[index[place], 0], xy[index[place], 1]
+            box[0], box[1], box[2], box[3] = min(box[0], x), min(box[1], y), max(box[2], x), max(box[3], y)
+            place += 1
+
+
+@compiled
+def _fill_radii(index: Ints, lengths: Ints, xy: Floats, is_asked: Bools, radii: Floats) -> None:
+    """Fills ``radii (K,)``, which come as zeros."""
+    low = 0
+    for k in range(len(lengths)):
+        high = low + lengths[k]
+        x, y, count, square = 0.0, 0.0, 0, 0.0
+        for place in range(low, high if is_asked[k] else low):
+            if np.isfinite(xy[index[place], 0]):
+                x, y, count = x + xy[index[place], 0], y + xy[index[place], 1], count + 1
+        if count:
+            x, y = x / count, y / count
+            for place in range(low, high):
+                if np.isfinite(xy[index[place], 0]):
+                    square += (xy[index[place], 0] - x) ** 2 + (xy[index[place], 1] - y) ** 2
+            radii[k] = np.sqrt(square / count)
+        low = high

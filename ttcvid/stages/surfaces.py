@@ -35,8 +35,7 @@ def in_nearest_surface(
     needed : (K,) tracks that a surface needs, see `tracks_needed`.
     """
     is_in = np.zeros(len(rate_hz), dtype=bool)
-    starts = np.lexsort((-rate_hz, sets.set_of))
-    _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, starts, sets.first, needed, is_in)
+    _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, sets.lengths, needed, is_in)
     return is_in
 
 
@@ -46,27 +45,44 @@ def tracks_needed(n_tracks: Ints) -> Ints:
 
 
 @compiled
-def _find_each(
-    rate: Floats, sigma: Floats, xy: Floats, link: float, starts: Ints, first: Ints, needed: Ints, is_in: Bools
-) -> None:
-    """Fills ``is_in (M,)`` set by set; the ``starts (M,)`` of a set, counted over all sets, stand in its places."""
-    for k in range(len(first)):
-        low, high = first[k], first[k + 1] if k + 1 < len(first) else len(rate)
-        _find(rate[low:high], sigma[low:high], xy[low:high], link, starts[low:high] - low, needed[k], is_in[low:high])
+def _find_each(rate: Floats, sigma: Floats, xy: Floats, link: float, lengths: Ints, needed: Ints, is_in: Bools) -> None:
+    """Fills ``is_in (M,)`` set by set."""
+    low = 0
+    for k in range(len(lengths)):
+        high = low + lengths[k]
+        _find(rate[low:high], sigma[low:high], xy[low:high], link, needed[k], is_in[low:high])
+        low = high
 
 
 @compiled
-def _find(rate: Floats, sigma: Floats, xy: Floats, link: float, starts: Ints, needed: int, is_in: Bools) -> None:
-    """Fills ``is_in (N,)`` with the surface that the first of the ``starts`` with enough support leads to."""
-    below, part = np.inf, np.empty(len(rate), dtype=np.int64)
-    for start in starts:
-        if rate[start] > below or _support(rate, sigma, rate[start], is_in) < needed:
+def _find(rate: Floats, sigma: Floats, xy: Floats, link: float, needed: int, is_in: Bools) -> None:
+    """Fills ``is_in (N,)`` with the surface that the largest rate with enough support leads to."""
+    start, below, part = -1, np.inf, np.empty(len(rate), dtype=np.int64)
+    while True:
+        start = _next_start(rate, start, below)
+        if start < 0:
+            break
+        if _support(rate, sigma, rate[start], is_in) < needed:
             continue
         _settle(rate, sigma, rate[start], is_in)
         if _keep_largest_part(xy, link, is_in, part) >= needed:
             return
         below = rate[start] - _NEXT_START_SIGMAS * sigma[start]
     is_in[:] = False
+
+
+@compiled
+def _next_start(rate: Floats, last: int, below: float) -> int:
+    """The largest rate up to ``below`` that comes after the last one, in the order of rates and then of places; or -1.
+
+    The first few lead to a surface: to sort all would take longer.
+    """
+    found = -1
+    for i in range(len(rate)):
+        is_next = last < 0 or rate[i] < rate[last] or (rate[i] == rate[last] and i > last)
+        if is_next and rate[i] <= below and (found < 0 or rate[i] > rate[found]):
+            found = i
+    return found
 
 
 @compiled

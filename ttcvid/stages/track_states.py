@@ -10,14 +10,13 @@ from ttcvid.geometry.collision import angles_from_epipoles
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.intervals import collision_times_from_state
-from ttcvid.geometry.rotation import cross, normalize, tangent_basis
+from ttcvid.geometry.rotation import cross, tangent_basis
 from ttcvid.geometry.shared_path import N_SHARED
 from ttcvid.geometry.state import rate_from_direction, state_from_direction
 from ttcvid.geometry.three_frames import three_frame_direction
 from ttcvid.model import Bools, CollisionTimes, Floats, Ints, Status
 from ttcvid.stages.flows import Flows
 from ttcvid.stages.history import TrackHistory
-from ttcvid.stages.sets import TrackSets
 
 # Step of the numerical derivatives of the three-frame solution, in sigmas of the points.
 _DERIVATIVE_STEP_SIGMAS = 0.3
@@ -25,6 +24,8 @@ EXPANSION_NEIGHBOURS = 8
 """Tracks around a point, itself among them, whose expansion is that of its surroundings."""
 # An expansion is taken for one above so many of its standard deviations.
 _EXPANSION_SIGMAS = 3.0
+# As plain numbers, with which arrays are compared in a third of the time.
+_OK, _AT_INFINITY = int(Status.ok), int(Status.epipole_at_infinity)
 
 
 @dataclass(frozen=True)
@@ -48,35 +49,20 @@ class SharedErrors:
     change: Floats
     turn_rad_s: Floats
 
-    def covariances_of_means(
-        self, sets: TrackSets, weight: Floats, mean_hz: Floats, number: Ints, own_factor: Floats
-    ) -> Floats:
-        """Covariances (K, 3, 3) of weighted means ``mean_hz (K, 3)`` of (a, b, c) over K sets, by the tracks on a path.
 
-        Noise of their own averages out, up to ``own_factor (K,)``; what they share does not. ``number (K,)`` is the
-        path of each set, ``weight (M,)`` that of the tracks, 0 for those on none.
-        """
-        # What has no path may have no rate on one either.
-        has_path = weight > 0.0
-        by_shared = np.where(has_path[:, None, None], self.jacobian[sets.index], 0.0)
-        jacobian = sets.sums(weight[:, None, None] * by_shared)
-        own = own_factor * sets.sums(weight**2 * np.where(has_path, self.rate_variance[sets.index], 0.0))
-        changed = self.change[number][:, None] * mean_hz
-        along = self.along[number]
-        return np.asarray(
-            own[:, None, None] * along[:, :, None] * along[:, None, :]
-            + jacobian @ self.cov[number] @ np.swapaxes(jacobian, 1, 2)
-            + changed[:, :, None] * changed[:, None, :]
-        )
-
-    def covariances_by_place(self, sets: TrackSets, weight: Floats, xy: Floats, number: Ints) -> Floats:
-        """What (a, b, c) vary by, (K, 3, 3), over the places ``xy (M, 2)`` of K sets, as the things turn.
-
-        ``number (K,)`` is the path of each set, ``weight (M,)`` that of the tracks, with the sum 1 over each set.
-        """
-        offset = xy - sets.sums(weight[:, None] * xy)[sets.set_of]
-        by_place = cross(self.turn_rad_s[number][sets.set_of], np.column_stack([offset, np.zeros(len(offset))]))
-        return np.asarray(sets.sums(weight[:, None, None] * by_place[:, :, None] * by_place[:, None, :]))
+def nothing_shared(n: int) -> SharedErrors:
+    """Of N tracks of which each has a direction of its own."""
+    return SharedErrors(
+        np.full(n, -1),
+        np.zeros((1, 3)),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros((n, 3, N_SHARED)),
+        np.zeros((n, N_SHARED)),
+        np.zeros((1, N_SHARED, N_SHARED)),
+        np.zeros(1),
+        np.zeros((1, 3)),
+    )
 
 
 @dataclass(frozen=True)
@@ -94,35 +80,6 @@ class TrackStates:
     direction: Floats
     status: Ints
     shared: SharedErrors | None = None
-
-    def rates_along(self, direction: Floats, index: Ints) -> tuple[Floats, Floats]:
-        """Speed over depth of the tracks ``index (M,)``, and its standard deviation by their own noise: (M,) 1/s each.
-
-        On a path the speed is one for all of its points: those of a turning thing have velocities of their own, and
-        still the nearest has the largest rate. For other tracks it is the speed along ``direction (M, 3)``.
-        """
-        rate_hz: Floats = np.sum(self.abc_hz[index] * direction, axis=1)
-        variance: Floats = np.einsum("mi,mij,mj->m", direction, self.cov[index], direction)
-        if self.shared is not None:
-            on_path = self.shared.path_of[index] >= 0
-            rate_hz[on_path] = self.shared.rate_hz[index[on_path]]
-            variance[on_path] = self.shared.rate_variance[index[on_path]]
-        return rate_hz, np.sqrt(variance)
-
-    def shared_rate_errors(self, sets: TrackSets) -> tuple[Floats, Floats]:
-        """What errors that tracks share do to the rates of the sets, (M, 9), and their covariances: (K, 9, 9)."""
-        if self.shared is None:
-            return np.zeros((len(sets.index), N_SHARED)), np.zeros((len(sets), N_SHARED, N_SHARED))
-        path_of = self.shared.path_of[sets.index]
-        by_shared = np.where((path_of >= 0)[:, None], self.shared.rate_jacobian[sets.index], 0.0)
-        return by_shared, self.shared.cov[np.maximum.reduceat(path_of, sets.first)]
-
-    def along_paths(self, direction: Floats, index: Ints) -> Floats:
-        """Along what the rates of the tracks ``index (M,)`` count: (M, 3), their paths, or ``direction`` without."""
-        if self.shared is None:
-            return direction
-        path_of = self.shared.path_of[index]
-        return np.where((path_of >= 0)[:, None], self.shared.along[path_of], direction)
 
     @property
     def has_value(self) -> Bools:
@@ -175,15 +132,15 @@ class TrackStates:
 
 def first_reason(n: int, reasons: list[tuple[Bools, Status | Ints]]) -> Ints:
     """Status (N,) of the first condition (N,) that holds for each track, ok where none does."""
-    status = np.full(n, Status.ok, dtype=np.int64)
+    status = np.full(n, _OK, dtype=np.int64)
     for holds, reason in reversed(reasons):
-        np.copyto(status, reason, where=holds)
+        np.copyto(status, int(reason) if isinstance(reason, Status) else reason, where=holds)
     return status
 
 
 def has_value(status: Ints) -> Bools:
     """Which of the tracks with ``status (N,)`` have a result: (N,)."""
-    return np.asarray((status == Status.ok) | (status == Status.epipole_at_infinity))
+    return np.asarray((status == _OK) | (status == _AT_INFINITY))
 
 
 def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> TrackStates:
@@ -284,24 +241,55 @@ def with_constant_bearing(
     past = past_rays[asked]
     is_sure = (eta_hz > _EXPANSION_SIGMAS * sigma_hz) & (past[:, 2] > 0.0)
     asked, eta_hz, sigma_hz, past = asked[is_sure], eta_hz[is_sure], sigma_hz[is_sure], past[is_sure]
-    ray = np.column_stack([states.xy[asked], np.ones(len(asked))])
-    # x_past = (x - a T) / (1 - c T) with c = -eta, solved for a; y and b likewise.
-    sideways = states.xy[asked] - past[:, :2] / past[:, 2:] * (1.0 + eta_hz * gap_s)[:, None]
     abc_hz, cov = states.abc_hz.copy(), states.cov.copy()
     direction, status = states.direction.copy(), states.status.copy()
-    abc_hz[asked] = np.column_stack([sideways / gap_s, -eta_hz])
-    cov[asked] = np.einsum("n,ni,nj->nij", sigma_hz**2, ray, ray)
+    path_of = np.empty(0, dtype=np.int64) if states.shared is None else states.shared.path_of.copy()
     across_hz2 = 2.0 * (states.sigma_norm[asked] / gap_s) ** 2
-    cov[asked, 0, 0] += across_hz2
-    cov[asked, 1, 1] += across_hz2
-    direction[asked] = normalize(abc_hz[asked])
-    status[asked] = Status.ok
-    shared = states.shared
-    if shared is not None:
-        path_of = shared.path_of.copy()
-        path_of[asked] = -1
-        shared = replace(shared, path_of=path_of)
+    found = (abc_hz, cov, direction, status, path_of)
+    _bear_constantly(asked, eta_hz, sigma_hz, across_hz2, past, np.ascontiguousarray(states.xy), gap_s, _OK, *found)
+    shared = None if states.shared is None else replace(states.shared, path_of=path_of)
     return replace(states, abc_hz=abc_hz, cov=cov, direction=direction, status=status, shared=shared)
+
+
+@compiled
+def _bear_constantly(
+    asked: Ints,
+    eta_hz: Floats,
+    sigma_hz: Floats,
+    across_hz2: Floats,
+    past: Floats,
+    xy: Floats,
+    gap_s: float,
+    ok: int,
+    abc_hz: Floats,
+    cov: Floats,
+    direction: Floats,
+    status: Ints,
+    path_of: Ints,
+) -> None:
+    """Changes states (N, ...) of the tracks ``asked (M,)`` to those by their expansion ``eta_hz (M,)``.
+
+    x_past = (x - a T) / (1 - c T) with c = -eta, solved for a; y and b likewise. What the expansion errs by moves a
+    point along its ray; across, its own noise does. On a path they are no longer.
+    """
+    ray = np.ones(3)
+    for m in range(len(asked)):
+        i, square = asked[m], 0.0
+        for j in range(2):
+            ray[j] = xy[i, j]
+            abc_hz[i, j] = (xy[i, j] - past[m, j] / past[m, 2] * (1.0 + eta_hz[m] * gap_s)) / gap_s
+            square += abc_hz[i, j] * abc_hz[i, j]
+        abc_hz[i, 2] = -eta_hz[m]
+        length = np.sqrt(square + eta_hz[m] * eta_hz[m])
+        for j in range(3):
+            direction[i, j] = abc_hz[i, j] / length
+            for k in range(3):
+                cov[i, j, k] = sigma_hz[m] * sigma_hz[m] * ray[j] * ray[k]
+        cov[i, 0, 0] += across_hz2[m]
+        cov[i, 1, 1] += across_hz2[m]
+        status[i] = ok
+        if len(path_of):
+            path_of[i] = -1
 
 
 def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> Floats:
