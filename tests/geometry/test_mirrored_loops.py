@@ -5,7 +5,11 @@ import pytest
 
 from ttcvid.geometry import rigid_path_descent, shared_direction, shared_path_descent, two_view_descent
 from ttcvid.geometry import whole_track_on_path as on_path
+from ttcvid.geometry.collision import times_from_position_velocity
+from ttcvid.geometry.flow_line import flow_line_chi2
+from ttcvid.geometry.intervals import collision_times_from_state
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
+from ttcvid.stages import scene_path
 
 DIRECTIONS = normalize(
     np.concatenate(
@@ -109,3 +113,28 @@ def added_together(seen, t_s, path, s, sigma):
     far = shared_path_descent._ROBUST_SIGMAS**2
     mean_square = shared_path_descent._add_point(views, 0, way, 0, s[None].copy(), sigma, far, kept, sums)
     return kept[0], mean_square, sums
+
+
+def test_times_of_states_are_those_of_their_rays_and_velocities():
+    rng = np.random.default_rng(8)
+    x, y, abc_hz = *rng.normal(size=(2, 50)), rng.normal(size=(50, 3))
+    abc_hz[0], abc_hz[1, 2] = 0.0, 0.0
+    cov = np.tile(1e-6 * np.eye(3), (50, 1, 1))
+    found = collision_times_from_state(x, y, abc_hz, cov, np.full(50, 1e-4))
+    expected = times_from_position_velocity(np.column_stack([x, y, np.ones(50)]), abc_hz)
+    for name in ("tcpa_s", "miss_s", "ttc_z_s"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
+
+
+def test_what_follows_the_scene_is_within_the_gate_of_its_flow_line():
+    rng, e = np.random.default_rng(9), normalize(np.array([0.1, -0.05, -1.0]))
+    first = normalize(rng.normal(size=(300, 3)) + np.array([0.0, 0.0, 3.0]))
+    turned = first @ rotation_from_vector(np.array([0.01, -0.02, 0.005])).T
+    now = normalize(turned + 0.02 * e + 6e-3 * rng.normal(size=(300, 3)))
+    first[0], now[1], sigma_rad, drift_rad = np.nan, np.nan, rng.uniform(5e-4, 2e-3, 300), 3e-4
+    follows = np.empty(300, dtype=bool)
+    cam_R_first = rotation_from_vector(np.array([0.01, -0.02, 0.005]))
+    scene_path._compare_with_line(first, now, cam_R_first, e, sigma_rad, drift_rad, follows)
+    chi2 = flow_line_chi2(e, first @ cam_R_first.T, now, np.hypot(sigma_rad, drift_rad))
+    np.testing.assert_array_equal(follows, chi2 < scene_path._GATE_CHI2)
+    assert 50 < np.count_nonzero(follows) < 250

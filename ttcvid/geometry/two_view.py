@@ -160,4 +160,4 @@ def _prior_cost(prior: GaussianPrior, offset: Floats, direction: Floats) -> floa
 
 def _capped_cost(residual: Floats) -> float:
     """Sum of squared residuals, each capped: what counts is how many points a fit explains, not how far others are."""
-    return float(np.sum(np.minimum(residual**2, _COST_CAP)))
+    return float(np.minimum(residual * residual, _COST_CAP).sum())

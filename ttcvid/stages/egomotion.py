@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -220,13 +221,14 @@ def _fit_from_starts(
     rays_prev, rays_cam, _, _, prior = observed
     last = FORWARD_DIR if memory.direction is None else memory.direction
     fits = [fit_motion(*observed, rotation_from_vector(prior.rotation_rad), last)]
-    if memory.direction is None or np.mean(np.abs(fits[0].residual) < _INLIER_SIGMAS) < _GOOD_INLIERS:
+    n_inliers = np.count_nonzero(np.abs(fits[0].residual) < _INLIER_SIGMAS)
+    if memory.direction is None or n_inliers < _GOOD_INLIERS * len(rays_cam):
         rotations = [turning_R] if memory.rotation_rad is not None else [*_rotation_starts(prior, memory), turning_R]
         for rotation in rotations:
             flow_direction = direction_from_flow(rays_prev, rays_cam, rotation)
             fits += [fit_motion(*observed, rotation, start) for start in (last, flow_direction)]
     best = _best(fits)
-    if np.sum(best.sense) < 0.0 and best.direction is not None:
+    if best.sense.sum() < 0.0 and best.direction is not None:
         best = _best([best, fit_motion(*observed, best.cam_R_prev, -best.direction)])
     return best
 
@@ -249,7 +251,8 @@ def _is_translation(
     is_still = (turning.residual < _STILL_SIGMAS) | (flow_rad < least_parallax_rad)
     points_per_region = np.bincount(region)
     still_per_region = np.bincount(region, is_still)
-    return float(np.mean(still_per_region > 0.5 * points_per_region)) < _MOST_STILL
+    n_still = int(np.count_nonzero(still_per_region > 0.5 * points_per_region))
+    return n_still < _MOST_STILL * len(points_per_region)
 
 
 def _result(fit: TwoViewFit) -> Egomotion:
@@ -267,5 +270,5 @@ def _best(fits: list[TwoViewFit]) -> TwoViewFit:
 def _gric(fit: TwoViewFit, dimension: int, n_parameters: int) -> float:
     """Torr's criterion of a two-view model: ``dimension`` of its manifold in the 4-D space of point pairs."""
     n = len(fit.residual)
-    capped = np.minimum(fit.residual**2, _GRIC_CAP * (4 - dimension))
-    return float(np.sum(capped) + np.log(4.0) * dimension * n + np.log(4.0 * n) * n_parameters)
+    capped = np.minimum(fit.residual * fit.residual, _GRIC_CAP * (4 - dimension))
+    return float(capped.sum()) + math.log(4.0) * dimension * n + math.log(4.0 * n) * n_parameters

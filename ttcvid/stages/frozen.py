@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints, PointSet
 
 # A track is on its pixel within this distance, px: three times the noise of Lucas-Kanade on an unchanging patch.
@@ -54,20 +55,42 @@ def find_frozen(
     step_s : time since the last frame.
     """
     n = len(points.track_id)
-    anchor_px, n_stayed = points.xy_px.copy(), np.zeros(n)
-    is_new = np.ones(n, dtype=bool)
-    if len(memory.track_id):
-        place = np.minimum(np.searchsorted(memory.track_id, points.track_id), len(memory.track_id) - 1)
-        is_new = memory.track_id[place] != points.track_id
-        anchor_px[~is_new] = memory.anchor_px[place[~is_new]]
-        n_stayed[~is_new] = memory.n_stayed[place[~is_new]]
-    moved_x, moved_y = (points.xy_px - anchor_px).T
-    stays = moved_x * moved_x + moved_y * moved_y < _STAYS_PX**2
-    anchor_px = np.where(stays[:, None], anchor_px, points.xy_px)
-    n_stayed = np.where(stays, n_stayed + int(scene_moves) * min(1.0, step_s / _WHOLE_FRAME_S), 0.0)
+    anchor_px, n_stayed, is_new = points.xy_px.copy(), np.zeros(n), np.ones(n, dtype=bool)
+    counts = int(scene_moves) * min(1.0, step_s / _WHOLE_FRAME_S)
+    before = (memory.track_id, memory.anchor_px, memory.n_stayed)
+    _count_stays(points.track_id, *before, counts, anchor_px, n_stayed, is_new)
     is_frozen = n_stayed >= _FROZEN_FRAMES
     if is_frozen.any() and is_new.any():
         distance, _ = KDTree(points.xy_px[is_frozen]).query(points.xy_px[is_new])
         n_stayed[np.flatnonzero(is_new)[distance < _NEAR_FROZEN_PX]] = _FROZEN_FRAMES
         is_frozen = n_stayed >= _FROZEN_FRAMES
     return is_frozen, FrozenMemory(points.track_id, anchor_px, n_stayed)
+
+
+@compiled
+def _count_stays(
+    track_id: Ints,
+    known: Ints,
+    known_px: Floats,
+    known_stayed: Floats,
+    counts: float,
+    anchor_px: Floats,
+    n_stayed: Floats,
+    is_new: Bools,
+) -> None:
+    """Carries what is known of tracks over to the same ones in this frame, with whose places ``anchor_px`` comes.
+
+    ``known (M,)`` and ``track_id (N,)`` are ascending. The frame ``counts`` for so much where a track stays.
+    """
+    m = 0
+    for i in range(len(track_id)):
+        while m < len(known) and known[m] < track_id[i]:
+            m += 1
+        is_new[i] = m == len(known) or known[m] != track_id[i]
+        if is_new[i]:
+            n_stayed[i] = counts
+            continue
+        dx, dy = anchor_px[i, 0] - known_px[m, 0], anchor_px[i, 1] - known_px[m, 1]
+        if dx * dx + dy * dy < _STAYS_PX * _STAYS_PX:
+            anchor_px[i, 0], anchor_px[i, 1] = known_px[m, 0], known_px[m, 1]
+            n_stayed[i] = known_stayed[m] + counts

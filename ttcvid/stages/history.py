@@ -136,7 +136,7 @@ class TrackHistory:
         """What is to be expected, per axis, of a rotation rate that own motion leaves in the past rays."""
         return ROTATION_DRIFT_RAD / self.step_s if len(self.t_s) > 1 else 0.0
 
-    @property
+    @cached_property
     def step_s(self) -> float:
         """Usual time between views, 0 with a single one."""
         return median(np.diff(self.t_s)) if len(self.t_s) > 1 else 0.0
@@ -152,7 +152,7 @@ class TrackHistory:
         """Time from the present frame to the view farthest from it."""
         return float(np.abs(self.since_s[[0, -1]]).max())
 
-    @property
+    @cached_property
     def since_s(self) -> Floats:
         """Times relative to the present frame, ``(L,)`` s: up to 0, but for later views."""
         since: Floats = self.t_s - self.t_s[self.now]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -86,53 +87,92 @@ def _from_two_views(
 
 
 def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> tuple[Floats, Floats, Floats] | None:
-    """Rays ``gap`` frames ago and now, each in its own camera, and their noise; None with too few tracks."""
+    """Rays ``gap`` frames ago and now, each in its own camera, and their noise; None with too few tracks.
+
+    Of tracks so that no place of the picture holds too many: one textured lorry is not the world. A mover near by may
+    hold most of the tracks, but it does not fill most of the picture.
+    """
     if not 0 < gap < len(history.frame):
         return None
     before, now, sigma_rad = history.rays[-1 - gap], history.rays[-1], history.sigma_rad
-    seen = np.flatnonzero(is_free & np.isfinite(before[:, 0]) & np.isfinite(now[:, 0]))
+    seen = np.empty(len(now), dtype=np.int64)
+    seen = seen[: _list_seen(before, now, is_free, seen)]
     if len(seen) < min_tracks:
         return None
-    seen = _spread(now, sigma_rad, seen, min_tracks, region_side_of(history.camera))
-    return before[seen], now[seen], sigma_rad[seen]
-
-
-def _spread(rays: Floats, sigma_rad: Floats, seen: Ints, min_tracks: int, side: float) -> Ints:
-    """Tracks among ``seen`` so that no place of the picture holds too many: one textured lorry is not the world.
-
-    A mover near by may hold most of the tracks, but it does not fill most of the picture.
-    """
-    is_kept, rays = np.zeros(len(seen), dtype=bool), rays[seen]
-    _keep_some(rays, sigma_rad[seen], picture_region(rays, side), is_kept)
+    is_kept = np.zeros(len(seen), dtype=bool)
+    _keep_some(now, sigma_rad, seen, picture_region(now[seen], region_side_of(history.camera)), is_kept)
     spread = seen[is_kept]
-    return spread if len(spread) >= min_tracks else seen
+    used = spread if len(spread) >= min_tracks else seen
+    return before[used], now[used], sigma_rad[used]
 
 
 @compiled
-def _keep_some(rays: Floats, sigma: Floats, region: Ints, is_kept: Bools) -> None:
-    """Fills ``is_kept (N,)`` with the quietest few of each region: the same ones in whatever order the tracks come."""
+def _list_seen(before: Floats, now: Floats, is_free: Bools, seen: Ints) -> int:
+    """Fills ``seen`` with the tracks that have both rays, and are not frozen to their pixel; how many there are."""
+    count = 0
+    for i in range(len(now)):
+        if is_free[i] and np.isfinite(before[i, 0] + now[i, 0]):
+            seen[count] = i
+            count += 1
+    return count
+
+
+@compiled
+def _keep_some(rays: Floats, sigma: Floats, seen: Ints, region: Ints, is_kept: Bools) -> None:
+    """Fills ``is_kept (M,)`` with the quietest few of the tracks ``seen (M,)`` in each region.
+
+    The same ones in whatever order they come.
+    """
     kept = np.full((region.max() + 1 if len(region) else 0, _MOST_IN_CELL), -1, dtype=np.int64)
-    for i in range(len(rays)):
-        new = i
+    for m in range(len(seen)):
+        new = m
         for place in range(_MOST_IN_CELL):
-            old = kept[region[i], place]
-            if old < 0 or (sigma[new], rays[new, 0], rays[new, 1]) < (sigma[old], rays[old, 0], rays[old, 1]):
-                kept[region[i], place], new = new, old
+            old = kept[region[m], place]
+            if old < 0 or _is_quieter(rays, sigma, seen[new], seen[old]):
+                kept[region[m], place], new = new, old
             if new < 0:
                 break
-    for old in kept.ravel():
-        if old >= 0:
-            is_kept[old] = True
+    for region_kept in kept:
+        for old in region_kept:
+            if old >= 0:
+                is_kept[old] = True
+
+
+@compiled
+def _is_quieter(rays: Floats, sigma: Floats, new: int, old: int) -> bool:
+    """Whether a track comes before another one: by its noise, and of the same noise by its place."""
+    if sigma[new] != sigma[old]:
+        return bool(sigma[new] < sigma[old])
+    if rays[new, 0] != rays[old, 0]:
+        return bool(rays[new, 0] < rays[old, 0])
+    return bool(rays[new, 1] < rays[old, 1])
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     """Frames after which the median derotated flow has the wanted length, by the flow of the last step."""
-    flow = history.rays[-1] - history.derotated(-2)
-    flow_px = np.sqrt(np.einsum("ni,ni->n", flow, flow)) * history.focal_px
-    flow_px = flow_px[is_free & np.isfinite(flow_px)]
-    if not len(flow_px):
+    flow_rad = np.empty(history.n_tracks)
+    count = _list_flows(history.rays[-2], history.rays[-1], history.cam_R_seen[-2], is_free, flow_rad)
+    if not count:
         return 1
-    return int(np.clip(np.ceil(_WANTED_FLOW_PX / max(median(flow_px), _TINY_PX)), 1, _LONGEST_GAP))
+    flow_px = median(flow_rad[:count]) * history.focal_px
+    return min(max(math.ceil(_WANTED_FLOW_PX / max(flow_px, _TINY_PX)), 1), _LONGEST_GAP)
+
+
+@compiled
+def _list_flows(before: Floats, now: Floats, cam_R_prev: Floats, is_free: Bools, flow: Floats) -> int:
+    """Fills ``flow`` with the lengths of the derotated flows of free tracks that have one; how many there are."""
+    count = 0
+    for i in range(len(now)):
+        if not is_free[i]:
+            continue
+        square = 0.0
+        for j in range(3):
+            turned = cam_R_prev[j, 0] * before[i, 0] + cam_R_prev[j, 1] * before[i, 1] + cam_R_prev[j, 2] * before[i, 2]
+            square += (now[i, j] - turned) ** 2
+        if np.isfinite(square):
+            flow[count] = np.sqrt(square)
+            count += 1
+    return count
 
 
 def _corrected(history: TrackHistory, over_gap: Egomotion, gap: int) -> TrackHistory:

@@ -56,8 +56,8 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
     nothing = np.zeros(history.n_tracks), np.zeros(history.n_tracks, dtype=bool)
     if len(history.frame) < _DIFFERENCE_FRAMES:
         return nothing
-    steps_s = np.diff(history.t_s[-_DIFFERENCE_FRAMES:])
-    if np.ptp(steps_s) > _EVEN_STEPS * abs(float(np.mean(steps_s))):
+    steps_s = np.diff(history.t_s[-_DIFFERENCE_FRAMES:]).tolist()
+    if max(steps_s) - min(steps_s) > _EVEN_STEPS * abs(sum(steps_s) / len(steps_s)):
         return nothing
     recent = slice(-_DIFFERENCE_FRAMES, None)
     plane = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
