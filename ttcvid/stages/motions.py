@@ -19,10 +19,11 @@ from ttcvid.stages.clusters import ON_HORIZON, ClusterMotion
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
 from ttcvid.stages.history import TrackHistory
-from ttcvid.stages.obstacles import Obstacle, StaticPoints, find_obstacles, own_path
+from ttcvid.stages.obstacles import StaticPoints, find_obstacles, own_path
 from ttcvid.stages.planar import HorizonPlane, horizon_offset_px, onto_horizon, planar_directions
 from ttcvid.stages.road import find_road
 from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
+from ttcvid.stages.surface_memory import Obstacle
 
 # Tracks of one object hang together when they lie closer than this part of the picture's width.
 _LINK_PART = 0.05

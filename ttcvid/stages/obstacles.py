@@ -8,8 +8,7 @@ object that shares the scene's motion.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.connected import linked_pairs
+from ttcvid.stages.surface_memory import Obstacle, remembered, tracks_of
 
 # What we reach later than this is no obstacle yet, s: half as long again as a warning looks ahead.
 _REACHED_WITHIN_S = 6.0
@@ -51,19 +51,7 @@ _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
 # What stands on the road reaches down to it: two of its tracks have once been below this height. A car far ahead on a
 # bend that moves as we do, and a little to the side, looks near, and then seems to hang at the height of the camera.
 _MOST_FOOT = 0.5
-# A missed obstacle stays an object for `forget_frames`, and can be re-identified for this many times as long.
-_REMEMBERED = 4
 _TINY_HZ = 1e-9
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """A surface in our path as remembered: its tracks, and ``cluster_id`` once it is public (None before)."""
-
-    cluster_id: int | None
-    track_id: Ints
-    n_found: int = 1
-    n_missed: int = 0
 
 
 @dataclass(frozen=True)
@@ -163,43 +151,11 @@ def find_obstacles(
     track_id = points.track_id
     surfaces = list[Ints]()
     if way is not None:
-        surfaces = _surfaces(points, np.isin(track_id, _tracks_of(before)), way, _Ground(on_ground, road))
+        surfaces = _surfaces(points, np.isin(track_id, tracks_of(before)), way, _Ground(on_ground, road))
     is_free = points.in_scene.copy()
     for surface in surfaces:
         is_free[surface] = False
-    obstacles: list[Obstacle] = []
-    for obstacle in before:
-        again = _again(obstacle, track_id, surfaces)
-        if again is not None:
-            obstacles.append(
-                replace(obstacle, track_id=track_id[surfaces.pop(again)], n_found=obstacle.n_found + 1, n_missed=0)
-            )
-            continue
-        left = track_id[is_free & np.isin(track_id, obstacle.track_id)]
-        if obstacle.n_missed < _REMEMBERED * config.forget_frames and len(left):
-            obstacles.append(replace(obstacle, track_id=left, n_missed=obstacle.n_missed + 1))
-    obstacles += [Obstacle(None, track_id[surface]) for surface in surfaces]
-    public: dict[int, Ints] = {}
-    for place, obstacle in enumerate(obstacles):
-        if obstacle.cluster_id is None and obstacle.n_found >= config.confirm_frames:
-            obstacles[place] = obstacle = replace(obstacle, cluster_id=next_cluster_id)
-            next_cluster_id += 1
-        if obstacle.cluster_id is not None and obstacle.n_missed <= config.forget_frames:
-            public[obstacle.cluster_id] = np.flatnonzero(np.isin(track_id, obstacle.track_id))
-    return public, tuple(obstacles), next_cluster_id
-
-
-def _tracks_of(obstacles: Sequence[Obstacle]) -> Ints:
-    return np.concatenate([np.empty(0, dtype=np.int64), *(o.track_id for o in obstacles)])
-
-
-def _again(obstacle: Obstacle, track_id: Ints, surfaces: list[Ints]) -> int | None:
-    """Which of the surfaces has most of an obstacle's tracks."""
-    if not surfaces:
-        return None
-    shared = [np.count_nonzero(np.isin(track_id[surface], obstacle.track_id)) for surface in surfaces]
-    best = int(np.argmax(shared))
-    return best if 2 * shared[best] >= min(len(obstacle.track_id), len(surfaces[best])) else None
+    return remembered(before, track_id, surfaces, is_free, next_cluster_id, config)
 
 
 def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Ground) -> list[Ints]:

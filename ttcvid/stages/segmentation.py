@@ -31,8 +31,8 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.joining import merged, split
 from ttcvid.stages.known_again import known_again, with_velocities
 from ttcvid.stages.new_movers import new_movers
-from ttcvid.stages.obstacles import Obstacle
 from ttcvid.stages.road import RoadMemory, gathered_evidence, on_road
+from ttcvid.stages.surface_memory import Obstacle
 
 # Of more tracks than this only so many correct the scene; those of a crowded place count less: so many times as large
 # as the parts of the picture for own motion.
