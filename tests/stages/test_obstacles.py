@@ -5,8 +5,9 @@ import pytest
 from relative_motion import box_of_points
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.rigid_path import PathFit
-from ttcvid.stages.obstacles import StaticPoints, find_obstacles, own_path
+from ttcvid.stages.obstacles import StaticPoints, find_obstacles, own_path, unknown_closing
 
 CONFIG = BodiesConfig()
 FOCAL_PX, LINK_PX, DT_S, N_VIEWS = 500.0, 32.0, 0.05, 20
@@ -33,23 +34,31 @@ def road(rng, n=150):
 ROAD_PLANE = np.array([0.0, 0.0, SPEED_M_S / CAMERA_M])
 
 
-def points_of(position_m, rng, noise=0.01, track_id=None):
+def points_of(position_m, rng, noise=0.01, track_id=None, closing_of=unknown_closing):
     rate_hz = SPEED_M_S / position_m[:, 2] * (1.0 + noise * rng.normal(size=len(position_m)))
     place = position_m[:, :2] / position_m[:, 2:]
     n = len(place)
     fit = PathFit(place, rate_hz, (noise + 1e-3) * rate_hz, np.ones(n), np.full(n, N_VIEWS))
     ids = np.arange(n) if track_id is None else track_id
-    return StaticPoints(ids, FOCAL_PX * place, FOCAL_PX, LINK_PX, fit, np.ones(n, dtype=bool))
+    return StaticPoints(ids, FOCAL_PX * place, FOCAL_PX, LINK_PX, fit, np.ones(n, dtype=bool), closing_of)
 
 
-def watched(position_m, frames=FOUND_IN, plane=ROAD_PLANE, on_ground=True, yaw_rad_s=0.0, speed_m_s=SPEED_M_S):
+def watched(
+    position_m,
+    frames=FOUND_IN,
+    plane=ROAD_PLANE,
+    on_ground=True,
+    yaw_rad_s=0.0,
+    speed_m_s=SPEED_M_S,
+    closing_of=unknown_closing,
+):
     """Public obstacles after some frames in which we come nearer."""
     rng = np.random.default_rng(3)
     memory, next_id, public, way = (), 1, {}, own_path(driven(yaw_rad_s), SINCE_S)
     for k in range(frames):
         now = position_m - np.array([0.0, 0.0, speed_m_s * DT_S * k])
         public, memory, next_id = find_obstacles(
-            memory, points_of(now, rng), way, plane, next_id, CONFIG, on_ground=on_ground
+            memory, points_of(now, rng, closing_of=closing_of), way, plane, next_id, CONFIG, on_ground=on_ground
         )
     return public
 
@@ -109,6 +118,19 @@ def test_what_looks_near_but_hangs_over_the_road_is_none(rng):
     # It reaches down to the road, as anything that stands there.
     lower = box_of_points(rng, 4, (0.3, 0.8 * CAMERA_M, 25.0), (1.2, 0.2 * CAMERA_M, 0.0))
     assert len(watched(np.concatenate([road(rng), upper, lower]))) == 1
+
+
+@pytest.mark.parametrize(
+    ("growth", "sigma", "is_one"),
+    [(1.0, 0.1, True), (0.7, 0.1, True), (0.0, 0.1, False), (0.3, 0.01, False), (1.0, 0.4, False)],
+)
+def test_what_hangs_over_the_road_comes_at_us_if_its_picture_grows_as_it_has_to(rng, growth, sigma, is_one):
+    """An oncoming car as fast as we are looks half as far away as it is, and half as high as the camera."""
+    depth_m = 25.0
+    car = box_of_points(rng, 12, (0.0, 0.2 * CAMERA_M, depth_m), (1.6, 0.55 * CAMERA_M, 0.0))
+    rate_hz = SPEED_M_S / depth_m
+    closing = Closing(-growth * rate_hz, 0.0, (sigma * rate_hz) ** 2 * np.eye(2))
+    assert bool(watched(np.concatenate([road(rng), car]), closing_of=lambda members: closing)) == is_one
 
 
 @pytest.mark.parametrize("aside_m", [-2.8, 2.8])

@@ -37,6 +37,11 @@ class Closing:
     cov: Floats
 
     @property
+    def rate_sigma_hz(self) -> float:
+        """Standard deviation of the rate over the depth, 1/s."""
+        return float(np.sqrt(self.cov[0, 0]))
+
+    @property
     def acceleration_sigma_hz2(self) -> float:
         """Standard deviation of the acceleration over the depth, 1/s^2."""
         return float(np.sqrt(self.cov[1, 1]))

@@ -16,7 +16,9 @@ import numpy as np
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.closing import Closing, depths_over_time, fit_closing
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
+from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
+from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.sets import TrackSets
 
 # Nearer and farther are told at 99.9 % (one side): in 99 % of frames of ten objects none is told wrongly.
@@ -115,6 +117,13 @@ def closing_of(xy: Floats, since_s: Floats, focal_px: float) -> Closing | None:
     depth, variance, radius = depths_over_time(xy)
     drift_hz = (_COMMON_ERROR_PX / max(radius * focal_px, _LEAST_RADIUS_PX)) ** 2 / _DRIFT_S
     return fit_closing(depth, variance, since_s, drift_hz)
+
+
+def closing_of_tracks(history: TrackHistory, members: Ints) -> Closing | None:
+    """How the depth of what some of the tracks (M,) show changes; None without enough views."""
+    past = slice(0, history.n_past + 1)
+    xy = turned_into_plane(history.rays[past][:, members], history.cam_R_seen[past])
+    return closing_of(xy, history.since_s[past], history.focal_px)
 
 
 def _seen_state(state: MotionState, nearer_hz: float, sigma_hz: float, *, is_contradicted: bool) -> MotionState:

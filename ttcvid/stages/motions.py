@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ttcvid.geometry.rotation import each_turned_into_plane, normalize
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
+from ttcvid.stages.approach import closing_of_tracks
 from ttcvid.stages.belonging import numbers_of
 from ttcvid.stages.clusters import ON_HORIZON, ClusterMotion
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
@@ -146,7 +148,15 @@ def _in_our_way(
     if platform == Platform.free and way is not None:
         # We may well be on a road, or low over the ground.
         road = find_road(found.scene_fit, in_scene, float(way.aim[1]))
-    seen = StaticPoints(history.track_id, history.xy_px, history.focal_px, link_px, found.scene_fit, in_scene)
+    seen = StaticPoints(
+        history.track_id,
+        history.xy_px,
+        history.focal_px,
+        link_px,
+        found.scene_fit,
+        in_scene,
+        partial(closing_of_tracks, history),
+    )
     public, obstacles, next_cluster_id = find_obstacles(
         before,
         seen,

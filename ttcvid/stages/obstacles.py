@@ -8,11 +8,13 @@ object that shares the scene's motion.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
@@ -51,6 +53,8 @@ _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
 # What stands on the road reaches down to it: two of its tracks have once been below this height. A car far ahead on a
 # bend that moves as we do, and a little to the side, looks near, and then seems to hang at the height of the camera.
 _MOST_FOOT = 0.5
+# What hangs comes at us if its picture grows, at 99.9 % (one side), and rather as fast as it has to than not at all.
+_SIGMAS_999, _AS_FAST = 3.090, 0.5
 _TINY_HZ = 1e-9
 
 
@@ -78,11 +82,16 @@ class OwnPath:
         return np.asarray(self.aim + np.outer(later_s * self.turn_hz, [1.0, 0.0]))
 
 
+def unknown_closing(_: Ints) -> None:
+    """Nothing is known of how the depth of any tracks changes."""
+
+
 @dataclass(frozen=True)
 class StaticPoints:
     """N tracks and their depths on the scene's path: ``track_id (N,)``, ``xy_px (N, 2)``, ``fit``.
 
-    ``in_scene (N,)`` those that move with the scene. Neighbours are nearer than ``link_px``.
+    ``in_scene (N,)`` those that move with the scene. Neighbours are nearer than ``link_px``. ``closing_of`` tells how the
+    depth of what some tracks (M,) show changes, by the sizes of its picture; None where that is not known.
     """
 
     track_id: Ints
@@ -91,6 +100,7 @@ class StaticPoints:
     link_px: float
     fit: PathFit
     in_scene: Bools
+    closing_of: Callable[[Ints], Closing | None] = unknown_closing
 
     @property
     def link(self) -> float:
@@ -184,7 +194,9 @@ def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Grou
         if len(surface) < _LEAST_TRACKS or not depths.can_be_hit(surface, way):
             continue
         is_again = is_known[index[surface]].mean() > 0.5
-        if not is_again and (not depths.reaches_down(surface) or _goes_on(surface, depths, pairs)):
+        if not is_again and _goes_on(surface, depths, pairs):
+            continue
+        if not (is_again or depths.reaches_down(surface) or _comes(points, index[surface], way)):
             continue
         link = points.link * (_KEPT if is_again else 1.0)
         if _is_in_the_way(depths, surface, way, link):
@@ -302,6 +314,19 @@ def _goes_on(surface: Ints, depths: _Depths, pairs: Ints) -> bool:
     beside = beside[~is_ground]
     nearer = depths.log_rate[beside] > np.median(depths.log_rate[surface]) + depths.tolerance[beside]
     return bool(np.count_nonzero(nearer) > max(_LEAST_GOES_ON, _GOES_ON * len(surface)))
+
+
+def _comes(points: StaticPoints, surface: Ints, way: OwnPath) -> bool:
+    """Whether the picture of a surface, tracks (M,), grows as that of what comes at us has to.
+
+    An oncoming car looks nearer than it is, and hangs over the road there. So does a car far ahead that moves as we do,
+    and a little to the side: but its picture stays as large as it was.
+    """
+    closing = points.closing_of(surface)
+    if closing is None:
+        return False
+    has_to_hz = 1.0 / float(way.reached_s(np.median(points.fit.rate_hz[surface])[None])[0])
+    return -closing.rate_hz > max(_SIGMAS_999 * closing.rate_sigma_hz, _AS_FAST * has_to_hz)
 
 
 def _is_in_the_way(depths: _Depths, surface: Ints, way: OwnPath, link: float) -> bool:

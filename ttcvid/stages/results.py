@@ -18,7 +18,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.stages.approach import CommonViews, closing_of, radii_px, with_common_errors, with_seen_motion
+from ttcvid.stages.approach import CommonViews, closing_of_tracks, radii_px, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import (
     neighbours_in_cluster,
     ranked,
@@ -93,8 +93,7 @@ def cluster_rows(
 def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMotions) -> Closing | None:
     """How the depth of an object changes, by the sizes of its picture; None without enough views."""
     members = next(motion.members for motion in motions.clusters if motion.cluster_id == cluster_id)
-    past = slice(0, history.n_past + 1)
-    return closing_of(history.xy[past][:, members], history.since_s[past], history.focal_px)
+    return closing_of_tracks(history, members)
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
