@@ -66,14 +66,25 @@ def with_common_errors(
     has_state = np.zeros(len(rows), dtype=bool)
     has_state[stated] = True
     of_stated, _ = members.where(has_state[members.set_of])
-    looked_s = np.maximum(np.minimum(of_stated.medians(age_s[of_stated.index]), _DRIFT_S), gap_s)
-    drift_hz = _COMMON_ERROR_PX / (np.maximum(radius_px[stated], _LEAST_RADIUS_PX) * looked_s)
+    drift_hz = common_growth_hz(radius_px[stated], of_stated.medians(age_s[of_stated.index]), gap_s)
     # What seems to grow, seems to come along its ray.
     common = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
     rows = list(rows)
     for k, cov in zip(stated, common, strict=True):
         rows[k] = replace(rows[k], state_cov=rows[k].state_cov + cov)
     return rows
+
+
+def common_growth_hz(radius_px: Floats, seen_s: Floats, least_s: float = 0.0) -> Floats:
+    """Growth that tracks show by what matching errs by in common: its standard deviation, 1/s.
+
+    Parameters
+    ----------
+    radius_px : root mean square distance of the tracks of each thing from their centre.
+    seen_s, least_s : for how long they have been seen, and for how long they are looked at, at the least.
+    """
+    looked_s = np.maximum(np.minimum(seen_s, _DRIFT_S), least_s)
+    return np.asarray(_COMMON_ERROR_PX / (np.maximum(radius_px, _LEAST_RADIUS_PX) * looked_s))
 
 
 def with_seen_motion(

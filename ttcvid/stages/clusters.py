@@ -42,7 +42,8 @@ class ClusterMotion:
     """What is known of a cluster before its times: ``members`` index the frame's tracks, ``direction`` is its ``dir``.
 
     ``horizon_offset_px`` how far off the horizon its epipole was found, before it was moved there; ``window_s`` for how
-    long its motion has been what it is; ``is_static`` a thing that moves with the scene.
+    long its motion has been what it is; ``is_static`` a thing that moves with the scene; ``is_one_surface`` one that
+    was found as one surface, and may have few tracks.
     """
 
     cluster_id: int
@@ -54,6 +55,7 @@ class ClusterMotion:
     horizon_offset_px: float | None = None
     window_s: float = np.inf
     is_static: bool = False
+    is_one_surface: bool = False
 
 
 def rows_of(
@@ -76,7 +78,8 @@ def rows_of(
     believed, believed_cov = _directions(motions)
     is_scene = np.array([_is_scene(motion) for motion in motions], dtype=bool)
     is_static = np.array([motion.is_static for motion in motions], dtype=bool)
-    joint = joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_static, states, xy_px, link_px)
+    is_one = np.array([motion.is_one_surface for motion in motions], dtype=bool)
+    joint = joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_one, states, xy_px, link_px)
     stated: dict[int, dict[str, Any]] = {}
     for place, ref_px, abc_hz, cov, change in zip(
         joint.owner.tolist(), joint.ref_px.tolist(), joint.abc_hz, joint.cov, joint.speed_change.tolist(), strict=True

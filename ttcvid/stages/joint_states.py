@@ -42,7 +42,7 @@ class JointStates:
 
 
 def joint_states(
-    members: TrackSets, direction: Floats, is_static: Bools, states: TrackStates, xy_px: Floats, link_px: float
+    members: TrackSets, direction: Floats, is_one: Bools, states: TrackStates, xy_px: Floats, link_px: float
 ) -> JointStates:
     """The state of the nearest surface of each object that has one.
 
@@ -53,8 +53,8 @@ def joint_states(
 
     Parameters
     ----------
-    members, direction, is_static
-        Of N objects: their tracks, ``dir (N, 3)``, NaN where there is none, and (N,) which of them move with the scene.
+    members, direction, is_one
+        Of N objects: their tracks, ``dir (N, 3)``, NaN where there is none, and (N,) which were found as one surface.
     states, xy_px, link_px
         Of all tracks, as for `in_nearest_surface`.
     """
@@ -66,7 +66,7 @@ def joint_states(
     is_in, above_hz, variance = nearest_parts(
         rated.sets, rated.rate_hz, rated.own_hz, rated.sigma_hz, by_shared, shared_cov, rated.xy, needed, is_in
     )
-    return _joined(rated, is_in, above_hz, variance, is_static[rated.owner], states, shared)
+    return _joined(rated, is_in, above_hz, variance, is_one[rated.owner], states, shared)
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _joined(
     is_in: Bools,
     above_hz: Floats,
     variance: Floats,
-    is_static: Bools,
+    is_one: Bools,
     states: TrackStates,
     shared: SharedErrors,
 ) -> JointStates:
@@ -193,7 +193,7 @@ def _joined(
         rated.sets.index,
         rated.sets.lengths,
         is_in,
-        is_static & (rated.sets.lengths >= _LEAST_OF_SURFACE),
+        is_one & (rated.sets.lengths >= _LEAST_OF_SURFACE),
         above_hz,
         (states.abc_hz, states.cov),
         rated.xy_px,

@@ -4,28 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.compiled import compiled
-from ttcvid.geometry.epipole import INFINITY_COSINE, MAX_DIRECTION_SIGMA_RAD
-from ttcvid.geometry.rotation import each_turned_into_plane, normalize
+from ttcvid.geometry.epipole import MAX_DIRECTION_SIGMA_RAD
+from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
-from ttcvid.stages.approach import closing_of_tracks
 from ttcvid.stages.belonging import numbers_of
-from ttcvid.stages.clusters import ON_HORIZON, ClusterMotion
+from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
 from ttcvid.stages.history import TrackHistory
-from ttcvid.stages.obstacles import StaticPoints, find_obstacles, own_path
-from ttcvid.stages.planar import HorizonPlane, horizon_offset_px, onto_horizon, planar_directions
-from ttcvid.stages.road import find_road
+from ttcvid.stages.planar import HorizonPlane, planar_directions
 from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
-from ttcvid.stages.surface_memory import Obstacle
+from ttcvid.stages.surface_motions import growing_things, in_our_way, on_plane
 
 # Tracks of one object hang together when they lie closer than this part of the picture's width.
 _LINK_PART = 0.05
@@ -37,8 +33,6 @@ _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
 _STAYING_PX, _STAYING_VIEWS = 0.5, 10
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
 _SURE_PART = 0.008
-# The direction of the scene's path, where that of the last step is not known.
-_WAY_SIGMA_RAD = float(np.radians(0.5))
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
 _LOST_MISFIT = 50.0
 
@@ -89,19 +83,27 @@ def find_motions(
     if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
         error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.width_px
-        before = memory.obstacles
+        before = memory
         found, memory = find_bodies(
             history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
         )
         history = replace(history, cam_R_past=found.scene.cam_R_past[0])
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
         objects = _object_motions(history, found, is_free, plane, camera, times)
-        obstacles, memory = _in_our_way(
-            history, egomotion, found, is_free, before, memory, link_px, plane, camera, config
+        surfaces = list[ClusterMotion]()
+        if config.egomotion.platform == Platform.aircraft:
+            surfaces, memory = growing_things(
+                history, found, is_free, before.growing, memory, link_px, error_px, plane, camera, config
+            )
+        is_left = is_free.copy()
+        is_left[np.concatenate([np.empty(0, dtype=np.int64), *(one.members for one in surfaces)])] = False
+        obstacles, memory = in_our_way(
+            history, egomotion, found, is_left, before.obstacles, memory, link_px, plane, camera, config
         )
-        objects = sorted([*objects, *obstacles], key=lambda motion: motion.cluster_id)
-        for obstacle in obstacles:
-            in_scene[obstacle.members] = False
+        surfaces += obstacles
+        objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
+        for surface in surfaces:
+            in_scene[surface.members] = False
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
     flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
@@ -128,59 +130,6 @@ def _object_motions(
     return motions_of(parts, history, plane, camera, config)
 
 
-def _in_our_way(
-    history: TrackHistory,
-    egomotion: Egomotion,
-    found: Segmentation,
-    is_free: Bools,
-    before: tuple[Obstacle, ...],
-    memory: BodyMemory,
-    link_px: float,
-    plane: HorizonPlane | None,
-    camera: Camera,
-    config: PipelineConfig,
-) -> tuple[list[ClusterMotion], BodyMemory]:
-    """What of the scene stands in our way, as objects that move as the scene does; and the memory with them."""
-    way = own_path(found.scene.path[0], history.since_s)
-    in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < config.bodies.scene_gate)
-    platform = config.egomotion.platform
-    road = memory.road.plane
-    if platform == Platform.free and way is not None:
-        # We may well be on a road, or low over the ground.
-        road = find_road(found.scene_fit, in_scene, float(way.aim[1]))
-    seen = StaticPoints(
-        history.track_id,
-        history.xy_px,
-        history.focal_px,
-        link_px,
-        found.scene_fit,
-        in_scene,
-        partial(closing_of_tracks, history),
-    )
-    public, obstacles, next_cluster_id = find_obstacles(
-        before,
-        seen,
-        way,
-        road,
-        memory.next_cluster_id,
-        config.bodies,
-        on_ground=platform == Platform.vehicle,
-    )
-    memory = replace(memory, obstacles=obstacles, next_cluster_id=next_cluster_id)
-    if way is None:
-        return [], memory
-    direction, covariance = egomotion.direction, egomotion.direction_cov
-    if direction is None or covariance is None:
-        # Two views tell no direction; all views of the scene do, roughly.
-        direction = -normalize(np.append(way.aim, 1.0)[None])[0]
-        covariance = _WAY_SIGMA_RAD**2 * (np.eye(3) - np.outer(direction, direction))
-    motions = [
-        _on_plane(number, members, direction, covariance, "egomotion", plane, camera, is_static=True)
-        for number, members in public.items()
-    ]
-    return motions, memory
-
-
 def motions_of(
     members: Mapping[int, Ints],
     history: TrackHistory,
@@ -198,7 +147,7 @@ def motions_of(
     motions, variance = [], covariance.trace(axis1=1, axis2=2)
     for number, (cluster_id, index) in enumerate(members.items()):
         if variance[number] < MAX_DIRECTION_SIGMA_RAD**2:
-            motion = _on_plane(
+            motion = on_plane(
                 cluster_id,
                 index,
                 direction[number],
@@ -320,31 +269,7 @@ def scene_motion(
     if egomotion is None or egomotion.direction is None or egomotion.direction_cov is None:
         status = Status.no_epipole if egomotion is None else Status.no_parallax
         return ClusterMotion(SCENE_CLUSTER, members, None, None, status, "egomotion")
-    return _on_plane(SCENE_CLUSTER, members, egomotion.direction, egomotion.direction_cov, "egomotion", plane, camera)
-
-
-def _on_plane(
-    cluster_id: int,
-    members: Ints,
-    direction: Floats,
-    covariance: Floats,
-    method: str,
-    plane: HorizonPlane | None,
-    camera: Camera,
-    *,
-    window_s: float = np.inf,
-    is_static: bool = False,
-) -> ClusterMotion:
-    """The motion as found, or moved onto the horizon with the offset noted."""
-    offset_px = None
-    if plane is not None:
-        offset_px = horizon_offset_px(direction, plane, camera)
-        direction, covariance = onto_horizon(direction, covariance, plane)
-        method += ON_HORIZON
-    status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
-    return ClusterMotion(
-        cluster_id, members, direction, covariance, status, method, offset_px, window_s=window_s, is_static=is_static
-    )
+    return on_plane(SCENE_CLUSTER, members, egomotion.direction, egomotion.direction_cov, "egomotion", plane, camera)
 
 
 def _assigned(

@@ -21,8 +21,8 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.connected import linked_pairs
 from ttcvid.stages.surface_memory import Obstacle, remembered, tracks_of
 
-# What we reach later than this is no obstacle yet, s: half as long again as a warning looks ahead.
-_REACHED_WITHIN_S = 6.0
+REACHED_WITHIN_S = 6.0
+"""What we reach later than this is no obstacle yet, s: half as long again as a warning looks ahead."""
 # A track says something from so many views on, with a rate known to this part.
 _LEAST_VIEWS, _KNOWN_PART = 4, 0.2
 # Tracks of one surface have rates within this part of its median (natural logarithm), and two sigmas of their own.
@@ -90,8 +90,8 @@ def unknown_closing(_: Ints) -> None:
 class StaticPoints:
     """N tracks and their depths on the scene's path: ``track_id (N,)``, ``xy_px (N, 2)``, ``fit``.
 
-    ``in_scene (N,)`` those that move with the scene. Neighbours are nearer than ``link_px``. ``closing_of`` tells how the
-    depth of what some tracks (M,) show changes, by the sizes of its picture; None where that is not known.
+    ``in_scene (N,)`` those that move with the scene. Neighbours are nearer than ``link_px``. ``closing_of`` tells how
+    the depth of what some tracks (M,) show changes, by the sizes of its picture; None where that is not known.
     """
 
     track_id: Ints
@@ -209,7 +209,7 @@ def _within_reach(points: StaticPoints, way: OwnPath) -> Ints:
     """Tracks of the scene whose depth is known, and reached soon."""
     fit = points.fit
     is_rated = points.in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
-    return np.flatnonzero(is_rated & (way.reached_s(np.nan_to_num(fit.rate_hz)) < _REACHED_WITHIN_S))
+    return np.flatnonzero(is_rated & (way.reached_s(np.nan_to_num(fit.rate_hz)) < REACHED_WITHIN_S))
 
 
 class _Depths:
@@ -325,7 +325,7 @@ def _comes(points: StaticPoints, surface: Ints, way: OwnPath) -> bool:
     closing = points.closing_of(surface)
     if closing is None:
         return False
-    has_to_hz = 1.0 / float(way.reached_s(np.median(points.fit.rate_hz[surface])[None])[0])
+    has_to_hz = 1.0 / float(way.reached_s(np.array([np.median(points.fit.rate_hz[surface])]))[0])
     return -closing.rate_hz > max(_SIGMAS_999 * closing.rate_sigma_hz, _AS_FAST * has_to_hz)
 
 

@@ -60,7 +60,8 @@ _LEAST_MEASURED = 10
 class BodyMemory:
     """What is known of the last frame: the scene, the movers, and for each track its body and its rate.
 
-    ``obstacles`` are what of the scene stands in our way (`stages.obstacles`); ``frame (L,)`` the views of the bodies.
+    ``obstacles`` are what of the scene stands in our way (`stages.obstacles`), ``growing`` what comes at us
+    (`stages.growing`); ``frame (L,)`` the views of the bodies.
     """
 
     scene: RigidPaths | None = None
@@ -72,6 +73,7 @@ class BodyMemory:
     next_key: int = SCENE_CLUSTER + 1
     next_cluster_id: int = SCENE_CLUSTER + 1
     obstacles: tuple[Obstacle, ...] = ()
+    growing: tuple[Obstacle, ...] = ()
     frame: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
@@ -79,7 +81,7 @@ class BodyMemory:
 class Segmentation:
     """The bodies of a frame: ``key (N,)`` of each track's body, the movers, and how the scene explains tracks.
 
-    ``misfit (N,)`` of each track on the scene's path, in units of what is usual there.
+    ``misfit (N,)`` of each track on the scene's path, in units of what is usual there, ``usual_misfit``.
     """
 
     key: Ints
@@ -87,6 +89,7 @@ class Segmentation:
     scene: RigidPaths
     scene_fit: PathFit
     misfit: Floats
+    usual_misfit: float
 
 
 def find_bodies(
@@ -176,7 +179,7 @@ def find_bodies(
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
     labels = _with_lost(history, memory, key, rate_hz)
     memory = BodyMemory(scene, movers, *labels, road, next_key, next_cluster_id, frame=history.frame)
-    return Segmentation(key, movers, scene, scene_fit, misfit), memory
+    return Segmentation(key, movers, scene, scene_fit, misfit, usual), memory
 
 
 def restarted_bodies(memory: BodyMemory) -> BodyMemory:

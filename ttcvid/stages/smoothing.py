@@ -161,8 +161,8 @@ def _with_known_objects(seen: Seen, later: Sequence[Seen], min_tracks: int) -> F
 
 def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> FrameMotions:
     """The clusters with the directions that the views on both sides show."""
-    static = [motion for motion in seen.motions.clusters if motion.is_static]
-    movers = [m for m in seen.motions.clusters if m.cluster_id != SCENE_CLUSTER and not m.is_static]
+    surfaces = [motion for motion in seen.motions.clusters if motion.is_one_surface]
+    movers = [m for m in seen.motions.clusters if m.cluster_id != SCENE_CLUSTER and not m.is_one_surface]
     members = {m.cluster_id: m.members for m in movers}
     scene = [
         scene_motion(motion.members, seen.egomotion, seen.plane, camera)
@@ -173,5 +173,5 @@ def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> 
     status = seen.motions.no_direction_status.copy()
     for motion in objects:
         status[motion.members] = motion.status
-    objects = sorted([*objects, *static], key=lambda motion: motion.cluster_id)
+    objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
     return replace(seen.motions, clusters=(*scene, *objects), no_direction_status=status)

@@ -1,0 +1,125 @@
+"""What comes straight at us and is small: found by the few tracks that it has, and nothing else is taken for it."""
+
+import numpy as np
+import pytest
+from relative_motion import FOCAL_PX, history_of
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.stages.growing import find_growing
+
+CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
+TIMES_S = 0.05 * np.arange(20.0)
+OWN_M_S = 40.0
+# Of an aircraft its wing tips, nose and fin.
+AIRCRAFT_M = np.array([[-5.5, 0.0, 0.0], [5.5, 0.0, 0.0], [0.0, 0.6, 0.0], [0.2, -1.6, 0.0]])
+SCENE_M_S = np.array([0.0, 0.0, -OWN_M_S])
+
+
+def fields(rng, n=120):
+    """Ground 250 m below, up to the horizon."""
+    below = rng.uniform(0.01, 0.25, n)
+    depth_m = 250.0 / below
+    return np.column_stack([rng.uniform(-0.4, 0.4, n) * depth_m, np.full(n, 250.0), depth_m])
+
+
+def found_in(
+    position_m, velocity_m_s, may_be=None, frames=CONFIG.confirm_frames, sigma_px=SIGMA_PX, seed=1, least_misfit=0.0
+):
+    """Public things after some frames that look alike, and how well the scene's path explains each track."""
+    history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=np.random.default_rng(seed))
+    n, since_s = len(position_m), history.since_s
+    points = Points(
+        views_by_track(history.rays),
+        np.full(n, max(sigma_px, ERROR_PX) / FOCAL_PX),
+        since_s,
+        np.arange(n),
+        np.zeros(n, dtype=np.int64),
+    )
+    scene = RigidPaths(
+        np.repeat(np.eye(3)[None, None], len(since_s), axis=1), straight_path(SCENE_M_S / OWN_M_S, since_s)[None]
+    )
+    misfit = np.maximum(fit_on_paths(points, scene).misfit, least_misfit)
+    memory, next_id, public = (), 1, {}
+    for _ in range(frames):
+        public, memory, next_id = find_growing(
+            memory,
+            history,
+            misfit,
+            1.0,
+            np.ones(n, dtype=bool) if may_be is None else may_be,
+            ERROR_PX,
+            LINK_PX,
+            next_id,
+            CONFIG,
+        )
+    return public, misfit
+
+
+def encounter(position_m, velocity_m_s, rng, aircraft_m=AIRCRAFT_M):
+    """Fields, and an aircraft with a velocity relative to us."""
+    ground = fields(rng)
+    where = np.concatenate([np.asarray(position_m) + aircraft_m, ground])
+    return where, np.concatenate(
+        [np.broadcast_to(velocity_m_s, aircraft_m.shape), np.broadcast_to(SCENE_M_S, ground.shape)]
+    )
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(4)
+
+
+@pytest.mark.parametrize("relative_m_s", [(-20.0, 0.0, -75.0), (10.0, 1.0, -70.0)])
+def test_an_aircraft_at_constant_bearing_is_found_with_its_direction(rng, relative_m_s):
+    relative_m_s = np.asarray(relative_m_s)
+    where, velocity = encounter(-2.8 * relative_m_s, relative_m_s, rng)
+    assert found_in(where, velocity, frames=CONFIG.confirm_frames - 1)[0] == {}
+    public, misfit = found_in(where, velocity)
+    (thing,) = public.values()
+    assert list(public) == [1]
+    np.testing.assert_array_equal(thing.members, np.arange(4))
+    off = thing.direction - relative_m_s / np.linalg.norm(relative_m_s)
+    assert np.linalg.norm(off) < 3.0 * np.sqrt(np.trace(thing.direction_cov))
+    assert np.linalg.norm(off) < np.radians(2.0)
+    # Most of its tracks by themselves do not contradict the scene.
+    assert np.sort(misfit[:4])[0] < CONFIG.scene_gate
+
+
+def test_fields_alone_are_no_thing(rng):
+    for seed in range(5):
+        ground = fields(np.random.default_rng(seed), 400)
+        assert found_in(ground, SCENE_M_S, seed=seed)[0] == {}
+        # Not even if the scene did not explain them.
+        assert found_in(ground, SCENE_M_S, seed=seed, least_misfit=2.0 * CONFIG.scene_gate)[0] == {}
+
+
+def test_what_goes_away_is_none(rng):
+    where, velocity = encounter((40.0, -5.0, 200.0), (0.0, 0.0, 45.0), rng)
+    assert found_in(where, velocity)[0] == {}
+
+
+def test_what_is_reached_in_eight_seconds_is_none_yet(rng):
+    relative_m_s = np.array([-10.0, 0.0, -40.0])
+    where, velocity = encounter(-8.0 * relative_m_s, relative_m_s, rng, 3.0 * AIRCRAFT_M)
+    assert found_in(where, velocity)[0] == {}
+
+
+def test_birds_that_fly_each_its_way_are_none(rng):
+    where, velocity = encounter((-20.0, 0.0, 210.0), np.zeros(3), rng)
+    velocity = velocity.copy()
+    velocity[:4] = rng.uniform(-6.0, 6.0, (4, 3))
+    assert found_in(where, velocity)[0] == {}
+
+
+def test_three_tracks_are_not_enough_and_those_of_movers_do_not_count(rng):
+    relative_m_s = np.array([-20.0, 0.0, -75.0])
+    where, velocity = encounter(-2.8 * relative_m_s, relative_m_s, rng)
+    assert found_in(where[1:], velocity[1:])[0] == {}
+    may_be = np.arange(len(where)) > 0
+    assert found_in(where, velocity, may_be)[0] == {}
+
+
+def test_nothing_to_see_is_no_thing():
+    assert found_in(np.empty((0, 3)), SCENE_M_S)[0] == {}

@@ -1,0 +1,168 @@
+"""What comes straight at us on a way of its own: a few tracks that keep their bearing, and spread.
+
+An aircraft on a collision course stands still in the picture and grows. A scene far away explains each of its tracks,
+or nearly, and their flows are not alike: they point away from each other. Together they are those of one thing that
+comes nearer, with three unknowns for all, where the scene has one for each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.growth import GrowthSums, growth_sums
+from ttcvid.geometry.rotation import skew, turned_into_plane
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.approach import common_growth_hz
+from ttcvid.stages.history import TrackHistory
+from ttcvid.stages.obstacles import REACHED_WITHIN_S
+from ttcvid.stages.surface_memory import Obstacle, remembered, tracks_of
+
+# Views that a track needs, and tracks that a thing needs: as many as what stands in our way, and fewer than a mover.
+# That they share one velocity, which no two things of the scene do, says more than their number.
+_LEAST_VIEWS, _LEAST_TRACKS = 6, 4
+# Tracks of one thing lie within so many link lengths of the one that the scene explains worst: of an aircraft, wing
+# tips and nose. So many of the nearest are looked at, and so many things a frame.
+_LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
+# It grows at 99.9 % (one side).
+_SIGMAS_999 = 3.090
+# A track fits a thing that explains it worse than the scene by no more than this, in units of what is usual; misfits
+# below the first are noise.
+_NOISE, _NOT_WORSE = 1.0, 1.0
+# The tracks that fit what some of them say, then those that fit what all of these say: so often.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Growing:
+    """A thing that grows: its tracks (M,), its direction (3,), V over its length, and the covariance (3, 3) of that."""
+
+    members: Ints
+    direction: Floats
+    direction_cov: Floats
+
+
+def find_growing(
+    before: tuple[Obstacle, ...],
+    history: TrackHistory,
+    misfit: Floats,
+    usual_misfit: float,
+    may_be: Bools,
+    error_px: float,
+    link_px: float,
+    next_cluster_id: int,
+    config: BodiesConfig,
+) -> tuple[dict[int, Growing], tuple[Obstacle, ...], int]:
+    """The public things that grow by their numbers, those that are seen to in this frame; what to remember; the next
+    number.
+
+    Parameters
+    ----------
+    before : what the last frame remembered.
+    misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
+    may_be : (N,) tracks that belong to no mover.
+    error_px : error of a position that no track's noise knows of.
+    """
+    is_known = np.isin(history.track_id, tracks_of(before))
+    things = _things(history, misfit, usual_misfit, may_be, is_known, error_px, link_px, config)
+    is_free = may_be.copy()
+    for thing in things:
+        is_free[thing.members] = False
+    public, memory, next_cluster_id = remembered(
+        before, history.track_id, [thing.members for thing in things], is_free, next_cluster_id, config
+    )
+    # No track is part of two, and those of what is only remembered are part of none.
+    thing_of = {int(thing.members[0]): thing for thing in things}
+    found = {number: thing_of[int(own[0])] for number, own in public.items() if len(own) and int(own[0]) in thing_of}
+    return found, memory, next_cluster_id
+
+
+def _things(
+    history: TrackHistory,
+    misfit: Floats,
+    usual_misfit: float,
+    may_be: Bools,
+    is_known: Bools,
+    error_px: float,
+    link_px: float,
+    config: BodiesConfig,
+) -> list[Growing]:
+    """The things that grow around tracks that contradict the scene, or are known to be part of one."""
+    may_be = may_be & (history.n_frames >= _LEAST_VIEWS)
+    is_asked = may_be & ((misfit > config.scene_gate) | is_known)
+    things = list[Growing]()
+    for _ in range(_MOST_THINGS):
+        if not is_asked.any():
+            break
+        seed = int(np.argmax(np.where(is_asked, misfit, -1.0)))
+        is_asked[seed] = False
+        off_px = np.linalg.norm(history.xy_px - history.xy_px[seed], axis=1)
+        around = np.flatnonzero(may_be & (off_px < _LINKS * link_px))
+        around = around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
+        thing = _thing_around(history, around, misfit[around], usual_misfit, error_px, config)
+        if thing is not None:
+            things.append(thing)
+            may_be[thing.members] = is_asked[thing.members] = False
+    return things
+
+
+def _thing_around(
+    history: TrackHistory, around: Ints, misfit: Floats, usual_misfit: float, error_px: float, config: BodiesConfig
+) -> Growing | None:
+    """The thing that the first of some tracks (M,) is a part of; None where they show none that comes at us."""
+    if len(around) < _LEAST_TRACKS:
+        return None
+    past = slice(0, history.n_past + 1)
+    xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
+    sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
+    sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm)
+    # What the first says with each of the others.
+    sets = np.eye(len(around))[1:]
+    sets[:, 0] = 1.0
+    for _ in range(_ROUNDS):
+        fits = _best_explained(sums, sets, misfit, config)
+        if np.count_nonzero(fits) < _LEAST_TRACKS:
+            return None
+        sets = fits[None].astype(np.float64)
+    (velocity_hz,), (cov,) = sums.velocities(sets)
+    (own,) = sums.misfits(velocity_hz[None])
+    contradicts = misfit[0] > config.scene_gate
+    if not fits[0] or (contradicts and not own[0] < misfit[0] / config.gain):
+        return None
+    cov = max(float(own[fits].mean()), 1.0) * cov + _common_cov(history, around[fits], xy[:, fits])
+    if not -velocity_hz[2] > max(_SIGMAS_999 * float(np.sqrt(cov[2, 2])), 1.0 / REACHED_WITHIN_S):
+        return None
+    speed_hz = float(np.linalg.norm(velocity_hz))
+    direction = velocity_hz / speed_hz
+    across = (np.eye(3) - np.outer(direction, direction)) / speed_hz
+    return Growing(np.sort(around[fits]), direction, across @ cov @ across)
+
+
+def _best_explained(sums: GrowthSums, sets: Floats, misfit: Floats, config: BodiesConfig) -> Bools:
+    """Which tracks (M,) fit one of the velocities of K sets (K, M): of that which explains most better than the scene.
+
+    ``misfit (M,)`` is that of the tracks on the scene's path.
+    """
+    velocity_hz, _ = sums.velocities(sets)
+    off = sums.misfits(velocity_hz)
+    # What is not told is NaN, and fits nothing.
+    fits = (off < np.minimum(config.scene_gate, np.maximum(misfit, _NOISE) + _NOT_WORSE)) & (velocity_hz[:, 2:] < 0.0)
+    gain = np.where(fits, misfit - off, 0.0) @ sums.degrees_of_freedom
+    best: Bools = fits[int(np.argmax(gain))]
+    return best
+
+
+def _common_cov(history: TrackHistory, members: Ints, xy: Floats) -> Floats:
+    """Covariance (3, 3) of V / Z of some tracks (M,) by what they err by in common: matching, and own rotation.
+
+    ``xy (L, M, 2)`` their places in the plane z = 1.
+    """
+    off_px = history.xy_px[members] - history.xy_px[members].mean(axis=0)
+    seen_s = -history.since_s[np.argmax(np.isfinite(xy[:, :, 0]), axis=0)]
+    radius_px = float(np.sqrt(np.mean(np.sum(off_px**2, axis=1))))
+    ray = np.append(xy[-1].mean(axis=0), 1.0)
+    turned = skew(ray)
+    growth_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
+    return np.asarray(growth_hz**2 * np.outer(ray, ray) + turned @ history.rotation_rate_cov @ turned.T)
