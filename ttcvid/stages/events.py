@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -77,9 +78,10 @@ def update_events(
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and what to remember.
 
-    A warning starts when an object has met the condition for ``persistence_s`` without a gap and ends when it has
-    not met the looser one for as long, or has been hidden for `_HIDDEN` times as long. An object that gets another
-    number behind what hid it is warned of at once.
+    A warning starts when an object meets the condition, and has met it, but for a contact that is a little later, for
+    ``persistence_s`` without a gap: that its time runs down needs no proof, that it brakes does. It ends when the
+    object has not met the looser one for as long, or has been hidden for `_HIDDEN` times as long. An object that gets
+    another number behind what hid it is warned of at once.
 
     Parameters
     ----------
@@ -100,7 +102,8 @@ def update_events(
             if before is not None and t_s - before.last_s <= hidden_s:
                 watched[cluster_id] = before
             continue
-        if not is_collision_course(row, camera, config, is_warned=warned, on_ground=on_ground, closing_of=closing_of):
+        is_course = partial(is_collision_course, row, camera, config, on_ground=on_ground, closing_of=closing_of)
+        if not is_course(is_warned=warned, is_watched=True):
             if before is not None and warned and t_s - before.last_s <= gone_s:
                 watched[cluster_id] = before
             continue
@@ -116,7 +119,7 @@ def update_events(
         now = WatchedObject(since_s, t_s, row.box_px, None if before is None else before.event)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
-        elif t_s - now.since_s >= config.persistence_s - _ROUNDING_S:
+        elif t_s - now.since_s >= config.persistence_s - _ROUNDING_S and is_course(is_warned=False):
             now = replace(now, event=_started(next_event_id, row, frame, t_s))
             next_event_id += 1
         watched[cluster_id] = now
@@ -164,6 +167,7 @@ def is_collision_course(
     config: EventsConfig,
     *,
     is_warned: bool,
+    is_watched: bool = False,
     on_ground: bool = False,
     closing_of: ClosingOf = unknown_closing,
 ) -> bool:
@@ -174,6 +178,7 @@ def is_collision_course(
 
     Parameters
     ----------
+    is_warned, is_watched : warned of, it may come a little later and miss by a little more; to be watched, only later.
     on_ground : we drive on a road. What is on it is met by a vehicle of usual width that reaches from the camera down
         to the road: what passes below the camera hits it, and a long lorry need not pass as far off as it is long.
     closing_of : tells how the depth of a cluster changes; asked where all depends on that, since it takes its time.
@@ -186,11 +191,12 @@ def is_collision_course(
     if cov is None or not _surety(row.state_abc_hz, cov) > config.confidence:
         return False
     max_ttc_s = config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0)
+    max_tcpa_s = config.max_ttc_s * (_KEEP_TTC if is_warned or is_watched else 1.0)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
     sigmas = float(ndtri(config.confidence))
     return bool(
         _miss_widths(row, row.state_abc_hz, cov, camera, sigmas, on_ground) <= max_miss_widths
-        and (row.times.tcpa_s[0] <= max_ttc_s or _contact_s(closing_of(row.cluster_id)) <= max_ttc_s)
+        and (row.times.tcpa_s[0] <= max_tcpa_s or _contact_s(closing_of(row.cluster_id)) <= max_ttc_s)
     )
 
 

@@ -188,7 +188,7 @@ def _joined(
     n, count = len(rated.sets.index), len(rated.sets)
     index, lengths, weight = np.empty(n, dtype=np.int64), np.zeros(count, np.int64), np.empty(n)
     along, ref_px, abc_hz = rated.along.copy(), np.zeros((count, 2)), np.zeros((count, 3))
-    # What stands in our way was found as one surface, and may have few tracks.
+    # What was found as one surface may have few tracks.
     m = _join_each(
         rated.sets.index,
         rated.sets.lengths,
