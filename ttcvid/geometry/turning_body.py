@@ -1,0 +1,188 @@
+"""A rigid body that turns while it moves, as its point tracks show it: a bus on a roundabout.
+
+Its middle moves as on a circle, its acceleration turning with it: that is exact for a steady turn at a steady speed,
+seen by a camera that moves steadily, however far it turns. Over a second in a junction (half a rad) a path that is a
+parabola, as in `shared_path`, is wrong by many pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector
+from ttcvid.geometry.turning_body_descent import N_SHARED, descend
+from ttcvid.model import Floats
+
+# Vehicles in junctions turn by up to 0.5 rad/s (6 m/s on a circle of 12 m); half of the time by less than 0.2.
+TURN_SIGMA_RAD_S = 0.3
+# A body's points lie within this of its middle's depth, as a part of it (standard deviation): it is no landscape.
+_RELIEF = 0.3
+# A speed below this says nothing of what an acceleration may be, in depths a second.
+_LEAST_SPEED_HZ = 0.02
+# At first the turn is held within this of where the search starts, so that the rest finds its place.
+_HELD_RAD_S = 0.02
+# The search starts with one of these turns, and with the flow over so many views.
+_FIRST_TURNS_RAD_S, _FLOW_VIEWS = (0.0, 0.4, -0.4), 4
+# The search ends where a step promises a smaller fall of the chi-square than this, with the turn held and free.
+_ROUGH_CHI2, _FINE_CHI2 = 2.0, 0.05
+# Step of numerical derivatives.
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class TurningBody:
+    """How a body moves, in units of the depth of its middle at time 0, at ``centre (3,)`` = (x, y, 1).
+
+    ``velocity_hz, acceleration_hz2 (3,)`` of the middle at time 0, the latter turning with the body; ``turn_rad_s
+    (3,)``; ``cov (9, 9)`` of the three of them in this order. ``squares`` of the residuals in sigmas, each no larger
+    than a robust fit counts it, and what is ``usual`` of them by the degree of freedom.
+    """
+
+    centre: Floats
+    velocity_hz: Floats
+    acceleration_hz2: Floats
+    turn_rad_s: Floats
+    cov: Floats
+    squares: float
+    usual: float
+
+    @property
+    def shared(self) -> Floats:
+        """The unknowns in one: (9,)."""
+        return np.concatenate([self.velocity_hz, self.acceleration_hz2, self.turn_rad_s])
+
+    @property
+    def direction_cov(self) -> Floats:
+        """Covariance (3, 3) of the direction in which the middle moves, rad^2."""
+        along = normalize(self.velocity_hz[None])[0]
+        across = np.eye(3) - np.outer(along, along)
+        return np.asarray(across @ self.cov[:3, :3] @ across / max(float(np.sum(self.velocity_hz**2)), 1e-12))
+
+    @property
+    def speed_change_hz(self) -> float:
+        """Acceleration along the velocity over the speed, 1/s."""
+        return float(self.acceleration_hz2 @ self.velocity_hz / max(float(np.sum(self.velocity_hz**2)), 1e-12))
+
+    def path_turned_back(self, t_s: Floats) -> Floats:
+        """Path ``(L, 3)`` of its points in views turned back by the turn; its derivative at time 0 is a unit vector."""
+        start, _ = _start_and_bend(self.centre, self.shared)
+        return np.asarray(_path(self.centre, self.shared, np.asarray(t_s)) / np.linalg.norm(start))
+
+    @property
+    def start(self) -> Floats:
+        """The derivative of that path at time 0, a unit vector (3,)."""
+        return _normalized(self.centre, self.shared)[:3]
+
+    @property
+    def path_cov(self) -> Floats:
+        """Covariance (9, 9) of the first and second derivative of that path at time 0, and of the turn."""
+        jacobian = np.empty((N_SHARED, N_SHARED))
+        for k in range(N_SHARED):
+            step = np.zeros(N_SHARED)
+            step[k] = _STEP
+            change = _normalized(self.centre, self.shared + step) - _normalized(self.centre, self.shared - step)
+            jacobian[:, k] = change / (2.0 * _STEP)
+        return np.asarray(jacobian @ self.cov @ jacobian.T)
+
+
+def fit_turning_body(
+    xy: Floats, t_s: Floats, sigma_norm: Floats, bend_hz: float, turn_sigma_rad_s: float
+) -> TurningBody:
+    """The body that its points show, by robust least squares on all of their views.
+
+    Two motions may explain a small body alike: one, and its mirror image, which turns the other way (Necker's cube).
+    The search starts with turns to both sides, and with none; by as much as what they come to is possible beside the
+    best, the covariance holds it too.
+
+    Parameters
+    ----------
+    xy, t_s, sigma_norm
+        Views ``(L, N, 2)`` in the plane z = 1 of the camera at time 0, NaN where not seen, the last of them at time 0
+        or after it; their times ``(L,)`` and noise ``(N,)``.
+    bend_hz, turn_sigma_rad_s
+        Beliefs, per axis: acceleration over the speed, and turn.
+    """
+    now = int(np.argmin(np.abs(t_s)))
+    place = _places_now(xy, now)
+    centre = np.append(np.median(place, axis=0), 1.0)
+    # Data and beliefs of the descent.
+    data = (np.ascontiguousarray(xy), np.asarray(t_s, dtype=np.float64), np.asarray(sigma_norm), centre)
+
+    own = np.column_stack([place, np.ones(len(place))])
+    found = [_fitted(data, own, start, bend_hz, turn_sigma_rad_s) for start in _starts(xy, data[1], now)]
+    return _with_doubts(found)
+
+
+def _fitted(
+    data: tuple[Floats, Floats, Floats, Floats], own: Floats, start: Floats, bend_hz: float, turn_sigma_rad_s: float
+) -> TurningBody:
+    """What the search comes to from a start (9,), the turn held there at first."""
+    own, shared, information, left = own.copy(), start.copy(), np.empty((N_SHARED, N_SHARED)), np.empty(2)
+    for mean, sigma, chi2 in ((start[6:], _HELD_RAD_S, _ROUGH_CHI2), (np.zeros(3), turn_sigma_rad_s, _FINE_CHI2)):
+        descend(*data, mean, sigma, bend_hz, _LEAST_SPEED_HZ, _RELIEF, chi2, own, shared, information, left)
+    cov: Floats = np.linalg.inv(information).astype(np.float64) * max(1.0, float(left[1]))
+    return TurningBody(data[3], shared[:3], shared[3:6], shared[6:], cov, float(left[0]), float(left[1]))
+
+
+def _starts(xy: Floats, t_s: Floats, now: int) -> list[Floats]:
+    """Where the search starts: as the points flow, without a turn and with one about the camera's vertical."""
+    order = np.argsort(np.abs(t_s - t_s[now]), kind="stable")[1 : 1 + _FLOW_VIEWS]
+    flow = (xy[order] - xy[now]) / (t_s[order] - t_s[now])[:, None, None]
+    seen = flow[np.isfinite(flow[..., 0])]
+    velocity_hz = np.append(np.median(seen, axis=0) if len(seen) else np.zeros(2), 0.0)
+    return [np.concatenate([velocity_hz, np.zeros(3), [0.0, turn, 0.0]]) for turn in _FIRST_TURNS_RAD_S]
+
+
+def _places_now(xy: Floats, now: int) -> Floats:
+    """Where each point is seen at the view ``now``, or in the view that is nearest to it: (N, 2)."""
+    order = np.argsort(np.abs(np.arange(len(xy)) - now), kind="stable")
+    seen = np.isfinite(xy[order, :, 0])
+    return np.asarray(xy[order][np.argmax(seen, axis=0), np.arange(xy.shape[1])])
+
+
+def _with_doubts(found: list[TurningBody]) -> TurningBody:
+    """The best of several, with a covariance that holds the others by how likely they are."""
+    best = min(found, key=lambda body: body.squares)
+    worse = np.array([body.squares - best.squares for body in found]) / max(1.0, best.usual)
+    share = np.exp(-0.5 * worse)
+    apart = np.array([body.shared - best.shared for body in found])
+    cov = best.cov + np.einsum("k,ki,kj->ij", share / np.sum(share), apart, apart)
+    return replace(best, cov=cov)
+
+
+def _start_and_bend(centre: Floats, shared: Floats) -> tuple[Floats, Floats]:
+    """First and second derivative at time 0 of the path in views turned back: V - omega x C and so on."""
+    velocity, acceleration, turn = shared[:3], shared[3:6], shared[6:]
+    start = velocity - cross(turn, centre)
+    bend = acceleration - cross(turn, cross(turn, centre)) - 2.0 * cross(turn, start)
+    return np.asarray(start), np.asarray(bend)
+
+
+def _normalized(centre: Floats, shared: Floats) -> Floats:
+    """Both over the length of the first, and the turn: (9,), as `shared_path` counts what points share."""
+    start, bend = _start_and_bend(centre, shared)
+    length = float(np.linalg.norm(start))
+    return np.concatenate([start / length, bend / length, shared[6:]])
+
+
+def _path(centre: Floats, shared: Floats, t: Floats) -> Floats:
+    """R(-t) S(t), with S of `turning_body_descent`: (L, 3)."""
+    velocity, acceleration, turn = shared[:3], shared[3:6], shared[6:]
+    forward = rotation_from_vector(t[:, None] * turn)
+    moved = centre - forward @ centre + t[:, None] * velocity + _twice_integrated(turn, t, acceleration)
+    return np.asarray(np.einsum("lji,lj->li", forward, moved))
+
+
+def _twice_integrated(turn: Floats, t: Floats, vector: Floats) -> Floats:
+    """The double integral from 0 to t of a vector that turns: (L, 3)."""
+    rate = float(np.linalg.norm(turn))
+    once, twice = cross(turn, vector), cross(turn, cross(turn, vector))
+    angle = rate * t
+    if np.all(np.abs(angle) < 1e-2):
+        third, fourth = t**3 * (1.0 / 6.0 - angle**2 / 120.0), t**4 * (1.0 / 24.0 - angle**2 / 720.0)
+    else:
+        third = (t - np.sin(angle) / rate) / rate**2
+        fourth = (0.5 * t**2 - 2.0 * (np.sin(0.5 * angle) / rate) ** 2) / rate**2
+    return np.asarray(0.5 * t[:, None] ** 2 * vector + third[:, None] * once + fourth[:, None] * twice)
