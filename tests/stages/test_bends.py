@@ -60,3 +60,20 @@ def test_what_is_left_of_the_views_is_their_noise():
     n_left = 40 * (2 * len(T_S) - 3)
     assert 0.9 * n_left < found.squares[0] < 1.1 * n_left
     assert 0.8 < found.usual[0] < 1.1
+
+
+def test_what_drives_round_a_tight_bend_is_found_on_its_circle():
+    turn_rad_s, middle_m, speed_m_s = -0.45, np.array([3.0, 0.3, 15.0]), 6.3
+    rng = np.random.default_rng(3)
+    rotation = rotation_from_vector(T_S[:, None] * np.array([0.0, turn_rad_s, 0.0]))
+    # The velocity turn x (middle - middle of the circle) is VELOCITY_M_S less our own.
+    own_m_s = np.array([0.0, 0.0, 5.0])
+    heading = normalize(VELOCITY_M_S + own_m_s)
+    from_circle_m = speed_m_s / turn_rad_s * np.cross(heading, [0.0, 1.0, 0.0])
+    offset = rng.uniform(-1.0, 1.0, (60, 3)) * np.array([4.0, 1.2, 1.5])
+    place = middle_m - from_circle_m + np.einsum("lij,nj->lni", rotation, from_circle_m + offset)
+    place -= T_S[:, None, None] * own_m_s
+    xy = place[..., :2] / place[..., 2:] + SIGMA_NORM * rng.standard_normal((len(T_S), 60, 2))
+    found = fitted(xy)
+    np.testing.assert_allclose(found.turn_rad_s[0], [0.0, turn_rad_s, 0.0], atol=0.02)
+    assert found.usual[0] < 1.2

@@ -6,7 +6,16 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, chosen_paths, fit_shared_paths, points_of_paths
+from ttcvid.geometry.shared_path import (
+    PathBeliefs,
+    PathPoints,
+    SharedPaths,
+    chosen_paths,
+    fit_shared_paths,
+    joined_paths,
+    points_of_paths,
+)
+from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
 from ttcvid.model import Floats, Ints
 
 STRAIGHT_TURN_RAD_S = 0.006
@@ -17,6 +26,11 @@ that for a wrong velocity."""
 # three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
 _BEND_CHI2 = float(chi2_quantile(0.999, 3))
+# In a junction it turns so tightly that no parabola is its path: at the distance r it leaves one by r (omega t)^3 / 6,
+# at 15 m and within 0.6 s by a tenth of a pixel (f = 500 px) at this turn, and by a pixel at twice of it.
+_TIGHT_TURN_RAD_S = 0.2
+# That is looked for where the first order, which says too little, says this, and so many points are there to tell.
+_ASKED_TURN_RAD_S, _LEAST_POINTS = 0.05, 6
 # The first order promises more than a fit keeps: a second one is not made for less than this.
 _PROMISED_CHI2 = 2.5 * _BEND_CHI2
 # Residuals whose squares are so many times what noise makes of them reject a straight path in any case.
@@ -48,21 +62,55 @@ def straight_or_in_bend(
     longest, probability = config.max_frames, config.window_probability
     points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
     straight = fit_shared_paths(points, beliefs, longest, probability)
-    speaks_against = _turn_chi2(straight, beliefs.turn_sigma_rad_s) > _PROMISED_CHI2 * np.maximum(straight.usual, 1.0)
+    chi2, by_views_rad_s = _turns_by_views(straight, beliefs.turn_sigma_rad_s)
+    speaks_against = chi2 > _PROMISED_CHI2 * np.maximum(straight.usual, 1.0)
     may_turn = speaks_against | (straight.usual > _REJECTED)
     if not may_turn.any():
         return straight
     in_bend = fit_shared_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
     gain = straight.squares[may_turn] - in_bend.squares
-    turns = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
-    return chosen_paths(straight, in_bend, np.flatnonzero(may_turn), turns)
+    bends = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
+    chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
+    asked = np.flatnonzero(may_turn & (by_views_rad_s > _ASKED_TURN_RAD_S) & (np.diff(points.first) >= _LEAST_POINTS))
+    if not len(asked):
+        return chosen
+    turning = joined_paths([_turning(points, int(k), beliefs) for k in asked])
+    gain = chosen.squares[asked] - turning.squares
+    is_better = gain > _BEND_CHI2 * np.maximum(turning.usual, 1.0)
+    is_tight = np.linalg.norm(turning.turn_rad_s, axis=1) > _TIGHT_TURN_RAD_S
+    return chosen_paths(chosen, turning, asked, is_better & is_tight)
 
 
-def _turn_chi2(paths: SharedPaths, sigma_rad_s: float) -> Floats:
-    """Chi-square (K,) of the turns that the views alone would show, to first order: the belief in none taken out."""
+def _turning(points: PathPoints, k: int, beliefs: PathBeliefs) -> SharedPaths:
+    """The path of the thing k, fitted as that of a body that turns."""
+    own = slice(points.first[k], points.first[k + 1])
+    # What drives along a circle is pulled across by its turn times its speed.
+    bend_hz = float(np.hypot(beliefs.across_sigma_hz, TURN_SIGMA_RAD_S))
+    body = fit_turning_body(points.xy[:, own], points.t_s, points.sigma_norm[own], bend_hz, TURN_SIGMA_RAD_S)
+    return SharedPaths(
+        body.path_turned_back(points.t_s)[None],
+        body.start[None],
+        np.concatenate([np.zeros(6), body.turn_rad_s])[None],
+        body.path_cov[None],
+        (body.speed_change_hz * body.start)[None],
+        body.direction_cov[None],
+        np.array([body.squares]),
+        np.array([body.usual]),
+    )
+
+
+def _turns_by_views(paths: SharedPaths, sigma_rad_s: float) -> tuple[Floats, Floats]:
+    """Turns that the views alone would show, to first order: the belief in none taken out.
+
+    Returns
+    -------
+    their chi-square (K,) and, where they are believed as those of tight bends are, how large they are (K,), rad/s.
+    """
     pull = np.linalg.inv(paths.cov[:, 6:, 6:])
     by_views = pull - np.eye(3) / sigma_rad_s**2
-    score = (pull @ paths.turn_rad_s[..., None])[..., 0]
+    score = pull @ paths.turn_rad_s[..., None]
     # Views may say nothing of a turn about some axis.
     least = _LEAST_TURN_PART / sigma_rad_s**2 * np.eye(3)
-    return np.asarray(np.sum(score * np.linalg.solve(by_views + least, score[..., None])[..., 0], axis=1))
+    chi2 = np.sum(score * np.linalg.solve(by_views + least, score), axis=(1, 2))
+    turn_rad_s = np.linalg.solve(by_views + np.eye(3) / TURN_SIGMA_RAD_S**2, score)[..., 0]
+    return np.asarray(chi2), np.linalg.norm(turn_rad_s, axis=1)
