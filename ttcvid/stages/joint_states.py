@@ -19,6 +19,9 @@ _TRIMMED_VARIANCE = 1.35
 _LEAST_OF_SURFACE = 3
 # The parts of a car's front lie in depths that differ by this (standard deviation, as a part of the distance).
 _RELIEF = 0.025
+# What turns by more than this has another velocity at each place, and its turn tells depths well: what lies behind its
+# nearest tracks by no more than this part of the distance is as near, and the rest of it is not mixed in.
+_TURNS_RAD_S, _TURNING_RELIEF = 0.05, 0.01
 # An end of a line is so many times the variance of its points away from its middle, squared.
 _END_VARIANCE = 3.0
 # Least variance of a rate, 1/s^2.
@@ -96,7 +99,7 @@ def _rated_tracks(
 ) -> _RatedTracks:
     n, count = len(members.index), len(members)
     index, lengths, path = np.empty(n, dtype=np.int64), np.zeros(count, np.int64), np.empty(count, np.int64)
-    rates, by_shared, places = np.empty((3, n)), np.empty((n, shared.rate_jacobian.shape[1])), np.empty((2, n, 2))
+    rates, by_shared, places = np.empty((2, n)), np.empty((n, shared.rate_jacobian.shape[1])), np.empty((2, n, 2))
     m = _rate_each(
         members.index,
         members.lengths,
@@ -113,9 +116,11 @@ def _rated_tracks(
         places,
     )
     owner = np.flatnonzero(lengths)
-    rate_hz, own_hz, sigma_hz = rates[:, :m]
-    sets, (xy, xy_px) = TrackSets(index[:m], lengths[owner]), places[:, :m]
-    return _RatedTracks(sets, owner, path[owner], direction[owner], rate_hz, own_hz, sigma_hz, by_shared[:m], xy, xy_px)
+    path, (rate_hz, own_hz), (xy, xy_px) = path[owner], rates[:, :m], places[:, :m]
+    sets = TrackSets(index[:m], lengths[owner])
+    turns = (path >= 0) & (np.linalg.norm(shared.turn_rad_s, axis=1) > _TURNS_RAD_S)[path]
+    sigma_hz = np.hypot(own_hz, np.where(turns, _TURNING_RELIEF, _RELIEF)[sets.set_of] * rate_hz)
+    return _RatedTracks(sets, owner, path, direction[owner], rate_hz, own_hz, sigma_hz, by_shared[:m], xy, xy_px)
 
 
 @compiled
@@ -162,7 +167,6 @@ def _rate_each(
                 for j in range(by_shared.shape[1]):
                     by_shared[m, j] = 0.0
             rates[0, m], rates[1, m] = rate, np.sqrt(variance)
-            rates[2, m] = np.hypot(rates[1, m], _RELIEF * rate)
             for which in range(2):
                 found_places[which, m, 0], found_places[which, m, 1] = places[which][i, 0], places[which][i, 1]
             path[k] = max(path[k], path_of[i])
