@@ -30,7 +30,7 @@ _BEND_CHI2 = float(chi2_quantile(0.999, 3))
 # at 15 m and within 0.6 s by a tenth of a pixel (f = 500 px) at this turn, and by a pixel at twice of it.
 _TIGHT_TURN_RAD_S = 0.2
 # That is looked for where the first order, which says too little, says this, and so many points are there to tell.
-_ASKED_TURN_RAD_S, _LEAST_POINTS = 0.05, 6
+_ASKED_TURN_RAD_S, _LEAST_POINTS = 0.05, 10
 # The first order promises more than a fit keeps: a second one is not made for less than this.
 _PROMISED_CHI2 = 2.5 * _BEND_CHI2
 # Residuals whose squares are so many times what noise makes of them reject a straight path in any case.
