@@ -103,6 +103,24 @@ def test_a_stopped_car_in_our_lane_is_an_obstacle_once_it_has_lasted(rng):
     assert on_car.mean() > 0.8
 
 
+def test_an_aircraft_head_on_is_one_thing_though_what_lies_near_our_way_tells_little_of_its_depth(rng):
+    aircraft = box_of_points(rng, 60, (0.0, 0.0, 40.0), (10.0, 2.5, 0.5))
+    place, depth_m = aircraft[:, :2] / aircraft[:, 2:], aircraft[:, 2]
+    # An error of half a pixel along a short way from where we go is a large part of it.
+    off = np.linalg.norm(place, axis=1)
+    sigma_hz = SPEED_M_S / depth_m * np.where(off < 0.05, 0.19, 0.02)
+    wrong_hz = np.where(off < 0.05, 2.0 * sigma_hz, 0.0)
+    fit = PathFit(place, SPEED_M_S / depth_m + wrong_hz, sigma_hz, np.ones(60), np.full(60, N_VIEWS))
+    seen = StaticPoints(np.arange(60), FOCAL_PX * place, FOCAL_PX, LINK_PX, fit, np.ones(60, dtype=bool))
+    memory, next_id, public = (), 1, {}
+    for _ in range(FOUND_IN):
+        public, memory, next_id = find_obstacles(
+            memory, seen, own_path(driven(), SINCE_S), None, next_id, CONFIG, on_ground=False
+        )
+    assert list(public) == [1]
+    assert len(public[1]) >= 55
+
+
 @pytest.mark.parametrize(("height_m", "is_one"), [(0.38, True), (0.15, False)])
 def test_a_car_of_which_only_bumper_and_plate_are_seen_is_one_and_a_flat_box_is_driven_over(rng, height_m, is_one):
     low = box_of_points(rng, 12, (0.0, CAMERA_M - height_m, 25.0), (1.6, 0.06, 0.0))

@@ -48,6 +48,15 @@ def test_an_aircraft_below_our_way_whose_belly_is_a_little_nearer_is_no_road():
     assert find_road(fit, np.ones(140, dtype=bool), 0.0) is None
 
 
+@pytest.mark.parametrize("share", [0.4, 0.65, 0.9])
+def test_a_road_most_of_which_is_seen_at_one_distance_is_one(share):
+    rng = np.random.default_rng(6)
+    depth_m = np.where(rng.random(120) < share, rng.uniform(12.0, 15.0, 120), 1.0 / rng.uniform(1 / 40, 1 / 5, 120))
+    road = np.column_stack([rng.uniform(-3.0, 3.0, 120), np.full(120, CAMERA_M), depth_m])
+    plane = find_road(fit_of(road), np.ones(120, dtype=bool), 0.0)
+    assert plane == pytest.approx([0.0, 0.0, SPEED_M_S / CAMERA_M], abs=0.1)
+
+
 def test_the_horizon_of_a_noisy_road_is_steadied_along_our_way_while_the_camera_pitches():
     rng = np.random.default_rng(4)
     slope_hz, horizon = SPEED_M_S / CAMERA_M, 0.005

@@ -187,10 +187,10 @@ def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Grou
         if not asked.any():
             break
         seed = int(np.argmin(np.where(asked, off, np.inf)))
-        surface = _surface_of(seed, depths, pairs)
-        asked[surface] = False
+        whole = _surface_of(seed, depths, pairs)
+        asked[whole] = False
         asked[seed] = False
-        surface = depths.without_road_beside(surface[~is_taken[surface]], _OFF_LINK * points.link)
+        surface = depths.without_road_beside(whole[~is_taken[whole]], _OFF_LINK * points.link)
         if len(surface) < _LEAST_TRACKS or not depths.can_be_hit(surface, way):
             continue
         is_again = is_known[index[surface]].mean() > 0.5
@@ -200,9 +200,13 @@ def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Grou
             continue
         link = points.link * (_KEPT if is_again else 1.0)
         if _is_in_the_way(depths, surface, way, link):
-            found.append(index[surface])
             is_taken[surface] = True
-    return found
+            # Near our way tracks tell depths worst: what was found from one of them may be a part of this.
+            is_part = [2 * np.count_nonzero(np.isin(part, whole)) > len(part) for part in found]
+            surface = np.concatenate([surface, *(part for part, joins in zip(found, is_part, strict=True) if joins)])
+            found = [part for part, joins in zip(found, is_part, strict=True) if not joins]
+            found.append(np.sort(surface))
+    return [index[surface] for surface in found]
 
 
 def _within_reach(points: StaticPoints, way: OwnPath) -> Ints:

@@ -25,8 +25,8 @@ _LEAST_BELOW, _KNOWN_PART = 0.03, 0.1
 _ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
 # A road is borne by so many points, and by this part of all below the horizon.
 _LEAST_POINTS, _LEAST_SHARE = 12, 0.3
-# Points whose rates agree within this (natural logarithm) may have one depth: the road's tolerance to both sides.
-_ONE_DEPTH = 3.0 * _ROAD_SPREAD
+# The horizon of the plane lies this close to where we go: twice the pitch, one for its own error.
+_HORIZON_OFF = 2.0 * _PITCH
 # How much the road may fall to one side, beside how much it comes nearer downwards: roll of the camera.
 _ROLL_SIGMA = 0.1
 _UNDER_SIGMAS, _LEAST_VIEWS = 3.0, 4
@@ -157,9 +157,8 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
         return None
     slope = float(np.exp(log_slope_there + _ROAD_SPREAD))
     road = np.array([-slope * horizon_y[densest], 0.0, slope])
-    on_road = np.empty(len(rate), dtype=bool)
-    is_borne = _fit_plane(place, rate, road, on_road)
-    return road if is_borne and road[2] > 0.0 and not _is_upright(rate[on_road]) else None
+    is_borne = _fit_plane(place, rate, road)
+    return road if is_borne and _is_level(road, epipole_y) else None
 
 
 def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
@@ -169,10 +168,10 @@ def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
 
 
 @compiled
-def _fit_plane(place: Floats, rate: Floats, road: Floats, on_road: Bools) -> bool:
+def _fit_plane(place: Floats, rate: Floats, road: Floats) -> bool:
     """Bring ``road (3,)`` to the plane of the points that lie on it, twice; False where these are too few.
 
-    Least squares of rates over what the road before has there, with a prior on the roll. Fills ``on_road (N,)``.
+    Least squares of rates over what the road before has there, with a prior on the roll.
     """
     normal, right = np.empty((3, 3)), np.empty(3)
     for _ in range(2):
@@ -182,8 +181,7 @@ def _fit_plane(place: Floats, rate: Floats, road: Floats, on_road: Bools) -> boo
             x, y = place[i, 0], place[i, 1]
             predicted = road[0] + road[1] * x + road[2] * y
             n_below += predicted > _LEAST_BELOW * road[2]
-            on_road[i] = abs(rate[i] - predicted) < 1.5 * _ROAD_SPREAD * predicted
-            if on_road[i]:
+            if abs(rate[i] - predicted) < 1.5 * _ROAD_SPREAD * predicted:
                 n_on_road += 1
                 columns = (1.0 / predicted, x / predicted, y / predicted)
                 for a in range(3):
@@ -197,10 +195,12 @@ def _fit_plane(place: Floats, rate: Floats, road: Floats, on_road: Bools) -> boo
     return True
 
 
-def _is_upright(rate_hz: Floats) -> bool:
-    """Whether one depth holds more than half of the points (K,): a wall fits a road where it is low enough."""
-    log_rate, half = np.sort(np.log(rate_hz)), len(rate_hz) // 2
-    return bool((log_rate[half:] - log_rate[: len(rate_hz) - half]).min() < _ONE_DEPTH)
+def _is_level(road: Floats, epipole_y: float) -> bool:
+    """Whether a plane (3,) comes nearer downwards as a road does: it ends in a horizon, about where we go.
+
+    A wall fits a road for as long as it is low; but its rates hardly change downwards, and its horizon is high above.
+    """
+    return bool(road[2] > 0.0 and abs(-road[0] / road[2] - epipole_y) < _HORIZON_OFF)
 
 
 @compiled
