@@ -44,11 +44,17 @@ _TINY = 1e-9
 
 @dataclass(frozen=True)
 class WatchedObject:
-    """An object under watch: since when its condition holds, when and in which box it held last, and its warning."""
+    """An object under watch: since when its condition holds, when and in which box it held last, and its warning.
+
+    ``near_since_s`` is since when it would be warned of, None where it would not; ``tcpa_s`` what its ``tcpa`` was at
+    the times of the last ``persistence_s``: pairs (t_s, tcpa_s).
+    """
 
     since_s: float
     last_s: float
     box_px: tuple[float, float, float, float]
+    near_since_s: float | None = None
+    tcpa_s: tuple[tuple[float, float], ...] = ()
     event: Event | None = None
 
 
@@ -78,10 +84,10 @@ def update_events(
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and what to remember.
 
-    A warning starts when an object meets the condition, and has met it, but for a contact that is a little later, for
-    ``persistence_s`` without a gap: that its time runs down needs no proof, that it brakes does. It ends when the
-    object has not met the looser one for as long, or has been hidden for `_HIDDEN` times as long. An object that gets
-    another number behind what hid it is warned of at once.
+    A warning starts when an object has met the condition for ``persistence_s`` without a gap; or, after having come at
+    us for as long but a little later, when it meets it and what its time was by then has run down below the limit
+    (`_has_run_down`). It ends when the object has not met the looser condition for as long, or has been hidden for
+    `_HIDDEN` times as long. An object that gets another number behind what hid it is warned of at once.
 
     Parameters
     ----------
@@ -110,21 +116,53 @@ def update_events(
         if before is not None and not warned and t_s - before.last_s > longest_step_s:
             # Not looked at in between (dark or doubled pictures): that is no persistence.
             before = None
-        since_s = t_s if before is None else before.since_s
         if before is None:
             lost_id = _lost_at(row.box_px, watched, rows)
-            if lost_id is not None:
-                lost = watched.pop(lost_id)
-                since_s = lost.since_s if lost.event is None else min(lost.since_s, t_s - config.persistence_s)
-        now = WatchedObject(since_s, t_s, row.box_px, None if before is None else before.event)
+            before = None if lost_id is None else _under_new_number(watched.pop(lost_id), t_s, config)
+        now = _watched(before, row, t_s, config)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
-        elif t_s - now.since_s >= config.persistence_s - _ROUNDING_S and is_course(is_warned=False):
-            now = replace(now, event=_started(next_event_id, row, frame, t_s))
-            next_event_id += 1
+        elif is_course(is_warned=False):
+            near_since_s = t_s if now.near_since_s is None else now.near_since_s
+            now = replace(now, near_since_s=near_since_s)
+            if _lasts(near_since_s, t_s, config) or _has_run_down(now, t_s, config):
+                now = replace(now, event=_started(next_event_id, row, frame, t_s))
+                next_event_id += 1
+        else:
+            now = replace(now, near_since_s=None)
         watched[cluster_id] = now
     active = tuple(w.event for w in watched.values() if w.event is not None)
     return active, EventMemory(watched, next_event_id)
+
+
+def _watched(before: WatchedObject | None, row: ClusterRow, t_s: float, config: EventsConfig) -> WatchedObject:
+    """An object whose condition holds now, its warning as before."""
+    if before is None:
+        return WatchedObject(t_s, t_s, row.box_px, tcpa_s=((t_s, row.times.tcpa_s[0]),))
+    recent = tuple(pair for pair in before.tcpa_s if t_s - pair[0] <= _gone_s(config))
+    return replace(before, last_s=t_s, box_px=row.box_px, tcpa_s=(*recent, (t_s, row.times.tcpa_s[0])))
+
+
+def _under_new_number(lost: WatchedObject, t_s: float, config: EventsConfig) -> WatchedObject:
+    """What was under watch and has another number now: if it was warned of, it is to be warned of at once."""
+    if lost.event is None:
+        return lost
+    warned_s = t_s - config.persistence_s
+    return replace(lost, since_s=min(lost.since_s, warned_s), near_since_s=warned_s, event=None)
+
+
+def _lasts(since_s: float, t_s: float, config: EventsConfig) -> bool:
+    """Whether what holds since then has held for the persistence."""
+    return t_s - since_s >= config.persistence_s - _ROUNDING_S
+
+
+def _has_run_down(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
+    """Whether a thing is near in time by most of what its time was lately, and has come at us for as long.
+
+    That a time runs down needs no proof, but a single one of them may err.
+    """
+    left_s = [tcpa_s - (t_s - then_s) for then_s, tcpa_s in one.tcpa_s]
+    return _lasts(one.since_s, t_s, config) and float(np.median(left_s)) <= config.max_ttc_s
 
 
 def _lost_at(
