@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_in_place
 from ttcvid.model import Floats
 
 N_SHARED = 9
@@ -34,6 +34,9 @@ _FASTEST_HZ = 100.0
 _S, _G, _TURNED, _DRAGGED, _TIME, _N_WAY = 9, 12, 21, 30, 39, 40
 # Kept of a point: its block of the information (3 x 3), its couplings (3 x 9) and its score (3).
 _N_KEPT = 13
+
+_Sums = tuple[Floats, Floats, Floats]
+"""``kept (N, 3, 13)``, and of what is shared the ``information (9, 9)``, of which the lower half counts, and score."""
 
 
 @compiled
@@ -68,9 +71,11 @@ def descend(
     """
     n = len(own)
     way, trial_way = np.empty((len(t_s), _N_WAY)), np.empty((len(t_s), _N_WAY))
-    kept, squares = np.empty((n, 3, _N_KEPT)), np.empty(n)
+    rows = np.empty((_N_KEPT, 2 * n * len(t_s)))
+    kept, inverse, squares = np.empty((n, 3, _N_KEPT)), np.empty((n, 3, 3)), np.empty(n)
     score, step, damped = np.empty(N_SHARED), np.empty(N_SHARED), np.empty((N_SHARED, N_SHARED))
     prior, trial, trial_own = np.zeros(N_SHARED), np.empty(N_SHARED), np.empty_like(own)
+    sums = (kept, information, score)
     damping = _FIRST_DAMPING
     _set_way(t_s, centre, shared, way)
     _cost(xy, sigma, way, own, 1e12, squares)
@@ -86,13 +91,13 @@ def descend(
         for j in range(N_SHARED):
             information[j, j] = prior[j]
             score[j] = -prior[j] * (shared[j] - (mean_turn[j - 6] if j >= 6 else 0.0))
-        for i in range(n):
-            _add_up(xy, way, i, own, sigma[i], far, loose, kept, information, score)
-        _mirror(information)
-        before = _cost(xy, sigma, way, own, far, squares) + _believed(shared, own, mean_turn, prior, loose)
+        _set_slopes(t_s, centre, shared, way)
+        _add_up(xy, sigma, way, own, far, loose, rows, sums)
+        before = _cost(xy, sigma, way, own, far, squares)
+        before += _believed(shared, own, mean_turn, prior, loose)
         is_better, fall = False, 0.0
         while damping < _MOST_DAMPING:
-            fall = _step(kept, information, score, damping, damped, step, own, trial_own)
+            fall = _step(sums, damping, inverse, damped, step, own, trial_own)
             for j in range(N_SHARED):
                 trial[j] = shared[j] + step[j]
             _set_way(t_s, centre, trial, trial_way)
@@ -114,10 +119,12 @@ def descend(
     left[1] = np.median(squares)
     scale = np.sqrt(max(1.0, left[1]))
     speed = max(np.sqrt(shared[0] ** 2 + shared[1] ** 2 + shared[2] ** 2), least_speed_hz)
-    for i in range(n):
-        _add_up(xy, way, i, own, sigma[i], (_ROBUST_SIGMAS * scale) ** 2, 1.0 / relief**2, kept, information, score)
-    _mirror(information)
-    _eliminate(kept, information, score, 0.0)
+    far, loose = (_ROBUST_SIGMAS * scale) ** 2, 1.0 / relief**2
+    _set_slopes(t_s, centre, shared, way)
+    _add_up(xy, sigma, way, own, far, loose, rows, sums)
+    _eliminate(kept, 0.0, inverse, information, score)
+    for j in range(N_SHARED):
+        information[:j, j] = information[j, :j]
     for j in range(3):
         information[j, j] += 1.0 / _FASTEST_HZ**2
         information[3 + j, 3 + j] += 1.0 / (bend_hz * speed) ** 2
@@ -174,194 +181,212 @@ def _place(way: Floats, k: int, own: Floats, i: int) -> tuple[float, float, floa
 
 @compiled
 def _add_up(
-    xy: Floats,
-    way: Floats,
-    i: int,
-    own: Floats,
-    sigma: float,
-    far: float,
-    loose: float,
-    kept: Floats,
-    information: Floats,
-    score: Floats,
+    xy: Floats, sigma: Floats, way: Floats, own: Floats, far: float, loose: float, rows: Floats, sums: _Sums
 ) -> None:
-    """Adds what the views of point i say of what is shared, the lower half of ``information``; fills ``kept[i]``.
+    """Adds what all views say of what is shared, and fills ``kept``: no point is eliminated yet.
 
-    No point is eliminated yet.
+    Fills ``rows (13, ...)`` on the way.
     """
-    jacobian, residual, by = np.empty((2, 12)), np.empty(2), np.empty(3)
-    kept[i] = 0.0
-    kappa = own[i, 2]
-    kept[i, 2, 2], kept[i, 2, 12] = loose, -loose * (kappa - 1.0)
+    (kept, information, score), n = sums, 0
+    for i in range(len(own)):
+        first, n = n, _set_rows(xy, sigma, way, i, own, far, n, rows)
+        for c in range(3):
+            for d in range(c, _N_KEPT):
+                kept[i, c, d] = _product(rows, c, d, first, n)
+        kept[i, 2, 2] += loose
+        kept[i, 2, 12] -= loose * (own[i, 2] - 1.0)
+    for c in range(N_SHARED):
+        for d in range(c + 1):
+            information[c, d] += _product(rows, 3 + c, 3 + d, 0, n)
+        score[c] += _product(rows, 3 + c, 12, 0, n)
+
+
+@compiled
+def _set_rows(xy: Floats, sigma: Floats, way: Floats, i: int, own: Floats, far: float, n: int, rows: Floats) -> int:
+    """Fills ``rows (13, ...)`` from n on with what the views of point i say, x and y in turn; returns where they end.
+
+    That is how they follow its own unknowns and those that are shared, and what is left of them: in sigmas, and with
+    the root of their weights.
+    """
+    kappa, inverse = own[i, 2], 1.0 / sigma[i]
     for k in range(len(way)):
         if not np.isfinite(xy[k, i, 0]):
             continue
         px, py, pz = _place(way, k, own, i)
         h = 1.0 / max(pz, _LEAST_DEPTH)
         u, v = px * h, py * h
-        residual[0], residual[1] = (xy[k, i, 0] - u) / sigma, (xy[k, i, 1] - v) / sigma
-        square = residual[0] ** 2 + residual[1] ** 2
-        weight = far / max(square, far)
+        rx, ry = (xy[k, i, 0] - u) * inverse, (xy[k, i, 1] - v) * inverse
+        root = np.sqrt(far / max(rx * rx + ry * ry, far))
+        a, x, y = root * h * inverse, n, n + 1
+        b, moved = a * kappa, a * kappa * way[k, _TIME]
         # R times the ray of the point: what a turn moves across itself.
         qx, qy, qz = px - kappa * way[k, _S], py - kappa * way[k, _S + 1], pz - kappa * way[k, _S + 2]
-        for c in range(12):
-            for j in range(3):
-                if c < 2:
-                    by[j] = way[k, 3 * j + c]
-                elif c == 2:
-                    by[j] = way[k, _S + j]
-                elif c < 6:
-                    by[j] = kappa * way[k, _TIME] if j == c - 3 else 0.0
-                elif c < 9:
-                    by[j] = kappa * way[k, _G + 3 * j + c - 6]
-                else:
-                    by[j] = kappa * way[k, _DRAGGED + 3 * j + c - 9]
-            if c >= 9:
-                wx, wy, wz = way[k, _TURNED + c - 9], way[k, _TURNED + 3 + c - 9], way[k, _TURNED + 6 + c - 9]
-                by[0] += wy * qz - wz * qy
-                by[1] += wz * qx - wx * qz
-                by[2] += wx * qy - wy * qx
-            jacobian[0, c] = (by[0] - u * by[2]) * h / sigma
-            jacobian[1, c] = (by[1] - v * by[2]) * h / sigma
-        for r in range(2):
-            for c in range(3):
-                pull = weight * jacobian[r, c]
-                for d in range(12):
-                    kept[i, c, d] += pull * jacobian[r, d]
-                kept[i, c, 12] += pull * residual[r]
-            for c in range(N_SHARED):
-                pull = weight * jacobian[r, 3 + c]
-                for d in range(c + 1):
-                    information[c, d] += pull * jacobian[r, 3 + d]
-                score[c] += pull * residual[r]
+        for c in range(2):
+            rows[c, x] = a * (way[k, c] - u * way[k, 6 + c])
+            rows[c, y] = a * (way[k, 3 + c] - v * way[k, 6 + c])
+        rows[2, x] = a * (way[k, _S] - u * way[k, _S + 2])
+        rows[2, y] = a * (way[k, _S + 1] - v * way[k, _S + 2])
+        rows[3, x], rows[4, x], rows[5, x] = moved, 0.0, -u * moved
+        rows[3, y], rows[4, y], rows[5, y] = 0.0, moved, -v * moved
+        for c in range(3):
+            rows[6 + c, x] = b * (way[k, _G + c] - u * way[k, _G + 6 + c])
+            rows[6 + c, y] = b * (way[k, _G + 3 + c] - v * way[k, _G + 6 + c])
+            wx, wy, wz = way[k, _TURNED + c], way[k, _TURNED + 3 + c], way[k, _TURNED + 6 + c]
+            along = kappa * way[k, _DRAGGED + 6 + c] + wx * qy - wy * qx
+            rows[9 + c, x] = a * (kappa * way[k, _DRAGGED + c] + wy * qz - wz * qy - u * along)
+            rows[9 + c, y] = a * (kappa * way[k, _DRAGGED + 3 + c] + wz * qx - wx * qz - v * along)
+        rows[12, x], rows[12, y] = root * rx, root * ry
+        n += 2
+    return n
+
+
+@compiled_in_place
+def _product(rows: Floats, c: int, d: int, first: int, stop: int) -> float:
+    """Of two rows, from a place on."""
+    total = 0.0
+    for k in range(np.uint64(first), np.uint64(stop)):
+        total += rows[c, k] * rows[d, k]
+    return total
 
 
 @compiled
-def _mirror(information: Floats) -> None:
-    """Fills the upper half of a symmetric matrix with its lower half."""
-    for c in range(len(information)):
-        for d in range(c):
-            information[d, c] = information[c, d]
+def _eliminate(kept: Floats, damping: float, inverse: Floats, information: Floats, score: Floats) -> None:
+    """Takes from ``information (9, 9)`` and ``score (9,)`` what the points take of it when they follow (Schur).
 
-
-@compiled
-def _eliminate(kept: Floats, information: Floats, score: Floats, damping: float) -> None:
-    """Takes from ``information (9, 9)`` and ``score (9,)`` what the points take of it when they follow (Schur)."""
+    The lower half of the former counts. Fills ``inverse (N, 3, 3)`` of their own blocks, damped.
+    """
     for i in range(len(kept)):
-        block, right = _inverse(kept, i, damping), kept[i]
+        more = 1.0 + damping
+        a, d, f = kept[i, 0, 0] * more, kept[i, 1, 1] * more, kept[i, 2, 2] * more
+        b, c, e = kept[i, 0, 1], kept[i, 0, 2], kept[i, 1, 2]
+        inverse[i, 0, 0], inverse[i, 0, 1], inverse[i, 0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
+        inverse[i, 1, 1], inverse[i, 1, 2], inverse[i, 2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
+        determinant = a * inverse[i, 0, 0] + b * inverse[i, 0, 1] + c * inverse[i, 0, 2]
+        for p in range(3):
+            for q in range(p, 3):
+                inverse[i, p, q] /= determinant
+                inverse[i, q, p] = inverse[i, p, q]
         for c in range(N_SHARED):
-            for p in range(3):
-                pull = 0.0
-                for q in range(3):
-                    pull += right[q, 3 + c] * block[q, p]
-                for d in range(N_SHARED):
-                    information[c, d] -= pull * right[p, 3 + d]
-                score[c] -= pull * right[p, 12]
-
-
-@compiled
-def _inverse(kept: Floats, i: int, damping: float) -> Floats:
-    """Inverse (3, 3) of the block of point i."""
-    a, b, c = kept[i, 0, 0] * (1.0 + damping), kept[i, 0, 1], kept[i, 0, 2]
-    d, e, f = kept[i, 1, 1] * (1.0 + damping), kept[i, 1, 2], kept[i, 2, 2] * (1.0 + damping)
-    out = np.empty((3, 3))
-    out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
-    out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
-    determinant = a * out[0, 0] + b * out[0, 1] + c * out[0, 2]
-    for p in range(3):
-        for q in range(p, 3):
-            out[p, q] /= determinant
-            out[q, p] = out[p, q]
-    return out
+            x, y, z = kept[i, 0, 3 + c], kept[i, 1, 3 + c], kept[i, 2, 3 + c]
+            by_x = x * inverse[i, 0, 0] + y * inverse[i, 0, 1] + z * inverse[i, 0, 2]
+            by_y = x * inverse[i, 0, 1] + y * inverse[i, 1, 1] + z * inverse[i, 1, 2]
+            by_z = x * inverse[i, 0, 2] + y * inverse[i, 1, 2] + z * inverse[i, 2, 2]
+            # All of them: a loop of a known length takes less than one over half of it.
+            for d in range(N_SHARED):
+                j = 3 + d
+                information[c, d] -= by_x * kept[i, 0, j] + by_y * kept[i, 1, j] + by_z * kept[i, 2, j]
+            score[c] -= by_x * kept[i, 0, 12] + by_y * kept[i, 1, 12] + by_z * kept[i, 2, 12]
 
 
 @compiled
 def _step(
-    kept: Floats,
-    information: Floats,
-    score: Floats,
-    damping: float,
-    damped: Floats,
-    step: Floats,
-    own: Floats,
-    trial_own: Floats,
+    sums: _Sums, damping: float, inverse: Floats, damped: Floats, step: Floats, own: Floats, trial_own: Floats
 ) -> float:
     """Fills the step of what is shared, ``step (9,)``, and the points after it; returns the fall that it promises."""
-    damped[:], right = information, score.copy()
+    kept, information, score = sums
+    damped[:], step[:] = information, score
     for j in range(N_SHARED):
         damped[j, j] *= 1.0 + damping
-    _eliminate(kept, damped, right, damping)
-    step[:] = np.linalg.solve(damped, right)
-    fall = np.sum(right * step)
+    _eliminate(kept, damping, inverse, damped, step)
+    fall = _solve(damped, step)
     for i in range(len(own)):
-        block = _inverse(kept, i, damping)
         for p in range(3):
             trial_own[i, p] = own[i, p]
-            for q in range(3):
-                rest = kept[i, q, 12]
-                for c in range(N_SHARED):
-                    rest -= kept[i, q, 3 + c] * step[c]
-                trial_own[i, p] += block[p, q] * rest
-                if p == q:
-                    fall += block[q, q] * kept[i, q, 12] ** 2
+        for q in range(3):
+            rest = kept[i, q, 12]
+            fall += inverse[i, q, q] * rest * rest
+            for c in range(N_SHARED):
+                rest -= kept[i, q, 3 + c] * step[c]
+            for p in range(3):
+                trial_own[i, p] += inverse[i, p, q] * rest
+    return fall
+
+
+@compiled
+def _solve(matrix: Floats, right: Floats) -> float:
+    """Turns ``right (9,)`` into the solution, by Cholesky factors of the lower half; returns right . solution."""
+    fall = 0.0
+    for j in range(N_SHARED):
+        for k in range(j):
+            matrix[j, j] -= matrix[j, k] * matrix[j, k]
+            right[j] -= matrix[j, k] * right[k]
+        matrix[j, j] = np.sqrt(matrix[j, j])
+        right[j] /= matrix[j, j]
+        fall += right[j] * right[j]
+        for i in range(j + 1, N_SHARED):
+            for k in range(j):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] /= matrix[j, j]
+    for j in range(N_SHARED - 1, -1, -1):
+        for i in range(j + 1, N_SHARED):
+            right[j] -= matrix[i, j] * right[i]
+        right[j] /= matrix[j, j]
     return fall
 
 
 @compiled
 def _set_way(t_s: Floats, centre: Floats, shared: Floats, way: Floats) -> None:
-    """Fills ``way (L, 40)`` for what is shared."""
-    omega, moved = shared[6:9].copy(), np.empty(3)
-    rotation, integral, other, jacobian = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    """Fills R, S, G and the times of ``way (L, 40)`` for what is shared."""
+    wx, wy, wz = shared[6], shared[7], shared[8]
+    rate = np.sqrt(wx * wx + wy * wy + wz * wz)
+    cross = (0.0, -wz, wy, wz, 0.0, -wx, -wy, wx, 0.0)
     for k in range(len(t_s)):
         t = t_s[k]
-        _turn(omega, t, rotation, jacobian, integral)
+        first, second, third, fourth = _factors(rate, t)
+        way[k, _TIME] = t
         for j in range(3):
             way[k, _S + j] = centre[j] + t * shared[j]
             for m in range(3):
-                way[k, 3 * j + m] = rotation[j, m]
-                way[k, _G + 3 * j + m] = integral[j, m]
-                way[k, _TURNED + 3 * j + m] = jacobian[j, m]
-                way[k, _S + j] += integral[j, m] * shared[3 + m] - rotation[j, m] * centre[m]
-        for m in range(3):
-            moved[:] = omega
-            moved[m] += _DIFFERENCE_RAD_S
-            _turn(moved, t, rotation, jacobian, other)
-            # What a change of omega does to -R C, by the cross product with R C, and to G A.
-            rx, ry, rz = way[k, 0:3] @ centre, way[k, 3:6] @ centre, way[k, 6:9] @ centre
-            wx, wy, wz = way[k, _TURNED + m], way[k, _TURNED + 3 + m], way[k, _TURNED + 6 + m]
-            way[k, _DRAGGED + m], way[k, _DRAGGED + 3 + m] = -(wy * rz - wz * ry), -(wz * rx - wx * rz)
-            way[k, _DRAGGED + 6 + m] = -(wx * ry - wy * rx)
-            for j in range(3):
-                for q in range(3):
-                    slope = (other[j, q] - integral[j, q]) / _DIFFERENCE_RAD_S
-                    way[k, _DRAGGED + 3 * j + m] += slope * shared[3 + q]
-        way[k, _TIME] = t
+                one, w = 1.0 if j == m else 0.0, cross[3 * j + m]
+                twice = shared[6 + j] * shared[6 + m] - one * rate * rate
+                way[k, 3 * j + m] = one + second * twice + first * w
+                way[k, _G + 3 * j + m] = 0.5 * t * t * one + fourth * twice + third * w
+                way[k, _TURNED + 3 * j + m] = t * one + third * twice + second * w
+                way[k, _S + j] += way[k, _G + 3 * j + m] * shared[3 + m] - way[k, 3 * j + m] * centre[m]
 
 
 @compiled
-def _turn(omega: Floats, t: float, rotation: Floats, jacobian: Floats, integral: Floats) -> None:
-    """Fills R(t), t times its left Jacobian (how R follows omega) and G(t), ``(3, 3)`` each."""
-    rate = np.sqrt(omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2)
+def _set_slopes(t_s: Floats, centre: Floats, shared: Floats, way: Floats) -> None:
+    """Fills what is left of ``way (L, 40)``: how S follows a change of omega."""
+    omega, moved = shared[6:9], shared[6:9].copy()
+    ax, ay, az = shared[3], shared[4], shared[5]
+    for m in range(3):
+        moved[:] = omega
+        moved[m] += _DIFFERENCE_RAD_S
+        wx, wy, wz = moved
+        rate = np.sqrt(wx * wx + wy * wy + wz * wz)
+        along, square = wx * ax + wy * ay + wz * az, rate * rate
+        for k in range(len(t_s)):
+            t = t_s[k]
+            _, _, third, fourth = _factors(rate, t)
+            # What a change of omega does to G A.
+            half = 0.5 * t * t - fourth * square
+            pulled = (
+                half * ax + third * (wy * az - wz * ay) + fourth * wx * along,
+                half * ay + third * (wz * ax - wx * az) + fourth * wy * along,
+                half * az + third * (wx * ay - wy * ax) + fourth * wz * along,
+            )
+            # And to -R C, by the cross product with R C.
+            rx = way[k, 0] * centre[0] + way[k, 1] * centre[1] + way[k, 2] * centre[2]
+            ry = way[k, 3] * centre[0] + way[k, 4] * centre[1] + way[k, 5] * centre[2]
+            rz = way[k, 6] * centre[0] + way[k, 7] * centre[1] + way[k, 8] * centre[2]
+            jx, jy, jz = way[k, _TURNED + m], way[k, _TURNED + 3 + m], way[k, _TURNED + 6 + m]
+            dragged = (-(jy * rz - jz * ry), -(jz * rx - jx * rz), -(jx * ry - jy * rx))
+            for j in range(3):
+                before = way[k, _G + 3 * j] * ax + way[k, _G + 3 * j + 1] * ay + way[k, _G + 3 * j + 2] * az
+                way[k, _DRAGGED + 3 * j + m] = dragged[j] + (pulled[j] - before) / _DIFFERENCE_RAD_S
+
+
+@compiled
+def _factors(rate: float, t: float) -> tuple[float, float, float, float]:
+    """Of omega x and (omega x)^2 in R, the latter of which is the former's in its integral, and so on."""
     angle = rate * t
     if abs(angle) < _SMALL_RAD:
-        square = angle * angle
-        first, second = t * (1.0 - square / 6.0), t * t * (0.5 - square / 24.0)
-        third = t**3 * (1.0 / 6.0 - square / 120.0)
-        fourth = t**4 * (1.0 / 24.0 - square / 720.0)
+        square, both = angle * angle, t * t
+        first, second = t * (1.0 - square / 6.0), both * (0.5 - square / 24.0)
+        third, fourth = both * t * (1.0 / 6.0 - square / 120.0), both * both * (1.0 / 24.0 - square / 720.0)
     else:
-        first, second = np.sin(angle) / rate, 2.0 * (np.sin(0.5 * angle) / rate) ** 2
-        third, fourth = (t - first) / rate**2, (0.5 * t * t - second) / rate**2
-    wx, wy, wz = omega
-    for j in range(3):
-        for m in range(3):
-            one = 1.0 if j == m else 0.0
-            twice = omega[j] * omega[m] - one * rate * rate
-            rotation[j, m], jacobian[j, m] = one + second * twice, t * one + third * twice
-            integral[j, m] = 0.5 * t * t * one + fourth * twice
-    for j, m, w in ((0, 1, -wz), (0, 2, wy), (1, 2, -wx)):
-        rotation[j, m] += first * w
-        rotation[m, j] -= first * w
-        jacobian[j, m] += second * w
-        jacobian[m, j] -= second * w
-        integral[j, m] += third * w
-        integral[m, j] -= third * w
+        sine = np.sin(0.5 * angle) / rate
+        first, second = np.sin(angle) / rate, 2.0 * sine * sine
+        third, fourth = (t - first) / (rate * rate), (0.5 * t * t - second) / (rate * rate)
+    return first, second, third, fourth
