@@ -11,8 +11,9 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_path_belief import set_beliefs
+from ttcvid.geometry.shared_path_belief import set_beliefs, set_prior
 from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together, start_points
+from ttcvid.geometry.shared_path_found import share
 from ttcvid.geometry.whole_track_on_path import fit_rates_on_paths
 from ttcvid.model import Bools, Floats, Ints
 
@@ -253,11 +254,8 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     """Information (K, 8, 8) of the belief on what moves along a path."""
     prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
-    tangent = basis[:, :, :2]
-    prior[:, :2, :2] = np.linalg.inv(np.swapaxes(tangent, 1, 2) @ beliefs.direction_cov @ tangent)
-    sigma = [beliefs.across_sigma_hz] * 2 + [beliefs.along_sigma_hz] + [beliefs.turn_sigma_rad_s] * 3
-    diagonal = np.arange(2, N_LOCAL)
-    prior[:, diagonal, diagonal] = 1.0 / np.square(sigma)
+    along_sigma_hz, across_sigma_hz = beliefs.along_sigma_hz, beliefs.across_sigma_hz
+    set_prior(basis, beliefs.direction_cov, across_sigma_hz, along_sigma_hz, beliefs.turn_sigma_rad_s, prior)
     return prior
 
 
@@ -275,18 +273,12 @@ def _shared_paths(
     beliefs: PathBeliefs, basis: Floats, own_motion: Floats, local: Floats, cov: Floats, t_s: Floats
 ) -> SharedPaths:
     """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``."""
+    count = len(basis)
     path, velocity = _moved_paths(beliefs, basis, local, t_s)
-    speed = np.linalg.norm(velocity, axis=1)[:, None]
-    columns = np.zeros((len(basis), N_SHARED, N_LOCAL))
-    columns[:, :3, :2], columns[:, 3:6, 2:5], columns[:, 6:, 5:] = basis[:, :, :2], basis, np.eye(3)
-    offset = _times(columns, local)
-    columns[:, :6] /= speed[..., None]
-    bend_hz = _times(basis, _times(own_motion[:, 2:5], local))
-    own_columns = columns[:, :3] @ own_motion
-    own_cov = own_columns @ cov @ np.swapaxes(own_columns, 1, 2)
-    shared_cov = columns @ cov @ np.swapaxes(columns, 1, 2)
-    nothing = np.zeros(len(basis))
-    return SharedPaths(path, velocity / speed, offset, shared_cov, bend_hz, own_cov, nothing, nothing)
+    direction, bend_hz, nothing = np.empty((count, 3)), np.empty((count, 3)), np.zeros(count)
+    offset, shared_cov, own_cov = np.empty((count, N_SHARED)), np.empty((count, 9, 9)), np.empty((count, 3, 3))
+    share(basis, own_motion, local, cov, velocity, direction, offset, shared_cov, bend_hz, own_cov)
+    return SharedPaths(path, direction, offset, shared_cov, bend_hz, own_cov, nothing, nothing)
 
 
 @compiled

@@ -12,6 +12,28 @@ from ttcvid.model import Floats, Ints
 
 
 @compiled
+def set_prior(
+    basis: Floats, direction_cov: Floats, across_sigma: float, along_sigma: float, turn_sigma: float, prior: Floats
+) -> None:
+    """Fills ``prior (K, 8, 8)``, zeros before: information on what moves along a path, by its belief."""
+    for k in range(len(basis)):
+        xx, xy, yy = 0.0, 0.0, 0.0
+        for i in range(3):
+            for j in range(3):
+                covariance = direction_cov[k, i, j]
+                xx += basis[k, i, 0] * covariance * basis[k, j, 0]
+                xy += basis[k, i, 0] * covariance * basis[k, j, 1]
+                yy += basis[k, i, 1] * covariance * basis[k, j, 1]
+        rest = 1.0 / (xx * yy - xy * xy)
+        prior[k, 0, 0], prior[k, 1, 1] = yy * rest, xx * rest
+        prior[k, 0, 1] = prior[k, 1, 0] = -xy * rest
+        prior[k, 2, 2] = prior[k, 3, 3] = 1.0 / across_sigma**2
+        prior[k, 4, 4] = 1.0 / along_sigma**2
+        for j in range(5, prior.shape[1]):
+            prior[k, j, j] = 1.0 / turn_sigma**2
+
+
+@compiled
 def set_beliefs(
     turns_itself: bool,
     basis: Floats,
