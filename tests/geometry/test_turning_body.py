@@ -94,3 +94,22 @@ def test_points_that_say_nothing_are_said_to():
     found = fit_turning_body(xy, T_S, np.full(8, SIGMA), BEND_HZ, TURN_SIGMA_RAD_S)
     assert np.all(np.isfinite(found.cov))
     assert np.sqrt(found.cov[2, 2]) > 1.0
+
+
+def test_noise_that_is_taken_for_too_small_is_left_to_who_asks():
+    """``usual`` says by how much; who weighs by it must not find it in the covariance already."""
+    xy, *_ = circling(*BUS, noise=SIGMA)
+    right, small = (fit_turning_body(xy, T_S, np.full(40, s), BEND_HZ, TURN_SIGMA_RAD_S) for s in (SIGMA, 0.5 * SIGMA))
+    assert small.usual == pytest.approx(4.0 * right.usual, rel=0.1)
+    assert np.sqrt(small.cov[7, 7] / right.cov[7, 7]) == pytest.approx(0.5, rel=0.15)
+
+
+def test_a_start_that_brings_a_point_too_near_is_none():
+    rng, t_s = np.random.default_rng(0), np.linspace(-4.0, 0.0, 20)
+    place = rng.uniform(-2.0, 2.0, (12, 2))
+    xy = place + 1e-3 * rng.standard_normal((20, 12, 2))
+    found = fit_turning_body(xy, t_s, np.full(12, 1e-3), BEND_HZ, TURN_SIGMA_RAD_S)
+    assert np.isfinite(found.squares)
+    assert np.isfinite(found.cov).all()
+    again = fit_turning_body(xy, t_s, np.full(12, 1e-3), BEND_HZ, TURN_SIGMA_RAD_S)
+    np.testing.assert_array_equal(found.cov, again.cov)

@@ -23,7 +23,7 @@ def views(middle_m, half_size_m, turn_rad_s, noise, n=60, seed=1):
     return place[..., :2] / place[..., 2:] + noise * rng.standard_normal((len(T_S), n, 2))
 
 
-def fitted(xy):
+def fitted(xy, config=None, may_turn_tightly=True):
     across = np.eye(3) - np.outer(DIRECTION, DIRECTION)
     beliefs = PathBeliefs(
         T_S[None, :, None] * DIRECTION,
@@ -35,8 +35,15 @@ def fitted(xy):
         turns_itself=True,
     )
     n = xy.shape[1]
-    config = CollisionTimesConfig()
-    return straight_or_in_bend(xy, T_S, np.full(n, SIGMA_NORM), beliefs, np.zeros(n, dtype=np.int64), config)
+    return straight_or_in_bend(
+        xy,
+        T_S,
+        np.full(n, SIGMA_NORM),
+        beliefs,
+        np.zeros(n, dtype=np.int64),
+        CollisionTimesConfig() if config is None else config,
+        may_turn_tightly=may_turn_tightly,
+    )
 
 
 @pytest.mark.parametrize("turn_deg_s", [-8.0, 12.0])
@@ -62,8 +69,9 @@ def test_what_is_left_of_the_views_is_their_noise():
     assert 0.8 < found.usual[0] < 1.1
 
 
-def test_what_drives_round_a_tight_bend_is_found_on_its_circle():
-    turn_rad_s, middle_m, speed_m_s = -0.45, np.array([3.0, 0.3, 15.0]), 6.3
+def views_of_a_tight_bend(turn_rad_s):
+    """Of points that drive on a circle: (L, N, 2)."""
+    middle_m, speed_m_s = np.array([3.0, 0.3, 15.0]), 6.3
     rng = np.random.default_rng(3)
     rotation = rotation_from_vector(T_S[:, None] * np.array([0.0, turn_rad_s, 0.0]))
     # The velocity turn x (middle - middle of the circle) is VELOCITY_M_S less our own.
@@ -73,7 +81,24 @@ def test_what_drives_round_a_tight_bend_is_found_on_its_circle():
     offset = rng.uniform(-1.0, 1.0, (60, 3)) * np.array([4.0, 1.2, 1.5])
     place = middle_m - from_circle_m + np.einsum("lij,nj->lni", rotation, from_circle_m + offset)
     place -= T_S[:, None, None] * own_m_s
-    xy = place[..., :2] / place[..., 2:] + SIGMA_NORM * rng.standard_normal((len(T_S), 60, 2))
-    found = fitted(xy)
-    np.testing.assert_allclose(found.turn_rad_s[0], [0.0, turn_rad_s, 0.0], atol=0.02)
+    return place[..., :2] / place[..., 2:] + SIGMA_NORM * rng.standard_normal((len(T_S), 60, 2))
+
+
+def test_what_drives_round_a_tight_bend_is_found_on_its_circle():
+    found = fitted(views_of_a_tight_bend(-0.45))
+    np.testing.assert_allclose(found.turn_rad_s[0], [0.0, -0.45, 0.0], atol=0.02)
     assert found.usual[0] < 1.2
+
+
+def test_a_tight_bend_is_judged_by_the_views_that_may_be_used_and_by_no_others():
+    xy, config = views_of_a_tight_bend(-0.45), CollisionTimesConfig(max_frames=10)
+    by_few = fitted(xy, config)
+    np.testing.assert_allclose(by_few.turn_rad_s[0], [0.0, -0.45, 0.0], atol=0.05)
+    longer = xy.copy()
+    longer[: len(T_S) - 10] += 0.05
+    np.testing.assert_array_equal(fitted(longer, config).turn_rad_s, by_few.turn_rad_s)
+
+
+def test_where_the_direction_is_held_to_a_horizon_no_circle_is_looked_for():
+    found = fitted(views_of_a_tight_bend(-0.45), may_turn_tightly=False)
+    assert abs(found.turn_rad_s[0, 1]) < 0.2

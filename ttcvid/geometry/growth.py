@@ -4,7 +4,7 @@ A point at (x, y) now, in the plane z = 1, of a thing that moves by (a, b, c) = 
 was at ((x + a t) / (1 + c t), (y + b t) / (1 + c t)). Multiplied out, that is linear in the place and in (a, b, c).
 What a track says of them is a sum: any set of tracks is fitted by adding up. (A noisy place in the column of c pulls c
 to zero: here by the square of the noise over that of the thing's size. Views of when the thing was smaller count as
-much as the present one: where c t is -0.3, misfits are 1.3 times too large.)
+much as the present one: where c t is 0.3, their noise is 1.3 times as large as it is taken to be.)
 """
 
 from __future__ import annotations

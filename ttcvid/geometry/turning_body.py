@@ -27,6 +27,8 @@ _HELD_RAD_S = 0.02
 _FIRST_TURNS_RAD_S, _FLOW_VIEWS = (0.0, 0.4, -0.4), 4
 # The search ends where a step promises a smaller fall of the chi-square than this, with the turn held and free.
 _ROUGH_CHI2, _FINE_CHI2 = 2.0, 0.05
+# Ends of the search are one where they differ by less, as a chi-square with nine degrees of freedom: its 95 %.
+_SAME_END_CHI2 = 16.9
 # Step of numerical derivatives.
 _STEP = 1e-6
 
@@ -36,8 +38,8 @@ class TurningBody:
     """How a body moves, in units of the depth of its middle at time 0, at ``centre (3,)`` = (x, y, 1).
 
     ``velocity_hz, acceleration_hz2 (3,)`` of the middle at time 0, the latter turning with the body; ``turn_rad_s
-    (3,)``; ``cov (9, 9)`` of the three of them in this order. ``squares`` of the residuals in sigmas, each no larger
-    than a robust fit counts it, and what is ``usual`` of them by the degree of freedom.
+    (3,)``; ``cov (9, 9)`` of the three of them in this order, by the noise as given. ``squares`` of the residuals in
+    sigmas, each no larger than a robust fit counts it, and what is ``usual`` of them by the degree of freedom.
     """
 
     centre: Floats
@@ -122,7 +124,7 @@ def _fitted(
     own, shared, information, left = own.copy(), start.copy(), np.empty((N_SHARED, N_SHARED)), np.empty(2)
     for mean, sigma, chi2 in ((start[6:], _HELD_RAD_S, _ROUGH_CHI2), (np.zeros(3), turn_sigma_rad_s, _FINE_CHI2)):
         descend(*data, mean, sigma, bend_hz, _LEAST_SPEED_HZ, _RELIEF, chi2, own, shared, information, left)
-    cov: Floats = np.linalg.inv(information).astype(np.float64) * max(1.0, float(left[1]))
+    cov: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return TurningBody(data[3], shared[:3], shared[3:6], shared[6:], cov, float(left[0]), float(left[1]))
 
 
@@ -143,11 +145,16 @@ def _places_now(xy: Floats, now: int) -> Floats:
 
 
 def _with_doubts(found: list[TurningBody]) -> TurningBody:
-    """The best of several, with a covariance that holds the others by how likely they are."""
-    best = min(found, key=lambda body: body.squares)
-    worse = np.array([body.squares - best.squares for body in found]) / max(1.0, best.usual)
+    """The best of several, with a covariance that holds the others by how likely they are, each end once."""
+    best, *others = sorted(found, key=lambda body: body.squares)
+    ends = [best]
+    for body in others:
+        apart = np.array([body.shared - end.shared for end in ends])
+        if all(np.einsum("ki,ki->k", apart, np.linalg.solve(best.cov, apart.T).T) > _SAME_END_CHI2):
+            ends.append(body)
+    worse = np.array([body.squares - best.squares for body in ends]) / max(1.0, best.usual)
     share = np.exp(-0.5 * worse)
-    apart = np.array([body.shared - best.shared for body in found])
+    apart = np.array([body.shared - best.shared for body in ends])
     cov = best.cov + np.einsum("k,ki,kj->ij", share / np.sum(share), apart, apart)
     return replace(best, cov=cov)
 

@@ -68,6 +68,8 @@ def descend(
     mean_turn, turn_sigma : (3,) belief in the turn, rad/s; ``bend_hz`` that in the acceleration over the speed, of
         which ``least_speed_hz`` is the least; ``relief`` that in kappa about 1.
     converged_chi2 : the search ends when a step promises a smaller fall of the chi-square.
+
+    A start that brings a point too near is none: nothing changes, and its squares are infinite.
     """
     n = len(own)
     way, trial_way = np.empty((len(t_s), _N_WAY)), np.empty((len(t_s), _N_WAY))
@@ -78,7 +80,9 @@ def descend(
     sums = (kept, information, score)
     damping = _FIRST_DAMPING
     _set_way(t_s, centre, shared, way)
-    _cost(xy, sigma, way, own, 1e12, squares)
+    information[:], left[:] = np.eye(N_SHARED), (np.inf, 1.0)
+    if not np.isfinite(_cost(xy, sigma, way, own, 1e12, squares)):
+        return
     for _ in range(_MAX_STEPS):
         scale = np.sqrt(max(1.0, np.median(squares)))
         far = (_ROBUST_SIGMAS * scale) ** 2
@@ -294,7 +298,8 @@ def _step(
             trial_own[i, p] = own[i, p]
         for q in range(3):
             rest = kept[i, q, 12]
-            fall += inverse[i, q, q] * rest * rest
+            for p in range(3):
+                fall += kept[i, p, 12] * inverse[i, p, q] * rest
             for c in range(N_SHARED):
                 rest -= kept[i, q, 3 + c] * step[c]
             for p in range(3):

@@ -49,6 +49,8 @@ def straight_or_in_bend(
     beliefs: PathBeliefs,
     path_of: Ints,
     config: CollisionTimesConfig,
+    *,
+    may_turn_tightly: bool,
 ) -> SharedPaths:
     """Paths of K things that hardly turn, or, where that explains their views much better, of things in a bend.
 
@@ -58,6 +60,8 @@ def straight_or_in_bend(
         As ``xy, t_s, sigma_norm, path_of`` of `points_of_paths`.
     beliefs
         Of things that drive straight on, with `STRAIGHT_TURN_RAD_S`.
+    may_turn_tightly
+        Whether a body on a circle is tried, too: its direction is free, and would leave a horizon that is known.
     """
     longest, probability = config.max_frames, config.window_probability
     points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
@@ -71,6 +75,8 @@ def straight_or_in_bend(
     gain = straight.squares[may_turn] - in_bend.squares
     bends = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
     chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
+    if not may_turn_tightly:
+        return chosen
     asked = np.flatnonzero(may_turn & (by_views_rad_s > _ASKED_TURN_RAD_S) & (np.diff(points.first) >= _LEAST_POINTS))
     if not len(asked):
         return chosen
@@ -82,11 +88,15 @@ def straight_or_in_bend(
 
 
 def _turning(points: PathPoints, k: int, beliefs: PathBeliefs) -> SharedPaths:
-    """The path of the thing k, fitted as that of a body that turns."""
+    """The path of the thing k, fitted as that of a body that turns, by the views that the other fits may use."""
     own = slice(points.first[k], points.first[k + 1])
+    is_used = np.zeros((own.stop - own.start, len(points.t_s)), dtype=bool)
+    for used, seen, n_views in zip(is_used, points.seen[own], points.n_views[own], strict=True):
+        used[seen[:n_views]] = True
+    xy = np.where(is_used.T[..., None], points.xy[:, own], np.nan)
     # What drives along a circle is pulled across by its turn times its speed.
     bend_hz = float(np.hypot(beliefs.across_sigma_hz, TURN_SIGMA_RAD_S))
-    body = fit_turning_body(points.xy[:, own], points.t_s, points.sigma_norm[own], bend_hz, TURN_SIGMA_RAD_S)
+    body = fit_turning_body(xy, points.t_s, points.sigma_norm[own], bend_hz, TURN_SIGMA_RAD_S)
     return SharedPaths(
         body.path_turned_back(points.t_s)[None],
         body.start[None],

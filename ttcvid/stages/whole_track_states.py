@@ -107,7 +107,11 @@ def _paths(
         turns_itself=True,
     )
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
-    parts.append(straight_or_in_bend(views, history.since_s, history.sigma_norm, beliefs, of_objects, config))
+    parts.append(
+        straight_or_in_bend(
+            views, history.since_s, history.sigma_norm, beliefs, of_objects, config, may_turn_tightly=plane is None
+        )
+    )
     return joined_paths(parts), path_of, np.arange(first + count) >= first
 
 
