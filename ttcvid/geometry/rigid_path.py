@@ -165,6 +165,8 @@ def refined_paths(
     -------
     The paths, and the rate of each point, (M,).
     """
+    if priors.cam_R_past is None and len(paths) != 1:
+        raise ValueError(f"{len(paths)} things: the rotations that a step starts from are those of one")
     m = len(points.track)
     rotations, path = paths.cam_R_past.copy(), paths.path.copy()
     rate = np.zeros(m) if rate_hz is None else rate_hz.copy()
