@@ -13,7 +13,9 @@ from ttcvid.model import Camera, Frame, ImageSize, Platform, PointSet
 from ttcvid.pipeline import analyze_frames
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 1280, 720, 720.0
-CAMERA = Camera(FOCAL_PX, FOCAL_PX, (WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2, ImageSize(WIDTH_PX, HEIGHT_PX))
+CAMERA = Camera(
+    FOCAL_PX, FOCAL_PX, (WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2, ImageSize(WIDTH_PX, HEIGHT_PX), origin="focal_px"
+)
 VEHICLE = PipelineConfig(egomotion=EgomotionConfig(platform=Platform.vehicle))
 # No point is nearer than this, m.
 _LEAST_DEPTH_M = 0.5

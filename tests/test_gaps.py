@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tables_of_points import CAMERA, FOCAL_PX, STILL, VEHICLE, Body, box, driving, ids_of, results_of, street, table
 
-import ttcvid.stages.motions as motions
+import ttcvid.stages.surface_motions as surface_motions
 from ttcvid.model import FrameStatus, Horizon, PointSet
 from ttcvid.pipeline import analyze_frames
 
@@ -16,13 +16,13 @@ STOPPED = Body(box((0.0, 0.5, 30.0), (1.8, 1.4, 0.3)))
 
 
 def test_what_stands_in_our_way_keeps_its_number_over_a_frame_whose_way_is_not_known(monkeypatch):
-    known, calls = motions.own_path, []
+    known, calls = surface_motions.own_path, []
 
     def unknown_once(*args):
         calls.append(args)
         return None if len(calls) == 20 else known(*args)
 
-    monkeypatch.setattr(motions, "own_path", unknown_once)
+    monkeypatch.setattr(surface_motions, "own_path", unknown_once)
     stopped = Body(box((0.0, 0.5, 30.0), (1.8, 1.4, 0.3)), STILL)
     results = results_of(table([street(free_way=True), stopped], driving(10.0), n_frames=30))
     assert len(calls) == 29

@@ -13,7 +13,8 @@ CONFIG = PipelineConfig(egomotion=EgomotionConfig(platform=Platform.vehicle))
 
 def camera_of(hfov_deg):
     focal_px = WIDTH_PX / 2 / np.tan(np.radians(hfov_deg / 2))
-    return Camera(focal_px, focal_px, (WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2, ImageSize(WIDTH_PX, HEIGHT_PX))
+    size = ImageSize(WIDTH_PX, HEIGHT_PX)
+    return Camera(focal_px, focal_px, (WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2, size, origin="focal_px")
 
 
 def places_m(camera, rng, n, left, right, depth_m):
