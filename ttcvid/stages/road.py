@@ -15,6 +15,7 @@ from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews
 from ttcvid.stages.floating import Floating, find_floating
+from ttcvid.stages.sets import places_among
 
 # The camera looks along the road within so much, as the tangent of its pitch; heights of the horizon that are tried.
 _PITCH, _N_HORIZONS = 0.06, 13
@@ -72,8 +73,10 @@ def gathered_evidence(
     key : (N,) body of each track by now; ``in_scene (N,)`` tracks that a road may be made of.
     epipole_y : height of own direction of travel in the plane z = 1.
     """
-    evidence, is_known, was_below = np.zeros(len(track_id)), *np.zeros((2, len(track_id)), dtype=bool)
-    _carry(memory.track_id, memory.evidence, memory.is_below, track_id, is_known, evidence, was_below)
+    evidence, was_below = np.zeros(len(track_id)), np.zeros(len(track_id), dtype=bool)
+    place = places_among(memory.track_id, track_id)
+    is_known = place >= 0
+    evidence[is_known], was_below[is_known] = memory.evidence[place[is_known]], memory.is_below[place[is_known]]
     road = steadied(memory, find_road(fit, in_scene, epipole_y), epipole_y)
     if road is None:
         return RoadMemory(track_id, _FORGETTING * evidence, None, epipole_y, was_below)
@@ -85,25 +88,6 @@ def gathered_evidence(
     decays = np.where(floating.is_borne | (floating.thing < 0), _FORGETTING, _NOTHING_SAID)
     evidence = np.where(is_under, _FORGETTING * evidence + 1.0 - _FORGETTING, decays * evidence)
     return RoadMemory(track_id, evidence, road, epipole_y, floating.below >= 0)
-
-
-@compiled
-def _carry(
-    before: Ints,
-    evidence: Floats,
-    is_below: Bools,
-    track_id: Ints,
-    is_known: Bools,
-    carried: Floats,
-    was_below: Bools,
-) -> None:
-    """Fill what was known of those of the tracks ``track_id (N,)`` that are among ``before (M,)``, both ascending."""
-    place = 0
-    for i in range(len(track_id)):
-        while place < len(before) and before[place] < track_id[i]:
-            place += 1
-        if place < len(before) and before[place] == track_id[i]:
-            is_known[i], carried[i], was_below[i] = True, evidence[place], is_below[place]
 
 
 def _floating_evidence(evidence: Floats, is_old: Bools, floating: Floating, was_below: Bools) -> Floats:

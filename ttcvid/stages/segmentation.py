@@ -32,6 +32,7 @@ from ttcvid.stages.joining import merged, split
 from ttcvid.stages.known_again import known_again, with_velocities
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.road import RoadMemory, gathered_evidence, on_road
+from ttcvid.stages.sets import places_among
 from ttcvid.stages.surface_memory import Obstacle
 
 # Of more tracks than this only so many correct the scene; those of a crowded place count less: so many times as large
@@ -201,19 +202,10 @@ def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
 def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:
     """Body and rate that each track had; new ones are with the scene."""
     key, rate_hz = np.full(len(track_id), SCENE_CLUSTER), np.full(len(track_id), np.nan)
-    _carry(memory.track_id, memory.track_key, memory.rate_hz, track_id, key, rate_hz)
+    place = places_among(memory.track_id, track_id)
+    is_known = place >= 0
+    key[is_known], rate_hz[is_known] = memory.track_key[place[is_known]], memory.rate_hz[place[is_known]]
     return key, rate_hz
-
-
-@compiled
-def _carry(before: Ints, key: Ints, rate_hz: Floats, track_id: Ints, new_key: Ints, new_hz: Floats) -> None:
-    """Fill what was known of those of the tracks ``track_id (N,)`` that are among ``before (M,)``, both ascending."""
-    place = 0
-    for i in range(len(track_id)):
-        while place < len(before) and before[place] < track_id[i]:
-            place += 1
-        if place < len(before) and before[place] == track_id[i]:
-            new_key[i], new_hz[i] = key[place], rate_hz[place]
 
 
 def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Floats) -> tuple[Ints, Ints, Floats]:

@@ -100,3 +100,20 @@ def _fill_radii(index: Ints, lengths: Ints, xy: Floats, is_asked: Bools, radii: 
                     square += (xy[index[place], 0] - x) ** 2 + (xy[index[place], 1] - y) ** 2
             radii[k] = np.sqrt(square / count)
         low = high
+
+
+def places_among(known: Ints, track_id: Ints) -> Ints:
+    """Where each of ``track_id (N,)`` stands among those ``known (M,)``, both ascending: (N,), -1 for nowhere."""
+    place = np.empty(len(track_id), dtype=np.int64)
+    _find_places(known, track_id, place)
+    return place
+
+
+@compiled
+def _find_places(known: Ints, track_id: Ints, place: Ints) -> None:
+    """Fills ``place (N,)`` of `places_among`."""
+    m = 0
+    for i in range(len(track_id)):
+        while m < len(known) and known[m] < track_id[i]:
+            m += 1
+        place[i] = m if m < len(known) and known[m] == track_id[i] else -1
