@@ -140,7 +140,7 @@ def test_what_looks_near_but_hangs_over_the_road_is_none(rng):
 
 @pytest.mark.parametrize(
     ("growth", "sigma", "is_one"),
-    [(1.0, 0.1, True), (0.7, 0.1, True), (0.0, 0.1, False), (0.3, 0.01, False), (1.0, 0.4, False)],
+    [(1.0, 0.1, True), (0.7, 0.1, True), (0.0, 0.1, False), (0.6, 0.05, False), (0.3, 0.01, False), (1.0, 0.4, False)],
 )
 def test_what_hangs_over_the_road_comes_at_us_if_its_picture_grows_as_it_has_to(rng, growth, sigma, is_one):
     """An oncoming car as fast as we are looks half as far away as it is, and half as high as the camera."""
@@ -149,6 +149,32 @@ def test_what_hangs_over_the_road_comes_at_us_if_its_picture_grows_as_it_has_to(
     rate_hz = SPEED_M_S / depth_m
     closing = Closing(-growth * rate_hz, 0.0, (sigma * rate_hz) ** 2 * np.eye(2))
     assert bool(watched(np.concatenate([road(rng), car]), closing_of=lambda members: closing)) == is_one
+
+
+def growing_as_it_has_to(depth_m):
+    rate_hz = SPEED_M_S / depth_m
+    return Closing(-rate_hz, 0.0, (0.1 * rate_hz) ** 2 * np.eye(2))
+
+
+@pytest.mark.parametrize(("times_as_fast", "is_one"), [(2.0, True), (4.5, True), (12.0, False)])
+def test_what_hangs_higher_than_the_fastest_oncoming_car_is_none(rng, times_as_fast, is_one):
+    """What closes in k times as fast as the road looks k times nearer: in the same directions, so k times smaller."""
+    car = box_of_points(rng, 20, (0.0, CAMERA_M - 0.7, 90.0), (1.8, 1.2, 0.0)) / times_as_fast
+    closing = growing_as_it_has_to(90.0 / times_as_fast)
+    assert bool(watched(np.concatenate([road(rng), car]), closing_of=lambda members: closing)) == is_one
+
+
+def test_what_hangs_has_to_be_seen_to_come_until_it_is_confirmed_and_is_known_again_then(rng):
+    depth_m = 30.0
+    car = box_of_points(rng, 12, (0.0, 0.2 * CAMERA_M, depth_m), (1.6, 0.55 * CAMERA_M, 0.0))
+    scene = np.concatenate([road(rng), car])
+
+    def seen_to_come_in(n_frames):
+        told = iter([growing_as_it_has_to(depth_m)] * n_frames)
+        return lambda members: next(told, None)
+
+    assert watched(scene, frames=FOUND_IN + 3, closing_of=seen_to_come_in(FOUND_IN - 1)) == {}
+    assert list(watched(scene, frames=FOUND_IN + 3, closing_of=seen_to_come_in(FOUND_IN))) == [1]
 
 
 @pytest.mark.parametrize("aside_m", [-2.8, 2.8])

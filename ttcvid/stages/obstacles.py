@@ -53,8 +53,12 @@ _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
 # What stands on the road reaches down to it: two of its tracks have once been below this height. A car far ahead on a
 # bend that moves as we do, and a little to the side, looks near, and then seems to hang at the height of the camera.
 _MOST_FOOT = 0.5
-# What hangs comes at us if its picture grows, at 99.9 % (one side), and rather as fast as it has to than not at all.
-_SIGMAS_999, _AS_FAST = 3.090, 0.5
+# Nothing comes at us faster than 40 m/s, so many heights of a car's camera (1.2 m) in a second; of an oncoming car
+# lamps and plate, which tracks see, are as high over the road as this, in the same heights.
+_FASTEST_HZ, _LAMPS = 33.0, 0.5
+# What hangs comes at us if its picture grows, at 99.9 % (one side), and as fast as it has to, as far as two standard
+# deviations tell, but for what its times may err by.
+_SIGMAS_999, _AGREES_SIGMAS, _AS_FAST = 3.090, 2.0, 0.85
 _TINY_HZ = 1e-9
 
 
@@ -161,15 +165,20 @@ def find_obstacles(
     track_id = points.track_id
     surfaces = list[Ints]()
     if way is not None:
-        surfaces = _surfaces(points, np.isin(track_id, tracks_of(before)), way, _Ground(on_ground, road))
+        is_known = np.isin(track_id, tracks_of(before))
+        confirmed = tracks_of([obstacle for obstacle in before if obstacle.cluster_id is not None])
+        surfaces = _surfaces(points, is_known, np.isin(track_id, confirmed), way, _Ground(on_ground, road))
     is_free = points.in_scene.copy()
     for surface in surfaces:
         is_free[surface] = False
     return remembered(before, track_id, surfaces, is_free, next_cluster_id, config)
 
 
-def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Ground) -> list[Ints]:
-    """Upright surfaces that our way leads through, tracks (M,) of each; ``is_known (N,)`` those of known obstacles."""
+def _surfaces(points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: OwnPath, ground: _Ground) -> list[Ints]:
+    """Upright surfaces that our way leads through, tracks (M,) of each.
+
+    ``is_known, is_confirmed (N,)`` are tracks of obstacles found before, and of those that are public by now.
+    """
     index = _within_reach(points, way)
     place, rate_hz = points.fit.place[index], points.fit.rate_hz[index]
     off = np.linalg.norm(place - way.aim_at(way.reached_s(rate_hz)), axis=1)
@@ -196,7 +205,10 @@ def _surfaces(points: StaticPoints, is_known: Bools, way: OwnPath, ground: _Grou
         is_again = is_known[index[surface]].mean() > 0.5
         if not is_again and _goes_on(surface, depths, pairs):
             continue
-        if not (is_again or depths.reaches_down(surface) or _comes(points, index[surface], way)):
+        if not depths.could_come(surface):
+            continue
+        has_come = is_confirmed[index[surface]].mean() > 0.5
+        if not (has_come or depths.reaches_down(surface) or _comes(points, index[surface], way)):
             continue
         link = points.link * (_KEPT if is_again else 1.0)
         if _is_in_the_way(depths, surface, way, link):
@@ -270,9 +282,25 @@ class _Depths:
 
     def reaches_down(self, surface: Ints) -> bool:
         """Whether two tracks of a thing, of which one may be an error, are as low as what stands on the road."""
-        if self.height is None or not self.ground.is_driven_on:
+        return self._foot(surface) < _MOST_FOOT
+
+    def could_come(self, surface: Ints) -> bool:
+        """Whether an oncoming car, which hangs the higher the faster it is, could hang over the road as a thing does.
+
+        If it is so many times as fast towards us as the road is, it looks nearer by as much, and what of it lies by h
+        below the camera seems to lie below it by h over as much.
+        """
+        road = self.ground.road
+        if road is None:
             return True
-        return bool(np.sort(self.height[surface])[1] < _MOST_FOOT)
+        times_as_fast = 1.0 + _FASTEST_HZ / float(road[2])
+        return (1.0 - self._foot(surface)) * times_as_fast > 1.0 - _LAMPS
+
+    def _foot(self, surface: Ints) -> float:
+        """Height of the second lowest track of a thing, 0 where there is no road to stand on."""
+        if self.height is None or not self.ground.is_driven_on:
+            return 0.0
+        return float(np.sort(self.height[surface])[1])
 
 
 def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
@@ -324,13 +352,16 @@ def _comes(points: StaticPoints, surface: Ints, way: OwnPath) -> bool:
     """Whether the picture of a surface, tracks (M,), grows as that of what comes at us has to.
 
     An oncoming car looks nearer than it is, and hangs over the road there. So does a car far ahead that moves as we do,
-    and a little to the side: but its picture stays as large as it was.
+    and a little to the side: but its picture stays as large as it was. Cars that drive into a bend one after the other
+    part, and grow as one thing, but hardly as fast.
     """
     closing = points.closing_of(surface)
     if closing is None:
         return False
     has_to_hz = 1.0 / float(way.reached_s(np.array([np.median(points.fit.rate_hz[surface])]))[0])
-    return -closing.rate_hz > max(_SIGMAS_999 * closing.rate_sigma_hz, _AS_FAST * has_to_hz)
+    grows_hz, sigma_hz = -closing.rate_hz, closing.rate_sigma_hz
+    is_sure = grows_hz > _SIGMAS_999 * sigma_hz
+    return is_sure and grows_hz + _AGREES_SIGMAS * sigma_hz > _AS_FAST * has_to_hz
 
 
 def _is_in_the_way(depths: _Depths, surface: Ints, way: OwnPath, link: float) -> bool:
