@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from ttcvid.errors import UsageError
 from ttcvid.geometry.rotation import rotation_from_vector
-from ttcvid.studies.directions import angle_deg, judge_directions, judge_rotation
+from ttcvid.studies.directions import angle_deg, judge_directions, judge_rotation, true_scene_directions
 from ttcvid.studies.grouping import judge_grouping
 from ttcvid.studies.matching import best_one_to_one, count_tracks, intersection_over_union, match_objects
 from ttcvid.studies.metrics import METRICS, check_from_text, markdown_of_metrics
@@ -100,6 +100,42 @@ def test_the_error_of_a_rotation_is_the_angle_of_the_difference() -> None:
     left_over = rotation_from_vector(np.array([0.0, 0.1, 0.02])) @ rotation_from_vector(np.array([0.0, -0.1, 0.0]))
     assert numbers["median"] == pytest.approx(np.degrees(np.arccos((np.trace(left_over) - 1) / 2)), rel=1e-6)
     assert numbers["share"] == 0.5
+
+
+def ways(*rows: tuple[float, float, float]) -> pd.DataFrame:
+    """A camera that yaws by ``yaw`` and moves by ``right, ahead`` from picture to picture, 0.1 s apart."""
+    yaw, right, ahead = np.array(rows).T
+    table = rotations(*np.column_stack([0 * yaw, yaw, 0 * yaw]).tolist()).assign(t_s=0.1 * np.arange(len(yaw)))
+    way = np.column_stack([right, 0 * right, ahead])
+    table[["vx_m_s", "vy_m_s", "vz_m_s"]] = way / 0.1
+    with np.errstate(invalid="ignore"):
+        table[["dir_x", "dir_y", "dir_z"]] = -way / np.linalg.norm(way, axis=1)[:, None]
+    table.loc[0, table.columns.difference(["frame", "t_s"])] = NAN
+    return table
+
+
+def test_where_pictures_are_left_out_the_true_direction_is_that_of_the_way_between_those_that_are_not() -> None:
+    truth = ways((0, 0, 0), (0, 0, 1), (0, 3, 0), (0, 0, 0), (0, 0, 0), (np.pi / 2, 0, 1), (0, 0, 1))
+    every = true_scene_directions(truth, truth.frame.to_numpy())
+    assert every.frame.tolist() == [1, 2, 3, 4, 5, 6]
+    np.testing.assert_allclose(every[["dir_x", "dir_y", "dir_z"]], truth.loc[1:, ["dir_x", "dir_y", "dir_z"]])
+    second = true_scene_directions(truth, np.array([0, 2, 4, 6]))
+    assert second.frame.tolist() == [2, 4, 6]
+    # 1 ahead and 3 to the right; a rest; 1 ahead, seen as it is after the turn, and 1 ahead
+    np.testing.assert_allclose(second.loc[0, ["dir_x", "dir_z"]].to_numpy(float), np.array([-3, -1]) / np.sqrt(10))
+    assert second.loc[1, ["dir_x", "dir_y", "dir_z"]].isna().all()
+    np.testing.assert_allclose(second.loc[2, ["dir_x", "dir_y", "dir_z"]].to_numpy(float), [0, 0, -1], atol=1e-12)
+    turned = true_scene_directions(truth, np.array([0, 2, 5]))
+    np.testing.assert_allclose(turned.loc[1, ["dir_x", "dir_y", "dir_z"]].to_numpy(float), [0, 0, -1], atol=1e-12)
+    whole = true_scene_directions(truth, np.array([1, 5]))
+    # before the turn by 90 deg: 3 to the right; a camera that turns the scene from x to -z then goes 1 ahead
+    np.testing.assert_allclose(whole.loc[0, ["dir_x", "dir_z"]].to_numpy(float), np.array([0, 3 - 1]) / 2, atol=1e-12)
+
+
+def test_without_own_velocity_the_pictures_left_out_count_by_their_time() -> None:
+    truth = ways((0, 0, 0), (0, 0, 1), (0, 1, 0)).drop(columns=["vx_m_s", "vy_m_s", "vz_m_s"])
+    true = true_scene_directions(truth, np.array([0, 2]))
+    np.testing.assert_allclose(true.loc[0, ["dir_x", "dir_z"]].to_numpy(float), -np.sqrt([0.5, 0.5]))
 
 
 BOX = {"x0_px": 0.0, "y0_px": 0.0, "x1_px": 10.0, "y1_px": 10.0}

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
-from ttcvid.model import Bools, Floats
+from ttcvid.model import Bools, Floats, Ints
 from ttcvid.studies.times import Numbers, quantile
-from ttcvid.studies.truth import ROTATION
+from ttcvid.studies.truth import DIRECTION, ROTATION, VELOCITY
 
 
 def angle_deg(first: Floats, second: Floats) -> Floats:
@@ -36,20 +36,38 @@ def judge_rotation(truth: pd.DataFrame, found: pd.DataFrame) -> Numbers:
     has a row per analysed frame, ascending; the first of them has no rotation to judge.
     """
     per_picture = rotation_from_vector(np.nan_to_num(truth[ROTATION].to_numpy(float)))
-    pictures = truth.frame.to_numpy()
-    of_frame = found[["frame"]].assign(row=np.searchsorted(pictures, found.frame))
-    of_frame = of_frame[of_frame.row < len(pictures)]
-    of_frame = of_frame[pictures[of_frame.row] == of_frame.frame]
-    rows = of_frame.row.to_numpy()
+    frames, rows = _analysed(truth, found.frame.to_numpy())
     if len(rows) < 2:
         return summary_of(np.empty(0))
     true = np.stack([_product(per_picture[a + 1 : b + 1]) for a, b in pairwise(rows)])
-    estimate = rotation_from_vector(found.loc[of_frame.index[1:], ROTATION].to_numpy(float))
+    estimate = rotation_from_vector(found.set_index("frame").loc[frames[1:], ROTATION].to_numpy(float))
     left_over = estimate @ np.swapaxes(true, 1, 2)
     is_known = np.isfinite(left_over).all(axis=(1, 2))
     error = np.full(len(left_over), np.nan)
     error[is_known] = np.degrees(np.linalg.norm(vector_from_rotation(left_over[is_known]), axis=1))
     return summary_of(error)
+
+
+def true_scene_directions(truth: pd.DataFrame, frames: Ints) -> pd.DataFrame:
+    """Direction of the static scene since the previous analysed frame: ``frame`` and ``DIRECTION``, NaN at rest.
+
+    ``truth`` has a row for every picture, with the direction since the picture before; where the run left some out,
+    their ways are taken together in the camera of the last one. Without the own velocity, speed counts as constant.
+    ``frames (N,)`` are the analysed ones, ascending; the first of them is left out.
+    """
+    analysed, rows = _analysed(truth, frames)
+    per_picture = rotation_from_vector(np.nan_to_num(truth[ROTATION].to_numpy(float)))
+    has_speed = set(VELOCITY) <= set(truth)
+    velocity = -truth[VELOCITY].to_numpy(float) if has_speed else truth[DIRECTION].to_numpy(float)
+    way = np.nan_to_num(velocity) * np.diff(truth.t_s, prepend=np.nan)[:, None]
+    true = np.full((max(len(rows) - 1, 0), 3), np.nan)
+    for i, (before, row) in enumerate(pairwise(rows)):
+        total = np.zeros(3)
+        for picture in range(before + 1, row + 1):
+            total = per_picture[picture] @ total + way[picture]
+        if total.any():
+            true[i] = total / np.linalg.norm(total)
+    return pd.DataFrame(true, columns=DIRECTION).assign(frame=analysed[1:])
 
 
 def summary_of(error: Floats) -> Numbers:
@@ -61,6 +79,14 @@ def summary_of(error: Floats) -> Numbers:
         "median": quantile(error[has_value], 0.5),
         "p90": quantile(error[has_value], 0.9),
     }
+
+
+def _analysed(truth: pd.DataFrame, frames: Ints) -> tuple[Ints, Ints]:
+    """The frames of a run that ``truth`` knows, ascending, and the rows that they have there."""
+    pictures = truth.frame.to_numpy()
+    rows = np.searchsorted(pictures, frames)
+    is_known = pictures[np.minimum(rows, len(pictures) - 1)] == frames
+    return frames[is_known], rows[is_known]
 
 
 def _product(rotations: Floats) -> Floats:

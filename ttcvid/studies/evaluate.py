@@ -10,7 +10,7 @@ import pandas as pd
 
 from ttcvid.model import SCENE_CLUSTER, Bools, Ints
 from ttcvid.studies.collision_warnings import judge_warnings, object_of_events
-from ttcvid.studies.directions import judge_directions, judge_rotation
+from ttcvid.studies.directions import judge_directions, judge_rotation, true_scene_directions
 from ttcvid.studies.grouping import judge_grouping
 from ttcvid.studies.matching import Matches, best_one_to_one, count_tracks, match_objects
 from ttcvid.studies.metrics import METRICS, Value
@@ -146,8 +146,7 @@ def _track_times(run: RunTables, points: pd.DataFrame) -> dict[str, Numbers]:
 
 def _scene_directions(run: RunTables, frames: pd.DataFrame) -> Numbers:
     scene = run.epipoles.loc[run.epipoles.cluster_id == SCENE_CLUSTER, ["frame", *DIRECTION]]
-    # The first frame that was analysed has nothing to compare itself with.
-    true = frames.loc[frames.frame.isin(run.frames.frame[1:]), ["frame", *DIRECTION]]
+    true = true_scene_directions(frames, run.frames.frame.to_numpy())
     both = true.merge(scene, on="frame", how="left", suffixes=("", "_found"))
     found = both[[f"{axis}_found" for axis in DIRECTION]].to_numpy(float)
     return judge_directions(both[DIRECTION].to_numpy(float), found, np.ones(len(both), bool))
