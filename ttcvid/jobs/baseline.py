@@ -16,6 +16,7 @@ from ttcvid.errors import NotComparableError, quoted
 from ttcvid.jobs.result_tables import in_ordinary_types
 from ttcvid.schema import SCHEMA_VERSION, TABLES
 from ttcvid.sinks.failures import output_errors
+from ttcvid.sinks.whole_text import write_whole
 from ttcvid.strict_yaml import StrictYamlError, load_yaml
 from ttcvid.studies.compare import Results
 from ttcvid.studies.compare_thinned import COLUMNS
@@ -49,9 +50,7 @@ def write_baseline(path: Path, text: str) -> None:
     """Write the file, so that it is either whole or as before; OutputError where that cannot be done."""
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.partial")
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+    write_whole(path, text)
 
 
 def read_baseline(path: Path) -> Results:

@@ -10,6 +10,7 @@ from ttcvid.jobs.result_tables import read_run
 from ttcvid.jobs.run import Run
 from ttcvid.jobs.yaml_file import read_yaml
 from ttcvid.sinks.failures import output_errors
+from ttcvid.sinks.whole_text import write_whole
 from ttcvid.studies.compare import Comparison, Results, compare_results
 from ttcvid.studies.compare_tolerance import Tolerance, tolerance_from
 from ttcvid.studies.junit import Suite, junit_xml
@@ -50,4 +51,4 @@ def write_junit(path: Path, suites: Sequence[Suite]) -> None:
     """Write a JUnit file; OutputError where that cannot be done."""
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(junit_xml(suites), encoding="utf-8")
+    write_whole(path, junit_xml(suites))

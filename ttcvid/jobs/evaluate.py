@@ -18,7 +18,7 @@ from ttcvid.errors import InputError
 from ttcvid.jobs.provenance import digest_of
 from ttcvid.jobs.run import Run
 from ttcvid.model import ImageSize, Ints
-from ttcvid.sinks.failures import output_errors
+from ttcvid.sinks.whole_text import write_whole
 from ttcvid.studies.evaluate import Evaluation, judge_run
 from ttcvid.studies.evaluation_page import evaluation_page
 from ttcvid.studies.truth import (
@@ -97,8 +97,7 @@ def evaluate(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
 def write_page(result: EvaluatedRun, path: Path) -> None:
     """Write the evaluation as an HTML page; OutputError where that cannot be done."""
     title = f"{result.run.folder} beside {result.truth}"
-    with output_errors(path):
-        path.write_text(evaluation_page(result.evaluation, title), encoding="utf-8")
+    write_whole(path, evaluation_page(result.evaluation, title))
 
 
 def read_run_tables(run: Run) -> RunTables:

@@ -1,0 +1,50 @@
+"""A text file is written whole or not at all."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from ttcvid.errors import OutputError
+from ttcvid.sinks.whole_text import write_whole
+
+
+def test_where_the_disk_is_full_the_former_file_stays_and_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("former")
+
+    def no_space(path: Path, text: str, encoding: str) -> int:
+        with path.open("w", encoding=encoding) as file:
+            file.write(text[:3])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", no_space)
+    with pytest.raises(OutputError, match=r"page\.html: cannot be written, the disk is full"):
+        write_whole(page, "new text")
+    assert page.read_text() == "former"
+    assert os.listdir(tmp_path) == ["page.html"]
+
+
+def test_a_link_stays_a_link_and_its_file_is_replaced(tmp_path: Path) -> None:
+    real, link = tmp_path / "real.xml", tmp_path / "link.xml"
+    real.write_text("former")
+    link.symlink_to(real)
+    write_whole(link, "new ü")
+    assert link.is_symlink()
+    assert real.read_text(encoding="utf-8") == "new ü"
+
+
+def test_a_pipe_is_written_into(tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    write_whole(Path(f"/dev/fd/{writing}"), "words")
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        assert pipe.read() == "words"
+
+
+def test_a_folder_in_the_way_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_whole(tmp_path, "words")
