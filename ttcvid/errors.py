@@ -26,6 +26,15 @@ def quoted(value: Any) -> str:
     return _SHORT.repr(value)
 
 
+def counted(n: int, thing: str) -> str:
+    """A number of things, in words.
+
+    >>> counted(1, "warning"), counted(0, "warning")
+    ('1 warning', '0 warnings')
+    """
+    return f"{n} {thing}" + ("" if n == 1 else "s")
+
+
 class TtcvidError(Exception):
     """Root of every failure that a user can mend.
 

@@ -39,13 +39,13 @@ OBSERVED = Observed(
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("events: none", "1 warnings, expected none: collision_course of object 1 at 1.00-2.00 s"),
+        ("events: none", "1 warning, expected none: collision_course of object 1 at 1.00-2.00 s"),
         ("events: 1", ""),
-        ("events: 0", "1 warnings, expected 0"),
+        ("events: 0", "1 warning, expected 0"),
         ("events: at least 1", ""),
-        ("events: at least 2", "1 warnings, expected at least 2"),
+        ("events: at least 2", "1 warning, expected at least 2"),
         ("events: at most 1", ""),
-        ("events: at most 0", "1 warnings, expected at most 0"),
+        ("events: at most 0", "1 warning, expected at most 0"),
         ("ttc_z of object at (125, 120) in frame 30: 7.7 s +- 10 %", ""),
         ("ttc_z of object at (125, 120) in frame 30: 7.8 s +- 10 %", "is 7 s, expected 7.8 s +- 10 %"),
         ("ttc_z of object at (200, 200) in frame 30: 3 s +- 0.1 s", ""),

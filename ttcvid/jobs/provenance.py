@@ -99,6 +99,7 @@ class Tally:
     horizon_offset_px: list[float] = field(default_factory=list)
     n_repeated: int = 0
     steps_s: list[float] = field(default_factory=list)
+    has_motion: bool = False
 
     def add(self, result: FrameResult) -> None:
         """Count one frame."""
@@ -113,13 +114,17 @@ class Tally:
         self.n_repeated += result.status == FrameStatus.duplicate
         if result.status in _MOVED_ON and result.dt_s is not None:
             self.steps_s.append(result.dt_s)
+        self.has_motion |= result.status == FrameStatus.ok or any(
+            c.cluster_id != SCENE_CLUSTER for c in result.clusters
+        )
         ttc_z_s = result.min_ttc_z_s
         if ttc_z_s is not None and (self.nearest is None or ttc_z_s < self.nearest["ttc_z_s"]):
             self.nearest = {"ttc_z_s": float(ttc_z_s), "frame": result.frame, "t_s": result.t_s}
 
     def complaint_about_repeats(self) -> str:
         """What to say of a clip that was converted from another frame rate by repeating pictures unevenly."""
-        if not self.steps_s or self.n_repeated < _MANY_REPEATED * self.n_frames:
+        # Where nothing moves at all, a codec gives some pictures back as they were, and there is no speed to be off.
+        if not self.has_motion or not self.steps_s or self.n_repeated < _MANY_REPEATED * self.n_frames:
             return ""
         steps_s = np.array(self.steps_s)
         typical_s = float(np.sort(steps_s)[len(steps_s) // 2])  # one that occurs: of two kinds, no mean of both

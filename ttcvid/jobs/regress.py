@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from ttcvid.errors import NotComparableError, TtcvidError, UsageError
+from ttcvid.errors import NotComparableError, TtcvidError, UsageError, counted
 from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
 from ttcvid.jobs.clip_run import ClipRun, ClipTask, in_own_process, render_scene, run_clip
 from ttcvid.jobs.compare import write_junit
@@ -55,7 +55,8 @@ class ClipOutcome:
             return f"{head}: {self.reason}"
         n_met = sum(not complaint for _, complaint in self.complaints)
         parts = [
-            f"{head}: {self.run.n_frames} frames, {self.run.n_objects} objects, {self.run.n_events} warnings",
+            f"{head}: {counted(self.run.n_frames, 'frame')}, {counted(self.run.n_objects, 'object')}, "
+            f"{counted(self.run.n_events, 'warning')}",
             f"{n_met} of {len(self.complaints)} expectations met",
             f"{self.time_s:.1f} s, {self.run.max_rss_mb:.0f} MB",
             self.update,

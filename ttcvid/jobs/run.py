@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ttcvid.errors import InputError
+from ttcvid.errors import InputError, counted
 from ttcvid.jobs.run_manifest import EXIT_CODES, read_run_manifest
 
 _NULLABLE = {
@@ -99,7 +99,8 @@ class Run:
         counts, timings = self.manifest["counts"], self.manifest["timings"]
         parts = [
             f"{self.state}, {_frames(counts)} in {timings['total_s']:.1f} s ({timings['frames_per_s']:.0f} frames/s)",
-            f"{counts['track_rows']} track rows, {counts['objects']} objects, {counts['events']} warnings",
+            f"{counted(counts['track_rows'], 'track row')}, {counted(counts['objects'], 'object')}, "
+            f"{counted(counts['events'], 'warning')}",
         ]
         nearest = self.manifest["nearest"]
         if nearest is not None:
@@ -121,4 +122,4 @@ class Run:
 def _frames(counts: dict[str, Any]) -> str:
     expected = counts["frames_expected"]
     is_short = expected is not None and counts["frames"] < expected
-    return f"{counts['frames']} of {expected} frames" if is_short else f"{counts['frames']} frames"
+    return f"{counts['frames']} of {expected} frames" if is_short else counted(counts["frames"], "frame")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ttcvid.errors import UsageError
+from ttcvid.errors import UsageError, counted
 from ttcvid.studies.metrics import Value, check_from_text
 from ttcvid.studies.truth import BOX
 
@@ -77,7 +77,7 @@ def _events(text: str, match: re.Match[str]) -> Expectation:
         if least <= len(events) <= most:
             return ""
         names = [f"{e.kind} of object {e.cluster_id} at {e.start_s:.2f}-{e.end_s:.2f} s" for e in events.itertuples()]
-        return f"{len(events)} warnings, expected {text.partition(':')[2].strip()}" + (
+        return f"{counted(len(events), 'warning')}, expected {text.partition(':')[2].strip()}" + (
             f": {'; '.join(names)}" if names else ""
         )
 
