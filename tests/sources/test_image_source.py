@@ -61,6 +61,7 @@ def test_a_folder_takes_its_pictures_alone(tmp_path):
     (folder / "notes.txt").write_text("no picture")
     (folder / ".hidden.png").write_text("no picture")
     (folder / "sub").mkdir()
+    (folder / "thumbnails.png").mkdir()
     assert len(read(folder)[0]) == 3
 
 
@@ -90,6 +91,13 @@ def test_patterns(tmp_path, pattern, names, taken):
         assert len(read(tmp_path / "p" / pattern)[0]) == taken
     else:
         assert "no images there" in one_line_error(InputError, tmp_path / "p" / pattern)
+
+
+def test_a_folder_before_a_pattern_is_meant_as_it_is_spelled(tmp_path):
+    folder = write_pictures(tmp_path / "drive [2] *", n=3)
+    write_pictures(tmp_path / "drive 2 x", n=5)
+    assert len(read(folder / "*.png")[0]) == 3
+    assert len(read(tmp_path / "drive ? [x]" / "*.png")[0]) == 5
 
 
 def test_a_printf_number_may_outgrow_its_width(tmp_path):

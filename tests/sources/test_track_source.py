@@ -101,6 +101,24 @@ def test_other_separators_are_recognised(tmp_path, mark, word):
     assert f"its columns are separated by {word}, write it with commas" in one_line_error(InputError, path)
 
 
+@pytest.mark.parametrize(
+    ("content", "remedy"),
+    [
+        (
+            "frame;t_s;track_id;x_px;y_px\n0;0,0;1;2,5;3,5\n",
+            "separated by semicolons, write it with commas, and numbers",
+        ),
+        ("frame,t_s,track_id,x_px,y_px\n0,0,1,2,3\n".encode("utf-16"), "it is UTF-16, save it as UTF-8"),
+        ("# of my tracker\nframe,t_s,track_id,x_px,y_px\n0,0,1,2,3\n", "its first line has to name the columns"),
+        ("frame,t_s,track_id,x_px,y_px\n0,0,1,2,3\n0,0,2\n", "expected a table, write it again"),
+    ],
+)
+def test_what_is_no_table_with_commas_is_told_apart(tmp_path, content, remedy):
+    path = tmp_path / "tracks.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert remedy in one_line_error(InputError, path)
+
+
 def test_tracks_with_names_are_to_be_numbered(path):
     table = track_table().astype({"track_id": str})
     message = one_line_error(InputError, path, table.assign(track_id="car" + table.track_id))

@@ -42,6 +42,7 @@ def simulate(
     import json
 
     from ttcvid.cli.progress import progress_on_terminal
+    from ttcvid.errors import counted
     from ttcvid.jobs.simulate import simulate as run
     from ttcvid.simulate.tracks import TrackOptions
 
@@ -63,4 +64,5 @@ def simulate(
         click.echo(json.dumps({**summary, **counts}))
     elif not quiet:
         what = f", {result.n_observations} observations of tracks" if result.n_observations is not None else ""
-        click.echo(f"{result.input}: scene {result.name}, {result.n_frames} frames, {result.n_objects} objects{what}")
+        size = f"{counted(result.n_frames, 'frame')}, {counted(result.n_objects, 'object')}"
+        click.echo(f"{result.input}: scene {result.name}, {size}{what}")

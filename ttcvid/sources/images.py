@@ -186,7 +186,8 @@ def list_pictures(input_: str) -> list[Path]:
     """
     path = Path(input_)
     if path.is_dir():
-        pictures = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+        named = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+        pictures = [p for p in named if not p.is_dir()]
         _require_one_kind(input_, pictures)
     elif path.exists():
         require_file(path)
@@ -195,7 +196,9 @@ def list_pictures(input_: str) -> list[Path]:
         name = re.compile(_PRINTF.sub(_digits, re.escape(path.name)))
         pictures = [p for p in path.parent.iterdir() if name.fullmatch(p.name)] if path.parent.is_dir() else []
     else:
-        pictures = [Path(p) for p in glob.glob(input_) if Path(p).is_file()]
+        # A folder that is there is meant as it is spelled: brackets are ordinary in names.
+        folder = glob.escape(str(path.parent)) if path.parent.is_dir() else str(path.parent)
+        pictures = [Path(p) for p in glob.glob(f"{folder}/{path.name}") if Path(p).is_file()]
     if not pictures:
         raise InputError(f"{input_}: no images there: expected a folder, or a pattern such as img_%06d.png or '*.jpg'")
     return sorted(pictures, key=natural_key)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ FARTHEST_PX = 1e6
 LEAST_SHARE_INSIDE = 0.5
 """Where fewer of the points lie in the picture, the picture's size is a wrong one."""
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+
+_LONGEST_HEADER = 10_000
+"""Bytes of the first line that are looked at where a text is no table."""
 
 COLUMNS = ("frame", "t_s", "track_id", "x_px", "y_px")
 
@@ -130,9 +134,25 @@ def _read_table(path: Path) -> pa.Table:
             return pyarrow.parquet.read_table(stream)
     except (pa.ArrowException, OSError) as error:
         reason = " ".join(str(error).split()).rstrip(".")
+        kind = path.suffix.lower()[1:]
+        remedy = _oddity_of_text(path) if kind == "csv" else ""
         raise InputError(
-            f"{path}: cannot be read as {path.suffix.lower()[1:]} ({reason}): expected a table, write it again"
+            f"{path}: cannot be read as {kind} ({reason}): {remedy or 'expected a table, write it again'}"
         ) from None
+
+
+def _oddity_of_text(path: Path) -> str:
+    """What the first line of a text that is no table with commas says of it, and what to do; empty if nothing."""
+    with path.open("rb") as stream:
+        head = stream.readline(_LONGEST_HEADER)
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "it is UTF-16, save it as UTF-8"
+    separated = [words for mark, words in SEPARATORS.items() if mark.encode() in head]
+    if separated:
+        return f"its columns are separated by {separated[0]}, write it with commas, and numbers with points"
+    if b"frame" not in head:
+        return f"its first line has to name the columns: {', '.join(COLUMNS)}"
+    return ""
 
 
 def _numbers(path: Path, name: str, column: pa.ChunkedArray[Any]) -> Floats:
