@@ -266,7 +266,7 @@ def test_a_missing_picture_of_labels_is_refused(
     (truth / "truth_labels/000001.png").unlink()
     code, message = refused(capsys, run, truth)
     assert code == 3
-    assert "000001.png: cannot be read as a picture of labels" in message
+    assert "000001.png: is missing: give the truth of the clip that was analysed" in message
 
 
 def test_objects_alone_are_truth_enough(of_pictures: tuple[Path, Path], tmp_path: Path) -> None:

@@ -44,6 +44,15 @@ def test_pictures_of_a_clip_in_which_nothing_moves_may_repeat_as_they_like():
     assert tally_of(is_repeated, moving=FrameStatus.ok).complaint_about_repeats() != ""
 
 
+def test_times_that_stand_still_or_run_back_are_told():
+    tally = Tally()
+    for frame, t_s in enumerate([0.0, 0.1, 0.1, 0.2]):
+        status = FrameStatus.bad_dt if frame == 2 else FrameStatus.ok
+        tally.add(FrameResult(frame, t_s, None, status, no_tracks(), ()))
+    assert tally.complaint_about_times().startswith("1 of 4 frames have a time that is not later")
+    assert tally_of([False] * 5).complaint_about_times() == ""
+
+
 def test_uneven_times_without_repeated_pictures_are_right():
     rng, t_s, tally = np.random.default_rng(1), 0.0, Tally()
     for frame in range(60):

@@ -121,6 +121,13 @@ def test_who_rests_sees_what_stands_on_the_road_of_a_known_height():
     np.testing.assert_allclose(found.situation.hazards.position_m[0], [6.0, 0.7, 30.9], rtol=0.01)
 
 
+def test_a_speed_of_zero_scales_nothing_though_the_pictures_move():
+    found = situation_of(seen_frame(), replace(BY_SPEED, own_speed_m_s=0.0), OWN)
+    assert found.unlinked == ("object 7",)
+    assert found.situation is not None
+    assert found.situation.hazards.position_m[:, 2].min() > 1.0
+
+
 def test_posts_are_obstacles_and_the_road_is_none():
     found = situation_of(seen_frame(), BY_SPEED, OWN).situation
     assert found is not None

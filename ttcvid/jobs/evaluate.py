@@ -7,7 +7,6 @@ import logging
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -19,6 +18,7 @@ from ttcvid.jobs.provenance import digest_of
 from ttcvid.jobs.run import Run
 from ttcvid.model import ImageSize, Ints
 from ttcvid.sinks.whole_text import write_whole
+from ttcvid.sources.images import read_picture
 from ttcvid.studies.evaluate import Evaluation, judge_run
 from ttcvid.studies.evaluation_page import evaluation_page
 from ttcvid.studies.truth import (
@@ -208,7 +208,9 @@ def _objects_of_labels(tracks: pd.DataFrame, folder: Path) -> Ints | None:
     frame, xy_px = tracks.frame.to_numpy(), tracks[["x_px", "y_px"]].to_numpy(float)
     for index in np.unique(frame):
         path = folder / f"{index:06d}.png"
-        labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if not path.exists():
+            raise InputError(f"{path}: is missing: give the truth of the clip that was analysed, or simulate it again")
+        labels = read_picture(path)
         if labels is None or labels.ndim != 2:
             raise InputError(f"{path}: cannot be read as a picture of labels: simulate the scene again")
         rows = frame == index

@@ -21,7 +21,7 @@ import pyarrow as pa
 import scipy
 
 import ttcvid
-from ttcvid.errors import InputError
+from ttcvid.errors import InputError, counted
 from ttcvid.jobs.clip import Calibration
 from ttcvid.model import SCENE_CLUSTER, Camera, FrameResult, FrameStatus, SourceInfo
 from ttcvid.stages.horizon_watch import horizon_offset_of
@@ -98,6 +98,7 @@ class Tally:
     nearest: dict[str, Any] | None = None
     horizon_offset_px: list[float] = field(default_factory=list)
     n_repeated: int = 0
+    n_bad_dt: int = 0
     steps_s: list[float] = field(default_factory=list)
     has_motion: bool = False
 
@@ -112,6 +113,7 @@ class Tally:
         if offset_px is not None:
             self.horizon_offset_px.append(offset_px)
         self.n_repeated += result.status == FrameStatus.duplicate
+        self.n_bad_dt += result.status == FrameStatus.bad_dt
         if result.status in _MOVED_ON and result.dt_s is not None:
             self.steps_s.append(result.dt_s)
         self.has_motion |= result.status == FrameStatus.ok or any(
@@ -120,6 +122,16 @@ class Tally:
         ttc_z_s = result.min_ttc_z_s
         if ttc_z_s is not None and (self.nearest is None or ttc_z_s < self.nearest["ttc_z_s"]):
             self.nearest = {"ttc_z_s": float(ttc_z_s), "frame": result.frame, "t_s": result.t_s}
+
+    def complaint_about_times(self) -> str:
+        """What to say of frames that are not later than the one before."""
+        if not self.n_bad_dt:
+            return ""
+        frames = f"{self.n_bad_dt} of {counted(self.n_frames, 'frame')}"
+        return (
+            f"{frames} have a time that is not later than that of the frame before (status bad_dt), and no results: "
+            "look at the times of the input"
+        )
 
     def complaint_about_repeats(self) -> str:
         """What to say of a clip that was converted from another frame rate by repeating pictures unevenly."""

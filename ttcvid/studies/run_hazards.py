@@ -120,7 +120,8 @@ def situation_of(seen: SeenFrame, scale: Scale, own: OwnBody, memory: Memory | N
     height_s = _camera_height_s(seen, level_R_cam)
     speed = _own_speed(scale, height_s)
     height = scale.camera_height_m
-    if height is None and speed is not None and height_s is not None:
+    # A speed of zero scales nothing, whatever the pictures show.
+    if height is None and speed is not None and speed >= _RESTING_M_S and height_s is not None:
         height = height_s * speed
     notes = _notes(scale, speed, height)
     if speed is None:
