@@ -265,6 +265,10 @@ def test_ros_lens_models(read, rest, model, distortion):
         (ROS, "distortion_coefficients: missing"),
         (ROS + "D: [0.1, 0, 0, 0]", "distortion_model: missing"),
         (ROS.replace("camera_matrix", "camera_matirx") + "D: []", "did you mean it by 'camera_matirx'?"),
+        (
+            "image_size: [640, 480]\nfx_px: 500\nfy_px: 500\ncx_px: 319.5\n",
+            "cy_px: missing; expected the key cy_px: add it",
+        ),
         (ROS.replace("data", "dta") + "D: []", "camera_matrix.data: missing"),
         (ROS.replace("0, 0, 1]", "0, 1]") + "D: []", "camera_matrix: got 8 numbers"),
         (ROS.replace("0, 0, 1]", "0, 1, 0]") + "D: []", "row by row and without skew"),

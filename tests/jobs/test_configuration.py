@@ -140,6 +140,11 @@ def test_python_arguments_take_numbers_paths_and_stages() -> None:
     assert configuration.as_manifest()["analyze"]["image_size"]["value"] == "640x480"
 
 
+def test_a_file_of_an_editor_that_marks_its_texts_is_read(empty_folder: Path) -> None:
+    (empty_folder / "ttcvid.toml").write_text("[tracking]\nmax_tracks = 800\n", encoding="utf-8-sig")
+    assert configure_from_command_line({}).pipeline.tracking.max_tracks == 800
+
+
 def test_the_seed_is_recorded() -> None:
     """Nothing in an analysis is random: it is a part of the resolved configuration, and reaches no stage."""
     configuration = configure_from_command_line({"seed": "7"})

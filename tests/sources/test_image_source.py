@@ -284,6 +284,13 @@ def test_times_in_seconds_are_taken_as_they_are_even_backward(tmp_path):
     assert source.info.nominal_dt_s == 1.0
 
 
+def test_times_of_an_editor_that_marks_its_texts_are_read(tmp_path):
+    times = tmp_path / "times.txt"
+    times.write_text("0.0\n0.1\n0.2\n", encoding="utf-8-sig")
+    frames, _ = read(write_pictures(tmp_path / "p", n=3), fps=None, timestamps=times)
+    assert [frame.t_s for frame in frames] == [0.0, 0.1, 0.2]
+
+
 @pytest.mark.parametrize(
     ("lines", "complaint"),
     [

@@ -37,6 +37,7 @@ class Fields:
         self.path = path
         self.values = values
         self.where = where
+        self._known: frozenset[str] = frozenset()
 
     def error(self, name: str, problem: str, expected: str) -> CalibrationError:
         """What to raise for a field; ``expected`` ends with the remedy."""
@@ -48,6 +49,7 @@ class Fields:
     def refuse_unknown(self, known: Iterable[str]) -> None:
         """Raise for the first key that is not ``known``, with the nearest one."""
         known = list(known)
+        self._known = frozenset(known)
         for name in self.values:
             if name not in known:
                 near = nearest_name(str(name), known)
@@ -60,7 +62,7 @@ class Fields:
         for name in names:
             if name in self.values:
                 return name
-        found = [str(name) for name in self.values]
+        found = [str(name) for name in self.values if name not in self._known]
         near = [match for name in names if (match := nearest_name(name, found))]
         hint = f"did you mean it by {near[0]!r}?" if near else remedy
         raise self.error(names[0], "missing", f"the key {' or '.join(names)}: {hint}")

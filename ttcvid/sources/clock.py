@@ -71,7 +71,7 @@ def read_timestamps(path: Path, n_frames: int, counted: str) -> Floats:
     """
     require_file(path)
     try:
-        lines = path.read_text(encoding="utf-8").rstrip().splitlines()
+        lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: is no text: expected one time a line, seconds or KITTI's format") from None
     if lines and _KITTI.fullmatch(lines[0].strip()):
