@@ -160,6 +160,7 @@ def test_the_seed_is_recorded() -> None:
             r"ttcvid.toml: \[tracking\] max_track: unknown key 'max_track': did you mean 'max_tracks'\?",
         ),
         ("[trakcing]\nmax_tracks = 500\n", r"ttcvid.toml: unknown section \[trakcing\]: did you mean 'tracking'\?"),
+        ("[analyze]\nmax_tracks = 1\n", r"unknown key 'max_tracks': it belongs under \[tracking\]"),
         ("[analyze]\nqwxyz = 1\n", "unknown key 'qwxyz': expected one of camera, "),
         ('platform = "vehicle"\n', r"ttcvid.toml: 'platform' stands outside a section"),
         ("[tracking]\nmax_tracks = 5\n", r"\[tracking\] max_tracks = 5: expected greater than or equal to 20"),

@@ -37,7 +37,11 @@ class Layer:
         """Put a setting where it is kept; UsageError for an unknown name or a second, different value."""
         section, key = SHORTCUTS.get(key, (section, key)) if section == "analyze" else (section, key)
         require_known(section, SECTIONS, f"{place}: unknown section [{section}]")
-        require_known(key, _known_keys(section), f"{place}: unknown key {key!r}")
+        known = _known_keys(section)
+        elsewhere = [f"[{name}]" for name in SECTIONS if key in SECTIONS[name].model_fields]
+        if key not in known and elsewhere:
+            raise UsageError(f"{place}: unknown key {key!r}: it belongs under {' or '.join(elsewhere)}")
+        require_known(key, known, f"{place}: unknown key {key!r}")
         entries = self.entries.setdefault(section, {})
         before = entries.get(key)
         if before is not None and before.value != value:
