@@ -125,3 +125,33 @@ def test_the_first_call_of_what_lies_on_disk_imports_nothing_more(tmp_path):
     command = [sys.executable, "-c", IMPORTS]
     runs = [subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
     assert runs[1].stdout.strip() == "0"
+
+
+CALLEE = """
+import numpy as np
+from ttcvid.geometry.compiled import compiled
+
+@compiled
+def doubled(x):
+    return 2.0 * x
+
+@compiled
+def sums(x):
+    return doubled(x) + 1.0
+"""
+USES_CALLEE = "from callee import doubled; print(doubled(3.0), doubled.stats.cache_hits.total())"
+USES_BOTH = "from callee import doubled, sums; print(doubled(3.0), sums(3.0), sums.stats.cache_hits.total())"
+
+
+def test_a_function_that_calls_one_from_disk_can_be_compiled_and_found_there_itself(tmp_path):
+    (tmp_path / "callee.py").write_text(CALLEE)
+    environment = {**os.environ, "PYTHONPATH": f"{PACKAGE.parent}:{tmp_path}"}
+
+    def printed(code):
+        command = [sys.executable, "-c", code]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    assert printed(USES_CALLEE) == ["6.0", "0"]
+    assert printed(USES_CALLEE) == ["6.0", "1"]
+    assert printed(USES_BOTH) == ["6.0", "7.0", "0"]
+    assert printed(USES_BOTH) == ["6.0", "7.0", "1"]
