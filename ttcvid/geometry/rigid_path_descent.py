@@ -255,7 +255,10 @@ def _add_up(
         a, b, z, rho = views[0, c], views[1, c], views[2, c], points[2, c]
         ahead, depth = r20 * a + r21 * b + r22 * z, 1.0 + rho * tz
         is_used = (ahead > _LEAST_FORWARD) & (depth >= _LEAST_DEPTH_RATIO)
-        h, forward = 1.0 / depth, 1.0 / ahead
+        # One division for two: where a point is not used, NaN would pass from one to the other.
+        ahead = ahead if is_used else 1.0
+        inverses = 1.0 / (depth * ahead)
+        h, forward = inverses * ahead, inverses * depth
         x, y = (points[0, c] + rho * tx) * h, (points[1, c] + rho * ty) * h
         rx = (r00 * a + r01 * b + r02 * z) * forward - x if is_used else 0.0
         ry = (r10 * a + r11 * b + r12 * z) * forward - y if is_used else 0.0

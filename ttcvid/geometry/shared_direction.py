@@ -19,6 +19,8 @@ _LONGEST_STEP_RAD = 0.3
 _RIDGE = 1e-12
 # The main axis is the first column of the matrix to the power of 2 to this.
 _SQUARINGS = 6
+# Numbers of a point: w (3), and the upper half of its information (6).
+_N_POINT = 9
 
 
 def shared_directions(
@@ -78,15 +80,17 @@ def _fit_each(
     """Fill the results of `shared_directions`; the points of thing k are ``order[start[k] : start[k + 1]]``."""
     e, basis, errors = np.empty(3), np.empty((3, 2)), np.empty((3, shared.shape[2]))
     normal, score, mixed = np.empty((2, 2)), np.empty(2), np.empty((2, shared.shape[2]))
+    points, off, usable = np.empty((_N_POINT, len(order))), np.empty(len(order)), np.empty_like(order)
     for number in range(len(direction)):
         members = order[start[number] : start[number + 1]]
-        if not _main_axis(w, info, members, e):
+        n_usable = _list_usable(w, info, members, points, usable)
+        if n_usable == 0:
             continue
+        _main_axis(points, n_usable, e)
         votes, one, other, both, determinant, is_converged = 0.0, 0.0, 0.0, 0.0, 0.0, False
         for step in range(_MAX_STEPS + 1):
             _tangents(e, basis)
-            n_shared = shared.shape[2] if is_converged or step == _MAX_STEPS else 0
-            votes = _add_up(w, info, shared, n_shared, members, e, basis, normal, score, mixed, chi2)
+            votes = _add_up(points, n_usable, e, basis, normal, score, off)
             ridge = _RIDGE * (normal[0, 0] + normal[1, 1] + 1e-300)
             one, other, both = normal[0, 0] + ridge, normal[1, 1] + ridge, normal[0, 1]
             determinant = one * other - both * both
@@ -101,12 +105,12 @@ def _fit_each(
             length = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
             for a in range(3):
                 e[a] /= length
-        off, n_usable = 0.0, 0
-        for i in members:
-            if _is_usable(w, info, i):
-                off += min(chi2[i], _CAUCHY_SIGMAS * _CAUCHY_SIGMAS)
-                n_usable += 1
-        widened = max(off / max(2 * n_usable - 2, 1), 1.0) / determinant
+        total = 0.0
+        for c in range(n_usable):
+            chi2[usable[c]] = off[c]
+            total += min(off[c], _CAUCHY_SIGMAS * _CAUCHY_SIGMAS)
+        widened = max(total / max(2 * n_usable - 2, 1), 1.0) / determinant
+        _add_up_shared(points, n_usable, usable, shared, e, basis, off, mixed)
         for a in range(3):
             to_p = (basis[a, 0] * other - basis[a, 1] * both) / determinant
             to_q = (basis[a, 1] * one - basis[a, 0] * both) / determinant
@@ -128,29 +132,44 @@ def _fit_each(
 
 
 @compiled
-def _is_usable(w: Floats, info: Floats, i: int) -> bool:
-    """Whether a point says anything."""
-    # A sum is finite where all of its terms are.
-    has_velocity: bool = np.isfinite(w[i, 0] + w[i, 1] + w[i, 2])
-    return has_velocity and info[i, 0, 0] + info[i, 1, 1] + info[i, 2, 2] > 0.0
+def _list_usable(w: Floats, info: Floats, members: Ints, points: Floats, usable: Ints) -> int:
+    """Fill ``points (9, M)``, side by side: w and the upper half of its information, of those that say anything.
+
+    Returns how many these are, and fills which, ``usable (M,)``.
+    """
+    n = 0
+    for i in members:
+        # A sum is finite where all of its terms are.
+        has_velocity = np.isfinite(w[i, 0] + w[i, 1] + w[i, 2])
+        if not (has_velocity and info[i, 0, 0] + info[i, 1, 1] + info[i, 2, 2] > 0.0):
+            continue
+        points[0, n], points[1, n], points[2, n] = w[i, 0], w[i, 1], w[i, 2]
+        points[3, n], points[4, n], points[5, n] = info[i, 0, 0], info[i, 0, 1], info[i, 0, 2]
+        points[6, n], points[7, n], points[8, n] = info[i, 1, 1], info[i, 1, 2], info[i, 2, 2]
+        usable[n] = i
+        n += 1
+    return n
 
 
 @compiled
-def _main_axis(w: Floats, info: Floats, members: Ints, e: Floats) -> bool:
-    """Fill ``e`` with the main axis of the velocities, each counted by how well it is known; False without any."""
-    spread, square, found = np.zeros((3, 3)), np.empty((3, 3)), False
-    for i in members:
-        if not _is_usable(w, info, i):
-            continue
-        found = True
-        known, length2 = 0.0, 1e-300
-        for a in range(3):
-            length2 += w[i, a] * w[i, a]
-            for b in range(3):
-                known += w[i, a] * info[i, a, b] * w[i, b]
-        for a in range(3):
-            for b in range(3):
-                spread[a, b] += known / length2 * w[i, a] * w[i, b]
+def _main_axis(points: Floats, n: int, e: Floats) -> None:
+    """Fill ``e`` with the main axis of the velocities of the first n points, each counted by how well it is known."""
+    spread, square = np.empty((3, 3)), np.empty((3, 3))
+    s00 = s01 = s02 = s11 = s12 = s22 = 0.0
+    for c in range(n):
+        x, y, z = points[0, c], points[1, c], points[2, c]
+        known = points[3, c] * x * x + points[6, c] * y * y + points[8, c] * z * z
+        known += 2.0 * (points[4, c] * x * y + points[5, c] * x * z + points[7, c] * y * z)
+        share = known / (x * x + y * y + z * z + 1e-300)
+        s00 += share * x * x
+        s01 += share * x * y
+        s02 += share * x * z
+        s11 += share * y * y
+        s12 += share * y * z
+        s22 += share * z * z
+    spread[0, 0], spread[0, 1], spread[0, 2] = s00, s01, s02
+    spread[1, 0], spread[1, 1], spread[1, 2] = s01, s11, s12
+    spread[2, 0], spread[2, 1], spread[2, 2] = s02, s12, s22
     for _ in range(_SQUARINGS):
         scale = 1.0 / max(spread[0, 0] + spread[1, 1] + spread[2, 2], 1e-300)
         for a in range(3):
@@ -168,7 +187,6 @@ def _main_axis(w: Floats, info: Floats, members: Ints, e: Floats) -> bool:
         e[0], e[1], e[2] = x / length, y / length, z / length
     else:
         e[0], e[1], e[2] = 0.0, 0.0, 1.0
-    return found
 
 
 @compiled
@@ -189,65 +207,82 @@ def _tangents(e: Floats, basis: Floats) -> None:
 
 
 @compiled
-def _add_up(
-    w: Floats,
-    info: Floats,
-    shared: Floats,
-    n_shared: int,
-    members: Ints,
-    e: Floats,
-    basis: Floats,
-    normal: Floats,
-    score: Floats,
-    mixed: Floats,
-    chi2: Floats,
-) -> float:
-    """Fill normal matrix (2, 2), score (2,), its change by the first ``n_shared`` errors, ``chi2``; returns the vote.
+def _add_up(points: Floats, n: int, e: Floats, basis: Floats, normal: Floats, score: Floats, chi2: Floats) -> float:
+    """Fill normal matrix (2, 2), score (2,) and ``chi2 (M,)`` of the first n points; returns the vote.
 
     The best rate of a point is ``s = e' info w / e' info e``. Its residual r = w - s e follows e by
     ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
-    information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e).
+    information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e). Without a branch: several
+    points are worked at side by side.
     """
-    normal[:] = 0.0
-    score[:] = 0.0
+    ex, ey, ez = e[0], e[1], e[2]
+    ux, uy, uz, vx, vy, vz = basis[0, 0], basis[1, 0], basis[2, 0], basis[0, 1], basis[1, 1], basis[2, 1]
+    n00 = n10 = n11 = s0 = s1 = votes = 0.0
+    for c in range(n):
+        wx, wy, wz, xx, xy, xz = points[0, c], points[1, c], points[2, c], points[3, c], points[4, c], points[5, c]
+        yy, yz, zz = points[6, c], points[7, c], points[8, c]
+        along_x, along_y, along_z = (
+            xx * ex + xy * ey + xz * ez,
+            xy * ex + yy * ey + yz * ez,
+            xz * ex + yz * ey + zz * ez,
+        )
+        square = along_x * ex + along_y * ey + along_z * ez
+        # Where a point says nothing of its rate, it says nothing.
+        inverse = 1.0 / square if square > 0.0 else 0.0
+        rate = (along_x * wx + along_y * wy + along_z * wz) * inverse
+        votes += min(max(rate * np.sqrt(max(square, 0.0)), -_MAX_VOTE_SIGMAS), _MAX_VOTE_SIGMAS)
+        x, y, z = wx - rate * ex, wy - rate * ey, wz - rate * ez
+        off_x, off_y, off_z = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+        chi2[c] = x * off_x + y * off_y + z * off_z if square > 0.0 else 0.0
+        weighted = rate / (1.0 + chi2[c] * (1.0 / (_CAUCHY_SIGMAS * _CAUCHY_SIGMAS)))
+        mean_u = (along_x * ux + along_y * uy + along_z * uz) * inverse
+        mean_v = (along_x * vx + along_y * vy + along_z * vz) * inverse
+        from_u = (xx * ux + xy * uy + xz * uz) * ux + (xy * ux + yy * uy + yz * uz) * uy
+        from_u += (xz * ux + yz * uy + zz * uz) * uz
+        px, py, pz = xx * vx + xy * vy + xz * vz, xy * vx + yy * vy + yz * vz, xz * vx + yz * vy + zz * vz
+        s0 += weighted * (off_x * ux + off_y * uy + off_z * uz)
+        s1 += weighted * (off_x * vx + off_y * vy + off_z * vz)
+        both = weighted * rate
+        n00 += both * (from_u - mean_u * mean_u * square)
+        n10 += both * (px * ux + py * uy + pz * uz - mean_u * mean_v * square)
+        n11 += both * (px * vx + py * vy + pz * vz - mean_v * mean_v * square)
+    normal[0, 0], normal[1, 0], normal[0, 1], normal[1, 1], score[0], score[1] = n00, n10, n10, n11, s0, s1
+    return votes
+
+
+@compiled
+def _add_up_shared(
+    points: Floats,
+    n: int,
+    usable: Ints,
+    shared: Floats,
+    e: Floats,
+    basis: Floats,
+    chi2: Floats,
+    mixed: Floats,
+) -> None:
+    """Fill ``mixed (2, E)``: what the errors ``shared (N, 3, E)`` do to the score of the first n points (`_add_up`)."""
     mixed[:] = 0.0
-    votes = 0.0
-    along, off, pull = np.empty(3), np.empty(3), np.empty((2, 3))
-    for i in members:
-        chi2[i] = 0.0
-        if not _is_usable(w, info, i):
-            continue
-        for a in range(3):
-            along[a] = info[i, a, 0] * e[0] + info[i, a, 1] * e[1] + info[i, a, 2] * e[2]
+    along, pull = np.empty(3), np.empty(3)
+    for c in range(n if shared.shape[2] else 0):
+        i = usable[c]
+        _times(points, c, e[0], e[1], e[2], along)
         square = along[0] * e[0] + along[1] * e[1] + along[2] * e[2]
         if not square > 0.0:
             continue
-        rate = (along[0] * w[i, 0] + along[1] * w[i, 1] + along[2] * w[i, 2]) / square
-        votes += min(max(rate * np.sqrt(square), -_MAX_VOTE_SIGMAS), _MAX_VOTE_SIGMAS)
-        x, y, z = w[i, 0] - rate * e[0], w[i, 1] - rate * e[1], w[i, 2] - rate * e[2]
-        for a in range(3):
-            off[a] = info[i, a, 0] * x + info[i, a, 1] * y + info[i, a, 2] * z
-        chi2[i] = x * off[0] + y * off[1] + z * off[2]
-        weight = 1.0 / (1.0 + chi2[i] / (_CAUCHY_SIGMAS * _CAUCHY_SIGMAS))
+        rate = (along[0] * points[0, c] + along[1] * points[1, c] + along[2] * points[2, c]) / square
+        weighted = rate / (1.0 + chi2[c] / (_CAUCHY_SIGMAS * _CAUCHY_SIGMAS))
         for j in range(2):
+            _times(points, c, basis[0, j], basis[1, j], basis[2, j], pull)
             mean = (along[0] * basis[0, j] + along[1] * basis[1, j] + along[2] * basis[2, j]) / square
             for a in range(3):
-                pull[j, a] = (
-                    info[i, a, 0] * basis[0, j] + info[i, a, 1] * basis[1, j] + info[i, a, 2] * basis[2, j]
-                ) - mean * along[a]
-            score[j] += weight * rate * (off[0] * basis[0, j] + off[1] * basis[1, j] + off[2] * basis[2, j])
-            for k in range(n_shared):
-                mixed[j, k] += (
-                    weight
-                    * rate
-                    * (pull[j, 0] * shared[i, 0, k] + pull[j, 1] * shared[i, 1, k] + pull[j, 2] * shared[i, 2, k])
-                )
-            for k in range(j + 1):
-                normal[j, k] += (
-                    weight
-                    * rate
-                    * rate
-                    * (pull[j, 0] * basis[0, k] + pull[j, 1] * basis[1, k] + pull[j, 2] * basis[2, k])
-                )
-    normal[0, 1] = normal[1, 0]
-    return votes
+                for k in range(shared.shape[2]):
+                    mixed[j, k] += weighted * (pull[a] - mean * along[a]) * shared[i, a, k]
+
+
+@compiled
+def _times(points: Floats, c: int, x: float, y: float, z: float, product: Floats) -> None:
+    """Fill ``product (3,)``: the information of point c times a vector."""
+    product[0] = points[3, c] * x + points[4, c] * y + points[5, c] * z
+    product[1] = points[4, c] * x + points[6, c] * y + points[7, c] * z
+    product[2] = points[5, c] * x + points[7, c] * y + points[8, c] * z
