@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import cross, rotation_from_vector, vector_from_rotation
-from ttcvid.geometry.two_view_descent import add_up_regions, descend_motion, descend_rotation
+from ttcvid.geometry.two_view_descent import descend_motion, descend_rotation
 from ttcvid.model import Floats, Ints
 
 # Standard deviation of a direction that nothing is known of, rad.
@@ -47,16 +48,9 @@ class TwoViewFit:
         Never smaller than what the assumed noise gives: the inverse information I^-1, made larger by the largest
         eigenvalue of I^-1 sum g g', g the scores of a region.
         """
-        inverse: Floats = np.linalg.inv(self.information).astype(np.float64)
-        k, points = len(inverse), np.bincount(self.region)
-        n_used = int(np.count_nonzero(points))
-        if n_used <= 2 * k:
-            return inverse
-        sums = np.zeros((k, len(points)))
-        add_up_regions(self.region, self.score, sums)
-        half = np.linalg.cholesky(inverse).T @ sums
-        ratio = float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k)
-        return inverse * max(1.0, ratio)
+        covariance = np.empty_like(self.information)
+        _fill_covariance(self.information, self.score, self.region, covariance)
+        return covariance
 
 
 @dataclass(frozen=True)
@@ -92,8 +86,9 @@ def fit_rotation(
     descend_rotation(
         rays_prev, rays_cam, sigma_rad, expected, prior.rotation_sigma_rad, offset, fitted, residual, score, information
     )
-    cost = _capped_cost(residual) + float(offset @ offset) / prior.rotation_sigma_rad**2
-    return TwoViewFit(fitted, None, residual, cost, information, score, region, np.zeros(len(rays_cam)))
+    sense = np.zeros(len(rays_cam))
+    cost = _capped_cost(residual, sense) + float(offset @ offset) / prior.rotation_sigma_rad**2
+    return TwoViewFit(fitted, None, residual, cost, information, score, region, sense)
 
 
 def fit_motion(
@@ -133,7 +128,7 @@ def fit_motion(
         score,
         information,
     )
-    cost = _capped_cost(np.where(sense < 0.0, np.inf, residual)) + _prior_cost(prior, offset, direction)
+    cost = _capped_cost(residual, sense) + _prior_cost(prior, offset, direction)
     return TwoViewFit(fitted, direction, residual, cost, information, score, region, sense)
 
 
@@ -158,6 +153,33 @@ def _prior_cost(prior: GaussianPrior, offset: Floats, direction: Floats) -> floa
     return cost
 
 
-def _capped_cost(residual: Floats) -> float:
-    """Sum of squared residuals, each capped: what counts is how many points a fit explains, not how far others are."""
-    return float(np.minimum(residual * residual, _COST_CAP).sum())
+@compiled
+def _capped_cost(residual: Floats, sense: Floats) -> float:
+    """Sum of squared residuals, each capped: what counts is how many points a fit explains, not how far others are.
+
+    A point that moves the wrong way costs as much as any.
+    """
+    cost = 0.0
+    for i in range(len(residual)):
+        cost += min(residual[i] * residual[i], _COST_CAP) if sense[i] >= 0.0 else _COST_CAP
+    return cost
+
+
+@compiled
+def _fill_covariance(information: Floats, score: Floats, region: Ints, covariance: Floats) -> None:
+    """Fill ``covariance (k, k)`` of `TwoViewFit`."""
+    covariance[:] = np.linalg.inv(information)
+    k, n_regions = len(covariance), 0
+    for number in region:
+        n_regions = max(n_regions, number + 1)
+    sums, has_points, n_used = np.zeros((k, n_regions)), np.zeros(n_regions, dtype=np.bool_), 0
+    for i in range(len(region)):
+        n_used += 0 if has_points[region[i]] else 1
+        has_points[region[i]] = True
+        for j in range(k):
+            sums[j, region[i]] += score[i, j]
+    if n_used <= 2 * k:
+        return
+    half = np.linalg.cholesky(covariance).T @ sums
+    ratio = np.linalg.eigvalsh(half @ half.T)[k - 1] * n_used / (n_used - k)
+    covariance *= max(1.0, ratio)

@@ -136,14 +136,6 @@ def descend_motion(
 
 
 @compiled
-def add_up_regions(region: Ints, score: Floats, sums: Floats) -> None:
-    """Add the scores ``(N, k)`` of each region to ``sums (k, regions)``."""
-    for i in range(len(region)):
-        for j in range(score.shape[1]):
-            sums[j, region[i]] += score[i, j]
-
-
-@compiled
 def _by_axis(rays: Floats) -> Floats:
     """Rays ``(N, 3)`` as ``(3, N)``: loops over them then work at several at a time."""
     by_axis = np.empty((3, len(rays)))

@@ -100,10 +100,11 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> t
     if len(seen) < min_tracks:
         return None
     is_kept = np.zeros(len(seen), dtype=bool)
-    _keep_some(now, sigma_rad, seen, picture_region(now[seen], region_side_of(history.camera)), is_kept)
+    region = picture_region(now.take(seen, axis=0), region_side_of(history.camera))
+    _keep_some(now, sigma_rad, seen, region, is_kept)
     spread = seen[is_kept]
     used = spread if len(spread) >= min_tracks else seen
-    return before[used], now[used], sigma_rad[used]
+    return before.take(used, axis=0), now.take(used, axis=0), sigma_rad.take(used)
 
 
 @compiled
@@ -123,19 +124,24 @@ def _keep_some(rays: Floats, sigma: Floats, seen: Ints, region: Ints, is_kept: B
 
     The same ones in whatever order they come.
     """
-    kept = np.full((region.max() + 1 if len(region) else 0, _MOST_IN_CELL), -1, dtype=np.int64)
+    n_regions = 0
+    for number in region:
+        n_regions = max(n_regions, number + 1)
+    kept, count = np.empty((n_regions, _MOST_IN_CELL), dtype=np.int64), np.zeros(n_regions, dtype=np.int64)
     for m in range(len(seen)):
-        new = m
-        for place in range(_MOST_IN_CELL):
-            old = kept[region[m], place]
-            if old < 0 or _is_quieter(rays, sigma, seen[new], seen[old]):
-                kept[region[m], place], new = new, old
-            if new < 0:
-                break
-    for region_kept in kept:
-        for old in region_kept:
-            if old >= 0:
-                is_kept[old] = True
+        own = region[m]
+        place = count[own]
+        # From the noisiest of those that are kept: most of a crowded region end there.
+        while place > 0 and _is_quieter(rays, sigma, seen[m], seen[kept[own, place - 1]]):
+            if place < _MOST_IN_CELL:
+                kept[own, place] = kept[own, place - 1]
+            place -= 1
+        if place < _MOST_IN_CELL:
+            kept[own, place] = m
+            count[own] = min(count[own] + 1, _MOST_IN_CELL)
+    for own in range(n_regions):
+        for place in range(count[own]):
+            is_kept[kept[own, place]] = True
 
 
 @compiled

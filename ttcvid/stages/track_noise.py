@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats
@@ -61,13 +62,32 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
         return nothing
     recent = slice(-_DIFFERENCE_FRAMES, None)
     plane = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
-    x3, x2, x1, x0 = plane / history.plane_per_px[:, None]
-    third_x, third_y = (x0 - 3.0 * x1 + 3.0 * x2 - x3).T
-    roughness = third_x * third_x + third_y * third_y
-    is_measured = np.isfinite(roughness)
-    if np.count_nonzero(is_measured) < _LEAST_MEASURED:
+    roughness, measured = np.empty(history.n_tracks), np.empty(history.n_tracks)
+    n_measured = _list_roughness(plane, history.plane_per_px, roughness, measured)
+    if n_measured < _LEAST_MEASURED:
         return nothing
-    typical = median(roughness[is_measured]) / _MEDIAN_CHI2_2
+    typical = median(measured[:n_measured]) / _MEDIAN_CHI2_2
     if typical <= 0.0:
         return nothing
-    return np.where(is_measured, roughness, 0.0) / typical, is_measured
+    is_measured = roughness >= 0.0
+    return np.maximum(roughness, 0.0) / typical, is_measured
+
+
+@compiled
+def _list_roughness(plane: Floats, plane_per_px: Floats, roughness: Floats, measured: Floats) -> int:
+    """Fill ``roughness (N,)``, px^2, of places ``plane (4, N, 2)``, -1 where it is not known; and ``measured``.
+
+    Returns how many of the latter there are: those that are known.
+    """
+    count = 0
+    for i in range(len(roughness)):
+        square = 0.0
+        for a in range(2):
+            third = plane[3, i, a] - 3.0 * plane[2, i, a] + 3.0 * plane[1, i, a] - plane[0, i, a]
+            square += third * third
+        square /= plane_per_px[i] * plane_per_px[i]
+        roughness[i] = -1.0
+        if np.isfinite(square):
+            roughness[i] = measured[count] = square
+            count += 1
+    return count
