@@ -27,10 +27,14 @@ def squares_of(xy):
     return np.sum((xy[:, None] - xy[None]) ** 2, axis=2)
 
 
+def neighbours_of_all(xy, count, radius):
+    return nearest_neighbours(xy, count, radius, np.ones(len(xy), dtype=bool), np.zeros(len(xy), dtype=bool))
+
+
 @given(xy=places(), radius=RADII, count=st.integers(1, 9))
 @settings(max_examples=150)
 def test_neighbours_are_the_nearest_within_the_radius_those_of_smaller_index_first(xy, radius, count):
-    found = nearest_neighbours(xy, count, radius)
+    found = neighbours_of_all(xy, count, radius)
     assert found.shape == (len(xy), count)
     square = squares_of(xy)
     for i, row in enumerate(found):
@@ -45,7 +49,19 @@ def test_neighbours_are_those_of_a_tree(seed, n):
     xy = np.random.default_rng(seed).uniform(0.0, 640.0, (n, 2))
     distance, index = KDTree(xy).query(xy, k=range(2, 8), distance_upper_bound=60.0)
     expected = np.where(np.isfinite(distance), index, np.arange(n)[:, None])
-    np.testing.assert_array_equal(nearest_neighbours(xy, 6, 60.0), expected)
+    np.testing.assert_array_equal(neighbours_of_all(xy, 6, 60.0), expected)
+
+
+@given(xy=places(), radius=RADII, part=st.sampled_from([0.0, 0.1, 0.6]))
+@settings(max_examples=150)
+def test_neighbours_of_those_asked_for_and_of_those_beside_others_are_as_if_all_were(xy, radius, part):
+    rng = np.random.default_rng(len(xy))
+    is_asked, is_beside = rng.random((2, len(xy))) < part
+    found, of_all = nearest_neighbours(xy, 6, radius, is_asked, is_beside), neighbours_of_all(xy, 6, radius)
+    is_needed = is_asked | ((squares_of(xy) < radius**2) & is_beside).any(axis=1)
+    np.testing.assert_array_equal(found[is_needed], of_all[is_needed])
+    alone = np.arange(len(xy))[:, None]
+    assert ((found == of_all).all(axis=1) | (found == alone).all(axis=1)).all()
 
 
 @given(xy=places(), radius=RADII)
@@ -65,7 +81,7 @@ def test_points_far_outside_the_picture_cost_no_memory_and_change_nothing():
     xy = np.concatenate([near, far])
     distance, index = KDTree(xy).query(xy, k=range(2, 8), distance_upper_bound=60.0)
     expected = np.where(np.isfinite(distance), index, np.arange(len(xy))[:, None])
-    np.testing.assert_array_equal(nearest_neighbours(xy, 6, 60.0), expected)
+    np.testing.assert_array_equal(neighbours_of_all(xy, 6, 60.0), expected)
     pairs = linked_pairs(xy, 30.0)
     assert set(map(tuple, pairs.tolist())) == KDTree(xy).query_pairs(30.0)
     one_group, same = np.zeros(len(xy), dtype=int), np.zeros(len(xy))
@@ -76,7 +92,7 @@ def test_points_far_outside_the_picture_cost_no_memory_and_change_nothing():
 def test_points_exactly_a_radius_apart_are_no_neighbours():
     xy = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 3.9]])
     assert linked_pairs(xy, 5.0).tolist() == [[0, 2], [1, 2]]
-    assert nearest_neighbours(xy, 1, 5.0).tolist() == [[2], [2], [1]]
+    assert neighbours_of_all(xy, 1, 5.0).tolist() == [[2], [2], [1]]
 
 
 @st.composite

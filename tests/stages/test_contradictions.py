@@ -25,7 +25,7 @@ def test_candidates_are_those_whose_neighbourhood_has_a_large_median_misfit(seed
         together = np.median(np.log(np.maximum(around, 0.1)))
         if len(around) >= 3 and together > 0.6 * np.log(config.scene_gate):
             expected.append(i)
-    found = new_movers._candidates(SimpleNamespace(neighbours=neighbours), is_asked, misfit, config)
+    found = new_movers._candidates(neighbours, is_asked, misfit, config)
     np.testing.assert_array_equal(found, expected)
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from rigid_worlds import bodies_of, car, world
 
-from ttcvid.geometry.rigid_path import PathFit, RigidPaths, views_by_track
-from ttcvid.stages.body_views import BodyViews
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.stages.occlusions import between_surfaces
 
 N_FRAMES, SLOWLY = 16, (0.0, 0.0, 4.0)
@@ -15,15 +14,11 @@ PLACE, NEAR_HZ, FAR_HZ, SINCE_S = np.array([0.3, -0.1]), 0.5, 0.1, np.array([-1.
 def asked(was, rate_hz=(NEAR_HZ, FAR_HZ), sigma_hz=0.0, is_static=(True, True)):
     """Whether a track that was at `was` a second ago may be a corner of two surfaces with these rates beside it."""
     places = np.stack([PLACE] * 3)
-    none = np.empty((3, 0))
-    neighbours = np.array([[1, 2], [1, 1], [2, 2]])
-    rays = np.full((3, 3, 3), np.nan)
-    views = BodyViews(rays, views_by_track(rays), none, places, SINCE_S, 1.0, np.ones(3, bool), neighbours, link_px=1.0)
     ahead = np.outer(-SINCE_S, [0.0, 0.0, 1.0])
     fit = PathFit(places, np.array([0.2, *rate_hz]), np.full(3, sigma_hz), np.ones(3), np.full(3, 10))
     xy = np.stack([was, 0.5 * (was + PLACE), PLACE])[:, None]
     scene = RigidPaths(np.tile(np.eye(3), (1, 3, 1, 1)), ahead[None])
-    return bool(between_surfaces(views, scene, fit, np.array([False, *is_static]), np.array([0]), xy)[0])
+    return bool(between_surfaces(scene, fit, np.array([False, *is_static]), np.array([0]), np.array([[1, 2]]), xy)[0])
 
 
 def crossing_of(near_normal, far_normal):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_in_place
-from ttcvid.model import Floats, Ints
+from ttcvid.model import Floats
 
 # Geman and McClure's weight falls to a quarter at so many sigmas and on towards zero: a lorry of two fifths of all
 # points, which Cauchy's weight lets pull for ever, is let go.

@@ -116,13 +116,20 @@ def _number(known: Ints, key: Ints, number: Ints) -> None:
 
 
 def assigned(
-    views: BodyViews, movers: Movers, key: Ints, n_views: Ints, misfit: Floats, usual_misfit: float
+    views: BodyViews,
+    movers: Movers,
+    key: Ints,
+    neighbours: Ints,
+    n_views: Ints,
+    misfit: Floats,
+    usual_misfit: float,
 ) -> tuple[Ints, Floats]:
     """Each track to the body that explains it best, among the scene and those that it or a neighbour belonged to.
 
     Parameters
     ----------
     key, n_views : (N,) body of each track by now, and its views.
+    neighbours : (N, K) of each track that belongs to a mover or has one beside it.
     misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
 
     Returns
@@ -133,7 +140,7 @@ def assigned(
         return key, misfit
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = np.zeros((len(key), n_bodies), dtype=np.int64)
-    track, mover = _asked(number, views.neighbours, votes)
+    track, mover = _asked(number, neighbours, votes)
     fit = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
     is_other = misfit[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, number[track] == mover + 1, len(movers))

@@ -25,8 +25,8 @@ class BodyViews:
 
     ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as
     `views_by_track`; ``sigma_norm (N,)``; ``xy_px (N, 2)``
-    now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their pixel; ``neighbours (N, K)`` the nearest tracks
-    within ``link_px``, the track itself standing in for missing ones.
+    now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their pixel; ``link_px`` the distance within which two
+    tracks are neighbours.
     """
 
     rays: Floats
@@ -36,7 +36,6 @@ class BodyViews:
     t_s: Floats
     focal_px: float
     is_free: Bools
-    neighbours: Ints
     link_px: float
 
     @cached_property
@@ -49,10 +48,12 @@ class BodyViews:
         """Places now in the plane z = 1: (N, 2)."""
         return np.asarray(self.rays[-1, :, :2] / self.rays[-1, :, 2:])
 
-    @cached_property
-    def has_neighbour(self) -> Bools:
-        """Which of the neighbours are another track: (N, K)."""
-        return np.asarray(self.neighbours != np.arange(len(self.neighbours))[:, None])
+    def neighbours(self, is_asked: Bools, is_beside: Bools) -> Ints:
+        """The nearest tracks within ``link_px``, the track itself standing in for missing ones: (N, K).
+
+        Of tracks ``is_asked (N,)``, and of those that have one ``is_beside (N,)`` so near; of others perhaps none.
+        """
+        return nearest_neighbours(self.xy_px, _N_NEIGHBOURS, self.link_px, is_asked, is_beside)
 
     def points(self, track: Ints, thing: Ints | None = None) -> Points:
         """These tracks as points of bodies: ``track, thing (M,)``; None: all of one body."""
@@ -67,14 +68,13 @@ def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFi
 
 
 def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_error_px: float) -> BodyViews:
-    """The tracks of the history with their neighbours.
+    """The tracks of the history as bodies are found in them.
 
     Parameters
     ----------
     model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
     """
     sigma_norm = np.maximum(history.sigma_px, model_error_px) * history.plane_per_px
-    neighbours = nearest_neighbours(history.xy_px, _N_NEIGHBOURS, link_px)
     return BodyViews(
         history.rays,
         views_by_track(history.rays),
@@ -83,6 +83,5 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
         history.t_s,
         history.focal_px,
         is_free,
-        neighbours,
         link_px,
     )

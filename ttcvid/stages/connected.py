@@ -15,17 +15,20 @@ _INDEX = (1 << 20) - 1
 _MOST_CELLS = 1000
 
 
-def nearest_neighbours(xy_px: Floats, count: int, radius_px: float) -> Ints:
-    """Each point's nearest others within a radius: (N, count), the point itself standing in for missing ones.
+def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bools, is_beside: Bools) -> Ints:
+    """Points' nearest others within a radius: (N, count), the point itself standing in for missing ones.
 
     Parameters
     ----------
     xy_px : (N, 2). Nearer ones first; of equally near ones the one with the smaller index.
+    is_asked, is_beside : (N,) points whose neighbours are asked for, and points to which others are: what neither is
+        asked for nor has one of these within the radius may get no neighbours.
     """
     neighbours = np.empty((len(xy_px), count), dtype=np.int64)
     if len(xy_px):
         xy_px = np.ascontiguousarray(xy_px)
-        _nearest(xy_px, _on_grid(xy_px, radius_px / _N_RINGS, _N_RINGS), radius_px, neighbours)
+        grid = _on_grid(xy_px, radius_px / _N_RINGS, _N_RINGS)
+        _nearest(xy_px, grid, radius_px, is_asked, is_beside, neighbours)
     return neighbours
 
 
@@ -117,7 +120,9 @@ def _sorted_by_cell(column_row: Ints, border: int) -> tuple[Ints, Ints, Ints, in
 
 
 @compiled
-def _nearest(xy_px: Floats, column_row: Ints, radius: float, neighbours: Ints) -> None:
+def _nearest(
+    xy_px: Floats, column_row: Ints, radius: float, is_asked: Bools, is_beside: Bools, neighbours: Ints
+) -> None:
     """Fill ``neighbours (N, K)``, ring of cells by ring of cells.
 
     What lies beyond ring r is farther away than r cells. A candidate is one number, its squared distance with the index
@@ -126,9 +131,18 @@ def _nearest(xy_px: Floats, column_row: Ints, radius: float, neighbours: Ints) -
     cell, order, start, width = _sorted_by_cell(column_row, _N_RINGS)
     xy = xy_px[order]
     count, side, none = neighbours.shape[1], radius / _N_RINGS, _as_key(radius * radius, 0)
-    nearest = np.empty(count, dtype=np.int64)
+    nearest, n_before = np.empty(count, dtype=np.int64), np.zeros(len(xy) + 1, dtype=np.int64)
+    for here in range(len(xy)):
+        n_before[here + 1] = n_before[here] + is_beside[order[here]]
     for here in range(len(xy)):
         x, y, own = xy[here, 0], xy[here, 1], order[here]
+        is_wanted = is_asked[own]
+        for dy in range(-_N_RINGS, _N_RINGS + 1):
+            at = cell[own] + dy * width
+            is_wanted |= n_before[start[at + _N_RINGS + 1]] > n_before[start[at - _N_RINGS]]
+        if not is_wanted:
+            neighbours[own] = own
+            continue
         nearest[:] = none
         for ring in range(1, _N_RINGS + 1):
             for dy in range(-ring, ring + 1):
@@ -192,8 +206,9 @@ def _link(
             for place in range(max(here + 1, start[at - 1]), start[at + 2]):
                 square = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
                 differs = abs(value[place] - value[here]) - tolerance[place] - tolerance[here]
-                # One branch, that seldom goes another way than the last time.
-                if (square < radius * radius) & (differs < 0.0) & (group[place] == group[here]):
+                # One branch, that seldom goes another way than the last time: most are known to hang together.
+                is_one = (square < radius * radius) & (differs < 0.0) & (group[place] == group[here])
+                if is_one & (root[order[here]] != root[order[place]]):
                     _unite(root, order[here], order[place])
     _number(root, label)
 

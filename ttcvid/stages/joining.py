@@ -61,20 +61,27 @@ class _Joint:
 
 
 def merged(
-    views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, own_misfit: Floats, usual_misfit: float
+    views: BodyViews,
+    scene: RigidPaths,
+    key: Ints,
+    movers: Movers,
+    neighbours: Ints,
+    own_misfit: Floats,
+    usual_misfit: float,
 ) -> tuple[Ints, Movers]:
     """Movers side by side that one motion explains are one; the older one's number stays.
 
     Parameters
     ----------
+    neighbours : (N, K) of each track that belongs to a mover.
     own_misfit : (N,) of each track on its body, in units of ``usual_misfit``.
     """
     number = numbers_of(key, movers)
-    neighbours = _asked_neighbours(views, number, movers)
-    if neighbours is None:
+    asked = _asked_neighbours(neighbours, number, movers)
+    if asked is None:
         return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
-    pairs = _worth_trying(views, tracks_of, movers, *neighbours, own_misfit, usual_misfit)
+    pairs = _worth_trying(views, tracks_of, movers, *asked, own_misfit, usual_misfit)
     if pairs is None:
         return key, movers
     every = _joint(views, scene, tracks_of, movers, pairs, usual_misfit)
@@ -100,12 +107,12 @@ def merged(
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
-def _asked_neighbours(views: BodyViews, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
+def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
     """The places of the larger and the smaller of each two neighbours that are asked about; None without any."""
     if len(movers) < 2:
         return None
     pairs = np.empty((len(movers) * (len(movers) - 1) // 2, 2), dtype=np.int64)
-    count = _list_touching(number, views.neighbours, len(movers), pairs)
+    count = _list_touching(number, neighbours, len(movers), pairs)
     large, small = pairs[:count].T
     is_asked = _is_asked(np.minimum(movers.n_found[large], movers.n_found[small]))
     return (large[is_asked], small[is_asked]) if is_asked.any() else None

@@ -40,6 +40,7 @@ def new_movers(
     seen_misfit: Floats,
     usual_misfit: float,
     on_road: Bools,
+    neighbours: Ints,
     config: BodiesConfig,
 ) -> tuple[list[Ints], RigidPaths, Floats]:
     """Connected tracks of the scene that contradict it together and that a motion of their own explains.
@@ -50,6 +51,7 @@ def new_movers(
     misfit, seen_misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``, with what the road
         contradicts and without it.
     on_road : (N,) tracks at the depth of the road on which they are seen.
+    neighbours : (N, K) of each track that contradicts the scene.
 
     Returns
     -------
@@ -57,7 +59,7 @@ def new_movers(
     """
     none = list[Ints](), scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
     is_asked = in_scene & views.is_free & (scene_fit.n_views >= _LEAST_VIEWS)
-    candidates = _candidates(views, is_asked, _without_slip(views, on_road, misfit), config)
+    candidates = _candidates(neighbours, is_asked, _without_slip(views, on_road, misfit), config)
     if len(candidates) < config.min_tracks:
         return none
     xy = turned_into_plane(views.rays[:, candidates], scene.cam_R_past[0])
@@ -82,7 +84,9 @@ def new_movers(
     if not is_found.any():
         return none
     is_static = in_scene & (misfit < config.scene_gate)
-    may_slide = between_surfaces(views, scene, scene_fit, is_static, candidates, xy) & ~is_along[candidates]
+    may_slide = (
+        between_surfaces(scene, scene_fit, is_static, candidates, neighbours[candidates], xy) & ~is_along[candidates]
+    )
     # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
     is_sure = is_better & (~may_slide | (misfit_by_own < misfit[candidates] / config.gain**2))
     is_found &= np.bincount(thing, is_sure) >= config.min_tracks
@@ -114,10 +118,10 @@ def _take_slip(rays: Floats, sigma: Floats, on_road: Bools, misfit: Floats, leas
             least[i] *= noise2 / (noise2 + _SLIP * _SLIP * moved2)
 
 
-def _candidates(views: BodyViews, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:
+def _candidates(neighbours: Ints, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:
     """Tracks that contradict the scene, in a neighbourhood that does."""
     is_candidate = np.empty(len(misfit), dtype=bool)
-    _contradict(views.neighbours, is_asked, misfit, config.scene_gate, is_candidate)
+    _contradict(neighbours, is_asked, misfit, config.scene_gate, is_candidate)
     return np.flatnonzero(is_candidate)
 
 

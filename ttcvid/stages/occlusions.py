@@ -10,7 +10,6 @@ import numpy as np
 
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.body_views import BodyViews
 
 # Views of a track whose depth counts; a surface is as near or as far as is sure by so many standard deviations.
 _LEAST_VIEWS, _SIGMAS = 3, 2.0
@@ -18,9 +17,7 @@ _LEAST_VIEWS, _SIGMAS = 3, 2.0
 _LEAST_DEPTH_RATIO = 0.05
 
 
-def between_surfaces(
-    views: BodyViews, scene: RigidPaths, fit: PathFit, is_static: Bools, track: Ints, xy: Floats
-) -> Bools:
+def between_surfaces(scene: RigidPaths, fit: PathFit, is_static: Bools, track: Ints, beside: Ints, xy: Floats) -> Bools:
     """Which tracks (M,) may be corners of two surfaces of the scene at different depths: both are seen beside them.
 
     A window that sees both moves as ``H^-1 (H_1 v_1 + H_2 v_2)`` with their gradient matrices, ``H = H_1 + H_2``, and
@@ -31,12 +28,12 @@ def between_surfaces(
     Parameters
     ----------
     fit : of all N tracks on the path of the scene; ``is_static (N,)`` those that it explains.
-    track : (M,) the tracks asked about, with their places ``xy (L, M, 2)`` in the plane z = 1 of the present camera.
+    track, beside : (M,) the tracks asked about, and their neighbours (M, K), themselves where there is none.
+    xy : (L, M, 2) their places in the plane z = 1 of the present camera.
     """
     rate, sigma = fit.rate_hz, fit.rate_sigma_hz
     is_known = is_static & (fit.n_views >= _LEAST_VIEWS) & np.isfinite(rate)
-    beside = views.neighbours[track]
-    counts = is_known[beside] & views.has_neighbour[track]
+    counts = is_known[beside] & (beside != track[:, None])
     near_hz = np.where(counts, rate[beside] - _SIGMAS * sigma[beside], -np.inf).max(axis=1)
     far_hz = np.where(counts, rate[beside] + _SIGMAS * sigma[beside], np.inf).min(axis=1)
     are_two = (near_hz > far_hz) & (far_hz > 0.0) & np.isfinite(near_hz)

@@ -151,11 +151,13 @@ def find_bodies(
         misfit = _with_contradictions(misfit, road, key, config)
 
     movers = _refined(movers, scene, views, key)
-    key, own_misfit = assigned(views, movers, key, scene_fit.n_views, misfit, usual)
+    # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
+    neighbours = views.neighbours(is_free & (misfit > config.scene_gate), key != SCENE_CLUSTER)
+    key, own_misfit = assigned(views, movers, key, neighbours, scene_fit.n_views, misfit, usual)
     if not rests:
         movers = along_our_way(movers, scene, scene_fit, key, own_misfit, seen_misfit)
     key, movers = kept(views, key, movers, config)
-    key, movers = merged(views, scene, key, movers, own_misfit, usual)
+    key, movers = merged(views, scene, key, movers, neighbours, own_misfit, usual)
     next_key = memory.next_key
     found, paths, found_hz = new_movers(
         views,
@@ -166,6 +168,7 @@ def find_bodies(
         seen_misfit,
         usual,
         on_road(scene_fit, road),
+        neighbours,
         config,
     )
     if len(found) and len(movers):
