@@ -145,7 +145,7 @@ class PathPoints:
         """The points of the paths for which ``is_asked (K,)`` holds, as points of these paths alone."""
         kept, n_points = is_asked[self.path_of], np.diff(self.first)[is_asked]
         return PathPoints(
-            np.ascontiguousarray(self.xy[:, kept]),
+            self.xy.compress(kept, axis=1),
             self.t_s,
             self.sigma_norm[kept],
             self.seen[kept],
@@ -180,7 +180,7 @@ def points_of_paths(
     _pick_some_of_each(path_of, n_views, LEAST_VIEWS, most_points, index, first)
     index = index[: first[-1]]
     return PathPoints(
-        np.ascontiguousarray(xy[:, index]),
+        xy.take(index, axis=1),
         t_s,
         sigma_norm[index],
         seen[index],

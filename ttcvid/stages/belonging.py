@@ -175,7 +175,8 @@ def _asked(number: Ints, neighbours: Ints, votes: Ints) -> tuple[Ints, Ints]:
     """
     track, mover, count = np.empty(votes.size, dtype=np.int64), np.empty(votes.size, dtype=np.int64), 0
     for i in range(len(number)):
-        for j in neighbours[i]:
+        for beside in range(neighbours.shape[1]):
+            j = neighbours[i, beside]
             if j != i:
                 votes[i, number[j]] += 1
         for b in range(1, votes.shape[1]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, refined_paths
 from ttcvid.model import Floats, Ints
@@ -39,8 +40,23 @@ def carried_forward(bodies: RigidPaths, cam_R_prev: Floats, t_s: Floats, step: F
             back = max(-1 - _STEADY_VIEWS, -past.shape[1])
             step = past[:, back, None] * ((t_s[-1] - t_s[-2]) / (t_s[-2] - t_s[back - 1]))
     path[:, :-1] = past + step
-    cam_R_past[:, :-1], cam_R_past[:, -1] = cam_R_prev @ bodies.cam_R_past[:, -n_past:], np.eye(3)
+    _turn_each(cam_R_prev, bodies.cam_R_past, cam_R_past)
     return RigidPaths(cam_R_past, path)
+
+
+@compiled
+def _turn_each(turn: Floats, before: Floats, now: Floats) -> None:
+    """Fill ``now (K, L, 3, 3)`` with the last L - 1 of the views ``before (K, M, 3, 3)`` turned on, and with none."""
+    n_past = now.shape[1] - 1
+    first = before.shape[1] - n_past
+    for b in range(len(now)):
+        for i in range(3):
+            for j in range(3):
+                for k in range(n_past):
+                    now[b, k, i, j] = 0.0
+                    for m in range(3):
+                        now[b, k, i, j] += turn[i, m] * before[b, first + k, m, j]
+                now[b, n_past, i, j] = 1.0 if i == j else 0.0
 
 
 def recent_speed(path: Floats, t_s: Floats) -> float:
@@ -55,7 +71,7 @@ def recent_speed(path: Floats, t_s: Floats) -> float:
 
 def with_unit_speed(scene: RigidPaths, since_s: Floats, rate_hz: Floats) -> tuple[RigidPaths, Floats]:
     """The same body, and the rates of points on it, in units in which its mean speed over the views is 1."""
-    length = float(np.sqrt(np.max(np.sum(scene.path[0] ** 2, axis=1))))
+    length = float(np.sqrt(np.einsum("li,li->l", scene.path[0], scene.path[0]).max()))
     if length < _NO_LENGTH:
         return scene, rate_hz
     speed = length / max(-since_s[0], _LEAST_TIME_S)

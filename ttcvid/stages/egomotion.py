@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
-from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.geometry.two_view import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion, fit_rotation
 from ttcvid.model import Camera, Floats, Ints, Platform
@@ -93,12 +92,13 @@ class Egomotion:
 
         Movers are cut off at three times the spread, and the cut is allowed for.
         """
-        size = np.abs(self.residual)
-        middle = _MEDIAN_NORMAL if self.direction is not None else _MEDIAN_RAYLEIGH
-        spread = median(size) / middle
+        size = np.sort(np.abs(self.residual))
+        middle, n = _MEDIAN_NORMAL if self.direction is not None else _MEDIAN_RAYLEIGH, len(size)
+        spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
         for _ in range(3):
-            spread = median(size[size <= _INLIER_SIGMAS * spread]) / middle
-        return spread
+            n = int(np.searchsorted(size, _INLIER_SIGMAS * spread, side="right"))
+            spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
+        return float(spread)
 
     @property
     def rotation_rad(self) -> Floats:

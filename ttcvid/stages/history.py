@@ -14,6 +14,7 @@ from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.shared_path import SharedPaths
 from ttcvid.model import Camera, Floats, Ints, PointSet
+from ttcvid.stages.sets import places_among
 
 # Views that count as recent, however long ago.
 _LEAST_RECENT = 4
@@ -218,10 +219,8 @@ def extended(
     if history.lost is not None:
         history = _with_lost(history, history.lost)
     n = len(points.track_id)
-    before = np.searchsorted(history.track_id, points.track_id)
-    known = np.zeros(n, dtype=bool)
-    inside = before < history.n_tracks
-    known[inside] = history.track_id[before[inside]] == points.track_id[inside]
+    before = places_among(history.track_id, points.track_id)
+    known = before >= 0
     source = before[known]
 
     def carried(values: Floats | Ints, start: float) -> Floats:
@@ -233,7 +232,7 @@ def extended(
     kept = history.rays[stay]
     with_past = np.empty((len(kept) + 1, n, 3))
     with_past[-1] = rays
-    _carry_views(kept, np.where(known, before, -1), with_past)
+    _carry_views(kept, before, with_past)
     return replace(
         history,
         frame=np.append(history.frame[stay], frame),

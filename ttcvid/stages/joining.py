@@ -154,8 +154,8 @@ def _list_touching(number: Ints, neighbours: Ints, n_movers: int, pairs: Ints) -
     for i in range(len(number)):
         counts[number[i]] += 1
         if number[i] > 0:
-            for j in neighbours[i]:
-                touch[number[i], number[j]] = True
+            for beside in range(neighbours.shape[1]):
+                touch[number[i], number[neighbours[i, beside]]] = True
     for one in range(1, n_movers + 1):
         for other in range(one + 1, n_movers + 1):
             if touch[one, other] and min(counts[one], counts[other]) >= _LEAST_TRACKS:

@@ -69,7 +69,8 @@ def new_movers(
     if not is_one.any():
         return none
     xy, candidates = xy[:, is_one], candidates[is_one]
-    numbers, thing = np.unique(label[is_one], return_inverse=True)
+    is_number = np.bincount(label[is_one]) > 0
+    numbers, thing = np.flatnonzero(is_number), (np.cumsum(is_number) - 1)[label[is_one]]
     tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates])
     directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
     points = views.points(candidates, thing)
@@ -134,7 +135,8 @@ def _contradict(neighbours: Ints, is_asked: Bools, misfit: Floats, gate: float, 
         if not (is_asked[i] and misfit[i] > gate):
             continue
         around[0], n = misfit[i], 1
-        for j in neighbours[i]:
+        for beside in range(neighbours.shape[1]):
+            j = neighbours[i, beside]
             if j != i and is_asked[j]:
                 place = n
                 while place > 0 and around[place - 1] > misfit[j]:
