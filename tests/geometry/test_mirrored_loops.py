@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ttcvid.geometry import rigid_path_descent, shared_direction, shared_path_descent, two_view_descent
-from ttcvid.geometry import whole_track_on_path as on_path
+from ttcvid.geometry import whole_track_on_path_descent as on_path
 from ttcvid.geometry.collision import times_from_position_velocity
 from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.intervals import collision_times_from_state
@@ -64,10 +64,13 @@ def test_what_a_point_says_of_its_place_and_rate_is_the_same_alone_and_together(
     path = np.column_stack([0.1 * rng.normal(size=(n, 2)), np.linspace(0.0, 0.8, n)])
     seen = (s[:2] + s[2] * path[:, :2]) / (1.0 + s[2] * path[:, 2:]) + 3e-4 * rng.normal(size=(n, 2))
     seen[2] += 0.01
-    sums = np.zeros((n + 1, on_path._N_SUMS))
-    on_path._add_up(seen, path, n, s, inverse, False, sums)
+    # Of many points side by side, one that is not the first.
+    views, state, lane = np.zeros((n + 1, on_path._ROW // 16, 16)), np.zeros((on_path._N_STATE // 16, 16)), 5
+    views[1:, :2, lane], views[1:, 2, lane], views[1:, 3:6, lane], state[:3, lane] = seen, inverse, path, s
+    state[3, lane], state[4, lane] = -np.inf, np.inf
+    on_path._add_up(views.reshape(-1), n, state.reshape(-1), False)
     kept, mean_square, _ = added_together(seen, -0.1 * np.arange(n), path, s, 1.0 / inverse)
-    row = sums[n]
+    row = views[n, int(on_path._OWN) // 16 :, lane]
     rate = row[3] - (row[1] ** 2 + row[2] ** 2) / row[0], row[6] - (row[1] * row[4] + row[2] * row[5]) / row[0]
     np.testing.assert_allclose(kept[3, :7], [row[0], row[1], row[2], rate[0], row[4], row[5], rate[1]], rtol=1e-9)
     assert mean_square == pytest.approx(row[7] / (2 * n - 3))

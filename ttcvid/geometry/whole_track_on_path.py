@@ -10,22 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.whole_track import window_gates
+from ttcvid.geometry.whole_track_on_path_descent import TAIL, fit_each
 from ttcvid.model import Floats, Ints
 
 NO_PATH = -1
 """Number of the path of a point that has none."""
-
-LEAST_FRAMES = 2
-"""Views that the rate needs; a window is never cut below them."""
-
-# As for the free state (`whole_track_descent`, which a compiled function of this file may not call). The same sums
-# stand in `shared_path_descent`, and with other weights in `rigid_path_descent`, which says why.
-_ROBUST_SIGMAS = 3.0
-_MAX_STEPS, _CONVERGED_CHI2, _WINDOW_STEPS, _TAIL = 8, 1e-2, 3, 3
-_LEAST_DEPTH_RATIO = 0.1
-_N_SUMS = 8
 
 
 @dataclass(frozen=True)
@@ -105,7 +95,7 @@ def fit_rates_on_paths(
     state, cov = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     by_path, by_rotation = np.full((n, 6), np.nan), np.full((n, 3), np.nan)
     chi2, n_frames = np.zeros(n), np.zeros(n, dtype=np.int64)
-    _fit_each(
+    fit_each(
         np.ascontiguousarray(xy, dtype=np.float64),
         np.asarray(t_s, dtype=np.float64),
         np.asarray(sigma_norm, dtype=np.float64),
@@ -114,7 +104,7 @@ def fit_rates_on_paths(
         np.ascontiguousarray(paths, dtype=np.float64),
         np.asarray(path_of, dtype=np.int64),
         window_gates(longest, 3, gate_probability),
-        window_gates(_TAIL, 0, gate_probability),
+        window_gates(TAIL, 0, gate_probability),
         np.full((n, 3), np.nan) if start is None else np.asarray(start, dtype=np.float64),
         has_sensitivities,
         state,
@@ -126,182 +116,3 @@ def fit_rates_on_paths(
     )
     dof = np.maximum(2 * n_frames - 3, 0)
     return PathRates(state[:, :2], state[:, 2], cov, by_path, by_rotation, chi2, dof, n_frames)
-
-
-@compiled
-def _fit_each(
-    xy: Floats,
-    t_s: Floats,
-    sigma: Floats,
-    order: Ints,
-    longest: int,
-    paths: Floats,
-    path_of: Ints,
-    gates: Floats,
-    tail_gates: Floats,
-    start: Floats,
-    has_sensitivities: bool,
-    state: Floats,
-    cov: Floats,
-    by_path: Floats,
-    by_rotation: Floats,
-    chi2: Floats,
-    n_frames: Ints,
-) -> None:
-    """Fill the results of `fit_rates_on_paths`, point by point."""
-    t, views, path = np.empty(longest), np.empty((longest, 2)), np.empty((longest, 3))
-    sums, s, step, step_near = np.zeros((longest + 1, _N_SUMS)), np.empty(3), np.empty(3), np.empty(3)
-    for i in range(xy.shape[1]):
-        if path_of[i] < 0 or not sigma[i] > 0.0:
-            continue
-        m, nearest, farthest = 0, 0.0, 0.0
-        for place in order:
-            if m == longest:
-                break
-            tz = paths[path_of[i], place, 2]
-            # A sum is finite where all of its terms are.
-            if np.isfinite(xy[place, i, 0] + xy[place, i, 1] + paths[path_of[i], place, 0] + tz):
-                t[m] = t_s[place]
-                for j in range(2):
-                    views[m, j] = xy[place, i, j]
-                for j in range(3):
-                    path[m, j] = paths[path_of[i], place, j]
-                nearest, farthest = min(nearest, tz), max(farthest, tz)
-                m += 1
-        n_frames[i] = m
-        if m < LEAST_FRAMES:
-            continue
-        inverse, n = 1.0 / sigma[i], m
-        low = -(1.0 - _LEAST_DEPTH_RATIO) / max(farthest, 1e-12)
-        high = (1.0 - _LEAST_DEPTH_RATIO) / max(-nearest, 1e-12)
-        has_start = np.isfinite(start[i, 0] + start[i, 1] + start[i, 2]) and low < start[i, 2] < high
-        if has_start:
-            s[0], s[1], s[2] = start[i, 0], start[i, 1], start[i, 2]
-        else:
-            s[0], s[1], s[2] = views[0, 0], views[0, 1], 0.0
-            _add_up(views, path, m, s, inverse, True, sums)
-            _solve(sums, m, s[2], low, high, step)
-            for j in range(3):
-                s[j] += step[j]
-        for count in range(_MAX_STEPS):
-            n = m if count < _WINDOW_STEPS else n
-            _add_up(views, path, n, s, inverse, False, sums)
-            fall = _solve(sums, n, s[2], low, high, step)
-            while n > LEAST_FRAMES:
-                whole = sums[n, 7] - fall
-                if whole <= gates[n]:
-                    k = max(n - _TAIL, LEAST_FRAMES)
-                    near = sums[k, 7] - _solve(sums, k, s[2], low, high, step_near)
-                    if whole - near <= tail_gates[n - k]:
-                        break
-                n -= 1
-                fall = _solve(sums, n, s[2], low, high, step)
-            for j in range(3):
-                s[j] += step[j]
-            chi2[i] = max(sums[n, 7] - fall, 0.0)
-            if fall < _CONVERGED_CHI2:
-                break
-        n_frames[i] = n
-        own, along_x, along_y = 1.0 / sums[n, 0], -sums[n, 1] / sums[n, 0], -sums[n, 2] / sums[n, 0]
-        information = sums[n, 3] + along_x * sums[n, 1] + along_y * sums[n, 2]
-        if not information > 0.0:
-            continue
-        variance = 1.0 / information
-        state[i, 0], state[i, 1], state[i, 2] = s[0], s[1], s[2]
-        cov[i, 0, 0] = own + along_x * along_x * variance
-        cov[i, 1, 1] = own + along_y * along_y * variance
-        cov[i, 0, 1] = cov[i, 1, 0] = along_x * along_y * variance
-        cov[i, 0, 2] = cov[i, 2, 0] = along_x * variance
-        cov[i, 1, 2] = cov[i, 2, 1] = along_y * variance
-        cov[i, 2, 2] = variance
-        if has_sensitivities:
-            _sensitivities(t, views, path, n, s, inverse, along_x, along_y, variance, i, by_path, by_rotation)
-
-
-@compiled
-def _add_up(views: Floats, path: Floats, m: int, s: Floats, inverse: float, is_linear: bool, sums: Floats) -> None:
-    """Running sums of the normal equations over the first m views, ``sums[k]`` of the first k.
-
-    Columns: 0 the information on x (and y); 1, 2 the couplings of x, y with rho; 3 the information on rho; 4-6 the
-    score of x, y, rho; 7 the squared residuals. ``is_linear``: with observed positions in the column of rho.
-    """
-    limit = _ROBUST_SIGMAS * _ROBUST_SIGMAS
-    # In variables of their own, because a sum that is read back from memory takes twice as long.
-    info, with_x, with_y, info_rate, score_x, score_y, score_rate, total = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(m):
-        h = 1.0 / (1.0 + s[2] * path[k, 2])
-        x, y = (s[0] + s[2] * path[k, 0]) * h, (s[1] + s[2] * path[k, 1]) * h
-        rx, ry = (views[k, 0] - x) * inverse, (views[k, 1] - y) * inverse
-        square = rx * rx + ry * ry
-        # Without a branch: which views are far off cannot be guessed.
-        weight = 1.0 if is_linear else limit / max(square, limit)
-        if is_linear:
-            x, y = views[k, 0], views[k, 1]
-        jx, jy = path[k, 0] - x * path[k, 2], path[k, 1] - y * path[k, 2]
-        hi = h * inverse
-        w = weight * hi * hi
-        gx, gy = weight * hi * rx, weight * hi * ry
-        info += w
-        with_x += w * jx
-        with_y += w * jy
-        info_rate += w * (jx * jx + jy * jy)
-        score_x += gx
-        score_y += gy
-        score_rate += gx * jx + gy * jy
-        total += weight * square
-        sums[k + 1, 0], sums[k + 1, 1], sums[k + 1, 2], sums[k + 1, 3] = info, with_x, with_y, info_rate
-        sums[k + 1, 4], sums[k + 1, 5], sums[k + 1, 6], sums[k + 1, 7] = score_x, score_y, score_rate, total
-
-
-@compiled
-def _solve(sums: Floats, n: int, rate: float, low: float, high: float, step: Floats) -> float:
-    """Gauss-Newton step ``(3,)`` of x, y, rho by the first n views; returns by how much chi-square falls."""
-    rest = 1.0 / sums[n, 0]
-    information = sums[n, 3] - (sums[n, 1] * sums[n, 1] + sums[n, 2] * sums[n, 2]) * rest
-    score = sums[n, 6] - (sums[n, 1] * sums[n, 4] + sums[n, 2] * sums[n, 5]) * rest
-    change = score / information if information > 0.0 else 0.0
-    # Half of the way to a limit at most.
-    change = min(max(change, 0.5 * (low - rate)), 0.5 * (high - rate))
-    step[0], step[1] = (sums[n, 4] - sums[n, 1] * change) * rest, (sums[n, 5] - sums[n, 2] * change) * rest
-    step[2] = change
-    fall: float = (sums[n, 4] * sums[n, 4] + sums[n, 5] * sums[n, 5]) * rest + change * (
-        2.0 * score - information * change
-    )
-    return fall
-
-
-@compiled
-def _sensitivities(
-    t: Floats,
-    views: Floats,
-    path: Floats,
-    n: int,
-    s: Floats,
-    inverse: float,
-    along_x: float,
-    along_y: float,
-    variance: float,
-    i: int,
-    by_path: Floats,
-    by_rotation: Floats,
-) -> None:
-    """What a wrong path and a rotation left in the views of point i do to its rho: see `PathRates`."""
-    for j in range(3):
-        by_path[i, j] = by_path[i, 3 + j] = by_rotation[i, j] = 0.0
-    for k in range(n):
-        h = 1.0 / (1.0 + s[2] * path[k, 2])
-        x, y = (s[0] + s[2] * path[k, 0]) * h, (s[1] + s[2] * path[k, 1]) * h
-        rx, ry = (views[k, 0] - x) * inverse, (views[k, 1] - y) * inverse
-        square = rx * rx + ry * ry
-        weight = min(1.0, _ROBUST_SIGMAS * _ROBUST_SIGMAS / max(square, 1e-300))
-        # What a shift of this view by (dx, dy) does to rho, with x and y free.
-        gain = weight * variance * h * inverse * inverse
-        px, py = gain * (path[k, 0] - x * path[k, 2] + along_x), gain * (path[k, 1] - y * path[k, 2] + along_y)
-        for j in range(2):
-            moved = s[2] * h * (t[k] if j == 0 else 0.5 * t[k] * t[k])
-            by_path[i, 3 * j] -= moved * px
-            by_path[i, 3 * j + 1] -= moved * py
-            by_path[i, 3 * j + 2] += moved * (x * px + y * py)
-        by_rotation[i, 0] -= t[k] * (x * y * px + (1.0 + y * y) * py)
-        by_rotation[i, 1] += t[k] * ((1.0 + x * x) * px + x * y * py)
-        by_rotation[i, 2] += t[k] * (x * py - y * px)

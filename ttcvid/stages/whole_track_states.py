@@ -13,8 +13,8 @@ from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, joined_paths, turned_back
 from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks, window_gates
 from ttcvid.geometry.whole_track_descent import LEAST_FRAMES
-from ttcvid.geometry.whole_track_on_path import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
 from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
+from ttcvid.geometry.whole_track_on_path_descent import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.bends import STRAIGHT_TURN_RAD_S, straight_or_in_bend
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD
