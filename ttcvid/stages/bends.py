@@ -15,7 +15,7 @@ from ttcvid.geometry.shared_path import (
     joined_paths,
     points_of_paths,
 )
-from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
+from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
 from ttcvid.model import Floats, Ints
 
 STRAIGHT_TURN_RAD_S = 0.006
@@ -80,15 +80,23 @@ def straight_or_in_bend(
     asked = np.flatnonzero(may_turn & (by_views_rad_s > _ASKED_TURN_RAD_S) & (np.diff(points.first) >= _LEAST_POINTS))
     if not len(asked):
         return chosen
-    turning = joined_paths([_turning(points, int(k), beliefs) for k in asked])
-    gain = chosen.squares[asked] - turning.squares
-    is_better = gain > _BEND_CHI2 * np.maximum(turning.usual, 1.0)
-    is_tight = np.linalg.norm(turning.turn_rad_s, axis=1) > _TIGHT_TURN_RAD_S
-    return chosen_paths(chosen, turning, asked, is_better & is_tight)
+    bodies = [_turning_body(points, int(k), beliefs) for k in asked]
+    turns = np.array([_turns_tightly(body, float(chosen.squares[k])) for k, body in zip(asked, bodies, strict=True)])
+    if not turns.any():
+        return chosen
+    turning = joined_paths([_path_of_body(body, points.t_s) for body, asks in zip(bodies, turns, strict=True) if asks])
+    return chosen_paths(chosen, turning, asked[turns], turns[turns])
 
 
-def _turning(points: PathPoints, k: int, beliefs: PathBeliefs) -> SharedPaths:
-    """The path of the thing k, fitted as that of a body that turns, by the views that the other fits may use."""
+def _turns_tightly(body: TurningBody, squares: float) -> bool:
+    """Whether a body that turns as tightly as a parabola does not, explains its views much better than ``squares``."""
+    gain = squares - body.squares
+    is_tight = float(np.linalg.norm(body.turn_rad_s)) > _TIGHT_TURN_RAD_S
+    return is_tight and gain > _BEND_CHI2 * max(body.usual, 1.0)
+
+
+def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs) -> TurningBody:
+    """The thing k, fitted as a body that turns, by the views that the other fits may use."""
     own = slice(points.first[k], points.first[k + 1])
     is_used = np.zeros((own.stop - own.start, len(points.t_s)), dtype=bool)
     for used, seen, n_views in zip(is_used, points.seen[own], points.n_views[own], strict=True):
@@ -96,9 +104,13 @@ def _turning(points: PathPoints, k: int, beliefs: PathBeliefs) -> SharedPaths:
     xy = np.where(is_used.T[..., None], points.xy[:, own], np.nan)
     # What drives along a circle is pulled across by its turn times its speed.
     bend_hz = float(np.hypot(beliefs.across_sigma_hz, TURN_SIGMA_RAD_S))
-    body = fit_turning_body(xy, points.t_s, points.sigma_norm[own], bend_hz, TURN_SIGMA_RAD_S)
+    return fit_turning_body(xy, points.t_s, points.sigma_norm[own], bend_hz, TURN_SIGMA_RAD_S)
+
+
+def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
+    """The path of the points of a body that turns, one of K = 1."""
     return SharedPaths(
-        body.path_turned_back(points.t_s)[None],
+        body.path_turned_back(t_s)[None],
         body.start[None],
         np.concatenate([np.zeros(6), body.turn_rad_s])[None],
         body.path_cov[None],
