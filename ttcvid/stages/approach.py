@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -71,7 +71,7 @@ def with_common_errors(
     common = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
     rows = list(rows)
     for k, cov in zip(stated, common, strict=True):
-        rows[k] = replace(rows[k], state_cov=rows[k].state_cov + cov)
+        rows[k] = rows[k].changed(state_cov=rows[k].state_cov + cov)
     return rows
 
 
@@ -113,7 +113,7 @@ def with_seen_motion(
         is_contradicted = _is_contradicted(rows[k].motion_state, gap_s, grows[k], said, float(radius_px[k]))
         state = _seen_state(rows[k].motion_state, nearer_hz, sigma_hz, is_contradicted=is_contradicted)
         if state != rows[k].motion_state:
-            seen[k] = replace(rows[k], motion_state=state)
+            seen[k] = rows[k].changed(motion_state=state)
     return seen
 
 

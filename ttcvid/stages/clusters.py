@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -182,7 +182,7 @@ def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
         if row.motion_state in APPROACHING
     ]
     rank = {cluster_id: place + 1 for place, (_, cluster_id) in enumerate(sorted(urgent))}
-    return [replace(row, urgency_rank=rank[row.cluster_id]) if row.cluster_id in rank else row for row in rows]
+    return [row.changed(urgency_rank=rank[row.cluster_id]) if row.cluster_id in rank else row for row in rows]
 
 
 def with_epipole_pixels(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
@@ -192,7 +192,7 @@ def with_epipole_pixels(rows: list[ClusterRow], camera: Camera) -> list[ClusterR
     rows = list(rows)
     for place, pixel in zip(directed, pixels, strict=True):
         if np.isfinite(pixel[0]):
-            rows[place] = replace(rows[place], epipole_px=pixel)
+            rows[place] = rows[place].changed(epipole_px=pixel)
     return rows
 
 
@@ -220,7 +220,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
     rows = list(rows)
     for i, (place, rate, sigma) in enumerate(zip(stated, rates.tolist(), sigmas.tolist(), strict=True)):
-        rows[place] = replace(rows[place], times=times.take(slice(i, i + 1)), motion_state=_motion_state(rate, sigma))
+        rows[place] = rows[place].changed(times=times.take(slice(i, i + 1)), motion_state=_motion_state(rate, sigma))
     return rows
 
 
