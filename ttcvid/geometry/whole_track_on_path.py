@@ -92,8 +92,7 @@ def fit_rates_on_paths(
             f"got {xy.shape}, {t_s.shape}, {paths.shape} and {path_of.shape}"
         )
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
-    state, cov = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
-    by_path, by_rotation = np.full((n, 6), np.nan), np.full((n, 3), np.nan)
+    state, cov, by_path, by_rotation = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 6)), np.empty((n, 3))
     chi2, n_frames = np.zeros(n), np.zeros(n, dtype=np.int64)
     fit_each(
         np.ascontiguousarray(xy, dtype=np.float64),
@@ -105,7 +104,7 @@ def fit_rates_on_paths(
         np.asarray(path_of, dtype=np.int64),
         window_gates(longest, 3, gate_probability),
         window_gates(TAIL, 0, gate_probability),
-        np.full((n, 3), np.nan) if start is None else np.asarray(start, dtype=np.float64),
+        np.empty((0, 3)) if start is None else np.asarray(start, dtype=np.float64),
         has_sensitivities,
         state,
         cov,

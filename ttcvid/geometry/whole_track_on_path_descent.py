@@ -65,11 +65,12 @@ def fit_each(
     """Fill the results of `whole_track_on_path.fit_rates_on_paths`, a block of points at a time.
 
     ``order`` lists the views, nearest first, of which at most ``longest`` are used; ``gates`` and ``tail_gates`` are
-    those of `whole_track.window_gates`; ``found (N, 3)`` is x, y, rho.
+    those of `whole_track.window_gates`; ``start (N, 3)`` may be empty; ``found (N, 3)`` is x, y, rho.
     """
     views, state, n_lanes = np.zeros((longest + 1) * _ROW), np.empty(_N_STATE), int(_LANES)
     n_seen, is_open = np.empty(n_lanes, dtype=np.int64), np.empty(n_lanes, dtype=np.bool_)
     point, n_points = np.empty(len(path_of), dtype=np.int64), 0
+    found[:], cov[:], by_path[:], by_rotation[:] = np.nan, np.nan, np.nan, np.nan
     for i in range(len(path_of)):
         if path_of[i] >= 0 and sigma[i] > 0.0:
             point[n_points] = i
@@ -162,13 +163,11 @@ def _list_views(
 @compiled
 def _take_start(start: Floats, i: int, c: int, views: Floats, state: Floats) -> bool:
     """Puts lane c where point i is to start, or else to where it is seen now; whether it has a start."""
-    has_start = (
-        np.isfinite(start[i, 0] + start[i, 1] + start[i, 2]) and state[_LOW + c] < start[i, 2] < state[_HIGH + c]
-    )
-    state[c] = start[i, 0] if has_start else views[_ROW + _X + c]
-    state[_AT_Y + c] = start[i, 1] if has_start else views[_ROW + _Y + c]
-    state[_RATE + c] = start[i, 2] if has_start else 0.0
-    return bool(has_start)
+    if len(start) and np.isfinite(start[i, 0] + start[i, 1]) and state[_LOW + c] < start[i, 2] < state[_HIGH + c]:
+        state[c], state[_AT_Y + c], state[_RATE + c] = start[i, 0], start[i, 1], start[i, 2]
+        return True
+    state[c], state[_AT_Y + c], state[_RATE + c] = views[_ROW + _X + c], views[_ROW + _Y + c], 0.0
+    return False
 
 
 @compiled

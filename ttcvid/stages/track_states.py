@@ -108,34 +108,10 @@ class TrackStates:
             status=np.where(index, status, self.status),
         )
 
-    def replaced(self, index: Ints, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:
-        """Other results for the tracks of ``index (M,)``; NaN where their status says that there is none."""
-        is_valued = has_value(status)
-        changed = replace(
-            self,
-            abc_hz=self.abc_hz.copy(),
-            cov=self.cov.copy(),
-            direction=self.direction.copy(),
-            status=self.status.copy(),
-        )
-        changed.abc_hz[index] = np.where(is_valued[:, None], abc_hz, np.nan)
-        changed.cov[index] = np.where(is_valued[:, None, None], cov, np.nan)
-        changed.direction[index] = np.where(is_valued[:, None], direction, np.nan)
-        changed.status[index] = status
-        return changed
-
     def times(self) -> CollisionTimes:
         """The three times with their intervals: N rows."""
         x, y = self.xy.T
         return collision_times_from_state(x, y, self.abc_hz, self.cov, self.sigma_norm)
-
-
-def first_reason(n: int, reasons: list[tuple[Bools, Status | Ints]]) -> Ints:
-    """Status (N,) of the first condition (N,) that holds for each track, ok where none does."""
-    status = np.full(n, _OK, dtype=np.int64)
-    for holds, reason in reversed(reasons):
-        np.copyto(status, int(reason) if isinstance(reason, Status) else reason, where=holds)
-    return status
 
 
 def has_value(status: Ints) -> Bools:

@@ -23,7 +23,7 @@ from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.overlaps import overlap_factors
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.scene_path import scene_path
-from ttcvid.stages.track_states import SharedErrors, TrackStates, first_reason, has_value
+from ttcvid.stages.track_states import SharedErrors, TrackStates
 
 # A rate within this many of its standard deviations may be zero; below minus this, the point moves against its group.
 _RATE_SIGMAS = 2.0
@@ -43,6 +43,7 @@ _JUDGEMENTS = (
     Status.epipole_at_infinity,
     Status.ok,
 )
+_JUDGED = tuple(int(judgement) for judgement in _JUDGEMENTS)
 # A time takes the velocity as lasting. Where it was seen to change, it is uncertain by what it changes in so long, s:
 # on the lead car of kitti_sfnd_ttc, whose brakes come and go, 90 % intervals hold then in about 80 % of the frames.
 _LASTING_S = 0.4
@@ -66,7 +67,9 @@ def multi_frame_states(
     states = _on_paths(history, motions, views, paths, path_of, is_object, config)
     has_none = (motions.cluster_id == SCENE_CLUSTER) & (path_of == NO_PATH)
     free = np.flatnonzero((path_of == NO_PATH) & ~has_none & motions.is_free)
-    return _with_free(states, history, free, plane, config)
+    if len(free):
+        _fill_free(states, history, free, plane, config)
+    return states
 
 
 def _paths(
@@ -122,8 +125,10 @@ def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     if not changed:
         return history.xy
     first, stop = np.zeros(history.n_tracks, dtype=np.int64), np.full(history.n_tracks, len(history.t_s))
+    # Most objects have the same.
+    views_of = {window_s: history.views_within(window_s) for window_s in {motion.window_s for motion in changed}}
     for motion in changed:
-        within = history.views_within(motion.window_s)
+        within = views_of[motion.window_s]
         first[motion.members], stop[motion.members] = within.start, within.stop
     views = np.empty_like(history.xy)
     _keep_within(history.xy, first, stop, views)
@@ -201,7 +206,7 @@ def _on_paths(
         rates.n_frames,
         found.along_sigma_hz,
         motions.no_direction_status,
-        tuple(int(judgement) for judgement in _JUDGEMENTS),
+        _JUDGED,
         LEAST_FRAMES_ON_PATH,
         INFINITY_COSINE,
         SIGNIFICANCE_SIGMAS**2,
@@ -288,16 +293,10 @@ def _misfit(path_of: Ints, rates: PathRates, count: int) -> Floats:
     return np.asarray(np.maximum(chi2_sum / np.maximum(dof_sum, 1.0), 1.0))
 
 
-def _with_free(
-    states: TrackStates,
-    history: TrackHistory,
-    free: Ints,
-    plane: HorizonPlane | None,
-    config: CollisionTimesConfig,
-) -> TrackStates:
-    """The same with the free states of the tracks of ``free (M,)``."""
-    if not len(free):
-        return states
+def _fill_free(
+    states: TrackStates, history: TrackHistory, free: Ints, plane: HorizonPlane | None, config: CollisionTimesConfig
+) -> None:
+    """Fills the free states of the tracks of ``free (M,)`` into ``states``, which come without any of them."""
     found = fit_whole_tracks(
         history.xy[:, free],
         history.since_s,
@@ -306,53 +305,87 @@ def _with_free(
         config.window_probability,
         None if plane is None else MotionPlane(plane.normal, plane.covariance),
     )
-    velocity = found.state[:, 2:]
-    moved = np.einsum("ni,ni->n", (found.info_w @ velocity[:, :, None])[:, :, 0], velocity)
-    direction = normalize(velocity)
-    n_views = 2 if plane is not None else LEAST_FRAMES
-    gates = window_gates(config.max_frames, 2 * LEAST_FRAMES - 1, config.window_probability)
-    status = first_reason(
-        len(free),
-        [
-            (~(found.n_frames >= n_views), Status.short_track),
-            (~(moved > _NO_MOTION_CHI2), Status.no_parallax),
-            (found.chi2 > gates[np.maximum(found.n_frames, LEAST_FRAMES)], Status.not_rigid),
-            (np.abs(direction[:, 2]) < INFINITY_COSINE, Status.epipole_at_infinity),
-        ],
+    _judge_free(
+        free,
+        (found.state, found.info_w, found.chi2, found.n_frames),
+        window_gates(config.max_frames, 2 * LEAST_FRAMES - 1, config.window_probability),
+        history.rotation_rate_cov,
+        _JUDGED,
+        (LEAST_FRAMES, 2 if plane is not None else LEAST_FRAMES),
+        INFINITY_COSINE,
+        _NO_MOTION_CHI2,
+        (states.abc_hz, states.cov, states.direction, states.status),
     )
-    cov = np.full((len(free), 3, 3), np.nan)
-    _fill_free_covariances(found.info_w, found.state, has_value(status), history.rotation_rate_cov, cov)
-    return states.replaced(free, velocity, cov, direction, status)
 
 
 @compiled
-def _fill_free_covariances(info_w: Floats, state: Floats, is_valued: Bools, rotation_cov: Floats, cov: Floats) -> None:
-    """Fills ``cov (M, 3, 3)`` of the velocities of tracks with a value: by their views, and by a turn left in these.
+def _judge_free(
+    free: Ints,
+    found: tuple[Floats, Floats, Floats, Ints],
+    gates: Floats,
+    rotation_cov: Floats,
+    judgements: tuple[int, ...],
+    least: tuple[int, int],
+    infinity_cosine: float,
+    no_motion_chi2: float,
+    states: tuple[Floats, Floats, Floats, Ints],
+) -> None:
+    """Fills the statuses of the tracks of ``free (M,)``, and the states of those that have one.
 
-    The first is the inverse of ``info_w (M, 3, 3)``, by Cholesky factors. A turn that is not there moves a point as a
+    ``found`` are state, info_w, chi2 and n_frames of `WholeTracks`, ``judgements`` the numbers of `_JUDGEMENTS`,
+    ``least`` the views that a window has and those that a state needs, ``states`` what is filled of `TrackStates`.
+    """
+    short, _, no_parallax, not_rigid, at_infinity, ok = judgements
+    state, info_w, chi2, n_frames = found
+    abc_hz, cov, direction, status = states
+    least_window, least_views = least
+    # Scratch of the covariance.
+    root, turn = np.zeros((3, 3)), np.zeros((3, 3))
+    for m in range(len(free)):
+        i, moved, square = free[m], 0.0, 0.0
+        for j in range(3):
+            square += state[m, 2 + j] * state[m, 2 + j]
+            for k in range(3):
+                moved += state[m, 2 + j] * info_w[m, j, k] * state[m, 2 + k]
+        if n_frames[m] < least_views:
+            status[i] = short
+        elif not moved > no_motion_chi2:
+            status[i] = no_parallax
+        elif chi2[m] > gates[max(n_frames[m], least_window)]:
+            status[i] = not_rigid
+        else:
+            for j in range(3):
+                abc_hz[i, j], direction[i, j] = state[m, 2 + j], state[m, 2 + j] / np.sqrt(square)
+            status[i] = at_infinity if abs(direction[i, 2]) < infinity_cosine else ok
+            _set_free_covariance(info_w, state, m, rotation_cov, root, turn, cov, i)
+
+
+@compiled
+def _set_free_covariance(
+    info_w: Floats, state: Floats, m: int, rotation_cov: Floats, root: Floats, turn: Floats, cov: Floats, i: int
+) -> None:
+    """Fills ``cov[i]`` of the velocity of the free track m: by its views, and by a turn left in these.
+
+    The first is the inverse of ``info_w[m] (3, 3)``, by Cholesky factors. A turn that is not there moves a point as a
     velocity of (its rate, of covariance ``rotation_cov (3, 3)``) x (the ray) would.
     """
-    root, turn = np.zeros((3, 3)), np.zeros((3, 3))
-    for i in range(len(info_w)):
-        if not is_valued[i]:
-            continue
-        aa, ab, ac = info_w[i, 0, 0], info_w[i, 1, 0], info_w[i, 2, 0]
-        # The inverse of the lower factor.
-        root[0, 0] = 1.0 / np.sqrt(aa)
-        b_a, c_a = ab * root[0, 0], ac * root[0, 0]
-        root[1, 1] = 1.0 / np.sqrt(max(info_w[i, 1, 1] - b_a * b_a, _ROUNDING * info_w[i, 1, 1]))
-        c_b = (info_w[i, 2, 1] - c_a * b_a) * root[1, 1]
-        root[2, 2] = 1.0 / np.sqrt(max(info_w[i, 2, 2] - c_a * c_a - c_b * c_b, _ROUNDING * info_w[i, 2, 2]))
-        root[1, 0], root[2, 1] = -b_a * root[0, 0] * root[1, 1], -c_b * root[1, 1] * root[2, 2]
-        root[2, 0] = -(c_a * root[0, 0] + c_b * root[1, 0]) * root[2, 2]
-        x, y = state[i, 0], state[i, 1]
-        turn[0, 1], turn[0, 2], turn[1, 2] = -1.0, y, -x
-        turn[1, 0], turn[2, 0], turn[2, 1] = 1.0, -y, x
-        for j in range(3):
-            for k in range(3):
-                total = 0.0
-                for p in range(3):
-                    total += root[p, j] * root[p, k]
-                    for q in range(3):
-                        total += turn[j, p] * rotation_cov[p, q] * turn[k, q]
-                cov[i, j, k] = total
+    aa, ab, ac = info_w[m, 0, 0], info_w[m, 1, 0], info_w[m, 2, 0]
+    # The inverse of the lower factor.
+    root[0, 0] = 1.0 / np.sqrt(aa)
+    b_a, c_a = ab * root[0, 0], ac * root[0, 0]
+    root[1, 1] = 1.0 / np.sqrt(max(info_w[m, 1, 1] - b_a * b_a, _ROUNDING * info_w[m, 1, 1]))
+    c_b = (info_w[m, 2, 1] - c_a * b_a) * root[1, 1]
+    root[2, 2] = 1.0 / np.sqrt(max(info_w[m, 2, 2] - c_a * c_a - c_b * c_b, _ROUNDING * info_w[m, 2, 2]))
+    root[1, 0], root[2, 1] = -b_a * root[0, 0] * root[1, 1], -c_b * root[1, 1] * root[2, 2]
+    root[2, 0] = -(c_a * root[0, 0] + c_b * root[1, 0]) * root[2, 2]
+    x, y = state[m, 0], state[m, 1]
+    turn[0, 1], turn[0, 2], turn[1, 2] = -1.0, y, -x
+    turn[1, 0], turn[2, 0], turn[2, 1] = 1.0, -y, x
+    for j in range(3):
+        for k in range(3):
+            total = 0.0
+            for p in range(3):
+                total += root[p, j] * root[p, k]
+                for q in range(3):
+                    total += turn[j, p] * rotation_cov[p, q] * turn[k, q]
+            cov[i, j, k] = total
