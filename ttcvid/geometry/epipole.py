@@ -140,7 +140,6 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
     chi2 = np.empty(shape)
     _direction_chi2_of_each(
         one_after_the_other(one, 3),
-        one_after_the_other(tangent_basis(one), 3, 2),
         one_after_the_other(other, 3),
         one_after_the_other(covariance, 3, 3),
         chi2.reshape(-1),
@@ -149,18 +148,24 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
 
 
 @compiled
-def _direction_chi2_of_each(one: Floats, basis: Floats, other: Floats, covariance: Floats, chi2: Floats) -> None:
-    """Fills ``chi2 (N,)`` of `direction_chi2`; ``basis (N, 3, 2)`` are the tangents of ``one (N, 3)``."""
+def _direction_chi2_of_each(one: Floats, other: Floats, covariance: Floats, chi2: Floats) -> None:
+    """Fills ``chi2 (N,)`` of `direction_chi2`."""
     for i in range(len(chi2)):
+        ex, ey, ez = one[i, 0], one[i, 1], one[i, 2]
+        # Any tangent, and the one across it: what they are makes no difference.
+        tx, ty, tz = (ez, 0.0, -ex) if abs(ey) < 0.9 else (ey, -ex, 0.0)
+        length = np.sqrt(tx * tx + ty * ty + tz * tz)
+        t = (tx / length, ty / length, tz / length)
+        s = (ey * t[2] - ez * t[1], ez * t[0] - ex * t[2], ex * t[1] - ey * t[0])
         along, x, y, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(3):
             along += one[i, j] * other[i, j]
-            x += basis[i, j, 0] * other[i, j]
-            y += basis[i, j, 1] * other[i, j]
+            x += t[j] * other[i, j]
+            y += s[j] * other[i, j]
             for k in range(3):
-                xx += basis[i, j, 0] * covariance[i, j, k] * basis[i, k, 0]
-                xy += basis[i, j, 0] * covariance[i, j, k] * basis[i, k, 1]
-                yy += basis[i, j, 1] * covariance[i, j, k] * basis[i, k, 1]
+                xx += t[j] * covariance[i, j, k] * t[k]
+                xy += t[j] * covariance[i, j, k] * s[k]
+                yy += s[j] * covariance[i, j, k] * s[k]
         chi2[i] = np.inf if along < 0.0 else (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 

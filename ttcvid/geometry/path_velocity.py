@@ -55,13 +55,11 @@ def velocities_on_paths(
         ``(K,)`` by what part the speed along each path may change soon.
     """
     n = len(path_of)
-    found = PathVelocities(*(np.full((n, *size), np.nan) for size in ((3,), (), (3, 3), (3, N_SHARED))))
+    found = PathVelocities(np.empty((n, 3)), np.empty(n), np.empty((n, 3, 3)), np.empty((n, 3, N_SHARED)))
     _fill(
-        np.ascontiguousarray(rates.xy),
-        np.ascontiguousarray(rates.rate_hz),
+        rates.state,
         rate_variance,
-        rates.by_path,
-        rates.by_rotation,
+        rates.by_shared,
         np.asarray(path_of, dtype=np.int64),
         direction,
         turn_rad_s,
@@ -78,11 +76,9 @@ def velocities_on_paths(
 
 @compiled
 def _fill(
-    xy: Floats,
-    rate_hz: Floats,
+    state: Floats,
     rate_variance: Floats,
-    by_path: Floats,
-    by_rotation: Floats,
+    by_shared: Floats,
     path_of: Ints,
     direction: Floats,
     turn_rad_s: Floats,
@@ -96,20 +92,18 @@ def _fill(
 ) -> None:
     """Fill the results of `velocities_on_paths`."""
     n_shared = shared_cov.shape[1]
+    abc_hz[:], along_sigma_hz[:], cov[:], jacobian[:] = np.nan, np.nan, np.nan, np.nan
     product = np.empty((3, n_shared))
     for i in range(len(path_of)):
         k = path_of[i]
-        if k < 0 or not np.isfinite(rate_hz[i]):
+        x, y, rate_hz = state[i, 0], state[i, 1], state[i, 2]
+        if k < 0 or not np.isfinite(rate_hz):
             continue
-        x, y = xy[i, 0], xy[i, 1]
         for j in range(3):
-            abc_hz[i, j] = rate_hz[i] * direction[k, j]
-            for m in range(6):
-                jacobian[i, j, m] = direction[k, j] * by_path[i, m]
-            jacobian[i, j, j] += rate_hz[i]
-            for m in range(3):
-                # A rotation rate taken for too large turns the views back too far.
-                jacobian[i, j, 6 + m] = -direction[k, j] * by_rotation[i, m]
+            abc_hz[i, j] = rate_hz * direction[k, j]
+            for m in range(n_shared):
+                jacobian[i, j, m] = direction[k, j] * by_shared[i, m]
+            jacobian[i, j, j] += rate_hz
         if is_own_turn[k]:
             jacobian[i, 0, 7] += 1.0
             jacobian[i, 0, 8] -= y

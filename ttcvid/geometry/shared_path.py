@@ -143,9 +143,9 @@ class PathPoints:
 
     def of(self, is_asked: Bools) -> PathPoints:
         """The points of the paths for which ``is_asked (K,)`` holds, as points of these paths alone."""
-        kept, n_points = is_asked[self.path_of], np.diff(self.first)[is_asked]
+        kept, n_points = np.flatnonzero(is_asked[self.path_of]), np.diff(self.first)[is_asked]
         return PathPoints(
-            self.xy.compress(kept, axis=1),
+            self.xy.take(kept, axis=1),
             self.t_s,
             self.sigma_norm[kept],
             self.seen[kept],
@@ -228,11 +228,9 @@ def fit_shared_paths(
         has_sensitivities=False,
     )
     information, score = believed.copy(), -_times(believed, offset)
-    state = np.column_stack([rates.xy, rates.rate_hz])
-    add_up_windows(points.views(views), path, basis, rates.n_frames, state, information, score)
+    add_up_windows(points.views(views), path, basis, rates.n_frames, rates.state, information, score)
     cov: Floats = np.linalg.inv(information).astype(np.float64)
-    found = _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, t_s)
-    return replace(found, squares=left[:, 0], usual=left[:, 1])
+    return _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, left, t_s)
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
@@ -270,15 +268,15 @@ def _moved_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, t_s: Floats
 
 
 def _shared_paths(
-    beliefs: PathBeliefs, basis: Floats, own_motion: Floats, local: Floats, cov: Floats, t_s: Floats
+    beliefs: PathBeliefs, basis: Floats, own_motion: Floats, local: Floats, cov: Floats, left: Floats, t_s: Floats
 ) -> SharedPaths:
-    """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``."""
+    """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``; ``left (K, 2)``."""
     count = len(basis)
     path, velocity = _moved_paths(beliefs, basis, local, t_s)
-    direction, bend_hz, nothing = np.empty((count, 3)), np.empty((count, 3)), np.zeros(count)
+    direction, bend_hz = np.empty((count, 3)), np.empty((count, 3))
     offset, shared_cov, own_cov = np.empty((count, N_SHARED)), np.empty((count, 9, 9)), np.empty((count, 3, 3))
     share(basis, own_motion, local, cov, velocity, direction, offset, shared_cov, bend_hz, own_cov)
-    return SharedPaths(path, direction, offset, shared_cov, bend_hz, own_cov, nothing, nothing)
+    return SharedPaths(path, direction, offset, shared_cov, bend_hz, own_cov, left[:, 0], left[:, 1])
 
 
 @compiled

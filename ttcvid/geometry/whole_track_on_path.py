@@ -22,22 +22,30 @@ NO_PATH = -1
 class PathRates:
     """Places and rates of N points at time 0; NaN for a point without a path or with fewer than two views.
 
-    ``xy (N, 2)``; ``rate_hz (N,)`` rho = (speed along the path) / Z, so that (a, b, c) = rho e with e the path's
+    ``state (N, 3)`` x, y and rho = (speed along the path) / Z in 1/s, so that (a, b, c) = rho e with e the path's
     direction at time 0; ``cov (N, 3, 3)`` of (x, y, rho) by the noise of the point's own views. What errors that
-    points share do to rho, to first order: ``by_path (N, 6)``, when the path has ``u t + v t^2 / 2`` too much, in 1/s
-    per unit of the vectors u (a wrong direction) and v (in 1/s: a wrong acceleration over the speed); ``by_rotation
-    (N, 3)`` in 1/s per rad/s, when the derotated rays turn at a constant rate that is not there.
+    points share do to rho, to first order, is ``by_shared (N, 9)``: when the path has ``u t + v t^2 / 2`` too much, in
+    1/s per unit of the vectors u (a wrong direction) and v (in 1/s: a wrong acceleration over the speed); and in 1/s
+    per rad/s, when the views were turned back at a constant rate (3) that is not there.
     ``chi2, dof, n_frames (N,)`` of the window, as in `WholeTracks`, with 2 n_frames - 3 degrees of freedom.
     """
 
-    xy: Floats
-    rate_hz: Floats
+    state: Floats
     cov: Floats
-    by_path: Floats
-    by_rotation: Floats
+    by_shared: Floats
     chi2: Floats
     dof: Ints
     n_frames: Ints
+
+    @property
+    def xy(self) -> Floats:
+        """Places (N, 2)."""
+        return self.state[:, :2]
+
+    @property
+    def rate_hz(self) -> Floats:
+        """Rates (N,)."""
+        return self.state[:, 2]
 
 
 def straight_path(direction: Floats, t_s: Floats) -> Floats:
@@ -73,7 +81,7 @@ def fit_rates_on_paths(
     start
         ``(N, 3)`` x, y, rho to start from; NaN rows, or None: from the linear solve.
     has_sensitivities
-        False leaves ``by_path`` and ``by_rotation`` NaN, for speed.
+        False leaves ``by_shared`` NaN, for speed.
     path_of
         ``(N,)`` path of each point, `NO_PATH` for none.
 
@@ -92,7 +100,7 @@ def fit_rates_on_paths(
             f"got {xy.shape}, {t_s.shape}, {paths.shape} and {path_of.shape}"
         )
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
-    state, cov, by_path, by_rotation = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 6)), np.empty((n, 3))
+    state, cov, by_shared = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 9))
     chi2, n_frames = np.zeros(n), np.zeros(n, dtype=np.int64)
     fit_each(
         np.ascontiguousarray(xy, dtype=np.float64),
@@ -108,10 +116,9 @@ def fit_rates_on_paths(
         has_sensitivities,
         state,
         cov,
-        by_path,
-        by_rotation,
+        by_shared,
         chi2,
         n_frames,
     )
     dof = np.maximum(2 * n_frames - 3, 0)
-    return PathRates(state[:, :2], state[:, 2], cov, by_path, by_rotation, chi2, dof, n_frames)
+    return PathRates(state, cov, by_shared, chi2, dof, n_frames)

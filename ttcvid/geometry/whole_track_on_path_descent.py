@@ -38,7 +38,7 @@ _OWN, _WITH_X, _WITH_Y, _INFO, _SCORE_X, _SCORE_Y, _SCORE, _SQUARES, _CHANGE, _L
 _ROW = np.uint64(16 * 17)
 # Numbers of a point: x, y (at 0), rho, how x and y follow it, its variance; what shared errors do to it (`PathRates`).
 _AT_Y, _RATE, _LOW, _HIGH = (np.uint64(16 * j) for j in range(1, 5))
-_ALONG_X, _ALONG_Y, _VARIANCE, _BY_PATH, _BY_ROTATION = (np.uint64(16 * j) for j in (5, 6, 7, 8, 14))
+_ALONG_X, _ALONG_Y, _VARIANCE, _BY_SHARED = (np.uint64(16 * j) for j in (5, 6, 7, 8))
 _N_STATE = np.uint64(16 * 17)
 
 
@@ -57,8 +57,7 @@ def fit_each(
     has_sensitivities: bool,
     found: Floats,
     cov: Floats,
-    by_path: Floats,
-    by_rotation: Floats,
+    by_shared: Floats,
     chi2: Floats,
     n_frames: Ints,
 ) -> None:
@@ -70,7 +69,7 @@ def fit_each(
     views, state, n_lanes = np.zeros((longest + 1) * _ROW), np.empty(_N_STATE), int(_LANES)
     n_seen, is_open = np.empty(n_lanes, dtype=np.int64), np.empty(n_lanes, dtype=np.bool_)
     point, n_points = np.empty(len(path_of), dtype=np.int64), 0
-    found[:], cov[:], by_path[:], by_rotation[:] = np.nan, np.nan, np.nan, np.nan
+    found[:], cov[:], by_shared[:] = np.nan, np.nan, np.nan
     for i in range(len(path_of)):
         if path_of[i] >= 0 and sigma[i] > 0.0:
             point[n_points] = i
@@ -123,10 +122,8 @@ def fit_each(
             for c in range(count):
                 i = point[first + c]
                 if np.isfinite(found[i, 2]):
-                    for j in range(6):
-                        by_path[i, j] = state[_BY_PATH + j * _LANES + c]
-                    for j in range(3):
-                        by_rotation[i, j] = state[_BY_ROTATION + j * _LANES + c]
+                    for j in range(by_shared.shape[1]):
+                        by_shared[i, j] = state[_BY_SHARED + j * _LANES + c]
 
 
 @compiled
@@ -253,7 +250,7 @@ def _store(views: Floats, n: int, c: int, i: int, state: Floats, found: Floats, 
 
 @compiled
 def _add_up_shared(views: Floats, n_rows: int, state: Floats) -> None:
-    """What a wrong path and a rotation left in the views of a block do to its rates: see `PathRates`."""
+    """What a wrong path and a wrong rotation of the views of a block do to its rates: ``by_shared`` of `PathRates`."""
     limit = _ROBUST_SIGMAS * _ROBUST_SIGMAS
     for k in range(np.uint64(1), np.uint64(n_rows + 1)):
         for c in range(_LANES):
@@ -268,12 +265,12 @@ def _add_up_shared(views: Floats, n_rows: int, state: Floats) -> None:
             px, py = gain * (tx - x * tz + state[_ALONG_X + c]), gain * (ty - y * tz + state[_ALONG_Y + c])
             u = rho * h * t
             v, pz = 0.5 * u * t, -(x * px + y * py)
-            state[_BY_PATH + c] -= u * px
-            state[_BY_PATH + np.uint64(16) + c] -= u * py
-            state[_BY_PATH + np.uint64(32) + c] -= u * pz
-            state[_BY_PATH + np.uint64(48) + c] -= v * px
-            state[_BY_PATH + np.uint64(64) + c] -= v * py
-            state[_BY_PATH + np.uint64(80) + c] -= v * pz
-            state[_BY_ROTATION + c] -= t * (py - y * pz)
-            state[_BY_ROTATION + np.uint64(16) + c] += t * (px - x * pz)
-            state[_BY_ROTATION + np.uint64(32) + c] += t * (x * py - y * px)
+            state[_BY_SHARED + c] -= u * px
+            state[_BY_SHARED + np.uint64(16) + c] -= u * py
+            state[_BY_SHARED + np.uint64(32) + c] -= u * pz
+            state[_BY_SHARED + np.uint64(48) + c] -= v * px
+            state[_BY_SHARED + np.uint64(64) + c] -= v * py
+            state[_BY_SHARED + np.uint64(80) + c] -= v * pz
+            state[_BY_SHARED + np.uint64(96) + c] += t * (py - y * pz)
+            state[_BY_SHARED + np.uint64(112) + c] -= t * (px - x * pz)
+            state[_BY_SHARED + np.uint64(128) + c] -= t * (x * py - y * px)

@@ -251,7 +251,6 @@ def _directions_of_states(
     speed_hz = np.linalg.norm(abc_hz, axis=1)[:, None]
     direction = abc_hz / speed_hz
     across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
-    cov = across @ joint.cov[asked] @ across
     cov_here = across @ (joint.cov - joint.place_cov)[asked] @ across
     # Without a covariance of the belief (NaN) it stays.
     is_other = direction_chi2(direction, believed[owner], cov_here + believed_cov[owner]) >= _SAME_DIRECTION_CHI2
@@ -260,7 +259,7 @@ def _directions_of_states(
         status = motions[owner[i]].status
         if status in _VALUED:
             status = Status.epipole_at_infinity if abs(direction[i, 2]) < INFINITY_COSINE else Status.ok
-        found.append((int(owner[i]), direction[i], cov[i], status))
+        found.append((int(owner[i]), direction[i], across[i] @ joint.cov[asked][i] @ across[i], status))
     return found
 
 

@@ -181,15 +181,13 @@ def _on_paths(
     found = velocities_on_paths(
         rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov, change
     )
-    # A rotation rate taken for too large turns the views back too far.
-    rate_jacobian = np.concatenate([rates.by_path, -rates.by_rotation], axis=1)
     shared = SharedErrors(
         path_of,
         paths.direction,
         rates.rate_hz,
         rate_variance,
         found.jacobian,
-        rate_jacobian,
+        rates.by_shared,
         shared_cov,
         change,
         turn_rad_s,
@@ -287,10 +285,22 @@ def _is_at_epipole(xy: Floats, now: int, e: Floats, variance: float) -> bool:
 
 def _misfit(path_of: Ints, rates: PathRates, count: int) -> Floats:
     """By how much the variances (K,) of paths have to be larger (Birge's ratio): their tracks fit worse than noise."""
-    has_path = path_of != NO_PATH
-    chi2_sum = np.bincount(path_of[has_path], rates.chi2[has_path], count)
-    dof_sum = np.bincount(path_of[has_path], rates.dof[has_path], count)
-    return np.asarray(np.maximum(chi2_sum / np.maximum(dof_sum, 1.0), 1.0))
+    misfit = np.empty(count)
+    _fill_misfits(path_of, rates.chi2, rates.dof, misfit)
+    return misfit
+
+
+@compiled
+def _fill_misfits(path_of: Ints, chi2: Floats, dof: Ints, misfit: Floats) -> None:
+    """Fills ``misfit (K,)`` of `_misfit`."""
+    dof_sum = np.zeros(len(misfit))
+    misfit[:] = 0.0
+    for i in range(len(path_of)):
+        if path_of[i] >= 0:
+            misfit[path_of[i]] += chi2[i]
+            dof_sum[path_of[i]] += dof[i]
+    for k in range(len(misfit)):
+        misfit[k] = max(misfit[k] / max(dof_sum[k], 1.0), 1.0)
 
 
 def _fill_free(
