@@ -229,7 +229,8 @@ def fit_shared_paths(
     )
     information, score = believed.copy(), -_times(believed, offset)
     add_up_windows(points.views(views), path, basis, rates.n_frames, rates.state, information, score)
-    cov: Floats = np.linalg.inv(information).astype(np.float64)
+    cov = np.empty_like(information)
+    _invert_each(information, cov)
     return _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, left, t_s)
 
 
@@ -277,6 +278,38 @@ def _shared_paths(
     offset, shared_cov, own_cov = np.empty((count, N_SHARED)), np.empty((count, 9, 9)), np.empty((count, 3, 3))
     share(basis, own_motion, local, cov, velocity, direction, offset, shared_cov, bend_hz, own_cov)
     return SharedPaths(path, direction, offset, shared_cov, bend_hz, own_cov, left[:, 0], left[:, 1])
+
+
+@compiled
+def _invert_each(information: Floats, cov: Floats) -> None:
+    """Fills ``cov (K, n, n)``, the inverses of symmetric positive matrices, by Cholesky factors."""
+    n = information.shape[1]
+    root, inverse = np.zeros((n, n)), np.zeros((n, n))
+    for k in range(len(information)):
+        for j in range(n):
+            total = information[k, j, j]
+            for m in range(j):
+                total -= root[j, m] * root[j, m]
+            root[j, j] = np.sqrt(total)
+            for i in range(j + 1, n):
+                total = information[k, i, j]
+                for m in range(j):
+                    total -= root[i, m] * root[j, m]
+                root[i, j] = total / root[j, j]
+        # The inverse of the lower factor.
+        for j in range(n):
+            inverse[j, j] = 1.0 / root[j, j]
+            for i in range(j + 1, n):
+                total = 0.0
+                for m in range(j, i):
+                    total -= root[i, m] * inverse[m, j]
+                inverse[i, j] = total / root[i, i]
+        for i in range(n):
+            for j in range(i + 1):
+                total = 0.0
+                for m in range(i, n):
+                    total += inverse[m, i] * inverse[m, j]
+                cov[k, i, j] = cov[k, j, i] = total
 
 
 @compiled

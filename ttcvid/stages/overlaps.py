@@ -32,8 +32,8 @@ def overlap_factors(xy_px: Floats, set_of: Ints, is_asked: Bools) -> Floats:
 @compiled
 def _fill(xy: Floats, set_of: Ints, is_asked: Bools, factor: Floats) -> None:
     """Fills ``factor (K,)``."""
-    # Tracks in order of their sets: those of set k are ``order[first[k] : first[k + 1]]``.
-    first, order = np.zeros(len(factor) + 1, dtype=np.int64), np.empty(len(set_of), dtype=np.int64)
+    # Places in order of the sets: those of set k are ``x[first[k] : first[k + 1]]`` and likewise ``y``.
+    first, x, y = np.zeros(len(factor) + 1, dtype=np.int64), np.empty(len(set_of)), np.empty(len(set_of))
     for i in range(len(set_of)):
         if set_of[i] >= 0:
             first[set_of[i] + 1] += 1
@@ -42,16 +42,15 @@ def _fill(xy: Floats, set_of: Ints, is_asked: Bools, factor: Floats) -> None:
     end = first.copy()
     for i in range(len(set_of)):
         if set_of[i] >= 0:
-            order[end[set_of[i]]] = i
+            x[end[set_of[i]]], y[end[set_of[i]]] = xy[i, 0], xy[i, 1]
             end[set_of[i]] += 1
     for k in range(len(factor)):
         if not is_asked[k] or first[k] == first[k + 1]:
             continue
         common = 0.0
         for a in range(first[k], first[k + 1]):
-            x, y = xy[order[a], 0], xy[order[a], 1]
-            for b in range(first[k], a):
-                dx, dy = abs(xy[order[b], 0] - x), abs(xy[order[b], 1] - y)
-                if dx < _WINDOW_PX and dy < _WINDOW_PX:
-                    common += (1.0 - dx / _WINDOW_PX) * (1.0 - dy / _WINDOW_PX)
+            # Without a branch, and by an index without a sign: then several are compared at a time.
+            for b in range(np.uint64(first[k]), np.uint64(a)):
+                dx, dy = abs(x[b] - x[a]), abs(y[b] - y[a])
+                common += max(1.0 - dx / _WINDOW_PX, 0.0) * max(1.0 - dy / _WINDOW_PX, 0.0)
         factor[k] = 1.0 + 2.0 * common / (first[k + 1] - first[k])
