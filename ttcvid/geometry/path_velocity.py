@@ -92,12 +92,12 @@ def _fill(
 ) -> None:
     """Fill the results of `velocities_on_paths`."""
     n_shared = shared_cov.shape[1]
-    abc_hz[:], along_sigma_hz[:], cov[:], jacobian[:] = np.nan, np.nan, np.nan, np.nan
     product = np.empty((3, n_shared))
     for i in range(len(path_of)):
         k = path_of[i]
         x, y, rate_hz = state[i, 0], state[i, 1], state[i, 2]
         if k < 0 or not np.isfinite(rate_hz):
+            abc_hz[i], along_sigma_hz[i], cov[i], jacobian[i] = np.nan, np.nan, np.nan, np.nan
             continue
         for j in range(3):
             abc_hz[i, j] = rate_hz * direction[k, j]

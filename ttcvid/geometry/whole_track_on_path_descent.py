@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_in_place
 from ttcvid.model import Floats, Ints
 
 LEAST_FRAMES = 2
@@ -29,6 +29,8 @@ _LEAST_DEPTH_RATIO = 0.1
 # A loop over fewer lanes would not be worth taking them together, says the compiler. Without a sign, as all places: an
 # index that may count from the end takes the lanes apart.
 _LANES = np.uint64(16)
+# So few that are left in a block are worked at one by one.
+_FEW = 4
 # Numbers of a view: where the point is seen, one over its noise (0: no view), its path and the time.
 _X, _Y, _INVERSE, _PATH_X, _PATH_Y, _PATH_Z, _TIME = (np.uint64(16 * j) for j in range(7))
 # Sums: information on x (and y), couplings of x, y with rho, information on rho, score of x, y, rho, squared residuals.
@@ -97,12 +99,16 @@ def fit_each(
         for n_steps in range(1, _MAX_STEPS + 1):
             if n_open == 0:
                 break
-            _add_up(views, n_rows, state, False)
+            are_few = n_open <= _FEW
+            if not are_few:
+                _add_up(views, n_rows, state, False)
             for c in range(count):
                 if not is_open[c]:
                     continue
                 i = point[first + c]
                 n = n_seen[c] if n_steps <= _WINDOW_STEPS else n_frames[i]
+                if are_few:
+                    _add_up_one(views, n, c, state)
                 while n > LEAST_FRAMES:
                     k, left = max(n - TAIL, LEAST_FRAMES), views[n * _ROW + _LEFT + c]
                     if left <= gates[n] and left - views[k * _ROW + _LEFT + c] <= tail_gates[n - k]:
@@ -174,45 +180,57 @@ def _add_up(views: Floats, n_rows: int, state: Floats, is_linear: bool) -> None:
     With h = 1 / (1 + rho T_z), d x / d(x, rho) = h (1, T_x - x T_z); for the first solution, which starts with rho = 0,
     at the observed positions.
     """
-    limit = _ROBUST_SIGMAS * _ROBUST_SIGMAS
     for k in range(np.uint64(n_rows)):
         for c in range(_LANES):
-            past = k * _ROW + c
-            row = past + _ROW
-            rho, inverse = state[_RATE + c], views[row + _INVERSE]
-            px, py, pz = views[row + _PATH_X], views[row + _PATH_Y], views[row + _PATH_Z]
-            h = 1.0 / (1.0 + rho * pz)
-            x, y = (state[c] + rho * px) * h, (state[_AT_Y + c] + rho * py) * h
-            rx, ry = (views[row + _X] - x) * inverse, (views[row + _Y] - y) * inverse
-            square = rx * rx + ry * ry
-            # Without a branch: which views are far off cannot be guessed.
-            weight = 1.0 if is_linear else limit / max(square, limit)
-            x = views[row + _X] if is_linear else x
-            y = views[row + _Y] if is_linear else y
-            jx, jy = px - x * pz, py - y * pz
-            hi = h * inverse
-            w, gx, gy = weight * hi * hi, weight * hi * rx, weight * hi * ry
-            own, with_x, with_y = views[past + _OWN] + w, views[past + _WITH_X] + w * jx, views[past + _WITH_Y] + w * jy
-            info = views[past + _INFO] + w * (jx * jx + jy * jy)
-            score_x, score_y = views[past + _SCORE_X] + gx, views[past + _SCORE_Y] + gy
-            score, squares = views[past + _SCORE] + gx * jx + gy * jy, views[past + _SQUARES] + weight * square
-            views[row + _OWN], views[row + _WITH_X], views[row + _WITH_Y], views[row + _INFO] = (
-                own,
-                with_x,
-                with_y,
-                info,
-            )
-            views[row + _SCORE_X], views[row + _SCORE_Y], views[row + _SCORE] = score_x, score_y, score
-            views[row + _SQUARES] = squares
-            rest = 1.0 / own
-            info -= (with_x * with_x + with_y * with_y) * rest
-            score -= (with_x * score_x + with_y * score_y) * rest
-            change = score / info if info > 0.0 else 0.0
-            # Half of the way to a limit at most.
-            change = min(max(change, 0.5 * (state[_LOW + c] - rho)), 0.5 * (state[_HIGH + c] - rho))
-            views[row + _CHANGE] = change
-            fall = (score_x * score_x + score_y * score_y) * rest + change * (2.0 * score - info * change)
-            views[row + _LEFT] = squares - fall
+            _add_view(views, k, c, state, is_linear)
+
+
+@compiled
+def _add_up_one(views: Floats, n_rows: int, c: int, state: Floats) -> None:
+    """The same sums of lane c alone."""
+    for k in range(np.uint64(n_rows)):
+        _add_view(views, k, c, state, False)
+
+
+@compiled_in_place
+def _add_view(views: Floats, k: int, c: int, state: Floats, is_linear: bool) -> None:
+    """Fills the sums in row k + 1 of lane c; without a branch, so that lanes are worked at together."""
+    limit, past = _ROBUST_SIGMAS * _ROBUST_SIGMAS, k * _ROW + c
+    row = past + _ROW
+    rho, inverse = state[_RATE + c], views[row + _INVERSE]
+    px, py, pz = views[row + _PATH_X], views[row + _PATH_Y], views[row + _PATH_Z]
+    h = 1.0 / (1.0 + rho * pz)
+    x, y = (state[c] + rho * px) * h, (state[_AT_Y + c] + rho * py) * h
+    rx, ry = (views[row + _X] - x) * inverse, (views[row + _Y] - y) * inverse
+    square = rx * rx + ry * ry
+    # Without a branch: which views are far off cannot be guessed.
+    weight = 1.0 if is_linear else limit / max(square, limit)
+    x = views[row + _X] if is_linear else x
+    y = views[row + _Y] if is_linear else y
+    jx, jy = px - x * pz, py - y * pz
+    hi = h * inverse
+    w, gx, gy = weight * hi * hi, weight * hi * rx, weight * hi * ry
+    own, with_x, with_y = views[past + _OWN] + w, views[past + _WITH_X] + w * jx, views[past + _WITH_Y] + w * jy
+    info = views[past + _INFO] + w * (jx * jx + jy * jy)
+    score_x, score_y = views[past + _SCORE_X] + gx, views[past + _SCORE_Y] + gy
+    score, squares = views[past + _SCORE] + gx * jx + gy * jy, views[past + _SQUARES] + weight * square
+    views[row + _OWN], views[row + _WITH_X], views[row + _WITH_Y], views[row + _INFO] = (
+        own,
+        with_x,
+        with_y,
+        info,
+    )
+    views[row + _SCORE_X], views[row + _SCORE_Y], views[row + _SCORE] = score_x, score_y, score
+    views[row + _SQUARES] = squares
+    rest = 1.0 / own
+    info -= (with_x * with_x + with_y * with_y) * rest
+    score -= (with_x * score_x + with_y * score_y) * rest
+    change = score / info if info > 0.0 else 0.0
+    # Half of the way to a limit at most.
+    change = min(max(change, 0.5 * (state[_LOW + c] - rho)), 0.5 * (state[_HIGH + c] - rho))
+    views[row + _CHANGE] = change
+    fall = (score_x * score_x + score_y * score_y) * rest + change * (2.0 * score - info * change)
+    views[row + _LEFT] = squares - fall
 
 
 @compiled
