@@ -181,17 +181,8 @@ def _on_paths(
     found = velocities_on_paths(
         rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov, change
     )
-    shared = SharedErrors(
-        path_of,
-        paths.direction,
-        rates.rate_hz,
-        rate_variance,
-        found.jacobian,
-        rates.by_shared,
-        shared_cov,
-        change,
-        turn_rad_s,
-    )
+    errors = (rates.rate_hz, rate_variance, found.jacobian, rates.by_shared)
+    shared = SharedErrors(path_of, paths.direction, *errors, shared_cov, change, turn_rad_s)
     direction, status = np.full((history.n_tracks, 3), np.nan), np.empty(history.n_tracks, dtype=np.int64)
     _judge(
         history.xy,
