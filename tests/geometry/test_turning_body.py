@@ -88,6 +88,16 @@ def test_a_few_points_far_away_do_not_claim_to_know_the_turn():
     assert np.mean(np.abs(errors) < 1.645 * np.array(sigmas)) >= 0.8
 
 
+def test_a_body_that_is_of_no_use_is_not_looked_for_on_the_other_side():
+    xy, *_ = circling(*BUS, noise=SIGMA)
+    sigma = np.full(40, SIGMA)
+    best = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S)
+    again = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S, 1e9)
+    np.testing.assert_array_equal(again.shared, best.shared)
+    of_no_use = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S, best.squares, 16.0)
+    assert of_no_use.squares >= best.squares
+
+
 def test_points_that_say_nothing_are_said_to():
     # One place, seen ever again: no size, so no distance, and neither a turn nor a way towards us.
     xy = np.full((len(T_S), 8, 2), 0.1)

@@ -23,11 +23,11 @@ def views(middle_m, half_size_m, turn_rad_s, noise, n=60, seed=1):
     return place[..., :2] / place[..., 2:] + noise * rng.standard_normal((len(T_S), n, 2))
 
 
-def fitted(xy, config=None, may_turn_tightly=True):
-    across = np.eye(3) - np.outer(DIRECTION, DIRECTION)
+def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_turn_tightly=True):
+    across = np.eye(3) - np.outer(direction, direction)
     beliefs = PathBeliefs(
-        T_S[None, :, None] * DIRECTION,
-        DIRECTION[None],
+        T_S[None, :, None] * direction,
+        direction[None],
         (np.radians(1.0) ** 2 * across)[None],
         0.2,
         0.2,
@@ -38,7 +38,7 @@ def fitted(xy, config=None, may_turn_tightly=True):
     return straight_or_in_bend(
         xy,
         T_S,
-        np.full(n, SIGMA_NORM),
+        np.full(n, noise),
         beliefs,
         np.zeros(n, dtype=np.int64),
         CollisionTimesConfig() if config is None else config,
@@ -69,19 +69,32 @@ def test_what_is_left_of_the_views_is_their_noise():
     assert 0.8 < found.usual[0] < 1.1
 
 
-def views_of_a_tight_bend(turn_rad_s):
-    """Of points that drive on a circle: (L, N, 2)."""
-    middle_m, speed_m_s = np.array([3.0, 0.3, 15.0]), 6.3
-    rng = np.random.default_rng(3)
+def views_on_a_circle(middle_m, velocity_m_s, own_m_s, turn_rad_s, half_size_m, noise, n=60, seed=3):
+    """Of points that drive on a circle, at ``velocity_m_s`` relative to a camera that drives straight on: (L, N, 2)."""
+    rng = np.random.default_rng(seed)
     rotation = rotation_from_vector(T_S[:, None] * np.array([0.0, turn_rad_s, 0.0]))
-    # The velocity turn x (middle - middle of the circle) is VELOCITY_M_S less our own.
-    own_m_s = np.array([0.0, 0.0, 5.0])
-    heading = normalize(VELOCITY_M_S + own_m_s)
-    from_circle_m = speed_m_s / turn_rad_s * np.cross(heading, [0.0, 1.0, 0.0])
-    offset = rng.uniform(-1.0, 1.0, (60, 3)) * np.array([4.0, 1.2, 1.5])
+    # The velocity turn x (middle - middle of the circle) is the relative one and our own.
+    from_circle_m = np.cross(velocity_m_s + own_m_s, [0.0, 1.0, 0.0]) / turn_rad_s
+    offset = rng.uniform(-1.0, 1.0, (n, 3)) * half_size_m
     place = middle_m - from_circle_m + np.einsum("lij,nj->lni", rotation, from_circle_m + offset)
     place -= T_S[:, None, None] * own_m_s
-    return place[..., :2] / place[..., 2:] + SIGMA_NORM * rng.standard_normal((len(T_S), 60, 2))
+    return place[..., :2] / place[..., 2:] + noise * rng.standard_normal((len(T_S), n, 2))
+
+
+def views_of_a_tight_bend(turn_rad_s):
+    middle_m, own_m_s = np.array([3.0, 0.3, 15.0]), np.array([0.0, 0.0, 5.0])
+    half_size_m = np.array([4.0, 1.2, 1.5])
+    velocity_m_s = np.array([-6.3, 0.0, -5.0])
+    return views_on_a_circle(middle_m, velocity_m_s, own_m_s, turn_rad_s, half_size_m, SIGMA_NORM)
+
+
+def views_of_a_car_ahead(turn_rad_s, seed):
+    """And their noise, and the direction of its middle."""
+    velocity_m_s, noise = np.array([0.3, 0.0, -1.8]), 0.3 * SIGMA_NORM
+    middle_m, half_size_m = np.array([-2.0, 0.5, 10.0]), np.array([0.8, 0.6, 2.0])
+    own_m_s = np.array([0.0, 0.0, 8.0])
+    xy = views_on_a_circle(middle_m, velocity_m_s, own_m_s, turn_rad_s, half_size_m, noise, 30, seed)
+    return xy, noise, normalize(velocity_m_s)
 
 
 def test_what_drives_round_a_tight_bend_is_found_on_its_circle():
@@ -90,13 +103,20 @@ def test_what_drives_round_a_tight_bend_is_found_on_its_circle():
     assert found.usual[0] < 1.2
 
 
+def test_a_car_ahead_in_a_bend_turns_as_fast_as_it_does():
+    """A path that hardly turns follows its points to their noise, in another direction and with a wrong speed."""
+    found = [fitted(*views_of_a_car_ahead(0.17, seed)) for seed in range(9)]
+    turn_rad_s = np.array([one.turn_rad_s[0] for one in found])
+    np.testing.assert_allclose(np.median(turn_rad_s, axis=0), [0.0, 0.17, 0.0], atol=0.01)
+
+
 def test_a_tight_bend_is_judged_by_the_views_that_may_be_used_and_by_no_others():
     xy, config = views_of_a_tight_bend(-0.45), CollisionTimesConfig(max_frames=10)
-    by_few = fitted(xy, config)
+    by_few = fitted(xy, config=config)
     np.testing.assert_allclose(by_few.turn_rad_s[0], [0.0, -0.45, 0.0], atol=0.05)
     longer = xy.copy()
     longer[: len(T_S) - 10] += 0.05
-    np.testing.assert_array_equal(fitted(longer, config).turn_rad_s, by_few.turn_rad_s)
+    np.testing.assert_array_equal(fitted(longer, config=config).turn_rad_s, by_few.turn_rad_s)
 
 
 def test_where_the_direction_is_held_to_a_horizon_no_circle_is_looked_for():

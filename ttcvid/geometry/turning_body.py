@@ -90,7 +90,13 @@ class TurningBody:
 
 
 def fit_turning_body(
-    xy: Floats, t_s: Floats, sigma_norm: Floats, bend_hz: float, turn_sigma_rad_s: float
+    xy: Floats,
+    t_s: Floats,
+    sigma_norm: Floats,
+    bend_hz: float,
+    turn_sigma_rad_s: float,
+    to_beat: float = np.inf,
+    by_chi2: float = 0.0,
 ) -> TurningBody:
     """The body that its points show, by robust least squares on all of their views.
 
@@ -105,6 +111,10 @@ def fit_turning_body(
         or after it; their times ``(L,)`` and noise ``(N,)``.
     bend_hz, turn_sigma_rad_s
         Beliefs, per axis: acceleration over the speed, and turn.
+    to_beat, by_chi2
+        A body is of no use that does not leave squares less than these, by so much in units of what is usual: where the
+        search without a turn at first comes to no such body, it is not made again. (It may end in the mirror image,
+        which explains nearly as much.)
     """
     now = int(np.argmin(np.abs(t_s)))
     place = _places_now(xy, now)
@@ -113,7 +123,10 @@ def fit_turning_body(
     data = (np.ascontiguousarray(xy), np.asarray(t_s, dtype=np.float64), np.asarray(sigma_norm), centre)
 
     own = np.column_stack([place, np.ones(len(place))])
-    found = [_fitted(data, own, start, bend_hz, turn_sigma_rad_s) for start in _starts(xy, data[1], now)]
+    first, *others = _starts(xy, data[1], now)
+    found = [_fitted(data, own, first, bend_hz, turn_sigma_rad_s)]
+    if found[0].squares + by_chi2 * max(1.0, found[0].usual) <= to_beat:
+        found += [_fitted(data, own, start, bend_hz, turn_sigma_rad_s) for start in others]
     return _with_doubts(found)
 
 

@@ -27,13 +27,12 @@ that for a wrong velocity."""
 # three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
 _BEND_CHI2 = float(chi2_quantile(0.999, 3))
-# In a junction it turns so tightly that no parabola is its path: at the distance r it leaves one by r (omega t)^3 / 6,
-# at 15 m and within 0.6 s by a tenth of a pixel (f = 500 px) at this turn, and by a pixel at twice of it.
-_TIGHT_TURN_RAD_S = 0.2
-# That is looked for where the first order, which says too little, says this, and so many points are there to tell.
-_ASKED_TURN_RAD_S, _LEAST_POINTS = 0.05, 10
-# The first order promises more than a fit keeps: a second one is not made for less than this.
-_PROMISED_CHI2 = 2.5 * _BEND_CHI2
+# The first order promises more than a fit keeps, and a body that is free to turn follows the errors that neighbours
+# share: less than this is enough neither for a second fit nor for a turn of any rate.
+_SURE_CHI2 = 2.5 * _BEND_CHI2
+# A body on a circle is looked for where the first order, which says a third of a turn or less, says more than this, and
+# so many points are there to tell. (In a junction things turn by 0.1 to 0.5 rad/s.)
+_ASKED_TURN_RAD_S, _LEAST_POINTS = 0.03, 8
 # Residuals whose squares are so many times what noise makes of them reject a straight path in any case.
 _REJECTED = 10.0
 # Information on a turn below this part of what is believed is none.
@@ -68,36 +67,33 @@ def straight_or_in_bend(
     points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
     straight = fit_shared_paths(points, beliefs, longest, probability)
     chi2, by_views_rad_s = _turns_by_views(straight, beliefs.turn_sigma_rad_s)
-    speaks_against = chi2 > _PROMISED_CHI2 * np.maximum(straight.usual, 1.0)
-    may_turn = speaks_against | (straight.usual > _REJECTED)
-    if not may_turn.any():
-        return straight
-    in_bend = fit_shared_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
-    gain = straight.squares[may_turn] - in_bend.squares
-    bends = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
-    chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
-    if not may_turn_tightly:
+    is_rejected, of_noise = straight.usual > _REJECTED, np.maximum(straight.usual, 1.0)
+    may_turn = (chi2 > _SURE_CHI2 * of_noise) | is_rejected
+    chosen = straight
+    if may_turn.any():
+        in_bend = fit_shared_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
+        gain = straight.squares[may_turn] - in_bend.squares
+        bends = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
+        chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
+    is_doubted = (chi2 > _BEND_CHI2 * of_noise) | is_rejected
+    has_points = np.diff(points.first) >= _LEAST_POINTS
+    asked = np.flatnonzero(is_doubted & (by_views_rad_s > _ASKED_TURN_RAD_S) & has_points)
+    if not may_turn_tightly or not len(asked):
         return chosen
-    asked = np.flatnonzero(may_turn & (by_views_rad_s > _ASKED_TURN_RAD_S) & (np.diff(points.first) >= _LEAST_POINTS))
-    if not len(asked):
+    bodies = [_turning_body(points, int(k), beliefs, float(chosen.squares[k])) for k in asked]
+    least = np.array([_SURE_CHI2 * max(body.usual, 1.0) for body in bodies])
+    is_better = chosen.squares[asked] - np.array([body.squares for body in bodies]) > least
+    if not is_better.any():
         return chosen
-    bodies = [_turning_body(points, int(k), beliefs) for k in asked]
-    turns = np.array([_turns_tightly(body, float(chosen.squares[k])) for k, body in zip(asked, bodies, strict=True)])
-    if not turns.any():
-        return chosen
-    turning = joined_paths([_path_of_body(body, points.t_s) for body, asks in zip(bodies, turns, strict=True) if asks])
-    return chosen_paths(chosen, turning, asked[turns], turns[turns])
+    turning = [_path_of_body(body, points.t_s) for body, is_kept in zip(bodies, is_better, strict=True) if is_kept]
+    return chosen_paths(chosen, joined_paths(turning), asked[is_better], np.ones(len(turning), dtype=bool))
 
 
-def _turns_tightly(body: TurningBody, squares: float) -> bool:
-    """Whether a body that turns as tightly as a parabola does not, explains its views much better than ``squares``."""
-    gain = squares - body.squares
-    is_tight = float(np.linalg.norm(body.turn_rad_s)) > _TIGHT_TURN_RAD_S
-    return is_tight and gain > _BEND_CHI2 * max(body.usual, 1.0)
+def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: float) -> TurningBody:
+    """The thing k as a body that turns, by the views that the other fits may use.
 
-
-def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs) -> TurningBody:
-    """The thing k, fitted as a body that turns, by the views that the other fits may use."""
+    One that leaves not much less than the squares ``to_beat`` is of no use.
+    """
     own = slice(points.first[k], points.first[k + 1])
     is_used = np.zeros((own.stop - own.start, len(points.t_s)), dtype=bool)
     for used, seen, n_views in zip(is_used, points.seen[own], points.n_views[own], strict=True):
@@ -105,7 +101,8 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs) -> TurningBo
     xy = np.where(is_used.T[..., None], points.xy[:, own], np.nan)
     # What drives along a circle is pulled across by its turn times its speed.
     bend_hz = float(np.hypot(beliefs.across_sigma_hz, TURN_SIGMA_RAD_S))
-    return fit_turning_body(xy, points.t_s, points.sigma_norm[own], bend_hz, TURN_SIGMA_RAD_S)
+    noise = points.sigma_norm[own]
+    return fit_turning_body(xy, points.t_s, noise, bend_hz, TURN_SIGMA_RAD_S, to_beat, _BEND_CHI2)
 
 
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
