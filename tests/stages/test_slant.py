@@ -35,11 +35,21 @@ def test_of_a_sloping_wall_the_nearest_tenth_is_kept():
     xy = places(rng, 100)
     rate_hz = sloping(xy)
     is_near, above_hz, variance = parts(rate_hz, np.full(100, 0.002), xy, 10)
-    tenth = np.sort(rate_hz)[-10]
+    tenth = sloping(np.array([[-0.16, 0.0]]))[0]
     assert is_near[rate_hz >= tenth].all()
     assert not is_near[rate_hz < 0.985 * tenth].any()
     assert np.abs(above_hz[is_near]).max() < 0.002
     assert 0.0 < variance[0] < 0.002**2
+
+
+def test_the_nearest_tenth_is_one_of_the_picture_however_tracks_crowd_elsewhere():
+    """Of a bus that leaves the picture, the nearest end has few tracks."""
+    rng = np.random.default_rng(3)
+    xy = np.concatenate([places(rng, 40), rng.uniform([0.0, -0.2], [0.2, 0.2], (160, 2))])
+    rate_hz = sloping(xy)
+    is_near, _, _ = parts(rate_hz, np.full(200, 0.002), xy, 20)
+    assert xy[is_near, 0].max() < -0.15
+    assert xy[is_near, 0].mean() == pytest.approx(-0.18, abs=0.01)
 
 
 def test_a_wall_parallel_to_the_picture_is_hardly_nearer_than_it_is():

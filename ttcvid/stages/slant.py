@@ -18,8 +18,11 @@ _PLANE_SIGMAS = 2.0
 _LOOKS, _LEAST_FLATNESS = 4, 0.2
 # Standard deviation of a Gaussian over its median deviation.
 _BY_MEDIAN = 1.4826
-# What lies behind the nearest tracks by no more than this part of the distance is as near.
-_DEPTH_PART = 0.01
+# The nearest is this part of what is seen of a thing, with what lies behind that by no more than this part of the
+# distance.
+_NEAREST_PART, _DEPTH_PART = 0.1, 0.01
+# A plane is looked at in so many places along each side of the box around its tracks.
+_PLACES = 10
 # Tracks whose spread across a line is this part of that along it tell no slope across.
 _LEAST_SPREAD_PART = 1e-3
 # Least that a surface is not flat by, 1/s.
@@ -43,8 +46,8 @@ def nearest_parts(
     """The nearest parts of those surfaces that slope away from us; other surfaces as they are.
 
     Inverse depths on a plane are linear in the picture. A plane through the tracks of a surface finds the others that
-    lie on it, and with them the part of it that is hit first; to ask the tracks themselves for that would take those
-    with the largest errors.
+    lie on it, and with them the part of it that is hit first, a tenth of what is seen; to ask the tracks themselves for
+    that would take those with the largest errors, or where they crowd.
 
     Parameters
     ----------
@@ -53,7 +56,7 @@ def nearest_parts(
     own_hz, sigma_hz : (M,) standard deviations of the rates by noise, and by noise and what surfaces are not flat by.
     by_shared, shared_cov : (M, n) and (K, n, n), what errors that tracks share do to their rates: a wrong turn looks
         like a slope.
-    needed : (K,) tracks that bear the nearest part.
+    needed : (K,) tracks that bear a plane.
     is_in : (M,) those on the nearest surface.
 
     Returns
@@ -118,7 +121,8 @@ def _find_each(
             continue
         for i in range(low, high):
             on_plane[i] = _rate_at(plane, xy[i]) if again[i] else -np.inf
-        last = np.sort(on_plane[low:high])[high - low - needed[k]]
+        part = min(_NEAREST_PART * (high - low) / count, 1.0)
+        last = min(_rate_of_nearest(plane, xy[low:high], again[low:high], part), on_plane[low:high].max())
         x, y, near = 0.0, 0.0, 0
         for i in range(low, high):
             is_near[i] = on_plane[i] >= last - _DEPTH_PART * abs(last)
@@ -127,6 +131,29 @@ def _find_each(
                 x, y, near = x + xy[i, 0], y + xy[i, 1], near + 1
         dx, dy = x / near - plane[0], y / near - plane[1]
         variance[k] = plane[5] + dx * dx * plane[6] + 2.0 * dx * dy * plane[7] + dy * dy * plane[8]
+
+
+@compiled
+def _rate_of_nearest(plane: Floats, xy: Floats, is_on: Bools, part: float) -> float:
+    """The rate above which this part of a plane lies, of the box around its tracks in the picture.
+
+    Its area counts and not its tracks: these crowd where there is texture, and are rare where a thing leaves the
+    picture.
+    """
+    left, top, right, low = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(len(xy)):
+        if is_on[i]:
+            left, right = min(left, xy[i, 0]), max(right, xy[i, 0])
+            top, low = min(top, xy[i, 1]), max(low, xy[i, 1])
+    rates, place = np.empty(_PLACES * _PLACES), np.empty(2)
+    for i in range(_PLACES):
+        for j in range(_PLACES):
+            place[0] = left + (i + 0.5) / _PLACES * (right - left)
+            place[1] = top + (j + 0.5) / _PLACES * (low - top)
+            rates[i * _PLACES + j] = _rate_at(plane, place)
+    rates.sort()
+    found: float = rates[min(int((1.0 - part) * len(rates)), len(rates) - 1)]
+    return found
 
 
 @compiled
