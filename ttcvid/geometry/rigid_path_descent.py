@@ -330,14 +330,12 @@ def _correct(since_s: Floats, priors: _Priors, normal: Floats, score: Floats, ro
 
 @compiled
 def _longest(path: Floats) -> float:
-    longest: float = np.sqrt(np.max(np.sum(path * path, axis=1)))
-    return longest
+    return float(np.sqrt(np.max(np.sum(path * path, axis=1))))
 
 
 @compiled
 def _length(v: Floats) -> float:
-    length: float = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    return length
+    return float(np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]))
 
 
 @compiled
