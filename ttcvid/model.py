@@ -94,6 +94,11 @@ class ImageSize:
     width_px: int
     height_px: int
 
+    @property
+    def longer_side_px(self) -> int:
+        """What lengths in a picture are measured by: the same, however a camera is held."""
+        return max(self.width_px, self.height_px)
+
     def __str__(self) -> str:
         return f"{self.width_px}x{self.height_px}"
 

@@ -30,6 +30,11 @@ def assert_is_true(egomotion, views, turn_deg=0.06, direction_deg=0.5):
     assert angle_deg(egomotion.direction, views.direction) < direction_deg
 
 
+def test_parts_of_a_picture_are_as_large_however_the_camera_is_held():
+    lying, standing = (Camera(900.0, 900.0, 0.0, 0.0, ImageSize(*size)) for size in ((1280, 720), (720, 1280)))
+    assert region_side_of(standing) == region_side_of(lying)
+
+
 @pytest.mark.parametrize("platform", MOVING_PLATFORMS)
 @pytest.mark.parametrize("yaw_deg", [-3.5, -2.5, 0.0, 1.7, 3.5])
 def test_first_pair_of_a_turning_camera_needs_no_former_rotation(platform, yaw_deg):

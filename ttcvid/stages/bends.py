@@ -32,7 +32,7 @@ _BEND_CHI2 = float(chi2_quantile(0.999, 3))
 _SURE_CHI2 = 2.5 * _BEND_CHI2
 # A body on a circle is looked for where the first order, which says a third of a turn or less, says more than this, and
 # so many points are there to tell. (In a junction things turn by 0.1 to 0.5 rad/s.)
-_ASKED_TURN_RAD_S, _LEAST_POINTS = 0.03, 8
+_ASKED_TURN_RAD_S, _LEAST_POINTS = 0.05, 8
 # Residuals whose squares are so many times what noise makes of them reject a straight path in any case.
 _REJECTED = 10.0
 # Information on a turn below this part of what is believed is none.

@@ -163,7 +163,7 @@ def estimate_egomotion(
 
 def region_side_of(camera: Camera) -> float:
     """Side of the cells of `picture_region`, in the plane z = 1."""
-    return REGION * min(1.0, camera.image_size.width_px / camera.fx_px)
+    return REGION * min(1.0, camera.image_size.longer_side_px / camera.fx_px)
 
 
 def picture_region(rays: Floats, side: float = REGION) -> Ints:

@@ -23,11 +23,11 @@ from ttcvid.stages.planar import HorizonPlane, planar_directions
 from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
 from ttcvid.stages.surface_motions import growing_things, in_our_way, on_plane
 
-# Tracks of one object hang together when they lie closer than this part of the picture's width.
+# Tracks of one object hang together when they lie closer than this part of the picture's longer side.
 _LINK_PART = 0.05
 # Error of a position that no track's noise knows of: what lens and shutter leave with a calibrated camera, px, and what
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
-# rolls, a focal length that is off by 15 %), as a part of the picture's width: half a pixel of 960.
+# rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
 # A track that has moved by less than this over so many views has stayed where it was, px.
 _STAYING_PX, _STAYING_VIEWS = 0.5, 10
@@ -78,11 +78,11 @@ def find_motions(
     motions, the history with the past rotations as the scene's tracks correct them, and the memory.
     """
     times = config.collision_times
-    link_px = _LINK_PART * camera.image_size.width_px
+    link_px = _LINK_PART * camera.image_size.longer_side_px
     in_scene, objects = is_free, list[ClusterMotion]()
     if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
-        error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.width_px
+        error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
         before = memory
         found, memory = find_bodies(
             history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies

@@ -47,7 +47,7 @@ def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) 
 
 
 def _share_of_parts(xy_px: Floats, stays: Floats, size: ImageSize) -> float:
-    side_px = max(size.width_px, size.height_px) / _PARTS
+    side_px = size.longer_side_px / _PARTS
     cell = np.clip((xy_px / side_px).astype(np.int64), 0, _PARTS - 1)
     still = coo_matrix((stays, cell.T), shape=(_PARTS, _PARTS)).toarray()
     count = coo_matrix((np.ones(len(cell)), cell.T), shape=(_PARTS, _PARTS)).toarray()
