@@ -48,3 +48,20 @@ def test_a_pipe_is_written_into(tmp_path: Path) -> None:
 def test_a_folder_in_the_way_is_named(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"):
         write_whole(tmp_path, "words")
+
+
+def test_links_that_go_in_circles_are_told(tmp_path: Path) -> None:
+    one, other = tmp_path / "one.html", tmp_path / "other.html"
+    one.symlink_to(other)
+    other.symlink_to(one)
+    with pytest.raises(OutputError, match=r"one\.html: cannot be written"):
+        write_whole(one, "words")
+
+
+def test_who_may_read_and_write_a_file_stays_as_it_was(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("former")
+    page.chmod(0o660)
+    write_whole(page, "new")
+    assert page.read_text() == "new"
+    assert page.stat().st_mode & 0o777 == 0o660

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 
 from ttcvid.sinks.failures import output_errors
@@ -10,17 +11,29 @@ from ttcvid.sinks.failures import output_errors
 def write_whole(path: Path, text: str) -> None:
     """Write ``text``, so that a file of that name is never a part of it, nor lost where the disk is full.
 
-    What is no file (a pipe, ``/dev/stdout``) is written as it is. OutputError where it cannot be done.
+    Who may read and write the file stays as it was. What is no file (a pipe, ``/dev/stdout``) is written as it is.
+    OutputError where it cannot be done.
     """
     with output_errors(path):
-        if path.exists() and not path.is_file():
+        mode = _mode_of(path)
+        if mode is not None and not stat.S_ISREG(mode):
             path.write_text(text, encoding="utf-8")
             return
         target = path.resolve()  # a link stays one
         partial = target.with_name(f".{target.name}.partial")
         try:
             partial.write_text(text, encoding="utf-8")
+            if mode is not None:
+                partial.chmod(stat.S_IMODE(mode))
             partial.replace(target)
         except BaseException:
             partial.unlink(missing_ok=True)
             raise
+
+
+def _mode_of(path: Path) -> int | None:
+    """Kind and permissions of what stands there, or where links lead; None for nothing. OSError if they go round."""
+    try:
+        return path.stat().st_mode
+    except FileNotFoundError:
+        return None
