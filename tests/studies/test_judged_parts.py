@@ -138,6 +138,26 @@ def test_without_own_velocity_the_pictures_left_out_count_by_their_time() -> Non
     np.testing.assert_allclose(true.loc[0, ["dir_x", "dir_z"]].to_numpy(float), -np.sqrt([0.5, 0.5]))
 
 
+def test_where_the_truth_leaves_pictures_out_what_lies_on_the_way_is_not_judged() -> None:
+    full = ways((0, 0, 0), (0.1, 0, 1), (0.1, 0, 1), (0.1, 3, 0), (0.1, 3, 0), (0.1, 0, 1), (0.1, 0, 1))
+    run = rotations(*[[0.0, 0.2, 0.0]] * 4).assign(frame=[0, 2, 4, 6])
+    for missing in (3, 4):
+        truth = full[full.frame != missing].reset_index(drop=True)
+        true = true_scene_directions(truth, run.frame.to_numpy())
+        every = true_scene_directions(full, run.frame.to_numpy())
+        assert every.frame.tolist() == [2, 4, 6]
+        pd.testing.assert_frame_equal(true, every.drop(index=1).reset_index(drop=True))
+        numbers = judge_rotation(truth, run)
+        assert (numbers["n"], numbers["share"]) == (2, 1.0)
+        assert numbers["p90"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_truth_without_rows_judges_no_motion_of_the_camera() -> None:
+    truth, run = ways((0, 0, 0)).iloc[:0], rotations(*[[0.0, 0.2, 0.0]] * 3)
+    assert judge_rotation(truth, run)["n"] == 0
+    assert true_scene_directions(truth, run.frame.to_numpy()).empty
+
+
 BOX = {"x0_px": 0.0, "y0_px": 0.0, "x1_px": 10.0, "y1_px": 10.0}
 
 

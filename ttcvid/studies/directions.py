@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pandas as pd
 
@@ -32,15 +30,16 @@ def judge_directions(truth: Floats, found: Floats, is_counted: Bools) -> Numbers
 def judge_rotation(truth: pd.DataFrame, found: pd.DataFrame) -> Numbers:
     """Angle between true and found rotation since the previous analysed frame.
 
-    ``truth`` has a row for every picture; where the run left some out, their rotations are taken together. ``found``
-    has a row per analysed frame, ascending; the first of them has no rotation to judge.
+    ``truth`` has a row for every picture; where the run left some out, their rotations are taken together, and where
+    the truth does, nothing is judged. ``found`` has a row per analysed frame, ascending; the first of them has no
+    rotation to judge.
     """
     per_picture = rotation_from_vector(np.nan_to_num(truth[ROTATION].to_numpy(float)))
-    frames, rows = _analysed(truth, found.frame.to_numpy())
-    if len(rows) < 2:
+    frames, first, end = _pictures_between(truth, found.frame.to_numpy())
+    if not len(frames):
         return summary_of(np.empty(0))
-    true = np.stack([_product(per_picture[a + 1 : b + 1]) for a, b in pairwise(rows)])
-    estimate = rotation_from_vector(found.set_index("frame").loc[frames[1:], ROTATION].to_numpy(float))
+    true = np.stack([_product(per_picture[a:b]) for a, b in zip(first, end, strict=True)])
+    estimate = rotation_from_vector(found.set_index("frame").loc[frames, ROTATION].to_numpy(float))
     left_over = estimate @ np.swapaxes(true, 1, 2)
     is_known = np.isfinite(left_over).all(axis=(1, 2))
     error = np.full(len(left_over), np.nan)
@@ -53,21 +52,24 @@ def true_scene_directions(truth: pd.DataFrame, frames: Ints) -> pd.DataFrame:
 
     ``truth`` has a row for every picture, with the direction since the picture before; where the run left some out,
     their ways are taken together in the camera of the last one. Without the own velocity, speed counts as constant.
-    ``frames (N,)`` are the analysed ones, ascending; the first of them is left out.
+    ``frames (N,)`` are the analysed ones, ascending; the first of them is left out, as are those to which the truth
+    does not know the whole way.
     """
-    analysed, rows = _analysed(truth, frames)
+    analysed, first, end = _pictures_between(truth, frames)
     per_picture = rotation_from_vector(np.nan_to_num(truth[ROTATION].to_numpy(float)))
     has_speed = set(VELOCITY) <= set(truth)
     velocity = -truth[VELOCITY].to_numpy(float) if has_speed else truth[DIRECTION].to_numpy(float)
-    way = np.nan_to_num(velocity) * np.diff(truth.t_s, prepend=np.nan)[:, None]
-    true = np.full((max(len(rows) - 1, 0), 3), np.nan)
-    for i, (before, row) in enumerate(pairwise(rows)):
+    # A row without one before it, or after a gap, is as long as pictures are.
+    step_s = np.diff(truth.t_s) / np.diff(truth.frame)
+    way = np.nan_to_num(velocity) * np.concatenate([step_s[:1] if len(step_s) else [1.0], step_s])[: len(truth), None]
+    true = np.full((len(analysed), 3), np.nan)
+    for i, (a, b) in enumerate(zip(first, end, strict=True)):
         total = np.zeros(3)
-        for picture in range(before + 1, row + 1):
+        for picture in range(a, b):
             total = per_picture[picture] @ total + way[picture]
         if total.any():
             true[i] = total / np.linalg.norm(total)
-    return pd.DataFrame(true, columns=DIRECTION).assign(frame=analysed[1:])
+    return pd.DataFrame(true, columns=DIRECTION).assign(frame=analysed)
 
 
 def summary_of(error: Floats) -> Numbers:
@@ -81,12 +83,15 @@ def summary_of(error: Floats) -> Numbers:
     }
 
 
-def _analysed(truth: pd.DataFrame, frames: Ints) -> tuple[Ints, Ints]:
-    """The frames of a run that ``truth`` knows, ascending, and the rows that they have there."""
-    pictures = truth.frame.to_numpy()
-    rows = np.searchsorted(pictures, frames)
-    is_known = pictures[np.minimum(rows, len(pictures) - 1)] == frames
-    return frames[is_known], rows[is_known]
+def _pictures_between(truth: pd.DataFrame, frames: Ints) -> tuple[Ints, Ints, Ints]:
+    """Frames of a run to which ``truth`` has all pictures after the one before, ascending: (M,), and where these stand.
+
+    The pictures of frame m are its rows ``first[m] : end[m]``.
+    """
+    rows = np.searchsorted(truth.frame.to_numpy(), frames, side="right")
+    first, end = rows[:-1], rows[1:]
+    is_known = end - first == np.diff(frames)
+    return frames[1:][is_known], first[is_known], end[is_known]
 
 
 def _product(rotations: Floats) -> Floats:
