@@ -351,3 +351,12 @@ def test_an_object_whose_state_contradicts_its_direction_has_that_of_its_state(o
     # A horizon says more than the state does, wherever on it the epipole lies.
     on_horizon = replace(motion, method="whole-tracks" + ON_HORIZON)
     np.testing.assert_allclose(only_row(on_horizon, states, pixels(position_m)).direction, believed, atol=1e-9)
+
+
+def test_a_row_is_changed_in_what_it_has_alone():
+    row = ClusterRow(1, 1, 5, (0.0, 0.0, 1.0, 1.0), Status.ok, Status.ok, "multi-frame")
+    changed = row.changed(urgency_rank=2, motion_state=MotionState.receding)
+    assert changed == replace(row, urgency_rank=2, motion_state=MotionState.receding)
+    assert row.urgency_rank is None
+    with pytest.raises(TypeError, match="urgency_rang"):
+        row.changed(urgency_rang=2)
