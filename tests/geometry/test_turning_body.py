@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ttcvid.geometry import turning_body
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.geometry.shared_path import turned_back
 from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
@@ -88,13 +89,18 @@ def test_a_few_points_far_away_do_not_claim_to_know_the_turn():
     assert np.mean(np.abs(errors) < 1.645 * np.array(sigmas)) >= 0.8
 
 
-def test_a_body_that_is_of_no_use_is_not_looked_for_on_the_other_side():
+def test_a_body_that_is_of_no_use_is_not_looked_for_on_the_other_side(monkeypatch):
+    searches, search = [], turning_body._fitted
+    monkeypatch.setattr(turning_body, "_fitted", lambda *given: searches.append(given[2]) or search(*given))
     xy, *_ = circling(*BUS, noise=SIGMA)
     sigma = np.full(40, SIGMA)
     best = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S)
     again = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S, 1e9)
     np.testing.assert_array_equal(again.shared, best.shared)
+    searches.clear()
     of_no_use = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S, best.squares, 16.0)
+    assert len(searches) == 1
+    assert not searches[0][6:].any()
     assert of_no_use.squares >= best.squares
 
 
