@@ -45,6 +45,22 @@ def test_a_pipe_is_written_into(tmp_path: Path) -> None:
         assert pipe.read() == "words"
 
 
+def test_what_goes_to_a_file_through_an_open_descriptor_goes_to_that_file(tmp_path: Path) -> None:
+    with (tmp_path / "log").open("w") as log:
+        write_whole(Path(f"/dev/fd/{log.fileno()}"), "page\n")
+        assert os.listdir(tmp_path) == ["log"]
+        assert os.fstat(log.fileno()).st_size == 5
+
+
+def test_a_file_that_may_not_be_written_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("former")
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(OutputError, match=r"page\.html"):
+        write_whole(page, "new")
+    assert page.read_text() == "former"
+
+
 def test_a_folder_in_the_way_is_named(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"):
         write_whole(tmp_path, "words")

@@ -1,5 +1,7 @@
 """What stands in our own path is found, keeps its number, and nothing that we pass by is taken for it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from relative_motion import box_of_points
@@ -175,6 +177,27 @@ def test_what_hangs_has_to_be_seen_to_come_until_it_is_confirmed_and_is_known_ag
 
     assert watched(scene, frames=FOUND_IN + 3, closing_of=seen_to_come_in(FOUND_IN - 1)) == {}
     assert list(watched(scene, frames=FOUND_IN + 3, closing_of=seen_to_come_in(FOUND_IN))) == [1]
+
+
+def test_a_lorry_is_still_there_when_its_low_tracks_are_lost(rng):
+    """They leave the picture, or a car cuts in; the others hang as high as nothing that comes at us can."""
+    speed_m_s, still_there = 25.0, 15
+    lorry, way, plane = (
+        box_of_points(rng, 30, (0.0, -0.1, 60.0), (2.4, 2.6, 0.0)),
+        own_path(driven(), SINCE_S),
+        ROAD_PLANE,
+    )
+    ground, noise, memory, next_id, public = road(rng), np.random.default_rng(3), (), 1, {}
+    track_id = np.arange(len(ground) + len(lorry))
+    is_high = np.concatenate([np.ones(len(ground), dtype=bool), lorry[:, 1] < 0.2 * CAMERA_M])
+    for k in range(2 * still_there):
+        now = np.concatenate([ground, lorry]) - np.array([0.0, 0.0, speed_m_s * DT_S * k])
+        is_seen = (now[:, 2] > 2.0) & (is_high | (k < still_there))
+        points = points_of(now[is_seen], noise, track_id=track_id[is_seen])
+        points = replace(points, fit=replace(points.fit, rate_hz=points.fit.rate_hz * speed_m_s / SPEED_M_S))
+        road_plane = plane * speed_m_s / SPEED_M_S
+        public, memory, next_id = find_obstacles(memory, points, way, road_plane, next_id, CONFIG, on_ground=True)
+    assert list(public) == [1]
 
 
 @pytest.mark.parametrize("aside_m", [-2.8, 2.8])

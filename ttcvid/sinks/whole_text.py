@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import stat
 from pathlib import Path
 
@@ -11,14 +13,16 @@ from ttcvid.sinks.failures import output_errors
 def write_whole(path: Path, text: str) -> None:
     """Write ``text``, so that a file of that name is never a part of it, nor lost where the disk is full.
 
-    Who may read and write the file stays as it was. What is no file (a pipe, ``/dev/stdout``) is written as it is.
-    OutputError where it cannot be done.
+    Who may read and write the file stays as it was. What is no file (a pipe), and what is open already
+    (``/dev/stdout``), is written as it is. OutputError where it cannot be done.
     """
     with output_errors(path):
         mode = _mode_of(path)
-        if mode is not None and not stat.S_ISREG(mode):
+        if mode is not None and (not stat.S_ISREG(mode) or path.is_relative_to("/dev")):
             path.write_text(text, encoding="utf-8")
             return
+        if mode is not None and not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         target = path.resolve()  # a link stays one
         partial = target.with_name(f".{target.name}.partial")
         try:

@@ -205,10 +205,9 @@ def _surfaces(points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: O
         is_again = is_known[index[surface]].mean() > 0.5
         if not is_again and _goes_on(surface, depths, pairs):
             continue
-        if not depths.could_come(surface):
-            continue
         has_come = is_confirmed[index[surface]].mean() > 0.5
-        if not (has_come or depths.reaches_down(surface) or _comes(points, index[surface], way)):
+        hangs = not (has_come or depths.reaches_down(surface))
+        if hangs and not (depths.could_come(surface) and _comes(points, index[surface], way)):
             continue
         link = points.link * (_KEPT if is_again else 1.0)
         if _is_in_the_way(depths, surface, way, link):
