@@ -5,8 +5,9 @@ import json
 import cv2
 import numpy as np
 
-from ttcvid.model import Camera
+from ttcvid.model import Camera, ImageSize
 
+SIZE = ImageSize(640, 480)
 KITTI_TAIL = "0 0 0 1 0"
 
 
