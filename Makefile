@@ -42,6 +42,9 @@ $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -m venv $(VENV) || { echo "make: error: $(PYTHON) cannot make virtual environments:" \
 	  "install its venv module (on Debian and Ubuntu the package python3-venv)" >&2; exit 1; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@# pip compiles what it copies, but not a package that stays where it is; where Python is told to write no bytecode
+	@# (PYTHONDONTWRITEBYTECODE), every start would compile it again, which takes half a second.
+	$(BIN)/python -m compileall -q ttcvid
 	@touch $@
 
 clean:

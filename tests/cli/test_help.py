@@ -1,5 +1,6 @@
 """Help answers at once and tells the truth."""
 
+import shlex
 import subprocess
 import sys
 from typing import get_args
@@ -36,6 +37,31 @@ def test_the_package_runs_as_the_program_does() -> None:
     failed = subprocess.run([*command, "analyze", "no-such-clip.mp4"], capture_output=True, text=True, check=False)
     assert failed.returncode == 3
     assert failed.stderr.count("\n") == 1
+
+
+def test_the_program_says_all_and_ends_without_taking_apart_what_it_has_imported() -> None:
+    code = (
+        "import sys\n"
+        "from ttcvid.cli.main import program\n"
+        "class Imported:\n"
+        "    def __del__(self): print('taken apart', file=sys.stderr)\n"
+        "imported = Imported()\n"
+        "sys.argv = ['ttcvid', *sys.argv[1:]]\n"
+        "program()\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run([*command, "--help"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("Usage: ttcvid")
+    failed = subprocess.run([*command, "analyze", "no-such-clip.mp4"], capture_output=True, text=True, check=False)
+    assert failed.returncode == 3
+    assert failed.stderr.startswith("ttcvid: error: no-such-clip.mp4")
+    assert failed.stderr.count("\n") == 1
+
+
+def test_the_program_runs_where_its_output_is_closed() -> None:
+    command = f"{shlex.quote(sys.executable)} -m ttcvid --version >&-"
+    assert subprocess.run(command, shell=True, capture_output=True, check=False).returncode == 0
 
 
 def test_the_list_of_commands_names_every_command_with_its_first_words(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass, field
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ import av
 import cv2
 import numba
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import scipy
 
@@ -38,7 +38,7 @@ def versions() -> dict[str, str]:
         "opencv": cv2.__version__,
         "av": av.__version__,
         "pyarrow": pa.__version__,
-        "pandas": pd.__version__,
+        "pandas": metadata.version("pandas"),
     }
 
 

@@ -6,22 +6,16 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ttcvid.errors import InputError, counted
 from ttcvid.jobs.run_manifest import EXIT_CODES, read_run_manifest
 
-_NULLABLE = {
-    pa.int32(): pd.Int32Dtype(),
-    pa.int64(): pd.Int64Dtype(),
-    pa.float64(): pd.Float64Dtype(),
-    pa.string(): pd.StringDtype(),
-}
-"""Types in which a null stays NA, instead of turning whole numbers into floats and NaN."""
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -90,8 +84,7 @@ class Run:
         except (OSError, pa.ArrowInvalid) as error:
             reason = " ".join(str(error).split())
             raise InputError(f"{path}: cannot be read as a table ({reason}): run 'ttcvid analyze' again") from None
-        frame = table.to_pandas(types_mapper=_NULLABLE.get)
-        assert isinstance(frame, pd.DataFrame)
+        frame: pd.DataFrame = table.to_pandas(types_mapper=_nullable)
         return frame
 
     def summary(self) -> str:
@@ -117,6 +110,19 @@ class Run:
         names = ("state", "counts", "timings", "nearest", "camera", "warnings")
         content = {"folder": str(self.folder), "exit_code": self.exit_code}
         return json.dumps(content | {name: self.manifest[name] for name in names}, sort_keys=True)
+
+
+def _nullable(type_: pa.DataType) -> Any:
+    """The type in which a null stays NA, instead of turning whole numbers into floats and NaN; None: the usual one."""
+    import pandas as pd
+
+    types = {
+        pa.int32(): pd.Int32Dtype(),
+        pa.int64(): pd.Int64Dtype(),
+        pa.float64(): pd.Float64Dtype(),
+        pa.string(): pd.StringDtype(),
+    }
+    return types.get(type_)
 
 
 def _frames(counts: dict[str, Any]) -> str:
