@@ -16,8 +16,7 @@ from ttcvid.model import (
     Horizon,
     Picture,
 )
-from ttcvid.stages.analyzed_frames import AnalyzedFrame, analyze_seen, smoothed
-from ttcvid.stages.events import EventMemory
+from ttcvid.stages.analyzed_frames import AnalyzedFrame, RowMemory, analyze_seen, smoothed
 from ttcvid.stages.history import empty_history
 from ttcvid.stages.planar import horizon_plane
 from ttcvid.stages.seen_frames import Clip, Memory, see_motions
@@ -86,8 +85,8 @@ def _results(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[Fra
 def _analyzed(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
     """Each frame with its causal result."""
     memory = Memory(empty_history(clip.camera, clip.config.tracking.sigma_start_px))
-    watch = EventMemory()
+    rows = RowMemory()
     for tracked in tracked_frames:
         item, memory = see_motions(tracked, memory, clip)
-        result, watch = analyze_seen(item, watch, clip)
+        result, rows = analyze_seen(item, rows, clip)
         yield AnalyzedFrame(result, item.seen)

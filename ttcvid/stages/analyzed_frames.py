@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from ttcvid.model import (
@@ -20,6 +20,7 @@ from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.results import closing_of_cluster, cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
 from ttcvid.stages.seen_frames import Clip, SeenFrame
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
+from ttcvid.stages.steadiness import Rates, steady_rows
 
 
 @dataclass(frozen=True)
@@ -30,16 +31,24 @@ class AnalyzedFrame:
     seen: Seen | None
 
 
-def analyze_seen(item: SeenFrame, watch: EventMemory, clip: Clip) -> tuple[FrameResult, EventMemory]:
+@dataclass(frozen=True)
+class RowMemory:
+    """What the rows of a frame rest on of those before: warnings, and rates of objects."""
+
+    watch: EventMemory = field(default_factory=EventMemory)
+    rates: Rates = field(default_factory=Rates)
+
+
+def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameResult, RowMemory]:
     """The rows of a frame and its warnings: states, times, events."""
     frame, seen = item.frame, item.seen
     if seen is None:
-        return _empty_result(item, standing_events(watch, frame.t_s, clip.config.events)), watch
+        return _empty_result(item, standing_events(memory.watch, frame.t_s, clip.config.events)), memory
     if item.status == FrameStatus.cut:
-        watch = restarted_events(watch)
-    tracks, clusters = _rows(seen, clip)
+        memory = RowMemory(restarted_events(memory.watch))
+    tracks, clusters, rates = _rows(seen, memory.rates, clip)
     events, watch = update_events(
-        watch,
+        memory.watch,
         frame.index,
         frame.t_s,
         clusters,
@@ -63,17 +72,20 @@ def analyze_seen(item: SeenFrame, watch: EventMemory, clip: Clip) -> tuple[Frame
         horizon_px=_line_px(item.plane),
         events=events,
     )
-    return result, watch
+    return result, RowMemory(watch, rates)
 
 
 def smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
     """Each frame once the frames after it have been analysed, its directions and times estimated again with them."""
     max_frames = clip.config.collision_times.max_frames
     held: deque[AnalyzedFrame] = deque()
+    rates = Rates()
 
     def released() -> AnalyzedFrame:
+        nonlocal rates
         first = held.popleft()
-        return _estimated_again(first, [item.seen for item in held if item.seen is not None], clip)
+        again, rates = _estimated_again(first, [item.seen for item in held if item.seen is not None], rates, clip)
+        return again
 
     for item in analyzed:
         seen = item.seen
@@ -87,19 +99,21 @@ def smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[Analyzed
         yield released()
 
 
-def _estimated_again(item: AnalyzedFrame, later: list[Seen], clip: Clip) -> AnalyzedFrame:
+def _estimated_again(item: AnalyzedFrame, later: list[Seen], rates: Rates, clip: Clip) -> tuple[AnalyzedFrame, Rates]:
     """A frame with the rows that views on both sides give; status, own rotation and warnings stay as they were."""
     if item.seen is None or not later:
-        return item
+        return item, rates
     seen = seen_again(item.seen, later, clip.camera, clip.config)
-    tracks, clusters = _rows(seen, clip)
+    tracks, clusters, rates = _rows(seen, rates, clip)
     result = replace(item.result, tracks=tracks, clusters=clusters, min_ttc_z_s=minimum_ttc_z_s(clusters))
-    return replace(item, result=result)
+    return replace(item, result=result), rates
 
 
-def _rows(seen: Seen, clip: Clip) -> tuple[TrackRows, tuple[ClusterRow, ...]]:
+def _rows(seen: Seen, rates: Rates, clip: Clip) -> tuple[TrackRows, tuple[ClusterRow, ...], Rates]:
+    """Rows of tracks and clusters; ``rates`` of the frames before, and with those of this one."""
     states, tracks = track_rows(seen.history, seen.motions, clip.config.collision_times, seen.plane)
-    return tracks, cluster_rows(seen.history, seen.motions, states, clip.camera)
+    clusters = cluster_rows(seen.history, seen.motions, states, clip.camera)
+    return tracks, *steady_rows(rates, float(seen.history.t_s[seen.history.now]), clusters)
 
 
 def _empty_result(item: SeenFrame, events: tuple[Event, ...]) -> FrameResult:
