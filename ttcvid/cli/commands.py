@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+from itertools import pairwise
 
 import click
 
@@ -45,6 +46,16 @@ class LazyGroup(click.Group):
         command = getattr(importlib.import_module(f"ttcvid.cli.{name}"), name)
         assert isinstance(command, click.Command)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command and its arguments; an option that is given nothing stands for a variable that nobody has set."""
+        for option, value in pairwise([*args, "given"]):
+            name, equals, rest = option.partition("=")
+            if option.startswith("-") and (value == "" or (equals and not rest)):
+                raise UsageError(f"what follows {name} is empty: give it a value, or leave it out")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands from ``COMMANDS``, importing none of them."""
