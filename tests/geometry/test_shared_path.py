@@ -10,11 +10,12 @@ from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.geometry.shared_path import (
     PathBeliefs,
     believed_paths,
+    fit_paths,
     fit_shared_paths,
     joined_paths,
-    points_of_paths,
     turned_back,
 )
+from ttcvid.geometry.shared_path_points import points_of_paths
 from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths, straight_path
 
 T_S = -0.05 * np.arange(20.0)[::-1]
@@ -136,6 +137,43 @@ def test_points_that_move_otherwise_do_not_bend_the_path():
     xy[:, :12] = seen(position[:12], bend_hz=(3.0, -2.0, 4.0))
     found = fitted(xy + SIGMA * rng.normal(size=xy.shape), belief())
     assert np.abs(found.bend_hz[0]).max() < 0.1
+
+
+def directions_from_found(off_rad, sigma, common=1.0, n_points=12, found_rad=0.004):
+    """Angles to the true direction, by a wide belief and by how well it was found; of each ``off_rad (S, 2)``."""
+    across, errors = np.linalg.svd(DIRECTION[None])[2][1:], []
+    for seed, off in enumerate(off_rad):
+        rng = np.random.default_rng(seed)
+        beliefs = belief(normalize(DIRECTION + off @ across), 0.06)
+        xy = seen(body(n_points, rng))
+        xy += sigma * rng.normal(size=xy.shape)
+        points = points_of_paths(xy, T_S, np.full(n_points, sigma), beliefs.base, np.zeros(n_points, np.int64))
+        fits = fit_paths(points, beliefs)
+        found_cov = beliefs.direction_cov * (found_rad / 0.06) ** 2
+        paths = fits.paths(), fits.paths_from_found_directions(found_cov, np.array([common]))
+        errors.append([np.arccos(path.direction[0] @ DIRECTION) for path in paths])
+    return np.median(errors, axis=0)
+
+
+def test_a_direction_counts_for_as_much_as_it_was_found_to():
+    """The search believes in none as much, and leaves that of a few points to their noise."""
+    off_rad = 0.004 * np.random.default_rng(20).normal(size=(40, 2))
+    by_search, found = directions_from_found(off_rad, 10.0 * SIGMA)
+    assert by_search > 0.01
+    assert found < 0.006
+
+
+def test_a_direction_that_views_contradict_counts_for_less():
+    by_search, found = directions_from_found(np.tile([0.12, 0.0], (20, 1)), SIGMA)
+    assert by_search < 0.005
+    assert found < 0.01
+
+
+def test_a_direction_counts_for_more_where_points_have_noise_in_common():
+    off_rad = 0.004 * np.random.default_rng(21).normal(size=(40, 2))
+    _, alone = directions_from_found(off_rad, 10.0 * SIGMA, found_rad=0.01)
+    _, in_common = directions_from_found(off_rad, 10.0 * SIGMA, common=8.0, found_rad=0.01)
+    assert in_common < 0.9 * alone
 
 
 def test_paths_without_points_stay_as_believed():

@@ -12,6 +12,7 @@ T_S = 0.05 * np.arange(-12.0, 1.0)
 VELOCITY_M_S = np.array([-4.0, 0.0, -5.0])
 DIRECTION = normalize(VELOCITY_M_S)
 SIGMA_NORM = 0.1 / 500.0
+FOUND_RAD = float(np.radians(0.3))
 
 
 def views(middle_m, half_size_m, turn_rad_s, noise, n=60, seed=1):
@@ -42,8 +43,19 @@ def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_turn_tigh
         beliefs,
         np.zeros(n, dtype=np.int64),
         CollisionTimesConfig() if config is None else config,
+        (FOUND_RAD**2 * across)[None],
+        np.ones(1),
         may_turn_tightly=may_turn_tightly,
     )
+
+
+def test_what_drives_straight_on_keeps_a_direction_that_was_found_well():
+    """A turn, an acceleration and a direction that may each be a little wrong do nearly the same to few points."""
+    errors = []
+    for seed in range(20):
+        xy = views(np.array([2.0, 0.0, 25.0]), np.array([0.8, 0.6, 0.3]), np.zeros(3), 3.0 * SIGMA_NORM, 8, seed)
+        errors.append(np.arccos(fitted(xy, 3.0 * SIGMA_NORM).direction[0] @ DIRECTION))
+    assert np.degrees(np.median(errors)) < 0.2
 
 
 @pytest.mark.parametrize("turn_deg_s", [-8.0, 12.0])

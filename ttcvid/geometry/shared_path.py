@@ -11,17 +11,15 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_path_belief import set_beliefs, set_prior
-from ttcvid.geometry.shared_path_descent import LEAST_VIEWS, N_LOCAL, add_up_windows, descend_together, start_points
+from ttcvid.geometry.shared_path_belief import believe_as_found, set_beliefs, set_prior
+from ttcvid.geometry.shared_path_descent import N_LOCAL, add_up_windows, descend_together, start_points
 from ttcvid.geometry.shared_path_found import share
+from ttcvid.geometry.shared_path_points import PathPoints
 from ttcvid.geometry.whole_track_on_path import fit_rates_on_paths
 from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED = 9
 """Shared unknowns, in this order: u (3), v (3) with the path ``+ u t + v t^2 / 2``, and a rotation rate (3), rad/s."""
-
-MOST_POINTS = 150
-"""With more points, use every n-th: errors shared by neighbours limit the path, not their number."""
 
 
 @dataclass(frozen=True)
@@ -122,77 +120,64 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
 
 
 @dataclass(frozen=True)
-class PathPoints:
-    """M points that tell K paths, path by path: ``first (K + 1,)`` is where each begins, and where the last one ends.
+class PathFits:
+    """What is believed of K paths, and what their points' views say, for either to be weighed against the other.
 
-    ``xy (L, M, 2)`` views at the times ``t_s (L,)``, with the noise ``sigma_norm (M,)``; point i is seen at the places
-    ``seen[i, : n_views[i]]``, nearest first; ``path_of (M,)``, ascending.
+    Both are said of what the points of a path share, in its own axes ``basis (K, 3, 3)``: ``believed (K, 8, 8)`` is the
+    information of the beliefs; ``information (K, 8, 8)`` and ``score (K, 8)`` are those of the views, at ``offset (K,
+    8)`` from the belief. ``own_motion (K, 8, 8)`` is that of `set_beliefs`, ``left (K, 2)`` that of `descend_together`.
     """
 
-    xy: Floats
+    beliefs: PathBeliefs
     t_s: Floats
-    sigma_norm: Floats
-    seen: Ints
-    n_views: Ints
-    path_of: Ints
-    first: Ints
+    basis: Floats
+    own_motion: Floats
+    believed: Floats
+    offset: Floats
+    information: Floats
+    score: Floats
+    left: Floats
 
-    def views(self, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, Ints, Ints]:
-        """What the descent asks for, with the views ``xy (L, M, 2)``."""
-        return xy, self.t_s, self.sigma_norm, self.seen, self.n_views, self.first
+    def paths(self) -> SharedPaths:
+        """The paths by the beliefs as they are and all views."""
+        return self._paths(self.believed, self.information, self.score, np.ones(len(self.offset)))
 
-    def of(self, is_asked: Bools) -> PathPoints:
-        """The points of the paths for which ``is_asked (K,)`` holds, as points of these paths alone."""
-        kept, n_points = np.flatnonzero(is_asked[self.path_of]), np.diff(self.first)[is_asked]
-        return PathPoints(
-            self.xy.take(kept, axis=1),
-            self.t_s,
-            self.sigma_norm[kept],
-            self.seen[kept],
-            self.n_views[kept],
-            np.repeat(np.arange(len(n_points)), n_points),
-            np.append(0, np.cumsum(n_points)),
-        )
+    def paths_from_found_directions(self, found_cov: Floats, common: Floats) -> SharedPaths:
+        """The paths by their believed directions, where these were found to ``found_cov (K, 3, 3)``, in rad^2.
 
+        The search is to find a path that was believed wrongly, and believes in no direction as much. One that was found
+        as if its path were straight is worth more than that, but for where views contradict it: by so much its
+        covariance grows (Birge's ratio). Points whose noise is partly the same say less beside it: that of a mean over
+        them is ``common (K,)`` times as large. (As that of `paths`, the covariance is the one without this factor.)
+        """
+        information, score = self.information / common[:, None, None], self.score / common[:, None]
+        local, cov = self._weighed(self.believed, information, score)
+        believed = self.believed.copy()
+        believe_as_found(self.basis, self.own_motion, self.beliefs.direction_cov, found_cov, local, cov, believed)
+        return self._paths(believed, information, score, common)
 
-def points_of_paths(
-    xy: Floats,
-    t_s: Floats,
-    sigma_norm: Floats,
-    base: Floats,
-    path_of: Ints,
-    max_frames: int | None = None,
-    most_points: int = MOST_POINTS,
-) -> PathPoints:
-    """Those of N points that are seen often enough to tell of their path; of more than ``most_points`` an even part.
+    def _paths(self, believed: Floats, information: Floats, score: Floats, common: Floats) -> SharedPaths:
+        local, cov = self._weighed(believed, information, score)
+        cov /= common[:, None, None]
+        return _shared_paths(self.beliefs, self.basis, self.own_motion, local, cov, self.left, self.t_s)
 
-    Parameters
-    ----------
-    xy, t_s, sigma_norm, path_of, max_frames
-        As for `fit_rates_on_paths`.
-    base
-        ``(K, L, 3)`` believed paths: a view at which its path is not known is none.
-    """
-    longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
-    seen, n_views = np.empty((len(path_of), longest), dtype=np.int64), np.empty(len(path_of), dtype=np.int64)
-    index, first = np.empty(len(path_of), dtype=np.int64), np.empty(len(base) + 1, dtype=np.int64)
-    _list_views(xy, np.argsort(np.abs(t_s), kind="stable"), base, path_of, seen, n_views)
-    _pick_some_of_each(path_of, n_views, LEAST_VIEWS, most_points, index, first)
-    index = index[: first[-1]]
-    return PathPoints(
-        xy.take(index, axis=1),
-        t_s,
-        sigma_norm[index],
-        seen[index],
-        n_views[index],
-        path_of[index],
-        first,
-    )
+    def _weighed(self, believed: Floats, information: Floats, score: Floats) -> tuple[Floats, Floats]:
+        """Offsets (K, 8) and their covariance (K, 8, 8)."""
+        cov = np.empty_like(believed)
+        _invert_each(believed + information, cov)
+        return self.offset + _times(cov, score - _times(believed, self.offset)), cov
 
 
 def fit_shared_paths(
     points: PathPoints, beliefs: PathBeliefs, max_frames: int | None = None, gate_probability: float = 0.999
 ) -> SharedPaths:
+    """What the points of each path say of it together: see `fit_paths`."""
+    return fit_paths(points, beliefs, max_frames, gate_probability).paths()
+
+
+def fit_paths(
+    points: PathPoints, beliefs: PathBeliefs, max_frames: int | None = None, gate_probability: float = 0.999
+) -> PathFits:
     """What the points of each path say of it together, by Gauss-Newton on the paths and their points.
 
     First over all views, so that a path that was believed wrongly finds its place; from there one more step over the
@@ -227,11 +212,9 @@ def fit_shared_paths(
         state,
         has_sensitivities=False,
     )
-    information, score = believed.copy(), -_times(believed, offset)
+    information, score = np.zeros_like(believed), np.zeros_like(offset)
     add_up_windows(points.views(views), path, basis, rates.n_frames, rates.state, information, score)
-    cov = np.empty_like(information)
-    _invert_each(information, cov)
-    return _shared_paths(beliefs, basis, own_motion, offset + _times(cov, score), cov, left, t_s)
+    return PathFits(beliefs, t_s, basis, own_motion, believed, offset, information, score, left)
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
@@ -344,48 +327,3 @@ def _turn_views(xy: Floats, rotations: Floats, turns: Bools, path_of: Ints, back
             depth = r[2, 0] * x + r[2, 1] * y + r[2, 2]
             back[place, i, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth
             back[place, i, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
-
-
-@compiled
-def _list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Ints, n_views: Ints) -> None:
-    """Fills ``seen (N, M)`` with the first M places in ``order`` at which a point and its path are known.
-
-    ``n_views (N,)`` says how many there are; none for a point without a path.
-    """
-    n_views[:] = 0
-    for i in range(xy.shape[1]):
-        if path_of[i] < 0:
-            continue
-        path, count = paths[path_of[i]], 0
-        for place in order:
-            if count == seen.shape[1]:
-                break
-            # A sum is finite where all of its terms are.
-            if np.isfinite(xy[place, i, 0] + xy[place, i, 1] + path[place, 0] + path[place, 2]):
-                seen[i, count] = place
-                count += 1
-        n_views[i] = count
-
-
-@compiled
-def _pick_some_of_each(path_of: Ints, n_views: Ints, least_views: int, most: int, index: Ints, first: Ints) -> None:
-    """Fills ``index`` with an even part of the points of each path, no more than ``most``, path by path.
-
-    ``first (K + 1,)`` is where each path begins, and where the last one ends. Points of fewer views have no part.
-    """
-    first[:] = 0
-    for i in range(len(path_of)):
-        if n_views[i] >= least_views:
-            first[path_of[i] + 1] += 1
-    every, passed, place = np.empty_like(first), np.zeros_like(first), np.empty_like(first)
-    for k in range(len(first) - 1):
-        every[k] = max(-(-first[k + 1] // most), 1)
-        place[k] = first[k]
-        first[k + 1] = first[k] + -(-first[k + 1] // every[k])
-    for i in range(len(path_of)):
-        if n_views[i] >= least_views:
-            k = path_of[i]
-            if passed[k] % every[k] == 0:
-                index[place[k]] = i
-                place[k] += 1
-            passed[k] += 1

@@ -68,6 +68,55 @@ def set_beliefs(
 
 
 @compiled
+def believe_as_found(
+    basis: Floats,
+    own_motion: Floats,
+    believed_cov: Floats,
+    found_cov: Floats,
+    local: Floats,
+    cov: Floats,
+    believed: Floats,
+) -> None:
+    """Goes over from ``believed_cov`` to ``found_cov (K, 3, 3)`` of directions in ``believed (K, 8, 8)``.
+
+    By as much as the offsets ``local (K, 8)``, with ``cov (K, 8, 8)``, contradict a direction (more than the two that a
+    chi-square with two degrees of freedom is in the mean), ``found_cov`` counts more.
+    """
+    n = cov.shape[1]
+    along, off = np.empty((2, n)), np.empty(2)
+    wide, found, both = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
+    for k in range(len(basis)):
+        for i in range(2):
+            off[i] = 0.0
+            for m in range(n):
+                off[i] += own_motion[k, i, m] * local[k, m]
+                along[i, m] = 0.0
+                for j in range(n):
+                    along[i, m] += own_motion[k, i, j] * cov[k, j, m]
+        for i in range(2):
+            for j in range(2):
+                wide[i, j], found[i, j], both[i, j] = 0.0, 0.0, 0.0
+                for m in range(3):
+                    for q in range(3):
+                        wide[i, j] += basis[k, m, i] * believed_cov[k, m, q] * basis[k, q, j]
+                        found[i, j] += basis[k, m, i] * found_cov[k, m, q] * basis[k, q, j]
+                for m in range(n):
+                    both[i, j] += along[i, m] * own_motion[k, j, m]
+                both[i, j] += found[i, j]
+        rest = both[0, 0] * both[1, 1] - both[0, 1] * both[1, 0]
+        chi2 = off[0] * off[0] * both[1, 1] + off[1] * off[1] * both[0, 0] - 2.0 * off[0] * off[1] * both[0, 1]
+        worse = max(1.0, 0.5 * chi2 / rest)
+        less = wide[0, 0] * wide[1, 1] - wide[0, 1] * wide[1, 0]
+        more = worse * (found[0, 0] * found[1, 1] - found[0, 1] * found[1, 0])
+        xx, yy = found[1, 1] / more - wide[1, 1] / less, found[0, 0] / more - wide[0, 0] / less
+        xy = wide[0, 1] / less - found[0, 1] / more
+        for i in range(n):
+            for j in range(n):
+                x, y = own_motion[k, 0, i], own_motion[k, 1, i]
+                believed[k, i, j] += (x * xx + y * xy) * own_motion[k, 0, j] + (x * xy + y * yy) * own_motion[k, 1, j]
+
+
+@compiled
 def _set_own_motion(turns_itself: bool, basis: Floats, state: Floats, own_motion: Floats) -> None:
     """Fills the matrix ``(8, 8)`` that takes shared offsets to the motion of the middle of what turns itself.
 

@@ -7,15 +7,15 @@ import numpy as np
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.geometry.shared_path import (
     PathBeliefs,
-    PathPoints,
     SharedPaths,
     chosen_paths,
+    fit_paths,
     fit_shared_paths,
-    joined_paths,
-    points_of_paths,
 )
+from ttcvid.geometry.shared_path_points import PathPoints, points_of_paths
 from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
 from ttcvid.model import Floats, Ints
 
@@ -23,6 +23,11 @@ STRAIGHT_TURN_RAD_S = 0.006
 """What drives straight on turns itself by some tenths of a deg/s: to believe in more would take noise for a turn, and
 that for a wrong velocity."""
 
+# The search believes in a direction that was found as if the path were straight no more than this: its covariance times
+# the factor and the square of the angle, so that it finds a path that is not.
+_SEARCH_FACTOR, _SEARCH_FLOOR_RAD = 9.0, float(np.radians(1.0))
+# Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
+_OBJECT_BEND_HZ = 0.2
 # In a bend it turns by some deg/s. That is believed where the views explain it much better than none (chi-square with
 # three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
@@ -42,6 +47,21 @@ _LEAST_TURN_PART = 1e-3
 _MOST_POINTS = 50
 
 
+def believed_straight(since_s: Floats, direction: Floats, found_cov: Floats, normal: Floats | None) -> PathBeliefs:
+    """What is believed of K things that drive straight on at first, at times ``since_s (L,)``.
+
+    Their directions ``(K, 3)`` were found to ``found_cov (K, 3, 3)``, in rad^2, in a plane if that has a ``normal``.
+    """
+    if normal is None:
+        across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    else:
+        along_horizon = normalize(cross(normal, direction))
+        across = along_horizon[:, :, None] * along_horizon[:, None, :]
+    base = since_s[None, :, None] * direction[:, None, :]
+    cov = _SEARCH_FACTOR * found_cov + _SEARCH_FLOOR_RAD**2 * across
+    return PathBeliefs(base, direction, cov, _OBJECT_BEND_HZ, _OBJECT_BEND_HZ, STRAIGHT_TURN_RAD_S, turns_itself=True)
+
+
 def straight_or_in_bend(
     views: Floats,
     since_s: Floats,
@@ -49,6 +69,8 @@ def straight_or_in_bend(
     beliefs: PathBeliefs,
     path_of: Ints,
     config: CollisionTimesConfig,
+    found_cov: Floats,
+    common: Floats,
     *,
     may_turn_tightly: bool,
 ) -> SharedPaths:
@@ -59,34 +81,37 @@ def straight_or_in_bend(
     views, since_s, sigma_norm, path_of
         As ``xy, t_s, sigma_norm, path_of`` of `points_of_paths`.
     beliefs
-        Of things that drive straight on, with `STRAIGHT_TURN_RAD_S`.
+        `believed_straight`.
+    found_cov, common
+        How well the directions were found that things have if they drive straight on, and what the noise of their
+        points has in common: as for `PathFits.paths_from_found_directions`.
     may_turn_tightly
         Whether a body on a circle is tried, too: its direction is free, and would leave a horizon that is known.
     """
     longest, probability = config.max_frames, config.window_probability
     points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
-    straight = fit_shared_paths(points, beliefs, longest, probability)
+    fits = fit_paths(points, beliefs, longest, probability)
+    straight = fits.paths()
     chi2, by_views_rad_s = _turns_by_views(straight, beliefs.turn_sigma_rad_s)
     is_rejected, of_noise = straight.usual > _REJECTED, np.maximum(straight.usual, 1.0)
     may_turn = (chi2 > _SURE_CHI2 * of_noise) | is_rejected
-    chosen = straight
+    chosen, is_straight = straight, np.ones(len(chi2), dtype=bool)
     if may_turn.any():
         in_bend = fit_shared_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
         gain = straight.squares[may_turn] - in_bend.squares
         bends = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
+        is_straight[may_turn] = ~bends
     is_doubted = (chi2 > _BEND_CHI2 * of_noise) | is_rejected
     has_points = np.diff(points.first) >= _LEAST_POINTS
     asked = np.flatnonzero(is_doubted & (by_views_rad_s > _ASKED_TURN_RAD_S) & has_points)
-    if not may_turn_tightly or not len(asked):
-        return chosen
-    bodies = [_turning_body(points, int(k), beliefs, float(chosen.squares[k])) for k in asked]
-    least = np.array([_SURE_CHI2 * max(body.usual, 1.0) for body in bodies])
-    is_better = chosen.squares[asked] - np.array([body.squares for body in bodies]) > least
-    if not is_better.any():
-        return chosen
-    turning = [_path_of_body(body, points.t_s) for body, is_kept in zip(bodies, is_better, strict=True) if is_kept]
-    return chosen_paths(chosen, joined_paths(turning), asked[is_better], np.ones(len(turning), dtype=bool))
+    for k in asked if may_turn_tightly else ():
+        body = _turning_body(points, int(k), beliefs, float(chosen.squares[k]))
+        if chosen.squares[k] - body.squares > _SURE_CHI2 * max(body.usual, 1.0):
+            chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
+            is_straight[k] = False
+    steady = fits.paths_from_found_directions(found_cov, common)
+    return chosen_paths(chosen, steady, np.arange(len(is_straight)), is_straight)
 
 
 def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: float) -> TurningBody:

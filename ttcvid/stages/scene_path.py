@@ -8,14 +8,8 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import each_turned_into_plane
-from ttcvid.geometry.shared_path import (
-    MOST_POINTS,
-    PathBeliefs,
-    SharedPaths,
-    believed_paths,
-    fit_shared_paths,
-    points_of_paths,
-)
+from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
+from ttcvid.geometry.shared_path_points import MOST_POINTS, points_of_paths
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import ROTATION_DRIFT_RAD, TrackHistory

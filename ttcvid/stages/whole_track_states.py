@@ -9,14 +9,13 @@ from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.path_velocity import velocities_on_paths
-from ttcvid.geometry.rotation import cross, normalize
-from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, joined_paths, turned_back
+from ttcvid.geometry.shared_path import SharedPaths, joined_paths, turned_back
 from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks, window_gates
 from ttcvid.geometry.whole_track_descent import LEAST_FRAMES
 from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
 from ttcvid.geometry.whole_track_on_path_descent import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
-from ttcvid.stages.bends import STRAIGHT_TURN_RAD_S, straight_or_in_bend
+from ttcvid.stages.bends import believed_straight, straight_or_in_bend
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
@@ -29,11 +28,6 @@ from ttcvid.stages.track_states import SharedErrors, TrackStates
 _RATE_SIGMAS = 2.0
 # The whole velocity may be zero inside 95 % of a 3-D Gaussian.
 _NO_MOTION_CHI2 = float(chi2_quantile(0.95, 3))
-# The prior direction was fitted to some of the same views, as if the path were straight; its covariance is inflated by
-# this factor so that they are not counted twice, and the square of this angle is added, its floor.
-_BELIEF_FACTOR, _BELIEF_FLOOR_RAD = 9.0, float(np.radians(1.0))
-# Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
-_OBJECT_BEND_HZ = 0.2
 # What `_judge` says of tracks: their numbers are an argument, for a copy on disk would not notice that they changed.
 _JUDGEMENTS = (
     Status.short_track,
@@ -63,8 +57,8 @@ def multi_frame_states(
     free state (with a horizon: in its plane).
     """
     views = _views(history, motions)
-    paths, path_of, is_object = _paths(history, motions, views, plane, config)
-    states = _on_paths(history, motions, views, paths, path_of, is_object, config)
+    paths, path_of, is_object, common = _paths(history, motions, views, plane, config)
+    states = _on_paths(history, motions, views, paths, path_of, is_object, common, config)
     has_none = (motions.cluster_id == SCENE_CLUSTER) & (path_of == NO_PATH)
     free = np.flatnonzero((path_of == NO_PATH) & ~has_none & motions.is_free)
     if len(free):
@@ -78,8 +72,11 @@ def _paths(
     views: Floats,
     plane: HorizonPlane | None,
     config: CollisionTimesConfig,
-) -> tuple[SharedPaths, Ints, Bools]:
-    """Path of every cluster that has a direction, the path (N,) of each track, and which paths (K,) are objects'."""
+) -> tuple[SharedPaths, Ints, Bools, Floats]:
+    """Path of every cluster that has a direction, and the path (N,) of each track.
+
+    Which paths (K,) are objects', and what the noise of the tracks of each has in common (K,), see `overlap_factors`.
+    """
     scene = [motion for motion in motions.clusters if motion.cluster_id == SCENE_CLUSTER]
     objects = [motion for motion in motions.clusters if motion.cluster_id != SCENE_CLUSTER]
     objects = [motion for motion in objects if motion.direction is not None]
@@ -94,28 +91,25 @@ def _paths(
     count = len(objects)
     direction = np.reshape([motion.direction for motion in objects], (count, 3))
     cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))
-    if plane is None:
-        across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    else:
-        along_horizon = normalize(cross(plane.normal, direction))
-        across = along_horizon[:, :, None] * along_horizon[:, None, :]
-    base = history.since_s[None, :, None] * direction[:, None, :]
-    beliefs = PathBeliefs(
-        base,
-        direction,
-        _BELIEF_FACTOR * cov + _BELIEF_FLOOR_RAD**2 * across,
-        _OBJECT_BEND_HZ,
-        _OBJECT_BEND_HZ,
-        STRAIGHT_TURN_RAD_S,
-        turns_itself=True,
-    )
+    beliefs = believed_straight(history.since_s, direction, cov, None if plane is None else plane.normal)
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
+    # Tracks of a small object look at the same pixels: so much less do they know together.
+    is_object = np.arange(first + count) >= first
+    common = overlap_factors(history.xy_px, path_of, is_object)
     parts.append(
         straight_or_in_bend(
-            views, history.since_s, history.sigma_norm, beliefs, of_objects, config, may_turn_tightly=plane is None
+            views,
+            history.since_s,
+            history.sigma_norm,
+            beliefs,
+            of_objects,
+            config,
+            cov,
+            common[first:],
+            may_turn_tightly=plane is None,
         )
     )
-    return joined_paths(parts), path_of, np.arange(first + count) >= first
+    return joined_paths(parts), path_of, is_object, common
 
 
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
@@ -152,6 +146,7 @@ def _on_paths(
     paths: SharedPaths,
     path_of: Ints,
     is_object: Bools,
+    common: Floats,
     config: CollisionTimesConfig,
 ) -> TrackStates:
     """States of all N tracks; those without a path have the reason that ``motions`` gives."""
@@ -166,8 +161,7 @@ def _on_paths(
         config.max_frames,
         config.window_probability,
     )
-    # Tracks of a small object look at the same pixels: so much less do they know together.
-    misfit = _misfit(path_of, rates, len(paths.direction)) * overlap_factors(history.xy_px, path_of, is_object)
+    misfit = _misfit(path_of, rates, len(paths.direction)) * common
     across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
     shared_cov = paths.cov * misfit[:, None, None]
     shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
