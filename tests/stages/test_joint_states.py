@@ -126,6 +126,39 @@ def test_the_rate_of_a_wall_at_a_slant_is_as_sure_as_it_says_where_each_track_ha
     assert 0.85 <= np.mean(np.abs(error_hz) < 1.645 * sigma_hz) <= 0.95
 
 
+def test_the_velocity_of_what_turns_is_that_in_the_middle_of_its_nearest_part():
+    """A flank of which the far edge of the nearest part has all of the tracks, and no noise."""
+    rng, turn = np.random.default_rng(93), np.array([0.0, -0.45, 0.0])
+    crowd = rng.uniform([-0.165, -0.1], [-0.155, 0.1], (40, 2))
+    xy = np.concatenate([[[-0.2, -0.1], [-0.2, 0.1]], crowd, rng.uniform([-0.15, -0.1], [0.2, 0.1], (60, 2))])
+    rate_hz, count = RATE_HZ * (1.0 - xy[:, 0]), len(xy)
+    abc_hz = rate_hz[:, None] * TO_US + np.cross(turn, np.column_stack([xy, np.ones(count)]))
+    states = TrackStates(
+        xy=xy,
+        abc_hz=abc_hz,
+        cov=np.tile(1e-6 * np.eye(3), (count, 1, 1)),
+        sigma_norm=np.full(count, 1e-4),
+        direction=np.tile(TO_US, (count, 1)),
+        status=np.zeros(count, dtype=np.int64),
+        shared=SharedErrors(
+            path_of=np.zeros(count, dtype=np.int64),
+            along=TO_US[None],
+            rate_hz=rate_hz,
+            rate_variance=np.full(count, 1e-8),
+            jacobian=np.zeros((count, 3, N_SHARED)),
+            rate_jacobian=np.zeros((count, N_SHARED)),
+            cov=np.zeros((1, N_SHARED, N_SHARED)),
+            change=np.zeros(1),
+            turn_rad_s=turn[None],
+        ),
+    )
+    joint = joint_states(TrackSets.of([np.arange(count)]), TO_US[None], np.array([False]), states, FOCAL_PX * xy, 80.0)
+    x, y = joint.ref_px[0] / FOCAL_PX
+    assert x == pytest.approx(-0.178, abs=0.005)
+    there = RATE_HZ * (1.0 - x) * TO_US + np.cross(turn, [x, y, 1.0])
+    np.testing.assert_allclose(joint.abc_hz[0], there, rtol=0.002)
+
+
 def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_plain_formula_says():
     """On a thing that turns, with errors of all kinds, and no plane through it."""
     rng, count = np.random.default_rng(92), 12

@@ -9,7 +9,7 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
-from ttcvid.stages.slant import nearest_parts
+from ttcvid.stages.slant import move_to_centres, nearest_parts
 from ttcvid.stages.surfaces import in_nearest_surface, tracks_needed
 from ttcvid.stages.track_states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
 
@@ -66,10 +66,10 @@ def joint_states(
     needed = tracks_needed(members.lengths[rated.owner])
     is_in = in_nearest_surface(rated.rate_hz, rated.sigma_hz, rated.xy_px, rated.sets, needed, link_px)
     by_shared, shared_cov = rated.by_shared, shared.cov[rated.path]
-    is_in, above_hz, variance = nearest_parts(
+    is_in, above_hz, variance, centre = nearest_parts(
         rated.sets, rated.rate_hz, rated.own_hz, rated.sigma_hz, by_shared, shared_cov, rated.xy, needed, is_in
     )
-    return _joined(rated, is_in, above_hz, variance, is_one[rated.owner], states, shared)
+    return _joined(rated, is_in, above_hz, variance, centre, is_one[rated.owner], states, shared)
 
 
 @dataclass(frozen=True)
@@ -181,13 +181,15 @@ def _joined(
     is_in: Bools,
     above_hz: Floats,
     variance: Floats,
+    centre: Floats,
     is_one: Bools,
     states: TrackStates,
     shared: SharedErrors,
 ) -> JointStates:
     """The states of surfaces of the tracks that ``is_in (M,)`` picks, by `nearest_parts` with what else that gives.
 
-    Their covariances come from noise, from not knowing the place, and of a plane from its ``variance (K,)``.
+    Their covariances come from noise, from not knowing the place, and of a plane from its ``variance (K,)``. A plane's
+    state is that at the ``centre (K, 2)`` of its nearest part, wherever in it the tracks are.
     """
     n, count = len(rated.sets.index), len(rated.sets)
     index, lengths, weight = np.empty(n, dtype=np.int64), np.zeros(count, np.int64), np.empty(n)
@@ -209,6 +211,9 @@ def _joined(
         ref_px,
         abc_hz,
     )
+    turn_rad_s = np.where(rated.path[:, None] >= 0, shared.turn_rad_s[rated.path], 0.0)
+    places = rated.xy, rated.xy_px
+    move_to_centres(rated.sets.lengths, is_in, lengths, weight, places, centre, turn_rad_s, abc_hz, ref_px)
     left = np.flatnonzero(lengths)
     surfaces, weight = TrackSets(index[:m], lengths[left]), weight[:m]
     along, ref_px, abc_hz, variance = along[left], ref_px[left], abc_hz[left], variance[left]

@@ -42,7 +42,7 @@ def nearest_parts(
     xy: Floats,
     needed: Ints,
     is_in: Bools,
-) -> tuple[Bools, Floats, Floats]:
+) -> tuple[Bools, Floats, Floats, Floats]:
     """The nearest parts of those surfaces that slope away from us; other surfaces as they are.
 
     Inverse depths on a plane are linear in the picture. A plane through the tracks of a surface finds the others that
@@ -61,10 +61,11 @@ def nearest_parts(
 
     Returns
     -------
-    which tracks bear the nearest part (M,), by how much the plane's rate is above that of each (M,), 1/s, and the
-    variance (K,) of the plane's mean rate there, 1/s^2: both zero where nothing slopes.
+    which tracks bear the nearest part (M,), by how much the plane's mean rate there is above that of each (M,), 1/s,
+    the variance (K,) of that, 1/s^2, both zero where nothing slopes, and its centre (K, 2), NaN there.
     """
     is_near, above_hz, variance = is_in.copy(), np.zeros(len(rate_hz)), np.zeros(len(sets))
+    centre = np.full((len(sets), 2), np.nan)
     _find_each(
         rate_hz,
         own_hz,
@@ -78,8 +79,52 @@ def nearest_parts(
         is_near,
         above_hz,
         variance,
+        centre,
     )
-    return is_near, above_hz, variance
+    return is_near, above_hz, variance, centre
+
+
+@compiled
+def move_to_centres(
+    lengths: Ints,
+    is_near: Bools,
+    counts: Ints,
+    weight: Floats,
+    places: tuple[Floats, Floats],
+    centre: Floats,
+    turn_rad_s: Floats,
+    abc_hz: Floats,
+    ref_px: Floats,
+) -> None:
+    """Moves states ``abc_hz (K, 3)`` and pixels ``ref_px (K, 2)`` from the tracks to the centres of nearest parts.
+
+    Tracks crowd, or are missing, anywhere in it, and each place of what turns has a velocity of its own. The rates are
+    those of the centres already.
+
+    Parameters
+    ----------
+    lengths : (K,) how many of the tracks each set has, of which those that are ``is_near (M,)`` bear its nearest part.
+    counts, weight : how many tracks each state is the mean of, (K,), and with what weights, state by state.
+    places : of all tracks, (M, 2) in the plane z = 1 and (M, 2) in the picture.
+    centre, turn_rad_s : (K, 2) as of `nearest_parts`, and (K, 3).
+    """
+    low, first = 0, 0
+    for k in range(len(lengths)):
+        high, q = low + lengths[k], first
+        if np.isfinite(centre[k, 0]):
+            step = centre[k].copy()
+            for i in range(low, high):
+                if is_near[i]:
+                    step -= weight[q] * places[0][i]
+                    q += 1
+            for j in range(2):
+                spread = np.ptp(places[0][low:high, j])
+                if spread > 0.0:
+                    ref_px[k, j] += step[j] * np.ptp(places[1][low:high, j]) / spread
+            abc_hz[k, 0] -= turn_rad_s[k, 2] * step[1]
+            abc_hz[k, 1] += turn_rad_s[k, 2] * step[0]
+            abc_hz[k, 2] += turn_rad_s[k, 0] * step[1] - turn_rad_s[k, 1] * step[0]
+        low, first = high, first + counts[k]
 
 
 @compiled
@@ -96,6 +141,7 @@ def _find_each(
     is_near: Bools,
     above: Floats,
     variance: Floats,
+    centre: Floats,
 ) -> None:
     """Fills the results of `nearest_parts`, set by set; ``is_near (M,)`` tells the surfaces when it comes."""
     plane, again, on_plane = np.empty(_N_PLANE), np.empty(len(rate), dtype=np.bool_), np.empty(len(rate))
@@ -122,20 +168,22 @@ def _find_each(
         for i in range(low, high):
             on_plane[i] = _rate_at(plane, xy[i]) if again[i] else -np.inf
         part = min(_NEAREST_PART * (high - low) / count, 1.0)
-        last = min(_rate_of_nearest(plane, xy[low:high], again[low:high], part), on_plane[low:high].max())
-        x, y, near = 0.0, 0.0, 0
+        nearest = _rate_of_nearest(plane, xy[low:high], again[low:high], part, centre[k])
+        last = min(nearest, on_plane[low:high].max())
+        there = _rate_at(plane, centre[k])
         for i in range(low, high):
             is_near[i] = on_plane[i] >= last - _DEPTH_PART * abs(last)
             if is_near[i]:
-                above[i] = on_plane[i] - rate[i]
-                x, y, near = x + xy[i, 0], y + xy[i, 1], near + 1
-        dx, dy = x / near - plane[0], y / near - plane[1]
+                above[i] = there - rate[i]
+        dx, dy = centre[k, 0] - plane[0], centre[k, 1] - plane[1]
         variance[k] = plane[5] + dx * dx * plane[6] + 2.0 * dx * dy * plane[7] + dy * dy * plane[8]
 
 
 @compiled
-def _rate_of_nearest(plane: Floats, xy: Floats, is_on: Bools, part: float) -> float:
+def _rate_of_nearest(plane: Floats, xy: Floats, is_on: Bools, part: float, centre: Floats) -> float:
     """The rate above which this part of a plane lies, of the box around its tracks in the picture.
+
+    Fills the ``centre (2,)`` of it, with what lies behind it by no more than `_DEPTH_PART`.
 
     Its area counts and not its tracks: these crowd where there is texture, and are rare where a thing leaves the
     picture.
@@ -151,8 +199,14 @@ def _rate_of_nearest(plane: Floats, xy: Floats, is_on: Bools, part: float) -> fl
             place[0] = left + (i + 0.5) / _PLACES * (right - left)
             place[1] = top + (j + 0.5) / _PLACES * (low - top)
             rates[i * _PLACES + j] = _rate_at(plane, place)
-    rates.sort()
-    found: float = rates[min(int((1.0 - part) * len(rates)), len(rates) - 1)]
+    rates_there = np.sort(rates)
+    found: float = rates_there[min(int((1.0 - part) * len(rates)), len(rates) - 1)]
+    x, y, count = 0.0, 0.0, 0
+    for i in range(_PLACES):
+        for j in range(_PLACES):
+            if rates[i * _PLACES + j] >= found - _DEPTH_PART * abs(found):
+                x, y, count = x + (i + 0.5) / _PLACES, y + (j + 0.5) / _PLACES, count + 1
+    centre[0], centre[1] = left + x / count * (right - left), top + y / count * (low - top)
     return found
 
 
