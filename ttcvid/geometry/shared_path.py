@@ -147,7 +147,7 @@ class PathFits:
 
         The search is to find a path that was believed wrongly, and believes in no direction as much. One that was found
         as if its path were straight is worth more than that, but for where views contradict it: by so much its
-        covariance grows (Birge's ratio). Points whose noise is partly the same say less beside it: that of a mean over
+        covariance grows. Points whose noise is partly the same say less beside it: that of a mean over
         them is ``common (K,)`` times as large. (As that of `paths`, the covariance is the one without this factor.)
         """
         information, score = self.information / common[:, None, None], self.score / common[:, None]

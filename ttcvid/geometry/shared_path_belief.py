@@ -10,6 +10,9 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats, Ints
 
+# What does not contradict a direction: a chi-square with two degrees of freedom inside its 90 %.
+_CHANCE_CHI2 = 4.605
+
 
 @compiled
 def set_prior(
@@ -79,8 +82,8 @@ def believe_as_found(
 ) -> None:
     """Goes over from ``believed_cov`` to ``found_cov (K, 3, 3)`` of directions in ``believed (K, 8, 8)``.
 
-    By as much as the offsets ``local (K, 8)``, with ``cov (K, 8, 8)``, contradict a direction (more than the two that a
-    chi-square with two degrees of freedom is in the mean), ``found_cov`` counts more.
+    By as much as the offsets ``local (K, 8)``, with ``cov (K, 8, 8)``, contradict a direction, more than chance makes
+    them, ``found_cov`` counts more.
     """
     n = cov.shape[1]
     along, off = np.empty((2, n)), np.empty(2)
@@ -105,7 +108,7 @@ def believe_as_found(
                 both[i, j] += found[i, j]
         rest = both[0, 0] * both[1, 1] - both[0, 1] * both[1, 0]
         chi2 = off[0] * off[0] * both[1, 1] + off[1] * off[1] * both[0, 0] - 2.0 * off[0] * off[1] * both[0, 1]
-        worse = max(1.0, 0.5 * chi2 / rest)
+        worse = max(1.0, chi2 / rest / _CHANCE_CHI2)
         less = wide[0, 0] * wide[1, 1] - wide[0, 1] * wide[1, 0]
         more = worse * (found[0, 0] * found[1, 1] - found[0, 1] * found[1, 0])
         xx, yy = found[1, 1] / more - wide[1, 1] / less, found[0, 0] / more - wide[0, 0] / less
