@@ -9,7 +9,7 @@ from relative_motion import CAMERA, box_of_points
 from ttcvid.geometry.camera import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
-from ttcvid.stages.approach import CommonViews, closing_of, radii_px, with_common_errors, with_seen_motion
+from ttcvid.stages.approach import CommonViews, braking_of, closing_of, radii_px, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import with_times
 from ttcvid.stages.sets import TrackSets
 
@@ -123,3 +123,7 @@ def test_what_approaches_shows_its_acceleration():
     assert found.acceleration_hz2 == pytest.approx(-0.2, abs=1e-6)
     # 0.25 px at the outline, as a random walk over 0.6 s: a quarter of that acceleration in a second.
     assert found.acceleration_sigma_hz2 == pytest.approx(0.05, rel=0.4)
+    # Half of that walks, the other half grows evenly, which is no acceleration: the rate is as unsure as it was.
+    brakes = braking_of(rear_m[None] / depth_m[:, None, None], since_s, CAMERA.fx_px, 0.25)
+    assert brakes.acceleration_sigma_hz2 == pytest.approx(0.5 * found.acceleration_sigma_hz2, rel=0.01)
+    assert brakes.rate_sigma_hz == pytest.approx(found.rate_sigma_hz, rel=0.35)
