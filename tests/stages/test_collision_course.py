@@ -12,7 +12,13 @@ from ttcvid.geometry.camera import pixels_from_rays
 from ttcvid.geometry.closing import Closing
 from ttcvid.model import MotionState
 from ttcvid.stages.clusters import with_times
-from ttcvid.stages.events import is_collision_course
+from ttcvid.stages.collision_course import course_of
+
+
+def is_course(row, camera=CAMERA, config=CONFIG, **options):
+    """Whether a row is surely on collision course."""
+    course = course_of(row, camera, config, **options)
+    return course is not None and course.is_sure
 
 
 def test_a_near_miss_inside_a_width_is_a_collision_course():
@@ -79,7 +85,7 @@ def test_a_width_is_as_wide_through_a_fisheye_off_its_axis_as_without_a_lens(off
             camera, place + half * np.array([[0.0], [-1.0], [1.0]]) * (1.0, 0.0, 0.0)
         )
         seen = replace(row, ref_px=tuple(middle), box_px=(left[0], left[1] - 9.0, right[0], right[1] + 9.0))
-        assert is_collision_course(seen, camera, CONFIG, is_warned=False) == is_hit
+        assert is_course(seen, camera) == is_hit
 
 
 @pytest.mark.parametrize(("start_m", "is_hit"), [((0.0, 5.0, 0.5), True), ((0.0, 5.0, 10.0), False)])
@@ -87,7 +93,7 @@ def test_what_goes_straight_up_shows_its_whole_width(start_m, is_hit):
     """Asked for at less than even chance: whether it comes nearer in depth is open."""
     config = EventsConfig(max_ttc_s=4.0, max_miss_widths=1.0, confidence=0.4)
     row = replace(row_of(start_m, (0.0, -5.0, 0.0), relative_sigma=0.001), motion_state=MotionState.approaching)
-    assert is_collision_course(row, CAMERA, config, is_warned=False) == is_hit
+    assert is_course(row, config=config) == is_hit
 
 
 @pytest.mark.parametrize(("aside_m", "is_hit"), [(4.0, True), (12.0, False)])
@@ -98,7 +104,7 @@ def test_which_end_of_a_lorry_is_the_reference_changes_nothing(aside_m, is_hit):
     row = replace(row, motion_state=MotionState.approaching)
     for x_px in (row.box_px[0], row.ref_px[0], row.box_px[2]):
         seen = replace(row, ref_px=(x_px, row.ref_px[1]))
-        assert is_collision_course(seen, CAMERA, CONFIG, is_warned=False) == is_hit
+        assert is_course(seen) == is_hit
 
 
 def test_what_reaches_beyond_a_right_angle_off_the_axis_is_wide():
@@ -108,7 +114,7 @@ def test_what_reaches_beyond_a_right_angle_off_the_axis_is_wide():
     x_px = CAMERA.cx_px + FOCAL_PX * np.radians([30.0, 60.0, 100.0])
     seen = replace(row, ref_px=(x_px[1], CAMERA.cy_px), box_px=(x_px[0], 0.0, x_px[2], 300.0))
     seen = with_times([seen], fisheye)[0]
-    assert is_collision_course(replace(seen, motion_state=row.motion_state), fisheye, CONFIG, is_warned=False)
+    assert is_course(replace(seen, motion_state=row.motion_state), fisheye)
 
 
 def test_the_same_geometry_is_judged_alike_at_two_and_at_twenty_metres_a_second():
@@ -186,10 +192,37 @@ def test_brakes_that_bring_a_contact_near_for_a_moment_are_not_warned_of():
     assert 4.0 < later.contact_s(1.0) < 5.0
     assert soon.contact_s(1.0) < 4.0
     assert first_warned(watched([row] * 16, closings=[*[later] * 10, *[soon] * 2, *[later] * 4])[0]) is None
-    assert first_warned(watched([row] * 20, closings=[*[later] * 10, *[soon] * 10])[0]) == 16
+    assert first_warned(watched([row] * 20, closings=[*[later] * 10, *[soon] * 10])[0]) is not None
     watched_by_its_time = row_of((0.0, 0.0, 46.0), (0.0, 0.0, -10.0))
     blip = [*[later] * 10, soon, *[later] * 9]
     assert first_warned(watched([watched_by_its_time] * 20, closings=blip)[0]) is None
+
+
+def warned_after(sigmas, row_sigma=0.001, config=CONFIG):
+    """Frames after its first one in which a car is warned of whose brakes are told by so many standard deviations."""
+    row = row_of((0.0, 0.0, 40.0), (0.0, 0.0, -5.0), relative_sigma=row_sigma)
+    # What looking for when they began adds to them is taken off.
+    brakes = Closing(-0.125, -0.2, np.diag([1.0, (0.2 / (sigmas + 0.35)) ** 2]))
+    return first_warned(watched([row] * 30, config, closings=[brakes] * 30)[0])
+
+
+def test_the_surer_brakes_are_the_shorter_they_have_to_last():
+    """Log odds add up to those of the confidence over the persistence, 0.3 s of 2.94."""
+    assert warned_after(2.2) is None
+    # 99.29 %, log odds 4.94: 0.179 s. From 99.99 % on, log odds 9.21: 0.096 s, however sure.
+    assert warned_after(2.45) == 4
+    assert warned_after(3.8) == warned_after(20.0) == 2
+    # Sure brakes of what goes not as surely straight at us.
+    assert warned_after(20.0, row_sigma=0.025) > 2
+
+
+def test_one_look_alone_warns_of_nothing():
+    slow = CONFIG.model_copy(update={"persistence_s": 0.1})
+    assert warned_after(20.0, config=slow) == 1
+
+
+def test_whoever_asks_for_less_than_an_even_chance_has_to_wait_for_the_persistence():
+    assert warned_after(20.0, config=CONFIG.model_copy(update={"confidence": 0.4})) == 6
 
 
 def test_an_acceleration_is_not_taken_to_last_for_ever():
@@ -210,11 +243,6 @@ def low_part(offset_m, z_m=15.0):
     x_px, y_px = row.ref_px
     half_px, low_px = 0.25 * FOCAL_PX / z_m, 0.5 * FOCAL_PX / z_m
     return replace(row, box_px=(x_px - half_px, y_px - low_px, x_px + half_px, y_px + low_px))
-
-
-def is_course(row, **options):
-    """Whether a row is on collision course."""
-    return is_collision_course(row, CAMERA, CONFIG, is_warned=False, **options)
 
 
 def test_what_passes_below_the_camera_on_the_road_hits_our_car():
@@ -268,11 +296,11 @@ def standing(width_m, height_m, ref_below_m, centre_below_m, position_m=(0.0, 0.
 def test_a_thing_is_hit_over_its_whole_height():
     # Somebody 1.75 m tall, 0.6 m wide, whose feet are seen best, 1.4 m below the camera.
     walker = standing(0.6, 1.75, ref_below_m=1.3, centre_below_m=0.53)
-    assert is_collision_course(walker, CAMERA, CONFIG, is_warned=False)
+    assert is_course(walker)
     beside = standing(0.6, 1.75, ref_below_m=1.3, centre_below_m=0.53, position_m=(1.2, 0.0, 16.0))
-    assert not is_collision_course(beside, CAMERA, CONFIG, is_warned=False)
+    assert not is_course(beside)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_what_ends_far_below_or_begins_far_above_is_not_hit(side):
-    assert not is_collision_course(standing(0.6, 0.4, 1.5 * side, 1.5 * side), CAMERA, CONFIG, is_warned=False)
+    assert not is_course(standing(0.6, 0.4, 1.5 * side, 1.5 * side))

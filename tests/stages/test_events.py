@@ -1,10 +1,13 @@
 """Warnings in time: after a danger has lasted, until it is over, with one number each."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from relative_motion import CAMERA
 from watched_rows import CONFIG, FRAME_S, HARMLESS, HIT, WIDTH_M, WITHOUT_STATE, drive, first_warned, row_of, watched
 
+from ttcvid.model import MotionState
 from ttcvid.stages.events import EventMemory, restarted_events, update_events
 
 
@@ -110,6 +113,30 @@ def test_a_frame_without_a_value_is_not_the_end_of_what_persists():
     hit = drive(*HIT, 1.0)
     assert first_warned(watched([*hit[:3], WITHOUT_STATE, *hit[4:]])[0]) == 6
     assert first_warned(watched([*hit[:3], HARMLESS, *hit[4:]])[0]) == 10
+
+
+UNKNOWN = replace(drive(*HIT, 0.1)[0], motion_state=MotionState.unknown)
+"""Where it goes is open."""
+
+
+@pytest.mark.parametrize("is_open", [UNKNOWN, WITHOUT_STATE], ids=["unknown", "no value"])
+def test_looks_at_which_it_is_open_where_a_thing_goes_are_no_gap_for_a_while(is_open):
+    hit = drive(*HIT, 2.5)
+    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) == 10
+    # Three times the persistence at the most.
+    assert first_warned(watched([*hit[:2], *[is_open] * 20, *hit[22:]])[0]) == 28
+    # They say nothing by themselves, and what speaks against it is a gap all the same.
+    assert first_warned(watched([*hit[:2], *[is_open] * 8])[0]) is None
+    assert first_warned(watched([*hit[:2], *[is_open] * 4, HARMLESS, *[is_open] * 4, *hit[11:]])[0]) == 17
+
+
+def test_what_is_not_surely_going_to_miss_us_is_open():
+    """Its best estimate is a hit, by a little; nothing at 95 %."""
+    hit, likely = drive(*HIT, 2.5), row_of((0.9 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
+    likely_miss = row_of((1.1 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
+    assert first_warned(watched([likely] * 30)[0]) is None
+    assert first_warned(watched([*hit[:3], likely, *hit[4:]])[0]) == 6
+    assert first_warned(watched([*hit[:3], likely_miss, *hit[4:]])[0]) == 10
 
 
 def test_what_comes_out_behind_a_post_with_another_number_is_warned_of_at_once():

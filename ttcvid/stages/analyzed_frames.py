@@ -56,7 +56,12 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         clip.config.events,
         step_s=seen.history.step_s,
         on_ground=clip.config.egomotion.platform == Platform.vehicle,
-        closing_of=partial(closing_of_cluster, history=seen.history, motions=seen.motions),
+        closing_of=partial(
+            closing_of_cluster,
+            history=seen.history,
+            motions=seen.motions,
+            least_s=clip.config.events.persistence_s,
+        ),
     )
     egomotion = seen.egomotion
     result = FrameResult(

@@ -18,7 +18,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.stages.approach import CommonViews, closing_of_tracks, radii_px, with_common_errors, with_seen_motion
+from ttcvid.stages.approach import CommonViews, braking_of_tracks, radii_px, with_common_errors, with_seen_motion
 from ttcvid.stages.clusters import (
     neighbours_in_cluster,
     ranked,
@@ -90,10 +90,10 @@ def cluster_rows(
     return tuple(ranked(with_seen_motion(rows, radius_px, growth, views.gap_s, camera)))
 
 
-def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMotions) -> Closing | None:
-    """How the depth of an object changes, by the sizes of its picture; None without enough views."""
+def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMotions, least_s: float) -> Closing | None:
+    """How the depth of an object changes that may have begun to brake, by its sizes; None without enough views."""
     members = next(motion.members for motion in motions.clusters if motion.cluster_id == cluster_id)
-    return closing_of_tracks(history, members)
+    return braking_of_tracks(history, members, least_s)
 
 
 def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
