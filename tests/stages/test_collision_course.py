@@ -225,6 +225,32 @@ def test_whoever_asks_for_less_than_an_even_chance_has_to_wait_for_the_persisten
     assert warned_after(20.0, config=CONFIG.model_copy(update={"confidence": 0.4})) == 6
 
 
+def bus_on_a_bend(yaw_rate_rad_s, heading_off_rad, n_frames=10, speed_m_s=8.0, seed=0):
+    """Rows of a bus 24 m ahead that comes at us on a bend, each by its present velocity, as tracks err."""
+    rng, place, heading, rows = np.random.default_rng(seed), np.array([0.0, 24.0]), heading_off_rad, []
+    for _ in range(n_frames):
+        velocity = speed_m_s * np.array([np.sin(heading), -np.cos(heading)])
+        seen = velocity + 0.002 * speed_m_s * rng.normal(size=2)
+        rows.append(row_of((place[0], 0.0, place[1]), (seen[0], 0.0, seen[1]), relative_sigma=0.002, width_m=4.0))
+        place, heading = place + velocity * FRAME_S, heading + yaw_rate_rad_s * FRAME_S
+    return rows
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bus_that_heads_at_us_for_a_moment_on_a_bend_is_not_warned_of(seed, side):
+    """It misses us by less than its width for half a second, and by two widths in the end."""
+    rows = bus_on_a_bend(side * 0.35, -side * 0.02, seed=seed)
+    assert sum(is_course(row) for row in rows) > 6
+    assert first_warned(watched(rows)[0]) is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_comes_straight_on_or_turns_towards_us_is_warned_of_as_soon_as_without_errors(seed):
+    assert first_warned(watched(bus_on_a_bend(0.0, 0.06, seed=seed))[0]) == 6
+    assert first_warned(watched(bus_on_a_bend(-0.1, 0.12, seed=seed))[0]) == 6
+
+
 def test_an_acceleration_is_not_taken_to_last_for_ever():
     """At 40 m it would be reached in 4 s by going on as now; nobody knows that it does."""
     rows, closings = braking_from_behind(0.02, range_m=40.0, seconds=0.5)

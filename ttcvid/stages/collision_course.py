@@ -36,10 +36,14 @@ _TINY = 1e-9
 
 @dataclass(frozen=True)
 class Course:
-    """What may be on collision course: surely, and then by how many ``sigmas``; or that is open."""
+    """What may be on collision course: surely, and then by how many ``sigmas``; or that is open.
+
+    ``miss_widths`` is the best estimate of its miss distance, in widths as the limit is.
+    """
 
     is_sure: bool
     sigmas: float = 0.0
+    miss_widths: float = math.nan
 
 
 OPEN = Course(is_sure=False)
@@ -88,14 +92,14 @@ def course_of(
         return None
     is_sure = at_asked <= max_miss_widths and surety(row.state_abc_hz, cov) > config.confidence
     if row.times.tcpa_s[0] <= config.max_ttc_s * (_KEEP_TTC if is_warned or is_watched else 1.0):
-        return Course(is_sure=True, sigmas=asked) if is_sure else OPEN
+        return Course(True, asked, at_best) if is_sure else OPEN
     contact_s, brakes_sigmas = _contact(closing_of(row.cluster_id)) if is_sure else (math.inf, 0.0)
     if contact_s > config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0):
         return None
     nearer_sigmas = -float(row.state_abc_hz[2]) / max(math.sqrt(cov[2, 2]), _TINY)
     # The miss distance is as many standard deviations below the limit.
     straight_sigmas = asked * (max_miss_widths - at_best) / max(at_asked - at_best, _TINY)
-    return Course(is_sure=True, sigmas=max(min(nearer_sigmas, straight_sigmas, brakes_sigmas), asked))
+    return Course(True, max(min(nearer_sigmas, straight_sigmas, brakes_sigmas), asked), at_best)
 
 
 def _contact(closing: Closing | None) -> tuple[float, float]:

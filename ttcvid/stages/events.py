@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import logit, ndtr
+from scipy.special import logit, ndtr, stdtrit
 
 from ttcvid.config import EventsConfig
 from ttcvid.model import Camera, ClusterRow, Event, MotionState
@@ -34,7 +35,7 @@ class WatchedObject:
     which box, and its warning.
 
     ``near_s`` is for how long it would be warned of, as far as that is worth (`_worth`), None where it would not;
-    ``tcpa_s`` what its ``tcpa`` was at the times of the last ``persistence_s``: pairs (t_s, tcpa_s).
+    ``recent`` what was known of it at the times of the last ``persistence_s``: (t_s, tcpa_s, miss_widths).
     """
 
     since_s: float
@@ -42,7 +43,7 @@ class WatchedObject:
     last_s: float
     box_px: tuple[float, float, float, float]
     near_s: float | None = None
-    tcpa_s: tuple[tuple[float, float], ...] = ()
+    recent: tuple[tuple[float, float, float], ...] = ()
     event: Event | None = None
 
 
@@ -106,12 +107,13 @@ def update_events(
         if before is None:
             lost_id = _lost_at(row.box_px, watched, rows)
             before = None if lost_id is None else _under_new_number(watched.pop(lost_id), t_s, config)
-        now = _watched(before, row, t_s, config)
+        now = _watched(before, row, seen.miss_widths, t_s, config)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
         else:
             now = replace(now, near_s=_near_s(before, course(), t_s, config))
-            if now.near_s is not None and (_lasts(now.near_s, config) or _has_run_down(now, t_s, config)):
+            lasts = now.near_s is not None and (_lasts(now.near_s, config) or _has_run_down(now, t_s, config))
+            if lasts and not _turns_away(now, t_s, config):
                 now = replace(now, event=_started(next_event_id, row, frame, t_s))
                 next_event_id += 1
         watched[cluster_id] = now
@@ -119,15 +121,17 @@ def update_events(
     return active, EventMemory(watched, next_event_id)
 
 
-def _watched(before: WatchedObject | None, row: ClusterRow, t_s: float, config: EventsConfig) -> WatchedObject:
+def _watched(
+    before: WatchedObject | None, row: ClusterRow, miss_widths: float, t_s: float, config: EventsConfig
+) -> WatchedObject:
     """An object whose condition holds now, its warning as before."""
+    known = (t_s, float(row.times.tcpa_s[0]), miss_widths)
     if before is None:
-        return WatchedObject(t_s, t_s, t_s, row.box_px, tcpa_s=((t_s, row.times.tcpa_s[0]),))
+        return WatchedObject(t_s, t_s, t_s, row.box_px, recent=(known,))
     # After a gap what was before it.
     first_s = min(t_s - _gone_s(config), before.last_s)
-    recent = tuple(pair for pair in before.tcpa_s if pair[0] >= first_s)
-    tcpa_s = (*recent, (t_s, row.times.tcpa_s[0]))
-    return replace(before, seen_s=t_s, last_s=t_s, box_px=row.box_px, tcpa_s=tcpa_s)
+    recent = (*(one for one in before.recent if one[0] >= first_s), known)
+    return replace(before, seen_s=t_s, last_s=t_s, box_px=row.box_px, recent=recent)
 
 
 def _near_s(before: WatchedObject | None, course: Course | None, t_s: float, config: EventsConfig) -> float | None:
@@ -167,8 +171,29 @@ def _has_run_down(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
 
     That a time runs down needs no proof, but a single one of them may err.
     """
-    left_s = [tcpa_s - (t_s - then_s) for then_s, tcpa_s in one.tcpa_s]
+    left_s = [tcpa_s - (t_s - then_s) for then_s, tcpa_s, _ in one.recent]
     return _lasts(t_s - one.since_s, config) and float(np.median(left_s)) <= config.max_ttc_s
+
+
+def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
+    """Whether a thing that heads at us now surely will not do so by its closest approach, as its way bends.
+
+    A bus on a roundabout heads at us for a moment. What accelerates across its way by a goes on to miss us by more: by
+    a times the time that is left in each second, and by half of that rate times this time until then. The rate is that
+    of a straight line through the miss distances of the persistence, as unsure as they scatter about it.
+    """
+    times_s, tcpa_s, miss_widths = np.array(one.recent).T
+    ago_s = times_s - t_s
+    free = len(ago_s) - 2
+    if free < 1:
+        return False
+    columns = np.column_stack([np.ones(len(ago_s)), ago_s])
+    cov = np.linalg.inv(columns.T @ columns)
+    line = cov @ (columns.T @ miss_widths)
+    left = miss_widths - columns @ line
+    then = np.array([1.0, 0.5 * tcpa_s[-1]])
+    sigma = math.sqrt(float(then @ cov @ then) * float(left @ left) / free)
+    return bool(then @ line - float(stdtrit(free, config.confidence)) * sigma > config.max_miss_widths)
 
 
 def _lost_at(
