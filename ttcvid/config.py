@@ -130,7 +130,10 @@ class EventsConfig(StageConfig):
         default=1.0, description="miss distance, in object widths, of a collision course"
     )
     confidence: Fraction = Field(default=0.95, description="probability of approach that a warning needs")
-    persistence_s: PositiveFloat = Field(default=0.25, description="how long the condition has to hold, and to be gone")
+    persistence_s: PositiveFloat = Field(
+        default=0.25,
+        description="how long the condition has to hold, and to be gone; less for who brakes surer than `confidence`",
+    )
 
 
 class OverlayConfig(StageConfig):

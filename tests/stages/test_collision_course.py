@@ -239,7 +239,7 @@ def bus_on_a_bend(yaw_rate_rad_s, heading_off_rad, n_frames=10, speed_m_s=8.0, s
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_bus_that_heads_at_us_for_a_moment_on_a_bend_is_not_warned_of(seed, side):
-    """It misses us by less than its width for half a second, and by two widths in the end."""
+    """By its velocity it misses us by less than its width for 0.3 s and longer; in the end by more than two of them."""
     rows = bus_on_a_bend(side * 0.35, -side * 0.02, seed=seed)
     assert sum(is_course(row) for row in rows) > 6
     assert first_warned(watched(rows)[0]) is None
