@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -38,12 +37,12 @@ _TINY = 1e-9
 class Course:
     """What may be on collision course: surely, and then by how many ``sigmas``; or that is open.
 
-    ``miss_widths`` is the best estimate of its miss distance, in widths as the limit is.
+    ``miss_widths`` is the best estimate of where it passes us, as seen from the camera: in widths, as the limit is.
     """
 
     is_sure: bool
     sigmas: float = 0.0
-    miss_widths: float = math.nan
+    miss_widths: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
 
 OPEN = Course(is_sure=False)
@@ -86,20 +85,21 @@ def course_of(
         return None
     asked = float(ndtri(config.confidence))
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
-    miss_widths = partial(_miss_widths, row, row.state_abc_hz, cov, camera, on_ground=on_ground)
-    at_best, at_asked = miss_widths(0.0), miss_widths(asked)
+    *off_widths, sigma_widths = _miss_widths(row, row.state_abc_hz, cov, camera, on_ground).tolist()
+    at_best = math.hypot(*off_widths)
+    at_asked = at_best + asked * sigma_widths
     if min(at_best, at_asked) > max_miss_widths:
         return None
     is_sure = at_asked <= max_miss_widths and surety(row.state_abc_hz, cov) > config.confidence
     if row.times.tcpa_s[0] <= config.max_ttc_s * (_KEEP_TTC if is_warned or is_watched else 1.0):
-        return Course(True, asked, at_best) if is_sure else OPEN
+        return Course(True, asked, tuple(off_widths)) if is_sure else OPEN
     contact_s, brakes_sigmas = _contact(closing_of(row.cluster_id)) if is_sure else (math.inf, 0.0)
     if contact_s > config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0):
         return None
     nearer_sigmas = -float(row.state_abc_hz[2]) / max(math.sqrt(cov[2, 2]), _TINY)
     # The miss distance is as many standard deviations below the limit.
-    straight_sigmas = asked * (max_miss_widths - at_best) / max(at_asked - at_best, _TINY)
-    return Course(True, max(min(nearer_sigmas, straight_sigmas, brakes_sigmas), asked), at_best)
+    straight_sigmas = (max_miss_widths - at_best) / max(sigma_widths, _TINY)
+    return Course(True, max(min(nearer_sigmas, straight_sigmas, brakes_sigmas), asked), tuple(off_widths))
 
 
 def _contact(closing: Closing | None) -> tuple[float, float]:
@@ -122,10 +122,8 @@ def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
     return float(ndtr(-float(abc_hz[2]) / sigma_hz))
 
 
-def _miss_widths(
-    row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, sigmas: float, on_ground: bool = False
-) -> float:
-    """Distance at closest approach over the object's width, so many standard deviations above the best estimate.
+def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, on_ground: bool) -> Floats:
+    """Where an object passes us, over its width: (4,), best estimate (3,) and standard deviation of its length.
 
     Both in units of depth: how fast the object comes has no part in it, only where to. Where its sides are is seen at
     the height of the reference point, which itself may be at either side: of a lorry that crosses, the end that is
@@ -138,14 +136,16 @@ def _miss_widths(
     rays = rays_from_pixels(camera, np.array(outline_px))
     direction = abc_hz / np.linalg.norm(abc_hz)
     basis = tangent_basis(direction)
-    return _miss_over_width(rays, abc_hz, cov, basis, sigmas, on_ground, 1.0 / camera.fx_px)
+    miss = np.empty(4)
+    _fill_miss(rays, abc_hz, cov, basis, on_ground, 1.0 / camera.fx_px, miss)
+    return miss
 
 
 @compiled
-def _miss_over_width(
-    outline: Floats, abc_hz: Floats, cov: Floats, basis: Floats, sigmas: float, on_ground: bool, least_width: float
-) -> float:
-    """`_miss_widths` of the rays ``outline (5, 3)`` of a box: its middle, left, right, top and bottom.
+def _fill_miss(
+    outline: Floats, abc_hz: Floats, cov: Floats, basis: Floats, on_ground: bool, least_width: float, found: Floats
+) -> None:
+    """Fills ``found (4,)`` of `_miss_widths` by the rays ``outline (5, 3)`` of a box: middle, left, right, top, bottom.
 
     A thing is as high as it is seen: of somebody who walks before a car the feet pass below the camera by three times
     the width. A side at 90 deg or more off the axis (of a fisheye) is nowhere in the plane z = 1: infinitely far.
@@ -188,5 +188,5 @@ def _miss_over_width(
         height = bottom - dy / dz
         if np.isfinite(height):
             width = min(width, 0.5 * width + _ROOM_HEIGHTS * max(height, 0.0))
-    found: float = (miss + sigmas * abs(ahead) / speed * np.sqrt(variance)) / width
-    return found
+    found[0], found[1], found[2] = off_x / width, off_y / width, off_z / width
+    found[3] = abs(ahead) / speed * np.sqrt(variance) / width

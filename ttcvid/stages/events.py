@@ -25,6 +25,8 @@ _STALLED = 1.5
 # Times of pictures are rounded to the clock of their container, and differences of them once more: what has lasted as
 # long as the persistence within this, s, has lasted as long.
 _ROUNDING_S = 1e-3
+# A miss distance without a side, in widths.
+_TINY = 1e-9
 # No tail is believed beyond this many standard deviations, 99.99 %: matching errors are not normal that far out.
 _SIGMAS_BELIEVED = 3.719
 
@@ -35,7 +37,7 @@ class WatchedObject:
     which box, and its warning.
 
     ``near_s`` is for how long it would be warned of, as far as that is worth (`_worth`), None where it would not;
-    ``recent`` what was known of it at the times of the last ``persistence_s``: (t_s, tcpa_s, miss_widths).
+    ``recent`` what was known of it at the times of the last ``persistence_s``: (t_s, tcpa_s, *miss_widths).
     """
 
     since_s: float
@@ -43,7 +45,7 @@ class WatchedObject:
     last_s: float
     box_px: tuple[float, float, float, float]
     near_s: float | None = None
-    recent: tuple[tuple[float, float, float], ...] = ()
+    recent: tuple[tuple[float, ...], ...] = ()
     event: Event | None = None
 
 
@@ -122,10 +124,10 @@ def update_events(
 
 
 def _watched(
-    before: WatchedObject | None, row: ClusterRow, miss_widths: float, t_s: float, config: EventsConfig
+    before: WatchedObject | None, row: ClusterRow, miss_widths: tuple[float, ...], t_s: float, config: EventsConfig
 ) -> WatchedObject:
     """An object whose condition holds now, its warning as before."""
-    known = (t_s, float(row.times.tcpa_s[0]), miss_widths)
+    known = (t_s, float(row.times.tcpa_s[0]), *miss_widths)
     if before is None:
         return WatchedObject(t_s, t_s, t_s, row.box_px, recent=(known,))
     # After a gap what was before it.
@@ -171,7 +173,7 @@ def _has_run_down(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
 
     That a time runs down needs no proof, but a single one of them may err.
     """
-    left_s = [tcpa_s - (t_s - then_s) for then_s, tcpa_s, _ in one.recent]
+    left_s = [tcpa_s - (t_s - then_s) for then_s, tcpa_s, *_ in one.recent]
     return _lasts(t_s - one.since_s, config) and float(np.median(left_s)) <= config.max_ttc_s
 
 
@@ -180,10 +182,12 @@ def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
 
     A bus on a roundabout heads at us for a moment. What accelerates across its way by a goes on to miss us by more: by
     a times the time that is left in each second, and by half of that rate times this time until then. The rate is that
-    of a straight line through the miss distances of the persistence, as unsure as they scatter about it.
+    of a straight line through the miss distances of the persistence, to the side on which it is now, as unsure as they
+    scatter about it.
     """
-    times_s, tcpa_s, miss_widths = np.array(one.recent).T
-    ago_s = times_s - t_s
+    times_s, tcpa_s, *off_widths = np.array(one.recent).T
+    off, ago_s = np.array(off_widths).T, times_s - t_s
+    miss_widths = off @ off[-1] / max(float(np.linalg.norm(off[-1])), _TINY)
     free = len(ago_s) - 2
     if free < 1:
         return False
