@@ -144,32 +144,18 @@ def test_too_few_views_or_points_tell_nothing():
 
 
 @pytest.mark.parametrize(("rate_hz", "acceleration_hz2"), [(-0.5, 0.0), (-0.2, -0.3), (0.1, -0.4), (-0.5, 0.1)])
-def test_the_time_until_contact_is_where_the_depth_is_zero(rate_hz, acceleration_hz2):
-    for lasting_s in (0.5, 1.0, 9.0):
-        t = Closing(rate_hz, acceleration_hz2, np.eye(2)).contact_s(lasting_s)
-        while_s = min(t, lasting_s)
-        gone = rate_hz * while_s + 0.5 * acceleration_hz2 * while_s**2
-        gone += (rate_hz + acceleration_hz2 * lasting_s) * max(t - lasting_s, 0.0)
-        assert gone == pytest.approx(-1.0) or t == np.inf
-
-
-def test_what_goes_away_is_never_reached():
-    assert Closing(0.3, 0.0, np.eye(2)).contact_s(1.0) == np.inf
-    assert Closing(-0.1, 0.3, np.eye(2)).contact_s(1.0) == np.inf
-
-
-def test_the_fit_is_that_of_generalised_least_squares():
-    rng, since_s, drift_hz = np.random.default_rng(3), np.linspace(-1.0, 0.0, 12), 1e-3
-    depth, variance = 1.0 - 0.3 * since_s + 0.1 * rng.normal(size=12), rng.uniform(1e-5, 1e-4, 12)
-    depth[4] = np.nan
-    known = np.isfinite(depth)
-    t, of_known = since_s[known], np.median(variance[known])
-    weight = np.linalg.inv(of_known * np.eye(len(t)) + drift_hz * np.minimum.outer(-t, -t))
-    columns = np.column_stack([np.ones_like(t), t, 0.5 * t * t])
-    cov = np.linalg.inv(columns.T @ weight @ columns)
-    found = cov @ columns.T @ weight @ depth[known]
-    left = depth[known] - columns @ found
-    cov *= max(left @ weight @ left / (len(t) - 3), 1.0)
-    closing = fit_closing(depth, variance, since_s, drift_hz)
-    assert [closing.rate_hz, closing.acceleration_hz2] == pytest.approx(found[1:] / found[0], rel=1e-8)
-    assert closing.cov == pytest.approx(cov[1:, 1:] / found[0] ** 2, rel=1e-8)
+@pytest.mark.parametrize("lasting_s", [0.5, 1.0, 9.0])
+def test_what_is_left_is_what_the_speed_takes_while_the_acceleration_lasts_and_after(
+    rate_hz, acceleration_hz2, lasting_s
+):
+    one = Closing(rate_hz, acceleration_hz2, np.diag([0.02, 0.05]) ** 2)
+    # In the middle of each of so many equal pieces of 2 s.
+    speed_hz = rate_hz + acceleration_hz2 * np.minimum((np.arange(1000) + 0.5) * 0.002, lasting_s)
+    left, sigma = one.left_after(2.0, lasting_s)
+    assert left == pytest.approx(1.0 + 2.0 * speed_hz.mean(), abs=1e-6)
+    # It errs as by moving the rate, and the acceleration, each by its standard deviation.
+    moved = [
+        Closing(rate_hz + by_rate, acceleration_hz2 + by_acceleration, np.eye(2)).left_after(2.0, lasting_s)[0] - left
+        for by_rate, by_acceleration in ((0.02, 0.0), (0.0, 0.05))
+    ]
+    assert sigma == pytest.approx(np.hypot(*moved))

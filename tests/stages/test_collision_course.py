@@ -189,8 +189,8 @@ def test_brakes_that_bring_a_contact_near_for_a_moment_are_not_warned_of():
     """Of a time by the acceleration the looser limit is no proof: it jumps."""
     row = row_of((0.0, 0.0, 40.0), (0.0, 0.0, -5.0))
     later, soon = (Closing(-0.125, acceleration_hz2, 1e-4 * np.eye(2)) for acceleration_hz2 in (-0.09, -0.2))
-    assert 4.0 < later.contact_s(1.0) < 5.0
-    assert soon.contact_s(1.0) < 4.0
+    assert later.left_after(5.0, 1.0)[0] < 0.0 < later.left_after(4.0, 1.0)[0]
+    assert soon.left_after(4.0, 1.0)[0] < 0.0
     assert first_warned(watched([row] * 16, closings=[*[later] * 10, *[soon] * 2, *[later] * 4])[0]) is None
     assert first_warned(watched([row] * 20, closings=[*[later] * 10, *[soon] * 10])[0]) is not None
     watched_by_its_time = row_of((0.0, 0.0, 46.0), (0.0, 0.0, -10.0))
@@ -202,7 +202,7 @@ def warned_after(sigmas, row_sigma=0.001, config=CONFIG):
     """Frames after its first one in which a car is warned of whose brakes are told by so many standard deviations."""
     row = row_of((0.0, 0.0, 40.0), (0.0, 0.0, -5.0), relative_sigma=row_sigma)
     # What looking for when they began adds to them is taken off.
-    brakes = Closing(-0.125, -0.2, np.diag([1.0, (0.2 / (sigmas + 0.35)) ** 2]))
+    brakes = Closing(-0.125, -0.4, np.diag([0.01, 0.4 / (sigmas + 0.35)]) ** 2)
     return first_warned(watched([row] * 30, config, closings=[brakes] * 30)[0])
 
 
@@ -251,10 +251,19 @@ def test_what_comes_straight_on_or_turns_towards_us_is_warned_of_as_soon_as_with
     assert first_warned(watched(bus_on_a_bend(-0.1, 0.12, seed=seed))[0]) == 6
 
 
+def test_brakes_that_may_as_well_leave_more_time_are_not_warned_of():
+    """They are let go: 12 s are left then, and 3.9 s if they last for another second."""
+    row = row_of((0.0, 0.0, 22.0), (0.0, 0.0, -2.0), relative_sigma=0.001)
+    brakes, harder = (Closing(-0.128, -hz2, np.diag([0.015, 0.034]) ** 2) for hz2 in (0.15, 0.2))
+    assert brakes.left_after(4.0, 1.0)[0] < 0.0
+    assert first_warned(watched([row] * 20, closings=[brakes] * 20)[0]) is None
+    assert first_warned(watched([row] * 20, closings=[harder] * 20)[0]) is not None
+
+
 def test_an_acceleration_is_not_taken_to_last_for_ever():
     """At 40 m it would be reached in 4 s by going on as now; nobody knows that it does."""
     rows, closings = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
-    assert closings[0].contact_s(9.0) < 4.0 < closings[-1].contact_s(1.0)
+    assert closings[0].left_after(4.0, 9.0)[0] < 0.0 < closings[-1].left_after(4.0, 1.0)[0]
     assert first_warned(watched(rows, closings=closings)[0]) is None
 
 

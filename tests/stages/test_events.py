@@ -120,13 +120,15 @@ UNKNOWN = replace(drive(*HIT, 0.1)[0], motion_state=MotionState.unknown)
 
 
 @pytest.mark.parametrize("is_open", [UNKNOWN, WITHOUT_STATE], ids=["unknown", "no value"])
-def test_looks_at_which_it_is_open_where_a_thing_goes_are_no_gap_for_a_while(is_open):
+def test_looks_at_which_it_is_open_where_a_thing_goes_stop_the_clock_for_a_while(is_open):
     hit = drive(*HIT, 2.5)
-    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) == 10
+    # 0.05 s before them, 0.25 s after them; anew it would be 0.3 s.
+    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) == 15
     # Three times the persistence at the most.
     assert first_warned(watched([*hit[:2], *[is_open] * 20, *hit[22:]])[0]) == 28
-    # They say nothing by themselves, and what speaks against it is a gap all the same.
+    # They say nothing by themselves, nor do two looks far apart; and what speaks against it is a gap all the same.
     assert first_warned(watched([*hit[:2], *[is_open] * 8])[0]) is None
+    assert first_warned(watched([hit[0], *[is_open] * 6, hit[7], *[is_open] * 6])[0]) is None
     assert first_warned(watched([*hit[:2], *[is_open] * 4, HARMLESS, *[is_open] * 4, *hit[11:]])[0]) == 17
 
 
@@ -135,7 +137,7 @@ def test_what_is_not_surely_going_to_miss_us_is_open():
     hit, likely = drive(*HIT, 2.5), row_of((0.9 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
     likely_miss = row_of((1.1 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
     assert first_warned(watched([likely] * 30)[0]) is None
-    assert first_warned(watched([*hit[:3], likely, *hit[4:]])[0]) == 6
+    assert first_warned(watched([*hit[:3], likely, *hit[4:]])[0]) == 8
     assert first_warned(watched([*hit[:3], likely_miss, *hit[4:]])[0]) == 10
 
 

@@ -27,6 +27,9 @@ _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
 # What closes in ever faster is told at 99 % (one side), beyond what looking for when that began adds
 # (`geometry.closing.fit_braking`); who brakes goes on with it for about so long, s.
 _SIGMAS_99, _SIGMAS_OF_CHOICE, _LASTING_S = 2.326, 0.35, 1.0
+# The time that this leaves has to be short by its best estimate and a standard deviation: it does not run down as other
+# times do, since brakes are let go.
+_SOON_SIGMAS = 1.0
 # Half of our own width and some room beside it, in heights of the camera above the road: cars, vans and lorries alike.
 _ROOM_HEIGHTS = 1.0
 # A miss distance, in units of depth, without a side.
@@ -93,8 +96,9 @@ def course_of(
     is_sure = at_asked <= max_miss_widths and surety(row.state_abc_hz, cov) > config.confidence
     if row.times.tcpa_s[0] <= config.max_ttc_s * (_KEEP_TTC if is_warned or is_watched else 1.0):
         return Course(True, asked, tuple(off_widths)) if is_sure else OPEN
-    contact_s, brakes_sigmas = _contact(closing_of(row.cluster_id)) if is_sure else (math.inf, 0.0)
-    if contact_s > config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0):
+    closing = closing_of(row.cluster_id) if is_sure else None
+    brakes_sigmas = _brakes_sigmas(closing, config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0))
+    if brakes_sigmas is None:
         return None
     nearer_sigmas = -float(row.state_abc_hz[2]) / max(math.sqrt(cov[2, 2]), _TINY)
     # The miss distance is as many standard deviations below the limit.
@@ -102,16 +106,16 @@ def course_of(
     return Course(True, max(min(nearer_sigmas, straight_sigmas, brakes_sigmas), asked), tuple(off_widths))
 
 
-def _contact(closing: Closing | None) -> tuple[float, float]:
-    """Time until contact with what surely closes in ever faster, s, and by how many standard deviations it does.
+def _brakes_sigmas(closing: Closing | None, max_ttc_s: float) -> float | None:
+    """By how many standard deviations a thing closes in ever faster that is reached so soon; None for anything else.
 
-    The time is infinite for anything else. At constant velocity a car that has just begun to brake seems far away for
-    long.
+    At constant velocity a car that has just begun to brake seems far away for long.
     """
     if closing is None:
-        return math.inf, 0.0
+        return None
     sigmas = -closing.acceleration_hz2 / closing.acceleration_sigma_hz2 - _SIGMAS_OF_CHOICE
-    return (closing.contact_s(_LASTING_S) if sigmas > _SIGMAS_99 else math.inf), sigmas
+    left, left_sigma = closing.left_after(max_ttc_s, _LASTING_S)
+    return sigmas if sigmas > _SIGMAS_99 and left + _SOON_SIGMAS * left_sigma <= 0.0 else None
 
 
 def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
