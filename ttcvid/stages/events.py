@@ -135,7 +135,7 @@ def _watched(
     if before is None:
         return WatchedObject(t_s, t_s, t_s, row.box_px, recent=(known,))
     # After a gap what was before it.
-    first_s = min(t_s - _gone_s(config), before.last_s)
+    first_s = min(t_s - _gone_s(config), before.recent[-1][0])
     recent = (*(one for one in before.recent if one[0] >= first_s), known)
     return replace(before, seen_s=t_s, last_s=t_s, box_px=row.box_px, is_open=False, recent=recent)
 
