@@ -192,7 +192,7 @@ def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
     A bus on a roundabout heads at us for a moment. What accelerates across its way by a goes on to miss us by more: by
     a times the time that is left in each second, and by half of that rate times this time until then. The rate is that
     of a straight line through the miss distances of the persistence, to the side on which it is now, as unsure as they
-    scatter about it.
+    scatter about it. (Who brakes is reached by the limit, long before the time at constant velocity.)
     """
     times_s, tcpa_s, *off_widths = np.array(one.recent).T
     off, ago_s = np.array(off_widths).T, times_s - t_s
@@ -204,7 +204,7 @@ def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
     cov = np.linalg.inv(columns.T @ columns)
     line = cov @ (columns.T @ miss_widths)
     left = miss_widths - columns @ line
-    then = np.array([1.0, 0.5 * tcpa_s[-1]])
+    then = np.array([1.0, 0.5 * min(tcpa_s[-1], config.max_ttc_s)])
     sigma = math.sqrt(float(then @ cov @ then) * float(left @ left) / free)
     return bool(then @ line - float(stdtrit(free, config.confidence)) * sigma > config.max_miss_widths)
 
