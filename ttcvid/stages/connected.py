@@ -11,6 +11,8 @@ from ttcvid.model import Bools, Floats, Ints
 _N_RINGS = 3
 # Bits of a key that hold the index of a point: a million of them.
 _INDEX = (1 << 20) - 1
+# So many of those that come next are asked first whether a point hangs together with them.
+_FEW = 4
 # A grid along one axis has at most so many cells: more than a picture has, of points far outside it.
 _MOST_CELLS = 1000
 
@@ -190,7 +192,12 @@ def _pairs(xy: Floats, column_row: Ints, radius: float) -> Ints:
 def _link(
     xy_px: Floats, column_row: Ints, radius: float, of_group: Ints, of_value: Floats, slack: Floats, label: Ints
 ) -> None:
-    """Fill ``label (N,)`` of `linked_parts`."""
+    """Fill ``label (N,)`` of `linked_parts`.
+
+    First each point with a few that come next in the order of cells: that joins nearly all that hang together. Then what
+    is not in the largest part of its group, with all around it; of two points in the largest part nothing is left to
+    ask.
+    """
     cell, order, start, width = _sorted_by_cell(column_row, 1)
     root, xy, group, value, tolerance = (
         np.arange(len(cell)),
@@ -200,17 +207,50 @@ def _link(
         slack[order],
     )
     for here in range(len(xy)):
-        for dy in range(2):
-            # What lies before in the order of cells has been looked at from there.
-            at = cell[order[here]] + dy * width
-            for place in range(max(here + 1, start[at - 1]), start[at + 2]):
-                square = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
-                differs = abs(value[place] - value[here]) - tolerance[place] - tolerance[here]
-                # One branch, that seldom goes another way than the last time: most are known to hang together.
-                is_one = (square < radius * radius) & (differs < 0.0) & (group[place] == group[here])
-                if is_one & (root[order[here]] != root[order[place]]):
-                    _unite(root, order[here], order[place])
+        at = cell[order[here]]
+        _unite_with(
+            root, here, here + 1, min(here + 1 + _FEW, start[at + 2]), order, xy, radius, group, value, tolerance
+        )
+        first = start[at + width]
+        _unite_with(
+            root, here, first, min(first + _FEW, start[at + width + 2]), order, xy, radius, group, value, tolerance
+        )
     _number(root, label)
+    size, largest = np.zeros(len(xy), dtype=np.int64), np.full(np.max(group) + 1, -1)
+    for number in label:
+        size[number] += 1
+    for i in range(len(label)):
+        if largest[of_group[i]] < 0 or size[label[i]] > size[largest[of_group[i]]]:
+            largest[of_group[i]] = label[i]
+    for here in range(len(xy)):
+        if label[order[here]] != largest[group[here]]:
+            for dy in range(-1, 2):
+                at = cell[order[here]] + dy * width
+                _unite_with(root, here, start[at - 1], start[at + 2], order, xy, radius, group, value, tolerance)
+    _number(root, label)
+
+
+@compiled
+def _unite_with(
+    root: Ints,
+    here: int,
+    first: int,
+    stop: int,
+    order: Ints,
+    xy: Floats,
+    radius: float,
+    group: Ints,
+    value: Floats,
+    tolerance: Floats,
+) -> None:
+    """Unite a point with those of the places from ``first`` up to ``stop`` that it hangs together with."""
+    for place in range(first, stop):
+        square = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
+        differs = abs(value[place] - value[here]) - tolerance[place] - tolerance[here]
+        # One branch, that seldom goes another way than the last time: most are known to hang together.
+        is_one = (square < radius * radius) & (differs < 0.0) & (group[place] == group[here])
+        if is_one & (root[order[here]] != root[order[place]]):
+            _unite(root, order[here], order[place])
 
 
 @compiled
