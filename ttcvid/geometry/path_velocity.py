@@ -11,6 +11,9 @@ from ttcvid.geometry.shared_path import N_SHARED
 from ttcvid.geometry.whole_track_on_path import PathRates
 from ttcvid.model import Bools, Floats, Ints
 
+# As `N_SHARED`: a copy on disk would not notice that this changed elsewhere.
+_N_SHARED = 9
+
 
 @dataclass(frozen=True)
 class PathVelocities:
@@ -90,42 +93,61 @@ def _fill(
     cov: Floats,
     jacobian: Floats,
 ) -> None:
-    """Fill the results of `velocities_on_paths`."""
-    n_shared = shared_cov.shape[1]
-    product = np.empty((3, n_shared))
+    """Fill the results of `velocities_on_paths`.
+
+    The jacobian is e s' + G: s is what the shared unknowns do to the rate, G what they do at this rate, of which only
+    the columns of u and of the turn are not zero. So is the covariance J S J' = e e' (s'S s) + e (G S s)' + (G S s) e'
+    + G S G', at half the products.
+    """
+    to_rate, by_turn = np.empty(_N_SHARED), np.empty((_N_SHARED, 3))
     for i in range(len(path_of)):
         k = path_of[i]
         x, y, rate_hz = state[i, 0], state[i, 1], state[i, 2]
         if k < 0 or not np.isfinite(rate_hz):
             abc_hz[i], along_sigma_hz[i], cov[i], jacobian[i] = np.nan, np.nan, np.nan, np.nan
             continue
+        turns = 1.0 if is_own_turn[k] else 0.0
+        turned_x, turned_y = turns * x, turns * y
         for j in range(3):
             abc_hz[i, j] = rate_hz * direction[k, j]
-            for m in range(n_shared):
+            for m in range(_N_SHARED):
                 jacobian[i, j, m] = direction[k, j] * by_shared[i, m]
             jacobian[i, j, j] += rate_hz
-        if is_own_turn[k]:
-            jacobian[i, 0, 7] += 1.0
-            jacobian[i, 0, 8] -= y
-            jacobian[i, 1, 6] -= 1.0
-            jacobian[i, 1, 8] += x
-            jacobian[i, 2, 6] += y
-            jacobian[i, 2, 7] -= x
-            abc_hz[i, 0] += turn_rad_s[k, 1] - turn_rad_s[k, 2] * y
-            abc_hz[i, 1] += turn_rad_s[k, 2] * x - turn_rad_s[k, 0]
-            abc_hz[i, 2] += turn_rad_s[k, 0] * y - turn_rad_s[k, 1] * x
-        for j in range(3):
-            for m in range(n_shared):
-                total = 0.0
-                for q in range(n_shared):
-                    total += jacobian[i, j, q] * shared_cov[k, q, m]
-                product[j, m] = total
+        jacobian[i, 0, 7] += turns
+        jacobian[i, 0, 8] -= turned_y
+        jacobian[i, 1, 6] -= turns
+        jacobian[i, 1, 8] += turned_x
+        jacobian[i, 2, 6] += turned_y
+        jacobian[i, 2, 7] -= turned_x
+        abc_hz[i, 0] += turns * turn_rad_s[k, 1] - turn_rad_s[k, 2] * turned_y
+        abc_hz[i, 1] += turn_rad_s[k, 2] * turned_x - turns * turn_rad_s[k, 0]
+        abc_hz[i, 2] += turn_rad_s[k, 0] * turned_y - turn_rad_s[k, 1] * turned_x
+        square = 0.0
+        for q in range(_N_SHARED):
+            total = 0.0
+            for m in range(_N_SHARED):
+                total += shared_cov[k, q, m] * by_shared[i, m]
+            to_rate[q] = total
+            square += total * by_shared[i, q]
+            about_x, about_y, about_z = shared_cov[k, q, 6], shared_cov[k, q, 7], shared_cov[k, q, 8]
+            by_turn[q, 0] = rate_hz * shared_cov[k, q, 0] + turns * about_y - turned_y * about_z
+            by_turn[q, 1] = rate_hz * shared_cov[k, q, 1] - turns * about_x + turned_x * about_z
+            by_turn[q, 2] = rate_hz * shared_cov[k, q, 2] + turned_y * about_x - turned_x * about_y
+        mixed = (
+            rate_hz * to_rate[0] + turns * to_rate[7] - turned_y * to_rate[8],
+            rate_hz * to_rate[1] - turns * to_rate[6] + turned_x * to_rate[8],
+            rate_hz * to_rate[2] + turned_y * to_rate[6] - turned_x * to_rate[7],
+        )
+        square += rate_variance[i]
+        for m in range(3):
+            cov[i, 0, m] = rate_hz * by_turn[0, m] + turns * by_turn[7, m] - turned_y * by_turn[8, m]
+            cov[i, 1, m] = rate_hz * by_turn[1, m] - turns * by_turn[6, m] + turned_x * by_turn[8, m]
+            cov[i, 2, m] = rate_hz * by_turn[2, m] + turned_y * by_turn[6, m] - turned_x * by_turn[7, m]
         along = 0.0
         for j in range(3):
             for m in range(j + 1):
-                total = rate_variance[i] * direction[k, j] * direction[k, m]
-                for q in range(n_shared):
-                    total += product[j, q] * jacobian[i, m, q]
+                total = cov[i, j, m] + direction[k, j] * (square * direction[k, m] + mixed[m])
+                total += mixed[j] * direction[k, m]
                 along += (1.0 if m == j else 2.0) * direction[k, j] * total * direction[k, m]
                 total += change[k] * change[k] * abc_hz[i, j] * abc_hz[i, m]
                 cov[i, j, m] = cov[i, m, j] = total
