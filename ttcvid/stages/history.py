@@ -105,8 +105,9 @@ class TrackHistory:
         What a pixel spans in the plane z = 1 is seen under a smaller angle away from the axis: cos^2 along the radius
         and cos across, taken together as cos^1.5.
         """
-        cosine = np.minimum(np.maximum(self.rays[self.now, :, 2], 0.1), 1.0)
-        return np.asarray(self.sigma_norm * cosine * np.sqrt(cosine))
+        sigma_rad = np.empty(self.n_tracks)
+        _fill_angles(self.rays[self.now], self.sigma_px, self.plane_per_px, sigma_rad)
+        return sigma_rad
 
     @property
     def sigma_norm(self) -> Floats:
@@ -250,6 +251,15 @@ def extended(
         plane_per_px=plane_per_px(history.camera, rays),
         lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
     )
+
+
+@compiled
+def _fill_angles(rays: Floats, sigma_px: Floats, per_px: Floats, sigma_rad: Floats) -> None:
+    """Fill ``sigma_rad (N,)`` of `TrackHistory` for tracks now at ``rays (N, 3)``."""
+    for i in range(len(sigma_rad)):
+        # NaN, not observed, stays NaN.
+        cosine = 0.1 if rays[i, 2] < 0.1 else 1.0 if rays[i, 2] > 1.0 else rays[i, 2]
+        sigma_rad[i] = sigma_px[i] * per_px[i] * cosine * np.sqrt(cosine)
 
 
 @compiled

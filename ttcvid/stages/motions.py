@@ -10,7 +10,6 @@ import numpy as np
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import MAX_DIRECTION_SIGMA_RAD
-from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
@@ -213,7 +212,7 @@ def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config:
     """The states of tracks by their views within a time of the present one."""
     views = history.views_within(window_s)
     return fit_whole_tracks(
-        each_turned_into_plane(history.rays[views], members, history.cam_R_seen[views][None], np.zeros_like(members)),
+        history.xy[views].take(members, axis=1),
         history.since_s[views],
         history.sigma_norm[members],
         config.max_frames,
