@@ -9,7 +9,6 @@ from relative_motion import CAMERA, box_of_points, history_of, pixels, unit
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.model import NO_CLUSTER, CollisionTimes, MotionState, Status
 from ttcvid.stages.clusters import ClusterMotion
-from ttcvid.stages.flows import select_flows
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
 
@@ -39,23 +38,16 @@ def frame():
 
 
 def motions_of(history, cluster, known=(True, True)):
-    flows = select_flows(history, 8, 8.0)
-    n = history.n_tracks
-    direction, cov = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
-    status = np.full(n, Status.no_epipole, dtype=np.int64)
+    status = np.full(history.n_tracks, Status.no_epipole, dtype=np.int64)
     clusters = []
     for number, velocity, is_known in zip((0, 4), (OWN, CAR_V), known, strict=True):
         members, e = np.flatnonzero(cluster == number), unit(velocity)
         status[members] = Status.ok if is_known else Status.no_parallax
-        if is_known:
-            direction[members], cov[members] = e, 1e-10 * (np.eye(3) - np.outer(e, e))
-        e_cov = cov[members[0]] if is_known else None
+        e_cov = 1e-10 * (np.eye(3) - np.outer(e, e)) if is_known else None
         clusters.append(
             ClusterMotion(number, members, e if is_known else None, e_cov, Status(status[members[0]]), "consensus")
         )
-    return FrameMotions(
-        flows, cluster, direction, cov, status, tuple(clusters), 32.0, np.ones(len(cluster), dtype=bool)
-    )
+    return FrameMotions(cluster, status, tuple(clusters), 32.0, np.ones(len(cluster), dtype=bool))
 
 
 @pytest.mark.parametrize(
@@ -109,24 +101,15 @@ def test_a_track_at_the_epipole_of_its_group_takes_the_time_of_its_surroundings(
     position_m = np.concatenate([[[0.0, 0.0, 15.0]], box_of_points(rng, 24, (0.0, 0.0, 15.0), (1.6, 1.0, 0.0))])
     velocity = np.array([0.0, 0.0, -6.0])
     history = history_of(position_m, velocity, 0.05 * np.arange(9))
-    flows, e = select_flows(history, 8, 8.0), unit(velocity)
+    e = unit(velocity)
     cov = 1e-8 * np.diag([1.0, 1.0, 0.0])
     n, car = len(position_m), ClusterMotion(1, np.arange(25), e, cov, Status.ok, "consensus")
     ok = np.zeros(n, np.int64)
-    motions = FrameMotions(
-        flows,
-        np.ones(n, np.int64),
-        np.tile(e, (n, 1)),
-        np.tile(cov, (n, 1, 1)),
-        ok,
-        (car,),
-        60.0,
-        np.ones(n, dtype=bool),
-    )
+    motions = FrameMotions(np.ones(n, np.int64), ok, (car,), 60.0, np.ones(n, dtype=bool))
     _, rows = track_rows(history, motions, TWO_FRAME)
     assert rows.status[0] == Status.ok
     assert rows.times.ttc_z_s[0] == pytest.approx(2.5, rel=1e-6)
-    alone = replace(motions, cluster_id=np.full(n, NO_CLUSTER), clusters=())
+    alone = replace(motions, cluster_id=np.full(n, NO_CLUSTER))
     _, rows = track_rows(history, alone, TWO_FRAME)
     assert rows.status[0] == Status.at_epipole
 

@@ -11,7 +11,6 @@ from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import NO_CLUSTER, PointSet, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import Egomotion
-from ttcvid.stages.flows import select_flows
 from ttcvid.stages.history import empty_history, extended, with_egomotion
 from ttcvid.stages.motions import FrameMotions, motions_of
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
@@ -58,10 +57,7 @@ def seen(history, cluster_id=None):
     cluster_id = np.ones(n, np.int64) if cluster_id is None else np.array(cluster_id)[:n]
     numbers = np.unique(cluster_id[cluster_id != NO_CLUSTER]).tolist()
     motions = FrameMotions(
-        flows=select_flows(history, 10, 8.0),
         cluster_id=cluster_id,
-        direction=np.full((n, 3), np.nan),
-        direction_cov=np.full((n, 3, 3), np.nan),
         no_direction_status=np.full(n, Status.no_epipole),
         clusters=tuple(
             ClusterMotion(k, np.flatnonzero(cluster_id == k), None, None, Status.no_epipole, "-") for k in numbers

@@ -194,9 +194,8 @@ def _link(
 ) -> None:
     """Fill ``label (N,)`` of `linked_parts`.
 
-    First each point with a few that come next in the order of cells: that joins nearly all that hang together. Then what
-    is not in the largest part of its group, with all around it; of two points in the largest part nothing is left to
-    ask.
+    First each point with a few that come next in the order of cells: that joins nearly all that hang together. Then
+    what is not in the largest part of its group, with all around it; of two points of that nothing is left to ask.
     """
     cell, order, start, width = _sorted_by_cell(column_row, 1)
     root, xy, group, value, tolerance = (

@@ -1,4 +1,4 @@
-"""The motions of a frame: the scene's, those of the movers, and the direction that each track takes from them."""
+"""The motions of a frame: the scene's, and those of the movers."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
 from ttcvid.stages.belonging import numbers_of
 from ttcvid.stages.clusters import ClusterMotion
-from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD, Egomotion
-from ttcvid.stages.flows import Flows, scene_directions, select_flows
+from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import TrackHistory
-from ttcvid.stages.planar import HorizonPlane, planar_directions
+from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
 from ttcvid.stages.surface_motions import growing_things, in_our_way, on_plane
 
@@ -38,17 +37,14 @@ _LOST_MISFIT = 50.0
 
 @dataclass(frozen=True)
 class FrameMotions:
-    """Flows of the N live tracks and what moves together.
+    """What of the N live tracks moves together.
 
-    ``cluster_id (N,)``; ``direction (N, 3)`` with ``direction_cov (N, 3, 3)`` each track's ``dir`` over its own gap,
-    NaN where it has none, and ``no_direction_status (N,)`` why; ``clusters`` the scene first, then the movers;
-    ``link_px`` the distance within which tracks hang together; ``is_free (N,)`` tracks not frozen to their pixel.
+    ``cluster_id (N,)``, and ``no_direction_status (N,)`` why that has no direction, where it has none; ``clusters`` the
+    scene first, then the movers; ``link_px`` the distance within which tracks hang together; ``is_free (N,)`` tracks
+    not frozen to their pixel.
     """
 
-    flows: Flows
     cluster_id: Ints
-    direction: Floats
-    direction_cov: Floats
     no_direction_status: Ints
     clusters: tuple[ClusterMotion, ...]
     link_px: float
@@ -105,9 +101,7 @@ def find_motions(
             in_scene[surface.members] = False
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
-    flows = select_flows(history, times.max_gap_frames, times.target_flow_px)
-    along_scene = scene_directions(history, flows)
-    return _assigned(flows, along_scene, clusters, plane, is_free, link_px), history, memory
+    return _assigned(clusters, is_free, link_px), history, memory
 
 
 def _object_motions(
@@ -271,65 +265,11 @@ def scene_motion(
     return on_plane(SCENE_CLUSTER, members, egomotion.direction, egomotion.direction_cov, "egomotion", plane, camera)
 
 
-def _assigned(
-    flows: Flows,
-    along_scene: Floats,
-    clusters: tuple[ClusterMotion, ...],
-    plane: HorizonPlane | None,
-    is_free: Bools,
-    link_px: float,
-) -> FrameMotions:
-    """Each track's direction: its cluster's, or with a horizon its own."""
-    n = len(flows.gap_s)
-    direction, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
-    status = np.full(n, Status.no_epipole, dtype=np.int64)
-    if plane is not None:
-        direction, covariance, status = planar_directions(flows, plane)
+def _assigned(clusters: tuple[ClusterMotion, ...], is_free: Bools, link_px: float) -> FrameMotions:
+    """The cluster of each track, and why it has no direction where that has none."""
+    cluster_id = np.full(len(is_free), NO_CLUSTER, dtype=np.int64)
+    status = np.full(len(is_free), Status.no_epipole, dtype=np.int64)
     status[~is_free] = Status.no_parallax
-    direction[~is_free] = np.nan
-    # Which of the clusters each track is in, and what it takes from there: the first stands for none of them.
-    place = np.zeros(n, dtype=np.int64)
-    ids, statuses = np.full(len(clusters) + 1, NO_CLUSTER), np.empty(len(clusters) + 1, dtype=np.int64)
-    ways, covs = np.full((len(clusters) + 1, 3), np.nan), np.full((len(clusters) + 1, 3, 3), np.nan)
-    for number, motion in enumerate(clusters, start=1):
-        place[motion.members], ids[number], statuses[number] = number, motion.cluster_id, motion.status
-        way, cov = motion.direction, motion.direction_cov
-        if way is not None and cov is not None:
-            ways[number], covs[number] = way, cov
-            if motion.cluster_id == SCENE_CLUSTER:
-                covs[number] += DIRECTION_FLOOR_RAD**2 * (np.eye(3) - np.outer(way, way))
-    # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
-    is_followed = plane is None and np.isfinite(ways[:, 0]) & (ids == SCENE_CLUSTER)
-    cluster_id, followed = np.empty(n, dtype=np.int64), int(np.argmax(is_followed))
-    _take_over(place, ids, statuses, ways, covs, along_scene, followed, cluster_id, status, direction, covariance)
-    return FrameMotions(flows, cluster_id, direction, covariance, status, clusters, link_px, is_free)
-
-
-@compiled
-def _take_over(
-    place: Ints,
-    ids: Ints,
-    statuses: Ints,
-    ways: Floats,
-    covs: Floats,
-    along_scene: Floats,
-    followed: int,
-    cluster_id: Ints,
-    status: Ints,
-    direction: Floats,
-    covariance: Floats,
-) -> None:
-    """Fill what each of N tracks takes from its cluster, at ``place (N,)`` of those of K + 1 rows; 0 is no cluster.
-
-    Those at the place ``followed`` take directions of their own, ``along_scene (N, 3)``; 0: none do.
-    """
-    for i in range(len(place)):
-        k = place[i]
-        cluster_id[i] = ids[k]
-        if k == 0:
-            continue
-        status[i] = statuses[k]
-        for a in range(3):
-            direction[i, a] = along_scene[i, a] if k == followed else ways[k, a]
-            for b in range(3):
-                covariance[i, a, b] = covs[k, a, b]
+    for motion in clusters:
+        cluster_id[motion.members], status[motion.members] = motion.cluster_id, motion.status
+    return FrameMotions(cluster_id, status, clusters, link_px, is_free)

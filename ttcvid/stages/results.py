@@ -26,10 +26,12 @@ from ttcvid.stages.clusters import (
     with_epipole_pixels,
     with_times,
 )
+from ttcvid.stages.flows import select_flows
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.motions import FrameMotions
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.sets import TrackSets
+from ttcvid.stages.track_directions import track_directions
 from ttcvid.stages.track_states import (
     EXPANSION_NEIGHBOURS,
     TrackStates,
@@ -50,13 +52,12 @@ def track_rows(
     if config.estimator == "multi-frame":
         states = multi_frame_states(history, motions, plane, config)
     elif config.estimator == "three-frame":
-        states = three_frame_states(history, motions.flows)
+        states = three_frame_states(history, select_flows(history, config.max_gap_frames, config.target_flow_px))
     else:
-        states = two_frame_states(motions.flows, motions.direction, motions.direction_cov)
-    has_direction = np.isfinite(motions.direction[:, 0])
-    if config.estimator == "two-frame":
-        asks = motions.flows.has_flow & ~has_direction
-        states = states.with_status(np.where(asks, motions.no_direction_status, states.status))
+        own = track_directions(history, motions, plane, config)
+        states = two_frame_states(own.flows, own.direction, own.covariance)
+        asks = own.flows.has_flow & ~np.isfinite(own.direction[:, 0])
+        states = states.with_status(np.where(asks, own.status, states.status))
     states = states.without(~motions.is_free, Status.no_parallax)
     states = _with_expansions(history, motions, states)
     rows = TrackRows(
