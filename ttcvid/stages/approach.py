@@ -16,7 +16,6 @@ import numpy as np
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.closing import Closing, depths_over_time, fit_braking, fit_closing
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
-from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.sets import TrackSets
@@ -160,7 +159,7 @@ def braking_of_tracks(history: TrackHistory, members: Ints, least_s: float) -> C
 def _views(history: TrackHistory, members: Ints) -> tuple[Floats, Floats]:
     """Places (L, M, 2) of some tracks (M,) in the plane z = 1 without rotation, and when these were, (L,) up to 0."""
     past = slice(0, history.n_past + 1)
-    return turned_into_plane(history.rays[past][:, members], history.cam_R_seen[past]), history.since_s[past]
+    return history.xy[past].take(members, axis=1), history.since_s[past]
 
 
 def _drift_hz(radius_px: float) -> float:
