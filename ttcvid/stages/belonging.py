@@ -11,7 +11,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
-from ttcvid.stages.body_views import BodyViews, fit_on_movers
+from ttcvid.stages.body_views import BodyViews, are_held, fit_on_movers
 from ttcvid.stages.velocities import Velocities, unknown_velocities
 from ttcvid.stages.whereabouts import Whereabouts, nowhere
 
@@ -92,6 +92,29 @@ class Movers:
         )
 
 
+@dataclass(frozen=True)
+class OwnFit:
+    """N tracks, each on the path of its own body, (N,) each: ``misfit`` in units of what is usual on the scene's path.
+
+    ``rate_hz`` with its standard deviation ``rate_sigma_hz`` are those of the tracks of movers; NaN where not known.
+    """
+
+    misfit: Floats
+    rate_hz: Floats
+    rate_sigma_hz: Floats
+
+    def without_rates(self, index: Ints | Bools) -> OwnFit:
+        """The same; the rates of some tracks are those on a path that their body does not have any more."""
+        rate_hz, sigma_hz = self.rate_hz.copy(), self.rate_sigma_hz.copy()
+        rate_hz[index], sigma_hz[index] = np.nan, np.nan
+        return OwnFit(self.misfit, rate_hz, sigma_hz)
+
+
+def unknown_fit(misfit: Floats) -> OwnFit:
+    """No rate is known."""
+    return OwnFit(misfit, np.full(len(misfit), np.nan), np.full(len(misfit), np.nan))
+
+
 def no_movers(n_views: int) -> Movers:
     """None at all, over so many views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
@@ -120,34 +143,39 @@ def assigned(
     movers: Movers,
     key: Ints,
     neighbours: Ints,
-    n_views: Ints,
+    scene_fit: PathFit,
     misfit: Floats,
     usual_misfit: float,
-) -> tuple[Ints, Floats]:
+) -> tuple[Ints, OwnFit]:
     """Each track to the body that explains it best, among the scene and those that it or a neighbour belonged to.
 
     Parameters
     ----------
-    key, n_views : (N,) body of each track by now, and its views.
+    key : (N,) body of each track by now.
     neighbours : (N, K) of each track that belongs to a mover or has one beside it.
-    misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
+    scene_fit, misfit : of each track on the scene's path; (N,), in units of ``usual_misfit``, with what the road says.
 
     Returns
     -------
-    Key of each track's body, and its misfit there in units of ``usual_misfit``: (N,) each.
+    Key (N,) of each track's body, and how that explains it.
     """
     if not len(movers):
-        return key, misfit
+        return key, unknown_fit(misfit)
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = np.zeros((len(key), n_bodies), dtype=np.int64)
     track, mover = _asked(number, neighbours, votes)
-    fit = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
+    points = views.points(track, mover)
+    fit = fit_on_movers(points, movers.paths, movers.rate_hz)
     is_other = misfit[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, number[track] == mover + 1, len(movers))
     off = np.where(is_other, np.inf, fit.misfit / usual_misfit)
-    best, own_misfit = np.zeros(len(key), dtype=np.int64), np.empty(len(key))
-    _choose(misfit, track, mover, off, votes, number, n_views, best, own_misfit)
-    return np.append(SCENE_CLUSTER, movers.key)[best], own_misfit
+    asked, own = np.empty(len(key), dtype=np.int64), unknown_fit(np.empty(len(key)))
+    _choose(misfit, track, mover, off, votes, number, scene_fit.n_views, asked, own.misfit)
+    moves = np.flatnonzero(asked >= 0)
+    asked, best = asked[moves], np.zeros(len(key), dtype=np.int64)
+    best[moves], own.rate_sigma_hz[moves] = 1 + mover[asked], fit.rate_sigma_hz[asked]
+    own.rate_hz[moves] = np.where(are_held(fit, points, movers.rate_hz), np.nan, fit.rate_hz)[asked]
+    return np.append(SCENE_CLUSTER, movers.key)[best], own
 
 
 def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_things: int) -> Bools:
@@ -198,14 +226,14 @@ def _choose(
     best: Ints,
     least_off: Floats,
 ) -> None:
-    """Fill ``best (N,)`` of the bodies, the scene first, and how far off it is, ``least_off (N,)``.
+    """Fill which of those asked about is ``best (N,)``, -1 the scene, and how far off that is, ``least_off (N,)``.
 
     ``misfit (N,)`` is that of each track on the scene, ``off (M,)`` those on the movers that are asked about, infinite:
     it is none of it.
     """
     place = 0
     for i in range(len(misfit)):
-        least_off[i] = misfit[i]
+        best[i], least_off[i] = -1, misfit[i]
         if place == len(track) or track[place] != i:
             continue
         all_votes = 0
@@ -223,13 +251,13 @@ def _choose(
                 if b == number[i] and n_views[i] > _HABIT_VIEWS:
                     score -= _HABIT_WEIGHT
                 if score < least:
-                    best[i], least, least_off[i] = b, score, off[place]
+                    best[i], least, least_off[i] = place, score, off[place]
             place += 1
 
 
 def along_our_way(
-    movers: Movers, scene: RigidPaths, scene_fit: PathFit, key: Ints, own_misfit: Floats, seen_misfit: Floats
-) -> Movers:
+    movers: Movers, scene: RigidPaths, scene_fit: PathFit, key: Ints, own: OwnFit, seen_misfit: Floats
+) -> tuple[Movers, OwnFit]:
     """The movers, with the scene's path for those of which it explains most tracks better than their own does.
 
     What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
@@ -237,21 +265,27 @@ def along_our_way(
 
     Parameters
     ----------
-    own_misfit, seen_misfit : (N,) of each track on its body's path, and on the scene's, in the same units.
+    own, seen_misfit : of each track on its body's path, and (N,) on the scene's, in the same units.
     """
     number, n = numbers_of(key, movers), len(movers)
-    is_better = np.bincount(number, seen_misfit < own_misfit, n + 1)[1:]
+    is_better = np.bincount(number, seen_misfit < own.misfit, n + 1)[1:]
     is_along = is_better > 0.5 * np.bincount(number, minlength=n + 1)[1:]
     if not is_along.any():
-        return movers
-    track = np.flatnonzero(np.append(False, is_along)[number] & (scene_fit.rate_sigma_hz > 0.0))
+        return movers, own
+    goes_along = np.append(False, is_along)[number]
+    track = np.flatnonzero(goes_along & (scene_fit.rate_sigma_hz > 0.0))
+    own = OwnFit(
+        own.misfit,
+        np.where(goes_along, scene_fit.rate_hz, own.rate_hz),
+        np.where(goes_along, scene_fit.rate_sigma_hz, own.rate_sigma_hz),
+    )
     rate_hz = medians(scene_fit.rate_hz[track], number[track] - 1, n)
     paths = RigidPaths(
         np.where(is_along[:, None, None, None], scene.cam_R_past, movers.paths.cam_R_past),
         np.where(is_along[:, None, None], scene.path, movers.paths.path),
     )
     rate_hz = np.where(np.isfinite(rate_hz), rate_hz, movers.rate_hz)
-    return replace(movers, paths=paths, rate_hz=rate_hz)
+    return replace(movers, paths=paths, rate_hz=rate_hz), own
 
 
 def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:

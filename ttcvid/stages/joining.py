@@ -11,7 +11,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.belonging import Movers, numbers_of
+from ttcvid.stages.belonging import Movers, OwnFit, numbers_of
 from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import linked_parts
@@ -193,10 +193,13 @@ def _joint(
     return _Joint(joint, joint_hz, is_one)
 
 
-def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, config: BodiesConfig) -> tuple[Ints, Movers, int]:
+def split(
+    views: BodyViews, key: Ints, movers: Movers, own_fit: OwnFit, next_key: int, config: BodiesConfig
+) -> tuple[Ints, Movers, int]:
     """Parts of a mover that do not hang together in the picture, or lie at other depths, are movers of their own.
 
-    The largest part keeps the number.
+    The largest part keeps the number. ``own_fit`` of each track on the path of its mover: what it does not
+    know is found out.
     """
     number = numbers_of(key, movers)
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
@@ -204,10 +207,14 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, config: Bo
     if not len(own):
         return key, movers, next_key
     body, key = number[own] - 1, key.copy()
-    fit = fit_on_paths(views.points(own, body), movers.paths, movers.rate_hz[body])
+    rate_hz, sigma_hz = own_fit.rate_hz[own], own_fit.rate_sigma_hz[own]
+    unknown = np.flatnonzero(np.isnan(rate_hz))
+    if len(unknown):
+        fit = fit_on_paths(views.points(own[unknown], body[unknown]), movers.paths, movers.rate_hz[body[unknown]])
+        rate_hz[unknown], sigma_hz[unknown] = fit.rate_hz, fit.rate_sigma_hz
     # Where nothing is known (NaN), the rate is none, and may be any.
-    rate_hz = np.fmax(fit.rate_hz, _TINY_HZ)
-    unsure = np.fmin(fit.rate_sigma_hz / rate_hz, np.inf)
+    rate_hz = np.fmax(rate_hz, _TINY_HZ)
+    unsure = np.fmin(sigma_hz / rate_hz, np.inf)
     tolerance = 0.5 * np.log(_ONE_RATE) + 2.0 * unsure
     label = linked_parts(views.xy_px[own], views.link_px, body, np.log(rate_hz), tolerance)
     counts = np.bincount(label)

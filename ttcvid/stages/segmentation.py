@@ -153,11 +153,14 @@ def find_bodies(
     movers = _refined(movers, scene, views, key)
     # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
     neighbours = views.neighbours(is_free & (misfit > config.scene_gate), key != SCENE_CLUSTER)
-    key, own_misfit = assigned(views, movers, key, neighbours, scene_fit.n_views, misfit, usual)
+    key, own = assigned(views, movers, key, neighbours, scene_fit, misfit, usual)
     if not rests:
-        movers = along_our_way(movers, scene, scene_fit, key, own_misfit, seen_misfit)
+        movers, own = along_our_way(movers, scene, scene_fit, key, own, seen_misfit)
     key, movers = kept(views, key, movers, config)
-    key, movers = merged(views, scene, key, movers, neighbours, own_misfit, usual)
+    before = key
+    key, movers = merged(views, scene, key, movers, neighbours, own.misfit, usual)
+    if key is not before:
+        own = own.without_rates(np.isin(key, key[key != before]))
     next_key = memory.next_key
     found, paths, found_hz = new_movers(
         views,
@@ -171,14 +174,14 @@ def find_bodies(
         neighbours,
         config,
     )
-    if len(found) and len(movers):
+    if found and len(movers):
         key, movers, is_known = known_again(views, scene, key, movers, found, paths, found_hz, usual)
         found = [members for members, known in zip(found, is_known, strict=True) if not known]
         paths, found_hz = paths.take(~is_known), found_hz[~is_known]
     for count, members in enumerate(found):
         key[members] = next_key + count
     movers, next_key = movers.with_new(next_key, paths, found_hz), next_key + len(found)
-    key, movers, next_key = split(views, key, movers, next_key, config)
+    key, movers, next_key = split(views, key, movers, own, next_key, config)
     movers = with_velocities(views, scene, key, movers)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
     labels = _with_lost(history, memory, key, rate_hz)
