@@ -314,7 +314,7 @@ class ClusterRow:
         """Covariance (3, 3) of the state without what its speed may change by soon."""
         if self.state_cov is None or self.state_abc_hz is None:
             return None
-        return self.state_cov - self.speed_change**2 * np.outer(self.state_abc_hz, self.state_abc_hz)
+        return self.state_cov - self.speed_change**2 * (self.state_abc_hz[:, None] * self.state_abc_hz)
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,11 @@ class GaussianPrior:
     direction: Floats | None = None
     direction_sigma_rad: float = np.inf
 
+    @cached_property
+    def cam_R_prev(self) -> Floats:
+        """The rotation expected, (3, 3)."""
+        return rotation_from_vector(self.rotation_rad)
+
 
 def fit_rotation(
     rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats, region: Ints, prior: GaussianPrior, cam_R_prev: Floats
@@ -75,7 +80,7 @@ def fit_rotation(
     region : (N,) number of the part of the picture a point lies in; errors within one part are taken as common.
     cam_R_prev : (3, 3) start.
     """
-    expected = rotation_from_vector(prior.rotation_rad)
+    expected = prior.cam_R_prev
     offset = vector_from_rotation(cam_R_prev @ expected.T)
     fitted, residual, score, information = (
         np.empty((3, 3)),
@@ -107,7 +112,7 @@ def fit_motion(
     epipole. Parameters as for `fit_rotation`; ``direction (3,)`` is the start.
     """
     n = len(rays_cam)
-    expected = rotation_from_vector(prior.rotation_rad)
+    expected = prior.cam_R_prev
     offset, direction = vector_from_rotation(cam_R_prev @ expected.T), direction.copy()
     fitted, residual, sense = np.empty((3, 3)), np.empty(n), np.empty(n)
     score, information = np.empty((n, 5)), np.empty((5, 5))

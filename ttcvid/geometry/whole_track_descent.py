@@ -53,7 +53,8 @@ def fit_each(
     """Fill the results of `whole_track.fit_whole_tracks`, track by track.
 
     ``order`` lists the views, nearest first, of which at most ``longest`` are used; ``gates`` and ``tail_gates`` are
-    those of `whole_track.window_gates`; ``normal`` and ``normal_cov`` of the plane are empty where there is none.
+    those of `whole_track.window_gates`; ``normal`` and ``normal_cov`` of the plane are empty where there is none,
+    ``cov`` where it is not asked for.
     """
     t, px, py = np.empty(longest), np.empty(longest), np.empty(longest)
     sums = np.zeros((longest + 1, _N_SUMS))
@@ -109,7 +110,7 @@ def fit_each(
             if fall < _CONVERGED_CHI2:
                 break
         n_frames[i] = n
-        _store(sums[n], n, s, x0, y0, _LEAST_INFO * prior, state[i], cov[i], info_w[i])
+        _store(sums[n], n, s, x0, y0, _LEAST_INFO * prior, i, state, cov, info_w)
 
 
 @compiled
@@ -235,26 +236,27 @@ def _store(
     x0: float,
     y0: float,
     least_info_c: float,
+    i: int,
     state: Floats,
     cov: Floats,
     info_w: Floats,
 ) -> None:
-    """State, covariance and information of a track, moved back to the picture plane about its own origin.
+    """State, covariance and information of track i, moved back to the picture plane about its own origin.
 
-    The covariance stays NaN where the views say less of c than ``least_info_c``.
+    The covariance stays NaN where the views say less of c than ``least_info_c``; ``cov (N, 5, 5)`` may be empty.
     """
-    state[0], state[1] = s[0] + x0, s[1] + y0
-    state[2], state[3], state[4] = s[2] + s[4] * x0, s[3] + s[4] * y0, s[4]
+    state[i, 0], state[i, 1] = s[0] + x0, s[1] + y0
+    state[i, 2], state[i, 3], state[i, 4] = s[2] + s[4] * x0, s[3] + s[4] * y0, s[4]
     rest = 1.0 / row[0]
     info_aa = row[2] - row[1] * row[1] * rest
     info_ac, info_bc = row[1] * row[3] * rest - row[4], row[1] * row[5] * rest - row[6]
     info_cc = row[7] - (row[3] * row[3] + row[5] * row[5]) * rest
     # a = a' + c x0: the information of (a', b', c), seen from (a, b, c).
-    info_w[0, 0] = info_w[1, 1] = info_aa
-    info_w[0, 2] = info_w[2, 0] = info_ac - info_aa * x0
-    info_w[1, 2] = info_w[2, 1] = info_bc - info_aa * y0
-    info_w[2, 2] = info_cc - 2.0 * (info_ac * x0 + info_bc * y0) + info_aa * (x0 * x0 + y0 * y0)
-    if n < LEAST_FRAMES:
+    info_w[i, 0, 0] = info_w[i, 1, 1] = info_aa
+    info_w[i, 0, 2] = info_w[i, 2, 0] = info_ac - info_aa * x0
+    info_w[i, 1, 2] = info_w[i, 2, 1] = info_bc - info_aa * y0
+    info_w[i, 2, 2] = info_cc - 2.0 * (info_ac * x0 + info_bc * y0) + info_aa * (x0 * x0 + y0 * y0)
+    if n < LEAST_FRAMES or len(cov) == 0:
         return
     inverse = 1.0 / (row[0] * row[2] - row[1] * row[1])
     # How x, y, a, b follow c along the valley of the likelihood: the part of the covariance that c makes.
@@ -270,12 +272,12 @@ def _store(
     variance_c = 1.0 / info_c
     for j in range(5):
         for k in range(5):
-            cov[j, k] = along[j] * along[k] * variance_c
-    cov[0, 0] += row[2] * inverse
-    cov[1, 1] += row[2] * inverse
-    cov[2, 2] += row[0] * inverse
-    cov[3, 3] += row[0] * inverse
-    cov[0, 2] -= row[1] * inverse
-    cov[2, 0] -= row[1] * inverse
-    cov[1, 3] -= row[1] * inverse
-    cov[3, 1] -= row[1] * inverse
+            cov[i, j, k] = along[j] * along[k] * variance_c
+    cov[i, 0, 0] += row[2] * inverse
+    cov[i, 1, 1] += row[2] * inverse
+    cov[i, 2, 2] += row[0] * inverse
+    cov[i, 3, 3] += row[0] * inverse
+    cov[i, 0, 2] -= row[1] * inverse
+    cov[i, 2, 0] -= row[1] * inverse
+    cov[i, 1, 3] -= row[1] * inverse
+    cov[i, 3, 1] -= row[1] * inverse

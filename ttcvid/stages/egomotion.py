@@ -204,7 +204,7 @@ def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPri
 def _rotation_starts(prior: GaussianPrior, memory: EgomotionMemory) -> list[Floats]:
     """The expected rotation, or several yaws where there is no previous frame to expect one from."""
     if memory.rotation_rad is not None:
-        return [rotation_from_vector(prior.rotation_rad)]
+        return [prior.cam_R_prev]
     return [rotation_from_vector(np.array([0.0, yaw_rad, 0.0])) for yaw_rad in _FIRST_YAWS_RAD]
 
 
@@ -220,7 +220,7 @@ def _fit_from_starts(
     """
     rays_prev, rays_cam, _, _, prior = observed
     last = FORWARD_DIR if memory.direction is None else memory.direction
-    fits = [fit_motion(*observed, rotation_from_vector(prior.rotation_rad), last)]
+    fits = [fit_motion(*observed, prior.cam_R_prev, last)]
     n_inliers = np.count_nonzero(np.abs(fits[0].residual) < _INLIER_SIGMAS)
     if memory.direction is None or n_inliers < _GOOD_INLIERS * len(rays_cam):
         rotations = [turning_R] if memory.rotation_rad is not None else [*_rotation_starts(prior, memory), turning_R]

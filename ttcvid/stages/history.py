@@ -109,7 +109,7 @@ class TrackHistory:
         _fill_angles(self.rays[self.now], self.sigma_px, self.plane_per_px, sigma_rad)
         return sigma_rad
 
-    @property
+    @cached_property
     def sigma_norm(self) -> Floats:
         """Noise of one coordinate in the plane z = 1, ``(N,)``."""
         return self.sigma_px * self.plane_per_px

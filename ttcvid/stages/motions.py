@@ -137,7 +137,7 @@ def motions_of(
     window_s, direction, covariance = _directions(
         history, np.concatenate(list(members.values())), thing, len(members), config
     )
-    motions, variance = [], covariance.trace(axis1=1, axis2=2)
+    motions, variance = [], covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]
     for number, (cluster_id, index) in enumerate(members.items()):
         if variance[number] < MAX_DIRECTION_SIGMA_RAD**2:
             motion = on_plane(
@@ -211,6 +211,7 @@ def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config:
         history.sigma_norm[members],
         config.max_frames,
         config.window_probability,
+        has_covariance=False,
     )
 
 

@@ -62,16 +62,16 @@ def new_movers(
     candidates = _candidates(neighbours, is_asked, _without_slip(views, on_road, misfit), config)
     if len(candidates) < config.min_tracks:
         return none
-    xy = turned_into_plane(views.rays[:, candidates], scene.cam_R_past[0])
+    xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
     is_along = (misfit > config.scene_gate) & (seen_misfit < config.scene_gate)
     label = _alike_and_near(views, candidates, xy, is_along[candidates])
     is_one = np.bincount(label)[label] >= config.min_tracks
     if not is_one.any():
         return none
-    xy, candidates = xy[:, is_one], candidates[is_one]
+    xy, candidates = xy.compress(is_one, axis=1), candidates[is_one]
     is_number = np.bincount(label[is_one]) > 0
     numbers, thing = np.flatnonzero(is_number), (np.cumsum(is_number) - 1)[label[is_one]]
-    tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates])
+    tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
     directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
     points = views.points(candidates, thing)
     ways = np.stack([straight_path(direction, views.since_s) for direction in directions])

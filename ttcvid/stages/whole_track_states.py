@@ -165,7 +165,10 @@ def _on_paths(
     across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
     shared_cov = paths.cov * misfit[:, None, None]
     shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
-    direction_variance = misfit * np.trace(paths.direction_cov, axis1=1, axis2=2) + 2.0 * DIRECTION_FLOOR_RAD**2
+    own_cov = paths.direction_cov
+    direction_variance = (
+        misfit * (own_cov[:, 0, 0] + own_cov[:, 1, 1] + own_cov[:, 2, 2]) + 2.0 * DIRECTION_FLOOR_RAD**2
+    )
     # `NO_PATH` picks the last one.
     rate_variance = rates.cov[:, 2, 2] * np.append(misfit, 1.0)[path_of]
     # Times take the velocity as lasting: where it was seen to change, they are uncertain by what it changes in a while.
@@ -293,12 +296,13 @@ def _fill_free(
 ) -> None:
     """Fills the free states of the tracks of ``free (M,)`` into ``states``, which come without any of them."""
     found = fit_whole_tracks(
-        history.xy[:, free],
+        history.xy.take(free, axis=1),
         history.since_s,
         history.sigma_norm[free],
         config.max_frames,
         config.window_probability,
         None if plane is None else MotionPlane(plane.normal, plane.covariance),
+        has_covariance=False,
     )
     _judge_free(
         free,
