@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector
 from ttcvid.geometry.turning_body_descent import N_SHARED, descend
 from ttcvid.model import Floats
@@ -69,23 +70,21 @@ class TurningBody:
 
     def path_turned_back(self, t_s: Floats) -> Floats:
         """Path ``(L, 3)`` of its points in views turned back by the turn; its derivative at time 0 is a unit vector."""
-        start, _ = _start_and_bend(self.centre, self.shared)
-        return np.asarray(_path(self.centre, self.shared, np.asarray(t_s)) / np.linalg.norm(start))
+        speed = _fill_normalized(self.centre, self.shared, np.empty(N_SHARED))
+        return np.asarray(_path(self.centre, self.shared, np.asarray(t_s)) / speed)
 
     @property
     def start(self) -> Floats:
         """The derivative of that path at time 0, a unit vector (3,)."""
-        return _normalized(self.centre, self.shared)[:3]
+        normalized = np.empty(N_SHARED)
+        _fill_normalized(self.centre, self.shared, normalized)
+        return normalized[:3]
 
     @property
     def path_cov(self) -> Floats:
         """Covariance (9, 9) of the first and second derivative of that path at time 0, and of the turn."""
         jacobian = np.empty((N_SHARED, N_SHARED))
-        for k in range(N_SHARED):
-            step = np.zeros(N_SHARED)
-            step[k] = _STEP
-            change = _normalized(self.centre, self.shared + step) - _normalized(self.centre, self.shared - step)
-            jacobian[:, k] = change / (2.0 * _STEP)
+        _fill_slopes(self.centre, self.shared, _STEP, jacobian)
         return np.asarray(jacobian @ self.cov @ jacobian.T)
 
 
@@ -159,6 +158,8 @@ def _places_now(xy: Floats, now: int) -> Floats:
 
 def _with_doubts(found: list[TurningBody]) -> TurningBody:
     """The best of several, with a covariance that holds the others by how likely they are, each end once."""
+    if len(found) == 1:
+        return found[0]
     best, *others = sorted(found, key=lambda body: body.squares)
     ends = [best]
     for body in others:
@@ -172,19 +173,42 @@ def _with_doubts(found: list[TurningBody]) -> TurningBody:
     return replace(best, cov=cov)
 
 
-def _start_and_bend(centre: Floats, shared: Floats) -> tuple[Floats, Floats]:
-    """First and second derivative at time 0 of the path in views turned back: V - omega x C and so on."""
-    velocity, acceleration, turn = shared[:3], shared[3:6], shared[6:]
-    start = velocity - cross(turn, centre)
-    bend = acceleration - cross(turn, cross(turn, centre)) - 2.0 * cross(turn, start)
-    return np.asarray(start), np.asarray(bend)
+@compiled
+def _fill_normalized(centre: Floats, shared: Floats, normalized: Floats) -> float:
+    """Fills ``normalized (9,)``, as `shared_path` counts what points share, of a body's ``shared (9,)``.
+
+    First and second derivative at time 0 of the path in views turned back, V - omega x C and so on, both over the
+    length of the first, which is returned; and the turn.
+    """
+    start, about, bend, square = normalized[:3], np.empty(3), normalized[3:6], 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        about[i] = shared[6 + j] * centre[k] - shared[6 + k] * centre[j]
+        start[i], normalized[6 + i] = shared[i] - about[i], shared[6 + i]
+        square += start[i] * start[i]
+    length = np.sqrt(square)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        x, y = about[j] + 2.0 * start[j], about[k] + 2.0 * start[k]
+        bend[i] = (shared[3 + i] - (shared[6 + j] * y - shared[6 + k] * x)) / length
+    for i in range(3):
+        start[i] /= length
+    return float(length)
 
 
-def _normalized(centre: Floats, shared: Floats) -> Floats:
-    """Both over the length of the first, and the turn: (9,), as `shared_path` counts what points share."""
-    start, bend = _start_and_bend(centre, shared)
-    length = float(np.linalg.norm(start))
-    return np.concatenate([start / length, bend / length, shared[6:]])
+@compiled
+def _fill_slopes(centre: Floats, shared: Floats, step: float, jacobian: Floats) -> None:
+    """Fills ``jacobian (9, 9)`` of `_fill_normalized`, by central differences."""
+    n = len(shared)
+    moved, after, before = shared.copy(), np.empty(n), np.empty(n)
+    for k in range(n):
+        moved[k] = shared[k] + step
+        _fill_normalized(centre, moved, after)
+        moved[k] = shared[k] - step
+        _fill_normalized(centre, moved, before)
+        moved[k] = shared[k]
+        for j in range(n):
+            jacobian[j, k] = (after[j] - before[j]) / (2.0 * step)
 
 
 def _path(centre: Floats, shared: Floats, t: Floats) -> Floats:
