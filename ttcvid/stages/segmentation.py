@@ -118,8 +118,9 @@ def find_bodies(
     memory = _over_views(memory, history.frame)
     key, rate_hz = _carried_labels(memory, history.track_id)
     is_continued = len(history.t_s) > 1 and memory.scene is not None
-    movers = no_movers(len(history.t_s))
-    if is_continued and len(memory.movers):
+    if not (is_continued and len(memory.movers)):
+        movers = no_movers(len(history.t_s))
+    else:
         paths = carried_forward(memory.movers.paths, egomotion.cam_R_prev, views.t_s)
         where = memory.movers.where.carried_forward(egomotion.cam_R_prev, paths.path[:, -2])
         velocity = memory.movers.velocity.carried_forward(
@@ -159,8 +160,9 @@ def find_bodies(
     key, movers = kept(views, key, movers, config)
     before = key
     key, movers = merged(views, scene, key, movers, neighbours, own.misfit, usual)
-    if key is not before:
-        own = own.without_rates(np.isin(key, key[key != before]))
+    has_joined = key != before
+    if has_joined.any():
+        own = own.without_rates(np.isin(key, key[has_joined]))
     next_key = memory.next_key
     found, paths, found_hz = new_movers(
         views,
