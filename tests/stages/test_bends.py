@@ -24,7 +24,7 @@ def views(middle_m, half_size_m, turn_rad_s, noise, n=60, seed=1):
     return place[..., :2] / place[..., 2:] + noise * rng.standard_normal((len(T_S), n, 2))
 
 
-def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_turn_tightly=True):
+def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_leave_directions=True):
     across = np.eye(3) - np.outer(direction, direction)
     beliefs = PathBeliefs(
         T_S[None, :, None] * direction,
@@ -45,7 +45,7 @@ def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_turn_tigh
         CollisionTimesConfig() if config is None else config,
         (FOUND_RAD**2 * across)[None],
         np.ones(1),
-        may_turn_tightly=may_turn_tightly,
+        may_leave_directions=may_leave_directions,
     )
 
 
@@ -132,5 +132,5 @@ def test_a_tight_bend_is_judged_by_the_views_that_may_be_used_and_by_no_others()
 
 
 def test_where_the_direction_is_held_to_a_horizon_no_circle_is_looked_for():
-    found = fitted(views_of_a_tight_bend(-0.45), may_turn_tightly=False)
+    found = fitted(views_of_a_tight_bend(-0.45), may_leave_directions=False)
     assert abs(found.turn_rad_s[0, 1]) < 0.2

@@ -72,7 +72,7 @@ def straight_or_in_bend(
     found_cov: Floats,
     common: Floats,
     *,
-    may_turn_tightly: bool,
+    may_leave_directions: bool,
 ) -> SharedPaths:
     """Paths of K things that hardly turn, or, where that explains their views much better, of things in a bend.
 
@@ -85,8 +85,9 @@ def straight_or_in_bend(
     found_cov, common
         How well the directions were found that things have if they drive straight on, and what the noise of their
         points has in common: as for `PathFits.paths_from_found_directions`.
-    may_turn_tightly
-        Whether a body on a circle is tried, too: its direction is free, and would leave a horizon that is known.
+    may_leave_directions
+        Whether a thing in a bend is a body on a circle, whose direction is free: it would leave a horizon that is
+        known. Where it must not, its path is that of a thing that hardly turns, with another belief in its turn.
     """
     longest, probability = config.max_frames, config.window_probability
     points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
@@ -94,22 +95,21 @@ def straight_or_in_bend(
     straight = fits.paths()
     chi2, by_views_rad_s = _turns_by_views(straight, beliefs.turn_sigma_rad_s)
     is_rejected, of_noise = straight.usual > _REJECTED, np.maximum(straight.usual, 1.0)
-    may_turn = (chi2 > _SURE_CHI2 * of_noise) | is_rejected
     chosen, is_straight = straight, np.ones(len(chi2), dtype=bool)
-    if may_turn.any():
+    if may_leave_directions:
+        is_doubted = (chi2 > _BEND_CHI2 * of_noise) | is_rejected
+        has_points = np.diff(points.first) >= _LEAST_POINTS
+        for k in np.flatnonzero(is_doubted & (by_views_rad_s > _ASKED_TURN_RAD_S) & has_points):
+            body = _turning_body(points, int(k), beliefs, float(straight.squares[k]))
+            if straight.squares[k] - body.squares > _SURE_CHI2 * max(body.usual, 1.0):
+                chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
+                is_straight[k] = False
+    elif (may_turn := (chi2 > _SURE_CHI2 * of_noise) | is_rejected).any():
         in_bend = fit_shared_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
         gain = straight.squares[may_turn] - in_bend.squares
         bends = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
         is_straight[may_turn] = ~bends
-    is_doubted = (chi2 > _BEND_CHI2 * of_noise) | is_rejected
-    has_points = np.diff(points.first) >= _LEAST_POINTS
-    asked = np.flatnonzero(is_doubted & (by_views_rad_s > _ASKED_TURN_RAD_S) & has_points)
-    for k in asked if may_turn_tightly else ():
-        body = _turning_body(points, int(k), beliefs, float(chosen.squares[k]))
-        if chosen.squares[k] - body.squares > _SURE_CHI2 * max(body.usual, 1.0):
-            chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
-            is_straight[k] = False
     steady = fits.paths_from_found_directions(found_cov, common)
     return chosen_paths(chosen, steady, np.arange(len(is_straight)), is_straight)
 

@@ -106,7 +106,7 @@ def _paths(
             config,
             cov,
             common[first:],
-            may_turn_tightly=plane is None,
+            may_leave_directions=plane is None,
         )
     )
     return joined_paths(parts), path_of, is_object, common
