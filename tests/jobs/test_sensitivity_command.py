@@ -53,7 +53,7 @@ def test_summary_is_one_line_or_one_json_object(tmp_path: Path, capsys: pytest.C
     ("options", "complaint"),
     [
         (["--baseline-m", "-0.15"], "--baseline-m = '-0.15': expected greater than 0"),
-        (["--frames", ""], "--frames = ''"),
+        (["--frames", ""], "--frames is empty"),
         (["--frames", "2"], "at least 3 pictures"),
         (["--focal-mm", "0"], "--focal-mm = '0'"),
         (["--sigma-px", "nan"], "--sigma-px = 'nan'"),
