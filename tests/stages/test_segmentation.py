@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rigid_worlds import DT_S, Thing, bodies_of, car, world
 
-from ttcvid.model import NO_CLUSTER, Platform
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Platform
+from ttcvid.stages import segmentation
 from ttcvid.stages.segmentation import restarted_bodies
 
 N_FRAMES, AHEAD, SLOWLY, STILL = 16, (0.0, 0.0, 10.0), (0.0, 0.0, 4.0), (0.0, 0.0, 0.0)
@@ -121,6 +122,27 @@ def test_parts_that_hang_together_no_more_are_two_movers():
     assert {frames[8].keys_of(number)[0] for number in (1, 2, 3)} == {frames[8].keys_of(1)[0]} != {0}
     assert_one_mover_each(frames, 1, 2, since=11)
     assert frames[8].keys_of(1)[0] in (frames[-1].keys_of(1)[0], frames[-1].keys_of(2)[0])
+
+
+def test_rates_on_the_path_of_a_mover_that_is_gone_split_none_that_its_tracks_start_anew(monkeypatch):
+    """Each frame forgets all movers, and finds them again among the tracks that have just gone to the scene."""
+    asked, really_kept, really_split = [], segmentation.kept, segmentation.split
+
+    def forgotten(*args):
+        key, movers = really_kept(*args)
+        return np.full_like(key, SCENE_CLUSTER), movers.take(np.empty(0, dtype=np.int64))
+
+    def watched(views, key, movers, own, *args):
+        asked.append(own.rate_hz[key != SCENE_CLUSTER])
+        return really_split(views, key, movers, own, *args)
+
+    monkeypatch.setattr(segmentation, "kept", forgotten)
+    monkeypatch.setattr(segmentation, "split", watched)
+    rng = np.random.default_rng(0)
+    bodies_of(world(rng, AHEAD, N_FRAMES, crossing(rng)), N_FRAMES)
+    rates_hz = np.concatenate(asked)
+    assert len(rates_hz)
+    assert np.isnan(rates_hz).all()
 
 
 def test_two_cars_side_by_side_that_drive_apart_are_two_from_the_start():

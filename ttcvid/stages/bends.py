@@ -28,8 +28,8 @@ that for a wrong velocity."""
 _SEARCH_FACTOR, _SEARCH_FLOOR_RAD = 9.0, float(np.radians(1.0))
 # Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
 _OBJECT_BEND_HZ = 0.2
-# In a bend it turns by some deg/s. That is believed where the views explain it much better than none (chi-square with
-# three degrees of freedom, 99.9 %).
+# In a bend it turns by some deg/s. On a horizon, which a body on a circle might leave, that is believed where it
+# explains the views much better than none (chi-square with three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
 _BEND_CHI2 = float(chi2_quantile(0.999, 3))
 # The first order promises more than a fit keeps, and a body that is free to turn follows the errors that neighbours

@@ -157,12 +157,13 @@ def find_bodies(
     key, own = assigned(views, movers, key, neighbours, scene_fit, misfit, usual)
     if not rests:
         movers, own = along_our_way(movers, scene, scene_fit, key, own, seen_misfit)
-    key, movers = kept(views, key, movers, config)
     before = key
+    key, movers = kept(views, key, movers, config)
     key, movers = merged(views, scene, key, movers, neighbours, own.misfit, usual)
-    has_joined = key != before
-    if has_joined.any():
-        own = own.without_rates(np.isin(key, key[has_joined]))
+    # Of what goes to the scene, too, something new may be made.
+    has_changed = key != before
+    if has_changed.any():
+        own = own.without_rates(np.isin(key, key[has_changed]))
     next_key = memory.next_key
     found, paths, found_hz = new_movers(
         views,
