@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.rotation import normalize, rotation_from_vector
+from ttcvid.geometry.chi_square import chi2_quantile
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 from ttcvid.geometry.shared_path import PathBeliefs
 from ttcvid.stages.bends import STRAIGHT_TURN_RAD_S, straight_or_in_bend
 
@@ -24,7 +25,7 @@ def views(middle_m, half_size_m, turn_rad_s, noise, n=60, seed=1):
     return place[..., :2] / place[..., 2:] + noise * rng.standard_normal((len(T_S), n, 2))
 
 
-def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_leave_directions=True):
+def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_leave_directions=True, found_rad=FOUND_RAD):
     across = np.eye(3) - np.outer(direction, direction)
     beliefs = PathBeliefs(
         T_S[None, :, None] * direction,
@@ -43,7 +44,7 @@ def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_leave_dir
         beliefs,
         np.zeros(n, dtype=np.int64),
         CollisionTimesConfig() if config is None else config,
-        (FOUND_RAD**2 * across)[None],
+        (found_rad**2 * across)[None],
         np.ones(1),
         may_leave_directions=may_leave_directions,
     )
@@ -120,6 +121,26 @@ def test_a_car_ahead_in_a_bend_turns_as_fast_as_it_does():
     found = [fitted(*views_of_a_car_ahead(0.17, seed)) for seed in range(9)]
     turn_rad_s = np.array([one.turn_rad_s[0] for one in found])
     np.testing.assert_allclose(np.median(turn_rad_s, axis=0), [0.0, 0.17, 0.0], atol=0.01)
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.02, 0.05, 0.1])
+def test_what_is_said_of_a_direction_holds_for_what_turns_as_well(turn_rad_s):
+    """Its direction was found as if it drove straight on: that of the middle of the window, known to 0.05 deg.
+
+    To take that as it is holds in one of twenty cases, to let the views alone say it in about half.
+    """
+    velocity_m_s, holds = np.array([-4.0, 0.0, -5.0]), []
+    own_m_s, half_size_m = np.array([0.0, 0.0, 8.0]), np.array([0.8, 0.6, 2.0])
+    turned = rotation_from_vector(0.5 * T_S[:1, None] * np.array([0.0, turn_rad_s, 0.0]))[0]
+    found_before = normalize(turned @ (velocity_m_s + own_m_s) - own_m_s)
+    for seed in range(20):
+        middle_m = np.array([2.0, 0.0, 25.0])
+        xy = views_on_a_circle(middle_m, velocity_m_s, own_m_s, turn_rad_s, half_size_m, SIGMA_NORM, 30, seed)
+        found = fitted(xy, direction=found_before, found_rad=float(np.radians(0.05)))
+        across = tangent_basis(normalize(velocity_m_s)[None])[0]
+        off, cov = across.T @ found.direction[0], across.T @ found.direction_cov[0] @ across
+        holds.append(off @ np.linalg.solve(cov, off) < chi2_quantile(0.9, 2))
+    assert np.mean(holds) >= 0.35
 
 
 def test_a_tight_bend_is_judged_by_the_views_that_may_be_used_and_by_no_others():

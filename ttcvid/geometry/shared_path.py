@@ -140,25 +140,25 @@ class PathFits:
 
     def paths(self) -> SharedPaths:
         """The paths by the beliefs as they are and all views."""
-        return self._paths(self.believed, self.information, self.score, np.ones(len(self.offset)))
+        return self._paths(self.believed, self.information, self.score)
 
-    def paths_from_found_directions(self, found_cov: Floats, common: Floats) -> SharedPaths:
+    def paths_from_found_directions(self, found_cov: Floats, common: Floats, searched: SharedPaths) -> SharedPaths:
         """The paths by their believed directions, where these were found to ``found_cov (K, 3, 3)``, in rad^2.
 
-        The search is to find a path that was believed wrongly, and believes in no direction as much. One that was found
-        as if its path were straight is worth more than that, but for where views contradict it: by so much its
-        covariance grows. Points whose noise is partly the same say less beside it: that of a mean over
-        them is ``common (K,)`` times as large. (As that of `paths`, the covariance is the one without this factor.)
+        The search, whose `paths` are ``searched``, is to find a path that was believed wrongly, and believes in no
+        direction as much. One that was found as if its path were straight is nearer to the truth, but for where views
+        contradict it: by so much its covariance grows. Points whose noise is partly the same say less beside it: that
+        of a mean over them is ``common (K,)`` times as large. The paths are known no better for it than by the search:
+        errors that tracks have in common, and a turn that does not show, are in none of these covariances.
         """
         information, score = self.information / common[:, None, None], self.score / common[:, None]
         local, cov = self._weighed(self.believed, information, score)
         believed = self.believed.copy()
         believe_as_found(self.basis, self.own_motion, self.beliefs.direction_cov, found_cov, local, cov, believed)
-        return self._paths(believed, information, score, common)
+        return _as_unsure_as(searched, self._paths(believed, information, score))
 
-    def _paths(self, believed: Floats, information: Floats, score: Floats, common: Floats) -> SharedPaths:
+    def _paths(self, believed: Floats, information: Floats, score: Floats) -> SharedPaths:
         local, cov = self._weighed(believed, information, score)
-        cov /= common[:, None, None]
         return _shared_paths(self.beliefs, self.basis, self.own_motion, local, cov, self.left, self.t_s)
 
     def _weighed(self, believed: Floats, information: Floats, score: Floats) -> tuple[Floats, Floats]:
@@ -166,6 +166,15 @@ class PathFits:
         cov = np.empty_like(believed)
         _invert_each(believed + information, cov)
         return self.offset + _times(cov, score - _times(believed, self.offset)), cov
+
+
+def _as_unsure_as(searched: SharedPaths, paths: SharedPaths) -> SharedPaths:
+    """The ``paths``, known as those that were ``searched`` are, which they may be as well."""
+    off = searched.direction - paths.direction
+    squares = off[:, :, None] * off[:, None, :]
+    cov = searched.cov.copy()
+    cov[:, :3, :3] += squares
+    return replace(paths, cov=cov, direction_cov=searched.direction_cov + squares)
 
 
 def fit_shared_paths(

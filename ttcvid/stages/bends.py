@@ -32,6 +32,9 @@ _OBJECT_BEND_HZ = 0.2
 # explains the views much better than none (chi-square with three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
 _BEND_CHI2 = float(chi2_quantile(0.999, 3))
+# And where they show no turn, as chance makes it in nine of ten cases, a thing drives straight on: a direction that was
+# found as if it did lags behind a turn by many times what it is known to.
+_STRAIGHT_CHI2 = float(chi2_quantile(0.9, 3))
 # The first order promises more than a fit keeps, and a body that is free to turn follows the errors that neighbours
 # share: less than this is enough neither for a second fit nor for a turn of any rate.
 _SURE_CHI2 = 2.5 * _BEND_CHI2
@@ -110,7 +113,8 @@ def straight_or_in_bend(
         bends = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
         is_straight[may_turn] = ~bends
-    steady = fits.paths_from_found_directions(found_cov, common)
+    is_straight &= chi2 <= _STRAIGHT_CHI2 * of_noise
+    steady = fits.paths_from_found_directions(found_cov, common, straight)
     return chosen_paths(chosen, steady, np.arange(len(is_straight)), is_straight)
 
 
