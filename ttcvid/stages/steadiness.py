@@ -17,11 +17,17 @@ from ttcvid.stages.clusters import ranked
 
 # Longer than the views of one estimate reach back, so that the first and the last share none.
 _LASTING_S = 1.5
-# Of things whose rates come from independent errors, one in a thousand would be taken for contradictory; views that
-# estimates have in common make it fewer.
+# And no more rates than two windows of 20 views and some have (1.5 s of 30 frames/s): errors hang together over the
+# views that estimates share, and squares of many such windows scatter by more than those of so many single rates.
+_MOST_RATES = 45
+# Of things whose rates come from independent errors, one in a thousand would be taken for contradictory; errors that
+# hang together over 20 views make it fewer, over 5 to 10 of them one in a hundred.
 _CONFIDENCE = 0.999
-# A course is a parabola: this many unknowns, and some rates more, so that there is something to test.
-_UNKNOWNS, _LEAST_RATES = 3, 5
+# A course is a parabola with a bend at some time (near us, who begins to brake follows no parabola by far): this many
+# unknowns, and a rate more at the least, so that there is something to test.
+_POWERS, _UNKNOWNS, _LEAST_RATES = 3, 4, 5
+# A bend of which less than this part is no parabola is none: a divisor.
+_TINY = 1e-9
 # A rate by which a thing would have come to us by now says hardly anything of its rate now: of 1 - (time since) /
 # (time that was left), at least this part must be left.
 _LEAST_LEFT = 0.1
@@ -40,7 +46,7 @@ def steady_rows(rates: Rates, t_s: float, rows: tuple[ClusterRow, ...]) -> tuple
     lately: dict[int, Floats] = {}
     for cluster_id in rates.of_cluster.keys() | found.keys():
         past = rates.of_cluster.get(cluster_id, np.empty((0, 3)))
-        past = past[past[:, 0] >= t_s - _LASTING_S]
+        past = past[past[:, 0] >= t_s - _LASTING_S][1 - _MOST_RATES :]
         now = np.reshape(found.get(cluster_id, ()), (-1, 3))
         if len(past) + len(now):
             lately[cluster_id] = np.vstack((past, now))
@@ -54,16 +60,16 @@ def contradicts_itself(rates: Floats) -> bool:
     """Whether rates (K, 3) of t_s, -Vz/Z in 1/s and its sigma are those of no single thing, at 99.9 %.
 
     At constant velocity the depth goes in a straight line, so that a rate r found a time d ago says r / (1 - r d) of
-    the rate now. These may follow a parabola over time, for what brakes or turns, and have to lie about it within their
-    errors.
+    the rate now. These may follow a parabola over time, for what brakes or turns, with a bend where it began to, and
+    have to lie about that within their errors.
     """
-    chi2, n = _chi2_about_parabola(np.ascontiguousarray(rates))
+    chi2, n = _chi2_about_course(np.ascontiguousarray(rates))
     return n >= _LEAST_RATES and chi2 > float(chi2_quantile(_CONFIDENCE, n - _UNKNOWNS))
 
 
 @compiled
-def _chi2_about_parabola(rates: Floats) -> tuple[float, int]:
-    """Weighted squares of the rates about their parabola, and how many of them say something of now."""
+def _chi2_about_course(rates: Floats) -> tuple[float, int]:
+    """Weighted squares of the rates about their course, and how many of them say something of now."""
     since, value, weight, n = np.empty(len(rates)), np.empty(len(rates)), np.empty(len(rates)), 0
     for i in range(len(rates)):
         ago = rates[-1, 0] - rates[i, 0]
@@ -73,25 +79,45 @@ def _chi2_about_parabola(rates: Floats) -> tuple[float, int]:
             weight[n] = (left * left / rates[i, 2]) ** 2
             n += 1
     # The powers 1, t, t^2 made orthogonal one after the other, and what is along each taken off.
-    powers = np.empty((_UNKNOWNS, n))
-    for p in range(_UNKNOWNS):
+    powers, squares, curve = np.empty((_POWERS, n)), np.zeros(_POWERS), np.empty(n)
+    for p in range(_POWERS):
         for i in range(n):
-            powers[p, i] = since[i] ** p
-        for q in range(p + 1):
-            along, square = 0.0, 0.0
-            for i in range(n):
-                along += weight[i] * powers[q, i] * (powers[p, i] if q < p else value[i])
-                square += weight[i] * powers[q, i] * powers[q, i]
-            if square > 0.0:
-                for i in range(n):
-                    if q < p:
-                        powers[p, i] -= along / square * powers[q, i]
-                    else:
-                        value[i] -= along / square * powers[q, i]
-    chi2 = 0.0
+            curve[i] = since[i] ** p
+        _take_off(curve, powers[:p], squares[:p], weight)
+        for i in range(n):
+            powers[p, i] = curve[i]
+            squares[p] += weight[i] * curve[i] * curve[i]
+    value = value[:n]
+    _take_off(value, powers, squares, weight)
+    chi2, gain = 0.0, 0.0
     for i in range(n):
         chi2 += weight[i] * value[i] * value[i]
-    return chi2, n
+    # Of the bends at each time, the one that takes off the most.
+    for k in range(1, n - 1):
+        before = 0.0
+        for i in range(n):
+            curve[i] = max(since[i] - since[k], 0.0)
+            before += weight[i] * curve[i] * curve[i]
+        _take_off(curve, powers, squares, weight)
+        along, square = 0.0, 0.0
+        for i in range(n):
+            along += weight[i] * curve[i] * value[i]
+            square += weight[i] * curve[i] * curve[i]
+        if square > _TINY * before:
+            gain = max(gain, along * along / square)
+    return chi2 - gain, n
+
+
+@compiled
+def _take_off(curve: Floats, powers: Floats, squares: Floats, weight: Floats) -> None:
+    """Takes off a ``curve (n,)`` what of it is along each of the ``powers (P, n)`` with their ``squares (P,)``."""
+    for p in range(len(powers)):
+        along = 0.0
+        for i in range(len(curve)):
+            along += weight[i] * powers[p, i] * curve[i]
+        if squares[p] > 0.0:
+            for i in range(len(curve)):
+                curve[i] -= along / squares[p] * powers[p, i]
 
 
 def _rate(row: ClusterRow) -> tuple[float, float] | None:
