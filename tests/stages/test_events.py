@@ -132,6 +132,11 @@ def test_looks_at_which_it_is_open_where_a_thing_goes_stop_the_clock_for_a_while
     assert first_warned(watched([*hit[:2], *[is_open] * 4, HARMLESS, *[is_open] * 4, *hit[11:]])[0]) == 17
 
 
+def test_looks_at_which_it_is_open_stop_the_clock_of_what_gets_another_number_too():
+    before, after = drive(*HIT, 2.5), drive(*HIT, 2.5, cluster_id=5)
+    assert first_warned(watched([*before[:2], *[UNKNOWN] * 8, *after[10:]])[0]) == 15
+
+
 def test_what_is_not_surely_going_to_miss_us_is_open():
     """Its best estimate is a hit, by a little; nothing at 95 %."""
     hit, likely = drive(*HIT, 2.5), row_of((0.9 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
@@ -146,6 +151,12 @@ def test_what_comes_out_behind_a_post_with_another_number_is_warned_of_at_once()
     active, _ = watched([*before, None, None, *after])
     assert [(e.event_id, e.cluster_id) for e in active[len(before) + 1]] == [(1, 1)]
     assert [(e.event_id, e.cluster_id) for e in active[len(before) + 2]] == [(2, 5)]
+
+
+def test_what_comes_back_with_a_smaller_number_is_not_warned_of_twice():
+    before, after = drive(*HIT, 1.0, cluster_id=5), drive((0.1, 0.0, 19.0), (0.0, 0.0, -10.0), 0.5, cluster_id=1)
+    active, _ = watched([*before, None, None, *after])
+    assert [(e.event_id, e.cluster_id) for e in active[len(before) + 2]] == [(2, 1)]
 
 
 def test_another_thing_that_appears_elsewhere_has_to_persist_by_itself():

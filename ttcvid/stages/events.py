@@ -89,7 +89,8 @@ def update_events(
     rows = {row.cluster_id: row for row in clusters}
     watched: dict[int, WatchedObject] = {}
     next_event_id = memory.next_event_id
-    for cluster_id in sorted(set(rows) | set(memory.watched)):
+    # What is lost first, whatever its number: something else may turn out to be it.
+    for cluster_id in sorted(set(rows) | set(memory.watched), key=lambda number: (number in rows, number)):
         before = memory.watched.get(cluster_id)
         warned = before is not None and before.event is not None
         row = rows.get(cluster_id)
@@ -108,11 +109,11 @@ def update_events(
                 is_open = before.is_open or row.state_abc_hz is not None
                 watched[cluster_id] = before if seen is None else replace(before, seen_s=t_s, is_open=is_open)
             continue
-        if before is not None and (before.is_open or t_s - before.last_s > longest_step_s):
-            before = _paused(before, t_s)
         if before is None:
             lost_id = _lost_at(row.box_px, watched, rows)
             before = None if lost_id is None else _under_new_number(watched.pop(lost_id), t_s, config)
+        if before is not None and (before.is_open or t_s - before.last_s > longest_step_s):
+            before = _paused(before, t_s)
         now = _watched(before, row, seen.miss_widths, t_s, config)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
@@ -123,7 +124,7 @@ def update_events(
                 now = replace(now, event=_started(next_event_id, row, frame, t_s))
                 next_event_id += 1
         watched[cluster_id] = now
-    active = tuple(w.event for w in watched.values() if w.event is not None)
+    active = tuple(one.event for _, one in sorted(watched.items()) if one.event is not None)
     return active, EventMemory(watched, next_event_id)
 
 
