@@ -21,11 +21,13 @@ _LASTING_S = 1.5
 # views that estimates share, and squares of many such windows scatter by more than those of so many single rates.
 _MOST_RATES = 45
 # Of things whose rates come from independent errors, one in a thousand would be taken for contradictory; errors that
-# hang together over 20 views make it fewer, over 5 to 10 of them one in a hundred.
+# hang together over 20 views make it fewer, over 5 to 10 of them up to one in fifty.
 _CONFIDENCE = 0.999
-# A course is a parabola with a bend at some time (near us, who begins to brake follows no parabola by far): this many
-# unknowns, and a rate more at the least, so that there is something to test.
-_POWERS, _UNKNOWNS, _LEAST_RATES = 3, 4, 5
+# Near us, who begins to brake follows no parabola by far, but one with a bend. Since its time is sought, a bend that is
+# to explain what contradicts a parabola has to explain it well.
+_CONFIDENCE_OF_BEND = 0.99
+# A course is a parabola: this many unknowns, and some rates more, so that there is something to test.
+_UNKNOWNS, _LEAST_RATES = 3, 5
 # A bend of which less than this part is no parabola is none: a divisor.
 _TINY = 1e-9
 # A rate by which a thing would have come to us by now says hardly anything of its rate now: of 1 - (time since) /
@@ -60,16 +62,21 @@ def contradicts_itself(rates: Floats) -> bool:
     """Whether rates (K, 3) of t_s, -Vz/Z in 1/s and its sigma are those of no single thing, at 99.9 %.
 
     At constant velocity the depth goes in a straight line, so that a rate r found a time d ago says r / (1 - r d) of
-    the rate now. These may follow a parabola over time, for what brakes or turns, with a bend where it began to, and
-    have to lie about that within their errors.
+    the rate now. These may follow a parabola over time, for what brakes or turns, and have to lie about it within their
+    errors; or about one with a bend, where it began to, at 99 %.
     """
-    chi2, n = _chi2_about_course(np.ascontiguousarray(rates))
-    return n >= _LEAST_RATES and chi2 > float(chi2_quantile(_CONFIDENCE, n - _UNKNOWNS))
+    chi2, gain, n = _chi2_about_parabola(np.ascontiguousarray(rates))
+    if n < _LEAST_RATES or not chi2 > float(chi2_quantile(_CONFIDENCE, n - _UNKNOWNS)):
+        return False
+    return chi2 - gain > float(chi2_quantile(_CONFIDENCE_OF_BEND, n - _UNKNOWNS - 1))
 
 
 @compiled
-def _chi2_about_course(rates: Floats) -> tuple[float, int]:
-    """Weighted squares of the rates about their course, and how many of them say something of now."""
+def _chi2_about_parabola(rates: Floats) -> tuple[float, float, int]:
+    """Weighted squares of the rates about their parabola, and what a bend at some time takes off them at the most.
+
+    The last is how many of the rates say something of now.
+    """
     since, value, weight, n = np.empty(len(rates)), np.empty(len(rates)), np.empty(len(rates)), 0
     for i in range(len(rates)):
         ago = rates[-1, 0] - rates[i, 0]
@@ -79,8 +86,8 @@ def _chi2_about_course(rates: Floats) -> tuple[float, int]:
             weight[n] = (left * left / rates[i, 2]) ** 2
             n += 1
     # The powers 1, t, t^2 made orthogonal one after the other, and what is along each taken off.
-    powers, squares, curve = np.empty((_POWERS, n)), np.zeros(_POWERS), np.empty(n)
-    for p in range(_POWERS):
+    powers, squares, curve = np.empty((_UNKNOWNS, n)), np.zeros(_UNKNOWNS), np.empty(n)
+    for p in range(_UNKNOWNS):
         for i in range(n):
             curve[i] = since[i] ** p
         _take_off(curve, powers[:p], squares[:p], weight)
@@ -105,7 +112,7 @@ def _chi2_about_course(rates: Floats) -> tuple[float, int]:
             square += weight[i] * curve[i] * curve[i]
         if square > _TINY * before:
             gain = max(gain, along * along / square)
-    return chi2 - gain, n
+    return chi2, gain, n
 
 
 @compiled
