@@ -251,6 +251,13 @@ def test_what_comes_straight_on_or_turns_towards_us_is_warned_of_as_soon_as_with
     assert first_warned(watched(bus_on_a_bend(-0.1, 0.12, seed=seed))[0]) == 6
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_whoever_asks_for_hardly_any_confidence_is_told_of_no_fewer(seed):
+    """What surely turns away is not told at less than an even chance."""
+    config = CONFIG.model_copy(update={"confidence": 1e-6})
+    assert first_warned(watched(bus_on_a_bend(0.0, 0.06, seed=seed), config)[0]) == 6
+
+
 def test_brakes_that_may_as_well_leave_more_time_are_not_warned_of():
     """They are let go: 12 s are left then, and 3.9 s if they last for another second."""
     row = row_of((0.0, 0.0, 22.0), (0.0, 0.0, -2.0), relative_sigma=0.001)

@@ -207,7 +207,8 @@ def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
     left = miss_widths - columns @ line
     then = np.array([1.0, 0.5 * min(tcpa_s[-1], config.max_ttc_s)])
     sigma = math.sqrt(float(then @ cov @ then) * float(left @ left) / free)
-    return bool(then @ line - float(stdtrit(free, config.confidence)) * sigma > config.max_miss_widths)
+    surely = float(stdtrit(free, max(config.confidence, _EVEN)))
+    return bool(then @ line - surely * sigma > config.max_miss_widths)
 
 
 def _lost_at(
