@@ -150,8 +150,9 @@ def directions_from_found(off_rad, sigma, common=1.0, n_points=12, found_rad=0.0
         points = points_of_paths(xy, T_S, np.full(n_points, sigma), beliefs.base, np.zeros(n_points, np.int64))
         fits = fit_paths(points, beliefs)
         found_cov = beliefs.direction_cov * (found_rad / 0.06) ** 2
-        paths = fits.paths(), fits.paths_from_found_directions(found_cov, np.array([common]))
-        errors.append([np.arccos(path.direction[0] @ DIRECTION) for path in paths])
+        searched = fits.paths()
+        found = fits.paths_from_found_directions(found_cov, np.array([common]), searched)
+        errors.append([np.arccos(path.direction[0] @ DIRECTION) for path in (searched, found)])
     return np.median(errors, axis=0)
 
 
