@@ -28,8 +28,8 @@ _SIGMAS_95 = 1.645
 # at the most, s, since a longer look is not less wrong.
 _COMMON_ERROR_PX, _DRIFT_S = 0.25, 0.6
 # Most of that grows evenly: what lies deeper than it seems grows less. By this part of it errors walk, and only that
-# looks like a change of speed: beside lidar (kitti_sfnd_ttc) accelerations of the car ahead err by half of what they
-# would by all of it, from 0.8 to 2 s.
+# looks like a change of speed: judged from one car beside lidar (kitti_sfnd_ttc), whose accelerations err by about half
+# of what they would by all of it.
 _WALKING_PART = 0.5
 # Tracks all in one place tell nothing of its growth, px.
 _LEAST_RADIUS_PX = 1e-3
