@@ -133,3 +133,16 @@ def test_occupied_cells_are_those_of_the_points_and_their_neighbours():
     expected[0:3, 1:4] = True
     np.testing.assert_array_equal(cells, expected)
     assert not occupied_cells(NO_POINTS, (50, 60), 10.0).any()
+
+
+def test_places_without_tracks_come_before_stronger_corners_elsewhere():
+    """Something faint has come into a picture whose other corners are followed, but for every seventh."""
+    picture = wave_picture().astype(float) - 128
+    picture[:, WIDTH // 2 :] *= 0.4
+    picture = np.rint(picture + 128).astype(np.uint8)
+    corners = find_corners(picture, None, NO_POINTS, 1000, 7.0, 0.005, 0.0)
+    known = corners[corners[:, 0] < WIDTH / 2]
+    known = known[np.arange(len(known)) % 7 > 0]
+    found = find_corners(picture, None, known, 20, 7.0, 0.005, 0.0, new_places_first=True)
+    assert len(found) == 20
+    assert (found[:, 0] > WIDTH / 2 - 10).all()

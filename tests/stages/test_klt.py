@@ -192,3 +192,46 @@ def test_following_is_a_function_of_its_arguments():
     one, _ = follow_klt(memory, second, None, CONFIG)
     other, _ = follow_klt(replace(memory), second, None, CONFIG)
     np.testing.assert_array_equal(one.points.xy_px, other.points.xy_px)
+
+
+def with_things(left_px, tops_px, size_px):
+    """A street at rest and before it things of other textures, whose left edges stand at ``left_px``."""
+    picture = wave_picture()
+    first, last = max(left_px, 0), min(left_px + size_px[0], WIDTH)
+    for k, top_px in enumerate(tops_px if first < last else []):
+        thing = wave_picture(seed=7 + k)[: size_px[1], first - left_px : last - left_px]
+        picture[top_px : top_px + size_px[1], first:last] = thing
+    return picture
+
+
+def on_things(memory, left_px, tops_px, size_px):
+    """Which tracks stand on one of them, clear of its edges: (N,)."""
+    off_px = memory.points.xy_px[:, None] - [[left_px, top_px] for top_px in tops_px]
+    return ((off_px > 2) & (off_px < np.array(size_px) - 3)).all(axis=2).any(axis=1)
+
+
+def test_what_comes_into_the_picture_of_a_camera_at_rest_is_followed_within_some_pictures():
+    """No track of the street dies but those that it covers, one in fifty a picture."""
+    config = replace_config(max_tracks=300, min_distance_px=6.0)
+    thing = {"tops_px": [50], "size_px": (70, 44)}
+    memory = start_klt(with_things(-70, **thing), None, config)
+    for left_px in range(-66, 8, 4):
+        memory, survival = follow_klt(memory, with_things(left_px, **thing), None, config)
+        assert survival > 0.95
+    known = memory.points.track_id
+    memory, _ = follow_klt(memory, with_things(10, **thing), None, config)
+    kept = on_things(memory, 10, **thing) & np.isin(memory.points.track_id, known)
+    assert kept.sum() >= 15
+
+
+def test_new_points_on_small_fast_things_go_where_their_others_have_gone():
+    """Pyramids mix the things with the street: they alone lead half of the new points astray."""
+    config = replace_config(max_tracks=600, min_distance_px=5.0)
+    things = {"tops_px": [10, 42, 74, 106], "size_px": (40, 24)}
+    before = start_klt(with_things(60, **things), None, config)
+    after, _ = follow_klt(before, with_things(88, **things), None, config)
+    asked = before.points.track_id[on_things(before, 60, **things)]
+    _, one, other = np.intersect1d(before.points.track_id, after.points.track_id, return_indices=True)
+    step_px = (after.points.xy_px[other] - before.points.xy_px[one])[np.isin(before.points.track_id[one], asked)]
+    went_along = np.linalg.norm(step_px - [28.0, 0.0], axis=1) < 0.5
+    assert went_along.sum() > 0.8 * len(asked) > 15

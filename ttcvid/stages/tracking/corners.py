@@ -20,6 +20,9 @@ _MIN_RESPONSE = 2e-5
 
 # Corners are weighed against what is around them within this square, px.
 _AROUND_PX = 65
+# Of the corners within a square of so many grid cells, less than this part is followed where something new is to be
+# seen: a square the size of the smallest things that bear an object.
+_BARE_CELLS, _BARE_PART = 5, 0.5
 # Close corners stand this part of the full distance apart.
 _CLOSE_PART = 0.57
 
@@ -49,6 +52,7 @@ def find_corners(
     min_distance_px: float,
     quality: float,
     close_share: float,
+    new_places_first: bool = False,
 ) -> Floats:
     """Strongest corners that keep their distance from each other and from the points already there.
 
@@ -66,10 +70,12 @@ def find_corners(
     min_distance_px : grid cell, px.
     quality : least response relative to the 99.9th percentile of the picture.
     close_share : part of ``n_wanted`` that may stand at 0.57 of the distance, 0..1.
+    new_places_first : corners where few of those around are followed come before stronger ones elsewhere: where most
+        have their tracks, something has come into the picture there.
 
     Returns
     -------
-    (M, 2) float64 corners, px, those of the grid first, best first, M <= n_wanted.
+    (M, 2) float64 corners, px: those of the grid first, best first, M <= n_wanted.
     """
     if n_wanted <= 0:
         return np.empty((0, 2))
@@ -78,8 +84,12 @@ def find_corners(
     # A stride of 4 in both axes leaves the percentile as it is and takes a sixteenth of the time.
     threshold = max(_MIN_RESPONSE, quality * float(np.percentile(response[::4, ::4], 99.9)))
     x, y = _peaks(response, threshold, allowed)
-    strongest = np.argsort(-response[y, x], kind="stable")
-    coarse = strongest[_one_a_cell(x[strongest], y[strongest], xy_taken_px, shape, min_distance_px)]
+    taken = occupied_cells(xy_taken_px, shape, min_distance_px)
+    cell = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
+    first = np.argsort(-response[y, x], kind="stable")
+    if new_places_first:
+        first = first[np.argsort(~_bare_cells(cell, taken)[cell][first], kind="stable")]
+    coarse = first[_one_a_cell(cell[0][first], cell[1][first], taken)]
     xy = _refined(response, x[coarse], y[coarse])
     is_chosen = _keeps_distance(xy, min_distance_px)
     n_close = int(close_share * n_wanted)
@@ -107,10 +117,20 @@ def _peaks(response: NDArray[Any], threshold: float, allowed: Picture | None) ->
     return x, y
 
 
-def _one_a_cell(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, int], cell_px: float) -> Ints:
-    """The best of the pixels (N,), best first, of each cell that is free and has no taken neighbour, best first."""
-    taken = occupied_cells(xy_taken_px, shape, cell_px)
-    row, column = (y / cell_px).astype(np.intp), (x / cell_px).astype(np.intp)
+def _bare_cells(with_corner: tuple[Ints, Ints], taken: Bools) -> Bools:
+    """Cells (like ``taken``) around which fewer than half of the cells with a corner are taken.
+
+    ``with_corner`` are the rows and columns (N,) of the cells that have one.
+    """
+    corners = np.zeros(taken.shape, dtype=np.float32)
+    corners[with_corner] = 1.0
+    around = (_BARE_CELLS, _BARE_CELLS)
+    n_corners, n_taken = (cv2.boxFilter(cells, -1, around, normalize=False) for cells in (corners, corners * taken))
+    return np.asarray(n_taken < _BARE_PART * n_corners)
+
+
+def _one_a_cell(row: Ints, column: Ints, taken: Bools) -> Ints:
+    """The first of the corners (N,) of each cell that is free and has no taken neighbour, in their order."""
     free = np.flatnonzero(~taken[row, column])
     _, best = np.unique((row * taken.shape[1] + column)[free], return_index=True)
     return np.asarray(free[np.sort(best)])

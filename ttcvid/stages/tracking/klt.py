@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial import KDTree
 
 from ttcvid.config import TrackingConfig
 from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
@@ -32,21 +33,26 @@ _MOST_FOUND = 0.875
 # Two tracks in one cell of this side follow the same point, px.
 _CROWDED_PX = 2.0
 # New corners are looked for when the live tracks fall below this part of the wanted number: on a drive at 10 Hz in
-# every third picture. More often, the search costs as much as following all tracks back.
-_TOP_UP_BELOW = 0.8
+# every third picture. More often, the search costs as much as following all tracks back. Before a camera at rest hardly
+# any die, and what comes into the picture would have none for seconds: there they are looked for after so many.
+_TOP_UP_BELOW, _TOP_UP_AFTER = 0.8, 3
+# Before a camera at rest half of the points step less than this, px.
+_RESTING_STEP_PX = 1.0
 
 
 @dataclass(frozen=True)
 class KltMemory:
     """What is remembered between two pictures: the last one, its points with their windows, and their last step.
 
-    ``step_px (N, 2)`` is NaN for a point that has made none yet.
+    ``step_px (N, 2)`` is NaN for a point that has made none yet; ``n_since`` counts the pictures since new corners were
+    looked for.
     """
 
     grey: Picture
     points: PointSet
     step_px: Floats
     next_track_id: int
+    n_since: int = 0
 
 
 def start_klt(grey: Picture, allowed: Picture | None, config: TrackingConfig, next_track_id: int = 0) -> KltMemory:
@@ -76,7 +82,7 @@ def follow_klt(
     points = PointSet(memory.points.track_id[found], xy_px[found], window_px[found])
     step = (window_px - before_px)[found]
     survival = float(found.mean()) if n_before else 1.0
-    followed = KltMemory(grey, points, step, memory.next_track_id)
+    followed = KltMemory(grey, points, step, memory.next_track_id, memory.n_since + 1)
     return _topped_up(followed, grey, allowed, config), survival
 
 
@@ -90,21 +96,43 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
     guess = (windows_px + np.nan_to_num(memory.step_px)).astype(np.float32)
     found, there = np.zeros(n, dtype=bool), guess.copy()
 
-    def look_for(which: Ints, levels: int) -> None:
+    def look_for(which: Ints, start: np.ndarray, levels: int) -> None:
         if len(which):
-            found[which], there[which] = _there_and_back(memory.grey, grey, before[which], guess[which], config, levels)
+            found[which], there[which] = _there_and_back(memory.grey, grey, before[which], start, config, levels)
 
     # Where a point should be by now the fine pictures find it, in less time. The coarse ones of the pyramid show what
     # is large near it: a post that sweeps over a car takes all of the car's points along, far beyond itself. They are
     # for points that have made no step yet, and for those that have changed theirs.
-    expected = np.flatnonzero(np.isfinite(memory.step_px[:, 0]))
-    look_for(expected, min(_FINE_LEVELS, config.pyramid_levels))
+    is_new = np.isnan(memory.step_px[:, 0])
+    expected = np.flatnonzero(~is_new)
+    fine_levels = min(_FINE_LEVELS, config.pyramid_levels)
+    look_for(expected, guess[expected], fine_levels)
     n_found = int(found.sum())
     if n_found < _LEAST_FOUND * len(expected):
         found[:] = False
     if len(expected) < n or n_found < _MOST_FOUND * len(expected):
-        look_for(np.flatnonzero(~found), config.pyramid_levels)
+        lost = np.flatnonzero(~found)
+        look_for(lost, guess[lost], config.pyramid_levels)
+    # On something small and fast the coarse pictures lead most new points astray. Those that came through show where
+    # the others have gone. Not before a camera in motion: there they would lead corners of outlines, where two surfaces
+    # meet, along with either.
+    if _camera_rests((there - before)[found]):
+        lost = np.flatnonzero(is_new & ~found)
+        start = _as_neighbours(before, there, found, lost)
+        is_far = np.linalg.norm(start - before[lost], axis=1) > config.window_px
+        look_for(lost[is_far], start[is_far], fine_levels)
     return found, there.astype(np.float64)
+
+
+def _camera_rests(step_px: np.ndarray) -> bool:
+    """Whether most points, of steps (N, 2), stand nearly still."""
+    return bool(len(step_px) and np.median(np.linalg.norm(step_px, axis=1)) < _RESTING_STEP_PX)
+
+
+def _as_neighbours(before: np.ndarray, there: np.ndarray, found: Bools, which: Ints) -> np.ndarray:
+    """Where points ``which (M,)`` of (N, 2) are, had each gone as the nearest of those that were found: (M, 2) px."""
+    _, nearest = KDTree(before[found]).query(before[which])
+    return np.asarray(before[which] + (there - before)[found][nearest])
 
 
 def _there_and_back(
@@ -168,10 +196,12 @@ def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
 
 
 def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig) -> KltMemory:
-    """Add corners once too many tracks have died."""
+    """Add corners once too many tracks have died, or at rest, where something new may be, once some pictures passed."""
     points = memory.points
     n_live = len(points.track_id)
-    if n_live >= _TOP_UP_BELOW * config.max_tracks:
+    has_many = n_live >= _TOP_UP_BELOW * config.max_tracks
+    step_px = memory.step_px[np.isfinite(memory.step_px[:, 0])]
+    if has_many and not (memory.n_since >= _TOP_UP_AFTER and _camera_rests(step_px)):
         return memory
     windows_px = points.windows_px
     new_px = find_corners(
@@ -182,6 +212,7 @@ def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config
         min_distance_px=config.min_distance_px,
         quality=config.corner_quality,
         close_share=config.close_share,
+        new_places_first=has_many,
     )
     content_px = new_px + np.nan_to_num(content_offsets(grey, new_px, config.window_px))
     is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
