@@ -102,9 +102,11 @@ def bodies_of(
     platform=Platform.vehicle,
     order=None,
     memory=NOTHING_KNOWN,
+    stop_s=np.inf,
 ):
     """The bodies of each frame from the second on; own motion is known exactly.
 
+    Until `stop_s` the camera brakes evenly from its speed to rest.
     `order` is a permutation of the track numbers: the same tracks with other identities, hence in another order.
     """
     rng, speed = np.random.default_rng(seed), np.linalg.norm(camera_m_s)
@@ -115,7 +117,8 @@ def bodies_of(
         alive = [thing.frames[0] <= frame < thing.frames[1] and frame not in thing.hidden for thing in things]
         numbers = np.repeat(np.arange(len(things)), [len(t.points) for t in things])
         is_seen = np.repeat(alive, [len(t.points) for t in things])
-        position = np.concatenate([thing.at(t_s) for thing in things]) - np.asarray(camera_m_s) * t_s
+        driven_s = min(t_s, stop_s) - 0.5 * min(t_s, stop_s) ** 2 / stop_s
+        position = np.concatenate([thing.at(t_s) for thing in things]) - np.asarray(camera_m_s) * driven_s
         if frame:
             world_to_cam = step @ world_to_cam
         position = position @ world_to_cam.T
@@ -130,7 +133,8 @@ def bodies_of(
         history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES, may_come_back=True)
         if not frame:
             continue
-        direction = world_to_cam @ (-np.asarray(camera_m_s) / speed) if speed > 0.0 else None
+        moves = speed > 0.0 and t_s < stop_s
+        direction = world_to_cam @ (-np.asarray(camera_m_s) / speed) if moves else None
         history = with_egomotion(history, step, direction, 1e-5)
         cov = 1e-8 * np.eye(3)
         egomotion = Egomotion(step, cov, direction, None if direction is None else cov, np.zeros(len(shown)))

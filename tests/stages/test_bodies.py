@@ -83,7 +83,7 @@ def test_a_right_scene_stays_as_it_is():
     position, scene = points(80, np.random.default_rng(1)), body()
     rays = rays_of(position, scene.path[0], scene.cam_R_past[0])
     rate_hz = SPEED_M_S / position[:, 2]
-    after = refined_scene(scene, of_one_body(rays), np.ones(80), rate_hz, 3)
+    after = refined_scene(scene, of_one_body(rays), np.ones(80), np.ones(80, bool), rate_hz, 3)
     np.testing.assert_allclose(after.path, scene.path, atol=1e-9)
     np.testing.assert_allclose(after.cam_R_past, scene.cam_R_past, atol=1e-9)
 
@@ -97,12 +97,12 @@ def test_wrong_rotations_of_the_scene_are_drawn_towards_the_right_ones():
     after = replace(scene, cam_R_past=rotation_from_vector(off_rad) @ scene.cam_R_past)
     misfit = [median_misfit(b, rays) for b in (scene, after)]
     for _ in range(10):
-        after = refined_scene(after, of_one_body(rays), np.ones(200), np.full(200, np.nan), 2)
+        after = refined_scene(after, of_one_body(rays), np.ones(200), np.ones(200, bool), np.full(200, np.nan), 2)
     assert misfit[1] > 2.0 * misfit[0]
     assert median_misfit(after, rays) < 1.1 * misfit[0]
     rotations = after.cam_R_past[0] @ np.swapaxes(after.cam_R_past[0], 1, 2)
     np.testing.assert_allclose(rotations, np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12)
-    assert np.linalg.norm(after.path[0, 0]) == pytest.approx(np.linalg.norm(scene.path[0, 0]))
+    assert np.linalg.norm(after.path[0, 0]) == pytest.approx(np.linalg.norm(scene.path[0, 0]), rel=1e-2)
 
 
 def test_movers_among_the_tracks_do_not_turn_the_scene():
@@ -113,7 +113,7 @@ def test_movers_among_the_tracks_do_not_turn_the_scene():
     rays[:, :60] = rays_of(position[:60], across, scene.cam_R_past[0], SIGMA, rng)
     after = scene
     for _ in range(10):
-        after = refined_scene(after, of_one_body(rays), np.ones(200), np.full(200, np.nan), 2)
+        after = refined_scene(after, of_one_body(rays), np.ones(200), np.ones(200, bool), np.full(200, np.nan), 2)
     assert median_misfit(after, rays[:, 60:]) < 1.3
 
 

@@ -74,3 +74,11 @@ def test_the_horizon_of_a_noisy_road_is_steadied_along_our_way_while_the_camera_
 
 def test_a_road_that_is_not_seen_is_none():
     assert steadied(RoadMemory(plane=np.array([0.0, 0.0, 7.0])), None, 0.0) is None
+
+
+def test_the_road_of_the_frames_before_comes_nearer_as_slowly_as_we_drive_now():
+    """Heights and tilts stay; rates are in units of our mean speed, which has fallen to a third."""
+    before = RoadMemory(plane=np.array([0.02, -0.1, 7.0]), epipole_y=0.01)
+    now = np.array([0.02, -0.1, 7.0]) / 3.0
+    np.testing.assert_allclose(steadied(before.in_units(1.0 / 3.0), now, 0.01), now, rtol=1e-12)
+    assert RoadMemory().in_units(0.5).plane is None

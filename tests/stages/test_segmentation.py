@@ -61,6 +61,24 @@ def test_noise_alone_gives_no_movers(seed, sigma_px):
     assert all(not frame.mover_keys for frame in frames)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("stop_s", [1.6, 2.5])
+def test_we_brake_to_a_stop_and_nothing_becomes_a_mover(seed, stop_s):
+    """From 10 m/s on a road that always has new tracks near us: only older ones tell that we are slower."""
+    rng = np.random.default_rng(seed)
+    way_m, n_frames = 5.0 * stop_s, round(stop_s / DT_S) + 12
+
+    def road(n, from_m, to_m, first):
+        x_m, z_m = rng.uniform(-4.0, 4.0, n), 1.0 / rng.uniform(1.0 / to_m, 1.0 / from_m, n)
+        return Thing(np.column_stack([x_m, np.full(n, 1.4), z_m]), frames=(first, 10**9))
+
+    new = [road(40, 3.0 + way_m, 8.0 + way_m, first) for first in range(4, n_frames, 3)]
+    things = [*world(rng, AHEAD, 1, n=150, depth_m=(15.0 + way_m, 90.0)), road(120, 5.0 + way_m, 40.0 + way_m, 0), *new]
+    frames = bodies_of(things, n_frames, AHEAD, stop_s=stop_s, seed=seed)
+    assert all(not frame.mover_keys for frame in frames)
+    assert max(np.median(frame.found.misfit) for frame in frames) < 2.0
+
+
 @pytest.mark.parametrize("yaw_rad_s", [0.15, -0.3])
 def test_a_turning_camera_makes_no_movers_and_loses_none(yaw_rad_s):
     rng = np.random.default_rng(2)
@@ -74,7 +92,7 @@ def test_two_cars_far_apart_with_the_same_motion_are_two_movers():
     rng = np.random.default_rng(3)
     left, right = car(rng, (-4.0, 0.5, 34.0), (-3.0, 0.0, 0.0)), car(rng, (8.0, 0.5, 34.0), (-3.0, 0.0, 0.0))
     frames = bodies_of(world(rng, AHEAD, N_FRAMES, left, right), N_FRAMES)
-    assert_one_mover_each(frames, 1, 2)
+    assert_one_mover_each(frames, 1, 2, part=0.75)
 
 
 def test_cars_that_meet_are_two_movers():

@@ -6,8 +6,9 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, refined_paths
-from ttcvid.model import Floats, Ints
+from ttcvid.geometry.newest_step import with_newest_step
+from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
+from ttcvid.model import Bools, Floats, Ints
 
 # Own rotation is known from own motion; a frame corrects it by about this much, rad.
 _SCENE_TURN_RAD = float(np.radians(0.05))
@@ -69,16 +70,18 @@ def recent_speed(path: Floats, t_s: Floats) -> float:
     return float(np.linalg.norm(path[back]) / (t_s[-1] - t_s[back]))
 
 
-def with_unit_speed(scene: RigidPaths, since_s: Floats, rate_hz: Floats) -> tuple[RigidPaths, Floats]:
-    """The same body, and the rates of points on it, in units in which its mean speed over the views is 1."""
+def with_unit_speed(scene: RigidPaths, since_s: Floats) -> tuple[RigidPaths, float]:
+    """The same body in units in which its mean speed over the views is 1, and by what its rates grow with that."""
     length = float(np.sqrt(np.einsum("li,li->l", scene.path[0], scene.path[0]).max()))
     if length < _NO_LENGTH:
-        return scene, rate_hz
+        return scene, 1.0
     speed = length / max(-since_s[0], _LEAST_TIME_S)
-    return RigidPaths(scene.cam_R_past, scene.path / speed), rate_hz * speed
+    return RigidPaths(scene.cam_R_past, scene.path / speed), speed
 
 
-def refined_scene(scene: RigidPaths, points: Points, weight: Floats, rate_hz: Floats, n_steps: int) -> RigidPaths:
+def refined_scene(
+    scene: RigidPaths, points: Points, weight: Floats, in_scene: Bools, rate_hz: Floats, n_steps: int
+) -> RigidPaths:
     """The scene's rotations and path, drawn towards what its points show.
 
     This is what makes rotation noise common to all tracks instead of each track's own (DESIGN section 3).
@@ -86,9 +89,12 @@ def refined_scene(scene: RigidPaths, points: Points, weight: Floats, rate_hz: Fl
     Parameters
     ----------
     weight, rate_hz : (M,) of each point.
+    in_scene : (M,) points of no known mover: these tell how far the last step was. (Past views are corrected by all: if
+        pieces of the scene were taken for movers, it has to find them again.)
     """
+    scene = with_newest_step(points, scene, fit_on_paths(points, scene, rate_hz), weight * in_scene)
     turn_sigma = np.full(len(points.since_s), _SCENE_TURN_RAD)
-    priors = PathPriors(None, turn_sigma, _shift_sigma(points.since_s))
+    priors = PathPriors(None, turn_sigma, _own_shift_sigma(points.since_s, scene.path[0]))
     return refined_paths(points, scene, priors, np.array([n_steps]), weight, rate_hz)[0]
 
 
@@ -113,3 +119,14 @@ def refined_movers(movers: RigidPaths, scene: RigidPaths, points: Points, n_step
 
 def _shift_sigma(since_s: Floats) -> Floats:
     return _SHIFT_FLOOR - SHIFT_RATE_HZ * since_s
+
+
+def _own_shift_sigma(since_s: Floats, path: Floats) -> Floats:
+    """What of its length (L,) each view of the scene's path may lie off a steady one to the farthest view.
+
+    Own speed may fall to nothing within the views, or start from it: the last steps then differ from the mean by all of
+    it. A part of their own length would hold on to it the more tightly the slower we are.
+    """
+    part, length = since_s / min(since_s[0], -_LEAST_TIME_S), np.sqrt((path * path).sum(axis=1))
+    usual = np.maximum(part * length[0], length) + _NO_LENGTH
+    return np.asarray((_SHIFT_FLOOR + 1.0 - part) * usual / (length + _NO_LENGTH))

@@ -6,7 +6,7 @@ An oncoming car looks nearer than it is: nothing bears it (`stages.floating`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,6 +56,10 @@ class RoadMemory:
     plane: Floats | None = None
     epipole_y: float = 0.0
     is_below: Bools = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+    def in_units(self, speed: float) -> RoadMemory:
+        """The same where ``speed`` is 1: where we brake, the road of the frames before comes nearer the slower."""
+        return self if self.plane is None else replace(self, plane=self.plane * speed)
 
     def contradicts(self) -> Bools:
         """Tracks that a static scene cannot hold: (N,)."""

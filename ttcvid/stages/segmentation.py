@@ -130,9 +130,10 @@ def find_bodies(
     known = np.append(SCENE_CLUSTER, movers.key)
     key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
     scene = _scene(
-        history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, rate_hz
+        history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, rate_hz, key
     )
-    scene, rate_hz = with_unit_speed(scene, views.since_s, rate_hz)
+    scene, speed = with_unit_speed(scene, views.since_s)
+    rate_hz *= speed
     every = views.points(np.arange(len(key)))
     scene_fit = fit_on_paths(every, scene, rate_hz)
     rate_hz = scene_fit.rate_hz
@@ -148,7 +149,8 @@ def find_bodies(
         epipole_y = float(scene.path[0, 0, 1] / scene.path[0, 0, 2])
         # What moves as the scene does belongs together by its depth alone, whatever was taken for a part of it.
         alike = np.where(misfit < config.scene_gate, SCENE_CLUSTER, key)
-        road = gathered_evidence(memory.road, history.track_id, views, scene_fit, alike, in_scene, epipole_y)
+        road_before = memory.road.in_units(speed)
+        road = gathered_evidence(road_before, history.track_id, views, scene_fit, alike, in_scene, epipole_y)
         misfit = _with_contradictions(misfit, road, key, config)
 
     movers = _refined(movers, scene, views, key)
@@ -234,8 +236,9 @@ def _scene(
     before: RigidPaths | None,
     views: BodyViews,
     rate_hz: Floats,
+    key: Ints,
 ) -> RigidPaths:
-    """The scene on its way, corrected by its tracks."""
+    """The scene on its way, corrected by its tracks; ``key (N,)`` of the body that each was in."""
     if before is None:
         # Before the parallax shows well where it goes, a camera that can move is taken to move ahead, if roughly.
         seen = egomotion.direction
@@ -256,7 +259,7 @@ def _scene(
     used = np.flatnonzero(views.is_free)
     used = used[:: max(1, -(-len(used) // _ENOUGH_TRACKS))]
     weight = _balance(_places(history)[used])
-    return refined_scene(scene, views.points(used), weight, rate_hz[used], _SCENE_STEPS)
+    return refined_scene(scene, views.points(used), weight, key[used] == SCENE_CLUSTER, rate_hz[used], _SCENE_STEPS)
 
 
 def _without_unseen_return(history: TrackHistory, path: Floats) -> Floats:

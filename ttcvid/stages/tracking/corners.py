@@ -99,8 +99,7 @@ def find_corners(
     around = cv2.boxFilter(response, -1, (_AROUND_PX, _AROUND_PX))
     outstanding = np.argsort(-response[y, x] / (around[y, x] + threshold), kind="stable")
     x, y = x[outstanding], y[outstanding]
-    taken = np.concatenate([xy_taken_px, xy])
-    close = _spread(x, y, taken, shape, _CLOSE_PART * min_distance_px, n_close)
+    close = _spread(x, y, np.concatenate([xy_taken_px, xy]), shape, _CLOSE_PART * min_distance_px, n_close)
     return np.concatenate([xy, _refined(response, x[close], y[close])])
 
 
