@@ -33,6 +33,10 @@ class GrowthSums:
     square: Floats
     n_views: Ints
 
+    def take(self, index: Ints) -> GrowthSums:
+        """The same of the tracks at an index array."""
+        return GrowthSums(self.info[index], self.score[index], self.square[index], self.n_views[index])
+
     def velocities(self, sets: Floats) -> tuple[Floats, Floats]:
         """Velocity over depth, 1/s, and its covariance, of K sets of tracks: (K, 3), (K, 3, 3); NaN where not told.
 

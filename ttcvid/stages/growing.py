@@ -118,15 +118,10 @@ def _thing_around(
     xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
     sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
     sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm)
-    # What the first says with each of the others.
-    sets = np.eye(len(around))[1:]
-    sets[:, 0] = 1.0
-    for _ in range(_ROUNDS):
-        fits = _best_explained(sums, sets, misfit, config)
-        if np.count_nonzero(fits) < _LEAST_TRACKS:
-            return None
-        sets = fits[None].astype(np.float64)
-    (velocity_hz,), (cov,) = sums.velocities(sets)
+    found = sharing_a_velocity(sums, misfit, _LEAST_TRACKS, config)
+    if found is None:
+        return None
+    fits, velocity_hz, cov = found
     (own,) = sums.misfits(velocity_hz[None])
     contradicts = misfit[0] > config.scene_gate
     if not fits[0] or (contradicts and not own[0] < misfit[0] / config.gain):
@@ -138,6 +133,27 @@ def _thing_around(
     direction = velocity_hz / speed_hz
     across = (np.eye(3) - np.outer(direction, direction)) / speed_hz
     return Growing(np.sort(around[fits]), direction, across @ cov @ across)
+
+
+def sharing_a_velocity(
+    sums: GrowthSums, misfit: Floats, least_tracks: int, config: BodiesConfig
+) -> tuple[Bools, Floats, Floats] | None:
+    """Which of some tracks (M,) one V / Z explains; that, (3,) in 1/s, and its covariance (3, 3). None: too few.
+
+    Parameters
+    ----------
+    sums : of the tracks, the one that is asked about first: what it says with each of the others is tried.
+    misfit : (M,) of the tracks on the scene's path.
+    """
+    sets = np.eye(len(misfit))[1:]
+    sets[:, 0] = 1.0
+    for _ in range(_ROUNDS):
+        fits = _best_explained(sums, sets, misfit, config)
+        if np.count_nonzero(fits) < least_tracks:
+            return None
+        sets = fits[None].astype(np.float64)
+    (velocity_hz,), (cov,) = sums.velocities(sets)
+    return fits, velocity_hz, cov
 
 
 def _best_explained(sums: GrowthSums, sets: Floats, misfit: Floats, config: BodiesConfig) -> Bools:

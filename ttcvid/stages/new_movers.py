@@ -16,6 +16,7 @@ from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
 from ttcvid.stages.occlusions import between_surfaces
+from ttcvid.stages.spreading import spreading_things
 
 # Views that a track needs to contradict the scene.
 _LEAST_VIEWS = 3
@@ -60,28 +61,27 @@ def new_movers(
     none = list[Ints](), scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
     is_asked = in_scene & views.is_free & (scene_fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, _without_slip(views, on_road, misfit), config)
-    if len(candidates) < config.min_tracks:
-        return none
-    xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
+    spread = spreading_things(views, scene, np.flatnonzero(is_asked), candidates, misfit, usual_misfit, config)
+    for members, _ in spread:
+        candidates = np.setdiff1d(candidates, members)
     is_along = (misfit > config.scene_gate) & (seen_misfit < config.scene_gate)
-    label = _alike_and_near(views, candidates, xy, is_along[candidates])
-    is_one = np.bincount(label)[label] >= config.min_tracks
-    if not is_one.any():
+    things = spread + _alike_things(views, scene, candidates, is_along, config)
+    if not things:
         return none
-    xy, candidates = xy.compress(is_one, axis=1), candidates[is_one]
-    is_number = np.bincount(label[is_one]) > 0
-    numbers, thing = np.flatnonzero(is_number), (np.cumsum(is_number) - 1)[label[is_one]]
-    tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
-    directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
+    candidates = np.concatenate([members for members, _ in things])
+    thing = np.repeat(np.arange(len(things)), [len(members) for members, _ in things])
+    xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
     points = views.points(candidates, thing)
-    ways = np.stack([straight_path(direction, views.since_s) for direction in directions])
-    # What contradicts the scene by its place alone moves along our own path.
-    ways[np.bincount(thing, is_along[candidates]) > 0.0] = scene.path[0]
+    ways = np.stack([straight_path(direction, views.since_s) for _, direction in things])
+    # What contradicts the scene by its place alone moves along our own path, unless it is seen to keep another bearing.
+    goes_along = np.bincount(thing, is_along[candidates]) > 0.0
+    goes_along[: len(spread)] = False
+    ways[goes_along] = scene.path[0]
     starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
     misfit_by_own = fit_on_movers(points, paths, rate_hz).misfit / usual_misfit
     is_better = misfit_by_own < misfit[candidates] / config.gain
-    is_found = np.isfinite(directions[:, 0]) & (np.bincount(thing, is_better) > 0.5 * np.bincount(thing))
+    is_found = np.bincount(thing, is_better) > 0.5 * np.bincount(thing)
     if not is_found.any():
         return none
     is_static = in_scene & (misfit < config.scene_gate)
@@ -147,6 +147,28 @@ def _contradict(neighbours: Ints, is_asked: Bools, misfit: Floats, gate: float, 
         if n >= _LEAST_AROUND:
             one, other = max(around[(n - 1) // 2], _NO_MISFIT), max(around[n // 2], _NO_MISFIT)
             is_candidate[i] = 0.5 * (np.log(one) + np.log(other)) > _TOGETHER * np.log(gate)
+
+
+def _alike_things(
+    views: BodyViews, scene: RigidPaths, candidates: Ints, is_along: Bools, config: BodiesConfig
+) -> list[tuple[Ints, Floats]]:
+    """Things of near tracks of similar flow, each with its tracks (M,) and its direction (3,).
+
+    ``candidates`` are tracks; of all tracks those that move along our own path are ``is_along (N,)``.
+    """
+    if len(candidates) < config.min_tracks:
+        return []
+    xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
+    label = _alike_and_near(views, candidates, xy, is_along[candidates])
+    is_one = np.bincount(label)[label] >= config.min_tracks
+    if not is_one.any():
+        return []
+    xy, candidates = xy.compress(is_one, axis=1), candidates[is_one]
+    numbers, thing = np.unique(label[is_one], return_inverse=True)
+    tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
+    directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
+    is_told = np.isfinite(directions[:, 0])
+    return [(candidates[thing == number], directions[number]) for number in np.flatnonzero(is_told)]
 
 
 def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:

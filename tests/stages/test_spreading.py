@@ -1,0 +1,118 @@
+"""New movers that keep their bearing: found by how they grow, and nothing that stands still is taken for one."""
+
+import numpy as np
+import pytest
+from relative_motion import box_of_points, history_of
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
+from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.stages.body_views import body_views
+from ttcvid.stages.new_movers import new_movers
+from ttcvid.stages.spreading import spreading_things
+
+CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
+TIMES_S = 0.05 * np.arange(20.0)
+OWN_M_S = np.array([0.0, 0.0, -10.0])
+CAR_M, ROAD_Y_M = (4.3, 1.2, 0.2), 1.4
+# A car from the left that is where we will be in 2.8 s.
+TO_US_M_S = np.array([5.0, 0.0, -10.0])
+AT_M = -2.8 * TO_US_M_S + [0.0, 0.7, 0.0]
+
+
+def houses_and_road(rng, n=150):
+    """A wall across, 60 m ahead, and the road up to it."""
+    depth_m = 8.0 / rng.uniform(0.14, 1.0, n)
+    road = np.column_stack([rng.uniform(-0.5, 0.5, n) * depth_m, np.full(n, ROAD_Y_M), depth_m])
+    return np.concatenate([box_of_points(rng, n, (-10.0, -3.0, 60.0), (60.0, 8.0, 0.5)), road])
+
+
+def views_and_fit(position_m, velocity_m_s, rng, sigma_px=SIGMA_PX):
+    """Views of tracks, the path of the scene, and how that explains them."""
+    history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=rng)
+    every = np.arange(len(position_m))
+    views = body_views(history, np.ones(len(every), dtype=bool), LINK_PX, ERROR_PX)
+    way = straight_path(OWN_M_S / np.linalg.norm(OWN_M_S), views.since_s)
+    scene = RigidPaths(np.repeat(np.eye(3)[None, None], len(TIMES_S), axis=1), way[None])
+    return views, scene, fit_on_paths(views.points(every), scene)
+
+
+def street_with(thing_m, velocity_m_s, rng):
+    """A street with a thing before it: places (N, 3), the thing's first, and velocities relative to us."""
+    scene = houses_and_road(rng)
+    velocities = np.broadcast_to(velocity_m_s, thing_m.shape), np.broadcast_to(OWN_M_S, scene.shape)
+    return np.concatenate([thing_m, scene]), np.concatenate(velocities)
+
+
+def found_in(views, scene, fit, seeds=None):
+    seeds = np.flatnonzero(fit.misfit > CONFIG.scene_gate) if seeds is None else seeds
+    every = np.arange(len(fit.misfit))
+    return spreading_things(views, scene, every, seeds, fit.misfit, 1.0, CONFIG)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(18)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_car_at_constant_bearing_is_found_with_its_direction_by_eight_tracks(seed):
+    rng = np.random.default_rng(seed)
+    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 8, AT_M, CAR_M), TO_US_M_S, rng), rng)
+    ((members, direction),) = found_in(views, scene, fit)
+    assert np.count_nonzero(members < 8) >= CONFIG.min_tracks
+    # What else is taken for a part of it moves as it does, as far as can be seen.
+    assert np.count_nonzero(members >= 8) <= 1
+    assert np.degrees(np.arccos(direction @ TO_US_M_S / np.linalg.norm(TO_US_M_S))) < 4.0
+
+
+def test_it_is_a_new_mover_though_the_flows_of_its_tracks_are_not_alike(rng):
+    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 10, AT_M, CAR_M), TO_US_M_S, rng), rng)
+    every = np.arange(len(fit.misfit))
+    (members,), paths, _ = new_movers(
+        views,
+        scene,
+        np.ones(len(every), dtype=bool),
+        fit,
+        fit.misfit,
+        fit.misfit,
+        1.0,
+        np.zeros(len(every), dtype=bool),
+        views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
+        CONFIG,
+    )
+    assert np.count_nonzero(members < 10) >= CONFIG.min_tracks
+    assert np.count_nonzero(members >= 10) == 0
+    assert len(paths) == 1
+
+
+def test_what_stands_still_is_none_whatever_of_it_is_asked(rng):
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        street = houses_and_road(rng)
+        views, scene, fit = views_and_fit(street, OWN_M_S, rng)
+        assert found_in(views, scene, fit, np.arange(len(street))) == []
+
+
+@pytest.mark.parametrize("velocity_m_s", [(0.0, 0.0, 6.0), (8.0, 0.0, 0.0)], ids=["goes away", "just crosses"])
+def test_what_does_not_come_nearer_is_none(rng, velocity_m_s):
+    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 10, AT_M, CAR_M), velocity_m_s, rng), rng)
+    assert found_in(views, scene, fit) == []
+
+
+def test_tracks_that_go_each_its_way_are_none(rng):
+    where, velocity = street_with(box_of_points(rng, 10, AT_M, CAR_M), TO_US_M_S, rng)
+    velocity = velocity.copy()
+    velocity[:10] += rng.uniform(-3.0, 3.0, (10, 3))
+    views, scene, fit = views_and_fit(where, velocity, rng)
+    assert found_in(views, scene, fit) == []
+
+
+def test_five_tracks_are_too_few(rng):
+    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 5, AT_M, CAR_M), TO_US_M_S, rng), rng)
+    assert found_in(views, scene, fit) == []
+
+
+def test_nothing_to_see_is_none(rng):
+    views, scene, fit = views_and_fit(np.empty((0, 3)), OWN_M_S, rng)
+    assert found_in(views, scene, fit) == []

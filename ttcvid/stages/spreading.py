@@ -1,0 +1,101 @@
+"""New movers that keep their bearing: tracks whose flows point away from each other, as those of one thing that comes.
+
+What crosses our way and will hit us hardly moves in the picture: it grows. The flows of its tracks are not alike, as
+those of other movers are, but one V / Z explains them all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.growth import GrowthSums, growth_sums
+from ttcvid.geometry.rigid_path import RigidPaths
+from ttcvid.geometry.rotation import turned_into_plane
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.approach import common_growth_hz
+from ttcvid.stages.body_views import BodyViews
+from ttcvid.stages.growing import sharing_a_velocity
+from ttcvid.stages.obstacles import REACHED_WITHIN_S
+
+# Views that a track needs: with fewer, one V / Z explains any.
+_LEAST_VIEWS = 6
+# Tracks of one thing lie within so many link lengths of the one that the scene explains worst: a car that will be here
+# in two seconds is twice as long. So many of the nearest are looked at, and so many things a frame.
+_LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
+# It grows at 99.9 % (one side).
+_SIGMAS_999 = 3.090
+
+
+def spreading_things(
+    views: BodyViews,
+    scene: RigidPaths,
+    index: Ints,
+    seeds: Ints,
+    misfit: Floats,
+    usual_misfit: float,
+    config: BodiesConfig,
+) -> list[tuple[Ints, Floats]]:
+    """Things that come nearer and spread, each with its tracks (M,) and its direction (3,).
+
+    Of the tracks of each `BodiesConfig.min_tracks` at the least are explained better than by the scene, by ``gain``.
+
+    Parameters
+    ----------
+    index, seeds : tracks that things may be made of, and those of them that contradict the scene together.
+    misfit : (N,) of each track on the path of the scene, in units of ``usual_misfit``.
+    """
+    n_views = np.count_nonzero(np.isfinite(views.rays[:, index, 0]), axis=0)
+    index = index[(n_views >= _LEAST_VIEWS) & (_nearest_px(views.xy_px[index], views.xy_px[seeds]) < _reach_px(views))]
+    if np.count_nonzero(misfit[index] > config.gain) < config.min_tracks:
+        return []
+    xy = turned_into_plane(views.rays.take(index, axis=1), scene.cam_R_past[0])
+    sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[index])
+    xy_px, misfit = views.xy_px[index], misfit[index]
+    is_free, is_asked = np.ones(len(index), dtype=bool), np.isin(index, seeds)
+    things = list[tuple[Ints, Floats]]()
+    for _ in range(_MOST_THINGS):
+        if not is_asked.any():
+            break
+        seed = int(np.argmax(np.where(is_asked, misfit, -1.0)))
+        is_asked[seed] = False
+        off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
+        around = np.flatnonzero(is_free & (off_px < _reach_px(views)))
+        around = around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
+        found = _thing_around(sums.take(around), misfit[around], config)
+        if found is None:
+            continue
+        fits, velocity_hz, sigma_hz = found
+        members = around[fits]
+        seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, members, 0]), axis=0)]
+        radius_px = np.sqrt(np.mean(np.sum((xy_px[members] - xy_px[members].mean(axis=0)) ** 2, axis=1)))
+        common_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
+        if -velocity_hz[2] > max(_SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), 1.0 / REACHED_WITHIN_S):
+            things.append((index[members], velocity_hz / np.linalg.norm(velocity_hz)))
+            is_free[members] = is_asked[members] = False
+    return things
+
+
+def _reach_px(views: BodyViews) -> float:
+    return _LINKS * views.link_px
+
+
+def _nearest_px(xy_px: Floats, others_px: Floats) -> Floats:
+    """Distance (N,) of each place (N, 2) from the nearest of others (M, 2); infinite without any."""
+    off = xy_px[:, None] - others_px
+    return np.asarray(np.sqrt(np.einsum("nmi,nmi->nm", off, off).min(axis=1, initial=np.inf)))
+
+
+def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tuple[Bools, Floats, float] | None:
+    """Which of some tracks (M,) are a thing with the first; V / Z of it, (3,), and the standard deviation of its c."""
+    if len(misfit) < config.min_tracks:
+        return None
+    found = sharing_a_velocity(sums, misfit, config.min_tracks, config)
+    if found is None:
+        return None
+    fits, velocity_hz, cov = found
+    (own,) = sums.misfits(velocity_hz[None])
+    is_better = fits & (own < misfit / config.gain)
+    if not is_better[0] or np.count_nonzero(is_better) < config.min_tracks:
+        return None
+    return fits, velocity_hz, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2]))
