@@ -10,7 +10,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.slant import move_to_centres, nearest_parts
-from ttcvid.stages.surfaces import in_nearest_surface, tracks_needed
+from ttcvid.stages.surfaces import in_nearest_of_path, tracks_needed
 from ttcvid.stages.track_states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
 
 # Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
@@ -59,13 +59,15 @@ def joint_states(
     members, direction, is_one
         Of N objects: their tracks, ``dir (N, 3)``, NaN where there is none, and (N,) which were found as one surface.
     states, xy_px, link_px
-        Of all tracks, as for `in_nearest_surface`.
+        Of all tracks, as for `in_nearest_of_path`.
     """
     shared = nothing_shared(len(states.xy)) if states.shared is None else states.shared
     rated = _rated_tracks(members, direction, states, shared, xy_px)
     needed = tracks_needed(members.lengths[rated.owner])
-    is_in = in_nearest_surface(rated.rate_hz, rated.sigma_hz, rated.xy_px, rated.sets, needed, link_px)
     by_shared, shared_cov = rated.by_shared, shared.cov[rated.path]
+    is_in = in_nearest_of_path(
+        rated.rate_hz, rated.sigma_hz, by_shared, shared_cov, rated.xy_px, rated.sets, needed, link_px
+    )
     is_in, above_hz, variance, centre = nearest_parts(
         rated.sets, rated.rate_hz, rated.own_hz, rated.sigma_hz, by_shared, shared_cov, rated.xy, needed, is_in
     )

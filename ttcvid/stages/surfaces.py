@@ -19,6 +19,37 @@ _NEXT_START_SIGMAS = 0.5
 _MAX_STEPS = 20
 
 
+def in_nearest_of_path(
+    rate_hz: Floats,
+    sigma_hz: Floats,
+    by_shared: Floats,
+    shared_cov: Floats,
+    xy_px: Floats,
+    sets: TrackSets,
+    needed: Ints,
+    link_px: float,
+) -> Bools:
+    """As `in_nearest_surface`; where nothing is supported, what errors that tracks share let agree supports a surface.
+
+    A thing that keeps its bearing goes along a line that meets the picture among its tracks. If the line is a little
+    off, rates are too large on one side of it and too small on the other, by far more than by the tracks' own noise.
+
+    Parameters
+    ----------
+    by_shared, shared_cov : (M, n), what one of n errors does to each rate, and (K, n, n), the covariance of these.
+    """
+    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, needed, link_px)
+    is_bare = np.bincount(sets.set_of, is_in, len(sets)) == 0.0
+    if not is_bare.any():
+        return is_in
+    weight, set_of = sigma_hz**-2.0, sets.set_of
+    mean = sets.sums(weight[:, None] * by_shared) / sets.sums(weight)[:, None]
+    apart = by_shared - mean[set_of]
+    variance = np.maximum(np.einsum("mi,mij,mj->m", apart, shared_cov[set_of], apart), 0.0)
+    again = in_nearest_surface(rate_hz, np.sqrt(sigma_hz**2 + variance), xy_px, sets, needed, link_px)
+    return np.where(is_bare[set_of], again, is_in)
+
+
 def in_nearest_surface(
     rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, needed: Ints, link_px: float
 ) -> Bools:
