@@ -109,9 +109,10 @@ def test_a_warning_ends_when_it_is_over_and_later_when_what_it_is_of_is_hidden(a
     assert last.end_s == pytest.approx((len(hit) - 1) * FRAME_S)
 
 
-def test_a_frame_without_a_value_is_not_the_end_of_what_persists():
+def test_a_frame_in_which_it_is_hidden_or_without_a_value_is_not_the_end_of_what_persists():
     hit = drive(*HIT, 1.0)
-    assert first_warned(watched([*hit[:3], WITHOUT_STATE, *hit[4:]])[0]) == 6
+    assert first_warned(watched([*hit[:3], None, *hit[4:]])[0]) == 6
+    assert first_warned(watched([*hit[:3], WITHOUT_STATE, *hit[4:]])[0]) == 7
     assert first_warned(watched([*hit[:3], HARMLESS, *hit[4:]])[0]) == 10
 
 
@@ -122,19 +123,23 @@ UNKNOWN = replace(drive(*HIT, 0.1)[0], motion_state=MotionState.unknown)
 @pytest.mark.parametrize("is_open", [UNKNOWN, WITHOUT_STATE], ids=["unknown", "no value"])
 def test_looks_at_which_it_is_open_where_a_thing_goes_stop_the_clock_for_a_while(is_open):
     hit = drive(*HIT, 2.5)
-    # 0.05 s before them, 0.25 s after them; anew it would be 0.3 s.
-    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) == 15
+    # 0.05 s before them, 0.25 s from the last of them on; anew it would be 0.3 s.
+    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) == 14
     # Three times the persistence at the most.
     assert first_warned(watched([*hit[:2], *[is_open] * 20, *hit[22:]])[0]) == 28
+    # Every look counts for the time since the look before.
+    by_turns = [row if frame % 2 == 0 else is_open for frame, row in enumerate(hit)]
+    assert first_warned(watched(by_turns)[0]) == 12
     # They say nothing by themselves, nor do two looks far apart; and what speaks against it is a gap all the same.
     assert first_warned(watched([*hit[:2], *[is_open] * 8])[0]) is None
     assert first_warned(watched([hit[0], *[is_open] * 6, hit[7], *[is_open] * 6])[0]) is None
+    assert first_warned(watched([hit[0], *[is_open] * 4, hit[5], *[is_open] * 4, hit[10], *[is_open] * 9])[0]) is None
     assert first_warned(watched([*hit[:2], *[is_open] * 4, HARMLESS, *[is_open] * 4, *hit[11:]])[0]) == 17
 
 
 def test_looks_at_which_it_is_open_stop_the_clock_of_what_gets_another_number_too():
     before, after = drive(*HIT, 2.5), drive(*HIT, 2.5, cluster_id=5)
-    assert first_warned(watched([*before[:2], *[UNKNOWN] * 8, *after[10:]])[0]) == 15
+    assert first_warned(watched([*before[:2], *[UNKNOWN] * 8, *after[10:]])[0]) == 14
 
 
 def test_what_is_not_surely_going_to_miss_us_is_open():
@@ -142,7 +147,7 @@ def test_what_is_not_surely_going_to_miss_us_is_open():
     hit, likely = drive(*HIT, 2.5), row_of((0.9 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
     likely_miss = row_of((1.1 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
     assert first_warned(watched([likely] * 30)[0]) is None
-    assert first_warned(watched([*hit[:3], likely, *hit[4:]])[0]) == 8
+    assert first_warned(watched([*hit[:3], likely, *hit[4:]])[0]) == 7
     assert first_warned(watched([*hit[:3], likely_miss, *hit[4:]])[0]) == 10
 
 

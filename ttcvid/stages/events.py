@@ -33,8 +33,8 @@ _SIGMAS_BELIEVED = 3.719
 
 @dataclass(frozen=True)
 class WatchedObject:
-    """An object under watch: since when its condition holds, when it was seen last, when the condition held last and in
-    which box, whether it has been open since then, and its warning.
+    """An object under watch: since when its condition holds, when it was seen last (if later than when the condition
+    held last, it has been open since then), in which box that was, and its warning.
 
     ``near_s`` is for how long it would be warned of, as far as that is worth (`_worth`), None where it would not;
     ``recent`` what was known of it at the times of the last ``persistence_s``: (t_s, tcpa_s, *miss_widths).
@@ -44,7 +44,6 @@ class WatchedObject:
     seen_s: float
     last_s: float
     box_px: tuple[float, float, float, float]
-    is_open: bool = False
     near_s: float | None = None
     recent: tuple[tuple[float, ...], ...] = ()
     event: Event | None = None
@@ -74,9 +73,9 @@ def update_events(
 
     A warning starts when an object has met the condition for ``persistence_s`` without a gap, in which what is surer
     than asked for counts for more (`_worth`); or, after having come at us for as long but a little later, when it meets
-    it and what its time was by then has run down below the limit (`_has_run_down`). Looks at which it is open where the
-    object goes are no gap, and their time does not count (that of a few without any value does, as if the object were
-    hidden). It ends when the object has not met the looser condition for as long, or has been hidden, or open, for
+    it and what its time was by then has run down below the limit (`_has_run_down`). A look counts for the time since
+    the look before; one at which it is open where the object goes, as without any value, is no gap, but counts for
+    nothing. It ends when the object has not met the looser condition for as long, or has been hidden, or open, for
     `_HIDDEN` times as long. An object that gets another number behind what hid it is warned of at once.
 
     Parameters
@@ -106,14 +105,14 @@ def update_events(
         if seen is None or not seen.is_sure:
             left_s = gone_s * (float(warned) if seen is None else _HIDDEN)
             if before is not None and t_s - before.last_s <= left_s:
-                is_open = before.is_open or row.state_abc_hz is not None
-                watched[cluster_id] = before if seen is None else replace(before, seen_s=t_s, is_open=is_open)
+                watched[cluster_id] = before if seen is None else replace(before, seen_s=t_s)
             continue
         if before is None:
             lost_id = _lost_at(row.box_px, watched, rows)
             before = None if lost_id is None else _under_new_number(watched.pop(lost_id), t_s, config)
-        if before is not None and (before.is_open or t_s - before.last_s > longest_step_s):
-            before = _paused(before, t_s)
+        if before is not None:
+            before = _paused(before, before.seen_s)
+            before = _paused(before, t_s) if t_s - before.last_s > longest_step_s else before
         now = _watched(before, row, seen.miss_widths, t_s, config)
         if now.event is not None:
             now = replace(now, event=_continued(now.event, row, frame, t_s))
@@ -138,12 +137,12 @@ def _watched(
     # After a gap what was before it.
     first_s = min(t_s - _gone_s(config), before.recent[-1][0])
     recent = (*(one for one in before.recent if one[0] >= first_s), known)
-    return replace(before, seen_s=t_s, last_s=t_s, box_px=row.box_px, is_open=False, recent=recent)
+    return replace(before, seen_s=t_s, last_s=t_s, box_px=row.box_px, recent=recent)
 
 
-def _paused(one: WatchedObject, t_s: float) -> WatchedObject:
-    """The same, its time since its condition held last left out."""
-    return replace(one, since_s=one.since_s + t_s - one.last_s, last_s=t_s)
+def _paused(one: WatchedObject, until_s: float) -> WatchedObject:
+    """The same, the time since its condition held last left out, up to this one."""
+    return replace(one, since_s=one.since_s + until_s - one.last_s, last_s=until_s)
 
 
 def _near_s(before: WatchedObject | None, course: Course | None, t_s: float, config: EventsConfig) -> float | None:
