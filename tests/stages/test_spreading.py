@@ -9,7 +9,7 @@ from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.stages.body_views import body_views
 from ttcvid.stages.new_movers import new_movers
-from ttcvid.stages.spreading import spreading_things
+from ttcvid.stages.spreading import least_tracks, spreading_things
 
 CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
 TIMES_S = 0.05 * np.arange(20.0)
@@ -60,7 +60,7 @@ def test_a_car_at_constant_bearing_is_found_with_its_direction_by_eight_tracks(s
     rng = np.random.default_rng(seed)
     views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 8, AT_M, CAR_M), TO_US_M_S, rng), rng)
     ((members, direction),) = found_in(views, scene, fit)
-    assert np.count_nonzero(members < 8) >= CONFIG.min_tracks
+    assert np.count_nonzero(members < 8) >= least_tracks(CONFIG)
     # What else is taken for a part of it moves as it does, as far as can be seen.
     assert np.count_nonzero(members >= 8) <= 1
     assert np.degrees(np.arccos(direction @ TO_US_M_S / np.linalg.norm(TO_US_M_S))) < 4.0
@@ -81,7 +81,7 @@ def test_it_is_a_new_mover_though_the_flows_of_its_tracks_are_not_alike(rng):
         views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
         CONFIG,
     )
-    assert np.count_nonzero(members < 10) >= CONFIG.min_tracks
+    assert np.count_nonzero(members < 10) >= least_tracks(CONFIG)
     assert np.count_nonzero(members >= 10) == 0
     assert len(paths) == 1
 
@@ -108,8 +108,8 @@ def test_tracks_that_go_each_its_way_are_none(rng):
     assert found_in(views, scene, fit) == []
 
 
-def test_five_tracks_are_too_few(rng):
-    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 5, AT_M, CAR_M), TO_US_M_S, rng), rng)
+def test_four_tracks_are_too_few(rng):
+    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 4, AT_M, CAR_M), TO_US_M_S, rng), rng)
     assert found_in(views, scene, fit) == []
 
 

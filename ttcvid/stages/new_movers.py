@@ -16,7 +16,7 @@ from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
 from ttcvid.stages.occlusions import between_surfaces
-from ttcvid.stages.spreading import spreading_things
+from ttcvid.stages.spreading import least_tracks, spreading_things
 
 # Views that a track needs to contradict the scene.
 _LEAST_VIEWS = 3
@@ -90,7 +90,8 @@ def new_movers(
     )
     # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
     is_sure = is_better & (~may_slide | (misfit_by_own < misfit[candidates] / config.gain**2))
-    is_found &= np.bincount(thing, is_sure) >= config.min_tracks
+    needed = np.repeat([least_tracks(config), config.min_tracks], [len(spread), len(things) - len(spread)])
+    is_found &= np.bincount(thing, is_sure) >= needed
     found = np.flatnonzero(is_found)
     return [candidates[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 

@@ -18,13 +18,19 @@ from ttcvid.stages.body_views import BodyViews
 from ttcvid.stages.growing import sharing_a_velocity
 from ttcvid.stages.obstacles import REACHED_WITHIN_S
 
-# Views that a track needs: with fewer, one V / Z explains any.
-_LEAST_VIEWS = 6
+# Views that a track needs: with fewer, one V / Z explains any. Tracks that are enough for a thing: fewer than those of
+# other movers, since three unknowns for all say more than flows that are alike; as many as bear a surface.
+_LEAST_VIEWS, _ENOUGH_TRACKS = 6, 5
 # Tracks of one thing lie within so many link lengths of the one that the scene explains worst: a car that will be here
 # in two seconds is twice as long. So many of the nearest are looked at, and so many things a frame.
 _LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
 # It grows at 99.9 % (one side).
 _SIGMAS_999 = 3.090
+
+
+def least_tracks(config: BodiesConfig) -> int:
+    """Tracks that a thing needs that spreads."""
+    return min(config.min_tracks, _ENOUGH_TRACKS)
 
 
 def spreading_things(
@@ -38,7 +44,7 @@ def spreading_things(
 ) -> list[tuple[Ints, Floats]]:
     """Things that come nearer and spread, each with its tracks (M,) and its direction (3,).
 
-    Of the tracks of each `BodiesConfig.min_tracks` at the least are explained better than by the scene, by ``gain``.
+    Of the tracks of each `least_tracks` are explained better than by the scene, by `BodiesConfig.gain`.
 
     Parameters
     ----------
@@ -47,7 +53,7 @@ def spreading_things(
     """
     n_views = np.count_nonzero(np.isfinite(views.rays[:, index, 0]), axis=0)
     index = index[(n_views >= _LEAST_VIEWS) & (_nearest_px(views.xy_px[index], views.xy_px[seeds]) < _reach_px(views))]
-    if np.count_nonzero(misfit[index] > config.gain) < config.min_tracks:
+    if np.count_nonzero(misfit[index] > config.gain) < least_tracks(config):
         return []
     xy = turned_into_plane(views.rays.take(index, axis=1), scene.cam_R_past[0])
     sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[index])
@@ -88,14 +94,14 @@ def _nearest_px(xy_px: Floats, others_px: Floats) -> Floats:
 
 def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tuple[Bools, Floats, float] | None:
     """Which of some tracks (M,) are a thing with the first; V / Z of it, (3,), and the standard deviation of its c."""
-    if len(misfit) < config.min_tracks:
+    if len(misfit) < least_tracks(config):
         return None
-    found = sharing_a_velocity(sums, misfit, config.min_tracks, config)
+    found = sharing_a_velocity(sums, misfit, least_tracks(config), config)
     if found is None:
         return None
     fits, velocity_hz, cov = found
     (own,) = sums.misfits(velocity_hz[None])
     is_better = fits & (own < misfit / config.gain)
-    if not is_better[0] or np.count_nonzero(is_better) < config.min_tracks:
+    if not is_better[0] or np.count_nonzero(is_better) < least_tracks(config):
         return None
     return fits, velocity_hz, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2]))
