@@ -75,7 +75,11 @@ class EgomotionConfig(StageConfig):
 class BodiesConfig(StageConfig):
     """How tracks are told apart into the static scene and movers."""
 
-    min_tracks: int = Field(default=6, ge=3, description="least number of tracks of a new mover")
+    min_tracks: int = Field(
+        default=6,
+        ge=3,
+        description="least number of tracks of a new mover; for one that keeps its bearing 5 are enough",
+    )
     scene_gate: PositiveFloat = Field(
         default=5.0, description="misfit on the scene's path, over the usual one, from which a track contradicts it"
     )

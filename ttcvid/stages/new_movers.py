@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ttcvid.config import BodiesConfig
@@ -58,42 +60,67 @@ def new_movers(
     -------
     Tracks (M,), motion and median rate of each.
     """
-    none = list[Ints](), scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
     is_asked = in_scene & views.is_free & (scene_fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, _without_slip(views, on_road, misfit), config)
-    spread = spreading_things(views, scene, np.flatnonzero(is_asked), candidates, misfit, usual_misfit, config)
-    for members, _ in spread:
-        candidates = np.setdiff1d(candidates, members)
     is_along = (misfit > config.scene_gate) & (seen_misfit < config.scene_gate)
-    things = spread + _alike_things(views, scene, candidates, is_along, config)
+    explained = partial(
+        _explained, views, scene, scene_fit, misfit, usual_misfit, in_scene & (misfit < config.scene_gate), neighbours
+    )
+    # What is seen to keep its bearing has a way of its own, whatever the road says of it.
+    things = spreading_things(views, scene, np.flatnonzero(is_asked), candidates, misfit, usual_misfit, config)
+    spread, paths, rate_hz = explained(things, np.zeros_like(is_along), least_tracks(config), config)
+    for members in spread:
+        candidates = np.setdiff1d(candidates, members)
+    things = _alike_things(views, scene, candidates, is_along, config)
+    alike, alike_paths, alike_hz = explained(things, is_along, config.min_tracks, config)
+    return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
+
+
+def _explained(
+    views: BodyViews,
+    scene: RigidPaths,
+    scene_fit: PathFit,
+    misfit: Floats,
+    usual_misfit: float,
+    is_static: Bools,
+    neighbours: Ints,
+    things: list[tuple[Ints, Floats]],
+    is_along: Bools,
+    least_tracks: int,
+    config: BodiesConfig,
+) -> tuple[list[Ints], RigidPaths, Floats]:
+    """Those of K things, tracks (M,) and direction (3,) of each, that a motion of their own explains.
+
+    Parameters
+    ----------
+    scene_fit, misfit : of all N tracks on the path of the scene; ``is_static (N,)`` those that it explains.
+    is_along : (N,) tracks that contradict the scene by their place alone.
+
+    Returns
+    -------
+    Tracks that it explains better, motion and median rate of each.
+    """
     if not things:
-        return none
-    candidates = np.concatenate([members for members, _ in things])
+        return [], scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
+    track = np.concatenate([members for members, _ in things])
     thing = np.repeat(np.arange(len(things)), [len(members) for members, _ in things])
-    xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
-    points = views.points(candidates, thing)
+    points = views.points(track, thing)
     ways = np.stack([straight_path(direction, views.since_s) for _, direction in things])
-    # What contradicts the scene by its place alone moves along our own path, unless it is seen to keep another bearing.
-    goes_along = np.bincount(thing, is_along[candidates]) > 0.0
-    goes_along[: len(spread)] = False
-    ways[goes_along] = scene.path[0]
+    # What contradicts the scene by its place alone moves along our own path.
+    ways[np.bincount(thing, is_along[track]) > 0.0] = scene.path[0]
     starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
     misfit_by_own = fit_on_movers(points, paths, rate_hz).misfit / usual_misfit
-    is_better = misfit_by_own < misfit[candidates] / config.gain
+    is_better = misfit_by_own < misfit[track] / config.gain
     is_found = np.bincount(thing, is_better) > 0.5 * np.bincount(thing)
-    if not is_found.any():
-        return none
-    is_static = in_scene & (misfit < config.scene_gate)
-    may_slide = (
-        between_surfaces(scene, scene_fit, is_static, candidates, neighbours[candidates], xy) & ~is_along[candidates]
-    )
-    # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
-    is_sure = is_better & (~may_slide | (misfit_by_own < misfit[candidates] / config.gain**2))
-    needed = np.repeat([least_tracks(config), config.min_tracks], [len(spread), len(things) - len(spread)])
-    is_found &= np.bincount(thing, is_sure) >= needed
+    if is_found.any():
+        xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
+        may_slide = between_surfaces(scene, scene_fit, is_static, track, neighbours[track], xy) & ~is_along[track]
+        # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
+        is_sure = is_better & (~may_slide | (misfit_by_own < misfit[track] / config.gain**2))
+        is_found &= np.bincount(thing, is_sure) >= least_tracks
     found = np.flatnonzero(is_found)
-    return [candidates[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
+    return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 
 
 def _without_slip(views: BodyViews, on_road: Bools, misfit: Floats) -> Floats:
