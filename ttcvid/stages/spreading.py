@@ -16,7 +16,6 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.approach import common_growth_hz
 from ttcvid.stages.body_views import BodyViews
 from ttcvid.stages.growing import sharing_a_velocity
-from ttcvid.stages.obstacles import REACHED_WITHIN_S
 
 # Views that a track needs: with fewer, one V / Z explains any. Tracks that are enough for a thing: fewer than those of
 # other movers, since three unknowns for all say more than flows that are alike; as many as bear a surface.
@@ -76,7 +75,7 @@ def spreading_things(
         seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, members, 0]), axis=0)]
         radius_px = np.sqrt(np.mean(np.sum((xy_px[members] - xy_px[members].mean(axis=0)) ** 2, axis=1)))
         common_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
-        if -velocity_hz[2] > max(_SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), 1.0 / REACHED_WITHIN_S):
+        if -velocity_hz[2] > _SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)):
             things.append((index[members], velocity_hz / np.linalg.norm(velocity_hz)))
             is_free[members] = is_asked[members] = False
     return things
