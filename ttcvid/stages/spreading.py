@@ -25,6 +25,9 @@ _LEAST_VIEWS, _ENOUGH_TRACKS = 6, 5
 _LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
 # It grows at 99.9 % (one side).
 _SIGMAS_999 = 3.090
+# What will be here later than so many times as long as it has been seen has hardly grown: its direction is better told
+# by flows that are alike.
+_REACHED_WITHIN = 6.0
 
 
 def least_tracks(config: BodiesConfig) -> int:
@@ -75,7 +78,8 @@ def spreading_things(
         seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, members, 0]), axis=0)]
         radius_px = np.sqrt(np.mean(np.sum((xy_px[members] - xy_px[members].mean(axis=0)) ** 2, axis=1)))
         common_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
-        if -velocity_hz[2] > _SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)):
+        least_hz = 1.0 / (_REACHED_WITHIN * np.median(seen_s))
+        if -velocity_hz[2] > max(_SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), least_hz):
             things.append((index[members], velocity_hz / np.linalg.norm(velocity_hz)))
             is_free[members] = is_asked[members] = False
     return things
