@@ -8,7 +8,7 @@ import pytest
 from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.geometry.whole_track_on_path import straight_path
-from ttcvid.stages.bodies import carried_forward, refined_movers, refined_scene
+from ttcvid.stages.bodies import carried_forward, refined_movers, refined_scene, with_unit_speed
 
 N_VIEWS = 12
 T_S = -0.05 * np.arange(float(N_VIEWS))[::-1]
@@ -103,6 +103,13 @@ def test_wrong_rotations_of_the_scene_are_drawn_towards_the_right_ones():
     rotations = after.cam_R_past[0] @ np.swapaxes(after.cam_R_past[0], 1, 2)
     np.testing.assert_allclose(rotations, np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12)
     assert np.linalg.norm(after.path[0, 0]) == pytest.approx(np.linalg.norm(scene.path[0, 0]), rel=1e-2)
+
+
+def test_in_units_of_its_mean_speed_a_body_goes_as_far_as_the_window_is_long():
+    scene = replace(body(), path=0.5 * body().path)
+    after, speed = with_unit_speed(scene, T_S)
+    assert speed == pytest.approx(0.5)
+    np.testing.assert_allclose(after.path, body().path, atol=1e-12)
 
 
 def test_movers_among_the_tracks_do_not_turn_the_scene():

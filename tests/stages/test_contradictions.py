@@ -70,6 +70,6 @@ def test_the_plane_of_a_road_is_that_of_weighted_least_squares():
         normal = weighted.T @ weighted
         normal[1, 1] += normal[2, 2] * 0.1**2
         expected = np.linalg.solve(normal, weighted.T @ (rate[used] / predicted[used]))
-    assert road._fit_plane(place, rate, found)
+    assert road._fit_plane(place, rate, np.ones(len(rate)), found)
     np.testing.assert_allclose(found, expected, rtol=1e-11)
-    assert not road._fit_plane(place[:8], rate[:8], found.copy())
+    assert not road._fit_plane(place[:8], rate[:8], np.ones(8), found.copy())

@@ -57,6 +57,21 @@ def test_a_road_most_of_which_is_seen_at_one_distance_is_one(share):
     assert plane == pytest.approx([0.0, 0.0, SPEED_M_S / CAMERA_M], abs=0.1)
 
 
+def test_cars_ahead_with_more_corners_than_the_road_do_not_hide_it():
+    """What goes our way looks many times as far away as it is, and so would lie under the road."""
+    rng = np.random.default_rng(7)
+    depth_m = CAMERA_M / rng.uniform(0.05, 0.3, 60)
+    road = np.column_stack([rng.uniform(-0.5, 0.5, 60) * depth_m, np.full(60, CAMERA_M), depth_m])
+    cars = []
+    for x_m, z_m in ((-3.5, 11.0), (0.0, 15.0), (3.5, 20.0)):
+        ahead = np.column_stack([rng.uniform(-0.9, 0.9, 60) + x_m, rng.uniform(0.0, 1.3, 60), np.full(60, z_m)])
+        cars.append(8.0 * ahead)
+    plane = find_road(fit_of(np.concatenate([road, *cars])), np.ones(240, dtype=bool), 0.0)
+    assert plane is not None
+    below = np.array([0.1, 0.2, 0.3])
+    assert plane[0] + below * plane[2] == pytest.approx(below * SPEED_M_S / CAMERA_M, rel=0.05)
+
+
 def test_the_horizon_of_a_noisy_road_is_steadied_along_our_way_while_the_camera_pitches():
     rng = np.random.default_rng(4)
     slope_hz, horizon = SPEED_M_S / CAMERA_M, 0.005

@@ -14,6 +14,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews
+from ttcvid.stages.egomotion import picture_region
 from ttcvid.stages.floating import Floating, find_floating
 from ttcvid.stages.sets import places_among
 
@@ -24,6 +25,8 @@ _LEAST_BELOW, _KNOWN_PART = 0.03, 0.1
 # Rates of road points agree within this part (natural logarithm); a point with less than this part of the road's rate
 # would lie under it, and counts against a road.
 _ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
+# Points count by the parts of the picture in which they lie: squares of this side (tangent, 3 deg).
+_CELL = 0.05
 # A road is borne by so many points, and by this part of all below the horizon.
 _LEAST_POINTS, _LEAST_SHARE = 12, 0.3
 # The horizon of the plane lies this close to where we go: twice the pitch, one for its own error.
@@ -137,16 +140,24 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
     if len(index) < _LEAST_POINTS:
         return None
     place, rate = fit.place[index], fit.rate_hz[index]
+    weight = _share_of_cell(place)
     horizon_y = epipole_y + np.linspace(-_PITCH, _PITCH, _N_HORIZONS)
     below = place[:, 1] - horizon_y[:, None]
     log_slope = np.where(below > _LEAST_BELOW, np.log(rate) - np.log(np.maximum(below, _LEAST_BELOW)), np.inf)
-    densest, log_slope_there = _densest(np.sort(log_slope, axis=1))
+    order = np.argsort(log_slope, axis=1, kind="stable")
+    densest, log_slope_there = _densest(np.take_along_axis(log_slope, order, axis=1), weight[order])
     if densest < 0:
         return None
     slope = float(np.exp(log_slope_there + _ROAD_SPREAD))
     road = np.array([-slope * horizon_y[densest], 0.0, slope])
-    is_borne = _fit_plane(place, rate, road)
+    is_borne = _fit_plane(place, rate, weight, road)
     return road if is_borne and _is_level(road, epipole_y) else None
+
+
+def _share_of_cell(place: Floats) -> Floats:
+    """Weight of each point (N,): one for each part of the picture, since a car has more corners than the road has."""
+    cell = picture_region(np.column_stack([place, np.ones(len(place))]), _CELL)
+    return np.asarray(1.0 / np.bincount(cell)[cell])
 
 
 def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
@@ -156,27 +167,30 @@ def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
 
 
 @compiled
-def _fit_plane(place: Floats, rate: Floats, road: Floats) -> bool:
+def _fit_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> bool:
     """Bring ``road (3,)`` to the plane of the points that lie on it, twice; False where these are too few.
 
-    Least squares of rates over what the road before has there, with a prior on the roll.
+    Too few of them, or with too small a part of the ``weight (N,)`` of all below the horizon. Least squares of rates
+    over what the road before has there, with a prior on the roll.
     """
     normal, right = np.empty((3, 3)), np.empty(3)
     for _ in range(2):
         normal[:], right[:] = 0.0, 0.0
-        n_on_road, n_below = 0, 0
+        n_on_road, on_road, below = 0, 0.0, 0.0
         for i in range(len(rate)):
             x, y = place[i, 0], place[i, 1]
             predicted = road[0] + road[1] * x + road[2] * y
-            n_below += predicted > _LEAST_BELOW * road[2]
+            if predicted > _LEAST_BELOW * road[2]:
+                below += weight[i]
             if abs(rate[i] - predicted) < 1.5 * _ROAD_SPREAD * predicted:
                 n_on_road += 1
+                on_road += weight[i]
                 columns = (1.0 / predicted, x / predicted, y / predicted)
                 for a in range(3):
                     right[a] += columns[a] * (rate[i] / predicted)
                     for b in range(3):
                         normal[a, b] += columns[a] * columns[b]
-        if n_on_road < max(_LEAST_POINTS, _LEAST_SHARE * n_below):
+        if n_on_road < _LEAST_POINTS or on_road < _LEAST_SHARE * below:
             return False
         normal[1, 1] += normal[2, 2] * _ROLL_SIGMA * _ROLL_SIGMA
         road[:] = np.linalg.solve(normal, right)
@@ -192,28 +206,32 @@ def _is_level(road: Floats, epipole_y: float) -> bool:
 
 
 @compiled
-def _densest(log_slope: Floats) -> tuple[int, float]:
+def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
     """Which row of ``(H, N)`` holds the densest interval of 2 `_ROAD_SPREAD`, and where it starts; -1 without any.
 
-    Rows are ascending, with infinity where there is no point. What lies too far under the interval counts against it.
+    Rows are ascending, with infinity where there is no point, and have a ``weight (H, N)`` each. What lies too far
+    under the interval counts against it.
     """
     n, under_by = log_slope.shape[1], _ROAD_SPREAD + np.log(_UNDER_PART)
-    densest, start, support = -1, 0.0, 0
+    densest, start, support = -1, 0.0, 0.0
     for row in range(len(log_slope)):
         n_points = 0
         while n_points < n and log_slope[row, n_points] < np.inf:
             n_points += 1
         if n_points < _LEAST_POINTS:
             continue
-        end, under = 0, 0
+        end, under, inside, against = 0, 0, 0.0, 0.0
         for place in range(n_points):
             here = log_slope[row, place]
             while end < n_points and log_slope[row, end] < here + 2.0 * _ROAD_SPREAD:
+                inside += weight[row, end]
                 end += 1
             while log_slope[row, under] < here + under_by:
+                against += weight[row, under]
                 under += 1
-            if end - place - under > support:
-                densest, start, support = row, here, end - place - under
+            if inside - against > support:
+                densest, start, support = row, here, inside - against
+            inside -= weight[row, place]
     return densest, start
 
 
