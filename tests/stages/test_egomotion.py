@@ -1,5 +1,7 @@
 """Own motion: first pairs, movers, rest, platforms and the noise of the scene, against exact truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from two_views import FOCAL_PX, angle_deg, two_views
@@ -221,3 +223,25 @@ def test_parts_of_the_picture_are_squares_of_a_tenth_of_the_focal_length_or_of_t
     )
     assert region_side_of(ordinary) == region_side_of(wide) == 0.1
     assert region_side_of(long) * 12000.0 == pytest.approx(128.0)
+
+
+def beside_far_away(rng, travel_m, n_near=300, n_far=250):
+    """Two views of things nearby and of others beside them that are too far away to show any travel."""
+    near = two_views(rng, n_near, TURN_DEG, travel_m, sigma_px=0.1, depth_m=(4.0, 12.0))
+    far = two_views(rng, n_far, TURN_DEG, travel_m, sigma_px=0.1, depth_m=(200.0, 400.0))
+    joined = {name: np.concatenate([getattr(near, name), getattr(far, name)]) for name in near.__dataclass_fields__}
+    rays = joined["rays_prev"], joined["rays_cam"], joined["sigma_rad"]
+    return replace(near, rays_prev=rays[0], rays_cam=rays[1], sigma_rad=rays[2])
+
+
+@pytest.mark.parametrize("angle_of_travel_deg", range(0, 360, 40))
+@pytest.mark.parametrize("before", [FORWARD, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])])
+def test_a_free_camera_that_sways_before_a_far_background_has_its_direction_whatever_the_last_one(
+    angle_of_travel_deg, before
+):
+    """The far half of the points fits any direction: from the wrong side no search comes round."""
+    angle = np.radians(angle_of_travel_deg)
+    travel_m = 0.03 * np.array([np.cos(angle), np.sin(angle), 0.1])
+    views = beside_far_away(np.random.default_rng(angle_of_travel_deg), travel_m)
+    found = estimate(views, EgomotionMemory(np.radians([0.03, 0.25, 0.0]), before), Platform.free)
+    assert_is_true(found, views, turn_deg=0.02, direction_deg=4.0)

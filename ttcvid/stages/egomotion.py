@@ -18,6 +18,9 @@ _FIRST_YAWS_RAD = np.radians([0.0, -1.0, 1.0, -2.5, 2.5])
 _GRIC_CAP = 2.0
 # A fit with fewer points than this part within so many sigmas has started in the wrong place.
 _INLIER_SIGMAS, _GOOD_INLIERS = 3.0, 0.5
+# A camera that may go anywhere is looked for in so many directions across its view, both ways, where a fit explains
+# less than this part of the points: half of them may be so far away that any direction does for them.
+_MOST_INLIERS, _WAYS_ACROSS = 0.9, 16
 # A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
 # most of its points are. With more than this share of the parts still, there is no translation to speak of.
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
@@ -40,6 +43,9 @@ That is 2 px at f = 800 px, which its covariance does not know.
 
 FORWARD_DIR = np.array([0.0, 0.0, -1.0])
 """``dir`` of the static scene for a camera that drives along its optical axis."""
+
+_ANGLES_RAD = 2.0 * np.pi / _WAYS_ACROSS * np.arange(_WAYS_ACROSS)
+_ACROSS = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD), np.zeros(_WAYS_ACROSS)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -217,6 +223,9 @@ def _fit_from_starts(
     last direction, forward, and the direction in which the flow planes meet. The residuals do not tell a direction from
     its opposite, and no search leads from one to the other: where more points would lie behind the camera than before
     it, the opposite is tried as well (a car that backs out of where it stopped).
+
+    A camera that may go anywhere sways across its view in turn: from the wrong side no search comes round, the points
+    nearby are let go like movers, and those far away show no translation.
     """
     rays_prev, rays_cam, _, _, prior = observed
     last = FORWARD_DIR if memory.direction is None else memory.direction
@@ -228,9 +237,16 @@ def _fit_from_starts(
             flow_direction = direction_from_flow(rays_prev, rays_cam, rotation)
             fits += [fit_motion(*observed, rotation, start) for start in (last, flow_direction)]
     best = _best(fits)
+    if prior.direction is None and _share_explained(best) < _MOST_INLIERS:
+        best = _best([best, *(fit_motion(*observed, turning_R, start) for start in _ACROSS)])
     if best.sense.sum() < 0.0 and best.direction is not None:
         best = _best([best, fit_motion(*observed, best.cam_R_prev, -best.direction)])
     return best
+
+
+def _share_explained(fit: TwoViewFit) -> float:
+    """Part of the points that move along the direction of a fit, and the right way."""
+    return float(np.mean((np.abs(fit.residual) < _INLIER_SIGMAS) & (fit.sense >= 0.0)))
 
 
 def _is_translation(
