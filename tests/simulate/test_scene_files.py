@@ -92,6 +92,7 @@ def test_missing_file_is_an_error(tmp_path):
         ("drone_among_posts", {"crossing drone"}),
         ("swinging_drive", set()),
         ("stopped_car_ahead", {"stopped car"}),
+        ("stop_at_crossing", set()),
     ],
 )
 def test_shipped_scenes_are_valid_and_collide_as_described(name, collides):
