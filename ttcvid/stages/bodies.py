@@ -88,11 +88,14 @@ def refined_scene(
 
     Parameters
     ----------
-    weight, rate_hz : (M,) of each point.
+    weight : (M,) of each point, 1 / sqrt(n) where it shares its part of the picture with n.
+    rate_hz : (M,) of each point.
     in_scene : (M,) points of no known mover: these tell how far the last step was. (Past views are corrected by all: if
         pieces of the scene were taken for movers, it has to find them again.)
     """
-    scene = with_newest_step(points, scene, fit_on_paths(points, scene, rate_hz), weight * in_scene)
+    # Each part of the picture has the same say in the last step: a bus that is not known as a mover yet may fill half.
+    fit = fit_on_paths(points, scene, rate_hz)
+    scene = with_newest_step(points, scene, fit, weight * weight * in_scene)
     turn_sigma = np.full(len(points.since_s), _SCENE_TURN_RAD)
     priors = PathPriors(None, turn_sigma, _own_shift_sigma(points.since_s, scene.path[0]))
     return refined_paths(points, scene, priors, np.array([n_steps]), weight, rate_hz)[0]
