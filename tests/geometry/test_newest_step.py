@@ -96,6 +96,10 @@ def test_points_without_weight_and_a_path_of_one_step_change_nothing():
     assert corrected(points, wrong, 1, np.zeros(120)) is wrong
     short = RigidPaths(rotations[None, -2:], path[None, -2:])
     few = Points(
-        views_by_track(np.ones((2, 120, 3)) / np.sqrt(3.0)), points.sigma_norm, T_S[-2:], *2 * [np.arange(120)]
+        views_by_track(np.ones((2, 120, 3)) / np.sqrt(3.0)),
+        points.sigma_norm,
+        T_S[-2:],
+        np.arange(120),
+        np.zeros(120, dtype=np.int64),
     )
     assert with_newest_step(few, short, fit_on_paths(points, wrong), np.ones(120)) is short

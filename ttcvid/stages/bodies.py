@@ -89,9 +89,9 @@ def refined_scene(
     Parameters
     ----------
     weight : (M,) of each point, 1 / sqrt(n) where it shares its part of the picture with n.
-    rate_hz : (M,) of each point.
     in_scene : (M,) points of no known mover: these tell how far the last step was. (Past views are corrected by all: if
         pieces of the scene were taken for movers, it has to find them again.)
+    rate_hz : (M,) of each point.
     """
     # Each part of the picture has the same say in the last step: a bus that is not known as a mover yet may fill half.
     fit = fit_on_paths(points, scene, rate_hz)
@@ -125,7 +125,7 @@ def _shift_sigma(since_s: Floats) -> Floats:
 
 
 def _own_shift_sigma(since_s: Floats, path: Floats) -> Floats:
-    """What of its length (L,) each view of the scene's path may lie off a steady one to the farthest view.
+    """What of its length (L,) each view of the scene's ``path (L, 3)`` may lie off a steady one to the farthest view.
 
     Own speed may fall to nothing within the views, or start from it: the last steps then differ from the mean by all of
     it. A part of their own length would hold on to it the more tightly the slower we are.

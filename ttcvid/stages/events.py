@@ -33,9 +33,10 @@ _SIGMAS_BELIEVED = 3.719
 
 @dataclass(frozen=True)
 class WatchedObject:
-    """An object under watch: since when its condition holds, when it was seen last (if later than when the condition
-    held last, it has been open since then), in which box that was, and its warning.
+    """An object under watch, and its warning.
 
+    Its condition holds since ``since_s``, last at ``last_s`` in the box ``box_px``; seen later, at ``seen_s``, it has
+    been open since then.
     ``near_s`` is for how long it would be warned of, as far as that is worth (`_worth`), None where it would not;
     ``recent`` what was known of it at the times of the last ``persistence_s``: (t_s, tcpa_s, *miss_widths).
     """

@@ -52,7 +52,8 @@ def joint_states(
     The nearest is the one with the largest rate speed / Z, whether it comes, goes or crosses. (Of a thing that
     approaches, the largest rate is also the largest 1 / ttc_z. Of one that recedes it is the smallest, and one that
     crosses has none: its tracks would make no surfaces.) What the tracks have in common moves all surfaces alike, and
-    does not make one of two; but no surface is flat.
+    does not make one of two (it may, where else nothing would have support: `in_nearest_of_path`); but no surface is
+    flat.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""New movers: neighbouring tracks that contradict the scene together and agree with each other."""
+"""New movers: neighbouring tracks that contradict the scene together, and flow alike or share one V / Z."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def new_movers(
     explained = partial(
         _explained, views, scene, scene_fit, misfit, usual_misfit, in_scene & (misfit < config.scene_gate), neighbours
     )
-    # What is seen to keep its bearing has a way of its own, whatever the road says of it.
+    # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
     things = spreading_things(views, scene, np.flatnonzero(is_asked), candidates, misfit, usual_misfit, config)
     spread, paths, rate_hz = explained(things, np.zeros_like(is_along), least_tracks(config), config)
     for members in spread:
@@ -86,7 +86,7 @@ def _explained(
     neighbours: Ints,
     things: list[tuple[Ints, Floats]],
     is_along: Bools,
-    least_tracks: int,
+    needed: int,
     config: BodiesConfig,
 ) -> tuple[list[Ints], RigidPaths, Floats]:
     """Those of K things, tracks (M,) and direction (3,) of each, that a motion of their own explains.
@@ -95,6 +95,7 @@ def _explained(
     ----------
     scene_fit, misfit : of all N tracks on the path of the scene; ``is_static (N,)`` those that it explains.
     is_along : (N,) tracks that contradict the scene by their place alone.
+    needed : tracks that a thing needs, surely explained better.
 
     Returns
     -------
@@ -118,7 +119,7 @@ def _explained(
         may_slide = between_surfaces(scene, scene_fit, is_static, track, neighbours[track], xy) & ~is_along[track]
         # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
         is_sure = is_better & (~may_slide | (misfit_by_own < misfit[track] / config.gain**2))
-        is_found &= np.bincount(thing, is_sure) >= least_tracks
+        is_found &= np.bincount(thing, is_sure) >= needed
     found = np.flatnonzero(is_found)
     return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 

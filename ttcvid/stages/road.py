@@ -27,7 +27,7 @@ _LEAST_BELOW, _KNOWN_PART = 0.03, 0.1
 _ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
 # Points count by the parts of the picture in which they lie: squares of this side (tangent, 3 deg).
 _CELL = 0.05
-# A road is borne by so many points, and by this part of all below the horizon.
+# A road is borne by so many points, and by this part of the weight of all below the horizon.
 _LEAST_POINTS, _LEAST_SHARE = 12, 0.3
 # The horizon of the plane lies this close to where we go: twice the pitch, one for its own error.
 _HORIZON_OFF = 2.0 * _PITCH

@@ -75,7 +75,7 @@ def find_corners(
 
     Returns
     -------
-    (M, 2) float64 corners, px: those of the grid first, best first, M <= n_wanted.
+    (M, 2) float64 corners, px: those of the grid first, in order of choice, M <= n_wanted.
     """
     if n_wanted <= 0:
         return np.empty((0, 2))
@@ -170,7 +170,7 @@ def _choose(x: Floats, y: Floats, taken: Floats, distance: float, cell: float, g
 
 
 def _keeps_distance(xy: Floats, min_distance_px: float) -> Bools:
-    """Points (M,), strongest first, without a stronger one closer than ``min_distance_px``."""
+    """Points (M,), in order of choice, without an earlier one closer than ``min_distance_px``."""
     keeps = np.ones(len(xy), dtype=bool)
     if len(xy):
         pairs = KDTree(xy).query_pairs(min_distance_px, output_type="ndarray")

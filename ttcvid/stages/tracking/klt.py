@@ -36,7 +36,8 @@ _CROWDED_PX = 2.0
 # every third picture. More often, the search costs as much as following all tracks back. Before a camera at rest hardly
 # any die, and what comes into the picture would have none for seconds: there they are looked for after so many.
 _TOP_UP_BELOW, _TOP_UP_AFTER = 0.8, 3
-# Before a camera at rest half of the points step less than this, px.
+# Before a camera at rest half of the points step less than this from picture to picture, px; so they do before one that
+# is slow for its frame rate, where new tracks are as scarce.
 _RESTING_STEP_PX = 1.0
 
 
@@ -116,8 +117,8 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
     # On something small and fast the coarse pictures lead most new points astray. Those that came through show where
     # the others have gone. Not before a camera in motion: there they would lead corners of outlines, where two surfaces
     # meet, along with either.
-    if _camera_rests((there - before)[found]):
-        lost = np.flatnonzero(is_new & ~found)
+    lost = np.flatnonzero(is_new & ~found)
+    if len(lost) and _camera_rests((there - before)[found]):
         start = _as_neighbours(before, there, found, lost)
         is_far = np.linalg.norm(start - before[lost], axis=1) > config.window_px
         look_for(lost[is_far], start[is_far], fine_levels)
