@@ -7,6 +7,7 @@ those of other movers are, but one V / Z explains them all.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.growth import GrowthSums, growth_sums
@@ -22,7 +23,7 @@ from ttcvid.stages.growing import sharing_a_velocity
 _LEAST_VIEWS, _ENOUGH_TRACKS = 6, 5
 # Tracks of one thing lie within so many link lengths of the one that the scene explains worst: a car that will be here
 # in two seconds is twice as long. So many of the nearest are looked at, and so many things a frame.
-_LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
+_LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 3
 # It grows at 99.9 % (one side).
 _SIGMAS_999 = 3.090
 # What will be here later than so many times as long as it has been seen has hardly grown: its direction is better told
@@ -46,15 +47,19 @@ def spreading_things(
 ) -> list[tuple[Ints, Floats]]:
     """Things that come nearer and spread, each with its tracks (M,) and its direction (3,).
 
-    Of the tracks of each `least_tracks` are explained better than by the scene, by `BodiesConfig.gain`.
+    Of the tracks of each `least_tracks` are explained better than by the scene, by `BodiesConfig.gain`; as many misfit
+    the scene by so much.
 
     Parameters
     ----------
     index, seeds : tracks that things may be made of, and those of them that contradict the scene together.
     misfit : (N,) of each track on the path of the scene, in units of ``usual_misfit``.
     """
+    if not len(seeds):
+        return []
     n_views = np.count_nonzero(np.isfinite(views.rays[:, index, 0]), axis=0)
-    index = index[(n_views >= _LEAST_VIEWS) & (_nearest_px(views.xy_px[index], views.xy_px[seeds]) < _reach_px(views))]
+    near_px, _ = KDTree(views.xy_px[seeds]).query(views.xy_px[index], distance_upper_bound=_reach_px(views))
+    index = index[(n_views >= _LEAST_VIEWS) & np.isfinite(near_px)]
     if np.count_nonzero(misfit[index] > config.gain) < least_tracks(config):
         return []
     xy = turned_into_plane(views.rays.take(index, axis=1), scene.cam_R_past[0])
@@ -70,6 +75,8 @@ def spreading_things(
         off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
         around = np.flatnonzero(is_free & (off_px < _reach_px(views)))
         around = around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
+        if np.count_nonzero(misfit[around] > config.gain) < least_tracks(config):
+            continue
         found = _thing_around(sums.take(around), misfit[around], config)
         if found is None:
             continue
@@ -87,12 +94,6 @@ def spreading_things(
 
 def _reach_px(views: BodyViews) -> float:
     return _LINKS * views.link_px
-
-
-def _nearest_px(xy_px: Floats, others_px: Floats) -> Floats:
-    """Distance (N,) of each place (N, 2) from the nearest of others (M, 2); infinite without any."""
-    off = xy_px[:, None] - others_px
-    return np.asarray(np.sqrt(np.einsum("nmi,nmi->nm", off, off).min(axis=1, initial=np.inf)))
 
 
 def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tuple[Bools, Floats, float] | None:
