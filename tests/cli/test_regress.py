@@ -1,5 +1,6 @@
 """``ttcvid regress`` from suite to verdict: baselines, what is caught, missing clips, mistakes in the suite."""
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -148,7 +149,7 @@ def test_expectations_fail_by_themselves_and_are_named(clip, ran):
     assert "4 of 7 expectations met" in text
     assert "no object at (2, 2) in frame 20" in text
     assert "MB of memory, expected at most 1" in text
-    assert "warnings, expected at least 9" in text
+    assert re.search("warnings?, expected at least 9", text)
 
 
 @pytest.mark.parametrize(("has_place", "part", "n_runs"), [(True, 1.0, 1), (True, 0.2, 2), (False, 0.0, 1)])
