@@ -135,7 +135,7 @@ def test_occupied_cells_are_those_of_the_points_and_their_neighbours():
     assert not occupied_cells(NO_POINTS, (50, 60), 10.0).any()
 
 
-def test_places_without_tracks_come_before_stronger_corners_elsewhere():
+def test_places_without_tracks_alone_give_corners_where_only_new_ones_are_asked_for():
     """Something faint has come into a picture whose other corners are followed, but for every seventh."""
     picture = wave_picture().astype(float) - 128
     picture[:, WIDTH // 2 :] *= 0.4
@@ -143,6 +143,7 @@ def test_places_without_tracks_come_before_stronger_corners_elsewhere():
     corners = find_corners(picture, None, NO_POINTS, 1000, 7.0, 0.005, 0.0)
     known = corners[corners[:, 0] < WIDTH / 2]
     known = known[np.arange(len(known)) % 7 > 0]
-    found = find_corners(picture, None, known, 20, 7.0, 0.005, 0.0, new_places_first=True)
+    found = find_corners(picture, None, known, 20, 7.0, 0.005, 0.0, only_new_places=True)
     assert len(found) == 20
     assert (found[:, 0] > WIDTH / 2 - 10).all()
+    assert len(find_corners(picture, None, corners, 20, 7.0, 0.005, 0.1, only_new_places=True)) == 0

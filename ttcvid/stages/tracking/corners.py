@@ -52,7 +52,7 @@ def find_corners(
     min_distance_px: float,
     quality: float,
     close_share: float,
-    new_places_first: bool = False,
+    only_new_places: bool = False,
 ) -> Floats:
     """Strongest corners that keep their distance from each other and from the points already there.
 
@@ -70,8 +70,8 @@ def find_corners(
     min_distance_px : grid cell, px.
     quality : least response relative to the 99.9th percentile of the picture.
     close_share : part of ``n_wanted`` that may stand at 0.57 of the distance, 0..1.
-    new_places_first : corners where few of those around are followed come before stronger ones elsewhere: where most
-        have their tracks, something has come into the picture there.
+    only_new_places : corners where few of those around are followed, and no others: where most have their tracks,
+        something has come into the picture there.
 
     Returns
     -------
@@ -87,12 +87,12 @@ def find_corners(
     taken = occupied_cells(xy_taken_px, shape, min_distance_px)
     cell = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
     first = np.argsort(-response[y, x], kind="stable")
-    if new_places_first:
-        first = first[np.argsort(~_bare_cells(cell, taken)[cell][first], kind="stable")]
+    if only_new_places:
+        first = first[_bare_cells(cell, taken)[cell][first]]
     coarse = first[_one_a_cell(cell[0][first], cell[1][first], taken)]
     xy = _refined(response, x[coarse], y[coarse])
     is_chosen = _keeps_distance(xy, min_distance_px)
-    n_close = int(close_share * n_wanted)
+    n_close = 0 if only_new_places else int(close_share * n_wanted)
     is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - n_close
     coarse, xy = coarse[is_chosen], xy[is_chosen]
     x, y = np.delete(x, coarse), np.delete(y, coarse)

@@ -213,7 +213,7 @@ def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config
         min_distance_px=config.min_distance_px,
         quality=config.corner_quality,
         close_share=config.close_share,
-        new_places_first=has_many,
+        only_new_places=has_many,
     )
     content_px = new_px + np.nan_to_num(content_offsets(grey, new_px, config.window_px))
     is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
