@@ -20,14 +20,16 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.obstacles import REACHED_WITHIN_S
 from ttcvid.stages.surface_memory import Obstacle, remembered, tracks_of
 
-# Views that a track needs, and tracks that a thing needs: as many as what stands in our way, and fewer than a mover.
-# That they share one velocity, which no two things of the scene do, says more than their number.
-_LEAST_VIEWS, _LEAST_TRACKS = 6, 4
+LEAST_VIEWS = 6
+"""Views that a track needs: with fewer, one V / Z explains any."""
+SIGMAS_999 = 3.090
+"""A thing grows at 99.9 % (one side)."""
+# Tracks that a thing needs: as many as what stands in our way, and fewer than a mover. That they share one velocity,
+# which no two things of the scene do, says more than their number.
+_LEAST_TRACKS = 4
 # Tracks of one thing lie within so many link lengths of the one that the scene explains worst: of an aircraft, wing
 # tips and nose. So many of the nearest are looked at, and so many things a frame.
 _LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
-# It grows at 99.9 % (one side).
-_SIGMAS_999 = 3.090
 # A track fits a thing that explains it worse than the scene by no more than this, in units of what is usual; misfits
 # below the first are noise.
 _NOISE, _NOT_WORSE = 1.0, 1.0
@@ -90,22 +92,40 @@ def _things(
     config: BodiesConfig,
 ) -> list[Growing]:
     """The things that grow around tracks that contradict the scene, or are known to be part of one."""
-    may_be = may_be & (history.n_frames >= _LEAST_VIEWS)
+    may_be = may_be & (history.n_frames >= LEAST_VIEWS)
     is_asked = may_be & ((misfit > config.scene_gate) | is_known)
     things = list[Growing]()
     for _ in range(_MOST_THINGS):
         if not is_asked.any():
             break
-        seed = int(np.argmax(np.where(is_asked, misfit, -1.0)))
+        seed, around = around_the_oddest(history.xy_px, misfit, is_asked, may_be, link_px)
         is_asked[seed] = False
-        off_px = np.linalg.norm(history.xy_px - history.xy_px[seed], axis=1)
-        around = np.flatnonzero(may_be & (off_px < _LINKS * link_px))
-        around = around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
         thing = _thing_around(history, around, misfit[around], usual_misfit, error_px, config)
         if thing is not None:
             things.append(thing)
             may_be[thing.members] = is_asked[thing.members] = False
     return things
+
+
+def reach_px(link_px: float) -> float:
+    """How far from the track that the scene explains worst others of its thing may lie, px."""
+    return _LINKS * link_px
+
+
+def around_the_oddest(
+    xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, link_px: float
+) -> tuple[int, Ints]:
+    """Of N tracks that one of those asked that the scene explains worst, and the nearest around it, nearest first.
+
+    Parameters
+    ----------
+    xy_px, misfit : (N, 2) places and (N,) misfits on the scene's path.
+    is_asked, may_be : (N,) tracks that may be the one, and may be around it.
+    """
+    seed = int(np.argmax(np.where(is_asked, misfit, -1.0)))
+    off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
+    around = np.flatnonzero(may_be & (off_px < reach_px(link_px)))
+    return seed, around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
 
 
 def _thing_around(
@@ -127,7 +147,7 @@ def _thing_around(
     if not fits[0] or (contradicts and not own[0] < misfit[0] / config.gain):
         return None
     cov = max(float(own[fits].mean()), 1.0) * cov + _common_cov(history, around[fits], xy[:, fits])
-    if not -velocity_hz[2] > max(_SIGMAS_999 * float(np.sqrt(cov[2, 2])), 1.0 / REACHED_WITHIN_S):
+    if not -velocity_hz[2] > max(SIGMAS_999 * float(np.sqrt(cov[2, 2])), 1.0 / REACHED_WITHIN_S):
         return None
     speed_hz = float(np.linalg.norm(velocity_hz))
     direction = velocity_hz / speed_hz

@@ -16,16 +16,13 @@ from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.approach import common_growth_hz
 from ttcvid.stages.body_views import BodyViews
-from ttcvid.stages.growing import sharing_a_velocity
+from ttcvid.stages.growing import LEAST_VIEWS, SIGMAS_999, around_the_oddest, reach_px, sharing_a_velocity
 
-# Views that a track needs: with fewer, one V / Z explains any. Tracks that are enough for a thing: fewer than those of
-# other movers, since three unknowns for all say more than flows that are alike; as many as bear a surface.
-_LEAST_VIEWS, _ENOUGH_TRACKS = 6, 5
-# Tracks of one thing lie within so many link lengths of the one that the scene explains worst: a car that will be here
-# in two seconds is twice as long. So many of the nearest are looked at, and so many things a frame.
-_LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 3
-# It grows at 99.9 % (one side).
-_SIGMAS_999 = 3.090
+# Tracks that are enough for a thing: fewer than those of other movers, since three unknowns for all say more than flows
+# that are alike; as many as bear a surface.
+_ENOUGH_TRACKS = 5
+# So many things are looked for in a frame.
+_MOST_THINGS = 3
 # What will be here later than so many times as long as it has been seen has hardly grown: its direction is better told
 # by flows that are alike.
 _REACHED_WITHIN = 6.0
@@ -58,8 +55,8 @@ def spreading_things(
     if not len(seeds):
         return []
     n_views = np.count_nonzero(np.isfinite(views.rays[:, index, 0]), axis=0)
-    near_px, _ = KDTree(views.xy_px[seeds]).query(views.xy_px[index], distance_upper_bound=_reach_px(views))
-    index = index[(n_views >= _LEAST_VIEWS) & np.isfinite(near_px)]
+    near_px, _ = KDTree(views.xy_px[seeds]).query(views.xy_px[index], distance_upper_bound=reach_px(views.link_px))
+    index = index[(n_views >= LEAST_VIEWS) & np.isfinite(near_px)]
     if np.count_nonzero(misfit[index] > config.gain) < least_tracks(config):
         return []
     xy = turned_into_plane(views.rays.take(index, axis=1), scene.cam_R_past[0])
@@ -70,11 +67,8 @@ def spreading_things(
     for _ in range(_MOST_THINGS):
         if not is_asked.any():
             break
-        seed = int(np.argmax(np.where(is_asked, misfit, -1.0)))
+        seed, around = around_the_oddest(xy_px, misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False
-        off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
-        around = np.flatnonzero(is_free & (off_px < _reach_px(views)))
-        around = around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
         if np.count_nonzero(misfit[around] > config.gain) < least_tracks(config):
             continue
         found = _thing_around(sums.take(around), misfit[around], config)
@@ -86,20 +80,14 @@ def spreading_things(
         radius_px = np.sqrt(np.mean(np.sum((xy_px[members] - xy_px[members].mean(axis=0)) ** 2, axis=1)))
         common_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
         least_hz = 1.0 / (_REACHED_WITHIN * np.median(seen_s))
-        if -velocity_hz[2] > max(_SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), least_hz):
+        if -velocity_hz[2] > max(SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), least_hz):
             things.append((index[members], velocity_hz / np.linalg.norm(velocity_hz)))
             is_free[members] = is_asked[members] = False
     return things
 
 
-def _reach_px(views: BodyViews) -> float:
-    return _LINKS * views.link_px
-
-
 def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tuple[Bools, Floats, float] | None:
     """Which of some tracks (M,) are a thing with the first; V / Z of it, (3,), and the standard deviation of its c."""
-    if len(misfit) < least_tracks(config):
-        return None
     found = sharing_a_velocity(sums, misfit, least_tracks(config), config)
     if found is None:
         return None

@@ -95,6 +95,8 @@ def find_corners(
     n_close = 0 if only_new_places else int(close_share * n_wanted)
     is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - n_close
     coarse, xy = coarse[is_chosen], xy[is_chosen]
+    if not n_close:
+        return xy
     x, y = np.delete(x, coarse), np.delete(y, coarse)
     around = cv2.boxFilter(response, -1, (_AROUND_PX, _AROUND_PX))
     outstanding = np.argsort(-response[y, x] / (around[y, x] + threshold), kind="stable")
