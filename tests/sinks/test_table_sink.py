@@ -1,4 +1,6 @@
 import hashlib
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from ttcvid.sinks.tables import TableSink
 
 METADATA = {"causal": "true"}
 DT_S = 0.1
+TESTS = Path(__file__).parents[1]
 
 
 def write_all(folder: Path, results):
@@ -209,3 +212,20 @@ def test_dictionary_columns_hold_names_of_the_schema_only(tmp_path):
     table = write_all(tmp_path, [frame_result(0, some_tracks(9, np.random.default_rng(0)))])["collision_times"]
     assert pa.types.is_dictionary(table.schema.field("status").type)
     assert set(table["status"].to_pylist()) == {"ok", "short_track"}
+
+
+def test_tables_are_written_without_pandas(tmp_path):
+    """Its import takes a quarter of a second of processor time: as much as ten frames."""
+    script = f"""
+import sys
+sys.path.insert(0, {str(TESTS)!r})
+from pathlib import Path
+from frame_results import frame_result, object_cluster, scene_cluster, some_tracks
+import numpy as np
+from ttcvid.sinks.tables import TableSink
+with TableSink(Path({str(tmp_path)!r}), {{}}, nominal_dt_s=0.1) as sink:
+    sink.write(frame_result(0, some_tracks(5, np.random.default_rng(1)), [scene_cluster(), object_cluster()]))
+print("pandas" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
