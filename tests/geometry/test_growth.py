@@ -17,16 +17,15 @@ def seen(rng, velocity_m_s=VELOCITY_M_S, n=N_POINTS, sigma=0.0, size_m=(11.0, 3.
     return moved[:, :, :2] / moved[:, :, 2:] + sigma * rng.normal(size=(len(SINCE_S), n, 2))
 
 
-def fitted(xy, sets=None):
+def fitted(xy, members=None):
     sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA))
-    sets = np.ones((1, xy.shape[1])) if sets is None else np.asarray(sets, dtype=float)
-    return sums, *sums.velocities(sets)
+    return sums, *sums.velocity(np.ones(xy.shape[1], dtype=bool) if members is None else members)
 
 
 @pytest.mark.parametrize("velocity_m_s", [VELOCITY_M_S, (0.0, 0.0, -75.0), (30.0, 0.0, 0.0), (3.0, 1.0, 20.0)])
 def test_the_velocity_over_the_depth_is_exact_without_noise(velocity_m_s):
     sums, velocity_hz, _ = fitted(seen(np.random.default_rng(1), velocity_m_s))
-    np.testing.assert_allclose(velocity_hz[0], np.asarray(velocity_m_s) / CENTRE_M[2], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(velocity_hz, np.asarray(velocity_m_s) / CENTRE_M[2], rtol=1e-9, atol=1e-12)
     assert sums.misfits(velocity_hz).max() < 1e-6
 
 
@@ -34,7 +33,7 @@ def test_views_that_are_missing_change_nothing():
     xy = seen(np.random.default_rng(2))
     xy[:7, 0], xy[3, 2], xy[12, 3] = np.nan, np.nan, np.nan
     _, velocity_hz, _ = fitted(xy)
-    np.testing.assert_allclose(velocity_hz[0], VELOCITY_M_S / CENTRE_M[2], rtol=1e-9)
+    np.testing.assert_allclose(velocity_hz, VELOCITY_M_S / CENTRE_M[2], rtol=1e-9)
 
 
 def test_a_velocity_is_as_sure_as_it_says_and_its_tracks_fit_it():
@@ -42,10 +41,10 @@ def test_a_velocity_is_as_sure_as_it_says_and_its_tracks_fit_it():
     velocity_m_s = VELOCITY_M_S / 5.0
     chi2, misfits = [], []
     for seed in range(400):
-        sums, (velocity_hz,), (cov,) = fitted(seen(np.random.default_rng(seed), velocity_m_s, sigma=SIGMA))
+        sums, velocity_hz, cov = fitted(seen(np.random.default_rng(seed), velocity_m_s, sigma=SIGMA))
         off = velocity_hz - velocity_m_s / CENTRE_M[2]
         chi2.append(off @ np.linalg.solve(cov, off))
-        misfits.append(sums.misfits(velocity_hz[None])[0])
+        misfits.append(sums.misfits(velocity_hz))
     # Three degrees of freedom; those of the places are taken out, those of the velocity are shared.
     assert 2.4 < np.mean(chi2) < 3.8
     assert np.mean(np.array(chi2) < 11.3) > 0.97
@@ -57,11 +56,23 @@ def test_each_set_has_its_own_velocity_and_a_track_of_another_thing_does_not_fit
     other_m_s = np.array([10.0, 0.0, -30.0])
     xy = np.concatenate([seen(rng), seen(rng, other_m_s)], axis=1)
     is_first = np.arange(2 * N_POINTS) < N_POINTS
-    sums, velocity_hz, _ = fitted(xy, [is_first, ~is_first])
-    np.testing.assert_allclose(velocity_hz * CENTRE_M[2], [VELOCITY_M_S, other_m_s], rtol=1e-9, atol=1e-9)
-    misfits = sums.misfits(velocity_hz)
-    assert misfits[0, is_first].max() < 1e-6
-    assert misfits[0, ~is_first].min() > 50.0
+    for members, velocity_m_s in ((is_first, VELOCITY_M_S), (~is_first, other_m_s)):
+        sums, velocity_hz, _ = fitted(xy, members)
+        np.testing.assert_allclose(velocity_hz * CENTRE_M[2], velocity_m_s, rtol=1e-9, atol=1e-9)
+        misfits = sums.misfits(velocity_hz)
+        assert misfits[members].max() < 1e-6
+        assert misfits[~members].min() > 50.0
+
+
+def test_the_tracks_of_the_first_are_found_among_those_of_another_thing():
+    rng = np.random.default_rng(4)
+    xy = np.concatenate([seen(rng, sigma=SIGMA), seen(rng, (10.0, 0.0, -30.0), sigma=SIGMA)], axis=1)
+    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA))
+    fits = sums.sharing_a_velocity(np.full(xy.shape[1], 100.0), gate=10.0, least_tracks=N_POINTS)
+    np.testing.assert_array_equal(fits, np.arange(2 * N_POINTS) < N_POINTS)
+    assert sums.sharing_a_velocity(np.full(xy.shape[1], 100.0), gate=10.0, least_tracks=N_POINTS + 1) is None
+    # What the scene explains as well is no thing of its own.
+    assert sums.sharing_a_velocity(np.zeros(xy.shape[1]), gate=-1.0, least_tracks=1) is None
 
 
 def test_tracks_that_are_seen_once_tell_nothing():

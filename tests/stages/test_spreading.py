@@ -8,6 +8,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.stages.body_views import body_views
+from ttcvid.stages.growing import LEAST_VIEWS
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.spreading import least_tracks, spreading_things
 
@@ -46,8 +47,7 @@ def street_with(thing_m, velocity_m_s, rng):
 
 def found_in(views, scene, fit, seeds=None):
     seeds = np.flatnonzero(fit.misfit > CONFIG.scene_gate) if seeds is None else seeds
-    every = np.arange(len(fit.misfit))
-    return spreading_things(views, scene, every, seeds, fit.misfit, 1.0, CONFIG)
+    return spreading_things(views, scene, fit.n_views >= LEAST_VIEWS, seeds, fit.misfit, 1.0, CONFIG)
 
 
 @pytest.fixture

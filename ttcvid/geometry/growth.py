@@ -14,52 +14,62 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
-from ttcvid.model import Floats, Ints
+from ttcvid.model import Bools, Floats
 
-# Numbers of a place, and of a velocity.
-_PLACE, _VELOCITY = 2, 3
+# Sums of a track: information on a (and b), couplings of a and b with c, information on c, score of a, b, c, squared
+# residuals.
+_N_SUMS = 8
+# A track fits a velocity that explains it worse than the scene by no more than this, in units of what is usual; misfits
+# below the first are noise.
+_NOISE, _NOT_WORSE = 1.0, 1.0
+# The tracks that fit what two of them say, then those that fit what all of these say: so often.
+_ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class GrowthSums:
-    """What each of M tracks says of the velocity over the depth w of its thing, its place taken out.
+    """What each of M tracks says of the velocity over the depth w = (a, b, c) of its thing, its place taken out.
 
-    Its squared residuals, in units of its variance, are ``square (M,) - 2 w.score (M, 3) + w.info (M, 3, 3) w``;
-    ``n_views (M,)``.
+    Its squared residuals, in units of its variance, are quadratic in w: ``sums (8, M)`` are the information on a (that
+    on b is the same, and the two do not meet), the couplings of a and b with c, the information on c, the score of a,
+    b, c, and the squared residuals at w = 0. ``freedom (M,)`` degrees of freedom of each by itself: its velocity is
+    that of others, too.
     """
 
-    info: Floats
-    score: Floats
-    square: Floats
-    n_views: Ints
+    sums: Floats
+    freedom: Floats
 
-    def take(self, index: Ints) -> GrowthSums:
-        """The same of the tracks at an index array."""
-        return GrowthSums(self.info[index], self.score[index], self.square[index], self.n_views[index])
+    def velocity(self, members: Bools) -> tuple[Floats, Floats]:
+        """Velocity over depth (3,) of the tracks that a mask (M,) picks, 1/s, and its covariance (3, 3); NaN: untold."""
+        info_a, with_a, with_b, info_c, score_a, score_b, score_c, _ = self.sums[:, members].sum(axis=1).tolist()
+        if not (info_a > 0.0 and info_a * info_c > with_a * with_a + with_b * with_b):
+            return np.full(3, np.nan), np.full((3, 3), np.nan)
+        # How a and b follow c.
+        along = np.array([-with_a / info_a, -with_b / info_a, 1.0])
+        variance_c = 1.0 / (info_c + along[0] * with_a + along[1] * with_b)
+        cov = variance_c * np.outer(along, along) + np.diag([1.0 / info_a, 1.0 / info_a, 0.0])
+        return cov @ [score_a, score_b, score_c], cov
 
-    def velocities(self, sets: Floats) -> tuple[Floats, Floats]:
-        """Velocity over depth, 1/s, and its covariance, of K sets of tracks: (K, 3), (K, 3, 3); NaN where not told.
+    def misfits(self, velocity_hz: Floats) -> Floats:
+        """Chi-square over degrees of freedom of each track at a velocity over depth (3,): (M,)."""
+        a, b, c = velocity_hz.tolist()
+        info_a, with_a, with_b, info_c, score_a, score_b, score_c, square = self.sums
+        towards = (a * with_a + b * with_b - score_c) * c - a * score_a - b * score_b
+        chi2 = square + 2.0 * towards + (a * a + b * b) * info_a + c * c * info_c
+        return np.asarray(np.maximum(chi2, 0.0) / self.freedom)
+
+    def sharing_a_velocity(self, misfit: Floats, gate: float, least_tracks: int) -> Bools | None:
+        """Which tracks (M,) one velocity explains that comes nearer; None where they are too few.
+
+        What the first track says with each of the others is tried, and what explains most better than the scene is
+        found again by all that fit it.
 
         Parameters
         ----------
-        sets : (K, M) weights of the tracks in the sets, 0 or 1.
+        misfit : (M,) of the tracks on the scene's path; what misfits by more than the ``gate`` does not fit.
         """
-        info = (sets @ self.info.reshape(-1, _VELOCITY**2)).reshape(-1, _VELOCITY, _VELOCITY)
-        is_told = np.linalg.det(info) > 0.0
-        cov = np.linalg.inv(np.where(is_told[:, None, None], info, np.eye(_VELOCITY)))
-        cov[~is_told] = np.nan
-        return np.einsum("kij,kj->ki", cov, sets @ self.score), cov
-
-    def misfits(self, velocity_hz: Floats) -> Floats:
-        """Chi-square over degrees of freedom of each track on each of the velocities (K, 3): (K, M)."""
-        products = (velocity_hz[:, :, None] * velocity_hz[:, None, :]).reshape(-1, _VELOCITY**2)
-        chi2 = self.square - 2.0 * velocity_hz @ self.score.T + products @ self.info.reshape(-1, _VELOCITY**2).T
-        return np.asarray(np.maximum(chi2, 0.0) / self.degrees_of_freedom)
-
-    @property
-    def degrees_of_freedom(self) -> Floats:
-        """Of each track (M,) by itself: its velocity is that of others, too."""
-        return np.asarray(np.maximum(_PLACE * (self.n_views - 1.0), 1.0))
+        fits = np.empty(len(misfit), dtype=bool)
+        return fits if _search(self.sums, self.freedom, misfit, gate, least_tracks, fits) else None
 
 
 def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats) -> GrowthSums:
@@ -71,41 +81,84 @@ def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats) -> GrowthSums:
     since_s : (L,) times relative to the present view.
     sigma_norm : (M,) noise of a coordinate.
     """
-    n_tracks = xy.shape[1]
-    info, score = np.zeros((n_tracks, _VELOCITY, _VELOCITY)), np.zeros((n_tracks, _VELOCITY))
-    square, n_views = np.zeros(n_tracks), np.zeros(n_tracks, dtype=np.int64)
-    _add_up(np.ascontiguousarray(xy), since_s, sigma_norm, info, score, square, n_views)
-    return GrowthSums(info, score, square, n_views)
+    sums, freedom = np.empty((_N_SUMS, xy.shape[1])), np.empty(xy.shape[1])
+    _add_up(np.ascontiguousarray(xy), since_s, sigma_norm, sums, freedom)
+    return GrowthSums(sums, freedom)
 
 
 @compiled
-def _add_up(
-    xy: Floats, since_s: Floats, sigma_norm: Floats, info: Floats, score: Floats, square: Floats, n_views: Ints
-) -> None:
-    """Fill the sums of `GrowthSums` of each track; its place is taken out as the mean of its rows."""
-    column, mean = np.empty(3), np.empty(4)
+def _add_up(xy: Floats, since_s: Floats, sigma_norm: Floats, sums: Floats, freedom: Floats) -> None:
+    """Fill ``sums (8, M)`` and ``freedom (M,)`` of `GrowthSums`; places are taken out as the means of their rows.
+
+    The rows are x = x0 + a t - c t x, and the same with b for y.
+    """
     for m in range(xy.shape[1]):
-        weight = 1.0 / (sigma_norm[m] * sigma_norm[m])
+        n, mean_t, mean_x, mean_y, mean_tx, mean_ty = 0, 0.0, 0.0, 0.0, 0.0, 0.0
         for v in range(len(since_s)):
-            n_views[m] += np.isfinite(xy[v, m, 0])
-        for axis in range(2):
-            mean[:] = 0.0
-            for turn in range(2):
-                for v in range(len(since_s)):
-                    t, place = since_s[v], xy[v, m, axis]
-                    if not np.isfinite(place):
-                        continue
-                    # x = x0 + a t - c t x, and the same with b for y.
-                    column[:] = 0.0
-                    column[axis], column[2] = t, -t * place
-                    if turn == 0:
-                        for a in range(3):
-                            mean[a] += column[a] / n_views[m]
-                        mean[3] += place / n_views[m]
-                        continue
-                    off = place - mean[3]
-                    square[m] += weight * off * off
-                    for a in range(3):
-                        score[m, a] += weight * (column[a] - mean[a]) * off
-                        for b in range(3):
-                            info[m, a, b] += weight * (column[a] - mean[a]) * (column[b] - mean[b])
+            t, x, y = since_s[v], xy[v, m, 0], xy[v, m, 1]
+            if np.isfinite(x):
+                n += 1
+                mean_t, mean_x, mean_y = mean_t + t, mean_x + x, mean_y + y
+                mean_tx, mean_ty = mean_tx + t * x, mean_ty + t * y
+        freedom[m], part, weight = max(2.0 * (n - 1.0), 1.0), 1.0 / max(n, 1), 1.0 / (sigma_norm[m] * sigma_norm[m])
+        mean_t, mean_x, mean_y = mean_t * part, mean_x * part, mean_y * part
+        mean_tx, mean_ty = mean_tx * part, mean_ty * part
+        tt = t_x = t_y = both = score_a = score_b = score_c = square = 0.0
+        for v in range(len(since_s)):
+            if np.isfinite(xy[v, m, 0]):
+                t, x, y = since_s[v] - mean_t, xy[v, m, 0] - mean_x, xy[v, m, 1] - mean_y
+                by_x, by_y = mean_tx - since_s[v] * xy[v, m, 0], mean_ty - since_s[v] * xy[v, m, 1]
+                tt, t_x, t_y, both = tt + t * t, t_x + t * by_x, t_y + t * by_y, both + by_x * by_x + by_y * by_y
+                score_a, score_b, score_c = score_a + t * x, score_b + t * y, score_c + by_x * x + by_y * y
+                square += x * x + y * y
+        sums[0, m], sums[1, m], sums[2, m], sums[3, m] = weight * tt, weight * t_x, weight * t_y, weight * both
+        sums[4, m], sums[5, m], sums[6, m] = weight * score_a, weight * score_b, weight * score_c
+        sums[7, m] = weight * square
+
+
+@compiled
+def _search(sums: Floats, freedom: Floats, misfit: Floats, gate: float, least_tracks: int, fits: Bools) -> bool:
+    """Fill ``fits (M,)`` of `GrowthSums.sharing_a_velocity`; whether they are enough."""
+    n = len(misfit)
+    limit, tried, total, most = np.empty(n), np.empty(n, dtype=np.bool_), np.empty(_N_SUMS), -np.inf
+    fits[:] = False
+    for m in range(n):
+        limit[m] = min(gate, max(misfit[m], _NOISE) + _NOT_WORSE)
+    for other in range(1, n):
+        for j in range(_N_SUMS):
+            total[j] = sums[j, 0] + sums[j, other]
+        gain = _explained(sums, freedom, misfit, limit, total, tried)
+        if gain > most:
+            most = gain
+            fits[:] = tried
+    for _ in range(_ROUNDS - 1):
+        if np.sum(fits) < least_tracks:
+            return False
+        total[:] = 0.0
+        for m in range(n):
+            for j in range(_N_SUMS):
+                total[j] += sums[j, m] if fits[m] else 0.0
+        _explained(sums, freedom, misfit, limit, total, fits)
+    return bool(np.sum(fits) >= least_tracks)
+
+
+@compiled
+def _explained(sums: Floats, freedom: Floats, misfit: Floats, limit: Floats, total: Floats, fits: Bools) -> float:
+    """Fill ``fits (M,)``: tracks below their ``limit (M,)`` at what the sums of some say, if that comes nearer.
+
+    Returns by how much their chi-square is less than on the scene's path. ``total (8,)`` are the sums of those that say
+    something; see `GrowthSums.velocity` and `GrowthSums.misfits`.
+    """
+    info, rest = total[0], total[0] * total[3] - total[1] * total[1] - total[2] * total[2]
+    c = (info * total[6] - total[1] * total[4] - total[2] * total[5]) / rest
+    a, b, gain = (total[4] - total[1] * c) / info, (total[5] - total[2] * c) / info, 0.0
+    is_nearer = info > 0.0 and rest > 0.0 and c < 0.0
+    across, deep = a * a + b * b, c * c
+    for m in range(np.uint64(len(fits))):
+        towards = (a * sums[1, m] + b * sums[2, m] - sums[6, m]) * c - a * sums[4, m] - b * sums[5, m]
+        chi2 = sums[7, m] + 2.0 * towards + across * sums[0, m] + deep * sums[3, m]
+        off = max(chi2, 0.0) / freedom[m]
+        is_one = is_nearer and off < limit[m]
+        fits[m] = is_one
+        gain += (misfit[m] - off) * freedom[m] if is_one else 0.0
+    return gain

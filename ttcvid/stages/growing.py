@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.growth import GrowthSums, growth_sums
+from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.growth import growth_sums
 from ttcvid.geometry.rotation import skew, turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.approach import common_growth_hz
@@ -30,11 +31,6 @@ _LEAST_TRACKS = 4
 # Tracks of one thing lie within so many link lengths of the one that the scene explains worst: of an aircraft, wing
 # tips and nose. So many of the nearest are looked at, and so many things a frame.
 _LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
-# A track fits a thing that explains it worse than the scene by no more than this, in units of what is usual; misfits
-# below the first are noise.
-_NOISE, _NOT_WORSE = 1.0, 1.0
-# The tracks that fit what some of them say, then those that fit what all of these say: so often.
-_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -107,11 +103,6 @@ def _things(
     return things
 
 
-def reach_px(link_px: float) -> float:
-    """How far from the track that the scene explains worst others of its thing may lie, px."""
-    return _LINKS * link_px
-
-
 def around_the_oddest(
     xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, link_px: float
 ) -> tuple[int, Ints]:
@@ -122,10 +113,33 @@ def around_the_oddest(
     xy_px, misfit : (N, 2) places and (N,) misfits on the scene's path.
     is_asked, may_be : (N,) tracks that may be the one, and may be around it.
     """
-    seed = int(np.argmax(np.where(is_asked, misfit, -1.0)))
-    off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
-    around = np.flatnonzero(may_be & (off_px < reach_px(link_px)))
-    return seed, around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
+    around = np.empty(_MOST_AROUND, dtype=np.int64)
+    seed, n_around = _list_around(np.ascontiguousarray(xy_px), misfit, is_asked, may_be, _LINKS * link_px, around)
+    return seed, around[:n_around]
+
+
+@compiled
+def _list_around(
+    xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, reach_px: float, around: Ints
+) -> tuple[int, int]:
+    """Fill ``around (M,)`` with the nearest tracks within reach of the oddest; which that is, and how many they are."""
+    seed, n_around, off2 = -1, 0, np.empty(len(around))
+    for i in range(len(misfit)):
+        if is_asked[i] and (seed < 0 or misfit[i] > misfit[seed]):
+            seed = i
+    for i in range(len(misfit)):
+        x, y = xy_px[i, 0] - xy_px[seed, 0], xy_px[i, 1] - xy_px[seed, 1]
+        own2, place = x * x + y * y, n_around
+        if not (may_be[i] and own2 < reach_px * reach_px):
+            continue
+        n_around = min(n_around + 1, len(around))
+        while place > 0 and off2[place - 1] > own2:
+            if place < len(around):
+                around[place], off2[place] = around[place - 1], off2[place - 1]
+            place -= 1
+        if place < len(around):
+            around[place], off2[place] = i, own2
+    return seed, n_around
 
 
 def _thing_around(
@@ -138,11 +152,11 @@ def _thing_around(
     xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
     sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
     sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm)
-    found = sharing_a_velocity(sums, misfit, _LEAST_TRACKS, config)
-    if found is None:
+    fits = sums.sharing_a_velocity(misfit, config.scene_gate, _LEAST_TRACKS)
+    if fits is None:
         return None
-    fits, velocity_hz, cov = found
-    (own,) = sums.misfits(velocity_hz[None])
+    velocity_hz, cov = sums.velocity(fits)
+    own = sums.misfits(velocity_hz)
     contradicts = misfit[0] > config.scene_gate
     if not fits[0] or (contradicts and not own[0] < misfit[0] / config.gain):
         return None
@@ -153,41 +167,6 @@ def _thing_around(
     direction = velocity_hz / speed_hz
     across = (np.eye(3) - np.outer(direction, direction)) / speed_hz
     return Growing(np.sort(around[fits]), direction, across @ cov @ across)
-
-
-def sharing_a_velocity(
-    sums: GrowthSums, misfit: Floats, least_tracks: int, config: BodiesConfig
-) -> tuple[Bools, Floats, Floats] | None:
-    """Which of some tracks (M,) one V / Z explains; that, (3,) in 1/s, and its covariance (3, 3). None: too few.
-
-    Parameters
-    ----------
-    sums : of the tracks, the one that is asked about first: what it says with each of the others is tried.
-    misfit : (M,) of the tracks on the scene's path.
-    """
-    sets = np.eye(len(misfit))[1:]
-    sets[:, 0] = 1.0
-    for _ in range(_ROUNDS):
-        fits = _best_explained(sums, sets, misfit, config)
-        if np.count_nonzero(fits) < least_tracks:
-            return None
-        sets = fits[None].astype(np.float64)
-    (velocity_hz,), (cov,) = sums.velocities(sets)
-    return fits, velocity_hz, cov
-
-
-def _best_explained(sums: GrowthSums, sets: Floats, misfit: Floats, config: BodiesConfig) -> Bools:
-    """Which tracks (M,) fit one of the velocities of K sets (K, M): of that which explains most better than the scene.
-
-    ``misfit (M,)`` is that of the tracks on the scene's path.
-    """
-    velocity_hz, _ = sums.velocities(sets)
-    off = sums.misfits(velocity_hz)
-    # What is not told is NaN, and fits nothing.
-    fits = (off < np.minimum(config.scene_gate, np.maximum(misfit, _NOISE) + _NOT_WORSE)) & (velocity_hz[:, 2:] < 0.0)
-    gain = np.where(fits, misfit - off, 0.0) @ sums.degrees_of_freedom
-    best: Bools = fits[int(np.argmax(gain))]
-    return best
 
 
 def _common_cov(history: TrackHistory, members: Ints, xy: Floats) -> Floats:

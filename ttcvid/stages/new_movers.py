@@ -17,6 +17,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
+from ttcvid.stages.growing import LEAST_VIEWS
 from ttcvid.stages.occlusions import between_surfaces
 from ttcvid.stages.spreading import least_tracks, spreading_things
 
@@ -67,7 +68,8 @@ def new_movers(
         _explained, views, scene, scene_fit, misfit, usual_misfit, in_scene & (misfit < config.scene_gate), neighbours
     )
     # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
-    things = spreading_things(views, scene, np.flatnonzero(is_asked), candidates, misfit, usual_misfit, config)
+    may_spread = is_asked & (scene_fit.n_views >= LEAST_VIEWS)
+    things = spreading_things(views, scene, may_spread, candidates, misfit, usual_misfit, config)
     spread, paths, rate_hz = explained(things, np.zeros_like(is_along), least_tracks(config), config)
     for members in spread:
         candidates = np.setdiff1d(candidates, members)

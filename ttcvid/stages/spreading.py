@@ -7,8 +7,6 @@ those of other movers are, but one V / Z explains them all.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
-
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.growth import GrowthSums, growth_sums
 from ttcvid.geometry.rigid_path import RigidPaths
@@ -16,7 +14,7 @@ from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.approach import common_growth_hz
 from ttcvid.stages.body_views import BodyViews
-from ttcvid.stages.growing import LEAST_VIEWS, SIGMAS_999, around_the_oddest, reach_px, sharing_a_velocity
+from ttcvid.stages.growing import SIGMAS_999, around_the_oddest
 
 # Tracks that are enough for a thing: fewer than those of other movers, since three unknowns for all say more than flows
 # that are alike; as many as bear a surface.
@@ -36,7 +34,7 @@ def least_tracks(config: BodiesConfig) -> int:
 def spreading_things(
     views: BodyViews,
     scene: RigidPaths,
-    index: Ints,
+    may_be: Bools,
     seeds: Ints,
     misfit: Floats,
     usual_misfit: float,
@@ -49,50 +47,44 @@ def spreading_things(
 
     Parameters
     ----------
-    index, seeds : tracks that things may be made of, and those of them that contradict the scene together.
+    may_be : (N,) tracks that things may be made of, each of `LEAST_VIEWS` at the least.
+    seeds : those of the tracks that contradict the scene together.
     misfit : (N,) of each track on the path of the scene, in units of ``usual_misfit``.
     """
-    if not len(seeds):
-        return []
-    n_views = np.count_nonzero(np.isfinite(views.rays[:, index, 0]), axis=0)
-    near_px, _ = KDTree(views.xy_px[seeds]).query(views.xy_px[index], distance_upper_bound=reach_px(views.link_px))
-    index = index[(n_views >= LEAST_VIEWS) & np.isfinite(near_px)]
-    if np.count_nonzero(misfit[index] > config.gain) < least_tracks(config):
-        return []
-    xy = turned_into_plane(views.rays.take(index, axis=1), scene.cam_R_past[0])
-    sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[index])
-    xy_px, misfit = views.xy_px[index], misfit[index]
-    is_free, is_asked = np.ones(len(index), dtype=bool), np.isin(index, seeds)
+    is_free, is_asked = may_be.copy(), np.zeros(len(may_be), dtype=bool)
+    is_asked[seeds] = may_be[seeds]
     things = list[tuple[Ints, Floats]]()
     for _ in range(_MOST_THINGS):
         if not is_asked.any():
             break
-        seed, around = around_the_oddest(xy_px, misfit, is_asked, is_free, views.link_px)
+        seed, around = around_the_oddest(views.xy_px, misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False
         if np.count_nonzero(misfit[around] > config.gain) < least_tracks(config):
             continue
-        found = _thing_around(sums.take(around), misfit[around], config)
+        xy = turned_into_plane(views.rays.take(around, axis=1), scene.cam_R_past[0])
+        sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[around])
+        found = _thing_around(sums, misfit[around], config)
         if found is None:
             continue
         fits, velocity_hz, sigma_hz = found
-        members = around[fits]
-        seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, members, 0]), axis=0)]
-        radius_px = np.sqrt(np.mean(np.sum((xy_px[members] - xy_px[members].mean(axis=0)) ** 2, axis=1)))
+        members, xy_px = around[fits], views.xy_px[around[fits]]
+        seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, fits, 0]), axis=0)]
+        radius_px = np.sqrt(np.mean(np.sum((xy_px - xy_px.mean(axis=0)) ** 2, axis=1)))
         common_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
         least_hz = 1.0 / (_REACHED_WITHIN * np.median(seen_s))
         if -velocity_hz[2] > max(SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), least_hz):
-            things.append((index[members], velocity_hz / np.linalg.norm(velocity_hz)))
+            things.append((members, velocity_hz / np.linalg.norm(velocity_hz)))
             is_free[members] = is_asked[members] = False
     return things
 
 
 def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tuple[Bools, Floats, float] | None:
     """Which of some tracks (M,) are a thing with the first; V / Z of it, (3,), and the standard deviation of its c."""
-    found = sharing_a_velocity(sums, misfit, least_tracks(config), config)
-    if found is None:
+    fits = sums.sharing_a_velocity(misfit, config.scene_gate, least_tracks(config))
+    if fits is None:
         return None
-    fits, velocity_hz, cov = found
-    (own,) = sums.misfits(velocity_hz[None])
+    velocity_hz, cov = sums.velocity(fits)
+    own = sums.misfits(velocity_hz)
     is_better = fits & (own < misfit / config.gain)
     if not is_better[0] or np.count_nonzero(is_better) < least_tracks(config):
         return None
