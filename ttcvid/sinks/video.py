@@ -99,7 +99,7 @@ class OverlayVideo:
         size = self._image_size
         if bgr.shape != (size.height_px, size.width_px, 3):
             raise ValueError(f"{self._path}: expected a picture of {size} with 3 channels, got shape {bgr.shape}")
-        frame = av.VideoFrame.from_ndarray(_yuv_from_bgr(bgr), format="yuv420p")
+        frame = _video_frame(_yuv_from_bgr(bgr))
         frame.pts = self._next_tick(t_s)
         frame.time_base = Fraction(1, TICKS_PER_S)
         frame.duration = self._duration_ticks
@@ -196,5 +196,16 @@ def _yuv_from_bgr(bgr: Picture) -> Picture:
     """Planes of yuv420p below each other, from a picture padded to even sides."""
     height, width = bgr.shape[:2]
     if height % 2 or width % 2:
-        bgr = np.pad(bgr, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        bgr = np.asarray(cv2.copyMakeBorder(bgr, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE), dtype=np.uint8)
     return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2YUV_I420), dtype=np.uint8)
+
+
+def _video_frame(yuv: Picture) -> av.VideoFrame:
+    """The planes of `_yuv_from_bgr` as a frame, copied whole: PyAV's own way goes line by line."""
+    frame, flat, start = av.VideoFrame(yuv.shape[1], yuv.shape[0] * 2 // 3, "yuv420p"), yuv.ravel(), 0
+    for plane in frame.planes:
+        stop = start + plane.height * plane.width
+        lines: Picture = np.frombuffer(memoryview(plane), dtype=np.uint8).reshape(-1, plane.line_size)
+        lines[: plane.height, : plane.width] = flat[start:stop].reshape(plane.height, plane.width)
+        start = stop
+    return frame

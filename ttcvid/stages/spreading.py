@@ -7,6 +7,7 @@ those of other movers are, but one V / Z explains them all.
 from __future__ import annotations
 
 import numpy as np
+
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.growth import GrowthSums, growth_sums
 from ttcvid.geometry.rigid_path import RigidPaths
