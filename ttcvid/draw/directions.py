@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -16,6 +17,9 @@ from ttcvid.model import SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Pictu
 # Square root of the 90 % quantile of chi-square with two degrees of freedom: the ellipse holds 90 %.
 _SIGMAS_OF_90_PERCENT = 2.146
 _ELLIPSE_POINTS = 36
+_TURN_RAD = np.linspace(0, 2 * np.pi, _ELLIPSE_POINTS, endpoint=False)
+# The least of the three variances belongs to the direction itself, along which nothing is uncertain.
+_CIRCLE = np.stack([np.zeros_like(_TURN_RAD), np.cos(_TURN_RAD), np.sin(_TURN_RAD)])
 # An ellipse that reaches further out than this many picture widths says no more than "somewhere".
 _ELLIPSE_REACH = 1.0
 # Below this sine of the angle between ray and motion a thing moves along the line of sight: no arrow can show it.
@@ -60,10 +64,7 @@ def epipole_ellipses_px(camera: Camera, clusters: Sequence[ClusterRow]) -> Float
     is_known = np.isfinite(covariances).all(axis=(1, 2))
     variances, axes = np.linalg.eigh(np.where(is_known[:, None, None], covariances, 0.0))
     half_axes = _SIGMAS_OF_90_PERCENT * np.sqrt(np.maximum(variances, 0.0))[:, None, :] * axes
-    turn = np.linspace(0, 2 * np.pi, _ELLIPSE_POINTS, endpoint=False)
-    # The least of the three variances belongs to the direction itself, along which nothing is uncertain.
-    circle = np.stack([np.zeros_like(turn), np.cos(turn), np.sin(turn)])
-    rays = directions[:, None, :] + (half_axes @ circle).transpose(0, 2, 1)
+    rays = directions[:, None, :] + (half_axes @ _CIRCLE).transpose(0, 2, 1)
     rays *= np.sign(directions[:, 2])[:, None, None]
     ellipses_px = pixels_from_rays(camera, rays.reshape(-1, 3)).reshape(-1, _ELLIPSE_POINTS, 2)
     ellipses_px[~is_known] = np.nan
@@ -112,8 +113,9 @@ def _flows(camera: Camera, starts_px: Floats, directions: Floats) -> tuple[Float
     rays = rays_from_pixels(camera, starts_px)
     flows = directions[:, :2] - rays[:, :2] * directions[:, 2:]
     sideways = np.linalg.norm(cross(rays, directions), axis=1) / np.linalg.norm(rays, axis=1)
-    steps = _SMALL_STEP * flows / np.maximum(np.linalg.norm(flows, axis=1, keepdims=True), 1e-12)
-    ahead_px = pixels_from_rays(camera, rays + np.pad(steps, ((0, 0), (0, 1))))
+    ahead = rays.copy()
+    ahead[:, :2] += _SMALL_STEP * flows / np.maximum(np.linalg.norm(flows, axis=1, keepdims=True), 1e-12)
+    ahead_px = pixels_from_rays(camera, ahead)
     flows_px = ahead_px - starts_px
     lengths_px = np.linalg.norm(flows_px, axis=1, keepdims=True)
     unit_flows = np.divide(flows_px, lengths_px, out=np.full_like(flows_px, np.nan), where=lengths_px > 0)
@@ -121,7 +123,7 @@ def _flows(camera: Camera, starts_px: Floats, directions: Floats) -> tuple[Float
 
 
 def _has_direction(cluster: ClusterRow) -> bool:
-    return cluster.direction is not None and bool(np.all(np.isfinite(cluster.direction)))
+    return cluster.direction is not None and all(map(math.isfinite, cluster.direction))
 
 
 def _direction_of(cluster: ClusterRow) -> Floats:

@@ -67,10 +67,10 @@ def _blend(bgr: Picture, cover: Picture, x: int, y: int, blue: int, green: int, 
         for column in range(max(-x, 0), min(cover.shape[1], width - x)):
             share = int(cover[row, column])
             if share:
-                pixel = bgr[y + row, x + column]
-                pixel[0] = (pixel[0] * (255 - share) + share * blue) // 255
-                pixel[1] = (pixel[1] * (255 - share) + share * green) // 255
-                pixel[2] = (pixel[2] * (255 - share) + share * red) // 255
+                u, v = x + column, y + row
+                bgr[v, u, 0] = (bgr[v, u, 0] * (255 - share) + share * blue) // 255
+                bgr[v, u, 1] = (bgr[v, u, 1] * (255 - share) + share * green) // 255
+                bgr[v, u, 2] = (bgr[v, u, 2] * (255 - share) + share * red) // 255
 
 
 def _glyph(letter: str, cap_px: int) -> Picture:
