@@ -40,7 +40,7 @@ class GrowthSums:
     freedom: Floats
 
     def velocity(self, members: Bools) -> tuple[Floats, Floats]:
-        """Velocity over depth (3,) of the tracks that a mask (M,) picks, 1/s, and its covariance (3, 3); NaN: untold."""
+        """Velocity over depth (3,), 1/s, of the tracks that a mask (M,) picks, and its covariance (3, 3); NaN: none."""
         info_a, with_a, with_b, info_c, score_a, score_b, score_c, _ = self.sums[:, members].sum(axis=1).tolist()
         if not (info_a > 0.0 and info_a * info_c > with_a * with_a + with_b * with_b):
             return np.full(3, np.nan), np.full((3, 3), np.nan)

@@ -86,7 +86,7 @@ def find_corners(
     x, y = _peaks(response, threshold, allowed)
     taken = occupied_cells(xy_taken_px, shape, min_distance_px)
     cell = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
-    first = np.argsort(-response[y, x], kind="stable")
+    first = _largest_first(response[y, x])
     if only_new_places:
         first = first[_bare_cells(cell, taken)[cell][first]]
     coarse = first[_one_a_cell(cell[0][first], cell[1][first], taken)]
@@ -99,7 +99,7 @@ def find_corners(
         return xy
     x, y = np.delete(x, coarse), np.delete(y, coarse)
     around = cv2.boxFilter(response, -1, (_AROUND_PX, _AROUND_PX))
-    outstanding = np.argsort(-response[y, x] / (around[y, x] + threshold), kind="stable")
+    outstanding = _largest_first(response[y, x] / (around[y, x] + threshold))
     x, y = x[outstanding], y[outstanding]
     close = _spread(x, y, np.concatenate([xy_taken_px, xy]), shape, _CLOSE_PART * min_distance_px, n_close)
     return np.concatenate([xy, _refined(response, x[close], y[close])])
@@ -114,8 +114,19 @@ def _peaks(response: NDArray[Any], threshold: float, allowed: Picture | None) ->
     if allowed is not None:
         is_peak &= allowed > 0
     # As fast as np.nonzero of two axes is slow.
-    y, x = np.divmod(np.flatnonzero(is_peak), response.shape[1])
-    return x, y
+    place = np.flatnonzero(is_peak)
+    y = place // response.shape[1]
+    return place - y * response.shape[1], y
+
+
+def _largest_first(values: NDArray[Any]) -> Ints:
+    """Order (N,) of positive numbers, the largest first, of equal ones the first: in half the time of a stable sort.
+
+    The bits of a positive number are in order of its size; the place in their wake makes no two the same.
+    """
+    bits = np.iinfo(np.int32).max - values.astype(np.float32).view(np.int32).astype(np.int64)
+    keys = np.sort((bits << 32) + np.arange(len(values)))
+    return np.asarray(keys & np.iinfo(np.uint32).max)
 
 
 def _bare_cells(with_corner: tuple[Ints, Ints], taken: Bools) -> Bools:

@@ -13,6 +13,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ttcvid.config import TrackingConfig
+from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
 from ttcvid.stages.tracking.content import content_offsets
 from ttcvid.stages.tracking.corners import find_corners
@@ -127,7 +129,8 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
 
 def _camera_rests(step_px: np.ndarray) -> bool:
     """Whether most points, of steps (N, 2), stand nearly still."""
-    return bool(len(step_px) and np.median(np.linalg.norm(step_px, axis=1)) < _RESTING_STEP_PX)
+    step_px = step_px.astype(np.float64)
+    return bool(len(step_px) and median(np.sqrt((step_px * step_px).sum(axis=1))) < _RESTING_STEP_PX)
 
 
 def _as_neighbours(before: np.ndarray, there: np.ndarray, found: Bools, which: Ints) -> np.ndarray:
@@ -188,12 +191,24 @@ def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
     """Tracks (N,) that slid into the cell of an older one: two tracks of one point would count twice."""
     crowded = np.zeros(len(found), dtype=bool)
     candidates = np.flatnonzero(found)
-    cell = np.floor(xy_px[candidates] / _CROWDED_PX).astype(np.int64)
-    # Tracks are in the order of their age: np.unique keeps the first, hence the oldest, of a cell.
-    _, oldest = np.unique(cell[:, 0] + (cell[:, 1] << 20), return_index=True)
-    crowded[candidates] = True
-    crowded[candidates[oldest]] = False
+    if len(candidates):
+        _find_crowded(xy_px, candidates, crowded)
     return crowded
+
+
+@compiled
+def _find_crowded(xy_px: Floats, candidates: Ints, crowded: Bools) -> None:
+    """Marks in ``crowded (N,)`` all but the first track of each cell: they are in the order of their age."""
+    column, row = np.empty(len(candidates), dtype=np.int64), np.empty(len(candidates), dtype=np.int64)
+    for m in range(len(candidates)):
+        column[m] = int(np.floor(xy_px[candidates[m], 0] / _CROWDED_PX))
+        row[m] = int(np.floor(xy_px[candidates[m], 1] / _CROWDED_PX))
+    first_column, first_row = np.min(column), np.min(row)
+    is_taken = np.zeros((np.max(row) - first_row + 1, np.max(column) - first_column + 1), dtype=np.bool_)
+    for m in range(len(candidates)):
+        v, u = row[m] - first_row, column[m] - first_column
+        crowded[candidates[m]] = is_taken[v, u]
+        is_taken[v, u] = True
 
 
 def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig) -> KltMemory:

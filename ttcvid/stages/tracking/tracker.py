@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttcvid.config import TrackingConfig
+from ttcvid.geometry.medians import median
 from ttcvid.model import Floats, FrameStatus, Picture, PointSet
 from ttcvid.stages.tracking.akaze import AkazeMemory, Features, detect_features, follow_akaze, points_of, start_akaze
 from ttcvid.stages.tracking.klt import KltMemory, follow_klt, start_klt
@@ -98,7 +99,7 @@ def follow_points(
     steps_px = _steps_px(_points(memory), _points(followed))
     if _stand_still(steps_px, memory):
         return _no_points(), FrameStatus.duplicate, replace(memory, n_repeated=memory.n_repeated + 1)
-    step_px = float(np.median(steps_px)) if len(steps_px) >= _FEW_TRACKS else 0.0
+    step_px = median(steps_px) if len(steps_px) >= _FEW_TRACKS else 0.0
     last_steps_px = _NO_STEPS if memory.steps_px is None else (memory.steps_px[1], step_px)
     return _points(followed), FrameStatus.ok, replace(followed, steps_px=last_steps_px)
 
