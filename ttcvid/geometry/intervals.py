@@ -24,6 +24,8 @@ REGION_90_SIGMAS = math.sqrt(CHI2_90_TWO)
 """Those of tcpa and miss end so many from it, where they are short: they are the borders of the 90 % region of both
 together, so that each alone holds 97 %."""
 
+_N_TIMES = len(fields(CollisionTimes))
+
 
 def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats) -> CollisionTimes:
     """The three times of N points with 90 % intervals.
@@ -55,7 +57,7 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     >>> [round(float(v[0]), 2) for v in (times.tcpa_lo_s, times.tcpa_s, times.tcpa_hi_s)]
     [2.3, 2.31, 2.32]
     """
-    times = np.full((len(fields(CollisionTimes)), len(x)), np.nan)
+    times = np.full((_N_TIMES, len(x)), np.nan)
     found = CollisionTimes(*times)
     _times_of_each(x, y, abc_hz, cov, times)
     bounds = inversion_range(*radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm))

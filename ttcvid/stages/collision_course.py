@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -86,7 +87,7 @@ def course_of(
         return OPEN
     if row.motion_state not in APPROACHING or not row.times.tcpa_s[0] > 0.0:
         return None
-    asked = float(ndtri(config.confidence))
+    asked = _sigmas_of(config.confidence)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
     *off_widths, sigma_widths = _miss_widths(row, row.state_abc_hz, cov, camera, on_ground).tolist()
     at_best = math.hypot(*off_widths)
@@ -104,6 +105,12 @@ def course_of(
     # The miss distance is as many standard deviations below the limit.
     straight_sigmas = (max_miss_widths - at_best) / max(sigma_widths, _TINY)
     return Course(True, max(min(nearer_sigmas, straight_sigmas, brakes_sigmas), asked), tuple(off_widths))
+
+
+@lru_cache(maxsize=8)
+def _sigmas_of(confidence: float) -> float:
+    """Standard deviations of a one-sided confidence."""
+    return float(ndtri(confidence))
 
 
 def _brakes_sigmas(closing: Closing | None, max_ttc_s: float) -> float | None:

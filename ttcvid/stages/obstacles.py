@@ -224,7 +224,8 @@ def _within_reach(points: StaticPoints, way: OwnPath) -> Ints:
     """Tracks of the scene whose depth is known, and reached soon."""
     fit = points.fit
     is_rated = points.in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
-    return np.flatnonzero(is_rated & (way.reached_s(np.nan_to_num(fit.rate_hz)) < REACHED_WITHIN_S))
+    rated = np.flatnonzero(is_rated)
+    return rated[way.reached_s(fit.rate_hz[rated]) < REACHED_WITHIN_S]
 
 
 class _Depths:

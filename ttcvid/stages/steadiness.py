@@ -7,6 +7,7 @@ sky) makes a rigid thing of it in each frame, each time another one. No single f
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -46,12 +47,13 @@ def steady_rows(rates: Rates, t_s: float, rows: tuple[ClusterRow, ...]) -> tuple
     """The rows, without the states and times of objects whose rates contradict one another, and what to remember."""
     found = {row.cluster_id: (t_s, *rate) for row in rows if (rate := _rate(row)) is not None}
     lately: dict[int, Floats] = {}
-    for cluster_id in rates.of_cluster.keys() | found.keys():
-        past = rates.of_cluster.get(cluster_id, np.empty((0, 3)))
+    for cluster_id, past in rates.of_cluster.items():
         past = past[past[:, 0] >= t_s - _LASTING_S][1 - _MOST_RATES :]
-        now = np.reshape(found.get(cluster_id, ()), (-1, 3))
-        if len(past) + len(now):
-            lately[cluster_id] = np.vstack((past, now))
+        if len(past):
+            lately[cluster_id] = past
+    for cluster_id, now in found.items():
+        newest = np.array([now])
+        lately[cluster_id] = np.concatenate((lately[cluster_id], newest)) if cluster_id in lately else newest
     jumpy = {cluster_id for cluster_id in found if contradicts_itself(lately[cluster_id])}
     if jumpy:
         rows = tuple(ranked([_without_state(row) if row.cluster_id in jumpy else row for row in rows]))
@@ -66,9 +68,14 @@ def contradicts_itself(rates: Floats) -> bool:
     errors; or about one with a bend, where it began to, at 99 %.
     """
     chi2, gain, n = _chi2_about_parabola(np.ascontiguousarray(rates))
-    if n < _LEAST_RATES or not chi2 > float(chi2_quantile(_CONFIDENCE, n - _UNKNOWNS)):
+    if n < _LEAST_RATES or not chi2 > _limit(_CONFIDENCE, n - _UNKNOWNS):
         return False
-    return chi2 - gain > float(chi2_quantile(_CONFIDENCE_OF_BEND, n - _UNKNOWNS - 1))
+    return chi2 - gain > _limit(_CONFIDENCE_OF_BEND, n - _UNKNOWNS - 1)
+
+
+@lru_cache(maxsize=256)
+def _limit(confidence: float, freedom: int) -> float:
+    return float(chi2_quantile(confidence, freedom))
 
 
 @compiled
