@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
@@ -94,8 +96,9 @@ def refined_scene(
     rate_hz : (M,) of each point.
     """
     # Each part of the picture has the same say in the last step: a bus that is not known as a mover yet may fill half.
-    fit = fit_on_paths(points, scene, rate_hz)
-    scene = with_newest_step(points, scene, fit, weight * weight * in_scene)
+    unmoved = replace(points, track=points.track[in_scene], thing=points.thing[in_scene])
+    fit = fit_on_paths(unmoved, scene, rate_hz[in_scene])
+    scene = with_newest_step(unmoved, scene, fit, weight[in_scene] ** 2)
     turn_sigma = np.full(len(points.since_s), _SCENE_TURN_RAD)
     priors = PathPriors(None, turn_sigma, _own_shift_sigma(points.since_s, scene.path[0]))
     return refined_paths(points, scene, priors, np.array([n_steps]), weight, rate_hz)[0]
