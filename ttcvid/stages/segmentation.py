@@ -133,7 +133,7 @@ def find_bodies(
         history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, rate_hz, key
     )
     scene, speed = with_unit_speed(scene, views.since_s)
-    rate_hz *= speed
+    memory, rate_hz = replace(memory, rate_hz=memory.rate_hz * speed), rate_hz * speed
     every = views.points(np.arange(len(key)))
     scene_fit = fit_on_paths(every, scene, rate_hz)
     rate_hz = scene_fit.rate_hz
