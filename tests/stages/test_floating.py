@@ -94,9 +94,10 @@ def test_an_oncoming_car_in_its_own_lane_is_a_mover_that_keeps_its_key(seed):
     rng = np.random.default_rng(seed)
     oncoming = car(rng, (-3.5, CAMERA_M - 0.9, 45.0), (0.0, 0.0, -9.0), size_m=(1.8, 1.4, 4.0))
     frames = bodies_of(street(rng, 20, oncoming), 20, (0.0, 0.0, SPEED_M_S))
-    soon = frames[5:13]
-    assert np.median([np.mean(frame.key[frame.truth == 1] == 1) for frame in soon]) >= 0.6
-    assert min(np.count_nonzero(frame.key[frame.truth == 1] == 1) for frame in soon) >= 10
+    # Also when it is near, grows fast, and the path that its growth shows lags behind.
+    later = frames[5:]
+    assert np.median([np.mean(frame.key[frame.truth == 1] == 1) for frame in later]) >= 0.6
+    assert min(np.count_nonzero(frame.key[frame.truth == 1] == 1) for frame in later) >= 10
     assert max(np.count_nonzero(frame.key[frame.truth == 0] != 0) for frame in frames) <= 3
 
 

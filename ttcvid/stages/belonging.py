@@ -11,7 +11,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
-from ttcvid.stages.body_views import BodyViews, are_held, fit_on_movers
+from ttcvid.stages.body_views import LEAST_RATE, BodyViews, are_held, fit_on_movers
 from ttcvid.stages.velocities import Velocities, unknown_velocities
 from ttcvid.stages.whereabouts import Whereabouts, nowhere
 
@@ -141,41 +141,87 @@ def _number(known: Ints, key: Ints, number: Ints) -> None:
 def assigned(
     views: BodyViews,
     movers: Movers,
+    scene: RigidPaths | None,
     key: Ints,
     neighbours: Ints,
     scene_fit: PathFit,
     misfit: Floats,
+    seen_misfit: Floats,
     usual_misfit: float,
-) -> tuple[Ints, OwnFit]:
+) -> tuple[Ints, Movers, OwnFit]:
     """Each track to the body that explains it best, among the scene and those that it or a neighbour belonged to.
 
     Parameters
     ----------
+    scene : its path, which movers may go along; None where it is not known to move past us.
     key : (N,) body of each track by now.
     neighbours : (N, K) of each track that belongs to a mover or has one beside it.
-    scene_fit, misfit : of each track on the scene's path; (N,), in units of ``usual_misfit``, with what the road says.
+    scene_fit, misfit, seen_misfit : of each track on the scene's path; (N,), in units of ``usual_misfit``, with what
+        the road contradicts and without it.
 
     Returns
     -------
-    Key (N,) of each track's body, and how that explains it.
+    Key (N,) of each track's body; the movers, those that go along our way on its path; and how each track's body
+    explains it.
     """
     if not len(movers):
-        return key, unknown_fit(misfit)
+        return key, movers, unknown_fit(misfit)
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = np.zeros((len(key), n_bodies), dtype=np.int64)
     track, mover = _asked(number, neighbours, votes)
     points = views.points(track, mover)
     fit = fit_on_movers(points, movers.paths, movers.rate_hz)
+    off, rate_hz, sigma_hz = fit.misfit / usual_misfit, fit.rate_hz, fit.rate_sigma_hz
+    is_held = are_held(fit, points, movers.rate_hz)
+    is_own = number[track] == mover + 1
+    if scene is not None:
+        is_along = _go_along(mover, is_own, seen_misfit[track] < off, len(movers))
+        movers = _on_path_of(scene, scene_fit, movers, number, is_along)
+        along = is_along[mover]
+        is_far = scene_fit.rate_hz[track] < LEAST_RATE * movers.rate_hz[mover]
+        off = np.where(along, np.where(is_far, np.inf, seen_misfit[track]), off)
+        rate_hz = np.where(along, scene_fit.rate_hz[track], rate_hz)
+        sigma_hz = np.where(along, scene_fit.rate_sigma_hz[track], sigma_hz)
+        is_held &= ~along
     is_other = misfit[track] < _SCENE_EXPLAINS
-    is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, number[track] == mover + 1, len(movers))
-    off = np.where(is_other, np.inf, fit.misfit / usual_misfit)
+    is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
     asked, own = np.empty(len(key), dtype=np.int64), unknown_fit(np.empty(len(key)))
+    off = np.where(is_other, np.inf, off)
     _choose(misfit, track, mover, off, votes, number, scene_fit.n_views, asked, own.misfit)
     moves = np.flatnonzero(asked >= 0)
     asked, best = asked[moves], np.zeros(len(key), dtype=np.int64)
-    best[moves], own.rate_sigma_hz[moves] = 1 + mover[asked], fit.rate_sigma_hz[asked]
-    own.rate_hz[moves] = np.where(are_held(fit, points, movers.rate_hz), np.nan, fit.rate_hz)[asked]
-    return np.append(SCENE_CLUSTER, movers.key)[best], own
+    best[moves], own.rate_sigma_hz[moves] = 1 + mover[asked], sigma_hz[asked]
+    own.rate_hz[moves] = np.where(is_held, np.nan, rate_hz)[asked]
+    return np.append(SCENE_CLUSTER, movers.key)[best], movers, own
+
+
+def _go_along(mover: Ints, is_own: Bools, is_better: Bools, n_movers: int) -> Bools:
+    """Which movers go along our way: those of which the scene's path explains most tracks better than their own does.
+
+    What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
+    refinement a frame lags behind that, and the next step goes on from there. All tracks that it had are asked: those
+    that its own path no longer explains show most that it is another.
+
+    Parameters
+    ----------
+    mover : (M,) that each track is asked about, ``is_own (M,)`` whether it belonged to it.
+    is_better : (M,) tracks that the scene's path explains better.
+    """
+    n_own = np.bincount(mover, is_own, n_movers)
+    return np.asarray(np.bincount(mover, is_own & is_better, n_movers) > 0.5 * n_own)
+
+
+def _on_path_of(scene: RigidPaths, scene_fit: PathFit, movers: Movers, number: Ints, is_along: Bools) -> Movers:
+    """The movers, those ``is_along (K,)`` on the path of the scene; ``number (N,)`` of each track's body."""
+    if not is_along.any():
+        return movers
+    track = np.flatnonzero(np.append(False, is_along)[number] & (scene_fit.rate_sigma_hz > 0.0))
+    rate_hz = medians(scene_fit.rate_hz[track], number[track] - 1, len(movers))
+    paths = RigidPaths(
+        np.where(is_along[:, None, None, None], scene.cam_R_past, movers.paths.cam_R_past),
+        np.where(is_along[:, None, None], scene.path, movers.paths.path),
+    )
+    return replace(movers, paths=paths, rate_hz=np.where(np.isfinite(rate_hz), rate_hz, movers.rate_hz))
 
 
 def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_things: int) -> Bools:
@@ -253,39 +299,6 @@ def _choose(
                 if score < least:
                     best[i], least, least_off[i] = place, score, off[place]
             place += 1
-
-
-def along_our_way(
-    movers: Movers, scene: RigidPaths, scene_fit: PathFit, key: Ints, own: OwnFit, seen_misfit: Floats
-) -> tuple[Movers, OwnFit]:
-    """The movers, with the scene's path for those of which it explains most tracks better than their own does.
-
-    What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
-    refinement a frame lags behind that, and the next step goes on from there.
-
-    Parameters
-    ----------
-    own, seen_misfit : of each track on its body's path, and (N,) on the scene's, in the same units.
-    """
-    number, n = numbers_of(key, movers), len(movers)
-    is_better = np.bincount(number, seen_misfit < own.misfit, n + 1)[1:]
-    is_along = is_better > 0.5 * np.bincount(number, minlength=n + 1)[1:]
-    if not is_along.any():
-        return movers, own
-    goes_along = np.append(False, is_along)[number]
-    track = np.flatnonzero(goes_along & (scene_fit.rate_sigma_hz > 0.0))
-    own = OwnFit(
-        own.misfit,
-        np.where(goes_along, scene_fit.rate_hz, own.rate_hz),
-        np.where(goes_along, scene_fit.rate_sigma_hz, own.rate_sigma_hz),
-    )
-    rate_hz = medians(scene_fit.rate_hz[track], number[track] - 1, n)
-    paths = RigidPaths(
-        np.where(is_along[:, None, None, None], scene.cam_R_past, movers.paths.cam_R_past),
-        np.where(is_along[:, None, None], scene.path, movers.paths.path),
-    )
-    rate_hz = np.where(np.isfinite(rate_hz), rate_hz, movers.rate_hz)
-    return replace(movers, paths=paths, rate_hz=rate_hz), own
 
 
 def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:

@@ -16,7 +16,7 @@ from ttcvid.stages.history import TrackHistory
 _N_NEIGHBOURS = 8
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
-_LEAST_RATE = 0.4
+LEAST_RATE = 0.4
 # A rate up to so many times the least one may have been held there on the way, in one of the few steps of a fit.
 _AT_LEAST = 1.5
 
@@ -66,7 +66,7 @@ class BodyViews:
 def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:
     """The points on the paths of movers, their rates not far below what is usual on each: ``rate_hz (K,)``."""
     usual_hz = rate_hz[points.thing]
-    return fit_on_paths(points, movers, usual_hz, _LEAST_RATE * usual_hz)
+    return fit_on_paths(points, movers, usual_hz, LEAST_RATE * usual_hz)
 
 
 def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_error_px: float) -> BodyViews:
@@ -91,4 +91,4 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
 
 def are_held(fit: PathFit, points: Points, rate_hz: Floats) -> Bools:
     """Which of the points of `fit_on_movers` (M,) may be held up by the least rate that they may have."""
-    return np.asarray(fit.rate_hz <= _AT_LEAST * _LEAST_RATE * rate_hz[points.thing])
+    return np.asarray(fit.rate_hz <= _AT_LEAST * LEAST_RATE * rate_hz[points.thing])

@@ -17,7 +17,7 @@ from ttcvid.geometry.medians import median
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.belonging import Movers, along_our_way, assigned, kept, no_movers, numbers_of
+from ttcvid.stages.belonging import Movers, assigned, kept, no_movers, numbers_of
 from ttcvid.stages.bodies import (
     carried_forward,
     recent_speed,
@@ -156,9 +156,9 @@ def find_bodies(
     movers = _refined(movers, scene, views, key)
     # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
     neighbours = views.neighbours(is_free & (misfit > config.scene_gate), key != SCENE_CLUSTER)
-    key, own = assigned(views, movers, key, neighbours, scene_fit, misfit, usual)
-    if not rests:
-        movers, own = along_our_way(movers, scene, scene_fit, key, own, seen_misfit)
+    key, movers, own = assigned(
+        views, movers, None if rests else scene, key, neighbours, scene_fit, misfit, seen_misfit, usual
+    )
     before = key
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, scene, key, movers, neighbours, own.misfit, usual)
