@@ -7,6 +7,8 @@ import pytest
 from rigid_worlds import DT_S, bodies_of, car, static_points
 
 from ttcvid.model import NO_CLUSTER
+from ttcvid.stages import segmentation
+from ttcvid.stages.known_again import known_again
 
 CAMERA_M_S, CAR_M_S, DEPTH_M, ASIDE_M = (0.0, 0.0, 8.0), (-3.0, 0.0, 0.0), 45.0, 5.4
 N_POINTS, N_AFTER = 8, 10
@@ -48,6 +50,16 @@ def share_known_again(n_seen, n_hidden, sigma_px, other_m_s=None):
 @pytest.mark.parametrize(("n_seen", "n_hidden"), [(9, 3), (14, 3), (14, 5)])
 def test_what_was_hidden_is_known_again(n_seen, n_hidden, sigma_px):
     assert share_known_again(n_seen, n_hidden, sigma_px) >= 0.95
+
+
+def test_it_is_known_again_though_a_track_of_it_is_left_at_the_rim_of_what_hid_it(monkeypatch):
+    def with_one_left(views, scene, key, movers, *found):
+        hidden, key = movers.key[movers.n_missed > 0], key.copy()
+        key[: len(hidden)] = hidden
+        return known_again(views, scene, key, movers, *found)
+
+    monkeypatch.setattr(segmentation, "known_again", with_one_left)
+    assert share_known_again(14, 3, 0.05) >= 0.95
 
 
 @pytest.mark.parametrize("other_m_s", [(6.0, 0.0, 0.0), (-15.0, 0.0, 0.0), (-3.0, 0.0, -14.0)])

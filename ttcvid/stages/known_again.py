@@ -50,8 +50,8 @@ def known_again(
     is_known : (J,).
     """
     key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
+    # One or two tracks may be left at the rim of what hides the others.
     hidden = np.flatnonzero((movers.n_missed > 0) & (movers.where.centre[:, 2] > 0.0))
-    hidden = hidden[~np.isin(movers.key[hidden], key)] if len(hidden) else hidden
     for place, members in enumerate(found):
         if not len(hidden):
             break
