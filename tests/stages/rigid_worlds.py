@@ -92,6 +92,16 @@ def world(rng, camera_m_s, n_frames, *movers, **options):
     return [static_points(rng, camera_m_s, n_frames, movers, **options), *movers]
 
 
+def is_behind_another(position_m, xy_px, numbers):
+    """Which points lie behind a thing and within the box around it in the picture: (N,); thing 0 hides nothing."""
+    is_hidden = np.zeros(len(position_m), dtype=bool)
+    for number in range(1, numbers.max() + 1):
+        box, nearest_m = xy_px[numbers == number], position_m[numbers == number, 2].min()
+        is_within = np.all((xy_px > box.min(axis=0)) & (xy_px < box.max(axis=0)), axis=1)
+        is_hidden |= is_within & (numbers != number) & (position_m[:, 2] > nearest_m)
+    return is_hidden
+
+
 def bodies_of(
     things,
     n_frames,
@@ -103,10 +113,11 @@ def bodies_of(
     order=None,
     memory=NOTHING_KNOWN,
     stop_s=np.inf,
+    opaque=False,
 ):
     """The bodies of each frame from the second on; own motion is known exactly.
 
-    Until `stop_s` the camera brakes evenly from its speed to rest.
+    Until `stop_s` the camera brakes evenly from its speed to rest. Things that are opaque hide what is behind them.
     `order` is a permutation of the track numbers: the same tracks with other identities, hence in another order.
     """
     rng, speed = np.random.default_rng(seed), np.linalg.norm(camera_m_s)
@@ -124,6 +135,8 @@ def bodies_of(
         position = position @ world_to_cam.T
         is_seen &= position[:, 2] > 1.0
         xy_px = pixels(np.where(is_seen[:, None], position, (0.0, 0.0, 1.0)))
+        if opaque:
+            is_seen &= ~is_behind_another(position, xy_px, numbers)
         xy_px += sigma_px * rng.normal(size=xy_px.shape)
         names = np.arange(len(position)) if order is None else order
         shown = np.argsort(names)

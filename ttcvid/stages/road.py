@@ -17,6 +17,7 @@ from ttcvid.stages.body_views import BodyViews
 from ttcvid.stages.egomotion import picture_region
 from ttcvid.stages.floating import Floating, find_floating
 from ttcvid.stages.sets import places_among
+from ttcvid.stages.upper_parts import above_under
 
 # The camera looks along the road within so much, as the tangent of its pitch; heights of the horizon that are tried.
 _PITCH, _N_HORIZONS = 0.06, 13
@@ -92,6 +93,8 @@ def gathered_evidence(
     floating = find_floating(views.xy_px, views.link_px, fit, key, road_hz, float(road[2]), is_rated)
     evidence = _floating_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), floating, was_below)
     is_under = _under_road(fit, road)
+    most_sigma_hz = _KNOWN_PART * _LEAST_BELOW * float(road[2])
+    is_under |= above_under(views.xy_px, views.link_px, fit, key, is_under, road_hz, most_sigma_hz)
     decays = np.where(floating.is_borne | (floating.thing < 0), _FORGETTING, _NOTHING_SAID)
     evidence = np.where(is_under, _FORGETTING * evidence + 1.0 - _FORGETTING, decays * evidence)
     return RoadMemory(track_id, evidence, road, epipole_y, floating.below >= 0)

@@ -151,7 +151,7 @@ def find_bodies(
         alike = np.where(misfit < config.scene_gate, SCENE_CLUSTER, key)
         road_before = memory.road.in_units(speed)
         road = gathered_evidence(road_before, history.track_id, views, scene_fit, alike, in_scene, epipole_y)
-        misfit = _with_contradictions(misfit, road, key, config)
+        misfit = _with_contradictions(misfit, road, on_road(scene_fit, road), key, config)
 
     movers = _refined(movers, scene, views, key)
     # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
@@ -303,11 +303,14 @@ def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
     return max(median(measured), _LEAST_MISFIT) if len(measured) > _LEAST_MEASURED else _LEAST_MISFIT
 
 
-def _with_contradictions(misfit: Floats, road: RoadMemory, key: Ints, config: BodiesConfig) -> Floats:
-    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers."""
+def _with_contradictions(misfit: Floats, road: RoadMemory, is_road: Bools, key: Ints, config: BodiesConfig) -> Floats:
+    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers.
+
+    Not of what lies on the road, ``is_road (N,)``: where that was taken for a part of a mover, it leaves it again.
+    """
     least, raised = 2.0 * config.scene_gate, misfit.copy()
     _raise_odd(key, SCENE_CLUSTER, road.evidence, road.contradicts(), least, raised)
-    return raised
+    return np.where(is_road, misfit, raised)
 
 
 @compiled
