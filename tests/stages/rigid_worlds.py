@@ -23,10 +23,11 @@ NOTHING_KNOWN = BodyMemory()
 
 @dataclass(frozen=True)
 class Thing:
-    """Points (N, 3) at frame 0 that move by a velocity and turn about the vertical through `centre`; none: static."""
+    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static."""
 
     points: np.ndarray
     velocity_m_s: tuple = (0.0, 0.0, 0.0)
+    acceleration_m_s2: tuple = (0.0, 0.0, 0.0)
     yaw_rad_s: float = 0.0
     frames: tuple = (0, 10**9)
     hidden: range = range(0)
@@ -36,7 +37,8 @@ class Thing:
         heading = rotation_from_vector(np.array([0.0, self.yaw_rad_s, 0.0]) * t_s)
         steps = np.linspace(0.0, t_s, 50)
         turned = rotation_from_vector(steps[:, None] * np.array([0.0, self.yaw_rad_s, 0.0])) @ self.velocity_m_s
-        return (self.points - centre) @ heading.T + centre + t_s * turned.mean(axis=0)
+        moved = t_s * turned.mean(axis=0) + 0.5 * t_s**2 * np.array(self.acceleration_m_s2)
+        return (self.points - centre) @ heading.T + centre + moved
 
 
 @dataclass(frozen=True)
