@@ -273,7 +273,8 @@ class ClusterRow:
     tangent plane. ``epipole_px`` (2,) is None within 1 deg of the picture plane. ``state_abc_hz`` (3,) is
     (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2, in which ``speed_change`` is
     the part by which abs(V) may change soon: that tells how sure the times are, not whether and where to it moves now.
-    ``times`` has one row. ``method`` names how the epipole was found.
+    ``times`` has one row. ``method`` names how the epipole was found. ``front_px`` is the box of what of it is as near
+    as the reference point, None where that is not known.
     """
 
     cluster_id: int
@@ -289,6 +290,7 @@ class ClusterRow:
     epipole_px: Floats | None = None
     horizon_offset_px: float | None = None
     ref_px: tuple[float, float] | None = None
+    front_px: tuple[float, float, float, float] | None = None
     state_abc_hz: Floats | None = None
     state_cov: Floats | None = None
     speed_change: float = 0.0

@@ -45,17 +45,17 @@ def drive(position_m, velocity_m_s, seconds, **options):
     return rows
 
 
-def watched(frames, config=CONFIG, memory=None, first_frame=0, closings=None):
+def watched(frames, config=CONFIG, memory=None, first_frame=0, closings=None, **options):
     """Events active in each frame; a frame is a tuple of rows, or one row, or None.
 
-    ``closings``: of each frame, how the depth of all objects changes.
+    ``closings``: of each frame, how the depth of all objects changes; ``options`` go to `update_events`.
     """
     memory, active = memory or EventMemory(), []
     for number, rows in enumerate(frames, first_frame):
         rows = () if rows is None else rows if isinstance(rows, tuple) else (rows,)
         closing = None if closings is None else closings[number]
         events, memory = update_events(
-            memory, number, number * FRAME_S, rows, CAMERA, config, closing_of={1: closing}.get
+            memory, number, number * FRAME_S, rows, CAMERA, config, closing_of={1: closing}.get, **options
         )
         active.append(events)
     return active, memory

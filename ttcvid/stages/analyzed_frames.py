@@ -56,6 +56,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         clip.config.events,
         step_s=seen.history.step_s,
         on_ground=clip.config.egomotion.platform == Platform.vehicle,
+        bend=seen.motions.bend,
         closing_of=partial(
             closing_of_cluster,
             history=seen.history,

@@ -14,6 +14,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
 from ttcvid.model import APPROACHING, SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Ints, MotionState, Status
+from ttcvid.stages.fronts import front_boxes
 from ttcvid.stages.joint_states import JointStates, joint_states
 from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.track_states import TrackStates
@@ -81,12 +82,20 @@ def rows_of(
     is_one = np.array([motion.is_one_surface for motion in motions], dtype=bool)
     joint = joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_one, states, xy_px, link_px)
     stated: dict[int, dict[str, Any]] = {}
-    for place, ref_px, abc_hz, cov, change in zip(
-        joint.owner.tolist(), joint.ref_px.tolist(), joint.abc_hz, joint.cov, joint.speed_change.tolist(), strict=True
+    fronts = front_boxes(members, joint, states, xy_px).tolist()
+    for place, ref_px, front_px, abc_hz, cov, change in zip(
+        joint.owner.tolist(),
+        joint.ref_px.tolist(),
+        fronts,
+        joint.abc_hz,
+        joint.cov,
+        joint.speed_change.tolist(),
+        strict=True,
     ):
         stated[place] = {
             "status": motions[place].status,
             "ref_px": tuple(ref_px),
+            "front_px": tuple(front_px),
             "state_abc_hz": abc_hz,
             "state_cov": cov,
             "speed_change": change,

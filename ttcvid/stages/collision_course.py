@@ -11,11 +11,13 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from ttcvid.config import EventsConfig
+from ttcvid.geometry.along_bend import BEND_ENDS, straightened
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import APPROACHING, Camera, ClusterRow, Floats, MotionState
+from ttcvid.stages.own_bend import OwnBend
 
 ClosingOf = Callable[[int], Closing | None]
 """From the number of a cluster to how its depth changes; None where that is not known."""
@@ -33,6 +35,13 @@ _SIGMAS_99, _SIGMAS_OF_CHOICE, _LASTING_S = 2.326, 0.35, 1.0
 _SOON_SIGMAS = 1.0
 # Half of our own width and some room beside it, in heights of the camera above the road: cars, vans and lorries alike.
 _ROOM_HEIGHTS = 1.0
+# A bend that turns us by less than this until the closest approach is none, rad.
+_LEAST_TURN_RAD = 0.01
+# How far off a thing is on the road is seen by its foot. Its lowest tracks, on its tyres, lie up to a tenth of the
+# camera's height over the road: it may be as much nearer.
+_NEARER = 1.1
+# Number of the motion of what stands still.
+_SCENE_MOTION = 0
 # A miss distance, in units of depth, without a side.
 _TINY = 1e-9
 
@@ -64,6 +73,7 @@ def course_of(
     is_warned: bool = False,
     is_watched: bool = False,
     on_ground: bool = False,
+    bend: OwnBend | None = None,
     closing_of: ClosingOf = unknown_closing,
 ) -> Course | None:
     """Whether an object comes close, soon and surely; None where it does not, as far as is known.
@@ -80,6 +90,7 @@ def course_of(
     is_warned, is_watched : warned of, it may come a little later and miss by a little more; to be watched, only later.
     on_ground : we drive on a road. What is on it is met by a vehicle of usual width that reaches from the camera down
         to the road: what passes below the camera hits it, and a long lorry need not pass as far off as it is long.
+    bend : how we drive, if we turn: who goes along our road turns as it does.
     closing_of : tells how the depth of a cluster changes; asked where all depends on that, since it takes its time.
     """
     cov = row.present_cov
@@ -89,7 +100,7 @@ def course_of(
         return None
     asked = _sigmas_of(config.confidence)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
-    *off_widths, sigma_widths = _miss_widths(row, row.state_abc_hz, cov, camera, on_ground).tolist()
+    *off_widths, sigma_widths = _miss_widths(row, row.state_abc_hz, cov, camera, on_ground, bend).tolist()
     at_best = math.hypot(*off_widths)
     at_asked = at_best + asked * sigma_widths
     if min(at_best, at_asked) > max_miss_widths:
@@ -133,20 +144,48 @@ def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
     return float(ndtr(-float(abc_hz[2]) / sigma_hz))
 
 
-def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, on_ground: bool) -> Floats:
+def _miss_widths(
+    row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, on_ground: bool, bend: OwnBend | None
+) -> Floats:
     """Where an object passes us, over its width: (4,), best estimate (3,) and standard deviation of its length.
 
     Both in units of depth: how fast the object comes has no part in it, only where to. Where its sides are is seen at
     the height of the reference point, which itself may be at either side: of a lorry that crosses, the end that is
-    nearer.
+    nearer. On the road, what lies behind its front follows that.
     """
     assert row.ref_px is not None
-    (x0_px, top_px, x1_px, bottom_px), y_px = row.box_px, row.ref_px[1]
+    box_px = row.front_px if on_ground and row.front_px is not None else row.box_px
+    (x0_px, top_px, x1_px, bottom_px), y_px = box_px, row.ref_px[1]
     x_px = 0.5 * (x0_px + x1_px)
     outline_px = ((x_px, y_px), (x0_px, y_px), (x1_px, y_px), (x_px, top_px), (x_px, bottom_px))
     rays = rays_from_pixels(camera, np.array(outline_px))
-    direction = abc_hz / np.linalg.norm(abc_hz)
-    basis = tangent_basis(direction)
+    straight_on = _missing(rays, abc_hz, cov, on_ground, camera)
+    if bend is None or not on_ground or not abs(bend.turn_rad_s) * float(row.times.tcpa_s[0]) > _LEAST_TURN_RAD:
+        return straight_on
+    # What moves as the scene does stands still.
+    speed_hz = float(np.linalg.norm(abc_hz)) if row.motion_id == _SCENE_MOTION else bend.speed_hz(rays[4, :2])
+    if speed_hz is None:
+        return straight_on
+    along, nearer = (_along_bend(rays, abc_hz, cov, bend, speed, camera) for speed in (speed_hz, _NEARER * speed_hz))
+    unsure = BEND_ENDS * (along[:3] - straight_on[:3]), along[:3] - nearer[:3]
+    along[3] = math.sqrt(along[3] ** 2 + sum(float(part @ part) for part in unsure))
+    return along
+
+
+def _along_bend(rays: Floats, abc_hz: Floats, cov: Floats, bend: OwnBend, speed_hz: float, camera: Camera) -> Floats:
+    """The same in coordinates along our bend, by our speed over the depth of the object."""
+    found = straightened(rays[0], abc_hz, bend.heading, speed_hz, bend.turn_rad_s)
+    depth = float(found.place[2])
+    if not depth > _TINY:
+        return _missing(rays, abc_hz, cov, True, camera)
+    place = np.column_stack([found.place[0] + rays[:, 0] - rays[0, 0], rays[:, 1], np.full(len(rays), depth)]) / depth
+    cov = found.jacobian @ cov @ found.jacobian.T / depth**2
+    return _missing(place, found.velocity / depth, cov, True, camera)
+
+
+def _missing(rays: Floats, abc_hz: Floats, cov: Floats, on_ground: bool, camera: Camera) -> Floats:
+    """Where what is seen at ``rays (5, 3)`` passes us, over its width, and the standard deviation of that: (4,)."""
+    basis = tangent_basis(abc_hz / np.linalg.norm(abc_hz))
     miss = np.empty(4)
     _fill_miss(rays, abc_hz, cov, basis, on_ground, 1.0 / camera.fx_px, miss)
     return miss

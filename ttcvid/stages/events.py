@@ -12,6 +12,7 @@ from scipy.special import logit, ndtr, stdtrit
 from ttcvid.config import EventsConfig
 from ttcvid.model import Camera, ClusterRow, Event, MotionState
 from ttcvid.stages.collision_course import ClosingOf, Course, course_of, surety, unknown_closing
+from ttcvid.stages.own_bend import OwnBend
 
 # A warning of what is hidden, or of which it is open where it goes, stands so many times as long as one that is over:
 # it is still there. So long is waited, too, for what was on its way to a warning.
@@ -68,6 +69,7 @@ def update_events(
     *,
     step_s: float = 0.0,
     on_ground: bool = False,
+    bend: OwnBend | None = None,
     closing_of: ClosingOf = unknown_closing,
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and what to remember.
@@ -82,7 +84,7 @@ def update_events(
     Parameters
     ----------
     step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
-    on_ground, closing_of : as of `course_of`.
+    on_ground, bend, closing_of : as of `course_of`.
     """
     gone_s = _gone_s(config)
     longest_step_s = max(gone_s, _STALLED * step_s)
@@ -101,7 +103,7 @@ def update_events(
             if before is not None and t_s - before.last_s <= _HIDDEN * gone_s:
                 watched[cluster_id] = before
             continue
-        course = partial(course_of, row, camera, config, on_ground=on_ground, closing_of=closing_of)
+        course = partial(course_of, row, camera, config, on_ground=on_ground, bend=bend, closing_of=closing_of)
         seen = course(is_warned=warned, is_watched=True)
         if seen is None or not seen.is_sure:
             left_s = gone_s * (float(warned) if seen is None else _HIDDEN)

@@ -17,9 +17,10 @@ from ttcvid.stages.belonging import numbers_of
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.history import TrackHistory
+from ttcvid.stages.own_bend import OwnBend, own_bend
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
-from ttcvid.stages.surface_motions import growing_things, in_our_way, on_plane
+from ttcvid.stages.surface_motions import growing_things, in_our_way, on_plane, road_hz
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
 _LINK_PART = 0.05
@@ -41,7 +42,7 @@ class FrameMotions:
 
     ``cluster_id (N,)``, and ``no_direction_status (N,)`` why that has no direction, where it has none; ``clusters`` the
     scene first, then the movers; ``link_px`` the distance within which tracks hang together; ``is_free (N,)`` tracks
-    not frozen to their pixel.
+    not frozen to their pixel; ``bend`` how we drive along a road, None where we do not, or that is not known.
     """
 
     cluster_id: Ints
@@ -49,6 +50,7 @@ class FrameMotions:
     clusters: tuple[ClusterMotion, ...]
     link_px: float
     is_free: Bools
+    bend: OwnBend | None = None
 
 
 def find_motions(
@@ -74,7 +76,7 @@ def find_motions(
     """
     times = config.collision_times
     link_px = _LINK_PART * camera.image_size.longer_side_px
-    in_scene, objects = is_free, list[ClusterMotion]()
+    in_scene, objects, bend = is_free, list[ClusterMotion](), None
     if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
         error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
@@ -96,12 +98,14 @@ def find_motions(
             history, egomotion, found, is_left, before.obstacles, memory, link_px, plane, camera, config
         )
         surfaces += obstacles
+        if config.egomotion.platform == Platform.vehicle:
+            bend = own_bend(history, egomotion.direction, road_hz(memory, found, history))
         objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
         for surface in surfaces:
             in_scene[surface.members] = False
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
-    return _assigned(clusters, is_free, link_px), history, memory
+    return replace(_assigned(clusters, is_free, link_px), bend=bend), history, memory
 
 
 def _object_motions(

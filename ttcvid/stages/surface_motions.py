@@ -81,6 +81,12 @@ def in_our_way(
     return motions, memory
 
 
+def road_hz(memory: BodyMemory, found: Segmentation, history: TrackHistory) -> Floats | None:
+    """Our present speed over the depth of the road that is seen at (x, y), as p0 + p1 x + p2 y: (3,); None: no road."""
+    way = own_path(found.scene.path[0], history.since_s)
+    return None if way is None or memory.road.plane is None else way.speed * memory.road.plane
+
+
 def growing_things(
     history: TrackHistory,
     found: Segmentation,
