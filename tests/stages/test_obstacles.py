@@ -239,6 +239,29 @@ def test_a_house_straight_ahead_in_a_bend_is_none(rng, turn):
     assert watched(np.concatenate([road(rng), house]), yaw_rad_s=0.25 * turn) == {}
 
 
+@pytest.mark.parametrize("turn", [-1.0, 1.0])
+@pytest.mark.parametrize(("way_m", "off_m", "is_one"), [(24.0, 0.0, True), (24.0, 4.0, False), (24.0, -4.0, False)])
+def test_a_car_that_stands_in_our_lane_in_a_bend_is_one(rng, turn, way_m, off_m, is_one):
+    """On a circle of 70 m it stands 4 m beside where we would get to by going straight on."""
+    radius_m = SPEED_M_S / 0.14
+    angle = way_m / radius_m
+    x_m = radius_m - (radius_m - off_m) * np.cos(angle)
+    car = rear_of_car(rng, turn * x_m, (radius_m - off_m) * np.sin(angle))
+    assert bool(watched(np.concatenate([road(rng), car]), yaw_rad_s=0.14 * turn)) == is_one
+
+
+@pytest.mark.parametrize("turn", [-1.0, 1.0])
+def test_a_house_that_our_bend_would_lead_to_in_five_seconds_is_none(rng, turn):
+    """By then the bend may well have ended."""
+    house = box_of_points(rng, 80, (turn * 22.0, -2.0, 44.0), (24.0, 6.0, 0.0))
+    assert watched(np.concatenate([road(rng), house]), yaw_rad_s=0.21 * turn) == {}
+
+
+def test_steering_to_and_fro_takes_no_car_out_of_our_way(rng):
+    """At half a degree in a second it stands 0.6 m beside where we would get to by going on to turn."""
+    assert watched(np.concatenate([road(rng), rear_of_car(rng, 0.0, 45.0)]), yaw_rad_s=np.radians(0.5))
+
+
 def test_an_obstacle_keeps_its_number_while_its_tracks_change_and_over_short_gaps(rng):
     car = rear_of_car(rng, 0.0, 30.0, n=40)
     way, noise = own_path(driven(), SINCE_S), np.random.default_rng(4)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
 from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rigid_path import PathFit
@@ -367,11 +368,16 @@ def _comes(points: StaticPoints, surface: Ints, way: OwnPath) -> bool:
 def _is_in_the_way(depths: _Depths, surface: Ints, way: OwnPath, link: float) -> bool:
     """Whether the box of a surface covers, or nearly covers, the place where we cross it, and has tracks near there.
 
-    Going on straight, and going on to turn as we do: nobody knows how long a bend is. What stands on the road that we
-    drive on, and can be hit, only has to be there sideways.
+    Going on to turn as we do, and going on straight: nobody knows how long a bend is. While one that ends before, as it
+    well may, leads to the same place but for the height of the camera, half a lane, it only has to cover that. What
+    stands on the road that we drive on, and can be hit, only has to be there sideways.
     """
-    reached_s = way.reached_s(np.exp(np.median(depths.log_rate[surface]))[None])
-    aims = np.stack([way.aim, way.aim_at(reached_s)[0]])
+    rate_hz = np.exp(np.median(depths.log_rate[surface]))
+    straight_on, aim = way.aim_at(np.append(0.0, way.reached_s(rate_hz[None])))
+    road, goes_on = depths.ground.road, 0.0
+    if road is not None and BEND_ENDS * abs(aim[0] - straight_on[0]) < rate_hz / road[2]:
+        goes_on = (1.0 - BEND_ENDS) * share_of_bend(way.turn_hz)
+    aims = np.stack([straight_on + goes_on * (aim - straight_on), aim])
     place = depths.place[surface[depths.stands[surface]]]
     if depths.ground.is_driven_on and depths.height is not None:
         place, aims = place[:, :1], aims[:, :1]
