@@ -15,7 +15,7 @@ AHEAD = np.array([0.0, 0.0, -1.0])
 
 def states_of(position_m, relative_sigma=0.01):
     n, abc_hz = len(position_m), V_M_S / position_m[:, 2:]
-    cov = (relative_sigma * np.abs(abc_hz[:, 2]))[:, None, None] ** 2 * np.eye(3)
+    cov = (np.asarray(relative_sigma) * np.abs(abc_hz[:, 2]))[:, None, None] ** 2 * np.eye(3)
     xy = position_m[:, :2] / position_m[:, 2:]
     return TrackStates(xy, abc_hz, cov, np.full(n, 1e-4), np.tile(AHEAD, (n, 1)), np.zeros(n, dtype=np.int64))
 
@@ -46,6 +46,13 @@ def test_tracks_without_a_value_have_no_part_in_it(rng):
     astray = np.array([[-6.0, 0.0, 14.0]])
     inside = front_of(near)
     np.testing.assert_allclose(front_of(np.concatenate([near, astray]), has_no_value=[40]), inside)
+
+
+def test_a_track_of_which_nobody_knows_how_deep_it_lies_widens_no_front_that_is_known(rng):
+    near = box_of_points(rng, 40, (0.0, 0.7, 14.0), (1.8, 1.2, 0.2))
+    beside = np.array([[-6.0, 0.0, 16.5]])
+    sigma = np.append(np.full(40, 0.01), 0.2)
+    np.testing.assert_allclose(front_of(np.concatenate([near, beside]), sigma), front_of(near))
 
 
 def test_what_may_be_as_near_belongs_to_it(rng):

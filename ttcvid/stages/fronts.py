@@ -15,10 +15,11 @@ from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.track_states import TrackStates, nothing_shared
 
 # What lies off the depth of the nearest surface by less than this part of it (natural logarithm) is as near; a track
-# lies off it by two of its standard deviations more, or it may be as near.
+# whose depth is known worse, by two standard deviations, may be.
 _ONE_DEPTH, _SURELY = 0.12, 2.0
-# A front has so many tracks at the least.
-_LEAST_TRACKS = 3
+# A front has so many tracks at the least; and so many, and this part of all that may be as near, where only those count
+# that are known to be.
+_LEAST_TRACKS, _LEAST_KNOWN, _KNOWN_PART = 3, 5, 0.5
 # Least rate, 1/s.
 _TINY = 1e-12
 
@@ -69,8 +70,10 @@ def _fill_fronts(
     """
     abc_hz, cov = state
     path_of, path_rate_hz, path_variance = shared
+    known, near = np.empty(4), np.empty(4)
     for k in range(len(rate_hz)):
-        count, left, top, right, bottom = 0, np.inf, np.inf, -np.inf, -np.inf
+        n_known, n_near = 0, 0
+        known[:2], known[2:], near[:2], near[2:] = np.inf, -np.inf, np.inf, -np.inf
         for place in range(reach[0][k], reach[1][k]):
             i = index[place]
             if not has_value[i]:
@@ -84,9 +87,20 @@ def _fill_fronts(
             sigma = np.sqrt(variance) / max(square, _TINY)
             if path_of[i] >= 0:
                 sigma = np.sqrt(path_variance[i]) / max(abs(path_rate_hz[i]), _TINY)
-            if abs(0.5 * np.log(max(square, _TINY)) - np.log(rate_hz[k])) < _ONE_DEPTH + _SURELY * sigma:
-                left, top = min(left, xy[i, 0]), min(top, xy[i, 1])
-                right, bottom = max(right, xy[i, 0]), max(bottom, xy[i, 1])
-                count += 1
-        if count >= _LEAST_TRACKS:
-            boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = left, top, right, bottom
+            off = abs(0.5 * np.log(max(square, _TINY)) - np.log(rate_hz[k]))
+            if off < _ONE_DEPTH + _SURELY * sigma:
+                n_near += 1
+                _take_in(near, xy[i, 0], xy[i, 1])
+            if off < _ONE_DEPTH and _SURELY * sigma < _ONE_DEPTH:
+                n_known += 1
+                _take_in(known, xy[i, 0], xy[i, 1])
+        if n_known >= max(_LEAST_KNOWN, _KNOWN_PART * n_near):
+            boxes[k] = known
+        elif n_near >= _LEAST_TRACKS:
+            boxes[k] = near
+
+
+@compiled
+def _take_in(box: Floats, x: float, y: float) -> None:
+    """Widen ``box (4,)`` to hold a place."""
+    box[0], box[1], box[2], box[3] = min(box[0], x), min(box[1], y), max(box[2], x), max(box[3], y)
