@@ -14,7 +14,8 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.belonging import Movers, OwnFit, numbers_of
 from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
-from ttcvid.stages.connected import linked_parts
+from ttcvid.stages.connected import connected_parts, linked_parts
+from ttcvid.stages.plain_gaps import across_plain_gaps
 
 # Two bodies, or two parts of one, are one where their rates differ by less than this factor.
 _ONE_RATE = 1.5
@@ -28,6 +29,8 @@ _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
 # every so many frames.
 _YOUNG_FRAMES, _MERGE_FRAMES = 5, 4
 _LEAST_TRACKS = 3
+# Views after which a track says by its own motion to what it belongs: a new one is taken for the scene's.
+_LEAST_VIEWS = 5
 _TINY_HZ = 1e-9
 
 
@@ -69,7 +72,7 @@ def merged(
     own_misfit: Floats,
     usual_misfit: float,
 ) -> tuple[Ints, Movers]:
-    """Movers side by side that one motion explains are one; the older one's number stays.
+    """Movers side by side, or with nothing between, that one motion explains are one; the older one's number stays.
 
     Parameters
     ----------
@@ -77,7 +80,7 @@ def merged(
     own_misfit : (N,) of each track on its body, in units of ``usual_misfit``.
     """
     number = numbers_of(key, movers)
-    asked = _asked_neighbours(neighbours, number, movers)
+    asked = _asked_neighbours(views, neighbours, number, movers)
     if asked is None:
         return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
@@ -107,14 +110,17 @@ def merged(
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
-def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
+def _asked_neighbours(views: BodyViews, neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
     """The places of the larger and the smaller of each two neighbours that are asked about; None without any."""
     if len(movers) < 2:
         return None
     pairs = np.empty((len(movers) * (len(movers) - 1) // 2, 2), dtype=np.int64)
-    count = _list_touching(number, neighbours, len(movers), pairs)
-    large, small = pairs[:count].T
+    touch = np.empty(len(pairs), dtype=bool)
+    count = _list_pairs(number, neighbours, len(movers), pairs, touch)
+    large, small, touch = *pairs[:count].T, touch[:count]
     is_asked = _is_asked(np.minimum(movers.n_found[large], movers.n_found[small]))
+    apart = np.flatnonzero(is_asked & ~touch)
+    is_asked[apart] = across_plain_gaps(views.xy_px, number, _told(views), number, 1 + large[apart], 1 + small[apart])
     return (large[is_asked], small[is_asked]) if is_asked.any() else None
 
 
@@ -145,25 +151,27 @@ def _worth_trying(
 
 
 @compiled
-def _list_touching(number: Ints, neighbours: Ints, n_movers: int, pairs: Ints) -> int:
-    """Fill ``pairs (P, 2)`` with movers that have tracks beside each other, the larger one first; how many there are.
+def _list_pairs(number: Ints, neighbours: Ints, n_movers: int, pairs: Ints, touch: Bools) -> int:
+    """Fill ``pairs (P, 2)`` of movers, the larger one first, and whether they ``touch (P,)``; how many there are.
 
-    ``number (N,)`` as from `numbers_of`, ``neighbours (N, K)``. The smaller one has `_LEAST_TRACKS`.
+    Those touch that have tracks beside each other: ``number (N,)`` as from `numbers_of`, ``neighbours (N, K)``. The
+    smaller one has `_LEAST_TRACKS`.
     """
-    touch, counts, n_pairs = np.zeros((n_movers + 1, n_movers + 1), dtype=np.bool_), np.zeros(n_movers + 1), 0
+    beside, counts, n_pairs = np.zeros((n_movers + 1, n_movers + 1), dtype=np.bool_), np.zeros(n_movers + 1), 0
     for i in range(len(number)):
         counts[number[i]] += 1
         if number[i] > 0:
-            for beside in range(neighbours.shape[1]):
-                touch[number[i], number[neighbours[i, beside]]] = True
+            for k in range(neighbours.shape[1]):
+                beside[number[i], number[neighbours[i, k]]] = True
     for one in range(1, n_movers + 1):
         for other in range(one + 1, n_movers + 1):
-            if touch[one, other] and min(counts[one], counts[other]) >= _LEAST_TRACKS:
+            if min(counts[one], counts[other]) >= _LEAST_TRACKS:
                 is_large = counts[one] >= counts[other]
                 pairs[n_pairs, 0], pairs[n_pairs, 1] = (
                     (one if is_large else other) - 1,
                     (other if is_large else one) - 1,
                 )
+                touch[n_pairs] = beside[one, other]
                 n_pairs += 1
     return n_pairs
 
@@ -198,8 +206,8 @@ def split(
 ) -> tuple[Ints, Movers, int]:
     """Parts of a mover that do not hang together in the picture, or lie at other depths, are movers of their own.
 
-    The largest part keeps the number. ``own_fit`` of each track on the path of its mover: what it does not
-    know is found out.
+    Those apart from each other with nothing else between them stay one. The largest part keeps the number. ``own_fit``
+    of each track on the path of its mover: what it does not know is found out.
     """
     number = numbers_of(key, movers)
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
@@ -221,6 +229,8 @@ def split(
     if len(counts) == np.count_nonzero(np.bincount(body)):
         # Each is of one piece.
         return key, movers, next_key
+    label = _across_gaps(views, number, own, label, rate_hz)
+    counts = np.bincount(label)
     mover_of = np.empty(len(counts), dtype=np.int64)
     mover_of[label] = body
     by_size = np.lexsort((-counts, mover_of))
@@ -230,3 +240,25 @@ def split(
         key[own[label == part]] = next_key + count
     parents = mover_of[parts]
     return key, movers.with_new(next_key, movers.paths.take(parents), movers.rate_hz[parents]), next_key + len(parts)
+
+
+def _across_gaps(views: BodyViews, number: Ints, own: Ints, label: Ints, rate_hz: Floats) -> Ints:
+    """The parts ``label (M,)`` of tracks ``own (M,)``: those of one mover, at one depth, with nothing between are one.
+
+    ``number (N,)`` as from `numbers_of`; ``rate_hz (M,)``.
+    """
+    n_parts = int(label.max()) + 1
+    mover_of, part = np.empty(n_parts, dtype=np.int64), np.full(len(number), -1)
+    mover_of[label], part[own] = number[own], label
+    large = np.flatnonzero(np.bincount(label) >= _LEAST_TRACKS)
+    log_rate = np.log(medians(rate_hz, label, n_parts))
+    one, other = large[np.stack(np.triu_indices(len(large), 1))]
+    is_asked = (mover_of[one] == mover_of[other]) & (np.abs(log_rate[one] - log_rate[other]) < np.log(_ONE_RATE))
+    one, other = one[is_asked], other[is_asked]
+    is_one = across_plain_gaps(views.xy_px, number, _told(views), part, one, other, views.link_px)
+    return connected_parts(np.ones(n_parts, dtype=bool), np.stack([one, other], axis=1)[is_one])[label]
+
+
+def _told(views: BodyViews) -> Bools:
+    """Tracks (N,) that are seen in enough views to tell to which body they belong."""
+    return np.asarray(np.isfinite(views.rays[-_LEAST_VIEWS:, :, 0]).all(axis=0))
