@@ -134,6 +134,25 @@ def test_a_camera_on_a_mast_shakes_but_never_travels():
     assert turn_error_deg(estimate(shaken, last, Platform.static), shaken) < 0.02
 
 
+@pytest.mark.parametrize("part", [0.7, 0.9, 1.0])
+@pytest.mark.parametrize("velocity_m", [(0.4, 0.0, 0.0), (-0.5, 0.02, 0.1)], ids=["to the right", "to the left"])
+def test_a_lorry_that_fills_the_picture_does_not_turn_a_camera_on_a_mast(part, velocity_m):
+    views = two_views(
+        np.random.default_rng(4), 300, travel_m=(0, 0, 0), movers=[((0.0, part), velocity_m)], depth_m=(5, 6)
+    )
+    egomotion = estimate(views, EgomotionMemory(np.zeros(3), None), Platform.static)
+    assert turn_error_deg(egomotion, views) < 0.03
+    # Its flow is no measure of the noise.
+    assert egomotion.residual_spread < 1.5
+
+
+@pytest.mark.parametrize("turn_deg", [(0.02, 0.8, 0.0), (0.0, -2.5, 0.0)])
+def test_a_camera_on_a_mast_that_is_panned_all_the_same_turns(turn_deg):
+    last = EgomotionMemory(np.zeros(3), None)
+    views = two_views(np.random.default_rng(5), 300, turn_deg, (0, 0, 0), movers=[((0.3, 0.5), (1, 0, 0))])
+    assert turn_error_deg(estimate(views, last, Platform.static), views) < 0.03
+
+
 def test_priors_hold_a_vehicle_closer_to_forward_than_an_aircraft_than_a_hand():
     """A far scene in strong noise leaves the direction open: then the platform decides."""
     error = {platform: [] for platform in MOVING_PLATFORMS}

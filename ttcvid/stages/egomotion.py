@@ -26,6 +26,8 @@ _MOST_INLIERS, _WAYS_ACROSS = 0.9, 16
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
 # Median of the absolute value of a standard normal variable, and of the length of two.
 _MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
+# A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
+_FARTHEST_SIGMAS, _LEAST_STILL = 4.0, 6
 # Number of the cells of `picture_region` along one axis, and the least z of a ray that still has a cell of its own.
 _REGION_COUNT, _LEAST_Z = 200, 0.05
 
@@ -78,7 +80,8 @@ class Egomotion:
 
     ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2;
     ``direction (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does
-    not translate measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2. ``residual (N,)`` in sigmas.
+    not translate measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2. ``residual (N,)`` in sigmas,
+    of the points that tell of it.
     """
 
     cam_R_prev: Floats
@@ -159,7 +162,8 @@ def estimate_egomotion(
     turning = _best([fit_rotation(*observed, start) for start in _rotation_starts(prior, memory)])
     rotation_memory = replace(memory, rotation_rad=vector_from_rotation(turning.cam_R_prev))
     if not belief.can_translate:
-        return _result(turning), rotation_memory
+        at_rest = _shaking(observed, turning)
+        return at_rest, replace(memory, rotation_rad=at_rest.rotation_rad)
     moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
     if not _is_translation(turning, moving, region, sigma_rad, least_parallax_rad):
         return _result(turning), rotation_memory
@@ -212,6 +216,27 @@ def _rotation_starts(prior: GaussianPrior, memory: EgomotionMemory) -> list[Floa
     if memory.rotation_rad is not None:
         return [prior.cam_R_prev]
     return [rotation_from_vector(np.array([0.0, yaw_rad, 0.0])) for yaw_rad in _FIRST_YAWS_RAD]
+
+
+def _shaking(observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turning: TwoViewFit) -> Egomotion:
+    """The rotation of a camera on a mast: ``turning``, unless that is a lorry that passes before it.
+
+    It only shakes. A turn beyond that is one where it explains the flow of most points (a camera that is panned after
+    all); a surface that goes past is no turn: what is nearer to the border of the picture moves as far there, and would
+    move farther. The camera then shakes as the points do that have moved no farther than that.
+    """
+    rays_prev, rays_cam, sigma_rad, region, prior = observed
+    farthest_rad = _FARTHEST_SIGMAS * prior.rotation_sigma_rad
+    shaken_rad = float(np.linalg.norm(vector_from_rotation(turning.cam_R_prev @ prior.cam_R_prev.T)))
+    if shaken_rad < farthest_rad or np.mean(turning.residual < _INLIER_SIGMAS) > _GOOD_INLIERS:
+        return _result(turning)
+    stays = np.linalg.norm(rays_cam - rays_prev, axis=1) < farthest_rad
+    if np.count_nonzero(stays) < _LEAST_STILL:
+        # Nothing but movers: nothing tells of the noise, either.
+        cov = prior.rotation_sigma_rad**2 * np.eye(3)
+        return Egomotion(prior.cam_R_prev, cov, None, None, np.array([_MEDIAN_RAYLEIGH]))
+    still = (rays_prev[stays], rays_cam[stays], sigma_rad[stays], region[stays], prior)
+    return _result(fit_rotation(*still, prior.cam_R_prev))
 
 
 def _fit_from_starts(
