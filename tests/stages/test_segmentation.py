@@ -176,6 +176,21 @@ def test_two_things_that_move_alike_are_two_where_the_street_is_seen_between_the
         assert frame.keys_of(1)[0] != frame.keys_of(2)[0]
 
 
+def test_a_crowd_before_a_camera_on_a_mast_is_not_the_noise_of_the_street():
+    """Most tracks go each its own way, and no motion explains them: a car that crosses is found all the same."""
+    rng = np.random.default_rng(8)
+    crowd = [
+        Thing(box_of_points(rng, 1, (0.0, 1.5, 20.0), (12.0, 3.0, 4.0)), tuple(rng.uniform(-2.0, 2.0, 3)))
+        for _ in range(150)
+    ]
+    passing = car(rng, (5.0, -2.0, 25.0), (-5.0, 0.0, 0.0))
+    things = world(rng, STILL, N_FRAMES, passing, n=60)
+    frames = bodies_of([*things, *crowd], N_FRAMES, camera_m_s=STILL, platform=Platform.static)
+    assert max(frame.found.usual_misfit for frame in frames) < 2.0
+    assert min(frame.keys_of(1)[1] for frame in frames[NAMED_FRAMES:] if frame.keys_of(1)[0]) > 0.9
+    assert all(frame.keys_of(1)[0] for frame in frames[NAMED_FRAMES:])
+
+
 def test_rates_on_the_path_of_a_mover_that_is_gone_split_none_that_its_tracks_start_anew(monkeypatch):
     """Each frame forgets all movers, and finds them again among the tracks that have just gone to the scene."""
     asked, really_kept, really_split = [], segmentation.kept, segmentation.split

@@ -58,6 +58,8 @@ _MOVER_EVIDENCE = 0.25
 # Misfits under 1 (in units of the scene's median) are noise.
 _LEAST_MISFIT = 1.0
 _LEAST_MEASURED = 10
+# What steps farther than this before a camera on a mast is not the street, px.
+_STILL_STEP_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,8 @@ def find_bodies(
     rests = not is_sure and not _moves_past(scene_fit, _places(history), is_free)
     if rests:
         scene_fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
-    usual = _usual_misfit(scene_fit, (key == SCENE_CLUSTER) & is_free)
+    may_rest = _steps_little(views, scene) if platform == Platform.static else is_free
+    usual = _usual_misfit(scene_fit, (key == SCENE_CLUSTER) & is_free & may_rest)
     misfit = seen_misfit = scene_fit.misfit / usual
     road = RoadMemory()
     if platform == Platform.vehicle and scene.path[0, 0, 2] > 0.0:
@@ -298,6 +301,14 @@ def _places(history: TrackHistory) -> Ints:
 def _balance(region: Ints) -> Floats:
     """Weight of each track by how many share its part of the picture: one textured lorry is not the world."""
     return np.asarray(1.0 / np.sqrt(np.bincount(region)[region]))
+
+
+def _steps_little(views: BodyViews, scene: RigidPaths) -> Bools:
+    """Tracks (N,) that before a camera on a mast may be those of the street, by their last step."""
+    if len(views.rays) < 2:
+        return views.is_free
+    step = views.rays[-1] - views.rays[-2] @ scene.cam_R_past[0, -2].T
+    return np.asarray(np.einsum("ni,ni->n", step, step) < (_STILL_STEP_PX / views.focal_px) ** 2)
 
 
 def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
