@@ -195,16 +195,19 @@ def _arrow_array(column: Column, values: Any) -> pa.Array[Any]:
 
 def _numbers(type_: pa.DataType, numbers: np.ndarray, is_there: np.ndarray | None = None) -> pa.Array[Any]:
     """Numbers ``(N,)`` of a type, null where they are not there."""
-    validity = None
-    if is_there is not None and not is_there.all():
-        validity = pa.py_buffer(np.packbits(is_there, bitorder="little").data)
+    validity = None if is_there is None else _validity(is_there)
     return pa.Array.from_buffers(type_, len(numbers), [validity, pa.py_buffer(np.ascontiguousarray(numbers).data)])
 
 
-def _strings(values: Sequence[str]) -> pa.Array[Any]:
-    """Texts, none of them null."""
-    texts = [value.encode() for value in values]
+def _strings(values: Sequence[str | None]) -> pa.Array[Any]:
+    """Texts, None for null."""
+    texts = [(value or "").encode() for value in values]
     ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
-    return pa.Array.from_buffers(
-        pa.string(), len(texts), [None, pa.py_buffer(ends.data), pa.py_buffer(b"".join(texts))]
-    )
+    is_there = np.array([value is not None for value in values], dtype=bool)
+    buffers = [_validity(is_there), pa.py_buffer(ends.data), pa.py_buffer(b"".join(texts))]
+    return pa.Array.from_buffers(pa.string(), len(texts), buffers)
+
+
+def _validity(is_there: np.ndarray) -> pa.Buffer | None:
+    """The bits that tell which values ``(N,)`` are there; None where all are."""
+    return None if is_there.all() else pa.py_buffer(np.packbits(is_there, bitorder="little").data)
