@@ -11,7 +11,7 @@ from frame_results import event, frame_result, no_tracks, object_cluster, scene_
 
 from ttcvid.errors import OutputError
 from ttcvid.model import NO_CLUSTER, CollisionTimes, FrameStatus, MotionState, Status
-from ttcvid.schema import TABLE_NAMES, table_schema
+from ttcvid.schema import TABLE_NAMES, Column, table_schema
 from ttcvid.sinks import tables
 from ttcvid.sinks.tables import TableSink
 
@@ -212,6 +212,38 @@ def test_dictionary_columns_hold_names_of_the_schema_only(tmp_path):
     table = write_all(tmp_path, [frame_result(0, some_tracks(9, np.random.default_rng(0)))])["collision_times"]
     assert pa.types.is_dictionary(table.schema.field("status").type)
     assert set(table["status"].to_pylist()) == {"ok", "short_track"}
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 9, 1000])
+@pytest.mark.parametrize(
+    ("type_", "nullable"),
+    [
+        (pa.bool_(), False),
+        (pa.string(), True),
+        (pa.int8(), True),
+        (pa.int32(), False),
+        (pa.int64(), True),
+        (pa.float32(), True),
+        (pa.float64(), True),
+        (pa.float64(), False),
+    ],
+)
+def test_a_column_of_any_type_comes_back(tmp_path, monkeypatch, type_, nullable, n):
+    rng = np.random.default_rng(n)
+    values, missing = rng.integers(0, 2 if type_ == pa.bool_() else 100, n).tolist(), rng.random(n) < 0.3
+    if type_ == pa.string():
+        written = read = [None if m else f"\u00e4 {v}" for v, m in zip(values, missing, strict=True)]
+    elif not nullable:
+        written = read = values
+    else:
+        nothing = np.nan if pa.types.is_floating(type_) else -1
+        written = [nothing if m else v for v, m in zip(values, missing, strict=True)]
+        read = [None if m else v for v, m in zip(values, missing, strict=True)]
+    column = Column("one", type_, "", "a column", nullable=nullable)
+    monkeypatch.setattr(tables, "columns_of", lambda name: (column,))
+    monkeypatch.setattr(tables, "table_schema", lambda name, metadata: pa.schema([column.field()], metadata))
+    tables.write_table(tmp_path / "any.parquet", "any", [(value,) for value in written], METADATA)
+    assert pq.read_table(tmp_path / "any.parquet")["one"].to_pylist() == read
 
 
 def test_tables_are_written_without_pandas(tmp_path):

@@ -194,9 +194,10 @@ def _arrow_array(column: Column, values: Any) -> pa.Array[Any]:
 
 
 def _numbers(type_: pa.DataType, numbers: np.ndarray, is_there: np.ndarray | None = None) -> pa.Array[Any]:
-    """Numbers ``(N,)`` of a type, null where they are not there."""
+    """Numbers or truth values ``(N,)`` of a type, null where they are not there."""
     validity = None if is_there is None else _validity(is_there)
-    return pa.Array.from_buffers(type_, len(numbers), [validity, pa.py_buffer(np.ascontiguousarray(numbers).data)])
+    content = _bits(numbers) if numbers.dtype == bool else pa.py_buffer(np.ascontiguousarray(numbers).data)
+    return pa.Array.from_buffers(type_, len(numbers), [validity, content])
 
 
 def _strings(values: Sequence[str | None]) -> pa.Array[Any]:
@@ -210,4 +211,8 @@ def _strings(values: Sequence[str | None]) -> pa.Array[Any]:
 
 def _validity(is_there: np.ndarray) -> pa.Buffer | None:
     """The bits that tell which values ``(N,)`` are there; None where all are."""
-    return None if is_there.all() else pa.py_buffer(np.packbits(is_there, bitorder="little").data)
+    return None if is_there.all() else _bits(is_there)
+
+
+def _bits(are_true: np.ndarray) -> pa.Buffer:
+    return pa.py_buffer(np.packbits(are_true, bitorder="little").data)
