@@ -72,7 +72,7 @@ def test_the_tracks_of_the_first_are_found_among_those_of_another_thing():
     np.testing.assert_array_equal(fits, np.arange(2 * N_POINTS) < N_POINTS)
     assert sums.sharing_a_velocity(np.full(xy.shape[1], 100.0), gate=10.0, least_tracks=N_POINTS + 1) is None
     # What the scene explains as well is no thing of its own.
-    assert sums.sharing_a_velocity(np.zeros(xy.shape[1]), gate=-1.0, least_tracks=1) is None
+    assert sums.sharing_a_velocity(np.zeros(xy.shape[1]), gate=10.0, least_tracks=1) is None
 
 
 def test_tracks_that_are_seen_once_tell_nothing():

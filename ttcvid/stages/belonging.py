@@ -179,10 +179,15 @@ def assigned(
     is_held = are_held(fit, points, movers.rate_hz)
     is_own = number[track] == mover + 1
     if scene is not None:
-        is_along = _go_along(mover, is_own, seen_misfit[track] < off, len(movers))
+        # All tracks that a mover had are asked: those that its own path no longer explains show most that it is
+        # another. Only what the road contradicts goes along our way: what the scene explains has come to rest.
+        is_odd = (seen_misfit < misfit) | (misfit >= _SCENE_EXPLAINS)
+        is_along = _most_of(is_own & (seen_misfit[track] < off), is_own, mover, len(movers))
+        is_along &= _most_of(is_own & is_odd[track], is_own, mover, len(movers))
         movers = _on_path_of(scene, scene_fit, movers, number, is_along)
         along = is_along[mover]
-        is_far = scene_fit.rate_hz[track] < LEAST_RATE * movers.rate_hz[mover]
+        is_far = scene_fit.rate_hz + _RATE_SIGMAS * scene_fit.rate_sigma_hz
+        is_far = is_far[track] < LEAST_RATE * movers.rate_hz[mover]
         off = np.where(along, np.where(is_far, np.inf, seen_misfit[track]), off)
         rate_hz = np.where(along, scene_fit.rate_hz[track], rate_hz)
         sigma_hz = np.where(along, scene_fit.rate_sigma_hz[track], sigma_hz)
@@ -200,24 +205,17 @@ def assigned(
     return np.append(SCENE_CLUSTER, movers.key)[best], movers, own
 
 
-def _go_along(mover: Ints, is_own: Bools, is_better: Bools, n_movers: int) -> Bools:
-    """Which movers go along our way: those of which the scene's path explains most tracks better than their own does.
-
-    What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
-    refinement a frame lags behind that, and the next step goes on from there. All tracks that it had are asked: those
-    that its own path no longer explains show most that it is another.
-
-    Parameters
-    ----------
-    mover : (M,) that each track is asked about, ``is_own (M,)`` whether it belonged to it.
-    is_better : (M,) tracks that the scene's path explains better.
-    """
-    n_own = np.bincount(mover, is_own, n_movers)
-    return np.asarray(np.bincount(mover, is_own & is_better, n_movers) > 0.5 * n_own)
+def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
+    """Of which movers (K,) most tracks that belonged to them are one, both (M,); ``mover (M,)`` of each track."""
+    return np.asarray(np.bincount(mover, is_one, n_movers) > 0.5 * np.bincount(mover, is_own, n_movers))
 
 
 def _on_path_of(scene: RigidPaths, scene_fit: PathFit, movers: Movers, number: Ints, is_along: Bools) -> Movers:
-    """The movers, those ``is_along (K,)`` on the path of the scene; ``number (N,)`` of each track's body."""
+    """The movers, those ``is_along (K,)`` on the path of the scene; ``number (N,)`` of each track's body.
+
+    What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
+    refinement a frame lags behind that, and the next step goes on from there.
+    """
     if not is_along.any():
         return movers
     track = np.flatnonzero(np.append(False, is_along)[number] & (scene_fit.rate_sigma_hz > 0.0))

@@ -7,11 +7,15 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Bools, Floats, Ints
 
+# A plain part between two others is as long as this part of the larger one at the most: a thing shows more of itself
+# than it hides. Across wider gaps what stands far apart became one.
+_WIDEST = 0.5
+
 
 def across_plain_gaps(
     xy_px: Floats, thing: Ints, is_told: Bools, part: Ints, one: Ints, other: Ints, least_px: float = 0.0
 ) -> Bools:
-    """Which pairs of parts have nothing else between them, and are no farther apart than the larger of them is long.
+    """Which pairs of parts have nothing else between them, a gap no wider than half of the larger one's length.
 
     A plain coat gives no tracks, so that somebody's head and legs do not hang together by them. Asked is what is seen
     in the circle over the middle half of the gap: beside somebody's neck there is the street.
@@ -39,7 +43,8 @@ def _look_between(
     for p in range(len(one)):
         first, second = np.flatnonzero(part == one[p]), np.flatnonzero(part == other[p])
         a, b, square = _closest(xy, first, second)
-        if not least_px**2 <= square < max(_length(xy, first), _length(xy, second)) ** 2:
+        widest = _WIDEST * max(_length(xy, first), _length(xy, second))
+        if not least_px**2 <= square < widest**2:
             continue
         x, y, is_plain[p] = 0.5 * (xy[a, 0] + xy[b, 0]), 0.5 * (xy[a, 1] + xy[b, 1]), True
         for i in range(len(xy)):

@@ -1,7 +1,8 @@
 """What belongs to a thing that would lie under the road, above its part that shows that.
 
 A car ahead that keeps its distance looks infinitely far away. Below the horizon that would be under the road; its
-windows and its roof, at the horizon and above, could as well be clouds. But they stand above the rest, at its depth.
+windows and its roof, at the horizon and above, could as well be clouds. But they stand above the rest, at its depth,
+and end where it ends: what goes on to the sides is background that happens to be as far away as the car appears to be.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ _ONE_THING, _SIGMAS = 0.12, 2.0
 # So many points under the road are a thing. Of its points before the road so few may lie on or over it: what stands on
 # the road has as many of them as are seen.
 _LEAST_UNDER, _MOST_OVER = 3, 0.25
-# A thing stands above its foot: its upper part reaches farther to the side by this part of its width at the most.
-_OVERHANG = 0.1
+# A thing stands above its foot: its upper part reaches farther to the side by this part of its width at the most, as
+# mirrors do. Where more than the part above goes on beyond, it is background.
+_OVERHANG, _MOST_BESIDE = 0.1, 0.25
 
 
 def above_under(
@@ -39,7 +41,7 @@ def above_under(
         return found
     index = np.flatnonzero(fit.rate_sigma_hz < most_sigma_hz)
     rate_hz = fit.rate_hz[index]
-    tolerance = 0.5 * (_ONE_THING * np.abs(rate_hz) + _SIGMAS * fit.rate_sigma_hz[index])
+    tolerance = 0.5 * (_ONE_THING * rate_hz + _SIGMAS * fit.rate_sigma_hz[index])
     label = linked_parts(xy_px[index], link_px, key[index], rate_hz, tolerance)
     has_road = np.isfinite(road_hz[index])
     under = np.bincount(label, is_under[index], label.max(initial=-1) + 1)
@@ -49,6 +51,8 @@ def above_under(
         is_thing = label == number
         foot = x[is_thing & is_under[index]]
         aside_px = _OVERHANG * np.ptp(foot)
-        is_above = is_thing & ~has_road & (x >= foot.min() - aside_px) & (x <= foot.max() + aside_px)
-        found[index[is_above]] = True
+        is_high, is_over = is_thing & ~has_road, (x >= foot.min() - aside_px) & (x <= foot.max() + aside_px)
+        above, beside = is_high & is_over, is_high & ~is_over
+        if np.count_nonzero(beside) <= _MOST_BESIDE * np.count_nonzero(above):
+            found[index[above]] = True
     return found
