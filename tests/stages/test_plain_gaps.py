@@ -36,8 +36,8 @@ def test_a_track_that_has_just_begun_says_nothing():
     assert is_plain((0.0, 41.0), others_are_told=False)
 
 
-def test_a_gap_wider_than_half_of_the_larger_part_stays_one():
-    assert not is_plain(shoulders=[(x, y - 10.0) for x, y in SHOULDERS])
+def test_a_gap_wider_than_three_quarters_of_the_larger_part_stays_one():
+    assert not is_plain(shoulders=[(x, y - 16.0) for x, y in SHOULDERS])
 
 
 def test_parts_nearer_than_asked_for_have_no_gap():

@@ -146,10 +146,10 @@ def test_parts_that_hang_together_no_more_are_two_movers():
 
 
 def walker(rng, at_m, velocity_m_s):
-    """Somebody whose coat is plain: corners on head and legs alone, 0.4 m apart."""
+    """Somebody whose coat is plain below the collar: corners on the head and from the waist down, 0.4 m apart."""
     x, y, z = at_m
     head = box_of_points(rng, 12, (x, y - 0.45, z), (0.3, 0.3, 0.05))
-    legs = box_of_points(rng, 18, (x, y + 0.5, z), (0.5, 0.8, 0.05))
+    legs = box_of_points(rng, 18, (x, y + 0.6, z), (0.5, 1.0, 0.05))
     return Thing(np.concatenate([head, legs]), velocity_m_s)
 
 

@@ -186,8 +186,8 @@ def assigned(
         is_along &= _most_of(is_own & is_odd[track], is_own, mover, len(movers))
         movers = _on_path_of(scene, scene_fit, movers, number, is_along)
         along = is_along[mover]
-        is_far = scene_fit.rate_hz + _RATE_SIGMAS * scene_fit.rate_sigma_hz
-        is_far = is_far[track] < LEAST_RATE * movers.rate_hz[mover]
+        most_hz = scene_fit.rate_hz + _RATE_SIGMAS * scene_fit.rate_sigma_hz
+        is_far = most_hz[track] < LEAST_RATE * movers.rate_hz[mover]
         off = np.where(along, np.where(is_far, np.inf, seen_misfit[track]), off)
         rate_hz = np.where(along, scene_fit.rate_hz[track], rate_hz)
         sigma_hz = np.where(along, scene_fit.rate_sigma_hz[track], sigma_hz)

@@ -9,13 +9,13 @@ from ttcvid.model import Bools, Floats, Ints
 
 # A plain part between two others is as long as this part of the larger one at the most: a thing shows more of itself
 # than it hides. Across wider gaps what stands far apart became one.
-_WIDEST = 0.5
+_WIDEST = 0.75
 
 
 def across_plain_gaps(
     xy_px: Floats, thing: Ints, is_told: Bools, part: Ints, one: Ints, other: Ints, least_px: float = 0.0
 ) -> Bools:
-    """Which pairs of parts have nothing else between them, a gap no wider than half of the larger one's length.
+    """Which pairs of parts have nothing else between them, a gap no wider than three quarters of the larger one.
 
     A plain coat gives no tracks, so that somebody's head and legs do not hang together by them. Asked is what is seen
     in the circle over the middle half of the gap: beside somebody's neck there is the street.
