@@ -35,6 +35,8 @@ Picture = NDArray[np.uint8]
 
 NO_CLUSTER = -1
 SCENE_CLUSTER = 0
+SCENE_MOTION = 0
+"""``motion_id`` of what moves as the static scene does."""
 
 
 class Status(IntEnum):

@@ -323,7 +323,7 @@ def test_a_car_that_a_post_hides_for_some_frames_keeps_its_key_and_number(n_hidd
 
 
 def test_a_mover_whose_path_is_behind_its_tracks_has_more_steps(monkeypatch):
-    """A car ahead that brakes outruns one step a frame; a path that explains nothing is not behind, but another."""
+    """A car ahead that brakes outruns one step a frame; where a path explains nothing, some more steps do not help."""
     asked = []
 
     def noted(paths, scene, points, n_steps):

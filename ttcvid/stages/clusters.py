@@ -13,7 +13,18 @@ from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
-from ttcvid.model import APPROACHING, SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Ints, MotionState, Status
+from ttcvid.model import (
+    APPROACHING,
+    SCENE_CLUSTER,
+    SCENE_MOTION,
+    Bools,
+    Camera,
+    ClusterRow,
+    Floats,
+    Ints,
+    MotionState,
+    Status,
+)
 from ttcvid.stages.fronts import front_boxes
 from ttcvid.stages.joint_states import JointStates, joint_states
 from ttcvid.stages.sets import TrackSets
@@ -27,8 +38,6 @@ _SIGMAS_95_OF_TWO = 2.45
 _SAME_DIRECTION_CHI2 = 9.21
 # Directions known less well than this could be any, rad.
 _KNOWN_DIRECTION_RAD = float(np.radians(10.0))
-# Number of the motion of the scene.
-_SCENE_MOTION = 0
 # A cluster has a direction.
 _VALUED = (Status.ok, Status.epipole_at_infinity)
 # Noise of a point that is exact by definition.
@@ -171,10 +180,10 @@ def motion_ids(is_ours: Bools, direction: Floats, direction_cov: Floats) -> list
     """
     movers = np.flatnonzero(~is_ours)
     is_same = _have_same_direction(direction[movers], direction_cov[movers]) if len(movers) > 1 else np.ones((1, 1))
-    numbers, ids = list[int](), [_SCENE_MOTION] * len(is_ours)
+    numbers, ids = list[int](), [SCENE_MOTION] * len(is_ours)
     for place, mover in enumerate(movers.tolist()):
         same = np.flatnonzero(is_same[place, :place])
-        numbers.append(numbers[same[0]] if len(same) else max([_SCENE_MOTION, *numbers]) + 1)
+        numbers.append(numbers[same[0]] if len(same) else max([SCENE_MOTION, *numbers]) + 1)
         ids[mover] = numbers[-1]
     return ids
 

@@ -16,7 +16,7 @@ from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.rotation import tangent_basis
-from ttcvid.model import APPROACHING, Camera, ClusterRow, Floats, MotionState
+from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, MotionState
 from ttcvid.stages.own_bend import OwnBend
 
 ClosingOf = Callable[[int], Closing | None]
@@ -40,8 +40,6 @@ _LEAST_TURN_RAD = 0.01
 # How far off a thing is on the road is seen by its foot. Its lowest tracks, on its tyres, lie up to a tenth of the
 # camera's height over the road: it may be as much nearer.
 _NEARER = 1.1
-# Number of the motion of what stands still.
-_SCENE_MOTION = 0
 # A miss distance, in units of depth, without a side.
 _TINY = 1e-9
 
@@ -163,7 +161,7 @@ def _miss_widths(
     if bend is None or not on_ground or not abs(bend.turn_rad_s) * float(row.times.tcpa_s[0]) > _LEAST_TURN_RAD:
         return straight_on
     # What moves as the scene does stands still.
-    speed_hz = float(np.linalg.norm(abc_hz)) if row.motion_id == _SCENE_MOTION else bend.speed_hz(rays[4, :2])
+    speed_hz = float(np.linalg.norm(abc_hz)) if row.motion_id == SCENE_MOTION else bend.speed_hz(rays[4, :2])
     if speed_hz is None:
         return straight_on
     along, nearer = (_along_bend(rays, abc_hz, cov, bend, speed, camera) for speed in (speed_hz, _NEARER * speed_hz))

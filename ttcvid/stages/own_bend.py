@@ -10,11 +10,10 @@ from ttcvid.geometry.along_bend import share_of_bend
 from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.model import Floats
 from ttcvid.stages.history import TrackHistory
+from ttcvid.stages.road import LEAST_BELOW
 
 # The turn is that of so long, s: steps of a car's wheels and of matching are gone by then, a bend has hardly changed.
 _TURN_S = 0.5
-# The road tells our speed from so far below the horizon on (tangent).
-_LEAST_BELOW = 0.03
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class OwnBend:
         if self.road_hz is None:
             return None
         speed_hz = float(self.road_hz[0] + self.road_hz[1:] @ foot)
-        return speed_hz if speed_hz > _LEAST_BELOW * self.road_hz[2] else None
+        return speed_hz if speed_hz > LEAST_BELOW * self.road_hz[2] else None
 
 
 def own_bend(history: TrackHistory, direction: Floats | None, road_hz: Floats | None) -> OwnBend | None:

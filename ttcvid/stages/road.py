@@ -21,8 +21,10 @@ from ttcvid.stages.upper_parts import above_under
 
 # The camera looks along the road within so much, as the tangent of its pitch; heights of the horizon that are tried.
 _PITCH, _N_HORIZONS = 0.06, 13
-# A point says something of the road from so far below the horizon on (tangent), with a rate known to this part.
-_LEAST_BELOW, _KNOWN_PART = 0.03, 0.1
+LEAST_BELOW = 0.03
+"""From so far below the horizon on (tangent) a point says something of the road, and the road of our speed."""
+# With a rate known to this part.
+_KNOWN_PART = 0.1
 # Rates of road points agree within this part (natural logarithm); a point with less than this part of the road's rate
 # would lie under it, and counts against a road.
 _ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
@@ -93,7 +95,7 @@ def gathered_evidence(
     floating = find_floating(views.xy_px, views.link_px, fit, key, road_hz, float(road[2]), is_rated)
     evidence = _floating_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), floating, was_below)
     is_under = _under_road(fit, road)
-    most_sigma_hz = _KNOWN_PART * _LEAST_BELOW * float(road[2])
+    most_sigma_hz = _KNOWN_PART * LEAST_BELOW * float(road[2])
     is_under |= above_under(views.xy_px, views.link_px, fit, key, is_under, road_hz, most_sigma_hz)
     decays = np.where(floating.is_borne | (floating.thing < 0), _FORGETTING, _NOTHING_SAID)
     evidence = np.where(is_under, _FORGETTING * evidence + 1.0 - _FORGETTING, decays * evidence)
@@ -146,7 +148,7 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
     weight = _share_of_cell(place)
     horizon_y = epipole_y + np.linspace(-_PITCH, _PITCH, _N_HORIZONS)
     below = place[:, 1] - horizon_y[:, None]
-    log_slope = np.where(below > _LEAST_BELOW, np.log(rate) - np.log(np.maximum(below, _LEAST_BELOW)), np.inf)
+    log_slope = np.where(below > LEAST_BELOW, np.log(rate) - np.log(np.maximum(below, LEAST_BELOW)), np.inf)
     order = np.argsort(log_slope, axis=1, kind="stable")
     densest, log_slope_there = _densest(np.take_along_axis(log_slope, order, axis=1), weight[order])
     if densest < 0:
@@ -166,7 +168,7 @@ def _share_of_cell(place: Floats) -> Floats:
 def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
     """Points (N,) of the scene below any horizon, of a known rate."""
     is_rated = in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
-    return np.asarray(is_rated & (fit.place[:, 1] > epipole_y - _PITCH + _LEAST_BELOW))
+    return np.asarray(is_rated & (fit.place[:, 1] > epipole_y - _PITCH + LEAST_BELOW))
 
 
 @compiled
@@ -183,7 +185,7 @@ def _fit_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> boo
         for i in range(len(rate)):
             x, y = place[i, 0], place[i, 1]
             predicted = road[0] + road[1] * x + road[2] * y
-            if predicted > _LEAST_BELOW * road[2]:
+            if predicted > LEAST_BELOW * road[2]:
                 below += weight[i]
             if abs(rate[i] - predicted) < 1.5 * _ROAD_SPREAD * predicted:
                 n_on_road += 1
@@ -248,7 +250,7 @@ def on_road(fit: PathFit, memory: RoadMemory) -> Bools:
 def _rate_of_road(fit: PathFit, road: Floats) -> Floats:
     """Rate of the road where each point is seen: (N,), NaN at the horizon and above."""
     rate = road[0] + fit.place @ road[1:]
-    return np.where(rate > _LEAST_BELOW * road[2], rate, np.nan)
+    return np.where(rate > LEAST_BELOW * road[2], rate, np.nan)
 
 
 def _under_road(fit: PathFit, road: Floats) -> Bools:

@@ -51,8 +51,8 @@ _USUAL_VIEWS = 3
 # not refine it.
 _YOUNG_STEPS, _YOUNG_FRAMES, _OLD_STEPS, _LEAST_POINTS = 2, 5, 1, 3
 # What is near and brakes outruns a step a frame: its path then explains its points worse than is usual, and has more
-# steps. One that explains them worse than the second is not behind, but another.
-_LAGGING_STEPS, _LAGS, _IS_ANOTHER = 6, 1.0, 8.0
+# steps. Where it explains them worse than the second, so few steps do not bring it there.
+_LAGGING_STEPS, _LAGS, _BEYOND_REACH = 6, 1.0, 8.0
 # A mover stays one, however well the scene explains it, while the road contradicts its tracks by this on the average.
 _MOVER_EVIDENCE = 0.25
 # Misfits under 1 (in units of the scene's median) are noise.
@@ -349,7 +349,7 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> 
     if not len(track):
         return movers
     steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
-    lags = (movers.misfit > _LAGS) & (movers.misfit < _IS_ANOTHER)
+    lags = (movers.misfit > _LAGS) & (movers.misfit < _BEYOND_REACH)
     steps = np.where(lags, _LAGGING_STEPS, steps) * has_points
     paths, rate_hz = refined_movers(movers.paths, scene, views.points(track, number[track] - 1), steps)
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
