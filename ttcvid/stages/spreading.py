@@ -20,8 +20,12 @@ from ttcvid.stages.growing import SIGMAS_999, around_the_oddest
 # Tracks that are enough for a thing: fewer than those of other movers, since three unknowns for all say more than flows
 # that are alike; as many as bear a surface.
 _ENOUGH_TRACKS = 5
-# So many things are looked for in a frame.
-_MOST_THINGS = 3
+# So many things are looked for in a frame, around so many tracks: in a street, tracks that slide along the outlines of
+# posts and trees contradict the scene worse than somebody who walks does, some ten at a time, and the same ones in each
+# frame.
+_MOST_THINGS, _MOST_SEEDS = 3, 12
+# Misfits below this are noise.
+_NOISE = 1.0
 # What will be here later than so many times as long as it has been seen has hardly grown: its direction is better told
 # by flows that are alike.
 _REACHED_WITHIN = 6.0
@@ -43,8 +47,9 @@ def spreading_things(
 ) -> list[tuple[Ints, Floats]]:
     """Things that come nearer and spread, each with its tracks (M,) and its direction (3,).
 
-    Of the tracks of each `least_tracks` are explained better than by the scene, by `BodiesConfig.gain`; as many misfit
-    the scene by so much.
+    The tracks of each are `least_tracks`, and explained better than by the scene, all together and that one around
+    which it was looked for, by `BodiesConfig.gain`; as many misfit the scene by so much. (What a linear fit makes of
+    each track is too crude to ask more of all: `new_movers` does, of a refined path.)
 
     Parameters
     ----------
@@ -55,8 +60,8 @@ def spreading_things(
     is_free, is_asked = may_be.copy(), np.zeros(len(may_be), dtype=bool)
     is_asked[seeds] = may_be[seeds]
     things = list[tuple[Ints, Floats]]()
-    for _ in range(_MOST_THINGS):
-        if not is_asked.any():
+    for _ in range(_MOST_SEEDS):
+        if len(things) == _MOST_THINGS or not is_asked.any():
             break
         seed, around = around_the_oddest(views.xy_px, misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False
@@ -86,7 +91,7 @@ def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tup
         return None
     velocity_hz, cov = sums.velocity(fits)
     own = sums.misfits(velocity_hz)
-    is_better = fits & (own < misfit / config.gain)
-    if not is_better[0] or np.count_nonzero(is_better) < least_tracks(config):
+    is_better = np.maximum(own[fits], _NOISE).sum() < misfit[fits].sum() / config.gain
+    if not (fits[0] and own[0] < misfit[0] / config.gain and is_better):
         return None
     return fits, velocity_hz, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2]))
