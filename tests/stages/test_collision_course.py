@@ -315,6 +315,15 @@ def test_a_small_thing_on_the_road_is_judged_by_its_width_as_before():
         assert is_course(row, on_ground=True) == is_course(row)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize(("aside_m", "is_hit"), [(0.0, True), (0.9, True), (1.5, False)])
+def test_who_walks_on_the_road_is_hit_by_half_of_our_car_beside_the_camera(side, aside_m, is_hit):
+    """A walker 0.6 m wide, 1.4 m below our camera; our car is 1.7 m wide, and hits whose middle passes within 1.15 m."""
+    walker = standing(0.6, 1.75, ref_below_m=0.5, centre_below_m=0.53, position_m=(side * aside_m, 0.0, 16.0))
+    assert is_course(walker, on_ground=True) == is_hit
+    assert is_course(walker) == (aside_m == 0.0)
+
+
 def test_confidence_is_the_probability_of_the_approach_and_as_high_as_asked_for():
     """A harder confidence warns of less: an approach known to 30 % is sure at 95 % but not at 99.99 %."""
     hit = drive(*HIT, 1.5, relative_sigma=0.3, width_m=8.0)

@@ -33,8 +33,9 @@ _SIGMAS_99, _SIGMAS_OF_CHOICE, _LASTING_S = 2.326, 0.35, 1.0
 # The time that this leaves has to be short by its best estimate and a standard deviation: it does not run down as other
 # times do, since brakes are let go.
 _SOON_SIGMAS = 1.0
-# Half of our own width and some room beside it, in heights of the camera above the road: cars, vans and lorries alike.
-_ROOM_HEIGHTS = 1.0
+# Half of our own width, and that with some room beside it, in heights of the camera above the road: cars, vans and
+# lorries alike.
+_HALF_HEIGHTS, _ROOM_HEIGHTS = 0.6, 1.0
 # A bend that turns us by less than this until the closest approach is none, rad.
 _LEAST_TURN_RAD = 0.01
 # How far off a thing is on the road is seen by its foot. Its lowest tracks, on its tyres, lie up to a tenth of the
@@ -235,6 +236,9 @@ def _fill_miss(
         # The height of the camera above the foot of what moves level to us, in units of its depth.
         height = bottom - dy / dz
         if np.isfinite(height):
-            width = min(width, 0.5 * width + _ROOM_HEIGHTS * max(height, 0.0))
+            height = max(height, 0.0)
+            # Somebody who walks is narrower than half of our car, which hits him all the same.
+            wide = max(width, 0.5 * width + _HALF_HEIGHTS * height)
+            width = min(wide, 0.5 * width + _ROOM_HEIGHTS * height)
     found[0], found[1], found[2] = off_x / width, off_y / width, off_z / width
     found[3] = abs(ahead) / speed * np.sqrt(variance) / width
