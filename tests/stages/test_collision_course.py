@@ -318,7 +318,7 @@ def test_a_small_thing_on_the_road_is_judged_by_its_width_as_before():
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize(("aside_m", "is_hit"), [(0.0, True), (0.9, True), (1.5, False)])
 def test_who_walks_on_the_road_is_hit_by_half_of_our_car_beside_the_camera(side, aside_m, is_hit):
-    """A walker 0.6 m wide, 1.4 m below our camera; our car is 1.7 m wide, and hits whose middle passes within 1.15 m."""
+    """A walker 0.6 m wide, 1.4 m below our camera: our car is 1.7 m wide, and hits him within 1.15 m of his middle."""
     walker = standing(0.6, 1.75, ref_below_m=0.5, centre_below_m=0.53, position_m=(side * aside_m, 0.0, 16.0))
     assert is_course(walker, on_ground=True) == is_hit
     assert is_course(walker) == (aside_m == 0.0)

@@ -73,7 +73,8 @@ def test_six_of_its_tracks_are_enough_in_nineteen_of_twenty_draws():
     for seed in range(100, 120):
         rng = np.random.default_rng(seed)
         views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 6, AT_M, CAR_M), TO_US_M_S, rng), rng)
-        n_found += any(np.count_nonzero(members < 6) >= least_tracks(CONFIG) for members, _ in found_in(views, scene, fit))
+        things = found_in(views, scene, fit)
+        n_found += any(np.count_nonzero(members < 6) >= least_tracks(CONFIG) for members, _ in things)
     assert n_found >= 19
 
 
