@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.newest_step import with_newest_step
+from ttcvid.geometry.newest_step import StepPriors, with_newest_steps
 from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 
@@ -39,10 +39,14 @@ def with_last_step(path, factor):
     return path + (factor - 1.0) * np.append(np.broadcast_to(path[-2], (N_VIEWS - 1, 3)), np.zeros((1, 3)), axis=0)
 
 
+def mean_step(paths):
+    return np.linalg.norm(paths.path, axis=2).max(axis=1) / (N_VIEWS - 1)
+
+
 def corrected(points, paths, n_times, weight=None):
     weight = np.ones(len(points.track)) if weight is None else weight
     for _ in range(n_times):
-        paths = with_newest_step(points, paths, fit_on_paths(points, paths), weight)
+        paths = with_newest_steps(points, paths, fit_on_paths(points, paths), weight, StepPriors(mean_step(paths)))
     return paths
 
 
@@ -89,6 +93,46 @@ def test_movers_among_the_points_have_little_say():
     assert np.linalg.norm(after.path[0, -2] - path[-2]) < 0.1 * np.linalg.norm(path[-2])
 
 
+@pytest.mark.parametrize("turn_deg", [(0.0, 1.5, 0.0), (0.4, -0.6, 0.8)])
+def test_a_thing_that_turned_in_its_last_step_is_turned(turn_deg):
+    rng = np.random.default_rng(6)
+    points, rotations = seen(braking_path(0.6), rng)
+    true = RigidPaths(rotations[None], braking_path(0.6)[None])
+    # As if it had not turned about its middle, and gone a little less far.
+    middle, back = np.array([0.1, 0.0, 2.0]), rotation_from_vector(-np.radians(turn_deg))
+    path = (true.path[0, :-1] + middle) @ back.T - middle - 0.1 * true.path[0, -2]
+    wrong = RigidPaths(true.cam_R_past.copy(), np.append(path, np.zeros((1, 3)), axis=0)[None])
+    wrong.cam_R_past[0, :-1] = back @ rotations[:-1]
+    paths, weight = wrong, np.ones(120)
+    for _ in range(8):
+        priors = StepPriors(mean_step(paths), np.zeros((1, 3)), 1.0, middle[None])
+        paths = with_newest_steps(points, paths, fit_on_paths(points, paths), weight, priors)
+    np.testing.assert_allclose(paths.path, true.path, atol=1e-5)
+    np.testing.assert_allclose(paths.cam_R_past, true.cam_R_past, atol=1e-5)
+
+
+def test_a_thing_is_expected_to_turn_as_it_is_said():
+    points, rotations = seen(braking_path(0.6), np.random.default_rng(7))
+    paths, turned = RigidPaths(rotations[None], braking_path(0.6)[None]), np.array([[0.0, 0.01, 0.0]])
+    priors = StepPriors(mean_step(paths), turned, 1e-9, np.zeros((1, 3)))
+    after = with_newest_steps(points, paths, fit_on_paths(points, paths), np.ones(120), priors)
+    turn = after.cam_R_past[0, 0] @ rotations[0].T
+    np.testing.assert_allclose(turn, rotation_from_vector(turned[0]), atol=1e-6)
+
+
+def test_each_of_several_things_is_corrected_as_if_alone():
+    rng = np.random.default_rng(8)
+    one, rotations = seen(braking_path(0.6), rng)
+    other, _ = seen(braking_path(0.2), rng)
+    both = Points(
+        np.concatenate([one.rays, other.rays]), np.full(240, SIGMA), T_S, np.arange(240), np.repeat([0, 1], 120)
+    )
+    wrong = RigidPaths(rotations[None], with_last_step(braking_path(0.4), 1.2)[None])
+    together = corrected(both, wrong.joined(wrong), 1, np.ones(240))
+    for place, points in enumerate((one, other)):
+        np.testing.assert_allclose(together.path[place], corrected(points, wrong, 1).path[0], rtol=1e-12, atol=1e-15)
+
+
 def test_points_without_weight_and_a_path_of_one_step_change_nothing():
     path = braking_path(0.6)
     points, rotations = seen(path, np.random.default_rng(5))
@@ -102,4 +146,6 @@ def test_points_without_weight_and_a_path_of_one_step_change_nothing():
         np.arange(120),
         np.zeros(120, dtype=np.int64),
     )
-    assert with_newest_step(few, short, fit_on_paths(points, wrong), np.ones(120)) is short
+    assert (
+        with_newest_steps(few, short, fit_on_paths(points, wrong), np.ones(120), StepPriors(mean_step(short))) is short
+    )

@@ -32,9 +32,8 @@ class Movers:
     """K movers as remembered, ascending in their internal ``key (K,)``.
 
     ``cluster_id (K,)`` is public, `NO_CLUSTER` until a mover has been confirmed; ``n_found, n_missed (K,)`` frames in
-    which it was found, and was not since; ``paths`` the motions, with the median rate ``rate_hz (K,)`` and the median
-    misfit ``misfit (K,)`` of their points, over what is usual on the scene's path, NaN where not known; ``where`` they
-    are, and their ``velocity``.
+    which it was found, and was not since; ``paths`` the motions, with the median rate ``rate_hz (K,)`` of their points;
+    ``where`` they are, and their ``velocity``.
     """
 
     key: Ints
@@ -42,7 +41,6 @@ class Movers:
     n_found: Ints
     n_missed: Ints
     rate_hz: Floats
-    misfit: Floats
     paths: RigidPaths
     where: Whereabouts
     velocity: Velocities
@@ -58,7 +56,6 @@ class Movers:
             self.n_found[index],
             self.n_missed[index],
             self.rate_hz[index],
-            self.misfit[index],
             self.paths.take(index),
             self.where.take(index),
             self.velocity.take(index),
@@ -75,7 +72,6 @@ class Movers:
             np.append(self.n_found, np.ones(count, dtype=np.int64)),
             np.append(self.n_missed, np.zeros(count, dtype=np.int64)),
             np.append(self.rate_hz, rate_hz),
-            np.append(self.misfit, np.full(count, np.nan)),
             self.paths.joined(paths),
             self.where.with_new(count),
             self.velocity.with_new(count),
@@ -122,7 +118,7 @@ def unknown_fit(misfit: Floats) -> OwnFit:
 def no_movers(n_views: int) -> Movers:
     """None at all, over so many views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
-    return Movers(none, none, none, none, np.empty(0), np.empty(0), paths, nowhere(0), unknown_velocities(0))
+    return Movers(none, none, none, none, np.empty(0), paths, nowhere(0), unknown_velocities(0))
 
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:
@@ -197,7 +193,6 @@ def assigned(
     asked, best = asked[moves], np.zeros(len(key), dtype=np.int64)
     best[moves], own.rate_sigma_hz[moves] = 1 + mover[asked], sigma_hz[asked]
     own.rate_hz[moves] = np.where(is_held, np.nan, rate_hz)[asked]
-    movers = replace(movers, misfit=medians(own.misfit[moves], mover[asked], len(movers)))
     return np.append(SCENE_CLUSTER, movers.key)[best], movers, own
 
 

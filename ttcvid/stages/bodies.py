@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.newest_step import with_newest_step
+from ttcvid.geometry.newest_step import StepPriors, with_newest_steps
 from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
 from ttcvid.model import Bools, Floats, Ints
 
@@ -98,29 +98,42 @@ def refined_scene(
     # Each part of the picture has the same say in the last step: a bus that is not known as a mover yet may fill half.
     unmoved = replace(points, track=points.track[in_scene], thing=points.thing[in_scene])
     fit = fit_on_paths(unmoved, scene, rate_hz[in_scene])
-    scene = with_newest_step(unmoved, scene, fit, weight[in_scene] ** 2)
+    scene = with_newest_steps(unmoved, scene, fit, weight[in_scene] ** 2, StepPriors(mean_step(scene.path, points)))
     turn_sigma = np.full(len(points.since_s), _SCENE_TURN_RAD)
     priors = PathPriors(None, turn_sigma, _own_shift_sigma(points.since_s, scene.path[0]))
     return refined_paths(points, scene, priors, np.array([n_steps]), weight, rate_hz)[0]
 
 
-def refined_movers(movers: RigidPaths, scene: RigidPaths, points: Points, n_steps: Ints) -> tuple[RigidPaths, Floats]:
+def mean_step(path: Floats, points: Points) -> Floats:
+    """Mean length of the steps of each ``path (K, L, 3)``, over the last one's time: (K,); 0 with a single view."""
+    length = np.sqrt((path * path).sum(axis=2).max(axis=1))
+    return np.asarray(length * (points.since_s[-2] / points.since_s[0] if len(points.since_s) > 1 else 0.0))
+
+
+def refined_movers(
+    movers: RigidPaths, scene: RigidPaths, points: Points, n_steps: Ints, start_hz: Floats | None = None
+) -> tuple[RigidPaths, Floats]:
     """The turns and paths of movers by their own points; beside the scene's views theirs may turn a little.
 
     Parameters
     ----------
     n_steps : (K,) of each mover.
+    start_hz : (M,) rates to start from; None or NaN: none.
 
     Returns
     -------
     The movers, and the median rate of the points of each, (K,); 0 without any.
     """
-    turn_sigma = _TURN_RATE_RAD_S * np.maximum(-points.since_s, _LEAST_TIME_S)
-    priors = PathPriors(scene.cam_R_past[0], turn_sigma, _shift_sigma(points.since_s))
-    movers, rate_hz = refined_paths(points, movers, priors, n_steps)
+    priors = PathPriors(scene.cam_R_past[0], turn_sigma_rad(points.since_s), _shift_sigma(points.since_s))
+    movers, rate_hz = refined_paths(points, movers, priors, n_steps, rate_hz=start_hz)
     known = np.isfinite(rate_hz)
     usual_hz = medians(rate_hz[known], points.thing[known], len(movers))
     return movers, np.where(np.isfinite(usual_hz), usual_hz, 0.0)
+
+
+def turn_sigma_rad(since_s: Floats) -> Floats:
+    """How far a mover may have turned beside the scene since each view (L,)."""
+    return np.asarray(_TURN_RATE_RAD_S * np.maximum(-since_s, _LEAST_TIME_S))
 
 
 def _shift_sigma(since_s: Floats) -> Floats:

@@ -18,18 +18,13 @@ from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.belonging import Movers, assigned, kept, no_movers, numbers_of
-from ttcvid.stages.bodies import (
-    carried_forward,
-    recent_speed,
-    refined_movers,
-    refined_scene,
-    with_unit_speed,
-)
+from ttcvid.stages.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.body_views import BodyViews, body_views
 from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion, picture_region, region_side_of
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.joining import merged, split
 from ttcvid.stages.known_again import known_again, with_velocities
+from ttcvid.stages.last_steps import begun_anew, stepped_movers
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.road import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.sets import places_among
@@ -50,9 +45,6 @@ _USUAL_VIEWS = 3
 # Steps of refinement a frame of a new mover, and of one that has been found in some frames; fewer points than this do
 # not refine it.
 _YOUNG_STEPS, _YOUNG_FRAMES, _OLD_STEPS, _LEAST_POINTS = 2, 5, 1, 3
-# What is near and brakes outruns a step a frame: its path then explains its points worse than is usual, and has more
-# steps. Where it explains them worse than the second, so few steps do not bring it there.
-_LAGGING_STEPS, _LAGS, _BEYOND_REACH = 6, 1.0, 8.0
 # A mover stays one, however well the scene explains it, while the road contradicts its tracks by this on the average.
 _MOVER_EVIDENCE = 0.25
 # Misfits under 1 (in units of the scene's median) are noise.
@@ -159,7 +151,7 @@ def find_bodies(
         road = gathered_evidence(road_before, history.track_id, views, scene_fit, alike, in_scene, epipole_y)
         misfit = _with_contradictions(misfit, road, on_road(scene_fit, road), key, config)
 
-    movers = _refined(movers, scene, views, key)
+    movers = _refined(movers, scene, views, key, usual)
     # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
     neighbours = views.neighbours(is_free & (misfit > config.scene_gate), key != SCENE_CLUSTER)
     key, movers, own = assigned(
@@ -341,7 +333,7 @@ def _raise_odd(key: Ints, scene: int, evidence: Floats, is_odd: Bools, least: fl
             misfit[i] = max(misfit[i], least)
 
 
-def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> Movers:
+def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usual_misfit: float) -> Movers:
     """The movers, each corrected by the tracks that it had."""
     number = numbers_of(key, movers)
     has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
@@ -349,9 +341,9 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> 
     if not len(track):
         return movers
     steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
-    lags = (movers.misfit > _LAGS) & (movers.misfit < _BEYOND_REACH)
-    steps = np.where(lags, _LAGGING_STEPS, steps) * has_points
-    paths, rate_hz = refined_movers(movers.paths, scene, views.points(track, number[track] - 1), steps)
+    points = views.points(track, number[track] - 1)
+    paths, rate_hz = stepped_movers(movers.paths, scene, points, steps * has_points, movers.rate_hz)
+    paths, rate_hz = begun_anew(paths, rate_hz, scene, points, usual_misfit)
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 
