@@ -20,8 +20,9 @@ from ttcvid.stages.plain_gaps import across_plain_gaps
 # Two bodies, or two parts of one, are one where their rates differ by less than this factor.
 _ONE_RATE = 1.5
 # Two movers are one where one motion explains both at most this much worse than two, misfits below 1 being 1; before
-# that is tried, the motion of the larger has to explain the smaller within this factor, at rates within the other.
-_MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 8.0, 3.0
+# that is tried, the motion of the larger has to explain the smaller within this factor, at rates within the other: what
+# fits one half of a bus that turns leaves the other up to 30 times as far off, until both correct it.
+_MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 32.0, 3.0
 _LEAST_MISFIT = 1.0
 # Steps of refinement of two taken as one; so many tracks of each tell whether they are.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
