@@ -73,14 +73,22 @@ def _from_two_views(
     parallax_rad, side = least_parallax_px / history.focal_px, region_side_of(history.camera)
     egomotion, memory = estimate_egomotion(*step, parallax_rad, memory, config.platform, side)
     history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
-    history = with_noise(history, egomotion.residual_spread, sigma_floor_px)
     gap = min(memory.gap_frames, len(history.frame) - 1)
+    # Where a step shows no translation, what is left of its flow is noise only if a longer one shows none, either.
+    is_noise_known = egomotion.direction is not None or gap <= 1
+    if is_noise_known:
+        history = with_noise(history, egomotion.residual_spread, sigma_floor_px)
     memory = replace(memory, gap_frames=_gap_for(history, is_free))
     long_step = _pair(history, is_free, gap, config.min_tracks) if gap > 1 else None
     if long_step is None:
+        if not is_noise_known:
+            history = with_noise(history, egomotion.residual_spread, sigma_floor_px)
         return egomotion, history, memory
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
     over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform, side)
+    if not is_noise_known:
+        told = egomotion if over_gap.direction is None else over_gap
+        history = with_noise(history, told.residual_spread, sigma_floor_px)
     history = _corrected(history, over_gap, gap)
     egomotion = replace(egomotion, direction=over_gap.direction, direction_cov=over_gap.direction_cov)
     return egomotion, history, memory
