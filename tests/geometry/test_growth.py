@@ -10,30 +10,60 @@ CENTRE_M, N_POINTS, SIGMA = np.array([60.0, -5.0, 240.0]), 4, 0.1 / 880.0
 VELOCITY_M_S = np.array([-20.0, 2.0, -75.0])
 
 
-def seen(rng, velocity_m_s=VELOCITY_M_S, n=N_POINTS, sigma=0.0, size_m=(11.0, 3.0, 0.0)):
+STEADY = np.zeros((len(SINCE_S), 3))
+
+
+def seen(rng, velocity_m_s=VELOCITY_M_S, n=N_POINTS, sigma=0.0, size_m=(11.0, 3.0, 0.0), sway_m=STEADY):
     """Places (L, M, 2) of points of a thing that moves past a camera which does not turn."""
     where = CENTRE_M + rng.uniform(-0.5, 0.5, (n, 3)) * size_m
-    moved = where + SINCE_S[:, None, None] * np.asarray(velocity_m_s)
+    moved = where + SINCE_S[:, None, None] * np.asarray(velocity_m_s) + sway_m[:, None]
     return moved[:, :, :2] / moved[:, :, 2:] + sigma * rng.normal(size=(len(SINCE_S), n, 2))
 
 
-def fitted(xy, members=None):
-    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA))
-    return sums, *sums.velocity(np.ones(xy.shape[1], dtype=bool) if members is None else members)
+def fitted(xy, members=None, sway=STEADY):
+    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA), sway)
+    return sums, *sums.unknowns(np.ones(xy.shape[1], dtype=bool) if members is None else members)
 
 
 @pytest.mark.parametrize("velocity_m_s", [VELOCITY_M_S, (0.0, 0.0, -75.0), (30.0, 0.0, 0.0), (3.0, 1.0, 20.0)])
 def test_the_velocity_over_the_depth_is_exact_without_noise(velocity_m_s):
-    sums, velocity_hz, _ = fitted(seen(np.random.default_rng(1), velocity_m_s))
-    np.testing.assert_allclose(velocity_hz, np.asarray(velocity_m_s) / CENTRE_M[2], rtol=1e-9, atol=1e-12)
-    assert sums.misfits(velocity_hz).max() < 1e-6
+    sums, unknowns, _ = fitted(seen(np.random.default_rng(1), velocity_m_s))
+    np.testing.assert_allclose(unknowns[:3], np.asarray(velocity_m_s) / CENTRE_M[2], rtol=1e-9, atol=1e-12)
+    assert unknowns[3] == 0.0
+    assert sums.misfits(unknowns).max() < 1e-6
+
+
+SWAY_M = np.outer(np.sin(4.0 * SINCE_S) - 4.0 * SINCE_S, [1.2, -0.3, 0.2])
+
+
+def test_before_a_camera_that_sways_the_velocity_is_as_exact_and_its_depth_is_told():
+    """In units of 3 m, the way that it goes in a second: the scene has no other."""
+    sums, unknowns, cov = fitted(seen(np.random.default_rng(1), sway_m=SWAY_M), sway=SWAY_M / 3.0)
+    np.testing.assert_allclose(unknowns[:3], VELOCITY_M_S / CENTRE_M[2], rtol=2e-4)
+    # What is taken to be known of the depth beforehand pulls it to zero by a thousandth of its noise.
+    assert unknowns[3] == pytest.approx(3.0 / CENTRE_M[2], rel=2e-3)
+    assert np.sqrt(cov[3, 3]) < 0.2 * unknowns[3]
+    assert sums.misfits(unknowns).max() < 1e-4
+    # Taken for steady, it sees the thing go elsewhere, and its tracks fit nothing.
+    steady, straight, _ = fitted(seen(np.random.default_rng(1), sway_m=SWAY_M))
+    assert np.abs(straight[:3] * CENTRE_M[2] - VELOCITY_M_S).max() > 0.5
+    assert steady.misfits(straight).min() > 10.0
+
+
+def test_the_tracks_of_a_thing_are_found_before_a_camera_that_sways():
+    rng = np.random.default_rng(4)
+    things = [seen(rng, v, sigma=SIGMA, sway_m=SWAY_M) for v in (VELOCITY_M_S, (10.0, 0.0, -30.0))]
+    xy = np.concatenate(things, axis=1)
+    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA), SWAY_M / 3.0)
+    fits = sums.sharing_a_velocity(np.full(xy.shape[1], 100.0), gate=10.0, least_tracks=N_POINTS)
+    np.testing.assert_array_equal(fits, np.arange(2 * N_POINTS) < N_POINTS)
 
 
 def test_views_that_are_missing_change_nothing():
     xy = seen(np.random.default_rng(2))
     xy[:7, 0], xy[3, 2], xy[12, 3] = np.nan, np.nan, np.nan
-    _, velocity_hz, _ = fitted(xy)
-    np.testing.assert_allclose(velocity_hz, VELOCITY_M_S / CENTRE_M[2], rtol=1e-9)
+    _, unknowns, _ = fitted(xy)
+    np.testing.assert_allclose(unknowns[:3], VELOCITY_M_S / CENTRE_M[2], rtol=1e-9)
 
 
 def test_a_velocity_is_as_sure_as_it_says_and_its_tracks_fit_it():
@@ -41,10 +71,10 @@ def test_a_velocity_is_as_sure_as_it_says_and_its_tracks_fit_it():
     velocity_m_s = VELOCITY_M_S / 5.0
     chi2, misfits = [], []
     for seed in range(400):
-        sums, velocity_hz, cov = fitted(seen(np.random.default_rng(seed), velocity_m_s, sigma=SIGMA))
-        off = velocity_hz - velocity_m_s / CENTRE_M[2]
-        chi2.append(off @ np.linalg.solve(cov, off))
-        misfits.append(sums.misfits(velocity_hz))
+        sums, unknowns, cov = fitted(seen(np.random.default_rng(seed), velocity_m_s, sigma=SIGMA))
+        off = unknowns[:3] - velocity_m_s / CENTRE_M[2]
+        chi2.append(off @ np.linalg.solve(cov[:3, :3], off))
+        misfits.append(sums.misfits(unknowns))
     # Three degrees of freedom; those of the places are taken out, those of the velocity are shared.
     assert 2.4 < np.mean(chi2) < 3.8
     assert np.mean(np.array(chi2) < 11.3) > 0.97
@@ -57,9 +87,9 @@ def test_each_set_has_its_own_velocity_and_a_track_of_another_thing_does_not_fit
     xy = np.concatenate([seen(rng), seen(rng, other_m_s)], axis=1)
     is_first = np.arange(2 * N_POINTS) < N_POINTS
     for members, velocity_m_s in ((is_first, VELOCITY_M_S), (~is_first, other_m_s)):
-        sums, velocity_hz, _ = fitted(xy, members)
-        np.testing.assert_allclose(velocity_hz * CENTRE_M[2], velocity_m_s, rtol=1e-9, atol=1e-9)
-        misfits = sums.misfits(velocity_hz)
+        sums, unknowns, _ = fitted(xy, members)
+        np.testing.assert_allclose(unknowns[:3] * CENTRE_M[2], velocity_m_s, rtol=1e-9, atol=1e-9)
+        misfits = sums.misfits(unknowns)
         assert misfits[members].max() < 1e-6
         assert misfits[~members].min() > 50.0
 
@@ -67,7 +97,7 @@ def test_each_set_has_its_own_velocity_and_a_track_of_another_thing_does_not_fit
 def test_the_tracks_of_the_first_are_found_among_those_of_another_thing():
     rng = np.random.default_rng(4)
     xy = np.concatenate([seen(rng, sigma=SIGMA), seen(rng, (10.0, 0.0, -30.0), sigma=SIGMA)], axis=1)
-    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA))
+    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA), STEADY)
     fits = sums.sharing_a_velocity(np.full(xy.shape[1], 100.0), gate=10.0, least_tracks=N_POINTS)
     np.testing.assert_array_equal(fits, np.arange(2 * N_POINTS) < N_POINTS)
     assert sums.sharing_a_velocity(np.full(xy.shape[1], 100.0), gate=10.0, least_tracks=N_POINTS + 1) is None
@@ -78,6 +108,6 @@ def test_the_tracks_of_the_first_are_found_among_those_of_another_thing():
 def test_tracks_that_are_seen_once_tell_nothing():
     xy = np.full((len(SINCE_S), 3, 2), np.nan)
     xy[-1] = 0.1
-    _, velocity_hz, cov = fitted(xy)
-    assert np.isnan(velocity_hz).all()
+    _, unknowns, cov = fitted(xy)
+    assert np.isnan(unknowns).all()
     assert np.isnan(cov).all()

@@ -157,6 +157,13 @@ def test_one_pixel_spans_less_towards_the_rim():
     assert history.sigma_rad[0] == pytest.approx(0.2 / CAMERA.fx_px * np.cos(np.radians(40)) ** 1.5)
 
 
+def motion_px(rng, motion):
+    """Noise of a pixel across the rays of a view, (N, 3)."""
+    rays = motion.rays[0]
+    per_px = history_of([1]).camera.fx_px * 1.0
+    return np.einsum("nij,nj->ni", tangent_basis(rays), rng.normal(size=(motion.n, 2))) * rays[:, 2:] ** 1.5 / per_px
+
+
 def noisy_history(n_frames=25, sigma_px=0.1, noisy_px=0.5, spread=1.0, n_noisy=20, dt_s=None):
     """After so many frames of a drive, the first tracks of which are noisier than the others."""
     rng = np.random.default_rng(4)
@@ -210,6 +217,19 @@ def test_level_of_the_noise_follows_the_scenes_residuals(spread):
             history = with_egomotion(history, np.eye(3), FORWARD, 0.0)
             history = with_noise(history, true_px / history.pool_sigma_px, FLOOR_PX)
     assert history.pool_sigma_px == pytest.approx(true_px, rel=0.01)
+
+
+def test_before_a_slow_camera_noise_is_not_less_than_what_paths_are_rough_by():
+    """A translation over more frames follows the noise of what shows none, as blobs of a plain sky do."""
+    rng, history, true_px = np.random.default_rng(5), start(0.2), 0.3
+    motion = drive(60, rng, speed_m=0.01)
+    for frame in range(60):
+        rays = normalize(motion.rays[frame] + true_px * motion_px(rng, motion))
+        history = extended(history, frame, frame * DT_S, motion.points(frame), rays, 11)
+        if frame:
+            history = with_egomotion(history, np.eye(3), FORWARD, 0.0)
+            history = with_noise(history, 0.2, FLOOR_PX, is_slow=True)
+    assert history.pool_sigma_px == pytest.approx(true_px, rel=0.1)
 
 
 def test_noise_never_falls_below_its_floor_and_stays_without_residuals():

@@ -1,10 +1,14 @@
-"""The velocity over the depth of a small thing, from how its picture moves and grows: three unknowns for all tracks.
+"""The velocity over the depth of a small thing, from how its picture moves and grows: four unknowns for all tracks.
 
 A point at (x, y) now, in the plane z = 1, of a thing that moves by (a, b, c) = V / Z and is small against its distance,
 was at ((x + a t) / (1 + c t), (y + b t) / (1 + c t)). Multiplied out, that is linear in the place and in (a, b, c).
 What a track says of them is a sum: any set of tracks is fitted by adding up. (A noisy place in the column of c pulls c
 to zero: here by the square of the noise over that of the thing's size. Views of when the thing was smaller count as
 much as the present one: where c t is 0.3, their noise is 1.3 times as large as it is taken to be.)
+
+The thing goes straight on, the camera may not: one that is held by hand or hovers sways. How far it was off a straight
+way is known from the scene, in units of the scene; times s, one over the depth of the thing in these units, it adds to
+the ways of all its tracks. So s is the fourth unknown, and told only where the camera sways.
 """
 
 from __future__ import annotations
@@ -13,12 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_in_place
 from ttcvid.model import Bools, Floats
 
 # Sums of a track: information on a (and b), couplings of a and b with c, information on c, score of a, b, c, squared
-# residuals.
-_N_SUMS = 8
+# residuals; then of s the couplings with a, b and c, the information and the score.
+_N_SUMS = 13
+# One over the time that the camera takes to where a thing is, is hardly more than this, 1/s: what is nearer than half a
+# second away was found before.
+_USUAL_S_HZ = 2.0
 # A track fits a velocity that explains it worse than the scene by no more than this, in units of what is usual; misfits
 # below the first are noise.
 _NOISE, _NOT_WORSE = 1.0, 1.0
@@ -28,34 +35,35 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class GrowthSums:
-    """What each of M tracks says of the velocity over the depth w = (a, b, c) of its thing, its place taken out.
+    """What each of M tracks says of the unknowns (a, b, c, s) of its thing, its place taken out.
 
-    Its squared residuals, in units of its variance, are quadratic in w: ``sums (8, M)`` are the information on a (that
-    on b is the same, and the two do not meet), the couplings of a and b with c, the information on c, the score of a,
-    b, c, and the squared residuals at w = 0. ``freedom (M,)`` degrees of freedom of each by itself: its velocity is
-    that of others, too.
+    Its squared residuals, in units of its variance, are quadratic in them: ``sums (13, M)`` are the information on a
+    (that on b is the same, and the two do not meet), the couplings of a and b with c, the information on c, the score
+    of a, b, c, the squared residuals where all are 0, the couplings of s with a, b, c, the information on it and its
+    score. ``freedom (M,)`` degrees of freedom of each by itself: its velocity is that of others, too.
     """
 
     sums: Floats
     freedom: Floats
 
-    def velocity(self, members: Bools) -> tuple[Floats, Floats]:
-        """Velocity over depth (3,), 1/s, of the tracks that a mask (M,) picks, and its covariance (3, 3); NaN: none."""
-        info_a, with_a, with_b, info_c, score_a, score_b, score_c, _ = self.sums[:, members].sum(axis=1).tolist()
-        if not (info_a > 0.0 and info_a * info_c > with_a * with_a + with_b * with_b):
-            return np.full(3, np.nan), np.full((3, 3), np.nan)
-        # How a and b follow c.
-        along = np.array([-with_a / info_a, -with_b / info_a, 1.0])
-        variance_c = 1.0 / (info_c + along[0] * with_a + along[1] * with_b)
-        cov = variance_c * np.outer(along, along) + np.diag([1.0 / info_a, 1.0 / info_a, 0.0])
-        return cov @ [score_a, score_b, score_c], cov
+    def unknowns(self, members: Bools) -> tuple[Floats, Floats]:
+        """(a, b, c, s) of the tracks that a mask (M,) picks, 1/s, and their covariance (4, 4); NaN: none."""
+        aa, ac, bc, cc, score_a, score_b, score_c, _, as_, bs, cs, ss, score_s = self.sums[:, members].sum(axis=1)
+        ss += 1.0 / _USUAL_S_HZ**2
+        info = np.array([[aa, 0.0, ac, as_], [0.0, aa, bc, bs], [ac, bc, cc, cs], [as_, bs, cs, ss]])
+        if not (aa > 0.0 and aa * cc > ac * ac + bc * bc and np.linalg.det(info) > 0.0):
+            return np.full(4, np.nan), np.full((4, 4), np.nan)
+        cov = np.linalg.inv(info)
+        return cov @ [score_a, score_b, score_c, score_s], cov
 
-    def misfits(self, velocity_hz: Floats) -> Floats:
-        """Chi-square over degrees of freedom of each track at a velocity over depth (3,): (M,)."""
-        a, b, c = velocity_hz.tolist()
-        info_a, with_a, with_b, info_c, score_a, score_b, score_c, square = self.sums
-        towards = (a * with_a + b * with_b - score_c) * c - a * score_a - b * score_b
-        chi2 = square + 2.0 * towards + (a * a + b * b) * info_a + c * c * info_c
+    def misfits(self, unknowns: Floats) -> Floats:
+        """Chi-square over degrees of freedom of each track with (a, b, c, s): (M,)."""
+        a, b, c, s = unknowns.tolist()
+        aa, ac, bc, cc, score_a, score_b, score_c, square, as_, bs, cs, ss, score_s = self.sums
+        towards = (
+            (a * ac + b * bc - score_c) * c - a * score_a - b * score_b + (a * as_ + b * bs + c * cs - score_s) * s
+        )
+        chi2 = square + 2.0 * towards + (a * a + b * b) * aa + c * c * cc + s * s * ss
         return np.asarray(np.maximum(chi2, 0.0) / self.freedom)
 
     def sharing_a_velocity(self, misfit: Floats, gate: float, least_tracks: int) -> Bools | None:
@@ -72,7 +80,7 @@ class GrowthSums:
         return fits if _search(self.sums, self.freedom, misfit, gate, least_tracks, fits) else None
 
 
-def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats) -> GrowthSums:
+def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats) -> GrowthSums:
     """What each track says.
 
     Parameters
@@ -80,40 +88,58 @@ def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats) -> GrowthSums:
     xy : (L, M, 2) places in the plane z = 1 of the present camera, without its rotation, NaN where not seen.
     since_s : (L,) times relative to the present view.
     sigma_norm : (M,) noise of a coordinate.
+    sway : (L, 3) how far the scene lay off a straight way at its present velocity, in its units; 0 of a steady camera.
     """
     sums, freedom = np.empty((_N_SUMS, xy.shape[1])), np.empty(xy.shape[1])
-    _add_up(np.ascontiguousarray(xy), since_s, sigma_norm, sums, freedom)
+    _add_up(np.ascontiguousarray(xy), since_s, sigma_norm, np.ascontiguousarray(sway), sums, freedom)
     return GrowthSums(sums, freedom)
 
 
-@compiled
-def _add_up(xy: Floats, since_s: Floats, sigma_norm: Floats, sums: Floats, freedom: Floats) -> None:
-    """Fill ``sums (8, M)`` and ``freedom (M,)`` of `GrowthSums`; places are taken out as the means of their rows.
+@compiled_in_place
+def _fill_row(since_s: Floats, xy: Floats, sway: Floats, v: int, m: int, row: Floats) -> None:
+    """Fill ``row (7,)`` of view v and track m: the time, the place, and what that grows by with c and s, as x and y."""
+    t, x, y = since_s[v], xy[v, m, 0], xy[v, m, 1]
+    row[0], row[1], row[2], row[3], row[4] = t, x, y, -t * x, -t * y
+    row[5], row[6] = sway[v, 0] - x * sway[v, 2], sway[v, 1] - y * sway[v, 2]
 
-    The rows are x = x0 + a t - c t x, and the same with b for y.
+
+@compiled
+def _add_up(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats, sums: Floats, freedom: Floats) -> None:
+    """Fill ``sums (13, M)`` and ``freedom (M,)`` of `GrowthSums`; places are taken out as the means of their rows.
+
+    The rows are x = x0 + a t - c t x + s (sway_x - x sway_z), and the same with b for y.
     """
+    mean, row = np.empty(7), np.empty(7)
     for m in range(xy.shape[1]):
-        n, mean_t, mean_x, mean_y, mean_tx, mean_ty = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for v in range(len(since_s)):
-            t, x, y = since_s[v], xy[v, m, 0], xy[v, m, 1]
-            if np.isfinite(x):
-                n += 1
-                mean_t, mean_x, mean_y = mean_t + t, mean_x + x, mean_y + y
-                mean_tx, mean_ty = mean_tx + t * x, mean_ty + t * y
-        freedom[m], part, weight = max(2.0 * (n - 1.0), 1.0), 1.0 / max(n, 1), 1.0 / (sigma_norm[m] * sigma_norm[m])
-        mean_t, mean_x, mean_y = mean_t * part, mean_x * part, mean_y * part
-        mean_tx, mean_ty = mean_tx * part, mean_ty * part
-        tt = t_x = t_y = both = score_a = score_b = score_c = square = 0.0
+        n = 0
+        mean[:] = 0.0
         for v in range(len(since_s)):
             if np.isfinite(xy[v, m, 0]):
-                t, x, y = since_s[v] - mean_t, xy[v, m, 0] - mean_x, xy[v, m, 1] - mean_y
-                by_x, by_y = mean_tx - since_s[v] * xy[v, m, 0], mean_ty - since_s[v] * xy[v, m, 1]
-                tt, t_x, t_y, both = tt + t * t, t_x + t * by_x, t_y + t * by_y, both + by_x * by_x + by_y * by_y
-                score_a, score_b, score_c = score_a + t * x, score_b + t * y, score_c + by_x * x + by_y * y
-                square += x * x + y * y
-        sums[0, m], sums[1, m], sums[2, m], sums[3, m] = weight * tt, weight * t_x, weight * t_y, weight * both
-        sums[4, m], sums[5, m], sums[6, m] = weight * score_a, weight * score_b, weight * score_c
-        sums[7, m] = weight * square
+                n += 1
+                _fill_row(since_s, xy, sway, v, m, row)
+                mean += row
+        freedom[m], weight = max(2.0 * (n - 1.0), 1.0), 1.0 / (sigma_norm[m] * sigma_norm[m])
+        mean /= max(n, 1)
+        for j in range(_N_SUMS):
+            sums[j, m] = 0.0
+        for v in range(len(since_s)):
+            if np.isfinite(xy[v, m, 0]):
+                _fill_row(since_s, xy, sway, v, m, row)
+                t, x, y = row[0] - mean[0], row[1] - mean[1], row[2] - mean[2]
+                by_x, by_y, off_x, off_y = row[3] - mean[3], row[4] - mean[4], row[5] - mean[5], row[6] - mean[6]
+                sums[0, m] += weight * t * t
+                sums[1, m] += weight * t * by_x
+                sums[2, m] += weight * t * by_y
+                sums[3, m] += weight * (by_x * by_x + by_y * by_y)
+                sums[4, m] += weight * t * x
+                sums[5, m] += weight * t * y
+                sums[6, m] += weight * (by_x * x + by_y * y)
+                sums[7, m] += weight * (x * x + y * y)
+                sums[8, m] += weight * t * off_x
+                sums[9, m] += weight * t * off_y
+                sums[10, m] += weight * (by_x * off_x + by_y * off_y)
+                sums[11, m] += weight * (off_x * off_x + off_y * off_y)
+                sums[12, m] += weight * (off_x * x + off_y * y)
 
 
 @compiled
@@ -146,17 +172,26 @@ def _search(sums: Floats, freedom: Floats, misfit: Floats, gate: float, least_tr
 def _explained(sums: Floats, freedom: Floats, misfit: Floats, limit: Floats, total: Floats, fits: Bools) -> float:
     """Fill ``fits (M,)``: tracks below their ``limit (M,)`` at what the sums of some say, if that comes nearer.
 
-    Returns by how much their chi-square is less than on the scene's path. ``total (8,)`` are the sums of those that say
-    something; see `GrowthSums.velocity` and `GrowthSums.misfits`.
+    Returns by how much their chi-square is less than on the scene's path. ``total (13,)`` are the sums of those that
+    say something; see `GrowthSums.unknowns` and `GrowthSums.misfits`.
     """
-    info, rest = total[0], total[0] * total[3] - total[1] * total[1] - total[2] * total[2]
-    c = (info * total[6] - total[1] * total[4] - total[2] * total[5]) / rest
-    a, b, gain = (total[4] - total[1] * c) / info, (total[5] - total[2] * c) / info, 0.0
-    is_nearer = info > 0.0 and rest > 0.0 and c < 0.0
-    across, deep = a * a + b * b, c * c
+    info = total[0]
+    # What is left for c and s where a and b follow them, times the information on these.
+    cc = info * total[3] - total[1] * total[1] - total[2] * total[2]
+    cs = info * total[10] - total[1] * total[8] - total[2] * total[9]
+    ss = info * (total[11] + 1.0 / _USUAL_S_HZ**2) - total[8] * total[8] - total[9] * total[9]
+    of_c = info * total[6] - total[1] * total[4] - total[2] * total[5]
+    of_s = info * total[12] - total[8] * total[4] - total[9] * total[5]
+    rest = cc * ss - cs * cs
+    c, s = (ss * of_c - cs * of_s) / rest, (cc * of_s - cs * of_c) / rest
+    a = (total[4] - total[1] * c - total[8] * s) / info
+    b, gain = (total[5] - total[2] * c - total[9] * s) / info, 0.0
+    is_nearer = info > 0.0 and cc > 0.0 and rest > 0.0 and c < 0.0
+    across, deep, swayed = a * a + b * b, c * c, s * s
     for m in range(np.uint64(len(fits))):
         towards = (a * sums[1, m] + b * sums[2, m] - sums[6, m]) * c - a * sums[4, m] - b * sums[5, m]
-        chi2 = sums[7, m] + 2.0 * towards + across * sums[0, m] + deep * sums[3, m]
+        towards += (a * sums[8, m] + b * sums[9, m] + c * sums[10, m] - sums[12, m]) * s
+        chi2 = sums[7, m] + 2.0 * towards + across * sums[0, m] + deep * sums[3, m] + swayed * sums[11, m]
         off = max(chi2, 0.0) / freedom[m]
         is_one = is_nearer and off < limit[m]
         fits[m] = is_one

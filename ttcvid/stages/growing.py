@@ -151,12 +151,14 @@ def _thing_around(
     past = slice(0, history.n_past + 1)
     xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
     sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
-    sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm)
+    # An aircraft flies straight on.
+    sway = np.zeros((len(xy), 3))
+    sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm, sway)
     fits = sums.sharing_a_velocity(misfit, config.scene_gate, _LEAST_TRACKS)
     if fits is None:
         return None
-    velocity_hz, cov = sums.velocity(fits)
-    own = sums.misfits(velocity_hz)
+    unknowns, cov = sums.unknowns(fits)
+    own, velocity_hz, cov = sums.misfits(unknowns), unknowns[:3], cov[:3, :3]
     contradicts = misfit[0] > config.scene_gate
     if not fits[0] or (contradicts and not own[0] < misfit[0] / config.gain):
         return None

@@ -20,6 +20,7 @@ from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.own_bend import OwnBend, own_bend
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
+from ttcvid.stages.steadied import steadied
 from ttcvid.stages.surface_motions import growing_things, in_our_way, on_plane, road_hz
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
@@ -42,7 +43,8 @@ class FrameMotions:
 
     ``cluster_id (N,)``, and ``no_direction_status (N,)`` why that has no direction, where it has none; ``clusters`` the
     scene first, then the movers; ``link_px`` the distance within which tracks hang together; ``is_free (N,)`` tracks
-    not frozen to their pixel; ``bend`` how we drive along a road, None where we do not, or that is not known.
+    not frozen to their pixel; ``bend`` how we drive along a road, None where we do not, or that is not known;
+    ``steady_xy (L, N, 2)`` the tracks' places as a steady camera would have seen them, None: as they were seen.
     """
 
     cluster_id: Ints
@@ -51,6 +53,7 @@ class FrameMotions:
     link_px: float
     is_free: Bools
     bend: OwnBend | None = None
+    steady_xy: Floats | None = None
 
 
 def find_motions(
@@ -76,7 +79,7 @@ def find_motions(
     """
     times = config.collision_times
     link_px = _LINK_PART * camera.image_size.longer_side_px
-    in_scene, objects, bend = is_free, list[ClusterMotion](), None
+    in_scene, objects, bend, steady_xy = is_free, list[ClusterMotion](), None, None
     if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
         error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
@@ -86,7 +89,7 @@ def find_motions(
         )
         history = replace(history, cam_R_past=found.scene.cam_R_past[0])
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
-        objects = _object_motions(history, found, is_free, plane, camera, times)
+        objects, steady_xy = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:
             surfaces, memory = growing_things(
@@ -105,7 +108,8 @@ def find_motions(
             in_scene[surface.members] = False
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
-    return replace(_assigned(clusters, is_free, link_px), bend=bend), history, memory
+    motions = replace(_assigned(clusters, is_free, link_px), bend=bend, steady_xy=steady_xy)
+    return motions, history, memory
 
 
 def _object_motions(
@@ -115,8 +119,11 @@ def _object_motions(
     plane: HorizonPlane | None,
     camera: Camera,
     config: CollisionTimesConfig,
-) -> list[ClusterMotion]:
-    """The movers that have a public number, each with the direction that the whole tracks of its points share."""
+) -> tuple[list[ClusterMotion], Floats]:
+    """The movers that have a public number, each with the direction that the whole tracks of its points share.
+
+    And the places of all tracks, (L, N, 2), as a steady camera would have seen them.
+    """
     own_id = np.append(NO_CLUSTER, found.movers.cluster_id)[numbers_of(found.key, found.movers)]
     members = np.flatnonzero((own_id > 0) & is_free)
     ids = own_id[members]
@@ -124,22 +131,24 @@ def _object_motions(
     thing = np.searchsorted(public, ids)
     stays = _share(_stays_on_its_pixels(history, members), thing, len(public)) > 0.5
     parts = {int(public[number]): members[thing == number] for number in np.flatnonzero(~stays)}
-    return motions_of(parts, history, plane, camera, config)
+    steady_xy = steadied(history, found.sway, members, thing)
+    return motions_of(parts, history, steady_xy, plane, camera, config), steady_xy
 
 
 def motions_of(
     members: Mapping[int, Ints],
     history: TrackHistory,
+    xy: Floats,
     plane: HorizonPlane | None,
     camera: Camera,
     config: CollisionTimesConfig,
 ) -> list[ClusterMotion]:
-    """The motion of each of K things, its tracks given by ``cluster_id``, as their whole tracks show it."""
+    """The motion of each of K things, its tracks given by ``cluster_id``, as its whole tracks ``xy (L, N, 2)`` show."""
     if not members:
         return []
     thing = np.repeat(np.arange(len(members)), [len(index) for index in members.values()])
     window_s, direction, covariance = _directions(
-        history, np.concatenate(list(members.values())), thing, len(members), config
+        history, xy, np.concatenate(list(members.values())), thing, len(members), config
     )
     motions, variance = [], covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]
     for number, (cluster_id, index) in enumerate(members.items()):
@@ -186,7 +195,7 @@ def _find_staying(rays: Floats, members: Ints, limit_rad: float, stays: Bools) -
 
 
 def _directions(
-    history: TrackHistory, members: Ints, thing: Ints, n_things: int, config: CollisionTimesConfig
+    history: TrackHistory, xy: Floats, members: Ints, thing: Ints, n_things: int, config: CollisionTimesConfig
 ) -> tuple[Floats, Floats, Floats]:
     """How far back each of K things is looked at, s, its direction and covariance: (K,), (K, 3), (K, 3, 3).
 
@@ -194,23 +203,25 @@ def _directions(
     ----------
     members, thing : (M,) tracks, and which thing each belongs to.
     """
-    tracks = _whole_tracks(history, members, config.object_window_s, config)
+    tracks = _whole_tracks(history, xy, members, config.object_window_s, config)
     direction, covariance = _shared_directions(history, tracks, thing, n_things)
     is_sure = _are_sure(tracks, direction, thing)
     window_s = np.where(is_sure, config.object_window_s, np.inf)
     if not is_sure.all():
         unsure = np.flatnonzero(~is_sure[thing])
-        tracks = _whole_tracks(history, members[unsure], np.inf, config)
+        tracks = _whole_tracks(history, xy, members[unsure], np.inf, config)
         by_all, covariance_by_all = _shared_directions(history, tracks, thing[unsure], n_things)
         direction[~is_sure], covariance[~is_sure] = by_all[~is_sure], covariance_by_all[~is_sure]
     return window_s, direction, covariance
 
 
-def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config: CollisionTimesConfig) -> WholeTracks:
+def _whole_tracks(
+    history: TrackHistory, xy: Floats, members: Ints, window_s: float, config: CollisionTimesConfig
+) -> WholeTracks:
     """The states of tracks by their views within a time of the present one."""
     views = history.views_within(window_s)
     return fit_whole_tracks(
-        history.xy[views].take(members, axis=1),
+        xy[views].take(members, axis=1),
         history.since_s[views],
         history.sigma_norm[members],
         config.max_frames,

@@ -38,6 +38,7 @@ _NO_MISFIT = 0.1
 def new_movers(
     views: BodyViews,
     scene: RigidPaths,
+    sway: Floats,
     in_scene: Bools,
     scene_fit: PathFit,
     misfit: Floats,
@@ -51,6 +52,7 @@ def new_movers(
 
     Parameters
     ----------
+    sway : (L, 3) how far the scene lay off a steady path, see `Segmentation`.
     in_scene : (N,) which tracks belong to the scene by now, and how its path explains them: ``scene_fit``.
     misfit, seen_misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``, with what the road
         contradicts and without it.
@@ -69,7 +71,7 @@ def new_movers(
     )
     # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
     may_spread = is_asked & (scene_fit.n_views >= LEAST_VIEWS)
-    things = spreading_things(views, scene, may_spread, candidates, misfit, usual_misfit, config)
+    things = spreading_things(views, scene, may_spread, sway, candidates, misfit, usual_misfit, config)
     spread, paths, rate_hz = explained(things, np.zeros_like(is_along), least_tracks(config), config)
     for members in spread:
         candidates = np.setdiff1d(candidates, members)
@@ -91,7 +93,7 @@ def _explained(
     needed: int,
     config: BodiesConfig,
 ) -> tuple[list[Ints], RigidPaths, Floats]:
-    """Those of K things, tracks (M,) and direction (3,) of each, that a motion of their own explains.
+    """Those of K things, tracks (M,) and path (L, 3) of each, that a motion of their own explains.
 
     Parameters
     ----------
@@ -108,7 +110,7 @@ def _explained(
     track = np.concatenate([members for members, _ in things])
     thing = np.repeat(np.arange(len(things)), [len(members) for members, _ in things])
     points = views.points(track, thing)
-    ways = np.stack([straight_path(direction, views.since_s) for _, direction in things])
+    ways = np.stack([path for _, path in things])
     # What contradicts the scene by its place alone moves along our own path.
     ways[np.bincount(thing, is_along[track]) > 0.0] = scene.path[0]
     starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
@@ -183,7 +185,7 @@ def _contradict(neighbours: Ints, is_asked: Bools, misfit: Floats, gate: float, 
 def _alike_things(
     views: BodyViews, scene: RigidPaths, candidates: Ints, is_along: Bools, config: BodiesConfig
 ) -> list[tuple[Ints, Floats]]:
-    """Things of near tracks of similar flow, each with its tracks (M,) and its direction (3,).
+    """Things of near tracks of similar flow, each with its tracks (M,) and its path (L, 3).
 
     ``candidates`` are tracks; of all tracks those that move along our own path are ``is_along (N,)``.
     """
@@ -199,7 +201,10 @@ def _alike_things(
     tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
     directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
     is_told = np.isfinite(directions[:, 0])
-    return [(candidates[thing == number], directions[number]) for number in np.flatnonzero(is_told)]
+    return [
+        (candidates[thing == number], straight_path(directions[number], views.since_s))
+        for number in np.flatnonzero(is_told)
+    ]
 
 
 def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:

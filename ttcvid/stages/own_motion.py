@@ -20,7 +20,8 @@ from ttcvid.stages.track_noise import with_noise
 # In each part of the picture (`picture_region`) only so many tracks are used: errors that neighbours share are what
 # limits own motion.
 _MOST_IN_CELL = 6
-# The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames.
+# The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames. What asks for the
+# longest gap steps so little that it leaves no third difference (6 step / k^2, k frames before a collision).
 _WANTED_FLOW_PX, _LONGEST_GAP = 2.5, 5
 _TINY_PX = 1e-6
 
@@ -75,20 +76,20 @@ def _from_two_views(
     history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
     gap = min(memory.gap_frames, len(history.frame) - 1)
     # Where a step shows no translation, what is left of its flow is noise only if a longer one shows none, either.
-    is_noise_known = egomotion.direction is not None or gap <= 1
+    is_noise_known, is_slow = egomotion.direction is not None or gap <= 1, gap >= _LONGEST_GAP
     if is_noise_known:
-        history = with_noise(history, egomotion.residual_spread, sigma_floor_px)
+        history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
     memory = replace(memory, gap_frames=_gap_for(history, is_free))
     long_step = _pair(history, is_free, gap, config.min_tracks) if gap > 1 else None
     if long_step is None:
         if not is_noise_known:
-            history = with_noise(history, egomotion.residual_spread, sigma_floor_px)
+            history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
         return egomotion, history, memory
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
     over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform, side)
     if not is_noise_known:
         told = egomotion if over_gap.direction is None else over_gap
-        history = with_noise(history, told.residual_spread, sigma_floor_px)
+        history = with_noise(history, told.residual_spread, sigma_floor_px, is_slow)
     history = _corrected(history, over_gap, gap)
     egomotion = replace(egomotion, direction=over_gap.direction, direction_cov=over_gap.direction_cov)
     return egomotion, history, memory

@@ -18,7 +18,7 @@ from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.belonging import Movers, assigned, kept, no_movers, numbers_of
-from ttcvid.stages.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
+from ttcvid.stages.bodies import carried_forward, recent_speed, refined_scene, sway_of, with_unit_speed
 from ttcvid.stages.body_views import BodyViews, body_views
 from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion, picture_region, region_side_of
 from ttcvid.stages.history import TrackHistory
@@ -79,7 +79,8 @@ class BodyMemory:
 class Segmentation:
     """The bodies of a frame: ``key (N,)`` of each track's body, the movers, and how the scene explains tracks.
 
-    ``misfit (N,)`` of each track on the scene's path, in units of what is usual there, ``usual_misfit``.
+    ``misfit (N,)`` of each track on the scene's path, in units of what is usual there, ``usual_misfit``;
+    ``sway (L, 3)`` how far the scene lay off a steady path, 0 before a camera that does not sway.
     """
 
     key: Ints
@@ -88,6 +89,7 @@ class Segmentation:
     scene_fit: PathFit
     misfit: Floats
     usual_misfit: float
+    sway: Floats
 
 
 def find_bodies(
@@ -165,9 +167,13 @@ def find_bodies(
     if has_changed.any():
         own = own.without_rates(np.isin(key, key[has_changed]))
     next_key = memory.next_key
+    # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
+    sways = platform == Platform.free and not rests
+    sway = sway_of(scene.path[0], views.since_s) if sways else np.zeros_like(scene.path[0])
     found, paths, found_hz = new_movers(
         views,
         scene,
+        sway,
         (key == SCENE_CLUSTER) & may_start,
         scene_fit,
         misfit,
@@ -189,7 +195,7 @@ def find_bodies(
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
     labels = _with_lost(history, memory, key, rate_hz)
     memory = BodyMemory(scene, movers, *labels, road, next_key, next_cluster_id, frame=history.frame)
-    return Segmentation(key, movers, scene, scene_fit, misfit, usual), memory
+    return Segmentation(key, movers, scene, scene_fit, misfit, usual, sway), memory
 
 
 def restarted_bodies(memory: BodyMemory) -> BodyMemory:

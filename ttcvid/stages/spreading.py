@@ -40,12 +40,13 @@ def spreading_things(
     views: BodyViews,
     scene: RigidPaths,
     may_be: Bools,
+    sway: Floats,
     seeds: Ints,
     misfit: Floats,
     usual_misfit: float,
     config: BodiesConfig,
 ) -> list[tuple[Ints, Floats]]:
-    """Things that come nearer and spread, each with its tracks (M,) and its direction (3,).
+    """Things that come nearer and spread, each with its tracks (M,) and its path (L, 3).
 
     The tracks of each are `least_tracks`, and explained better than by the scene, all together and that one around
     which it was looked for, by `BodiesConfig.gain`; as many misfit the scene by so much. (What a linear fit makes of
@@ -54,6 +55,7 @@ def spreading_things(
     Parameters
     ----------
     may_be : (N,) tracks that things may be made of, each of `LEAST_VIEWS` at the least.
+    sway : (L, 3) how far the scene lay off a steady path, as in `bodies.sway_of`.
     seeds : those of the tracks that contradict the scene together.
     misfit : (N,) of each track on the path of the scene, in units of ``usual_misfit``.
     """
@@ -68,30 +70,31 @@ def spreading_things(
         if np.count_nonzero(misfit[around] > config.gain) < least_tracks(config):
             continue
         xy = turned_into_plane(views.rays.take(around, axis=1), scene.cam_R_past[0])
-        sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[around])
+        sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[around], sway)
         found = _thing_around(sums, misfit[around], config)
         if found is None:
             continue
-        fits, velocity_hz, sigma_hz = found
+        fits, unknowns, sigma_hz = found
+        velocity_hz, path = unknowns[:3], views.since_s[:, None] * unknowns[:3] + unknowns[3] * sway
         members, xy_px = around[fits], views.xy_px[around[fits]]
         seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, fits, 0]), axis=0)]
         radius_px = np.sqrt(np.mean(np.sum((xy_px - xy_px.mean(axis=0)) ** 2, axis=1)))
         common_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
         least_hz = 1.0 / (_REACHED_WITHIN * np.median(seen_s))
         if -velocity_hz[2] > max(SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), least_hz):
-            things.append((members, velocity_hz / np.linalg.norm(velocity_hz)))
+            things.append((members, path / np.linalg.norm(velocity_hz)))
             is_free[members] = is_asked[members] = False
     return things
 
 
 def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tuple[Bools, Floats, float] | None:
-    """Which of some tracks (M,) are a thing with the first; V / Z of it, (3,), and the standard deviation of its c."""
+    """Which of some tracks (M,) are a thing with the first; its (a, b, c, s), and the standard deviation of c."""
     fits = sums.sharing_a_velocity(misfit, config.scene_gate, least_tracks(config))
     if fits is None:
         return None
-    velocity_hz, cov = sums.velocity(fits)
-    own = sums.misfits(velocity_hz)
+    unknowns, cov = sums.unknowns(fits)
+    own = sums.misfits(unknowns)
     is_better = np.maximum(own[fits], _NOISE).sum() < misfit[fits].sum() / config.gain
     if not (fits[0] and own[0] < misfit[0] / config.gain and is_better):
         return None
-    return fits, velocity_hz, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2]))
+    return fits, unknowns, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2]))

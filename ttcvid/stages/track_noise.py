@@ -19,13 +19,17 @@ _DIFFERENCE_FRAMES, _LEAST_MEASURED = 4, 4
 _FORGETTING, _PRIOR_WEIGHT = 0.9, 4.0
 # The noise of all tracks follows its new measurements with this weight a frame.
 _POOL_GAIN = 0.2
+# Squared third difference of independent noise, two components, over its variance.
+_PX2_PER_VARIANCE = 40.0
 # Time steps that differ by more than this part make a third difference meaningless.
 _EVEN_STEPS = 0.1
 # Median of a chi-square variable with two degrees of freedom, divided by two.
 _MEDIAN_CHI2_2 = 0.6931
 
 
-def with_noise(history: TrackHistory, residual_spread: float | None, sigma_floor_px: float) -> TrackHistory:
+def with_noise(
+    history: TrackHistory, residual_spread: float | None, sigma_floor_px: float, is_slow: bool = False
+) -> TrackHistory:
     """Update the noise of all tracks from the scene's residuals, and of each from the roughness of its path.
 
     The level comes from how well the scene fits (``residual_spread``, the robust standard deviation of its residuals in
@@ -34,12 +38,15 @@ def with_noise(history: TrackHistory, residual_spread: float | None, sigma_floor
     (6 rho / k^3 per frame^3, rho px from the epipole and k frames before the collision), independent noise leaves 20
     times its variance, two components make two degrees of freedom a frame. (The third difference alone would put the
     level too low: the errors of Lucas-Kanade follow the picture's texture and change slowly from frame to frame.)
+    Where a step is short, ``is_slow``, its fit may follow the noise of what shows no translation at all, the blobs of a
+    plain sky: there the level is not less than what the paths are rough by, to which so short a flow adds nothing.
     Call after `ttcvid.stages.history.with_egomotion`.
     """
     pool = history.pool_sigma_px
+    fresh, is_measured, typical_px2 = _relative_roughness(history)
     if residual_spread is not None:
-        pool = max(sigma_floor_px, pool * residual_spread**_POOL_GAIN)
-    fresh, is_measured = _relative_roughness(history)
+        rough = np.sqrt(typical_px2 / _PX2_PER_VARIANCE) / pool if is_slow else 0.0
+        pool = max(sigma_floor_px, pool * max(residual_spread, rough) ** _POOL_GAIN)
     noise_sum = _FORGETTING * history.noise_sum + 2.0 * fresh
     noise_weight = _FORGETTING * history.noise_weight + 2.0 * is_measured
     relative_variance = (_PRIOR_WEIGHT + noise_sum) / (_PRIOR_WEIGHT + noise_weight)
@@ -52,9 +59,9 @@ def with_noise(history: TrackHistory, residual_spread: float | None, sigma_floor
     )
 
 
-def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
-    """Squared third difference of each track over the typical one, 0 where unknown; and where it is known."""
-    nothing = np.zeros(history.n_tracks), np.zeros(history.n_tracks, dtype=bool)
+def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools, float]:
+    """Squared third difference of each track over the typical one, 0 where unknown; where it is known; that, px^2."""
+    nothing = np.zeros(history.n_tracks), np.zeros(history.n_tracks, dtype=bool), 0.0
     if len(history.frame) < _DIFFERENCE_FRAMES:
         return nothing
     steps_s = np.diff(history.t_s[-_DIFFERENCE_FRAMES:]).tolist()
@@ -70,7 +77,7 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools]:
     if typical <= 0.0:
         return nothing
     is_measured = roughness >= 0.0
-    return np.maximum(roughness, 0.0) / typical, is_measured
+    return np.maximum(roughness, 0.0) / typical, is_measured, typical
 
 
 @compiled

@@ -114,18 +114,18 @@ def _paths(
 
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     """Positions of all tracks over the time for which the motion of their cluster has been the same; NaN elsewhere."""
-    reach_s = history.reach_s
+    reach_s, xy = history.reach_s, history.xy if motions.steady_xy is None else motions.steady_xy
     changed = [motion for motion in motions.clusters if motion.window_s < reach_s]
     if not changed:
-        return history.xy
+        return xy
     first, stop = np.zeros(history.n_tracks, dtype=np.int64), np.full(history.n_tracks, len(history.t_s))
     # Most objects have the same.
     views_of = {window_s: history.views_within(window_s) for window_s in {motion.window_s for motion in changed}}
     for motion in changed:
         within = views_of[motion.window_s]
         first[motion.members], stop[motion.members] = within.start, within.stop
-    views = np.empty_like(history.xy)
-    _keep_within(history.xy, first, stop, views)
+    views = np.empty_like(xy)
+    _keep_within(xy, first, stop, views)
     return views
 
 
