@@ -324,6 +324,20 @@ def test_who_walks_on_the_road_is_hit_by_half_of_our_car_beside_the_camera(side,
     assert is_course(walker) == (aside_m == 0.0)
 
 
+@pytest.mark.parametrize("roll_deg", [-3.0, 3.0])
+@pytest.mark.parametrize(("x_m", "across_m_s"), [(-2.0, 1.4), (2.0, -1.4), (-4.0, 1.4)])
+@pytest.mark.parametrize("z_m", [4.0, 8.0, 12.0])
+def test_who_crosses_before_us_while_we_creep_is_not_hit(roll_deg, x_m, across_m_s, z_m):
+    """A level way that looks inclined before a rolled camera: from it alone the road could lie any depth below us."""
+    roll = np.radians(roll_deg)
+    up_m_s, creeping_m_s = across_m_s * np.sin(roll), -0.05
+    walker = row_of((x_m, 0.5, z_m), (across_m_s * np.cos(roll), up_m_s, creeping_m_s), relative_sigma=0.003)
+    half_px = 0.5 * FOCAL_PX / z_m * np.array([0.6, 1.75])
+    centre_px = FOCAL_PX / z_m * np.array([x_m, 0.53]) + (CAMERA.cx_px, CAMERA.cy_px)
+    walker = replace(walker, box_px=(*(centre_px - half_px).tolist(), *(centre_px + half_px).tolist()))
+    assert not is_course(walker, on_ground=True)
+
+
 def test_confidence_is_the_probability_of_the_approach_and_as_high_as_asked_for():
     """A harder confidence warns of less: an approach known to 30 % is sure at 95 % but not at 99.99 %."""
     hit = drive(*HIT, 1.5, relative_sigma=0.3, width_m=8.0)

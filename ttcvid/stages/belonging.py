@@ -23,6 +23,9 @@ _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A track that the scene explains, with a misfit (over the usual one) below the first, is no part of a mover whose
 # tracks lie so many times as far away: a bus seen from behind at 10 m ends at 22 m.
 _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
+# A mover whose tracks the scene explains as well as it does most of its own stands still: its own path, free in every
+# frame, explains them better still, and its tracks vote for each other.
+_AS_STILL = 1.0
 # A mover that is hidden is known again for so long, s: after that it may well move otherwise.
 _KNOWN_AGAIN_S = 1.0
 
@@ -187,7 +190,9 @@ def assigned(
     is_other = misfit[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
     asked, own = np.empty(len(key), dtype=np.int64), unknown_fit(np.empty(len(key)))
-    off = np.where(is_other, np.inf, off)
+    is_told = is_own & (scene_fit.n_views[track] > _HABIT_VIEWS)
+    is_still = _most_of(is_told & (misfit[track] < _AS_STILL), is_told, mover, len(movers))
+    off = np.where(is_other | is_still[mover], np.inf, off)
     _choose(misfit, track, mover, off, votes, number, scene_fit.n_views, asked, own.misfit)
     moves = np.flatnonzero(asked >= 0)
     asked, best = asked[moves], np.zeros(len(key), dtype=np.int64)

@@ -237,8 +237,10 @@ def _fill_miss(
         height = bottom - dy / dz
         if np.isfinite(height):
             height = max(height, 0.0)
-            # Somebody who walks is narrower than half of our car, which hits him all the same.
-            wide = max(width, 0.5 * width + _HALF_HEIGHTS * height)
+            # Somebody who walks is narrower than half of our car, which hits him all the same: with its front, of
+            # which less lies across the way of who crosses it, and nothing where we stand.
+            front = _HALF_HEIGHTS * height * abs(dz) / level
+            wide = max(width, 0.5 * width + front)
             width = min(wide, 0.5 * width + _ROOM_HEIGHTS * height)
     found[0], found[1], found[2] = off_x / width, off_y / width, off_z / width
     found[3] = abs(ahead) / speed * np.sqrt(variance) / width

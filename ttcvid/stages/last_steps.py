@@ -15,8 +15,9 @@ from ttcvid.stages.bodies import mean_step, refined_movers, turn_sigma_rad
 
 # A mover is begun anew where it has turned by more than this part of what movers turn by, since there is no other way
 # to turn nearly as little, and its path explains its points worse than this, over the usual misfit. So many steps of
-# refinement: with half of them the misfit of a bus that turns by 25 deg/s is still twice as large.
-_LEAST_TURN, _BADLY, _ANEW_STEPS = 0.3, 1.0, 12
+# refinement: with half of them the misfit of a bus that turns by 25 deg/s is still twice as large. The new way has to be
+# better by the factor: of two that fit alike, one is better by chance.
+_LEAST_TURN, _BADLY, _ANEW_STEPS, _CLEARLY = 0.3, 1.0, 12, 1.5
 # What moves by less than this of its distance a second is as far away as that, for its middle.
 _LEAST_RATE_HZ = 0.01
 
@@ -84,7 +85,7 @@ def begun_anew(
     paths = RigidPaths(np.repeat(scene.cam_R_past, len(movers), axis=0), still)
     anew, anew_hz = refined_movers(paths, scene, points, np.where(is_bad, _ANEW_STEPS, 0))
     anew_fit, points = _fit_on_some(points, anew, anew_hz, is_bad)
-    is_better = medians(anew_fit.misfit, points.thing, len(movers)) < misfit
+    is_better = medians(anew_fit.misfit, points.thing, len(movers)) < misfit / _CLEARLY
     cam_R_past = np.where(is_better[:, None, None, None], anew.cam_R_past, movers.cam_R_past)
     path = np.where(is_better[:, None, None], anew.path, movers.path)
     return RigidPaths(cam_R_past, path), np.where(is_better, anew_hz, rate_hz)
