@@ -15,8 +15,8 @@ from ttcvid.stages.bodies import mean_step, refined_movers, turn_sigma_rad
 
 # A mover is begun anew where it has turned by more than this part of what movers turn by, since there is no other way
 # to turn nearly as little, and its path explains its points worse than this, over the usual misfit. So many steps of
-# refinement: with half of them the misfit of a bus that turns by 25 deg/s is still twice as large. The new way has to be
-# better by the factor: of two that fit alike, one is better by chance.
+# refinement: with half of them the misfit of a bus that turns by 25 deg/s is still twice as large. The new way has to
+# be better by the factor: of two that fit alike, one is better by chance.
 _LEAST_TURN, _BADLY, _ANEW_STEPS, _CLEARLY = 0.3, 1.0, 12, 1.5
 # What moves by less than this of its distance a second is as far away as that, for its middle.
 _LEAST_RATE_HZ = 0.01
