@@ -20,8 +20,8 @@ from ttcvid.stages.track_noise import with_noise
 # In each part of the picture (`picture_region`) only so many tracks are used: errors that neighbours share are what
 # limits own motion.
 _MOST_IN_CELL = 6
-# The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames. A steady
-# way that asks for the longest gap steps so little that it leaves no third difference (6 step / k^2, k frames before a
+# The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames. A steady way
+# that asks for the longest gap steps so little that it leaves no third difference (6 step / k^2, k frames before a
 # collision).
 _WANTED_FLOW_PX, _LONGEST_GAP = 2.5, 5
 _TINY_PX = 1e-6
