@@ -18,8 +18,8 @@ from ttcvid.stages.whereabouts import Whereabouts, nowhere
 # Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
 # much, where a track was before this much, and that most of the world stands still this much.
 _WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
-# The habit and the scene's bonus count for tracks with more views than these; only those with the first say that a mover
-# stands still.
+# The habit and the scene's bonus count for tracks with more views than these; the first it takes, too, to say that a
+# mover stands still.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A track that the scene explains, with a misfit (over the usual one) below the first, is no part of a mover whose
 # tracks lie so many times as far away: a bus seen from behind at 10 m ends at 22 m.

@@ -40,7 +40,7 @@ def with_noise(
     level too low: the errors of Lucas-Kanade follow the picture's texture and change slowly from frame to frame.)
     Where a step is short, ``is_slow``, its fit may follow the noise of what shows no translation at all, the blobs of a
     plain sky: there the level is not less than what the paths are rough by, to which so short a flow adds nothing if it
-    is steady. (What trembles looks noisier than it is: 5 mm at 8 Hz, 3 to 40 m before a lens, 0.38 px instead of 0.33.)
+    is steady. (What trembles looks noisier than it is: 5 mm at 8 Hz, 3 to 40 m before a lens, 0.38 px, not 0.33.)
 
     Call after `ttcvid.stages.history.with_egomotion`.
     """
