@@ -19,12 +19,12 @@ _LONGEST_STEP_RAD = 0.3
 _RIDGE = 1e-12
 # The main axis is the first column of the matrix to the power of 2 to this.
 _SQUARINGS = 6
-# Numbers of a point: w (3), and the upper half of its information (6).
-_N_POINT = 9
+# Numbers of a point: w (3), the upper half of its information (6), and its place x, y.
+_N_POINT = 11
 
 
 def shared_directions(
-    velocity_hz: Floats, info_w: Floats, thing: Ints, n_things: int, by_shared: Floats | None = None
+    xy: Floats, velocity_hz: Floats, info_w: Floats, thing: Ints, n_things: int, by_shared: Floats | None = None
 ) -> tuple[Floats, Floats, Floats]:
     """Maximum-likelihood ``dir`` of K things whose points move alike, each at its own rate: w_i = s_i e.
 
@@ -33,6 +33,7 @@ def shared_directions(
 
     Parameters
     ----------
+    xy : (N, 2) where the points are: the lines along which they move say where to begin.
     velocity_hz, info_w : (N, 3) and (N, 3, 3) of `whole_track.WholeTracks`: (a, b, c) and its information, in s^2.
     thing : (N,) which of the ``n_things`` K each point belongs to, from 0.
     by_shared : (N, 3, E) what one standard deviation of each of E errors that all points share does to w; None: none.
@@ -45,8 +46,8 @@ def shared_directions(
 
     Source: DESIGN section 3 (w_i = s_i e with one shared e).
 
-    >>> w = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -0.5]])
-    >>> shared_directions(w, np.broadcast_to(np.eye(3) * 1e4, (2, 3, 3)), np.array([0, 0]), 1)[0].round(9) + 0.0
+    >>> xy, w = np.array([[0.1, 0.0], [0.0, 0.2]]), np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -0.5]])
+    >>> shared_directions(xy, w, np.broadcast_to(np.eye(3) * 1e4, (2, 3, 3)), np.array([0, 0]), 1)[0].round(9) + 0.0
     array([[ 0.,  0., -1.]])
     """
     n = len(velocity_hz)
@@ -54,6 +55,7 @@ def shared_directions(
     chi2 = np.zeros(n)
     order = np.argsort(thing, kind="stable")
     _fit_each(
+        np.ascontiguousarray(xy),
         np.ascontiguousarray(velocity_hz),
         np.ascontiguousarray(info_w),
         np.zeros((n, 3, 0)) if by_shared is None else np.ascontiguousarray(by_shared),
@@ -68,6 +70,7 @@ def shared_directions(
 
 @compiled
 def _fit_each(
+    xy: Floats,
     w: Floats,
     info: Floats,
     shared: Floats,
@@ -83,10 +86,10 @@ def _fit_each(
     points, off, usable = np.empty((_N_POINT, len(order))), np.empty(len(order)), np.empty_like(order)
     for number in range(len(direction)):
         members = order[start[number] : start[number + 1]]
-        n_usable = _list_usable(w, info, members, points, usable)
+        n_usable = _list_usable(xy, w, info, members, points, usable)
         if n_usable == 0:
             continue
-        _main_axis(points, n_usable, e)
+        _begin(points, n_usable, e, basis, normal, score, off)
         votes, one, other, both, determinant, is_converged = 0.0, 0.0, 0.0, 0.0, 0.0, False
         for step in range(_MAX_STEPS + 1):
             _tangents(e, basis)
@@ -132,8 +135,8 @@ def _fit_each(
 
 
 @compiled
-def _list_usable(w: Floats, info: Floats, members: Ints, points: Floats, usable: Ints) -> int:
-    """Fill ``points (9, M)``, side by side: w and the upper half of its information, of those that say anything.
+def _list_usable(xy: Floats, w: Floats, info: Floats, members: Ints, points: Floats, usable: Ints) -> int:
+    """Fill ``points (11, M)``, side by side: the numbers of a point (`_N_POINT`), of those that say anything.
 
     Returns how many these are, and fills which, ``usable (M,)``.
     """
@@ -146,47 +149,77 @@ def _list_usable(w: Floats, info: Floats, members: Ints, points: Floats, usable:
         points[0, n], points[1, n], points[2, n] = w[i, 0], w[i, 1], w[i, 2]
         points[3, n], points[4, n], points[5, n] = info[i, 0, 0], info[i, 0, 1], info[i, 0, 2]
         points[6, n], points[7, n], points[8, n] = info[i, 1, 1], info[i, 1, 2], info[i, 2, 2]
+        points[9, n], points[10, n] = xy[i, 0], xy[i, 1]
         usable[n] = i
         n += 1
     return n
 
 
 @compiled
-def _main_axis(points: Floats, n: int, e: Floats) -> None:
-    """Fill ``e`` with the main axis of the velocities of the first n points, each counted by how well it is known."""
-    spread, square = np.empty((3, 3)), np.empty((3, 3))
-    s00 = s01 = s02 = s11 = s12 = s22 = 0.0
+def _begin(points: Floats, n: int, e: Floats, basis: Floats, normal: Floats, score: Floats, off: Floats) -> None:
+    """Fill ``e`` with the better of two guesses, by the median misfit of the first n points.
+
+    The main axis of their velocities, each counted by how well it is known; and where the lines meet along which they
+    move in the picture. Of single tracks the former knows little: brakes are taken for depth, which turns the velocity
+    of each point towards its own ray, so that the descent ended in a minimum near the thing itself. The lines stay.
+    """
+    spread, lines, cofactors = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
+    w, ray, across, pull = np.empty(3), np.ones(3), np.empty(3), np.empty(3)
     for c in range(n):
-        x, y, z = points[0, c], points[1, c], points[2, c]
-        known = points[3, c] * x * x + points[6, c] * y * y + points[8, c] * z * z
-        known += 2.0 * (points[4, c] * x * y + points[5, c] * x * z + points[7, c] * y * z)
-        share = known / (x * x + y * y + z * z + 1e-300)
-        s00 += share * x * x
-        s01 += share * x * y
-        s02 += share * x * z
-        s11 += share * y * y
-        s12 += share * y * z
-        s22 += share * z * z
-    spread[0, 0], spread[0, 1], spread[0, 2] = s00, s01, s02
-    spread[1, 0], spread[1, 1], spread[1, 2] = s01, s11, s12
-    spread[2, 0], spread[2, 1], spread[2, 2] = s02, s12, s22
+        ray[0], ray[1] = points[9, c], points[10, c]
+        for a in range(3):
+            w[a] = points[a, c]
+        _times(points, c, w[0], w[1], w[2], pull)
+        known, length2, line2 = 0.0, 1e-300, 1e-300
+        for a in range(3):
+            known, length2 = known + pull[a] * w[a], length2 + w[a] * w[a]
+            # The line is normal to the ray of the point and to its velocity.
+            b, d = (a + 1) % 3, (a + 2) % 3
+            across[a] = ray[b] * w[d] - ray[d] * w[b]
+            line2 += across[a] * across[a]
+        _times(points, c, across[0], across[1], across[2], pull)
+        sure = (across[0] * pull[0] + across[1] * pull[1] + across[2] * pull[2]) / line2
+        for a in range(3):
+            for b in range(3):
+                spread[a, b] += known / length2 * w[a] * w[b]
+                lines[a, b] += sure * across[a] * across[b]
+    for a in range(3):
+        for b in range(3):
+            i, j, k, m = (a + 1) % 3, (a + 2) % 3, (b + 1) % 3, (b + 2) % 3
+            cofactors[a, b] = lines[i, k] * lines[j, m] - lines[i, m] * lines[j, k]
+    _fill_main_axis(cofactors, e)
+    _tangents(e, basis)
+    _add_up(points, n, e, basis, normal, score, off)
+    misfit = np.median(off[:n])
+    _fill_main_axis(spread, w)
+    _tangents(w, basis)
+    _add_up(points, n, w, basis, normal, score, off)
+    if np.median(off[:n]) <= misfit:
+        for a in range(3):
+            e[a] = w[a]
+
+
+@compiled
+def _fill_main_axis(matrix: Floats, axis: Floats) -> None:
+    """Fill ``axis (3,)`` with the main axis of a symmetric ``matrix (3, 3)``, which is changed."""
+    square = np.empty((3, 3))
     for _ in range(_SQUARINGS):
-        scale = 1.0 / max(spread[0, 0] + spread[1, 1] + spread[2, 2], 1e-300)
+        scale = 1.0 / max(matrix[0, 0] + matrix[1, 1] + matrix[2, 2], 1e-300)
         for a in range(3):
             for b in range(3):
                 square[a, b] = (
-                    spread[a, 0] * spread[0, b] + spread[a, 1] * spread[1, b] + spread[a, 2] * spread[2, b]
+                    matrix[a, 0] * matrix[0, b] + matrix[a, 1] * matrix[1, b] + matrix[a, 2] * matrix[2, b]
                 ) * (scale * scale)
-        spread, square = square, spread
+        matrix, square = square, matrix
     best = 0
     for a in range(1, 3):
-        best = a if spread[a, a] > spread[best, best] else best
-    x, y, z = spread[best, 0], spread[best, 1], spread[best, 2]
+        best = a if matrix[a, a] > matrix[best, best] else best
+    x, y, z = matrix[best, 0], matrix[best, 1], matrix[best, 2]
     length = np.sqrt(x * x + y * y + z * z)
     if length > 0.0:
-        e[0], e[1], e[2] = x / length, y / length, z / length
+        axis[0], axis[1], axis[2] = x / length, y / length, z / length
     else:
-        e[0], e[1], e[2] = 0.0, 0.0, 1.0
+        axis[0], axis[1], axis[2] = 0.0, 0.0, 1.0
 
 
 @compiled

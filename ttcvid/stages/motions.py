@@ -234,7 +234,8 @@ def _shared_directions(history: TrackHistory, tracks: WholeTracks, thing: Ints, 
     """The direction of each thing and its covariance, with the rotation that may be left in all of its tracks."""
     by_rotation = np.empty((len(thing), 3, 3))
     _turn_each(tracks.state, history.rotation_rate_sigma_rad_s, by_rotation)
-    direction, covariance, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, n_things, by_rotation)
+    xy, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
+    direction, covariance, _ = shared_directions(xy, velocity_hz, tracks.info_w, thing, n_things, by_rotation)
     return direction, covariance
 
 

@@ -199,7 +199,8 @@ def _alike_things(
     xy, candidates = xy.compress(is_one, axis=1), candidates[is_one]
     numbers, thing = np.unique(label[is_one], return_inverse=True)
     tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
-    directions, _, _ = shared_directions(tracks.state[:, 2:], tracks.info_w, thing, len(numbers))
+    places, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
+    directions, _, _ = shared_directions(places, velocity_hz, tracks.info_w, thing, len(numbers))
     is_told = np.isfinite(directions[:, 0])
     return [
         (candidates[thing == number], straight_path(directions[number], views.since_s))
