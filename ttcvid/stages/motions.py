@@ -21,6 +21,7 @@ from ttcvid.stages.own_bend import OwnBend, own_bend
 from ttcvid.stages.planar import HorizonPlane
 from ttcvid.stages.segmentation import BodyMemory, Segmentation, find_bodies
 from ttcvid.stages.steadied import steadied
+from ttcvid.stages.surface_memory import without_numbers
 from ttcvid.stages.surface_motions import growing_things, in_our_way, on_plane, road_hz
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
@@ -88,17 +89,36 @@ def find_motions(
             history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
         )
         history = replace(history, cam_R_past=found.scene.cam_R_past[0])
+        numbers = found.movers.cluster_id
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
         objects, steady_xy = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:
             surfaces, memory = growing_things(
-                history, found, is_free, before.growing, memory, link_px, error_px, plane, camera, config
+                history,
+                found,
+                is_free,
+                without_numbers(before.growing, numbers),
+                memory,
+                link_px,
+                error_px,
+                plane,
+                camera,
+                config,
             )
         is_left = is_free.copy()
         is_left[np.concatenate([np.empty(0, dtype=np.int64), *(one.members for one in surfaces)])] = False
         obstacles, memory = in_our_way(
-            history, egomotion, found, is_left, before.obstacles, memory, link_px, plane, camera, config
+            history,
+            egomotion,
+            found,
+            is_left,
+            without_numbers(before.obstacles, numbers),
+            memory,
+            link_px,
+            plane,
+            camera,
+            config,
         )
         surfaces += obstacles
         if config.egomotion.platform == Platform.vehicle:

@@ -28,7 +28,7 @@ from ttcvid.stages.last_steps import begun_anew, stepped_movers
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.road import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.sets import places_among
-from ttcvid.stages.surface_memory import Obstacle
+from ttcvid.stages.surface_memory import Obstacle, number_of_taken, without_numbers
 
 # Of more tracks than this only so many correct the scene; those of a crowded place count less: so many times as large
 # as the parts of the picture for own motion.
@@ -192,7 +192,8 @@ def find_bodies(
     movers, next_key = movers.with_new(next_key, paths, found_hz), next_key + len(found)
     key, movers, next_key = split(views, key, movers, own, next_key, config)
     movers = with_velocities(views, scene, key, movers)
-    movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
+    surfaces = memory.growing + memory.obstacles
+    movers, next_cluster_id = _named(movers, key, history.track_id, surfaces, memory.next_cluster_id, config)
     labels = _with_lost(history, memory, key, rate_hz)
     memory = BodyMemory(scene, movers, *labels, road, next_key, next_cluster_id, frame=history.frame)
     return Segmentation(key, movers, scene, scene_fit, misfit, usual, sway), memory
@@ -353,10 +354,26 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usu
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 
-def _named(movers: Movers, next_cluster_id: int, config: BodiesConfig) -> tuple[Movers, int]:
-    """Public numbers for movers that have been found often enough."""
+def _named(
+    movers: Movers,
+    key: Ints,
+    track_id: Ints,
+    surfaces: tuple[Obstacle, ...],
+    next_cluster_id: int,
+    config: BodiesConfig,
+) -> tuple[Movers, int]:
+    """Public numbers for movers that have been found often enough: that of the surface each was before, or a new one.
+
+    Parameters
+    ----------
+    key, track_id : (N,) body and number of each track.
+    surfaces : what was found as one surface up to the last frame.
+    """
     asks = (movers.cluster_id == NO_CLUSTER) & (movers.n_found >= config.confirm_frames)
-    if not asks.any():
-        return movers, next_cluster_id
-    cluster_id = np.where(asks, next_cluster_id + np.cumsum(asks) - 1, movers.cluster_id)
-    return replace(movers, cluster_id=cluster_id), next_cluster_id + int(np.count_nonzero(asks))
+    cluster_id = movers.cluster_id.copy()
+    for place in np.flatnonzero(asks):
+        left = without_numbers(surfaces, cluster_id)
+        number = number_of_taken(left, track_id, np.flatnonzero(key == movers.key[place]))
+        cluster_id[place] = next_cluster_id if number is None else number
+        next_cluster_id += number is None
+    return replace(movers, cluster_id=cluster_id), next_cluster_id

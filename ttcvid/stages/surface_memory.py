@@ -49,7 +49,8 @@ def remembered(
                 replace(obstacle, track_id=track_id[left_over.pop(again)], n_found=obstacle.n_found + 1, n_missed=0)
             )
             continue
-        left = track_id[is_free & np.isin(track_id, obstacle.track_id)]
+        # Those that a mover has taken, too: it may be the same thing (`number_of_taken`), or lose them again.
+        left = track_id[np.isin(track_id, obstacle.track_id)]
         if obstacle.n_missed < _REMEMBERED * config.forget_frames and len(left):
             obstacles.append(replace(obstacle, track_id=left, n_missed=obstacle.n_missed + 1))
     obstacles += [Obstacle(None, track_id[surface]) for surface in left_over]
@@ -59,8 +60,34 @@ def remembered(
             obstacles[place] = obstacle = replace(obstacle, cluster_id=next_cluster_id)
             next_cluster_id += 1
         if obstacle.cluster_id is not None and obstacle.n_missed <= config.forget_frames:
-            public[obstacle.cluster_id] = np.flatnonzero(np.isin(track_id, obstacle.track_id))
+            own = np.isin(track_id, obstacle.track_id) & (is_free | (obstacle.n_missed == 0))
+            if own.any():
+                public[obstacle.cluster_id] = np.flatnonzero(own)
     return public, tuple(obstacles), next_cluster_id
+
+
+def number_of_taken(surfaces: Sequence[Obstacle], track_id: Ints, members: Ints) -> int | None:
+    """The number of that public surface of which most live tracks are ``members (M,)`` of a mover; None without one.
+
+    What stands in our way may begin to move, or turns out to: it is the same thing, with the same number. So is what
+    comes straight at us when it is near enough to be seen to move.
+
+    Parameters
+    ----------
+    track_id : (N,) of all live tracks.
+    """
+    is_member = np.zeros(len(track_id), dtype=bool)
+    is_member[members] = True
+    for surface in surfaces:
+        is_own = np.isin(track_id, surface.track_id)
+        if surface.cluster_id is not None and 2 * np.count_nonzero(is_own & is_member) > np.count_nonzero(is_own):
+            return surface.cluster_id
+    return None
+
+
+def without_numbers(surfaces: Sequence[Obstacle], numbers: Ints) -> tuple[Obstacle, ...]:
+    """The surfaces whose numbers are not among those ``numbers (K,)``."""
+    return tuple(surface for surface in surfaces if surface.cluster_id not in numbers.tolist())
 
 
 def tracks_of(obstacles: Sequence[Obstacle]) -> Ints:
