@@ -160,7 +160,7 @@ def test_the_velocity_of_what_turns_is_that_in_the_middle_of_its_nearest_part():
 
 
 def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_plain_formula_says():
-    """On a thing that turns, with errors of all kinds, and no plane through it."""
+    """On a thing that turns a little, with errors of all kinds, and no plane through it."""
     rng, count = np.random.default_rng(92), 12
     root = 0.02 * rng.normal(size=(1, N_SHARED, N_SHARED))
     shared = SharedErrors(
@@ -172,7 +172,7 @@ def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_pla
         rate_jacobian=np.zeros((count, N_SHARED)),
         cov=root @ np.swapaxes(root, 1, 2),
         change=np.array([CHANGE]),
-        turn_rad_s=np.array([[0.02, -0.05, 0.03]]),
+        turn_rad_s=np.array([[0.01, -0.03, 0.02]]),
     )
     spread = 0.02 * rng.normal(size=(count, 3, 3))
     states = TrackStates(

@@ -13,12 +13,15 @@ def one_set(n):
     return TrackSets.of([np.arange(n)])
 
 
-def parts(rate_hz, sigma_hz, xy, needed, is_in=None, by_shared=None, shared_cov=NO_ERRORS, own_hz=None):
+def parts(rate_hz, sigma_hz, xy, needed, is_in=None, by_shared=None, shared_cov=NO_ERRORS, own_hz=None, turns=False):
     n = len(rate_hz)
     is_in = np.ones(n, dtype=bool) if is_in is None else is_in
     by_shared = np.zeros((n, 2)) if by_shared is None else by_shared
     own_hz = sigma_hz if own_hz is None else own_hz
-    return nearest_parts(one_set(n), rate_hz, own_hz, sigma_hz, by_shared, shared_cov, xy, np.array([needed]), is_in)
+    turning = np.array([turns])
+    return nearest_parts(
+        one_set(n), rate_hz, own_hz, sigma_hz, by_shared, shared_cov, xy, np.array([needed]), is_in, turning
+    )
 
 
 def places(rng, n):
@@ -163,6 +166,37 @@ def test_a_slope_that_an_error_of_all_tracks_may_be_is_none():
     assert not above_hz.any()
 
 
+def test_the_side_of_what_turns_keeps_its_slope_though_a_wrong_turn_would_look_like_some_of_it():
+    """Sides of cars at angles of up to 45 deg; a turn that is a little off slopes all rates by 0.1 of themselves."""
+    rng = np.random.default_rng(16)
+    errors = {False: [], True: []}
+    for _ in range(300):
+        xy = places(rng, 30)
+        by_shared = np.column_stack([np.zeros(30), 0.2 * xy[:, 0]])
+        shared_cov = np.diag([0.0, 0.1**2])[None]
+        true_hz = 0.2 * (1.0 + np.tan(rng.uniform(-0.78, 0.78)) * xy[:, 0])
+        rate_hz = true_hz + 0.1 * rng.standard_normal() * by_shared[:, 1] + 0.002 * rng.standard_normal(30)
+        for turns, off in errors.items():
+            is_near, *_ = parts(rate_hz, np.full(30, 0.002), xy, 5, None, by_shared, shared_cov, turns=turns)
+            off.append(true_hz[is_near].mean() / np.sort(true_hz)[-6:].mean() - 1.0)
+    assert np.mean(errors[False]) < -0.004
+    assert abs(np.mean(errors[True])) < 0.002
+
+
+@pytest.mark.parametrize("sigma_hz", [0.002, 0.01])
+def test_what_is_said_of_the_nearest_part_of_what_turns_holds(sigma_hz):
+    rng = np.random.default_rng(17)
+    errors = []
+    for _ in range(200):
+        xy = places(rng, 80)
+        slope = 0.1 * rng.standard_normal()
+        rate_hz = sloping(xy, slope) + sigma_hz * rng.standard_normal(80)
+        is_near, above_hz, variance, centre = parts(rate_hz, np.full(80, sigma_hz), xy, 8, turns=True)
+        errors.append(((rate_hz + above_hz)[is_near].mean() - sloping(centre, slope)[0]) / np.sqrt(variance[0]))
+    assert abs(np.mean(errors)) < 0.4
+    assert 0.7 < np.std(errors) < 1.3
+
+
 def test_tracks_on_a_line_tell_no_slope_across_it():
     rng = np.random.default_rng(7)
     x = rng.uniform(-0.2, 0.2, 40)
@@ -179,7 +213,14 @@ def test_each_set_has_a_plane_of_its_own():
     nothing = np.zeros((100, 2)), np.zeros((2, 2, 2))
     needed = np.array([5, 5])
     is_near, _, variance, _ = nearest_parts(
-        sets, rate_hz, *2 * (np.full(100, 0.002),), *nothing, xy, needed, np.ones(100, dtype=bool)
+        sets,
+        rate_hz,
+        *2 * (np.full(100, 0.002),),
+        *nothing,
+        xy,
+        needed,
+        np.ones(100, dtype=bool),
+        np.zeros(2, dtype=bool),
     )
     alone, *_ = parts(rate_hz[:50], np.full(50, 0.002), xy[:50], 5)
     np.testing.assert_array_equal(is_near[:50], alone)

@@ -69,8 +69,9 @@ def joint_states(
     is_in = in_nearest_of_path(
         rated.rate_hz, rated.sigma_hz, by_shared, shared_cov, rated.xy_px, rated.sets, needed, link_px
     )
+    rates = rated.rate_hz, rated.own_hz, rated.sigma_hz
     is_in, above_hz, variance, centre = nearest_parts(
-        rated.sets, rated.rate_hz, rated.own_hz, rated.sigma_hz, by_shared, shared_cov, rated.xy, needed, is_in
+        rated.sets, *rates, by_shared, shared_cov, rated.xy, needed, is_in, rated.turns
     )
     return _joined(rated, is_in, above_hz, variance, centre, is_one[rated.owner], states, shared)
 
@@ -79,7 +80,8 @@ def joint_states(
 class _RatedTracks:
     """The tracks with a rate of K objects that have any: ``sets``, ``owner (K,)`` which of all objects each is.
 
-    ``path (K,)`` the path that they share, -1 for none, and ``along (K, 3)`` the directions of the objects. Of M
+    ``path (K,)`` the path that they share, -1 for none, whether it ``turns (K,)``, and ``along (K, 3)`` the directions
+    of the objects. Of M
     tracks: rates ``rate_hz`` = speed over depth, with standard deviations ``own_hz`` by their own noise and
     ``sigma_hz`` by that and the relief of surfaces, ``(M,)`` each; ``by_shared (M, 9)`` what errors that tracks share
     do to them; places ``xy, xy_px (M, 2)``.
@@ -88,6 +90,7 @@ class _RatedTracks:
     sets: TrackSets
     owner: Ints
     path: Ints
+    turns: Bools
     along: Floats
     rate_hz: Floats
     own_hz: Floats
@@ -123,7 +126,7 @@ def _rated_tracks(
     sets = TrackSets(index[:m], lengths[owner])
     turns = (path >= 0) & (np.linalg.norm(shared.turn_rad_s, axis=1) > _TURNS_RAD_S)[path]
     sigma_hz = np.hypot(own_hz, np.where(turns, _TURNING_RELIEF, _RELIEF)[sets.set_of] * rate_hz)
-    return _RatedTracks(sets, owner, path, direction[owner], rate_hz, own_hz, sigma_hz, by_shared[:m], xy, xy_px)
+    return _RatedTracks(sets, owner, path, turns, direction[owner], rate_hz, own_hz, sigma_hz, by_shared[:m], xy, xy_px)
 
 
 @compiled

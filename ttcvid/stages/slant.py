@@ -25,6 +25,9 @@ _NEAREST_PART, _DEPTH_PART = 0.1, 0.01
 _PLACES = 10
 # Tracks whose spread across a line is this part of that along it tell no slope across.
 _LEAST_SPREAD_PART = 1e-3
+# The side that a thing shows us while it turns stands at some angle, of up to 45 deg: the slope of the rate over the
+# rate is its tangent (standard deviation, per component).
+_SLOPE_OF_TURNING = 0.5
 # Least that a surface is not flat by, 1/s.
 _TINY = 1e-12
 # Numbers that tell a plane: its middle (x, y) and the rate there, its slope (x, y), and of the covariance of these the
@@ -42,6 +45,7 @@ def nearest_parts(
     xy: Floats,
     needed: Ints,
     is_in: Bools,
+    turns: Bools,
 ) -> tuple[Bools, Floats, Floats, Floats]:
     """The nearest parts of those surfaces that slope away from us; other surfaces as they are.
 
@@ -58,6 +62,7 @@ def nearest_parts(
         like a slope.
     needed : (K,) tracks that bear a plane.
     is_in : (M,) those on the nearest surface.
+    turns : (K,) objects that turn.
 
     Returns
     -------
@@ -76,6 +81,7 @@ def nearest_parts(
         sets.first,
         sets.lengths,
         needed,
+        turns,
         is_near,
         above_hz,
         variance,
@@ -138,6 +144,7 @@ def _find_each(
     first: Ints,
     lengths: Ints,
     needed: Ints,
+    turns: Bools,
     is_near: Bools,
     above: Floats,
     variance: Floats,
@@ -149,12 +156,12 @@ def _find_each(
         low, high = first[k], first[k] + lengths[k]
         of_set = (rate[low:high], own[low:high], sigma[low:high], by_shared[low:high], xy[low:high])
         cov = shared_cov[k]
-        if not _fit(*of_set, cov, is_near[low:high], plane):
+        if not _fit(*of_set, cov, is_near[low:high], turns[k], plane):
             continue
         flatness, is_plane = 1.0, False
         for _ in range(_LOOKS):
             count = _mark(*of_set, flatness, plane, again[low:high])
-            if count < needed[k] or not _fit(*of_set, cov, again[low:high], plane):
+            if count < needed[k] or not _fit(*of_set, cov, again[low:high], turns[k], plane):
                 break
             is_plane = True
             flatness = min(flatness, max(_flatness(*of_set, plane, again[low:high]), _LEAST_FLATNESS))
@@ -260,14 +267,16 @@ def _fit(
     xy: Floats,
     shared_cov: Floats,
     is_in: Bools,
+    turns: bool,
     plane: Floats,
 ) -> bool:
     """Fills the ``plane (9,)`` through the tracks that are in; returns whether it slopes at all.
 
     Weighted least squares. Errors alone make a chi-square of about 2 of the slope: by that part it is drawn towards
     none (Stein's shrinkage), wholly where it has no more. To wait until a slope is sure would say of most that they are
-    none, and put the nearest part too far away. How flat the surface is, its tracks say: what they scatter by about the
-    plane, no less than noise makes of it.
+    none, and put the nearest part too far away. What ``turns`` has a slope: there a usual one is what is believed
+    before. How flat the surface is, its tracks say: what they scatter by about the plane, no less than noise makes of
+    it.
     """
     weights, x, y, mean, noise, count = 0.0, 0.0, 0.0, 0.0, 0.0, 0
     for i in range(len(rate)):
@@ -308,6 +317,15 @@ def _fit(
             vxx += slope[0, 1 + j] * shared_cov[j, m] * slope[0, 1 + m]
             vxy += slope[0, 1 + j] * shared_cov[j, m] * slope[1, 1 + m]
             vyy += slope[1, 1 + j] * shared_cov[j, m] * slope[1, 1 + m]
+    if turns:
+        believed = (_SLOPE_OF_TURNING * mean) ** 2
+        bxx, byy = believed + vxx, believed + vyy
+        part = believed / (bxx * byy - vxy * vxy)
+        plane[0], plane[1], plane[2] = x, y, mean
+        plane[3], plane[4] = part * (byy * gx - vxy * gy), part * (bxx * gy - vxy * gx)
+        plane[5], plane[7] = misfit / weights, believed * part * vxy
+        plane[6], plane[8] = believed * (1.0 - part * byy), believed * (1.0 - part * bxx)
+        return True
     chi2 = (vyy * gx * gx - 2.0 * vxy * gx * gy + vxx * gy * gy) / (vxx * vyy - vxy * vxy)
     # The mean of Fisher's F, times the slopes: the scatter is measured.
     by_errors = _N_SLOPES * dof / (dof - 2.0)
