@@ -157,12 +157,15 @@ class PointSet:
     """Observed points of one picture.
 
     ``track_id (N,)`` ascending and unique; ``xy_px (N, 2)`` distorted source pixels. ``window_px (N, 2)`` where the
-    windows stand by which a tracker follows them, None where they stand about the points.
+    windows stand by which a tracker follows them, None where they stand about the points. ``edge (N, 2)`` how far each
+    window was on an edge when its track began, None where that is not known: ``(l1 - l2) / (l1 + l2)`` of its gradient
+    matrix's eigenvalues, 0 for a corner and 1 for an edge, times (cos, sin) of twice the angle across it.
     """
 
     track_id: Ints
     xy_px: Floats
     window_px: Floats | None = None
+    edge: Floats | None = None
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
@@ -175,6 +178,11 @@ class PointSet:
     def windows_px(self) -> Floats:
         """Where the windows stand by which the points are followed: (N, 2)."""
         return self.xy_px if self.window_px is None else self.window_px
+
+    @property
+    def edges(self) -> Floats:
+        """How far the windows were on edges, 0 where that is not known: (N, 2)."""
+        return np.zeros_like(self.xy_px) if self.edge is None else self.edge
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,10 @@ NOTHING_KNOWN = BodyMemory()
 
 @dataclass(frozen=True)
 class Thing:
-    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static."""
+    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static.
+
+    ``edge`` is that of all their windows, as in `PointSet`.
+    """
 
     points: np.ndarray
     velocity_m_s: tuple = (0.0, 0.0, 0.0)
@@ -31,6 +34,7 @@ class Thing:
     yaw_rad_s: float = 0.0
     frames: tuple = (0, 10**9)
     hidden: range = range(0)
+    edge: tuple = (0.0, 0.0)
 
     def at(self, t_s):
         centre = self.points.mean(axis=0)
@@ -144,7 +148,8 @@ def bodies_of(
         shown = np.argsort(names)
         shown = shown[is_seen[shown]]
         rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / FOCAL_PX, np.ones(len(xy_px))]))
-        points = PointSet(names[shown], xy_px[shown])
+        edges = np.array([thing.edge for thing in things])[numbers]
+        points = PointSet(names[shown], xy_px[shown], edge=edges[shown])
         history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES, may_come_back=True)
         if not frame:
             continue

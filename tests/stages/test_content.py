@@ -2,10 +2,11 @@
 
 import cv2
 import numpy as np
+import pytest
 from wave_pictures import HEIGHT, WIDTH, Warp, wave_picture
 
 from ttcvid.config import TrackingConfig
-from ttcvid.stages.tracking.content import content_offsets
+from ttcvid.stages.tracking.content import content_offsets, window_contents
 from ttcvid.stages.tracking.klt import follow_klt, start_klt
 
 SIZE = (120, 160)
@@ -29,6 +30,23 @@ def test_a_window_without_a_corner_has_no_content():
     grey = np.full(SIZE, 100, np.uint8)
     grey[:, 80:] = 200  # an edge
     assert np.isnan(content_offsets(grey, np.array([[80.0, 60.0], [20.0, 60.0]]), 13)).all()
+
+
+@pytest.mark.parametrize("angle_deg", range(0, 180, 15))
+def test_a_window_on_an_edge_is_one_across_its_gradients(angle_deg):
+    angle = np.radians(angle_deg)
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    across_px = (x - 80.0) * np.cos(angle) + (y - 60.0) * np.sin(angle)
+    grey = np.rint(100.0 + 100.0 / (1.0 + np.exp(-across_px))).astype(np.uint8)
+    _, edge = window_contents(grey, np.array([[80.0, 60.0]]), 13)
+    np.testing.assert_allclose(edge[0], [np.cos(2.0 * angle), np.sin(2.0 * angle)], atol=0.02)
+
+
+def test_windows_on_a_corner_and_on_a_plain_surface_are_on_no_edge():
+    grey = np.full(SIZE, 100, np.uint8)
+    grey[60, 80] = 200
+    _, edge = window_contents(grey, np.array([[80.0, 60.0], [20.0, 20.0]]), 13)
+    np.testing.assert_allclose(edge, 0.0, atol=1e-9)
 
 
 def test_no_points_have_no_content():

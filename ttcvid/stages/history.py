@@ -54,14 +54,14 @@ class TrackHistory:
     ``frame (L,)``, ``t_s (L,)``; ``cam_R_past (L, 3, 3)`` turns a ray of frame l into the present camera
     (`with_egomotion` brings it up to date); ``scene_direction (L, 3)`` is ``dir`` of the scene in the step up to frame
     l, in its own camera, NaN where unknown; ``rotation_sigma_rad`` the error of the present rotation, per axis;
-    ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far;
-    ``xy_px (N, 2)`` present position; ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not
-    observed; ``sigma_px (N,)`` noise of one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its
-    evidence and ``pool_sigma_px`` the noise of all tracks together; ``plane_per_px (N,)`` how much of the plane z = 1
-    a pixel spans where each track is (`geometry.camera.plane_per_px`). ``scene`` is the
-    path of the static scene as its tracks see it together (`stages.scene_path`), None until it has been found in this
-    frame. ``now`` is the entry of the present frame, counted from the end: the last one, but where a frame is looked at
-    once more with views of later ones (`stages.smoothing`). ``lost`` are tracks that may come back.
+    ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far; ``xy_px (N, 2)`` present position; ``rays (L, N,
+    3)`` unit rays in the camera of their own frame, NaN where not observed; ``sigma_px (N,)`` noise of one coordinate
+    of one observation; ``noise_sum, noise_weight (N,)`` its evidence and ``pool_sigma_px`` the noise of all tracks
+    together; ``plane_per_px (N,)`` how much of the plane z = 1 a pixel spans where each track is
+    (`geometry.camera.plane_per_px`); ``edge (N, 2)`` as in `PointSet`. ``scene`` is the path of the static scene as its
+    tracks see it together (`stages.scene_path`), None until it has been found in this frame. ``now`` is the entry of
+    the present frame, counted from the end: the last one, but where a frame is looked at once more with views of later
+    ones (`stages.smoothing`). ``lost`` are tracks that may come back.
     """
 
     frame: Ints
@@ -78,6 +78,7 @@ class TrackHistory:
     noise_weight: Floats
     pool_sigma_px: float
     plane_per_px: Floats
+    edge: Floats
     camera: Camera
     scene: SharedPaths | None = None
     now: int = -1
@@ -196,6 +197,7 @@ def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
         noise_weight=np.empty(0),
         pool_sigma_px=sigma_start_px,
         plane_per_px=np.empty(0),
+        edge=np.empty((0, 2)),
         camera=camera,
     )
 
@@ -249,6 +251,7 @@ def extended(
         noise_sum=carried(history.noise_sum, 0.0),
         noise_weight=carried(history.noise_weight, 0.0),
         plane_per_px=plane_per_px(history.camera, rays),
+        edge=points.edges,
         lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
     )
 

@@ -19,6 +19,7 @@ from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_pairs
 from ttcvid.stages.growing import LEAST_VIEWS
 from ttcvid.stages.occlusions import between_surfaces
+from ttcvid.stages.slipping import may_slip
 from ttcvid.stages.spreading import least_tracks, spreading_things
 
 # Views that a track needs to contradict the scene.
@@ -45,6 +46,7 @@ def new_movers(
     seen_misfit: Floats,
     usual_misfit: float,
     on_road: Bools,
+    edge: Floats,
     neighbours: Ints,
     config: BodiesConfig,
 ) -> tuple[list[Ints], RigidPaths, Floats]:
@@ -57,6 +59,7 @@ def new_movers(
     misfit, seen_misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``, with what the road
         contradicts and without it.
     on_road : (N,) tracks at the depth of the road on which they are seen.
+    edge : (N, 2) how far the window of each is on an edge along which it may slip, as in `PointSet`.
     neighbours : (N, K) of each track that contradicts the scene.
 
     Returns
@@ -72,11 +75,13 @@ def new_movers(
     # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
     may_spread = is_asked & (scene_fit.n_views >= LEAST_VIEWS)
     things = spreading_things(views, scene, may_spread, sway, candidates, misfit, usual_misfit, config)
-    spread, paths, rate_hz = explained(things, np.zeros_like(is_along), least_tracks(config), config)
+    spread, paths, rate_hz = explained(
+        things, np.zeros_like(is_along), np.zeros_like(edge), least_tracks(config), config
+    )
     for members in spread:
         candidates = np.setdiff1d(candidates, members)
     things = _alike_things(views, scene, candidates, is_along, config)
-    alike, alike_paths, alike_hz = explained(things, is_along, config.min_tracks, config)
+    alike, alike_paths, alike_hz = explained(things, is_along, edge, config.min_tracks, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
 
@@ -90,6 +95,7 @@ def _explained(
     neighbours: Ints,
     things: list[tuple[Ints, Floats]],
     is_along: Bools,
+    edge: Floats,
     needed: int,
     config: BodiesConfig,
 ) -> tuple[list[Ints], RigidPaths, Floats]:
@@ -99,6 +105,7 @@ def _explained(
     ----------
     scene_fit, misfit : of all N tracks on the path of the scene; ``is_static (N,)`` those that it explains.
     is_along : (N,) tracks that contradict the scene by their place alone.
+    edge : (N, 2) how far the window of each is on an edge along which it may slip.
     needed : tracks that a thing needs, surely explained better.
 
     Returns
@@ -123,7 +130,9 @@ def _explained(
         may_slide = between_surfaces(scene, scene_fit, is_static, track, neighbours[track], xy) & ~is_along[track]
         # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
         is_sure = is_better & (~may_slide | (misfit_by_own < misfit[track] / config.gain**2))
-        is_found &= np.bincount(thing, is_sure) >= needed
+        gate = config.scene_gate * usual_misfit
+        slips = may_slip(edge[track], xy, scene.path[0], views.sigma_norm[track], gate)
+        is_found &= np.bincount(thing, is_sure & (~slips | is_along[track])) >= needed
     found = np.flatnonzero(is_found)
     return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 

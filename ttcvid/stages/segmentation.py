@@ -180,6 +180,8 @@ def find_bodies(
         seen_misfit,
         usual,
         on_road(scene_fit, road),
+        # Before a camera at rest all surfaces flow alike, and nothing slips.
+        np.zeros_like(history.edge) if rests else history.edge,
         neighbours,
         config,
     )

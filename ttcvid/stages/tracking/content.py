@@ -1,4 +1,4 @@
-"""Where the content lies that a Lucas-Kanade window follows."""
+"""Where the content lies that a Lucas-Kanade window follows, and whether it is an edge."""
 
 from __future__ import annotations
 
@@ -27,16 +27,24 @@ def content_offsets(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
 
     Source: the normal equations of Lucas and Kanade (1981); the point is that of Foerstner and Guelch (1987).
     """
+    return window_contents(grey, xy_px, window_px)[0]
+
+
+def window_contents(grey: Picture, xy_px: Floats, window_px: int) -> tuple[Floats, Floats]:
+    """`content_offsets (N, 2)`, and how far the windows are on edges, (N, 2) as in `PointSet`: 0 on a plain surface.
+
+    Source: the length of the latter is the coherence of Bigun and Granlund (1987).
+    """
     reach = window_px // 2
-    offset = np.empty((len(xy_px), 2))
-    _fill(np.ascontiguousarray(grey), np.asarray(xy_px, dtype=np.float64), reach, offset)
+    offset, edge = np.empty((len(xy_px), 2)), np.empty((len(xy_px), 2))
+    _fill(np.ascontiguousarray(grey), np.asarray(xy_px, dtype=np.float64), reach, offset, edge)
     offset[~(np.abs(offset).max(axis=1, initial=0.0) <= window_px / 2)] = np.nan
-    return offset
+    return offset, edge
 
 
 @compiled
-def _fill(grey: Picture, xy: Floats, reach: int, offset: Floats) -> None:
-    """Fills ``offset (N, 2)``: Scharr gradients at whole pixels, between them bilinear, as OpenCV has them."""
+def _fill(grey: Picture, xy: Floats, reach: int, offset: Floats, edge: Floats) -> None:
+    """Fills ``offset, edge (N, 2)``: Scharr gradients at whole pixels, between them bilinear, as OpenCV has them."""
     height, width = grey.shape
     side = 2 * reach + 2
     by_x, by_y = np.empty((side, side)), np.empty((side, side))
@@ -71,6 +79,8 @@ def _fill(grey: Picture, xy: Floats, reach: int, offset: Floats) -> None:
                 yy += gy * gy
                 side_x += gx * along
                 side_y += gy * along
+        both = max(xx + yy, 1.0)
+        edge[i, 0], edge[i, 1] = (xx - yy) / both, 2.0 * xy_ / both
         determinant = xx * yy - xy_ * xy_
         if determinant > _LEAST_CORNER * (xx + yy) ** 2:
             offset[i, 0] = (yy * side_x - xy_ * side_y) / determinant

@@ -16,7 +16,7 @@ from ttcvid.config import TrackingConfig
 from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
-from ttcvid.stages.tracking.content import content_offsets
+from ttcvid.stages.tracking.content import window_contents
 from ttcvid.stages.tracking.corners import find_corners
 
 # Lucas-Kanade ends after so many iterations or when a step is shorter than this, px. Ended at 0.03 px it leaves errors
@@ -82,7 +82,7 @@ def follow_klt(
         found &= _is_allowed(allowed, window_px) & _is_allowed(allowed, xy_px)
     found &= ~_is_crowded(window_px, found)
     n_before = len(found)
-    points = PointSet(memory.points.track_id[found], xy_px[found], window_px[found])
+    points = PointSet(memory.points.track_id[found], xy_px[found], window_px[found], memory.points.edges[found])
     step = (window_px - before_px)[found]
     survival = float(found.mean()) if n_before else 1.0
     followed = KltMemory(grey, points, step, memory.next_track_id, memory.n_since + 1)
@@ -230,7 +230,8 @@ def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config
         close_share=config.close_share,
         only_new_places=has_many,
     )
-    content_px = new_px + np.nan_to_num(content_offsets(grey, new_px, config.window_px))
+    offset_px, edge = window_contents(grey, new_px, config.window_px)
+    content_px = new_px + np.nan_to_num(offset_px)
     is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
     content_px = np.where(is_visible[:, None], content_px, new_px)
     new_id = memory.next_track_id + np.arange(len(new_px), dtype=np.int64)
@@ -240,6 +241,7 @@ def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config
             np.concatenate([points.track_id, new_id]),
             np.concatenate([points.xy_px, content_px]),
             np.concatenate([windows_px, new_px]),
+            np.concatenate([points.edges, edge]),
         ),
         step_px=np.concatenate([memory.step_px, np.full_like(new_px, np.nan)]),
         next_track_id=memory.next_track_id + len(new_px),
