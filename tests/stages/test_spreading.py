@@ -106,6 +106,7 @@ def test_it_is_a_new_mover_though_the_flows_of_its_tracks_are_not_alike(rng):
         fit.misfit,
         1.0,
         np.zeros(len(every), dtype=bool),
+        np.zeros((len(every), 2)),
         views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
         CONFIG,
     )
