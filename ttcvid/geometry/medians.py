@@ -27,16 +27,16 @@ def quantile(values: Floats, part: float) -> float:
 
 
 def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
-    """Median of the values of each group: (K,), NaN of an empty one.
+    """Median of the values of each group: (K,), NaN of one without any.
 
     Parameters
     ----------
-    values, group : (N,) finite numbers, and which of the ``n_groups`` K each belongs to.
+    values, group : (N,) numbers, NaN for none, and which of the ``n_groups`` K each belongs to.
 
     >>> medians(np.array([5.0, 1.0, 2.0, 4.0]), np.array([0, 0, 2, 0]), 3)
     array([ 4., nan,  2.])
     """
-    found = np.full(n_groups, np.nan)
+    found = np.empty(n_groups)
     _fill(np.ascontiguousarray(values), np.ascontiguousarray(group), found)
     return found
 
@@ -60,14 +60,15 @@ def _quantile(values: Floats, part: float) -> float:
 def _fill(values: Floats, group: Ints, found: Floats) -> None:
     """Fill ``found (K,)``."""
     start = np.zeros(len(found) + 1, dtype=np.int64)
-    for number in group:
-        start[number + 1] += 1
+    for i in range(len(values)):
+        start[group[i] + 1] += 0 if np.isnan(values[i]) else 1
     for number in range(len(found)):
         start[number + 1] += start[number]
     by_group, end = np.empty(len(values)), start.copy()
     for i in range(len(values)):
-        by_group[end[group[i]]] = values[i]
-        end[group[i]] += 1
+        if not np.isnan(values[i]):
+            by_group[end[group[i]]] = values[i]
+            end[group[i]] += 1
     for number in range(len(found)):
-        if start[number + 1] > start[number]:
-            found[number] = np.median(by_group[start[number] : start[number + 1]])
+        is_any = start[number + 1] > start[number]
+        found[number] = np.median(by_group[start[number] : start[number + 1]]) if is_any else np.nan

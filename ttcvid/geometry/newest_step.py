@@ -60,7 +60,7 @@ def with_newest_steps(
     count, is_used = len(paths), np.isfinite(fit.rate_hz) & (weight > 0.0)
     if len(points.since_s) < _LEAST_VIEWS or not is_used.any():
         return paths
-    typical = np.maximum(medians(fit.misfit[is_used], points.thing[is_used], count), _LEAST_TYPICAL_MISFIT)
+    typical = np.maximum(medians(np.where(is_used, fit.misfit, np.nan), points.thing, count), _LEAST_TYPICAL_MISFIT)
     by_misfit = np.where(is_used, weight / (1.0 + fit.misfit / (_HALF_WEIGHT * typical[points.thing])), 0.0)
     normal, score = np.zeros((count, 6, 6)), np.zeros((count, 6))
     middle = np.zeros((count, 3)) if priors.middle is None else priors.middle

@@ -139,9 +139,8 @@ def refined_movers(
     """
     priors = PathPriors(scene.cam_R_past[0], turn_sigma_rad(points.since_s), _shift_sigma(points.since_s))
     movers, rate_hz = refined_paths(points, movers, priors, n_steps, rate_hz=start_hz)
-    known = np.isfinite(rate_hz)
-    usual_hz = medians(rate_hz[known], points.thing[known], len(movers))
-    return movers, np.where(np.isfinite(usual_hz), usual_hz, 0.0)
+    usual_hz = medians(rate_hz, points.thing, len(movers))
+    return movers, np.where(np.isnan(usual_hz), 0.0, usual_hz)
 
 
 def turn_sigma_rad(since_s: Floats) -> Floats:

@@ -100,11 +100,10 @@ def _fit_on_some(points: Points, movers: RigidPaths, rate_hz: Floats, is_asked: 
 
 def _middles(points: Points, fit: PathFit, count: int) -> Floats:
     """Where the middle of the points of each thing is now, (K, 3), by medians; 0 of one without any."""
-    known = np.isfinite(fit.rate_hz)
-    thing = points.thing[known]
-    x, y = (medians(fit.place[known, axis], thing, count) for axis in (0, 1))
-    depth = 1.0 / np.maximum(medians(fit.rate_hz[known], thing, count), _LEAST_RATE_HZ)
-    return np.nan_to_num(np.stack([x * depth, y * depth, depth], axis=1))
+    x, y = (medians(fit.place[:, axis], points.thing, count) for axis in (0, 1))
+    depth = 1.0 / np.maximum(medians(fit.rate_hz, points.thing, count), _LEAST_RATE_HZ)
+    middle = np.stack([x * depth, y * depth, depth], axis=1)
+    return np.where(np.isnan(middle), 0.0, middle)
 
 
 def _ways_of_middles(movers: RigidPaths, scene: RigidPaths, middle: Floats) -> Floats:
