@@ -11,7 +11,7 @@ import numpy as np
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.growth import GrowthSums, growth_sums
 from ttcvid.geometry.rigid_path import RigidPaths
-from ttcvid.geometry.rotation import turned_into_plane
+from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.approach import common_growth_hz
 from ttcvid.stages.body_views import BodyViews
@@ -61,17 +61,18 @@ def spreading_things(
     """
     is_free, is_asked = may_be.copy(), np.zeros(len(may_be), dtype=bool)
     is_asked[seeds] = may_be[seeds]
-    things = list[tuple[Ints, Floats]]()
+    things, needed = list[tuple[Ints, Floats]](), least_tracks(config)
+    noise, one_path = np.sqrt(usual_misfit) * views.sigma_norm, np.zeros(len(may_be), dtype=np.int64)
     for _ in range(_MOST_SEEDS):
         if len(things) == _MOST_THINGS or not is_asked.any():
             break
         seed, around = around_the_oddest(views.xy_px, misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False
-        if np.count_nonzero(misfit[around] > config.gain) < least_tracks(config):
+        around_misfit = misfit[around]
+        if np.count_nonzero(around_misfit > config.gain) < needed:
             continue
-        xy = turned_into_plane(views.rays.take(around, axis=1), scene.cam_R_past[0])
-        sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[around], sway)
-        found = _thing_around(sums, misfit[around], config)
+        xy = each_turned_into_plane(views.rays, around, scene.cam_R_past, one_path[: len(around)])
+        found = _thing_around(growth_sums(xy, views.since_s, noise[around], sway), around_misfit, config)
         if found is None:
             continue
         fits, unknowns, sigma_hz = found
