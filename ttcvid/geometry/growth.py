@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_in_place
-from ttcvid.model import Bools, Floats
+from ttcvid.model import Bools, Floats, Ints
 
 # Sums of a track: information on a (and b), couplings of a and b with c, information on c, score of a, b, c, squared
 # residuals; then of s the couplings with a, b and c, the information and the score.
@@ -45,6 +45,10 @@ class GrowthSums:
 
     sums: Floats
     freedom: Floats
+
+    def of(self, track: Ints) -> GrowthSums:
+        """Those of the tracks that an index array picks."""
+        return GrowthSums(self.sums.take(track, axis=1), self.freedom.take(track))
 
     def unknowns(self, members: Bools) -> tuple[Floats, Floats]:
         """(a, b, c, s) of the tracks that a mask (M,) picks, 1/s, and their covariance (4, 4); NaN: none."""

@@ -118,6 +118,25 @@ def around_the_oddest(
     return seed, around[:n_around]
 
 
+def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) -> Ints:
+    """All tracks (M,) that `around_the_oddest` may find around those asked, and these, ascending."""
+    is_near = np.empty(len(xy_px), dtype=bool)
+    _mark_near(np.ascontiguousarray(xy_px), is_asked, may_be, _LINKS * link_px, is_near)
+    return np.flatnonzero(is_near)
+
+
+@compiled
+def _mark_near(xy_px: Floats, is_asked: Bools, may_be: Bools, reach_px: float, is_near: Bools) -> None:
+    """Fill ``is_near (N,)``: tracks asked, and those that may be around one of them."""
+    for i in range(len(is_near)):
+        is_near[i] = is_asked[i]
+    for i in range(len(is_near)):
+        if is_asked[i]:
+            for j in range(len(is_near)):
+                x, y = xy_px[j, 0] - xy_px[i, 0], xy_px[j, 1] - xy_px[i, 1]
+                is_near[j] |= may_be[j] and x * x + y * y < reach_px * reach_px
+
+
 @compiled
 def _list_around(
     xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, reach_px: float, around: Ints

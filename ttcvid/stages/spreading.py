@@ -15,7 +15,7 @@ from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.approach import common_growth_hz
 from ttcvid.stages.body_views import BodyViews
-from ttcvid.stages.growing import SIGMAS_999, around_the_oddest
+from ttcvid.stages.growing import SIGMAS_999, around_any, around_the_oddest
 
 # Tracks that are enough for a thing: fewer than those of other movers, since three unknowns for all say more than flows
 # that are alike; as many as bear a surface.
@@ -62,7 +62,11 @@ def spreading_things(
     is_free, is_asked = may_be.copy(), np.zeros(len(may_be), dtype=bool)
     is_asked[seeds] = may_be[seeds]
     things, needed = list[tuple[Ints, Floats]](), least_tracks(config)
-    noise, one_path = np.sqrt(usual_misfit) * views.sigma_norm, np.zeros(len(may_be), dtype=np.int64)
+    # Most tracks are around several of those asked, and say the same each time.
+    near, place = around_any(views.xy_px, is_asked, is_free, views.link_px), np.empty(len(may_be), dtype=np.int64)
+    place[near] = np.arange(len(near))
+    xy = each_turned_into_plane(views.rays, near, scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
+    sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[near], sway)
     for _ in range(_MOST_SEEDS):
         if len(things) == _MOST_THINGS or not is_asked.any():
             break
@@ -71,14 +75,13 @@ def spreading_things(
         around_misfit = misfit[around]
         if np.count_nonzero(around_misfit > config.gain) < needed:
             continue
-        xy = each_turned_into_plane(views.rays, around, scene.cam_R_past, one_path[: len(around)])
-        found = _thing_around(growth_sums(xy, views.since_s, noise[around], sway), around_misfit, config)
+        found = _thing_around(sums.of(place[around]), around_misfit, config)
         if found is None:
             continue
         fits, unknowns, sigma_hz = found
         velocity_hz, path = unknowns[:3], views.since_s[:, None] * unknowns[:3] + unknowns[3] * sway
         members, xy_px = around[fits], views.xy_px[around[fits]]
-        seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, fits, 0]), axis=0)]
+        seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, place[members], 0]), axis=0)]
         radius_px = np.sqrt(np.mean(np.sum((xy_px - xy_px.mean(axis=0)) ** 2, axis=1)))
         common_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
         least_hz = 1.0 / (_REACHED_WITHIN * np.median(seen_s))
