@@ -92,6 +92,8 @@ def chosen_paths(first: SharedPaths, second: SharedPaths, asked: Ints, takes_sec
     """Of K paths of which those of ``asked (Q,)`` were fitted again, these where ``takes_second (Q,)`` holds."""
     if not takes_second.any():
         return first
+    if len(asked) == len(first.path) and takes_second.all():
+        return second
     chosen = []
     for field in fields(SharedPaths):
         values = getattr(first, field.name).copy()

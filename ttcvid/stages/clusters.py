@@ -40,6 +40,8 @@ _SAME_DIRECTION_CHI2 = 9.21
 _KNOWN_DIRECTION_RAD = float(np.radians(10.0))
 # A cluster has a direction.
 _VALUED = (Status.ok, Status.epipole_at_infinity)
+# What says no more of an object than that it may have a state.
+_OPEN = (*_VALUED, Status.no_parallax)
 # Noise of a point that is exact by definition.
 _EXACT = 1e-12
 
@@ -148,7 +150,7 @@ def _row(
     status, motion_state = motion.status, MotionState.unknown
     if _is_scene(motion):
         motion_state = MotionState.no_relative_motion if status == Status.no_parallax else motion_state
-    elif status in {*_VALUED, Status.no_parallax}:
+    elif status in _OPEN:
         status = Status.not_rigid if has_values else Status.no_parallax
     x0, y0, x1, y1 = box_px
     facts: dict[str, Any] = {
@@ -165,7 +167,7 @@ def _row(
         "horizon_offset_px": motion.horizon_offset_px,
         "expansion_hz": expansion_hz if math.isfinite(expansion_hz) else None,
     }
-    return ClusterRow(**{**facts, **stated})
+    return ClusterRow(**(facts | stated))
 
 
 def motion_ids(is_ours: Bools, direction: Floats, direction_cov: Floats) -> list[int]:

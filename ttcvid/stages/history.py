@@ -223,14 +223,10 @@ def extended(
         history = _with_lost(history, history.lost)
     n = len(points.track_id)
     before = places_among(history.track_id, points.track_id)
-    known = before >= 0
-    source = before[known]
-
-    def carried(values: Floats | Ints, start: float) -> Floats:
-        out = np.full(n, start)
-        out[known] = values[source]
-        return out
-
+    of_tracks = np.empty((4, n))
+    now_of = (history.n_frames, history.sigma_px, history.noise_sum, history.noise_weight)
+    _carry_each(now_of, history.pool_sigma_px, before, of_tracks)
+    n_before, sigma_px, noise_sum, noise_weight = of_tracks
     stay = _views_that_stay(history.t_s, t_s, max_frames)
     kept = history.rays[stay]
     with_past = np.empty((len(kept) + 1, n, 3))
@@ -243,13 +239,13 @@ def extended(
         cam_R_past=np.concatenate([history.cam_R_past[stay], np.eye(3)[None]]),
         scene_direction=np.concatenate([history.scene_direction[stay], np.full((1, 3), np.nan)]),
         track_id=points.track_id,
-        n_frames=carried(history.n_frames, 0).astype(np.int64) + 1,
+        n_frames=n_before.astype(np.int64) + 1,
         xy_px=points.xy_px,
         rays=with_past,
         scene=None,
-        sigma_px=carried(history.sigma_px, history.pool_sigma_px),
-        noise_sum=carried(history.noise_sum, 0.0),
-        noise_weight=carried(history.noise_weight, 0.0),
+        sigma_px=sigma_px,
+        noise_sum=noise_sum,
+        noise_weight=noise_weight,
         plane_per_px=plane_per_px(history.camera, rays),
         edge=points.edges,
         lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
@@ -263,6 +259,23 @@ def _fill_angles(rays: Floats, sigma_px: Floats, per_px: Floats, sigma_rad: Floa
         # NaN, not observed, stays NaN.
         cosine = 0.1 if rays[i, 2] < 0.1 else 1.0 if rays[i, 2] > 1.0 else rays[i, 2]
         sigma_rad[i] = sigma_px[i] * per_px[i] * cosine * np.sqrt(cosine)
+
+
+@compiled
+def _carry_each(known: tuple[Ints, Floats, Floats, Floats], new_sigma: float, place: Ints, carried: Floats) -> None:
+    """Fill ``carried (4, N)``: what is known of each track, at ``place (N,)``; of new ones, -1, their noise alone."""
+    n_frames, sigma, noise_sum, noise_weight = known
+    for i in range(len(place)):
+        p = place[i]
+        if p >= 0:
+            carried[0, i], carried[1, i], carried[2, i], carried[3, i] = (
+                n_frames[p],
+                sigma[p],
+                noise_sum[p],
+                noise_weight[p],
+            )
+        else:
+            carried[0, i], carried[1, i], carried[2, i], carried[3, i] = 0.0, new_sigma, 0.0, 0.0
 
 
 @compiled

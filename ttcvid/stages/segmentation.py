@@ -165,7 +165,9 @@ def find_bodies(
     # Of what goes to the scene, too, something new may be made.
     has_changed = key != before
     if has_changed.any():
-        own = own.without_rates(np.isin(key, key[has_changed]))
+        is_touched = np.zeros(key.max() + 1, dtype=bool)
+        is_touched[key[has_changed]] = True
+        own = own.without_rates(is_touched[key])
     next_key = memory.next_key
     # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
     sways = platform == Platform.free and not rests

@@ -68,7 +68,7 @@ def spreading_things(
     xy = each_turned_into_plane(views.rays, near, scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
     sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[near], sway)
     for _ in range(_MOST_SEEDS):
-        if len(things) == _MOST_THINGS or not is_asked.any():
+        if len(things) == _MOST_THINGS or not np.count_nonzero(is_asked):
             break
         seed, around = around_the_oddest(views.xy_px, misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False

@@ -42,12 +42,15 @@ def in_nearest_of_path(
     is_bare = np.bincount(sets.set_of, is_in, len(sets)) == 0.0
     if not is_bare.any():
         return is_in
+    is_asked = is_bare[sets.set_of]
+    sets, bare = sets.where(is_asked)
+    rate_hz, sigma_hz, by_shared, xy_px = rate_hz[is_asked], sigma_hz[is_asked], by_shared[is_asked], xy_px[is_asked]
     weight, set_of = sigma_hz**-2.0, sets.set_of
     mean = sets.sums(weight[:, None] * by_shared) / sets.sums(weight)[:, None]
     apart = by_shared - mean[set_of]
-    variance = np.maximum(np.einsum("mi,mij,mj->m", apart, shared_cov[set_of], apart), 0.0)
-    again = in_nearest_surface(rate_hz, np.sqrt(sigma_hz**2 + variance), xy_px, sets, needed, link_px)
-    return np.where(is_bare[set_of], again, is_in)
+    variance = np.maximum(np.einsum("mi,mij,mj->m", apart, shared_cov[bare][set_of], apart), 0.0)
+    is_in[is_asked] = in_nearest_surface(rate_hz, np.sqrt(sigma_hz**2 + variance), xy_px, sets, needed[bare], link_px)
+    return is_in
 
 
 def in_nearest_surface(
