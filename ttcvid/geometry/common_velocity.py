@@ -18,6 +18,8 @@ _DEPTH_OF_WIDTH, _LEAST_DEPTH = 2.0, 0.01
 # As in `rigid_path_descent`: residuals beyond this, in sigmas, count by their length; least depth of a point over that
 # at time 0, and least z of a turned ray.
 _ROBUST_SIGMAS, _LEAST_DEPTH_RATIO, _LEAST_FORWARD = 3.0, 0.05, 0.05
+# Numbers of a view: its rotation (9) and time; 0 of one that is not looked at.
+_N_WAY, _TIME = 10, 9
 
 
 def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int) -> tuple[Floats, Floats]:
@@ -81,7 +83,12 @@ def _add_points(
             sums[k, 1] += x
             sums[k, 2] += y
             sums[k, 3] += x * x + y * y
-    a, b = np.empty((6, 6)), np.empty(6)
+    a, b, ways = np.empty((6, 6)), np.empty(6), np.zeros((_N_WAY, rays.shape[2]))
+    for v in range(n_views):
+        ways[_TIME, before + v] = since_s[v]
+        for j in range(3):
+            for c in range(3):
+                ways[3 * j + c, before + v] = rotations[v, j, c]
     for m in range(len(track)):
         i, k = track[m], thing[m]
         if not rays[i, 2, last] > _LEAST_FORWARD:
@@ -91,17 +98,18 @@ def _add_points(
         vx, vy, vz, inverse = velocity[k, 0], velocity[k, 1], velocity[k, 2], 1.0 / sigma[i]
         hh = hx = hy = dd = ht = tx = ty = tt = hu = hv = du = tu = tv = uu = 0.0
         b0 = b1 = b2 = b3 = b4 = b5 = 0.0
-        for v in range(n_views):
-            t, p, q, s = since_s[v], rays[i, 0, before + v], rays[i, 1, before + v], rays[i, 2, before + v]
-            ahead = rotations[v, 2, 0] * p + rotations[v, 2, 1] * q + rotations[v, 2, 2] * s
-            if not ahead > _LEAST_FORWARD:
-                continue
+        # Without a branch, and by an index without a sign, several views are worked at side by side.
+        for v in range(np.uint64(rays.shape[2])):
+            t, p, q, s = ways[_TIME, v], rays[i, 0, v], rays[i, 1, v], rays[i, 2, v]
+            ahead = ways[6, v] * p + ways[7, v] * q + ways[8, v] * s
+            is_seen = ahead > _LEAST_FORWARD
+            ahead = ahead if is_seen else 1.0
             h = 1.0 / max(1.0 + vz * t, _LEAST_DEPTH_RATIO)
             was_x, was_y = (x + vx * t) * h, (y + vy * t) * h
-            off_x = (rotations[v, 0, 0] * p + rotations[v, 0, 1] * q + rotations[v, 0, 2] * s) / ahead - was_x
-            off_y = (rotations[v, 1, 0] * p + rotations[v, 1, 1] * q + rotations[v, 1, 2] * s) / ahead - was_y
+            off_x = (ways[0, v] * p + ways[1, v] * q + ways[2, v] * s) / ahead - was_x if is_seen else 0.0
+            off_y = (ways[3, v] * p + ways[4, v] * q + ways[5, v] * s) / ahead - was_y if is_seen else 0.0
             length = np.sqrt(off_x * off_x + off_y * off_y) * inverse
-            w = inverse * inverse * (_ROBUST_SIGMAS / length if length > _ROBUST_SIGMAS else 1.0)
+            w = inverse * inverse * _ROBUST_SIGMAS / max(length, _ROBUST_SIGMAS) if is_seen else 0.0
             # Rows of x and y: (h, 0, d_x, th, 0, by_x) and (0, h, d_y, 0, th, by_y).
             th = t * h
             d_x, d_y, by_x, by_y = (vx - was_x * vz) * th, (vy - was_y * vz) * th, -was_x * th, -was_y * th
