@@ -151,7 +151,7 @@ def _add_up(
 
 @compiled
 def _list_way(rotations: Floats, paths: Floats, b: int, ways: Floats) -> None:
-    """Fill ``ways[b] (12, M)``, view by view, as `rigid_path_descent` has it: the rotation, row by row, and the path."""
+    """Fill ``ways[b] (12, M)``, view by view: the rotation, row by row, and the path, as in `rigid_path_descent`."""
     before = ways.shape[2] - paths.shape[1]
     for k in range(paths.shape[1]):
         for i in range(3):
