@@ -81,10 +81,9 @@ class _RatedTracks:
     """The tracks with a rate of K objects that have any: ``sets``, ``owner (K,)`` which of all objects each is.
 
     ``path (K,)`` the path that they share, -1 for none, whether it ``turns (K,)``, and ``along (K, 3)`` the directions
-    of the objects. Of M
-    tracks: rates ``rate_hz`` = speed over depth, with standard deviations ``own_hz`` by their own noise and
-    ``sigma_hz`` by that and the relief of surfaces, ``(M,)`` each; ``by_shared (M, 9)`` what errors that tracks share
-    do to them; places ``xy, xy_px (M, 2)``.
+    of the objects. Of M tracks: rates ``rate_hz`` = speed over depth, with standard deviations ``own_hz`` by their own
+    noise and ``sigma_hz`` by that and the relief of surfaces, ``(M,)`` each; ``by_shared (M, 9)`` what errors that
+    tracks share do to them; places ``xy, xy_px (M, 2)``.
     """
 
     sets: TrackSets
