@@ -17,8 +17,9 @@ from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_parts
 from ttcvid.stages.plain_gaps import across_plain_gaps
 
-# Two bodies, or two parts of one, are one where their rates differ by less than this factor.
-_ONE_RATE = 1.5
+# Two bodies, or two parts of one, are one where their rates differ by less than this factor; or where they hang
+# together by tracks beside each other whose rates differ by less than the other, and are known to a fourth of that.
+_ONE_RATE, _BESIDE_RATE, _KNOWN_PART = 1.5, 1.2, 0.25
 # Two movers are one where one motion explains both at most this much worse than two, misfits below 1 being 1; before
 # that is tried, the motion of the larger has to explain the smaller within this factor, at rates within the other: what
 # fits one half of a bus that turns leaves the other up to 30 times as far off, until both correct it.
@@ -197,9 +198,28 @@ def _joint(
     # A track that has just been born has no rate yet.
     known = np.isfinite(fit.rate_hz)
     one, other = medians(fit.rate_hz[known], part[known], len(parts)).reshape(-1, 2).T
-    is_one = np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
-    is_one &= medians(fit.misfit, points.thing, n_pairs) < _MERGED_MISFIT * usual_misfit * pairs.limit
+    is_one = medians(fit.misfit, points.thing, n_pairs) < _MERGED_MISFIT * usual_misfit * pairs.limit
+    is_one_rate = np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
+    for pair in np.flatnonzero(is_one & ~is_one_rate):
+        is_one[pair] = _hang_together(views, joint.take(np.array([pair])), *of_pairs[2 * pair : 2 * pair + 2])
     return _Joint(joint, joint_hz, is_one)
+
+
+def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -> bool:
+    """Whether most tracks of ``one`` and of the ``other`` are of one piece on one ``path``, though they lie deep.
+
+    The cab of a lorry beside us is twice as far away as its tank, and in between is the rest of it.
+    """
+    both = np.concatenate([one, other])
+    fit = fit_on_paths(views.points(both, np.zeros_like(both)), path)
+    is_known = fit.rate_sigma_hz < _KNOWN_PART * np.log(_BESIDE_RATE) * fit.rate_hz
+    if not is_known.any():
+        return False
+    rate_hz, is_other = fit.rate_hz[is_known], np.flatnonzero(is_known) >= len(one)
+    nothing, tolerance = np.zeros_like(both[is_known]), np.full(len(rate_hz), 0.5 * np.log(_BESIDE_RATE))
+    label = linked_parts(views.xy_px[both[is_known]], views.link_px, nothing, np.log(rate_hz), tolerance)
+    n_one, n_other = np.bincount(label[~is_other], minlength=1), np.bincount(label[is_other], minlength=1)
+    return bool(n_one.argmax() == n_other.argmax() and 2 * n_one.max() > len(one) and 2 * n_other.max() > len(other))
 
 
 def split(
