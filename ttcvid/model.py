@@ -159,7 +159,8 @@ class PointSet:
     ``track_id (N,)`` ascending and unique; ``xy_px (N, 2)`` distorted source pixels. ``window_px (N, 2)`` where the
     windows stand by which a tracker follows them, None where they stand about the points. ``edge (N, 2)`` how far each
     window was on an edge when its track began, None where that is not known: ``(l1 - l2) / (l1 + l2)`` of its gradient
-    matrix's eigenvalues, 0 for a corner and 1 for an edge, times (cos, sin) of twice the angle across it.
+    matrix's eigenvalues, 0 for a corner and 1 for an edge, times (cos, sin) of twice the angle across it, from x to y
+    in that picture: a camera that has rolled since by more than some 10 deg makes it a corner.
     """
 
     track_id: Ints

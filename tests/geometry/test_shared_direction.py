@@ -198,7 +198,10 @@ def tracks_of_a_car_ahead(change_hz, rng):
 
 @pytest.mark.parametrize("change_hz", [-1.0, -0.4, 0.0, 0.4, 1.0])
 def test_what_changes_its_speed_does_not_seem_to_come_from_where_it_is(change_hz):
-    """Brakes are taken for depth by each track alone; the lines in which the tracks move still meet in one point."""
+    """Each track alone takes a change of speed for depth; the lines in which the tracks move still meet in one point.
+
+    From the main axis of the velocities one search in a hundred of these ends on the other side of the sky.
+    """
     rng, thing = np.random.default_rng(11), np.zeros(40, dtype=np.int64)
     for _ in range(20):
         truth, tracks = tracks_of_a_car_ahead(change_hz, rng)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rigid_worlds import Thing, bodies_of, car, world
 
+from ttcvid.model import Platform
 from ttcvid.stages.slipping import may_slip
 
 N_FRAMES, SLOWLY = 16, (0.0, 0.0, 4.0)
@@ -83,3 +84,14 @@ def test_what_crosses_on_edges_is_found():
     frames = bodies_of(world(rng, SLOWLY, N_FRAMES, crossing), N_FRAMES, camera_m_s=SLOWLY)
     assert frames[8].keys_of(1)[0] != 0
     assert frames[8].keys_of(1)[1] > 0.8
+
+
+@pytest.mark.parametrize(("platform", "yaw_rad_s"), [(Platform.vehicle, 0.0), (Platform.aircraft, 0.1)])
+def test_before_a_camera_that_moves_past_nothing_what_goes_along_its_edges_is_found(platform, yaw_rad_s):
+    """No surface slips past another then, whatever way is supposed for the camera."""
+    rng = np.random.default_rng(0)
+    leaves = car(rng, (1.0, -1.0, 25.0), (3.0, 0.0, 0.0), edge=(-0.9, 0.0))
+    street = world(rng, (0.0, 0.0, 0.0), N_FRAMES, leaves)
+    frames = bodies_of(street, N_FRAMES, camera_m_s=(0.0, 0.0, 0.0), platform=platform, yaw_rad_s=yaw_rad_s)
+    assert frames[4].keys_of(1)[0] != 0
+    assert frames[4].keys_of(1)[1] > 0.8

@@ -54,3 +54,23 @@ def test_what_has_given_its_number_to_a_mover_is_forgotten():
     other = Obstacle(3, TRACKS[20:])
     young = Obstacle(None, TRACKS[10:20])
     assert without_numbers((CAR, other, young), np.array([7, 9])) == (other, young)
+
+
+def test_one_track_that_what_passes_drags_along_gives_no_number():
+    left = Obstacle(7, np.concatenate([np.arange(29), TRACKS[:1]]))
+    assert number_of_taken((left,), TRACKS, np.arange(20)) is None
+
+
+def test_of_two_obstacles_the_mover_is_that_of_which_it_has_most():
+    small = Obstacle(3, TRACKS[10:14])
+    assert number_of_taken((small, CAR), TRACKS, np.arange(30)) == 7
+
+
+def test_an_obstacle_that_another_covers_ends_with_its_tracks():
+    """Tracks of both are those of the one that is seen, though the other is remembered."""
+    memory = (Obstacle(5, np.arange(20), 9), Obstacle(6, np.arange(12, 42), 9))
+    for frame in range(6):
+        track_id = np.arange(min(3 * frame, 12), 42)
+        nearer = np.flatnonzero(track_id >= 12)
+        public, memory, _ = remembered(memory, track_id, [nearer], track_id < 12, 7, CONFIG)
+        np.testing.assert_array_equal(track_id[public[6]], np.arange(12, 42))

@@ -207,7 +207,7 @@ def _solve_shifts(normal: Floats, score: Floats, shift_sigma: Floats, change: Fl
     for b in range(len(change)):
         for j in range(3, 6):
             normal[b, j, j] += 1.0 / max(shift_sigma[b], _NO_LENGTH) ** 2
-        change[b, 3:] = np.linalg.solve(normal[b, 3:, 3:].copy(), score[b, 3:].copy())
+        change[b, 3:] = _solved(normal[b, 3:, 3:].copy(), score[b, 3:].copy())
 
 
 @compiled
@@ -225,4 +225,12 @@ def _solve_all(
             score[b, j] *= scale[j]
             for k in range(6):
                 normal[b, j, k] *= scale[j] * scale[k]
-        change[b] = scale * np.linalg.solve(normal[b], score[b])
+        change[b] = scale * _solved(normal[b], score[b])
+
+
+@compiled_in_place
+def _solved(normal: Floats, score: Floats) -> Floats:
+    """The solution of N normal equations (N,); NaN where one of them is, of which numba would make an error."""
+    if not np.isfinite(normal.sum() + score.sum()):
+        return np.full(len(score), np.nan)
+    return np.asarray(np.linalg.solve(normal, score), dtype=np.float64)

@@ -137,7 +137,8 @@ def find_bodies(
     scene_fit = fit_on_paths(every, scene, rate_hz)
     rate_hz = scene_fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
-    rests = not is_sure and not _moves_past(scene_fit, _places(history), is_free)
+    moves_past = _moves_past(scene_fit, _places(history), is_free)
+    rests = not is_sure and not moves_past
     if rests:
         scene_fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     may_rest = _steps_little(views, scene) if platform == Platform.static else is_free
@@ -182,8 +183,8 @@ def find_bodies(
         seen_misfit,
         usual,
         on_road(scene_fit, road),
-        # Before a camera at rest all surfaces flow alike, and nothing slips.
-        np.zeros_like(history.edge) if rests else history.edge,
+        # Before a camera that moves past nothing all surfaces flow alike, and nothing slips.
+        history.edge if moves_past else np.zeros_like(history.edge),
         neighbours,
         config,
     )

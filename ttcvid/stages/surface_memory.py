@@ -12,6 +12,8 @@ from ttcvid.model import Bools, Ints
 
 # One that is missed stays an object for `forget_frames`, and can be re-identified for this many times as long.
 _REMEMBERED = 4
+# A mover is the surface of which it has so many tracks, and most of those that live.
+_LEAST_TAKEN = 3
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,9 @@ def remembered(
     is_free : (N,) tracks that a surface which is not found in this frame may keep.
     """
     left_over = list(surfaces)
+    is_seen = np.zeros(len(track_id), dtype=bool)
+    for surface in surfaces:
+        is_seen[surface] = True
     obstacles: list[Obstacle] = []
     for obstacle in before:
         again = _again(obstacle, track_id, left_over)
@@ -49,8 +54,9 @@ def remembered(
                 replace(obstacle, track_id=track_id[left_over.pop(again)], n_found=obstacle.n_found + 1, n_missed=0)
             )
             continue
-        # Those that a mover has taken, too: it may be the same thing (`number_of_taken`), or lose them again.
-        left = track_id[np.isin(track_id, obstacle.track_id)]
+        # Those that a mover has taken, too: it may be the same thing (`number_of_taken`), or lose them again. What is
+        # seen to be of another surface is no part of this one.
+        left = track_id[~is_seen & np.isin(track_id, obstacle.track_id)]
         if obstacle.n_missed < _REMEMBERED * config.forget_frames and len(left):
             obstacles.append(replace(obstacle, track_id=left, n_missed=obstacle.n_missed + 1))
     obstacles += [Obstacle(None, track_id[surface]) for surface in left_over]
@@ -69,20 +75,22 @@ def remembered(
 def number_of_taken(surfaces: Sequence[Obstacle], track_id: Ints, members: Ints) -> int | None:
     """The number of that public surface of which most live tracks are ``members (M,)`` of a mover; None without one.
 
-    What stands in our way may begin to move, or turns out to: it is the same thing, with the same number. So is what
-    comes straight at us when it is near enough to be seen to move.
+    Of several that of which it has most, three at least: one alone may be dragged along by what passes. What stands in
+    our way may begin to move, or turns out to: it is the same thing, with the same number. So is what comes straight at
+    us when it is near enough to be seen to move.
 
     Parameters
     ----------
     track_id : (N,) of all live tracks.
     """
-    is_member = np.zeros(len(track_id), dtype=bool)
+    is_member, number, most = np.zeros(len(track_id), dtype=bool), None, _LEAST_TAKEN - 1
     is_member[members] = True
     for surface in surfaces:
         is_own = np.isin(track_id, surface.track_id)
-        if surface.cluster_id is not None and 2 * np.count_nonzero(is_own & is_member) > np.count_nonzero(is_own):
-            return surface.cluster_id
-    return None
+        n_taken = int(np.count_nonzero(is_own & is_member))
+        if surface.cluster_id is not None and n_taken > most and 2 * n_taken > np.count_nonzero(is_own):
+            number, most = surface.cluster_id, n_taken
+    return number
 
 
 def without_numbers(surfaces: Sequence[Obstacle], numbers: Ints) -> tuple[Obstacle, ...]:
