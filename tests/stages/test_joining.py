@@ -1,0 +1,65 @@
+"""Parts of a thing that were found as movers of their own become one, and things that move alike do not."""
+
+import numpy as np
+import pytest
+from rigid_worlds import bodies_of, car, world
+
+N_FRAMES, SLOWLY = 16, (0.0, 0.0, 4.0)
+
+
+def test_two_halves_that_were_found_separately_become_one():
+    """A lorry whose middle is seen only later: its ends are too far apart to be one thing until then."""
+    rng = np.random.default_rng(5)
+    velocity, height = (-4.0, 0.0, 0.0), (0.5, 30.0)
+    front, rear = (car(rng, (x, *height), velocity, 24, (2.0, 1.8, 1.5)) for x in (2.0, 8.0))
+    middle = car(rng, (5.0, *height), velocity, 60, (6.5, 1.8, 1.5), frames=(10, 99))
+    frames = bodies_of(world(rng, SLOWLY, 24, front, rear, middle), 24, camera_m_s=SLOWLY)
+    apart, joined = frames[8], frames[-1]
+    assert apart.keys_of(1)[0] != apart.keys_of(2)[0]
+    assert 0 not in (apart.keys_of(1)[0], apart.keys_of(2)[0])
+    assert {joined.keys_of(number)[0] for number in (1, 2, 3)} == {apart.keys_of(1)[0]}
+    assert min(joined.keys_of(number)[1] for number in (1, 2, 3)) > 0.85
+
+
+def test_halves_become_one_also_while_new_tracks_are_born_on_them_in_every_frame():
+    rng = np.random.default_rng(5)
+    velocity, height = (-4.0, 0.0, 0.0), (0.5, 30.0)
+    front, rear = (car(rng, (x, *height), velocity, 24, (2.0, 1.8, 1.5)) for x in (2.0, 8.0))
+    middle = car(rng, (5.0, *height), velocity, 60, (6.5, 1.8, 1.5), frames=(10, 99))
+    newborn = [
+        car(rng, (x, *height), velocity, 2, (1.5, 1.5, 1.0), frames=(frame, 99))
+        for frame in range(11, 24)
+        for x in (2.0, 8.0)
+    ]
+    frames = bodies_of(world(rng, SLOWLY, 24, front, rear, middle, *newborn), 24, camera_m_s=SLOWLY)
+    assert frames[8].keys_of(1)[0] != frames[8].keys_of(2)[0]
+    assert frames[-1].keys_of(1)[0] == frames[-1].keys_of(2)[0] != 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_long_lorry_beside_us_is_one_though_its_cab_is_twice_as_far_away(seed):
+    """Cab and tank are two things as far as can be seen, until what is between them is."""
+    rng = np.random.default_rng(seed)
+    velocity, beside = (0.0, 0.0, 12.0), (3.0, -0.5)
+    cab, tank, middle = (
+        car(rng, (*beside, z_m), velocity, n, (1.0, 3.0, length_m), frames=(first, 99))
+        for z_m, n, length_m, first in ((18.0, 60, 5.0, 0), (7.0, 80, 4.0, 0), (12.25, 100, 6.5, 8))
+    )
+    frames = bodies_of(world(rng, SLOWLY, N_FRAMES, cab, tank, middle), N_FRAMES, camera_m_s=SLOWLY)
+    assert frames[7].keys_of(1)[0] != frames[7].keys_of(2)[0]
+    for frame in frames[12:]:
+        assert len({frame.keys_of(number)[0] for number in (1, 2, 3)}) == 1
+        assert min(frame.keys_of(number)[1] for number in (1, 2, 3)) > 0.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_that_drive_alike_one_behind_the_other_are_two(seed):
+    rng = np.random.default_rng(seed)
+    velocity, size = (0.0, 0.0, 12.0), (1.8, 1.6, 1.0)
+    near, far = (
+        car(rng, (2.6, 0.0, 9.0), velocity, 40, size),
+        car(rng, (3.2, -0.4, 18.0), velocity, 40, (2.5, 3.0, 1.0)),
+    )
+    frames = bodies_of(world(rng, SLOWLY, 24, near, far), 24, camera_m_s=SLOWLY)
+    assert frames[-1].keys_of(1)[0] != frames[-1].keys_of(2)[0]
+    assert 0 not in (frames[-1].keys_of(1)[0], frames[-1].keys_of(2)[0])
