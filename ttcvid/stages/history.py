@@ -54,10 +54,10 @@ class TrackHistory:
     ``frame (L,)``, ``t_s (L,)``; ``cam_R_past (L, 3, 3)`` turns a ray of frame l into the present camera
     (`with_egomotion` brings it up to date); ``scene_direction (L, 3)`` is ``dir`` of the scene in the step up to frame
     l, in its own camera, NaN where unknown; ``rotation_sigma_rad`` the error of the present rotation, per axis;
-    ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far; ``xy_px (N, 2)`` present position; ``rays (L, N,
-    3)`` unit rays in the camera of their own frame, NaN where not observed; ``sigma_px (N,)`` noise of one coordinate
-    of one observation; ``noise_sum, noise_weight (N,)`` its evidence and ``pool_sigma_px`` the noise of all tracks
-    together; ``plane_per_px (N,)`` how much of the plane z = 1 a pixel spans where each track is
+    ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far; ``xy_px (N, 2)`` present position;
+    ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not observed; ``sigma_px (N,)`` noise of
+    one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its evidence and ``pool_sigma_px`` the noise of
+    all tracks together; ``plane_per_px (N,)`` how much of the plane z = 1 a pixel spans where each track is
     (`geometry.camera.plane_per_px`); ``edge (N, 2)`` as in `PointSet`. ``scene`` is the path of the static scene as its
     tracks see it together (`stages.scene_path`), None until it has been found in this frame. ``now`` is the entry of
     the present frame, counted from the end: the last one, but where a frame is looked at once more with views of later
