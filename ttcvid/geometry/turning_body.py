@@ -70,8 +70,12 @@ class TurningBody:
 
     def path_turned_back(self, t_s: Floats) -> Floats:
         """Path ``(L, 3)`` of its points in views turned back by the turn; its derivative at time 0 is a unit vector."""
-        speed = _fill_normalized(self.centre, self.shared, np.empty(N_SHARED))
-        return np.asarray(_path(self.centre, self.shared, np.asarray(t_s)) / speed)
+        return np.asarray(_path(self.centre, self.shared, np.asarray(t_s)) / self.rate_hz)
+
+    @property
+    def rate_hz(self) -> float:
+        """The length of that path's derivative at time 0 before it is made a unit vector, in depths a second."""
+        return float(_fill_normalized(self.centre, self.shared, np.empty(N_SHARED)))
 
     @property
     def start(self) -> Floats:

@@ -29,6 +29,9 @@ _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
 _AS_STILL = 1.0
 # A mover that is hidden is known again for so long, s: after that it may well move otherwise.
 _KNOWN_AGAIN_S = 1.0
+# What a mover was not in one frame it seldom is in the next: that is looked into in its first frames, then ever more
+# seldom, but every so many frames.
+_YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,12 @@ def no_movers(n_views: int) -> Movers:
     """None at all, over so many views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
     return Movers(none, none, none, none, np.empty(0), paths, nowhere(0), unknown_velocities(0))
+
+
+def is_due(n_found: Ints) -> Bools:
+    """Whether movers that have been found in so many frames, (K,), are to be looked into in this one."""
+    is_power_of_two = n_found & (n_found - 1) == 0
+    return np.asarray((n_found <= _YOUNG_FRAMES) | is_power_of_two | (n_found % _DUE_FRAMES == 0))
 
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:

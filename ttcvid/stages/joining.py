@@ -11,7 +11,7 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.belonging import Movers, OwnFit, numbers_of
+from ttcvid.stages.belonging import Movers, OwnFit, is_due, numbers_of
 from ttcvid.stages.bodies import refined_movers
 from ttcvid.stages.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.connected import connected_parts, linked_parts
@@ -27,9 +27,6 @@ _MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 32.0, 3.0
 _LEAST_MISFIT = 1.0
 # Steps of refinement of two taken as one; so many tracks of each tell whether they are.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
-# What was two in one frame is seldom one in the next: that is asked in the first frames, then ever more seldom, but
-# every so many frames.
-_YOUNG_FRAMES, _MERGE_FRAMES = 5, 4
 _LEAST_TRACKS = 3
 # Views after which a track says by its own motion to what it belongs: a new one is taken for the scene's.
 _LEAST_VIEWS = 5
@@ -120,7 +117,7 @@ def _asked_neighbours(views: BodyViews, neighbours: Ints, number: Ints, movers: 
     touch = np.empty(len(pairs), dtype=bool)
     count = _list_pairs(number, neighbours, len(movers), pairs, touch)
     large, small, touch = *pairs[:count].T, touch[:count]
-    is_asked = _is_asked(np.minimum(movers.n_found[large], movers.n_found[small]))
+    is_asked = is_due(np.minimum(movers.n_found[large], movers.n_found[small]))
     apart = np.flatnonzero(is_asked & ~touch)
     is_asked[apart] = across_plain_gaps(views.xy_px, number, _told(views), number, 1 + large[apart], 1 + small[apart])
     return (large[is_asked], small[is_asked]) if is_asked.any() else None
@@ -178,12 +175,6 @@ def _list_pairs(number: Ints, neighbours: Ints, n_movers: int, pairs: Ints, touc
     return n_pairs
 
 
-def _is_asked(age: Ints) -> Bools:
-    """Whether two movers that have been found in so many frames, (P,), may be taken as one."""
-    is_power_of_two = age & (age - 1) == 0
-    return np.asarray((age <= _YOUNG_FRAMES) | is_power_of_two | (age % _MERGE_FRAMES == 0))
-
-
 def _joint(
     views: BodyViews, scene: RigidPaths, tracks_of: list[Ints], movers: Movers, pairs: _Pairs, usual_misfit: float
 ) -> _Joint:
@@ -193,7 +184,9 @@ def _joint(
     part, n_pairs = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts]), len(pairs.large)
     points = views.points(np.concatenate(parts), part // 2)
     steps = np.full(n_pairs, _JOINT_STEPS)
-    joint, joint_hz = refined_movers(movers.paths.take(pairs.large), scene, points, steps)
+    # From no rates at all the first steps would bend a path that fits.
+    start_hz = movers.rate_hz[pairs.large][points.thing]
+    joint, joint_hz = refined_movers(movers.paths.take(pairs.large), scene, points, steps, start_hz)
     fit = fit_on_paths(points, joint)
     # A track that has just been born has no rate yet.
     known = np.isfinite(fit.rate_hz)

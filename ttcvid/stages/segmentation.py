@@ -17,14 +17,15 @@ from ttcvid.geometry.medians import median
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.belonging import Movers, assigned, kept, no_movers, numbers_of
+from ttcvid.stages.begun_anew import begun_anew
+from ttcvid.stages.belonging import Movers, assigned, is_due, kept, no_movers, numbers_of
 from ttcvid.stages.bodies import carried_forward, recent_speed, refined_scene, sway_of, with_unit_speed
 from ttcvid.stages.body_views import BodyViews, body_views
 from ttcvid.stages.egomotion import FORWARD_DIR, Egomotion, picture_region, region_side_of
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.joining import merged, split
 from ttcvid.stages.known_again import known_again, with_velocities
-from ttcvid.stages.last_steps import begun_anew, stepped_movers
+from ttcvid.stages.last_steps import stepped_movers
 from ttcvid.stages.new_movers import new_movers
 from ttcvid.stages.road import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.sets import places_among
@@ -355,7 +356,7 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usu
     steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
     points = views.points(track, number[track] - 1)
     paths, rate_hz = stepped_movers(movers.paths, scene, points, steps * has_points, movers.rate_hz)
-    paths, rate_hz = begun_anew(paths, rate_hz, scene, points, usual_misfit)
+    paths, rate_hz = begun_anew(paths, rate_hz, is_due(movers.n_found), scene, points, usual_misfit)
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 

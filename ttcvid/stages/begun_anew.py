@@ -1,0 +1,78 @@
+"""Movers whose paths went astray, begun anew as bodies that turn steadily."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ttcvid.geometry.medians import median, medians
+from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths
+from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
+from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
+from ttcvid.model import Bools, Floats
+from ttcvid.stages.bodies import SHIFT_RATE_HZ
+
+# A mover is begun anew where its path explains its points worse than this, over the usual misfit, and the new path does
+# better by the factor: of two that fit alike, one is better by chance.
+_BADLY, _CLEARLY = 1.0, 1.5
+# Points that tell how a body turns, at the least, and at the most: more hardly say better, in so much more time.
+_LEAST_POINTS, _ENOUGH_POINTS = 8, 24
+# What turns on a circle is pulled across by its turn times its speed; and it brakes, as all movers do.
+_BEND_HZ = float(np.hypot(SHIFT_RATE_HZ, TURN_SIGMA_RAD_S))
+
+
+def begun_anew(
+    movers: RigidPaths, rate_hz: Floats, is_asked: Bools, scene: RigidPaths, points: Points, usual_misfit: float
+) -> tuple[RigidPaths, Floats]:
+    """The movers, those that explain their points badly as if they turned steadily, where that explains them better.
+
+    What begins to turn, or is small, is followed as if it went straight on: by a path without a turn that swings with
+    the thing's middle, at rates that are wrong. No small step leads from there to the turn, and the farther it gets the
+    more tracks the path loses: a bus becomes two. And what is small looks nearly alike turned one way, and turned the
+    other way with near and far exchanged (Necker's reversal); which it was shows when it is near. A steady turn and a
+    steady acceleration, nine numbers, are found from the views alone.
+
+    Parameters
+    ----------
+    rate_hz : (K,) usual rate of each.
+    is_asked : (K,) movers that may be begun anew.
+    usual_misfit : of tracks on the scene's path: their chi-square over its degrees of freedom.
+
+    Returns
+    -------
+    The movers, and the rates (K,) that are usual on them.
+    """
+    counts = np.bincount(points.thing, minlength=len(movers))
+    is_asked = is_asked & (counts >= _LEAST_POINTS)
+    if not is_asked.any():
+        return movers, rate_hz
+    asked = _of_movers(points, is_asked)
+    misfit = medians(fit_on_paths(asked, movers, rate_hz[asked.thing]).misfit, asked.thing, len(movers))
+    # NaN, without points, is not worse.
+    astray = np.flatnonzero(misfit > _BADLY * usual_misfit)
+    cam_R_past, path, rate_hz = movers.cam_R_past.copy(), movers.path.copy(), rate_hz.copy()
+    for mover in astray:
+        own = points.track[points.thing == mover]
+        of_one = replace(points, track=own, thing=np.zeros_like(own))
+        anew, anew_hz = _turning_steadily(of_one, scene)
+        fit = fit_on_paths(of_one, anew, np.full(len(own), anew_hz))
+        if median(fit.misfit) < misfit[mover] / _CLEARLY:
+            cam_R_past[mover], path[mover] = anew.cam_R_past[0], anew.path[0]
+            rate_hz[mover] = medians(fit.rate_hz, of_one.thing, 1)[0]
+    return RigidPaths(cam_R_past, path), rate_hz
+
+
+def _of_movers(points: Points, is_asked: Bools) -> Points:
+    """The points of the movers for which ``is_asked (K,)`` holds."""
+    own = np.flatnonzero(is_asked[points.thing])
+    return replace(points, track=points.track[own], thing=points.thing[own])
+
+
+def _turning_steadily(points: Points, scene: RigidPaths) -> tuple[RigidPaths, float]:
+    """The path of the only mover that has the points, as if it turned steadily, and the rate of its middle on it."""
+    track, since_s = points.track[:: -(-len(points.track) // _ENOUGH_POINTS)], points.since_s
+    xy = turned_into_plane(points.rays[track, :, -len(since_s) :].transpose(2, 0, 1), scene.cam_R_past[0])
+    body = fit_turning_body(xy, since_s, points.sigma_norm[track], _BEND_HZ, TURN_SIGMA_RAD_S)
+    turned_back = rotation_from_vector(-since_s[:, None] * body.turn_rad_s)
+    return RigidPaths((turned_back @ scene.cam_R_past[0])[None], body.path_turned_back(since_s)[None]), body.rate_hz
