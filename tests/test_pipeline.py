@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pipeline_runs import VEHICLE, assert_same, has_no_numbers, plain_run, results_of, scene, scene_row, statuses, table
 
-from ttcvid.model import Frame, FrameStatus, PointSet
+from ttcvid.model import Frame, FrameStatus, PointSet, Status
 from ttcvid.pipeline import analyze_frames
 from ttcvid.simulate import build_world
 
@@ -37,6 +37,18 @@ def test_a_resting_camera_neither_turns_nor_travels_and_sees_its_movers():
     assert max(np.degrees(np.linalg.norm(result.rotation_rad)) for result in results[1:]) < 0.03
     assert len(results[-1].clusters) >= 5
     assert all(row.direction is None for row in map(scene_row, results[1:]))
+
+
+def test_a_car_ahead_that_keeps_its_distance_stays_an_object():
+    """It stays on its pixels within half a pixel, but for its noise. What is burned in does without any."""
+    results = results_of(*table("lead_car_brakes", n_frames=16, min_per_object=20))
+    objects = [{row.cluster_id: row for row in result.clusters if row.cluster_id > 0} for result in results]
+    first = next(index for index, found in enumerate(objects) if found)
+    (number,) = objects[first]
+    assert first <= 10
+    assert all(set(found) == {number} for found in objects[first:])
+    assert {found[number].status for found in objects[first:]} == {Status.no_parallax}
+    assert all(result.events == () for result in results)
 
 
 def test_rows_are_complete_and_in_order():

@@ -30,8 +30,6 @@ _LINK_PART = 0.05
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
-# A track that has moved by less than this over so many views has stayed where it was, px.
-_STAYING_PX, _STAYING_VIEWS = 0.5, 10
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
 _SURE_PART = 0.008
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
@@ -145,12 +143,14 @@ def _object_motions(
     And the places of all tracks, (L, N, 2), as a steady camera would have seen them.
     """
     own_id = np.append(NO_CLUSTER, found.movers.cluster_id)[numbers_of(found.key, found.movers)]
-    members = np.flatnonzero((own_id > 0) & is_free)
+    own_id[own_id < 0] = SCENE_CLUSTER
+    # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is.
+    is_text = np.bincount(own_id, ~is_free) > 0.5 * np.bincount(own_id)
+    members = np.flatnonzero((own_id > 0) & is_free & ~is_text[own_id])
     ids = own_id[members]
     public = np.flatnonzero(np.bincount(ids))
     thing = np.searchsorted(public, ids)
-    stays = _share(_stays_on_its_pixels(history, members), thing, len(public)) > 0.5
-    parts = {int(public[number]): members[thing == number] for number in np.flatnonzero(~stays)}
+    parts = {int(number): members[ids == number] for number in public}
     steady_xy = steadied(history, found.sway, members, thing)
     return motions_of(parts, history, steady_xy, plane, camera, config), steady_xy
 
@@ -187,31 +187,6 @@ def motions_of(
         else:
             motions.append(ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks"))
     return motions
-
-
-def _share(is_one: Bools, thing: Ints, n_things: int) -> Floats:
-    """The part of each thing's tracks that is one: (K,)."""
-    return np.asarray(np.bincount(thing, is_one, n_things) / np.bincount(thing, minlength=n_things))
-
-
-def _stays_on_its_pixels(history: TrackHistory, members: Ints) -> Bools:
-    """Tracks that have not moved in the picture for long, (M,): a mover of them is burned-in text before a scene."""
-    stays = np.empty(len(members), dtype=bool)
-    _find_staying(history.rays, members, _STAYING_PX / history.focal_px, stays)
-    return stays
-
-
-@compiled
-def _find_staying(rays: Floats, members: Ints, limit_rad: float, stays: Bools) -> None:
-    """Fill ``stays (M,)``: over `_STAYING_VIEWS` of ``rays (L, N, 3)`` at least, and not moved by the limit."""
-    last = len(rays) - 1
-    for m in range(len(members)):
-        i, first, square = members[m], 0, 0.0
-        while first < last and not np.isfinite(rays[first, i, 0]):
-            first += 1
-        for a in range(3):
-            square += (rays[last, i, a] - rays[first, i, a]) ** 2
-        stays[m] = last + 1 - first >= _STAYING_VIEWS and square < limit_rad * limit_rad
 
 
 def _directions(
