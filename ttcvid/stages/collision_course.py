@@ -38,9 +38,6 @@ _SOON_SIGMAS = 1.0
 _HALF_HEIGHTS, _ROOM_HEIGHTS = 0.6, 1.0
 # A bend that turns us by less than this until the closest approach is none, rad.
 _LEAST_TURN_RAD = 0.01
-# How far off a thing is on the road is seen by its foot. Its lowest tracks, on its tyres, lie up to a tenth of the
-# camera's height over the road: it may be as much nearer.
-_NEARER = 1.1
 # A miss distance, in units of depth, without a side.
 _TINY = 1e-9
 
@@ -165,9 +162,9 @@ def _miss_widths(
     speed_hz = float(np.linalg.norm(abc_hz)) if row.motion_id == SCENE_MOTION else bend.speed_hz(rays[4, :2])
     if speed_hz is None:
         return straight_on
-    along, nearer = (_along_bend(rays, abc_hz, cov, bend, speed, camera) for speed in (speed_hz, _NEARER * speed_hz))
-    unsure = BEND_ENDS * (along[:3] - straight_on[:3]), along[:3] - nearer[:3]
-    along[3] = math.sqrt(along[3] ** 2 + sum(float(part @ part) for part in unsure))
+    along = _along_bend(rays, abc_hz, cov, bend, speed_hz, camera)
+    unsure = BEND_ENDS * (along[:3] - straight_on[:3])
+    along[3] = math.sqrt(along[3] ** 2 + float(unsure @ unsure))
     return along
 
 
