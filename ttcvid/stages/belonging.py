@@ -188,7 +188,8 @@ def assigned(
     is_held = are_held(fit, points, movers.rate_hz)
     is_own = number[track] == mover + 1
     if scene is not None:
-        is_along = _go_along(misfit[track], seen_misfit[track], off, is_own, mover, len(movers))
+        # All that a mover had is asked: what its own path explains no longer shows most that it goes along our way.
+        is_along = _most_of(is_own & (seen_misfit[track] < off), is_own, mover, len(movers))
         movers = _on_path_of(scene, scene_fit, movers, number, is_along)
         along = is_along[mover]
         most_hz = scene_fit.rate_hz + _RATE_SIGMAS * scene_fit.rate_sigma_hz
@@ -209,22 +210,6 @@ def assigned(
     best[moves], own.rate_sigma_hz[moves] = 1 + mover[asked], sigma_hz[asked]
     own.rate_hz[moves] = np.where(is_held, np.nan, rate_hz)[asked]
     return np.append(SCENE_CLUSTER, movers.key)[best], movers, own
-
-
-def _go_along(misfit: Floats, seen_misfit: Floats, off: Floats, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
-    """Movers (K,) that go along our own way: most of what they had is explained better by the scene's path, and is odd.
-
-    All tracks that a mover had are asked: those that its own path no longer explains show most that it is another. Only
-    what the road contradicts goes along our way: what the scene explains has come to rest.
-
-    Parameters
-    ----------
-    misfit, seen_misfit : (M,) on the scene's path, with what the road contradicts and without it.
-    off : (M,) misfit on the path of the mover ``mover (M,)``, to which a track belongs or not, ``is_own``.
-    """
-    is_odd = (seen_misfit < misfit) | (misfit >= _SCENE_EXPLAINS)
-    is_better = _most_of(is_own & (seen_misfit < off), is_own, mover, n_movers)
-    return is_better & _most_of(is_own & is_odd, is_own, mover, n_movers)
 
 
 def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
