@@ -78,7 +78,8 @@ class BodiesConfig(StageConfig):
     min_tracks: int = Field(
         default=6,
         ge=3,
-        description="least number of tracks of a new mover; for one that keeps its bearing 5 are enough",
+        description="least number of tracks of a new mover; for one that keeps its bearing 5 are enough, 3 if it heads "
+        "at us",
     )
     scene_gate: PositiveFloat = Field(
         default=5.0, description="misfit on the scene's path, over the usual one, from which a track contradicts it"

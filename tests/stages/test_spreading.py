@@ -21,6 +21,9 @@ CAR_M, ROAD_Y_M = (4.3, 1.2, 0.2), 1.4
 # A car from the left that is where we will be in 2.8 s.
 TO_US_M_S = np.array([5.0, 0.0, -10.0])
 AT_M = -2.8 * TO_US_M_S + [0.0, 0.7, 0.0]
+# Somebody who walks there, with one track on the head and one on each foot.
+TO_US_ON_FOOT_M_S = np.array([2.0, 0.0, -10.0])
+WALKER_M = -2.8 * TO_US_ON_FOOT_M_S + [[0.0, -0.3, 0.0], [-0.3, 1.4, 0.0], [0.3, 1.4, 0.0]]
 
 
 def houses_and_road(rng, n=150):
@@ -47,10 +50,11 @@ def street_with(thing_m, velocity_m_s, rng):
     return np.concatenate([thing_m, scene]), np.concatenate(velocities)
 
 
-def found_in(views, scene, fit, seeds=None, sway=None):
+def found_in(views, scene, fit, seeds=None, sway=None, *, few_are_enough=True):
     seeds = np.flatnonzero(fit.misfit > CONFIG.scene_gate) if seeds is None else seeds
     sway = np.zeros((len(TIMES_S), 3)) if sway is None else sway
-    return spreading_things(views, scene, fit.n_views >= LEAST_VIEWS, sway, seeds, fit.misfit, 1.0, CONFIG)
+    may_be = fit.n_views >= LEAST_VIEWS
+    return spreading_things(views, scene, may_be, sway, seeds, fit.misfit, 1.0, CONFIG, few_are_enough=few_are_enough)
 
 
 @pytest.fixture
@@ -109,6 +113,7 @@ def test_it_is_a_new_mover_though_the_flows_of_its_tracks_are_not_alike(rng):
         np.zeros((len(every), 2)),
         views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
         CONFIG,
+        few_are_enough=True,
     )
     assert np.count_nonzero(members < 10) >= least_tracks(CONFIG)
     assert np.count_nonzero(members >= 10) == 0
@@ -142,9 +147,69 @@ def test_tracks_that_go_each_its_way_are_none(rng):
     assert found_in(views, scene, fit) == []
 
 
-def test_four_tracks_are_too_few(rng):
-    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 4, AT_M, CAR_M), TO_US_M_S, rng), rng)
+def test_three_tracks_of_what_heads_at_us_are_enough_in_nine_of_ten_draws():
+    n_found = 0
+    for seed in range(200, 220):
+        rng = np.random.default_rng(seed)
+        views, scene, fit = views_and_fit(*street_with(WALKER_M, TO_US_ON_FOOT_M_S, rng), rng)
+        n_found += any(set(members) == {0, 1, 2} for members, _ in found_in(views, scene, fit))
+    assert n_found >= 18
+
+
+def test_they_are_not_where_few_do_not_count(rng):
+    views, scene, fit = views_and_fit(*street_with(WALKER_M, TO_US_ON_FOOT_M_S, rng), rng)
+    assert found_in(views, scene, fit, few_are_enough=False) == []
+
+
+@pytest.mark.parametrize("aside_m", [-6.0, 6.0])
+def test_four_tracks_of_what_passes_us_are_too_few(rng, aside_m):
+    passing_m = box_of_points(rng, 4, AT_M + np.array([aside_m, 0.0, 0.0]), CAR_M)
+    views, scene, fit = views_and_fit(*street_with(passing_m, TO_US_M_S, rng), rng)
     assert found_in(views, scene, fit) == []
+
+
+def test_four_tracks_of_what_is_here_in_seven_seconds_are_too_few(rng):
+    far_m = box_of_points(rng, 4, -7.0 * TO_US_M_S + [0.0, 0.7, 0.0], CAR_M)
+    views, scene, fit = views_and_fit(*street_with(far_m, TO_US_M_S, rng), rng)
+    assert found_in(views, scene, fit) == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_few_tracks_that_slide_alike_along_what_stands_beside_the_road_are_none(seed):
+    rng = np.random.default_rng(seed)
+    posts_m = [[side * rng.uniform(4.0, 7.0), 0.0, depth] for side in (-1.0, 1.0) for depth in (12.0, 16.0, 20.0)]
+    sliding = np.concatenate([box_of_points(rng, 4, post, (0.5, 2.5, 0.5)) for post in posts_m])
+    where, velocity = street_with(sliding, OWN_M_S, rng)
+    velocity = velocity.copy()
+    velocity[: len(sliding)] += np.repeat(rng.uniform(-1.0, 1.0, (len(posts_m), 3)), 4, axis=0)
+    views, scene, fit = views_and_fit(where, velocity, rng)
+    assert np.count_nonzero(fit.misfit[: len(sliding)] > CONFIG.scene_gate) > len(sliding) / 2
+    assert found_in(views, scene, fit) == []
+
+
+def test_three_tracks_are_a_new_mover_among_others_that_slide_along_its_outline(rng):
+    outline_m = WALKER_M[0] + [[-0.3, 0.2, 0.0], [0.3, 0.2, 0.0], [-0.3, 0.8, 0.0], [0.3, 0.8, 0.0]]
+    where, velocity = street_with(np.concatenate([WALKER_M, outline_m]), TO_US_ON_FOOT_M_S, rng)
+    velocity = velocity.copy()
+    velocity[3:7] += [[-3.0, 1.0, 0.0], [3.0, -1.5, 0.0], [-4.0, -2.0, 0.0], [4.0, 2.0, 0.0]]
+    views, scene, fit = views_and_fit(where, velocity, rng)
+    every = np.arange(len(fit.misfit))
+    (members,), _, _ = new_movers(
+        views,
+        scene,
+        np.zeros((len(TIMES_S), 3)),
+        np.ones(len(every), dtype=bool),
+        fit,
+        fit.misfit,
+        fit.misfit,
+        1.0,
+        np.zeros(len(every), dtype=bool),
+        np.zeros((len(every), 2)),
+        views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
+        CONFIG,
+        few_are_enough=True,
+    )
+    assert set(members) == {0, 1, 2}
 
 
 def test_nothing_to_see_is_none(rng):

@@ -20,7 +20,7 @@ from ttcvid.stages.connected import connected_parts, linked_pairs
 from ttcvid.stages.growing import LEAST_VIEWS
 from ttcvid.stages.occlusions import between_surfaces
 from ttcvid.stages.slipping import may_slip
-from ttcvid.stages.spreading import least_tracks, spreading_things
+from ttcvid.stages.spreading import spreading_things, tracks_needed
 
 # Views that a track needs to contradict the scene.
 _LEAST_VIEWS = 3
@@ -49,6 +49,8 @@ def new_movers(
     edge: Floats,
     neighbours: Ints,
     config: BodiesConfig,
+    *,
+    few_are_enough: bool,
 ) -> tuple[list[Ints], RigidPaths, Floats]:
     """Connected tracks of the scene that contradict it together and that a motion of their own explains.
 
@@ -61,6 +63,7 @@ def new_movers(
     on_road : (N,) tracks at the depth of the road on which they are seen.
     edge : (N, 2) how far the window of each is on an edge along which it may slip, as in `PointSet`.
     neighbours : (N, K) of each track that contradicts the scene.
+    few_are_enough : of what heads at us, as in `spreading_things`.
 
     Returns
     -------
@@ -74,14 +77,16 @@ def new_movers(
     )
     # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
     may_spread = is_asked & (scene_fit.n_views >= LEAST_VIEWS)
-    things = spreading_things(views, scene, may_spread, sway, candidates, misfit, usual_misfit, config)
+    things = spreading_things(
+        views, scene, may_spread, sway, candidates, misfit, usual_misfit, config, few_are_enough=few_are_enough
+    )
     spread, paths, rate_hz = explained(
-        things, np.zeros_like(is_along), np.zeros_like(edge), least_tracks(config), config
+        things, np.zeros_like(is_along), np.zeros_like(edge), tracks_needed(things, config), config
     )
     for members in spread:
         candidates = np.setdiff1d(candidates, members)
     things = _alike_things(views, scene, candidates, is_along, config)
-    alike, alike_paths, alike_hz = explained(things, is_along, edge, config.min_tracks, config)
+    alike, alike_paths, alike_hz = explained(things, is_along, edge, np.full(len(things), config.min_tracks), config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
 
@@ -96,7 +101,7 @@ def _explained(
     things: list[tuple[Ints, Floats]],
     is_along: Bools,
     edge: Floats,
-    needed: int,
+    needed: Ints,
     config: BodiesConfig,
 ) -> tuple[list[Ints], RigidPaths, Floats]:
     """Those of K things, tracks (M,) and path (L, 3) of each, that a motion of their own explains.
@@ -106,7 +111,7 @@ def _explained(
     scene_fit, misfit : of all N tracks on the path of the scene; ``is_static (N,)`` those that it explains.
     is_along : (N,) tracks that contradict the scene by their place alone.
     edge : (N, 2) how far the window of each is on an edge along which it may slip.
-    needed : tracks that a thing needs, surely explained better.
+    needed : (K,) tracks that each thing needs, surely explained better.
 
     Returns
     -------

@@ -188,6 +188,8 @@ def find_bodies(
         history.edge if moves_past else np.zeros_like(history.edge),
         neighbours,
         config,
+        # In the air what comes straight at us is found as one surface, which few tracks tell the times of.
+        few_are_enough=platform != Platform.aircraft,
     )
     if found and len(movers):
         key, movers, is_known = known_again(views, scene, key, movers, found, paths, found_hz, usual)

@@ -6,6 +6,8 @@ those of other movers are, but one V / Z explains them all.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ttcvid.config import BodiesConfig
@@ -20,6 +22,13 @@ from ttcvid.stages.growing import SIGMAS_999, around_any, around_the_oddest
 # Tracks that are enough for a thing: fewer than those of other movers, since three unknowns for all say more than flows
 # that are alike; as many as bear a surface.
 _ENOUGH_TRACKS = 5
+# Of what heads at us these are, the fewest that tell V / Z by more than two: what slides along the outlines of things
+# that stand still does not keep its bearing while it grows, but goes past us as they do. It is here within this time,
+# and passes within this part of its distance, two cars' halves from 20 m off; and within the other part of what a thing
+# that stands there would: next to where we go, all that stands still heads at us.
+_FEW_TRACKS, _SOON_S, _AT_US, _UNLIKE_STANDING = 3, 5.0, 0.1, 0.5
+# Those of so few tracks that contradict the scene one by one are found in so many rounds at the most.
+_ROUNDS = 3
 # So many things are looked for in a frame, around so many tracks: in a street, tracks that slide along the outlines of
 # posts and trees contradict the scene worse than somebody who walks does, some ten at a time, and the same ones in each
 # frame.
@@ -36,6 +45,12 @@ def least_tracks(config: BodiesConfig) -> int:
     return min(config.min_tracks, _ENOUGH_TRACKS)
 
 
+def tracks_needed(things: list[tuple[Ints, Floats]], config: BodiesConfig) -> Ints:
+    """Tracks (K,) that each thing needs that its own path surely explains: all of `least_tracks`, or of fewer these."""
+    lengths, least = np.array([len(members) for members, _ in things], dtype=np.int64), least_tracks(config)
+    return np.where(lengths < least, _FEW_TRACKS, least)
+
+
 def spreading_things(
     views: BodyViews,
     scene: RigidPaths,
@@ -45,12 +60,15 @@ def spreading_things(
     misfit: Floats,
     usual_misfit: float,
     config: BodiesConfig,
+    *,
+    few_are_enough: bool,
 ) -> list[tuple[Ints, Floats]]:
     """Things that come nearer and spread, each with its tracks (M,) and its path (L, 3).
 
     The tracks of each are `least_tracks`, and explained better than by the scene, all together and that one around
     which it was looked for, by `BodiesConfig.gain`; as many misfit the scene by so much. (What a linear fit makes of
-    each track is too crude to ask more of all: `new_movers` does, of a refined path.)
+    each track is too crude to ask more of all: `new_movers` does, of a refined path.) Of what heads at us, soon, a few
+    may be enough, if each contradicts the scene and is explained better by so much.
 
     Parameters
     ----------
@@ -58,10 +76,12 @@ def spreading_things(
     sway : (L, 3) how far the scene lay off a steady path, as in `bodies.sway_of`.
     seeds : those of the tracks that contradict the scene together.
     misfit : (N,) of each track on the path of the scene, in units of ``usual_misfit``.
+    few_are_enough : of what heads at us.
     """
     is_free, is_asked = may_be.copy(), np.zeros(len(may_be), dtype=bool)
     is_asked[seeds] = may_be[seeds]
-    things, needed = list[tuple[Ints, Floats]](), least_tracks(config)
+    things, small, needed = list[_Thing](), list[_Thing](), least_tracks(config)
+    least = min(_FEW_TRACKS, needed) if few_are_enough else needed
     # Most tracks are around several of those asked, and say the same each time.
     near, place = around_any(views.xy_px, is_asked, is_free, views.link_px), np.empty(len(may_be), dtype=np.int64)
     place[near] = np.arange(len(near))
@@ -72,28 +92,65 @@ def spreading_things(
             break
         seed, around = around_the_oddest(views.xy_px, misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False
-        around_misfit = misfit[around]
-        if np.count_nonzero(around_misfit > config.gain) < needed:
+        around_misfit, around_sums = misfit[around], sums.of(place[around])
+        n_odd = np.count_nonzero(around_misfit > config.gain)
+        # Few tracks contradict the scene one by one.
+        if n_odd < least or (n_odd < needed and np.count_nonzero(around_misfit > config.scene_gate) < least):
             continue
-        found = _thing_around(sums.of(place[around]), around_misfit, config)
+        found = _thing_around(around_sums, around_misfit, least, config)
         if found is None:
             continue
-        fits, unknowns, sigma_hz = found
-        velocity_hz, path = unknowns[:3], views.since_s[:, None] * unknowns[:3] + unknowns[3] * sway
-        members, xy_px = around[fits], views.xy_px[around[fits]]
-        seen_s = -views.since_s[np.argmax(np.isfinite(xy[:, place[members], 0]), axis=0)]
-        radius_px = np.sqrt(np.mean(np.sum((xy_px - xy_px.mean(axis=0)) ** 2, axis=1)))
-        common_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
-        least_hz = 1.0 / (_REACHED_WITHIN * np.median(seen_s))
-        if -velocity_hz[2] > max(SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), least_hz):
-            things.append((members, path / np.linalg.norm(velocity_hz)))
-            is_free[members] = is_asked[members] = False
-    return things
+        is_few = min(n_odd, np.count_nonzero(found.is_in)) < needed
+        if is_few:
+            found = _odd_ones(around_sums, found.is_in, around_misfit, config)
+            if found is None:
+                continue
+        thing = _Thing(around[found.is_in], found.unknowns)
+        own_xy = xy[:, place[thing.members]]
+        seen_s = float(np.median(-views.since_s[np.argmax(np.isfinite(own_xy[:, :, 0]), axis=0)]))
+        within_s = _SOON_S if is_few else _REACHED_WITHIN * seen_s
+        if not _grows(views.xy_px[thing.members], seen_s, found, 1.0 / within_s):
+            continue
+        if not is_few:
+            things.append(thing)
+            is_free[thing.members] = is_asked[thing.members] = False
+        elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, scene.path[0, 0]):
+            small.append(thing)
+    for thing in small:
+        # What is left over of a thing is none.
+        own = sums.of(place[thing.members])
+        is_other = all(float(np.median(own.misfits(one.unknowns))) > config.scene_gate for one in things)
+        if len(things) < _MOST_THINGS and is_free[thing.members].all() and is_other:
+            things.append(thing)
+            is_free[thing.members] = False
+    return [(thing.members, thing.path(views.since_s, sway)) for thing in things]
 
 
-def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tuple[Bools, Floats, float] | None:
-    """Which of some tracks (M,) are a thing with the first; its (a, b, c, s), and the standard deviation of c."""
-    fits = sums.sharing_a_velocity(misfit, config.scene_gate, least_tracks(config))
+@dataclass(frozen=True)
+class _Thing:
+    """Tracks ``members (M,)`` that share ``unknowns (4,)`` of `GrowthSums`."""
+
+    members: Ints
+    unknowns: Floats
+
+    def path(self, since_s: Floats, sway: Floats) -> Floats:
+        """Where it was at the times ``since_s (L,)``, less where it is, in s of its speed: (L, 3)."""
+        way = since_s[:, None] * self.unknowns[:3] + self.unknowns[3] * sway
+        return np.asarray(way / np.linalg.norm(self.unknowns[:3]))
+
+
+@dataclass(frozen=True)
+class _Sharing:
+    """Which of some tracks (M,) share ``unknowns (4,)`` of `GrowthSums`, and the standard deviation of c, 1/s."""
+
+    is_in: Bools
+    unknowns: Floats
+    sigma_hz: float
+
+
+def _thing_around(sums: GrowthSums, misfit: Floats, least: int, config: BodiesConfig) -> _Sharing | None:
+    """Which of some tracks (M,), so many at the ``least``, are a thing with the first; None: too few."""
+    fits = sums.sharing_a_velocity(misfit, config.scene_gate, least)
     if fits is None:
         return None
     unknowns, cov = sums.unknowns(fits)
@@ -101,4 +158,41 @@ def _thing_around(sums: GrowthSums, misfit: Floats, config: BodiesConfig) -> tup
     is_better = np.maximum(own[fits], _NOISE).sum() < misfit[fits].sum() / config.gain
     if not (fits[0] and own[0] < misfit[0] / config.gain and is_better):
         return None
-    return fits, unknowns, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2]))
+    return _shared_by(fits, unknowns, cov, own)
+
+
+def _odd_ones(sums: GrowthSums, fits: Bools, misfit: Floats, config: BodiesConfig) -> _Sharing | None:
+    """Those of the tracks ``fits (M,)`` that contradict the scene one by one; None where they are too few."""
+    fits = fits & (misfit > config.scene_gate)
+    for _ in range(_ROUNDS):
+        if np.count_nonzero(fits) < _FEW_TRACKS:
+            return None
+        unknowns, cov = sums.unknowns(fits)
+        own = sums.misfits(unknowns)
+        stays = fits & (own < misfit / config.gain)
+        if np.array_equal(stays, fits):
+            return _shared_by(fits, unknowns, cov, own)
+        fits = stays
+    return None
+
+
+def _grows(xy_px: Floats, seen_s: float, found: _Sharing, least_hz: float) -> bool:
+    """Whether tracks at ``xy_px (M, 2)`` surely come nearer, beyond what they err by in common, and at ``least_hz``."""
+    radius_px = np.sqrt(np.mean(np.sum((xy_px - xy_px.mean(axis=0)) ** 2, axis=1)))
+    common_hz = float(common_growth_hz(np.asarray(radius_px), np.asarray(seen_s)))
+    return bool(-found.unknowns[2] > max(SIGMAS_999 * float(np.hypot(found.sigma_hz, common_hz)), least_hz))
+
+
+def _shared_by(fits: Bools, unknowns: Floats, cov: Floats, own: Floats) -> _Sharing:
+    """What the tracks ``fits (M,)`` share, no surer than their misfits ``own (M,)`` leave it."""
+    return _Sharing(fits, unknowns, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2])))
+
+
+def _heads_at_us(xy: Floats, velocity_hz: Floats, own_path: Floats) -> bool:
+    """Whether what is at ``xy (2,)``, in the plane z = 1, and comes nearer at ``velocity_hz`` passes near us.
+
+    And much nearer than what stands still there, as the scene does that was at ``own_path (3,)``.
+    """
+    off = float(np.hypot(*(xy - velocity_hz[:2] / velocity_hz[2])))
+    stands_off = float(np.hypot(*(xy - own_path[:2] / own_path[2]))) if own_path[2] > 0.0 else np.inf
+    return off < min(_AT_US, _UNLIKE_STANDING * stands_off)
