@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -109,7 +110,7 @@ class Egomotion:
             spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
         return float(spread)
 
-    @property
+    @cached_property
     def rotation_rad(self) -> Floats:
         """Rotation vector of ``cam_R_prev``, ``(3,)`` rad."""
         return vector_from_rotation(self.cam_R_prev)
@@ -160,15 +161,13 @@ def estimate_egomotion(
     region = picture_region(rays_cam, region_side)
     observed = (rays_prev, rays_cam, sigma_rad, region, prior)
     turning = _best([fit_rotation(*observed, start) for start in _rotation_starts(prior, memory)])
-    rotation_memory = replace(memory, rotation_rad=vector_from_rotation(turning.cam_R_prev))
     if not belief.can_translate:
         at_rest = _shaking(observed, turning)
         return at_rest, replace(memory, rotation_rad=at_rest.rotation_rad)
     moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
-    if not _is_translation(turning, moving, region, sigma_rad, least_parallax_rad):
-        return _result(turning), rotation_memory
-    rotation_rad = vector_from_rotation(moving.cam_R_prev)
-    return _result(moving), replace(memory, rotation_rad=rotation_rad, direction=moving.direction)
+    found = _result(moving if _is_translation(turning, moving, region, sigma_rad, least_parallax_rad) else turning)
+    direction = memory.direction if found.direction is None else found.direction
+    return found, replace(memory, rotation_rad=found.rotation_rad, direction=direction)
 
 
 def region_side_of(camera: Camera) -> float:

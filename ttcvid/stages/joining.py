@@ -268,6 +268,8 @@ def _across_gaps(views: BodyViews, number: Ints, own: Ints, label: Ints, rate_hz
     log_rate = np.log(medians(rate_hz, label, n_parts))
     one, other = large[np.stack(np.triu_indices(len(large), 1))]
     is_asked = (mover_of[one] == mover_of[other]) & (np.abs(log_rate[one] - log_rate[other]) < np.log(_ONE_RATE))
+    if not is_asked.any():
+        return label
     one, other = one[is_asked], other[is_asked]
     is_one = across_plain_gaps(views.xy_px, number, _told(views), part, one, other, views.link_px)
     return connected_parts(np.ones(n_parts, dtype=bool), np.stack([one, other], axis=1)[is_one])[label]

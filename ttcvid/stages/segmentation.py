@@ -129,16 +129,16 @@ def find_bodies(
         movers = replace(memory.movers, paths=paths, where=where, velocity=velocity)
     known = np.append(SCENE_CLUSTER, movers.key)
     key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
-    scene = _scene(
-        history, egomotion, platform != Platform.static, memory.scene if is_continued else None, views, rate_hz, key
-    )
+    region = picture_region(history.rays[-1], _CELLS * region_side_of(history.camera))
+    last_scene = memory.scene if is_continued else None
+    scene = _scene(history, egomotion, platform != Platform.static, last_scene, views, region, rate_hz, key)
     scene, speed = with_unit_speed(scene, views.since_s)
     memory, rate_hz = replace(memory, rate_hz=memory.rate_hz * speed), rate_hz * speed
     every = views.points(np.arange(len(key)))
     scene_fit = fit_on_paths(every, scene, rate_hz)
     rate_hz = scene_fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
-    moves_past = _moves_past(scene_fit, _places(history), is_free)
+    moves_past = _moves_past(scene_fit, region, is_free)
     rests = not is_sure and not moves_past
     if rests:
         scene_fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
@@ -248,10 +248,13 @@ def _scene(
     can_translate: bool,
     before: RigidPaths | None,
     views: BodyViews,
+    region: Ints,
     rate_hz: Floats,
     key: Ints,
 ) -> RigidPaths:
-    """The scene on its way, corrected by its tracks; ``key (N,)`` of the body that each was in."""
+    """The scene on its way, corrected by its tracks; ``region, key (N,)``: the part of the picture that each is in, and
+    the body that it was in.
+    """
     if before is None:
         # Before the parallax shows well where it goes, a camera that can move is taken to move ahead, if roughly.
         seen = egomotion.direction
@@ -271,7 +274,7 @@ def _scene(
         scene = RigidPaths(history.cam_R_past[None], path)
     used = np.flatnonzero(views.is_free)
     used = used[:: max(1, -(-len(used) // _ENOUGH_TRACKS))]
-    weight = _balance(_places(history)[used])
+    weight = _balance(region[used])
     return refined_scene(scene, views.points(used), weight, key[used] == SCENE_CLUSTER, rate_hz[used], _SCENE_STEPS)
 
 
@@ -298,11 +301,6 @@ def _moves_past(fit: PathFit, region: Ints, is_free: Bools) -> bool:
     here = region[known]
     per_region = np.bincount(here)
     return bool(np.mean(np.bincount(here, moves)[per_region > 0] > 0.5 * per_region[per_region > 0]) > 0.5)
-
-
-def _places(history: TrackHistory) -> Ints:
-    """Number of the part of the picture that each track is in: (N,)."""
-    return picture_region(history.rays[-1], _CELLS * region_side_of(history.camera))
 
 
 def _balance(region: Ints) -> Floats:
