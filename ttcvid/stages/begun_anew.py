@@ -16,8 +16,9 @@ from ttcvid.stages.bodies import SHIFT_RATE_HZ
 # A mover is begun anew where its path explains its points worse than this, over the usual misfit, and the new path does
 # better by the factor: of two that fit alike, one is better by chance.
 _BADLY, _CLEARLY = 1.0, 1.5
-# Points that tell how a body turns, at the least, and at the most: more hardly say better, in so much more time.
-_LEAST_POINTS, _ENOUGH_POINTS = 8, 24
+# Points that tell how a body turns, at the least, and at the most; and every so many views: more hardly say better, in
+# so much more time.
+_LEAST_POINTS, _ENOUGH_POINTS, _EVERY_VIEWS = 8, 16, 2
 # What turns on a circle is pulled across by its turn times its speed; and it brakes, as all movers do.
 _BEND_HZ = float(np.hypot(SHIFT_RATE_HZ, TURN_SIGMA_RAD_S))
 
@@ -72,7 +73,9 @@ def _of_movers(points: Points, is_asked: Bools) -> Points:
 def _turning_steadily(points: Points, scene: RigidPaths) -> tuple[RigidPaths, float]:
     """The path of the only mover that has the points, as if it turned steadily, and the rate of its middle on it."""
     track, since_s = points.track[:: -(-len(points.track) // _ENOUGH_POINTS)], points.since_s
-    xy = turned_into_plane(points.rays[track, :, -len(since_s) :].transpose(2, 0, 1), scene.cam_R_past[0])
-    body = fit_turning_body(xy, since_s, points.sigma_norm[track], _BEND_HZ, TURN_SIGMA_RAD_S)
+    some = slice((len(since_s) - 1) % _EVERY_VIEWS, None, _EVERY_VIEWS)
+    rays = points.rays[track, :, -len(since_s) :].transpose(2, 0, 1)[some]
+    xy = turned_into_plane(rays, scene.cam_R_past[0, some])
+    body = fit_turning_body(xy, since_s[some], points.sigma_norm[track], _BEND_HZ, TURN_SIGMA_RAD_S)
     turned_back = rotation_from_vector(-since_s[:, None] * body.turn_rad_s)
     return RigidPaths((turned_back @ scene.cam_R_past[0])[None], body.path_turned_back(since_s)[None]), body.rate_hz
