@@ -57,6 +57,26 @@ def found_in(views, scene, fit, seeds=None, sway=None, *, few_are_enough=True):
     return spreading_things(views, scene, may_be, sway, seeds, fit.misfit, 1.0, CONFIG, few_are_enough=few_are_enough)
 
 
+def new_in(views, scene, fit):
+    every = np.arange(len(fit.misfit))
+    members, paths, _ = new_movers(
+        views,
+        scene,
+        np.zeros((len(TIMES_S), 3)),
+        np.ones(len(every), dtype=bool),
+        fit,
+        fit.misfit,
+        fit.misfit,
+        1.0,
+        np.zeros(len(every), dtype=bool),
+        np.zeros((len(every), 2)),
+        views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
+        CONFIG,
+        few_are_enough=True,
+    )
+    return members, paths
+
+
 @pytest.fixture
 def rng():
     return np.random.default_rng(18)
@@ -99,22 +119,7 @@ def test_it_is_found_though_tracks_all_over_the_street_contradict_the_scene_wors
 
 def test_it_is_a_new_mover_though_the_flows_of_its_tracks_are_not_alike(rng):
     views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 10, AT_M, CAR_M), TO_US_M_S, rng), rng)
-    every = np.arange(len(fit.misfit))
-    (members,), paths, _ = new_movers(
-        views,
-        scene,
-        np.zeros((len(TIMES_S), 3)),
-        np.ones(len(every), dtype=bool),
-        fit,
-        fit.misfit,
-        fit.misfit,
-        1.0,
-        np.zeros(len(every), dtype=bool),
-        np.zeros((len(every), 2)),
-        views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
-        CONFIG,
-        few_are_enough=True,
-    )
+    (members,), paths = new_in(views, scene, fit)
     assert np.count_nonzero(members < 10) >= least_tracks(CONFIG)
     assert np.count_nonzero(members >= 10) == 0
     assert len(paths) == 1
@@ -193,22 +198,7 @@ def test_three_tracks_are_a_new_mover_among_others_that_slide_along_its_outline(
     velocity = velocity.copy()
     velocity[3:7] += [[-3.0, 1.0, 0.0], [3.0, -1.5, 0.0], [-4.0, -2.0, 0.0], [4.0, 2.0, 0.0]]
     views, scene, fit = views_and_fit(where, velocity, rng)
-    every = np.arange(len(fit.misfit))
-    (members,), _, _ = new_movers(
-        views,
-        scene,
-        np.zeros((len(TIMES_S), 3)),
-        np.ones(len(every), dtype=bool),
-        fit,
-        fit.misfit,
-        fit.misfit,
-        1.0,
-        np.zeros(len(every), dtype=bool),
-        np.zeros((len(every), 2)),
-        views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
-        CONFIG,
-        few_are_enough=True,
-    )
+    (members,), _ = new_in(views, scene, fit)
     assert set(members) == {0, 1, 2}
 
 

@@ -10,15 +10,16 @@ from ttcvid.geometry.medians import median, medians
 from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
-from ttcvid.model import Bools, Floats
-from ttcvid.stages.bodies import SHIFT_RATE_HZ
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.bodies import SHIFT_RATE_HZ, with_unit_speed
 
 # A mover is begun anew where its path explains its points worse than this, over the usual misfit, and the new path does
 # better by the factor: of two that fit alike, one is better by chance.
 _BADLY, _CLEARLY = 1.0, 1.5
 # Points that tell how a body turns, at the least, and at the most; and every so many views: more hardly say better, in
-# so much more time.
+# so much more time. Each is seen in so many views at the least: of a turn before it was seen nobody knows.
 _LEAST_POINTS, _ENOUGH_POINTS, _EVERY_VIEWS = 8, 16, 2
+_LEAST_VIEWS = 6
 # What turns on a circle is pulled across by its turn times its speed; and it brakes, as all movers do.
 _BEND_HZ = float(np.hypot(SHIFT_RATE_HZ, TURN_SIGMA_RAD_S))
 
@@ -44,38 +45,36 @@ def begun_anew(
     -------
     The movers, and the rates (K,) that are usual on them.
     """
-    counts = np.bincount(points.thing, minlength=len(movers))
-    is_asked = is_asked & (counts >= _LEAST_POINTS)
-    if not is_asked.any():
+    own = np.flatnonzero(is_asked[points.thing])
+    if not len(own):
         return movers, rate_hz
-    asked = _of_movers(points, is_asked)
-    misfit = medians(fit_on_paths(asked, movers, rate_hz[asked.thing]).misfit, asked.thing, len(movers))
-    # NaN, without points, is not worse.
-    astray = np.flatnonzero(misfit > _BADLY * usual_misfit)
+    points = replace(points, track=points.track[own], thing=points.thing[own])
+    fit = fit_on_paths(points, movers, rate_hz[points.thing])
+    misfit = medians(fit.misfit, points.thing, len(movers))
+    is_known = fit.n_views >= _LEAST_VIEWS
+    n_known = np.bincount(points.thing, is_known, len(movers))
     cam_R_past, path, rate_hz = movers.cam_R_past.copy(), movers.path.copy(), rate_hz.copy()
-    for mover in astray:
-        own = points.track[points.thing == mover]
-        of_one = replace(points, track=own, thing=np.zeros_like(own))
-        anew, anew_hz = _turning_steadily(of_one, scene)
-        fit = fit_on_paths(of_one, anew, np.full(len(own), anew_hz))
-        if median(fit.misfit) < misfit[mover] / _CLEARLY:
+    # NaN, without points, is not worse.
+    for mover in np.flatnonzero((misfit > _BADLY * usual_misfit) & (n_known >= _LEAST_POINTS)):
+        is_own = points.thing == mover
+        anew, anew_hz = _turning_steadily(points, points.track[is_own & is_known], scene)
+        of_one = replace(points, track=points.track[is_own], thing=np.zeros(np.count_nonzero(is_own), dtype=np.int64))
+        anew_fit = fit_on_paths(of_one, anew, np.full(len(of_one.track), anew_hz))
+        if median(anew_fit.misfit) < misfit[mover] / _CLEARLY:
             cam_R_past[mover], path[mover] = anew.cam_R_past[0], anew.path[0]
-            rate_hz[mover] = medians(fit.rate_hz, of_one.thing, 1)[0]
+            rate_hz[mover] = medians(anew_fit.rate_hz, of_one.thing, 1)[0]
     return RigidPaths(cam_R_past, path), rate_hz
 
 
-def _of_movers(points: Points, is_asked: Bools) -> Points:
-    """The points of the movers for which ``is_asked (K,)`` holds."""
-    own = np.flatnonzero(is_asked[points.thing])
-    return replace(points, track=points.track[own], thing=points.thing[own])
-
-
-def _turning_steadily(points: Points, scene: RigidPaths) -> tuple[RigidPaths, float]:
-    """The path of the only mover that has the points, as if it turned steadily, and the rate of its middle on it."""
-    track, since_s = points.track[:: -(-len(points.track) // _ENOUGH_POINTS)], points.since_s
+def _turning_steadily(points: Points, track: Ints, scene: RigidPaths) -> tuple[RigidPaths, float]:
+    """The path of the thing with the tracks (M,), as if it turned steadily, and the rate of its middle on it, 1/s."""
+    track, since_s = track[:: -(-len(track) // _ENOUGH_POINTS)], points.since_s
     some = slice((len(since_s) - 1) % _EVERY_VIEWS, None, _EVERY_VIEWS)
     rays = points.rays[track, :, -len(since_s) :].transpose(2, 0, 1)[some]
     xy = turned_into_plane(rays, scene.cam_R_past[0, some])
     body = fit_turning_body(xy, since_s[some], points.sigma_norm[track], _BEND_HZ, TURN_SIGMA_RAD_S)
     turned_back = rotation_from_vector(-since_s[:, None] * body.turn_rad_s)
-    return RigidPaths((turned_back @ scene.cam_R_past[0])[None], body.path_turned_back(since_s)[None]), body.rate_hz
+    path = RigidPaths((turned_back @ scene.cam_R_past[0])[None], body.path_turned_back(since_s)[None])
+    # What stops just now has hardly a speed at the present view: its mean speed is the unit, as of all movers.
+    path, speed = with_unit_speed(path, since_s)
+    return path, body.rate_hz * speed

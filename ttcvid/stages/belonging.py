@@ -29,8 +29,8 @@ _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
 _AS_STILL = 1.0
 # A mover that is hidden is known again for so long, s: after that it may well move otherwise.
 _KNOWN_AGAIN_S = 1.0
-# What a mover was not in one frame it seldom is in the next: that is looked into in its first frames, then ever more
-# seldom, but every so many frames.
+# What a mover was not in one frame it seldom is in the next: that is looked into in its first frames, then once in so
+# many.
 _YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 
 
@@ -130,8 +130,7 @@ def no_movers(n_views: int) -> Movers:
 
 def is_due(n_found: Ints) -> Bools:
     """Whether movers that have been found in so many frames, (K,), are to be looked into in this one."""
-    is_power_of_two = n_found & (n_found - 1) == 0
-    return np.asarray((n_found <= _YOUNG_FRAMES) | is_power_of_two | (n_found % _DUE_FRAMES == 0))
+    return np.asarray((n_found <= _YOUNG_FRAMES) | (n_found % _DUE_FRAMES == 0))
 
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:

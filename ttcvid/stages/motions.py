@@ -30,6 +30,9 @@ _LINK_PART = 0.05
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
+# A track that has moved by less than this over so many views, while the camera turned by so much, has stayed on its
+# pixel though the scene did not, px: ten times as much is no noise.
+_STAYING_PX, _STAYING_VIEWS, _TURNED_PX = 0.5, 10, 5.0
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
 _SURE_PART = 0.008
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
@@ -144,8 +147,10 @@ def _object_motions(
     """
     own_id = np.append(NO_CLUSTER, found.movers.cluster_id)[numbers_of(found.key, found.movers)]
     own_id[own_id < 0] = SCENE_CLUSTER
-    # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is.
-    is_text = np.bincount(own_id, ~is_free) > 0.5 * np.bincount(own_id)
+    # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is. Before a camera that
+    # turns that shows sooner, and whatever the noise; before one that does not, a car ahead that keeps its distance
+    # stays as well.
+    is_text = np.bincount(own_id, ~is_free | _stay_while_we_turn(history)) > 0.5 * np.bincount(own_id)
     members = np.flatnonzero((own_id > 0) & is_free & ~is_text[own_id])
     ids = own_id[members]
     public = np.flatnonzero(np.bincount(ids))
@@ -187,6 +192,35 @@ def motions_of(
         else:
             motions.append(ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks"))
     return motions
+
+
+def _stay_while_we_turn(history: TrackHistory) -> Bools:
+    """Tracks (N,) that have stayed on their pixels for long though the camera turned."""
+    stays = np.empty(history.rays.shape[1], dtype=bool)
+    _find_staying(
+        history.rays, history.cam_R_past, _STAYING_PX / history.focal_px, _TURNED_PX / history.focal_px, stays
+    )
+    return stays
+
+
+@compiled
+def _find_staying(rays: Floats, cam_R_past: Floats, limit_rad: float, turned_rad: float, stays: Bools) -> None:
+    """Fill ``stays (N,)``: over `_STAYING_VIEWS` of ``rays (L, N, 3)`` at least, not moved by the limit, and the camera
+    turned by ``turned_rad``.
+    """
+    last = len(rays) - 1
+    for i in range(len(stays)):
+        first, square, turned = 0, 0.0, 0.0
+        while first < last and not np.isfinite(rays[first, i, 0]):
+            first += 1
+        for a in range(3):
+            off, still = -rays[first, i, a], rays[last, i, a] - rays[first, i, a]
+            for b in range(3):
+                off += cam_R_past[first, a, b] * rays[first, i, b]
+            square += still * still
+            turned += off * off
+        has_turned = turned > turned_rad * turned_rad
+        stays[i] = last + 1 - first >= _STAYING_VIEWS and square < limit_rad * limit_rad and has_turned
 
 
 def _directions(
