@@ -349,3 +349,23 @@ def test_the_first_two_frames_and_a_frame_of_two_tracks_are_no_errors():
     rng = np.random.default_rng(14)
     frames = bodies_of(world(rng, AHEAD, 3, n=2), 3)
     assert all(not frame.mover_keys for frame in frames)
+
+
+def test_a_bus_that_turns_is_found_whole():
+    found = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        bus = car(rng, (-6.0, -0.5, 24.0), (5.0, 0.0, -4.0), 90, (11.0, 2.6, 2.4), yaw_rad_s=-0.45)
+        own = [frame.keys_of(1) for frame in bodies_of(world(rng, SLOWLY, 26, bus), 26, SLOWLY, seed=seed)[10:]]
+        assert {key for key, _ in own} == {own[0][0]} - {SCENE_CLUSTER}
+        found.append(min(part for _, part in own))
+    assert np.mean(found) > 0.87
+
+
+@pytest.mark.parametrize(("platform", "n_found"), [(Platform.vehicle, 3), (Platform.free, 3), (Platform.aircraft, 0)])
+def test_three_tracks_of_somebody_who_walks_into_our_way_are_a_mover_but_not_in_the_air(platform, n_found):
+    walker = Thing(np.array([[-9.6, -0.3, 48.0], [-9.9, 1.4, 48.0], [-9.3, 1.4, 48.0]]), (2.0, 0.0, 0.0))
+    things = world(np.random.default_rng(0), AHEAD, 40, walker, depth_m=(10.0, 70.0))
+    frames = bodies_of(things, 40, AHEAD, platform=platform)
+    assert {np.count_nonzero(frame.key[frame.truth == 1]) for frame in frames[12:36]} == {n_found}
+    assert all(scene_part(frame) == 1.0 for frame in frames)
