@@ -23,9 +23,10 @@ from ttcvid.stages.growing import SIGMAS_999, around_any, around_the_oddest
 # that are alike; as many as bear a surface.
 _ENOUGH_TRACKS = 5
 # Of what heads at us these are, the fewest that tell V / Z by more than two: what slides along the outlines of things
-# that stand still does not keep its bearing while it grows, but goes past us as they do. It is here within this time, as
-# long as a warning is of use, and passes within this part of its distance, two cars' halves from 20 m off; and nearer
-# than the other part of how far off what stands there will: next to where we go, all that stands still heads at us.
+# that stand still does not keep its bearing while it grows, but goes past us as they do. It is here within this time,
+# as long as a warning is of use, and passes within this part of its distance, two cars' halves from 20 m off; and
+# nearer than the other part of how far off what stands there will: next to where we go, all that stands still heads at
+# us.
 _FEW_TRACKS, _SOON_S, _AT_US, _UNLIKE_STANDING = 3, 5.0, 0.1, 0.5
 # Those of so few tracks that contradict the scene one by one are found in so many rounds at the most.
 _ROUNDS = 3
