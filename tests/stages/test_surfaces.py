@@ -99,7 +99,7 @@ def test_a_surface_is_borne_by_five_tracks_and_a_tenth_of_them(n_near, n_far, is
 
 @pytest.mark.parametrize(
     ("n_usable", "n_tracks", "is_found"),
-    [(1, 40, False), (4, 40, False), (5, 40, True), (5, 60, False), (6, 60, True), (4, 5, False), (4, 4, False)],
+    [(1, 40, False), (4, 40, False), (5, 40, True), (5, 60, False), (6, 60, True), (4, 5, False), (4, 4, True), (3, 4, False)],
 )
 def test_what_bears_a_surface_is_counted_among_all_tracks_of_the_object(n_usable, n_tracks, is_found):
     """Most tracks of a thing may have no state (too short, no parallax): the rest is not all of it."""
@@ -108,11 +108,18 @@ def test_what_bears_a_surface_is_counted_among_all_tracks_of_the_object(n_usable
     assert len(surface) == (n_usable if is_found else 0)
 
 
-@pytest.mark.parametrize("n_tracks", [1, 2, 4])
+@pytest.mark.parametrize("n_tracks", [1, 2, 3])
 def test_few_tracks_are_no_surface_though_they_agree(n_tracks):
     """What is left of a mover behind a post: the rates of three of its tracks agree by chance."""
     surface = nearest_surface(np.full(n_tracks, 0.5), np.full(n_tracks, 0.01), np.zeros((n_tracks, 2)), LINK_PX)
     assert not len(surface)
+
+
+@pytest.mark.parametrize(("last_hz", "is_found"), [(0.505, True), (0.6, False)])
+def test_of_four_tracks_all_have_to_agree(last_hz, is_found):
+    """An aircraft far off has no more."""
+    rate_hz, xy_px = np.array([0.5, 0.495, 0.5, last_hz]), np.zeros((4, 2))
+    assert len(nearest_surface(rate_hz, np.full(4, 0.01), xy_px, LINK_PX)) == (4 if is_found else 0)
 
 
 @given(seed=st.integers(0, 2**32 - 1))

@@ -11,6 +11,9 @@ from ttcvid.stages.sets import TrackSets
 # A surface is borne by this part of an object's tracks, and by at least so many: with fewer tracks, a nearly lost
 # mover's rate is not reliable enough to warn by.
 _LEAST_PART, _LEAST_TRACKS = 0.1, 5
+# What is small has no more than these: all of them agree by chance less often than five of many do. (That an aircraft
+# or a car far off has a time a second earlier is worth it; three that agree are what is left behind a post.)
+_ALL_TRACKS = 4
 # Tracks within so many of their standard deviations of the surface's rate belong to it.
 _SURFACE_SIGMAS = 2.0
 # After a start without support the next one lies this much lower, in sigmas.
@@ -75,7 +78,8 @@ def in_nearest_surface(
 
 def tracks_needed(n_tracks: Ints) -> Ints:
     """Tracks (K,) that bear a surface of objects of ``n_tracks (K,)``, those without a rate among them."""
-    return np.asarray(np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64)))
+    of_many = np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64))
+    return np.asarray(np.where(n_tracks == _ALL_TRACKS, _ALL_TRACKS, of_many))
 
 
 @compiled
