@@ -95,10 +95,10 @@ def test_a_body_that_is_of_no_use_is_not_looked_for_on_the_other_side(monkeypatc
     xy, *_ = circling(*BUS, noise=SIGMA)
     sigma = np.full(40, SIGMA)
     best = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S)
-    again = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S, 1e9)
+    again = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S, lambda _: True)
     np.testing.assert_array_equal(again.shared, best.shared)
     searches.clear()
-    of_no_use = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S, best.squares, 16.0)
+    of_no_use = fit_turning_body(xy, T_S, sigma, BEND_HZ, TURN_SIGMA_RAD_S, lambda _: False)
     assert len(searches) == 1
     assert not searches[0][6:].any()
     assert of_no_use.squares >= best.squares

@@ -7,6 +7,7 @@ parabola, as in `shared_path`, is wrong by many pixels.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,8 +99,7 @@ def fit_turning_body(
     sigma_norm: Floats,
     bend_hz: float,
     turn_sigma_rad_s: float,
-    to_beat: float = np.inf,
-    by_chi2: float = 0.0,
+    may_do: Callable[[TurningBody], bool] = lambda _: True,
 ) -> TurningBody:
     """The body that its points show, by robust least squares on all of their views.
 
@@ -114,10 +114,9 @@ def fit_turning_body(
         or after it; their times ``(L,)`` and noise ``(N,)``.
     bend_hz, turn_sigma_rad_s
         Beliefs, per axis: acceleration over the speed, and turn.
-    to_beat, by_chi2
-        A body is of no use that does not leave squares less than these, by so much in units of what is usual: where the
-        search without a turn at first comes to no such body, it is not made again. (It may end in the mirror image,
-        which explains nearly as much.)
+    may_do
+        Whether a body may be what is looked for: where that to which the search without a turn at first comes is not,
+        it is not made again. (It may be the mirror image, which explains nearly as much.)
     """
     now = int(np.argmin(np.abs(t_s)))
     place = _places_now(xy, now)
@@ -128,7 +127,7 @@ def fit_turning_body(
     own = np.column_stack([place, np.ones(len(place))])
     first, *others = _starts(xy, data[1], now)
     found = [_fitted(data, own, first, bend_hz, turn_sigma_rad_s)]
-    if found[0].squares + by_chi2 * max(1.0, found[0].usual) <= to_beat:
+    if may_do(found[0]):
         found += [_fitted(data, own, start, bend_hz, turn_sigma_rad_s) for start in others]
     return _with_doubts(found)
 

@@ -131,7 +131,11 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
     # What drives along a circle is pulled across by its turn times its speed.
     bend_hz = float(np.hypot(beliefs.across_sigma_hz, TURN_SIGMA_RAD_S))
     noise = points.sigma_norm[own]
-    return fit_turning_body(xy, points.t_s, noise, bend_hz, TURN_SIGMA_RAD_S, to_beat, _BEND_CHI2)
+
+    def beats(body: TurningBody) -> bool:
+        return body.squares + _BEND_CHI2 * max(1.0, body.usual) <= to_beat
+
+    return fit_turning_body(xy, points.t_s, noise, bend_hz, TURN_SIGMA_RAD_S, beats)
 
 
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
