@@ -21,9 +21,9 @@ from ttcvid.stages.plain_gaps import across_plain_gaps
 # together by tracks beside each other whose rates differ by less than the other, and are known to a fourth of that.
 _ONE_RATE, _BESIDE_RATE, _KNOWN_PART = 1.5, 1.2, 0.25
 # Two movers are one where one motion explains both at most this much worse than two, misfits below 1 being 1; before
-# that is tried, the motion of the larger has to explain the smaller within this factor, at rates within the other: what
-# fits one half of a bus that turns leaves the other up to 30 times as far off, until both correct it.
-_MERGED_MISFIT, _WORTH_TRYING, _PERHAPS_ONE_RATE = 2.0, 32.0, 3.0
+# that is tried, the motion of the larger has to explain the smaller within this factor: what fits one half of a bus
+# that turns leaves the other up to 30 times as far off, until both correct it.
+_MERGED_MISFIT, _WORTH_TRYING = 2.0, 32.0
 _LEAST_MISFIT = 1.0
 # Steps of refinement of two taken as one; so many tracks of each tell whether they are.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
@@ -136,16 +136,12 @@ def _worth_trying(
     counts = np.array([len(tracks) for tracks in tracks_of], dtype=np.int64)
     few = np.repeat(np.arange(len(large)), counts[small])
     points = views.points(np.concatenate([tracks_of[place] for place in small]), few)
-    usual_hz = movers.rate_hz[large]
-    fit = fit_on_movers(points, movers.paths.take(large), usual_hz)
-    known = np.isfinite(fit.rate_hz)
-    rate_hz = medians(fit.rate_hz[known], few[known], len(large))
-    is_one_rate = (rate_hz < _PERHAPS_ONE_RATE * usual_hz) & (rate_hz * _PERHAPS_ONE_RATE > usual_hz)
+    fit = fit_on_movers(points, movers.paths.take(large), movers.rate_hz[large])
     off = medians(fit.misfit, few, len(large)) / usual_misfit
     both = np.repeat(np.arange(len(large)), counts[large] + counts[small])
     own = np.concatenate([tracks_of[place] for pair in zip(large, small, strict=True) for place in pair])
     limit = np.maximum(medians(own_misfit[own], both, len(large)), _LEAST_MISFIT)
-    is_worth = is_one_rate & (off <= _WORTH_TRYING * limit)
+    is_worth = off <= _WORTH_TRYING * limit
     return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
 
 
