@@ -93,37 +93,21 @@ def spreading_things(
             break
         seed, around = around_the_oddest(views.xy_px, misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False
-        around_misfit, around_sums = misfit[around], sums.of(place[around])
-        n_odd = np.count_nonzero(around_misfit > config.gain)
-        # Few tracks contradict the scene one by one.
-        if n_odd < least or (n_odd < needed and np.count_nonzero(around_misfit > config.scene_gate) < least):
-            continue
-        found = _thing_around(around_sums, around_misfit, least, config)
+        found = _thing_around(sums.of(place[around]), misfit[around], least, needed, config)
         if found is None:
             continue
-        is_few = min(n_odd, np.count_nonzero(found.is_in)) < needed
-        if is_few:
-            found = _odd_ones(around_sums, found.is_in, around_misfit, config)
-            if found is None:
-                continue
         thing = _Thing(around[found.is_in], found.unknowns)
         own_xy = xy[:, place[thing.members]]
         seen_s = float(np.median(-views.since_s[np.argmax(np.isfinite(own_xy[:, :, 0]), axis=0)]))
-        within_s = _SOON_S if is_few else _REACHED_WITHIN * seen_s
+        within_s = _SOON_S if found.is_few else _REACHED_WITHIN * seen_s
         if not _grows(views.xy_px[thing.members], seen_s, found, 1.0 / within_s):
             continue
-        if not is_few:
+        if not found.is_few:
             things.append(thing)
             is_free[thing.members] = is_asked[thing.members] = False
         elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, scene.path[0, 0]):
             small.append(thing)
-    for thing in small:
-        # What is left over of a thing is none.
-        own = sums.of(place[thing.members])
-        is_other = all(float(np.median(own.misfits(one.unknowns))) > config.scene_gate for one in things)
-        if len(things) < _MOST_THINGS and is_free[thing.members].all() and is_other:
-            things.append(thing)
-            is_free[thing.members] = False
+    things = _with_small_ones(things, small, sums, place, config)
     return [(thing.members, thing.path(views.since_s, sway)) for thing in things]
 
 
@@ -142,15 +126,42 @@ class _Thing:
 
 @dataclass(frozen=True)
 class _Sharing:
-    """Which of some tracks (M,) share ``unknowns (4,)`` of `GrowthSums`, and the standard deviation of c, 1/s."""
+    """Which of some tracks (M,) share ``unknowns (4,)`` of `GrowthSums`, and the standard deviation of c, 1/s.
+
+    ``is_few``: fewer than a thing needs that does not head at us.
+    """
 
     is_in: Bools
     unknowns: Floats
     sigma_hz: float
+    is_few: bool
 
 
-def _thing_around(sums: GrowthSums, misfit: Floats, least: int, config: BodiesConfig) -> _Sharing | None:
-    """Which of some tracks (M,), so many at the ``least``, are a thing with the first; None: too few."""
+def _with_small_ones(
+    things: list[_Thing], small: list[_Thing], sums: GrowthSums, place: Ints, config: BodiesConfig
+) -> list[_Thing]:
+    """The things, and of those of few tracks the first that are no part of another; ``place (N,)`` of tracks in sums.
+
+    What is left over of a thing is none.
+    """
+    things = list(things)
+    for thing in small:
+        own = sums.of(place[thing.members])
+        is_other = all(float(np.median(own.misfits(one.unknowns))) > config.scene_gate for one in things)
+        is_free = not any(np.isin(thing.members, one.members).any() for one in things)
+        if len(things) < _MOST_THINGS and is_free and is_other:
+            things.append(thing)
+    return things
+
+
+def _thing_around(sums: GrowthSums, misfit: Floats, least: int, needed: int, config: BodiesConfig) -> _Sharing | None:
+    """Which of some tracks (M,), so many at the ``least``, are a thing with the first; None: too few.
+
+    Of fewer than ``needed`` those that contradict the scene one by one.
+    """
+    n_odd = np.count_nonzero(misfit > config.gain)
+    if n_odd < least:
+        return None
     fits = sums.sharing_a_velocity(misfit, config.scene_gate, least)
     if fits is None:
         return None
@@ -159,7 +170,9 @@ def _thing_around(sums: GrowthSums, misfit: Floats, least: int, config: BodiesCo
     is_better = np.maximum(own[fits], _NOISE).sum() < misfit[fits].sum() / config.gain
     if not (fits[0] and own[0] < misfit[0] / config.gain and is_better):
         return None
-    return _shared_by(fits, unknowns, cov, own)
+    if min(n_odd, np.count_nonzero(fits)) < needed:
+        return _odd_ones(sums, fits, misfit, config)
+    return _shared_by(fits, unknowns, cov, own, is_few=False)
 
 
 def _odd_ones(sums: GrowthSums, fits: Bools, misfit: Floats, config: BodiesConfig) -> _Sharing | None:
@@ -172,7 +185,7 @@ def _odd_ones(sums: GrowthSums, fits: Bools, misfit: Floats, config: BodiesConfi
         own = sums.misfits(unknowns)
         stays = fits & (own < misfit / config.gain)
         if np.array_equal(stays, fits):
-            return _shared_by(fits, unknowns, cov, own)
+            return _shared_by(fits, unknowns, cov, own, is_few=True)
         fits = stays
     return None
 
@@ -184,9 +197,9 @@ def _grows(xy_px: Floats, seen_s: float, found: _Sharing, least_hz: float) -> bo
     return bool(-found.unknowns[2] > max(SIGMAS_999 * float(np.hypot(found.sigma_hz, common_hz)), least_hz))
 
 
-def _shared_by(fits: Bools, unknowns: Floats, cov: Floats, own: Floats) -> _Sharing:
+def _shared_by(fits: Bools, unknowns: Floats, cov: Floats, own: Floats, *, is_few: bool) -> _Sharing:
     """What the tracks ``fits (M,)`` share, no surer than their misfits ``own (M,)`` leave it."""
-    return _Sharing(fits, unknowns, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2])))
+    return _Sharing(fits, unknowns, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2])), is_few)
 
 
 def _heads_at_us(xy: Floats, velocity_hz: Floats, own_path: Floats) -> bool:
