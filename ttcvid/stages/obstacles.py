@@ -54,9 +54,6 @@ _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
 # What stands on the road reaches down to it: two of its tracks have once been below this height. A car far ahead on a
 # bend that moves as we do, and a little to the side, looks near, and then seems to hang at the height of the camera.
 _MOST_FOOT = 0.5
-# Nothing comes at us faster than 40 m/s, so many heights of a car's camera (1.2 m) in a second; of an oncoming car
-# lamps and plate, which tracks see, are as high over the road as this, in the same heights.
-_FASTEST_HZ, _LAMPS = 33.0, 0.5
 # What hangs comes at us if its picture grows, at 99.9 % (one side), and as fast as it has to, as far as two standard
 # deviations tell, but for what its times may err by.
 _SIGMAS_999, _AGREES_SIGMAS, _AS_FAST = 3.090, 2.0, 0.85
@@ -208,7 +205,7 @@ def _surfaces(points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: O
             continue
         has_come = is_confirmed[index[surface]].mean() > 0.5
         hangs = not (has_come or depths.reaches_down(surface))
-        if hangs and not (depths.could_come(surface) and _comes(points, index[surface], way)):
+        if hangs and not _comes(points, index[surface], way):
             continue
         link = points.link * (_KEPT if is_again else 1.0)
         if _is_in_the_way(depths, surface, way, link):
@@ -283,25 +280,9 @@ class _Depths:
 
     def reaches_down(self, surface: Ints) -> bool:
         """Whether two tracks of a thing, of which one may be an error, are as low as what stands on the road."""
-        return self._foot(surface) < _MOST_FOOT
-
-    def could_come(self, surface: Ints) -> bool:
-        """Whether an oncoming car, which hangs the higher the faster it is, could hang over the road as a thing does.
-
-        If it is so many times as fast towards us as the road is, it looks nearer by as much, and what of it lies by h
-        below the camera seems to lie below it by h over as much.
-        """
-        road = self.ground.road
-        if road is None:
-            return True
-        times_as_fast = 1.0 + _FASTEST_HZ / float(road[2])
-        return (1.0 - self._foot(surface)) * times_as_fast > 1.0 - _LAMPS
-
-    def _foot(self, surface: Ints) -> float:
-        """Height of the second lowest track of a thing, 0 where there is no road to stand on."""
         if self.height is None or not self.ground.is_driven_on:
-            return 0.0
-        return float(np.sort(self.height[surface])[1])
+            return True
+        return bool(np.sort(self.height[surface])[1] < _MOST_FOOT)
 
 
 def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
