@@ -18,8 +18,7 @@ from ttcvid.stages.whereabouts import Whereabouts, nowhere
 # Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
 # much, where a track was before this much, and that most of the world stands still this much.
 _WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
-# The habit and the scene's bonus count for tracks with more views than these; the first it takes, too, to say that a
-# mover stands still.
+# The habit and the scene's bonus count for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A track that the scene explains, with a misfit (over the usual one) below the first, is no part of a mover whose
 # tracks lie so many times as far away: a bus seen from behind at 10 m ends at 22 m.
@@ -200,8 +199,7 @@ def assigned(
     is_other = misfit[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
     asked, own = np.empty(len(key), dtype=np.int64), unknown_fit(np.empty(len(key)))
-    is_told = is_own & (scene_fit.n_views[track] > _HABIT_VIEWS)
-    is_still = _most_of(is_told & (misfit[track] < _AS_STILL), is_told, mover, len(movers))
+    is_still = _most_of(is_own & (misfit[track] < _AS_STILL), is_own, mover, len(movers))
     off = np.where(is_other | is_still[mover], np.inf, off)
     _choose(misfit, track, mover, off, votes, number, scene_fit.n_views, asked, own.misfit)
     moves = np.flatnonzero(asked >= 0)
