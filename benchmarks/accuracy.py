@@ -50,6 +50,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "tracks right": ("tracks.right",),
     "on objects": ("tracks.objects_right",),
     "warned": ("events.true", "events.expected"),
+    "ahead": ("events.lead_s",),
     "late": ("events.late",),
     "false warnings": ("events.false",),
 }

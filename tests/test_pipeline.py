@@ -144,6 +144,29 @@ def test_a_time_that_does_not_move_on_gives_a_status_and_no_number(t_s):
     assert_same([*results[:6], *results[7:]], plain_run("crossing_collision"))
 
 
+@pytest.mark.parametrize("jump_s", [0.8, 3.0, 100.0])
+def test_over_a_jump_of_the_clock_all_begins_anew(jump_s):
+    """Tracks that go on over it would tell speeds that nothing has, and surely."""
+    frames, camera = table("stopped_car_ahead", n_frames=30, min_per_object=20)
+    jumps = [replace(frame, t_s=frame.t_s + jump_s * (frame.index >= 15)) for frame in frames]
+    results = results_of(jumps, camera)
+    assert results[15].status == FrameStatus.cut
+    assert results[15].rotation_rad is None
+    assert np.isnan(results[15].tracks.times.ttc_z_s).all()
+    alone = results_of(jumps[15:], camera)
+    for with_past, without in zip(results[16:], alone[1:], strict=True):
+        np.testing.assert_allclose(with_past.rotation_rad, without.rotation_rad, atol=1e-9)
+        assert [row.status for row in with_past.clusters] == [row.status for row in without.clusters]
+
+
+def test_a_clip_of_few_pictures_a_second_or_of_uneven_steps_has_no_gap():
+    frames, camera = table("stopped_car_ahead", n_frames=12, min_per_object=20)
+    slow = [replace(frame, t_s=2.0 * frame.index) for frame in frames]
+    assert "cut" not in statuses(results_of(slow, camera))
+    uneven = [replace(frame, t_s=frame.t_s + 0.4 * (frame.index >= 6)) for frame in frames]
+    assert "cut" not in statuses(results_of(uneven, camera))
+
+
 def test_a_doubled_frame_of_a_table_gives_a_status_and_no_number():
     frames, camera = table("crossing_collision")
     middle_s = 0.5 * (frames[5].t_s + frames[6].t_s)

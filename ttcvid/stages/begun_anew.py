@@ -17,7 +17,7 @@ from ttcvid.stages.bodies import SHIFT_RATE_HZ, with_unit_speed
 # better by the factor: of two that fit alike, one is better by chance.
 _BADLY, _CLEARLY = 1.0, 1.5
 # Where the first search for it, from no turn, comes to a body that explains its points worse by the factor than that
-# path does, it is no body: of fourteen scenes with what turns, in 37 bodies that were better in the end it came to 1.7
+# path does, it is no body: of eleven scenes with what turns, in 37 bodies that were better in the end it came to 1.7
 # of that at the most; where a street full of cars is one mover, to 2 to 600.
 _NO_BODY = 2.0
 # Points that tell how a body turns, at the least, and at the most; and every so many views: more hardly say better, in

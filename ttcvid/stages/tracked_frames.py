@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,10 @@ from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follo
 
 MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
 
+# A step so long, s, and so many times as long as the last ones were, is a gap: the clock has jumped, or what lies on its
+# two sides was put together. (What is followed over less has times with intervals that hold; after a jump by a second
+# half of them do not.)
+_GAP_S, _GAP_STEPS, _LAST_STEPS = 0.7, 10.0, 9
 NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 
@@ -32,21 +37,48 @@ class TrackedFrame:
     status: FrameStatus
 
 
+@dataclass
+class _Clock:
+    """Tells gaps in time, by the steps of all frames so far."""
+
+    last_t_s: float = -np.inf
+    steps_s: deque[float] = field(default_factory=lambda: deque(maxlen=_LAST_STEPS))
+    is_gap: bool = False
+
+    def goes_on(self, t_s: float) -> bool:
+        """Whether time goes on to ``t_s``; notes the step, and that it is a gap, until `take_gap`."""
+        step_s, self.last_t_s = t_s - self.last_t_s, max(t_s, self.last_t_s)
+        if not step_s > 0.0:
+            return False
+        if np.isfinite(step_s):
+            usual_s = float(np.median(self.steps_s)) if self.steps_s else np.inf
+            self.is_gap |= step_s > max(_GAP_S, _GAP_STEPS * usual_s)
+            self.steps_s.append(step_s)
+        return True
+
+    def take_gap(self) -> bool:
+        """Whether there was a gap since it was asked for last."""
+        is_gap, self.is_gap = self.is_gap, False
+        return is_gap
+
+
 def track_frames(
     frames: Iterable[Frame], config: TrackingConfig, mask: Picture | None, map_ahead: MapAhead = map
 ) -> Iterator[TrackedFrame]:
-    """Each frame with its points: from the tracker, or from the table that the source reads."""
+    """Each frame with its points: from the tracker, or from the table that the source reads.
+
+    Over a gap in time no motion is told: the first frame that shows something after it is a ``cut``.
+    """
     memory, last_points = TrackerMemory(), None
 
     def prepare(frame: Frame) -> tuple[Frame, PreparedPicture | None]:
         return frame, None if frame.grey is None else prepare_picture(frame.grey, mask, config)
 
-    last_t_s = -np.inf
+    clock = _Clock()
     for frame, prepared in map_ahead(prepare, frames):
-        if not frame.t_s > last_t_s:
+        if not clock.goes_on(frame.t_s):
             yield TrackedFrame(frame, NO_POINTS, FrameStatus.bad_dt)
             continue
-        last_t_s = frame.t_s
         if prepared is not None:
             points, status, memory = follow_points(memory, prepared, mask, config)
         elif frame.points is not None:
@@ -54,4 +86,6 @@ def track_frames(
             last_points = points
         else:
             raise ValueError(f"frame {frame.index}: expected a picture or points, got neither")
+        if status in (FrameStatus.ok, FrameStatus.cut) and clock.take_gap():
+            status = FrameStatus.cut
         yield TrackedFrame(frame, points, status)
