@@ -61,3 +61,18 @@ def test_uneven_times_without_repeated_pictures_are_right():
         status = FrameStatus.ok if frame else FrameStatus.first
         tally.add(FrameResult(frame, t_s, step_s if frame else None, status, no_tracks(), ()))
     assert tally.complaint_about_repeats() == ""
+
+
+def test_times_in_milliseconds_are_told():
+    assert "in seconds?" in tally_of([False] * 20, dt_s=50.0).complaint_about_times()
+    assert tally_of([False] * 20, dt_s=1.0).complaint_about_times() == ""
+
+
+@pytest.mark.parametrize(("n_unseen", "is_told"), [(10, False), (11, True)])
+@pytest.mark.parametrize("status", [FrameStatus.few_tracks, FrameStatus.dark])
+def test_a_clip_most_of_which_shows_too_little_is_told(n_unseen, is_told, status):
+    tally = Tally()
+    for frame in range(20):
+        shown = status if frame < n_unseen else FrameStatus.ok
+        tally.add(FrameResult(frame, 0.1 * frame, 0.1, shown, no_tracks(), ()))
+    assert bool(tally.complaint_about_sight()) == is_told

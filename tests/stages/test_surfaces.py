@@ -99,7 +99,16 @@ def test_a_surface_is_borne_by_five_tracks_and_a_tenth_of_them(n_near, n_far, is
 
 @pytest.mark.parametrize(
     ("n_usable", "n_tracks", "is_found"),
-    [(1, 40, False), (4, 40, False), (5, 40, True), (5, 60, False), (6, 60, True), (4, 5, False), (4, 4, True), (3, 4, False)],
+    [
+        (1, 40, False),
+        (4, 40, False),
+        (5, 40, True),
+        (5, 60, False),
+        (6, 60, True),
+        (4, 5, False),
+        (4, 4, True),
+        (3, 4, False),
+    ],
 )
 def test_what_bears_a_surface_is_counted_among_all_tracks_of_the_object(n_usable, n_tracks, is_found):
     """Most tracks of a thing may have no state (too short, no parallax): the rest is not all of it."""

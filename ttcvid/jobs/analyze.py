@@ -203,7 +203,8 @@ def _warnings(source: Source, calibration: Calibration, tally: Tally) -> list[st
     """What to know before trusting the numbers; also logged."""
     warnings = camera_warnings(calibration.camera)
     warnings += source.report.warnings
-    warnings += filter(None, (tally.complaint_about_times(), tally.complaint_about_repeats()))
+    complaints = tally.complaint_about_times(), tally.complaint_about_sight(), tally.complaint_about_repeats()
+    warnings += filter(None, complaints)
     if calibration.horizon is not None:
         tolerance_px = max(LEAST_OFFSET_PX, 2.0 * centre_sigma_px(calibration.camera, calibration.horizon))
         complaint = complaint_about_horizon(np.array(tally.horizon_offset_px), tolerance_px)

@@ -84,6 +84,8 @@ def digest_of(files: tuple[Path, ...]) -> Digest:
 _MOVED_ON = (FrameStatus.ok, FrameStatus.rotation_only)
 # From this part of the pictures on repeated ones are the way a clip was made; steps that differ by so much are uneven.
 _MANY_REPEATED, _UNEVEN = 0.05, 0.25
+# Frames farther apart than this, s, are no clip of anything that moves; more than this part of a clip is most of it.
+_SLOW_S, _MOSTLY = 2.0, 0.5
 
 
 @dataclass
@@ -99,6 +101,7 @@ class Tally:
     horizon_offset_px: list[float] = field(default_factory=list)
     n_repeated: int = 0
     n_bad_dt: int = 0
+    n_unseen: int = 0
     steps_s: list[float] = field(default_factory=list)
     has_motion: bool = False
 
@@ -114,6 +117,7 @@ class Tally:
             self.horizon_offset_px.append(offset_px)
         self.n_repeated += result.status == FrameStatus.duplicate
         self.n_bad_dt += result.status == FrameStatus.bad_dt
+        self.n_unseen += result.status in (FrameStatus.few_tracks, FrameStatus.dark)
         if result.status in _MOVED_ON and result.dt_s is not None:
             self.steps_s.append(result.dt_s)
         self.has_motion |= result.status == FrameStatus.ok or any(
@@ -124,13 +128,28 @@ class Tally:
             self.nearest = {"ttc_z_s": float(ttc_z_s), "frame": result.frame, "t_s": result.t_s}
 
     def complaint_about_times(self) -> str:
-        """What to say of frames that are not later than the one before."""
-        if not self.n_bad_dt:
+        """What to say of frames that are not later than the one before, or far apart."""
+        if self.n_bad_dt:
+            frames = f"{self.n_bad_dt} of {counted(self.n_frames, 'frame')}"
+            return (
+                f"{frames} have a time that is not later than that of the frame before (status bad_dt), and no "
+                "results: look at the times of the input"
+            )
+        typical_s = float(np.median(self.steps_s)) if self.steps_s else 0.0
+        if typical_s > _SLOW_S:
+            return (
+                f"frames are {typical_s:g} s apart, over which nothing on a road can be followed: are the times of the "
+                "input in seconds?"
+            )
+        return ""
+
+    def complaint_about_sight(self) -> str:
+        """What to say of a clip most of which shows too little to tell anything of."""
+        if self.n_unseen <= _MOSTLY * self.n_frames:
             return ""
-        frames = f"{self.n_bad_dt} of {counted(self.n_frames, 'frame')}"
         return (
-            f"{frames} have a time that is not later than that of the frame before (status bad_dt), and no results: "
-            "look at the times of the input"
+            f"{self.n_unseen} of {counted(self.n_frames, 'frame')} show too little to tell own motion (status "
+            "few_tracks or dark): that nothing was found there does not mean that nothing was there"
         )
 
     def complaint_about_repeats(self) -> str:

@@ -81,9 +81,7 @@ def _turning_steadily(points: Points, track: Ints, scene: RigidPaths, worst: flo
     rays = points.rays[track, :, -len(since_s) :].transpose(2, 0, 1)[some]
     xy = turned_into_plane(rays, scene.cam_R_past[0, some])
     noise = points.sigma_norm[track]
-    body = fit_turning_body(
-        xy, since_s[some], noise, _BEND_HZ, TURN_SIGMA_RAD_S, lambda found: found.usual < worst
-    )
+    body = fit_turning_body(xy, since_s[some], noise, _BEND_HZ, TURN_SIGMA_RAD_S, lambda found: found.usual < worst)
     turned_back = rotation_from_vector(-since_s[:, None] * body.turn_rad_s)
     path = RigidPaths((turned_back @ scene.cam_R_past[0])[None], body.path_turned_back(since_s)[None])
     # What stops just now has hardly a speed at the present view: its mean speed is the unit, as of all movers.

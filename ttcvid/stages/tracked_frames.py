@@ -21,9 +21,9 @@ from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follo
 
 MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
 
-# A step so long, s, and so many times as long as the last ones were, is a gap: the clock has jumped, or what lies on its
-# two sides was put together. (What is followed over less has times with intervals that hold; after a jump by a second
-# half of them do not.)
+# A step so long, s, and so many times as long as the last ones were, is a gap: the clock has jumped, or two clips were
+# put together. (What is followed over less has times with intervals that hold; after a jump by a second half of them do
+# not.)
 _GAP_S, _GAP_STEPS, _LAST_STEPS = 0.7, 10.0, 9
 NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
