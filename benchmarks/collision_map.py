@@ -40,6 +40,7 @@ COURSE_CHANGES = {
     "lead_car_brakes": "the lead car begins to brake at 0.8 s, which nobody can know before",
     "swinging_drive": "our own direction swings by 10 deg: to keep the present one would end in a tree or a parked car",
     "roundabout": "we brake all the time: to keep the present speed would end in the bus",
+    "stop_at_crossing": "we brake to a stop: to keep the speed would end in the cars that cross 18 m ahead",
 }
 """Scenes in which keeping the present velocity is not what happens."""
 
