@@ -139,7 +139,7 @@ class Tally:
         if typical_s > _SLOW_S:
             return (
                 f"frames are {typical_s:g} s apart, over which nothing on a road can be followed: are the times of the "
-                "input in seconds?"
+                "input in seconds? (--stride sets them apart as well)"
             )
         return ""
 

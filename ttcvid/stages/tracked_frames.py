@@ -22,8 +22,8 @@ from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follo
 MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
 
 # A step so long, s, and so many times as long as the last ones were, is a gap: the clock has jumped, or two clips were
-# put together. (What is followed over less has times with intervals that hold; after a jump by a second half of them do
-# not.)
+# put together. (On an exact drive 80 % of 90 % intervals or more hold after a jump by up to half a second, and 53 %
+# after one by a second.)
 _GAP_S, _GAP_STEPS, _LAST_STEPS = 0.7, 10.0, 9
 NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
