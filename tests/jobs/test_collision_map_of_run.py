@@ -36,6 +36,26 @@ def test_own_speed_and_camera_height_follow_from_each_other(run: Path):
     assert np.linalg.norm(by_height.own_velocity_m_s) == pytest.approx(OWN_SPEED_M_S, rel=0.05)
 
 
+@pytest.mark.parametrize("factor", [3.6, 1.61, 1 / 3.6], ids=["m/s for km/h", "miles for km", "km/h for m/s"])
+def test_a_speed_that_the_height_of_the_camera_contradicts_is_refused(
+    factor: float, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    words = ["collision-map", str(run), "--ego-speed", f"{factor * OWN_SPEED_M_S}", "-o", str(tmp_path / "map")]
+    assert main([*words, "--camera-height-m", f"{CAMERA_HEIGHT_M}"]) == 2
+    message = capsys.readouterr().err
+    assert f"--ego-speed is {3.6 * factor * OWN_SPEED_M_S:.0f} km/h" in message
+    by_height_km_h = float(message.split("goes by at ")[1].split(" km/h")[0])
+    assert by_height_km_h == pytest.approx(3.6 * OWN_SPEED_M_S, rel=0.05)
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_speed_that_agrees_with_the_height_of_the_camera_is_taken(run: Path):
+    config = CollisionMapConfig(ego_speed=f"{1.2 * OWN_SPEED_M_S}", camera_height_m=CAMERA_HEIGHT_M)
+    situation = open_clip_of(run, config).moment(N_FRAMES - 1).situation
+    assert situation is not None
+    assert np.linalg.norm(situation.own_velocity_m_s) == pytest.approx(1.2 * OWN_SPEED_M_S)
+
+
 def test_parked_cars_and_trees_are_in_the_way_to_either_side_and_the_road_is_free(run: Path, tmp_path: Path):
     out = tmp_path / "map"
     words = ["collision-map", str(run), "--ego-speed", "39.6km/h", "-o", str(out), "-q", "--frame", str(N_FRAMES - 1)]

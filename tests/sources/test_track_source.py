@@ -81,6 +81,16 @@ def test_numbers_too_large_are_named_with_their_row(path, column, value, says):
     assert says in one_line_error(InputError, path, table)
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.5], ids=["parts of the picture", "plane"])
+def test_normalised_coordinates_are_no_pixels(path, shift):
+    table = track_table()
+    table[["x_px", "y_px"]] = table[["x_px", "y_px"]] / [SIZE.width_px, SIZE.height_px] - shift
+    message = one_line_error(InputError, path, table)
+    assert "x_px runs from" in message
+    assert "70x48" in message
+    assert "normalised" in message
+
+
 @pytest.mark.parametrize("factor", [1e-200, 1e-6, 1e9])
 def test_times_that_are_not_in_seconds_are_refused(path, factor):
     table = track_table()

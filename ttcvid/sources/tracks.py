@@ -27,6 +27,8 @@ FARTHEST_PX = 1e6
 """A point farther from the picture's corner is a mistake, not a prediction."""
 LEAST_SHARE_INSIDE = 0.5
 """Where fewer of the points lie in the picture, the picture's size is a wrong one."""
+FARTHEST_NORMALISED = 2.0
+"""Where no coordinate of any point is larger, they are no pixels: parts of the picture, or the plane z = 1."""
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 _LONGEST_HEADER = 10_000
@@ -43,7 +45,8 @@ class TrackSource(OnePassSource):
 
     Raises UsageError without an image size and with ``--fps`` or ``--timestamps`` (the table has its own times);
     InputError where the table cannot be read, lacks columns, is empty, or holds missing, infinite, negative, broken
-    or huge numbers, one track twice in a frame, two times in one frame, or points that mostly lie outside the picture.
+    or huge numbers, one track twice in a frame, two times in one frame, normalised coordinates, or points that mostly
+    lie outside the picture.
     """
 
     def __init__(self, path: Path, selection: Selection, clock: Clock, image_size: ImageSize | None) -> None:
@@ -52,6 +55,7 @@ class TrackSource(OnePassSource):
         if image_size is None:
             raise UsageError(f"{path}: a track table has no image size: give --image-size WxH or a --camera file")
         frame, t_s, track_id, xy_px = _read_columns(path)
+        _require_pixels(path, xy_px, image_size)
         _require_in_picture(path, xy_px, image_size)
         order = np.lexsort((track_id, frame))
         self._frame, self._track_id, self._xy_px = frame[order], track_id[order], xy_px[order]
@@ -112,6 +116,15 @@ def _require_columns(path: Path, found: list[str]) -> None:
     twice = [name for name in COLUMNS if found.count(name) > 1]
     if twice:
         raise InputError(f"{path}: column {twice[0]} is there {found.count(twice[0])} times: leave all but one out")
+
+
+def _require_pixels(path: Path, xy_px: Floats, size: ImageSize) -> None:
+    if np.abs(xy_px).max() <= FARTHEST_NORMALISED:
+        (x0, y0), (x1, y1) = xy_px.min(axis=0), xy_px.max(axis=0)
+        raise InputError(
+            f"{path}: x_px runs from {x0:g} to {x1:g} and y_px from {y0:g} to {y1:g}: expected pixels of pictures of "
+            f"{size}, multiply normalised coordinates back, by the picture's size or by the camera matrix"
+        )
 
 
 def _require_in_picture(path: Path, xy_px: Floats, size: ImageSize) -> None:

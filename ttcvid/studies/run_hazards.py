@@ -100,12 +100,17 @@ class Memory:
 
 @dataclass(frozen=True)
 class SeenSituation:
-    """The situation; None: without any scale. ``unlinked`` are the names of objects of unknown speed."""
+    """The situation; None: without any scale. ``unlinked`` are the names of objects of unknown speed.
+
+    ``speed_by_height_m_s`` is own speed as the given camera's height over the road tells it; None: without height, road
+    or motion.
+    """
 
     situation: Situation | None
     unlinked: tuple[str, ...]
     notes: tuple[str, ...]
     memory: Memory | None
+    speed_by_height_m_s: float | None = None
 
 
 def situation_of(seen: SeenFrame, scale: Scale, own: OwnBody, memory: Memory | None = None) -> SeenSituation:
@@ -140,7 +145,7 @@ def situation_of(seen: SeenFrame, scale: Scale, own: OwnBody, memory: Memory | N
             notes = (*notes, f"{name}: {distance:.0f} m away by {how}.")
             parts.append(_object_hazard(seen, k, level_R_cam, distance, sigma))
     situation = Situation(joined(parts), own, own_velocity, seen.turn_rad_s)
-    return SeenSituation(situation, tuple(unlinked), notes, now)
+    return SeenSituation(situation, tuple(unlinked), notes, now, _speed_by_height(scale, height_s))
 
 
 def _points(
@@ -174,11 +179,11 @@ def level_axes(seen: SeenFrame) -> Floats:
 
 
 def _own_speed(scale: Scale, height_s: float | None) -> float | None:
-    if scale.own_speed_m_s is not None:
-        return scale.own_speed_m_s
-    if scale.camera_height_m is not None and height_s is not None:
-        return scale.camera_height_m / height_s
-    return None
+    return _speed_by_height(scale, height_s) if scale.own_speed_m_s is None else scale.own_speed_m_s
+
+
+def _speed_by_height(scale: Scale, height_s: float | None) -> float | None:
+    return None if scale.camera_height_m is None or height_s is None else scale.camera_height_m / height_s
 
 
 def _own_velocity(seen: SeenFrame, level_R_cam: Floats, speed_m_s: float) -> Floats:
