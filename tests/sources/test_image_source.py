@@ -116,6 +116,19 @@ def test_missing_numbers_are_said_because_fps_does_not_see_them(tmp_path):
     assert "2 numbers are missing" in source.report.warnings[0]
 
 
+@pytest.mark.parametrize(("skipped_s", "is_said"), [(0.1, True), (0.3, False)], ids=["even times", "times that jump"])
+def test_missing_numbers_are_said_where_the_times_do_not_know_of_them(tmp_path, skipped_s, is_said):
+    folder = write_pictures(tmp_path / "p")
+    (folder / "4.png").unlink()
+    (folder / "5.png").unlink()
+    steps_s = np.full(N - 3, 0.1)
+    steps_s[3] = skipped_s
+    times = write_times(tmp_path, [f"{t_s:.3f}" for t_s in np.cumsum([0.0, *steps_s])])
+    said = [w for w in read(folder, fps=None, timestamps=times)[1].report.warnings if "2 numbers are missing" in w]
+    assert bool(said) == is_said
+    assert all("mend the file" in warning for warning in said)
+
+
 def test_names_that_are_times_are_no_missing_numbers(tmp_path):
     write_pictures(tmp_path / "p", n=4)
     for i in range(4):

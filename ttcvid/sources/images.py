@@ -30,6 +30,8 @@ DEPTH_PERCENTILES = (0.1, 99.9)
 """Range of deep pictures that is kept; single hot or dead pixels do not count."""
 
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
+_LONGER_STEP = 1.5
+"""Times see that a picture is missing where their step is longer by this than where none is."""
 _PRINTF = re.compile(r"%(0?)(\d*)d")
 
 
@@ -63,7 +65,7 @@ class ImageSource(OnePassSource):
             n_frames=int(self._wanted.sum()),
             time_origin=str(clock.origin),
         )
-        super().__init__(info, (*pictures, *clock.files), _gaps_in_numbers(path, pictures) if clock.fps else ())
+        super().__init__(info, (*pictures, *clock.files), _gaps_in_numbers(path, pictures, times_s, clock))
 
     def frames(self) -> Iterator[Frame]:
         """The selected frames; the pictures between them (``stride``) are not read."""
@@ -228,18 +230,20 @@ def _require_one_kind(input_: str, pictures: list[Path]) -> None:
         raise UsageError(f"{input_}: holds images of several kinds ({counts}): choose by a pattern such as '*.png'")
 
 
-def _gaps_in_numbers(path: str, pictures: list[Path]) -> tuple[str, ...]:
-    """A warning where names count 1, 2, 4: with --fps the time of what is missing is not seen."""
+def _gaps_in_numbers(path: str, pictures: list[Path], times_s: Floats, clock: Clock) -> tuple[str, ...]:
+    """A warning where names count 1, 2, 4, and the times do not see that a picture is missing."""
     numbers = [re.findall(r"\d+", p.stem)[-1:] for p in pictures]
     if len(pictures) < 3 or not all(numbers):
         return ()
-    steps = np.diff([float(number[0]) for number in numbers])
-    if steps.min() != 1 or steps.max() == 1:
+    steps, steps_s = np.diff([float(number[0]) for number in numbers]), np.diff(times_s)
+    if steps.min() != 1:
         return ()
-    n = int((steps[steps > 1] - 1).sum())
-    return (
-        f"{path}: {n} numbers are missing in the file names: --fps counts images, give --timestamps if time passed",
-    )
+    is_unseen = (steps > 1) & (steps_s < _LONGER_STEP * np.median(steps_s[steps == 1]))
+    if not is_unseen.any():
+        return ()
+    n = int((steps[is_unseen] - 1).sum())
+    remedy = "--fps counts images, give --timestamps" if clock.fps else "the times go on evenly there, mend the file"
+    return (f"{path}: {n} numbers are missing in the file names: {remedy} if time passed",)
 
 
 def _first_readable(path: str, pictures: list[Path]) -> NDArray[np.uint8 | np.uint16]:
