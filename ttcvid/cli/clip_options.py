@@ -18,7 +18,6 @@ _IMAGE_SIZE = "Picture size in px of a track table without a camera file."
 _MASK = "Picture, black where nothing is to be looked at (own bonnet, text)."
 _FPS = "Frame rate of an image folder; of a video, instead of its own times."
 _TIMESTAMPS = "Times of all frames in seconds, one a line, or in KITTI's format."
-_CONFIG = "TOML configuration; ./ttcvid.toml is read as well, and is weaker."
 
 _time_option = option_under("Time (frames as 120, seconds as 4.5s or 00:01:02.5)")
 method_option = option_under("Method")
