@@ -1,0 +1,95 @@
+"""A scenario as a folder of truth: what ``ttcvid simulate`` writes, and the camera as the analysis is told it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import ttcvid
+from scenario_suite.scenario import Scenario
+from ttcvid.calibration.own import write_camera
+from ttcvid.simulate import TrackOptions, camera_of
+
+N_TRACKS, MIN_PER_OBJECT = 140, 16
+"""Few tracks: a table is analysed in a second."""
+GIVEN_CAMERA_NAME = "camera_given.yaml"
+"""The camera with the error of the focal length; absent where the camera is unknown to the analysis."""
+_REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def drawn(scenario: Scenario, folder: Path) -> Path:
+    """The truth of a scenario in a folder of its own, drawn unless it is there and whole."""
+    marker, key = folder / "drawn.json", drawing_key(scenario)
+    if read_json(marker).get("key") != key:
+        marker.unlink(missing_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        _draw(scenario, folder)
+        write_json(marker, {"key": key})
+    return folder / "truth"
+
+
+def drawing_key(scenario: Scenario) -> str:
+    """Changes with the scene, with how it is given to the analysis, and with the code that draws it."""
+    content = {"scene": scenario.scene.model_dump(mode="json"), **scenario.described()}
+    code = code_digest(_REPOSITORY / "ttcvid" / "simulate") + code_digest(Path(__file__))
+    return hashlib.sha256((json.dumps(content, sort_keys=True) + code).encode()).hexdigest()
+
+
+def code_digest(place: Path, *, without: tuple[str, ...] = ()) -> str:
+    """Digest of the Python files of a folder (or of one file), those of the folders ``without`` left out."""
+    digest = hashlib.sha256()
+    files = [place] if place.is_file() else sorted(place.rglob("*.py"))
+    for file in files:
+        if not set(without) & set(file.relative_to(place).parts):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def input_of(truth: Path) -> Path:
+    """What is to be analysed of a drawn scenario."""
+    clip = truth / "clip.mp4"
+    return clip if clip.exists() else truth / "tracks.parquet"
+
+
+def _draw(scenario: Scenario, folder: Path) -> None:
+    scene = folder / "scene.yaml"
+    values = scenario.scene.model_dump(mode="json", exclude_none=True)
+    scene.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+    truth = folder / "truth"
+    ttcvid.simulate(scene, truth, tracks=_track_options(scenario), overwrite=True)
+    if scenario.camera_known:
+        camera = camera_of(scenario.scene)
+        wrong = 1.0 + scenario.focal_error
+        given = replace(camera, fx_px=camera.fx_px * wrong, fy_px=camera.fy_px * wrong)
+        write_camera(truth / GIVEN_CAMERA_NAME, given)
+
+
+def _track_options(scenario: Scenario) -> TrackOptions | None:
+    if scenario.kind == "video":
+        return None
+    return TrackOptions(
+        n_tracks=N_TRACKS,
+        min_per_object=MIN_PER_OBJECT,
+        outlier_fraction=float(scenario.nuisances["outlier_share"] or 0.0),
+    )
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Content of a file; empty where there is none or where it is broken off."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, json.JSONDecodeError):
+        return {}
+    return dict(content)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a file whole or not at all."""
+    partial = path.with_suffix(".partial")
+    partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    partial.replace(path)

@@ -1,0 +1,141 @@
+"""Scenarios drawn and analysed, several side by side; what is complete is not done again.
+
+OUT/FAMILY/SEED/
+  scenario.json    the scenario, all but its scene
+  truth            link to its folder of truth, clip or tracks included
+  run/             the folder of ``ttcvid analyze``; absent where that failed
+  run.json         exit_code, seconds, error (one line, or null)
+
+Truth is drawn into a folder of its own, which runs with other options or another state of the code share.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import multiprocessing
+import shutil
+import time
+import traceback
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+import ttcvid
+from scenario_suite.drawing import GIVEN_CAMERA_NAME, code_digest, drawing_key, drawn, input_of, read_json, write_json
+from scenario_suite.families import scenario
+from scenario_suite.scenario import Kind, NuisanceValue, Scenario
+
+_PACKAGE = Path(ttcvid.__file__).parent
+_NOT_OF_THE_ANALYSIS = ("simulate", "studies", "report", "draw", "cli")
+CRASHED = 70
+"""Exit code of an analysis that ended with a traceback: a defect (EX_SOFTWARE of sysexits.h)."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A scenario to be done: where its folder of truth and its run belong, and further options of the analysis.
+
+    ``nuisances`` None: as drawn.
+    """
+
+    family: str
+    seed: int
+    kind: Kind | None
+    out: Path
+    pictures: Path
+    nuisances: dict[str, NuisanceValue] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Done:
+    """A finished task: its folder, whether it was done before, and what its run said."""
+
+    task: Task
+    folder: Path
+    is_old: bool
+    drawing_s: float
+    run: Mapping[str, Any]
+
+
+def run_all(tasks: Iterable[Task], n_jobs: int) -> Iterator[Done]:
+    """Do tasks in ``n_jobs`` processes; results as they are finished."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(n_jobs, mp_context=context, initializer=_prepare) as pool:
+        waiting = [pool.submit(do, task) for task in tasks]
+        try:
+            for done in as_completed(waiting):
+                yield done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def do(task: Task) -> Done:
+    """Draw and analyse one scenario, unless that is done."""
+    chosen = scenario(task.family, task.seed, task.kind, task.nuisances)
+    folder = task.out / task.family / str(task.seed)
+    start_s = time.perf_counter()
+    truth = drawn(chosen, task.pictures / task.family / str(task.seed))
+    drawing_s = time.perf_counter() - start_s
+    key = _run_key(chosen, task.options)
+    known = read_json(folder / "run.json")
+    if known.get("key") == key:
+        return Done(task, folder, True, drawing_s, known)
+    (folder / "run.json").unlink(missing_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / "scenario.json", chosen.described())
+    _link(folder / "truth", truth)
+    run = {"key": key, **_analyzed(chosen, truth, folder / "run", task.options)}
+    write_json(folder / "run.json", run)
+    return Done(task, folder, False, drawing_s, run)
+
+
+def options_of(chosen: Scenario, truth: Path) -> dict[str, Any]:
+    """Options with which a scenario is analysed: what a user would know of the camera and of what carries it."""
+    options: dict[str, Any] = {"platform": chosen.platform, "overlay": False}
+    if chosen.camera_known:
+        options["camera"] = str(truth / GIVEN_CAMERA_NAME)
+    elif chosen.kind == "tracks":
+        width, height = chosen.scene.camera.image_size
+        options["image_size"] = f"{width}x{height}"
+    return options
+
+
+def _analyzed(chosen: Scenario, truth: Path, out: Path, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Exit code, seconds and error of the analysis."""
+    shutil.rmtree(out, ignore_errors=True)
+    start_s = time.perf_counter()
+    exit_code, error = 0, None
+    try:
+        ttcvid.analyze(input_of(truth), out, **(options_of(chosen, truth) | dict(options)))
+    except ttcvid.TtcvidError as failure:
+        exit_code, error = failure.exit_code, str(failure)
+    except Exception as failure:  # A crash of the analysis is a finding of the suite.
+        last = traceback.extract_tb(failure.__traceback__)[-1]
+        exit_code, error = CRASHED, f"{type(failure).__name__}: {failure} ({Path(last.filename).name}:{last.lineno})"
+    return {"exit_code": exit_code, "seconds": round(time.perf_counter() - start_s, 3), "error": error}
+
+
+def _run_key(chosen: Scenario, options: Mapping[str, Any]) -> str:
+    """Changes with the drawn scenario, the options and the code of the analysis."""
+    code = code_digest(_PACKAGE, without=_NOT_OF_THE_ANALYSIS)
+    content = json.dumps(dict(options), sort_keys=True, default=str)
+    return hashlib.sha256((drawing_key(chosen) + content + code).encode()).hexdigest()
+
+
+def _link(link: Path, target: Path) -> None:
+    if link.is_symlink():
+        link.unlink()
+    link.symlink_to(target.absolute(), target_is_directory=True)
+
+
+def _prepare() -> None:
+    """One thread of OpenCV in each process, no log on the terminal."""
+    cv2.setNumThreads(1)
+    logging.getLogger("ttcvid").addHandler(logging.NullHandler())

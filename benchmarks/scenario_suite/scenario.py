@@ -1,0 +1,70 @@
+"""What a scenario is: a family and a seed, the scene that they draw, and how it is to be analysed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from numpy.random import Generator
+
+from ttcvid.simulate import Scene
+
+Values = dict[str, Any]
+Kind = Literal["video", "tracks"]
+Group = Literal["vehicle_ahead", "vehicle_other", "static", "free", "aircraft", "recorded"]
+NuisanceValue = float | str | None
+
+
+@dataclass(frozen=True)
+class Family:
+    """A test of the trade as a function of a random generator and of whether it is to end in a collision.
+
+    ``draw`` returns the values of a scene file without name and seed, in the steady conditions of every nuisance's
+    baseline. ``hfov_deg`` are the fields of view in which the test is in the picture. ``collides`` is None where both
+    are drawn, equally often. ``warn_by_s`` is the time before the contact by which the trade wants the warning.
+    """
+
+    name: str
+    group: Group
+    title: str
+    draw: Callable[[Generator, bool], Values]
+    platform: str = "vehicle"
+    kind: Kind = "video"
+    hfov_deg: tuple[float, float] = (35.0, 110.0)
+    collides: bool | None = None
+    expected_status: str | None = None
+    warn_by_s: float = 2.0
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One scene of the suite; family and seed determine it.
+
+    ``is_collision`` says whether an object touches us if nobody acts. ``focal_error`` is the relative error of the
+    focal length that the analysis is given, where ``camera_known``. ``nuisances`` holds the drawn value of each, by
+    name. ``expected_status`` is what has to be told where nothing can be estimated.
+    """
+
+    family: str
+    seed: int
+    group: Group
+    scene: Scene
+    kind: Kind
+    platform: str
+    camera_known: bool
+    focal_error: float
+    is_collision: bool
+    expected_status: str | None
+    warn_by_s: float
+    nuisances: dict[str, NuisanceValue] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Family and seed, as ``--show`` takes it."""
+        return f"{self.family}:{self.seed}"
+
+    def described(self) -> dict[str, Any]:
+        """All but the scene, as ``scenario.json`` has it."""
+        values = {key: value for key, value in asdict(self).items() if key != "scene"}
+        return {"name": self.name, **values}

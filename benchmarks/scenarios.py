@@ -1,0 +1,131 @@
+"""The scenario suite: scenes in the terms of the trade, drawn by family and seed, and analysed.
+
+python benchmarks/scenarios.py [--families CCRs,CPNA-25 | --group static] [--kind tracks] [--n 60] [--seeds 0-9]
+python benchmarks/scenarios.py --verdict HEAD --n 200       # seeds from the hash of a commit
+python benchmarks/scenarios.py --sweep sensor_noise_grey    # one nuisance over its values, all others off
+python benchmarks/scenarios.py --show CPNA-25:17            # draw one alone
+
+Folders are written below --out (default out/scenarios); what is complete there is not done again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+# One thread of linear algebra in each process: set before numpy is loaded.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from report import REPOSITORY
+from scenario_suite.drawing import drawn, input_of
+from scenario_suite.families import FAMILIES, scenario
+from scenario_suite.nuisances import NUISANCES
+from scenario_suite.running import Task, options_of, run_all
+from scenario_suite.seeds import BUILDING_SEEDS, commit_hash, verdict_seeds
+
+GROUPS = tuple(dict.fromkeys(family.group for family in FAMILIES.values()))
+DEFAULT_OUT = REPOSITORY / "out" / "scenarios"
+
+
+def main() -> None:
+    """Draw and run what is asked for; a line a scene."""
+    arguments = _arguments()
+    if arguments.show:
+        _show(arguments.show, arguments.kind, _pictures(arguments))
+        return
+    tasks = _tasks(arguments)
+    start_s, n_old, n_failed = time.perf_counter(), 0, 0
+    for number, done in enumerate(run_all(tasks, arguments.jobs), 1):
+        n_old, n_failed = n_old + done.is_old, n_failed + bool(done.run["exit_code"])
+        said = "done before" if done.is_old else f"drawn {done.drawing_s:.1f} s, analysed {done.run['seconds']:.1f} s"
+        error = f"  exit code {done.run['exit_code']}: {done.run['error']}" if done.run["exit_code"] else ""
+        print(f"{number:4}/{len(tasks)} {done.task.family}:{done.task.seed}  {said}{error}", flush=True)
+    took_s = time.perf_counter() - start_s
+    counts = f"{n_old} done before, {n_failed} without a result"
+    print(f"{len(tasks)} scenarios in {took_s:.0f} s, {counts}: {arguments.out}")
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--families", type=lambda text: text.split(","), help="names, with commas between them")
+    parser.add_argument("--group", choices=GROUPS, help="all families of a group")
+    parser.add_argument("--kind", choices=("video", "tracks"), help="instead of each family's own kind of input")
+    parser.add_argument("--n", type=int, help="at most so many scenes, one of each family in turn")
+    parser.add_argument("--seeds", type=_seed_range, help="A-B, both included (default 0-199, or as many as --n takes)")
+    parser.add_argument("--verdict", nargs="?", const="HEAD", metavar="COMMIT", help="seeds from a commit's hash")
+    parser.add_argument("--sweep", metavar="NUISANCE", help="one nuisance over its values, all others off")
+    parser.add_argument("--show", metavar="FAMILY:SEED", help="draw one scene and say where it is")
+    parser.add_argument("--jobs", type=int, default=2, help="processes side by side")
+    parser.add_argument("--out", type=Path, default=DEFAULT_OUT, help="where the folders belong")
+    parser.add_argument("--pictures", type=Path, help="where truth is kept (default: pictures beside --out)")
+    arguments = parser.parse_args()
+    unknown = [name for name in arguments.families or [] if name not in FAMILIES]
+    if unknown:
+        parser.error(f"--families {unknown[0]}: no such family; expected some of {', '.join(FAMILIES)}")
+    if arguments.verdict and arguments.seeds:
+        parser.error("--verdict and --seeds exclude each other: a verdict has seeds of its own")
+    if arguments.sweep and arguments.sweep not in NUISANCES[arguments.kind or "video"]:
+        names = ", ".join(NUISANCES[arguments.kind or "video"])
+        parser.error(f"--sweep {arguments.sweep}: no such nuisance; expected one of {names}")
+    return arguments
+
+
+def _seed_range(text: str) -> range:
+    first, _, last = text.partition("-")
+    return range(int(first), int(last or first) + 1)
+
+
+def _pictures(arguments: argparse.Namespace) -> Path:
+    return Path(arguments.pictures or arguments.out.with_name(f"{arguments.out.name}_pictures"))
+
+
+def _tasks(arguments: argparse.Namespace) -> list[Task]:
+    """Every scene that is asked for, seed by seed."""
+    names = arguments.families or [name for name, family in FAMILIES.items() if arguments.group in (None, family.group)]
+    if arguments.sweep:
+        names = [name for name in names if (arguments.kind or "video") == FAMILIES[name].kind or arguments.kind]
+    if arguments.verdict:
+        n_each = -(-(arguments.n or 200) // len(names))
+        seeds = verdict_seeds(commit_hash(arguments.verdict), n_each)
+    else:
+        seeds = arguments.seeds or BUILDING_SEEDS
+    chosen = [(name, seed) for seed in seeds for name in names][: arguments.n]
+    pictures = _pictures(arguments)
+    if not arguments.sweep:
+        return [Task(name, seed, arguments.kind, arguments.out, pictures) for name, seed in chosen]
+    values = NUISANCES[arguments.kind or "video"][arguments.sweep].sweep
+    return [
+        Task(
+            name,
+            seed,
+            arguments.kind,
+            arguments.out / f"{arguments.sweep}={value}",
+            pictures / f"{arguments.sweep}={value}",
+            {arguments.sweep: value},
+        )
+        for name, seed in chosen
+        for value in values
+    ]
+
+
+def _show(name: str, kind: str | None, pictures: Path) -> None:
+    family, _, seed = name.partition(":")
+    if family not in FAMILIES or not seed.isdigit():
+        sys.exit(f"--show {name}: expected FAMILY:SEED with one of the families {', '.join(FAMILIES)}")
+    chosen = scenario(family, int(seed), kind)
+    truth = drawn(chosen, pictures / family / seed)
+    print(f"{chosen.name}: {FAMILIES[family].title}; {'collision' if chosen.is_collision else 'no collision'}")
+    for key, value in chosen.nuisances.items():
+        print(f"  {key} = {value}")
+    options = " ".join(
+        f"--{key.replace('_', '-')} {value}" for key, value in options_of(chosen, truth).items() if key != "overlay"
+    )
+    print(f"open  {input_of(truth)}\nscene {truth / 'scene.yaml'}\nttcvid analyze {input_of(truth)} {options}")
+
+
+if __name__ == "__main__":
+    main()
