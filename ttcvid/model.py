@@ -352,7 +352,8 @@ class FrameResult:
     """Everything that is known of one frame.
 
     ``rotation_rad`` (3,) is the rotation vector of ``cam_R_prev``, None where there is no estimate, with
-    ``rotation_sigma_rad`` its standard deviation per axis. ``min_ttc_z_s`` is the smallest over approaching objects.
+    ``rotation_sigma_rad`` its standard deviation per axis. ``nearest`` is the row of the object that is reached first,
+    of those whose approach deserves to be told (``ttcvid.stages.nearest``); None where there is none.
     ``horizon_px`` is the horizon line (y at x = 0, y at x = width - 1, undistorted pixels) of this frame, None where
     none is in use.
     ``events`` are the warnings active in this frame, as they stand: the last version of each ``event_id`` is final.
@@ -366,6 +367,11 @@ class FrameResult:
     clusters: tuple[ClusterRow, ...]
     rotation_rad: Floats | None = None
     rotation_sigma_rad: float | None = None
-    min_ttc_z_s: float | None = None
+    nearest: ClusterRow | None = None
     horizon_px: tuple[float, float] | None = None
     events: tuple[Event, ...] = ()
+
+    @property
+    def min_ttc_z_s(self) -> float | None:
+        """Time until the depth of ``nearest`` is zero."""
+        return None if self.nearest is None else float(self.nearest.times.ttc_z_s[0])

@@ -170,7 +170,12 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _real("rot_y_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about y"),
         _real("rot_z_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about z"),
         _real("rot_sigma_rad", "rad", "standard deviation of the rotation, per axis"),
-        _real("min_ttc_z_s", "s", "smallest ttc_z_s of all approaching objects; null: none approaches"),
+        _real(
+            "min_ttc_z_s",
+            "s",
+            "smallest ttc_z_s over objects that approach by their whole 90 % interval, have done so in each frame of "
+            "events.persistence_s, and have bodies.min_tracks tracks; null: there is none",
+        ),
         _name("status", "what became of the frame", FRAME_STATUS_NAMES),
     ),
     "events": (

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from frame_results import event, frame_result, no_tracks, object_cluster, scene_cluster, some_tracks
+from frame_results import event, frame_result, no_tracks, object_cluster, scene_cluster, some_tracks, times_of
 
 from ttcvid.errors import OutputError
 from ttcvid.model import NO_CLUSTER, CollisionTimes, FrameStatus, MotionState, Status
@@ -85,7 +85,7 @@ def test_every_frame_has_a_row_also_without_tracks_and_clusters(tmp_path):
         frame_result(1, status=FrameStatus.duplicate, dt_s=0.0),
         frame_result(
             5, some_tracks(4, np.random.default_rng(0)), [scene_cluster()], rotation_rad=np.array([1e-3, 2e-3, 3e-3]),
-            rotation_sigma_rad=1e-5, min_ttc_z_s=2.0,
+            rotation_sigma_rad=1e-5, nearest=object_cluster(times=times_of(ttc_z_s=[2.0])),
         ),
         frame_result(6, clusters=[object_cluster()]),
     ]  # fmt: skip

@@ -282,10 +282,11 @@ def test_a_missing_an_additional_and_a_renamed_object_are_named():
     assert complaint.startswith("object 7 ")
     assert complaint.endswith("is additional")
     renamed = first.assign(cluster_id=np.where(first.frame < 30, 3, 4))
-    (complaint,) = join_objects(first, renamed, ObjectTolerance(min_found=0.7)).complaints
+    (complaint,) = join_objects(first, renamed, ObjectTolerance()).complaints
     assert complaint == "object 3 does not keep one number in the run: it is 3 in frames 0-29, 4 in frames 30-59"
-    assert join_objects(objects, first, ObjectTolerance(min_tracks=21)).complaints == ()
-    assert join_objects(objects, first, ObjectTolerance(min_frames=21)).complaints == ()
+    far = objects.assign(ttc_z_s=9.0, ttc_z_lo_s=8.0, ttc_z_hi_s=10.0)
+    assert join_objects(far, first, ObjectTolerance(min_tracks=21)).complaints == ()
+    assert join_objects(far, first, ObjectTolerance(min_frames=21)).complaints == ()
 
 
 def test_clusters_of_tracks_are_compared_by_what_their_object_is_in_the_baseline():

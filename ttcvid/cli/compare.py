@@ -15,6 +15,13 @@ EXIT_DIFFERENT = 1
 @click.option(
     "--tolerance", type=click.Path(path_type=Path), metavar="FILE", help="Tolerances (YAML), laid over the defaults."
 )
+@click.option(
+    "--warn",
+    "warn_s",
+    type=click.FloatRange(min=0),
+    metavar="S",
+    help="Objects that surely come sooner always count, however small.  [default: 4]",
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of the words.")
 @click.option("--junit", type=click.Path(path_type=Path), metavar="FILE", help="Write a JUnit file as well.")
 @click.option("-q", "--quiet", is_flag=True, help="Only the verdict.")
@@ -25,6 +32,7 @@ def compare(
     baseline: Path,
     run: Path,
     tolerance: Path | None,
+    warn_s: float | None,
     as_json: bool,
     junit: Path | None,
     quiet: bool,
@@ -36,8 +44,10 @@ def compare(
       ttcvid compare yesterday today
 
     Frames are joined by time, objects by overlap, tracks by place, warnings by object and time; numbers of objects and
-    tracks do not matter. A difference counts beyond the tolerance of its column: absolute, relative, and in the sigmas
-    that the baseline itself reports. What changed in versions, configuration and input is named, and is no difference.
+    tracks do not matter. An object counts by itself if it carries a warning, is near in time (--warn), or is large
+    enough; of all others their number counts. A difference counts beyond the tolerance of its column: absolute,
+    relative, and in the sigmas that the baseline itself reports. What changed in versions, configuration and input is
+    named, and is no difference.
 
     Exit codes: 0 the same, 1 different, 2 not comparable (unreadable, not whole, or of another schema).
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
@@ -48,7 +58,7 @@ def compare(
     from ttcvid.studies.compare_wording import comparison_as_json, comparison_cases, describe_comparison, verdict
     from ttcvid.studies.junit import Suite
 
-    comparison = compare_runs(baseline, run, tolerance)
+    comparison = compare_runs(baseline, run, tolerance, warn_s)
     if junit is not None:
         write_junit(junit, [Suite(f"{comparison.run} beside {comparison.baseline}", comparison_cases(comparison))])
     if as_json:

@@ -16,7 +16,12 @@ from ttcvid.studies.compare_tolerance import Tolerance, tolerance_from
 from ttcvid.studies.junit import Suite, junit_xml
 
 
-def compare(baseline: str | Path | Run, run: str | Path | Run, tolerance: str | Path | None = None) -> Comparison:
+def compare(
+    baseline: str | Path | Run,
+    run: str | Path | Run,
+    tolerance: str | Path | None = None,
+    warn_s: float | None = None,
+) -> Comparison:
     """Hold a run against a baseline: join their rows and judge every difference.
 
     Parameters
@@ -25,6 +30,9 @@ def compare(baseline: str | Path | Run, run: str | Path | Run, tolerance: str | 
         Output folders of ``ttcvid analyze``, what ``ttcvid.analyze`` returned, or files that ``ttcvid regress`` wrote.
     tolerance
         A YAML file of tolerances, laid over the defaults.
+    warn_s
+        An object that surely approaches and is nearer in time than this always counts, however few its tracks;
+        default: that of the tolerances.
 
     Raises
     ------
@@ -34,6 +42,8 @@ def compare(baseline: str | Path | Run, run: str | Path | Run, tolerance: str | 
         The file of tolerances cannot be used.
     """
     limits = Tolerance() if tolerance is None else read_tolerance(Path(tolerance))
+    if warn_s is not None:
+        limits = limits.model_copy(update={"objects": limits.objects.model_copy(update={"warn_s": warn_s})})
     return compare_results(read_results(baseline), read_results(run), limits)
 
 

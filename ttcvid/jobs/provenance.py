@@ -23,7 +23,7 @@ import scipy
 import ttcvid
 from ttcvid.errors import InputError, counted
 from ttcvid.jobs.clip import Calibration
-from ttcvid.model import SCENE_CLUSTER, Camera, FrameResult, FrameStatus, SourceInfo
+from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, FrameResult, FrameStatus, SourceInfo
 from ttcvid.stages.horizon_watch import horizon_offset_of
 
 
@@ -123,9 +123,14 @@ class Tally:
         self.has_motion |= result.status == FrameStatus.ok or any(
             c.cluster_id != SCENE_CLUSTER for c in result.clusters
         )
-        ttc_z_s = result.min_ttc_z_s
-        if ttc_z_s is not None and (self.nearest is None or ttc_z_s < self.nearest["ttc_z_s"]):
-            self.nearest = {"ttc_z_s": float(ttc_z_s), "frame": result.frame, "t_s": result.t_s}
+        if result.nearest is not None:
+            self._note_nearest(result, result.nearest)
+
+    def _note_nearest(self, result: FrameResult, nearest: ClusterRow) -> None:
+        """Keep the object that is nearer in time than every one before it."""
+        times = {name: float(getattr(nearest.times, name)[0]) for name in ("ttc_z_s", "ttc_z_lo_s", "ttc_z_hi_s")}
+        if self.nearest is None or times["ttc_z_s"] < self.nearest["ttc_z_s"]:
+            self.nearest = {"cluster_id": nearest.cluster_id, "frame": result.frame, "t_s": result.t_s, **times}
 
     def complaint_about_times(self) -> str:
         """What to say of frames that are not later than the one before, or far apart."""

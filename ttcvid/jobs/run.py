@@ -97,7 +97,10 @@ class Run:
         ]
         nearest = self.manifest["nearest"]
         if nearest is not None:
-            parts.append(f"smallest time to collision {nearest['ttc_z_s']:.2f} s at frame {nearest['frame']}")
+            parts.append(
+                f"smallest time to collision {nearest['ttc_z_s']:.2f} s ({nearest['ttc_z_lo_s']:.2f} to "
+                f"{nearest['ttc_z_hi_s']:.2f} s) of object {nearest['cluster_id']} at frame {nearest['frame']}"
+            )
         camera = self.manifest["camera"]
         if camera["is_assumed"]:
             parts.append("focal length ASSUMED")

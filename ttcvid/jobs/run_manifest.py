@@ -38,7 +38,8 @@ REQUIRED: dict[str, Any] = {
     "warnings": list,
 }
 """Fields that have to be there, with their types; a mapping stands for fields below a field."""
-_MAY_BE_NULL: dict[str, Any] = {"horizon": _HORIZON, "nearest": {"ttc_z_s": float, "frame": int}}
+_NEAREST = {"cluster_id": int, "frame": int, **dict.fromkeys(("ttc_z_s", "ttc_z_lo_s", "ttc_z_hi_s"), float)}
+_MAY_BE_NULL: dict[str, Any] = {"horizon": _HORIZON, "nearest": _NEAREST}
 _KINDS = {str: "text", int: "a whole number", float: "a finite number", bool: "true or false", list: "a list"}
 _REMEDY = "give the folder of 'ttcvid analyze', or analyse again"
 

@@ -16,8 +16,9 @@ from ttcvid.model import (
     TrackRows,
 )
 from ttcvid.stages.events import EventMemory, restarted_events, standing_events, update_events
+from ttcvid.stages.nearest import Since, nearest_object
 from ttcvid.stages.planar import HorizonPlane
-from ttcvid.stages.results import closing_of_cluster, cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
+from ttcvid.stages.results import closing_of_cluster, cluster_rows, no_tracks, track_rows
 from ttcvid.stages.seen_frames import Clip, SeenFrame
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 from ttcvid.stages.steadiness import Rates, steady_rows
@@ -33,10 +34,11 @@ class AnalyzedFrame:
 
 @dataclass(frozen=True)
 class RowMemory:
-    """What the rows of a frame rest on of those before: warnings, and rates of objects."""
+    """What the rows of a frame rest on of those before: warnings, rates of objects, and who approaches since when."""
 
     watch: EventMemory = field(default_factory=EventMemory)
     rates: Rates = field(default_factory=Rates)
+    since: Since = field(default_factory=dict)
 
 
 def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameResult, RowMemory]:
@@ -64,6 +66,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
             least_s=clip.config.events.persistence_s,
         ),
     )
+    nearest, since = nearest_object(memory.since, frame.t_s, clusters, clip.config)
     egomotion = seen.egomotion
     result = FrameResult(
         frame=frame.index,
@@ -74,23 +77,23 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         clusters=clusters,
         rotation_rad=None if egomotion is None else egomotion.rotation_rad,
         rotation_sigma_rad=None if egomotion is None else egomotion.rotation_sigma_rad,
-        min_ttc_z_s=minimum_ttc_z_s(clusters),
+        nearest=nearest,
         horizon_px=_line_px(item.plane),
         events=events,
     )
-    return result, RowMemory(watch, rates)
+    return result, RowMemory(watch, rates, since)
 
 
 def smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
     """Each frame once the frames after it have been analysed, its directions and times estimated again with them."""
     max_frames = clip.config.collision_times.max_frames
     held: deque[AnalyzedFrame] = deque()
-    rates = Rates()
+    memory = RowMemory()
 
     def released() -> AnalyzedFrame:
-        nonlocal rates
+        nonlocal memory
         first = held.popleft()
-        again, rates = _estimated_again(first, [item.seen for item in held if item.seen is not None], rates, clip)
+        again, memory = _estimated_again(first, [item.seen for item in held if item.seen is not None], memory, clip)
         return again
 
     for item in analyzed:
@@ -105,14 +108,20 @@ def smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[Analyzed
         yield released()
 
 
-def _estimated_again(item: AnalyzedFrame, later: list[Seen], rates: Rates, clip: Clip) -> tuple[AnalyzedFrame, Rates]:
+def _estimated_again(
+    item: AnalyzedFrame, later: list[Seen], memory: RowMemory, clip: Clip
+) -> tuple[AnalyzedFrame, RowMemory]:
     """A frame with the rows that views on both sides give; status, own rotation and warnings stay as they were."""
-    if item.seen is None or not later:
-        return item, rates
-    seen = seen_again(item.seen, later, clip.camera, clip.config)
-    tracks, clusters, rates = _rows(seen, rates, clip)
-    result = replace(item.result, tracks=tracks, clusters=clusters, min_ttc_z_s=minimum_ttc_z_s(clusters))
-    return replace(item, result=result), rates
+    if item.seen is None:
+        return item, memory
+    tracks, clusters, rates = item.result.tracks, item.result.clusters, memory.rates
+    if later:
+        seen = seen_again(item.seen, later, clip.camera, clip.config)
+        tracks, clusters, rates = _rows(seen, rates, clip)
+    since = {} if item.result.status == FrameStatus.cut else memory.since
+    nearest, since = nearest_object(since, item.result.t_s, clusters, clip.config)
+    result = replace(item.result, tracks=tracks, clusters=clusters, nearest=nearest)
+    return replace(item, result=result), replace(memory, rates=rates, since=since)
 
 
 def _rows(seen: Seen, rates: Rates, clip: Clip) -> tuple[TrackRows, tuple[ClusterRow, ...], Rates]:

@@ -8,7 +8,6 @@ from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import (
-    APPROACHING,
     NO_CLUSTER,
     SCENE_CLUSTER,
     Camera,
@@ -97,16 +96,6 @@ def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMot
     """How the depth of an object changes that may have begun to brake, by its sizes; None without enough views."""
     members = next(motion.members for motion in motions.clusters if motion.cluster_id == cluster_id)
     return braking_of_tracks(history, members, least_s)
-
-
-def minimum_ttc_z_s(clusters: tuple[ClusterRow, ...]) -> float | None:
-    """Smallest time to depth zero over objects that approach and reach it for sure, None without any."""
-    ahead = [
-        float(row.times.ttc_z_s[0])
-        for row in clusters
-        if row.motion_state in APPROACHING and 0.0 < row.times.ttc_z_s[0] <= row.times.ttc_z_hi_s[0]
-    ]
-    return min(ahead) if ahead else None
 
 
 def no_tracks() -> TrackRows:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from ttcvid.model import SCENE_CLUSTER, Ints
-from ttcvid.studies.compare_columns import ColumnVerdict, JoinedRows, judge_columns
+from ttcvid.studies.compare_columns import ColumnVerdict, JoinedRows, complaints_about_times, judge_columns
 from ttcvid.studies.compare_frames import JoinedFrames, join_frames
 from ttcvid.studies.compare_objects import JoinedObjects, baseline_numbers, join_events, join_objects
 from ttcvid.studies.compare_tolerance import Tolerance
@@ -50,13 +50,17 @@ class Change:
 
 @dataclass(frozen=True)
 class PartSummary:
-    """How many rows of a table's part each side has, how many are joined, and what is wrong beside the columns."""
+    """How many rows of a table's part each side has, how many are joined, and what is wrong beside the columns.
+
+    Of objects, which are no rows, ``n_counted`` (of the baseline, of the run) count by themselves; those are joined.
+    """
 
     part: str
     n_baseline: int
     n_run: int
     n_joined: int
     complaints: tuple[str, ...] = ()
+    n_counted: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,8 @@ def compare_results(baseline: Results, run: Results, tolerance: Tolerance) -> Co
     old_objects, new_objects = (
         _rows(side["clusters"], side["clusters"].cluster_id > SCENE_CLUSTER) for side in (old, new)
     )
-    objects = join_objects(old_objects, new_objects, tolerance.objects, frames_per_row)
+    warned = tuple(frozenset(int(number) for number in side["events"].cluster_id) for side in (before, now))
+    objects = join_objects(old_objects, new_objects, tolerance.objects, frames_per_row, (warned[0], warned[1]))
     tracks = join_tracks(old["collision_times"], new["collision_times"], tolerance.frames.max_distance_px)
     events = join_events(before["events"], now["events"], objects.pairs, tolerance.events)
     joined = [_frame_rows(old["frames"], new["frames"])]
@@ -104,7 +109,7 @@ def compare_results(baseline: Results, run: Results, tolerance: Tolerance) -> Co
     parts = [
         _frame_summary(baseline, run, frames),
         *(_cluster_summary(name, old[name], new[name]) for name in _CLUSTERS),
-        PartSummary("clusters.objects", objects.n_baseline, objects.n_run, objects.n_joined, objects.complaints),
+        _object_summary(objects, joined, columns, tolerance),
         _track_summary(baseline, old["collision_times"], new["collision_times"], tracks, tolerance),
         PartSummary("events", len(before["events"]), len(now["events"]), len(events[0]), events[2]),
     ]
@@ -180,8 +185,9 @@ def _object_rows(name: str, old: pd.DataFrame, new: pd.DataFrame, objects: Joine
     keys = (old, "baseline_id"), (new, "run_id")
     row, other = (_rows_of(table, pairs, number) for table, number in keys)
     is_there = (row >= 0) & (other >= 0)
-    who = np.array([f"object {number}" for number in pairs.baseline_id[is_there]], dtype=object)
-    return _beside(f"{name}.objects", old, new, row[is_there], other[is_there], who)
+    return _beside(
+        f"{name}.objects", old, new, row[is_there], other[is_there], pairs.baseline_id[is_there].to_numpy(), "object "
+    )
 
 
 def _rows_of(table: pd.DataFrame, pairs: pd.DataFrame, number: str) -> Ints:
@@ -253,6 +259,17 @@ def _cluster_summary(name: str, old: pd.DataFrame, new: pd.DataFrame) -> PartSum
         for low, high in _spans(np.setdiff1d(one, other), old.frame.unique())
     ]
     return PartSummary(f"{name}.scene", len(before), len(now), len(np.intersect1d(before, now)), tuple(complaints))
+
+
+def _object_summary(
+    objects: JoinedObjects, joined: list[JoinedRows], columns: list[ColumnVerdict], tolerance: Tolerance
+) -> PartSummary:
+    """What became of the objects; each that counts has to have its times again, where their columns are the same."""
+    (rows,) = (rows for rows in joined if rows.part == "clusters.objects")
+    same = {column.column for column in columns if column.part == rows.part and column.is_same}
+    complaints = (*objects.complaints, *complaints_about_times(rows, objects.counted, same, tolerance))
+    n_counted = len(objects.counted), len(objects.counted_run)
+    return PartSummary(rows.part, objects.n_baseline, objects.n_run, objects.n_found, complaints, n_counted)
 
 
 def _track_summary(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,8 @@ UNEXPLAINED_SHARE = 0.5
 """A factor or offset is named only if it leaves less than this share of the typical difference."""
 _ALIKE = 1e-6
 MIN_EXPLAINED_ROWS = 4
+_MOST_ROWS = 0.5
+_OBJECT_TIMES = ("ttc_z_s", "tcpa_s", "miss_s")
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,29 @@ def judge_column(
         ratio[np.isnan(before) | np.isnan(now)] = 0.0
     verdict = _verdict(rows, column, tolerance, ratio)
     return verdict if verdict.is_same else replace(verdict, hint=explanation(before, now, allowed, judged_unit(column)))
+
+
+def complaints_about_times(
+    rows: JoinedRows, numbers: Collection[int], columns: Collection[str], tolerance: Tolerance
+) -> list[str]:
+    """What to say of single objects, of those with ``numbers``, most of whose times are outside of the tolerance.
+
+    One among many that are as before does not make a column different; ``columns`` are those that are the same.
+    """
+    complaints = []
+    for name in (name for name in _OBJECT_TIMES if name in columns):
+        before, now = (judged_values(name, side[name]) for side in (rows.baseline, rows.run))
+        limits = tolerance.of_column(rows.part, name)
+        allowed = allowed_difference(before, now, limits, reported_sigma(rows.baseline, name, None))
+        is_outside = difference_ratio(before, now, allowed) > 1
+        has_value = ~(np.isnan(before) & np.isnan(now))
+        for number in numbers:
+            own = has_value & (rows.who == number)
+            if own.sum() >= MIN_EXPLAINED_ROWS and np.mean(is_outside[own]) > _MOST_ROWS:
+                hint = explanation(before[own], now[own], allowed[own], "1/s" if name == "ttc_z_s" else "s")
+                what = f"object {number}: {name} is different in {is_outside[own].sum()} of {own.sum()} rows"
+                complaints.append(what + (f": {hint}" if hint else ""))
+    return complaints
 
 
 def judged_values(name: str, values: pd.Series) -> Floats:

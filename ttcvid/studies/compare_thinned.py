@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pandas as pd
 
 from ttcvid.model import SCENE_CLUSTER, Ints
 from ttcvid.studies.compare import Results
+from ttcvid.studies.compare_objects import objects_that_count
 from ttcvid.studies.compare_tolerance import ObjectTolerance
 
 N_FRAMES = 12
@@ -49,7 +51,7 @@ def thinned(results: Results, tolerance: ObjectTolerance) -> Results:
     tables = {name: _in_frames(table, kept) for name, table in results.tables.items()}
     tables["collision_times"] = _some_tracks(tables["collision_times"])
     # A track is known again by what its object is: that of a kept track is kept, however small.
-    number = [*_objects_kept(results.tables["clusters"], tolerance), *tables["collision_times"].cluster_id.unique()]
+    number = [*_objects_kept(results.tables, tolerance), *tables["collision_times"].cluster_id.unique()]
     for name in ("clusters", "epipoles"):
         tables[name] = tables[name][tables[name].cluster_id.isin([SCENE_CLUSTER, *number])].reset_index(drop=True)
     tables["clusters"] = tables["clusters"][tables["clusters"].cluster_id != SCENE_CLUSTER].reset_index(drop=True)
@@ -71,9 +73,10 @@ def _some_tracks(tracks: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(rows).sort_index().reset_index(drop=True) if rows else with_time
 
 
-def _objects_kept(clusters: pd.DataFrame, tolerance: ObjectTolerance) -> list[int]:
-    objects = clusters[clusters.cluster_id != SCENE_CLUSTER].groupby("cluster_id").n_tracks.agg(["size", "median"])
-    is_kept = (objects["size"] >= LEAST_OBJECT * tolerance.min_frames) & (
-        objects["median"] >= LEAST_OBJECT * tolerance.min_tracks
-    )
-    return [int(number) for number in objects.index[is_kept]]
+def _objects_kept(tables: Mapping[str, pd.DataFrame], tolerance: ObjectTolerance) -> list[int]:
+    """Those that count by themselves, and those that nearly do: they may in the run."""
+    clusters, warned = tables["clusters"], set(tables["events"].cluster_id)
+    objects = clusters[clusters.cluster_id != SCENE_CLUSTER].reset_index(drop=True)
+    least_tracks = max(1, round(LEAST_OBJECT * tolerance.min_tracks))
+    nearly = tolerance.model_copy(update={"min_tracks": least_tracks, "warn_s": tolerance.warn_s / LEAST_OBJECT})
+    return objects_that_count(objects, LEAST_OBJECT * tolerance.min_frames, warned, nearly)

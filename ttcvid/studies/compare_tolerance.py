@@ -51,11 +51,20 @@ class PartTolerance(StageConfig):
 
 
 class ObjectTolerance(StageConfig):
-    """Which objects have to be there again, and what being there means."""
+    """Which objects have to be there again, and what being there means.
 
-    min_frames: int = Field(default=8, ge=1, description="objects of fewer frames may come and go")
-    min_tracks: int = Field(default=10, ge=1, description="so may objects of fewer tracks (median over their frames)")
+    An object counts by itself if it carries a warning, if it surely approaches and is nearer in time than ``warn_s``,
+    or if it is large enough. Of all others only their number is judged.
+    """
+
+    min_frames: int = Field(default=8, ge=1, description="an object counts by itself from so many frames on")
+    min_tracks: int = Field(default=10, ge=1, description="and so many tracks (median over its frames)")
+    warn_s: NotNegative = Field(default=4.0, description="it counts whatever its size, where it surely comes sooner")
     min_found: Share = Field(default=0.5, description="share of an object's frames in which it has to be there again")
+    min_one_number: Share = Field(default=0.8, description="share of those frames in which it has one number")
+    rate_sigmas: NotNegative = Field(
+        default=3.0, description="frames of all other objects that are gone or new, in standard deviations of the count"
+    )
 
 
 class EventTolerance(StageConfig):
@@ -113,6 +122,7 @@ DEFAULT_COLUMNS: dict[str, ColumnTolerance] = {
     **_times("clusters"),
     **_same(ColumnTolerance(abs=1), "clusters", "urgency_rank"),
     **_same(_PLACE, "collision_times", "x_px", "y_px"),
+    **_same(ColumnTolerance(max_share=0.05), "collision_times", "cluster_id"),
     **_same(ColumnTolerance(abs=1), "collision_times", "n_frames"),
     **_same(ColumnTolerance(abs=2e-3), "collision_times", "alpha_rad"),
     **_same(ColumnTolerance(abs=0.5, rel=0.02, sigmas=1), "collision_times", "k_frames"),

@@ -59,6 +59,10 @@ def describe_part(part: PartSummary, comparison: Comparison) -> str:
     n_same = sum(column.is_same for column in columns)
     is_same = n_same == len(columns) and not part.complaints
     rows = f"{part.n_joined} joined of {part.n_baseline} and {part.n_run}"
+    if part.n_counted is not None:
+        before, now = part.n_counted
+        counted = str(before) if before == now else f"{before} and {now}"
+        rows = f"{part.n_baseline} and {part.n_run} objects, {counted} counted, {part.n_joined} found again"
     return (
         f"{part.part:<16}  {'same' if is_same else 'DIFFERENT':<9}  {rows}, {n_same} of {len(columns)} columns the same"
     )

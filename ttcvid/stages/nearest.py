@@ -1,0 +1,44 @@
+"""Which object is reached first, of those whose approach deserves to be told.
+
+A smallest time is taken over many objects in many frames, so it finds whatever errs the most: a handful of points that
+came together a moment ago. An approach deserves to be told once its 90 % interval has said so in each frame of the
+persistence, and has enough tracks to be a body.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from ttcvid.config import PipelineConfig
+from ttcvid.model import APPROACHING, ClusterRow
+
+_ROUNDING_S = 1e-9
+
+Since = Mapping[int, float]
+"""By ``cluster_id``: the time, s, since which each frame has said that the object approaches."""
+
+
+def nearest_object(
+    since: Since, t_s: float, clusters: tuple[ClusterRow, ...], config: PipelineConfig
+) -> tuple[ClusterRow | None, Since]:
+    """The object with the smallest time to depth zero whose approach deserves to be told, and what to remember.
+
+    Such an object approaches by the whole of its interval, has done so in each frame of ``events.persistence_s``, and
+    has at least ``bodies.min_tracks`` tracks.
+    """
+    surely = [row for row in clusters if approaches(row)]
+    now = {row.cluster_id: since.get(row.cluster_id, t_s) for row in surely}
+    lasting_s = config.events.persistence_s - _ROUNDING_S
+    told = [
+        row for row in surely if t_s - now[row.cluster_id] >= lasting_s and row.n_tracks >= config.bodies.min_tracks
+    ]
+    return min(told, key=lambda row: float(row.times.ttc_z_s[0]), default=None), now
+
+
+def approaches(row: ClusterRow) -> bool:
+    """Whether an object comes nearer by the whole of its 90 % interval."""
+    times = row.times
+    return row.motion_state in APPROACHING and bool(
+        0.0 < times.ttc_z_lo_s[0] <= times.ttc_z_s[0] <= times.ttc_z_hi_s[0] < math.inf
+    )
