@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ttcvid.simulate.motion import Motion, heading_at, position_at, speed_at, velocity_at
+from ttcvid.simulate.motion import Motion, heading_at, position_at, speed_at, turn_rate_at, velocity_at
 
 TIMES_S = np.array([0.0, 0.05, 0.7, 1.3, 2.0, 3.7, 6.0])
 START_M = (3.0, -2.0, 0.5)
@@ -72,3 +72,41 @@ def test_sideslip_turns_the_course_but_not_the_heading():
     vx, vy, _ = velocity_at(motion, np.array([1.0]))[0]
     assert np.degrees(np.arctan2(vy, vx)) == pytest.approx(10)
     assert heading_at(motion, np.array([1.0])) == 0
+
+
+def test_turn_between_two_times_is_an_arc_between_two_straights():
+    motion = Motion((0, 0, 0), speed_m_s=8.0, yaw_rate_rad_s=0.5, yaw_from_s=1.0, yaw_until_s=1.0 + np.pi)
+    quarter_m = 8.0 / 0.5
+    x, y, _ = position_at(motion, np.array([1.0 + np.pi + 2.0]))[0]
+    assert (x, y) == pytest.approx((8.0 + quarter_m, quarter_m + 16.0), abs=1e-11)
+    np.testing.assert_allclose(heading_at(motion, np.array([0.5, 9.0])), [0.0, np.pi / 2], atol=1e-12)
+
+
+def test_lane_change_ends_one_lane_aside_and_points_ahead_again():
+    motion = Motion((0, 0, 0), speed_m_s=20.0, lane_change_m=3.5, lane_change_from_s=1.0, lane_change_duration_s=3.0)
+    places = position_at(motion, np.array([0.9, 2.5, 4.2]))
+    np.testing.assert_allclose(places, [[18.0, 0, 0], [50.0, 1.75, 0], [84.0, 3.5, 0]], atol=1e-11)
+    aside = 2 * 3.5 / 3.0
+    assert heading_at(motion, np.array([2.5]))[0] == pytest.approx(np.arctan2(aside, 20.0))
+    assert heading_at(motion, np.array([4.2]))[0] == 0
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        Motion(START_M, speed_m_s=9.0, yaw_rate_rad_s=-0.4, yaw_from_s=0.5, yaw_until_s=3.0),
+        Motion(START_M, 0.4, 9.0, -1.5, 0.5, 4.0, lane_change_m=-3.0, lane_change_from_s=0.6),
+    ],
+)
+def test_velocity_and_turn_rate_are_the_rates_of_position_and_heading(motion):
+    step, times = 1e-5, np.array([0.3, 0.8, 1.9, 2.7, 3.5])
+    moved = (position_at(motion, times + step) - position_at(motion, times - step)) / (2 * step)
+    np.testing.assert_allclose(velocity_at(motion, times), moved, atol=1e-6)
+    turned = (heading_at(motion, times + step) - heading_at(motion, times - step)) / (2 * step)
+    np.testing.assert_allclose(turn_rate_at(motion, times), turned, atol=1e-6)
+
+
+def test_path_goes_on_before_time_zero():
+    motion = Motion(START_M, course_rad=0.3, speed_m_s=12.0)
+    back = position_at(motion, np.array([-0.02, 1.0]))[0]
+    np.testing.assert_allclose(back, np.array(START_M) - 0.02 * 12 * np.array([np.cos(0.3), np.sin(0.3), 0]))

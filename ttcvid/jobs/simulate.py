@@ -30,8 +30,8 @@ from ttcvid.simulate.tables import (
 from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.video import OverlayVideo, check_video
 
-CLIP_PRESET, CLIP_CRF = "veryfast", 12
-"""Nearly loss-free: it changes the flow that KLT sees by 0.05 px (median), against the loss-free pictures."""
+CLIP_PRESET = "veryfast"
+"""With the scene's own crf of 12 it changes the flow that KLT sees by 0.05 px (median)."""
 MARKER_NAME = "scene.yaml"
 """The scene, as simulated: a folder that holds it and truth_frames is a simulation and may be overwritten."""
 
@@ -157,8 +157,9 @@ class _Clip:
 
     def __init__(self, path: Path, world: World) -> None:
         times = world.path.t_s
+        crf = world.scene.picture.codec_crf
         nominal_dt_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-        self._video = OverlayVideo(path, world.camera.image_size, nominal_dt_s, CLIP_PRESET, CLIP_CRF)
+        self._video = OverlayVideo(path, world.camera.image_size, nominal_dt_s, CLIP_PRESET, crf)
 
     def write(self, rendered: Rendered) -> None:
         self._video.write(rendered.bgr, rendered.t_s)

@@ -11,6 +11,7 @@ from ttcvid.errors import UsageError
 from ttcvid.jobs.moments import Clip, Moment, own_body
 from ttcvid.model import Floats
 from ttcvid.simulate import World, build_world, load_scene
+from ttcvid.simulate.motion import turn_rate_at
 from ttcvid.simulate.poses import body_motion, own_motion
 from ttcvid.simulate.world import Actor
 from ttcvid.studies.hazards import Hazards, OwnBody, Situation, joined, one_object
@@ -47,7 +48,8 @@ def true_situation(world: World, frame: int, own: OwnBody) -> Situation:
     level_R_road = level_axes(velocity, world.path.cam_R_road[frame].T)
     hazards = joined([_body_hazards(world, actor, frame, level_R_road) for actor in world.actors])
     # Yaw rates of a scene count to the left.
-    return Situation(hazards, own, level_R_road @ velocity, -own_motion(world.scene).yaw_rate_rad_s)
+    turn_rad_s = float(turn_rate_at(own_motion(world.scene), world.path.t_s[frame : frame + 1])[0])
+    return Situation(hazards, own, level_R_road @ velocity, -turn_rad_s)
 
 
 def level_axes(own_velocity_m_s: Floats, road_R_cam: Floats) -> Floats:
@@ -69,7 +71,7 @@ def _body_hazards(world: World, actor: Actor, frame: int, level_R_road: Floats) 
     low = np.array([part.low_m for part in actor.parts])
     high = np.array([part.high_m for part in actor.parts])
     offset = 0.5 * (low + high) @ road_R_body.T
-    turn = np.array([0.0, 0.0, actor.path.yaw_rate_rad_s])
+    turn = actor.path.turn_rad_s[frame]
     motion, t_s = body_motion(actor.body), world.path.t_s[frame]
     is_pushed = motion.acceleration_from_s <= t_s < motion.acceleration_until_s
     return one_object(
@@ -79,6 +81,6 @@ def _body_hazards(world: World, actor: Actor, frame: int, level_R_road: Floats) 
         (actor.path.velocity_m_s[frame] + np.cross(turn, offset) - world.path.velocity_m_s[frame]) @ level_R_road.T,
         0.5 * (high - low) @ np.abs(box_R_body).T,
         yaw,
-        turn_rad_s=-actor.path.yaw_rate_rad_s,
+        turn_rad_s=-float(turn[2]),
         acceleration_m_s2=motion.acceleration_m_s2 if is_pushed else 0.0,
     )

@@ -8,13 +8,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttcvid.model import Camera, Floats
-from ttcvid.simulate.motion import Motion, heading_at, position_at, velocity_at
+from ttcvid.simulate.motion import Motion, heading_at, position_at, turn_rate_at, velocity_at
 from ttcvid.simulate.scene import Body, Scene, camera_of
 
 ROAD_FROM_MOUNT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Columns: the camera's x (right), y (down), z (forward) in a vehicle's axes (ahead, left, up)."""
 JITTER_HZ = (1.1, 1.9, 3.1)
 """Frequencies of the pitch jitter: a car's body on its springs."""
+SHAKE_HZ = (4.3, 6.1, 8.7)
+"""Frequencies of the shake: a hand, a mount, a rotor."""
+OVERTONES = (1.0, 1.7, 0.61)
+"""Frequencies of sway and swing over that of their period."""
 
 
 @dataclass(frozen=True)
@@ -29,21 +33,28 @@ class CameraPath:
 
 @dataclass(frozen=True)
 class BodyPath:
-    """A body at N times, in the road frame: ``road_R_body (N, 3, 3)``, positions, velocities ``(N, 3)``."""
+    """A body at N times, in the road frame: ``road_R_body (N, 3, 3)``; positions, velocities, turning ``(N, 3)``."""
 
     road_R_body: Floats
     position_m: Floats
     velocity_m_s: Floats
-    yaw_rate_rad_s: float
+    turn_rad_s: Floats
 
 
 def camera_path(scene: Scene, t_s: Floats) -> CameraPath:
     """The camera of a scene at times ``(N,)``."""
-    motion = own_motion(scene)
-    pitch = np.radians(scene.camera.pitch_deg) + _pitch_jitter_rad(scene, t_s)
-    roll = np.full_like(pitch, np.radians(scene.camera.roll_deg))
-    road_R_cam = _rotations(heading_at(motion, t_s), pitch, roll) @ ROAD_FROM_MOUNT
-    return CameraPath(t_s, np.swapaxes(road_R_cam, 1, 2), position_at(motion, t_s), velocity_at(motion, t_s))
+    motion, own = own_motion(scene), scene.own_motion
+    swing, _ = _waves(scene, 8, t_s, np.array(OVERTONES) / own.swing_period_s)
+    shake, _ = _waves(scene, 9, t_s, np.array(SHAKE_HZ))
+    pan, tilt, rock = np.radians(np.asarray(own.swing_deg) * swing + own.shake_deg * shake).T
+    pitch = np.radians(scene.camera.pitch_deg) + _pitch_jitter_rad(scene, t_s) + tilt
+    roll = np.radians(scene.camera.roll_deg) + rock
+    road_R_cam = _rotations(heading_at(motion, t_s) + pan, pitch, roll) @ ROAD_FROM_MOUNT
+    sway, sway_rate = _waves(scene, 10, t_s, np.array(OVERTONES) / own.sway_period_s)
+    start, _ = _waves(scene, 10, np.zeros(1), np.array(OVERTONES) / own.sway_period_s)
+    position = position_at(motion, t_s) + np.asarray(own.sway_m) * (sway - start)
+    velocity = velocity_at(motion, t_s) + np.asarray(own.sway_m) * sway_rate
+    return CameraPath(t_s, np.swapaxes(road_R_cam, 1, 2), position, velocity)
 
 
 def body_path(body: Body, t_s: Floats) -> BodyPath:
@@ -52,7 +63,11 @@ def body_path(body: Body, t_s: Floats) -> BodyPath:
     pitch = np.full_like(t_s, np.radians(body.pitch_deg))
     roll = np.full_like(t_s, np.radians(body.bank_deg))
     rotation = _rotations(heading_at(motion, t_s), pitch, roll)
-    return BodyPath(rotation, position_at(motion, t_s), velocity_at(motion, t_s), motion.yaw_rate_rad_s)
+    spin = np.radians(body.spin_deg_s)
+    if spin.any():
+        rotation = Rotation.from_rotvec(np.multiply.outer(t_s, spin)).as_matrix() @ rotation
+    turn = spin + turn_rate_at(motion, t_s)[:, None] * np.array([0.0, 0.0, 1.0])
+    return BodyPath(rotation, position_at(motion, t_s), velocity_at(motion, t_s), turn)
 
 
 def own_motion(scene: Scene) -> Motion:
@@ -66,6 +81,8 @@ def own_motion(scene: Scene) -> Motion:
         acceleration_from_s=own.acceleration_from_s,
         acceleration_until_s=np.inf if own.acceleration_until_s is None else own.acceleration_until_s,
         yaw_rate_rad_s=np.radians(own.yaw_rate_deg_s),
+        yaw_from_s=own.yaw_from_s,
+        yaw_until_s=np.inf if own.yaw_until_s is None else own.yaw_until_s,
         climb_m_s=own.climb_m_s,
         sideslip_rad=np.radians(own.sideslip_amplitude_deg),
         sideslip_period_s=own.sideslip_period_s,
@@ -90,8 +107,13 @@ def body_motion(body: Body) -> Motion:
         acceleration_from_s=body.acceleration_from_s,
         acceleration_until_s=np.inf if body.acceleration_until_s is None else body.acceleration_until_s,
         yaw_rate_rad_s=np.radians(body.yaw_rate_deg_s),
+        yaw_from_s=body.yaw_from_s,
+        yaw_until_s=np.inf if body.yaw_until_s is None else body.yaw_until_s,
         climb_m_s=climb,
         facing_rad=facing,
+        lane_change_m=body.lane_change_m,
+        lane_change_from_s=body.lane_change_from_s,
+        lane_change_duration_s=body.lane_change_duration_s,
     )
 
 
@@ -142,3 +164,12 @@ def _pitch_jitter_rad(scene: Scene, t_s: Floats) -> Floats:
     phases = np.random.default_rng([scene.seed, 7]).uniform(0, 2 * np.pi, len(JITTER_HZ))
     waves = np.sin(2 * np.pi * np.multiply.outer(t_s, JITTER_HZ) + phases).sum(axis=-1)
     return np.asarray(np.radians(scene.own_motion.pitch_jitter_deg) * waves * np.sqrt(2 / len(JITTER_HZ)))
+
+
+def _waves(scene: Scene, purpose: int, t_s: Floats, frequencies_hz: Floats) -> tuple[Floats, Floats]:
+    """Smooth noise ``(N, 3)`` of unit standard deviation on three axes, and its rate in 1/s; phases from the seed."""
+    phases = np.random.default_rng([scene.seed, purpose]).uniform(0, 2 * np.pi, (len(frequencies_hz), 3))
+    angle = 2 * np.pi * np.multiply.outer(t_s, frequencies_hz)[:, :, None] + phases
+    unit = np.sqrt(2 / len(frequencies_hz))
+    rate = np.cos(angle) * (2 * np.pi * frequencies_hz)[:, None]
+    return unit * np.sin(angle).sum(axis=1), unit * rate.sum(axis=1)

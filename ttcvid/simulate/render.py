@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ttcvid.model import Bools, Floats, Picture
-from ttcvid.simulate.grounds import CLOUD_TILE_M, STREET_TILE_M, cloud_tile, ground_tile
+from ttcvid.simulate.grounds import STREET_TILE_M
 from ttcvid.simulate.object_truth import ObjectTruth, Visible, object_truth
 from ttcvid.simulate.raster import FAR_M, Canvas, Outline, Plane, Samples, Window, bounds_of, outline_of, plane_of
 from ttcvid.simulate.ripmap import Float32s, Ripmap
 from ttcvid.simulate.scene import Scene
+from ttcvid.simulate.sensor import Sensor
 from ttcvid.simulate.shapes import Face
-from ttcvid.simulate.skins import CUT_OUT, default_colour, paint_skin
+from ttcvid.simulate.shutter import Shutter
+from ttcvid.simulate.skins import CUT_OUT
+from ttcvid.simulate.textures import Textures
 from ttcvid.simulate.world import SKY_LABEL, STATIC_LABEL, Actor, Pose, World, build_world, pose_of
 
 CLOUD_HEIGHT_M = 4000.0
@@ -62,31 +66,50 @@ class FaceArrays:
 
 
 class Renderer:
-    """Draws the pictures of a world; textures are painted when they are first seen, always the same."""
+    """Draws the pictures of a world; ``textures`` are those of another renderer of the same bodies."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, textures: Textures | None = None) -> None:
         self.world = world
         self._supersampling = world.scene.picture.supersampling
         self._samples = Samples(world.camera, self._supersampling)
         self._shapes = [FaceArrays.of(actor.faces) for actor in world.actors]
-        self._skins: dict[tuple[int, int], Ripmap] = {}
-        self._ground: Ripmap | None = None
-        self._clouds: Ripmap | None = None
-        seed = world.scene.seed
-        if world.scene.ground.kind != "none":
-            tile, side_m = ground_tile(world.scene.ground, np.random.default_rng([seed, 1]))
-            self._ground = Ripmap(tile, (side_m, side_m), wraps=True)
-        if world.scene.picture.sky == "clouds":
-            self._clouds = Ripmap(cloud_tile(np.random.default_rng([seed, 2])), (CLOUD_TILE_M,) * 2, wraps=True)
+        self._textures = Textures(world) if textures is None else textures
+
+    @cached_property
+    def _sensor(self) -> Sensor:
+        return Sensor(self.world.scene, self.world.camera.image_size)
+
+    @cached_property
+    def _shutter(self) -> Shutter:
+        return Shutter(self.world, lambda world: Renderer(world, self._textures).ideal)
 
     def render(self, frame: int) -> Rendered:
-        """Picture ``frame`` of the world."""
+        """Picture ``frame`` of the world as recorded, with the truth of its time."""
+        spec = self.world.scene.picture
+        canvas, truths = self._draw(frame)
+        shown = frame
+        while shown in spec.repeated_frames:
+            shown -= 1
+        if spec.exposure_s or spec.readout_s:
+            picture = self._shutter.picture(shown)
+        else:
+            picture = self._averaged(canvas) if shown == frame else self.ideal(shown)
+        t_s = self.world.path.t_s
+        recorded = self._sensor.develop(picture, shown, float(t_s[shown]))
+        return Rendered(frame, float(t_s[frame]), recorded, self._labels(canvas), truths)
+
+    def ideal(self, frame: int) -> Picture:
+        """Picture ``frame`` of a camera without shutter and sensor."""
+        return self._averaged(self._draw(frame)[0])
+
+    def _draw(self, frame: int) -> tuple[Canvas, tuple[ObjectTruth, ...]]:
+        """Everything drawn at the time of a frame, and what is true of the objects in it."""
         world = self.world
         canvas = Canvas(self._sky(frame))
-        if self._clouds is not None:
-            self._draw_level(canvas, frame, CLOUD_HEIGHT_M, self._clouds, SKY_LABEL)
-        if self._ground is not None:
-            self._draw_level(canvas, frame, 0.0, self._ground, STATIC_LABEL)
+        if self._textures.clouds is not None:
+            self._draw_level(canvas, frame, CLOUD_HEIGHT_M, self._textures.clouds, SKY_LABEL)
+        if self._textures.ground is not None:
+            self._draw_level(canvas, frame, 0.0, self._textures.ground, STATIC_LABEL)
         poses = [pose_of(world, actor, frame) for actor in world.actors]
         nearest_first = np.argsort([np.linalg.norm(pose.position_m) for pose in poses], kind="stable")
         outlines: dict[int, Outline] = {}
@@ -95,8 +118,7 @@ class Renderer:
             if outline is not None and world.actors[index].object_id != STATIC_LABEL:
                 outlines[index] = outline
         objects = (self._object(canvas, world.actors[i], poses[i], outlines[i]) for i in sorted(outlines))
-        truths = tuple(truth for truth in objects if truth is not None)
-        return Rendered(frame, float(world.path.t_s[frame]), self._develop(canvas, frame), self._labels(canvas), truths)
+        return canvas, tuple(truth for truth in objects if truth is not None)
 
     def _sky(self, frame: int) -> Picture:
         """A smooth gradient by the height of the ray above the horizon."""
@@ -171,26 +193,12 @@ class Renderer:
         bounds = bounds_of(covered if label != STATIC_LABEL and face.skin in CUT_OUT else mask, window)
         if bounds is not None:
             part, target = bounds
-            bgr, opaque = self._skin(key, face).sample(u[part], v[part])
+            bgr, opaque = self._textures.skin(*key, face).sample(u[part], v[part])
             if opaque is not None:
                 covered[part] &= opaque
                 mask[part] &= opaque
             canvas.draw(target, mask[part], bgr, inverse_depth[part], label)
         return covered
-
-    def _skin(self, key: tuple[int, int], face: Face) -> Ripmap:
-        if key not in self._skins:
-            index, number = key
-            seed = self.world.scene.seed
-            body = self.world.actors[index].body
-            colour = default_colour(body.kind, np.random.default_rng([seed, 3, index]))
-            if body.colour_rgb is not None:
-                colour = (body.colour_rgb[2], body.colour_rgb[1], body.colour_rgb[0])
-            rng = np.random.default_rng([seed, 4, index, number])
-            self._skins[key] = Ripmap(
-                paint_skin(face.skin, face.side, face.size_m, colour, rng), face.size_m, wraps=False
-            )
-        return self._skins[key]
 
     def _object(self, canvas: Canvas, actor: Actor, pose: Pose, outline: Outline) -> ObjectTruth | None:
         mask: Bools = canvas.labels[outline.window] == actor.object_id
@@ -208,19 +216,12 @@ class Renderer:
         )
         return object_truth(actor, pose, visible)
 
-    def _develop(self, canvas: Canvas, frame: int) -> Picture:
-        """Average the samples of each pixel and add the noise of the sensor."""
+    def _averaged(self, canvas: Canvas) -> Picture:
+        """The samples of each pixel averaged as the lens does."""
         size = self.world.camera.image_size
         blur = LENS_BLUR_PX * self._supersampling
         blurred = cv2.GaussianBlur(canvas.bgr, (5, 5), blur) if self._supersampling > 1 else canvas.bgr
-        bgr = cv2.resize(blurred, (size.width_px, size.height_px), interpolation=cv2.INTER_AREA)
-        sigma = self.world.scene.picture.noise_grey
-        if sigma == 0:
-            return np.asarray(bgr)
-        rng = np.random.default_rng([self.world.scene.seed, 5, frame])
-        noise = sigma * rng.standard_normal(bgr.shape[:2], dtype=np.float32)
-        noisy = cv2.add(bgr, cv2.merge([noise] * 3), dtype=cv2.CV_8U)
-        return np.asarray(noisy)
+        return np.asarray(cv2.resize(blurred, (size.width_px, size.height_px), interpolation=cv2.INTER_AREA))
 
     def _labels(self, canvas: Canvas) -> Labels:
         """The label that most samples of each pixel have; the smallest of them where several tie."""

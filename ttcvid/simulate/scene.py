@@ -18,7 +18,21 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Vector = tuple[float, float, float]
 Kind = Literal[
-    "car", "lorry", "bus", "wall", "house", "box", "post", "walker", "tree", "aircraft", "drone", "island", "slab"
+    "car",
+    "lorry",
+    "bus",
+    "motorcycle",
+    "cyclist",
+    "walker",
+    "wall",
+    "house",
+    "box",
+    "post",
+    "tree",
+    "aircraft",
+    "drone",
+    "island",
+    "slab",
 ]
 TIME_TICK_S = 1 / 90000
 """Frame times are multiples of this, the time base of the clip, so that clip and truth agree exactly."""
@@ -75,7 +89,11 @@ class CameraSpec(SceneModel):
 
 
 class OwnMotion(SceneModel):
-    """How the camera moves; speed 0 is a resting one. ``radius_m`` is the size of what carries it."""
+    """How the camera moves; speed 0 is a resting one. ``radius_m`` is the size of what carries it.
+
+    Standard deviations of what comes on top: ``sway_m`` along x, y and z, ``swing_deg`` in pan, tilt and roll, each
+    with a period; ``shake_deg`` in all three at 4-9 Hz.
+    """
 
     heading_deg: float = 0.0
     speed_m_s: NotNegative = 0.0
@@ -83,10 +101,17 @@ class OwnMotion(SceneModel):
     acceleration_from_s: NotNegative = 0.0
     acceleration_until_s: NotNegative | None = None
     yaw_rate_deg_s: Annotated[float, Field(ge=-120, le=120)] = 0.0
+    yaw_from_s: NotNegative = 0.0
+    yaw_until_s: NotNegative | None = None
     climb_m_s: float = 0.0
     sideslip_amplitude_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
     sideslip_period_s: Annotated[float, Field(ge=0.5)] = 2.0
     pitch_jitter_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+    sway_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    sway_period_s: Annotated[float, Field(ge=0.5)] = 4.0
+    swing_deg: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    swing_period_s: Annotated[float, Field(ge=0.5)] = 4.0
+    shake_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
     radius_m: Positive = 1.0
 
 
@@ -108,9 +133,25 @@ class Ground(SceneModel):
 
 
 class PictureSpec(SceneModel):
-    """How the pictures are made: grey noise, samples per pixel and axis, sky."""
+    """How the pictures are made: sky, samples per pixel and axis, and what makes them worse.
+
+    ``texture`` and ``contrast`` scale the contrast of the surfaces and of the whole picture; ``vignetting`` is the
+    share of the light that the corners lose; ``gain_steps`` (time, factor) are steps of the exposure; ``exposure_s``
+    blurs what moves; ``readout_s`` is the time from the first row to the last; ``n_spots`` drops or specks rest in the
+    picture; ``repeated_frames`` show the picture before them once more, at their own time; ``codec_crf`` is that of
+    the clip (0: nothing is lost).
+    """
 
     noise_grey: Annotated[float, Field(ge=0, le=50)] = 1.0
+    texture: Annotated[float, Field(ge=0, le=1)] = 1.0
+    contrast: Annotated[float, Field(ge=0, le=1)] = 1.0
+    vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    gain_steps: tuple[tuple[NotNegative, Positive], ...] = ()
+    exposure_s: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    readout_s: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    n_spots: Annotated[int, Field(ge=0, le=1000)] = 0
+    repeated_frames: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    codec_crf: Annotated[int, Field(ge=0, le=51)] = 12
     supersampling: Annotated[int, Field(ge=1, le=4)] = 2
     sky: Literal["clear", "clouds"] = "clear"
 
@@ -126,8 +167,9 @@ class Body(SceneModel):
     """One thing of the scene: what it is, where it stands at time 0 (centre of its base), how it moves.
 
     Either ``speed_m_s`` along ``heading_deg`` or ``velocity_m_s`` (then ``heading_deg`` is where it faces, along its
-    motion when not given). ``size_m`` is (length, width, height). ``is_object`` decides whether it is an object of
-    the truth or part of the static scene; what moves always is one.
+    motion when not given). ``lane_change_m`` to the left comes on top of a straight path; ``spin_deg_s`` turns a body
+    about the axes x, y and z through the centre of its base. ``size_m`` is (length, width, height). ``is_object``
+    decides whether it is an object of the truth or part of the static scene; what moves always is one.
     """
 
     name: str = Field(min_length=1, max_length=60)
@@ -144,6 +186,12 @@ class Body(SceneModel):
     acceleration_from_s: NotNegative = 0.0
     acceleration_until_s: NotNegative | None = None
     yaw_rate_deg_s: Annotated[float, Field(ge=-120, le=120)] = 0.0
+    yaw_from_s: NotNegative = 0.0
+    yaw_until_s: NotNegative | None = None
+    lane_change_m: float = 0.0
+    lane_change_from_s: NotNegative = 0.0
+    lane_change_duration_s: Positive = 3.0
+    spin_deg_s: Vector = (0.0, 0.0, 0.0)
     is_object: bool | None = None
     repeat: Repeat | None = None
 
@@ -155,6 +203,10 @@ class Body(SceneModel):
             self.speed_m_s > 0 or self.acceleration_m_s2 > 0 or any(self.velocity_m_s or ())
         ):
             raise ValueError("is_object: a body that moves is an object, leave is_object out")
+        if self.yaw_rate_deg_s and (self.lane_change_m or any(self.spin_deg_s)):
+            raise ValueError("yaw_rate_deg_s: expected none beside lane_change_m or spin_deg_s")
+        if self.lane_change_m and any(self.spin_deg_s):
+            raise ValueError("spin_deg_s: expected none beside lane_change_m")
         return self
 
 

@@ -20,6 +20,8 @@ DEFAULT_SIZE_M: dict[str, Vector] = {
     "house": (12.0, 9.0, 7.5),
     "box": (1.0, 1.0, 1.0),
     "post": (0.2, 0.2, 3.0),
+    "motorcycle": (2.1, 0.8, 1.55),
+    "cyclist": (1.8, 0.6, 1.8),
     "walker": (0.0, 0.6, 1.75),
     "tree": (2.8, 2.8, 5.0),
     "aircraft": (9.0, 11.0, 2.8),
@@ -78,6 +80,8 @@ def parts_of(body: Body) -> list[Part]:
             return _lorry(length, width, height)
         case "tree":
             return _tree(length, width, height)
+        case "motorcycle" | "cyclist":
+            return _two_wheeler(body.kind, length, width, height)
         case "aircraft":
             return _aircraft(length, width, height)
         case "drone":
@@ -163,6 +167,13 @@ def _tree(length: float, width: float, height: float) -> list[Part]:
     across = Part((0, -width / 2, crown), (0, width / 2, height), {"front": "leaves", "rear": "leaves"})
     along = Part((-length / 2, 0, crown), (length / 2, 0, height), {"left": "leaves", "right": "leaves"})
     return [trunk, across, along]
+
+
+def _two_wheeler(kind: str, length: float, width: float, height: float) -> list[Part]:
+    """Two crossed cut-out boards: the rider from the side, and from the front or rear."""
+    end = f"{kind}_end"
+    along = Part((-length / 2, 0, 0), (length / 2, 0, height), {"left": f"{kind}_left", "right": f"{kind}_right"})
+    return [along, Part((0, -width / 2, 0), (0, width / 2, height), {"front": end, "rear": end})]
 
 
 def _aircraft(length: float, width: float, height: float) -> list[Part]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import cv2
 import numpy as np
@@ -277,6 +278,57 @@ def _walker(size_px: tuple[int, int], rng: Generator) -> Picture:
         rectangle(picture, (left, 0.95, left + 0.24, 1.0), DARK)
     disc(picture, (0.5, 0.085), 0.075 * size_px[1], (120, 150, 200))
     rectangle(picture, (0.36, 0.01, 0.64, 0.05), DARK)
+    return _marked(picture, rng)
+
+
+def _rider_side(size_px: tuple[int, int], rng: Generator, *, is_motorcycle: bool, faces_right: bool) -> Picture:
+    """A two-wheeler with its rider from the side, cut out."""
+    width, height = size_px
+    picture = np.zeros((height, width, 4), np.uint8)
+    coat, frame = (varied(BODY_COLOURS[rng.integers(len(BODY_COLOURS))], 20, rng) for _ in range(2))
+    radius = (0.2 if is_motorcycle else 0.19) * height
+    for part in (0.01 + radius / width, 0.99 - radius / width):
+        disc(picture, (part, 1.0 - radius / height), radius, DARK)
+        disc(picture, (part, 1.0 - radius / height), 0.75 * radius, (150, 150, 150))
+        for turn in np.arange(6) * np.pi / 3:
+            spoke = (part + 0.5 * radius / width * np.cos(turn), 1.0 - (radius + 0.5 * radius * np.sin(turn)) / height)
+            disc(picture, spoke, 0.12 * radius, DARK)
+    if is_motorcycle:
+        rectangle(picture, (0.2, 0.52, 0.8, 0.72), frame)
+        rectangle(picture, (0.36, 0.7, 0.64, 0.88), DARK)
+        rectangle(picture, (0.74, 0.4, 0.86, 0.6), varied(frame, 50, rng))
+    else:
+        for left, top, right, bottom in ((0.24, 0.6, 0.76, 0.65), (0.44, 0.62, 0.49, 0.84), (0.2, 0.79, 0.5, 0.84)):
+            rectangle(picture, (left, top, right, bottom), frame)
+        rectangle(picture, (0.7, 0.44, 0.78, 0.8), frame)
+    rectangle(picture, (0.34, 0.18, 0.58, 0.56), coat)
+    rectangle(picture, (0.5, 0.24, 0.76, 0.34), varied(coat, 30, rng))
+    rectangle(picture, (0.4, 0.52, 0.62, 0.78), varied(DARK, 25, rng))
+    rectangle(picture, (0.34, 0.26, 0.42, 0.46), varied(coat, 70, rng))
+    disc(picture, (0.53, 0.1), 0.095 * height, varied(frame, 40, rng) if is_motorcycle else (120, 150, 200))
+    marked = _marked(picture, rng)
+    return marked if faces_right else np.ascontiguousarray(marked[:, ::-1])
+
+
+def _rider_end(size_px: tuple[int, int], rng: Generator, *, is_motorcycle: bool) -> Picture:
+    """A two-wheeler with its rider from the front or rear, cut out."""
+    picture = np.zeros((size_px[1], size_px[0], 4), np.uint8)
+    coat = varied(BODY_COLOURS[rng.integers(len(BODY_COLOURS))], 20, rng)
+    rectangle(picture, (0.42, 0.6, 0.58, 1.0), DARK)
+    for left in (0.26, 0.6):
+        rectangle(picture, (left, 0.5, left + 0.14, 0.8), varied(DARK, 25, rng))
+    if is_motorcycle:
+        rectangle(picture, (0.24, 0.48, 0.76, 0.66), varied(coat, 60, rng))
+        rectangle(picture, (0.42, 0.54, 0.58, 0.6), (40, 30, 190))
+    rectangle(picture, (0.2, 0.17, 0.8, 0.54), coat)
+    rectangle(picture, (0.02, 0.38, 0.98, 0.44), varied(coat, 30, rng))
+    rectangle(picture, (0.36, 0.24, 0.64, 0.42), varied(coat, 70, rng))
+    disc(picture, (0.5, 0.09), 0.085 * size_px[1], varied(coat, 40, rng) if is_motorcycle else (120, 150, 200))
+    return _marked(picture, rng)
+
+
+def _marked(picture: Picture, rng: Generator) -> Picture:
+    """A cut-out with marks on it, its outline as it was."""
     opacity = picture[:, :, 3].copy()
     blotches(picture, 30, (2.0, 5.0), 70, rng)
     picture[:, :, 3] = opacity
@@ -298,7 +350,16 @@ def _asphalt(picture: Picture, colour: Colour, rng: Generator) -> None:
     picture[:] = asphalt((picture.shape[1], picture.shape[0]), rng)
 
 
-CUT_OUT: dict[str, Callable[[tuple[int, int], Generator], Picture]] = {"walker": _walker, "leaves": _leaves}
+CUT_OUT: dict[str, Callable[[tuple[int, int], Generator], Picture]] = {
+    "walker": _walker,
+    "leaves": _leaves,
+    "motorcycle_left": partial(_rider_side, is_motorcycle=True, faces_right=False),
+    "motorcycle_right": partial(_rider_side, is_motorcycle=True, faces_right=True),
+    "motorcycle_end": partial(_rider_end, is_motorcycle=True),
+    "cyclist_left": partial(_rider_side, is_motorcycle=False, faces_right=False),
+    "cyclist_right": partial(_rider_side, is_motorcycle=False, faces_right=True),
+    "cyclist_end": partial(_rider_end, is_motorcycle=False),
+}
 PAINTERS: dict[str, Painter] = {
     "plain": _plain, "car_rear": _car_rear, "car_front": _car_front, "car_left": _car_side, "car_right": _car_side,
     "windows": _windows, "bus_left": _bus_side, "bus_right": _bus_side, "bus_front": _bus_front, "bus_rear": _bus_rear,

@@ -80,7 +80,7 @@ def pose_of(world: World, actor: Actor, frame: int) -> Pose:
     cam_R_road = world.path.cam_R_road[frame]
     position = actor.path.position_m[frame] - world.path.position_m[frame]
     velocity = actor.path.velocity_m_s[frame] - world.path.velocity_m_s[frame]
-    turn = np.array([0.0, 0.0, actor.path.yaw_rate_rad_s])
+    turn = actor.path.turn_rad_s[frame]
     return Pose(
         cam_R_road @ actor.path.road_R_body[frame], cam_R_road @ position, cam_R_road @ velocity, cam_R_road @ turn
     )
