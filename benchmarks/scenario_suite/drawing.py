@@ -72,10 +72,13 @@ def _draw(scenario: Scenario, folder: Path) -> None:
 def _track_options(scenario: Scenario) -> TrackOptions | None:
     if scenario.kind == "video":
         return None
+    values = {name: value for name, value in scenario.nuisances.items() if isinstance(value, float)}
     return TrackOptions(
         n_tracks=N_TRACKS,
         min_per_object=MIN_PER_OBJECT,
-        outlier_fraction=float(scenario.nuisances["outlier_share"] or 0.0),
+        sigma_px=values["track_noise_px"],
+        outlier_fraction=values["outlier_share"],
+        death_rate=1.0 / values["track_length_frames"],
     )
 
 

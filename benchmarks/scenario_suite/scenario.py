@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from numpy.random import Generator
 
-from ttcvid.simulate import Scene
+from ttcvid.simulate import Scene, camera_of
 
 Values = dict[str, Any]
 Kind = Literal["video", "tracks"]
@@ -66,5 +66,14 @@ class Scenario:
 
     def described(self) -> dict[str, Any]:
         """All but the scene, as ``scenario.json`` has it."""
-        values = {key: value for key, value in asdict(self).items() if key != "scene"}
-        return {"name": self.name, **values}
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "scene"}
+        camera, times_s = camera_of(self.scene), self.scene.camera.frame_times_s()
+        return {
+            "name": self.name,
+            **values,
+            "image_size": [camera.image_size.width_px, camera.image_size.height_px],
+            "true_focal_px": camera.fx_px,
+            "n_frames": len(times_s),
+            "duration_s": float(times_s[-1]),
+            "repeated_frames": list(self.scene.picture.repeated_frames),
+        }

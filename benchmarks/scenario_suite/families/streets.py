@@ -19,6 +19,8 @@ OWN_RADIUS_M = 1.0
 """Half our width with a hand's breadth: what comes nearer to the camera than this touches us."""
 FRAME_RATE_HZ = 20.0
 LANE_M = 3.6
+SHOULDER_M = 3.2
+_SHOULDER_SHARE = 0.4
 COLOURS = (
     [170, 40, 40], [190, 190, 195], [40, 60, 170], [70, 110, 160], [210, 170, 60], [50, 90, 60], [60, 55, 50],
     [225, 225, 225], [30, 30, 34], [150, 80, 30],
@@ -82,14 +84,25 @@ def drive(
     n_lanes: int = 2,
     gaps_m: tuple[tuple[float, float, float], ...] = (),
     hfov_deg: float | None = None,
+    side_road_m: float | None = None,
+    shoulder_m: float | None = None,
 ) -> Values:
     """The values of a drive past what stands beside the road.
 
     ``own`` is our motion, ``reach_m`` how far ahead the scenery goes, ``gaps_m`` (x from, x to, side) what has to stay
-    open beside the road; the first lane on the left is for oncoming traffic.
+    open beside the road; the first lane on the left is for oncoming traffic. ``side_road_m`` is where another road
+    crosses; ``shoulder_m`` widens the road on our side (default: by chance).
     """
+    things = list(things)
+    if side_road_m is not None:
+        gaps_m = (*gaps_m, *((side_road_m - 5.5, side_road_m + 5.5, at_side) for at_side in (-1.0, 1.0)))
+        things.append(row("side road", "slab", [side_road_m, 0.0, 0.0], [7.0, 140.0, 0.02]))
+        for at_side in (-1.0, 1.0):
+            things.append(row(f"house up the side road {at_side:+.0f}", "house", [side_road_m, at_side * 85.0, 0.0]))
     setting = setting or str(rng.choice(["town", "avenue", "country"]))
-    right_m, left_m = -LANE_M / 2 - 0.3, LANE_M * (n_lanes - 0.5) + 0.3
+    if shoulder_m is None:
+        shoulder_m = SHOULDER_M if rng.random() < _SHOULDER_SHARE else 0.0
+    right_m, left_m = -LANE_M / 2 - 0.3 - shoulder_m, LANE_M * (n_lanes - 0.5) + 0.3
     bodies = [*things, *_roadside(rng, setting, right_m, left_m, reach_m, gaps_m)]
     values: Values = {
         "camera": {
