@@ -86,8 +86,8 @@ def _pictures(arguments: argparse.Namespace) -> Path:
 def _tasks(arguments: argparse.Namespace) -> list[Task]:
     """Every scene that is asked for, seed by seed."""
     names = arguments.families or [name for name, family in FAMILIES.items() if arguments.group in (None, family.group)]
-    if arguments.sweep:
-        names = [name for name in names if (arguments.kind or "video") == FAMILIES[name].kind or arguments.kind]
+    if arguments.kind == "video" or (arguments.sweep and not arguments.kind):
+        names = [name for name in names if FAMILIES[name].kind == "video"]
     if arguments.verdict:
         n_each = -(-(arguments.n or 200) // len(names))
         seeds = verdict_seeds(commit_hash(arguments.verdict), n_each)

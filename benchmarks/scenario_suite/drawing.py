@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
+import numpy as np
 
-import ttcvid
+from scenario_suite.families.recorded import recorded_world
 from scenario_suite.scenario import Scenario
 from ttcvid.calibration.own import write_camera
-from ttcvid.simulate import TrackOptions, camera_of
+from ttcvid.jobs.simulate import write_simulation
+from ttcvid.simulate import TrackOptions, build_world, camera_of, encounters, encounters_in
+from ttcvid.simulate.encounters import STEP_S
 
 N_TRACKS, MIN_PER_OBJECT = 140, 16
 """Few tracks: a table is analysed in a second."""
 GIVEN_CAMERA_NAME = "camera_given.yaml"
 """The camera with the error of the focal length; absent where the camera is unknown to the analysis."""
-_REPOSITORY = Path(__file__).resolve().parents[2]
+_SIMULATOR = Path(__file__).resolve().parents[2] / "ttcvid" / "simulate"
 
 
 def drawn(scenario: Scenario, folder: Path) -> Path:
@@ -36,8 +39,10 @@ def drawn(scenario: Scenario, folder: Path) -> Path:
 def drawing_key(scenario: Scenario) -> str:
     """Changes with the scene, with how it is given to the analysis, and with the code that draws it."""
     content = {"scene": scenario.scene.model_dump(mode="json"), **scenario.described()}
-    code = code_digest(_REPOSITORY / "ttcvid" / "simulate") + code_digest(Path(__file__))
-    return hashlib.sha256((json.dumps(content, sort_keys=True) + code).encode()).hexdigest()
+    here = Path(__file__).parent
+    places = (_SIMULATOR, Path(__file__), here / "families" / "recorded.py")
+    code = "".join(map(code_digest, places if scenario.recording else places[:2]))
+    return hashlib.sha256((json.dumps(content, sort_keys=True, default=str) + code).encode()).hexdigest()
 
 
 def code_digest(place: Path, *, without: tuple[str, ...] = ()) -> str:
@@ -57,11 +62,17 @@ def input_of(truth: Path) -> Path:
 
 
 def _draw(scenario: Scenario, folder: Path) -> None:
-    scene = folder / "scene.yaml"
-    values = scenario.scene.model_dump(mode="json", exclude_none=True)
-    scene.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
     truth = folder / "truth"
-    ttcvid.simulate(scene, truth, tracks=_track_options(scenario), overwrite=True)
+    shutil.rmtree(truth, ignore_errors=True)
+    truth.mkdir(parents=True)
+    scene = scenario.scene
+    if scenario.recording is None:
+        world, met = build_world(scene), encounters(scene)
+    else:
+        world = recorded_world(scene, scenario.recording)
+        every_s = np.arange(0.0, float(world.path.t_s[-1]), STEP_S)
+        met = encounters_in(recorded_world(scene, scenario.recording, every_s))
+    write_simulation(world, met, truth, tracks=_track_options(scenario))
     if scenario.camera_known:
         camera = camera_of(scenario.scene)
         wrong = 1.0 + scenario.focal_error

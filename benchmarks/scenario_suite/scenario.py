@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from numpy.random import Generator
@@ -38,12 +38,21 @@ class Family:
 
 
 @dataclass(frozen=True)
+class Recording:
+    """Which part of recorded trajectories a scene takes: sequence and first time."""
+
+    sequence: str
+    start_s: float
+
+
+@dataclass(frozen=True)
 class Scenario:
     """One scene of the suite; family and seed determine it.
 
     ``is_collision`` says whether an object touches us if nobody acts. ``focal_error`` is the relative error of the
     focal length that the analysis is given, where ``camera_known``. ``nuisances`` holds the drawn value of each, by
-    name. ``expected_status`` is what has to be told where nothing can be estimated.
+    name. ``recording`` is where the objects come from, if not from the scene. ``expected_status`` is what has to be
+    told where nothing can be estimated.
     """
 
     family: str
@@ -58,6 +67,7 @@ class Scenario:
     expected_status: str | None
     warn_by_s: float
     nuisances: dict[str, NuisanceValue] = field(default_factory=dict)
+    recording: Recording | None = None
 
     @property
     def name(self) -> str:
@@ -66,7 +76,8 @@ class Scenario:
 
     def described(self) -> dict[str, Any]:
         """All but the scene, as ``scenario.json`` has it."""
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "scene"}
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("scene", "recording")}
+        values["recording"] = None if self.recording is None else asdict(self.recording)
         camera, times_s = camera_of(self.scene), self.scene.camera.frame_times_s()
         return {
             "name": self.name,

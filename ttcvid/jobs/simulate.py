@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,18 @@ import yaml
 
 from ttcvid.calibration.own import write_camera
 from ttcvid.errors import OutputError
-from ttcvid.simulate import Rendered, Renderer, Scene, TrackOptions, World, build_world, encounters, load_scene
-from ttcvid.simulate import simulate_tracks as make_tracks
+from ttcvid.simulate import (
+    Encounter,
+    Rendered,
+    Renderer,
+    Scene,
+    TrackOptions,
+    World,
+    build_world,
+    encounters,
+    load_scene,
+    tracks_of,
+)
 from ttcvid.simulate.poses import mean_horizon_px
 from ttcvid.simulate.tables import (
     TRUTH_TABLES,
@@ -99,39 +109,44 @@ def simulate(
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         try:
-            result = _write(scene, partial, target, png, tracks, progress or (lambda done, total: None))
+            world, met = build_world(scene), encounters(scene)
+            n_observations = write_simulation(world, met, partial, png=png, tracks=tracks, progress=progress)
             _publish(partial, target)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-    return result
+    input_name = "tracks.parquet" if tracks is not None else "frames" if png else "clip.mp4"
+    return Simulation(target, scene.name, target / input_name, world.n_frames, len(met), n_observations)
 
 
-def _write(
-    scene: Scene,
+def write_simulation(
+    world: World,
+    met: Sequence[Encounter],
     folder: Path,
-    target: Path,
-    png: bool,
-    tracks: TrackOptions | None,
-    progress: Callable[[int, int], None],
-) -> Simulation:
-    world = build_world(scene)
-    objects = encounters(scene)
+    *,
+    png: bool = False,
+    tracks: TrackOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> int | None:
+    """Write what is seen and true of a world, and whom it meets, into an empty folder; number of observations.
+
+    For worlds that no scene file can describe; `simulate` checks its scene and leaves nothing half done.
+    """
+    scene = world.scene
     _write_calibration(world, folder)
     _write_table("truth_frames", frame_columns(world), scene, folder)
-    _write_table("truth_encounters", encounter_columns(objects), scene, folder)
+    _write_table("truth_encounters", encounter_columns(met), scene, folder)
     (folder / MARKER_NAME).write_text(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True), sort_keys=False))
     if tracks is not None:
-        columns = track_columns(make_tracks(scene, tracks))
+        columns = track_columns(tracks_of(world, tracks))
         for name in ("tracks", "truth_tracks"):
             _write_table(name, columns, scene, folder)
-        n_observations = len(columns["frame"])
-        return Simulation(target, scene.name, target / "tracks.parquet", world.n_frames, len(objects), n_observations)
+        return len(columns["frame"])
     input_name = "frames" if png else "clip.mp4"
     with _PictureFolder(folder, world) if png else _Clip(folder / input_name, world) as pictures:
-        _write_pictures(world, folder, pictures.write, progress)
+        _write_pictures(world, folder, pictures.write, progress or (lambda done, total: None))
     if not png:
         check_video(folder / input_name)
-    return Simulation(target, scene.name, target / input_name, world.n_frames, len(objects))
+    return None
 
 
 def _write_pictures(

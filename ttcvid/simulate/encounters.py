@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.simulate.scene import Scene
 from ttcvid.simulate.shapes import distance_to_parts_m
-from ttcvid.simulate.world import STATIC_LABEL, Actor, World, build_world
+from ttcvid.simulate.world import STATIC_LABEL, Actor, World, build_world, is_object
 
 STEP_S = 0.005
 """Grid of times on which distances are taken: at 30 m/s closing speed 15 cm apart."""
@@ -32,7 +32,13 @@ def encounters(scene: Scene) -> list[Encounter]:
     """The closest approach of every object of a scene, from the first picture until 6 s after the last."""
     times = scene.camera.frame_times_s()
     grid = np.arange(times[0], times[-1] + LOOK_AHEAD_S, STEP_S)
-    world = build_world(scene, grid)
+    # Objects are numbered among themselves: without static bodies, of which there are many, they keep their numbers.
+    objects = tuple(body for body in scene.bodies if is_object(body))
+    return encounters_in(build_world(scene.model_copy(update={"bodies": objects}), grid))
+
+
+def encounters_in(world: World) -> list[Encounter]:
+    """The closest approach of every object of a world over its times, which should lie ``STEP_S`` apart."""
     return [_encounter(world, actor) for actor in world.actors if actor.object_id != STATIC_LABEL]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -125,7 +126,7 @@ def object_rows(rendered: Rendered) -> list[tuple[Any, ...]]:
     return [(rendered.frame, rendered.t_s, *_object_row(truth)) for truth in rendered.objects]
 
 
-def encounter_columns(encounters: list[Encounter]) -> dict[str, Any]:
+def encounter_columns(encounters: Sequence[Encounter]) -> dict[str, Any]:
     """The columns of ``truth_encounters``."""
     names = [column.name for column in TRUTH_TABLES["truth_encounters"]]
     return {name: [getattr(encounter, name) for encounter in encounters] for name in names}

@@ -72,12 +72,16 @@ class _Alive:
 
 def simulate_tracks(scene: Scene, options: TrackOptions | None = None, seed: int | None = None) -> SimulatedTracks:
     """Tracks of a scene; ``seed`` (default: the scene's) fixes noise, births and deaths, never the scene itself."""
+    return tracks_of(build_world(scene), options, seed)
+
+
+def tracks_of(world: World, options: TrackOptions | None = None, seed: int | None = None) -> SimulatedTracks:
+    """Tracks of a world; ``seed`` as in `simulate_tracks`."""
     chosen = options or TrackOptions()
-    world = build_world(scene)
     alive = _Alive(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)))
     next_id, rows = 0, []
     for frame in range(world.n_frames):
-        rng = np.random.default_rng([scene.seed if seed is None else seed, 6, frame])
+        rng = np.random.default_rng([world.scene.seed if seed is None else seed, 6, frame])
         stack = face_stack(world, frame)
         alive = alive.keep(rng.random(len(alive.track_id)) >= chosen.death_rate)
         alive = alive.keep(_is_visible(world, stack, frame, alive))

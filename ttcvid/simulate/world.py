@@ -66,13 +66,17 @@ def build_world(scene: Scene, t_s: Floats | None = None) -> World:
     actors: list[Actor] = []
     n_objects = 0
     for name, body in _copies(scene):
-        is_moving = body_motion(body).is_moving
-        is_object = is_moving if body.is_object is None else body.is_object
-        n_objects += is_object
+        n_objects += is_object(body)
         parts = parts_of(body)
-        object_id = n_objects if is_object else STATIC_LABEL
+        object_id = n_objects if is_object(body) else STATIC_LABEL
+        is_moving = body_motion(body).is_moving
         actors.append(Actor(name, body, object_id, is_moving, parts, faces_of(parts), body_path(body, times)))
     return World(scene, camera_of(scene), camera_path(scene, times), tuple(actors))
+
+
+def is_object(body: Body) -> bool:
+    """Whether a body is an object of the truth; else it belongs to the static scene."""
+    return body_motion(body).is_moving if body.is_object is None else body.is_object
 
 
 def pose_of(world: World, actor: Actor, frame: int) -> Pose:

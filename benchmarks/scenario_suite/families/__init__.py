@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from scenario_suite.families import aircraft, free, static, traffic, vehicle_ahead, vehicle_other
+from scenario_suite.families import aircraft, free, recorded, static, traffic, vehicle_ahead, vehicle_other
 from scenario_suite.nuisances import baselines, conditioned, drawn_nuisances
-from scenario_suite.scenario import Family, Kind, NuisanceValue, Scenario
+from scenario_suite.scenario import Family, Kind, NuisanceValue, Recording, Scenario
 from scenario_suite.seeds import generator
 from ttcvid.simulate import STATIC_LABEL, Scene, build_world, encounters
-from ttcvid.simulate.poses import body_motion
 from ttcvid.simulate.shapes import distance_to_parts_m
 
 _MOST_DRAWS = 60
@@ -24,7 +23,7 @@ _SEEN_SHARE = 0.4
 _SCENERY_M = 0.4
 """No scene brings the camera nearer to what stands around."""
 
-_MODULES = (vehicle_ahead, vehicle_other, traffic, static, free, aircraft)
+_MODULES = (vehicle_ahead, vehicle_other, traffic, static, free, aircraft, recorded)
 FAMILIES: dict[str, Family] = {family.name: family for module in _MODULES for family in module.FAMILIES}
 
 
@@ -42,7 +41,7 @@ def scenario(
     # In turn: of any run of seeds one half ends in a collision.
     collides = (seed + zlib.crc32(family_name.encode())) % 2 == 0 if family.collides is None else family.collides
     texture_seed = int(rng.integers(1, 2**31))
-    clean = _drawn(family, rng, f"{family_name} {seed}", texture_seed, collides=collides)
+    clean, recording = _drawn(family, rng, f"{family_name} {seed}", texture_seed, collides=collides)
     if nuisances is None:
         chosen = drawn_nuisances(generator(family_name, seed, "nuisances"), family, kind)
     else:
@@ -62,27 +61,27 @@ def scenario(
         expected_status=family.expected_status,
         warn_by_s=family.warn_by_s,
         nuisances=chosen,
+        recording=recording,
     )
 
 
-def _drawn(family: Family, rng: Generator, name: str, seed: int, *, collides: bool) -> Scene:
+def _drawn(family: Family, rng: Generator, name: str, seed: int, *, collides: bool) -> tuple[Scene, Recording | None]:
     """The first scene of a family that is what it is to be: a collision, or clear of one."""
     for _ in range(_MOST_DRAWS):
         values = {"name": name, "seed": seed, **family.draw(rng, collides)}
+        recording = values.pop("recording", None)
         scene = Scene.model_validate(_plain(values))
         distance_m = nearest_m(scene)
         radius_m = scene.own_motion.radius_m
         is_right = distance_m < _TOUCHING * radius_m if collides else distance_m > _CLEAR * radius_m
         if is_right and is_seen(scene) and clear_of_scenery_m(scene) > _SCENERY_M:
-            return scene
+            return scene, recording
     raise RuntimeError(f"{name}: no {'collision' if collides else 'near miss'} in {_MOST_DRAWS} draws: mend the family")
 
 
 def nearest_m(scene: Scene) -> float:
     """How near an object comes to the camera; infinite without one."""
-    moving = tuple(body for body in scene.bodies if body.is_object or body_motion(body).is_moving)
-    met = encounters(scene.model_copy(update={"bodies": moving}))
-    return min((encounter.min_distance_m for encounter in met), default=np.inf)
+    return min((encounter.min_distance_m for encounter in encounters(scene)), default=np.inf)
 
 
 def is_seen(scene: Scene) -> bool:
