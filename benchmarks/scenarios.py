@@ -86,8 +86,10 @@ def _pictures(arguments: argparse.Namespace) -> Path:
 def _tasks(arguments: argparse.Namespace) -> list[Task]:
     """Every scene that is asked for, seed by seed."""
     names = arguments.families or [name for name, family in FAMILIES.items() if arguments.group in (None, family.group)]
-    if arguments.kind == "video" or (arguments.sweep and not arguments.kind):
-        names = [name for name in names if FAMILIES[name].kind == "video"]
+    kind = arguments.kind or ("video" if arguments.sweep else None)
+    names = [name for name in names if kind is None or kind in FAMILIES[name].kinds]
+    if not names:
+        sys.exit(f"--kind {kind}: none of the chosen families has this kind of input; leave --kind out")
     if arguments.verdict:
         n_each = -(-(arguments.n or 200) // len(names))
         seeds = verdict_seeds(commit_hash(arguments.verdict), n_each)

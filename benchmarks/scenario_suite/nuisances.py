@@ -148,7 +148,7 @@ def conditioned(scene: Scene, nuisances: dict[str, NuisanceValue], rng: Generato
         "texture": values.get("texture", 1.0),
         "contrast": values.get("contrast", 1.0),
         "vignetting": values.get("vignetting", 0.0),
-        "gain_steps": _gain_steps(rng, duration_s, values.get("exposure_step", 0.0)),
+        "gain_steps": picture["gain_steps"] or _gain_steps(rng, duration_s, values.get("exposure_step", 0.0)),
         "exposure_s": min(values.get("motion_blur_s", 0.0), shortest_s),
         "readout_s": min(values.get("rolling_shutter_s", 0.0), shortest_s),
         "n_spots": int(values.get("spots", 0)),

@@ -22,7 +22,8 @@ class Family:
 
     ``draw`` returns the values of a scene file without name and seed, in the steady conditions of every nuisance's
     baseline. ``hfov_deg`` are the fields of view in which the test is in the picture. ``collides`` is None where both
-    are drawn, equally often. ``warn_by_s`` is the time before the contact by which the trade wants the warning.
+    are drawn, equally often. ``kinds`` are the kinds of input that it makes sense for, its own first. ``warn_by_s``
+    is the time before the contact by which the trade wants the warning.
     """
 
     name: str
@@ -30,7 +31,7 @@ class Family:
     title: str
     draw: Callable[[Generator, bool], Values]
     platform: str = "vehicle"
-    kind: Kind = "video"
+    kinds: tuple[Kind, ...] = ("video", "tracks")
     hfov_deg: tuple[float, float] = (35.0, 110.0)
     collides: bool | None = None
     expected_status: str | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from ttcvid.model import Picture
@@ -10,6 +11,9 @@ from ttcvid.simulate.ripmap import Ripmap
 from ttcvid.simulate.shapes import Face
 from ttcvid.simulate.skins import default_colour, paint_skin
 from ttcvid.simulate.world import World
+
+DETAIL_SHARE = 16
+"""What is smaller than this part of a texture's larger side is detail, which goes with little texture."""
 
 
 class Textures:
@@ -42,12 +46,16 @@ class Textures:
         return self._skins[key]
 
     def _flattened(self, picture: Picture) -> Picture:
-        """Colours drawn towards their mean by the texture of the scene; opacity stays."""
+        """Colours drawn towards those around them by the texture of the scene; opacity and large shapes stay."""
         if self._contrast == 1.0:
             return picture
         result = picture.copy()
         colours = picture[:, :, :3].astype(np.float32)
-        shown = picture[:, :, 3] > 0 if picture.shape[2] == 4 else np.ones(picture.shape[:2], bool)
-        mean = colours[shown].mean(axis=0) if shown.any() else np.zeros(3, np.float32)
-        result[:, :, :3] = np.rint(mean + self._contrast * (colours - mean)).astype(np.uint8)
+        around = 2 * (max(picture.shape) // DETAIL_SHARE // 2) + 1
+        weight = np.ones(picture.shape[:2], np.float32)
+        if picture.shape[2] == 4:
+            weight = (picture[:, :, 3] > 0).astype(np.float32)
+        total = cv2.blur(colours * weight[:, :, None], (around, around))
+        mean = total / np.maximum(cv2.blur(weight, (around, around)), np.float32(1e-6))[:, :, None]
+        result[:, :, :3] = np.clip(np.rint(mean + self._contrast * (colours - mean)), 0, 255)
         return result

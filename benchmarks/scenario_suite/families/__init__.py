@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from scenario_suite.families import aircraft, free, recorded, static, traffic, vehicle_ahead, vehicle_other
+from scenario_suite.families import (
+    aircraft,
+    free,
+    recorded,
+    static,
+    traffic,
+    undetermined,
+    vehicle_ahead,
+    vehicle_other,
+)
 from scenario_suite.nuisances import baselines, conditioned, drawn_nuisances
 from scenario_suite.scenario import Family, Kind, NuisanceValue, Recording, Scenario
 from scenario_suite.seeds import generator
@@ -23,7 +32,7 @@ _SEEN_SHARE = 0.4
 _SCENERY_M = 0.4
 """No scene brings the camera nearer to what stands around."""
 
-_MODULES = (vehicle_ahead, vehicle_other, traffic, static, free, aircraft, recorded)
+_MODULES = (vehicle_ahead, vehicle_other, traffic, static, free, aircraft, undetermined, recorded)
 FAMILIES: dict[str, Family] = {family.name: family for module in _MODULES for family in module.FAMILIES}
 
 
@@ -36,7 +45,7 @@ def scenario(
     stays the same.
     """
     family = FAMILIES[family_name]
-    kind = kind or family.kind
+    kind = kind or family.kinds[0]
     rng = generator(family_name, seed, "scene")
     # In turn: of any run of seeds one half ends in a collision.
     collides = (seed + zlib.crc32(family_name.encode())) % 2 == 0 if family.collides is None else family.collides

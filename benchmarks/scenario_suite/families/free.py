@@ -65,7 +65,7 @@ def _scene(rng: Generator, own: Values, *, height_m: float, pitch_deg: float, aw
         "own_motion": own,
         "ground": {"kind": str(rng.choice(["square", "street"]))},
         "picture": {"sky": str(rng.choice(["clear", "clouds"]))},
-        "bodies": [*movers, *_surroundings(rng, max(look_m, 14.0))],
+        "bodies": [*movers, *surroundings(rng, max(look_m, 14.0))],
     }
 
 
@@ -114,7 +114,7 @@ def _mover(
     return body
 
 
-def _surroundings(rng: Generator, look_m: float) -> list[Values]:
+def surroundings(rng: Generator, look_m: float) -> list[Values]:
     """Houses, trees, posts and crates all around the middle of the picture."""
     bodies = [
         row(
@@ -135,14 +135,11 @@ def _surroundings(rng: Generator, look_m: float) -> list[Values]:
     return bodies
 
 
-_G = "free"
+_G, _DEG, _TRACKS = "free", (45.0, 90.0), ("tracks",)
+_TITLE = "1-5 movers, as a table of point tracks"
 FAMILIES = (
-    Family("hand-held", _G, "hand-held camera, 1-5 movers", _hand_held, "free", collides=False, hfov_deg=(45.0, 90.0)),
-    Family("hovering", _G, "hovering camera, 1-5 movers", _hovering, "free", collides=False, hfov_deg=(45.0, 90.0)),
-    Family(
-        "hand-held-tracks", _G, "the same, as point tracks", _hand_held, "free", "tracks", (45.0, 90.0), collides=False
-    ),
-    Family(
-        "hovering-tracks", _G, "the same, as point tracks", _hovering, "free", "tracks", (45.0, 90.0), collides=False
-    ),
+    Family("hand-held", _G, "hand-held camera, 1-5 movers", _hand_held, "free", hfov_deg=_DEG, collides=False),
+    Family("hovering", _G, "hovering camera, 1-5 movers", _hovering, "free", hfov_deg=_DEG, collides=False),
+    Family("hand-held-tracks", _G, f"hand-held camera, {_TITLE}", _hand_held, "free", _TRACKS, _DEG, collides=False),
+    Family("hovering-tracks", _G, f"hovering camera, {_TITLE}", _hovering, "free", _TRACKS, _DEG, collides=False),
 )

@@ -169,7 +169,7 @@ FAMILIES = (
         "recorded",
         "real trajectories of cars, lorries, walkers and cyclists",
         recording_values,
-        kind="tracks",
+        kinds=("tracks",),
         hfov_deg=(70.0, 95.0),
         collides=False,
     ),

@@ -96,7 +96,8 @@ def drive(
     things = list(things)
     if side_road_m is not None:
         gaps_m = (*gaps_m, *((side_road_m - 5.5, side_road_m + 5.5, at_side) for at_side in (-1.0, 1.0)))
-        things.append(row("side road", "slab", [side_road_m, 0.0, 0.0], [7.0, 140.0, 0.02]))
+        slab = row("side road", "slab", [side_road_m, 0.0, 0.0], [7.0, 140.0, 0.02])
+        things.append({**slab, "colour_rgb": [92, 94, 96]})
         for at_side in (-1.0, 1.0):
             things.append(row(f"house up the side road {at_side:+.0f}", "house", [side_road_m, at_side * 85.0, 0.0]))
     setting = setting or str(rng.choice(["town", "avenue", "country"]))
