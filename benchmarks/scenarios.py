@@ -4,8 +4,9 @@ python benchmarks/scenarios.py [--families CCRs,CPNA-25 | --group static] [--kin
 python benchmarks/scenarios.py --verdict HEAD --n 200       # seeds from the hash of a commit
 python benchmarks/scenarios.py --sweep sensor_noise_grey    # one nuisance over its values, all others off
 python benchmarks/scenarios.py --show CPNA-25:17            # draw one alone
+python benchmarks/scenarios.py --list                       # the families
 
-Folders are written below --out (default out/scenarios); what is complete there is not done again.
+Folders are written below --out; what is complete there is not done again.
 """
 
 from __future__ import annotations
@@ -28,7 +29,6 @@ from scenario_suite.running import Task, options_of, run_all
 from scenario_suite.seeds import BUILDING_SEEDS, commit_hash, verdict_seeds
 
 GROUPS = tuple(dict.fromkeys(family.group for family in FAMILIES.values()))
-DEFAULT_OUT = REPOSITORY / "out" / "scenarios"
 
 
 def main() -> None:
@@ -36,6 +36,10 @@ def main() -> None:
     arguments = _arguments()
     if arguments.show:
         _show(arguments.show, arguments.kind, _pictures(arguments))
+        return
+    if arguments.list:
+        for family in FAMILIES.values():
+            print(f"{family.name:18} {family.group:14} {'/'.join(family.kinds):13} {family.title}")
         return
     tasks = _tasks(arguments)
     start_s, n_old, n_failed = time.perf_counter(), 0, 0
@@ -59,10 +63,17 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--verdict", nargs="?", const="HEAD", metavar="COMMIT", help="seeds from a commit's hash")
     parser.add_argument("--sweep", metavar="NUISANCE", help="one nuisance over its values, all others off")
     parser.add_argument("--show", metavar="FAMILY:SEED", help="draw one scene and say where it is")
+    parser.add_argument("--list", action="store_true", help="the families, and what each is")
     parser.add_argument("--jobs", type=int, default=2, help="processes side by side")
-    parser.add_argument("--out", type=Path, default=DEFAULT_OUT, help="where the folders belong")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="where the folders belong (default: out/scenarios, with --kind tracks out/scenarios_tracks)",
+    )
     parser.add_argument("--pictures", type=Path, help="where truth is kept (default: pictures beside --out)")
     arguments = parser.parse_args()
+    if arguments.out is None:
+        arguments.out = REPOSITORY / "out" / ("scenarios_tracks" if arguments.kind == "tracks" else "scenarios")
     unknown = [name for name in arguments.families or [] if name not in FAMILIES]
     if unknown:
         parser.error(f"--families {unknown[0]}: no such family; expected some of {', '.join(FAMILIES)}")
@@ -130,4 +141,7 @@ def _show(name: str, kind: str | None, pictures: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -62,7 +63,8 @@ def input_of(truth: Path) -> Path:
 
 
 def _draw(scenario: Scenario, folder: Path) -> None:
-    truth = folder / "truth"
+    # Whole or not at all, also where two processes draw the same.
+    truth = folder / f"truth.{os.getpid()}"
     shutil.rmtree(truth, ignore_errors=True)
     truth.mkdir(parents=True)
     scene = scenario.scene
@@ -78,6 +80,8 @@ def _draw(scenario: Scenario, folder: Path) -> None:
         wrong = 1.0 + scenario.focal_error
         given = replace(camera, fx_px=camera.fx_px * wrong, fy_px=camera.fy_px * wrong)
         write_camera(truth / GIVEN_CAMERA_NAME, given)
+    shutil.rmtree(folder / "truth", ignore_errors=True)
+    truth.rename(folder / "truth")
 
 
 def _track_options(scenario: Scenario) -> TrackOptions | None:

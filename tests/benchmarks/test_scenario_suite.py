@@ -209,3 +209,13 @@ def test_recorded_objects_move_as_their_labels_say():
         off_m = np.hypot(*(trajectory.place(labels[:, 0] / 10)[:, :2] - labels[:, [2, 1]] * [1, -1]).T)
         # Smoothed within what a box drawn by hand is good to.
         assert np.median(off_m) < 0.3
+
+
+def test_same_seeds_give_the_same_truth_and_the_same_figures(tmp_path):
+    folders = []
+    for name in ("first", "again"):
+        done = do(Task("mast-crossing", 5, "tracks", tmp_path / name, tmp_path / f"{name}_pictures"))
+        folders.append(done.folder)
+    for table in ("truth/tracks", "truth/truth_tracks", "truth/truth_encounters", "run/clusters", "run/collision_times"):
+        one, other = (pd.read_parquet(folder / f"{table}.parquet") for folder in folders)
+        pd.testing.assert_frame_equal(one, other)

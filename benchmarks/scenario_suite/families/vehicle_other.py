@@ -19,7 +19,18 @@ from scenario_suite.families.encountering import (
     contact_s,
     place_and_heading,
 )
-from scenario_suite.families.streets import LANE_M, OWN_RADIUS_M, SHOULDER_M, SIZES_M, drive, km_h, row, side, thing
+from scenario_suite.families.streets import (
+    KM_H,
+    LANE_M,
+    OWN_RADIUS_M,
+    SHOULDER_M,
+    SIZES_M,
+    drive,
+    km_h,
+    row,
+    side,
+    thing,
+)
 from scenario_suite.scenario import Family, Values
 
 _VIEW_M = 80.0
@@ -76,7 +87,7 @@ def _crossing(
 ) -> Values:
     """Somebody crosses our path: at our front when we are there, before or after, or stops at the kerb."""
     at_s, from_side = contact_s(rng), side(rng) if from_side is None else from_side
-    other = km_h(rng, *other_km_h)
+    other = min(km_h(rng, *other_km_h), own_km_h[1] * KM_H / _FASTER)
     own = max(km_h(rng, *own_km_h), _FASTER * other)
     is_vehicle = kind in ("car", "lorry", "motorcycle")
     length_m = SIZES_M["walker"][1] if kind == "walker" else SIZES_M[kind][0]
@@ -235,7 +246,7 @@ def _turning_drive(
 
 
 _G = "vehicle_other"
-_CROSSING_CAR = {"own_km_h": (20, 80), "other_km_h": (20, 60), "impact": _WHOLE_IMPACT}
+_CROSSING_CAR = {"own_km_h": (20, 80), "other_km_h": (20, 80), "impact": _WHOLE_IMPACT}
 _URBAN_KM_H = (12, 60)
 _CCFTAP, _CMFTAP = (partial(_turn_across, kind=kind) for kind in ("car", "motorcycle"))
 _WIDE = {
