@@ -19,7 +19,7 @@ from ttcvid.jobs.simulate import write_simulation
 from ttcvid.simulate import TrackOptions, build_world, camera_of, encounters, encounters_in
 from ttcvid.simulate.encounters import STEP_S
 
-N_TRACKS, MIN_PER_OBJECT = 140, 16
+N_TRACKS, MIN_PER_OBJECT = 120, 16
 """Few tracks: a table is analysed in a second."""
 GIVEN_CAMERA_NAME = "camera_given.yaml"
 """The camera with the error of the focal length; absent where the camera is unknown to the analysis."""

@@ -80,7 +80,7 @@ _TRACKS = (
     Nuisance("outlier_share", 0.0, (0.0, 0.05, 0.1, 0.2, 0.3), 0.5),
     Nuisance("track_noise_px", 0.2, (0.0, 0.1, 0.2, 0.5, 1.0), 0.6),
     Nuisance("track_length_frames", 100.0, (8.0, 15.0, 30.0, 100.0), 0.3),
-    Nuisance("frame_rate_hz", 12.0, (7.0, 10.0, 12.0, 20.0, 30.0), 0.3),
+    Nuisance("frame_rate_hz", 10.0, (7.0, 10.0, 15.0, 20.0, 30.0), 0.3),
     Nuisance("frame_times", "steady", ("steady", "variable", "dropped"), 0.2),
     Nuisance("width_px", 640.0, (480.0, 640.0, 960.0, 1280.0), 0.4),
     _HFOV,

@@ -216,6 +216,6 @@ def test_same_seeds_give_the_same_truth_and_the_same_figures(tmp_path):
     for name in ("first", "again"):
         done = do(Task("mast-crossing", 5, "tracks", tmp_path / name, tmp_path / f"{name}_pictures"))
         folders.append(done.folder)
-    for table in ("truth/tracks", "truth/truth_tracks", "truth/truth_encounters", "run/clusters", "run/collision_times"):
+    for table in ("truth/tracks", "truth/truth_tracks", "truth/truth_encounters", "run/clusters", "run/events"):
         one, other = (pd.read_parquet(folder / f"{table}.parquet") for folder in folders)
         pd.testing.assert_frame_equal(one, other)
