@@ -7,10 +7,10 @@ import pytest
 from relative_motion import CAMERA, box_of_points, history_of, pixels, unit
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.model import NO_CLUSTER, CollisionTimes, MotionState, Status
+from ttcvid.model import NO_CLUSTER, MotionState, Status
 from ttcvid.stages.clusters import ClusterMotion
 from ttcvid.stages.motions import FrameMotions
-from ttcvid.stages.results import cluster_rows, minimum_ttc_z_s, no_tracks, track_rows
+from ttcvid.stages.results import cluster_rows, no_tracks, track_rows
 
 STATIC, CAR, LOOSE = 40, 25, 3
 OWN, CAR_V, LOOSE_V = np.array([0.0, 0.0, -8.0]), np.array([3.0, 0.3, -6.0]), np.array([0.0, 4.0, -1.0])
@@ -141,26 +141,6 @@ def test_objects_are_seen_where_the_camera_rests(frame):
     assert scene.motion_state == MotionState.no_relative_motion
     assert scene.epipole_px is None
     assert car.times.ttc_z_s[0] == pytest.approx(2.5, rel=1e-6)
-
-
-def test_minimum_ttc_is_taken_over_approaching_objects_only(frame):
-    history, motions, *_ = frame
-    states, _ = track_rows(history, motions, TWO_FRAME)
-    rows = cluster_rows(history, motions, states, CAMERA)
-    assert minimum_ttc_z_s(rows) == pytest.approx(2.5, rel=1e-6)
-
-    def seen(ttc_z_s, state, hi_s=None):
-        hi_s = 2.0 * ttc_z_s if hi_s is None else hi_s
-        times = replace(CollisionTimes.missing(1), ttc_z_s=np.array([ttc_z_s]), ttc_z_hi_s=np.array([hi_s]))
-        return replace(rows[1], times=times, motion_state=MotionState(state))
-
-    soon = seen(1.5, "constant_bearing")
-    others = seen(0.5, "receding"), seen(-1.0, "approaching"), seen(0.2, "no_relative_motion"), seen(np.nan, "unknown")
-    # By way of infinity: as likely never.
-    others += (seen(1.0, "approaching", hi_s=-20.0),)
-    assert minimum_ttc_z_s((*rows, soon, *others)) == pytest.approx(1.5)
-    assert minimum_ttc_z_s(others) is None
-    assert minimum_ttc_z_s(()) is None
 
 
 def test_a_frame_without_tracks_has_empty_rows():
