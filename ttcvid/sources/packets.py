@@ -120,28 +120,54 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
 
 def index_packets(path: Path) -> PacketIndex:
     """Read all packets once, without decoding, and list the frames that they hold."""
-    container, stream = open_video(path)
-    with container:
-        rows, n_empty, end_s, is_broken = _scan(container, stream)
-        is_cut = is_broken or _ends_early(path, container, stream, len(rows) + n_empty, end_s)
-        is_bare = bool(container.format.flags & NO_TIMESTAMPS_FLAG)
-        delay = stream.codec_context.has_b_frames
-    time_base = stream.time_base or Fraction(1)
-    pts = [None if is_bare else row.pts for row in rows]
-    damaged = _damaged(rows, "mpegts" in container.format.name)
+    contents = _read_contents(path)
+    rows = contents.rows
+    damaged = _damaged(rows, "mpegts" in contents.format)
     shown = [i for i, row in enumerate(rows) if not row.is_discard]
     entry = _entry_packets(rows)
-    known = [i for i in shown if pts[i] is not None]
+    known = [] if contents.is_bare else [i for i in shown if rows[i].pts is not None]
     if not known:
-        return PacketIndex(None, time_base, np.zeros(len(shown), dtype=np.int64), True, is_cut, damaged)
+        entry_packet = np.zeros(len(shown), dtype=np.int64)
+        return PacketIndex(None, contents.time_base, entry_packet, True, contents.is_cut, damaged)
     order = _presentation_order(rows, known)
     ordered_pts = np.array([rows[i].pts for i in order], dtype=np.int64)
     # an AVI file numbers its packets in the order of decoding, whatever the order of presentation
-    decoder_orders = delay > 0 and order == known and container.format.name == "avi"
+    decoder_orders = contents.is_reordered and order == known and contents.format == "avi"
     # a frame without time is numbered by counting, which has to begin at the first packet
     must_count = decoder_orders or len(known) < len(shown)
     first = np.zeros(len(order), dtype=np.int64) if must_count else np.array([entry[i] for i in order])
-    return PacketIndex(ordered_pts, time_base, first, decoder_orders, is_cut, damaged)
+    return PacketIndex(ordered_pts, contents.time_base, first, decoder_orders, contents.is_cut, damaged)
+
+
+@dataclass(frozen=True, slots=True)
+class _Contents:
+    """What is known of a file once it is closed: plain values.
+
+    A closed container has freed its streams: what PyAV still answers about them is whatever else stands in that memory.
+    ``rows`` are the video packets in file order; ``format`` is FFmpeg's name of the container; ``is_bare`` says that it
+    knows no times, ``is_reordered`` that frames are not shown in the order of decoding.
+    """
+
+    rows: list[_Packet]
+    format: str
+    time_base: Fraction
+    is_bare: bool
+    is_reordered: bool
+    is_cut: bool
+
+
+def _read_contents(path: Path) -> _Contents:
+    container, stream = open_video(path)
+    with container:
+        rows, n_empty, end_s, is_broken = _scan(container, stream)
+        return _Contents(
+            rows=rows,
+            format=container.format.name,
+            time_base=stream.time_base or Fraction(1),
+            is_bare=bool(container.format.flags & NO_TIMESTAMPS_FLAG),
+            is_reordered=stream.codec_context.has_b_frames > 0,
+            is_cut=is_broken or _ends_early(path, container, stream, len(rows) + n_empty, end_s),
+        )
 
 
 @dataclass(frozen=True, slots=True)
