@@ -42,7 +42,9 @@ metadata of its field. The file's metadata also say how it was made: camera, tra
 beside it: never 0, NaN or infinity.
 
 Type `name` is one of the words that the meaning lists, stored as `dictionary<string, int8>`: pandas reads it as
-categories, others as text. `int32` with the unit 1 counts or numbers something.
+categories, others as text. `int32` with the unit 1 counts or numbers something. `pandas.read_parquet` gives types in
+which null is NA, and puts units and descriptions into `attrs`; of an empty table it does not know the categories, as
+`ttcvid.Run` does.
 """
 _CONFIGURATION_HEAD = f"""# Every parameter
 

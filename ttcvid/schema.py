@@ -6,6 +6,7 @@ tables from `markdown_of`. A change of a column's name, type, unit or meaning ra
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,14 @@ TABLE_KEY = "ttcvid_table"
 
 # Names that come from a fixed list are stored as dictionaries: small on disk, categories in pandas.
 _NAME = pa.dictionary(pa.int8(), pa.string())
+# The types of pandas in which a null stays NA, instead of turning whole numbers into floats and NaN.
+_PANDAS_TYPES = {
+    pa.int32(): "Int32",
+    pa.int64(): "Int64",
+    pa.float64(): "Float64",
+    pa.bool_(): "boolean",
+    pa.string(): "string",
+}
 STATUS_NAMES = tuple(status.name for status in Status)
 FRAME_STATUS_NAMES = tuple(status.value for status in FrameStatus)
 MOTION_STATE_NAMES = tuple(state.value for state in MotionState)
@@ -281,6 +290,8 @@ STUDY_TABLES: dict[str, tuple[Column, ...]] = {
 def table_schema(name: str, metadata: dict[str, str] | None = None) -> pa.Schema:
     """The Arrow schema of a table, with the schema's version (and ``metadata``) as file metadata.
 
+    The file metadata tell pandas, too, in which types to read the table (null is NA), and what to put into ``attrs``.
+
     Raises
     ------
     KeyError
@@ -293,7 +304,32 @@ def table_schema(name: str, metadata: dict[str, str] | None = None) -> pa.Schema
     """
     about: dict[str | bytes, str | bytes] = {TABLE_KEY: name, VERSION_KEY: SCHEMA_VERSION}
     about.update(metadata.items() if metadata else ())
+    about.update(_pandas_metadata(columns_of(name)))
     return pa.schema([column.field() for column in columns_of(name)], metadata=about)
+
+
+def _pandas_metadata(columns: tuple[Column, ...]) -> dict[str, str]:
+    """What `pandas.read_parquet` goes by: its own description of the columns, and the ``attrs`` of the frame.
+
+    Sources: "Developer: Storing pandas DataFrame objects in Apache Parquet format" of the pandas manual, and
+    `pandas.io.parquet` for the key of the ``attrs``.
+    """
+    described = [
+        {
+            "name": column.name,
+            "field_name": column.name,
+            "pandas_type": "categorical" if column.values else str(column.type),
+            "numpy_type": "int8" if column.values else _PANDAS_TYPES[column.type],
+            "metadata": {"num_categories": len(column.values), "ordered": False} if column.values else None,
+        }
+        for column in columns
+    ]
+    attrs = {
+        "units": {column.name: column.unit for column in columns if column.unit},
+        "descriptions": {column.name: column.description for column in columns},
+    }
+    pandas = {"index_columns": [], "column_indexes": [], "columns": described}
+    return {"pandas": json.dumps(pandas), "PANDAS_ATTRS": json.dumps(attrs)}
 
 
 def columns_of(name: str) -> tuple[Column, ...]:

@@ -53,7 +53,7 @@ def read_table(path: Path, name: str) -> pd.DataFrame:
         found = table.schema.field(column.name).type
         if found != column.type and not (column.values and pa.types.is_string(found)):
             raise NotComparableError(f"{path}: column {column.name!r} is {found}, expected {column.type}: {REMEDY}")
-    return in_ordinary_types(table.to_pandas(), name)
+    return in_ordinary_types(table.to_pandas(ignore_metadata=True), name)
 
 
 def in_ordinary_types(table: pd.DataFrame, name: str) -> pd.DataFrame:

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ttcvid.errors import InputError, counted
 from ttcvid.jobs.run_manifest import EXIT_CODES, read_run_manifest
+from ttcvid.model import APPROACHING
+from ttcvid.schema import TABLES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 class Run:
     """The output folder of one analysis; ``manifest`` is the content of its ``manifest.json``.
 
-    The tables are read when they are first asked for; their columns are described in ``ttcvid.schema``.
+    The tables are read when they are first asked for, in the types in which `pandas.read_parquet` gives them: null is
+    NA, names are categories. ``attrs["units"]`` and ``attrs["descriptions"]`` of each say what its columns are.
     """
 
     folder: Path
@@ -77,15 +79,38 @@ class Run:
         path = self.folder / "overlay.mp4"
         return path if path.name in self.manifest.get("files", {}) else None
 
+    @property
+    def objects(self) -> pd.DataFrame:
+        """The rows of ``clusters`` that are objects: one per frame and object."""
+        return self.clusters[self.clusters.role == "object"].reset_index(drop=True)
+
+    def approaching(self, within_s: float | None = None) -> pd.DataFrame:
+        """The rows of ``objects`` that surely come nearer, of state ``approaching`` or ``constant_bearing``.
+
+        With ``within_s`` only those whose depth is zero within so many seconds (``ttc_z_s``).
+        """
+        objects = self.objects
+        is_told = objects.state.isin([state.value for state in APPROACHING])
+        if within_s is not None:
+            is_told &= (objects.ttc_z_s <= within_s).fillna(False)
+        return objects[is_told].reset_index(drop=True)
+
     def _table(self, name: str) -> pd.DataFrame:
+        """A table as `pandas.read_parquet` gives it, whose names know all their categories even where it is empty."""
+        import pandas as pd
+
         path = self.folder / f"{name}.parquet"
         try:
-            table = pq.read_table(path)
+            table = pd.read_parquet(path)
         except (OSError, pa.ArrowInvalid) as error:
             reason = " ".join(str(error).split())
             raise InputError(f"{path}: cannot be read as a table ({reason}): run 'ttcvid analyze' again") from None
-        frame: pd.DataFrame = table.to_pandas(types_mapper=_nullable)
-        return frame
+        for column in TABLES[name]:
+            if column.name in table and isinstance(table[column.name].dtype, pd.CategoricalDtype):
+                names = table[column.name].cat
+                unknown = [value for value in column.values if value not in names.categories]
+                table[column.name] = names.add_categories(unknown)
+        return table
 
     def summary(self) -> str:
         """One line: what was analysed, what was found, and what to know before trusting it."""
@@ -113,19 +138,6 @@ class Run:
         names = ("state", "counts", "timings", "nearest", "camera", "warnings")
         content = {"folder": str(self.folder), "exit_code": self.exit_code}
         return json.dumps(content | {name: self.manifest[name] for name in names}, sort_keys=True)
-
-
-def _nullable(type_: pa.DataType) -> Any:
-    """The type in which a null stays NA, instead of turning whole numbers into floats and NaN; None: the usual one."""
-    import pandas as pd
-
-    types = {
-        pa.int32(): pd.Int32Dtype(),
-        pa.int64(): pd.Int64Dtype(),
-        pa.float64(): pd.Float64Dtype(),
-        pa.string(): pd.StringDtype(),
-    }
-    return types.get(type_)
 
 
 def _frames(counts: dict[str, Any]) -> str:
