@@ -3,10 +3,12 @@
 import errno
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
 from ttcvid.errors import OutputError
+from ttcvid.sinks import whole_text
 from ttcvid.sinks.whole_text import write_whole
 
 
@@ -16,12 +18,11 @@ def test_where_the_disk_is_full_the_former_file_stays_and_nothing_is_left(
     page = tmp_path / "page.html"
     page.write_text("former")
 
-    def no_space(path: Path, text: str, encoding: str) -> int:
-        with path.open("w", encoding=encoding) as file:
-            file.write(text[:3])
+    def no_space(path: Path) -> BinaryIO:
+        path.write_text("new")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "write_text", no_space)
+    monkeypatch.setattr(whole_text, "make_anew", no_space)
     with pytest.raises(OutputError, match=r"page\.html: cannot be written, the disk is full"):
         write_whole(page, "new text")
     assert page.read_text() == "former"

@@ -268,9 +268,12 @@ def _write(done: HorizonCalibration, clips: list[WatchedClip]) -> None:
         "ttcvid_version": ttcvid.__version__,
     }
     metadata = {"ttcvid_version": ttcvid.__version__, "camera_is_assumed": str(done.camera.is_assumed).lower()}
+    with output_errors(horizon_file):
+        horizon_file.parent.mkdir(parents=True, exist_ok=True)
+        for path in temporary:
+            path.unlink(missing_ok=True)  # of a run that was killed, or a link, whose file is not ours to write
     try:
         with output_errors(horizon_file):
-            horizon_file.parent.mkdir(parents=True, exist_ok=True)
             write_horizon(temporary[0], done.horizon, information)
         write_table(
             temporary[1],

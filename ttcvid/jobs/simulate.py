@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -44,6 +45,11 @@ CLIP_PRESET = "veryfast"
 """With the scene's own crf of 12 it changes the flow that KLT sees by 0.05 px (median)."""
 MARKER_NAME = "scene.yaml"
 """The scene, as simulated: a folder that holds it and truth_frames is a simulation and may be overwritten."""
+SIMULATION_NAMES = frozenset(
+    [MARKER_NAME, "camera.yaml", "horizon.yaml", "clip.mp4", "frames", "timestamps.txt", "truth_labels"]
+    + [f"{name}.parquet" for name in TRUTH_TABLES]
+)
+"""All that such a folder may hold: it is replaced as a whole."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +101,7 @@ def simulate(
     UsageError
         The scene file is not valid.
     OutputError
-        The folder exists or cannot be written.
+        The folder exists, is to be replaced but holds something else, or cannot be written.
     """
     scene = load_scene(scene_path)
     if seed is not None:
@@ -235,16 +241,24 @@ def _shortened(scene: Scene, n_frames: int) -> Scene:
 
 
 def _check_target(target: Path, overwrite: bool) -> None:
-    if not target.exists():
+    """OutputError unless ``target`` is free, or a folder that may be replaced: empty, or all of it of a simulation."""
+    if not os.path.lexists(target):
         return
     if not overwrite:
         raise OutputError(f"{target}: exists already; choose another folder with -o, or replace it with --overwrite")
-    is_ours = (target / MARKER_NAME).is_file() and (target / "truth_frames.parquet").is_file()
-    is_empty = target.is_dir() and not any(target.iterdir())
-    if not (is_ours or is_empty):
+    if target.is_symlink() or not target.is_dir():
+        raise OutputError(f"{target}: is no folder but a link or a file, so it is kept: choose another one with -o")
+    names = set(os.listdir(target))
+    if names and not names >= {MARKER_NAME, "truth_frames.parquet"}:
         raise OutputError(
             f"{target}: is no folder of a simulation (it has no {MARKER_NAME} and truth_frames.parquet), so "
             "--overwrite does not touch it; choose another folder with -o"
+        )
+    foreign = sorted(names - SIMULATION_NAMES)
+    if foreign:
+        raise OutputError(
+            f"{target / foreign[0]}: not a file of a simulation, and --overwrite replaces the whole folder: move it "
+            "away, or choose another folder with -o"
         )
 
 

@@ -15,6 +15,7 @@ after the manifest                          new           the new result; at mos
 What may be replaced with ``overwrite``: an empty folder, a folder with a manifest of ours, and a folder that a killed
 run left (it holds the partial folder). Only files that such a manifest or lock file lists are ever removed; a file of
 another origin stays, and one that bears a name which this run needs is an error, found before the analysis starts.
+So is what ttcvid never makes: a link, pipe or folder in the place of one of its files. OUT itself may be a link.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TextIO
+from typing import Any, BinaryIO, Self
 
 from ttcvid.errors import InputError, OutputError
+from ttcvid.plain_files import kind_of, open_own, open_plain, read_plain
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.manifest import MANIFEST_NAME, read_manifest, sync_folder, write_manifest
@@ -36,6 +38,7 @@ from ttcvid.sinks.manifest import MANIFEST_NAME, read_manifest, sync_folder, wri
 PARTIAL_NAME = ".ttcvid-partial"
 LOCK_NAME = ".lock"
 OVERLAY_NAME = "overlay.mp4"
+MAX_LOCK_BYTES = 1_000_000
 RESULT_NAMES = (*(f"{name}.parquet" for name in TABLE_NAMES), OVERLAY_NAME)
 
 
@@ -45,7 +48,7 @@ class OutputFolder:
     As a context manager it abandons what was not published. Made by `create`.
     """
 
-    def __init__(self, path: Path, lock: TextIO, names: frozenset[str], former: frozenset[str], is_new: bool) -> None:
+    def __init__(self, path: Path, lock: BinaryIO, names: frozenset[str], former: frozenset[str], is_new: bool) -> None:
         self.path = path
         self.partial = path / PARTIAL_NAME
         self._lock = lock
@@ -62,17 +65,16 @@ class OutputFolder:
         ------
         OutputError
             Where ``path`` exists and ``overwrite`` is not given, is a file, is not writable, holds something other
-            than a result of ours, or is being written by another run.
+            than a result of ours or a link in the place of one of our files, or is being written by another run.
         """
         wanted = frozenset(names)
         with output_errors(path):
             is_new = _make_folder(path, overwrite)
-        former = frozenset() if is_new else _former_names(path)
-        foreign = sorted(name for name in wanted - former if os.path.lexists(path / name))
-        if foreign:
-            raise OutputError(
-                f"{path / foreign[0]}: not a file of a former run, so it is kept: move it away, or use -o"
-            )
+            former = frozenset() if is_new else _former_names(path)
+            for name in sorted(wanted | former):
+                kind = kind_of(path / name)
+                if kind != "nothing" and (kind != "file" or name not in former):
+                    raise _not_ours(path / name)
         try:
             with output_errors(path):
                 lock = _prepare_partial(path, wanted, former)
@@ -149,6 +151,7 @@ def _make_folder(path: Path, overwrite: bool) -> bool:
     except FileExistsError as error:
         if not path.is_dir():
             raise OutputError(f"{path}: is not a folder: choose another output folder with -o") from error
+        _refuse_what_is_not_ours(path)
         if not overwrite:
             _refuse_where_busy(path)
             raise OutputError(
@@ -156,6 +159,21 @@ def _make_folder(path: Path, overwrite: bool) -> bool:
             ) from error
         return False
     return True
+
+
+def _refuse_what_is_not_ours(path: Path) -> None:
+    """OutputError where something stands in the place of the partial folder, lock or manifest that we never put there.
+
+    Through a link we would empty a folder, or overwrite a file, of somebody else; at a pipe we would wait for ever.
+    """
+    ours = {PARTIAL_NAME: "folder", f"{PARTIAL_NAME}/{LOCK_NAME}": "file", MANIFEST_NAME: "file"}
+    for name, expected in ours.items():
+        if kind_of(path / name) not in ("nothing", expected):
+            raise _not_ours(path / name)
+
+
+def _not_ours(path: Path) -> OutputError:
+    return OutputError(f"{path}: not a file of a former run, so it is kept: move it away, or use -o")
 
 
 def _what_it_holds(path: Path) -> str:
@@ -187,7 +205,7 @@ def _is_plain(name: object) -> bool:
     return isinstance(name, str) and Path(name).name == name and name not in ("", ".", "..", PARTIAL_NAME)
 
 
-def _prepare_partial(path: Path, wanted: frozenset[str], former: frozenset[str]) -> TextIO:
+def _prepare_partial(path: Path, wanted: frozenset[str], former: frozenset[str]) -> BinaryIO:
     """An empty partial folder with a lock that is ours; what a killed publication left is removed."""
     lock = _lock_partial(path)
     try:
@@ -201,11 +219,11 @@ def _prepare_partial(path: Path, wanted: frozenset[str], former: frozenset[str])
     return lock
 
 
-def _lock_partial(path: Path) -> TextIO:
+def _lock_partial(path: Path) -> BinaryIO:
     """Take the lock of the partial folder; the system gives it back when the process ends, however it ends."""
     partial = path / PARTIAL_NAME
     partial.mkdir(exist_ok=True)
-    lock = (partial / LOCK_NAME).open("a+", encoding="utf-8")
+    lock = open_own(partial / LOCK_NAME)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -217,7 +235,7 @@ def _lock_partial(path: Path) -> TextIO:
 def _refuse_where_busy(path: Path) -> None:
     """OutputError where a run that is alive writes into the folder; nothing is made or changed."""
     try:
-        with (path / PARTIAL_NAME / LOCK_NAME).open(encoding="utf-8") as lock:
+        with open_plain(path / PARTIAL_NAME / LOCK_NAME) as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise _busy(path) from error
@@ -229,9 +247,9 @@ def _busy(path: Path) -> OutputError:
     return OutputError(f"{path}: another run is writing there: wait for it, or choose another folder with -o")
 
 
-def _write_names(lock: TextIO, names: frozenset[str]) -> None:
+def _write_names(lock: BinaryIO, names: frozenset[str]) -> None:
     lock.truncate(0)
-    json.dump(sorted(names), lock)
+    lock.write(json.dumps(sorted(names)).encode())
     lock.flush()
     os.fsync(lock.fileno())
 
@@ -239,8 +257,8 @@ def _write_names(lock: TextIO, names: frozenset[str]) -> None:
 def _read_names(lock_path: Path) -> list[str]:
     """The names in a lock file; none where it was never filled, because then nothing was published either."""
     try:
-        names = json.loads(lock_path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
+        names = json.loads(read_plain(lock_path, MAX_LOCK_BYTES))
+    except (FileNotFoundError, ValueError, RecursionError):
         return []
     return names if isinstance(names, list) else []
 

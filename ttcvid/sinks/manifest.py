@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from ttcvid.errors import InputError
+from ttcvid.plain_files import make_anew, read_plain
 from ttcvid.sinks.failures import output_errors
 
 MANIFEST_NAME = "manifest.json"
+MAX_BYTES = 100_000_000
 # Tells our manifest from the other things that are called manifest.json.
 FORMAT_KEY, FORMAT = "format", "ttcvid-run"
 
@@ -31,8 +33,8 @@ def write_manifest(path: Path, manifest: dict[str, Any]) -> None:
     text = json.dumps(content, sort_keys=True, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     temporary = path.with_name(path.name + ".partial")
     with output_errors(path):
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
+        with make_anew(temporary) as file:
+            file.write(text.encode())
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
@@ -49,7 +51,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """
     file = path / MANIFEST_NAME if path.is_dir() else path
     try:
-        manifest = json.loads(file.read_text(encoding="utf-8"))
+        manifest = json.loads(read_plain(file, MAX_BYTES))
     except FileNotFoundError as error:
         raise InputError(f"{file}: not found, so this is no finished run: run 'ttcvid analyze' again") from error
     except (OSError, ValueError, RecursionError) as error:

@@ -7,6 +7,7 @@ import os
 import stat
 from pathlib import Path
 
+from ttcvid.plain_files import make_anew
 from ttcvid.sinks.failures import output_errors
 
 
@@ -26,7 +27,8 @@ def write_whole(path: Path, text: str) -> None:
         target = path.resolve()  # a link stays one
         partial = target.with_name(f".{target.name}.partial")
         try:
-            partial.write_text(text, encoding="utf-8")
+            with make_anew(partial) as file:
+                file.write(text.encode())
             if mode is not None:
                 partial.chmod(stat.S_IMODE(mode))
             partial.replace(target)
