@@ -10,9 +10,10 @@ from watched_rows import CONFIG, FRAME_S, HIT, WIDTH_M, drive, first_warned, row
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera import pixels_from_rays
 from ttcvid.geometry.closing import Closing
-from ttcvid.model import MotionState
+from ttcvid.model import SCENE_MOTION, MotionState
 from ttcvid.stages.clusters import with_times
 from ttcvid.stages.collision_course import course_of
+from ttcvid.stages.own_bend import OwnBend
 
 
 def is_course(row, camera=CAMERA, config=CONFIG, **options):
@@ -369,3 +370,21 @@ def test_a_thing_is_hit_over_its_whole_height():
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_what_ends_far_below_or_begins_far_above_is_not_hit(side):
     assert not is_course(standing(0.6, 0.4, 1.5 * side, 1.5 * side))
+
+
+@pytest.mark.parametrize("motion_id", [SCENE_MOTION, 1])
+@pytest.mark.parametrize("road_hz", [None, np.array([0.0, 0.0, 10.0])])
+def test_on_the_road_what_stands_is_warned_of_where_a_road_is_found(motion_id, road_hz):
+    """A bridge or trees beside the road come at us like a wall as long as nobody knows where the road is."""
+    row = replace(row_of((0.0, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005), motion_id=motion_id)
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=road_hz)
+    is_told = motion_id != SCENE_MOTION or road_hz is not None
+    assert is_course(row, on_ground=True, bend=bend) == is_told
+    # What is warned of goes on when the road is lost for a moment.
+    assert is_course(row, on_ground=True, bend=bend, is_warned=True)
+    assert is_course(row, on_ground=False, bend=bend)
+
+
+def test_on_the_road_nothing_that_stands_is_warned_of_before_it_is_known_how_we_drive():
+    row = replace(row_of((0.0, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005), motion_id=SCENE_MOTION)
+    assert not is_course(row, on_ground=True, bend=None)

@@ -243,6 +243,31 @@ def test_noise_never_falls_below_its_floor_and_stays_without_residuals():
     assert unknown.pool_sigma_px == 0.2
 
 
+@pytest.mark.parametrize("background_px", [0.0, 0.005])
+@pytest.mark.parametrize("mover_px", [0.1, 0.2])
+def test_before_a_background_without_noise_what_moves_has_its_own_noise_and_no_more(background_px, mover_px):
+    """Rendered or denoised pictures, and blocks that a codec skips, which do not move at all."""
+    rng, n, history = np.random.default_rng(9), 120, start(0.1)
+    sigma_px = np.where(np.arange(n) < 30, mover_px, background_px)
+    places = np.column_stack([rng.uniform(-0.8, 0.8, n), rng.uniform(-0.2, 0.2, n)])
+    for frame in range(25):
+        xy = places + sigma_px[:, None] / FOCAL_PX * rng.normal(size=(n, 2))
+        xy[:30, 0] += 0.003 * frame
+        rays = normalize(np.column_stack([xy, np.ones(n)]))
+        xy_px = xy * FOCAL_PX + [CAMERA.cx_px, CAMERA.cy_px]
+        history = extended(history, frame, frame * DT_S, PointSet(np.arange(n), xy_px), rays, 11)
+        if frame:
+            history = with_noise(with_egomotion(history, np.eye(3), None, 0.0), 0.1, FLOOR_PX)
+    assert np.median(history.sigma_px[:30]) == pytest.approx(mover_px, rel=0.25)
+    np.testing.assert_allclose(history.sigma_px[30:], FLOOR_PX)
+
+
+def test_no_track_is_taken_for_more_than_five_times_as_noisy_as_its_peers():
+    """What is rougher than that moves: its path says so, not its picture."""
+    history = noisy_history(noisy_px=3.0)
+    assert history.sigma_px.max() == pytest.approx(5.0 * history.pool_sigma_px)
+
+
 def test_new_tracks_start_with_the_noise_of_all_tracks():
     history = noisy_history(spread=1.05)
     points = history.track_id.max() + 1

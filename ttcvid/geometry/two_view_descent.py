@@ -23,6 +23,8 @@ _LONGEST_STEP_RAD = 0.3
 _SENSE_SIGMAS, _WRONG_WAY_WEIGHT = 3.0, 0.02
 # Squared lengths below this are a point on the epipole itself, rad^2.
 _TINY = 1e-14
+# The difference of two squared singular values is not taken for less than this part of their sum.
+_LEAST_GAP = 1e-6
 
 
 @compiled
@@ -264,7 +266,9 @@ def _plane_residual(
 
     The sense is 1 for a point that moves along the direction by more than its noise, -1 against it, else 0.
 
-    The numerator is the triple product direction . (q x p); the denominator varies slowly and is held.
+    The residual is the smaller singular value of the two rays' parts across the direction: their area,
+    direction . (q x p), over the larger one. Both are differentiated. With the denominator held, the estimate solves
+    an equation that noise shifts: the direction errs by a bias that grows with the square of the noise.
     """
     q0, q1, q2 = q
     p0, p1, p2 = p
@@ -273,20 +277,27 @@ def _plane_residual(
     v0, v1 = p0 * a0 + p1 * a1 + p2 * a2, p0 * b0 + p1 * b1 + p2 * b2
     area = u0 * v1 - u1 * v0
     trace = u0 * u0 + u1 * u1 + v0 * v0 + v1 * v1
-    largest = 0.5 * (trace + np.sqrt(max(trace * trace - 4.0 * area * area, 0.0)))
-    scale = 1.0 / (np.sqrt(max(largest, _TINY)) * sigma)
+    # Between the squared singular values. Where they are equal, on the epipole itself, the smaller has no derivative.
+    gap = max(np.sqrt(max(trace * trace - 4.0 * area * area, 0.0)), _LEAST_GAP * trace, _TINY)
+    largest = max(0.5 * (trace + gap), _TINY)
+    scale = 1.0 / (np.sqrt(largest) * sigma)
+    residual = area * scale
+    by_area = scale + residual * area / (gap * largest)
+    by_trace = -0.25 * residual * (1.0 + trace / gap) / largest
     n0, n1, n2 = q1 * p2 - q2 * p1, q2 * p0 - q0 * p2, q0 * p1 - q1 * p0
     along_q, along_p = q0 * d0 + q1 * d1 + q2 * d2, p0 * d0 + p1 * d1 + p2 * d2
+    trace_a, trace_b = -2.0 * (along_q * u0 + along_p * v0), -2.0 * (along_q * u1 + along_p * v1)
     cosine = q0 * p0 + q1 * p1 + q2 * p2
     towards = (along_p - along_q) / (np.sqrt(max(trace, _TINY)) * sigma)
     wrong_way = -1.0 if towards <= -_SENSE_SIGMAS else 0.0
+    turn_trace = -2.0 * along_q * by_trace
     return (
-        (n0 * d0 + n1 * d1 + n2 * d2) * scale,
-        (n0 * a0 + n1 * a1 + n2 * a2) * scale,
-        (n0 * b0 + n1 * b1 + n2 * b2) * scale,
-        (along_q * p0 - cosine * d0) * scale,
-        (along_q * p1 - cosine * d1) * scale,
-        (along_q * p2 - cosine * d2) * scale,
+        residual,
+        (n0 * a0 + n1 * a1 + n2 * a2) * by_area + trace_a * by_trace,
+        (n0 * b0 + n1 * b1 + n2 * b2) * by_area + trace_b * by_trace,
+        (along_q * p0 - cosine * d0) * by_area + (q1 * d2 - q2 * d1) * turn_trace,
+        (along_q * p1 - cosine * d1) * by_area + (q2 * d0 - q0 * d2) * turn_trace,
+        (along_q * p2 - cosine * d2) * by_area + (q0 * d1 - q1 * d0) * turn_trace,
         1.0 if towards >= _SENSE_SIGMAS else wrong_way,
     )
 

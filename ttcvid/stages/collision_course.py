@@ -94,6 +94,10 @@ def course_of(
         return OPEN
     if row.motion_state not in APPROACHING or not row.times.tcpa_s[0] > 0.0:
         return None
+    is_standing, is_road_found = row.motion_id == SCENE_MOTION, bend is not None and bend.road_hz is not None
+    if is_standing and on_ground and not is_road_found and not is_warned:
+        # A bridge, trees beside the road or paint on it look like a wall as long as nobody knows where the road is.
+        return OPEN
     asked = _sigmas_of(config.confidence)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
     *off_widths, sigma_widths = _miss_widths(row, row.state_abc_hz, cov, camera, on_ground, bend).tolist()

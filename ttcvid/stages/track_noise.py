@@ -21,6 +21,8 @@ _FORGETTING, _PRIOR_WEIGHT = 0.9, 4.0
 _POOL_GAIN = 0.2
 # Squared third difference of independent noise, two components, over its variance.
 _PX2_PER_VARIANCE = 40.0
+# No track is noisier than its peers by more than this factor: what is rougher moves.
+_MOST_OVER_PEERS = 5.0
 # Time steps that differ by more than this part make a third difference meaningless.
 _EVEN_STEPS = 0.1
 # Median of a chi-square variable with two degrees of freedom, divided by two.
@@ -45,13 +47,15 @@ def with_noise(
     Call after `ttcvid.stages.history.with_egomotion`.
     """
     pool = history.pool_sigma_px
-    fresh, is_measured, typical_px2 = _relative_roughness(history)
+    fresh, is_measured, typical_px2 = _relative_roughness(history, sigma_floor_px)
     if residual_spread is not None:
         rough = np.sqrt(typical_px2 / _PX2_PER_VARIANCE) / pool if is_slow else 0.0
         pool = max(sigma_floor_px, pool * max(residual_spread, rough) ** _POOL_GAIN)
     noise_sum = _FORGETTING * history.noise_sum + 2.0 * fresh
     noise_weight = _FORGETTING * history.noise_weight + 2.0 * is_measured
-    relative_variance = (_PRIOR_WEIGHT + noise_sum) / (_PRIOR_WEIGHT + noise_weight)
+    relative_variance = np.minimum(
+        (_PRIOR_WEIGHT + noise_sum) / (_PRIOR_WEIGHT + noise_weight), _MOST_OVER_PEERS * _MOST_OVER_PEERS
+    )
     return replace(
         history,
         sigma_px=np.maximum(pool * np.sqrt(relative_variance), sigma_floor_px),
@@ -61,8 +65,12 @@ def with_noise(
     )
 
 
-def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools, float]:
-    """Squared third difference of each track over the typical one, 0 where unknown; where it is known; that, px^2."""
+def _relative_roughness(history: TrackHistory, sigma_floor_px: float) -> tuple[Floats, Bools, float]:
+    """Squared third difference of each track over its peers', 0 where unknown; where it is known; the typical, px^2.
+
+    Peers are at least as rough as the least noise that a tracker has makes them. A background without noise (rendered,
+    denoised, blocks that a codec skips) would make whatever moves look noisy.
+    """
     nothing = np.zeros(history.n_tracks), np.zeros(history.n_tracks, dtype=bool), 0.0
     if len(history.frame) < _DIFFERENCE_FRAMES:
         return nothing
@@ -76,10 +84,9 @@ def _relative_roughness(history: TrackHistory) -> tuple[Floats, Bools, float]:
     if n_measured < _LEAST_MEASURED:
         return nothing
     typical = median(measured[:n_measured]) / _MEDIAN_CHI2_2
-    if typical <= 0.0:
-        return nothing
     is_measured = roughness >= 0.0
-    return np.maximum(roughness, 0.0) / typical, is_measured, typical
+    peers = max(typical, _PX2_PER_VARIANCE * sigma_floor_px * sigma_floor_px)
+    return np.maximum(roughness, 0.0) / peers, is_measured, typical
 
 
 @compiled
