@@ -8,11 +8,22 @@ import pytest
 from frame_results import event, frame_result, no_tracks, object_cluster, scene_cluster, some_tracks, times_of
 
 from ttcvid.draw import OverlayPainter
+from ttcvid.draw.boxes import box_in_pixels
 from ttcvid.draw.directions import epipole_ellipses_px
 from ttcvid.draw.lettering import Lettering, cap_height_px
-from ttcvid.draw.palette import BLACK, OBJECT_COLOURS, SCENE, WARNING, WHITE, object_colour
+from ttcvid.draw.palette import (
+    BLACK,
+    OBJECT_COLOURS,
+    SCENE,
+    UNASSIGNED,
+    WARNING,
+    WHITE,
+    ObjectColours,
+    colours_of_tracks,
+)
+from ttcvid.draw.shown import ShownObjects
 from ttcvid.draw.trails import Trails
-from ttcvid.draw.wording import Urgency, banner_text, by_urgency, interval_text, seconds, time_text, urgency_of
+from ttcvid.draw.wording import Urgency, by_urgency, interval_text, seconds, time_text, urgency_of
 from ttcvid.model import Camera, CollisionTimes, FrameStatus, ImageSize, MotionState, Status, TrackRows
 
 SIZE = ImageSize(320, 200)
@@ -29,6 +40,25 @@ def painted(*results, camera=CAMERA, trail_frames=4):
     for result in results:
         picture = painter.paint(blank(camera.image_size), result)
     return picture
+
+
+@pytest.fixture
+def words(monkeypatch):
+    """What is written into a picture, in order: text, x, y."""
+    written = []
+    draw = Lettering.draw
+
+    def drawn(self, bgr, text, x, y, ink):
+        written.append((text, x, y))
+        draw(self, bgr, text, x, y, ink)
+
+    monkeypatch.setattr(Lettering, "draw", drawn)
+    return written
+
+
+def object_colour(cluster_id):
+    """The colour of an object that is in view alone, or beside others with lower numbers."""
+    return ObjectColours().follow([cluster_id])[cluster_id]
 
 
 def has_colour(picture, colour):
@@ -89,7 +119,7 @@ def test_red_is_for_warnings_and_amber_for_certain_near_approaches():
     assert urgency_of(near, (event(cluster_id=2),)) is Urgency.close
     assert urgency_of(far, ()) is Urgency.calm
     assert urgency_of(uncertain, ()) is Urgency.calm
-    assert urgency_of(timed(2.4, 2.1, 2.8, MotionState.unknown), ()) is Urgency.calm
+    assert urgency_of(timed(2.4, 2.1, 2.8, MotionState.receding), ()) is Urgency.calm
 
 
 def test_objects_come_by_rank_and_those_without_rank_last():
@@ -98,17 +128,133 @@ def test_objects_come_by_rank_and_those_without_rank_last():
     assert [row.cluster_id for row in by_urgency(frame_result(1, clusters=clusters))] == [3, 2, 1, 4]
 
 
-def test_banner_names_kind_object_and_time():
-    result = frame_result(3, clusters=[timed(2.4, 2.3, 2.5)])
-    assert banner_text(event(cluster_id=1), result) == "COLLISION COURSE #1  2.4 s"
-    assert banner_text(event(cluster_id=9, kind="constant_bearing"), result) == "CONSTANT BEARING #9"
+def test_what_may_or_may_not_approach_is_drawn_quietly():
+    vague = object_cluster(motion_state=MotionState.unknown)
+    assert urgency_of(vague, ()) is Urgency.untold
+    assert urgency_of(vague, (event(cluster_id=1),)) is Urgency.warned
+    loud = object_cluster(motion_state=MotionState.receding)
+    n_coloured = [
+        int(np.all(painted(frame_result(1, clusters=[row])) == OBJECT_COLOURS[0], axis=-1).sum())
+        for row in (replace(vague, direction=None), replace(loud, direction=None))
+    ]
+    assert 0 < n_coloured[0] < 0.7 * n_coloured[1]
 
 
-def test_an_object_keeps_its_colour_and_neighbours_differ():
-    assert len(set(OBJECT_COLOURS)) == len(OBJECT_COLOURS)
-    assert object_colour(1) != object_colour(2)
-    assert object_colour(1) == object_colour(1 + len(OBJECT_COLOURS))
-    assert not set(OBJECT_COLOURS) & {SCENE, WARNING}
+def test_the_legend_leaves_out_what_may_or_may_not_approach(words):
+    told = timed(5.0, 4.9, 5.1, cluster_id=2, box_px=(200.0, 100.0, 250.0, 140.0))
+    painted(frame_result(1, clusters=[object_cluster(motion_state=MotionState.unknown), told]))
+    assert [text for text, x, y in words if x < 60 and y < 40] == ["#2", "5.0 s  4.9-5.1"]
+
+
+def test_objects_that_are_warned_of_come_first():
+    calm, warned = timed(2.0, 1.9, 2.1, urgency_rank=1), timed(3.0, 2.9, 3.1, cluster_id=2, urgency_rank=2)
+    result = frame_result(1, clusters=[calm, warned], events=(event(cluster_id=2),))
+    assert [row.cluster_id for row in by_urgency(result)] == [1, 2]
+    assert [one.row.cluster_id for one in ShownObjects().follow(result)] == [2, 1]
+
+
+def test_the_banner_names_kind_object_and_time(words):
+    painted(frame_result(3, clusters=[timed(2.4, 2.3, 2.5)], events=(event(cluster_id=1),)))
+    assert "COLLISION COURSE #1  2.4 s" in [text for text, _, _ in words]
+
+
+def test_the_banner_names_an_object_with_a_box_rather_than_a_hidden_one(words):
+    hidden, seen = timed(1.0, 0.9, 1.1), timed(2.4, 2.3, 2.5, cluster_id=2)
+    both = (event(1, cluster_id=1), event(2, cluster_id=2))
+    painted(frame_result(3, clusters=[hidden]), frame_result(4, clusters=[seen], events=both))
+    assert "COLLISION COURSE #2  2.4 s" in [text for text, _, _ in words]
+
+
+def test_a_warning_of_a_hidden_object_is_shown_where_it_was_seen_last(words):
+    """Its red dashes stand around its last box, and its label beside them."""
+    box_px = (100.0, 80.0, 160.0, 130.0)
+    warned = (event(cluster_id=1),)
+    seen = frame_result(3, clusters=[timed(2.4, 2.3, 2.5, box_px=box_px)], events=warned)
+    picture = painted(seen, frame_result(4, events=warned), frame_result(5, events=warned))
+    assert "COLLISION COURSE #1  seen 0.2 s ago" in [text for text, _, _ in words]
+    last_label = [place for place in words if place[0] == "#1 seen 0.2 s ago"]
+    assert last_label
+    assert abs(last_label[0][1] - box_px[0]) < 20
+    assert abs(last_label[0][2] - box_px[1]) < 40
+    is_red = np.all(picture == WARNING, axis=-1)
+    assert is_red[80:130, 85:100].any()
+    assert is_red[80:130, 161:175].any()
+
+
+def test_a_warning_that_has_ended_leaves_nothing_behind(words):
+    seen = frame_result(3, clusters=[timed(2.4, 2.3, 2.5)], events=(event(cluster_id=1),))
+    painted(seen, frame_result(4))
+    assert not [text for text, _, _ in words if "ago" in text]
+
+
+def test_a_banner_that_would_hide_its_object_stands_on_top():
+    low, high = (100.0, 160.0, 200.0, 199.0), (100.0, 90.0, 200.0, 130.0)
+    for box_px, is_on_top in ((low, True), (high, False)):
+        row = timed(2.4, 2.3, 2.5, box_px=box_px, direction=None)
+        picture = painted(frame_result(1, clusters=[row], events=(event(cluster_id=1),)))
+        is_reddish = (picture[:, 310, 2] > 180) & (picture[:, 310, 1] < 60)
+        assert is_reddish[:30].any() == is_on_top
+        assert is_reddish[140:].any() != is_on_top
+
+
+def test_every_object_that_is_warned_of_has_a_label_even_without_room(words):
+    boxes = [(100.0 + i, 2.0 + i, 300.0, 198.0) for i in range(6)]
+    rows = [timed(2.4, 2.3, 2.5, cluster_id=i + 1, box_px=box) for i, box in enumerate(boxes)]
+    events = tuple(event(i, cluster_id=i) for i in range(1, 7))
+    painted(frame_result(1, clusters=rows, events=events))
+    assert {f"#{i} 2.4 s" for i in range(1, 7)} <= {text for text, _, _ in words}
+
+
+def colours_over(*frames):
+    """The colours of the objects of each frame, by number."""
+    colours = ObjectColours()
+    return [colours.follow(cluster_ids) for cluster_ids in frames]
+
+
+def test_two_objects_in_view_never_share_a_colour():
+    n = len(OBJECT_COLOURS)
+    crowds = [[1, 1 + n, 1 + 2 * n], range(1, 60), [3, 3 + n, 7, 7 + 5 * n]]
+    for colours, crowd in zip(colours_over(*crowds), crowds, strict=True):
+        assert len(set(colours.values())) == len(crowd)
+        assert not set(colours.values()) & {SCENE, UNASSIGNED, WARNING, BLACK, WHITE}
+
+
+def test_an_object_keeps_its_colour_whoever_comes_and_goes():
+    n = len(OBJECT_COLOURS)
+    frames = colours_over([1 + n], [1, 1 + n], [1, 1 + n, 1 + 2 * n], [1 + n], [1, 1 + n])
+    assert len({colours[1 + n] for colours in frames}) == 1
+    assert frames[1][1] == frames[2][1] == frames[4][1]
+
+
+def test_a_new_object_takes_the_colour_that_was_used_longest_ago():
+    n = len(OBJECT_COLOURS)
+    *_, last = colours_over([2], [3], [4, 5, 6], [1], [1, 1 + n])
+    assert last[1 + n] == OBJECT_COLOURS[1]
+
+
+def test_tracks_have_the_colours_of_their_objects():
+    colours = colours_of_tracks(np.array([7, 0, -1, 5]), {7: (1, 2, 3)})
+    assert colours.tolist() == [[1, 2, 3], [*SCENE], [*UNASSIGNED], [*UNASSIGNED]]
+
+
+def box_of(xy_px):
+    return box_in_pixels(object_cluster(box_px=(0.0, 0.0, 1.0, 1.0)), np.asarray(xy_px, dtype=float))
+
+
+def test_the_box_leaves_out_strays():
+    grid_px = np.stack(np.meshgrid(np.arange(100, 150, 10), np.arange(60, 100, 10)), axis=-1).reshape(-1, 2)
+    body = (100, 60, 140, 90)
+    assert box_of(grid_px) == body
+    assert box_of([*grid_px, [120, 160]]) == body
+    assert box_of([*grid_px, [60, 70], [190, 70]]) == body
+
+
+def test_the_box_keeps_long_ends_and_few_tracks():
+    """Wing tips are not strays: others lie between; of a few tracks, each one counts."""
+    wing_px = [[x, 50] for x in (0, 12, 24, 36, *range(48, 110, 2), 122, 134, 146)]
+    assert box_of(wing_px) == (0, 50, 146, 50)
+    assert box_of([[0, 0], [5, 5], [9, 3], [80, 4]]) == (0, 0, 80, 5)
+    assert box_of(np.zeros((0, 2))) == (0, 0, 1, 1)
 
 
 @pytest.mark.parametrize("size", [(1242, 375), (640, 360), (1920, 1080), (360, 640), (3840, 2160)])
@@ -118,11 +264,11 @@ def test_letters_can_be_read_when_the_picture_fills_a_phone(size):
     assert Lettering(cap_px).width_px("#3 2.1-2.8 s") < 0.5 * size[0]
 
 
-def test_letters_are_cut_off_at_the_edges_and_unknown_ones_replaced():
+def test_letters_are_cut_off_at_the_edges_and_unknown_ones_have_a_width():
     letters = Lettering(12)
     for x, y in product((-500, -5, 100, 315, 900), (-500, -5, 50, 195, 900)):
-        letters.draw(blank(), "12.3 s größe", x, y, WHITE)
-    assert letters.width_px("ö") == letters.width_px("?")
+        letters.draw(blank(), "12.3 s größe \u6f22", x, y, WHITE)
+    assert letters.width_px("\u6f22") > 0
     assert letters.width_px("") == 0
     letters.draw(blank(), "", 0, 0, WHITE)
 
@@ -133,6 +279,21 @@ def test_letters_are_white_where_they_cover_and_leave_the_rest():
     assert picture.max() >= 250
     assert (picture[:15] == GREY).all()
     assert (picture[70:] == GREY).all()
+
+
+def test_the_number_sign_is_legible():
+    """Its four strokes leave the ground open between them, in the middle and on all sides."""
+    picture = blank()
+    letters = Lettering(14)
+    letters.draw(picture, "#", 20, 20, WHITE)
+    sign = picture[20:34, 20 : 20 + letters.width_px("#"), 0].astype(float)
+    ink = (sign - GREY) / (255.0 - GREY)
+    across, down = ink.mean(axis=0), ink.mean(axis=1)
+    is_stroke = down > 0.7
+    assert np.count_nonzero(np.diff(is_stroke.astype(int)) == 1) == 2  # two strokes across
+    between = ink[np.flatnonzero(is_stroke)[0] : np.flatnonzero(is_stroke)[-1] + 1].min(axis=1)
+    assert between.min() < 0.2
+    assert across.max() > 0.5
 
 
 def test_trails_follow_each_track_by_its_number():
@@ -162,7 +323,7 @@ def trail_over(*places_px, cluster_id=2, stroke_px=1):
     for place_px in places_px:
         tracks = tracks_at([place_px], cluster_id=[cluster_id])
         trails.follow(tracks)
-    trails.draw(picture, tracks, stroke_px)
+    trails.draw(picture, tracks, {2: OBJECT_COLOURS[1]}, stroke_px)
     return (picture != GREY).any(axis=-1)
 
 
@@ -210,6 +371,16 @@ def test_ellipse_is_the_90_percent_region_of_the_direction():
     half_axes_px = np.sqrt(-2 * np.log(0.1)) * sigma_rad * 300.0
     assert np.ptp(ellipse_px, axis=0) / 2 == pytest.approx(half_axes_px, rel=0.01)
     assert ellipse_px.mean(axis=0) == pytest.approx([160.0, 100.0], abs=1e-6)
+
+
+def test_an_epipole_that_may_lie_anywhere_is_left_out():
+    """Its region is wider than 40 % of the picture: 128 px, sigma 0.1 rad or 30 px."""
+    x, y = 160, 150
+    row = object_cluster(box_px=(20.0, 20.0, 50.0, 60.0), ref_px=(35.0, 40.0), epipole_px=np.array([x, y]))
+    for sigma_rad, is_drawn in ((0.03, True), (0.1, False)):
+        vague = replace(row, direction_cov=np.diag([sigma_rad**2, sigma_rad**2, 0.0]))
+        picture = painted(frame_result(1, clusters=[vague]))
+        assert (tuple(picture[y, x]) == object_colour(1)) == is_drawn
 
 
 def test_ellipse_is_missing_without_covariance_or_behind_the_camera():

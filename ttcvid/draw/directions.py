@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
 
-from ttcvid.draw.palette import BLACK, HORIZON, WHITE, Colour, object_colour
+from ttcvid.draw.palette import BLACK, HORIZON, Colour
 from ttcvid.draw.signs import Point, draw_arrow, draw_cross, draw_edge_arrow, draw_ring
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.rotation import cross
-from ttcvid.model import SCENE_CLUSTER, Bools, Camera, ClusterRow, Floats, Picture
+from ttcvid.model import Bools, Camera, ClusterRow, Floats, Picture
 
 # Square root of the 90 % quantile of chi-square with two degrees of freedom: the ellipse holds 90 %.
 _SIGMAS_OF_90_PERCENT = 2.146
@@ -20,8 +20,8 @@ _ELLIPSE_POINTS = 36
 _TURN_RAD = np.linspace(0, 2 * np.pi, _ELLIPSE_POINTS, endpoint=False)
 # The least of the three variances belongs to the direction itself, along which nothing is uncertain.
 _CIRCLE = np.stack([np.zeros_like(_TURN_RAD), np.cos(_TURN_RAD), np.sin(_TURN_RAD)])
-# An ellipse that reaches further out than this many picture widths says no more than "somewhere".
-_ELLIPSE_REACH = 1.0
+# An ellipse that is longer than this many picture widths says no more than "somewhere".
+_LONGEST_ELLIPSE = 0.4
 # Below this sine of the angle between ray and motion a thing moves along the line of sight: no arrow can show it.
 _MIN_SIDEWAYS = 0.06
 _SMALL_STEP = 1e-3  # in units of the focal length: over it, the lens does not bend
@@ -29,15 +29,18 @@ _HORIZON_PIECES = 60
 _HORIZON_REACH = 4.0  # picture widths beyond which a bent horizon is not drawn
 
 
-def draw_epipoles(bgr: Picture, camera: Camera, clusters: Sequence[ClusterRow], unit_px: int) -> None:
+def draw_epipoles(
+    bgr: Picture, camera: Camera, clusters: Sequence[ClusterRow], colours: Mapping[int, Colour], unit_px: int
+) -> None:
     """A cross at each epipole with its 90 % ellipse; where it lies outside, an arrow at the edge that points there.
 
-    The first of ``clusters`` is drawn last, on top. An epipole at infinity is pointed to along the motion.
+    The first of ``clusters`` is drawn last, on top. An epipole at infinity is pointed to along the motion. One that
+    lies in the picture, but is not known to better than `_LONGEST_ELLIPSE`, is left out.
     """
     height, width = bgr.shape[:2]
     shown = [cluster for cluster in clusters if _has_direction(cluster)][::-1]
     for cluster, ellipse_px in zip(shown, epipole_ellipses_px(camera, shown), strict=True):
-        colour = _colour_of(cluster)
+        colour = colours[cluster.cluster_id]
         if cluster.epipole_px is None:
             draw_edge_arrow(bgr, _direction_of(cluster)[:2], colour, unit_px)
             continue
@@ -45,7 +48,10 @@ def draw_epipoles(bgr: Picture, camera: Camera, clusters: Sequence[ClusterRow], 
         if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
             draw_edge_arrow(bgr, np.array([x - width / 2, y - height / 2]), colour, unit_px)
             continue
-        if np.all(np.abs(ellipse_px - [width / 2, height / 2]) < (0.5 + _ELLIPSE_REACH) * width):
+        if np.isfinite(ellipse_px).any():
+            # Some points of a still longer one lie behind the camera, and are NaN.
+            if not np.linalg.norm(np.ptp(ellipse_px, axis=0)) <= _LONGEST_ELLIPSE * width:
+                continue
             outline = np.round(ellipse_px).astype(np.int32)
             cv2.polylines(bgr, [outline], True, BLACK, 3, cv2.LINE_AA)
             cv2.polylines(bgr, [outline], True, colour, 1, cv2.LINE_AA)
@@ -71,7 +77,9 @@ def epipole_ellipses_px(camera: Camera, clusters: Sequence[ClusterRow]) -> Float
     return ellipses_px
 
 
-def draw_directions(bgr: Picture, camera: Camera, clusters: Sequence[ClusterRow], unit_px: int) -> None:
+def draw_directions(
+    bgr: Picture, camera: Camera, clusters: Sequence[ClusterRow], colours: Mapping[int, Colour], unit_px: int
+) -> None:
     """Where the picture of each cluster moves, from its reference point; the first of ``clusters`` on top.
 
     Motion along the line of sight is drawn as physicists do: a ring with a dot comes, a ring with a cross goes.
@@ -83,7 +91,7 @@ def draw_directions(bgr: Picture, camera: Camera, clusters: Sequence[ClusterRow]
     directions = np.array([_direction_of(cluster) for cluster in shown])
     flows_px, sideways, is_coming = _flows(camera, starts_px, directions)
     for i, cluster in enumerate(shown):
-        colour = _colour_of(cluster)
+        colour = colours[cluster.cluster_id]
         if sideways[i] >= _MIN_SIDEWAYS and np.all(np.isfinite(flows_px[i])):
             x0, y0, x1, y1 = cluster.box_px
             longest_px = np.clip(np.hypot(x1 - x0, y1 - y0), 2.5 * unit_px, 6 * unit_px)
@@ -139,10 +147,6 @@ def _reference_px(cluster: ClusterRow) -> tuple[float, float]:
         return cluster.ref_px
     x0, y0, x1, y1 = cluster.box_px
     return (x0 + x1) / 2, (y0 + y1) / 2
-
-
-def _colour_of(cluster: ClusterRow) -> Colour:
-    return WHITE if cluster.cluster_id == SCENE_CLUSTER else object_colour(cluster.cluster_id)
 
 
 def _point(xy_px: Floats) -> Point:

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 
-import cv2
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from ttcvid.draw.palette import Colour
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import ImageSize, Picture
 
-_FONT = cv2.FONT_HERSHEY_DUPLEX
-_CAP_HEIGHT_AT_SCALE_1 = 21  # px, height of capitals in OpenCV's Hershey fonts
-_OVERSAMPLING = 4
-_STROKE_PER_CAP = 0.15  # bold enough to be read on a small screen
+# A part of DejaVu Sans (Latin letters, signs, arrows); its licence stands beside it.
+_FONT = Path(__file__).with_name("fonts") / "DejaVuSansCondensed-Bold.ttf"
+_CAP_PER_SIZE = 0.729  # height of the font's capitals
 _DESCENDER_PER_CAP = 0.35
-_ADVANCE = 0.92  # the font's own spacing is meant for plotters
-_SPACE_ADVANCE = 0.6
-_PRINTABLE = "".join(chr(code) for code in range(32, 127))
 
 # Height of capitals. A wide picture is shrunk to the width of a phone, so its letters follow the width too.
 _CAP_PER_HEIGHT = 0.035
@@ -34,29 +31,36 @@ def cap_height_px(size: ImageSize) -> int:
 
 
 class Lettering:
-    """ASCII letters of one size; other characters come out as ``?``."""
+    """Letters of one size; characters that the font lacks come out as an empty box."""
 
     def __init__(self, cap_px: int) -> None:
         self.cap_px = cap_px
         self.line_px = round(cap_px * 1.75)
-        self._covers = {letter: _glyph(letter, cap_px) for letter in _PRINTABLE}
+        self._font = ImageFont.truetype(_FONT, cap_px / _CAP_PER_SIZE)
+        self._letter = lru_cache(maxsize=512)(self._drawn_letter)
         # What stays from picture to picture (numbers, words, notes) is put together once.
         self._cover_of = lru_cache(maxsize=256)(self._cover)
-        self._widths_px = {letter: cover.shape[1] for letter, cover in self._covers.items()}
 
     def width_px(self, text: str) -> int:
         """Width of a text."""
-        unknown_px = self._widths_px["?"]
-        return sum(self._widths_px.get(letter, unknown_px) for letter in text)
+        return sum(self._letter(letter).shape[1] for letter in text)
 
     def draw(self, bgr: Picture, text: str, x: int, y: int, ink: Colour) -> None:
         """Write ``text`` with the upper left corner of its capitals at (x, y); what lies outside is cut off."""
         _blend(bgr, self._cover_of(text), x, y, *ink)
 
     def _cover(self, text: str) -> Picture:
-        """How much of each pixel a text covers, ``(height, width)``."""
-        unknown = self._covers["?"]
-        return np.concatenate([unknown[:, :0], *(self._covers.get(letter, unknown) for letter in text)], axis=1)
+        """How much of each pixel a text covers, 0 to 255, ``(height, width)``."""
+        nothing = self._letter(" ")[:, :0]
+        return np.concatenate([nothing, *(self._letter(letter) for letter in text)], axis=1)
+
+    def _drawn_letter(self, letter: str) -> Picture:
+        """The cover of one letter, as wide as it advances; the baseline lies ``cap_px`` below the top."""
+        height_px = self.cap_px + round(self.cap_px * _DESCENDER_PER_CAP)
+        width_px = max(1, round(self._font.getlength(letter)))
+        cover = Image.new("L", (width_px, height_px))
+        ImageDraw.Draw(cover).text((0, self.cap_px), letter, fill=255, font=self._font, anchor="ls")
+        return np.asarray(cover, dtype=np.uint8)
 
 
 @compiled
@@ -71,16 +75,3 @@ def _blend(bgr: Picture, cover: Picture, x: int, y: int, blue: int, green: int, 
                 bgr[v, u, 0] = (bgr[v, u, 0] * (255 - share) + share * blue) // 255
                 bgr[v, u, 1] = (bgr[v, u, 1] * (255 - share) + share * green) // 255
                 bgr[v, u, 2] = (bgr[v, u, 2] * (255 - share) + share * red) // 255
-
-
-def _glyph(letter: str, cap_px: int) -> Picture:
-    """How much of each pixel a letter covers, 0 to 255; the baseline lies ``cap_px`` below the top."""
-    scale = cap_px * _OVERSAMPLING / _CAP_HEIGHT_AT_SCALE_1
-    stroke = max(1, round(cap_px * _OVERSAMPLING * _STROKE_PER_CAP))
-    (advance, _), _ = cv2.getTextSize(letter, _FONT, scale, 1)
-    height = cap_px + round(cap_px * _DESCENDER_PER_CAP)
-    width = max(1, round(advance / _OVERSAMPLING * (_SPACE_ADVANCE if letter == " " else _ADVANCE)))
-    large = np.zeros((height * _OVERSAMPLING, width * _OVERSAMPLING), dtype=np.uint8)
-    baseline = (0, cap_px * _OVERSAMPLING - stroke // 2)
-    cv2.putText(large, letter, baseline, _FONT, scale * (1 - _STROKE_PER_CAP), 255, stroke, cv2.LINE_AA)
-    return np.asarray(cv2.resize(large, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import colorsys
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
-from ttcvid.model import Ints, Picture
+from ttcvid.model import SCENE_CLUSTER, Ints, Picture
 
 Colour = tuple[int, int, int]
 
@@ -32,14 +34,64 @@ HORIZON: Colour = (230, 230, 160)
 MUTED_INK: Colour = (190, 190, 190)
 
 
-def object_colour(cluster_id: int) -> Colour:
-    """The colour of an object, the same for its whole life."""
-    return OBJECT_COLOURS[(cluster_id - 1) % len(OBJECT_COLOURS)]
+# Golden ratio: hues at its multiples never come back to one another.
+_HUE_STEP = 0.618034
+# Hues of further colours stay clear of the red of a warning.
+_HUES = (0.08, 0.92)
+_SATURATIONS = (0.35, 0.65)
 
 
-def object_colours(cluster_id: Ints) -> Picture:
-    """The colours ``(N, 3)`` of N objects."""
-    return np.array(OBJECT_COLOURS, dtype=np.uint8)[(cluster_id - 1) % len(OBJECT_COLOURS)]
+class ObjectColours:
+    """Colours of objects: no two in view share one, and each keeps its own while it is seen.
+
+    An object has the colour of its number, unless another in view has it: then that which was used longest ago. Where
+    there are more objects than `OBJECT_COLOURS`, further colours are made.
+    """
+
+    def __init__(self) -> None:
+        self._place_of: dict[int, int] = {}
+        self._seen_last: dict[int, int] = {}
+        self._used_last: dict[int, int] = {}
+        self._n_frames = 0
+
+    def follow(self, cluster_ids: Iterable[int]) -> dict[int, Colour]:
+        """The colours of the objects that are in view in the next frame, by ``cluster_id``."""
+        self._n_frames += 1
+        # Whoever was in view last keeps its colour first.
+        in_view = sorted(set(cluster_ids), key=lambda one: (-self._seen_last.get(one, 0), one))
+        taken: dict[int, int] = {}
+        for cluster_id in in_view:
+            place = self._place_of.get(cluster_id, (cluster_id - 1) % len(OBJECT_COLOURS))
+            taken[self._free_place(place, taken)] = cluster_id
+        for place, cluster_id in taken.items():
+            self._place_of[cluster_id] = place
+            self._seen_last[cluster_id] = self._used_last[place] = self._n_frames
+        return {cluster_id: _colour_at(place) for place, cluster_id in taken.items()}
+
+    def _free_place(self, wanted: int, taken: Mapping[int, int]) -> int:
+        if wanted not in taken:
+            return wanted
+        free = [place for place in range(len(OBJECT_COLOURS)) if place not in taken]
+        if free:
+            return min(free, key=lambda place: (self._used_last.get(place, 0), place))
+        return next(place for place in range(len(taken) + 1) if place not in taken)
+
+
+def _colour_at(place: int) -> Colour:
+    """The colours of `OBJECT_COLOURS`, and after them others without end."""
+    if place < len(OBJECT_COLOURS):
+        return OBJECT_COLOURS[place]
+    hue = _HUES[0] + (_HUES[1] - _HUES[0]) * (place * _HUE_STEP % 1.0)
+    red, green, blue = colorsys.hsv_to_rgb(hue, _SATURATIONS[place % len(_SATURATIONS)], 1.0)
+    return round(255 * blue), round(255 * green), round(255 * red)
+
+
+def colours_of_tracks(cluster_id: Ints, colours: Mapping[int, Colour]) -> Picture:
+    """The colours ``(N, 3)`` of N tracks: those of their objects, and grey for the scene and for what has none."""
+    table = {**colours, SCENE_CLUSTER: SCENE}
+    numbers, place = np.unique(cluster_id, return_inverse=True)
+    ink = np.array([table.get(number, UNASSIGNED) for number in numbers.tolist()], dtype=np.uint8).reshape(-1, 3)
+    return ink[place]
 
 
 def shade(bgr: Picture, box: tuple[int, int, int, int], colour: Colour, opacity: float) -> None:

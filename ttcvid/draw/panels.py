@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ttcvid.draw.boxes import Box
 from ttcvid.draw.lettering import Lettering
-from ttcvid.draw.palette import CLOSE, DARK, MUTED_INK, WARNING, WHITE, Colour, object_colour, shade
+from ttcvid.draw.palette import CLOSE, DARK, MUTED_INK, WARNING, WHITE, Colour, shade
+from ttcvid.draw.shown import Shown
 from ttcvid.draw.signs import draw_top_view
-from ttcvid.draw.wording import BACKINGS, INKS, Urgency, banner_text, interval_text, time_text, urgency_of
-from ttcvid.model import Camera, ClusterRow, FrameResult, FrameStatus, Picture
-
-Box = tuple[int, int, int, int]
+from ttcvid.draw.wording import BACKINGS, INKS, NOT_IN_VIEW, Urgency, banner_text, interval_text
+from ttcvid.model import Camera, FrameResult, FrameStatus, Picture
 
 MAX_LEGEND_ROWS = 6
 MAX_LABELS = 8
-_FAR_PX = 30_000.0
 _LEGEND_SHARE = 0.4  # of the picture's height
 _PANEL_OPACITY = 0.62
 _BANNER_OPACITY = 0.85
+_HIDDEN_SHARE = 0.5  # of a box under the banner, from which on the banner stands on top of the picture
 _LEGEND_INKS: dict[Urgency, Colour] = {Urgency.calm: WHITE, Urgency.close: CLOSE, Urgency.warned: (110, 110, 255)}
 
 
@@ -30,42 +30,47 @@ class Panels:
         self._pad_px = max(2, lettering.cap_px // 3)
         self._taken: list[Box] = []
         self._n_bottom_rows = 1
+        self._top_px = 0
 
     def begin(self) -> None:
         """Forget what the last picture held."""
         self._taken = []
         self._n_bottom_rows = 1
+        self._top_px = 0
 
-    def legend(self, bgr: Picture, result: FrameResult, objects: Sequence[ClusterRow]) -> None:
-        """Colour, direction from above, number and time of the most urgent objects, in the upper left corner."""
+    def legend(self, bgr: Picture, objects: Sequence[Shown]) -> None:
+        """Colour, direction from above, number and time of the most urgent objects, in the upper left corner.
+
+        Left out are those of which nothing is told.
+        """
         letters, pad_px = self._letters, self._pad_px
         height, width = bgr.shape[:2]
         n_rows = min(MAX_LEGEND_ROWS, max(1, int(_LEGEND_SHARE * height / letters.line_px)))
-        shown = objects[:n_rows]
+        shown = [one for one in objects if one.urgency is not Urgency.untold][:n_rows]
         if not shown:
             return
-        numbers = [f"#{cluster.cluster_id}" for cluster in shown]
-        times = [self._legend_time(cluster, width) for cluster in shown]
+        numbers = [f"#{one.row.cluster_id}" for one in shown]
+        times = [self._legend_time(one, width) for one in shown]
         number_x = pad_px + round(3.3 * letters.cap_px)
         time_x = number_x + max(letters.width_px(text) for text in numbers) + letters.cap_px
         right = time_x + max(letters.width_px(text) for text in times) + 2 * pad_px
-        box = (0, 0, right, len(shown) * letters.line_px + 2 * pad_px)
+        box = (0, self._top_px, right, self._top_px + len(shown) * letters.line_px + 2 * pad_px)
         shade(bgr, box, DARK, _PANEL_OPACITY)
         self._taken.append(box)
-        for row, (cluster, number, time) in enumerate(zip(shown, numbers, times, strict=True)):
-            y = pad_px + row * letters.line_px + (letters.line_px - letters.cap_px) // 2
-            colour = object_colour(cluster.cluster_id)
-            shade(bgr, (pad_px, y, pad_px + letters.cap_px, y + letters.cap_px), colour, 1.0)
-            if cluster.direction is not None and all(math.isfinite(part) for part in cluster.direction):
+        for row, (one, number, time) in enumerate(zip(shown, numbers, times, strict=True)):
+            y = box[1] + pad_px + row * letters.line_px + (letters.line_px - letters.cap_px) // 2
+            shade(bgr, (pad_px, y, pad_px + letters.cap_px, y + letters.cap_px), one.colour, 1.0)
+            direction = one.row.direction
+            if direction is not None and all(math.isfinite(part) for part in direction):
                 centre = (pad_px + round(2.1 * letters.cap_px), y + letters.cap_px // 2)
-                draw_top_view(bgr, cluster.direction, centre, WHITE, letters.cap_px)
+                draw_top_view(bgr, direction, centre, WHITE, letters.cap_px)
             letters.draw(bgr, number, number_x, y, WHITE)
-            letters.draw(bgr, time, time_x, y, _LEGEND_INKS[urgency_of(cluster, result.events)])
+            letters.draw(bgr, time, time_x, y, _LEGEND_INKS[one.urgency])
 
-    def _legend_time(self, cluster: ClusterRow, width: int) -> str:
-        time, interval = time_text(cluster), interval_text(cluster)
-        long = f"{time}  {interval}"
-        return long if interval and self._letters.width_px(long) < 0.35 * width else time
+    def _legend_time(self, one: Shown, width: int) -> str:
+        interval = interval_text(one.row) if one.is_in_view else ""
+        long = f"{one.text}  {interval}"
+        return long if interval and self._letters.width_px(long) < 0.35 * width else one.text
 
     def clock(self, bgr: Picture, result: FrameResult, is_smooth: bool) -> None:
         """Time and frame in the lower left corner, with the frame's status where it is not ok."""
@@ -93,41 +98,52 @@ class Panels:
         self._taken.append(box)
         return box[2]
 
-    def banner(self, bgr: Picture, result: FrameResult, objects: Sequence[ClusterRow]) -> None:
-        """A red line across the picture while a warning is active: that of the most urgent object."""
+    def banner(self, bgr: Picture, result: FrameResult, objects: Sequence[Shown]) -> None:
+        """A red line across the picture while a warning is active: that of the most urgent object with a box.
+
+        It stands at the bottom, or on top where it would hide that box.
+        """
         if not result.events:
             return
-        order = {cluster.cluster_id: place for place, cluster in enumerate(objects)}
+        order = {one.row.cluster_id: place for place, one in enumerate(objects)}
         event = min(result.events, key=lambda one: (order.get(one.cluster_id, len(order)), one.event_id))
+        named = objects[order[event.cluster_id]] if event.cluster_id in order else None
         letters, pad_px = self._letters, self._pad_px
-        text = banner_text(event, result)
+        text = banner_text(event, NOT_IN_VIEW if named is None else named.text)
         height, width = bgr.shape[:2]
         bottom = height - self._n_bottom_rows * letters.line_px - pad_px
-        box = (0, bottom - letters.line_px - 2 * pad_px, width, bottom)
+        top = bottom - letters.line_px - 2 * pad_px
+        if named is not None and min(named.box[3], height) - top > _HIDDEN_SHARE * (named.box[3] - named.box[1]):
+            top, bottom = 0, bottom - top
+            self._top_px = bottom
+        box = (0, top, width, bottom)
         shade(bgr, box, WARNING, _BANNER_OPACITY)
         x = max(pad_px, (width - letters.width_px(text)) // 2)
         letters.draw(bgr, text, x, box[1] + pad_px + (letters.line_px - letters.cap_px) // 2, WHITE)
         self._taken.append(box)
 
-    def labels(self, bgr: Picture, result: FrameResult, objects: Sequence[ClusterRow]) -> None:
-        """Number and time at the boxes of the most urgent objects, where there is room; the legend has the rest."""
+    def labels(self, bgr: Picture, objects: Sequence[Shown]) -> None:
+        """Number and time at the boxes of the most urgent objects, where there is room; of those warned of, always."""
         letters, pad_px = self._letters, self._pad_px
-        boxes = {cluster.cluster_id: box_in_pixels(cluster) for cluster in objects}
-        for cluster in objects[:MAX_LABELS]:
-            text = f"#{cluster.cluster_id} {time_text(cluster)}"
+        for one in objects[:MAX_LABELS]:
+            text = f"#{one.row.cluster_id} {one.text}"
             label_size = (letters.width_px(text) + 3 * pad_px, letters.cap_px + 2 * pad_px)
-            others = [box for cluster_id, box in boxes.items() if cluster_id != cluster.cluster_id]
-            place = self._free_place(bgr, boxes[cluster.cluster_id], label_size, others)
+            others = [other.box for other in objects if other is not one]
+            place = self._free_place(bgr, one.box, label_size, others, is_needed=one.urgency is Urgency.warned)
             if place is None:
                 continue
-            urgency = urgency_of(cluster, result.events)
-            shade(bgr, place, BACKINGS[urgency], 1.0)
-            shade(bgr, (place[0], place[1], place[0] + pad_px, place[3]), object_colour(cluster.cluster_id), 1.0)
-            letters.draw(bgr, text, place[0] + 2 * pad_px, place[1] + pad_px, INKS[urgency])
+            shade(bgr, place, BACKINGS[one.urgency], 1.0)
+            shade(bgr, (place[0], place[1], place[0] + pad_px, place[3]), one.colour, 1.0)
+            letters.draw(bgr, text, place[0] + 2 * pad_px, place[1] + pad_px, INKS[one.urgency])
             self._taken.append(place)
 
-    def _free_place(self, bgr: Picture, own: Box, label_size: tuple[int, int], others: Sequence[Box]) -> Box | None:
-        """Above, below or inside the own box; clear of all text, and of the other boxes where that can be had."""
+    def _free_place(
+        self, bgr: Picture, own: Box, label_size: tuple[int, int], others: Sequence[Box], *, is_needed: bool
+    ) -> Box | None:
+        """Above, below or inside the own box; clear of all text, and of the other boxes where that can be had.
+
+        What is needed stands over other text where it has to.
+        """
         height, width = bgr.shape[:2]
         label_width, label_height = label_size
         x = min(max(own[0], 0), max(width - label_width, 0))
@@ -135,13 +151,9 @@ class Panels:
         places = [(x, y, x + label_width, y + label_height) for y in rows if 0 <= y <= height - label_height]
         free = [place for place in places if not _overlaps_any(place, self._taken)]
         clear = [place for place in free if not _overlaps_any(place, others)]
-        return next(iter(clear or free), None)
-
-
-def box_in_pixels(cluster: ClusterRow) -> Box:
-    """An object's box in whole pixels, within what OpenCV can draw."""
-    x0, y0, x1, y1 = (round(min(max(side, -_FAR_PX), _FAR_PX)) for side in cluster.box_px)
-    return x0, y0, x1, y1
+        inside = min(max(own[1] + 2, 0), max(height - label_height, 0))
+        forced = [*places, (x, inside, x + label_width, inside + label_height)] if is_needed else []
+        return next(iter(clear or free or forced), None)
 
 
 def _overlaps_any(one: Box, others: Sequence[Box]) -> bool:

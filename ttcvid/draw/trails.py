@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from ttcvid.draw.palette import SCENE, UNASSIGNED, object_colours
+from ttcvid.draw.palette import Colour, colours_of_tracks
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, TrackRows
 
@@ -34,12 +36,14 @@ class Trails:
             positions[is_old, 1:] = self.positions_px[place[is_old], :-1]
         self._track_id, self.positions_px = tracks.track_id, positions
 
-    def draw(self, bgr: Picture, tracks: TrackRows, stroke_px: int) -> None:
-        """Draw all tracks, objects last and with the full trail, so that they stand out from the scene."""
+    def draw(self, bgr: Picture, tracks: TrackRows, colours: Mapping[int, Colour], stroke_px: int) -> None:
+        """Draw all tracks, objects last and with the full trail, so that they stand out from the scene.
+
+        ``colours`` are those of the objects by ``cluster_id``.
+        """
         is_loose, is_scene = tracks.cluster_id == NO_CLUSTER, tracks.cluster_id == SCENE_CLUSTER
         is_object = ~(is_loose | is_scene)
-        colour = object_colours(tracks.cluster_id)
-        colour[is_loose], colour[is_scene] = UNASSIGNED, SCENE
+        colour = colours_of_tracks(tracks.cluster_id, colours)
         n_steps = np.where(is_object, self._n_positions - 1, int(_SCENE_PART * (self._n_positions - 1)))
         n_steps[is_loose] = _LOOSE_STEPS
         order = np.concatenate([np.flatnonzero(is_loose), np.flatnonzero(is_scene), np.flatnonzero(is_object)])

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
-from ttcvid.draw.palette import CLOSE, DARK, WARNING, WHITE, Colour
+from ttcvid.draw.palette import BLACK, CLOSE, DARK, MUTED_INK, WARNING, WHITE, Colour
 from ttcvid.model import APPROACHING, ClusterRow, Event, FrameResult, MotionState
 
 CLOSE_TTC_S = 4.0  # from here on an approach is marked, warned of or not
 LONGEST_TTC_S = 99.0  # longer ones are written as this
 TIGHT_INTERVAL = 0.15  # relative half-width up to which the value can stand alone
 
+NOT_IN_VIEW = "not in view"
 _STATE_WORDS = {
     MotionState.receding: "away",
     MotionState.no_relative_motion: "same speed",
@@ -20,21 +21,34 @@ _STATE_WORDS = {
 
 
 class Urgency(IntEnum):
-    """How loud a cluster is drawn."""
+    """How loud a cluster is drawn; ``untold`` is one of which it is open whether it approaches."""
 
-    calm = 0
-    close = 1
-    warned = 2
+    untold = 0
+    calm = 1
+    close = 2
+    warned = 3
 
 
-BACKINGS: dict[Urgency, Colour] = {Urgency.calm: DARK, Urgency.close: CLOSE, Urgency.warned: WARNING}
-INKS: dict[Urgency, Colour] = {Urgency.calm: WHITE, Urgency.close: (0, 0, 0), Urgency.warned: WHITE}
+BACKINGS: dict[Urgency, Colour] = {
+    Urgency.untold: DARK,
+    Urgency.calm: DARK,
+    Urgency.close: CLOSE,
+    Urgency.warned: WARNING,
+}
+INKS: dict[Urgency, Colour] = {
+    Urgency.untold: MUTED_INK,
+    Urgency.calm: WHITE,
+    Urgency.close: BLACK,
+    Urgency.warned: WHITE,
+}
 
 
 def urgency_of(cluster: ClusterRow, events: tuple[Event, ...]) -> Urgency:
     """Warned where an event is active, close where the approach is certain and `CLOSE_TTC_S` or less away."""
     if any(event.cluster_id == cluster.cluster_id for event in events):
         return Urgency.warned
+    if cluster.motion_state is MotionState.unknown:
+        return Urgency.untold
     ttc_s, lo_s, hi_s = _ttc_z(cluster)
     is_approach = cluster.motion_state in APPROACHING
     is_certain = not lo_s > hi_s
@@ -80,11 +94,14 @@ def seconds(value_s: float) -> str:
     return f"{value_s:.1f}" if value_s < 9.95 else f"{value_s:.0f}"
 
 
-def banner_text(event: Event, result: FrameResult) -> str:
-    """The line across the picture while a warning is active."""
-    kind = event.kind.replace("_", " ").upper()
-    cluster = next((row for row in result.clusters if row.cluster_id == event.cluster_id), None)
-    return f"{kind} #{event.cluster_id}" + (f"  {time_text(cluster)}" if cluster is not None else "")
+def unseen_text(unseen_s: float) -> str:
+    """Of an object that is hidden while its warning goes on: how long ago it was seen."""
+    return f"seen {seconds(unseen_s)} s ago"
+
+
+def banner_text(event: Event, said_of_it: str) -> str:
+    """The line across the picture while a warning is active: its kind, its object and what is said of that."""
+    return f"{event.kind.replace('_', ' ').upper()} #{event.cluster_id}  {said_of_it}"
 
 
 def _ttc_z(cluster: ClusterRow) -> tuple[float, float, float]:
