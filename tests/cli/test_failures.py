@@ -54,6 +54,7 @@ def clip(n: int = 4) -> str:
         (["analyze", "clip.mp4", "--set", "tracking.max_trakcs=5"], ["max_trakcs", "did you mean 'max_tracks'"]),
         (["analyze", "clip.mp4", "--config", "missing.toml"], ["missing.toml"]),
         (["analyze", ""], ["INPUT is empty"]),
+        (["analyze", "a.mp4", "b.mp4"], ["2 inputs", "a.mp4 to b.mp4", "'ttcvid batch'", "pattern in quotes"]),
         (["analyze", "clip.mp4", "-o", ""], ["follows -o is empty", "leave it out"]),
         (["demo", "--overwrite", "--out="], ["follows --out is empty", "leave it out"]),
         (["analyze", "a.csv", "--image-size", "999999x999999"], ["--image-size", "at most 100000 px"]),

@@ -80,7 +80,7 @@ def test_a_signal_between_two_frames_ends_after_the_present_one(
             os.kill(os.getpid(), signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr("ttcvid.cli.progress.progress_on_terminal", lambda *_, **__: _Always(stop_at_five))
+    monkeypatch.setattr("ttcvid.cli.progress.progress_on_stderr", lambda *_, **__: _Always(stop_at_five))
     assert main(["analyze", str(clip), "-o", str(tmp_path / "out")]) == 130
     assert 5 <= Run.open(tmp_path / "out").manifest["counts"]["frames"] <= 10
     assert signal.getsignal(signal.SIGINT) is before

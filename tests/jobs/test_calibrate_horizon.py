@@ -7,13 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from matplotlib.figure import Figure
 
 import ttcvid
 from ttcvid.calibration import read_horizon
 from ttcvid.cli.main import main
+from ttcvid.draw.horizon_picture import write_horizon_picture
 from ttcvid.errors import OutputError, UndeterminedError, UsageError
 from ttcvid.model import ImageSize
 from ttcvid.simulate.tracks import TrackOptions
+from ttcvid.stages.whole_tracks import joined
 
 SCENES = "sample_configs/scenes"
 SIZE = ImageSize(640, 360)
@@ -62,7 +65,8 @@ def true_line(folder):
 
 def test_the_truth_is_in_the_band_and_the_files_say_what_they_are_made_of(resting, tmp_path):
     out = tmp_path / "new" / "horizon.yaml"
-    done = calibrated(resting, out)
+    look = tmp_path / "look"
+    done = calibrated(resting, out, evidence=look)
     assert done.exit_code == 0
     content = yaml.safe_load(out.read_text())
     band_px = [content["band_95_px"][side] for side in ("left", "right")]
@@ -79,11 +83,33 @@ def test_the_truth_is_in_the_band_and_the_files_say_what_they_are_made_of(restin
     assert np.shape(content["horizon"]["covariance_rad2"]) == (2, 2)
     assert read_horizon(out, SIZE).covariance_rad2 == done.horizon.covariance_rad2
 
-    motions = pd.read_parquet(out.with_name("motions.parquet"))
+    motions = pd.read_parquet(look / "motions.parquet")
     assert (motions.status == "used").sum() == content["n_motions"]
     assert (motions.residual_deg.abs() < 4 * motions.sigma_deg)[motions.status == "used"].all()
-    assert out.with_name("horizon.png").read_bytes().startswith(b"\x89PNG")
-    assert sorted(path.name for path in out.parent.iterdir()) == ["horizon.png", "horizon.yaml", "motions.parquet"]
+    assert (look / "horizon.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in look.iterdir()) == ["horizon.png", "motions.parquet"]
+
+
+def test_the_file_is_written_alone_so_that_several_stand_in_one_folder(resting, tmp_path):
+    for name in ("one.yaml", "other.yaml"):
+        done = calibrated(resting, tmp_path / name)
+        assert done.files == (tmp_path / name,)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.yaml", "other.yaml"]
+
+
+def test_title_and_labels_of_the_picture_are_whole(resting, tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+    done = calibrated(resting, tmp_path / "folder" / "horizon.yaml")
+    title = f"{done.summary()}; {'a note that is told beside it; ' * 5}"
+    write_horizon_picture(tmp_path / "horizon.png", done.camera, done.result.fit, (), joined([]), None, title)
+    (figure,) = figures
+    figure.draw_without_rendering()
+    drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+    assert min(drawn.x0, drawn.y0) >= 0
+    assert drawn.x1 <= width
+    assert drawn.y1 <= height
+    assert figure.axes[0].get_title().split() == title.split()
 
 
 @pytest.mark.slow
@@ -98,7 +124,7 @@ def test_rendered_pictures_give_the_line_within_its_band(request, tmp_path):
 
 def test_two_runs_write_the_same_bytes(resting, tmp_path):
     for name in ("one", "other"):
-        calibrated(resting, tmp_path / name / "horizon.yaml")
+        calibrated(resting, tmp_path / name / "horizon.yaml", evidence=tmp_path / name)
     for name in ("horizon.yaml", "motions.parquet"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
 
@@ -123,7 +149,7 @@ def test_with_roll_zero_one_direction_is_enough_and_the_file_says_so(one_way, tm
 
 def test_several_clips_of_one_camera_count_together(resting, one_way, tmp_path):
     clips = [folder / "tracks.parquet" for folder in (one_way, resting)]
-    ttcvid.calibrate_horizon(clips, tmp_path / "horizon.yaml", camera=resting / "camera.yaml")
+    ttcvid.calibrate_horizon(clips, tmp_path / "horizon.yaml", camera=resting / "camera.yaml", evidence=tmp_path)
     content = yaml.safe_load((tmp_path / "horizon.yaml").read_text())
     assert len(content["source"]) == len(content["source_sha256"]) == 2
     assert set(pd.read_parquet(tmp_path / "motions.parquet")["clip"]) == {0, 1}
@@ -156,7 +182,7 @@ def test_analyze_finds_the_horizon_by_itself(resting, one_way, tmp_path):
 def test_what_exists_is_kept(resting, tmp_path):
     (tmp_path / "motions.parquet").write_text("mine")
     with pytest.raises(OutputError, match=r"motions\.parquet: exists already"):
-        calibrated(resting, tmp_path / "horizon.yaml")
+        calibrated(resting, tmp_path / "horizon.yaml", evidence=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["motions.parquet"]
 
 

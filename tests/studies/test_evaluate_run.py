@@ -10,6 +10,7 @@ from perfect_runs import N_FRAMES, perfect_run, two_object_truth
 from ttcvid.studies.evaluate import Evaluation, judge_run
 from ttcvid.studies.metrics import METRICS
 from ttcvid.studies.truth import RunTables
+from ttcvid.studies.wording import describe_object
 
 TRUTH = two_object_truth()
 RUN = perfect_run(TRUTH)
@@ -68,6 +69,30 @@ def test_an_object_that_is_not_found_is_missed_and_its_times_count_as_no_value()
     assert result.metrics["ttc_z.share"] == 0.5
     assert result.metrics["ttc_z.median"] == 0
     assert [judged.found_share for judged in result.objects] == [1, 0]
+
+
+def test_an_object_that_is_never_found_is_said_to_stay_unseen_and_why() -> None:
+    tracks = RUN.collision_times.assign(cluster_id=RUN.collision_times.cluster_id.replace(2, 0))
+    gone = replace(with_clusters(RUN.clusters[RUN.clusters.cluster_id != 2]), collision_times=tracks)
+    found, unseen = judge_run(gone, TRUTH).objects
+    assert (
+        describe_object(found)
+        == "object 1 (object 1): found in 100 % of 20 frames, ttc_z off by 0.0 % (median), warned in time"
+    )
+    assert describe_object(unseen) == (
+        "object 2 (object 2): stayed unseen in all of 20 frames: at most 20 px long, at most 4 tracks on it (6 make an "
+        "object), 100 % of their rows taken for the static scene, does not collide"
+    )
+
+
+def test_an_object_without_times_has_no_error_of_them() -> None:
+    times = [f"ttc_z{end}_s" for end in ("", "_lo", "_hi")]
+    clusters = RUN.clusters.copy()
+    clusters.loc[clusters.cluster_id == 2, times] = np.nan
+    _, without = judge_run(with_clusters(clusters), TRUTH).objects
+    assert (
+        describe_object(without) == "object 2 (object 2): found in 100 % of 20 frames, without ttc_z, does not collide"
+    )
 
 
 def test_an_object_found_in_less_than_half_of_its_frames_is_missed() -> None:

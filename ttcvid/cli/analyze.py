@@ -16,6 +16,7 @@ from ttcvid.cli.clip_options import (
     tracker_option,
 )
 from ttcvid.cli.grouped import GroupedCommand, option_under
+from ttcvid.errors import UsageError
 
 ESTIMATORS = ("multi-frame", "three-frame", "two-frame")
 PLATFORMS = ("vehicle", "aircraft", "free", "static")
@@ -25,7 +26,7 @@ _camera_option = option_under("Camera (without one: found in a clip that turns, 
 
 
 @click.command(cls=GroupedCommand, short_help="Collision times of everything that moves in a clip.")
-@click.argument("input_", metavar="INPUT")
+@click.argument("inputs", metavar="INPUT", nargs=-1, required=True)
 @output_option("-o", "--out", metavar="FOLDER", help="Output folder.  [default: INPUTSTEM_ttc]")
 @output_option("--overlay/--no-overlay", default=None, help="Write the annotated video.  [default: --overlay]")
 @output_option("--overwrite", is_flag=True, default=None, help="Replace an output folder that exists.")
@@ -56,7 +57,7 @@ _camera_option = option_under("Camera (without one: found in a clip that turns, 
 def analyze(
     ctx: click.Context,
     /,
-    input_: str,
+    inputs: tuple[str, ...],
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -77,19 +78,29 @@ def analyze(
     Every option may also stand in a configuration file (focal_px under [analyze]) or in the environment
     (TTCVID_FOCAL_PX); the command line is stronger than the environment, and that than --config.
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
-    from ttcvid.cli.progress import log_to_stderr, progress_on_terminal
+    from ttcvid.cli.progress import log_to_stderr, progress_on_stderr
     from ttcvid.jobs.analyze import run_analysis
     from ttcvid.jobs.compilation import compilation_note
     from ttcvid.jobs.configuration import configure_from_command_line
 
+    input_ = _only_one(inputs)
     log_to_stderr(quiet=quiet, verbose=verbose)
     configuration = configure_from_command_line(
         {name: _as_text(value) for name, value in options.items()}, settings, Path(config) if config else None
     )
-    with progress_on_terminal(compilation_note(), enabled=not quiet) as progress:
+    with progress_on_stderr(compilation_note(), enabled=not quiet) as progress:
         run = run_analysis(input_, Path(out) if out else None, configuration, arguments=ctx.obj, on_frame=progress)
     click.echo(run.summary_json() if as_json else run.summary())
     ctx.exit(run.exit_code)
+
+
+def _only_one(inputs: tuple[str, ...]) -> str:
+    if len(inputs) > 1:
+        raise UsageError(
+            f"{len(inputs)} inputs, {inputs[0]} to {inputs[-1]}: expected one: give several clips to 'ttcvid batch', "
+            "and the pictures of one clip as their folder, or as a pattern in quotes"
+        )
+    return inputs[0]
 
 
 def _as_text(value: Any) -> str | None:

@@ -28,7 +28,12 @@ _camera_option = option_under("Camera (without one, 55 deg horizontal field of v
     metavar="FILE",
     default="horizon.yaml",
     show_default=True,
-    help="Horizon file; motions.parquet and horizon.png are put beside it.",
+    help="Horizon file, written alone.",
+)
+@output_option(
+    "--evidence",
+    metavar="FOLDER",
+    help="Write into it, too, what the horizon rests on: motions.parquet and horizon.png.",
 )
 @output_option("--overwrite", is_flag=True, default=None, help="Replace files that exist.")
 @message_options()
@@ -47,6 +52,7 @@ def calibrate_horizon(
     /,
     clips: tuple[str, ...],
     out: str,
+    evidence: str | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -60,18 +66,20 @@ def calibrate_horizon(
     point of the horizon. Where that is not so, the result is "undetermined": exit code 5, and no file.
 
     \b
-      ttcvid calibrate-horizon street.mp4 --camera calib.yaml -o street/horizon.yaml
+      ttcvid calibrate-horizon street.mp4 --camera calib.yaml -o horizon.yaml --evidence look
       ttcvid calibrate-horizon dashcam.mp4 --moving
-      ttcvid analyze street.mp4 --camera calib.yaml --horizon street/horizon.yaml
+      ttcvid analyze street.mp4 --camera calib.yaml --horizon horizon.yaml
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
-    from ttcvid.cli.progress import log_to_stderr, progress_on_terminal
+    from ttcvid.cli.progress import log_to_stderr, progress_on_stderr
     from ttcvid.jobs.calibrate_horizon import run_calibration
     from ttcvid.jobs.configuration import configure_from_command_line
 
     log_to_stderr(quiet=quiet, verbose=verbose)
     texts = {name: str(value).lower() if isinstance(value, bool) else value for name, value in options.items()}
     configuration = configure_from_command_line(texts, settings, Path(config) if config else None)
-    with progress_on_terminal(enabled=not quiet) as progress:
-        done = run_calibration(clips, Path(out), configuration, on_frame=progress)
+    with progress_on_stderr(enabled=not quiet) as progress:
+        done = run_calibration(
+            clips, Path(out), configuration, evidence=Path(evidence) if evidence else None, on_frame=progress
+        )
     click.echo(done.summary_json() if as_json else done.summary())
     ctx.exit(done.exit_code)

@@ -69,13 +69,13 @@ def collision_map(
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     import json
 
-    from ttcvid.cli.progress import progress_on_terminal
+    from ttcvid.cli.progress import progress_on_stderr
     from ttcvid.config import CollisionMapConfig
     from ttcvid.jobs.collision_map import run_collision_map
     from ttcvid.jobs.configuration import configure_study
 
     parameters = configure_study("collision_map", CollisionMapConfig, options, config, is_text=True)
-    with progress_on_terminal(enabled=not quiet) as progress:
+    with progress_on_stderr(enabled=not quiet) as progress:
         result = run_collision_map(run, out, parameters, frame, time_s, overwrite, progress)
     if as_json:
         click.echo(json.dumps(result.as_json(), allow_nan=False))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -11,16 +12,32 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 LOGGER_NAME = "ttcvid"
+LINE_EVERY_S = 10.0
+"""Where there is no terminal, a line says how far the work is, so often."""
+
+OnProgress = Callable[[int, int | None], None]
+"""Called with (frames done, frames in all or None)."""
 
 
 @contextmanager
-def progress_on_terminal(note: str = "", *, enabled: bool = True) -> Iterator[Callable[[int, int | None], None]]:
+def progress_on_stderr(note: str = "", *, enabled: bool = True) -> Iterator[OnProgress]:
     """A function to call with (frames done, frames in all or None); shows frames/s and the time left.
 
-    The bar appears where stderr is a terminal, and is gone when the block is left. The ``note`` stands there until the
-    first frame is done.
+    On a terminal it is a bar, which is gone when the block is left; the ``note`` stands there until the first frame is
+    done. Elsewhere (a log, a CI job) it is a line every 10 s.
     """
     console = Console(stderr=True)
+    if not enabled:
+        yield lambda n_done, n_total: None
+    elif console.is_terminal:
+        with _progress_bar(console, note) as show:
+            yield show
+    else:
+        yield ProgressLines()
+
+
+@contextmanager
+def _progress_bar(console: Console, note: str) -> Iterator[OnProgress]:
     bar = Progress(
         BarColumn(),
         MofNCompleteColumn(),
@@ -29,7 +46,6 @@ def progress_on_terminal(note: str = "", *, enabled: bool = True) -> Iterator[Ca
         TextColumn("{task.fields[note]}"),
         console=console,
         transient=True,
-        disable=not (enabled and console.is_terminal),
     )
     with bar:
         task = bar.add_task("frames", total=None, rate="  -", note=note)
@@ -39,6 +55,31 @@ def progress_on_terminal(note: str = "", *, enabled: bool = True) -> Iterator[Ca
             bar.update(task, completed=n_done, total=n_total, rate="  -" if rate is None else f"{rate:.1f}", note="")
 
         yield show
+
+
+class ProgressLines:
+    """Says on stderr how far the work is, at most every 10 s; nothing of work that is shorter.
+
+    ``clock`` gives seconds that only grow.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._said_s = self._begun_s = clock()
+        self._n_done = 0
+
+    def __call__(self, n_done: int, n_total: int | None) -> None:
+        """Take note of the frames that are done, of all that are expected (None: unknown)."""
+        now_s = self._clock()
+        if n_done < self._n_done:  # other work has begun, such as the next clip
+            self._begun_s = now_s
+        if now_s - self._said_s >= LINE_EVERY_S and now_s > self._begun_s:
+            self._said_s = now_s
+            rate_hz = n_done / (now_s - self._begun_s)
+            of_all = f" of {n_total}" if n_total is not None else ""
+            left = f", {(n_total - n_done) / rate_hz:.0f} s left" if n_total is not None and rate_hz > 0 else ""
+            print(f"ttcvid: {n_done}{of_all} frames, {rate_hz:.1f} frames/s{left}", file=sys.stderr)
+        self._n_done = n_done
 
 
 class _StderrHandler(logging.Handler):

@@ -61,13 +61,13 @@ def sensitivity(
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     import json
 
-    from ttcvid.cli.progress import progress_on_terminal
+    from ttcvid.cli.progress import progress_on_stderr
     from ttcvid.config import SensitivityConfig
     from ttcvid.jobs.configuration import configure_study
     from ttcvid.jobs.sensitivity import run_sensitivity
 
     parameters = configure_study("sensitivity", SensitivityConfig, options, config, is_text=True)
-    with progress_on_terminal(enabled=not quiet) as progress:
+    with progress_on_stderr(enabled=not quiet) as progress:
         result = run_sensitivity(parameters, out, overwrite, progress)
     if as_json:
         click.echo(json.dumps(result.as_json(), allow_nan=False))

@@ -41,13 +41,13 @@ def simulate(
     """Simulate SCENE (a YAML file) into a folder: clip, camera, horizon and the truth of every frame and object."""
     import json
 
-    from ttcvid.cli.progress import progress_on_terminal
+    from ttcvid.cli.progress import progress_on_stderr
     from ttcvid.errors import counted
     from ttcvid.jobs.simulate import simulate as run
     from ttcvid.simulate.tracks import TrackOptions
 
     tracks = TrackOptions(n_tracks, 15, sigma_px, outliers, deaths, births) if as_tracks else None
-    with progress_on_terminal(enabled=not quiet) as progress:
+    with progress_on_stderr(enabled=not quiet) as progress:
         result = run(
             scene,
             out,

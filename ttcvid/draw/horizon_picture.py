@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ _MARGIN = (0.5, 0.5)
 # Radius of an ellipse that holds 95 % of a 2-D Gaussian, in standard deviations.
 _SIGMAS_95_OF_TWO = 2.4477
 _WIDTH_INCHES, _DPI = 12.0, 100
+# Of the title: characters that surely fit into a line, height of a line.
+_TITLE_POINTS, _TITLE_CHARACTERS, _LINE_INCHES = 10, 130, 0.2
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:pink", "tab:olive", "tab:cyan")
 _REFUSED = "0.55"
 
@@ -44,9 +47,12 @@ def write_horizon_picture(
     width, height = camera.image_size.width_px, camera.image_size.height_px
     left, right = -_MARGIN[0] * width, (1 + _MARGIN[0]) * width
     top, bottom = -_MARGIN[1] * height, (1 + _MARGIN[1]) * height
-    figure = Figure(figsize=(_WIDTH_INCHES, _WIDTH_INCHES * (bottom - top) / (right - left)), dpi=_DPI)
+    # Title and labels take their place beside the axes, whatever their length.
+    lines = textwrap.wrap(title, _TITLE_CHARACTERS)
+    height_inches = _WIDTH_INCHES * (bottom - top) / (right - left) + _LINE_INCHES * len(lines)
+    figure = Figure(figsize=(_WIDTH_INCHES, height_inches), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.05, 0.06, 0.93, 0.88))
+    axes = figure.add_subplot()
     axes.set_facecolor("0.93")
     if background is not None:
         axes.imshow(background, cmap="gray", vmin=0, vmax=255, alpha=0.75)
@@ -65,7 +71,7 @@ def write_horizon_picture(
     axes.set_ylim(bottom, top)
     axes.set_xlabel("x, px")
     axes.set_ylabel("y, px")
-    axes.set_title(title, fontsize=10)
+    axes.set_title("\n".join(lines), fontsize=_TITLE_POINTS)
     figure.savefig(path, format="png", metadata={"Software": None})
 
 

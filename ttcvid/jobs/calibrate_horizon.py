@@ -51,7 +51,8 @@ OnFrame = Callable[[int, int | None], None]
 class HorizonCalibration:
     """What a calibration found; without a horizon nothing was written and ``reason`` says why.
 
-    ``files`` are the horizon file, the table of motions and the picture; ``result`` holds fit and motions.
+    ``files`` are the horizon file and, where they were asked for, the table of motions and the picture;
+    ``result`` holds fit and motions.
     """
 
     horizon: Horizon | None
@@ -105,6 +106,7 @@ def calibrate_horizon(
     clips: str | Path | Sequence[str | Path],
     out: str | Path = DEFAULT_OUT,
     *,
+    evidence: str | Path | None = None,
     config: str | Path | None = None,
     **options: Any,
 ) -> HorizonCalibration:
@@ -115,7 +117,9 @@ def calibrate_horizon(
     clips
         One clip or several of the same camera in the same place: videos, folders of pictures, tables of tracks.
     out
-        The horizon file; ``motions.parquet`` and ``horizon.png`` are put beside it.
+        The horizon file, written alone.
+    evidence
+        A folder for what the horizon rests on: ``motions.parquet`` and ``horizon.png``.
     config
         A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
     **options
@@ -133,16 +137,22 @@ def calibrate_horizon(
     """
     configuration = configure_from_arguments(options, Path(config) if config is not None else None)
     inputs = [clips] if isinstance(clips, (str, Path)) else list(clips)
-    return run_calibration([str(clip) for clip in inputs], Path(out), configuration)
+    folder = None if evidence is None else Path(evidence)
+    return run_calibration([str(clip) for clip in inputs], Path(out), configuration, evidence=folder)
 
 
 def run_calibration(
-    inputs: Sequence[str], out: Path, configuration: Configuration, *, on_frame: OnFrame | None = None
+    inputs: Sequence[str],
+    out: Path,
+    configuration: Configuration,
+    *,
+    evidence: Path | None = None,
+    on_frame: OnFrame | None = None,
 ) -> HorizonCalibration:
-    """Calibrate as configured, and write the three files where the horizon is determined."""
+    """Calibrate as configured, and write what was asked for where the horizon is determined."""
     if not inputs:
         raise UsageError("no clip given: expected at least one")
-    files = (out, out.parent / MOTIONS_NAME, out.parent / PICTURE_NAME)
+    files = (out,) if evidence is None else (out, evidence / MOTIONS_NAME, evidence / PICTURE_NAME)
     _refuse_existing(files, configuration.options.overwrite)
     clips, calibration = watch_clips(inputs, configuration, on_frame)
     warnings = [ASSUMED_CAMERA_WARNING] if calibration.camera.is_assumed else []
@@ -255,40 +265,44 @@ def _refuse_existing(files: tuple[Path, ...], overwrite: bool) -> None:
 
 
 def _write(done: HorizonCalibration, clips: list[WatchedClip]) -> None:
-    """All three files under temporary names first, so that none stands there half written."""
+    """All files under temporary names first, so that none stands there half written."""
     assert done.horizon is not None
-    assert done.result.fit is not None
-    horizon_file, _, picture = done.files
     temporary = [path.with_name(f".{path.name}.partial") for path in done.files]
-    sources = [clip.path for clip in clips]
-    digests = [digest_of(clip.files).sha256 for clip in clips]
-    information = _information(done.camera, done.result) | {
-        "source": sources[0] if len(sources) == 1 else sources,
-        "source_sha256": digests[0] if len(digests) == 1 else digests,
-        "ttcvid_version": ttcvid.__version__,
-    }
-    metadata = {"ttcvid_version": ttcvid.__version__, "camera_is_assumed": str(done.camera.is_assumed).lower()}
-    with output_errors(horizon_file):
-        horizon_file.parent.mkdir(parents=True, exist_ok=True)
-        for path in temporary:
+    horizon_file, *evidence = temporary
+    for path in temporary:
+        with output_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.unlink(missing_ok=True)  # of a run that was killed, or a link, whose file is not ours to write
     try:
-        with output_errors(horizon_file):
-            write_horizon(temporary[0], done.horizon, information)
-        write_table(
-            temporary[1],
-            "motions",
-            [motion_row(m, done.result.fit, done.camera) for m in done.result.motions],
-            metadata,
-        )
-        with output_errors(picture):
-            first = clips[0]
-            title = done.summary()
-            write_horizon_picture(
-                temporary[2], done.camera, done.result.fit, done.result.motions, first.rows, first.background, title
-            )
+        with output_errors(done.files[0]):
+            write_horizon(horizon_file, done.horizon, _said_in_file(done, clips))
+        if evidence:
+            table, picture = evidence
+            _write_evidence(table, picture, done, clips[0])
+        with output_errors(done.files[0]):
             for path, final in zip(reversed(temporary), reversed(done.files), strict=True):
                 os.replace(path, final)
     finally:
         for path in temporary:
             path.unlink(missing_ok=True)
+
+
+def _said_in_file(done: HorizonCalibration, clips: list[WatchedClip]) -> dict[str, Any]:
+    """What the horizon file says beside the line."""
+    sources = [clip.path for clip in clips]
+    digests = [digest_of(clip.files).sha256 for clip in clips]
+    return _information(done.camera, done.result) | {
+        "source": sources[0] if len(sources) == 1 else sources,
+        "source_sha256": digests[0] if len(digests) == 1 else digests,
+        "ttcvid_version": ttcvid.__version__,
+    }
+
+
+def _write_evidence(table: Path, picture: Path, done: HorizonCalibration, first: WatchedClip) -> None:
+    """The table of motions, and the picture of the first clip."""
+    fit, motions = done.result.fit, done.result.motions
+    assert fit is not None
+    metadata = {"ttcvid_version": ttcvid.__version__, "camera_is_assumed": str(done.camera.is_assumed).lower()}
+    write_table(table, "motions", [motion_row(m, fit, done.camera) for m in motions], metadata)
+    with output_errors(picture):
+        write_horizon_picture(picture, done.camera, fit, motions, first.rows, first.background, done.summary())

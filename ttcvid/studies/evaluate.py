@@ -24,8 +24,21 @@ _TIME_COLUMNS = [f"{name}{end}_s" for name in TIMES for end in ("", "_lo", "_hi"
 
 
 @dataclass(frozen=True)
+class Sight:
+    """How much there was to see of a true object in the frames in which it counts.
+
+    ``longest_side_px`` of its box, and ``most_tracks`` on it in one frame, at their largest; ``scene_share`` of its
+    track rows belong to the static scene (None: no track). None for what the truth does not tell.
+    """
+
+    longest_side_px: Value
+    most_tracks: int | None
+    scene_share: Value
+
+
+@dataclass(frozen=True)
 class ObjectJudged:
-    """One true object: how often it was found, how good its times are, and what became of the warning."""
+    """One true object: how often it was found, how good its times are, what became of the warning, what there was."""
 
     object_id: int
     name: str
@@ -33,6 +46,7 @@ class ObjectJudged:
     found_share: float
     ttc_z_median: Value
     warning: str
+    sight: Sight
 
 
 @dataclass(frozen=True)
@@ -71,7 +85,7 @@ def judge_run(run: RunTables, truth: Truth) -> Evaluation:
         warnings: dict[int, str] = {}
         if truth.encounters is not None:
             numbers["events"], warnings = _warnings(run, found, matches, true_objects, truth.encounters)
-        objects = _each_object(joined, warnings)
+        objects = _each_object(joined, warnings, _sights(true_objects, run, truth.track_object))
     flat = {f"{group}.{name}": value for group, values in numbers.items() for name, value in values.items()}
     return Evaluation({name: _finite(flat.get(name)) for name in METRICS}, objects, joined)
 
@@ -193,7 +207,24 @@ def _warnings(
     return judged.numbers | rates, judged.verdict
 
 
-def _each_object(joined: pd.DataFrame, warnings: dict[int, str]) -> tuple[ObjectJudged, ...]:
+def _sights(objects: pd.DataFrame, run: RunTables, track_object: Ints | None) -> dict[int, Sight]:
+    """What there was to see of each true object, in the frames in which it counts."""
+    counted = objects[objects.is_counted.astype(bool)]
+    sides_px = pd.concat([counted.x1_px - counted.x0_px, counted.y1_px - counted.y0_px], axis=1).max(axis=1)
+    longest_px = sides_px.groupby(counted.object_id).max()
+    if track_object is None:
+        return {number: Sight(_finite(side_px), None, None) for number, side_px in longest_px.to_dict().items()}
+    tracks = run.collision_times[["frame", "cluster_id"]].assign(object_id=track_object)
+    tracks = tracks.merge(counted[["frame", "object_id"]], on=["frame", "object_id"])
+    most = tracks.groupby(["object_id", "frame"]).size().groupby("object_id").max()
+    of_scene = (tracks.cluster_id == SCENE_CLUSTER).groupby(tracks.object_id).mean()
+    return {
+        number: Sight(_finite(side_px), int(most.get(number, 0)), _finite(of_scene.get(number)))
+        for number, side_px in longest_px.to_dict().items()
+    }
+
+
+def _each_object(joined: pd.DataFrame, warnings: dict[int, str], sights: dict[int, Sight]) -> tuple[ObjectJudged, ...]:
     judged = []
     for object_id, rows in joined[joined.is_counted.astype(bool)].groupby("object_id"):
         times = judge_times("ttc_z", rows.ttc_z_s.to_numpy(float), _found_times(rows), np.ones(len(rows), bool))
@@ -206,6 +237,7 @@ def _each_object(joined: pd.DataFrame, warnings: dict[int, str]) -> tuple[Object
                 found_share=float(rows.is_found.mean()),
                 ttc_z_median=_finite(times["median"]),
                 warning=warnings.get(number, ""),
+                sight=sights[number],
             )
         )
     return tuple(judged)

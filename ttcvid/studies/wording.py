@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ttcvid.studies.evaluate import ObjectJudged
+from ttcvid.config import BodiesConfig
+from ttcvid.studies.evaluate import ObjectJudged, Sight
 from ttcvid.studies.metrics import METRICS, Value
 
 _OF_TIMES = ("median", "p90", "bias", "coverage", "half_width", "wrong_sign")
@@ -13,6 +14,8 @@ _PERCENT = ("share", "one_id", *_OF_TIMES, *_OF_TRACKS)
 _ANGLES = ("epipole_scene", "epipole_objects", "rotation")
 MAX_SHOWN = 10.0
 """Relative errors beyond this are shown as such: how far wrong says nothing any more."""
+LEAST_TRACKS = BodiesConfig().min_tracks
+"""So many tracks make an object, unless it comes straight at us."""
 WARNING_WORDS = {
     "in_time": "warned in time",
     "late": "warned late",
@@ -52,8 +55,27 @@ def describe_groups(metrics: Mapping[str, Value]) -> list[str]:
 
 
 def describe_object(judged: ObjectJudged) -> str:
-    """One line: how often an object was found, its median error of ttc_z, and what became of its warning."""
-    error = "-" if judged.ttc_z_median is None else f"{100 * judged.ttc_z_median:.1f} %"
-    found = f"found in {100 * judged.found_share:.0f} % of {judged.n_frames} frames"
-    words = WARNING_WORDS.get(judged.warning, "")
-    return f"object {judged.object_id} ({judged.name}): {found}, ttc_z off by {error} (median){words and ', ' + words}"
+    """One line: how often an object was found, its median error of ttc_z, and what became of its warning.
+
+    Of one that was never found: what there was to see of it, and where its tracks went.
+    """
+    warning = WARNING_WORDS.get(judged.warning, "")
+    if judged.found_share == 0:
+        result = f"stayed unseen in all of {judged.n_frames} frames{_why_unseen(judged.sight)}"
+    else:
+        found = f"found in {100 * judged.found_share:.0f} % of {judged.n_frames} frames"
+        error = judged.ttc_z_median
+        times = "without ttc_z" if error is None else f"ttc_z off by {100 * error:.1f} % (median)"
+        result = f"{found}, {times}"
+    return f"object {judged.object_id} ({judged.name}): {result}{warning and ', ' + warning}"
+
+
+def _why_unseen(sight: Sight) -> str:
+    """What is known of why an object was not found, with the colon before it; empty where nothing is."""
+    reasons = [] if sight.longest_side_px is None else [f"at most {sight.longest_side_px:.0f} px long"]
+    if sight.most_tracks is not None:
+        few = f" ({LEAST_TRACKS} make an object)" if sight.most_tracks < LEAST_TRACKS else ""
+        reasons.append(f"at most {sight.most_tracks} tracks on it{few}")
+    if sight.scene_share:
+        reasons.append(f"{100 * sight.scene_share:.0f} % of their rows taken for the static scene")
+    return f": {', '.join(reasons)}" if reasons else ""
