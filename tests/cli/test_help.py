@@ -81,7 +81,7 @@ def test_choices_and_options_are_those_of_the_configuration() -> None:
     assert get_args(TrackingConfig.model_fields["tracker"].annotation) == TRACKERS
     assert get_args(CollisionTimesConfig.model_fields["estimator"].annotation) == ESTIMATORS
     assert tuple(platform.value for platform in Platform) == PLATFORMS
-    of_the_command_alone = {"input_", "clips", "out", "as_json", "quiet", "verbose", "config", "settings"}
+    of_the_command_alone = {"inputs", "clips", "out", "evidence", "as_json", "quiet", "verbose", "config", "settings"}
     options = {parameter.name for parameter in analyze.params} - of_the_command_alone
     of_calibration = {parameter.name for parameter in calibrate_horizon.params} - of_the_command_alone
     assert options == (set(AnalyzeOptions.model_fields) | set(SHORTCUTS)) - {"moving", "roll_zero"}
