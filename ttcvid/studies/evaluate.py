@@ -211,16 +211,16 @@ def _sights(objects: pd.DataFrame, run: RunTables, track_object: Ints | None) ->
     """What there was to see of each true object, in the frames in which it counts."""
     counted = objects[objects.is_counted.astype(bool)]
     sides_px = pd.concat([counted.x1_px - counted.x0_px, counted.y1_px - counted.y0_px], axis=1).max(axis=1)
-    longest_px = sides_px.groupby(counted.object_id).max()
+    longest_px = {int(str(number)): side for number, side in sides_px.groupby(counted.object_id).max().items()}
     if track_object is None:
-        return {number: Sight(_finite(side_px), None, None) for number, side_px in longest_px.to_dict().items()}
+        return {number: Sight(_finite(side_px), None, None) for number, side_px in longest_px.items()}
     tracks = run.collision_times[["frame", "cluster_id"]].assign(object_id=track_object)
     tracks = tracks.merge(counted[["frame", "object_id"]], on=["frame", "object_id"])
     most = tracks.groupby(["object_id", "frame"]).size().groupby("object_id").max()
     of_scene = (tracks.cluster_id == SCENE_CLUSTER).groupby(tracks.object_id).mean()
     return {
         number: Sight(_finite(side_px), int(most.get(number, 0)), _finite(of_scene.get(number)))
-        for number, side_px in longest_px.to_dict().items()
+        for number, side_px in longest_px.items()
     }
 
 
