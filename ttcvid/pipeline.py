@@ -57,11 +57,21 @@ def analyze_frames(
     map_ahead : like ``map``; may work some items early in other threads (finding features is the slow part).
     run_apart : may run the geometry of all frames in another process; only points of tracks go there, and results back.
     """
-    clip = Clip(camera, config, horizon_plane(camera, horizon))
     waiting = deque[Frame]()
     tracked = _without_pictures(track_frames(frames, config.tracking, mask, map_ahead), waiting, config)
-    for result in run_apart(partial(_results, clip=clip), tracked):
+    geometry = partial(analyze_tracked, camera=camera, config=config, horizon=horizon)
+    for result in run_apart(geometry, tracked):
         yield waiting.popleft(), result
+
+
+def analyze_tracked(
+    tracked_frames: Iterable[TrackedFrame], camera: Camera, config: PipelineConfig, horizon: Horizon | None = None
+) -> Iterator[FrameResult]:
+    """The result of each frame from its tracked points: all of an analysis but what looks at pictures."""
+    clip = Clip(camera, config, horizon_plane(camera, horizon))
+    analyzed = _analyzed(tracked_frames, clip)
+    for item in smoothed(analyzed, clip) if config.collision_times.smooth else analyzed:
+        yield item.result
 
 
 def _without_pictures(
@@ -73,13 +83,6 @@ def _without_pictures(
         # Many wait for those that come after them: they keep only what is drawn on.
         waiting.append(replace(frame, grey=None) if config.collision_times.smooth else frame)
         yield replace(tracked, frame=replace(frame, grey=None, colour=None))
-
-
-def _results(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[FrameResult]:
-    """The result of each frame."""
-    analyzed = _analyzed(tracked_frames, clip)
-    for item in smoothed(analyzed, clip) if clip.config.collision_times.smooth else analyzed:
-        yield item.result
 
 
 def _analyzed(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
