@@ -62,6 +62,16 @@ def kind_of(path: Path) -> str:
     return kinds.get(stat.S_IFMT(mode), "device")
 
 
+def printable(text: str) -> str:
+    r"""A text in which names of files may stand: what is not UTF-8 in them as escapes.
+
+    >>> import os
+    >>> printable(os.fsdecode(b"caf\xe9.mp4"))
+    'caf\\xe9.mp4'
+    """
+    return os.fsencode(text).decode("utf-8", "backslashreplace")
+
+
 def _plain_descriptor(path: Path, flags: int) -> int:
     descriptor = os.open(path, flags | _NEVER_WAIT, 0o666)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):

@@ -12,6 +12,8 @@ import yaml
 
 MAX_CHARACTERS = 1_000_000
 """PyYAML needs a second for 50 kB; scenes, suites and baselines have some 30 kB."""
+MAX_BYTES = 4 * MAX_CHARACTERS
+"""Of a file that is read to be such a text: UTF-8 needs at most 4 bytes for a character."""
 _LONGEST_PROBLEM = 200
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ttcvid.errors import CalibrationError
 from ttcvid.model import ImageSize, Picture
+from ttcvid.plain_files import read_plain
 
 _JPEG_START = b"\xff\xd8\xff"
 JPEG_BLACK_LEVEL = 32
@@ -53,15 +54,15 @@ def _content(path: Path) -> bytes:
     try:
         if path.is_dir():
             raise CalibrationError(f"{path}: is a folder; expected a mask, one picture: name the file")
-        if not path.is_file():
+        if not path.exists():
             raise CalibrationError(
                 f"{path}: no such file; expected a mask, a picture of the clip's size: check the path"
             )
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise CalibrationError(f"{path}: over {MAX_FILE_BYTES // 1_000_000} MB; expected a mask: save it as PNG")
-        content = path.read_bytes()
+        content = read_plain(path, MAX_FILE_BYTES)
     except OSError as error:
-        raise CalibrationError(f"{path}: the mask cannot be read ({error.strerror}): check its permissions") from error
+        raise CalibrationError(
+            f"{path}: the mask cannot be read ({error.strerror}): give a picture that can be, as PNG"
+        ) from error
     if not content:
         raise CalibrationError(f"{path}: the file is empty; expected a mask, a picture of the clip's size")
     return content

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ttcvid.errors import CalibrationError
+from ttcvid.plain_files import open_plain
 from ttcvid.strict_yaml import StrictLoader, StrictYamlError, load_yaml
 
 MAX_FILE_BYTES = 1_000_000
@@ -32,7 +33,7 @@ def read_text(path: Path, kind: str) -> str:
             raise CalibrationError(f"{path}: no such file; expected {kind}: check the path")
         if not path.is_file():
             raise CalibrationError(f"{path}: not a file; expected {kind}: give the file itself")
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             content = file.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read ({error.strerror}); expected {kind}: check the path") from error

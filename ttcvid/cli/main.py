@@ -5,6 +5,7 @@ What takes time to import is imported inside `main`, once an interruption finds 
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -28,6 +29,9 @@ def program() -> NoReturn:
     An interpreter that ends takes apart all that it has imported, object by object: half a second, for memory that the
     system takes back in any case. Every command has closed its files and ended its processes and threads by then.
     """
+    # Names of files need not be UTF-8, and are printed as they are.
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")
     exit_code = main()
     # None where it was closed from the beginning.
     for stream in filter(None, (sys.stdout, sys.stderr)):

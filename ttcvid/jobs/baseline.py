@@ -14,10 +14,11 @@ import yaml
 
 from ttcvid.errors import NotComparableError, quoted
 from ttcvid.jobs.result_tables import in_ordinary_types
+from ttcvid.plain_files import read_plain
 from ttcvid.schema import SCHEMA_VERSION, TABLES
 from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.whole_text import write_whole
-from ttcvid.strict_yaml import StrictYamlError, load_yaml
+from ttcvid.strict_yaml import MAX_BYTES, StrictYamlError, load_yaml
 from ttcvid.studies.compare import Results
 from ttcvid.studies.compare_thinned import COLUMNS
 
@@ -58,7 +59,7 @@ def read_baseline(path: Path) -> Results:
     if not path.exists():
         raise NotComparableError(f"{path}: there is no such baseline yet: write it with 'ttcvid regress --update'")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_plain(path, MAX_BYTES).decode()
         content = load_yaml(text)
     except (OSError, UnicodeDecodeError, StrictYamlError) as error:
         reason = " ".join(str(error).split())

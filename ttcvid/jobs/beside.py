@@ -16,7 +16,7 @@ import threading
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import Enum
 from multiprocessing.connection import Connection
 from types import TracebackType
@@ -177,7 +177,8 @@ def _serve(function: Stream[Any, Any], connection: Connection, other_end: Connec
         return
     except BaseException as error:
         last = (_Says.failure, _told(error))
-    connection.send(last)
+    with suppress(ConnectionError):  # nobody is there who wants to know
+        connection.send(last)
 
 
 def _told(error: BaseException) -> BaseException:

@@ -25,6 +25,7 @@ from ttcvid.jobs.configuration import Configuration, configure_from_arguments
 from ttcvid.jobs.horizon_clips import WatchedClip, watch_driving_clip, watch_resting_clip
 from ttcvid.jobs.provenance import digest_of
 from ttcvid.model import Camera, Horizon, Platform
+from ttcvid.plain_files import printable
 from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.motions import motion_row
 from ttcvid.sinks.tables import write_table
@@ -289,7 +290,7 @@ def _write(done: HorizonCalibration, clips: list[WatchedClip]) -> None:
 
 def _said_in_file(done: HorizonCalibration, clips: list[WatchedClip]) -> dict[str, Any]:
     """What the horizon file says beside the line."""
-    sources = [clip.path for clip in clips]
+    sources = [printable(clip.path) for clip in clips]
     digests = [digest_of(clip.files).sha256 for clip in clips]
     return _information(done.camera, done.result) | {
         "source": sources[0] if len(sources) == 1 else sources,
@@ -305,4 +306,5 @@ def _write_evidence(table: Path, picture: Path, done: HorizonCalibration, first:
     metadata = {"ttcvid_version": ttcvid.__version__, "camera_is_assumed": str(done.camera.is_assumed).lower()}
     write_table(table, "motions", [motion_row(m, fit, done.camera) for m in motions], metadata)
     with output_errors(picture):
-        write_horizon_picture(picture, done.camera, fit, motions, first.rows, first.background, done.summary())
+        title = printable(done.summary())
+        write_horizon_picture(picture, done.camera, fit, motions, first.rows, first.background, title)

@@ -18,6 +18,7 @@ from ttcvid.jobs.run import Run
 from ttcvid.jobs.run_moments import run_clip
 from ttcvid.jobs.simulate import MARKER_NAME
 from ttcvid.jobs.true_hazards import scene_clip
+from ttcvid.plain_files import printable
 from ttcvid.sinks.folder import OutputFolder
 from ttcvid.sinks.manifest import MANIFEST_NAME
 from ttcvid.sinks.tables import write_table
@@ -238,7 +239,9 @@ def _make_map(
     reach = config.range_m_s or float(np.clip(speed_m_s, *_RANGE_M_S))
     changes = np.linspace(-reach, reach, config.n_cells)
     made = map_of_changes(moment.situation, changes, 0.5 * changes, config.look_ahead_s)
-    caption = caption_of(clip.name, int(clip.frame[n]), float(clip.t_s[n]), speed_m_s, advice, made.names, moment.notes)
+    caption = caption_of(
+        printable(clip.name), int(clip.frame[n]), float(clip.t_s[n]), speed_m_s, advice, made.names, moment.notes
+    )
     families = [
         (name, family_maps(moment.situation, name, changes, 0.5 * changes, config.look_ahead_s))
         for name in moment.unlinked

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from ttcvid.errors import InputError, UsageError
 from ttcvid.model import Floats, Ints
+from ttcvid.plain_files import open_plain
 
 _NUMBER = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(m/s|km/h)?")
 _KM_H = 3.6
@@ -43,7 +44,8 @@ def ego_speed_m_s(text: str, frame: Ints, t_s: Floats) -> Floats:
 
 def _read(path: Path, column: str) -> pd.DataFrame:
     try:
-        table = pd.read_csv(path) if path.suffix == ".csv" else pq.read_table(path).to_pandas()
+        with open_plain(path) as file:
+            table = pd.read_csv(file) if path.suffix == ".csv" else pq.read_table(file).to_pandas()
     except (OSError, ValueError, pa.ArrowInvalid) as error:
         raise InputError(
             f"{path}: cannot be read as a table ({' '.join(str(error).split())}): give CSV or Parquet"

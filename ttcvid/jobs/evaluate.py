@@ -17,6 +17,7 @@ from ttcvid.errors import InputError
 from ttcvid.jobs.provenance import digest_of
 from ttcvid.jobs.run import Run
 from ttcvid.model import ImageSize, Ints
+from ttcvid.plain_files import open_plain
 from ttcvid.sinks.whole_text import write_whole
 from ttcvid.sources.images import read_picture
 from ttcvid.studies.evaluate import Evaluation, judge_run
@@ -136,7 +137,8 @@ def _read_table(folder: Path, name: str) -> pd.DataFrame | None:
     if not path.exists():
         return None
     try:
-        table = pq.read_table(path).to_pandas()
+        with open_plain(path) as file:
+            table = pq.read_table(file).to_pandas()
     except (OSError, pa.ArrowInvalid) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: cannot be read as a table ({reason}): simulate the scene again") from None

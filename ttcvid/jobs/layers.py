@@ -11,7 +11,9 @@ from typing import Any
 
 from ttcvid.errors import UsageError, quoted
 from ttcvid.jobs.options import AUTO_HORIZON, PATH_OPTIONS, SECTIONS, SHORTCUTS
+from ttcvid.plain_files import read_plain
 
+MAX_CONFIGURATION_BYTES = 1_000_000
 ENVIRONMENT_PREFIX = "TTCVID_"
 NOT_OPTIONS = frozenset({"TTCVID_DATA", "TTCVID_DEBUG"})
 """Variables with our prefix that steer tests and error display, not an analysis."""
@@ -137,7 +139,7 @@ def layer_from_file(path: Path) -> Layer:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(read_plain(path, MAX_CONFIGURATION_BYTES).decode("utf-8-sig"))
     except OSError as error:
         raise UsageError(f"{path}: cannot be read as configuration ({error.strerror}): check --config") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import platform
 import threading
 from collections.abc import Mapping
@@ -51,13 +52,17 @@ class Digest:
 
 
 def digest_in_background(files: tuple[Path, ...]) -> Future[Digest]:
-    """Hash the input in a thread beside the analysis; a program that ends does not wait for it."""
+    """Hash the input in a thread beside the analysis; a program that ends does not wait for it.
+
+    Whatever goes wrong there is raised where the result is asked for: nobody would hear of it otherwise, and who waits
+    for a result would wait for ever.
+    """
     future: Future[Digest] = Future()
 
     def work() -> None:
         try:
             future.set_result(digest_of(files))
-        except InputError as error:
+        except BaseException as error:
             future.set_exception(error)
 
     threading.Thread(target=work, name="ttcvid-hash", daemon=True).start()
@@ -76,7 +81,7 @@ def digest_of(files: tuple[Path, ...]) -> Digest:
             size_bytes += file.stat().st_size
         except OSError as error:
             raise InputError(f"{file}: cannot be read ({error.strerror}): leave the input alone meanwhile") from None
-        total.update(f"{file.name}\0{sha256}\0".encode())
+        total.update(os.fsencode(file.name) + f"\0{sha256}\0".encode())
     return Digest(sha256 if len(files) == 1 else total.hexdigest(), size_bytes)
 
 

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from ttcvid.errors import InputError, NotComparableError
 from ttcvid.jobs.run import Run
 from ttcvid.model import NO_CLUSTER
+from ttcvid.plain_files import open_plain
 from ttcvid.schema import SCHEMA_VERSION, TABLES, VERSION_KEY
 from ttcvid.studies.compare import Results
 
@@ -39,7 +40,8 @@ def _require_tables(run: Run) -> None:
 def read_table(path: Path, name: str) -> pd.DataFrame:
     """A table of a run in ordinary types: null is NaN, ``NO_CLUSTER`` in ``cluster_id``; names are categories."""
     try:
-        table = pq.read_table(path)
+        with open_plain(path) as file:
+            table = pq.read_table(file)
     except (OSError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         raise NotComparableError(f"{path}: cannot be read as a table ({reason}): {REMEDY}") from None

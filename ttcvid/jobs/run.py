@@ -13,6 +13,7 @@ import pyarrow as pa
 from ttcvid.errors import InputError, counted
 from ttcvid.jobs.run_manifest import EXIT_CODES, read_run_manifest
 from ttcvid.model import APPROACHING
+from ttcvid.plain_files import open_plain
 from ttcvid.schema import TABLES
 
 if TYPE_CHECKING:
@@ -101,7 +102,8 @@ class Run:
 
         path = self.folder / f"{name}.parquet"
         try:
-            table = pd.read_parquet(path)
+            with open_plain(path) as file:
+                table = pd.read_parquet(file)
         except (OSError, pa.ArrowInvalid) as error:
             reason = " ".join(str(error).split())
             raise InputError(f"{path}: cannot be read as a table ({reason}): run 'ttcvid analyze' again") from None

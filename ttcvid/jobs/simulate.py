@@ -221,12 +221,13 @@ def _write_calibration(world: World, folder: Path) -> None:
 
 def _write_table(name: str, columns: dict[str, Any], scene: Scene, folder: Path) -> None:
     table: pa.Table = truth_table(name, columns, scene)
-    pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
+    with (folder / f"{name}.parquet").open("wb") as file:  # pyarrow takes no name that is not UTF-8
+        pq.write_table(table, file, compression="zstd")
 
 
 def _write_png(path: Path, picture: np.ndarray[Any, Any]) -> None:
-    if not cv2.imwrite(str(path), picture):
-        raise OutputError(f"{path}: cannot be written as PNG: check the free space")
+    _, content = cv2.imencode(".png", picture)
+    path.write_bytes(content.tobytes())
 
 
 def _write_lines(path: Path, lines: Iterable[str]) -> None:

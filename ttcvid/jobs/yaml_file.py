@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from ttcvid.errors import UsageError
-from ttcvid.strict_yaml import StrictYamlError, load_yaml
+from ttcvid.plain_files import read_plain
+from ttcvid.strict_yaml import MAX_BYTES, StrictYamlError, load_yaml
 
 
 def read_yaml(path: Path) -> Any:
     """The content of a YAML file; UsageError where it cannot be read."""
     try:
-        return load_yaml(path.read_text(encoding="utf-8"))
+        return load_yaml(read_plain(path, MAX_BYTES).decode())
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}): give a YAML file") from None
     except UnicodeDecodeError:

@@ -11,10 +11,11 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ttcvid.errors import InputError, UsageError, quoted
+from ttcvid.plain_files import read_plain
 from ttcvid.simulate.scene import Scene
 from ttcvid.simulate.shapes import distance_to_parts_m
 from ttcvid.simulate.world import World, build_world
-from ttcvid.strict_yaml import StrictYamlError, load_yaml
+from ttcvid.strict_yaml import MAX_BYTES, StrictYamlError, load_yaml
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -30,7 +31,7 @@ def load_scene(path: str | Path) -> Scene:
     """
     path = Path(path)
     try:
-        content = load_yaml(path.read_text(encoding="utf-8"))
+        content = load_yaml(read_plain(path, MAX_BYTES).decode())
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}): expected a scene file in YAML") from error
     except UnicodeDecodeError as error:

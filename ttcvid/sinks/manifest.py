@@ -34,7 +34,8 @@ def write_manifest(path: Path, manifest: dict[str, Any]) -> None:
     temporary = path.with_name(path.name + ".partial")
     with output_errors(path):
         with make_anew(temporary) as file:
-            file.write(text.encode())
+            # names of files need not be UTF-8: JSON has an escape for such bytes, which gives the name back
+            file.write(text.encode("utf-8", "backslashreplace"))
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)

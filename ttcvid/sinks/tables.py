@@ -6,6 +6,7 @@ length of the clip. Nothing in the files depends on when or where they are writt
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -18,6 +19,7 @@ import pyarrow.parquet as pq
 
 from ttcvid.errors import OutputError
 from ttcvid.model import Event, FrameResult
+from ttcvid.plain_files import printable
 from ttcvid.schema import TABLE_NAMES, Column, columns_of, table_schema
 from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.rows import cluster_row, epipole_row, event_row, frame_row, track_columns
@@ -119,7 +121,8 @@ class _Table:
     def __init__(self, path: Path, name: str, metadata: dict[str, str]) -> None:
         self._path = path
         self._columns = columns_of(name)
-        self._schema = table_schema(name, metadata)
+        # names of files among it need not be UTF-8
+        self._schema = table_schema(name, {key: printable(text) for key, text in metadata.items()})
         self._rows: list[tuple[Any, ...]] = []
         self._blocks: list[tuple[np.ndarray, ...]] = []
         self._n_block_rows = 0
@@ -127,7 +130,7 @@ class _Table:
         floats = [column.name for column in self._columns if column.type == pa.float64()]
         others = [column.name for column in self._columns if column.type != pa.float64()]
         with output_errors(path):
-            self._file = pa.OSFile(str(path), "wb")
+            self._file = pa.OSFile(os.fsencode(path), "wb")  # a name need not be UTF-8
             self._writer = pq.ParquetWriter(
                 self._file,
                 self._schema,

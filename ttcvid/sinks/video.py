@@ -72,7 +72,7 @@ class OverlayVideo:
         _require_encoder()
         with output_errors(path):
             path.touch()  # PyAV opens the file at the first picture only; what is wrong with the place shows here
-            self._container = av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"})
+            self._container = av.open(local_url(path), "w", format="mp4", options={"movflags": "+faststart"})
         try:
             options = {"preset": preset, "crf": str(crf)}
             self._stream = self._add_stream(nominal_dt_s, options, threads)
@@ -160,7 +160,7 @@ def check_video(path: Path) -> int:
         Where it cannot be opened or decoded, holds no picture, or fewer than its index lists.
     """
     try:
-        with av.open(str(path)) as container:
+        with av.open(local_url(path)) as container:
             stream = container.streams.video[0]
             n_listed, n_pictures, n_key_frames, n_decoded = stream.frames, 0, 0, 0
             for packet in container.demux(stream):
@@ -180,6 +180,11 @@ def check_video(path: Path) -> int:
             f"key frames can be decoded: run again, or 'ttcvid doctor'"
         )
     return n_pictures
+
+
+def local_url(path: Path) -> str:
+    """A path as FFmpeg takes it for a file whatever its name: what precedes a colon would be a protocol."""
+    return f"file:{path}"
 
 
 def _require_encoder() -> None:

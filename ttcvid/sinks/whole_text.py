@@ -28,7 +28,8 @@ def write_whole(path: Path, text: str) -> None:
         partial = target.with_name(f".{target.name}.partial")
         try:
             with make_anew(partial) as file:
-                file.write(text.encode())
+                # what is not UTF-8 in the name of a file is written as an escape
+                file.write(text.encode("utf-8", "backslashreplace"))
             if mode is not None:
                 partial.chmod(stat.S_IMODE(mode))
             partial.replace(target)

@@ -12,11 +12,14 @@ import numpy as np
 
 from ttcvid.errors import InputError, UsageError
 from ttcvid.model import Floats
+from ttcvid.plain_files import read_plain
 from ttcvid.sources.base import median_dt_s, require_file, require_plausible_step
 
 FPS_BOUNDS = (1e-3, 1e5)
 """The same as the bounds of steps between times in a file, in frames/s."""
 
+LONGEST_LINE_BYTES = 1000
+"""A time needs 30; a file with more than this for each frame holds no times, and is not read."""
 NANOSECONDS = 10**9
 _KITTI = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 _EPOCH = datetime(1970, 1, 1)
@@ -71,7 +74,13 @@ def read_timestamps(path: Path, n_frames: int, counted: str) -> Floats:
     """
     require_file(path)
     try:
-        lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
+        content = read_plain(path, LONGEST_LINE_BYTES * (n_frames + 1))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read as times of {n_frames} {counted} ({error.strerror}): expected one line for each"
+        ) from None
+    try:
+        lines = content.decode("utf-8-sig").rstrip().splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: is no text: expected one time a line, seconds or KITTI's format") from None
     if lines and _KITTI.fullmatch(lines[0].strip()):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ttcvid.errors import InputError, UsageError, quoted
 from ttcvid.model import Floats, Frame, ImageSize, Ints, PointSet, SourceInfo
+from ttcvid.plain_files import open_plain
 from ttcvid.sources.base import OnePassSource, Selection, median_dt_s, require_file, require_plausible_step
 from ttcvid.sources.clock import Clock
 
@@ -139,12 +140,11 @@ def _require_in_picture(path: Path, xy_px: Floats, size: ImageSize) -> None:
 
 def _read_table(path: Path) -> pa.Table:
     require_file(path)
+    is_csv = path.suffix.lower() == ".csv"
     try:
-        if path.suffix.lower() == ".csv":
-            return pyarrow.csv.read_csv(path)
         # a path that is opened here stays a file, whatever its name looks like
-        with path.open("rb") as stream:
-            return pyarrow.parquet.read_table(stream)
+        with open_plain(path) as stream:
+            return pyarrow.csv.read_csv(stream) if is_csv else pyarrow.parquet.read_table(stream)
     except (pa.ArrowException, OSError) as error:
         reason = " ".join(str(error).split()).rstrip(".")
         kind = path.suffix.lower()[1:]
