@@ -130,7 +130,8 @@ class _Table:
         floats = [column.name for column in self._columns if column.type == pa.float64()]
         others = [column.name for column in self._columns if column.type != pa.float64()]
         with output_errors(path):
-            self._file = pa.OSFile(os.fsencode(path), "wb")  # a name need not be UTF-8
+            # bytes, because a name need not be UTF-8
+            self._file = pa.OSFile(os.fsencode(path), "wb")  # type: ignore[arg-type]  # the stubs know only str
             self._writer = pq.ParquetWriter(
                 self._file,
                 self._schema,
