@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import av.error
 import numpy as np
 import pytest
 from moving_clips import approach, write_approaching_tracks, write_audio, write_clip, write_frames
@@ -185,3 +186,14 @@ def test_an_unexpected_error_is_one_line_too_and_never_exit_code_1(
     monkeypatch.setenv("TTCVID_DEBUG", "1")
     assert main(["analyze", "clip.mp4"]) == UsageError.exit_code
     assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("error", [EOFError, BrokenPipeError, av.error.EOFError])
+def test_an_end_of_file_is_no_interruption_and_a_pipe_that_breaks_within_is_no_success(
+    error: type[Exception], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise error(32, "of a helper")
+
+    monkeypatch.setattr("ttcvid.jobs.analyze.analyze_frames", broken)
+    fails_with(capsys, ["analyze", clip()], UsageError.exit_code, "an error in ttcvid itself")

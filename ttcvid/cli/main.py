@@ -5,7 +5,6 @@ What takes time to import is imported inside `main`, once an interruption finds 
 
 from __future__ import annotations
 
-import io
 import os
 import signal
 import sys
@@ -20,6 +19,8 @@ EXIT_UNEXPECTED = 2
 EXIT_INTERRUPTED = 130
 
 BLAS_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_COMPLETION_VARIABLE = "_TTCVID_COMPLETE"
+"""Set by a shell that asks how a line may go on (click's name for it)."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -29,9 +30,9 @@ def program() -> NoReturn:
     An interpreter that ends takes apart all that it has imported, object by object: half a second, for memory that the
     system takes back in any case. Every command has closed its files and ended its processes and threads by then.
     """
-    # Names of files need not be UTF-8, and are printed as they are.
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")
+    from ttcvid.cli.streams import guard_standard_streams
+
+    guard_standard_streams()
     exit_code = main()
     # None where it was closed from the beginning.
     for stream in filter(None, (sys.stdout, sys.stderr)):
@@ -66,22 +67,22 @@ def _run(arguments: list[str], stop: _Interruption) -> int:
     from ttcvid.errors import OutputError, TtcvidError, UsageError
 
     try:
-        code = cli.main(args=arguments, prog_name="ttcvid", standalone_mode=False, obj=tuple(arguments))
+        if _COMPLETION_VARIABLE in os.environ:
+            cli.main(prog_name="ttcvid")
+        # Not by `cli.main`: it takes any end of a file for Ctrl-C, and any closed pipe for one of standard output.
+        with cli.make_context("ttcvid", arguments, obj=tuple(arguments)) as context:
+            code = cli.invoke(context)
         if sys.stdout is not None:
             sys.stdout.flush()
+    except click.exceptions.Exit as end:
+        return end.exit_code
     except click.exceptions.NoArgsIsHelpError as error:
         print(error.format_message(), file=sys.stderr)
         return UsageError.exit_code
-    except click.Abort:
-        raise KeyboardInterrupt from None
     except click.ClickException as error:
         return _fail(error.format_message(), UsageError.exit_code)
     except TtcvidError as error:
         return _fail(str(error), error.exit_code)
-    except BrokenPipeError:
-        # The reader of our output has gone (``ttcvid ... | head``).
-        _drop_output()
-        return 0
     except Exception as error:
         if stop.is_caught:  # an import that is interrupted may fail in any way
             raise KeyboardInterrupt from None

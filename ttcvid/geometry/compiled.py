@@ -11,6 +11,8 @@ import numba
 from numba.core import codegen
 from numba.core.registry import cpu_target
 
+from ttcvid.geometry.copies_on_disk import INDEX_ENDING, checked_cache, damaged_copies
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Whoever changes these removes the copies on disk (`make clean`, or what lies in NUMBA_CACHE_DIR): numba knows a copy
@@ -101,13 +103,13 @@ def compiled_in_place(function: F) -> F:
 
 
 def _compiled(function: F, **more: Any) -> F:
+    done = numba.njit(**_OPTIONS, **more)(function)
     try:
-        done = numba.njit(cache=True, **_OPTIONS, **more)(function)
+        done._cache = checked_cache(function)
     except RuntimeError as error:
         if "no locator" not in str(error):
             raise
         # Neither the package's folder nor the user's can be written to.
-        done = numba.njit(**_OPTIONS, **more)(function)
     _FUNCTIONS.append(done)
     return cast(F, done)
 
@@ -119,15 +121,24 @@ def has_place_on_disk() -> bool:
 
 def part_on_disk() -> float:
     """The part of all compiled functions imported so far that a former run has left on disk."""
-    folders = {function.stats.cache_path for function in _FUNCTIONS} - {None}
     written_s = {
         entry.name.rpartition(".py")[0]: entry.stat().st_mtime
-        for folder in folders
-        if os.path.isdir(folder)
+        for folder in _folders()
         for entry in os.scandir(folder)
-        if entry.name.endswith(".nbi")
+        if entry.name.endswith(INDEX_ENDING)
     }
     return sum(_is_among(function.py_func, written_s) for function in _FUNCTIONS) / max(len(_FUNCTIONS), 1)
+
+
+def damaged_on_disk() -> list[Path]:
+    """Copies, left by former runs, that are not as they were written: no run uses them."""
+    return [file for folder in _folders() for file in damaged_copies(folder)]
+
+
+def _folders() -> list[Path]:
+    """Where copies of the functions imported so far lie."""
+    paths = {function.stats.cache_path for function in _FUNCTIONS} - {None}
+    return [Path(path) for path in sorted(paths) if os.path.isdir(path)]
 
 
 def _is_among(function: Any, written_s: dict[str, float]) -> bool:

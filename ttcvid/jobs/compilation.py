@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ttcvid.geometry.compiled import has_place_on_disk, part_on_disk
+from ttcvid.geometry.compiled import damaged_on_disk, has_place_on_disk, part_on_disk
 
 # No run uses all of them: below this part, most are still to be compiled.
 _LEAST_PART = 0.5
@@ -28,3 +28,12 @@ def compilation_complaint() -> str | None:
         "no folder to keep compiled code in: every run takes a minute longer; "
         "set NUMBA_CACHE_DIR to a folder that may be written to"
     )
+
+
+def damage_complaint() -> str | None:
+    """Where copies of former runs are damaged, those are compiled anew."""
+    damaged = damaged_on_disk()
+    if not damaged:
+        return None
+    others = f" and {len(damaged) - 1} more beside it" if len(damaged) > 1 else ""
+    return f"{damaged[0]}{others}: damaged compiled code, compiled anew when it is used: remove it if this stays"

@@ -29,6 +29,8 @@ LIBRARIES = {
     "click": "click",
     "rich": "rich",
     "matplotlib": "matplotlib",
+    "pillow": "PIL",
+    "psutil": "psutil",
 }
 """Names that users know, and the modules behind them."""
 
@@ -144,12 +146,23 @@ def _nowhere_to_keep_compiled_code() -> str | None:
     return complaint and f"numba: {complaint}"
 
 
+def _damaged_compiled_code() -> str | None:
+    try:
+        importlib.import_module("ttcvid.pipeline")
+        from ttcvid.jobs.compilation import damage_complaint
+    except Exception:
+        return None  # reported as an import that fails
+    complaint = damage_complaint()
+    return complaint and f"numba: {complaint}"
+
+
 CHECKS: tuple[Callable[[], str | None], ...] = (
     _old_python,
     _several_opencv_wheels,
     _opencv_without_akaze,
     _av_without_h264,
     _nowhere_to_keep_compiled_code,
+    _damaged_compiled_code,
 )
 
 
