@@ -3,7 +3,7 @@
 python benchmarks/memory.py [--clip CLIP] [--frames 3000] [--check]
 
 The clip is repeated without encoding it again, as often as it takes, and analysed from this process with tables
-and overlay; after each frame the resident memory of all its processes is read from /proc (Linux only).
+and overlay; after each frame the resident memory of all its processes is read.
 """
 
 from __future__ import annotations

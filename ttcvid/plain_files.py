@@ -12,9 +12,9 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
+from ttcvid.posix import BINARY, NEVER_WAIT, NO_LINK
+
 NOT_PLAIN = "it is no plain file"
-_NEVER_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # neither on every system
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
 def open_plain(path: Path) -> BinaryIO:
@@ -36,7 +36,7 @@ def open_own(path: Path) -> BinaryIO:
 
     OSError where a link, another name of the same file, or no plain file stands there: it belongs to somebody else.
     """
-    file = os.fdopen(_plain_descriptor(path, os.O_RDWR | os.O_CREAT | _NO_LINK), "r+b")
+    file = os.fdopen(_plain_descriptor(path, os.O_RDWR | os.O_CREAT | NO_LINK), "r+b")
     if os.fstat(file.fileno()).st_nlink > 1:
         file.close()
         raise OSError(errno.EMLINK, "it has another name elsewhere", str(path))
@@ -73,7 +73,7 @@ def printable(text: str) -> str:
 
 
 def _plain_descriptor(path: Path, flags: int) -> int:
-    descriptor = os.open(path, flags | _NEVER_WAIT, 0o666)
+    descriptor = os.open(path, flags | NEVER_WAIT | BINARY, 0o666)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(errno.EINVAL, NOT_PLAIN, str(path))

@@ -14,18 +14,19 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from ttcvid.errors import InputError, TtcvidError
 from ttcvid.jobs import beside as module
-from ttcvid.jobs.beside import AHEAD_ITEMS, OtherProcess, beside, can_copy_itself
+from ttcvid.jobs.beside import AHEAD_ITEMS, OtherProcess, beside
+from ttcvid.posix import can_copy_process
 
 DEADLINE_S = 30.0
-needs_fork = pytest.mark.skipif(not can_copy_itself(), reason="processes cannot be copied here")
+needs_fork = pytest.mark.skipif(not can_copy_process(), reason="processes cannot be copied here")
 
 
 @pytest.fixture(params=["process", "thread"], autouse=True)
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Every test holds for both ways."""
     if request.param == "thread":
-        monkeypatch.setattr(module, "can_copy_itself", lambda: False)
-    elif not can_copy_itself():
+        monkeypatch.setattr(module, "can_copy_process", lambda: False)
+    elif not can_copy_process():
         pytest.skip("processes cannot be copied here")
     return str(request.param)
 

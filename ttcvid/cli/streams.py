@@ -8,6 +8,8 @@ import os
 import sys
 from typing import TYPE_CHECKING, Any, TextIO
 
+from ttcvid.posix import streams_are_files
+
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
@@ -22,7 +24,7 @@ def guard_standard_streams() -> None:
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(descriptor)
-    if sys.platform == "win32":
+    if not streams_are_files():
         return
     sys.stdout = _guarded(sys.stdout, 1, BrokenPipeError, "surrogateescape")
     sys.stderr = _guarded(sys.stderr, 2, OSError, "backslashreplace")

@@ -11,7 +11,6 @@ import gc
 import multiprocessing
 import pickle
 import signal
-import sys
 import threading
 import traceback
 import warnings
@@ -26,6 +25,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from ttcvid.errors import TtcvidError
 from ttcvid.jobs.side_by_side import ReadAhead
+from ttcvid.posix import can_copy_process
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -39,17 +39,12 @@ AHEAD_ITEMS = 4
 @contextmanager
 def beside(function: Stream[T, R], items: Iterable[T]) -> Iterator[Iterable[R]]:
     """What ``function(items)`` yields, worked out beside the caller; the block ends whatever runs there."""
-    if can_copy_itself():
+    if can_copy_process():
         with OtherProcess(function, items) as results:
             yield results
     else:
         with ReadAhead(items) as ahead, ReadAhead(function(ahead)) as results:
             yield results
-
-
-def can_copy_itself() -> bool:
-    """Whether this process may have a copy: on macOS the system's libraries do not bear it, a daemon may have none."""
-    return sys.platform == "linux" and not multiprocessing.current_process().daemon
 
 
 class _Says(Enum):

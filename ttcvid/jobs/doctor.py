@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import ttcvid
+from ttcvid.posix import usable_cores
 
 LIBRARIES = {
     "numpy": "numpy",
@@ -30,6 +31,7 @@ LIBRARIES = {
     "rich": "rich",
     "matplotlib": "matplotlib",
     "pillow": "PIL",
+    "filelock": "filelock",
     "psutil": "psutil",
 }
 """Names that users know, and the modules behind them."""
@@ -169,7 +171,7 @@ CHECKS: tuple[Callable[[], str | None], ...] = (
 def _machine() -> dict[str, Any]:
     return {
         "system": platform.platform(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": usable_cores(),
         "blas": _blas_name(),
         "blas_threads": os.environ.get("OPENBLAS_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or "not limited",
         "opencv_threads": _opencv_threads(),

@@ -20,7 +20,6 @@ So is what ttcvid never makes: a link, pipe or folder in the place of one of its
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
@@ -29,11 +28,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
+from filelock import lock_descriptor
+
 from ttcvid.errors import InputError, OutputError
 from ttcvid.plain_files import kind_of, open_own, open_plain, read_plain
+from ttcvid.posix import sync_folder
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.failures import output_errors
-from ttcvid.sinks.manifest import MANIFEST_NAME, read_manifest, sync_folder, write_manifest
+from ttcvid.sinks.manifest import MANIFEST_NAME, read_manifest, write_manifest
 
 PARTIAL_NAME = ".ttcvid-partial"
 LOCK_NAME = ".lock"
@@ -224,11 +226,9 @@ def _lock_partial(path: Path) -> BinaryIO:
     partial = path / PARTIAL_NAME
     partial.mkdir(exist_ok=True)
     lock = open_own(partial / LOCK_NAME)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
+    if not lock_descriptor(lock.fileno(), blocking=False):
         lock.close()
-        raise _busy(path) from error
+        raise _busy(path)
     return lock
 
 
@@ -236,11 +236,11 @@ def _refuse_where_busy(path: Path) -> None:
     """OutputError where a run that is alive writes into the folder; nothing is made or changed."""
     try:
         with open_plain(path / PARTIAL_NAME / LOCK_NAME) as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise _busy(path) from error
+            is_free = lock_descriptor(lock.fileno(), blocking=False)
     except FileNotFoundError:
         return
+    if not is_free:
+        raise _busy(path)
 
 
 def _busy(path: Path) -> OutputError:

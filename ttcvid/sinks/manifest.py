@@ -9,6 +9,7 @@ from typing import Any
 
 from ttcvid.errors import InputError
 from ttcvid.plain_files import make_anew, read_plain
+from ttcvid.posix import sync_folder
 from ttcvid.sinks.failures import output_errors
 
 MANIFEST_NAME = "manifest.json"
@@ -63,12 +64,3 @@ def read_manifest(path: Path) -> dict[str, Any]:
             f"{file}: field '{FORMAT_KEY}' is not '{FORMAT}', so ttcvid did not write it: give the folder of a run"
         )
     return manifest
-
-
-def sync_folder(folder: Path) -> None:
-    """Put the names in a folder onto the disk, so that what was renamed stays renamed after a crash."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
