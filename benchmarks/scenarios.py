@@ -4,6 +4,7 @@ python benchmarks/scenarios.py [--families CCRs,CPNA-25 | --group static] [--kin
 python benchmarks/scenarios.py --verdict HEAD --n 200       # seeds from the hash of a commit
 python benchmarks/scenarios.py --sweep sensor_noise_grey    # one nuisance over its values, all others off
 python benchmarks/scenarios.py --show CPNA-25:17            # draw one alone
+python benchmarks/scenarios.py --verdict HEAD --write-docs  # docs/scenarios.md, from rendered scenes and track tables
 python benchmarks/scenarios.py --list                       # the families
 
 Folders are written below --out; what is complete there is not done again.
@@ -21,13 +22,18 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from report import REPOSITORY
+from report import REPOSITORY, Report
 from scenario_suite.drawing import drawn, input_of
 from scenario_suite.families import FAMILIES, scenario
 from scenario_suite.nuisances import NUISANCES
+from scenario_suite.page import write_page
 from scenario_suite.running import Task, options_of, run_all
+from scenario_suite.scoring import score
 from scenario_suite.seeds import BUILDING_SEEDS, commit_hash, verdict_seeds
 
+MASTS = ["mast-crossing", "mast-along", "mast-junction", "mast-walkers"]
+SWEPT = "sensor_noise_grey"
+"""Of cameras at rest, how they do without any noise is told on the page: it has failed before."""
 GROUPS = tuple(dict.fromkeys(family.group for family in FAMILIES.values()))
 
 
@@ -42,6 +48,13 @@ def main() -> None:
             print(f"{family.name:18} {family.group:14} {'/'.join(family.kinds):13} {family.title}")
         return
     tasks = _tasks(arguments)
+    _done(tasks, arguments)
+    if arguments.write_docs:
+        _write_docs(tasks, arguments)
+
+
+def _done(tasks: list[Task], arguments: argparse.Namespace) -> None:
+    """Have tasks done, and say a line of each."""
     start_s, n_old, n_failed = time.perf_counter(), 0, 0
     for number, done in enumerate(run_all(tasks, arguments.jobs), 1):
         n_old, n_failed = n_old + done.is_old, n_failed + bool(done.run["exit_code"])
@@ -51,6 +64,29 @@ def main() -> None:
     took_s = time.perf_counter() - start_s
     counts = f"{n_old} done before, {n_failed} without a result"
     print(f"{len(tasks)} scenarios in {took_s:.0f} s, {counts}: {arguments.out}")
+
+
+def _write_docs(tasks: list[Task], arguments: argparse.Namespace) -> None:
+    """The page, from the scenes asked for, as many tables of tracks as ``--tables``, and a sweep of cameras at rest."""
+    tables_out = arguments.out.with_name(f"{arguments.out.name}_tables")
+    as_tables = argparse.Namespace(**vars(arguments) | {"kind": "tracks", "n": arguments.tables, "out": tables_out})
+    of_masts = {
+        "families": MASTS,
+        "n": len(MASTS),
+        "sweep": SWEPT,
+        "out": arguments.out.with_name(f"{arguments.out.name}_sweep"),
+    }
+    as_sweep = argparse.Namespace(**vars(arguments) | of_masts)
+    tables, sweep = _tasks(as_tables), _tasks(as_sweep)
+    _done(tables, as_tables)
+    _done(sweep, as_sweep)
+    scores, swept = ([score(task.folder) for task in some] for some in ([*tasks, *tables], sweep))
+    report = Report()
+    commit = commit_hash(arguments.verdict) if arguments.verdict else None
+    seeds = f"the hash of commit {commit[:12]}" if commit else "those for building, which rules may have been fitted to"
+    report.say(f"Seeds: from {seeds}." if commit else f"Seeds: {seeds}.")
+    write_page(report, scores, swept, docs=REPOSITORY / "docs")
+    report.write_docs("scenarios.md", "What the scenario suite says")
 
 
 def _arguments() -> argparse.Namespace:
@@ -64,6 +100,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--sweep", metavar="NUISANCE", help="one nuisance over its values, all others off")
     parser.add_argument("--show", metavar="FAMILY:SEED", help="draw one scene and say where it is")
     parser.add_argument("--list", action="store_true", help="the families, and what each is")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/scenarios.md from all that was asked for")
+    parser.add_argument("--tables", type=int, default=1000, help="with --write-docs: scenes as tables of tracks")
     parser.add_argument("--jobs", type=int, default=2, help="processes side by side")
     parser.add_argument(
         "--out",
@@ -98,7 +136,7 @@ def _tasks(arguments: argparse.Namespace) -> list[Task]:
     """Every scene that is asked for, seed by seed."""
     names = arguments.families or [name for name, family in FAMILIES.items() if arguments.group in (None, family.group)]
     kind = arguments.kind or ("video" if arguments.sweep else None)
-    names = [name for name in names if kind is None or kind in FAMILIES[name].kinds]
+    names = _in_turn([name for name in names if kind is None or kind in FAMILIES[name].kinds])
     if not names:
         sys.exit(f"--kind {kind}: none of the chosen families has this kind of input; leave --kind out")
     if arguments.verdict:
@@ -123,6 +161,14 @@ def _tasks(arguments: argparse.Namespace) -> list[Task]:
         for name, seed in chosen
         for value in values
     ]
+
+
+def _in_turn(names: list[str]) -> list[str]:
+    """Families with their groups in turn: the first few are of all groups, too."""
+    rank = {
+        name: sum(FAMILIES[other].group == FAMILIES[name].group for other in names[:k]) for k, name in enumerate(names)
+    }
+    return sorted(names, key=rank.__getitem__)
 
 
 def _show(name: str, kind: str | None, pictures: Path) -> None:

@@ -5,6 +5,7 @@ OUT/FAMILY/SEED/
   truth            link to its folder of truth, clip or tracks included
   run/             the folder of ``ttcvid analyze``; absent where that failed
   run.json         exit_code, seconds, error (one line, or null)
+  score/           the run beside the truth
 
 Truth is drawn into a folder of its own, which runs with other options or another state of the code share.
 """
@@ -16,6 +17,7 @@ import json
 import logging
 import multiprocessing
 import shutil
+import signal
 import time
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,6 +32,7 @@ import ttcvid
 from scenario_suite.drawing import GIVEN_CAMERA_NAME, code_digest, drawing_key, drawn, input_of, read_json, write_json
 from scenario_suite.families import scenario
 from scenario_suite.scenario import Kind, NuisanceValue, Scenario
+from scenario_suite.scoring import score
 
 _PACKAGE = Path(ttcvid.__file__).parent
 _NOT_OF_THE_ANALYSIS = ("simulate", "studies", "report", "draw", "cli")
@@ -52,6 +55,11 @@ class Task:
     nuisances: dict[str, NuisanceValue] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def folder(self) -> Path:
+        """Where its run belongs."""
+        return self.out / self.family / str(self.seed)
+
 
 @dataclass(frozen=True)
 class Done:
@@ -65,27 +73,34 @@ class Done:
 
 
 def run_all(tasks: Iterable[Task], n_jobs: int) -> Iterator[Done]:
-    """Do tasks in ``n_jobs`` processes; results as they are finished."""
+    """Do tasks in ``n_jobs`` processes; results as they are finished.
+
+    Ctrl-C, or a caller that takes no more, ends the processes at once: what they were at is begun anew next time.
+    """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(n_jobs, mp_context=context, initializer=_prepare) as pool:
         waiting = [pool.submit(do, task) for task in tasks]
         try:
             for done in as_completed(waiting):
                 yield done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.kill()
+            raise
 
 
 def do(task: Task) -> Done:
-    """Draw and analyse one scenario, unless that is done."""
+    """Draw, analyse and score one scenario, unless that is done."""
     chosen = scenario(task.family, task.seed, task.kind, task.nuisances)
-    folder = task.out / task.family / str(task.seed)
+    folder = task.folder
     start_s = time.perf_counter()
     truth = drawn(chosen, task.pictures / task.family / str(task.seed))
     drawing_s = time.perf_counter() - start_s
     key = _run_key(chosen, task.options)
     known = read_json(folder / "run.json")
     if known.get("key") == key:
+        score(folder)
         return Done(task, folder, True, drawing_s, known)
     (folder / "run.json").unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
@@ -93,6 +108,7 @@ def do(task: Task) -> Done:
     _link(folder / "truth", truth)
     run = {"key": key, **_analyzed(chosen, truth, folder / "run", task.options)}
     write_json(folder / "run.json", run)
+    score(folder)
     return Done(task, folder, False, drawing_s, run)
 
 
@@ -113,7 +129,9 @@ def _analyzed(chosen: Scenario, truth: Path, out: Path, options: Mapping[str, An
     start_s = time.perf_counter()
     exit_code, error = 0, None
     try:
-        ttcvid.analyze(input_of(truth), out, **(options_of(chosen, truth) | dict(options)))
+        run = ttcvid.analyze(input_of(truth), out, **(options_of(chosen, truth) | dict(options)))
+        if run.manifest["state"] == "interrupted":
+            raise KeyboardInterrupt
     except ttcvid.TtcvidError as failure:
         exit_code, error = failure.exit_code, str(failure)
     except Exception as failure:  # A crash of the analysis is a finding of the suite.
@@ -136,6 +154,7 @@ def _link(link: Path, target: Path) -> None:
 
 
 def _prepare() -> None:
-    """One thread of OpenCV in each process, no log on the terminal."""
+    """One thread of OpenCV in each process, no log on the terminal; Ctrl-C is for the process that asked."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     logging.getLogger("ttcvid").addHandler(logging.NullHandler())

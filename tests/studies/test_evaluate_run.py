@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from perfect_runs import N_FRAMES, perfect_run, two_object_truth
 
+from ttcvid.model import NO_CLUSTER
 from ttcvid.studies.evaluate import Evaluation, judge_run
 from ttcvid.studies.metrics import METRICS
 from ttcvid.studies.truth import RunTables
@@ -148,6 +149,45 @@ def test_a_warning_is_in_time_late_or_missed(start_s: float | None, verdict: str
     assert [result.metrics[f"events.{key}"] for key in ("true", "late", "missed")] == counts
     assert result.objects[0].warning == verdict
     assert result.metrics["events.false"] == 0
+
+
+@pytest.mark.parametrize(
+    ("start_s", "n_ahead", "lead_s"), [(0.9, 1, 2.1), (1.1, 0, 1.9), (2.5, 0, 0.5), (None, 0, None)]
+)
+def test_the_time_from_the_warning_to_the_contact_is_told_of_each_object(start_s, n_ahead, lead_s) -> None:
+    events = RUN.events[:0] if start_s is None else RUN.events.assign(start_s=start_s)
+    result = judge_run(replace(RUN, events=events), TRUTH)
+    assert result.metrics["events.ahead"] == n_ahead
+    expected = None if lead_s is None else pytest.approx(lead_s)
+    assert [judged.lead_s for judged in result.objects] == [expected, None]
+    assert result.metrics["events.lead_p10_s"] == expected
+
+
+def test_errors_of_own_motion_and_false_rows_are_told_frame_by_frame() -> None:
+    ghost = RUN.clusters[RUN.clusters.frame == 7].assign(cluster_id=9, x0_px=200, x1_px=210)[:1]
+    epipoles = RUN.epipoles.copy()
+    epipoles.loc[(epipoles.cluster_id == 0) & (epipoles.frame == 3), ["dir_x", "dir_y", "dir_z"]] *= -1
+    clusters = pd.concat([RUN.clusters, ghost]).reset_index(drop=True)
+    by_frame = judge_run(replace(RUN, clusters=clusters, epipoles=epipoles), TRUTH).by_frame.set_index("frame")
+    assert by_frame.n_false.to_dict() == {frame: int(frame == 7) for frame in range(N_FRAMES)}
+    assert by_frame.epipole_deg[3] == pytest.approx(180)
+    assert by_frame.epipole_deg.drop(3)[1:].max() == pytest.approx(0, abs=1e-9)
+    assert by_frame.is_epipole_judged.tolist() == [False] + [True] * (N_FRAMES - 1)
+    assert by_frame.rotation_deg[1:].max() == pytest.approx(0, abs=1e-9)
+
+
+def test_displaced_observations_that_a_body_takes_in_are_counted() -> None:
+    rows = RUN.collision_times[["frame", "track_id"]].copy()
+    # Of track 2, on object 1, every second observation is displaced, and of these the first five are in no body.
+    rows["is_outlier"] = (rows.track_id == 2) & (rows.frame % 2 == 0)
+    no_times = {f"{name}{end}_s": np.nan for name in ("ttc_z", "tcpa", "miss") for end in ("", "_lo", "_hi")}
+    points = rows.assign(**no_times)
+    is_free = rows.is_outlier & (rows.frame < 10)
+    tracks = RUN.collision_times.assign(
+        **no_times, cluster_id=RUN.collision_times.cluster_id.where(~is_free, NO_CLUSTER)
+    )
+    metrics = metrics_of(replace(RUN, collision_times=tracks), track_points=points)
+    assert metrics["tracks.outliers_in"] == pytest.approx(0.5)
 
 
 def test_a_warning_of_what_does_not_collide_is_false() -> None:

@@ -245,6 +245,8 @@ def test_an_object_of_tracks_has_the_times_of_its_nearest_points() -> None:
     assert (row.x0_px, row.x1_px) == (99, 101)
     assert row.ttc_z_s == pytest.approx(5.0, rel=0.02)
     assert (row.miss_s, row.dir_z) == (0, -1)
+    assert (row.x_m, row.y_m, row.z_m) == (0, 0, pytest.approx(10.0))
+    assert (row.vx_m_s, row.vy_m_s, row.vz_m_s) == (0, 0, -2)
     assert not objects_from_tracks(points[:2], frames, {}).is_counted.any()
 
 

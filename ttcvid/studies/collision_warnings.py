@@ -13,6 +13,8 @@ from ttcvid.studies.truth import UNKNOWN_OBJECT
 
 IN_TIME_S = 1.0
 """A warning that starts this long before the contact, or earlier, is in time."""
+AHEAD_S = 2.0
+"""The time before the contact by which the trade's tests mostly want the warning."""
 EXPECTED_WITHIN_S = 2.0
 """A collision has to be warned of if the clip goes on until this long before the contact, and if the object has been
 in view for as long before the contact."""
@@ -23,10 +25,12 @@ class WarningsJudged:
     """What became of each object, and the numbers of the list of metrics.
 
     ``verdict`` by ``object_id``: ``in_time``, ``late``, ``missed``, ``not_expected`` (a collision that does not have to
-    be warned of yet) or ``no_collision``.
+    be warned of yet) or ``no_collision``. ``lead_s`` is the time from the first warning to the contact, of every object
+    that collides and is warned of, whether it has to be or not.
     """
 
     verdict: dict[int, str]
+    lead_s: dict[int, float]
     numbers: Numbers
 
 
@@ -53,18 +57,18 @@ def judge_warnings(
     hits = encounters[encounters.is_collision.astype(bool)]
     contact_s = dict(zip(hits.object_id.astype(int), hits.t_contact_s.astype(float), strict=True))
     verdict: dict[int, str] = {}
-    leads_s: list[float] = []
+    lead_s: dict[int, float] = {}
     for object_id in encounters.object_id.astype(int):
         if object_id not in contact_s:
             verdict[object_id] = "no_collision"
             continue
         starts_s = events.start_s.to_numpy(float)[event_object == object_id]
-        lead_s = contact_s[object_id] - starts_s.min() if len(starts_s) else None
+        if len(starts_s):
+            lead_s[object_id] = float(contact_s[object_id] - starts_s.min())
         seen_for_s = contact_s[object_id] - first_seen_s.get(object_id, np.inf)
         is_expected = contact_s[object_id] <= end_s + EXPECTED_WITHIN_S and seen_for_s >= EXPECTED_WITHIN_S
-        if is_expected and lead_s is not None:
-            leads_s.append(lead_s)
-        verdict[object_id] = _verdict(is_expected, lead_s)
+        verdict[object_id] = _verdict(is_expected, lead_s.get(object_id))
+    expected_leads_s = np.array([lead_s[o] for o in verdict if verdict[o] in ("in_time", "late")])
     n_of = {name: float(sum(v == name for v in verdict.values())) for name in ("in_time", "late", "missed")}
     is_false = ~np.isin(event_object, list(contact_s))
     numbers = {
@@ -73,9 +77,11 @@ def judge_warnings(
         "late": n_of["late"],
         "missed": n_of["missed"],
         "false": float(is_false.sum()),
-        "lead_s": quantile(np.array(leads_s), 0.5),
+        "ahead": float((expected_leads_s >= AHEAD_S).sum()),
+        "lead_s": quantile(expected_leads_s, 0.5),
+        "lead_p10_s": quantile(expected_leads_s, 0.1),
     }
-    return WarningsJudged(verdict, numbers)
+    return WarningsJudged(verdict, lead_s, numbers)
 
 
 def object_of_events(events: pd.DataFrame, found: pd.DataFrame, owner: Ints) -> Ints:

@@ -28,7 +28,12 @@ def judge_directions(truth: Floats, found: Floats, is_counted: Bools) -> Numbers
 
 
 def judge_rotation(truth: pd.DataFrame, found: pd.DataFrame) -> Numbers:
-    """Angle between true and found rotation since the previous analysed frame.
+    """Summary of `rotation_errors_deg`."""
+    return summary_of(rotation_errors_deg(truth, found).rotation_deg.to_numpy(float))
+
+
+def rotation_errors_deg(truth: pd.DataFrame, found: pd.DataFrame) -> pd.DataFrame:
+    """Angle between true and found rotation since the previous analysed frame: ``frame, rotation_deg``, NaN: not found.
 
     ``truth`` has a row for every picture; where the run left some out, their rotations are taken together, and where
     the truth does, nothing is judged. ``found`` has a row per analysed frame, ascending; the first of them has no
@@ -37,14 +42,14 @@ def judge_rotation(truth: pd.DataFrame, found: pd.DataFrame) -> Numbers:
     per_picture = rotation_from_vector(np.nan_to_num(truth[ROTATION].to_numpy(float)))
     frames, first, end = _pictures_between(truth, found.frame.to_numpy())
     if not len(frames):
-        return summary_of(np.empty(0))
+        return pd.DataFrame({"frame": frames, "rotation_deg": np.empty(0)})
     true = np.stack([_product(per_picture[a:b]) for a, b in zip(first, end, strict=True)])
     estimate = rotation_from_vector(found.set_index("frame").loc[frames, ROTATION].to_numpy(float))
     left_over = estimate @ np.swapaxes(true, 1, 2)
     is_known = np.isfinite(left_over).all(axis=(1, 2))
     error = np.full(len(left_over), np.nan)
     error[is_known] = np.degrees(np.linalg.norm(vector_from_rotation(left_over[is_known]), axis=1))
-    return summary_of(error)
+    return pd.DataFrame({"frame": frames, "rotation_deg": error})
 
 
 def true_scene_directions(truth: pd.DataFrame, frames: Ints) -> pd.DataFrame:

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from ttcvid.model import SCENE_CLUSTER, Bools, Ints
-from ttcvid.studies.collision_warnings import judge_warnings, object_of_events
-from ttcvid.studies.directions import judge_directions, judge_rotation, true_scene_directions
-from ttcvid.studies.grouping import judge_grouping
+from ttcvid.studies.collision_warnings import WarningsJudged, judge_warnings, object_of_events
+from ttcvid.studies.directions import (
+    angle_deg,
+    judge_directions,
+    judge_rotation,
+    rotation_errors_deg,
+    summary_of,
+    true_scene_directions,
+)
+from ttcvid.studies.grouping import judge_grouping, share_in_bodies
 from ttcvid.studies.matching import Matches, best_one_to_one, count_tracks, match_objects
 from ttcvid.studies.metrics import METRICS, Value
 from ttcvid.studies.times import TIMES, Numbers, judge_times
-from ttcvid.studies.truth import DIRECTION, UNKNOWN_OBJECT, RunTables, Truth
+from ttcvid.studies.truth import BOX, DIRECTION, POSITION, UNKNOWN_OBJECT, VELOCITY, RunTables, Truth
 
 FOUND_SHARE = 0.5
 """An object is found if it is matched in this share of the frames in which it counts."""
@@ -38,7 +45,10 @@ class Sight:
 
 @dataclass(frozen=True)
 class ObjectJudged:
-    """One true object: how often it was found, how good its times are, what became of the warning, what there was."""
+    """One true object: how often it was found, how good its times are, what became of the warning, what there was.
+
+    ``lead_s`` is the time from the first warning to the contact; None without warning or without collision.
+    """
 
     object_id: int
     name: str
@@ -46,6 +56,7 @@ class ObjectJudged:
     found_share: float
     ttc_z_median: Value
     warning: str
+    lead_s: Value
     sight: Sight
 
 
@@ -53,13 +64,16 @@ class ObjectJudged:
 class Evaluation:
     """``metrics`` has a value, or None, for each of ``METRICS``; ``objects`` one entry per true object that counts.
 
-    ``joined`` has a row per frame and true object: ``frame, t_s, object_id, name, is_counted``, the true times and, as
-    ``*_found``, the times of what was matched with it (NaN: nothing).
+    ``joined`` has a row per frame and true object: ``frame, t_s, object_id, name, is_counted``, its true box, times,
+    direction, place and velocity and, as ``*_found``, times and direction of what was matched with it (NaN: nothing).
+    ``by_frame`` has a row per frame of the run: ``frame, rotation_deg, epipole_deg`` (errors of own motion, NaN: not
+    judged or not found), ``is_epipole_judged`` and ``n_false``, the rows over nothing true.
     """
 
     metrics: dict[str, Value]
     objects: tuple[ObjectJudged, ...]
     joined: pd.DataFrame
+    by_frame: pd.DataFrame
 
 
 def judge_run(run: RunTables, truth: Truth) -> Evaluation:
@@ -67,12 +81,15 @@ def judge_run(run: RunTables, truth: Truth) -> Evaluation:
     numbers: dict[str, Numbers] = {"clip": _clip(run)}
     objects: tuple[ObjectJudged, ...] = ()
     joined = pd.DataFrame()
+    by_frame = run.frames[["frame"]].assign(rotation_deg=np.nan, epipole_deg=np.nan, is_epipole_judged=False, n_false=0)
     if truth.frames is not None:
+        by_frame = _own_motion_errors(run, truth.frames)
         numbers["rotation"] = judge_rotation(truth.frames, run.frames)
-        numbers["epipole_scene"] = _scene_directions(run, truth.frames)
+        numbers["epipole_scene"] = summary_of(by_frame.epipole_deg[by_frame.is_epipole_judged].to_numpy(float))
     if truth.track_object is not None:
         object_of_track = _counted_only(run, truth, truth.track_object)
         numbers["tracks"] = judge_grouping(object_of_track, run.collision_times.cluster_id.to_numpy())
+        numbers["tracks"] |= _outliers(run, truth.track_points)
     if truth.track_points is not None:
         numbers |= _track_times(run, truth.track_points)
     if truth.objects is not None:
@@ -82,12 +99,16 @@ def judge_run(run: RunTables, truth: Truth) -> Evaluation:
         joined = _join(true_objects, found, matches)
         numbers |= _times_and_directions(joined)
         numbers["objects"] = _objects(true_objects, found, matches, truth.has_all_objects, len(run.frames))
-        warnings: dict[int, str] = {}
+        warnings: WarningsJudged | None = None
         if truth.encounters is not None:
-            numbers["events"], warnings = _warnings(run, found, matches, true_objects, truth.encounters)
+            warnings = _warnings(run, found, matches, true_objects, truth.encounters)
+            numbers["events"] = warnings.numbers
         objects = _each_object(joined, warnings, _sights(true_objects, run, truth.track_object))
+        if truth.has_all_objects:
+            n_false = found.frame[matches.verdict == "false"].value_counts()
+            by_frame["n_false"] = by_frame.frame.map(n_false).fillna(0).to_numpy(np.int64)
     flat = {f"{group}.{name}": value for group, values in numbers.items() for name, value in values.items()}
-    return Evaluation({name: _finite(flat.get(name)) for name in METRICS}, objects, joined)
+    return Evaluation({name: _finite(flat.get(name)) for name in METRICS}, objects, joined, by_frame)
 
 
 def _clip(run: RunTables) -> Numbers:
@@ -127,7 +148,8 @@ def _join(truth: pd.DataFrame, found: pd.DataFrame, matches: Matches) -> pd.Data
     partner[matches.pairs.truth_row] = matches.pairs.found_row
     beside = found[columns].astype(float).reindex(partner)
     beside = beside.set_axis([f"{name}_found" for name in columns], axis=1).set_axis(truth.index, axis=0)
-    kept = ["frame", "t_s", "object_id", "name", "is_counted", *(f"{name}_s" for name in TIMES), *DIRECTION]
+    kept = ["frame", "t_s", "object_id", "name", "is_counted", *BOX, *(f"{name}_s" for name in TIMES), *DIRECTION]
+    kept += [*POSITION, *VELOCITY]
     return pd.concat([truth.reindex(columns=kept), beside.assign(is_found=partner >= 0)], axis=1)
 
 
@@ -158,12 +180,24 @@ def _track_times(run: RunTables, points: pd.DataFrame) -> dict[str, Numbers]:
     }
 
 
-def _scene_directions(run: RunTables, frames: pd.DataFrame) -> Numbers:
+def _outliers(run: RunTables, points: pd.DataFrame | None) -> Numbers:
+    if points is None or "is_outlier" not in points:
+        return {}
+    rows = run.collision_times.merge(points[["frame", "track_id", "is_outlier"]], on=["frame", "track_id"])
+    return {"outliers_in": share_in_bodies(rows.cluster_id.to_numpy(), rows.is_outlier.to_numpy(bool))}
+
+
+def _own_motion_errors(run: RunTables, frames: pd.DataFrame) -> pd.DataFrame:
+    """Errors of rotation and direction of each frame of a run, as in ``Evaluation.by_frame``."""
     scene = run.epipoles.loc[run.epipoles.cluster_id == SCENE_CLUSTER, ["frame", *DIRECTION]]
     true = true_scene_directions(frames, run.frames.frame.to_numpy())
     both = true.merge(scene, on="frame", how="left", suffixes=("", "_found"))
     found = both[[f"{axis}_found" for axis in DIRECTION]].to_numpy(float)
-    return judge_directions(both[DIRECTION].to_numpy(float), found, np.ones(len(both), bool))
+    both["epipole_deg"] = angle_deg(both[DIRECTION].to_numpy(float), found)
+    both["is_epipole_judged"] = np.isfinite(both[DIRECTION].to_numpy(float)).all(axis=1)
+    errors = run.frames[["frame"]].merge(rotation_errors_deg(frames, run.frames), on="frame", how="left")
+    errors = errors.merge(both[["frame", "epipole_deg", "is_epipole_judged"]], on="frame", how="left")
+    return errors.assign(is_epipole_judged=errors.is_epipole_judged.eq(True), n_false=0)
 
 
 def _objects(
@@ -192,7 +226,7 @@ def _objects(
 
 def _warnings(
     run: RunTables, found: pd.DataFrame, matches: Matches, truth: pd.DataFrame, encounters: pd.DataFrame
-) -> tuple[Numbers, dict[int, str]]:
+) -> WarningsJudged:
     event_object = object_of_events(run.events, found, matches.owner)
     counted = truth[truth.is_counted.astype(bool)]
     first = counted.groupby("object_id").t_s.min()
@@ -204,7 +238,7 @@ def _warnings(
         f"{name}_per_10min": judged.numbers[name] / ten_minutes if ten_minutes > 0 else math.nan
         for name in ("true", "missed", "false")
     }
-    return judged.numbers | rates, judged.verdict
+    return replace(judged, numbers=judged.numbers | rates)
 
 
 def _sights(objects: pd.DataFrame, run: RunTables, track_object: Ints | None) -> dict[int, Sight]:
@@ -224,7 +258,9 @@ def _sights(objects: pd.DataFrame, run: RunTables, track_object: Ints | None) ->
     }
 
 
-def _each_object(joined: pd.DataFrame, warnings: dict[int, str], sights: dict[int, Sight]) -> tuple[ObjectJudged, ...]:
+def _each_object(
+    joined: pd.DataFrame, warnings: WarningsJudged | None, sights: dict[int, Sight]
+) -> tuple[ObjectJudged, ...]:
     judged = []
     for object_id, rows in joined[joined.is_counted.astype(bool)].groupby("object_id"):
         times = judge_times("ttc_z", rows.ttc_z_s.to_numpy(float), _found_times(rows), np.ones(len(rows), bool))
@@ -236,7 +272,8 @@ def _each_object(joined: pd.DataFrame, warnings: dict[int, str], sights: dict[in
                 n_frames=len(rows),
                 found_share=float(rows.is_found.mean()),
                 ttc_z_median=_finite(times["median"]),
-                warning=warnings.get(number, ""),
+                warning="" if warnings is None else warnings.verdict.get(number, ""),
+                lead_s=None if warnings is None else warnings.lead_s.get(number),
                 sight=sights[number],
             )
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Ints
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Ints
 from ttcvid.studies.matching import best_one_to_one
 from ttcvid.studies.times import Numbers
 from ttcvid.studies.truth import UNKNOWN_OBJECT
@@ -30,6 +30,11 @@ def judge_grouping(track_object: Ints, cluster_id: Ints) -> Numbers:
         "objects_pure": _share(is_right[in_object]),
         "unassigned": _share(cluster_id == NO_CLUSTER),
     }
+
+
+def share_in_bodies(cluster_id: Ints, is_outlier: Bools) -> float:
+    """Share of the displaced observations ``(N,)`` that are taken into a body, the scene or an object."""
+    return _share(cluster_id[is_outlier] != NO_CLUSTER)
 
 
 def _share(values: np.ndarray) -> float:

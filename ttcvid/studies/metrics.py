@@ -68,16 +68,20 @@ METRICS: dict[str, tuple[str, str]] = {
     "tracks.objects_right": ("1", "share of those on true objects that are in the object's cluster"),
     "tracks.objects_pure": ("1", "share of those in clusters other than the scene that lie on the cluster's object"),
     "tracks.unassigned": ("1", "share of them in no cluster: an error"),
+    "tracks.outliers_in": ("1", "share of displaced observations (is_outlier of truth_tracks) in a cluster, the scene "
+                           "among them"),
     "events.expected": ("1", "collisions that have to be warned of: contact at most 2 s after the clip, and the object "
                         "in view 2 s before it"),
     "events.true": ("1", "of these, warned of at least 1 s before contact"),
+    "events.ahead": ("1", "of the expected, warned of at least 2 s before contact"),
     "events.late": ("1", "of these, warned of later"),
     "events.missed": ("1", "of these, never warned of"),
     "events.false": ("1", "warnings of what does not collide with us, each counted"),
     "events.true_per_10min": ("1/10 min", "events.true per 10 minutes of clip"),
     "events.missed_per_10min": ("1/10 min", "events.missed per 10 minutes of clip"),
     "events.false_per_10min": ("1/10 min", "events.false per 10 minutes of clip"),
-    "events.lead_s": ("s", "median time from the first warning to the contact"),
+    "events.lead_s": ("s", "median time from the first warning to the contact, of the expected that are warned of"),
+    "events.lead_p10_s": ("s", "10th percentile of that time"),
 }  # fmt: skip
 """Unit and meaning of every metric. One that a truth says nothing of is null."""
 

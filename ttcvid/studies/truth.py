@@ -109,36 +109,42 @@ def objects_from_tracks(track_points: pd.DataFrame, frames: pd.DataFrame, names:
     ``track_points`` has the columns of ``truth_tracks``, ``frames`` those of ``truth_frames``.
     """
     t_s = dict(zip(frames.frame, frames.t_s, strict=True))
-    on_objects = track_points[track_points.object_id != SCENE_CLUSTER]
+    on_objects = track_points[track_points.object_id != SCENE_CLUSTER].sort_values(
+        ["frame", "object_id"], kind="stable"
+    )
+    keys = on_objects[["frame", "object_id"]].to_numpy(np.int64)
+    places, position, velocity = (on_objects[columns].to_numpy(float) for columns in (POINT, POSITION, VELOCITY))
+    # Slices of arrays: a data frame per object and picture would take most of the time of an evaluation.
+    first = np.flatnonzero(np.r_[True, np.any(np.diff(keys, axis=0), axis=1)]) if len(keys) else np.empty(0, np.int64)
     rows = [
         {
-            "frame": (frame := int(points.frame.iloc[0])),
+            "frame": (frame := int(keys[a, 0])),
             "t_s": t_s[frame],
-            "object_id": (object_id := int(points.object_id.iloc[0])),
+            "object_id": (object_id := int(keys[a, 1])),
             "name": names.get(object_id, f"object {object_id}"),
-            **_object_of_points(points),
+            **_object_of_points(places[a:b], position[a:b], velocity[a:b]),
         }
-        for _, points in on_objects.groupby(["frame", "object_id"])
+        for a, b in zip(first, np.append(first, len(keys))[1:], strict=True)
     ]
     columns = ["frame", "t_s", "object_id", "name", *BOX, "is_counted", *DIRECTION, "tcpa_s", "miss_s", "ttc_z_s"]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=[*columns, *POSITION, *VELOCITY])
 
 
-def _object_of_points(points: pd.DataFrame) -> dict[str, float | bool]:
-    position = points[POSITION].to_numpy(float)
-    velocity = points[VELOCITY].to_numpy(float)
-    inverse_depth = 1 / position[:, 2]
+def _object_of_points(places_px: Floats, position_m: Floats, velocity_m_s: Floats) -> dict[str, float | bool]:
+    inverse_depth = 1 / position_m[:, 2]
     near = inverse_depth >= np.quantile(inverse_depth, 1 - NEAREST_SHARE) * (1 - SURFACE_DEPTH)
-    rays = position[near] / position[near, 2:]
+    rays = position_m[near] / position_m[near, 2:]
     centre = rays.mean(axis=0) / inverse_depth[near].mean()
-    mean_velocity = velocity[near].mean(axis=0)
+    mean_velocity = velocity_m_s[near].mean(axis=0)
     times = times_from_position_velocity(centre[None], mean_velocity[None])
-    box = [points.x_true_px.min(), points.y_true_px.min(), points.x_true_px.max(), points.y_true_px.max()]
+    box = [*places_px.min(axis=0).tolist(), *places_px.max(axis=0).tolist()]
     return {
-        **dict(zip(BOX, map(float, box), strict=True)),
-        "is_counted": len(points) >= MIN_POINTS,
+        **dict(zip(BOX, box, strict=True)),
+        "is_counted": len(places_px) >= MIN_POINTS,
         **dict(zip(DIRECTION, normalize(mean_velocity[None])[0].tolist(), strict=True)),
         "tcpa_s": float(times.tcpa_s[0]),
         "miss_s": float(times.miss_s[0]),
         "ttc_z_s": float(times.ttc_z_s[0]),
+        **dict(zip(POSITION, centre.tolist(), strict=True)),
+        **dict(zip(VELOCITY, mean_velocity.tolist(), strict=True)),
     }

@@ -1,0 +1,237 @@
+"""Figures over many scenes, each with its spread over scenes: what would another draw of as many scenes have said?
+
+The frames of a scene hang together, so the spread comes from drawing whole scenes with replacement (bootstrap). The
+binomial interval of a share of frames, which takes each for a draw of its own, is told beside it for coverage: where
+it is the wider one, there are too few frames, else too few scenes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest, chi2
+
+from scenario_suite.scoring import SceneScore
+from ttcvid.model import Bools, Floats, Ints
+
+N_DRAWS, SPREAD = 200, (5.0, 95.0)
+"""Draws of the bootstrap, and the percentiles between which the spread lies."""
+LEVEL = 0.95
+"""Of binomial intervals and of Poisson bounds."""
+TEN_MINUTES_S, HOUR_S = 600.0, 3600.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure: ``value`` (NaN: nothing to judge) over ``n`` judged, its spread over scenes ``lo, hi`` (NaN: of one
+    scene there is none), and the binomial interval or Poisson bound where it has one.
+    """
+
+    value: float
+    n: int
+    lo: float = np.nan
+    hi: float = np.nan
+    bounds: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Share:
+    """Sums of a numerator over those of a denominator ``(S,)``, scene by scene."""
+
+    part: Floats
+    whole: Floats
+    is_coverage: bool = False
+
+    def estimate(self, scenes: Ints, draws: Ints) -> Estimate:
+        """Over the scenes of these rows; ``draws (R, S')`` says how often each of them is drawn."""
+        part, whole = self.part[scenes], self.whole[scenes]
+        if whole.sum() == 0:
+            return Estimate(np.nan, 0)
+        drawn = draws @ whole
+        lo, hi = _spread((draws @ part)[drawn > 0] / drawn[drawn > 0], len(scenes))
+        k, n = round(part.sum()), round(whole.sum())
+        bounds = None
+        if self.is_coverage:
+            interval = binomtest(k, n).proportion_ci(LEVEL, method="wilson")
+            bounds = (float(interval.low), float(interval.high))
+        return Estimate(float(part.sum() / whole.sum()), n, lo, hi, bounds)
+
+
+@dataclass(frozen=True)
+class Percentile:
+    """A percentile of values ``(N,)``, each of the scene ``scene (N,)``."""
+
+    values: Floats
+    scene: Ints
+    share: float
+
+    def estimate(self, scenes: Ints, draws: Ints) -> Estimate:
+        """As `Share.estimate`."""
+        column = np.full(int(max(self.scene.max(initial=-1), scenes.max(initial=-1))) + 1, -1)
+        column[scenes] = np.arange(len(scenes))
+        place = column[self.scene] if len(self.scene) else np.empty(0, np.int64)
+        values, place = self.values[place >= 0], place[place >= 0]
+        if len(values) == 0:
+            return Estimate(np.nan, 0)
+        order = np.argsort(values, kind="stable")
+        values, place = values[order], place[order]
+        found = [_weighted(values, weights, self.share) for weights in draws[:, place]]
+        lo, hi = _spread(np.array([value for value in found if np.isfinite(value)]), len(scenes))
+        return Estimate(_weighted(values, np.ones(len(values)), self.share), len(values), lo, hi)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Events per ``unit_s`` of clip, with the one-sided Poisson bound above."""
+
+    events: Floats
+    duration_s: Floats
+    unit_s: float
+
+    def estimate(self, scenes: Ints, draws: Ints) -> Estimate:
+        """As `Share.estimate`."""
+        events, duration = self.events[scenes], self.duration_s[scenes]
+        units = float(duration.sum()) / self.unit_s
+        if units == 0:
+            return Estimate(np.nan, 0)
+        lo, hi = _spread((draws @ events) / np.maximum((draws @ duration) / self.unit_s, 1e-9), len(scenes))
+        return Estimate(float(events.sum()) / units, int(events.sum()), lo, hi, (0.0, at_most(events.sum()) / units))
+
+
+Figure = Share | Percentile | Rate
+
+
+def at_most(n_events: float) -> float:
+    """The mean number of events that is excluded with 95 % if ``n_events`` came (Poisson).
+
+    >>> round(at_most(0), 2)
+    3.0
+    """
+    return float(chi2.ppf(LEVEL, 2 * (n_events + 1)) / 2)
+
+
+class Figures:
+    """All figures of a set of scenes, and of any part of it."""
+
+    def __init__(self, scores: Sequence[SceneScore]) -> None:
+        self.scores = tuple(scores)
+        self.facts = pd.DataFrame([dict(one.facts) for one in self.scores])
+        self._of = _figures(self.scores)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the figures."""
+        return tuple(self._of)
+
+    def over(self, chosen: Bools) -> dict[str, Estimate]:
+        """Every figure over the chosen scenes ``(S,)``, by name; the same scenes always give the same."""
+        scenes = np.flatnonzero(chosen)
+        n = len(scenes)
+        if n == 0:
+            return {name: Estimate(np.nan, 0) for name in self._of}
+        draws = np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), N_DRAWS)
+        return {name: figure.estimate(scenes, draws) for name, figure in self._of.items()}
+
+
+def _figures(scores: Sequence[SceneScore]) -> dict[str, Figure]:
+    rows = _stacked([one.object_frames for one in scores])
+    frames = _stacked([one.frames for one in scores])
+    n = len(scores)
+    found = rows[rows.is_due & rows.is_found] if len(rows) else rows
+    figures: dict[str, Figure] = {
+        "found": Share(_sums(rows, "is_found", rows.is_due, n), _sums(rows, "is_due", rows.is_due, n)),
+        "labels_wrong": Share(_facts(scores, "n_labels_wrong"), _facts(scores, "n_labels")),
+        "outliers_in": Share(_facts(scores, "n_outliers_in"), _facts(scores, "n_outliers")),
+        "false_per_frame": Share(_sums(frames, "n_false", None, n), _sums(frames, "one", None, n)),
+        "direction_median": _percentile(found, "direction_deg", 0.5),
+        "direction_p90": _percentile(found, "direction_deg", 0.9),
+    }
+    for name in ("ttc_z", "tcpa", "miss"):
+        judged = found[found[f"{name}_error"].notna()]
+        figures[f"{name}_median"] = _percentile(judged, f"{name}_error", 0.5)
+        figures[f"{name}_p90"] = _percentile(judged, f"{name}_error", 0.9)
+        within, all_ = _sums(judged, f"{name}_within", None, n), _sums(judged, "one", None, n)
+        figures[f"{name}_coverage"] = Share(within, all_, is_coverage=True)
+    figures |= _of_warnings(scores)
+    figures["rotation_median"] = _percentile(frames, "rotation_deg", 0.5)
+    figures["rotation_p90"] = _percentile(frames, "rotation_deg", 0.9)
+    figures["own_direction_median"] = _percentile(frames, "epipole_deg", 0.5)
+    figures["own_direction_p90"] = _percentile(frames, "epipole_deg", 0.9)
+    return figures
+
+
+def _of_warnings(scores: Sequence[SceneScore]) -> dict[str, Figure]:
+    """Of collisions that have to be warned of: the share that is, and how long before."""
+    expected = [
+        (k, warning["lead_s"])
+        for k, one in enumerate(scores)
+        for warning in one.facts.get("warnings", ())
+        if warning["verdict"] in ("in_time", "late", "missed")
+    ]
+    scene = np.array([k for k, _ in expected], dtype=np.int64)
+    lead_s = np.array([np.nan if lead is None else lead for _, lead in expected], dtype=float)
+    limit_s = np.array([scores[k].facts["warn_by_s"] for k in scene], dtype=float)
+    n = len(scores)
+    all_ = np.bincount(scene, minlength=n).astype(float)
+
+    def share(is_so: Bools) -> Share:
+        return Share(np.bincount(scene, is_so.astype(float), n), all_, is_coverage=True)
+
+    with np.errstate(invalid="ignore"):
+        figures: dict[str, Figure] = {
+            "warned": share(np.isfinite(lead_s)),
+            "warned_1.7s": share(lead_s >= 1.7),
+            "warned_2s": share(lead_s >= 2.0),
+            "warned_by_limit": share(lead_s >= limit_s),
+        }
+    is_warned = np.isfinite(lead_s)
+    figures["lead_p10"] = Percentile(lead_s[is_warned], scene[is_warned], 0.1)
+    figures["lead_median"] = Percentile(lead_s[is_warned], scene[is_warned], 0.5)
+    duration_s = _facts(scores, "analysed_s")
+    figures["false_warnings"] = Rate(_facts(scores, "false_warnings"), duration_s, TEN_MINUTES_S)
+    figures["false_ids"] = Rate(_facts(scores, "false_ids"), duration_s, HOUR_S)
+    return figures
+
+
+def _stacked(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    parts = [table.assign(scene=k, one=1.0) for k, table in enumerate(tables) if len(table)]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=[*_COLUMNS, "scene", "one"])
+
+
+_COLUMNS = (
+    *("is_due", "is_found", "direction_deg", "n_false", "rotation_deg", "epipole_deg", "size_px", "distance_m"),
+    *(f"{name}_{what}" for name in ("ttc_z", "tcpa", "miss") for what in ("error", "within")),
+)
+
+
+def _sums(rows: pd.DataFrame, column: str, chosen: pd.Series | None, n_scenes: int) -> Floats:
+    rows = rows if chosen is None else rows[chosen.astype(bool)]
+    scene, values = rows.scene.to_numpy(np.int64), rows[column].to_numpy(float)
+    return np.bincount(scene, values, n_scenes).astype(float)
+
+
+def _facts(scores: Sequence[SceneScore], name: str) -> Floats:
+    return np.array([float(one.facts.get(name, 0.0)) for one in scores])
+
+
+def _percentile(rows: pd.DataFrame, column: str, share: float) -> Percentile:
+    rows = rows[rows[column].notna()]
+    return Percentile(np.abs(rows[column].to_numpy(float)), rows.scene.to_numpy(np.int64), share)
+
+
+def _weighted(values: Floats, weights: Floats, share: float) -> float:
+    """The first of the ascending values that ``share`` of the weights do not exceed; NaN without weight."""
+    total = np.cumsum(weights)
+    if total[-1] == 0:
+        return np.nan
+    return float(values[np.searchsorted(total, share * total[-1] - 1e-9)])
+
+
+def _spread(drawn: Floats, n_scenes: int) -> tuple[float, float]:
+    if n_scenes < 2 or len(drawn) == 0:
+        return np.nan, np.nan
+    lo, hi = np.percentile(drawn, SPREAD)
+    return float(lo), float(hi)
