@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         UsageError,
     )
     from ttcvid.jobs.analyze import analyze
+    from ttcvid.jobs.batch import batch
     from ttcvid.jobs.calibrate_horizon import calibrate_horizon
     from ttcvid.jobs.collision_map import collision_map
     from ttcvid.jobs.compare import compare
@@ -44,6 +45,7 @@ __all__ = [
     "UndeterminedError",
     "UsageError",
     "analyze",
+    "batch",
     "calibrate_horizon",
     "collision_map",
     "compare",
@@ -63,6 +65,7 @@ _HOMES = {
     "UndeterminedError": "ttcvid.errors",
     "UsageError": "ttcvid.errors",
     "analyze": "ttcvid.jobs.analyze",
+    "batch": "ttcvid.jobs.batch",
     "calibrate_horizon": "ttcvid.jobs.calibrate_horizon",
     "collision_map": "ttcvid.jobs.collision_map",
     "compare": "ttcvid.jobs.compare",

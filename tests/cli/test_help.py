@@ -7,7 +7,8 @@ from typing import get_args
 
 import pytest
 
-from ttcvid.cli.analyze import ESTIMATORS, PLATFORMS, analyze
+from ttcvid.cli.analysis_options import ESTIMATORS, PLATFORMS
+from ttcvid.cli.analyze import analyze
 from ttcvid.cli.calibrate_horizon import calibrate_horizon
 from ttcvid.cli.clip_options import TRACKERS
 from ttcvid.cli.commands import COMMANDS

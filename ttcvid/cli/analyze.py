@@ -7,22 +7,10 @@ from typing import Any
 
 import click
 
-from ttcvid.cli.clip_options import (
-    clip_options,
-    configuration_options,
-    message_options,
-    method_option,
-    output_option,
-    tracker_option,
-)
-from ttcvid.cli.grouped import GroupedCommand, option_under
+from ttcvid.cli.analysis_options import analysis_options, as_text
+from ttcvid.cli.clip_options import configuration_options, message_options, output_option
+from ttcvid.cli.grouped import GroupedCommand
 from ttcvid.errors import UsageError
-
-ESTIMATORS = ("multi-frame", "three-frame", "two-frame")
-PLATFORMS = ("vehicle", "aircraft", "free", "static")
-
-
-_camera_option = option_under("Camera (without one: found in a clip that turns, else 55 deg assumed, and said)")
 
 
 @click.command(cls=GroupedCommand, short_help="Collision times of everything that moves in a clip.")
@@ -31,27 +19,7 @@ _camera_option = option_under("Camera (without one: found in a clip that turns, 
 @output_option("--overlay/--no-overlay", default=None, help="Write the annotated video.  [default: --overlay]")
 @output_option("--overwrite", is_flag=True, default=None, help="Replace an output folder that exists.")
 @message_options()
-@_camera_option(
-    "--camera",
-    metavar="FILE",
-    help="Intrinsics and distortion, recognised by content: ttcvid YAML, ROS camera_info, Kalibr camchain, "
-    "OpenCV FileStorage, KITTI calib.",
-)
-@_camera_option("--horizon", metavar="FILE|auto", help="Horizon of the camera, or auto: switches planar motion on.")
-@clip_options(_camera_option)
-@method_option(
-    "--platform",
-    type=click.Choice(PLATFORMS),
-    help="What carries the camera: expectations of its own motion.  [default: free]",
-)
-@tracker_option()
-@method_option("--estimator", type=click.Choice(ESTIMATORS), help="How times are estimated.  [default: multi-frame]")
-@method_option(
-    "--smooth/--no-smooth",
-    default=None,
-    help="Directions, times and objects from frames on both sides; warnings stay causal.  [default: --no-smooth]",
-)
-@method_option("--seed", metavar="N", help="Recorded in the manifest; nothing in analyze is random.  [default: 0]")
+@analysis_options()
 @configuration_options("tracking.max_tracks=800")
 @click.pass_context
 def analyze(
@@ -86,7 +54,7 @@ def analyze(
     input_ = _only_one(inputs)
     log_to_stderr(quiet=quiet, verbose=verbose)
     configuration = configure_from_command_line(
-        {name: _as_text(value) for name, value in options.items()}, settings, Path(config) if config else None
+        {name: as_text(value) for name, value in options.items()}, settings, Path(config) if config else None
     )
     with progress_on_stderr(compilation_note(), enabled=not quiet) as progress:
         run = run_analysis(input_, Path(out) if out else None, configuration, arguments=ctx.obj, on_frame=progress)
@@ -101,7 +69,3 @@ def _only_one(inputs: tuple[str, ...]) -> str:
             "and the pictures of one clip as their folder, or as a pattern in quotes"
         )
     return inputs[0]
-
-
-def _as_text(value: Any) -> str | None:
-    return str(value).lower() if isinstance(value, bool) else value

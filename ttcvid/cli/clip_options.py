@@ -26,7 +26,7 @@ output_option = option_under("Output")
 
 def clip_options(camera_option: Option[Any]) -> Callable[[Command], Command]:
     """Focal length, picture size, mask and times; ``camera_option`` declares under the command's own heading."""
-    return _in_order(
+    return in_order(
         camera_option("--focal-px", metavar="PX", help="Focal length in px, principal point at the centre."),
         camera_option("--hfov", metavar="DEG", help="Horizontal field of view in degrees."),
         camera_option("--image-size", metavar="WxH", help=_IMAGE_SIZE),
@@ -41,7 +41,7 @@ def clip_options(camera_option: Option[Any]) -> Callable[[Command], Command]:
 
 def message_options() -> Callable[[Command], Command]:
     """What is said, and where."""
-    return _in_order(
+    return in_order(
         output_option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object."),
         output_option("-q", "--quiet", is_flag=True, help="No progress and no warnings on stderr."),
         output_option("-v", "--verbose", is_flag=True, help="Say on stderr what is being done."),
@@ -55,7 +55,7 @@ def tracker_option() -> Callable[[Command], Command]:
 
 def configuration_options(example: str) -> Callable[[Command], Command]:
     """A file of settings, and single ones; ``example`` is a setting that means something to the command."""
-    return _in_order(
+    return in_order(
         method_option(
             "--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker."
         ),
@@ -69,7 +69,7 @@ def configuration_options(example: str) -> Callable[[Command], Command]:
     )
 
 
-def _in_order(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:
+def in_order(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:
     """The options as one decorator, in the order in which help lists them."""
 
     def decorate(command: Command) -> Command:

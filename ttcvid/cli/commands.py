@@ -16,6 +16,7 @@ from ttcvid.errors import UsageError
 
 COMMANDS = {
     "analyze": "Collision times of everything that moves in a clip: tables and an annotated video.",
+    "batch": "Analyse many clips, several at a time, and go on where one stopped.",
     "calibrate-horizon": "The horizon of a camera from things that move in straight lines.",
     "collision-map": "Which change of own velocity leads to a collision, and which one avoids it.",
     "compare": "Whether two results are the same, and what is different: frames, objects, times, warnings.",

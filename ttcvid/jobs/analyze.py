@@ -34,6 +34,7 @@ from ttcvid.jobs.provenance import (
     Tally,
     describe_calibration,
     describe_input,
+    describe_option_files,
     digest_in_background,
     versions,
 )
@@ -109,6 +110,7 @@ def run_analysis(
             from ttcvid.jobs.horizon_auto import with_found_horizon
 
             calibration = with_found_horizon(input_, calibration, configuration)
+        option_files = describe_option_files(options)
         path = out if out is not None else default_folder(input_)
         refuse_folder_of_input(path, source)
         _log_start(source, path, configuration)
@@ -125,6 +127,7 @@ def run_analysis(
                 "versions": versions(),
                 "arguments": list(arguments),
                 "configuration": configuration.as_manifest(),
+                "option_files": option_files,
                 "input": describe_input(source.info, source.files, digest.result()),
                 **describe_calibration(calibration),
                 "counts": tally.counts(source.info, source.report.n_packets_skipped),

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
-import pickle
 import signal
 import threading
-import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -24,6 +22,7 @@ from typing import Any, Generic, Self, TypeVar
 from numba.core.compiler_lock import global_compiler_lock
 
 from ttcvid.errors import TtcvidError
+from ttcvid.jobs.sent_errors import as_sendable
 from ttcvid.jobs.side_by_side import ReadAhead
 from ttcvid.posix import can_copy_process
 
@@ -171,20 +170,9 @@ def _serve(function: Stream[Any, Any], connection: Connection, other_end: Connec
     except (_AbandonedError, ConnectionError):
         return
     except BaseException as error:
-        last = (_Says.failure, _told(error))
+        last = (_Says.failure, as_sendable(error))
     with suppress(ConnectionError):  # nobody is there who wants to know
         connection.send(last)
-
-
-def _told(error: BaseException) -> BaseException:
-    """The error as the other process can be told of it, with its traceback."""
-    trace = "".join(traceback.format_exception(error))
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:  # whatever its class does when it is taken apart and put together
-        error = RuntimeError(f"{type(error).__name__}: {error}")
-    error.add_note(trace)
-    return error
 
 
 def _received(connection: Connection) -> Iterator[Any]:

@@ -24,7 +24,14 @@ from ttcvid.jobs.layers import (
     layer_from_environment,
     layer_from_file,
 )
-from ttcvid.jobs.options import ALTERNATIVES, ANALYSIS_SECTIONS, SECTIONS, AnalyzeOptions
+from ttcvid.jobs.options import (
+    ALTERNATIVES,
+    ANALYSIS_SECTIONS,
+    AUTO_HORIZON,
+    PATH_OPTIONS,
+    SECTIONS,
+    AnalyzeOptions,
+)
 
 PROJECT_FILE = "ttcvid.toml"
 
@@ -68,6 +75,24 @@ def configure_from_arguments(options: Mapping[str, Any], config: Path | None = N
     return _resolve(layer_from_arguments(options), config)
 
 
+def configure_each(for_all: Layer, own: Iterable[Layer], config: Path | None = None) -> list[Configuration]:
+    """One configuration for each of ``own``: its settings over ``for_all``, the environment, files and defaults.
+
+    Paths in it are absolute: it may be followed in another working folder.
+    """
+    merged, origins = _merge(for_all, config)
+    configurations = []
+    for layer in own:
+        values, places = {section: dict(keys) for section, keys in merged.items()}, dict(origins)
+        _lay_over(values, places, layer)
+        for name in PATH_OPTIONS:
+            path = values["analyze"].get(name)
+            if path is not None and (name, str(path)) != AUTO_HORIZON:
+                values["analyze"][name] = path.absolute()
+        configurations.append(_configuration(values, places))
+    return configurations
+
+
 Study = TypeVar("Study", bound=StageConfig)
 
 
@@ -96,7 +121,10 @@ def _refuse_contradiction(section: str, values: StageConfig) -> None:
 
 
 def _resolve(explicit: Layer, config: Path | None) -> Configuration:
-    merged, origins = _merge(explicit, config)
+    return _configuration(*_merge(explicit, config))
+
+
+def _configuration(merged: dict[str, dict[str, Any]], origins: dict[str, str]) -> Configuration:
     stages = {name: values for name, values in merged.items() if name in PipelineConfig.model_fields}
     options = AnalyzeOptions(**merged["analyze"])
     pipeline = PipelineConfig(**stages)

@@ -24,6 +24,7 @@ import scipy
 import ttcvid
 from ttcvid.errors import InputError, counted
 from ttcvid.jobs.clip import Calibration
+from ttcvid.jobs.options import AUTO_HORIZON, PATH_OPTIONS, AnalyzeOptions
 from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, FrameResult, FrameStatus, SourceInfo
 from ttcvid.stages.horizon_watch import horizon_offset_of
 
@@ -83,6 +84,21 @@ def digest_of(files: tuple[Path, ...]) -> Digest:
             raise InputError(f"{file}: cannot be read ({error.strerror}): leave the input alone meanwhile") from None
         total.update(os.fsencode(file.name) + f"\0{sha256}\0".encode())
     return Digest(sha256 if len(files) == 1 else total.hexdigest(), size_bytes)
+
+
+def describe_option_files(options: AnalyzeOptions) -> dict[str, dict[str, str]]:
+    """Name and hash of each file that an option names: two runs with the same ones were told the same.
+
+    InputError where one cannot be read.
+    """
+    paths = {
+        name: getattr(options, name) for name in PATH_OPTIONS if (name, str(getattr(options, name))) != AUTO_HORIZON
+    }
+    return {
+        name: {"name": path.name, "sha256": digest_of((path,)).sha256}
+        for name, path in paths.items()
+        if path is not None
+    }
 
 
 # Frames that tell motion since another one, see `Tally.complaint_about_repeats`.

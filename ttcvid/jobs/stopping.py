@@ -18,11 +18,13 @@ _LOG = logging.getLogger(__name__)
 class StopSignals:
     """While entered, the first signal sets ``is_requested``; a second one raises KeyboardInterrupt at once.
 
-    Python delivers signals to its main thread only; in any other thread this does nothing.
+    ``note`` is what is logged at the first. Python delivers signals to its main thread only; in any other thread this
+    does nothing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, note: str = "stopping: what has been analysed is being kept; once more discards it") -> None:
         self.is_requested = False
+        self._note = note
         self._former: dict[signal.Signals, Any] = {}
 
     def until_requested(self, items: Iterable[T]) -> Iterator[T]:
@@ -36,7 +38,7 @@ class StopSignals:
         if self.is_requested:
             raise KeyboardInterrupt
         self.is_requested = True
-        _LOG.warning("stopping: what has been analysed is being kept; once more discards it")
+        _LOG.warning("%s", self._note)
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
