@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from drives import drive, extended_by, start
-from two_views import FOCAL_PX, angle_deg
+from drives import Drive, drive, extended_by, start
+from two_views import FOCAL_PX, angle_deg, points_of_a_street
 
 from ttcvid.config import EgomotionConfig
-from ttcvid.geometry.rotation import vector_from_rotation
+from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Platform
 from ttcvid.stages.egomotion import EgomotionMemory, estimate_egomotion
 from ttcvid.stages.own_motion import find_own_motion
@@ -16,13 +16,21 @@ CONFIG = EgomotionConfig(platform=Platform.vehicle)
 LEAST_PARALLAX_PX, FLOOR_PX = 0.25, 0.05
 
 
-def found(motion, is_free=None, config=CONFIG):
+def found(motion, is_free=None, config=CONFIG, in_scene=None):
     """Own motion of each frame, and the last history."""
     history, memory, steps = start(), EgomotionMemory(), []
     for frame in range(len(motion.rays)):
         history = extended_by(history, motion, frame)
-        free = np.ones(motion.n, dtype=bool) if is_free is None else is_free
-        egomotion, history, memory = find_own_motion(history, free, memory, config, LEAST_PARALLAX_PX, FLOOR_PX)
+        everything = np.ones(motion.n, dtype=bool)
+        egomotion, history, memory = find_own_motion(
+            history,
+            everything if is_free is None else is_free,
+            everything if in_scene is None else in_scene,
+            memory,
+            config,
+            LEAST_PARALLAX_PX,
+            FLOOR_PX,
+        )
         steps.append(egomotion)
     return steps, history
 
@@ -132,3 +140,47 @@ def test_a_stop_ends_the_direction_and_a_start_brings_it_back():
     assert not any(has_direction[17:20])
     assert has_direction[-1]
     assert angle_deg(steps[-1].direction, FORWARD) < 0.5
+
+
+STEP_M = np.array([0.25, -0.1, 0.1])
+GROUPS_M = ((0.5, 0.25, -0.1), (-0.6, 0.1, 0.2), (0.1, -0.7, 0.0))
+
+
+def among_movers(rng, n_static, n_of_each, n_frames=8, sigma_px=0.2):
+    """A camera that goes aside among three bodies that each go their own way; and which points are static."""
+    n = n_static + n_of_each * len(GROUPS_M)
+    velocity_m = np.zeros((n, 3))
+    for number, group_m in enumerate(GROUPS_M):
+        velocity_m[n_static + number * n_of_each :][:n_of_each] = group_m
+    places = points_of_a_street(n, rng, (8.0, 25.0))
+    rays = []
+    for frame in range(n_frames):
+        plane = places + frame * (velocity_m - STEP_M)
+        plane = plane / plane[:, 2:]
+        plane[:, :2] += sigma_px / FOCAL_PX * rng.normal(size=(n, 2))
+        rays.append(normalize(plane))
+    turns = np.tile(np.eye(3), (n_frames, 1, 1))
+    return Drive(np.array(rays), turns), np.arange(n) < n_static
+
+
+def direction_errors_deg(motion, in_scene):
+    steps, _ = found(motion, config=EgomotionConfig(platform=Platform.free), in_scene=in_scene)
+    return [angle_deg(step.direction, -STEP_M / np.linalg.norm(STEP_M)) for step in steps[1:]]
+
+
+@pytest.mark.parametrize("sigma_px", [0.0, 0.2])
+def test_known_movers_do_not_turn_the_direction_though_most_tracks_are_theirs(sigma_px):
+    known, unknown = [], []
+    for seed in range(5):
+        motion, is_static = among_movers(np.random.default_rng(seed), n_static=40, n_of_each=16, sigma_px=sigma_px)
+        known += direction_errors_deg(motion, is_static)
+        unknown += direction_errors_deg(motion, None)
+    assert np.median(known) < 0.05 + 7.0 * sigma_px
+    assert np.quantile(known, 0.9) < 0.5 * np.quantile(unknown, 0.9)
+
+
+def test_where_the_scene_is_taken_for_movers_all_tracks_tell_of_own_motion():
+    """A way back: what is known of movers may be wrong."""
+    for seed in range(5):
+        motion, is_static = among_movers(np.random.default_rng(seed), n_static=120, n_of_each=10)
+        assert np.median(direction_errors_deg(motion, ~is_static)) < 3.0

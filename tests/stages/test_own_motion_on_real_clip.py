@@ -40,6 +40,7 @@ def motions(request, data_dir):
         egomotion, history, memory = find_own_motion(
             history,
             np.ones(history.n_tracks, dtype=bool),
+            np.ones(history.n_tracks, dtype=bool),
             memory,
             EgomotionConfig(platform=Platform.vehicle),
             0.25,

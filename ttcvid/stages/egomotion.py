@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.geometry.two_view import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion, fit_rotation
 from ttcvid.model import Camera, Floats, Ints, Platform
@@ -170,6 +171,21 @@ def estimate_egomotion(
     return found, replace(memory, rotation_rad=found.rotation_rad, direction=direction)
 
 
+def cost_of(egomotion: Egomotion, rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats) -> float:
+    """How badly own motion explains points, also such as it was not found from: Torr's criterion, less is better.
+
+    Parameters as of `estimate_egomotion`. A point that moves against the direction lies behind the camera: it costs as
+    much as any.
+    """
+    turned = rays_prev @ egomotion.cam_R_prev.T
+    if egomotion.direction is None:
+        off = rays_cam - turned
+        return _criterion(0.5 * (off * off).sum(axis=1) / sigma_rad**2, 2, 3)
+    squares = flow_line_chi2(egomotion.direction, turned, rays_cam, sigma_rad)
+    is_behind = (rays_cam - turned) @ egomotion.direction < -_INLIER_SIGMAS * sigma_rad
+    return _criterion(np.where(is_behind, np.inf, squares), 3, 5)
+
+
 def region_side_of(camera: Camera) -> float:
     """Side of the cells of `picture_region`, in the plane z = 1."""
     return REGION * min(1.0, camera.image_size.longer_side_px / camera.fx_px)
@@ -308,7 +324,14 @@ def _best(fits: list[TwoViewFit]) -> TwoViewFit:
 
 
 def _gric(fit: TwoViewFit, dimension: int, n_parameters: int) -> float:
-    """Torr's criterion of a two-view model: ``dimension`` of its manifold in the 4-D space of point pairs."""
-    n = len(fit.residual)
-    capped = np.minimum(fit.residual * fit.residual, _GRIC_CAP * (4 - dimension))
+    return _criterion(fit.residual * fit.residual, dimension, n_parameters)
+
+
+def _criterion(squares: Floats, dimension: int, n_parameters: int) -> float:
+    """Torr's criterion of a two-view model: ``dimension`` of its manifold in the 4-D space of point pairs.
+
+    ``squares (N,)`` are squared residuals in sigmas.
+    """
+    n = len(squares)
+    capped = np.minimum(squares, _GRIC_CAP * (4 - dimension))
     return float(capped.sum()) + math.log(4.0) * dimension * n + math.log(4.0 * n) * n_parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,14 @@ from ttcvid.geometry.compiled import compiled
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.egomotion import Egomotion, EgomotionMemory, estimate_egomotion, picture_region, region_side_of
+from ttcvid.stages.egomotion import (
+    Egomotion,
+    EgomotionMemory,
+    cost_of,
+    estimate_egomotion,
+    picture_region,
+    region_side_of,
+)
 from ttcvid.stages.history import TrackHistory, last_frame_only, with_egomotion
 from ttcvid.stages.scene_path import with_scene_path
 from ttcvid.stages.track_noise import with_noise
@@ -30,6 +37,7 @@ _TINY_PX = 1e-6
 def find_own_motion(
     history: TrackHistory,
     is_free: Bools,
+    in_scene: Bools,
     memory: EgomotionMemory,
     config: EgomotionConfig,
     least_parallax_px: float,
@@ -40,28 +48,62 @@ def find_own_motion(
     Parameters
     ----------
     is_free : (N,) tracks that are not frozen to their pixel.
+    in_scene : (N,) tracks that no known mover holds. They alone tell of own motion, unless what all tracks tell
+        explains all of them better: what is known of movers may be wrong.
     least_parallax_px : flow of one step that is not taken for translation, however small the noise.
 
     Returns
     -------
     egomotion : None where there are too few tracks; then the history keeps only the present frame.
     """
-    egomotion, history, memory = _from_two_views(history, is_free, memory, config, least_parallax_px, sigma_floor_px)
-    if egomotion is None:
-        return None, history, memory
-    history = with_scene_path(history, is_free, egomotion)
+    parallax_rad = least_parallax_px / history.focal_px
+    step = _last_step(history, is_free, in_scene, memory, config, parallax_rad)
+    if step is None:
+        return None, last_frame_only(history), replace(memory, gap_frames=1)
+    egomotion, history, memory = _over_gap(history, step, config, parallax_rad, sigma_floor_px)
+    history = with_scene_path(history, step.tells, egomotion)
     direction = memory.direction if egomotion.direction is None else egomotion.direction
     return egomotion, history, replace(memory, direction=direction)
 
 
-def _from_two_views(
+@dataclass(frozen=True)
+class _Step:
+    """Own motion since the last frame, what to remember of it, and the tracks ``tells (N,)`` that tell of it."""
+
+    egomotion: Egomotion
+    memory: EgomotionMemory
+    tells: Bools
+
+
+def _last_step(
     history: TrackHistory,
     is_free: Bools,
+    in_scene: Bools,
     memory: EgomotionMemory,
     config: EgomotionConfig,
-    least_parallax_px: float,
-    sigma_floor_px: float,
-) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
+    parallax_rad: float,
+) -> _Step | None:
+    """Own motion since the last frame as the tracks of no known mover tell it, or all; None with too few tracks."""
+    everything = _pair(history, is_free, 1, config.min_tracks)
+    if everything is None:
+        return None
+    side = region_side_of(history.camera)
+
+    def told_by(tells: Bools, pair: _Pair) -> _Step:
+        return _Step(*estimate_egomotion(*pair, parallax_rad, memory, config.platform, side), tells)
+
+    by_all = told_by(is_free, everything)
+    without_movers = is_free & in_scene
+    pair = _pair(history, without_movers, 1, config.min_tracks) if (is_free & ~in_scene).any() else None
+    if pair is None:
+        return by_all
+    by_scene = told_by(without_movers, pair)
+    return min(by_scene, by_all, key=lambda step: cost_of(step.egomotion, *everything))
+
+
+def _over_gap(
+    history: TrackHistory, step: _Step, config: EgomotionConfig, parallax_rad: float, sigma_floor_px: float
+) -> tuple[Egomotion, TrackHistory, EgomotionMemory]:
     """Rotation from the last frame, and direction of travel over the gap that the flow asks for.
 
     Rotations of single steps would add up with their errors, which are partly common to all steps: over ten frames
@@ -69,19 +111,15 @@ def _from_two_views(
     between the present frame and one so far back that the flow is long enough: its rotation corrects the sum, its
     direction replaces that of the step. The gap stays short all the same: the direction found is the mean over it.
     """
-    step = _pair(history, is_free, 1, config.min_tracks)
-    if step is None:
-        return None, last_frame_only(history), replace(memory, gap_frames=1)
-    parallax_rad, side = least_parallax_px / history.focal_px, region_side_of(history.camera)
-    egomotion, memory = estimate_egomotion(*step, parallax_rad, memory, config.platform, side)
+    egomotion, memory, side = step.egomotion, step.memory, region_side_of(history.camera)
     history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
     gap = min(memory.gap_frames, len(history.frame) - 1)
     # Where a step shows no translation, what is left of its flow is noise only if a longer one shows none, either.
     is_noise_known, is_slow = egomotion.direction is not None or gap <= 1, gap >= _LONGEST_GAP
     if is_noise_known:
         history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
-    memory = replace(memory, gap_frames=_gap_for(history, is_free))
-    long_step = _pair(history, is_free, gap, config.min_tracks) if gap > 1 else None
+    memory = replace(memory, gap_frames=_gap_for(history, step.tells))
+    long_step = _pair(history, step.tells, gap, config.min_tracks) if gap > 1 else None
     if long_step is None:
         if not is_noise_known:
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
@@ -96,7 +134,10 @@ def _from_two_views(
     return egomotion, history, memory
 
 
-def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> tuple[Floats, Floats, Floats] | None:
+_Pair = tuple[Floats, Floats, Floats]
+
+
+def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> _Pair | None:
     """Rays ``gap`` frames ago and now, each in its own camera, and their noise; None with too few tracks.
 
     Of tracks so that no place of the picture holds too many: one textured lorry is not the world. A mover near by may

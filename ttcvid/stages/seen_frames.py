@@ -22,7 +22,7 @@ from ttcvid.stages.history import TrackHistory, empty_history, extended
 from ttcvid.stages.motions import find_motions
 from ttcvid.stages.own_motion import find_own_motion
 from ttcvid.stages.planar import HorizonPlane, followed_plane
-from ttcvid.stages.segmentation import BodyMemory, restarted_bodies
+from ttcvid.stages.segmentation import BodyMemory, in_scene, restarted_bodies
 from ttcvid.stages.smoothing import Seen
 from ttcvid.stages.tracked_frames import TrackedFrame
 
@@ -126,9 +126,11 @@ def _own_motion(
     for before in (memory.before_gap, memory.history):
         if before is None:
             continue
+        history = _with_points(frame, points, before, clip)
         found = find_own_motion(
-            _with_points(frame, points, before, clip),
+            history,
             is_free,
+            in_scene(memory.bodies, history.track_id),
             memory.egomotion,
             clip.config.egomotion,
             LEAST_PARALLAX_PX,

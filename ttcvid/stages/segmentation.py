@@ -72,6 +72,11 @@ class Segmentation:
     sway: Floats
 
 
+def in_scene(memory: BodyMemory, track_id: Ints) -> Bools:
+    """Tracks (N,) that no mover of the last frame holds."""
+    return np.asarray(_carried_labels(memory, track_id)[0] == SCENE_CLUSTER)
+
+
 def find_bodies(
     history: TrackHistory,
     egomotion: Egomotion,
