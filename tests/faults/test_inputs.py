@@ -5,17 +5,24 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
+import av
+import numpy as np
 import pytest
+from av.stream import Disposition
 from moving_clips import FPS, approach, write_approaching_tracks, write_clip, write_frames
 
+from ttcvid.cli.main import main
 from ttcvid.errors import InputError
 from ttcvid.jobs import provenance
 from ttcvid.jobs.analyze import analyze
 from ttcvid.jobs.provenance import digest_in_background
 from ttcvid.jobs.run import Run
+from ttcvid.sources import open_source
 
+SCENE = Path(__file__).resolve().parents[2] / "sample_configs" / "scenes" / "resting_six_movers.yaml"
 NOT_UTF8 = os.fsdecode(b"caf\xe9")
 
 TIMES_OF = """
@@ -93,3 +100,90 @@ def test_an_output_folder_may_have_any_name(tmp_path: Path, monkeypatch: pytest.
     run = analyze(table.name, name, end=2, **options)
     assert run.overlay is not None
     assert run.overlay.stat().st_size == json.loads((Path(name) / "manifest.json").read_text())["files"]["overlay.mp4"]
+
+
+PLAYLISTS = {
+    "clip.m3u8": "#EXTM3U\n#EXT-X-TARGETDURATION:2\n#EXTINF:1,\nother.ts\n#EXT-X-ENDLIST\n",
+    "clip.mp4": "ffconcat version 1.0\nfile other.ts\n",
+    "clip.sdp": "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 9 RTP/AVP 96\n",
+    "clip.avi": '<?xml version="1.0"?>\n<MPD xmlns="urn:mpeg:dash:schema:mpd:2011"><Period><AdaptationSet>'
+    "<Representation><BaseURL>other.ts</BaseURL></Representation></AdaptationSet></Period></MPD>\n",
+}
+
+
+@pytest.mark.parametrize("name", PLAYLISTS)
+def test_a_list_of_other_files_is_no_clip(tmp_path: Path, name: str) -> None:
+    """The manifest would hold the hash of the list, whatever the files in it are."""
+    write_clip(tmp_path / "other.ts", approach(4))
+    (tmp_path / name).write_text(PLAYLISTS[name])
+    with pytest.raises(InputError, match=r"give the clip itself|expected a complete clip") as caught:
+        open_source(str(tmp_path / name))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("input_", ["https://example.org/clip.mp4", "https:/example.org/clip.mp4", "rtsp://camera/1"])
+def test_a_url_is_said_to_be_one(input_: str) -> None:
+    with pytest.raises(InputError, match=f"^{input_}: URLs are not read: download"):
+        open_source(input_)
+
+
+@pytest.mark.parametrize("input_", ["x" * 5000, "x" * 5000 + "/*.png", "d/" * 3000 + "%06d.png"])
+def test_a_name_too_long_is_one_short_line(input_: str) -> None:
+    with pytest.raises(InputError, match="File name too long") as caught:
+        open_source(input_)
+    assert len(str(caught.value)) < 300
+
+
+def write_streams(path: Path, streams: list[list[np.ndarray]], default: int | None = None) -> Path:
+    """Several video streams in one file; one of them may be marked as default."""
+    with av.open(str(path), "w") as container:
+        made = []
+        for pictures in streams:
+            stream = container.add_stream("mjpeg", rate=FPS)
+            stream.height, stream.width = pictures[0].shape
+            stream.pix_fmt = "yuvj420p"
+            made.append(stream)
+            if default is not None:
+                stream.disposition = Disposition.default if len(made) - 1 == default else Disposition(0)
+        for stream, pictures in zip(made, streams, strict=True):
+            for index, grey in enumerate(pictures):
+                frame = av.VideoFrame.from_ndarray(grey, format="gray").reformat(format="yuvj420p")
+                frame.pts, frame.time_base = index, Fraction(1, FPS)
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode(None))
+    return path
+
+
+COVER = [np.full((64, 64), 90, np.uint8)]
+
+
+@pytest.mark.parametrize(
+    ("streams", "default", "chosen"),
+    [
+        ([COVER, approach(4)], None, 1),
+        ([COVER, approach(4)], 0, 1),
+        ([approach(4), COVER], None, 0),
+        ([COVER * 4, approach(4)], 1, 1),
+        ([approach(4), COVER * 3], 0, 0),
+    ],
+)
+def test_of_several_video_streams_a_long_one_is_analysed_and_that_is_said(
+    tmp_path: Path, streams: list[list[np.ndarray]], default: int | None, chosen: int
+) -> None:
+    path = write_streams(tmp_path / "a.mkv", streams, default)
+    with open_source(str(path)) as source:
+        assert [frame.grey.shape for frame in source] == [streams[chosen][0].shape] * len(streams[chosen])
+        assert f"holds 2 video streams: number {chosen} is analysed" in source.report.warnings[0]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a folder in use cannot be removed")
+@pytest.mark.parametrize("command", [["analyze", "{clip}"], ["simulate", "{scene}", "--frames", "1"]])
+def test_a_working_folder_that_was_removed_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: list[str]
+) -> None:
+    places = {"{clip}": str(write_clip(tmp_path / "clip.mp4", approach(4))), "{scene}": str(SCENE)}
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert main([places.get(word, word) for word in command]) == 2
+    assert "the working folder does not exist any more" in capsys.readouterr().err

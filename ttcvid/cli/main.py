@@ -93,6 +93,8 @@ def _run(arguments: list[str], stop: _Interruption) -> int:
                 f"standard output cannot be written ({reason}): results that go to files are there",
                 OutputError.exit_code,
             )
+        if isinstance(error, FileNotFoundError) and not _has_working_folder():
+            return _fail("the working folder does not exist any more: change to another one", UsageError.exit_code)
         remedy = "an error in ttcvid itself; TTCVID_DEBUG=1 shows where, please report it"
         return _fail(f"{type(error).__name__}: {error}: {remedy}", EXIT_UNEXPECTED)
     return code if isinstance(code, int) else 0
@@ -131,6 +133,14 @@ def _is_of_output(error: OSError) -> bool:
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     return trace is not None and trace.tb_frame.f_globals["__name__"] in ("click.utils", __name__)
+
+
+def _has_working_folder() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def _drop_output() -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-from ttcvid.errors import UsageError
+from ttcvid.errors import InputError, UsageError, quoted
 from ttcvid.model import ImageSize
 from ttcvid.sources.base import Selection, Source
 
 __all__ = ["Selection", "Source", "open_source"]
+
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)
+"""A protocol has two letters or more, a drive one; `Path` leaves one of its two slashes."""
 
 
 def open_source(
@@ -50,6 +54,7 @@ def open_source(
     if not input_.strip():
         raise UsageError("INPUT is empty: expected a video, a folder or pattern of pictures, or a track table")
     path = Path(input_)
+    _require_place(path, input_)
     clock = Clock(fps, timestamps)
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES or (not path.exists() and is_pattern(input_)):
         source: Source = ImageSource(input_, list_pictures(input_), selection, clock)
@@ -62,3 +67,13 @@ def open_source(
             f"--image-size: {image_size}, but {input_} is {source.info.image_size}: leave the option out for pictures"
         )
     return source
+
+
+def _require_place(path: Path, input_: str) -> None:
+    """InputError where INPUT is no place in the file system."""
+    try:
+        exists = path.exists()
+    except OSError as error:  # too long a name, a folder that may not be looked into
+        raise InputError(f"{quoted(input_)}: cannot be found ({error.strerror}): check the path") from None
+    if not exists and _URL.match(input_):
+        raise InputError(f"{input_}: URLs are not read: download the clip and give the file")

@@ -27,6 +27,16 @@ TS_SYNC_BYTE = 0x47
 TS_SYNCS = 5
 """Sync bytes in a row, one packet apart, that tell the length of the packets."""
 
+FORMATS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,asf,ogg,mxf,gxf,nut,dv,wtv,rm,dhav,cine,gif,apng,"
+    "ivf,obu,h261,h263,h264,hevc,vvc,m4v,mjpeg,mjpeg_2000,mpjpeg,cavsvideo,vc1,dirac,yuv4mpegpipe"
+)
+"""Containers and bare streams that hold their pictures themselves, by FFmpeg's names. What is not among them may be a
+list of other files (hls, dash, concat, imf, sdp...), whose hash would say nothing of what was analysed."""
+
+LEAST_PART_OF_LONGEST = 0.5
+"""A stream with fewer packets than this part of the longest one's is no second camera but a cover or a thumbnail."""
+
 MICROSECONDS = 1_000_000
 DURATION_SLACK_S = 0.1
 """How much shorter than the header says a file may end: headers are rounded and count the last frame's length."""
@@ -40,7 +50,8 @@ class PacketIndex:
     number, in file order, of the packet from which decoding has to start for that frame. Where
     ``decoder_orders`` the file does not know the order of presentation, and only decoding tells it: the k-th
     frame that comes out is frame k. ``is_cut`` says that the file ends earlier than it should; ``damaged``
-    are the numbers, in file order, of packets of which something is missing.
+    are the numbers, in file order, of packets of which something is missing. ``stream`` is the number of the stream
+    in its file, one of ``n_streams`` of moving pictures.
     """
 
     pts: Ints | None
@@ -49,6 +60,8 @@ class PacketIndex:
     decoder_orders: bool
     is_cut: bool
     damaged: frozenset[int] = frozenset()
+    stream: int = 0
+    n_streams: int = 1
 
     @property
     def n_frames(self) -> int:
@@ -91,44 +104,47 @@ class PacketIndex:
         return due + int(later[0]) if len(later) else None
 
 
-def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
-    """Open a video file and choose its first stream of moving pictures.
+def open_video(path: Path, number: int) -> tuple[InputContainer, VideoStream]:
+    """Open a video file and its stream of this number, to decode it; InputError where that cannot be done."""
+    container = _open_container(path)
+    stream = container.streams[number]
+    assert isinstance(stream, VideoStream)
+    # frame threads swallow what precedes a damaged packet; with slice threads each packet stands for itself
+    stream.thread_type = "SLICE"
+    return container, stream
 
-    Raises InputError where it is no video, holds no pictures, or none whose format is known.
-    """
+
+def _open_container(path: Path) -> InputContainer:
+    """Open a file that holds its pictures itself; InputError for anything else."""
     try:
-        # "file:" keeps names with a colon from being taken for URLs, the whitelist keeps playlists from opening others
-        container = av.open(f"file:{path}", options={"protocol_whitelist": "file"})
+        # "file:" keeps names with a colon from being taken for URLs, the whitelists keep lists from opening other files
+        return av.open(f"file:{path}", options={"protocol_whitelist": "file", "format_whitelist": FORMATS})
+    except av.error.ArgumentError:
+        raise InputError(
+            f"{path}: is a list of other files (a playlist), or no kind of video that is read here: give the clip "
+            f"itself, one file, or convert it to one (ffmpeg -i {path.name} clip.mp4)"
+        ) from None
     except (av.error.FFmpegError, OSError) as error:
         raise InputError(
             f"{path}: cannot be opened as video ({error.strerror}): expected a complete clip such as mp4, mkv, avi or "
             f"ts; an mp4 cut before its index was written has to be recorded or copied again"
         ) from None
-    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
-    if not streams:
-        kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-        container.close()
-        raise InputError(f"{path}: holds no video, only {kinds}: expected a clip with a video stream")
-    # decoding a stream without codec parameters would crash the interpreter
-    if streams[0].codec_context is None:
-        container.close()
-        raise InputError(f"{path}: its video stream cannot be decoded (unknown or damaged format): convert it to H.264")
-    # frame threads swallow what precedes a damaged packet; with slice threads each packet stands for itself
-    streams[0].thread_type = "SLICE"
-    return container, streams[0]
 
 
 def index_packets(path: Path) -> PacketIndex:
-    """Read all packets once, without decoding, and list the frames that they hold."""
+    """Read all packets once, without decoding, and list the frames that they hold.
+
+    Raises InputError where the file is no video, holds no pictures, or none whose format is known.
+    """
     contents = _read_contents(path)
-    rows = contents.rows
+    rows, of_stream = contents.rows, (contents.stream, contents.n_streams)
     damaged = _damaged(rows, "mpegts" in contents.format)
     shown = [i for i, row in enumerate(rows) if not row.is_discard]
     entry = _entry_packets(rows)
     known = [] if contents.is_bare else [i for i in shown if rows[i].pts is not None]
     if not known:
         entry_packet = np.zeros(len(shown), dtype=np.int64)
-        return PacketIndex(None, contents.time_base, entry_packet, True, contents.is_cut, damaged)
+        return PacketIndex(None, contents.time_base, entry_packet, True, contents.is_cut, damaged, *of_stream)
     order = _presentation_order(rows, known)
     ordered_pts = np.array([rows[i].pts for i in order], dtype=np.int64)
     # an AVI file numbers its packets in the order of decoding, whatever the order of presentation
@@ -136,7 +152,7 @@ def index_packets(path: Path) -> PacketIndex:
     # a frame without time is numbered by counting, which has to begin at the first packet
     must_count = decoder_orders or len(known) < len(shown)
     first = np.zeros(len(order), dtype=np.int64) if must_count else np.array([entry[i] for i in order])
-    return PacketIndex(ordered_pts, contents.time_base, first, decoder_orders, contents.is_cut, damaged)
+    return PacketIndex(ordered_pts, contents.time_base, first, decoder_orders, contents.is_cut, damaged, *of_stream)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +160,14 @@ class _Contents:
     """What is known of a file once it is closed: plain values.
 
     A closed container has freed its streams: what PyAV still answers about them is whatever else stands in that memory.
-    ``rows`` are the video packets in file order; ``format`` is FFmpeg's name of the container; ``is_bare`` says that it
-    knows no times, ``is_reordered`` that frames are not shown in the order of decoding.
+    ``rows`` are the packets of the stream in file order, ``stream`` and ``n_streams`` are of `PacketIndex`; ``format``
+    is FFmpeg's name of the container; ``is_bare`` says that it knows no times, ``is_reordered`` that frames are not
+    shown in the order of decoding.
     """
 
     rows: list[_Packet]
+    stream: int
+    n_streams: int
     format: str
     time_base: Fraction
     is_bare: bool
@@ -157,17 +176,45 @@ class _Contents:
 
 
 def _read_contents(path: Path) -> _Contents:
-    container, stream = open_video(path)
-    with container:
-        rows, n_empty, end_s, is_broken = _scan(container, stream)
+    with _open_container(path) as container:
+        streams = _moving_pictures(path, container)
+        scanned, end_s, is_broken = _scan(container, streams)
+        stream = _choose(streams, scanned)
+        rows, n_empty = scanned[stream.index].rows, scanned[stream.index].n_empty
+        is_broken |= bool(rows) and rows[-1].is_corrupt
         return _Contents(
             rows=rows,
+            stream=stream.index,
+            n_streams=len(streams),
             format=container.format.name,
             time_base=stream.time_base or Fraction(1),
             is_bare=bool(container.format.flags & NO_TIMESTAMPS_FLAG),
             is_reordered=stream.codec_context.has_b_frames > 0,
             is_cut=is_broken or _ends_early(path, container, stream, len(rows) + n_empty, end_s),
         )
+
+
+def _moving_pictures(path: Path, container: InputContainer) -> list[VideoStream]:
+    """The streams that may be analysed, at least one; InputError where there is none."""
+    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+    if not streams:
+        kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
+        raise InputError(f"{path}: holds no video, only {kinds}: expected a clip with a video stream")
+    # decoding a stream without codec parameters would crash the interpreter
+    known = [s for s in streams if s.codec_context is not None]
+    if not known:
+        raise InputError(f"{path}: its video stream cannot be decoded (unknown or damaged format): convert it to H.264")
+    return known
+
+
+def _choose(streams: list[VideoStream], scanned: dict[int, _Scanned]) -> VideoStream:
+    """Of the streams about as long as the longest, the one that is marked as default, or else the first.
+
+    A cover may come first, and be marked as default by the program that put it in.
+    """
+    n_packets = {s.index: len(scanned[s.index].rows) for s in streams}
+    long = [s for s in streams if n_packets[s.index] >= LEAST_PART_OF_LONGEST * max(n_packets.values())]
+    return next((s for s in long if s.disposition & Disposition.default), long[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,26 +226,36 @@ class _Packet:
     is_corrupt: bool
 
 
-def _scan(container: InputContainer, stream: VideoStream) -> tuple[list[_Packet], int, float, bool]:
-    """The video packets in file order, how many hold nothing, where the last of any stream ends, and if it broke off.
+@dataclass(slots=True)
+class _Scanned:
+    """The packets of a stream in file order, and how many more hold nothing.
 
     AVI files keep the place of frames dropped while recording with empty packets, and count them in the header.
     """
-    rows: list[_Packet] = []
-    n_empty = 0
+
+    rows: list[_Packet]
+    n_empty: int = 0
+
+
+def _scan(container: InputContainer, streams: list[VideoStream]) -> tuple[dict[int, _Scanned], float, bool]:
+    """What the streams hold, by their numbers, where the last packet of any stream ends, in s, and if it broke off."""
+    scanned = {stream.index: _Scanned([]) for stream in streams}
     end_s = 0.0
     try:
         for packet in container.demux():
+            wanted = scanned.get(packet.stream_index)
             if packet.size == 0:
-                n_empty += packet.stream_index == stream.index and packet.dts is not None
+                if wanted is not None and packet.dts is not None:
+                    wanted.n_empty += 1
                 continue
             if packet.pts is not None:
                 end_s = max(end_s, float((packet.pts + (packet.duration or 0)) * packet.time_base))
-            if packet.stream_index == stream.index:
-                rows.append(_Packet(packet.pts, packet.dts, packet.is_keyframe, packet.is_discard, packet.is_corrupt))
+            if wanted is not None:
+                row = _Packet(packet.pts, packet.dts, packet.is_keyframe, packet.is_discard, packet.is_corrupt)
+                wanted.rows.append(row)
     except av.error.FFmpegError:
-        return rows, n_empty, end_s, True
-    return rows, n_empty, end_s, bool(rows) and rows[-1].is_corrupt
+        return scanned, end_s, True
+    return scanned, end_s, False
 
 
 def _ends_early(path: Path, container: InputContainer, stream: VideoStream, n_packets: int, end_s: float) -> bool:

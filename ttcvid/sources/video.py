@@ -69,7 +69,7 @@ class VideoSource(OnePassSource):
 
     def _decoded(self, first: int, last: int) -> Iterator[tuple[int, VideoFrame]]:
         """Frames from ``first`` to ``last``; where ``last`` cannot be decoded, to the next one that can."""
-        container, stream = open_video(self._path)
+        container, stream = open_video(self._path, self._index.stream)
         with container:
             entry_packet = int(self._index.entry_packet[first : last + 1].min())
             pictures = decode(container, stream, self._index, entry_packet)
@@ -118,7 +118,7 @@ def _colour(orientation: Orientation, picture: VideoFrame) -> Callable[[], Pictu
 
 def _probe(path: Path, index: PacketIndex) -> tuple[Orientation, ImageSize, tuple[str, ...]]:
     """What only a decoded picture tells: how the clip is turned, its upright size, and what is odd about it."""
-    container, stream = open_video(path)
+    container, stream = open_video(path, index.stream)
     with container:
         picture = next((picture for picture in decode(container, stream, index, 0) if picture is not None), None)
         aspect = stream.sample_aspect_ratio
@@ -126,6 +126,11 @@ def _probe(path: Path, index: PacketIndex) -> tuple[Orientation, ImageSize, tupl
         raise InputError(f"{path}: no picture in it can be decoded: it is cut or damaged, copy or record it again")
     orientation = Orientation.of(picture)
     warnings = []
+    if index.n_streams > 1:
+        warnings.append(
+            f"{path}: holds {index.n_streams} video streams: number {index.stream} is analysed, "
+            f"{orientation.size(picture)}; for another copy it out (ffmpeg -i {path.name} -map 0:N -c copy other.mkv)"
+        )
     if not orientation.is_exact:
         warnings.append(f"{path}: is to be shown turned by {picture.rotation} deg: taken as the nearest right angle")
     if aspect and aspect != 1:
