@@ -10,11 +10,12 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint regress setup clean
+.PHONY: help demo test faults lint regress setup clean
 
 help:
 	@echo "make demo   render a roundabout with known truth, analyse and evaluate it"
 	@echo "make test   run all tests"
+	@echo "make faults kill, damage and starve every command at many drawn moments and places"
 	@echo "make regress  analyse simulated clips, hold them against their baselines"
 	@echo "make lint   style, types and the direction of imports"
 	@echo "make clean  remove the virtual environment and all caches"
@@ -24,6 +25,9 @@ demo: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 2
+
+faults: $(READY)
+	$(BIN)/python -m pytest -n 2 -m exhaustive tests/faults
 
 regress: $(READY)
 	$(BIN)/ttcvid regress sample_configs/regression.yaml --jobs 2 --out out/regress

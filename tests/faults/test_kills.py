@@ -1,0 +1,67 @@
+"""kill -9 at drawn moments of every command: what is left is sound, nothing runs on, and the next run mends it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from attacked_runs import Attacker, assert_sound, contents
+from conftest import SoundInputs
+
+ATTACKS = {
+    "analyze": ["{clip}/frames", "{options}", "-o", "{out}/run", "--overwrite"],
+    "calibrate-horizon": [
+        "{clip}/frames",
+        "{options}",
+        *("--moving", "-o", "{out}/horizon.yaml", "--evidence", "{out}/evidence", "--overwrite"),
+    ],
+    "simulate": ["{scene}", "--png", "--frames", "6", "-o", "{out}/scene", "--overwrite"],
+    "evaluate": ["{run}", "{clip}", "--html", "{out}/page.html"],
+    "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "3", "--trials", "100"],
+    "collision-map": ["{run}", "-o", "{out}/map", "--overwrite", "--n-cells", "11", "--frame", "10", "--ego-speed=10"],
+    "compare": ["{run}", "{other}", "--junit", "{out}/junit.xml"],
+    "demo": ["--frames", "4", "-o", "{out}/demo", "--overwrite"],
+}
+"""Arguments of each command; all that it writes goes below {out}."""
+N_MOMENTS, N_ALL_MOMENTS = 2, 30
+
+
+def arguments_of(command: str, sound: SoundInputs, out: Path) -> list[str]:
+    places = {name: str(sound.folder / name) for name in ("clip", "run", "other")}
+    places |= {"scene": str(sound.folder / "scene.yaml"), "suite": str(sound.folder / "suite.yaml"), "out": str(out)}
+    given = [command]
+    for argument in ATTACKS[command]:
+        given += sound.clip_options if argument == "{options}" else [argument.format(**places)]
+    return given
+
+
+def kill_at_moments(command: str, n_moments: int, attacker: Attacker, sound: SoundInputs, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    arguments = arguments_of(command, sound, out)
+    first = attacker.run(arguments, tmp_path)
+    duration_s = first.duration_s
+    assert first.exit_code in (0, 1, 5), first
+    before = contents(sound.folder)
+    rng = np.random.default_rng([ord(letter) for letter in command])
+    for part in rng.uniform(0.0, 1.05, n_moments):
+        attacked = attacker.run(arguments, tmp_path, kill_after_s=part * duration_s)
+        if attacked.exit_code == first.exit_code:  # it came before the kill: the first run may have had to compile
+            duration_s = min(duration_s, attacked.duration_s)
+        assert_sound(out)
+    assert contents(sound.folder) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    last = attacker.run(arguments, tmp_path)
+    assert (last.exit_code, last.errors) == (first.exit_code, first.errors)
+    assert sorted(contents(out)) == sorted(set(contents(out)) - {".ttcvid-partial"})
+    assert_sound(out)
+
+
+@pytest.mark.parametrize("command", ATTACKS)
+def test_killed_at_some_moments(command: str, attacker: Attacker, sound: SoundInputs, tmp_path: Path) -> None:
+    kill_at_moments(command, N_MOMENTS, attacker, sound, tmp_path)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("command", ATTACKS)
+def test_killed_at_thirty_moments(command: str, attacker: Attacker, sound: SoundInputs, tmp_path: Path) -> None:
+    kill_at_moments(command, N_ALL_MOMENTS, attacker, sound, tmp_path)
