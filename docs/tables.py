@@ -60,6 +60,7 @@ _ABOUT_OPTIONS = {
     "focal_px": "focal length in px",
     "image_size": "size of the pictures behind a track table, such as 1242x375",
     "horizon": "horizon file, or `auto`: found in the clip itself; switches planar motion on",
+    "max_image_mpx": "picture files that claim more, in 10^6 pixels, are left out unread",
     "mask": "picture, black where nothing is to be looked at",
     "fps": "frame rate of pictures, 1/s",
     "timestamps": "file with the time of each picture",

@@ -9,17 +9,20 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 from av.stream import Disposition
 from moving_clips import FPS, approach, write_approaching_tracks, write_clip, write_frames
 
+from ttcvid.calibration import read_mask
 from ttcvid.cli.main import main
-from ttcvid.errors import InputError
+from ttcvid.errors import CalibrationError, InputError
 from ttcvid.jobs import provenance
 from ttcvid.jobs.analyze import analyze
 from ttcvid.jobs.provenance import digest_in_background
 from ttcvid.jobs.run import Run
+from ttcvid.model import ImageSize
 from ttcvid.sources import open_source
 
 SCENE = Path(__file__).resolve().parents[2] / "sample_configs" / "scenes" / "resting_six_movers.yaml"
@@ -187,3 +190,54 @@ def test_a_working_folder_that_was_removed_is_said(
     (tmp_path / "gone").rmdir()
     assert main([places.get(word, word) for word in command]) == 2
     assert "the working folder does not exist any more" in capsys.readouterr().err
+
+
+def with_claim(jpeg: Path, width: int, height: int) -> None:
+    """Let the header of a JPEG claim a size."""
+    data = bytearray(jpeg.read_bytes())
+    at = data.index(b"\xff\xc0")
+    data[at + 5 : at + 9] = height.to_bytes(2, "big") + width.to_bytes(2, "big")
+    jpeg.write_bytes(data)
+
+
+def write_jpegs(folder: Path, n: int) -> list[Path]:
+    folder.mkdir()
+    pictures = [folder / f"{index}.jpg" for index in range(n)]
+    for path, grey in zip(pictures, approach(n), strict=True):
+        assert cv2.imwrite(str(path), grey)
+    return pictures
+
+
+@pytest.mark.parametrize("claimed", [(65500, 65500), (30000, 30000), (20000, 6000)])
+def test_a_picture_that_claims_gigabytes_is_left_out_like_one_that_cannot_be_read(
+    tmp_path: Path, claimed: tuple[int, int]
+) -> None:
+    with_claim(write_jpegs(tmp_path / "frames", 4)[1], *claimed)
+    with open_source(str(tmp_path / "frames"), fps=FPS) as source:
+        assert [frame.index for frame in source] == [0, 2, 3]
+    assert (source.report.n_packets_skipped, source.report.is_truncated) == (1, False)
+    assert "1 images cannot be read and are left out, 1.jpg is the first" in source.report.warnings[0]
+    assert f"claims {claimed[0]}x{claimed[1]} px: raise --max-image-mpx" in source.report.warnings[0]
+
+
+def test_the_limit_of_pictures_is_an_option(tmp_path: Path) -> None:
+    write_jpegs(tmp_path / "frames", 2)
+    with pytest.raises(InputError, match="192x128 px: raise --max-image-mpx"):
+        analyze(tmp_path / "frames", tmp_path / "out", fps=FPS, focal_px=300.0, max_image_mpx=0.02)
+    run = analyze(tmp_path / "frames", tmp_path / "out", fps=FPS, focal_px=300.0, max_image_mpx=0.025)
+    assert run.manifest["counts"]["frames"] == 2
+
+
+def test_a_mask_that_claims_another_size_is_not_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mask = write_jpegs(tmp_path / "masks", 1)[0]
+    with_claim(mask, 65500, 65500)
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
+    with pytest.raises(CalibrationError, match="the mask is 65500x65500; expected 192x128"):
+        read_mask(mask, ImageSize(192, 128))
+
+
+def test_a_pipe_among_pictures_is_none(tmp_path: Path) -> None:
+    write_frames(tmp_path / "frames", approach(3))
+    os.mkfifo(tmp_path / "frames" / "000001b.png")
+    with open_source(str(tmp_path / "frames"), fps=FPS) as source:
+        assert len(source.files) == len(list(source)) == 3

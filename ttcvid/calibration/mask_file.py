@@ -10,6 +10,7 @@ import numpy as np
 
 from ttcvid.errors import CalibrationError
 from ttcvid.model import ImageSize, Picture
+from ttcvid.picture_header import size_in_header
 from ttcvid.plain_files import read_plain
 
 _JPEG_START = b"\xff\xd8\xff"
@@ -31,6 +32,13 @@ def read_mask(path: Path, image_size: ImageSize) -> Picture:
         clip, or is all black.
     """
     content = _content(path)
+    claimed = size_in_header(content)
+    if claimed is None:
+        raise CalibrationError(
+            f"{path}: no picture that can be read; expected a mask of {image_size}, black where nothing is to be seen: "
+            "save it as PNG"
+        )
+    _require_size(path, claimed, image_size)  # before it is decoded: a few bytes can claim gigabytes
     try:
         picture: Any = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
@@ -41,13 +49,17 @@ def read_mask(path: Path, image_size: ImageSize) -> Picture:
         raise CalibrationError(
             f"{path}: no picture; expected a mask of {image_size}, black where nothing is to be seen"
         )
-    height, width = picture.shape[:2]
+    _require_size(path, (picture.shape[1], picture.shape[0]), image_size)
+    return _black_or_white(path, picture, JPEG_BLACK_LEVEL if content.startswith(_JPEG_START) else 0)
+
+
+def _require_size(path: Path, size: tuple[int, int], image_size: ImageSize) -> None:
+    width, height = size
     if (width, height) != (image_size.width_px, image_size.height_px):
         raise CalibrationError(
             f"{path}: the mask is {width}x{height}; expected {image_size}, the size of the clip: paint it on one "
             "of its frames"
         )
-    return _black_or_white(path, picture, JPEG_BLACK_LEVEL if content.startswith(_JPEG_START) else 0)
 
 
 def _content(path: Path) -> bytes:

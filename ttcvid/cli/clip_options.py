@@ -15,6 +15,7 @@ Option = Callable[..., Callable[[Command], Command]]
 TRACKERS = ("klt", "akaze")
 
 _IMAGE_SIZE = "Picture size in px of a track table without a camera file."
+_MAX_IMAGE_MPX = "Leave out pictures that claim more, in 10^6 pixels.  [default: 100]"
 _MASK = "Picture, black where nothing is to be looked at (own bonnet, text)."
 _FPS = "Frame rate of an image folder; of a video, instead of its own times."
 _TIMESTAMPS = "Times of all frames in seconds, one a line, or in KITTI's format."
@@ -30,6 +31,7 @@ def clip_options(camera_option: Option[Any]) -> Callable[[Command], Command]:
         camera_option("--focal-px", metavar="PX", help="Focal length in px, principal point at the centre."),
         camera_option("--hfov", metavar="DEG", help="Horizontal field of view in degrees."),
         camera_option("--image-size", metavar="WxH", help=_IMAGE_SIZE),
+        camera_option("--max-image-mpx", metavar="MPX", help=_MAX_IMAGE_MPX),
         camera_option("--mask", metavar="FILE", help=_MASK),
         _time_option("--fps", metavar="HZ", help=_FPS),
         _time_option("--timestamps", metavar="FILE", help=_TIMESTAMPS),

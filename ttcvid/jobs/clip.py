@@ -62,6 +62,7 @@ def open_clip(input_: str, options: AnalyzeOptions) -> Source:
         fps=options.fps,
         timestamps=options.timestamps,
         image_size=image_size,
+        max_image_mpx=options.max_image_mpx,
     )
 
 

@@ -33,6 +33,7 @@ LIBRARIES = {
     "pillow": "PIL",
     "filelock": "filelock",
     "psutil": "psutil",
+    "imagesize": "imagesize",
 }
 """Names that users know, and the modules behind them."""
 

@@ -18,6 +18,7 @@ from ttcvid.config import (
     StageConfig,
 )
 from ttcvid.model import ImageSize
+from ttcvid.picture_header import MAX_IMAGE_MPX
 
 _SIZE = re.compile(r"([1-9]\d{0,5})x([1-9]\d{0,5})")
 
@@ -63,6 +64,9 @@ class AnalyzeOptions(StageConfig):
     start: PlaceText | None = None
     end: PlaceText | None = None
     stride: int = Field(default=1, ge=1, description="every n-th frame")
+    max_image_mpx: PositiveFloat = Field(
+        default=MAX_IMAGE_MPX, description="pictures that claim more, in 10^6 pixels, are left out"
+    )
     overlay: bool = True
     overwrite: bool = False
     seed: int = Field(default=0, ge=0, description="recorded in the manifest; nothing in an analysis is random")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ttcvid.errors import InputError, UsageError, quoted
 from ttcvid.model import ImageSize
+from ttcvid.picture_header import MAX_IMAGE_MPX
 from ttcvid.sources.base import Selection, Source
 
 __all__ = ["Selection", "Source", "open_source"]
@@ -22,6 +23,7 @@ def open_source(
     fps: float | None = None,
     timestamps: Path | None = None,
     image_size: ImageSize | None = None,
+    max_image_mpx: float = MAX_IMAGE_MPX,
 ) -> Source:
     """Open a clip: a video file, an image folder or pattern, or a table of point tracks.
 
@@ -37,6 +39,8 @@ def open_source(
         for a video, refused for tables, which have their own.
     image_size
         Size of the pictures behind a track table; a video or picture of another size is refused.
+    max_image_mpx
+        Picture files that claim more pixels than this, in 10^6, are left out like those that cannot be read.
 
     Raises
     ------
@@ -57,7 +61,7 @@ def open_source(
     _require_place(path, input_)
     clock = Clock(fps, timestamps)
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES or (not path.exists() and is_pattern(input_)):
-        source: Source = ImageSource(input_, list_pictures(input_), selection, clock)
+        source: Source = ImageSource(input_, list_pictures(input_), selection, clock, max_image_mpx)
     elif path.suffix.lower() in TABLE_SUFFIXES:
         return TrackSource(path, selection, clock, image_size)
     else:

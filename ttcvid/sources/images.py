@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from ttcvid.errors import InputError, UsageError
 from ttcvid.model import Floats, Frame, ImageSize, Picture, SourceInfo
+from ttcvid.picture_header import MAX_IMAGE_MPX, size_in_header
+from ttcvid.plain_files import read_plain
 from ttcvid.sources.base import OnePassSource, Selection, require_file
 from ttcvid.sources.clock import Clock
 
@@ -23,6 +25,7 @@ IMAGE_SUFFIXES = frozenset(
 )
 SAME_KIND = {".jpeg": ".jpg", ".tiff": ".tif"}
 
+MAX_FILE_BYTES = 2_000_000_000
 DEPTH_SAMPLES = 5
 """Pictures, evenly spread over the clip, from which the range of deep pictures is taken."""
 
@@ -42,21 +45,24 @@ class ImageSource(OnePassSource):
     without one there is a UsageError. 8 bit grey is taken as it is; colour becomes grey as in OpenCV, alpha is
     left out. 16 bit pictures are brought to 8 bit by one scale for the whole clip (``DepthScale``).
 
-    A picture that cannot be read leaves a gap and is counted in ``n_packets_skipped``; where the last ones of
-    the clip cannot be read, its recording broke off: ``is_truncated``. Raises InputError where none can be read,
-    and where size or depth change on the way.
+    A picture that cannot be read, or claims more than ``max_image_mpx`` million pixels, leaves a gap and is counted in
+    ``n_packets_skipped``; where the last ones of the clip cannot be read, its recording broke off: ``is_truncated``.
+    Raises InputError where none can be read, and where size or depth change on the way.
     """
 
-    def __init__(self, path: str, pictures: list[Path], selection: Selection, clock: Clock) -> None:
+    def __init__(
+        self, path: str, pictures: list[Path], selection: Selection, clock: Clock, max_image_mpx: float = MAX_IMAGE_MPX
+    ) -> None:
         times_s = clock.times_s(len(pictures), f"images in {path}")
         if times_s is None:
             raise UsageError(f"{path}: images hold no times: give --fps or --timestamps (they are never guessed)")
         self._times_s: Floats = times_s
         self._first_lost: int | None = None
         self._wanted = selection.require_any(path, np.arange(len(pictures)), times_s)
-        first = _first_readable(path, pictures)
+        self._max_image_mpx = max_image_mpx
+        first = _first_readable(path, pictures, max_image_mpx)
         self._dtype = first.dtype
-        self._scale = DepthScale.of(pictures) if first.dtype == np.uint16 else None
+        self._scale = DepthScale.of(pictures, max_image_mpx) if first.dtype == np.uint16 else None
         info = SourceInfo(
             path=path,
             kind="images",
@@ -71,7 +77,7 @@ class ImageSource(OnePassSource):
         """The selected frames; the pictures between them (``stride``) are not read."""
         lost: list[int] = []
         for index in np.flatnonzero(self._wanted).tolist():
-            picture = read_picture(self.files[index])
+            picture = read_picture(self.files[index], self._max_image_mpx)
             if picture is None:
                 self._first_lost = index if self._first_lost is None else self._first_lost
                 lost.append(index)
@@ -111,14 +117,16 @@ class ImageSource(OnePassSource):
         if not self.is_truncated:
             self.n_skipped += len(lost)
         if self.n_skipped and self._first_lost is not None:
-            first = self.files[self._first_lost].name
+            first = self.files[self._first_lost]
             self.warnings += (
-                f"{self.info.path}: {self.n_skipped} images cannot be read and are left out, {first} is the first",
+                f"{self.info.path}: {self.n_skipped} images cannot be read and are left out, {first.name} is the first"
+                f"{_complaint_about_size(first, self._max_image_mpx)}",
             )
         if self.is_truncated:
-            first = self.files[lost[0]].name
+            first = self.files[lost[0]]
             self.warnings += (
-                f"{self.info.path}: the last {len(lost)} images cannot be read, from {first} on: the clip is cut short",
+                f"{self.info.path}: the last {len(lost)} images cannot be read, from {first.name} on: the clip is cut "
+                f"short{_complaint_about_size(first, self._max_image_mpx)}",
             )
 
 
@@ -135,10 +143,11 @@ class DepthScale:
     high: float
 
     @classmethod
-    def of(cls, pictures: list[Path]) -> DepthScale:
+    def of(cls, pictures: list[Path], max_image_mpx: float) -> DepthScale:
         """The scale of a clip; pictures that cannot be read do not count."""
         places = np.unique(np.linspace(0, len(pictures) - 1, DEPTH_SAMPLES).round().astype(int))
-        samples = [picture for i in places if (picture := read_picture(pictures[i])) is not None]
+        read = (read_picture(pictures[i], max_image_mpx) for i in places)
+        samples = [picture for picture in read if picture is not None]
         ranges = [np.percentile(sample, DEPTH_PERCENTILES) for sample in samples]
         low = float(min((low for low, _ in ranges), default=0))
         high = float(max((high for _, high in ranges), default=np.iinfo(np.uint16).max))
@@ -150,21 +159,27 @@ class DepthScale:
         return np.asarray(np.clip(np.rint(scaled), 0, 255), dtype=np.uint8)
 
 
-def read_picture(path: Path) -> NDArray[np.uint8 | np.uint16] | None:
+def read_picture(path: Path, max_image_mpx: float = MAX_IMAGE_MPX) -> NDArray[np.uint8 | np.uint16] | None:
     """A picture file upright, (H, W) grey or (H, W, 3) BGR without alpha; None where it cannot be read.
 
-    Raises InputError where it can be read but is neither 8 nor 16 bit.
+    One that claims more than ``max_image_mpx`` million pixels is not read either. Raises InputError where a picture can
+    be read but is neither 8 nor 16 bit.
     """
     try:
-        data = np.fromfile(path, dtype=np.uint8)
+        content = read_plain(path, MAX_FILE_BYTES)
     except OSError:
         return None
-    if not len(data) or _is_cut_png(data.tobytes()):
+    size = size_in_header(content)
+    if size is None or _is_cut_png(content):
+        return None
+    if size[0] * size[1] > max_image_mpx * 1e6:
         return None
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what cannot be read is told in our own words
     try:
-        picture = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+        picture = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    except cv2.error:
+        return None  # a damaged file, or one beyond OpenCV's own bounds
     finally:
         cv2.utils.logging.setLogLevel(level)
     if picture is None:
@@ -201,6 +216,7 @@ def list_pictures(input_: str) -> list[Path]:
         # A folder that is there is meant as it is spelled: brackets are ordinary in names.
         folder = glob.escape(str(path.parent)) if path.parent.is_dir() else str(path.parent)
         pictures = [Path(p) for p in glob.glob(f"{folder}/{path.name}") if Path(p).is_file()]
+    pictures = [p for p in pictures if p.is_file() or not p.exists()]  # a pipe is no picture, a lost file is a lost one
     if not pictures:
         raise InputError(f"{input_}: no images there: expected a folder, or a pattern such as img_%06d.png or '*.jpg'")
     return sorted(pictures, key=natural_key)
@@ -246,11 +262,25 @@ def _gaps_in_numbers(path: str, pictures: list[Path], times_s: Floats, clock: Cl
     return (f"{path}: {n} numbers are missing in the file names: {remedy} if time passed",)
 
 
-def _first_readable(path: str, pictures: list[Path]) -> NDArray[np.uint8 | np.uint16]:
+def _first_readable(path: str, pictures: list[Path], max_image_mpx: float) -> NDArray[np.uint8 | np.uint16]:
     for name in pictures:
-        if (picture := read_picture(name)) is not None:
+        if (picture := read_picture(name, max_image_mpx)) is not None:
             return picture
-    raise InputError(f"{path}: none of its {len(pictures)} images can be read: copy or convert them again")
+    raise InputError(
+        f"{path}: none of its {len(pictures)} images can be read: copy or convert them again"
+        f"{_complaint_about_size(pictures[0], max_image_mpx)}"
+    )
+
+
+def _complaint_about_size(path: Path, max_image_mpx: float) -> str:
+    """What to add of a picture that was left out for what it claims; empty for others."""
+    try:
+        size = size_in_header(read_plain(path, MAX_FILE_BYTES))
+    except OSError:
+        return ""
+    if size is None or size[0] * size[1] <= max_image_mpx * 1e6:
+        return ""
+    return f" ({path.name} claims {size[0]}x{size[1]} px: raise --max-image-mpx if it is meant)"
 
 
 def _size(picture: NDArray[np.uint8 | np.uint16]) -> ImageSize:
