@@ -24,9 +24,14 @@ class TimedRun:
     wall_s: float
 
 
+def data_place() -> Path:
+    """Where the folder of the real clips is, if it is there."""
+    return Path(os.environ.get("TTCVID_DATA", REPOSITORY.parent / "shared" / "data")).resolve()
+
+
 def data_folder() -> Path:
     """Folder of the real clips; ends the program where they are absent."""
-    folder = Path(os.environ.get("TTCVID_DATA", REPOSITORY.parent / "shared" / "data")).resolve()
+    folder = data_place()
     if not folder.is_dir():
         raise SystemExit(f"{folder}: real clips not found: set TTCVID_DATA to their folder")
     return folder

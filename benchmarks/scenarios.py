@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -22,12 +23,15 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from real import analyzed_clips
+from real_clips.judging import report_clips
 from report import REPOSITORY, Report
+from runs import data_place
 from scenario_suite.drawing import drawn, input_of
 from scenario_suite.families import FAMILIES, scenario
 from scenario_suite.nuisances import NUISANCES
 from scenario_suite.page import write_page
-from scenario_suite.running import Task, options_of, run_all
+from scenario_suite.running import Task, do, options_of, run_all
 from scenario_suite.scoring import score
 from scenario_suite.seeds import BUILDING_SEEDS, commit_hash, verdict_seeds
 
@@ -56,7 +60,7 @@ def main() -> None:
 def _done(tasks: list[Task], arguments: argparse.Namespace) -> None:
     """Have tasks done, and say a line of each."""
     start_s, n_old, n_failed = time.perf_counter(), 0, 0
-    for number, done in enumerate(run_all(tasks, arguments.jobs), 1):
+    for number, done in enumerate(run_all(tasks, arguments.jobs, do), 1):
         n_old, n_failed = n_old + done.is_old, n_failed + bool(done.run["exit_code"])
         said = "done before" if done.is_old else f"drawn {done.drawing_s:.1f} s, analysed {done.run['seconds']:.1f} s"
         error = f"  exit code {done.run['exit_code']}: {done.run['error']}" if done.run["exit_code"] else ""
@@ -68,15 +72,8 @@ def _done(tasks: list[Task], arguments: argparse.Namespace) -> None:
 
 def _write_docs(tasks: list[Task], arguments: argparse.Namespace) -> None:
     """The page, from the scenes asked for, as many tables of tracks as ``--tables``, and a sweep of cameras at rest."""
-    tables_out = arguments.out.with_name(f"{arguments.out.name}_tables")
-    as_tables = argparse.Namespace(**vars(arguments) | {"kind": "tracks", "n": arguments.tables, "out": tables_out})
-    of_masts = {
-        "families": MASTS,
-        "n": len(MASTS),
-        "sweep": SWEPT,
-        "out": arguments.out.with_name(f"{arguments.out.name}_sweep"),
-    }
-    as_sweep = argparse.Namespace(**vars(arguments) | of_masts)
+    as_tables = _beside(arguments, "tables", kind="tracks", n=arguments.tables)
+    as_sweep = _beside(arguments, "sweep", families=MASTS, n=len(MASTS), sweep=SWEPT)
     tables, sweep = _tasks(as_tables), _tasks(as_sweep)
     _done(tables, as_tables)
     _done(sweep, as_sweep)
@@ -85,8 +82,20 @@ def _write_docs(tasks: list[Task], arguments: argparse.Namespace) -> None:
     commit = commit_hash(arguments.verdict) if arguments.verdict else None
     seeds = f"the hash of commit {commit[:12]}" if commit else "those for building, which rules may have been fitted to"
     report.say(f"Seeds: from {seeds}." if commit else f"Seeds: {seeds}.")
+    if data_place().is_dir():
+        real_out = arguments.out.with_name(f"{arguments.out.name}_real")
+        report_clips(report, analyzed_clips(real_out, arguments.jobs))
+    else:
+        report.say("Real clips: left out, because their folder ($TTCVID_DATA) is absent.")
     write_page(report, scores, swept, docs=REPOSITORY / "docs")
     report.write_docs("scenarios.md", "What the scenario suite says")
+
+
+def _beside(arguments: argparse.Namespace, name: str, **changes: object) -> argparse.Namespace:
+    """The same arguments with some changed, and folders of their own."""
+    folders = {"out": arguments.out, "pictures": _pictures(arguments)}
+    own = {key: folder.with_name(f"{folder.name}_{name}") for key, folder in folders.items()}
+    return argparse.Namespace(**vars(arguments) | own | changes)
 
 
 def _arguments() -> argparse.Namespace:
@@ -187,6 +196,8 @@ def _show(name: str, kind: str | None, pictures: Path) -> None:
 
 
 if __name__ == "__main__":
+    # As Ctrl-C: its processes end with it.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         main()
     except KeyboardInterrupt:

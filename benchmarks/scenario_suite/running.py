@@ -20,11 +20,11 @@ import shutil
 import signal
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 
@@ -34,6 +34,7 @@ from scenario_suite.families import scenario
 from scenario_suite.scenario import Kind, NuisanceValue, Scenario
 from scenario_suite.scoring import score
 
+T, R = TypeVar("T"), TypeVar("R")
 _PACKAGE = Path(ttcvid.__file__).parent
 _NOT_OF_THE_ANALYSIS = ("simulate", "studies", "report", "draw", "cli")
 CRASHED = 70
@@ -72,14 +73,14 @@ class Done:
     run: Mapping[str, Any]
 
 
-def run_all(tasks: Iterable[Task], n_jobs: int) -> Iterator[Done]:
-    """Do tasks in ``n_jobs`` processes; results as they are finished.
+def run_all(tasks: Iterable[T], n_jobs: int, work: Callable[[T], R]) -> Iterator[R]:
+    """Do ``work`` on tasks in ``n_jobs`` processes; results as they are finished.
 
     Ctrl-C, or a caller that takes no more, ends the processes at once: what they were at is begun anew next time.
     """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(n_jobs, mp_context=context, initializer=_prepare) as pool:
-        waiting = [pool.submit(do, task) for task in tasks]
+        waiting = [pool.submit(work, task) for task in tasks]
         try:
             for done in as_completed(waiting):
                 yield done.result()
@@ -106,7 +107,7 @@ def do(task: Task) -> Done:
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "scenario.json", chosen.described())
     _link(folder / "truth", truth)
-    run = {"key": key, **_analyzed(chosen, truth, folder / "run", task.options)}
+    run = {"key": key, **analyzed(input_of(truth), folder / "run", options_of(chosen, truth) | dict(task.options))}
     write_json(folder / "run.json", run)
     score(folder)
     return Done(task, folder, False, drawing_s, run)
@@ -123,13 +124,13 @@ def options_of(chosen: Scenario, truth: Path) -> dict[str, Any]:
     return options
 
 
-def _analyzed(chosen: Scenario, truth: Path, out: Path, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Exit code, seconds and error of the analysis."""
+def analyzed(input_: Path, out: Path, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Exit code, seconds and error of an analysis."""
     shutil.rmtree(out, ignore_errors=True)
     start_s = time.perf_counter()
     exit_code, error = 0, None
     try:
-        run = ttcvid.analyze(input_of(truth), out, **(options_of(chosen, truth) | dict(options)))
+        run = ttcvid.analyze(input_, out, **options)
         if run.manifest["state"] == "interrupted":
             raise KeyboardInterrupt
     except ttcvid.TtcvidError as failure:
@@ -142,9 +143,13 @@ def _analyzed(chosen: Scenario, truth: Path, out: Path, options: Mapping[str, An
 
 def _run_key(chosen: Scenario, options: Mapping[str, Any]) -> str:
     """Changes with the drawn scenario, the options and the code of the analysis."""
-    code = code_digest(_PACKAGE, without=_NOT_OF_THE_ANALYSIS)
     content = json.dumps(dict(options), sort_keys=True, default=str)
-    return hashlib.sha256((drawing_key(chosen) + content + code).encode()).hexdigest()
+    return hashlib.sha256((drawing_key(chosen) + content + code_of_analysis()).encode()).hexdigest()
+
+
+def code_of_analysis() -> str:
+    """Digest of the code that an analysis depends on."""
+    return code_digest(_PACKAGE, without=_NOT_OF_THE_ANALYSIS)
 
 
 def _link(link: Path, target: Path) -> None:
