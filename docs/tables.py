@@ -67,6 +67,7 @@ _ABOUT_OPTIONS = {
     "start": "first frame (120) or time (4.5s, 00:01:02.5)",
     "end": "frame or time of the end, itself left out",
     "overlay": "write overlay.mp4",
+    "report": "write report.html",
     "overwrite": "replace an output folder that exists",
     "platform": "what carries the camera: expectations of its own motion",
     "estimator": "views that a time is made of",

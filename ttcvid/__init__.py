@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ttcvid.jobs.compare import compare
     from ttcvid.jobs.evaluate import evaluate
     from ttcvid.jobs.regress import regress
+    from ttcvid.jobs.report import report
     from ttcvid.jobs.run import Run
     from ttcvid.jobs.sensitivity import sensitivity
     from ttcvid.jobs.simulate import simulate
@@ -51,6 +52,7 @@ __all__ = [
     "compare",
     "evaluate",
     "regress",
+    "report",
     "sensitivity",
     "simulate",
 ]
@@ -71,6 +73,7 @@ _HOMES = {
     "compare": "ttcvid.jobs.compare",
     "evaluate": "ttcvid.jobs.evaluate",
     "regress": "ttcvid.jobs.regress",
+    "report": "ttcvid.jobs.report",
     "sensitivity": "ttcvid.jobs.sensitivity",
     "simulate": "ttcvid.jobs.simulate",
 }

@@ -40,7 +40,7 @@ def test_a_clip_gives_every_output(work_folder: Path) -> None:
     assert (run.state, run.exit_code) == ("complete", 0)
     assert_whole(run, 12)
     assert sorted(path.name for path in run.folder.iterdir()) == sorted(
-        [*(f"{name}.parquet" for name in TABLE_NAMES), "overlay.mp4", "manifest.json"]
+        [*(f"{name}.parquet" for name in TABLE_NAMES), "overlay.mp4", "report.html", "manifest.json"]
     )
     np.testing.assert_allclose(run.frames.t_s.astype(float), np.arange(12) / FPS, atol=1e-9)
     assert run.frames.dt_s.isna().tolist() == [True] + [False] * 11

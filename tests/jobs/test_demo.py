@@ -23,9 +23,11 @@ def test_the_demo_runs_in_an_empty_folder(
     text = capsys.readouterr().out
     assert "look at  ttcvid_demo/result/overlay.mp4" in text
     assert (tmp_path / "ttcvid_demo/result/overlay.mp4").is_file()
+    assert text.endswith("report   ttcvid_demo/result/report.html\n")
+    assert (tmp_path / "ttcvid_demo/result/report.html").is_file()
     assert "errors   ttcvid_demo/evaluation.html" in text
     assert (tmp_path / "ttcvid_demo/evaluation.html").is_file()
     assert "of own rotation " in text
-    assert "object 1 (bus): found in " in text
+    assert "object 1 (bus): " in text
     assert main(["demo", "--frames", "2"]) == 2
     assert "--overwrite" in capsys.readouterr().err

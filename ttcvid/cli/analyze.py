@@ -17,6 +17,7 @@ from ttcvid.errors import UsageError
 @click.argument("inputs", metavar="INPUT", nargs=-1, required=True)
 @output_option("-o", "--out", metavar="FOLDER", help="Output folder.  [default: INPUTSTEM_ttc]")
 @output_option("--overlay/--no-overlay", default=None, help="Write the annotated video.  [default: --overlay]")
+@output_option("--report/--no-report", default=None, help="Write the page that shows the result.  [default: --report]")
 @output_option("--overwrite", is_flag=True, default=None, help="Replace an output folder that exists.")
 @message_options()
 @analysis_options()

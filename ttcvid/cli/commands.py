@@ -24,6 +24,7 @@ COMMANDS = {
     "doctor": "Versions of what ttcvid stands on, and what is broken.",
     "evaluate": "How good a run is beside a truth: errors, intervals, objects, warnings.",
     "regress": "Analyse the clips of a suite again and hold them against baselines and expectations.",
+    "report": "A page that shows a run, or several side by side, in any browser.",
     "sensitivity": "How errors of direction and time grow with distance, method by method.",
     "simulate": "Render a scene with exact truth: pictures, camera, depths, collision times.",
 }

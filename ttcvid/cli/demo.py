@@ -38,4 +38,5 @@ def demo(ctx: click.Context, /, out: str, overwrite: bool, n_frames: int | None,
     click.echo(", ".join(values))
     for judged in evaluation.objects:
         click.echo(describe_object(judged))
+    click.echo(f"report   {result.run.report}")
     ctx.exit(result.run.exit_code)

@@ -43,7 +43,7 @@ from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead
 from ttcvid.jobs.stopping import StopSignals
 from ttcvid.pipeline import analyze_frames
 from ttcvid.schema import TABLE_NAMES
-from ttcvid.sinks.folder import OVERLAY_NAME, OutputFolder
+from ttcvid.sinks.folder import OVERLAY_NAME, REPORT_NAME, OutputFolder
 from ttcvid.sources import Source
 from ttcvid.stages.horizon_watch import complaint_about_horizon
 from ttcvid.stages.planar import centre_sigma_px
@@ -114,7 +114,8 @@ def run_analysis(
         path = out if out is not None else default_folder(input_)
         refuse_folder_of_input(path, source)
         _log_start(source, path, configuration)
-        names = [f"{name}.parquet" for name in TABLE_NAMES] + [OVERLAY_NAME] * options.overlay
+        names = [f"{name}.parquet" for name in TABLE_NAMES]
+        names += [OVERLAY_NAME] * options.overlay + [REPORT_NAME] * options.report
         with StopSignals() as stop, OutputFolder.create(path, options.overwrite, names) as folder:
             digest = digest_in_background(source.files)
             tally = _analyze_into(folder.partial, source, calibration, configuration, stop, on_frame)
@@ -135,6 +136,12 @@ def run_analysis(
                 "warnings": _warnings(source, calibration, tally),
                 "timings": _timings(started_s, analyzed_s, tally.n_frames),
             }
+            if options.report:
+                # Loaded where it is wanted: it brings the templates along.
+                from ttcvid.jobs.report import write_report
+
+                write_report(folder.partial, str(path), manifest, options.overlay)
+                manifest["timings"] = _timings(started_s, analyzed_s, tally.n_frames)
             folder.publish(manifest)
     return Run.open(path)
 

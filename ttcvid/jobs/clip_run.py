@@ -96,7 +96,7 @@ def run_clip(task: ClipTask) -> ClipRun:
     """
     logging.getLogger("ttcvid").addHandler(logging.NullHandler())
     with PeakMemory() as memory:
-        run = analyze(task.input, task.out, **{"overlay": False, **task.options, "overwrite": True})
+        run = analyze(task.input, task.out, **{"overlay": False, "report": False, **task.options, "overwrite": True})
         max_rss_mb = memory.peak_mb
     horizon_y_px, reason = _horizon(run, task) if task.needs_horizon else (None, "")
     metrics = _metrics(run, task.truth) if task.truth is not None else None

@@ -49,6 +49,7 @@ def demo(
     options = {
         "camera": simulation.folder / "camera.yaml",
         "platform": "vehicle",
+        "report": True,
         "overwrite": overwrite,
     }
     configuration = configure_from_arguments(options)

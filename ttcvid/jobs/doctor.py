@@ -28,6 +28,7 @@ LIBRARIES = {
     "pydantic": "pydantic",
     "PyYAML": "yaml",
     "click": "click",
+    "jinja2": "jinja2",
     "rich": "rich",
     "matplotlib": "matplotlib",
     "pillow": "PIL",

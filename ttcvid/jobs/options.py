@@ -68,6 +68,7 @@ class AnalyzeOptions(StageConfig):
         default=MAX_IMAGE_MPX, description="pictures that claim more, in 10^6 pixels, are left out"
     )
     overlay: bool = True
+    report: bool = True
     overwrite: bool = False
     seed: int = Field(default=0, ge=0, description="recorded in the manifest; nothing in an analysis is random")
 

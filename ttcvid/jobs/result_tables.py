@@ -83,7 +83,7 @@ def facts_of(manifest: Mapping[str, Any]) -> dict[str, object]:
     return {name: fact for name, fact in facts.items() if fact is not None}
 
 
-_NOT_FACTS = {("analyze", name) for name in ("overlay", "overwrite", "camera", "horizon", "max_image_mpx")}
+_NOT_FACTS = {("analyze", name) for name in ("overlay", "report", "overwrite", "camera", "horizon", "max_image_mpx")}
 """Settings that say where files are or what is drawn; what a camera or horizon file holds is a fact of its own."""
 
 

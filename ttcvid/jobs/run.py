@@ -15,6 +15,7 @@ from ttcvid.jobs.run_manifest import EXIT_CODES, read_run_manifest
 from ttcvid.model import APPROACHING
 from ttcvid.plain_files import open_plain
 from ttcvid.schema import TABLES
+from ttcvid.sinks.folder import OVERLAY_NAME, REPORT_NAME
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,8 +78,15 @@ class Run:
     @property
     def overlay(self) -> Path | None:
         """The annotated video; None where none was asked for."""
-        path = self.folder / "overlay.mp4"
-        return path if path.name in self.manifest.get("files", {}) else None
+        return self._file(OVERLAY_NAME)
+
+    @property
+    def report(self) -> Path | None:
+        """The page that shows the result; None where none was asked for."""
+        return self._file(REPORT_NAME)
+
+    def _file(self, name: str) -> Path | None:
+        return self.folder / name if name in self.manifest.get("files", {}) else None
 
     @property
     def objects(self) -> pd.DataFrame:

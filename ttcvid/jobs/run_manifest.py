@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ttcvid.errors import InputError, quoted
+from ttcvid.model import Camera, ImageSize
 from ttcvid.sinks.manifest import MANIFEST_NAME, read_manifest
 
 EXIT_CODES = {"complete": 0, "truncated": 4, "interrupted": 130}
@@ -59,6 +60,17 @@ def read_run_manifest(folder: Path) -> dict[str, Any]:
             f"{path}: field 'state' = {quoted(manifest['state'])}: expected one of {', '.join(EXIT_CODES)}: {_REMEDY}"
         )
     return manifest
+
+
+def camera_of(described: Mapping[str, Any]) -> Camera:
+    """The camera as a manifest describes it."""
+    names = ("fx_px", "fy_px", "cx_px", "cy_px", "distortion_model", "origin")
+    return Camera(
+        **{name: described[name] for name in names},
+        image_size=ImageSize(**described["image_size"]),
+        distortion=tuple(described["distortion"]),
+        focal_sigma_px=described.get("focal_sigma_px"),
+    )
 
 
 def _require(path: Path, name: str, value: Any, expected: Any) -> None:

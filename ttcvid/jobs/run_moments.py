@@ -18,7 +18,8 @@ from ttcvid.geometry.intervals import REGION_90_SIGMAS
 from ttcvid.jobs.ego_speed import ego_speed_m_s
 from ttcvid.jobs.moments import Clip, Moment, own_body
 from ttcvid.jobs.run import Run
-from ttcvid.model import SCENE_CLUSTER, Camera, Floats, Horizon, ImageSize, Status
+from ttcvid.jobs.run_manifest import camera_of
+from ttcvid.model import SCENE_CLUSTER, Floats, Horizon, ImageSize, Status
 from ttcvid.studies.evasion import EvasionStatus
 from ttcvid.studies.hazards import OwnBody
 from ttcvid.studies.run_hazards import Scale, SeenFrame, SeenObjects, situation_of
@@ -109,7 +110,7 @@ class _FrameReader:
         self, run: Run, frames: pd.DataFrame, clusters: pd.DataFrame, points: pd.DataFrame, epipoles: pd.DataFrame
     ) -> None:
         self._frames = frames
-        self._camera = _camera_of(run.manifest["camera"])
+        self._camera = camera_of(run.manifest["camera"])
         self._horizon = _horizon_of(run.manifest["horizon"])
         self._platform = str(run.manifest["configuration"]["egomotion"]["platform"]["value"])
         objects = clusters[(clusters.role == "object") & clusters[["a_hz", "cov_aa"]].notna().all(axis=1)]
@@ -190,17 +191,6 @@ class _FrameReader:
         rates = rates[np.isfinite(rates)]
         turn = float(np.median(rates)) if len(rates) else 0.0
         return turn if abs(turn) >= _LEAST_TURN_RAD_S else 0.0
-
-
-def _camera_of(manifest: dict[str, Any]) -> Camera:
-    names = ("fx_px", "fy_px", "cx_px", "cy_px", "distortion_model", "origin")
-    size = ImageSize(**manifest["image_size"])
-    return Camera(
-        **{name: manifest[name] for name in names},
-        image_size=size,
-        distortion=tuple(manifest["distortion"]),
-        focal_sigma_px=manifest.get("focal_sigma_px"),
-    )
 
 
 def _horizon_of(manifest: dict[str, Any] | None) -> Horizon | None:

@@ -39,9 +39,9 @@ from ttcvid.sinks.manifest import MANIFEST_NAME, read_manifest, write_manifest
 
 PARTIAL_NAME = ".ttcvid-partial"
 LOCK_NAME = ".lock"
-OVERLAY_NAME = "overlay.mp4"
+OVERLAY_NAME, REPORT_NAME = "overlay.mp4", "report.html"
 MAX_LOCK_BYTES = 1_000_000
-RESULT_NAMES = (*(f"{name}.parquet" for name in TABLE_NAMES), OVERLAY_NAME)
+RESULT_NAMES = (*(f"{name}.parquet" for name in TABLE_NAMES), OVERLAY_NAME, REPORT_NAME)
 
 
 class OutputFolder:
