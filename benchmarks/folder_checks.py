@@ -27,11 +27,13 @@ _UNIT_LENGTH_ERROR = 1e-9
 def problems_of(run: Run) -> list[str]:
     """What is wrong with the files of a finished analysis; empty where nothing is."""
     missing = [name for name in TABLE_NAMES if not (run.folder / f"{name}.parquet").is_file()]
-    if missing or run.overlay is None:
-        return [f"{name}.parquet is missing" for name in missing] + ["overlay.mp4 is missing"] * (run.overlay is None)
+    lacks_overlay = run.overlay is None and run.manifest["configuration"]["analyze"]["overlay"]["value"]
+    if missing or lacks_overlay:
+        return [f"{name}.parquet is missing" for name in missing] + ["overlay.mp4 is missing"] * lacks_overlay
     found = [problem for name in TABLE_NAMES for problem in _problems_of_table(run, name)]
-    n_frames, n_pictures = run.manifest["counts"]["frames"], _n_decoded(run.overlay)
-    if n_pictures != n_frames:
+    n_frames = run.manifest["counts"]["frames"]
+    n_pictures = _n_decoded(run.overlay) if run.overlay is not None else None
+    if n_pictures not in (None, n_frames):
         found.append(f"overlay.mp4 holds {n_pictures} of {n_frames} frames")
     if len(run.frames) != n_frames:
         found.append(f"frames has {len(run.frames)} of {n_frames} rows")

@@ -1,5 +1,6 @@
 """What attacks share: one process that runs all commands, and small inputs that were sound before."""
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,9 @@ import yaml
 from attacked_runs import Attacker
 
 import ttcvid
+
+# The check of a whole result is a benchmark's.
+sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 SCENE = """
 name: small
