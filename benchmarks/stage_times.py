@@ -19,7 +19,8 @@ from ttcvid.jobs import outputs
 from ttcvid.jobs.clip import open_clip, read_calibration
 from ttcvid.jobs.configuration import configure_from_arguments
 from ttcvid.jobs.outputs import open_sinks
-from ttcvid.jobs.process import one_opencv_thread, rare_garbage_collections, share_freed_memory
+from ttcvid.jobs.process import one_opencv_thread, rare_garbage_collections
+from ttcvid.posix import share_freed_memory
 from ttcvid.sinks.tables import TableSink
 from ttcvid.sinks.video import OverlayVideo
 from ttcvid.stages import analyzed_frames, seen_frames, tracked_frames

@@ -28,7 +28,6 @@ from ttcvid.jobs.process import (
     one_opencv_thread,
     quick_thread_switches,
     rare_garbage_collections,
-    share_freed_memory,
 )
 from ttcvid.jobs.provenance import (
     Tally,
@@ -42,6 +41,7 @@ from ttcvid.jobs.run import Run
 from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead
 from ttcvid.jobs.stopping import StopSignals
 from ttcvid.pipeline import analyze_frames
+from ttcvid.posix import share_freed_memory
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.folder import OVERLAY_NAME, REPORT_NAME, OutputFolder
 from ttcvid.sources import Source
@@ -158,7 +158,9 @@ def _analyze_into(
     tally = Tally()
     info, pipeline = source.info, configuration.pipeline
     with ExitStack() as stack:
-        share_freed_memory()
+        is_akaze = pipeline.tracking.tracker == "akaze"
+        if is_akaze:
+            share_freed_memory()
         stack.enter_context(one_opencv_thread())
         stack.enter_context(rare_garbage_collections())
         stack.enter_context(quick_thread_switches())
@@ -176,7 +178,7 @@ def _analyze_into(
             calibration.horizon,
             calibration.mask,
             # Only AKAZE has work that is worth threads of its own, picture by picture.
-            map_ahead=map_ahead if pipeline.tracking.tracker == "akaze" else map,
+            map_ahead=map_ahead if is_akaze else map,
             run_apart=run_apart,
         )
         for frame, result in results:

@@ -1,18 +1,13 @@
-"""What is set for the whole process, so that threads side by side neither fight for cores nor for pages of memory."""
+"""What is set for the whole process, so that threads side by side do not fight for cores."""
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import cv2
-
-# Parameters of glibc's mallopt, from malloc.h; bytes up to which freed memory is kept, and stocks (arenas) of it.
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
-_KEPT_BYTES, _LARGEST_KEPT_BLOCK_BYTES, _MOST_STOCKS = 128 << 20, 32 << 20, 2
 
 # Objects made before the youngest are looked through for garbage in circles.
 _OBJECTS_PER_COLLECTION = 20_000
@@ -62,17 +57,3 @@ def quick_thread_switches() -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(before_s)
-
-
-def share_freed_memory() -> None:
-    """Let all threads take the memory that another picture has left, instead of fresh pages of the system.
-
-    AKAZE takes and frees some 20 MB a picture; as fresh, cleared pages they cost 7 ms of 85 ms a frame. And each thread
-    would keep a stock of its own, 20 MB that are never needed at once. Only glibc has these settings; elsewhere nothing
-    is done. Call before the threads begin.
-    """
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "mallopt"):
-        libc.mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
-        libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST_KEPT_BLOCK_BYTES)
-        libc.mallopt(_M_ARENA_MAX, _MOST_STOCKS)
