@@ -27,9 +27,11 @@ def can_copy_process() -> bool:
 
     Windows has none, on macOS the system's libraries do not bear it, and a daemon may have none.
     """
+    if sys.platform != "linux":
+        return False
     import multiprocessing
 
-    return sys.platform == "linux" and not multiprocessing.current_process().daemon
+    return not multiprocessing.current_process().daemon
 
 
 def sync_folder(folder: Path) -> None:
