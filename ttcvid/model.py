@@ -220,11 +220,17 @@ class SourceInfo:
 
 @dataclass(frozen=True)
 class SourceReport:
-    """What happened while a source was read; valid once the iteration has ended."""
+    """What happened while a source was read; valid once the iteration has ended.
+
+    ``n_frames_corrupt`` frames were passed on although their decoder calls them damaged; about ``n_frames_missing`` of
+    the whole source are gone without a trace but in the times.
+    """
 
     n_packets_skipped: int = 0
     is_truncated: bool = False
     warnings: tuple[str, ...] = ()
+    n_frames_corrupt: int = 0
+    n_frames_missing: int = 0
 
 
 @dataclass(frozen=True)

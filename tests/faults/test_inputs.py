@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -137,21 +137,31 @@ def test_a_name_too_long_is_one_short_line(input_: str) -> None:
     assert len(str(caught.value)) < 300
 
 
-def write_streams(path: Path, streams: list[list[np.ndarray]], default: int | None = None) -> Path:
-    """Several video streams in one file; one of them may be marked as default."""
-    with av.open(str(path), "w") as container:
+def write_streams(
+    path: Path,
+    streams: list[list[np.ndarray]],
+    default: int | None = None,
+    codec: str = "mjpeg",
+    options: dict[str, str] | None = None,
+    times: Sequence[int] | None = None,
+) -> Path:
+    """Video streams in one file, one of which may be marked as default; ``times`` of the pictures in steps of 1/FPS."""
+    pixel_format = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+    with av.open(str(path), "w", options=options or {}) as container:
         made = []
         for pictures in streams:
-            stream = container.add_stream("mjpeg", rate=FPS)
+            stream = container.add_stream(codec, rate=FPS)
             stream.height, stream.width = pictures[0].shape
-            stream.pix_fmt = "yuvj420p"
+            stream.pix_fmt = pixel_format
+            stream.gop_size = 5
+            stream.codec_context.time_base = Fraction(1, FPS)
             made.append(stream)
             if default is not None:
                 stream.disposition = Disposition.default if len(made) - 1 == default else Disposition(0)
         for stream, pictures in zip(made, streams, strict=True):
             for index, grey in enumerate(pictures):
-                frame = av.VideoFrame.from_ndarray(grey, format="gray").reformat(format="yuvj420p")
-                frame.pts, frame.time_base = index, Fraction(1, FPS)
+                frame = av.VideoFrame.from_ndarray(grey, format="gray").reformat(format=pixel_format)
+                frame.pts, frame.time_base = times[index] if times else index, Fraction(1, FPS)
                 container.mux(stream.encode(frame))
             container.mux(stream.encode(None))
     return path
@@ -241,3 +251,44 @@ def test_a_pipe_among_pictures_is_none(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "frames" / "000001b.png")
     with open_source(str(tmp_path / "frames"), fps=FPS) as source:
         assert len(source.files) == len(list(source)) == 3
+
+
+@pytest.mark.parametrize("name", ["clip.webm", "clip.mkv"])
+@pytest.mark.parametrize("hole", ["zeros", "noise", "cut out"])
+def test_frames_that_are_gone_without_a_trace_are_counted(tmp_path: Path, name: str, hole: str) -> None:
+    """A hole in a Matroska file is jumped over to its next cluster: nothing is left of it but a step in the times."""
+    codec = "libvpx" if name == "clip.webm" else "mjpeg"
+    path = write_streams(tmp_path / name, [approach(30)], codec=codec, options={"cluster_time_limit": "500"})
+    data = path.read_bytes()
+    begin, end = int(0.4 * len(data)), int(0.55 * len(data))
+    filling = {"zeros": bytes(end - begin), "noise": np.random.default_rng(1).bytes(end - begin), "cut out": b""}[hole]
+    path.write_bytes(data[:begin] + filling + data[end:])
+    with open_source(str(path)) as source:
+        n_read = len(list(source))
+    assert n_read < 28
+    assert source.report.n_frames_missing + source.report.n_packets_skipped + n_read == 30
+    assert f"about {source.report.n_frames_missing} frames are missing" in source.report.warnings[0]
+
+
+def test_an_uneven_clip_misses_nothing(tmp_path: Path) -> None:
+    times = [0, 1, 2, 3, 40, 41, 42, 80, 81]
+    path = write_streams(tmp_path / "clip.mkv", [approach(len(times))], times=times)
+    with open_source(str(path)) as source:
+        assert len(list(source)) == len(times)
+    assert (source.report.n_frames_missing, source.report.warnings) == (0, ())
+
+
+def test_frames_that_a_decoder_patches_up_are_counted_in_the_manifest(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip.mp4", approach(12))
+    with av.open(str(path)) as container:
+        packet = list(container.demux(video=0))[5]  # a keyframe, of several slices
+        begin, end = packet.pos + packet.size // 2, packet.pos + packet.size
+    data = bytearray(path.read_bytes())
+    data[begin:end] = b"\x55" * (end - begin)
+    path.write_bytes(data)
+    run = analyze(path, tmp_path / "out", focal_px=300.0, overlay=False)
+    assert run.manifest["counts"]["corrupt_frames"] == 1
+    assert run.manifest["counts"]["missing_frames"] == 0
+    assert any(
+        "1 frames are damaged, and analysed as the decoder patched them up" in w for w in run.manifest["warnings"]
+    )

@@ -131,7 +131,7 @@ def run_analysis(
                 "option_files": option_files,
                 "input": describe_input(source.info, source.files, digest.result()),
                 **describe_calibration(calibration),
-                "counts": tally.counts(source.info, source.report.n_packets_skipped),
+                "counts": tally.counts(source.info, source.report),
                 "nearest": tally.nearest,
                 "warnings": _warnings(source, calibration, tally),
                 "timings": _timings(started_s, analyzed_s, tally.n_frames),

@@ -25,7 +25,7 @@ import ttcvid
 from ttcvid.errors import InputError, counted
 from ttcvid.jobs.clip import Calibration
 from ttcvid.jobs.options import AUTO_HORIZON, PATH_OPTIONS, AnalyzeOptions
-from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, FrameResult, FrameStatus, SourceInfo
+from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, FrameResult, FrameStatus, SourceInfo, SourceReport
 from ttcvid.stages.horizon_watch import horizon_offset_of
 
 
@@ -195,12 +195,14 @@ class Tally:
             f"--timestamps"
         )
 
-    def counts(self, info: SourceInfo, n_packets_skipped: int) -> dict[str, Any]:
+    def counts(self, info: SourceInfo, report: SourceReport) -> dict[str, Any]:
         """The counts of the manifest; ``frames_expected`` is what the input promised (null: unknown)."""
         return {
             "frames": self.n_frames,
             "frames_expected": info.n_frames,
-            "skipped_packets": n_packets_skipped,
+            "skipped_packets": report.n_packets_skipped,
+            "corrupt_frames": report.n_frames_corrupt,
+            "missing_frames": report.n_frames_missing,
             "track_rows": self.n_track_rows,
             "cluster_rows": self.n_cluster_rows,
             "clusters": len(self.cluster_ids),

@@ -55,7 +55,8 @@ class Source(Protocol):
 class OnePassSource(ABC):
     """A source that can be read once; its kinds give the frames and count what they met on the way.
 
-    ``n_read``, ``n_skipped``, ``is_truncated`` and ``warnings`` are what the report is made of.
+    ``n_read``, ``n_skipped``, ``n_corrupt``, ``n_missing``, ``is_truncated`` and ``warnings`` make up
+    the report.
     """
 
     def __init__(self, info: SourceInfo, files: tuple[Path, ...], warnings: tuple[str, ...] = ()) -> None:
@@ -63,6 +64,8 @@ class OnePassSource(ABC):
         self.files = files
         self.n_read = 0
         self.n_skipped = 0
+        self.n_corrupt = 0
+        self.n_missing = 0
         self.is_truncated = False
         self.warnings = warnings
         self._frames: Iterator[Frame] | None = None
@@ -85,7 +88,7 @@ class OnePassSource(ABC):
     @property
     def report(self) -> SourceReport:
         """What has happened so far; final once the iteration has ended."""
-        return SourceReport(self.n_skipped, self.is_truncated, self.warnings)
+        return SourceReport(self.n_skipped, self.is_truncated, self.warnings, self.n_corrupt, self.n_missing)
 
     def close(self) -> None:
         """End the reading and let go of the files."""

@@ -6,10 +6,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
 from av.container import InputContainer
+from av.packet import Packet
 from av.stream import Disposition
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
@@ -34,6 +36,9 @@ FORMATS = (
 """Containers and bare streams that hold their pictures themselves, by FFmpeg's names. What is not among them may be a
 list of other files (hls, dash, concat, imf, sdp...), whose hash would say nothing of what was analysed."""
 
+LARGEST_OVERHEAD_BYTES = 200
+"""Between two blocks of a Matroska file; the heads of block and cluster take some 40."""
+
 LEAST_PART_OF_LONGEST = 0.5
 """A stream with fewer packets than this part of the longest one's is no second camera but a cover or a thumbnail."""
 
@@ -51,7 +56,8 @@ class PacketIndex:
     ``decoder_orders`` the file does not know the order of presentation, and only decoding tells it: the k-th
     frame that comes out is frame k. ``is_cut`` says that the file ends earlier than it should; ``damaged``
     are the numbers, in file order, of packets of which something is missing. ``stream`` is the number of the stream
-    in its file, one of ``n_streams`` of moving pictures.
+    in its file, one of ``n_streams`` of moving pictures. About ``n_missing`` frames are gone, packets and all, where
+    bytes of the file cannot be read.
     """
 
     pts: Ints | None
@@ -62,6 +68,7 @@ class PacketIndex:
     damaged: frozenset[int] = frozenset()
     stream: int = 0
     n_streams: int = 1
+    n_missing: int = 0
 
     @property
     def n_frames(self) -> int:
@@ -109,8 +116,8 @@ def open_video(path: Path, number: int) -> tuple[InputContainer, VideoStream]:
     container = _open_container(path)
     stream = container.streams[number]
     assert isinstance(stream, VideoStream)
-    # frame threads swallow what precedes a damaged packet; with slice threads each packet stands for itself
-    stream.thread_type = "SLICE"
+    # frame threads swallow what precedes a damaged packet, and slice threads do not tell of a damaged slice
+    stream.thread_type = "NONE"
     return container, stream
 
 
@@ -137,7 +144,9 @@ def index_packets(path: Path) -> PacketIndex:
     Raises InputError where the file is no video, holds no pictures, or none whose format is known.
     """
     contents = _read_contents(path)
-    rows, of_stream = contents.rows, (contents.stream, contents.n_streams)
+    rows = contents.rows
+    n_missing = _n_missing(rows) if "matroska" in contents.format else 0
+    of_stream = (contents.stream, contents.n_streams, n_missing)
     damaged = _damaged(rows, "mpegts" in contents.format)
     shown = [i for i, row in enumerate(rows) if not row.is_discard]
     entry = _entry_packets(rows)
@@ -224,6 +233,8 @@ class _Packet:
     is_keyframe: bool
     is_discard: bool
     is_corrupt: bool
+    follows_on: bool = True
+    """Whether it begins where the packet before it in the file, of any stream, ends."""
 
 
 @dataclass(slots=True)
@@ -237,10 +248,26 @@ class _Scanned:
     n_empty: int = 0
 
 
+class _Place:
+    """How far a file has been read: what lies between two packets, beside their heads, is no packet."""
+
+    def __init__(self) -> None:
+        self._begin = self._end = -1
+
+    def go_on(self, packet: Packet[Any]) -> bool:
+        """Go on to the next packet; whether it begins where the one before ended."""
+        before, begin = self._end, packet.pos or 0
+        is_in_same_block = begin == self._begin  # several packets of sound may share one
+        self._end = (before if is_in_same_block else begin) + packet.size
+        self._begin = begin
+        return before < 0 or is_in_same_block or 0 <= begin - before <= LARGEST_OVERHEAD_BYTES
+
+
 def _scan(container: InputContainer, streams: list[VideoStream]) -> tuple[dict[int, _Scanned], float, bool]:
     """What the streams hold, by their numbers, where the last packet of any stream ends, in s, and if it broke off."""
     scanned = {stream.index: _Scanned([]) for stream in streams}
     end_s = 0.0
+    place = _Place()
     try:
         for packet in container.demux():
             wanted = scanned.get(packet.stream_index)
@@ -250,9 +277,10 @@ def _scan(container: InputContainer, streams: list[VideoStream]) -> tuple[dict[i
                 continue
             if packet.pts is not None:
                 end_s = max(end_s, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+            follows_on = place.go_on(packet)
             if wanted is not None:
-                row = _Packet(packet.pts, packet.dts, packet.is_keyframe, packet.is_discard, packet.is_corrupt)
-                wanted.rows.append(row)
+                flags = packet.is_keyframe, packet.is_discard, packet.is_corrupt, follows_on
+                wanted.rows.append(_Packet(packet.pts, packet.dts, *flags))
     except av.error.FFmpegError:
         return scanned, end_s, True
     return scanned, end_s, False
@@ -306,6 +334,20 @@ def _damaged(rows: list[_Packet], is_transport_stream: bool) -> frozenset[int]:
     damaged = {min(i + 1, len(rows) - 1) for i in marked}
     # where two streams were put together nothing is missing, only the count of packets starts anew
     return frozenset(i for i in damaged if not _clock_starts_anew(rows, i + 1))
+
+
+def _n_missing(rows: list[_Packet]) -> int:
+    """Number of frames that lay where one block of a Matroska or WebM file does not begin behind the one before it.
+
+    Such a file has no list of its frames: a reader that meets damaged bytes goes on at the next cluster, in silence.
+    Only where the times jump as well is anything taken to be missing.
+    """
+    pts = np.array([row.pts for row in rows if row.pts is not None], dtype=np.int64)
+    if len(pts) != len(rows) or len(rows) < 3:
+        return 0
+    step = float(np.median(np.diff(np.sort(pts))))
+    holes = [i for i, row in enumerate(rows) if i > 0 and not row.follows_on]
+    return sum(max(0, round((pts[i:].min() - pts[:i].max()) / step) - 1) for i in holes) if step > 0 else 0
 
 
 def _clock_starts_anew(rows: list[_Packet], number: int) -> bool:

@@ -23,7 +23,8 @@ class VideoSource(OnePassSource):
     Times may be unevenly spaced, stand still or run backward: they are passed on as they are. ``frame`` is the
     place in the order of presentation of all frames of the file: a frame that cannot be decoded, or only from damaged
     packets, leaves a gap and is counted in ``n_packets_skipped``. ``is_truncated``: the file ends, or its pictures do,
-    earlier than its own index or header says, within what the selection asks for.
+    earlier than its own index or header says, within what the selection asks for. Frames that the decoder calls
+    damaged are passed on and counted.
 
     Raises InputError where the file is no video, holds none, or nothing in it can be decoded, and where the size
     of the picture changes on the way; UsageError where the file knows no times and ``clock`` gives none.
@@ -55,6 +56,7 @@ class VideoSource(OnePassSource):
             time_origin=clock.origin or "presentation",
         )
         super().__init__(info, (path, *clock.files), warnings)
+        self.n_missing = self._index.n_missing
 
     def frames(self) -> Iterator[Frame]:
         """The selected frames; decoding starts at a keyframe before the first and ends with the last."""
@@ -87,6 +89,7 @@ class VideoSource(OnePassSource):
                 f"{self._path}: frame {index} is {size}, the frames before it {self.info.image_size}: expected one "
                 f"size throughout, cut the clip there (--end {index})"
             )
+        self.n_corrupt += picture.is_corrupt
         grey = orientation.upright(grey_picture(picture))
         return Frame(index, float(self._times_s[index]), grey, None, _colour(orientation, picture))
 
@@ -100,6 +103,16 @@ class VideoSource(OnePassSource):
         end = self._index.n_frames - 1
         wants_more = self._selection.wants_more_after(end, float(self._times_s[end]), self.info.nominal_dt_s)
         self.is_truncated = due <= last or (self._index.is_cut and wants_more)
+        if self._index.n_missing:
+            self.warnings += (
+                f"{self._path}: about {self._index.n_missing} frames are missing where the file is damaged: the times "
+                "jump over them",
+            )
+        if self.n_corrupt:
+            self.warnings += (
+                f"{self._path}: {self.n_corrupt} frames are damaged, and analysed as the decoder patched them up, with "
+                "what is made from them up to the next keyframe: copy the clip again",
+            )
         if self._index.damaged:
             self.warnings += (
                 f"{self._path}: {len(self._index.damaged)} packets are damaged: what is made from them, mostly "
