@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     )
     from ttcvid.jobs.analyze import analyze
     from ttcvid.jobs.batch import batch
+    from ttcvid.jobs.batch_results import open_batch
     from ttcvid.jobs.calibrate_horizon import calibrate_horizon
     from ttcvid.jobs.collision_map import collision_map
     from ttcvid.jobs.compare import compare
@@ -51,6 +52,7 @@ __all__ = [
     "collision_map",
     "compare",
     "evaluate",
+    "open_batch",
     "regress",
     "report",
     "sensitivity",
@@ -72,6 +74,7 @@ _HOMES = {
     "collision_map": "ttcvid.jobs.collision_map",
     "compare": "ttcvid.jobs.compare",
     "evaluate": "ttcvid.jobs.evaluate",
+    "open_batch": "ttcvid.jobs.batch_results",
     "regress": "ttcvid.jobs.regress",
     "report": "ttcvid.jobs.report",
     "sensitivity": "ttcvid.jobs.sensitivity",

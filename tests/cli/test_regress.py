@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,11 +12,15 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from compared_runs import DROPPED, focal_off, horizon_off, without_a_frame
+from moving_clips import approach, write_clip
+from processes import DEADLINE_S, STOPPED_WITHIN_S, are_gone, begun, children_of, wait_for
+from workers_here import WorkerHere
 
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.cli.regress import regress
 from ttcvid.jobs.suite import read_suite
+from ttcvid.jobs.workers import WorkerLostError
 from ttcvid.studies.compare_tolerance import tolerance_from
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -34,7 +40,7 @@ bodies:
 def in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes of their own cost seconds each: only tests marked `slow` have them."""
     if "slow" not in request.keywords:
-        monkeypatch.setattr("ttcvid.jobs.regress.in_own_process", lambda function, *arguments: function(*arguments))
+        monkeypatch.setattr("ttcvid.jobs.regress.LocalWorker", lambda **_: WorkerHere())
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +54,7 @@ def baselines(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("suite")
     clips = [entry(clip, name="plain"), entry(clip, name="planar", horizon=str(clip / "horizon.yaml"))]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ttcvid.jobs.regress.in_own_process", lambda function, *arguments: function(*arguments))
+        patch.setattr("ttcvid.jobs.regress.LocalWorker", lambda **_: WorkerHere())
         assert main(["regress", str(written(folder, clips)), "--update", "-o", str(folder / "out")]) == 0
     return folder / "baselines"
 
@@ -160,9 +166,8 @@ def test_a_clip_is_run_once_for_the_compiler_where_something_is_compiled_once(
 
     def counted(function, *arguments):
         calls.append(function.__name__)
-        return function(*arguments)
 
-    monkeypatch.setattr("ttcvid.jobs.regress.in_own_process", counted)
+    monkeypatch.setattr("ttcvid.jobs.regress.LocalWorker", lambda **_: WorkerHere(counted))
     monkeypatch.setattr("ttcvid.jobs.compilation.has_place_on_disk", lambda: has_place)
     monkeypatch.setattr("ttcvid.jobs.compilation.part_on_disk", lambda: part)
     ran([{**entry(clip, expectations=["max_rss_mb: 2000"]), "baseline": False}])
@@ -288,6 +293,39 @@ def test_python_gives_the_outcomes(tmp_path):
     assert [outcome.status for outcome in result.outcomes] == ["skipped"]
     assert seen == list(result.outcomes)
     assert (tmp_path / "result.xml").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_it_stops_at_once_and_its_processes_end_with_it(number, tmp_path):
+    video = write_clip(tmp_path / "long.mp4", approach(30) * 20)
+    clips = [{"name": name, "clip": str(video), "options": {"focal_px": 200}} for name in ("one", "two", "three")]
+    out = tmp_path / "out"
+    process = begun("regress", written(tmp_path, clips, baselines="none"), "--update", "--jobs", "2", "-o", out)
+    wait_for(lambda: any(out.glob("*/.ttcvid-partial/*.parquet")), process)
+    children = children_of(process)
+    process.send_signal(number)
+    started_s = time.monotonic()
+    _, stderr = process.communicate(timeout=DEADLINE_S)
+    if number == signal.SIGTERM:
+        assert time.monotonic() - started_s < STOPPED_WITHIN_S
+        assert process.returncode == 130, stderr
+        assert not (out / "junit.xml").exists()
+    assert len(children) >= 2
+    assert are_gone(children)
+
+
+def test_a_clip_whose_process_was_killed_is_checked_once_more(clip, baselines, ran, monkeypatch):
+    killed = []
+
+    def killed_once(function, *arguments):
+        if not killed:
+            killed.append(function)
+            raise WorkerLostError("ended from outside")
+
+    monkeypatch.setattr("ttcvid.jobs.regress.LocalWorker", lambda **_: WorkerHere(killed_once))
+    code, text = ran([entry(clip)], baselines=baselines)
+    assert (code, len(killed)) == (0, 1), text
 
 
 def yaml_blocks() -> list[Any]:

@@ -4,19 +4,18 @@ Clips are analysed in this process, but for the tests of processes and signals t
 """
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import psutil
-import pyarrow.parquet as pq
+import pandas as pd
+import pyarrow.compute as pc
 import pytest
 from moving_clips import approach, write_approaching_tracks, write_clip
+from processes import DEADLINE_S, STOPPED_WITHIN_S, are_gone, begun, children_of, wait_for
+from workers_here import WorkerHere
 
 import ttcvid
 from ttcvid.cli.main import main
@@ -26,24 +25,7 @@ from ttcvid.jobs.batch_table import read_rows
 from ttcvid.jobs.workers import WorkerLostError
 from ttcvid.schema import TABLE_NAMES
 
-DEADLINE_S = 60.0
-TRACKS = {"image_size": "192x128", "focal_px": 200, "overlay": False}
-
-
-class WorkerHere:
-    """Carries out calls in this process; ``fault`` is called with each clip before."""
-
-    name = "here"
-
-    def __init__(self, fault: Callable[[str], None] = lambda clip: None) -> None:
-        self.fault = fault
-
-    def call(self, function: Callable[..., Any], *arguments: Any, on_news: Any = None, avoid: str = "") -> Any:
-        self.fault(arguments[0].clip)
-        return function(*arguments, on_news=on_news)
-
-    def close(self) -> None:
-        pass
+TRACKS = {"image_size": "192x128", "focal_px": 200, "overlay": False, "report": False}
 
 
 @pytest.fixture
@@ -184,8 +166,8 @@ def test_a_clip_that_fails_is_tried_again_and_named_with_its_reason(
         if lost[clip] >= 0:
             raise WorkerLostError("ended from outside")
 
-    here.fault = fault
-    options = ["--image-size", "192x128", "--focal-px", "200", "--no-overlay"]
+    here.before = lambda function, task: fault(task.clip)
+    options = ["--image-size", "192x128", "--focal-px", "200", "--no-overlay", "--no-report"]
     assert main(["batch", f"{clips}/*.csv", "-o", str(tmp_path / "out"), *options]) == 4
     printed = capsys.readouterr()
     assert "2 of 4 clips complete, 2 failed" in printed.out
@@ -196,7 +178,7 @@ def test_a_clip_that_fails_is_tried_again_and_named_with_its_reason(
     assert "warning: clip clip2: ended from outside: it will be tried again" in printed.err
     assert "error: clip clip3: ended from outside" in printed.err
     assert outcomes(tmp_path / "out").count(("clip2", "failed")) == 1
-    here.fault = lambda clip: None
+    here.before = lambda function, task: None
     again = main(["batch", f"{clips}/*.csv", "-o", str(tmp_path / "out"), *options, "--json"])
     assert again == 4
     summary = json.loads(capsys.readouterr().out)
@@ -211,7 +193,7 @@ def test_an_unforeseen_error_belongs_to_its_clip(
         if clip == "clip0":
             raise ZeroDivisionError("no reason")
 
-    here.fault = fault
+    here.before = lambda function, task: fault(task.clip)
     result = analyzed(clips, tmp_path / "out")
     assert [row.clip for row in result.failed] == ["clip0"]
     assert "ZeroDivisionError: no reason: an error in ttcvid itself" in (result.failed[0].reason or "")
@@ -251,7 +233,7 @@ def test_two_batches_in_one_folder_are_refused(clips: Path, tmp_path: Path, here
                 analyzed(clips, tmp_path / "out")
             reasons.append(str(caught.value))
 
-    here.fault = fault
+    here.before = lambda function, task: fault(task.clip)
     assert analyzed(clips, tmp_path / "out").exit_code == 0
     assert "another batch is writing there" in reasons[0]
 
@@ -270,47 +252,9 @@ def test_what_cannot_be_used_is_an_error_before_anything_is_written(clips: Path,
     assert not out.exists()
 
 
-def begun(inputs: Path, out: Path, *options: str) -> subprocess.Popen[str]:
-    command = Path(sys.executable).with_name("ttcvid")
-    return subprocess.Popen(
-        [command, "batch", str(inputs), "-o", str(out), "--focal-px", "200", *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def outcomes_so_far(out: Path) -> set[str]:
-    return {outcome for _, outcome in outcomes(out)} if (out / JOURNAL_NAME).exists() else set()
-
-
-def is_over(process: subprocess.Popen[str]) -> bool:
-    return process.poll() is not None
-
-
-def wait_for(is_so: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + DEADLINE_S
-    while not is_so():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-
-
-@pytest.fixture
-def children_gone() -> Iterator[Callable[[subprocess.Popen[str]], list[psutil.Process]]]:
-    """What a command began, and at the end: whether all of it is gone within 5 s."""
-    found: list[psutil.Process] = []
-
-    def children(process: subprocess.Popen[str]) -> list[psutil.Process]:
-        found.extend(psutil.Process(process.pid).children(recursive=True))
-        return found
-
-    yield children
-    assert psutil.wait_procs(found, timeout=5.0)[1] == []
-
-
 @pytest.fixture(scope="module")
 def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four clips of one content."""
     folder = tmp_path_factory.mktemp("videos")
     content = write_clip(folder / "clip0.mp4", approach(30) * 3).read_bytes()
     for number in range(1, 4):
@@ -320,30 +264,100 @@ def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_stopped_and_started_again_it_ends_as_in_one_go(
-    number: signal.Signals, videos: Path, tmp_path: Path, children_gone: Callable[..., list[psutil.Process]]
-) -> None:
+def test_stopped_and_started_again_it_ends_as_in_one_go(number: signal.Signals, videos: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    process = begun(videos, out, "--jobs", "2", "--no-overlay")
-    wait_for(lambda: ("complete" in outcomes_so_far(out) and any(out.glob("*/.ttcvid-partial"))) or is_over(process))
-    assert len(children_gone(process)) >= 2
-    os.kill(process.pid, number)
+    command = ("batch", videos, "-o", out, "--jobs", "2", "--no-overlay", "--no-report", "--focal-px", "200")
+    process = begun(*command)
+    wait_for(lambda: is_one_done(out) and any(out.glob("*/.ttcvid-partial")), process)
+    children = children_of(process)
+    process.send_signal(number)
     started_s = time.monotonic()
     stdout, stderr = process.communicate(timeout=DEADLINE_S)
-    if number != signal.SIGKILL:
-        assert time.monotonic() - started_s < 4.0  # two seconds, on a machine that has other things to do
+    if number == signal.SIGTERM:
+        assert time.monotonic() - started_s < STOPPED_WITHIN_S
         assert process.returncode == 130, stderr
         assert "pending" in stdout
         assert not list(out.glob("*/.ttcvid-partial"))
         assert {row.state for row in read_rows(out)} == {"complete", "pending"}
+    assert len(children) >= 2
+    assert are_gone(children)
     n_done = len(list(out.glob("*/manifest.json")))
-    again = begun(videos, out, "--jobs", "2", "--no-overlay")
+    again = begun(*command)
     stdout, stderr = again.communicate(timeout=DEADLINE_S)
     assert again.returncode == 0, stderr
     assert f"{n_done} from before" in stdout
-    assert {row.state for row in read_rows(out)} == {"complete"}
-    contents = {Path(path).name: content for path, content in tables(out).items() if "/" in path}
-    for path, content in tables(out).items():
-        if "/" in path:  # all clips have one content, so all results are one
-            assert content == contents[Path(path).name], path
-    assert pq.read_table(out / "batch.parquet").num_rows == 4
+    assert [row.state for row in read_rows(out)] == ["complete"] * 4
+    results = [{p.name: p.read_bytes() for p in folder.glob("*.parquet")} for folder in sorted(out.glob("clip*"))]
+    assert results == results[:1] * 4
+
+
+def is_one_done(out: Path) -> bool:
+    return (out / JOURNAL_NAME).exists() and "complete" in {outcome for _, outcome in outcomes(out)}
+
+
+@pytest.mark.usefixtures("here")
+def test_the_tables_of_all_clips_are_one_with_a_column_that_names_the_clip(clips: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (clips / "clip2.csv").write_text("no table")
+    analyzed(clips, out)
+    found = ttcvid.open_batch(out)
+    assert list(found.clips["clip"]) == ["clip0", "clip1", "clip2", "clip3"]
+    for name in TABLE_NAMES:
+        table = getattr(found, name).to_table()
+        assert table.column_names[0] == "clip"
+        assert table.num_rows == sum(len(getattr(found.run(clip), name)) for clip in ("clip0", "clip1", "clip3"))
+    one = found.frames.to_table(filter=pc.field("clip") == "clip3").to_pandas()
+    assert set(one.pop("clip")) == {"clip3"}
+    pd.testing.assert_frame_equal(one, found.run("clip3").frames)
+    fragments = list(found.frames.get_fragments(filter=pc.field("clip") == "clip3"))
+    assert [Path(fragment.path).parent.name for fragment in fragments] == ["clip3"]
+
+
+def test_a_folder_without_batch_is_no_batch(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="this is no batch"):
+        ttcvid.open_batch(tmp_path)
+
+
+def test_without_a_scheduler_at_the_address_nothing_begins(
+    clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ttcvid.jobs.cluster.CONNECT_WAIT_S", 0.2)
+    for address in ("tcp://127.0.0.1:1", "nonsense"):
+        with pytest.raises(UsageError, match=f"--scheduler {address}: no Dask scheduler answers there"):
+            analyzed(clips, tmp_path / "out", scheduler=address)
+    assert not list(tmp_path.glob("out/*/*"))
+
+
+@pytest.mark.slow
+def test_a_cluster_of_two_workers_makes_the_same_tables_byte_for_byte(clips: Path, tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    (clips / "clip2.csv").write_text("no table")
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
+        there = analyzed(clips, tmp_path / "there", scheduler=cluster.scheduler_address)
+        again = analyzed(clips, tmp_path / "there", scheduler=cluster.scheduler_address)
+    here = analyzed(clips, tmp_path / "here")
+    assert [row.state for row in there.rows] == ["complete", "complete", "failed", "complete"]
+    assert there.rows == here.rows
+    assert tables(tmp_path / "there") == tables(tmp_path / "here")
+    assert again.n_kept == 3
+    tries = [json.loads(line) for line in (tmp_path / "there" / JOURNAL_NAME).read_text().splitlines()]
+    assert len({line["worker"] for line in tries if line["clip"] == "clip2"}) == 2, "failed, and again elsewhere"
+
+
+@pytest.mark.usefixtures("here")
+def test_the_index_links_every_result_and_shows_hostile_names_as_they_are(clips: Path, tmp_path: Path) -> None:
+    (clips / "clip0.csv").rename(clips / "<b>#1%2F.csv")
+    (clips / "clip1.csv").write_text("<script>alert(1)</script>")
+    analyzed(clips, tmp_path / "out")
+    page = (tmp_path / "out/index.html").read_text(encoding="utf-8")
+    assert '<a href="clip2/">clip2</a>' in page
+    assert '<a href="%3Cb%3E%231%252F/">&lt;b&gt;#1%2F</a>' in page
+    assert "<script" not in page
+    assert "1 failed" in page
+    assert page.count("<tr>") == 5
+    ttcvid.batch(clips / "clip2.csv", tmp_path / "out", **{**TRACKS, "report": True})
+    assert '<a href="clip2/report.html">clip2</a>' in (tmp_path / "out/index.html").read_text(encoding="utf-8")
+    (tmp_path / "out/index.html").write_text("my page")
+    with pytest.raises(OutputError, match=r"index.html: is no page of a batch, so it is kept"):
+        analyzed(clips, tmp_path / "out")

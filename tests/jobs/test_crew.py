@@ -1,27 +1,24 @@
 """Items worked through by several workers: each once, failures once more by another, an end whenever it is wanted."""
 
+import signal
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import pytest
+from workers_here import WorkerHere
 
 from ttcvid.errors import InputError
 from ttcvid.jobs.crew import Attempt, Call, Crew
+from ttcvid.jobs.stopping import StopSignals
 
 
-class FakeWorker:
-    """Works in this process; says its name, and avoids what it is told to avoid by taking another one."""
+class Watched(WorkerHere):
+    """Says whether it was closed."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self) -> None:
+        super().__init__()
         self.is_closed = threading.Event()
-
-    def call(self, function: Callable[..., Any], *arguments: Any, on_news: Any = None, avoid: str = "") -> Any:
-        if avoid == self.name:
-            self.name += "'"
-        return function(*arguments)
 
     def close(self) -> None:
         self.is_closed.set()
@@ -38,14 +35,14 @@ def doubled(call: Call, item: int) -> int:
 
 def test_every_item_is_done_once_whatever_the_number_of_workers() -> None:
     for n_workers in (1, 3):
-        workers = [FakeWorker(str(number)) for number in range(n_workers)]
+        workers = [Watched() for _ in range(n_workers)]
         attempts = finished(Crew(workers, doubled), list(range(20)))
         assert sorted((a.item, a.value) for a in attempts) == [(n, 2 * n) for n in range(20)]
         assert all(worker.is_closed.is_set() for worker in workers)
 
 
 def test_no_items_are_done_at_once() -> None:
-    assert finished(Crew([FakeWorker("one")], doubled), []) == []
+    assert finished(Crew([Watched()], doubled), []) == []
 
 
 def test_what_fails_is_tried_again_after_all_others_by_another_worker() -> None:
@@ -57,7 +54,7 @@ def test_what_fails_is_tried_again_after_all_others_by_another_worker() -> None:
 
         return call(work)
 
-    attempts = finished(Crew([FakeWorker("one")], odd_fails, n_tries=2), [1, 2, 3, 4])
+    attempts = finished(Crew([Watched()], odd_fails, n_tries=2), [1, 2, 3, 4])
     assert [(a.item, a.number, a.is_last) for a in attempts] == [
         (1, 1, False),
         (2, 1, True),
@@ -75,12 +72,12 @@ def test_whatever_an_item_raises_belongs_to_that_item() -> None:
     def unforeseen(call: Call, item: int) -> float:
         return 1 / item
 
-    attempts = finished(Crew([FakeWorker("one")], unforeseen), [0, 1])
+    attempts = finished(Crew([Watched()], unforeseen), [0, 1])
     assert [type(a.error) for a in attempts] == [ZeroDivisionError, type(None)]
 
 
 def test_whoever_waits_can_look_at_the_clock_and_leave_at_any_time() -> None:
-    worker = FakeWorker("one")
+    worker = Watched()
 
     def until_closed(call: Call, item: int) -> None:
         worker.is_closed.wait()
@@ -99,4 +96,33 @@ def test_the_number_of_tries_is_kept(n_tries: int) -> None:
     def never(call: Call, item: int) -> None:
         raise InputError("never")
 
-    assert len(finished(Crew([FakeWorker("one")], never, n_tries), [1])) == n_tries
+    assert len(finished(Crew([Watched()], never, n_tries), [1])) == n_tries
+
+
+def test_a_second_signal_waits_for_nothing() -> None:
+    """A worker that goes on although it is closed stands for one that the system holds on to."""
+    may_end = threading.Event()
+
+    def stubborn(call: Call, item: int) -> None:
+        may_end.wait()
+
+    to_main = (threading.main_thread().ident, signal.SIGINT)
+    timers = [threading.Timer(delay_s, signal.pthread_kill, to_main) for delay_s in (0.1, 0.5)]
+    started_s = time.monotonic()
+
+    def work_until_stopped() -> None:
+        with StopSignals("stopping") as stop, Crew([Watched()], stubborn) as crew:
+            for timer in timers:
+                timer.start()
+            for _ in crew.attempts([1]):
+                if stop.is_requested:
+                    break
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            work_until_stopped()
+        assert 0.5 <= time.monotonic() - started_s < 1.2
+    finally:
+        may_end.set()
+        for timer in timers:
+            timer.join()

@@ -18,8 +18,16 @@ _work_option = option_under("Work")
 @click.argument("inputs", metavar="INPUTS...", nargs=-1, required=True)
 @output_option("-o", "--out", metavar="FOLDER", required=True, help="Folder of the batch: a folder a clip below it.")
 @output_option("--overlay/--no-overlay", default=None, help="Write the annotated videos.  [default: --overlay]")
+@output_option("--report/--no-report", default=None, help="Write the pages of the results.  [default: --report]")
 @message_options()
-@_work_option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Clips at a time.")
+@_work_option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Clips at a time.  [default: 1; twice a cluster's threads]"
+)
+@_work_option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Dask cluster to do the work, such as tcp://10.0.0.1:8786 (docs/scale.md).",
+)
 @analysis_options()
 @configuration_options("tracking.max_tracks=800")
 @click.pass_context
@@ -31,7 +39,8 @@ def batch(
     as_json: bool,
     quiet: bool,
     verbose: bool,
-    jobs: int,
+    jobs: int | None,
+    scheduler: str | None,
     config: str | None,
     settings: tuple[str, ...],
     **options: Any,
@@ -67,6 +76,7 @@ def batch(
                 for_all,
                 config=Path(config) if config else None,
                 jobs=jobs,
+                scheduler=scheduler,
                 on_progress=on_progress,
                 on_failure=on_failure,
             )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
@@ -15,6 +14,7 @@ from filelock import FileLock, Timeout
 
 from ttcvid.errors import OutputError, TtcvidError, UsageError, counted
 from ttcvid.jobs.batch_clip import BatchResult, BatchTask, analyze_clip
+from ttcvid.jobs.batch_index import INDEX_NAME, refuse_foreign_index, write_index
 from ttcvid.jobs.batch_inputs import BatchClip, read_inputs
 from ttcvid.jobs.batch_table import (
     FAILED,
@@ -30,12 +30,13 @@ from ttcvid.jobs.crew import Attempt, Call, Crew
 from ttcvid.jobs.layers import Layer, layer_from_arguments
 from ttcvid.jobs.stopping import StopSignals
 from ttcvid.jobs.workers import LocalWorker, Worker
+from ttcvid.posix import usable_cores
 from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.folder import OutputFolder
 from ttcvid.sinks.manifest import MANIFEST_NAME
 
 JOURNAL_NAME, LOCK_NAME = "journal.jsonl", ".ttcvid-batch.lock"
-RESERVED_NAMES = frozenset((TABLE_NAME, JOURNAL_NAME, "index.html"))
+RESERVED_NAMES = frozenset((TABLE_NAME, JOURNAL_NAME, INDEX_NAME))
 N_TRIES = 2
 CORES_FOR_TWO_PROCESSES = 2
 """An analysis that may begin a second process keeps two cores busy."""
@@ -115,7 +116,8 @@ class Batch:
         n_events = sum(row.n_events or 0 for row in self.rows)
         rate = f" ({self.n_frames / self.time_s:.0f} frames/s)" if self.n_frames else ""
         parts += [counted(n_events, "warning"), f"{counted(self.n_frames, 'frame')} in {self.time_s:.1f} s{rate}"]
-        return f"{self.folder}: {'; '.join([', '.join(parts[:-2]), *parts[-2:]])}"
+        page = str(self.folder / INDEX_NAME)
+        return f"{self.folder}: {'; '.join([', '.join(parts[:-2]), *parts[-2:], page])}"
 
     def summary_json(self) -> str:
         """The summary as one JSON object."""
@@ -135,7 +137,8 @@ def batch(
     inputs: str | Path | Sequence[str | Path],
     out: str | Path,
     *,
-    jobs: int = 1,
+    jobs: int | None = None,
+    scheduler: str | None = None,
     config: str | Path | None = None,
     **options: Any,
 ) -> Batch:
@@ -148,7 +151,10 @@ def batch(
     out
         Folder of the batch. What it holds already and is the same is kept; what was left undone is done.
     jobs
-        Clips at a time, each in a process of its own.
+        Clips at a time, each in a process of its own; default 1. On a cluster, clips handed out at a time; default
+        twice the threads of its workers.
+    scheduler
+        Address of the scheduler of a Dask cluster that does the work instead of this machine.
     config
         A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
     **options
@@ -168,6 +174,7 @@ def batch(
         layer_from_arguments(options),
         config=Path(config) if config is not None else None,
         jobs=jobs,
+        scheduler=scheduler,
     )
     if result.is_interrupted:
         raise KeyboardInterrupt
@@ -180,27 +187,32 @@ def run_batch(
     for_all: Layer,
     *,
     config: Path | None = None,
-    jobs: int = 1,
+    jobs: int | None = None,
+    scheduler: str | None = None,
     on_progress: OnProgress | None = None,
     on_failure: OnFailure | None = None,
 ) -> Batch:
     """`batch` with the settings of all clips as a layer, telling of its progress."""
-    if jobs < 1:
+    if jobs is not None and jobs < 1:
         raise UsageError(f"jobs = {jobs}: expected at least 1")
     clips = read_inputs(inputs, out)
     tasks = _tasks(clips, out, for_all, config)
     with output_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-    with _lock(out):
+    with _lock(out), _workers(jobs, scheduler) as workers:
         former = refuse_foreign_table(out)
-        workers = [_local_worker(jobs) for _ in range(min(jobs, len(tasks)))]
+        refuse_foreign_index(out)
         done = _Work(tasks, on_progress, on_failure)
         with _journal(out) as journal, StopSignals("stopping: finished clips are kept") as stop:
-            done.carry_out(workers, stop, journal)
+            done.carry_out(workers[: len(tasks)], stop, journal)
+        if stop.is_requested and scheduler is None:
+            done.discard_unfinished()
         present = {row.clip for row in done.rows}
         # A clip of a former batch that was not named now keeps its row, as long as it has a result.
         others = [row for row in former if row.clip not in present and (out / row.clip / MANIFEST_NAME).exists()]
-        write_rows(out, sorted([*done.rows, *others], key=lambda row: row.clip.casefold()))
+        rows = sorted([*done.rows, *others], key=lambda row: row.clip.casefold())
+        write_rows(out, rows)
+        write_index(out, rows)
     progress = done.progress
     return Batch(out, done.rows, progress.n_kept, progress.n_frames, progress.time_s, stop.is_requested)
 
@@ -216,10 +228,18 @@ def _tasks(clips: Sequence[BatchClip], out: Path, for_all: Layer, config: Path |
     ]
 
 
-def _local_worker(jobs: int) -> LocalWorker:
-    """A process that keeps to its share of the cores."""
-    share = (os.cpu_count() or 1) / jobs
-    return LocalWorker(may_have_children=share >= CORES_FOR_TWO_PROCESSES)
+@contextlib.contextmanager
+def _workers(jobs: int | None, scheduler: str | None) -> Iterator[Sequence[Worker]]:
+    """Processes that keep to their share of the cores, or workers of a cluster."""
+    if scheduler is None:
+        n = 1 if jobs is None else jobs
+        has_cores = usable_cores() >= CORES_FOR_TWO_PROCESSES * n
+        yield [LocalWorker(may_have_children=has_cores) for _ in range(n)]
+        return
+    from ttcvid.jobs.cluster import Cluster
+
+    with Cluster(scheduler) as cluster:
+        yield cluster.workers(jobs)
 
 
 class _Work:
@@ -249,8 +269,6 @@ class _Work:
                     self._on_progress(self.progress)
                 if stop.is_requested:
                     break
-        if stop.is_requested:
-            self._discard_unfinished()
 
     def _analyzed(self, call: Call, task: BatchTask) -> BatchResult:
         def count(n_frames: int) -> None:
@@ -288,7 +306,7 @@ class _Work:
             journal.write(json.dumps(line) + "\n")
             journal.flush()
 
-    def _discard_unfinished(self) -> None:
+    def discard_unfinished(self) -> None:
         """Clear away what the workers had begun; where that fails, the next run does it."""
         for task in self._tasks:
             if self._rows[task.clip].state == PENDING and task.folder.is_dir():
@@ -305,7 +323,7 @@ def _reason(error: Exception | None) -> str:
 
 
 @contextlib.contextmanager
-def _lock(out: Path) -> Any:
+def _lock(out: Path) -> Iterator[None]:
     """Keep a second batch out of the folder; the system gives the lock back when this process ends, however it ends."""
     lock = FileLock(out / LOCK_NAME)
     with output_errors(out):
@@ -320,7 +338,7 @@ def _lock(out: Path) -> Any:
 
 
 @contextlib.contextmanager
-def _journal(out: Path) -> Any:
+def _journal(out: Path) -> Iterator[TextIO]:
     """A file that gets a line for every try, for people who look into what happened when."""
     path = out / JOURNAL_NAME
     with output_errors(path):

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import logging
-import multiprocessing
-from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from ttcvid.errors import TtcvidError
 from ttcvid.jobs.analyze import analyze
 from ttcvid.jobs.memory import PeakMemory
 from ttcvid.jobs.run import Run
 from ttcvid.model import Horizon, Platform
 from ttcvid.studies.metrics import Value
 
-R = TypeVar("R")
 CALIBRATION_OPTIONS = (
     "camera",
     "focal_px",
@@ -66,22 +60,6 @@ class ClipRun:
     metrics: dict[str, Value] | None
 
 
-def in_own_process(function: Callable[..., R], *arguments: Any) -> R:
-    """What ``function`` returns or raises in a new process: its memory is its own, and nothing is left behind.
-
-    Raises
-    ------
-    TtcvidError
-        The process was ended from outside (out of memory).
-    """
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as pool:
-        try:
-            return pool.submit(function, *arguments).result()
-        except BrokenProcessPool:
-            raise TtcvidError("the process of the analysis was ended from outside: is there enough memory?") from None
-
-
 def render_scene(scene: Path, folder: Path, n_frames: int | None) -> Path:
     """Render a scene into ``folder`` (one of a former run is replaced) and return the clip."""
     from ttcvid.jobs.simulate import simulate
@@ -94,7 +72,6 @@ def run_clip(task: ClipTask) -> ClipRun:
 
     What only those need is imported after the analysis: it would count as memory of the analysis.
     """
-    logging.getLogger("ttcvid").addHandler(logging.NullHandler())
     with PeakMemory() as memory:
         run = analyze(task.input, task.out, **{"overlay": False, "report": False, **task.options, "overwrite": True})
         max_rss_mb = memory.peak_mb

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import difflib
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from ttcvid.errors import NotComparableError, TtcvidError, UsageError, counted
 from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
-from ttcvid.jobs.clip_run import ClipRun, ClipTask, in_own_process, render_scene, run_clip
+from ttcvid.jobs.clip_run import ClipRun, ClipTask, render_scene, run_clip
 from ttcvid.jobs.compare import write_junit
 from ttcvid.jobs.compilation import compiles_once
+from ttcvid.jobs.crew import Attempt, Call, Crew
 from ttcvid.jobs.result_tables import read_run
+from ttcvid.jobs.stopping import StopSignals
 from ttcvid.jobs.suite import Suite, SuiteClip, read_suite, resolved
+from ttcvid.jobs.workers import LocalWorker
 from ttcvid.sources.images import is_pattern
 from ttcvid.studies.compare import Comparison, Results, compare_results
 from ttcvid.studies.compare_thinned import thinned
@@ -26,6 +29,8 @@ from ttcvid.studies.junit import Suite as JUnitSuite
 JUNIT_NAME, CAMERA_NAME = "junit.xml", "camera.yaml"
 PASSED, FAILED, SKIPPED, ERROR = "passed", "failed", "skipped", "error"
 EXIT_FAILED, EXIT_MISSING = 1, 3
+N_TRIES = 2
+"""Memory and disks recover: a clip that could not be checked is checked once more, after all others."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +136,8 @@ def regress(
         The suite cannot be used; clips that cannot be checked are outcomes.
     OutputError
         The JUnit file or a baseline cannot be written.
+    KeyboardInterrupt
+        After Ctrl-C or SIGTERM, within two seconds; after a second one at once.
     """
     if jobs < 1:
         raise UsageError(f"jobs = {jobs}: expected at least 1")
@@ -138,23 +145,52 @@ def regress(
     folder = Path(f"{Path(suite).stem}_regress") if out is None else Path(out)
     clips = read.chosen(only)
     outcomes = []
-    with ThreadPoolExecutor(jobs) as pool:
-        pending = [pool.submit(_checked, read, clip, folder, update) for clip in clips]
-        try:
-            for future in pending:
-                outcomes.append(future.result())
-                if on_clip is not None:
-                    on_clip(outcomes[-1])
-        finally:
-            for future in pending:
-                future.cancel()
+    with closing(_outcomes(read, clips, folder, update, jobs)) as found:
+        for outcome in found:
+            outcomes.append(outcome)
+            if on_clip is not None:
+                on_clip(outcome)
     target = folder / JUNIT_NAME if junit is None else Path(junit)
     write_junit(target, [_as_junit(outcome) for outcome in outcomes])
     return Regression(Path(suite), folder, target, tuple(outcomes))
 
 
-def _checked(suite: Suite, clip: SuiteClip, folder: Path, update: bool) -> ClipOutcome:
-    """One clip from analysis to verdict; a failure that a user can mend is an outcome, too."""
+def _outcomes(
+    suite: Suite, clips: Sequence[SuiteClip], folder: Path, update: bool, jobs: int
+) -> Generator[ClipOutcome, None, None]:
+    """The outcome of each clip, in the order of the clips, as soon as all before it are there."""
+
+    def check(call: Call, clip: SuiteClip) -> ClipOutcome:
+        return _checked(suite, clip, folder, update, call)
+
+    # A new process for each call: the memory that one needs is not to be counted for the next.
+    workers = [LocalWorker(is_fresh_each_call=True) for _ in range(min(jobs, len(clips)))]
+    waiting: dict[str, ClipOutcome] = {}
+    names = iter([clip.name for clip in clips])
+    name = next(names, None)
+    with StopSignals("stopping: no verdict is written") as stop, Crew(workers, check, N_TRIES) as crew:
+        for attempt in crew.attempts(clips):
+            if stop.is_requested:
+                raise KeyboardInterrupt
+            if attempt is not None and attempt.is_last:
+                waiting[attempt.item.name] = _outcome_of(attempt)
+            while name in waiting:
+                yield waiting.pop(name)
+                name = next(names, None)
+
+
+def _outcome_of(attempt: Attempt[SuiteClip, ClipOutcome]) -> ClipOutcome:
+    """A failure that a user can mend is an outcome, too."""
+    if attempt.value is not None:
+        return attempt.value
+    if not isinstance(attempt.error, TtcvidError):
+        raise attempt.error or AssertionError
+    error = attempt.error
+    return ClipOutcome(attempt.item.name, ERROR, str(error), error.exit_code, time_s=attempt.time_s)
+
+
+def _checked(suite: Suite, clip: SuiteClip, folder: Path, update: bool, call: Call) -> ClipOutcome:
+    """One clip from analysis to verdict."""
     started_s = time.monotonic()
     missing = _missing(suite, clip)
     if missing:
@@ -162,20 +198,17 @@ def _checked(suite: Suite, clip: SuiteClip, folder: Path, update: bool) -> ClipO
             clip.name, SKIPPED if clip.optional else ERROR, missing, 0 if clip.optional else EXIT_MISSING
         )
     path, tolerance = suite.baseline(clip), suite.tolerance(clip)
-    try:
-        former = _former(path, update) if clip.baseline else None
-        task = _task(suite, clip, folder)
-        if compiles_once():
-            # Time and memory of the first run on a machine would be those of the compiler.
-            in_own_process(run_clip, task)
-        run = in_own_process(run_clip, task)
-        results = read_run(run.folder)
-        complaints = _complaints(suite.expectations[clip.name], run, results)
-        comparison = compare_results(former, results, tolerance) if former is not None else None
-        is_written = update and clip.baseline
-        changed = _updated(path, baseline_text(thinned(results, tolerance.objects))) if is_written else ""
-    except TtcvidError as error:
-        return ClipOutcome(clip.name, ERROR, str(error), error.exit_code, time_s=time.monotonic() - started_s)
+    former = _former(path, update) if clip.baseline else None
+    task = _task(suite, clip, folder, call)
+    if compiles_once():
+        # Time and memory of the first run on a machine would be those of the compiler.
+        call(run_clip, task)
+    run = call(run_clip, task)
+    results = read_run(run.folder)
+    complaints = _complaints(suite.expectations[clip.name], run, results)
+    comparison = compare_results(former, results, tolerance) if former is not None else None
+    is_written = update and clip.baseline
+    changed = _updated(path, baseline_text(thinned(results, tolerance.objects))) if is_written else ""
     is_right = not any(complaint for _, complaint in complaints)
     is_same = update or comparison is None or comparison.is_same
     return ClipOutcome(
@@ -210,14 +243,14 @@ def _missing(suite: Suite, clip: SuiteClip) -> str:
     return f"{path}: no such clip"
 
 
-def _task(suite: Suite, clip: SuiteClip, folder: Path) -> ClipTask:
+def _task(suite: Suite, clip: SuiteClip, folder: Path, call: Call) -> ClipTask:
     """What is to be done with a clip; a scene is rendered first, and brings its camera and its truth with it."""
     out, options = folder / clip.name, suite.options(clip)
     expectations = suite.expectations[clip.name]
     truth = suite.root / clip.truth if clip.truth is not None else None
     if clip.scene is not None:
         scene = folder / f"{clip.name}_scene"
-        input_ = in_own_process(render_scene, suite.path.parent / clip.scene, scene, clip.frames)
+        input_ = call(render_scene, suite.path.parent / clip.scene, scene, clip.frames)
         if not {"camera", "focal_px", "hfov"} & options.keys():
             options["camera"] = CAMERA_NAME
         root, truth = scene, scene if truth is None else truth

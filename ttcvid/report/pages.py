@@ -45,6 +45,11 @@ def render(template: str, data: Any, **values: Any) -> str:
     )
 
 
+def render_still(template: str, **values: Any) -> str:
+    """The page of a template without scripts and plots."""
+    return _environment().get_template(template).render(style=_text("templates/style.css"), **values)
+
+
 def script(name: str) -> Markup:
     """A script of the package, to be put into a page as it is."""
     return _text(f"templates/{name}")
