@@ -11,13 +11,16 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from av.stream import Disposition
 from moving_clips import FPS, approach, write_approaching_tracks, write_clip, write_frames
 
 from ttcvid.calibration import read_mask
 from ttcvid.cli.main import main
-from ttcvid.errors import CalibrationError, InputError
+from ttcvid.errors import CalibrationError, InputError, UsageError
 from ttcvid.jobs import provenance
 from ttcvid.jobs.analyze import analyze
 from ttcvid.jobs.provenance import digest_in_background
@@ -292,3 +295,83 @@ def test_frames_that_a_decoder_patches_up_are_counted_in_the_manifest(tmp_path: 
     assert any(
         "1 frames are damaged, and analysed as the decoder patched them up" in w for w in run.manifest["warnings"]
     )
+
+
+@pytest.mark.parametrize("stored", ["dictionary", "string"])
+def test_a_long_text_that_occurs_often_is_read_once(tmp_path: Path, stored: str) -> None:
+    """A file of some kilobytes: made text by text, its columns would have 20 GB."""
+    n = 1000
+    texts = pa.DictionaryArray.from_arrays(pa.array([0] * n, pa.int32()), pa.array(["9" * 20_000_000]))
+    columns = {"frame": range(n), "t_s": np.arange(n) / 10, "x_px": np.full(n, 9.0), "y_px": np.full(n, 9.0)}
+    table = pa.table({**{name: pa.array(values) for name, values in columns.items()}, "track_id": texts, "note": texts})
+    path = tmp_path / "tracks.parquet"
+    pq.write_table(table, path, compression="zstd", store_schema=stored == "dictionary")
+    with pytest.raises(InputError, match=r"row 1: track_id is '9+\.\.\.9+'.*\(1000 such rows\)"):
+        open_source(str(path), image_size=ImageSize(192, 128))
+
+
+def test_numbers_written_as_texts_are_numbers(tmp_path: Path) -> None:
+    table = pd.read_csv(write_approaching_tracks(tmp_path / "tracks.csv"))
+    table.astype({"track_id": str, "x_px": str}).astype({"track_id": "category"}).to_parquet(tmp_path / "texts.parquet")
+    with (
+        open_source(str(tmp_path / "tracks.csv"), image_size=ImageSize(192, 128)) as plain,
+        open_source(str(tmp_path / "texts.parquet"), image_size=ImageSize(192, 128)) as texts,
+    ):
+        for one, other in zip(plain, texts, strict=True):
+            np.testing.assert_array_equal(one.points.xy_px, other.points.xy_px)
+            np.testing.assert_array_equal(one.points.track_id, other.points.track_id)
+
+
+@pytest.mark.parametrize("time_s", [1e300, -1e300, 1e12])
+def test_a_time_that_is_none_is_refused(tmp_path: Path, time_s: float) -> None:
+    table = pd.read_csv(write_approaching_tracks(tmp_path / "tracks.csv"))
+    table.loc[table.frame == table.frame.max(), "t_s"] = time_s
+    table.to_csv(tmp_path / "tracks.csv", index=False)
+    with pytest.raises(InputError, match=r"t_s is -?1e\+(300|12) s: expected at most 1e\+11"):
+        open_source(str(tmp_path / "tracks.csv"), image_size=ImageSize(192, 128))
+    write_frames(tmp_path / "frames", approach(3))
+    (tmp_path / "times.txt").write_text(f"0\n0.1\n{time_s}\n")
+    with pytest.raises(InputError, match=r"times\.txt: the time is"):
+        open_source(str(tmp_path / "frames"), timestamps=tmp_path / "times.txt")
+
+
+def pipe(path: Path) -> Path:
+    os.mkfifo(path)
+    return path
+
+
+def endless(path: Path) -> Path:
+    path.symlink_to("/dev/zero")
+    return path
+
+
+def huge(path: Path) -> Path:
+    """8 GB that take no place on the disk."""
+    with path.open("wb") as file:
+        file.truncate(8_000_000_000)
+    return path
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="pipes, devices and files without content of Linux")
+@pytest.mark.parametrize("make", [pipe, endless, huge], ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    ("option", "error"),
+    [
+        ("config", UsageError),
+        ("timestamps", InputError),
+        ("camera", CalibrationError),
+        ("horizon", CalibrationError),
+        ("mask", CalibrationError),
+    ],
+)
+def test_a_file_that_never_ends_is_not_read(
+    tmp_path: Path, make: Callable[[Path], Path], option: str, error: type[Exception]
+) -> None:
+    clip = write_frames(tmp_path / "frames", approach(2))
+    given = {"fps": 10.0, "focal_px": 300.0, option: make(tmp_path / "file")}
+    if option in ("timestamps", "camera"):
+        del given["fps" if option == "timestamps" else "focal_px"]
+    with pytest.raises(error) as caught:
+        analyze(clip, tmp_path / "out", **given)
+    assert str(tmp_path / "file") in str(caught.value)
+    assert not (tmp_path / "out").exists()

@@ -18,6 +18,9 @@ from ttcvid.model import Bools, Floats, Frame, Ints, SourceInfo, SourceReport
 STEP_BOUNDS_S = (1e-5, 1e3)
 """Time from frame to frame: from 100 000 frames a second to one in a quarter of an hour."""
 
+LARGEST_TIME_S = 1e11
+"""Three thousand years: seconds since 1970 lie far below, milliseconds and what is no time at all above."""
+
 LONE_FRAME_DT_S = 1.0
 """Stands for the frame spacing of a source that has none (one frame): nothing is computed from it."""
 
@@ -199,7 +202,12 @@ def median_dt_s(t_s: Floats) -> float:
 
 
 def require_plausible_step(what: str, t_s: Floats) -> None:
-    """InputError unless the median step of times ``(N,)`` in s lies within ``STEP_BOUNDS_S``; ``what`` names them."""
+    """InputError unless times ``(N,)`` in s can be times: within ``LARGEST_TIME_S``, their median step within
+    ``STEP_BOUNDS_S``; ``what`` names them.
+    """
+    farthest_s = float(t_s[np.argmax(np.abs(t_s))])
+    if abs(farthest_s) > LARGEST_TIME_S:
+        raise InputError(f"{what} is {farthest_s:g} s: expected at most {LARGEST_TIME_S:g}: is it in seconds?")
     step_s, (least_s, most_s) = median_dt_s(t_s), STEP_BOUNDS_S
     if not least_s <= step_s <= most_s:
         raise InputError(

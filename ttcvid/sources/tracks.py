@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -88,7 +88,6 @@ class TrackSource(OnePassSource):
 def _read_columns(path: Path) -> tuple[Ints, Floats, Ints, Floats]:
     """The checked columns: frame (N,), t_s (N,), track_id (N,), xy_px (N, 2)."""
     table = _read_table(path)
-    _require_columns(path, table.column_names)
     if table.num_rows == 0:
         raise InputError(f"{path}: has no rows: expected one per observed point")
     frame, t_s, track_id, x_px, y_px = (_numbers(path, name, table[name]) for name in COLUMNS)
@@ -144,7 +143,7 @@ def _read_table(path: Path) -> pa.Table:
     try:
         # a path that is opened here stays a file, whatever its name looks like
         with open_plain(path) as stream:
-            return pyarrow.csv.read_csv(stream) if is_csv else pyarrow.parquet.read_table(stream)
+            return _read_csv(path, stream) if is_csv else _read_parquet(path, stream)
     except (pa.ArrowException, OSError) as error:
         reason = " ".join(str(error).split()).rstrip(".")
         kind = path.suffix.lower()[1:]
@@ -152,6 +151,21 @@ def _read_table(path: Path) -> pa.Table:
         raise InputError(
             f"{path}: cannot be read as {kind} ({reason}): {remedy or 'expected a table, write it again'}"
         ) from None
+
+
+def _read_csv(path: Path, stream: BinaryIO) -> pa.Table:
+    table = pyarrow.csv.read_csv(stream)
+    _require_columns(path, table.column_names)
+    return table
+
+
+def _read_parquet(path: Path, stream: BinaryIO) -> pa.Table:
+    """Our columns alone, each text in them once: a small file can hold gigabytes of the same."""
+    schema = pyarrow.parquet.ParquetFile(stream).schema_arrow
+    _require_columns(path, schema.names)
+    texts = [name for name in COLUMNS if pa.types.is_string(schema.field(name).type)]
+    table: pa.Table = pyarrow.parquet.ParquetFile(stream, read_dictionary=texts).read(columns=list(COLUMNS))
+    return table
 
 
 def _oddity_of_text(path: Path) -> str:
@@ -172,6 +186,8 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray[Any]) -> Floats:
     """A column as float64; an error names the first row (from 1) whose value is no finite number."""
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
         values: NDArray[Any] = pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    elif pa.types.is_dictionary(column.type):
+        values = np.concatenate([_numbers_of_texts(chunk) for chunk in column.chunks])
     else:
         values = np.array([_float(value) for value in column.to_pylist()])
     bad = np.flatnonzero(~np.isfinite(values))
@@ -185,6 +201,12 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray[Any]) -> Floats:
             f"{remedy}"
         )
     return np.asarray(values, dtype=np.float64)
+
+
+def _numbers_of_texts(chunk: Any) -> Floats:
+    """The numbers of a dictionary array: each text is read once, and nothing (NaN) stands behind the last of them."""
+    numbers = np.array([*(_float(text) for text in chunk.dictionary.to_pylist()), np.nan])
+    return np.asarray(numbers[chunk.indices.fill_null(len(numbers) - 1).to_numpy(zero_copy_only=False)])
 
 
 def _float(value: object) -> float:
