@@ -28,7 +28,7 @@ from real_clips.judging import report_clips
 from report import REPOSITORY, Report
 from runs import data_place
 from scenario_suite.drawing import drawn, input_of
-from scenario_suite.families import FAMILIES, scenario
+from scenario_suite.families import FAMILIES, in_turn, scenario
 from scenario_suite.nuisances import NUISANCES
 from scenario_suite.page import write_page
 from scenario_suite.running import Task, do, options_of, run_all
@@ -145,7 +145,7 @@ def _tasks(arguments: argparse.Namespace) -> list[Task]:
     """Every scene that is asked for, seed by seed."""
     names = arguments.families or [name for name, family in FAMILIES.items() if arguments.group in (None, family.group)]
     kind = arguments.kind or ("video" if arguments.sweep else None)
-    names = _in_turn([name for name in names if kind is None or kind in FAMILIES[name].kinds])
+    names = in_turn([name for name in names if kind is None or kind in FAMILIES[name].kinds])
     if not names:
         sys.exit(f"--kind {kind}: none of the chosen families has this kind of input; leave --kind out")
     if arguments.verdict:
@@ -170,14 +170,6 @@ def _tasks(arguments: argparse.Namespace) -> list[Task]:
         for name, seed in chosen
         for value in values
     ]
-
-
-def _in_turn(names: list[str]) -> list[str]:
-    """Families with their groups in turn: the first few are of all groups, too."""
-    rank = {
-        name: sum(FAMILIES[other].group == FAMILIES[name].group for other in names[:k]) for k, name in enumerate(names)
-    }
-    return sorted(names, key=rank.__getitem__)
 
 
 def _show(name: str, kind: str | None, pictures: Path) -> None:

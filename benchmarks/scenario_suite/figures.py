@@ -7,6 +7,7 @@ it is the wider one, there are too few frames, else too few scenes.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,71 +38,106 @@ class Estimate:
     bounds: tuple[float, float] | None = None
 
 
+class Figure(ABC):
+    """A figure over scenes; ``scenes (S,)`` are their numbers, ``draws (R, S)`` how often each is drawn."""
+
+    @abstractmethod
+    def value(self, scenes: Ints) -> tuple[float, int]:
+        """The figure over these scenes, NaN where there is nothing to judge, and over how many."""
+
+    @abstractmethod
+    def drawn(self, scenes: Ints, draws: Ints) -> Floats:
+        """The figure of each draw ``(R,)``, NaN where there is nothing to judge."""
+
+    def bounds(self, scenes: Ints) -> tuple[float, float] | None:
+        """Binomial interval or Poisson bound."""
+        return None
+
+    def estimate(self, scenes: Ints, draws: Ints) -> Estimate:
+        """The figure with its spread."""
+        value, n = self.value(scenes)
+        if not np.isfinite(value):
+            return Estimate(np.nan, 0)
+        lo, hi = _spread(self.drawn(scenes, draws), len(scenes))
+        return Estimate(value, n, lo, hi, self.bounds(scenes))
+
+
 @dataclass(frozen=True)
-class Share:
+class Share(Figure):
     """Sums of a numerator over those of a denominator ``(S,)``, scene by scene."""
 
     part: Floats
     whole: Floats
     is_coverage: bool = False
 
-    def estimate(self, scenes: Ints, draws: Ints) -> Estimate:
-        """Over the scenes of these rows; ``draws (R, S')`` says how often each of them is drawn."""
-        part, whole = self.part[scenes], self.whole[scenes]
-        if whole.sum() == 0:
-            return Estimate(np.nan, 0)
-        drawn = draws @ whole
-        lo, hi = _spread((draws @ part)[drawn > 0] / drawn[drawn > 0], len(scenes))
-        k, n = round(part.sum()), round(whole.sum())
-        bounds = None
-        if self.is_coverage:
-            interval = binomtest(k, n).proportion_ci(LEVEL, method="wilson")
-            bounds = (float(interval.low), float(interval.high))
-        return Estimate(float(part.sum() / whole.sum()), n, lo, hi, bounds)
+    def value(self, scenes: Ints) -> tuple[float, int]:
+        """See `Figure`."""
+        whole = self.whole[scenes].sum()
+        return (float(self.part[scenes].sum() / whole) if whole else np.nan), round(whole)
+
+    def drawn(self, scenes: Ints, draws: Ints) -> Floats:
+        """See `Figure`."""
+        return _ratio(draws @ self.part[scenes], draws @ self.whole[scenes])
+
+    def bounds(self, scenes: Ints) -> tuple[float, float] | None:
+        """Wilson's interval of a coverage."""
+        if not self.is_coverage:
+            return None
+        counts = round(self.part[scenes].sum()), round(self.whole[scenes].sum())
+        interval = binomtest(*counts).proportion_ci(LEVEL, method="wilson")
+        return float(interval.low), float(interval.high)
 
 
 @dataclass(frozen=True)
-class Percentile:
+class Percentile(Figure):
     """A percentile of values ``(N,)``, each of the scene ``scene (N,)``."""
 
     values: Floats
     scene: Ints
     share: float
 
-    def estimate(self, scenes: Ints, draws: Ints) -> Estimate:
-        """As `Share.estimate`."""
+    def value(self, scenes: Ints) -> tuple[float, int]:
+        """See `Figure`."""
+        values, _ = self._sorted(scenes)
+        return _weighted(values, np.ones(len(values)), self.share), len(values)
+
+    def drawn(self, scenes: Ints, draws: Ints) -> Floats:
+        """See `Figure`."""
+        values, place = self._sorted(scenes)
+        return np.array([_weighted(values, weights, self.share) for weights in draws[:, place]])
+
+    def _sorted(self, scenes: Ints) -> tuple[Floats, Ints]:
+        """The values of these scenes, ascending, and the place of the scene of each among them."""
         column = np.full(int(max(self.scene.max(initial=-1), scenes.max(initial=-1))) + 1, -1)
         column[scenes] = np.arange(len(scenes))
-        place = column[self.scene] if len(self.scene) else np.empty(0, np.int64)
+        place = column[self.scene]
         values, place = self.values[place >= 0], place[place >= 0]
-        if len(values) == 0:
-            return Estimate(np.nan, 0)
         order = np.argsort(values, kind="stable")
-        values, place = values[order], place[order]
-        found = [_weighted(values, weights, self.share) for weights in draws[:, place]]
-        lo, hi = _spread(np.array([value for value in found if np.isfinite(value)]), len(scenes))
-        return Estimate(_weighted(values, np.ones(len(values)), self.share), len(values), lo, hi)
+        return values[order], place[order]
 
 
 @dataclass(frozen=True)
-class Rate:
-    """Events per ``unit_s`` of clip, with the one-sided Poisson bound above."""
+class Rate(Figure):
+    """Events per ``unit_s`` of clip, with the one-sided Poisson bound above; over how many: the events."""
 
     events: Floats
     duration_s: Floats
     unit_s: float
 
-    def estimate(self, scenes: Ints, draws: Ints) -> Estimate:
-        """As `Share.estimate`."""
-        events, duration = self.events[scenes], self.duration_s[scenes]
-        units = float(duration.sum()) / self.unit_s
-        if units == 0:
-            return Estimate(np.nan, 0)
-        lo, hi = _spread((draws @ events) / np.maximum((draws @ duration) / self.unit_s, 1e-9), len(scenes))
-        return Estimate(float(events.sum()) / units, int(events.sum()), lo, hi, (0.0, at_most(events.sum()) / units))
+    def value(self, scenes: Ints) -> tuple[float, int]:
+        """See `Figure`."""
+        units = self.duration_s[scenes].sum() / self.unit_s
+        events = float(self.events[scenes].sum())
+        return (events / units if units else np.nan), round(events)
 
+    def drawn(self, scenes: Ints, draws: Ints) -> Floats:
+        """See `Figure`."""
+        return _ratio(draws @ self.events[scenes], draws @ self.duration_s[scenes] / self.unit_s)
 
-Figure = Share | Percentile | Rate
+    def bounds(self, scenes: Ints) -> tuple[float, float] | None:
+        """From 0 to the bound of Poisson."""
+        units = self.duration_s[scenes].sum() / self.unit_s
+        return 0.0, at_most(self.events[scenes].sum()) / units
 
 
 def at_most(n_events: float) -> float:
@@ -111,6 +147,13 @@ def at_most(n_events: float) -> float:
     3.0
     """
     return float(chi2.ppf(LEVEL, 2 * (n_events + 1)) / 2)
+
+
+def draws_of(n_scenes: int) -> Ints:
+    """How often each of some scenes is drawn, with replacement: (R, S), the same every time."""
+    shares = np.full(n_scenes, 1.0 / max(n_scenes, 1))
+    none = np.zeros((N_DRAWS, 0), dtype=np.int64)
+    return np.random.default_rng(n_scenes).multinomial(n_scenes, shares, N_DRAWS) if n_scenes else none
 
 
 class Figures:
@@ -129,11 +172,13 @@ class Figures:
     def over(self, chosen: Bools) -> dict[str, Estimate]:
         """Every figure over the chosen scenes ``(S,)``, by name; the same scenes always give the same."""
         scenes = np.flatnonzero(chosen)
-        n = len(scenes)
-        if n == 0:
-            return {name: Estimate(np.nan, 0) for name in self._of}
-        draws = np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), N_DRAWS)
+        draws = draws_of(len(scenes))
         return {name: figure.estimate(scenes, draws) for name, figure in self._of.items()}
+
+    def drawn(self, name: str, chosen: Bools) -> Floats:
+        """One figure over each draw ``(R,)`` of the chosen scenes; as many scenes always give the same draws."""
+        scenes = np.flatnonzero(chosen)
+        return self._of[name].drawn(scenes, draws_of(len(scenes)))
 
 
 def _figures(scores: Sequence[SceneScore]) -> dict[str, Figure]:
@@ -222,15 +267,21 @@ def _percentile(rows: pd.DataFrame, column: str, share: float) -> Percentile:
     return Percentile(np.abs(rows[column].to_numpy(float)), rows.scene.to_numpy(np.int64), share)
 
 
+def _ratio(part: Floats, whole: Floats) -> Floats:
+    """NaN where the whole is zero."""
+    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
+
+
 def _weighted(values: Floats, weights: Floats, share: float) -> float:
     """The first of the ascending values that ``share`` of the weights do not exceed; NaN without weight."""
     total = np.cumsum(weights)
-    if total[-1] == 0:
+    if not len(total) or total[-1] == 0:
         return np.nan
     return float(values[np.searchsorted(total, share * total[-1] - 1e-9)])
 
 
 def _spread(drawn: Floats, n_scenes: int) -> tuple[float, float]:
+    drawn = drawn[np.isfinite(drawn)]
     if n_scenes < 2 or len(drawn) == 0:
         return np.nan, np.nan
     lo, hi = np.percentile(drawn, SPREAD)

@@ -31,6 +31,7 @@ import cv2
 import ttcvid
 from scenario_suite.drawing import GIVEN_CAMERA_NAME, code_digest, drawing_key, drawn, input_of, read_json, write_json
 from scenario_suite.families import scenario
+from scenario_suite.rules import switched_off
 from scenario_suite.scenario import Kind, NuisanceValue, Scenario
 from scenario_suite.scoring import score
 
@@ -45,7 +46,7 @@ CRASHED = 70
 class Task:
     """A scenario to be done: where its folder of truth and its run belong, and further options of the analysis.
 
-    ``nuisances`` None: as drawn.
+    ``nuisances`` None: as drawn. ``without``: names of rules that are switched off.
     """
 
     family: str
@@ -55,6 +56,7 @@ class Task:
     pictures: Path
     nuisances: dict[str, NuisanceValue] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
+    without: tuple[str, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -98,7 +100,7 @@ def do(task: Task) -> Done:
     start_s = time.perf_counter()
     truth = drawn(chosen, task.pictures / task.family / str(task.seed))
     drawing_s = time.perf_counter() - start_s
-    key = _run_key(chosen, task.options)
+    key = _run_key(chosen, task.options, task.without)
     known = read_json(folder / "run.json")
     if known.get("key") == key:
         score(folder)
@@ -107,7 +109,8 @@ def do(task: Task) -> Done:
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "scenario.json", chosen.described())
     _link(folder / "truth", truth)
-    run = {"key": key, **analyzed(input_of(truth), folder / "run", options_of(chosen, truth) | dict(task.options))}
+    with switched_off(task.without):
+        run = {"key": key, **analyzed(input_of(truth), folder / "run", options_of(chosen, truth) | dict(task.options))}
     write_json(folder / "run.json", run)
     score(folder)
     return Done(task, folder, False, drawing_s, run)
@@ -141,9 +144,11 @@ def analyzed(input_: Path, out: Path, options: Mapping[str, Any]) -> dict[str, A
     return {"exit_code": exit_code, "seconds": round(time.perf_counter() - start_s, 3), "error": error}
 
 
-def _run_key(chosen: Scenario, options: Mapping[str, Any]) -> str:
-    """Changes with the drawn scenario, the options and the code of the analysis."""
-    content = json.dumps(dict(options), sort_keys=True, default=str)
+def _run_key(chosen: Scenario, options: Mapping[str, Any], without: tuple[str, ...]) -> str:
+    """Changes with the drawn scenario, the options, the rules switched off and the code of the analysis."""
+    content = json.dumps(dict(options), sort_keys=True, default=str) + "".join(without)
+    if without:
+        content += code_digest(Path(__file__).with_name("rules.py"))
     return hashlib.sha256((drawing_key(chosen) + content + code_of_analysis()).encode()).hexdigest()
 
 

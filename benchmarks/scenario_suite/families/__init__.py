@@ -74,6 +74,14 @@ def scenario(
     )
 
 
+def in_turn(names: list[str]) -> list[str]:
+    """Families with their groups in turn: the first few are of all groups, too."""
+    rank = {
+        name: sum(FAMILIES[other].group == FAMILIES[name].group for other in names[:k]) for k, name in enumerate(names)
+    }
+    return sorted(names, key=rank.__getitem__)
+
+
 def _drawn(family: Family, rng: Generator, name: str, seed: int, *, collides: bool) -> tuple[Scene, Recording | None]:
     """The first scene of a family that is what it is to be: a collision, or clear of one."""
     for _ in range(_MOST_DRAWS):
