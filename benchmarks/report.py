@@ -74,7 +74,7 @@ class Report:
     def write_docs(self, name: str, title: str) -> None:
         """Write the page ``docs/NAME``, with the machine that the figures come from."""
         command = (
-            f"python {Path(sys.argv[0]).resolve().relative_to(REPOSITORY)} {shlex.join(_without_kept(sys.argv[1:]))}"
+            f"python {Path(sys.argv[0]).resolve().relative_to(REPOSITORY)} {shlex.join(_without_places(sys.argv[1:]))}"
         )
         head = f"# {title}\n\nWritten by `{command}` on {machine()}; do not edit.\n"
         path = REPOSITORY / "docs" / name
@@ -89,13 +89,18 @@ class Report:
         return 1 if check and self.missed else 0
 
 
-def _without_kept(arguments: list[str]) -> list[str]:
-    """The arguments without ``--keep FOLDER``: where files were left is nobody's business, and changes no figure."""
-    is_kept = [argument == "--keep" for argument in arguments]
+_PLACES = ("--keep", "--out", "--pictures")
+
+
+def _without_places(arguments: list[str]) -> list[str]:
+    """The arguments without folders for files: where they were left is nobody's business, and changes no figure."""
+    is_place = [argument in _PLACES for argument in arguments]
     return [
         argument
         for k, argument in enumerate(arguments)
-        if not is_kept[k] and not (k > 0 and is_kept[k - 1]) and not argument.startswith("--keep=")
+        if not is_place[k]
+        and not (k > 0 and is_place[k - 1])
+        and not argument.startswith(tuple(f"{name}=" for name in _PLACES))
     ]
 
 
