@@ -1,11 +1,9 @@
 """Many clips from inputs to tables: what is kept, what is done again, and what is said of clips that fail.
 
-Clips are analysed in this process, but for the tests of processes and signals themselves.
+Clips are analysed in this process; processes, signals and full disks: tests/benchmarks/test_batch_stress.py.
 """
 
 import json
-import signal
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,8 +11,7 @@ from typing import Any
 import pandas as pd
 import pyarrow.compute as pc
 import pytest
-from moving_clips import approach, write_approaching_tracks, write_clip
-from processes import DEADLINE_S, STOPPED_WITHIN_S, are_gone, begun, children_of, wait_for
+from moving_clips import write_approaching_tracks
 from workers_here import WorkerHere
 
 import ttcvid
@@ -250,49 +247,6 @@ def test_what_cannot_be_used_is_an_error_before_anything_is_written(clips: Path,
     with pytest.raises(UsageError, match=r"no clip can be called 'index.html'"):
         analyzed(clips, out)
     assert not out.exists()
-
-
-@pytest.fixture(scope="module")
-def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four clips of one content."""
-    folder = tmp_path_factory.mktemp("videos")
-    content = write_clip(folder / "clip0.mp4", approach(30) * 3).read_bytes()
-    for number in range(1, 4):
-        (folder / f"clip{number}.mp4").write_bytes(content)
-    return folder
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_stopped_and_started_again_it_ends_as_in_one_go(number: signal.Signals, videos: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    command = ("batch", videos, "-o", out, "--jobs", "2", "--no-overlay", "--no-report", "--focal-px", "200")
-    process = begun(*command)
-    wait_for(lambda: is_one_done(out) and any(out.glob("*/.ttcvid-partial")), process)
-    children = children_of(process)
-    process.send_signal(number)
-    started_s = time.monotonic()
-    stdout, stderr = process.communicate(timeout=DEADLINE_S)
-    if number == signal.SIGTERM:
-        assert time.monotonic() - started_s < STOPPED_WITHIN_S
-        assert process.returncode == 130, stderr
-        assert "pending" in stdout
-        assert not list(out.glob("*/.ttcvid-partial"))
-        assert {row.state for row in read_rows(out)} == {"complete", "pending"}
-    assert len(children) >= 2
-    assert are_gone(children)
-    n_done = len(list(out.glob("*/manifest.json")))
-    again = begun(*command)
-    stdout, stderr = again.communicate(timeout=DEADLINE_S)
-    assert again.returncode == 0, stderr
-    assert f"{n_done} from before" in stdout
-    assert [row.state for row in read_rows(out)] == ["complete"] * 4
-    results = [{p.name: p.read_bytes() for p in folder.glob("*.parquet")} for folder in sorted(out.glob("clip*"))]
-    assert results == results[:1] * 4
-
-
-def is_one_done(out: Path) -> bool:
-    return (out / JOURNAL_NAME).exists() and "complete" in {outcome for _, outcome in outcomes(out)}
 
 
 @pytest.mark.usefixtures("here")

@@ -35,6 +35,14 @@ def counting(n: int, on_news: object = None) -> int:
     return n
 
 
+def kill_itself() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def lose_connection() -> None:
+    raise ConnectionResetError("the camera has gone")
+
+
 def failing_unforeseen() -> None:
     raise ZeroDivisionError("no reason")
 
@@ -60,6 +68,11 @@ def test_after_an_unforeseen_error_a_new_process_takes_over(worker: LocalWorker)
     assert worker.call(os.getpid) != before
 
 
+def test_a_connection_that_the_call_loses_is_a_failure_like_any_other(worker: LocalWorker) -> None:
+    with pytest.raises(ConnectionResetError, match="the camera has gone"):
+        worker.call(lose_connection)
+
+
 def test_news_arrive_before_the_result(worker: LocalWorker) -> None:
     news: list[int] = []
     assert worker.call(counting, 3, on_news=news.append) == 3
@@ -75,7 +88,9 @@ def test_a_process_to_be_avoided_and_one_that_is_used_once_are_replaced(worker: 
 
 
 def test_a_process_that_dies_is_told_and_replaced(worker: LocalWorker) -> None:
-    with pytest.raises(WorkerLostError, match="ended from outside"):
+    with pytest.raises(WorkerLostError, match="ended from outside: is there enough memory"):
+        worker.call(kill_itself)
+    with pytest.raises(WorkerLostError, match="exit code 3: a script of your own"):
         worker.call(os._exit, 3)
     assert worker.call(abs, -1) == 1
 

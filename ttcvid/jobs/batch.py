@@ -144,6 +144,8 @@ def batch(
 ) -> Batch:
     """Analyse many clips, several at a time, each into a folder of its own below ``out``.
 
+    A script that calls this does so below ``if __name__ == "__main__":``, because its processes import the script.
+
     Parameters
     ----------
     inputs

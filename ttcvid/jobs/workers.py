@@ -83,24 +83,19 @@ class LocalWorker:
         connection = self._begun()
         try:
             connection.send_bytes(pickle.dumps((function, arguments, on_news is not None)))
-            while True:
-                kind, content = connection.recv()
-                if kind == _RESULT:
-                    return content  # type: ignore[no-any-return]  # what the function of type R returned
-                if kind == _FAILURE:
-                    raise content
+            kind, content = connection.recv()
+            while kind == _NEWS:
                 if on_news is not None:
                     on_news(content)
+                kind, content = connection.recv()
         except (EOFError, ConnectionError):
             # All that the process has begun has let go of the pipe as well: nothing of it is left.
-            self._end()
-            raise WorkerLostError(
-                "the process of the analysis was ended from outside: is there enough memory?"
-            ) from None
-        except BaseException as error:
-            if not isinstance(error, TtcvidError):
-                self._end()  # whatever state an unforeseen error left there
-            raise
+            raise WorkerLostError(_words(self._end())) from None
+        if kind == _RESULT:
+            return content  # type: ignore[no-any-return]  # what the function of type R returned
+        if not isinstance(content, TtcvidError):
+            self._end()  # whatever state an unforeseen error left there
+        raise content
 
     def close(self) -> None:
         """Kill the process."""
@@ -125,14 +120,27 @@ class LocalWorker:
                 self.name = f"process {self._process.pid}"
             return self._connection
 
-    def _end(self) -> None:
+    def _end(self) -> int | None:
+        """End the process; its exit code, negative for a signal, None where there was no process."""
         with self._lock:
             process, connection = self._process, self._connection
             self._process = self._connection = None
-        if process is not None and connection is not None:
-            process.kill()
-            process.join(_END_WAIT_S)
-            connection.close()
+        if process is None or connection is None:
+            return None
+        connection.close()  # at the end of the pipe it ends itself
+        process.join(_END_WAIT_S)
+        process.kill()
+        process.join()
+        return process.exitcode
+
+
+def _words(exit_code: int | None) -> str:
+    if exit_code is None or exit_code <= 0:
+        return "the process of the analysis was ended from outside: is there enough memory?"
+    return (
+        f"the process of the analysis ended with exit code {exit_code}: a script of your own that calls ttcvid needs "
+        'the line: if __name__ == "__main__":'
+    )
 
 
 def _serve(connection: Connection) -> None:
