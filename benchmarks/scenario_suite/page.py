@@ -17,7 +17,7 @@ from scenario_suite.scoring import LEAST_SIZE_PX, MOTION_SIGMAS, REACHES_US_S, S
 from ttcvid.model import Bools
 
 NONE = "–"
-ERRORS_NAME, WORST_NAME = "scenarios_errors.svg", "scenarios_worst.jpg"
+ERRORS_NAME, WORST_NAME = "scenarios_errors.png", "scenarios_worst.jpg"
 _ANGLE_BINS_DEG = (50.0, 65.0, 80.0, 95.0)
 _N_WORST = 10
 

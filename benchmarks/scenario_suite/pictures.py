@@ -8,10 +8,10 @@ from pathlib import Path
 
 import av
 import cv2
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
-from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from scenario_suite.scoring import SceneScore
@@ -49,18 +49,16 @@ def write_errors(scores: Sequence[SceneScore], path: Path) -> None:
         axes[0, k].set_title(title, fontsize=8)
     handles, labels = axes[0, 1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=7, frameon=False)
-    # No date and no random names: the same scores give the same file.
-    with mpl.rc_context({"svg.hashsalt": "ttcvid"}):
-        FigureCanvasSVG(figure).print_svg(str(path), metadata={"Date": None})
+    FigureCanvasAgg(figure).print_png(str(path), metadata={"Software": None})
 
 
-def _found(axis: mpl.axes.Axes, rows: pd.DataFrame, column: str, edges: np.ndarray) -> None:
+def _found(axis: Axes, rows: pd.DataFrame, column: str, edges: np.ndarray) -> None:
     middle, share = _binned(rows[column], rows.is_found.astype(float), edges, np.mean)
     axis.plot(middle, 100 * share, "o-", color="tab:green", markersize=3)
     axis.set_ylim(0, 102)
 
 
-def _errors(axis: mpl.axes.Axes, rows: pd.DataFrame, column: str, edges: np.ndarray) -> None:
+def _errors(axis: Axes, rows: pd.DataFrame, column: str, edges: np.ndarray) -> None:
     for name, colour in (("ttc_z", "tab:blue"), ("tcpa", "tab:red")):
         judged = rows[rows[f"{name}_error"].notna()]
         error = 100 * judged[f"{name}_error"].abs()
