@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ttcvid.jobs.collision_map import collision_map
     from ttcvid.jobs.compare import compare
     from ttcvid.jobs.evaluate import evaluate
+    from ttcvid.jobs.export import export
     from ttcvid.jobs.regress import regress
     from ttcvid.jobs.report import report
     from ttcvid.jobs.run import Run
@@ -52,6 +53,7 @@ __all__ = [
     "collision_map",
     "compare",
     "evaluate",
+    "export",
     "open_batch",
     "regress",
     "report",
@@ -74,6 +76,7 @@ _HOMES = {
     "collision_map": "ttcvid.jobs.collision_map",
     "compare": "ttcvid.jobs.compare",
     "evaluate": "ttcvid.jobs.evaluate",
+    "export": "ttcvid.jobs.export",
     "open_batch": "ttcvid.jobs.batch_results",
     "regress": "ttcvid.jobs.regress",
     "report": "ttcvid.jobs.report",

@@ -23,6 +23,7 @@ COMMANDS = {
     "demo": "Render a scene with known truth, analyse and evaluate it, and say where to look.",
     "doctor": "Versions of what ttcvid stands on, and what is broken.",
     "evaluate": "How good a run is beside a truth: errors, intervals, objects, warnings.",
+    "export": "A run in the formats of other tools: csv, mot, coco, rrd (Rerun), mcap (Foxglove).",
     "regress": "Analyse the clips of a suite again and hold them against baselines and expectations.",
     "report": "A page that shows a run, or several side by side, in any browser.",
     "sensitivity": "How errors of direction and time grow with distance, method by method.",

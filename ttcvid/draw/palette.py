@@ -77,6 +77,18 @@ class ObjectColours:
         return next(place for place in range(len(taken) + 1) if place not in taken)
 
 
+def colours_of_clip(in_view: Iterable[Iterable[int]]) -> dict[int, Colour]:
+    """The colour in which each object is first seen, by ``cluster_id``; ``in_view`` are those in view, frame by frame.
+
+    Who is seen again later may have another colour in the video then.
+    """
+    colours = ObjectColours()
+    first: dict[int, Colour] = {}
+    for numbers in in_view:
+        first = colours.follow(numbers) | first
+    return dict(sorted(first.items()))
+
+
 def _colour_at(place: int) -> Colour:
     """The colours of `OBJECT_COLOURS`, and after them others without end."""
     if place < len(OBJECT_COLOURS):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Iterable
 
-from ttcvid.draw.palette import Colour, ObjectColours
+from ttcvid.draw.palette import Colour, colours_of_clip
 
 LEAST_CONTRAST = 3.0
 """Lines and marks against white, as the Web Content Accessibility Guidelines (1.4.11) want them."""
@@ -14,17 +14,12 @@ LEAST_CONTRAST = 3.0
 def colours_of_objects(in_view: Iterable[Iterable[int]]) -> dict[int, dict[str, str]]:
     """Colours of objects by number, on a ``light`` and on a ``dark`` ground, as ``#rrggbb``.
 
-    ``in_view`` are the numbers that are seen, frame by frame. Who is seen again later may have another colour in the
-    video then; here it keeps its first.
+    ``in_view`` are the numbers that are seen, frame by frame.
 
     >>> colours_of_objects([[1]])
     {1: {'light': '#229de2', 'dark': '#56b4e9'}}
     """
-    video = ObjectColours()
-    first: dict[int, Colour] = {}
-    for numbers in in_view:
-        first = video.follow(numbers) | first
-    return {number: _on_both_grounds(colour) for number, colour in sorted(first.items())}
+    return {number: _on_both_grounds(colour) for number, colour in colours_of_clip(in_view).items()}
 
 
 def _on_both_grounds(colour: Colour) -> dict[str, str]:

@@ -106,7 +106,9 @@ class RunView {
     video.addEventListener("error", () => { this.section.querySelector(".missing").hidden = false; });
     if (video.error) this.section.querySelector(".missing").hidden = false;
     video.addEventListener("loadedmetadata", () => this.go(this.wanted ?? this.at, false));
-    const shownTime = (seconds) => this.show(placeOf(this.videoTime, seconds + 1e-3));
+    // What is still told of the frame before, while the video is on its way to another, is out of date.
+    const shownTime = (seconds) => { if (!video.seeking) this.show(placeOf(this.videoTime, seconds + 1e-3)); };
+    video.addEventListener("seeked", () => shownTime(video.currentTime));
     if (video.requestVideoFrameCallback) {
       const tell = (now, about) => { shownTime(about.mediaTime); video.requestVideoFrameCallback(tell); };
       video.requestVideoFrameCallback(tell);

@@ -33,6 +33,7 @@ def made_run(folder: Path, n_frames: int = 40, n_objects: int = 2, has_video: bo
     clusters = clusters.sort_values(["frame", "cluster_id"], ignore_index=True)
     is_scene = clusters.cluster_id == 0
     epipoles = clusters[["frame", "t_s", "cluster_id"]].assign(**_COVARIANCE, method="whole-tracks", status="ok")
+    epipoles = epipoles.assign(x_px=25.0, y_px=20.0)
     epipoles = epipoles.assign(dir_x=np.where(is_scene, 0.0, 0.6), dir_y=0.0, dir_z=np.where(is_scene, -1.0, -0.8))
     tracks = pd.DataFrame({"frame": frame, "t_s": frame * DT_S, "track_id": 7, "cluster_id": 1, "status": "ok"})
     tracks = tracks.assign(x_px=30.0, y_px=24.0)
