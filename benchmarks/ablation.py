@@ -140,7 +140,8 @@ def shown(difference: Difference, scale: float = 1.0) -> str:
 def tasks_of(arguments: argparse.Namespace, trial: Trial) -> list[Task]:
     """The scenes of a trial: tables of tracks of all families, seed by seed, and rendered ones of some."""
     out, pictures = arguments.out / trial.folder, arguments.pictures
-    names = in_turn([name for name, family in FAMILIES.items() if family.expected_status is None])
+    told = [name for name, family in FAMILIES.items() if family.expected_status is None]
+    names = in_turn(arguments.families or told)
     drawn = [(name, seed) for seed in arguments.seeds for name in names]
     return [
         Task(name, seed, kind, out / kind, pictures / kind, without=trial.without)
@@ -258,6 +259,7 @@ def _explain(report: Report, scores: dict[Trial, list[SceneScore]]) -> None:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=lambda text: text.split(","), default=list(TRIALS), help="kinds of trials")
+    parser.add_argument("--families", type=lambda text: text.split(","), help="names, with commas between them")
     parser.add_argument("--seeds", type=_seeds, default=range(2), help="A-B, both included")
     parser.add_argument("--n", type=int, default=104, help="tables of tracks, of each family in turn")
     parser.add_argument("--rendered", type=int, default=12, help="rendered scenes, of each family in turn")
@@ -270,6 +272,9 @@ def _arguments() -> argparse.Namespace:
     unknown = [kind for kind in arguments.trials if kind not in TRIALS]
     if unknown:
         parser.error(f"--trials {unknown[0]}: expected some of {', '.join(TRIALS)}")
+    unknown = [name for name in arguments.families or [] if name not in FAMILIES]
+    if unknown:
+        parser.error(f"--families {unknown[0]}: no such family; expected some of {', '.join(FAMILIES)}")
     if arguments.pictures is None:
         arguments.pictures = arguments.out.with_name(f"{arguments.out.name}_pictures")
     return arguments

@@ -143,11 +143,11 @@ def _pictures(arguments: argparse.Namespace) -> Path:
 
 def _tasks(arguments: argparse.Namespace) -> list[Task]:
     """Every scene that is asked for, seed by seed."""
-    names = arguments.families or [name for name, family in FAMILIES.items() if arguments.group in (None, family.group)]
+    names = arguments.families or _all_families(arguments.group)
     kind = arguments.kind or ("video" if arguments.sweep else None)
     names = in_turn([name for name in names if kind is None or kind in FAMILIES[name].kinds])
     if not names:
-        sys.exit(f"--kind {kind}: none of the chosen families has this kind of input; leave --kind out")
+        sys.exit(f"none of the families asked for is left (--kind {kind}): ask for others, or leave --kind out")
     if arguments.verdict:
         n_each = -(-(arguments.n or 200) // len(names))
         seeds = verdict_seeds(commit_hash(arguments.verdict), n_each)
@@ -170,6 +170,16 @@ def _tasks(arguments: argparse.Namespace) -> list[Task]:
         for name, seed in chosen
         for value in values
     ]
+
+
+def _all_families(group: str | None) -> list[str]:
+    """Those of a group, or all; without the recorded ones, which is said, where there are no recordings."""
+    names = [name for name, family in FAMILIES.items() if group in (None, family.group)]
+    recorded = [name for name in names if FAMILIES[name].group == "recorded"]
+    if recorded and not data_place().is_dir():
+        print(f"left out without $TTCVID_DATA ({data_place()}): {', '.join(recorded)}", file=sys.stderr)
+        return [name for name in names if name not in recorded]
+    return names
 
 
 def _show(name: str, kind: str | None, pictures: Path) -> None:
