@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -108,10 +109,21 @@ def test_fail_on_exits_1_and_says_which(of_tracks: tuple[Path, Path], capsys: py
 def test_the_page_holds_all_metrics_and_a_curve_of_each_object(of_tracks: tuple[Path, Path], tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     assert main(["evaluate", *map(str, of_tracks), "-q", "--html", str(page)]) == 0
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     assert "ttc_z.median" in text
-    assert text.count("<svg") == text.count("<polyline") == 2
-    assert "http" not in text
+    assert text.count("data-curve=") == 2
+    (content,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
+    first, _ = json.loads(content)["curves"]
+    assert len(first["t_s"]) == len(first["true_hz"]) == len(first["found_hz"]) == len(first["low_hz"])
+    found = [(true, value) for true, value in zip(first["true_hz"], first["found_hz"], strict=True) if value]
+    assert len(found) > 5
+    assert all(value == pytest.approx(true, rel=0.1) for true, value in found)
+    assert all(
+        low <= value <= high
+        for low, value, high in zip(first["low_hz"], first["found_hz"], first["high_hz"], strict=True)
+        if None not in (low, value, high)
+    )
+    assert not re.search(r"""(src|href)=["']?http""", text)
 
 
 def test_the_page_goes_where_it_can_be_written(

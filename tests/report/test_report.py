@@ -118,6 +118,21 @@ def test_the_command_writes_where_it_is_told_and_says_where(tmp_path: Path, caps
     assert not (run / "report.html").exists()
 
 
+def test_of_several_runs_the_page_says_what_they_differ_in(tmp_path: Path) -> None:
+    one, other = made_run(tmp_path / "one"), made_run(tmp_path / "other", n_objects=1, state="truncated")
+    ttcvid.report(one)
+    page = ttcvid.report(one, other, out=tmp_path / "both.html")
+    text = page.read_text(encoding="utf-8")
+    table = text[text.index('<table class="compared">') : text.index("</table>")]
+    rows = {name: kind for kind, name in re.findall(r'<tr( class="differs")?><th scope="row">(.*?)</th>', table)}
+    assert rows["state"] == rows["objects"] == ' class="differs"'
+    assert rows["frames"] == rows["focal length"] == ""
+    assert '<a href="./one/report.html">' in table
+    assert len(data_of(page)["runs"]) == 2
+    assert len(data_of(page)["runs"][1]["objects"]) == 1
+    assert not (other / "report.html").exists()
+
+
 def test_what_cannot_be_reported_is_refused_with_a_reason(tmp_path: Path) -> None:
     run = made_run(tmp_path / "run")
     with pytest.raises(UsageError, match="-o FILE"):

@@ -82,6 +82,19 @@ def test_warnings_plots_directions_and_keys_lead_to_their_frame(browser: Browser
 
 
 @pytest.mark.slow
+def test_runs_side_by_side_go_to_the_same_time(browser: Browser, tmp_path: Path) -> None:
+    one = made_run(tmp_path / "one", has_video=True)
+    other = made_run(tmp_path / "other", 30, has_video=True)
+    tab, errors = opened(browser, ttcvid.report(one, other, out=tmp_path / "both.html"))
+    tab.locator("button.warning").first.click()
+    assert tab.locator(".now .place").all_inner_texts() == [f"Frame {WARNED_FROM}, 2.00 s"] * 2
+    tab.uncheck("#together")
+    tab.locator(".run").last.locator(".timeline .track").first.click(position={"x": 1, "y": 10})
+    assert tab.locator(".now .place").all_inner_texts() == [f"Frame {WARNED_FROM}, 2.00 s", "Frame 0, 0.00 s"]
+    assert errors == []
+
+
+@pytest.mark.slow
 def test_the_page_fits_a_phone_and_follows_dark_and_paper(browser: Browser, report: Path, tmp_path: Path) -> None:
     tab, errors = opened(browser, report, viewport={"width": 390, "height": 800}, color_scheme="dark")
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390

@@ -14,14 +14,16 @@ import pyarrow.parquet as pq
 
 from ttcvid.calibration import read_camera_image_size
 from ttcvid.errors import InputError
+from ttcvid.jobs.addresses import address
 from ttcvid.jobs.provenance import digest_of
 from ttcvid.jobs.run import Run
 from ttcvid.model import ImageSize, Ints
 from ttcvid.plain_files import open_plain
+from ttcvid.report.evaluation_page import Curve, Metric, evaluation_page
 from ttcvid.sinks.whole_text import write_whole
 from ttcvid.sources.images import read_picture
 from ttcvid.studies.evaluate import Evaluation, judge_run
-from ttcvid.studies.evaluation_page import evaluation_page
+from ttcvid.studies.metrics import METRICS
 from ttcvid.studies.truth import (
     BOX,
     DIRECTION,
@@ -37,6 +39,7 @@ from ttcvid.studies.truth import (
     plain,
     with_counted,
 )
+from ttcvid.studies.wording import describe_object, describe_value
 
 _LOG = logging.getLogger(__name__)
 
@@ -98,7 +101,25 @@ def evaluate(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
 def write_page(result: EvaluatedRun, path: Path) -> None:
     """Write the evaluation as an HTML page; OutputError where that cannot be done."""
     title = f"{result.run.folder} beside {result.truth}"
-    write_whole(path, evaluation_page(result.evaluation, title))
+    evaluation = result.evaluation
+    metrics = [
+        Metric(name, describe_value(name, value), METRICS[name][1])
+        for name in METRICS
+        if (value := evaluation.metrics[name]) is not None
+    ]
+    curves = [
+        _curve(describe_object(judged), evaluation.joined[evaluation.joined.object_id == judged.object_id])
+        for judged in evaluation.objects
+    ]
+    report = None if result.run.report is None else address(result.run.report, path)
+    write_whole(path, evaluation_page(title, metrics, curves, report))
+
+
+def _curve(heading: str, rows: pd.DataFrame) -> Curve:
+    times = ("ttc_z_s", "ttc_z_s_found", "ttc_z_hi_s_found", "ttc_z_lo_s_found")
+    with np.errstate(divide="ignore"):
+        true_hz, found_hz, low_hz, high_hz = (1 / rows[name].to_numpy(float) for name in times)
+    return Curve(heading, rows.t_s.to_numpy(float), true_hz, found_hz, low_hz, high_hz)
 
 
 def read_run_tables(run: Run) -> RunTables:

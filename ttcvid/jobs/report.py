@@ -6,12 +6,12 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ttcvid.errors import InputError, OutputError, UsageError
+from ttcvid.jobs.addresses import address
 from ttcvid.jobs.run import Run
 from ttcvid.jobs.run_manifest import camera_of
 from ttcvid.plain_files import open_plain, printable
@@ -66,15 +66,11 @@ def write_report(folder: Path, name: str, manifest: Mapping[str, Any], has_video
 
 
 def _contents(run: Run, page: Path) -> RunContents:
-    video = _address(run.overlay, page) if run.overlay is not None else None
+    video = address(run.overlay, page) if run.overlay is not None else None
     tables = _tables(run.folder)
-    return RunContents(printable(str(run.folder)), run.manifest, camera_of(run.manifest["camera"]), tables, video)
-
-
-def _address(file: Path, page: Path) -> str:
-    """A file as a page finds it: relative, so that both can move together."""
-    relative = Path(os.path.relpath(file.resolve(), page.resolve().parent))
-    return "./" + quote(os.fsencode(relative.as_posix()))
+    own_page = None if run.report is None or run.report.resolve() == page.resolve() else address(run.report, page)
+    camera = camera_of(run.manifest["camera"])
+    return RunContents(printable(str(run.folder)), run.manifest, camera, tables, video, own_page)
 
 
 def _tables(folder: Path) -> dict[str, pa.Table]:

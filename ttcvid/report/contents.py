@@ -38,8 +38,8 @@ TABLE_COLUMNS: dict[str, tuple[str, ...]] = {
 class RunContents:
     """One run.
 
-    ``tables`` holds at least `TABLE_COLUMNS`; ``video`` is the address of its annotated video as seen from the page,
-    None where there is none.
+    ``tables`` holds at least `TABLE_COLUMNS`; ``video`` and ``own_page`` are the addresses of its annotated video and
+    of its own report as seen from the page, None where there are none.
     """
 
     name: str
@@ -47,6 +47,7 @@ class RunContents:
     camera: Camera
     tables: Mapping[str, pa.Table]
     video: str | None
+    own_page: str | None = None
 
     def numbers(self, table: str, column: str) -> Floats:
         """A column of numbers ``(N,)``, null as NaN.

@@ -24,6 +24,8 @@ _STATES = {
     "truncated": "The input breaks off: what could be decoded was analysed",
     "interrupted": "The analysis was interrupted: what was done until then is here",
 }
+_TOLD = ("ok", "first", "rotation_only")
+"""Statuses of frames of which own motion is known, as far as there is any."""
 _PLATFORMS = {
     "vehicle": "The camera is carried by a vehicle: it moves about forward, on a road.",
     "aircraft": "The camera is carried by an aircraft.",
@@ -96,7 +98,7 @@ def _warned_sentence(warned: Warned) -> str:
 def _own_motion_sentences(contents: RunContents) -> list[str]:
     statuses = Counter(contents.words("frames", "status"))
     n = sum(statuses.values())
-    bad = {status: count for status, count in statuses.items() if status not in ("ok", "first", "rotation_only")}
+    bad = {status: count for status, count in statuses.items() if status not in _TOLD}
     if not bad:
         return []
     listed = ", ".join(f"{count} {status}" for status, count in sorted(bad.items()))
@@ -196,6 +198,40 @@ def manifest_facts(contents: RunContents) -> dict[str, list[Fact]]:
         "All settings": list(_settings(manifest, is_all=True)),
     }
     return {name: rows for name, rows in facts.items() if rows}
+
+
+def compared_facts(contents: RunContents) -> dict[str, str]:
+    """What several runs are told apart by, in the words of `summary_sentences`; the same names for every run."""
+    manifest = contents.manifest
+    settings, counts, nearest = manifest["configuration"], manifest["counts"], manifest["nearest"]
+    camera = contents.camera
+    told = sum(status in _TOLD for status in contents.words("frames", "status"))
+    smallest = "none"
+    if nearest is not None:
+        smallest = (
+            f"{nearest['ttc_z_s']:.2f} s ({nearest['ttc_z_lo_s']:.2f} to {nearest['ttc_z_hi_s']:.2f} s), object "
+            f"{nearest['cluster_id']}, frame {nearest['frame']}"
+        )
+    origin = "assumed" if camera.is_assumed else "found" if camera.is_found else PurePath(camera.origin).name
+    return {
+        "state": str(manifest["state"]),
+        "input": title_of(contents),
+        "hash of the input": str(manifest["input"]["sha256"])[:12],
+        "frames": str(counts["frames"]),
+        "frames that tell own motion": str(told),
+        "objects": str(counts["objects"]),
+        "warnings": str(counts["events"]),
+        "smallest time to collision": smallest,
+        "tracks in a frame, mean": f"{np.nanmean(contents.numbers('frames', 'n_tracks')):.0f}",
+        "focal length": f"{camera.fx_px:.1f} px ({origin})",
+        "horizon": "none" if manifest["horizon"] is None else "given",
+        "platform": _value(settings, "egomotion", "platform"),
+        "tracker": _value(settings, "tracking", "tracker"),
+        "estimator": _value(settings, "collision_times", "estimator"),
+        "smooth": _value(settings, "collision_times", "smooth").lower(),
+        "ttcvid": str(manifest["versions"].get("ttcvid")),
+        "frames/s": f"{manifest['timings']['frames_per_s']:.1f}",
+    }
 
 
 def _settings(manifest: Mapping[str, Any], is_all: bool) -> list[Fact]:

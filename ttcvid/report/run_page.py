@@ -9,6 +9,7 @@ from ttcvid.draw.wording import CLOSE_TTC_S
 from ttcvid.report.contents import RunContents
 from ttcvid.report.facts import (
     assumptions,
+    compared_facts,
     counts_and_statuses,
     manifest_facts,
     summary_sentences,
@@ -29,12 +30,14 @@ def run_page(runs: Sequence[RunContents]) -> str:
         words, numbers = _run(run, is_one_of_many=len(runs) > 1)
         described.append(words)
         series.append(numbers)
+    facts = [compared_facts(run) for run in runs]
     title = " and ".join(dict.fromkeys(title_of(run) for run in runs))
     return render(
         "report.html.j2",
         {"runs": series},
         title=f"{title}: report of {'the analysis' if len(runs) == 1 else 'the analyses'}",
         runs=described,
+        compared=[(name, [of_run[name] for of_run in facts]) for name in facts[0]],
         scripts=[script("plots.js"), script("run.js")],
     )
 
@@ -47,6 +50,7 @@ def _run(contents: RunContents, is_one_of_many: bool) -> tuple[dict[str, Any], d
     words = {
         "title": title_of(contents),
         "name": contents.name,
+        "own_page": contents.own_page,
         "is_one_of_many": is_one_of_many,
         "state": contents.manifest["state"],
         "summary": summary_sentences(contents, objects.ranked, objects.warnings),
