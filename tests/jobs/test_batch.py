@@ -18,7 +18,7 @@ import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.errors import InputError, OutputError, UsageError
 from ttcvid.jobs.batch import JOURNAL_NAME, Batch
-from ttcvid.jobs.batch_table import read_rows
+from ttcvid.jobs.batch_table import ClipRow, read_rows
 from ttcvid.jobs.workers import WorkerLostError
 from ttcvid.schema import TABLE_NAMES
 
@@ -233,6 +233,20 @@ def test_two_batches_in_one_folder_are_refused(clips: Path, tmp_path: Path, here
     here.before = lambda function, task: fault(task.clip)
     assert analyzed(clips, tmp_path / "out").exit_code == 0
     assert "another batch is writing there" in reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("states", "is_interrupted", "exit_code"),
+    [
+        (["complete", "complete"], False, 0),
+        (["complete", "truncated"], False, 4),
+        (["failed", "complete"], False, 4),
+        (["complete", "pending"], True, 130),
+    ],
+)
+def test_the_exit_code_says_how_it_ended(states: list[str], is_interrupted: bool, exit_code: int) -> None:
+    rows = tuple(ClipRow(str(number), "clip.mp4", state) for number, state in enumerate(states))
+    assert Batch(Path("out"), rows, 0, 10, 1.0, is_interrupted).exit_code == exit_code
 
 
 def test_what_cannot_be_used_is_an_error_before_anything_is_written(clips: Path, tmp_path: Path) -> None:
