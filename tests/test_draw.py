@@ -409,6 +409,18 @@ def test_a_field_of_view_that_nobody_gave_is_said_in_the_picture(changes):
     assert changed[:, 0].min() > 150  # at the bottom
 
 
+def test_a_camera_that_rests_is_no_fault(words):
+    painted(frame_result(1, status=FrameStatus.static))
+    assert "static" not in [text for text, *_ in words]
+    painted(frame_result(1, status=FrameStatus.rotation_only))
+    assert "rotation only" in [text for text, *_ in words]
+
+
+def test_the_picture_says_what_the_clip_tells_of_the_platform(words):
+    OverlayPainter(CAMERA, SIZE, 4, told_platform="vehicle").paint(blank(), frame_result(3))
+    assert "0.30 s  frame 3  vehicle, told by the clip" in [text for text, *_ in words]
+
+
 def test_frame_status_and_warning_are_visible():
     calm = painted(frame_result(1))
     assert not np.array_equal(calm, painted(frame_result(1, status=FrameStatus.few_tracks)))

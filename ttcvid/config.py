@@ -68,7 +68,9 @@ class TrackingConfig(StageConfig):
 class EgomotionConfig(StageConfig):
     """Priors of own rotation and translation."""
 
-    platform: Platform = Platform.free
+    platform: Platform = Field(
+        default=Platform.auto, description="what carries the camera; auto: told by the clip, static, vehicle or free"
+    )
     min_tracks: int = Field(default=12, ge=5, description="fewer tracks than this give the status few_tracks")
 
 

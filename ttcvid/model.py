@@ -54,7 +54,7 @@ class Status(IntEnum):
 
 
 class FrameStatus(StrEnum):
-    """What became of a frame."""
+    """What became of a frame; ``static`` is ``ok`` before a camera that rests."""
 
     ok = "ok"
     first = "first"
@@ -64,6 +64,7 @@ class FrameStatus(StrEnum):
     dark = "dark"
     few_tracks = "few_tracks"
     rotation_only = "rotation_only"
+    static = "static"
 
 
 class MotionState(StrEnum):
@@ -81,8 +82,12 @@ APPROACHING = frozenset({MotionState.approaching, MotionState.constant_bearing})
 
 
 class Platform(StrEnum):
-    """What carries the camera; chooses the priors on own motion."""
+    """What carries the camera; chooses the priors on own motion.
 
+    ``auto`` is to be told from the clip (``ttcvid.stages.platform``) before anything is analysed.
+    """
+
+    auto = "auto"
     vehicle = "vehicle"
     aircraft = "aircraft"
     free = "free"

@@ -15,6 +15,7 @@ from ttcvid.model import (
     FrameResult,
     Horizon,
     Picture,
+    Platform,
 )
 from ttcvid.stages.analyzed_frames import AnalyzedFrame, RowMemory, analyze_seen, smoothed
 from ttcvid.stages.history import empty_history
@@ -68,10 +69,17 @@ def analyze_tracked(
     tracked_frames: Iterable[TrackedFrame], camera: Camera, config: PipelineConfig, horizon: Horizon | None = None
 ) -> Iterator[FrameResult]:
     """The result of each frame from its tracked points: all of an analysis but what looks at pictures."""
-    clip = Clip(camera, config, horizon_plane(camera, horizon))
+    clip = Clip(camera, _with_platform(config), horizon_plane(camera, horizon))
     analyzed = _analyzed(tracked_frames, clip)
     for item in smoothed(analyzed, clip) if config.collision_times.smooth else analyzed:
         yield item.result
+
+
+def _with_platform(config: PipelineConfig) -> PipelineConfig:
+    """What carries the camera; where nobody has told (`ttcvid.stages.platform`), nothing is expected of its motion."""
+    if config.egomotion.platform != Platform.auto:
+        return config
+    return config.model_copy(update={"egomotion": config.egomotion.model_copy(update={"platform": Platform.free})})
 
 
 def _without_pictures(

@@ -185,7 +185,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
             "smallest ttc_z_s over objects that approach by their whole 90 % interval, have done so in each frame of "
             "events.persistence_s, and have bodies.min_tracks tracks; null: there is none",
         ),
-        _name("status", "what became of the frame", FRAME_STATUS_NAMES),
+        _name("status", "what became of the frame; static: ok, before a camera at rest", FRAME_STATUS_NAMES),
     ),
     "events": (
         _count("event_id", "number of the warning"),

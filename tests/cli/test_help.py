@@ -92,7 +92,7 @@ def test_choices_and_options_are_those_of_the_configuration() -> None:
 def test_defaults_in_the_help_are_those_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:
     main(["analyze", "--help"])
     text = " ".join(capsys.readouterr().out.split())
-    for default in ("klt", "multi-frame", "free", "0", "1", "--overlay"):
+    for default in ("klt", "multi-frame", "auto", "0", "1", "--overlay"):
         assert f"[default: {default}]" in text.replace("multi- frame", "multi-frame")
     assert TrackingConfig().tracker == "klt"
     assert CollisionTimesConfig().estimator == "multi-frame"

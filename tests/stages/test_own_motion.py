@@ -116,7 +116,7 @@ def test_too_few_tracks_give_no_motion_and_forget_the_past():
     steps, history = found(motion)
     assert steps == [None] * 5
     assert history.frame.tolist() == [4]
-    assert found(motion, config=EgomotionConfig(min_tracks=11))[0][-1] is not None
+    assert found(motion, config=EgomotionConfig(min_tracks=11, platform=Platform.free))[0][-1] is not None
 
 
 def test_frozen_tracks_take_no_part():

@@ -11,7 +11,7 @@ from ttcvid.cli.clip_options import Command, clip_options, in_order, method_opti
 from ttcvid.cli.grouped import option_under
 
 ESTIMATORS = ("multi-frame", "three-frame", "two-frame")
-PLATFORMS = ("vehicle", "aircraft", "free", "static")
+PLATFORMS = ("auto", "vehicle", "aircraft", "free", "static")
 
 _camera_option = option_under("Camera (without one: found in a clip that turns, else 55 deg assumed, and said)")
 
@@ -32,7 +32,7 @@ def analysis_options() -> Callable[[Command], Command]:
         method_option(
             "--platform",
             type=click.Choice(PLATFORMS),
-            help="What carries the camera: expectations of its own motion.  [default: free]",
+            help="What carries the camera: expectations of its own motion; auto: told by the clip.  [default: auto]",
         ),
         tracker_option(),
         method_option(

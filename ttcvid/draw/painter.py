@@ -32,16 +32,25 @@ class OverlayPainter:
         Length of the trails in frames.
     is_smooth
         Whether estimates use later frames too: said beside the clock.
+    told_platform
+        What the clip tells of what carries the camera: said beside the clock; empty where that was given.
     """
 
-    def __init__(self, camera: Camera, image_size: ImageSize, trail_frames: int, is_smooth: bool = False) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        image_size: ImageSize,
+        trail_frames: int,
+        is_smooth: bool = False,
+        told_platform: str = "",
+    ) -> None:
         self._camera = camera
         self._image_size = image_size
         self._trails = Trails(trail_frames)
         self._objects = ShownObjects()
         self._letters = Lettering(cap_height_px(image_size))
         self._panels = Panels(self._letters)
-        self._is_smooth = is_smooth
+        self._notes = ["smooth"] * is_smooth + [f"{told_platform}, told by the clip"] * bool(told_platform)
 
     def paint(self, bgr: Picture, result: FrameResult) -> Picture:
         """Draw ``result`` into ``bgr`` ``(H, W, 3)`` uint8, in place, and return it. Frames have to come in order."""
@@ -78,7 +87,7 @@ class OverlayPainter:
     def _write(self, bgr: Picture, result: FrameResult, objects: Sequence[Shown]) -> None:
         panels = self._panels
         panels.begin()
-        panels.clock(bgr, result, self._is_smooth)
+        panels.clock(bgr, result, self._notes)
         panels.camera_note(bgr, self._camera)
         panels.banner(bgr, result, objects)
         panels.legend(bgr, objects)

@@ -19,6 +19,7 @@ _LEGEND_SHARE = 0.4  # of the picture's height
 _PANEL_OPACITY = 0.62
 _BANNER_OPACITY = 0.85
 _HIDDEN_SHARE = 0.5  # of a box under the banner, from which on the banner stands on top of the picture
+_NO_FAULTS = (FrameStatus.ok, FrameStatus.static)
 _LEGEND_INKS: dict[Urgency, Colour] = {Urgency.calm: WHITE, Urgency.close: CLOSE, Urgency.warned: (110, 110, 255)}
 
 
@@ -72,11 +73,11 @@ class Panels:
         long = f"{one.text}  {interval}"
         return long if interval and self._letters.width_px(long) < 0.35 * width else one.text
 
-    def clock(self, bgr: Picture, result: FrameResult, is_smooth: bool) -> None:
-        """Time and frame in the lower left corner, with the frame's status where it is not ok."""
-        text = f"{result.t_s:.2f} s  frame {result.frame}" + ("  smooth" if is_smooth else "")
+    def clock(self, bgr: Picture, result: FrameResult, notes: Sequence[str]) -> None:
+        """Time, frame and notes in the lower left corner, with the frame's status where something is wrong."""
+        text = "  ".join([f"{result.t_s:.2f} s", f"frame {result.frame}", *notes])
         right = self._corner(bgr, text, 0, WHITE)
-        if result.status is not FrameStatus.ok:
+        if result.status not in _NO_FAULTS:
             self._corner(bgr, result.status.value.replace("_", " "), right, CLOSE)
 
     def camera_note(self, bgr: Picture, camera: Camera) -> None:

@@ -23,6 +23,7 @@ from ttcvid.jobs.clip import (
 from ttcvid.jobs.compilation import compilation_complaint, compilation_note
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
 from ttcvid.jobs.found_focal import with_found_focal
+from ttcvid.jobs.found_platform import describe_platform, with_told_platform
 from ttcvid.jobs.outputs import check_overlay, open_sinks
 from ttcvid.jobs.process import (
     one_opencv_thread,
@@ -104,12 +105,14 @@ def run_analysis(
     options = configuration.options
     with open_clip(input_, options) as source:
         calibration = read_calibration(options, source.info.image_size)
+        as_given = configuration
+        configuration, told_platform = with_told_platform(input_, calibration, configuration)
         calibration = with_found_focal(input_, calibration, configuration)
         if options.wants_auto_horizon:
             # Loaded where it is wanted: it brings matplotlib along.
             from ttcvid.jobs.horizon_auto import with_found_horizon
 
-            calibration = with_found_horizon(input_, calibration, configuration)
+            calibration = with_found_horizon(input_, calibration, as_given)
         option_files = describe_option_files(options)
         path = out if out is not None else default_folder(input_)
         refuse_folder_of_input(path, source)
@@ -131,6 +134,7 @@ def run_analysis(
                 "option_files": option_files,
                 "input": describe_input(source.info, source.files, digest.result()),
                 **describe_calibration(calibration),
+                "platform": describe_platform(configuration, told_platform),
                 "counts": tally.counts(source.info, source.report),
                 "nearest": tally.nearest,
                 "warnings": _warnings(source, calibration, tally),

@@ -198,8 +198,13 @@ def with_own_defaults(configuration: Configuration, defaults: dict[str, dict[str
     """The parameters of the stages, with other defaults where the user has not said anything."""
     pipeline = configuration.pipeline
     for section, values in defaults.items():
-        unsaid = {key: value for key, value in values.items() if f"{section}.{key}" not in configuration.origins}
-        pipeline = pipeline.model_copy(update={section: getattr(pipeline, section).model_copy(update=unsaid)})
+        said = getattr(pipeline, section)
+        unsaid = {
+            key: value
+            for key, value in values.items()
+            if f"{section}.{key}" not in configuration.origins or getattr(said, key) == Platform.auto
+        }
+        pipeline = pipeline.model_copy(update={section: said.model_copy(update=unsaid)})
     return pipeline
 
 

@@ -34,6 +34,8 @@ from ttcvid.jobs.options import (
 )
 
 PROJECT_FILE = "ttcvid.toml"
+TOLD_BY_CLIP = "told by the clip"
+"""Origin of a value that nobody gave and that the clip itself tells."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from ttcvid.draw import OverlayPainter
 from ttcvid.errors import OutputError
 from ttcvid.jobs.clip import Calibration
-from ttcvid.jobs.configuration import Configuration
+from ttcvid.jobs.configuration import TOLD_BY_CLIP, Configuration
 from ttcvid.jobs.provenance import table_metadata
 from ttcvid.model import Frame, FrameResult, ImageSize, Picture
 from ttcvid.sinks.folder import OVERLAY_NAME
@@ -33,7 +33,9 @@ def open_sinks(
     path = folder / OVERLAY_NAME
     video = stack.enter_context(OverlayVideo(path, info.image_size, dt_s, overlay.preset, overlay.crf))
     is_smooth = configuration.pipeline.collision_times.smooth
-    painter = OverlayPainter(calibration.camera, info.image_size, overlay.trail_frames, is_smooth)
+    is_told = configuration.origins.get("egomotion.platform") == TOLD_BY_CLIP
+    told_platform = configuration.pipeline.egomotion.platform.value if is_told else ""
+    painter = OverlayPainter(calibration.camera, info.image_size, overlay.trail_frames, is_smooth, told_platform)
 
     def write(item: tuple[Frame, FrameResult]) -> None:
         frame, result = item

@@ -102,7 +102,7 @@ def describe_option_files(options: AnalyzeOptions) -> dict[str, dict[str, str]]:
 
 
 # Frames that tell motion since another one, see `Tally.complaint_about_repeats`.
-_MOVED_ON = (FrameStatus.ok, FrameStatus.rotation_only)
+_MOVED_ON = (FrameStatus.ok, FrameStatus.rotation_only, FrameStatus.static)
 # From this part of the pictures on repeated ones are the way a clip was made; steps that differ by so much are uneven.
 _MANY_REPEATED, _UNEVEN = 0.05, 0.25
 # Frames farther apart than this, s, are no clip of anything that moves; more than this part of a clip is most of it.

@@ -141,11 +141,14 @@ class Run:
             parts.append("focal length ASSUMED")
         elif camera.get("focal_sigma_px") is not None:
             parts.append(f"focal length FOUND in the clip: {camera['fx_px']:.0f} +- {camera['focal_sigma_px']:.0f} px")
+        platform = self.manifest["platform"]
+        if platform["is_told_by_clip"]:
+            parts.append(f"platform {platform['value']} TOLD BY THE CLIP ({platform['reason']})")
         return f"{self.folder}: {'; '.join(parts)}"
 
     def summary_json(self) -> str:
         """The summary as one JSON object."""
-        names = ("state", "counts", "timings", "nearest", "camera", "warnings")
+        names = ("state", "counts", "timings", "nearest", "camera", "platform", "warnings")
         content = {"folder": str(self.folder), "exit_code": self.exit_code}
         return json.dumps(content | {name: self.manifest[name] for name in names}, sort_keys=True)
 

@@ -34,6 +34,7 @@ REQUIRED: dict[str, Any] = {
     "input": {"nominal_dt_s": float, "sha256": str, "n_files": int, "kind": str},
     "camera": _CAMERA,
     "image_size": _SIZE,
+    "platform": {"value": str, "is_told_by_clip": bool, "reason": str},
     "counts": _COUNTS,
     "timings": _TIMES_OF_WORK,
     "warnings": list,

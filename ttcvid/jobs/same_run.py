@@ -9,14 +9,16 @@ from typing import Any
 
 from ttcvid.errors import InputError
 from ttcvid.jobs.clip import open_clip
-from ttcvid.jobs.configuration import Configuration
+from ttcvid.jobs.configuration import TOLD_BY_CLIP, Configuration
 from ttcvid.jobs.options import AUTO_HORIZON, PATH_OPTIONS
 from ttcvid.jobs.provenance import describe_option_files, digest_of, versions
 from ttcvid.jobs.run import Run
+from ttcvid.model import Platform
 
 FINISHED_STATES = ("complete", "truncated")
 """A truncated input gives the same result each time; an interrupted analysis would go further."""
 _NOT_COMPARED = ("overwrite",)
+_AUTO = Platform.auto.value
 
 
 def finished_run(folder: Path, input_: str, configuration: Configuration) -> Run | None:
@@ -48,13 +50,18 @@ def _settings(configuration: Any) -> Any:
     """Values by section and key, as JSON has them; of files that options name the content is compared instead."""
     values = {
         section: {
-            key: _mapping(entry).get("value")
+            key: _as_asked(_mapping(entry))
             for key, entry in _mapping(keys).items()
             if section != "analyze" or not (key in _NOT_COMPARED or _is_file(key, _mapping(entry).get("value")))
         }
         for section, keys in configuration.items()
     }
     return json.loads(json.dumps(values))
+
+
+def _as_asked(entry: Mapping[str, Any]) -> Any:
+    """A value as it was asked for: what the clip told by itself was not given."""
+    return _AUTO if entry.get("origin") == TOLD_BY_CLIP else entry.get("value")
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:

@@ -24,7 +24,7 @@ _STATES = {
     "truncated": "The input breaks off: what could be decoded was analysed",
     "interrupted": "The analysis was interrupted: what was done until then is here",
 }
-_TOLD = ("ok", "first", "rotation_only")
+_TOLD = ("ok", "first", "rotation_only", "static")
 """Statuses of frames of which own motion is known, as far as there is any."""
 _PLATFORMS = {
     "vehicle": "The camera is carried by a vehicle: it moves about forward, on a road.",
@@ -110,7 +110,7 @@ def assumptions(contents: RunContents) -> list[Assumption]:
     manifest = contents.manifest
     settings = manifest["configuration"]
     found = [*_camera_assumptions(contents), _level(manifest)]
-    found.append(Assumption(_PLATFORMS.get(_value(settings, "egomotion", "platform"), "")))
+    found.append(_platform(manifest))
     found.append(Assumption(_TIME_ORIGINS.get(str(manifest["input"].get("time_origin")), "")))
     if _value(settings, "collision_times", "smooth") == "True":
         found.append(Assumption("Directions and times are made from frames on both sides; warnings are causal."))
@@ -132,6 +132,13 @@ def assumptions(contents: RunContents) -> list[Assumption]:
         )
     )
     return sorted((one for one in found if one.text), key=lambda one: not one.is_weak)
+
+
+def _platform(manifest: Mapping[str, Any]) -> Assumption:
+    """What carries the camera, and whether the clip told it."""
+    platform = manifest["platform"]
+    told = f" That is told by the clip: {platform['reason']}." if platform["is_told_by_clip"] else ""
+    return Assumption(f"{_PLATFORMS.get(platform['value'], '')}{told}".strip())
 
 
 def _camera_assumptions(contents: RunContents) -> list[Assumption]:

@@ -13,11 +13,12 @@ from ttcvid.model import Floats, ImageSize, PointSet
 _PARTS = 16
 # A point stays within this over the time between two looks, px; a mast sways by less.
 _STAYS_PX = 1.0
-# With more than this share of the parts in their place the camera rests: traffic may fill the others.
-_RESTING_SHARE = 0.5
 # The camera of a clip rests when it does so in this share of all looks.
 _RESTING_LOOKS = 0.9
 _LEAST_POINTS = 8
+
+RESTING_SHARE = 0.5
+"""With more than this share of the parts in their place the camera rests: traffic may fill the others."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Look:
     @property
     def is_resting(self) -> bool:
         """Whether most of the picture stays."""
-        return self.still_share > _RESTING_SHARE
+        return self.still_share > RESTING_SHARE
 
 
 def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) -> Look | None:
@@ -43,10 +44,11 @@ def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) 
     if len(i) < _LEAST_POINTS:
         return None
     moved_px = np.linalg.norm(now.xy_px[j] - before.xy_px[i], axis=1)
-    return Look(t_s, _share_of_parts(now.xy_px[j], (moved_px < _STAYS_PX).astype(float), size))
+    return Look(t_s, share_of_parts(now.xy_px[j], (moved_px < _STAYS_PX).astype(float), size))
 
 
-def _share_of_parts(xy_px: Floats, stays: Floats, size: ImageSize) -> float:
+def share_of_parts(xy_px: Floats, stays: Floats, size: ImageSize) -> float:
+    """The share of the parts of a picture, most of whose points (N, 2) stay: 1 where one does, else 0, (N,)."""
     side_px = size.longer_side_px / _PARTS
     cell = np.clip((xy_px / side_px).astype(np.int64), 0, _PARTS - 1)
     still = coo_matrix((stays, cell.T), shape=(_PARTS, _PARTS)).toarray()

@@ -14,6 +14,7 @@ from ttcvid.model import (
     Camera,
     Frame,
     FrameStatus,
+    Platform,
     PointSet,
 )
 from ttcvid.stages.egomotion import Egomotion, EgomotionMemory
@@ -99,7 +100,7 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
     else:
         dt_s = float(history.t_s[-1] - history.t_s[-2])
     if status == FrameStatus.ok:
-        status = _motion_status(egomotion)
+        status = _motion_status(egomotion, clip.config.egomotion.platform)
     plane = followed_plane(
         memory.plane, clip.plane, None if egomotion is None else egomotion.cam_R_prev, dt_s, clip.camera
     )
@@ -171,9 +172,11 @@ def _with_points(frame: Frame, points: PointSet, before: TrackHistory, clip: Cli
     return extended(before, frame.index, frame.t_s, points, rays, max_frames, may_come_back=from_table)
 
 
-def _motion_status(egomotion: Egomotion | None) -> FrameStatus:
+def _motion_status(egomotion: Egomotion | None, platform: Platform) -> FrameStatus:
     if egomotion is None:
         return FrameStatus.few_tracks
+    if platform == Platform.static:
+        return FrameStatus.static
     return FrameStatus.rotation_only if egomotion.direction is None else FrameStatus.ok
 
 

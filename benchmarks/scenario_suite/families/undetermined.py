@@ -67,7 +67,7 @@ FAMILIES = tuple(
     Family(name, group, title, draw, platform, kinds, collides=False, expected_status=status)
     for name, group, title, draw, platform, kinds, status in (
         ("panning", "free", "camera turns on the spot", _panning, "free", ("video", "tracks"), "rotation_only"),
-        ("resting", "static", "camera at rest, nobody there", _resting, "static", ("video", "tracks"), "rotation_only"),
+        ("resting", "static", "camera at rest, nobody there", _resting, "static", ("video", "tracks"), "static"),
         ("clear-sky", "aircraft", "nothing but sky", _clear_sky, "aircraft", _VIDEO, "few_tracks"),
         ("dark", "vehicle_other", "a drive through the dark", _dark, "vehicle", _VIDEO, "dark"),
     )
