@@ -173,7 +173,10 @@ def test_the_seed_is_recorded() -> None:
         ("[analyze]\noverlay = 1\n", r"overlay = 1: expected a valid boolean"),
         ('[analyze]\nimage_size = "0x480"\n', r"image_size = '0x480': expected WIDTHxHEIGHT in px"),
         ("[analyze]\ncamera = {a = 1}\n", r"camera = {'a': 1}: "),
-        ('[egomotion]\nplatform = "car"\n', r"platform = 'car': expected 'vehicle', 'aircraft', 'free' or 'static'"),
+        (
+            '[egomotion]\nplatform = "car"\n',
+            r"platform = 'car': expected 'auto', 'vehicle', 'aircraft', 'free' or 'static'",
+        ),
         ("[tracking\nmax_tracks = 5\n", r"ttcvid.toml: is no valid TOML: .*line 1"),
         ("a = " + "[" * 5000, "ttcvid.toml: is nested too deeply"),
     ],

@@ -10,6 +10,8 @@ import pytest
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.jobs.compare import compare
+from ttcvid.jobs.configuration import configure_from_arguments
+from ttcvid.jobs.same_run import finished_run
 
 N_FRAMES = 60
 
@@ -30,7 +32,7 @@ def write_tracks(path: Path, speed_m_s: float) -> Path:
 
 
 def analyzed(table: Path, out: Path, **options: object) -> ttcvid.Run:
-    return ttcvid.analyze(table, out, image_size="640x360", focal_px=500.0, overlay=False, **options)
+    return ttcvid.analyze(table, out, image_size="640x360", focal_px=500.0, overlay=False, report=False, **options)
 
 
 @pytest.mark.parametrize(("speed_m_s", "platform", "status"), [(12.0, "vehicle", "ok"), (0.0, "static", "static")])
@@ -51,6 +53,15 @@ def test_the_clip_tells_the_same_whatever_part_of_it_is_analysed(tmp_path):
         analyzed(table, tmp_path / name, **part) for name, part in (("a", {"end": 8}), ("b", {"start": 40, "end": 48}))
     ]
     assert runs[0].manifest["platform"] == runs[1].manifest["platform"]
+
+
+def test_a_result_whose_platform_was_told_is_that_of_the_same_configuration(tmp_path):
+    table = write_tracks(tmp_path / "tracks.csv", 12.0)
+    options = {"image_size": "640x360", "focal_px": 500.0, "overlay": False, "report": False, "end": 8}
+    run = ttcvid.analyze(table, tmp_path / "run", **options)
+    for platform, is_same in (("auto", True), ("vehicle", False)):
+        asked = configure_from_arguments({**options, "platform": platform})
+        assert (finished_run(run.folder, str(table), asked) is not None) == is_same
 
 
 def test_a_platform_that_is_given_is_not_looked_for(tmp_path, capsys):
