@@ -178,7 +178,8 @@ def report_trials(report: Report, scores: dict[Trial, list[SceneScore]]) -> None
         for trial, own in scores.items():
             if trial.kind != kind or (kind == "reference" and trial.name == EVERY):
                 continue
-            first, second = (of_name[EVERY], own) if kind != "add-one" else (own, of_name[NONE_OF_THEM])
+            other = of_name[trial.beside]
+            first, second = (own, other) if kind == "add-one" else (other, own)
             both = [
                 (a, b) for a, b in zip(first, second, strict=True) if not (a.facts["exit_code"] or b.facts["exit_code"])
             ]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from report import REPOSITORY, Report
+from report import Report
 
 from scenario_suite.families import FAMILIES
 from scenario_suite.figures import LEVEL, SPREAD, Estimate, Figures
@@ -356,8 +356,3 @@ def _unusual(one: SceneScore) -> str:
         for name, nuisance in NUISANCES[kind].items()
         if values[name] != nuisance.baseline
     )
-
-
-def docs_folder() -> Path:
-    """Where pages and their pictures belong."""
-    return REPOSITORY / "docs"

@@ -162,7 +162,7 @@ RULES: dict[str, Rule] = {
     "frozen": Rule(
         "what stays on its pixel is bonnet or text",
         "bodies",
-        {"stages.frozen.find_frozen": lambda memory, points: (np.zeros(len(points.track_id), dtype=bool), memory)},
+        {"stages.frozen.find_frozen": lambda memory, points, **_: (np.zeros(len(points.track_id), dtype=bool), memory)},
         _stage("frozen"),
     ),
     "fronts": Rule(
