@@ -79,9 +79,11 @@ def _write_docs(tasks: list[Task], arguments: argparse.Namespace) -> None:
     _done(sweep, as_sweep)
     scores, swept = ([score(task.folder) for task in some] for some in ([*tasks, *tables], sweep))
     report = Report()
-    commit = commit_hash(arguments.verdict) if arguments.verdict else None
-    seeds = f"the hash of commit {commit[:12]}" if commit else "those for building, which rules may have been fitted to"
-    report.say(f"Seeds: from {seeds}." if commit else f"Seeds: {seeds}.")
+    if arguments.verdict:
+        seeds = f"from the hash of commit {commit_hash(arguments.verdict)[:12]}"
+    else:
+        seeds = "those for building, which rules may have been fitted to"
+    report.say(f"Seeds: {seeds}. Analysed by the code of commit {commit_hash('HEAD')[:12]}.")
     if data_place().is_dir():
         real_out = arguments.out.with_name(f"{arguments.out.name}_real")
         report_clips(report, analyzed_clips(real_out, arguments.jobs))
