@@ -6,6 +6,9 @@ import datetime
 import reprlib
 from typing import Any
 
+_CONTROLS = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
+_CONTROLS |= {ord("\n"): r"\n", ord("\r"): r"\r", ord("\t"): r"\t"}
+
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 100
 _SHORT.maxlevel = 3
@@ -24,6 +27,15 @@ def quoted(value: Any) -> str:
     if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
         value = value.item()
     return _SHORT.repr(value)
+
+
+def on_one_line(text: str) -> str:
+    r"""A text in which names of files may stand: their ends of lines and orders to terminals as escapes.
+
+    >>> print(on_one_line("two\nlines\x1b[2J.mp4"))
+    two\nlines\x1b[2J.mp4
+    """
+    return text.translate(_CONTROLS)
 
 
 def counted(n: int, thing: str) -> str:

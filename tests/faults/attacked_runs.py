@@ -19,7 +19,6 @@ DEADLINE_S = 300.0
 """No command on a clip of a second takes longer, even where it compiles on a busy machine."""
 ORPHAN_S = 5.0
 """Helpers of a process that was killed may live on for so long."""
-PARTIAL_NAMES = (".ttcvid-partial",)
 
 
 @dataclass(frozen=True)

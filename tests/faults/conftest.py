@@ -2,12 +2,12 @@
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import yaml
+from attacked_commands import SoundInputs
 from attacked_runs import Attacker
+from moving_clips import write_approaching_tracks
 
 import ttcvid
 
@@ -16,27 +16,14 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 SCENE = """
 name: small
-camera: {image_size: [160, 120], hfov_deg: 70, height_m: 1.4, fps: 10, n_frames: 12}
-own_motion: {speed_m_s: 10}
+camera: {image_size: [160, 120], hfov_deg: 70, height_m: 1.4, fps: 5, n_frames: 14}
+own_motion: {speed_m_s: 5}
 ground: {kind: street, road_width_m: 8}
 bodies:
   - {name: house, kind: house, at_m: [20, 12, 0], size_m: [12, 9, 7.5]}
   - {name: other house, kind: house, at_m: [22, -12, 0], size_m: [12, 9, 7.5]}
-  - {name: car, kind: car, at_m: [25, 0, 0], speed_m_s: 2}
+  - {name: car, kind: car, at_m: [25, 0, 0], speed_m_s: 1}
 """
-
-
-@dataclass(frozen=True)
-class SoundInputs:
-    """A folder with a scene, its pictures with truth, two runs over them, and a suite of regressions."""
-
-    folder: Path
-
-    @property
-    def clip_options(self) -> list[str]:
-        """What the pictures need said."""
-        clip = self.folder / "clip"
-        return ["--camera", str(clip / "camera.yaml"), "--timestamps", str(clip / "timestamps.txt")]
 
 
 @pytest.fixture(scope="session")
@@ -53,7 +40,5 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> SoundInputs:
     options = {"camera": clip / "camera.yaml", "timestamps": clip / "timestamps.txt", "overlay": False}
     for name, platform in (("run", "vehicle"), ("other", "free")):
         ttcvid.analyze(clip / "frames", folder / name, platform=platform, **options)
-    entry = {"name": "small", "clip": str(clip / "frames"), "options": {k: str(v) for k, v in options.items()}}
-    entry["options"] |= {"overlay": False}
-    (folder / "suite.yaml").write_text(yaml.safe_dump({"clips": [entry]}))
+    write_approaching_tracks(folder / "tracks.csv", n=5, n_tracks=20)
     return SoundInputs(folder)

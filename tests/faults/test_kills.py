@@ -4,34 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from attacked_commands import ATTACKS, SoundInputs, arguments_of
 from attacked_runs import Attacker, assert_sound, contents
-from conftest import SoundInputs
 
-ATTACKS = {
-    "analyze": ["{clip}/frames", "{options}", "-o", "{out}/run", "--overwrite"],
-    "calibrate-horizon": [
-        "{clip}/frames",
-        "{options}",
-        *("--moving", "-o", "{out}/horizon.yaml", "--evidence", "{out}/evidence", "--overwrite"),
-    ],
-    "simulate": ["{scene}", "--png", "--frames", "6", "-o", "{out}/scene", "--overwrite"],
-    "evaluate": ["{run}", "{clip}", "--html", "{out}/page.html"],
-    "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "3", "--trials", "100"],
-    "collision-map": ["{run}", "-o", "{out}/map", "--overwrite", "--n-cells", "11", "--frame", "10", "--ego-speed=10"],
-    "compare": ["{run}", "{other}", "--junit", "{out}/junit.xml"],
-    "demo": ["--frames", "4", "-o", "{out}/demo", "--overwrite"],
-}
-"""Arguments of each command; all that it writes goes below {out}."""
 N_MOMENTS, N_ALL_MOMENTS = 2, 30
-
-
-def arguments_of(command: str, sound: SoundInputs, out: Path) -> list[str]:
-    places = {name: str(sound.folder / name) for name in ("clip", "run", "other")}
-    places |= {"scene": str(sound.folder / "scene.yaml"), "suite": str(sound.folder / "suite.yaml"), "out": str(out)}
-    given = [command]
-    for argument in ATTACKS[command]:
-        given += sound.clip_options if argument == "{options}" else [argument.format(**places)]
-    return given
 
 
 def kill_at_moments(command: str, n_moments: int, attacker: Attacker, sound: SoundInputs, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ def command(tmp_path: Path) -> list[str]:
         "--image-size",
         "192x128",
         "--no-overlay",
+        "--no-report",
         "-o",
         str(tmp_path / "out"),
     ]

@@ -153,5 +153,7 @@ def _fail(message: str, exit_code: int) -> int:
         import traceback
 
         traceback.print_exc()
-    print(f"ttcvid: error: {' '.join(message.split())}", file=sys.stderr)
+    from ttcvid.errors import on_one_line
+
+    print(f"ttcvid: error: {on_one_line(' '.join(message.split()))}", file=sys.stderr)
     return exit_code

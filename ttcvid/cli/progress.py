@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ttcvid.errors import on_one_line
+
 LOGGER_NAME = "ttcvid"
 LINE_EVERY_S = 10.0
 """Where there is no terminal, a line says how far the work is, so often."""
@@ -88,7 +90,7 @@ class _StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
         # Not click.echo: that would bypass rich, which puts what is printed above its bar.
-        print(f"ttcvid: {record.levelname.lower()}: {record.getMessage()}", file=sys.stderr)
+        print(f"ttcvid: {record.levelname.lower()}: {on_one_line(record.getMessage())}", file=sys.stderr)
 
 
 def log_to_stderr(*, quiet: bool = False, verbose: bool = False) -> None:

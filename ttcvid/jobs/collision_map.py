@@ -19,6 +19,7 @@ from ttcvid.jobs.run_moments import run_clip
 from ttcvid.jobs.simulate import MARKER_NAME
 from ttcvid.jobs.true_hazards import scene_clip
 from ttcvid.plain_files import printable
+from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.folder import OutputFolder
 from ttcvid.sinks.manifest import MANIFEST_NAME
 from ttcvid.sinks.tables import write_table
@@ -247,8 +248,9 @@ def _make_map(
         for name in moment.unlinked
     ]
     figure = collision_map_figure(made, advice, speed_m_s, config.units, caption, families)
-    for name in ("collision_map.png", "collision_map.svg"):
-        write_figure(figure, folder / name)
+    with output_errors(folder.parent):
+        for name in ("collision_map.png", "collision_map.svg"):
+            write_figure(figure, folder / name)
     return made
 
 

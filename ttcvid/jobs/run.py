@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from ttcvid.errors import InputError, counted
+from ttcvid.errors import InputError, counted, on_one_line
 from ttcvid.jobs.run_manifest import EXIT_CODES, read_run_manifest
 from ttcvid.model import APPROACHING
 from ttcvid.plain_files import open_plain
@@ -144,7 +144,7 @@ class Run:
         platform = self.manifest["platform"]
         if platform["is_told_by_clip"]:
             parts.append(f"platform {platform['value']} TOLD BY THE CLIP ({platform['reason']})")
-        return f"{self.folder}: {'; '.join(parts)}"
+        return f"{on_one_line(str(self.folder))}: {'; '.join(parts)}"
 
     def summary_json(self) -> str:
         """The summary as one JSON object."""

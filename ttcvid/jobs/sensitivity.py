@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from ttcvid.config import SensitivityConfig
 from ttcvid.jobs.configuration import configure_study
 from ttcvid.jobs.provenance import versions
+from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.folder import OutputFolder
 from ttcvid.sinks.tables import write_table
 from ttcvid.studies.collision_map_picture import write_figure
@@ -100,8 +101,9 @@ def run_sensitivity(
         )
         sentence = summary(config)
         figure = sensitivity_picture(config, points)
-        for name in SENSITIVITY_NAMES[1:]:
-            write_figure(figure, folder.partial / name)
+        with output_errors(target):
+            for name in SENSITIVITY_NAMES[1:]:
+                write_figure(figure, folder.partial / name)
         reaches = {method.label: reach_m(base_case(config), method, config.within) for method in ways}
         folder.publish(
             {
