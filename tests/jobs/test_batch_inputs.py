@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ttcvid.errors import InputError, TtcvidError, UsageError
+from ttcvid.errors import InputError, UsageError
 from ttcvid.jobs.batch_inputs import read_inputs
 from ttcvid.jobs.configuration import configure_each, configure_from_arguments
 from ttcvid.jobs.layers import layer_from_command_line
@@ -112,6 +112,7 @@ def test_a_table_may_have_semicolons_and_a_table_of_tracks_is_a_clip(tmp_path: P
     [
         (["clip,platfrom", "a.mp4,vehicle"], "unknown column 'platfrom': did you mean 'platform'"),
         (["clip,tracking.max_track", "a.mp4,5"], "did you mean 'tracking.max_tracks'"),
+        (["clip,qqq", "a.mp4,1"], "unknown column 'qqq': expected an option of analyze, or SECTION.KEY"),
         (["clip,overwrite", "a.mp4,true"], "unknown column 'overwrite'"),
         (["clip,fps,fps", "a.mp4,1,2"], "column 'fps' stands there twice"),
         (["clip,fps", "a.mp4,1,2"], "line 2: 3 cells for 2 columns"),
@@ -157,6 +158,15 @@ def test_names_that_are_no_utf8_become_names_that_tables_can_hold(tmp_path: Path
     assert Path(clip.input).exists()
 
 
+@pytest.mark.parametrize(("name", "content"), [("clips.txt", "# none yet\n\n"), ("batch.csv", "clip,fps\n\n")])
+def test_a_list_or_table_without_clips_is_an_error(name: str, content: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=f"{name}: names no clip"):
+        names(tmp_path / name)
+
+
 def test_nothing_given_is_an_error() -> None:
-    with pytest.raises(TtcvidError, match="no INPUT"):
+    with pytest.raises(UsageError, match="no INPUT"):
         read_inputs([], Path("x"))
+    with pytest.raises(UsageError, match="an INPUT is empty"):
+        read_inputs([""], Path("x"))

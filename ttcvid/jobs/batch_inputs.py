@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import csv
+import difflib
 import glob
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ttcvid.errors import InputError, UsageError
-from ttcvid.jobs.layers import Layer, require_known
+from ttcvid.errors import InputError, UsageError, quoted
+from ttcvid.jobs.layers import Layer
 from ttcvid.jobs.options import ANALYSIS_SECTIONS, AUTO_HORIZON, PATH_OPTIONS, SHORTCUTS
 from ttcvid.sinks.folder import PARTIAL_NAME
 from ttcvid.sinks.manifest import MANIFEST_NAME
@@ -62,6 +63,8 @@ def read_inputs(inputs: Sequence[str], out: Path) -> tuple[BatchClip, ...]:
 
 def _clips_of(given: str, out: Path) -> Iterator[BatchClip]:
     path = Path(given)
+    if not given.strip():
+        raise UsageError("an INPUT is empty: expected a clip, a folder, a pattern, a list or a table")
     if path.is_dir():
         yield from _in_folder(path, out, given)
     elif path.suffix.lower() in LIST_SUFFIXES and path.is_file():
@@ -177,17 +180,24 @@ def _in_table(path: Path) -> Iterator[BatchClip]:
     columns = [cell.strip() for cell in next(reader)]
     known = _known_columns()
     for column in columns:
-        require_known(column, known, f"{path}: unknown column {column!r}")
+        if column not in known:
+            nearest = difflib.get_close_matches(column, known, n=1)
+            remedy = f"did you mean {nearest[0]!r}?" if nearest else "expected an option of analyze, or SECTION.KEY"
+            raise UsageError(f"{path}: unknown column {quoted(column)}: {remedy}")
         if columns.count(column) > 1:
             raise UsageError(f"{path}: column {column!r} stands there twice: keep one")
+    is_empty = True
     for row in reader:
         cells = [cell.strip() for cell in row]
         if not any(cells):
             continue
+        is_empty = False
         place = f"{path}: line {reader.line_num}"
         if len(cells) > len(columns):
             raise UsageError(f"{place}: {len(cells)} cells for {len(columns)} columns: put text with a comma in quotes")
         yield _clip_of_row(path, place, {column: cell for column, cell in zip(columns, cells, strict=False) if cell})
+    if is_empty:
+        raise InputError(f"{path}: names no clip: expected a row for each below the names of the columns")
 
 
 def _clip_of_row(path: Path, place: str, cells: dict[str, str]) -> BatchClip:
