@@ -9,7 +9,7 @@ from brute_force import distance_of, ways_m
 
 from ttcvid.jobs.true_hazards import level_axes, own_body_of, true_situation
 from ttcvid.simulate import Scene, World, build_world
-from ttcvid.studies.evasion import Evasion, EvasionLimits, EvasionStatus, evade
+from ttcvid.studies.evasion import Evasion, EvasionLimits, EvasionStatus, evade, needed_s
 
 SUBSTEPS = 5
 """Steps of motion and of looking for a contact, between two advices."""
@@ -77,8 +77,9 @@ def _acceleration(
 ) -> np.ndarray:
     """What we do until the next advice: both parts of the change take the same time, as fast as the limits allow."""
     forward, right = advice.forward_m_s, advice.right_m_s
-    along = limits.braking_m_s2 if forward < 0 else max(limits.forward_m_s2, 1e-9)
-    needs_s = max(abs(forward) / along, abs(right) / limits.sideways_m_s2, step_s)
+    own_m_s = float(np.hypot(*velocity_m_s[:2]))
+    speed_m_s, course_rad = np.hypot(own_m_s + forward, right), np.arctan2(right, own_m_s + forward)
+    needs_s = max(float(needed_s(own_m_s, speed_m_s[None], course_rad[None], limits)[0]), step_s)
     level_R_road = level_axes(velocity_m_s, world.path.cam_R_road[0].T)
     return np.array([right, 0.0, forward]) / needs_s @ level_R_road
 

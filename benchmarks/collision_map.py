@@ -1,10 +1,11 @@
 """How right collision maps and their advices are: against brute force, in drives that follow them, and how fast.
 
-python benchmarks/collision_map.py [--scenes DIR] [--write-docs] [--check]
+python benchmarks/collision_map.py [--scenes DIR] [--runs DIR] [--write-docs] [--check]
 
-Four parts: (1) a map of 61 x 61 cells with 20 objects, timed; (2) maps from the truth of every sample scene, cell by
+Six parts: (1) a map of 61 x 61 cells with 20 objects, timed; (2) maps from the truth of every sample scene, cell by
 cell against every changed velocity driven in the simulator; (3) the same maps from analysed clips of the scenes on a
-road, own speed given; (4) drives that follow the advice. ``--scenes`` keeps rendered scenes for the next time.
+road, own speed given; (4) drives that follow the advice; (5) scenes without a collision; (6) real drives, whose drivers
+do nothing most of the time. ``--scenes`` and ``--runs`` keep rendered scenes and runs of real clips for the next time.
 """
 
 from __future__ import annotations
@@ -14,13 +15,16 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from advised_drive import drive
 from brute_force import contact_times_s, is_inner
 from report import REPOSITORY, Bar, Report
-from runs import TTCVID, analyze_command, timed
+from runs import TTCVID, analyze_command, data_folder, shown, timed
 
+import ttcvid
 from ttcvid.config import CollisionMapConfig
 from ttcvid.jobs.collision_map import open_clip_of
 from ttcvid.jobs.true_hazards import level_axes, own_body_of, true_situation
@@ -36,6 +40,15 @@ TIMED_MAPS = 40
 ON_ROAD = ("crossing_clear", "crossing_collision", "demo", "oncoming", "parked_street")
 """Scenes at constant own speed in which everything stands on the road."""
 FIRST_RUN_FRAME, RUN_FRAME_STEP = 20, 12
+BRAKES_M_S2 = 0.3
+KITTI = ["--camera", "DATA/kitti_sfnd_ttc/calib.txt", "--platform", "vehicle"]
+REAL_DRIVES: dict[str, tuple[str, list[str], dict[str, Any]]] = {
+    "kitti_sfnd_ttc": ("kitti_sfnd_ttc/image_02", [*KITTI, "--fps", "9.6525"], {"camera_height_m": 1.65}),
+    "kitti_speed_300": ("driving_clips/kitti_speed_300.mp4", KITTI, {"camera_height_m": 1.65}),
+    "solidWhiteRight": ("driving_clips/solidWhiteRight.mp4", ["--platform", "vehicle"], {"ego_speed": "100km/h"}),
+    "davis_car_shadow": ("davis_car_shadow/JPEGImages/480p/car-shadow", ["--fps", "24"], {"ego_speed": "4km/h"}),
+}
+"""Clip, options of its analysis and scale of its map. The second one goes back and forth: backwards, we do not look."""
 COURSE_CHANGES = {
     "lead_car_brakes": "the lead car begins to brake at 0.8 s, which nobody can know before",
     "swinging_drive": "our own direction swings by 10 deg: to keep the present one would end in a tree or a parked car",
@@ -49,6 +62,7 @@ def main() -> int:
     """Run all parts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=Path, metavar="DIR", help="keep rendered scenes and their runs here")
+    parser.add_argument("--runs", type=Path, metavar="DIR", help="keep runs of real clips here")
     parser.add_argument("--write-docs", action="store_true", help="write docs/collision_map.md")
     parser.add_argument("--check", action="store_true", help="exit 1 when a bar is missed")
     arguments = parser.parse_args()
@@ -63,6 +77,8 @@ def main() -> int:
         maps_from_runs(report, arguments.scenes or Path(temporary))
     advised_drives(report)
     quiet_scenes(report)
+    with tempfile.TemporaryDirectory() as temporary:
+        real_drives(report, arguments.runs or Path(temporary))
     if arguments.write_docs:
         report.write_docs("collision_map.md", "Collision maps, measured")
     return report.exit_code(arguments.check)
@@ -221,6 +237,61 @@ def quiet_scenes(report: Report) -> None:
         print("  ".join(rows[-1]), flush=True)
     report.table(["scene", "frames with an advice", ""], rows)
     report.figure("frames with an advice, in scenes where keeping the present velocity is safe", n_false, "", Bar(0.0))
+
+
+def real_drives(report: Report, folder: Path) -> None:
+    """Part 6: what is advised in real clips in which nothing comes near a collision."""
+    report.heading("Real drives")
+    report.say(
+        "Nothing in these clips comes near a collision. A driver does nothing where own speed, as the camera's height "
+        f"tells it, falls by less than {BRAKES_M_S2:g} m/s^2; with a speed that is given once, all the time."
+    )
+    rows, n_false, n_no_escape = [], 0, 0
+    for name, (clip, options, scale) in REAL_DRIVES.items():
+        run = _analyzed_clip(report, folder, name, clip, options)
+        table = pd.read_parquet(_map_of(run, folder / f"{name}_map", scale) / "evasion.parquet")
+        counts = table.status.value_counts()
+        is_idle = ~is_braking(table.t_s.to_numpy(), table.own_speed_m_s.to_numpy(float))
+        n_idle = int((is_idle & (table.status == "advice")).sum())
+        n_false, n_no_escape = n_false + n_idle, n_no_escape + int(counts["no_escape"])
+        n_told = int(counts[["no_danger", "advice", "no_escape"]].sum())
+        row = [name, " ".join(f"{key} {value}" for key, value in scale.items()), str(len(table)), str(n_told)]
+        row += [str(counts["advice"]), str(n_idle), str(counts["no_escape"])]
+        rows.append(row)
+        print("  ".join(row), flush=True)
+    header = ["clip", "scale", "frames", "with a map that tells", "advice", "of those, driver idle", "no escape"]
+    report.table(header, rows)
+    report.figure("frames with an advice though the driver does nothing", float(n_false), "", Bar(0.0))
+    report.figure("frames without a way out", float(n_no_escape), "", Bar(0.0))
+
+
+def is_braking(t_s: np.ndarray, speed_m_s: np.ndarray) -> np.ndarray:
+    """In which frames own speed falls, by a straight line through what is known of it half a second about each."""
+    braking = np.zeros(len(t_s), bool)
+    for n, now_s in enumerate(t_s):
+        near = (np.abs(t_s - now_s) <= 0.5) & np.isfinite(speed_m_s)
+        if near.sum() >= 3:
+            braking[n] = np.polyfit(t_s[near], speed_m_s[near], 1)[0] <= -BRAKES_M_S2
+    return braking
+
+
+def _analyzed_clip(report: Report, folder: Path, name: str, clip: str, options: list[str]) -> Path:
+    """The run of a real clip, as it was kept or new."""
+    folder.mkdir(parents=True, exist_ok=True)
+    run = folder / name
+    if not run.exists():
+        data = data_folder()
+        placed = [str(data / word.removeprefix("DATA/")) if word.startswith("DATA/") else word for word in options]
+        words = analyze_command(data / clip, Path(name), [*placed, "--no-overlay"])
+        timed(words, folder)
+        report.command(shown(words))
+    return run
+
+
+def _map_of(run: Path, out: Path, scale: dict[str, Any]) -> Path:
+    """The folder with the map of a run."""
+    ttcvid.collision_map(run, out, overwrite=True, **scale)
+    return out
 
 
 def brute_force_map(

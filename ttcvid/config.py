@@ -274,6 +274,9 @@ class CollisionMapConfig(StageConfig):
     braking_m_s2: PositiveFloat = Field(default=6.0, description="hardest braking")
     sideways_m_s2: PositiveFloat = Field(default=3.0, description="largest acceleration sideways")
     forward_m_s2: float = Field(default=0.0, ge=0, description="largest acceleration forward that may be advised")
+    turning_radius_m: float = Field(
+        default=5.5, ge=0, le=100, description="radius of the narrowest turn; 0: we turn on the spot"
+    )
     range_m_s: PositiveFloat | None = Field(
         default=None,
         description="largest change forward on the map, half of it sideways; default: own speed, but 3 to 15",

@@ -231,7 +231,7 @@ CALIBRATION_TABLES: dict[str, tuple[Column, ...]] = {
     ),
 }
 
-EVASION_STATUS_NAMES = ("no_danger", "advice", "no_escape", "no_scale", "no_result")
+EVASION_STATUS_NAMES = ("no_danger", "advice", "no_escape", "unknown", "no_scale", "no_result")
 _FORWARD = _real("forward_m_s", "m/s", "change of own velocity in the direction of travel; negative brakes")
 _RIGHT = _real("right_m_s", "m/s", "change of own velocity to the right")
 _WHO = (
@@ -268,7 +268,7 @@ STUDY_TABLES: dict[str, tuple[Column, ...]] = {
         _FORWARD,
         _RIGHT,
         _real("time_s", "s", "time until the earliest possible contact; null: none within the look-ahead"),
-        _real("probability", "1", "probability of a collision within the look-ahead", nullable=False),
+        _real("probability", "1", "probability of a collision within the look-ahead; null: the camera looks elsewhere"),
         *_WHO,
     ),
     "evasion": (
@@ -281,7 +281,7 @@ STUDY_TABLES: dict[str, tuple[Column, ...]] = {
         _real("forward_m_s", "m/s", "advised change of own velocity in the direction of travel; negative brakes"),
         _real("right_m_s", "m/s", "advised change of own velocity to the right; negative is to the left"),
         _real("probability_after", "1", "probability of a collision within the look-ahead with the advised change"),
-        _name("status", "whether there is a danger, and a way out", EVASION_STATUS_NAMES),
+        _name("status", "whether there is a danger, and a way out, or what is missing to tell", EVASION_STATUS_NAMES),
     ),
 }
 """Tables of the studies: of the other commands than ``analyze``."""

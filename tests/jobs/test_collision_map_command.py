@@ -9,7 +9,12 @@ import pytest
 
 import ttcvid
 from ttcvid.cli.main import main
+from ttcvid.config import CollisionMapConfig
+from ttcvid.jobs.collision_map import advice_at, most_telling
+from ttcvid.jobs.moments import Moment
 from ttcvid.schema import STUDY_TABLES
+from ttcvid.studies.evasion import EvasionStatus
+from ttcvid.studies.hazards import OwnBody, Situation, one_object
 
 SCENES = Path(__file__).parent.parent.parent / "sample_configs" / "scenes"
 
@@ -89,6 +94,51 @@ def test_impossible_parameters_are_refused_in_one_line(
     assert said.count("\n") == 1
     assert complaint in said
     assert not out.exists()
+
+
+def moment_with(name: str, place: tuple[float, float, float], **changes: object) -> Moment:
+    """We drive at 10 m/s towards one thing at rest."""
+    box = np.array([place]), np.array([[0.0, 0.0, -10.0]]), np.full((1, 3), 0.8)
+    return Moment(Situation(one_object(name, 1, *box), OwnBody(1.8, 4.5, 1.5), np.array([0.0, 0.0, 10.0])), **changes)
+
+
+IN_THE_WAY, ASIDE = (0.0, 0.0, 25.0), (9.0, 0.0, 25.0)
+
+
+@pytest.mark.parametrize(
+    ("moment", "status"),
+    [
+        (moment_with("car", IN_THE_WAY), EvasionStatus.advice),
+        (moment_with("car", ASIDE), EvasionStatus.no_danger),
+        (moment_with("car", IN_THE_WAY, unlinked=("car",)), EvasionStatus.unknown),
+        (moment_with("car", ASIDE, unlinked=("car",)), EvasionStatus.no_danger),
+        (moment_with("car", ASIDE, is_scene_known=False), EvasionStatus.unknown),
+        (moment_with("car", IN_THE_WAY, is_scene_known=False), EvasionStatus.advice),
+        (moment_with("car", IN_THE_WAY, course_rad=(0.4, 1.2)), EvasionStatus.unknown),
+        (Moment(None, EvasionStatus.no_result), EvasionStatus.no_result),
+        (Moment(None, EvasionStatus.no_scale), EvasionStatus.no_scale),
+    ],
+)
+def test_where_the_map_cannot_tell_it_says_unknown(moment: Moment, status: EvasionStatus):
+    assert advice_at(moment, CollisionMapConfig()).status is status
+
+
+def test_the_map_is_of_the_first_frame_in_which_something_is_to_be_done_as_help_says(
+    capsys: pytest.CaptureFixture[str],
+):
+    moments = [
+        moment_with("car", ASIDE),
+        moment_with("car", ASIDE, is_scene_known=False),
+        moment_with("wall", (0.0, 0.0, 4.0)),
+        moment_with("car", IN_THE_WAY),
+    ]
+    advices = [advice_at(moment, CollisionMapConfig()) for moment in moments]
+    assert [advice.status for advice in advices[2:]] == [EvasionStatus.no_escape, EvasionStatus.advice]
+    assert most_telling(advices) == 2
+    assert most_telling(advices[:2]) in (0, 1)
+    assert main(["collision-map", "--help"]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    assert "default: the first in which something is to be done, else the most dangerous" in words
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

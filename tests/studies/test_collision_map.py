@@ -148,3 +148,13 @@ def test_an_empty_world_is_free():
     made = map_of_changes(moment(joined([])), np.linspace(-1, 1, 3), np.linspace(-1, 1, 3), 5.0)
     assert np.isnan(made.time_s).all()
     assert (made.probability == 0).all()
+
+
+def test_where_nobody_looks_the_map_says_unknown():
+    """The camera sees 45 deg to either side: farther aside, and backwards, all is unknown; a stop is not."""
+    made = map_of_changes(moment(thing()), np.array([-12.0, -10.0, -8.0, 0.0]), np.array([-3.0, 0.0, 3.0]), 5.0)
+    seen = made.known_within(10.0, (-np.pi / 4, np.pi / 4))
+    is_known = [[False, False, False], [False, True, False], [False, True, False], [True, True, True]]
+    np.testing.assert_array_equal(np.isfinite(seen.probability), is_known)
+    assert (seen.object_index[~np.array(is_known)] == NO_OBJECT).all()
+    np.testing.assert_array_equal(seen.probability[3], made.probability[3])

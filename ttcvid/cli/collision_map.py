@@ -10,6 +10,8 @@ from ttcvid.cli.grouped import GroupedCommand, option_under
 
 OUTPUT, SCALE, OWN, LIMITS, MAP = "Output", "Scale", "Own size", "What may be advised", "The map"
 
+DEFAULT_FRAME = "Frame of the map (default: the first in which something is to be done, else the most dangerous)."
+
 
 @click.command(cls=GroupedCommand, short_help="Which change of own velocity leads to a collision.")
 @click.argument("run", type=click.Path(path_type=Path))
@@ -20,7 +22,7 @@ OUTPUT, SCALE, OWN, LIMITS, MAP = "Output", "Scale", "Own size", "What may be ad
 @option_under(OUTPUT)(
     "--config", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with the section [collision_map]."
 )
-@option_under(MAP)("--frame", type=int, metavar="N", help="Frame of the map (default: the first with an advice).")
+@option_under(MAP)("--frame", type=int, metavar="N", help=DEFAULT_FRAME)
 @option_under(MAP)("--time", "time_s", type=float, metavar="S", help="Time of the map in seconds, instead of --frame.")
 @option_under(MAP)("--range-m-s", metavar="V", help="Largest change forward, half of it sideways (default: own speed).")
 @option_under(MAP)("--n-cells", metavar="N", help="Cells each way, odd.  [default: 61]")
@@ -38,6 +40,7 @@ OUTPUT, SCALE, OWN, LIMITS, MAP = "Output", "Scale", "Own size", "What may be ad
 @option_under(LIMITS)("--max-probability", metavar="P", help="What an advice brings it down to.  [default: 0.1]")
 @option_under(LIMITS)("--braking-m-s2", metavar="A", help="Hardest braking.  [default: 6]")
 @option_under(LIMITS)("--sideways-m-s2", metavar="A", help="Largest acceleration sideways.  [default: 3]")
+@option_under(LIMITS)("--turning-radius-m", metavar="M", help="Radius of our narrowest turn.  [default: 5.5]")
 @option_under(LIMITS)("--forward-m-s2", metavar="A", help="Largest acceleration forward.  [default: 0]")
 @click.pass_context
 def collision_map(

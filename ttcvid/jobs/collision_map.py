@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from ttcvid.sinks.manifest import MANIFEST_NAME
 from ttcvid.sinks.tables import write_table
 from ttcvid.studies.collision_map import NO_OBJECT, CollisionMap, family_maps, map_of_changes
 from ttcvid.studies.collision_map_picture import collision_map_figure, write_figure
-from ttcvid.studies.contacts import AHEAD, RIGHT
 from ttcvid.studies.evasion import Evasion, EvasionLimits, EvasionStatus, evade
 from ttcvid.studies.evasion_wording import caption_of, describe_advice
 
@@ -96,7 +95,7 @@ def collision_map(
     out
         Output folder; default ``NAME_map`` in the working folder.
     frame, time_s
-        The moment of the map; default: the first with an advice, else the most dangerous one.
+        The moment of the map; default: the first in which something is to be done, else the most dangerous one.
     config
         A TOML file with the section ``[collision_map]``; ``TTCVID_*`` variables and ``./ttcvid.toml`` count as well.
     overwrite
@@ -133,10 +132,10 @@ def run_collision_map(
         moments = [clip.moment(n) for n in range(len(clip.frame))]
         advices = []
         for n, moment in enumerate(moments):
-            advices.append(_advice(moment, config))
+            advices.append(advice_at(moment, config))
             if progress is not None:
                 progress(n + 1, len(moments))
-        n = _most_telling(advices) if chosen is None else chosen
+        n = most_telling(advices) if chosen is None else chosen
         made = _make_map(clip, n, moments[n], advices[n], config, folder.partial)
         metadata = {"source": clip.name, "frame": str(clip.frame[n])}
         write_table(folder.partial / "collision_map.parquet", "collision_map", _map_rows(made), metadata)
@@ -205,23 +204,39 @@ def _index_of(clip: Clip, frame: int | None, time_s: float | None) -> int | None
     return None
 
 
-def _advice(moment: Moment, config: CollisionMapConfig) -> Evasion:
+def advice_at(moment: Moment, config: CollisionMapConfig) -> Evasion:
+    """What is to be done at a moment, or why that cannot be told."""
     if moment.situation is None:
         return _NOTHING if moment.status is EvasionStatus.no_result else _no_scale()
-    names = [field.name for field in fields(EvasionLimits)]
-    return evade(moment.situation, EvasionLimits(**{name: getattr(config, name) for name in names}))
+    names = [field.name for field in fields(EvasionLimits) if field.name != "course_rad"]
+    values = {name: getattr(config, name) for name in names}
+    limits = EvasionLimits(**values, course_rad=moment.course_rad)
+    # Who goes where the camera does not look, such as backwards, sees nothing of what could be hit.
+    left, right = moment.course_rad
+    if not left <= 0.0 <= right:
+        return Evasion(EvasionStatus.unknown, *(float("nan"),) * 5, NO_OBJECT)
+    # What may be at any distance may be anywhere: it is a reason to say that we do not know, and none to brake.
+    hazards = moment.situation.hazards.without(moment.unlinked)
+    advice = evade(replace(moment.situation, hazards=hazards), limits)
+    if advice.status is not EvasionStatus.no_danger:
+        return advice
+    may_be_hit = evade(moment.situation, limits).status is not EvasionStatus.no_danger
+    if may_be_hit or not moment.is_scene_known:
+        return replace(advice, status=EvasionStatus.unknown)
+    return advice
 
 
 def _no_scale() -> Evasion:
     return Evasion(EvasionStatus.no_scale, *(float("nan"),) * 5, NO_OBJECT)
 
 
-def _most_telling(advices: list[Evasion]) -> int:
-    """The first frame with an advice, else that of the earliest or likeliest contact, else the last one known."""
+def most_telling(advices: list[Evasion]) -> int:
+    """The first frame in which something is to be done, else that of the likeliest or earliest contact."""
     for n, advice in enumerate(advices):
         if advice.status in (EvasionStatus.advice, EvasionStatus.no_escape):
             return n
-    known = [n for n, advice in enumerate(advices) if advice.status is EvasionStatus.no_danger]
+    with_map = (EvasionStatus.no_danger, EvasionStatus.unknown)
+    known = [n for n, advice in enumerate(advices) if advice.status in with_map]
     if not known:
         raise UsageError("no frame has anything with a known distance, so there is nothing to draw a map of")
     return max(known, key=lambda n: (advices[n].probability_now, -np.nan_to_num(advices[n].time_s, nan=np.inf), n))
@@ -233,13 +248,13 @@ def _make_map(
     """The map of the n-th frame, and its pictures."""
     if moment.situation is None:
         raise UsageError(f"frame {clip.frame[n]} has no map ({moment.status}): name another with --frame or --time")
-    velocity = moment.situation.own_velocity_m_s
-    speed_m_s = float(np.hypot(velocity[RIGHT], velocity[AHEAD]))
+    speed_m_s = moment.situation.own_speed_m_s
     if config.units == "own-speed" and speed_m_s == 0.0:
         raise UsageError("--units own-speed: we rest, so there is no own speed to count in: use km/h")
     reach = config.range_m_s or float(np.clip(speed_m_s, *_RANGE_M_S))
     changes = np.linspace(-reach, reach, config.n_cells)
     made = map_of_changes(moment.situation, changes, 0.5 * changes, config.look_ahead_s)
+    made = made.known_within(speed_m_s, moment.course_rad)
     caption = caption_of(
         printable(clip.name), int(clip.frame[n]), float(clip.t_s[n]), speed_m_s, advice, made.names, moment.notes
     )
@@ -292,5 +307,4 @@ def _name_and_number(moment: Moment, advice: Evasion) -> tuple[str | None, int]:
 def _own_speed_m_s(moment: Moment) -> float:
     if moment.situation is None:
         return float("nan")
-    velocity = moment.situation.own_velocity_m_s
-    return float(np.hypot(velocity[RIGHT], velocity[AHEAD]))
+    return moment.situation.own_speed_m_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,13 +20,17 @@ _OWN_SIZE_M = (1.8, 4.5, 1.5)
 class Moment:
     """What is known of one frame; without a ``situation``, ``status`` says why.
 
-    ``unlinked`` are the names of objects of unknown distance and speed; ``notes`` say what the map rests on.
+    ``unlinked`` are the names of objects of unknown distance and speed; ``notes`` say what the map rests on;
+    ``is_scene_known`` whether what stands still would be seen, and ``course_rad`` the courses, from ahead to the right,
+    along which it would.
     """
 
     situation: Situation | None
     status: EvasionStatus = EvasionStatus.no_danger
     unlinked: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    is_scene_known: bool = True
+    course_rad: tuple[float, float] = (-math.pi, math.pi)
 
 
 @dataclass(frozen=True)

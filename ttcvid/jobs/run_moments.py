@@ -19,7 +19,7 @@ from ttcvid.jobs.ego_speed import ego_speed_m_s
 from ttcvid.jobs.moments import Clip, Moment, own_body
 from ttcvid.jobs.run import Run
 from ttcvid.jobs.run_manifest import camera_of
-from ttcvid.model import SCENE_CLUSTER, Floats, Horizon, ImageSize, Status
+from ttcvid.model import SCENE_CLUSTER, Floats, Horizon, ImageSize, Ints, Status
 from ttcvid.studies.evasion import EvasionStatus
 from ttcvid.studies.hazards import OwnBody
 from ttcvid.studies.run_hazards import Scale, SeenFrame, SeenObjects, situation_of
@@ -86,7 +86,10 @@ def _moments(
         if scale.own_speed_m_s and found.speed_by_height_m_s:
             speeds_m_s.append((scale.own_speed_m_s, found.speed_by_height_m_s))
         status = EvasionStatus.no_danger if found.situation is not None else EvasionStatus.no_scale
-        moments.append(Moment(found.situation, status, found.unlinked, (*found.notes, *notes)))
+        said = (*found.notes, *notes)
+        if found.situation is not None and not found.is_scene_known:
+            said = (*said, "What stands still is not known yet, or no road was found under it: it is left out.")
+        moments.append(Moment(found.situation, status, found.unlinked, said, found.is_scene_known, found.course_rad))
     return moments, speeds_m_s
 
 
@@ -117,6 +120,18 @@ class _FrameReader:
         is_static = (points.cluster_id == SCENE_CLUSTER) & (points.status == Status.ok.name)
         self._objects = dict(list(objects.groupby("frame")))
         self._points = dict(list(points[is_static].groupby("frame")))
+        size = self._camera.image_size
+        # Along the middles of the sides; the corners of a distorted picture reach farther.
+        middles_px = np.array(
+            [
+                [0.0, 0.5 * size.height_px],
+                [0.5 * size.width_px, 0.0],
+                [size.width_px - 1.0, 0.5 * size.height_px],
+                [0.5 * size.width_px, size.height_px - 1.0],
+            ]
+        )
+        left, top, right, bottom = rays_from_pixels(self._camera, middles_px)
+        self._view = np.array([[left[0], top[1]], [right[0], bottom[1]]])
         self._scene = epipoles[epipoles.cluster_id == SCENE_CLUSTER].set_index("frame")[DIRECTION]
 
     @property
@@ -145,6 +160,7 @@ class _FrameReader:
         if self._horizon is not None:
             down = -normal_from_horizon(self._camera, self._horizon)
         points = self._points.get(frame)
+        track_id: Ints = np.empty(0, np.int64)
         rays: Floats = np.empty((0, 3))
         range_s: Floats = np.empty(0)
         sigma: Floats = np.empty(0)
@@ -153,12 +169,15 @@ class _FrameReader:
             range_s = np.hypot(points.tcpa_s.to_numpy(float), points.miss_s.to_numpy(float))
             sigma = (points.tcpa_hi_s - points.tcpa_lo_s).to_numpy(float) / (2 * REGION_90_SIGMAS) / range_s
             is_known = np.isfinite(rays).all(axis=1) & np.isfinite(sigma)
+            track_id = points.track_id.to_numpy(np.int64)[is_known]
             rays, range_s, sigma = rays[is_known], range_s[is_known], sigma[is_known]
         direction: Floats = np.full(3, np.nan)
         if frame in self._scene.index:
             direction = -self._scene.loc[frame].to_numpy(float)
         t_s = float(self._frames.t_s.iloc[n])
-        return SeenFrame(t_s, direction, down, self._turn(n, down), rays, range_s, sigma, self._objects_of(frame))
+        objects = self._objects_of(frame)
+        turn_rad_s = self._turn(n, down)
+        return SeenFrame(t_s, direction, down, turn_rad_s, track_id, rays, range_s, sigma, objects, self._view)
 
     def _objects_of(self, frame: int) -> SeenObjects:
         rows = self._objects.get(frame)

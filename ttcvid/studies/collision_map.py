@@ -22,6 +22,7 @@ NO_OBJECT = -1
 LIKELY = 0.5
 """From this probability on a collision counts as likely."""
 _TINY = 1e-12
+_STILL = 1e-6
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class CollisionMap:
     """Outcomes over a grid of changes of own velocity; rows are ``forward_m_s (F,)``, columns ``right_m_s (R,)``.
 
     ``time_s``, ``probability`` and ``object_index`` are ``(F, R)`` as in `Outcomes`, ``object_probability (F, R, O)``.
+    A probability of NaN says that it is unknown.
     """
 
     forward_m_s: Floats
@@ -68,6 +70,21 @@ class CollisionMap:
     names: tuple[str, ...]
     cluster_ids: tuple[int, ...]
     horizon_s: float
+
+    def known_within(self, own_speed_m_s: float, course_rad: tuple[float, float]) -> CollisionMap:
+        """The map with all that is unknown where nobody looks: beyond the courses in view, from ahead to the right."""
+        ahead_m_s = own_speed_m_s + self.forward_m_s[:, None]
+        course = np.arctan2(np.broadcast_to(self.right_m_s, self.time_s.shape), ahead_m_s)
+        # Who stands still goes nowhere.
+        is_still = np.hypot(self.right_m_s, ahead_m_s) <= _STILL * own_speed_m_s
+        is_seen = ((course >= course_rad[0]) & (course <= course_rad[1])) | is_still
+        return replace(
+            self,
+            time_s=np.where(is_seen, self.time_s, np.nan),
+            probability=np.where(is_seen, self.probability, np.nan),
+            object_probability=np.where(is_seen[..., None], self.object_probability, np.nan),
+            object_index=np.where(is_seen, self.object_index, NO_OBJECT),
+        )
 
 
 def map_of_changes(situation: Situation, forward_m_s: Floats, right_m_s: Floats, horizon_s: float) -> CollisionMap:
@@ -136,7 +153,7 @@ def outcomes(situation: Situation, legs: Sequence[Leg], horizon_s: float) -> Out
     for leg, then in zip(legs, near.along(times_s, situation.own_velocity_m_s), strict=True):
         # A hazard that is met in two legs is met in the one in which that is more probable, not twice.
         add_contacts(
-            np.ascontiguousarray(then.position_m),
+            np.ascontiguousarray(then.position_m - own.middle_m),
             np.ascontiguousarray(then.velocity_m_s),
             then.half_size_m,
             then.yaw_rad,

@@ -28,6 +28,7 @@ _TIMES: Colormap = LinearSegmentedColormap.from_list("times", ["#7a0010", "#d730
 """From now (dark red) to the end of the look-ahead (pale)."""
 _PALE = 0.45
 """Share of a time's colour that is left where a collision is possible but not likely."""
+_UNKNOWN = "#bdbdbd"
 _ADVICE, _INK, _FAMILY = "#0b5fa5", "#1a1a1a", "#5b3a8c"
 _MAX_NAMES = 7
 _MIN_NAMED_CELLS = 12
@@ -82,7 +83,7 @@ def collision_map_figure(
     axes.set_title(caption.title, fontsize=11, loc="left", wrap=True)
     colours = ScalarMappable(Normalize(0, collision_map.horizon_s), _TIMES)
     figure.colorbar(colours, ax=axes, label="time until contact, s", fraction=0.045, pad=0.02)
-    handles = _legend(advice, bool(families))
+    handles = _legend(advice, bool(families), bool(np.isnan(collision_map.probability).any()))
     foot.set_axis_off()
     legend = foot.legend(
         handles=handles, loc="upper left", ncols=len(handles), frameon=False, fontsize=9, borderaxespad=0.0
@@ -105,12 +106,13 @@ def _edges(values: Floats) -> tuple[float, float]:
 
 
 def _colours(collision_map: CollisionMap) -> Floats:
-    """Colours ``(F, R, 3)``: by time where a collision is likely, paler where it is possible, else free."""
+    """Colours ``(F, R, 3)``: by time where a collision is likely, paler where it is possible, else free or unknown."""
     colours = _TIMES(np.nan_to_num(collision_map.time_s) / collision_map.horizon_s)[..., :3]
     free = np.array(to_rgb(_FREE))
     p = collision_map.probability[..., None]
     share = np.where(p >= LIKELY, 1.0, _PALE)
     shown = (p >= POSSIBLE) & np.isfinite(collision_map.time_s)[..., None]
+    free = np.where(np.isnan(p), np.array(to_rgb(_UNKNOWN)), free)
     return np.where(shown, share * colours + (1.0 - share) * free, free)
 
 
@@ -183,7 +185,7 @@ def _draw_now_and_advice(axes: Axes, advice: Evasion, scale: float) -> None:
     axes.plot(*tip, "D", ms=7, mfc=_ADVICE, mec="white", mew=1.2, zorder=7)
 
 
-def _legend(advice: Evasion, has_families: bool) -> list[Patch | Line2D]:
+def _legend(advice: Evasion, has_families: bool, has_unknown: bool) -> list[Patch | Line2D]:
     handles: list[Patch | Line2D] = [
         Line2D([], [], marker="o", ls="", ms=9, mfc=_INK, mec="white", label="now"),
         Patch(facecolor=_TIMES(0.3), hatch="////", edgecolor=_INK, label="collision likely"),
@@ -193,6 +195,8 @@ def _legend(advice: Evasion, has_families: bool) -> list[Patch | Line2D]:
     if advice.status in (EvasionStatus.advice, EvasionStatus.no_escape):
         words = "advice" if advice.status is EvasionStatus.advice else "least bad (no way out)"
         handles.insert(1, Line2D([], [], color=_ADVICE, lw=3, marker="D", mec="white", ms=7, label=words))
+    if has_unknown:
+        handles.append(Patch(facecolor=_UNKNOWN, edgecolor="#999999", label="not in view: unknown"))
     if has_families:
         handles.append(Line2D([], [], color=_FAMILY, ls="--", label="speed unknown"))
     return handles

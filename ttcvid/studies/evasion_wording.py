@@ -43,6 +43,8 @@ def describe_advice(advice: Evasion, names: Sequence[str]) -> str:
         case EvasionStatus.no_escape:
             change, after = describe_change(advice), _percent(advice.probability_after)
             return f"{ahead}: no way out within the limits, least bad: {change} (then {after})"
+        case EvasionStatus.unknown:
+            return f"unknown whether there is a danger: {ahead if who else 'nothing known to be in the way'}"
         case EvasionStatus.no_scale:
             return "no scale: nothing has a distance in metres"
         case EvasionStatus.no_result:

@@ -90,6 +90,10 @@ class Hazards:
         travel_m += 0.5 * np.abs(self.acceleration_m_s2) * horizon_s**2
         return self.take(np.linalg.norm(self.position_m, axis=1) <= reach_m + travel_m)
 
+    def without(self, names: Sequence[str]) -> Hazards:
+        """The boxes of all other objects; the list of objects stays."""
+        return self.take(~np.isin(self.object_index, [self.names.index(name) for name in names]))
+
     def take(self, mask: Bools) -> Hazards:
         """Some of the boxes; the list of objects stays."""
         return replace(self, **{name: getattr(self, name)[mask] for name in _ARRAYS})
@@ -117,22 +121,35 @@ _ARRAYS = tuple(field.name for field in fields(Hazards) if field.name not in ("n
 
 @dataclass(frozen=True)
 class OwnBody:
-    """Our own outline around the camera: an upright box or, with ``is_round``, an ellipsoid."""
+    """Our own outline around the camera: an upright box or, with ``is_round``, an ellipsoid.
+
+    ``below_m`` is how far its middle lies below the camera: a car stands on the road, wherever its camera looks from.
+    """
 
     width_m: float
     length_m: float
     height_m: float
     is_round: bool = False
+    below_m: float = 0.0
 
     @property
     def reach_m(self) -> float:
         """Distance within which its farthest point is from the camera."""
-        return 0.5 * float(np.linalg.norm([self.width_m, self.length_m, self.height_m]))
+        return 0.5 * float(np.linalg.norm([self.width_m, self.length_m, self.height_m])) + abs(self.below_m)
 
     @property
     def half_m(self) -> Floats:
         """Half its width, height and length ``(3,)``, in level axes."""
         return 0.5 * np.array([self.width_m, self.height_m, self.length_m])
+
+    @property
+    def middle_m(self) -> Floats:
+        """Its middle ``(3,)``, in level axes."""
+        return np.array([0.0, self.below_m, 0.0])
+
+    def standing_on_road(self, camera_height_m: float) -> OwnBody:
+        """The same outline with its lower side on a road this far under the camera."""
+        return replace(self, below_m=camera_height_m - 0.5 * self.height_m)
 
 
 @dataclass(frozen=True)
@@ -146,6 +163,11 @@ class Situation:
     own: OwnBody
     own_velocity_m_s: Floats
     own_turn_rad_s: float = 0.0
+
+    @property
+    def own_speed_m_s(self) -> float:
+        """Our speed over the ground."""
+        return float(np.hypot(self.own_velocity_m_s[RIGHT], self.own_velocity_m_s[AHEAD]))
 
 
 def one_object(
