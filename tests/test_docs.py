@@ -99,6 +99,14 @@ def test_links_within_the_repository_lead_somewhere(page):
             assert anchor in {heading.lower().replace(" ", "-") for heading in headings}, target
 
 
+def test_tests_named_in_the_page_of_promises_exist():
+    page = (DOCS / "reliability.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(tests/\w+/test_\w+\.py)(?:::(\w+))?`", page)
+    assert named
+    for path, function in named:
+        assert f"def {function or 'test_'}" in (REPOSITORY / path).read_text(encoding="utf-8"), (path, function)
+
+
 def test_commands_of_the_readme_exist_with_the_options_shown():
     shown = [line.split("#")[0].split() for block in blocks(README, "") for line in block.splitlines()]
     commands = [words for words in shown if words and words[0] == "ttcvid"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class SoundInputs:
-    """A folder with a scene, its pictures with truth, two runs over them, and a table of tracks."""
+    """A folder with a scene, its pictures with truth, two runs over them, a suite of them, and a table of tracks."""
 
     folder: Path
 
@@ -31,6 +31,8 @@ ATTACKS = {
     "compare": ["{run}", "{other}", "--junit", "{out}/junit.xml"],
     "batch": ["{tracks}", "--image-size", "192x128", "-o", "{out}/batch", "--no-overlay"],
     "report": ["{run}", "-o", "{out}/page.html"],
+    "export": ["{run}", "--to", "csv", "-o", "{out}/csv", "--overwrite"],
+    "regress": ["{suite}", "-o", "{out}/runs", "--junit", "{out}/junit.xml"],
     "demo": ["--frames", "4", "-o", "{out}/demo", "--overwrite"],
 }
 """Arguments of each command; all that it writes goes below {out}."""
@@ -38,7 +40,8 @@ ATTACKS = {
 
 def arguments_of(command: str, sound: SoundInputs, out: Path) -> list[str]:
     places = {name: str(sound.folder / name) for name in ("clip", "run", "other")}
-    places |= {"scene": str(sound.folder / "scene.yaml"), "tracks": str(sound.folder / "tracks.csv"), "out": str(out)}
+    places |= {"scene": str(sound.folder / "scene.yaml"), "out": str(out)}
+    places |= {"tracks": str(sound.folder / "tracks.csv"), "suite": str(sound.folder / "suite.yaml")}
     given = [command]
     for argument in ATTACKS[command]:
         given += sound.clip_options if argument == "{options}" else [argument.format(**places)]

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 from attacked_commands import SoundInputs
 from attacked_runs import Attacker
 from moving_clips import write_approaching_tracks
@@ -26,6 +27,14 @@ bodies:
 """
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What is exhaustive is slow: without this, ``-m 'not slow'`` would run it."""
+    for item in items:
+        if item.get_closest_marker("exhaustive"):
+            item.add_marker("slow")
+
+
 @pytest.fixture(scope="session")
 def attacker() -> Iterator[Attacker]:
     with Attacker() as attacker:
@@ -40,5 +49,8 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> SoundInputs:
     options = {"camera": clip / "camera.yaml", "timestamps": clip / "timestamps.txt", "overlay": False}
     for name, platform in (("run", "vehicle"), ("other", "free")):
         ttcvid.analyze(clip / "frames", folder / name, platform=platform, **options)
+    calibration = {name: str(options[name]) for name in ("camera", "timestamps")}
+    suite = {"name": "small", "clip": str(clip / "frames"), "options": calibration, "baseline": False}
+    (folder / "suite.yaml").write_text(yaml.safe_dump({"clips": [suite | {"expectations": ["events: none"]}]}))
     write_approaching_tracks(folder / "tracks.csv", n=5, n_tracks=20)
     return SoundInputs(folder)

@@ -7,6 +7,9 @@ import pytest
 from attacked_commands import ATTACKS, SoundInputs, arguments_of
 from attacked_runs import Attacker, assert_sound, contents
 
+from ttcvid.cli.commands import COMMANDS
+
+COMMANDS_THAT_WRITE_NOTHING = {"doctor"}
 N_MOMENTS, N_ALL_MOMENTS = 2, 30
 
 
@@ -41,3 +44,7 @@ def test_killed_at_some_moments(command: str, attacker: Attacker, sound: SoundIn
 @pytest.mark.parametrize("command", ATTACKS)
 def test_killed_at_thirty_moments(command: str, attacker: Attacker, sound: SoundInputs, tmp_path: Path) -> None:
     kill_at_moments(command, N_ALL_MOMENTS, attacker, sound, tmp_path)
+
+
+def test_every_command_is_attacked() -> None:
+    assert set(ATTACKS) | COMMANDS_THAT_WRITE_NOTHING == set(COMMANDS)
