@@ -288,6 +288,19 @@ class TrackRows:
 
 
 @dataclass(frozen=True)
+class HorizonOffset:
+    """How far off the horizon an epipole was found, before it was moved there.
+
+    ``below_rad`` is the angle below the horizon of the direction, turned ahead, with its own standard deviation
+    ``sigma_rad``; ``ahead`` is the cosine of its angle to the optical axis: only what moves there and back tells pitch.
+    """
+
+    below_rad: float
+    sigma_rad: float
+    ahead: float
+
+
+@dataclass(frozen=True)
 class ClusterRow:
     """One cluster (the scene or an object) in one frame.
 
@@ -296,7 +309,7 @@ class ClusterRow:
     (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2, in which ``speed_change`` is
     the part by which abs(V) may change soon: that tells how sure the times are, not whether and where to it moves now.
     ``times`` has one row. ``method`` names how the epipole was found. ``front_px`` is the box of what of it is as near
-    as the reference point, None where that is not known.
+    as the reference point, None where that is not known. ``horizon_offset`` is None without a horizon.
     """
 
     cluster_id: int
@@ -311,6 +324,7 @@ class ClusterRow:
     direction_cov: Floats | None = None
     epipole_px: Floats | None = None
     horizon_offset_px: float | None = None
+    horizon_offset: HorizonOffset | None = None
     ref_px: tuple[float, float] | None = None
     front_px: tuple[float, float, float, float] | None = None
     state_abc_hz: Floats | None = None

@@ -174,9 +174,26 @@ def test_analyze_finds_the_horizon_by_itself(resting, one_way, tmp_path):
     assert horizon["origin"].startswith("auto: ")
     np.testing.assert_allclose([horizon["y_left_px"], horizon["y_right_px"]], true_line(resting), atol=3.0)
     assert run.epipoles.horizon_offset_px.notna().any()
+    assert not [warning for warning in run.manifest["warnings"] if "horizon" in warning]
     with pytest.raises(UndeterminedError, match="--horizon auto"):
         ttcvid.analyze(one_way / "tracks.parquet", tmp_path / "none", camera=one_way / "camera.yaml", **options)
     assert not (tmp_path / "none").exists()
+
+
+def test_a_horizon_of_the_clip_itself_fits_it_and_one_that_is_off_is_told(resting, tmp_path):
+    calibrated(resting, tmp_path / "horizon.yaml")
+    content = yaml.safe_load((tmp_path / "horizon.yaml").read_text())
+    content["horizon"] |= {side: content["horizon"][side] - 60 for side in ("y_left_px", "y_right_px")}
+    (tmp_path / "off.yaml").write_text(yaml.safe_dump(content))
+    complaints = []
+    for name in ("horizon", "off"):
+        options = {"platform": "static", "overlay": False, "report": False, "horizon": tmp_path / f"{name}.yaml"}
+        run = ttcvid.analyze(resting / "tracks.parquet", tmp_path / name, camera=resting / "camera.yaml", **options)
+        complaints.append([warning for warning in run.manifest["warnings"] if "the horizon" in warning])
+    assert complaints[0] == []
+    (complaint,) = complaints[1]
+    assert "movers lie" in complaint
+    assert "below the horizon: the calibration no longer fits" in complaint
 
 
 def test_what_exists_is_kept(resting, tmp_path):

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.jobs.beside import beside
 from ttcvid.jobs.clip import (
     Calibration,
@@ -41,12 +42,13 @@ from ttcvid.jobs.provenance import (
 from ttcvid.jobs.run import Run
 from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead
 from ttcvid.jobs.stopping import StopSignals
+from ttcvid.model import Camera, Horizon
 from ttcvid.pipeline import analyze_frames
 from ttcvid.posix import share_freed_memory
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.folder import OVERLAY_NAME, REPORT_NAME, OutputFolder
 from ttcvid.sources import Source
-from ttcvid.stages.horizon_watch import complaint_about_horizon
+from ttcvid.stages.horizon_watch import complaint_about_movers, complaint_about_own_epipoles
 from ttcvid.stages.planar import centre_sigma_px
 
 _LOG = logging.getLogger(__name__)
@@ -137,7 +139,7 @@ def run_analysis(
                 "platform": describe_platform(configuration, told_platform),
                 "counts": tally.counts(source.info, source.report),
                 "nearest": tally.nearest,
-                "warnings": _warnings(source, calibration, tally),
+                "warnings": _warnings(source, calibration, tally, configuration.pipeline.horizon_calibration),
                 "timings": _timings(started_s, analyzed_s, tally.n_frames),
             }
             if options.report:
@@ -215,19 +217,31 @@ def _state(source: Source, stop: StopSignals) -> str:
     return "truncated" if source.report.is_truncated else "complete"
 
 
-def _warnings(source: Source, calibration: Calibration, tally: Tally) -> list[str]:
+def _warnings(
+    source: Source, calibration: Calibration, tally: Tally, horizon_errors: HorizonCalibrationConfig
+) -> list[str]:
     """What to know before trusting the numbers; also logged."""
     warnings = camera_warnings(calibration.camera)
     warnings += source.report.warnings
     complaints = tally.complaint_about_times(), tally.complaint_about_sight(), tally.complaint_about_repeats()
     warnings += filter(None, complaints)
     if calibration.horizon is not None:
-        tolerance_px = max(LEAST_OFFSET_PX, 2.0 * centre_sigma_px(calibration.camera, calibration.horizon))
-        complaint = complaint_about_horizon(np.array(tally.horizon_offset_px), tolerance_px)
-        warnings += [complaint] if complaint else []
+        warnings += _complaints_about_horizon(calibration.camera, calibration.horizon, tally, horizon_errors)
     for warning in warnings:
         _LOG.warning("%s", warning)
     return warnings
+
+
+def _complaints_about_horizon(
+    camera: Camera, horizon: Horizon, tally: Tally, errors: HorizonCalibrationConfig
+) -> list[str]:
+    """What to say where own epipoles, or those of movers, do not fit the calibration."""
+    sigma_px = centre_sigma_px(camera, horizon)
+    tolerance_px = max(LEAST_OFFSET_PX, 2.0 * sigma_px)
+    own = complaint_about_own_epipoles(np.array(tally.own_offset_px), tolerance_px)
+    sigma_rad, least_rad = sigma_px / camera.fy_px, LEAST_OFFSET_PX / camera.fy_px
+    movers = complaint_about_movers(tally.mover_offsets.values(), sigma_rad, least_rad, errors)
+    return [complaint for complaint in (own, movers) if complaint]
 
 
 def _timings(started_s: float, analyzed_s: float, n_frames: int) -> dict[str, float]:

@@ -25,8 +25,17 @@ import ttcvid
 from ttcvid.errors import InputError, counted
 from ttcvid.jobs.clip import Calibration
 from ttcvid.jobs.options import AUTO_HORIZON, PATH_OPTIONS, AnalyzeOptions
-from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, FrameResult, FrameStatus, SourceInfo, SourceReport
-from ttcvid.stages.horizon_watch import horizon_offset_of
+from ttcvid.model import (
+    SCENE_CLUSTER,
+    SCENE_MOTION,
+    Camera,
+    ClusterRow,
+    FrameResult,
+    FrameStatus,
+    SourceInfo,
+    SourceReport,
+)
+from ttcvid.stages.horizon_watch import MoverOffset, own_offset_px
 
 
 def versions() -> dict[str, str]:
@@ -119,7 +128,8 @@ class Tally:
     cluster_ids: set[int] = field(default_factory=set)
     event_ids: set[int] = field(default_factory=set)
     nearest: dict[str, Any] | None = None
-    horizon_offset_px: list[float] = field(default_factory=list)
+    own_offset_px: list[float] = field(default_factory=list)
+    mover_offsets: dict[int, MoverOffset] = field(default_factory=dict)
     n_repeated: int = 0
     n_bad_dt: int = 0
     n_unseen: int = 0
@@ -133,9 +143,12 @@ class Tally:
         self.n_cluster_rows += len(result.clusters)
         self.cluster_ids.update(cluster.cluster_id for cluster in result.clusters)
         self.event_ids.update(event.event_id for event in result.events)
-        offset_px = horizon_offset_of(result)
+        offset_px = own_offset_px(result)
         if offset_px is not None:
-            self.horizon_offset_px.append(offset_px)
+            self.own_offset_px.append(offset_px)
+        for cluster in result.clusters:
+            if cluster.horizon_offset is not None and cluster.motion_id != SCENE_MOTION:
+                self.mover_offsets.setdefault(cluster.cluster_id, MoverOffset()).add(cluster.horizon_offset)
         self.n_repeated += result.status == FrameStatus.duplicate
         self.n_bad_dt += result.status == FrameStatus.bad_dt
         self.n_unseen += result.status in (FrameStatus.few_tracks, FrameStatus.dark)

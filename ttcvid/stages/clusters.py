@@ -21,6 +21,7 @@ from ttcvid.model import (
     Camera,
     ClusterRow,
     Floats,
+    HorizonOffset,
     Ints,
     MotionState,
     Status,
@@ -53,7 +54,8 @@ ON_HORIZON = "+horizon"
 class ClusterMotion:
     """What is known of a cluster before its times: ``members`` index the frame's tracks, ``direction`` is its ``dir``.
 
-    ``horizon_offset_px`` how far off the horizon its epipole was found, before it was moved there; ``window_s`` for how
+    ``horizon_offset_px`` how far off the horizon its epipole was found, before it was moved there, and
+    ``horizon_offset`` the same as an angle with its error; ``window_s`` for how
     long its motion has been what it is; ``is_static`` a thing that moves with the scene; ``is_one_surface`` one that
     was found as one surface, and may have few tracks.
     """
@@ -68,6 +70,7 @@ class ClusterMotion:
     window_s: float = np.inf
     is_static: bool = False
     is_one_surface: bool = False
+    horizon_offset: HorizonOffset | None = None
 
 
 def rows_of(
@@ -165,6 +168,7 @@ def _row(
         "direction": motion.direction,
         "direction_cov": motion.direction_cov,
         "horizon_offset_px": motion.horizon_offset_px,
+        "horizon_offset": motion.horizon_offset,
         "expansion_hz": expansion_hz if math.isfinite(expansion_hz) else None,
     }
     return ClusterRow(**(facts | stated))

@@ -16,7 +16,7 @@ from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.horizon import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
 from ttcvid.geometry.planar import planar_epipole
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
-from ttcvid.model import Camera, Floats, Horizon, Ints, Status
+from ttcvid.model import Camera, Floats, Horizon, HorizonOffset, Ints, Status
 from ttcvid.stages.flows import Flows
 
 # Time in which the horizon returns to where it was calibrated, s: a car's springs swing at 1 to 2 Hz and a braking car
@@ -122,6 +122,14 @@ def horizon_offset_px(direction: Floats, plane: HorizonPlane, camera: Camera) ->
     left, right = plane.line_px
     slope = (right - left) / (camera.image_size.width_px - 1)
     return float((y_px - left - slope * x_px) / np.hypot(1.0, slope))
+
+
+def horizon_offset(direction: Floats, covariance: Floats, plane: HorizonPlane) -> HorizonOffset:
+    """The angle of a direction (3,) below the horizon, with the error that its ``covariance (3, 3)`` says."""
+    ahead = direction if direction[2] > 0.0 else -direction
+    below_rad = -float(np.arcsin(np.clip(float(plane.normal @ ahead), -1.0, 1.0)))
+    sigma_rad = float(np.sqrt(max(float(plane.normal @ covariance @ plane.normal), 0.0)))
+    return HorizonOffset(below_rad, sigma_rad, float(ahead[2]))
 
 
 def planar_directions(flows: Flows, plane: HorizonPlane) -> tuple[Floats, Floats, Ints]:

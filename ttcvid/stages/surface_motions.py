@@ -17,7 +17,7 @@ from ttcvid.stages.egomotion import Egomotion
 from ttcvid.stages.growing import find_growing
 from ttcvid.stages.history import TrackHistory
 from ttcvid.stages.obstacles import StaticPoints, find_obstacles, own_path
-from ttcvid.stages.planar import HorizonPlane, horizon_offset_px, onto_horizon
+from ttcvid.stages.planar import HorizonPlane, horizon_offset, horizon_offset_px, onto_horizon
 from ttcvid.stages.road import find_road
 from ttcvid.stages.segmentation import BodyMemory, Segmentation
 from ttcvid.stages.surface_memory import Obstacle
@@ -134,12 +134,23 @@ def on_plane(
     is_one_surface: bool = False,
 ) -> ClusterMotion:
     """The motion as found, or moved onto the horizon with the offset noted."""
-    offset_px = None
+    offset_px = offset = None
     if plane is not None:
         offset_px = horizon_offset_px(direction, plane, camera)
+        offset = horizon_offset(direction, covariance, plane)
         direction, covariance = onto_horizon(direction, covariance, plane)
         method += ON_HORIZON
     status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
     return ClusterMotion(
-        cluster_id, members, direction, covariance, status, method, offset_px, window_s, is_static, is_one_surface
+        cluster_id,
+        members,
+        direction,
+        covariance,
+        status,
+        method,
+        offset_px,
+        window_s,
+        is_static,
+        is_one_surface,
+        offset,
     )
