@@ -19,6 +19,7 @@ import numpy as np
 
 import ttcvid
 from ttcvid.stages.floating import Floating
+from ttcvid.stages.frozen import FrozenMemory
 
 _PACKAGE = Path(ttcvid.__file__).parent
 
@@ -43,6 +44,11 @@ class Rule:
 
 def _nothing_floats(xy_px: Any, link_px: Any, fit: Any, key: Any, *_: Any) -> Floating:
     return Floating(np.full(len(key), -1), np.zeros(len(key), dtype=bool), np.full(len(key), -1))
+
+
+def _none_frozen(memory: Any, points: Any, **_: Any) -> tuple[Any, FrozenMemory]:
+    n = len(points.track_id)
+    return np.zeros(n, dtype=bool), FrozenMemory(points.track_id, points.xy_px, np.zeros(n))
 
 
 def _no_surfaces(next_cluster_id: int) -> tuple[dict[int, Any], tuple[Any, ...], int]:
@@ -162,7 +168,7 @@ RULES: dict[str, Rule] = {
     "frozen": Rule(
         "what stays on its pixel is bonnet or text",
         "bodies",
-        {"stages.frozen.find_frozen": lambda memory, points, **_: (np.zeros(len(points.track_id), dtype=bool), memory)},
+        {"stages.frozen.find_frozen": _none_frozen},
         _stage("frozen"),
     ),
     "fronts": Rule(
