@@ -50,7 +50,7 @@ def analyze_frames(
     map_ahead: MapAhead = map,
     run_apart: RunApart = run_here,
 ) -> Iterator[tuple[Frame, FrameResult]]:
-    """Each frame with its result, in order; memory does not grow with the length of the clip.
+    """Each frame, without ``grey``, with its result, in order; memory does not grow with the length of the clip.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def analyze_frames(
     run_apart : may run the geometry of all frames in another process; only points of tracks go there, and results back.
     """
     waiting = deque[Frame]()
-    tracked = _without_pictures(track_frames(frames, config.tracking, mask, map_ahead), waiting, config)
+    tracked = _without_pictures(track_frames(frames, config.tracking, mask, map_ahead), waiting)
     geometry = partial(analyze_tracked, camera=camera, config=config, horizon=horizon)
     for result in run_apart(geometry, tracked):
         yield waiting.popleft(), result
@@ -82,14 +82,12 @@ def _with_platform(config: PipelineConfig) -> PipelineConfig:
     return config.model_copy(update={"egomotion": config.egomotion.model_copy(update={"platform": Platform.free})})
 
 
-def _without_pictures(
-    tracked_frames: Iterable[TrackedFrame], waiting: deque[Frame], config: PipelineConfig
-) -> Iterator[TrackedFrame]:
+def _without_pictures(tracked_frames: Iterable[TrackedFrame], waiting: deque[Frame]) -> Iterator[TrackedFrame]:
     """The points of each frame alone; the frames themselves go to those that are ``waiting`` for their results."""
     for tracked in tracked_frames:
         frame = tracked.frame
-        # Many wait for those that come after them: they keep only what is drawn on.
-        waiting.append(replace(frame, grey=None) if config.collision_times.smooth else frame)
+        # They keep only what is drawn on: several wait, many where estimates need frames that come after them.
+        waiting.append(replace(frame, grey=None))
         yield replace(tracked, frame=replace(frame, grey=None, colour=None))
 
 

@@ -12,6 +12,7 @@ from moving_clips import FPS, approach, picture, swaying, write_approaching_trac
 
 import ttcvid
 from ttcvid.cli.main import main
+from ttcvid.jobs import side_by_side
 from ttcvid.schema import TABLE_NAMES, TABLES
 
 SAMPLE_CONFIGS = Path(__file__).resolve().parents[2] / "sample_configs"
@@ -200,3 +201,12 @@ def test_all_methods_of_a_clip_run(tracker: str, estimator: str, work_folder: Pa
     assert run.state == "complete"
     metadata = pq.read_schema(run.folder / "frames.parquet").metadata
     assert (metadata[b"tracker"], metadata[b"estimator"]) == (tracker.encode(), estimator.encode())
+
+
+def test_very_large_pictures_wait_nowhere_and_give_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clip = write_clip(tmp_path / "clip.mp4", approach(8))
+    usual = ttcvid.analyze(clip, tmp_path / "usual", focal_px=300.0)
+    monkeypatch.setattr(side_by_side, "WAITING_BYTES", 0)
+    large = ttcvid.analyze(clip, tmp_path / "large", focal_px=300.0)
+    for name in ("frames", "clusters", "collision_times"):
+        pd.testing.assert_frame_equal(getattr(large, name), getattr(usual, name))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import pytest
 
-from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead
+from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead, waiting_items
 
 pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
 
@@ -141,3 +141,8 @@ def test_map_ahead_that_is_left_early_takes_no_more_items() -> None:
     assert next(results) == 0
     results.close()
     assert len(taken) <= 6
+
+
+@pytest.mark.parametrize(("item_bytes", "expected"), [(1e3, 3), (5.2e6, 3), (12.5e6, 1), (20.7e6, 0)])
+def test_fewer_large_items_wait(item_bytes: float, expected: int) -> None:
+    assert waiting_items(item_bytes, 3) == expected

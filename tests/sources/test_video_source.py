@@ -24,6 +24,7 @@ from source_clips import (
 from ttcvid.errors import UsageError
 from ttcvid.model import ImageSize
 from ttcvid.sources import open_source
+from ttcvid.sources.pictures import colour_picture
 
 UNEVEN_MS = [0, 40, 100, 101, 250, 251, 252, 400, 1000, 1033, 1066, 1100]
 
@@ -234,3 +235,9 @@ def test_a_frame_rate_is_finite_and_positive(tmp_path, fps):
 
 def test_every_packet_of_the_test_clips_is_a_frame(tmp_path):
     assert len(packets_of(write_video(tmp_path / "a.mkv"))) == N
+
+
+def test_a_frame_that_is_stored_as_it_is_shown_is_not_drawn_on():
+    frame = av.VideoFrame.from_ndarray(np.dstack([luma(0)] * 3), format="bgr24")
+    colour_picture(frame)[:] = 0
+    np.testing.assert_array_equal(colour_picture(frame)[:, :, 1], luma(0))

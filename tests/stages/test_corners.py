@@ -1,10 +1,12 @@
 """Corners: well spread, apart from each other and from the points already there, and only where allowed."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 from wave_pictures import HEIGHT, WIDTH, wave_picture
 
+from ttcvid.stages.tracking import corners
 from ttcvid.stages.tracking.corners import find_corners, occupied_cells
 
 NO_POINTS = np.empty((0, 2))
@@ -147,3 +149,14 @@ def test_places_without_tracks_alone_give_corners_where_only_new_ones_are_asked_
     assert len(found) == 20
     assert (found[:, 0] > WIDTH / 2 - 10).all()
     assert len(find_corners(picture, None, corners, 20, 7.0, 0.005, 0.1, only_new_places=True)) == 0
+
+
+def test_corners_of_a_large_picture_are_those_found_without_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (60, 107), dtype=np.uint8)
+    grey = np.asarray(cv2.resize(noise, (642, 360), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    taken = np.array([[30.0, 40.0], [500.0, 300.0]])
+    whole = find_corners(grey, None, taken, 400, 20.0, 0.01, 0.3)
+    monkeypatch.setattr(corners, "_WHOLE_PIXELS", 1000)
+    monkeypatch.setattr(corners, "_BAND_PIXELS", 642 * 50)
+    assert len(whole) > 100
+    np.testing.assert_array_equal(find_corners(grey, None, taken, 400, 20.0, 0.01, 0.3), whole)

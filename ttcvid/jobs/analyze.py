@@ -6,13 +6,14 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.jobs.beside import beside
+from ttcvid.jobs.beside import AHEAD_ITEMS, beside
 from ttcvid.jobs.clip import (
     Calibration,
     camera_warnings,
@@ -40,11 +41,18 @@ from ttcvid.jobs.provenance import (
     versions,
 )
 from ttcvid.jobs.run import Run
-from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead
+from ttcvid.jobs.side_by_side import (
+    READ_AHEAD_ITEMS,
+    WRITE_BEHIND_ITEMS,
+    ReadAhead,
+    WriteBehind,
+    map_ahead,
+    waiting_items,
+)
 from ttcvid.jobs.stopping import StopSignals
 from ttcvid.model import Camera, Horizon
 from ttcvid.pipeline import analyze_frames
-from ttcvid.posix import share_freed_memory
+from ttcvid.posix import give_back_large_blocks, share_freed_memory
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.folder import OVERLAY_NAME, REPORT_NAME, OutputFolder
 from ttcvid.sources import Source
@@ -55,6 +63,8 @@ _LOG = logging.getLogger(__name__)
 T = TypeVar("T")
 R = TypeVar("R")
 
+PICTURE_BYTES_PER_PX = 2.5
+"""Of a decoded picture: its brightness for the analysis, and all of it, as it is stored, for the overlay."""
 LEAST_OFFSET_PX = 3.0
 """Epipoles may lie so far off the horizon, whatever the calibration says of itself: a road is not quite level."""
 
@@ -171,11 +181,19 @@ def _analyze_into(
         stack.enter_context(rare_garbage_collections())
         stack.enter_context(quick_thread_switches())
         write = open_sinks(stack, folder, source, calibration, configuration)
-        writer = stack.enter_context(WriteBehind(write))
-        frames = stack.enter_context(ReadAhead(source))
+        picture_bytes = PICTURE_BYTES_PER_PX * info.image_size.width_px * info.image_size.height_px
+        # where no picture may wait, who needs one makes it: the geometry's process still works beside
+        n_behind, n_ahead = (waiting_items(picture_bytes, most) for most in (WRITE_BEHIND_ITEMS, READ_AHEAD_ITEMS))
+        if not n_ahead and not is_akaze:
+            give_back_large_blocks()
+        put = stack.enter_context(WriteBehind(write, n_behind)).put if n_behind else write
+        # a picture that nobody draws on is not kept for it
+        wanted = source if configuration.options.overlay else (replace(frame, colour=None) for frame in source)
+        frames = stack.enter_context(ReadAhead(wanted, n_ahead)) if n_ahead else wanted
+        n_apart = max(1, waiting_items(picture_bytes, AHEAD_ITEMS))
 
         def run_apart(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
-            return stack.enter_context(beside(function, stop.until_requested(items)))
+            return stack.enter_context(beside(function, stop.until_requested(items), n_apart))
 
         results = analyze_frames(
             frames,
@@ -188,7 +206,7 @@ def _analyze_into(
             run_apart=run_apart,
         )
         for frame, result in results:
-            writer.put((frame, result))
+            put((frame, result))
             tally.add(result)
             if on_frame is not None:
                 on_frame(tally.n_frames, info.n_frames)

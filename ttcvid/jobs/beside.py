@@ -36,13 +36,16 @@ AHEAD_ITEMS = 4
 
 
 @contextmanager
-def beside(function: Stream[T, R], items: Iterable[T]) -> Iterator[Iterable[R]]:
-    """What ``function(items)`` yields, worked out beside the caller; the block ends whatever runs there."""
+def beside(function: Stream[T, R], items: Iterable[T], ahead: int = AHEAD_ITEMS) -> Iterator[Iterable[R]]:
+    """What ``function(items)`` yields, worked out beside the caller; the block ends whatever runs there.
+
+    At most ``ahead`` items are made before they are wanted.
+    """
     if can_copy_process():
-        with OtherProcess(function, items) as results:
+        with OtherProcess(function, items, ahead) as results:
             yield results
     else:
-        with ReadAhead(items) as ahead, ReadAhead(function(ahead)) as results:
+        with ReadAhead(items, ahead) as made, ReadAhead(function(made)) as results:
             yield results
 
 
@@ -68,11 +71,11 @@ class OtherProcess(Generic[T, R]):
         The other process was ended from outside (out of memory).
     """
 
-    def __init__(self, function: Stream[T, R], items: Iterable[T]) -> None:
+    def __init__(self, function: Stream[T, R], items: Iterable[T], ahead: int = AHEAD_ITEMS) -> None:
         self._items = items
         self._function = function
         self._thread = threading.Thread(target=self._send_items, name="ttcvid-send", daemon=True)
-        self._has_room = threading.Semaphore(AHEAD_ITEMS)
+        self._has_room = threading.Semaphore(ahead)
         self._is_cancelled = False
         self._error: BaseException | None = None
 

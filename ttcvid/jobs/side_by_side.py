@@ -21,10 +21,17 @@ R = TypeVar("R")
 
 READ_AHEAD_ITEMS = 3
 WRITE_BEHIND_ITEMS = 3
+WAITING_BYTES = 20_000_000
+"""What may wait in each queue: three pictures of 2 million pixels with their colours, one of 5, none of 4K (8)."""
 MAP_WORKERS = 2
 MAP_AHEAD_ITEMS = 4
 """Items in work or waiting for their turn: two a worker, so that none idles while an item is taken."""
 _DRAIN_WAIT_S = 0.02
+
+
+def waiting_items(item_bytes: float, most: int) -> int:
+    """How many items of this size may wait in a queue: ``most``, fewer of large ones, none of very large ones."""
+    return int(min(most, WAITING_BYTES // item_bytes))
 
 
 class _End:

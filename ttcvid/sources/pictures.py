@@ -77,4 +77,9 @@ def has_luma_plane(pixel_format: VideoFormat) -> bool:
 
 def colour_picture(frame: VideoFrame) -> Picture:
     """The frame as (H, W, 3) BGR uint8, a fresh array."""
-    return np.asarray(frame.to_ndarray(format="bgr24", threads=CONVERSION_THREADS), dtype=np.uint8)
+    converted = frame.reformat(format="bgr24", threads=CONVERSION_THREADS)
+    plane = converted.planes[0]
+    rows: Picture = np.frombuffer(memoryview(plane), dtype=np.uint8).reshape(-1, plane.line_size)
+    picture = np.ascontiguousarray(rows[: frame.height, : 3 * frame.width]).reshape(frame.height, frame.width, 3)
+    # what was converted is nobody else's; what needed no conversion is the decoder's own
+    return picture.copy() if frame.format.name == "bgr24" else picture

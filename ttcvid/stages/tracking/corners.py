@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -14,6 +15,8 @@ from ttcvid.model import Bools, Floats, Ints, Picture
 
 # Side of the gradient window of the corner response, px.
 _BLOCK_PX = 3
+# A picture of more pixels than the first is looked through in bands of the second.
+_WHOLE_PIXELS, _BAND_PIXELS = 2_500_000, 500_000
 # Least smaller eigenvalue of the gradient matrix (in cv2.cornerMinEigenVal's units, grey levels scaled to
 # 0..1): below it a "corner" is sensor noise of a plain surface.
 _MIN_RESPONSE = 2e-5
@@ -80,7 +83,7 @@ def find_corners(
     if n_wanted <= 0:
         return np.empty((0, 2))
     shape = (grey.shape[0], grey.shape[1])
-    response = cv2.cornerMinEigenVal(grey, _BLOCK_PX)
+    response = _response(grey)
     # A stride of 4 in both axes leaves the percentile as it is and takes a sixteenth of the time.
     threshold = max(_MIN_RESPONSE, quality * float(np.percentile(response[::4, ::4], 99.9)))
     x, y = _peaks(response, threshold, allowed)
@@ -98,16 +101,48 @@ def find_corners(
     if not n_close:
         return xy
     x, y = np.delete(x, coarse), np.delete(y, coarse)
-    around = cv2.boxFilter(response, -1, (_AROUND_PX, _AROUND_PX))
-    outstanding = _largest_first(response[y, x] / (around[y, x] + threshold))
+    outstanding = _largest_first(response[y, x] / (_mean_around(response, x, y) + threshold))
     x, y = x[outstanding], y[outstanding]
     close = _spread(x, y, np.concatenate([xy_taken_px, xy]), shape, _CLOSE_PART * min_distance_px, n_close)
     return np.concatenate([xy, _refined(response, x[close], y[close])])
 
 
+def _bands(shape: tuple[int, ...], margin_px: int) -> Iterator[tuple[slice, slice, slice]]:
+    """Rows of a picture (H, W), those that have to be looked at for them, and where among these they lie.
+
+    A picture of up to 2.5 million pixels is one band. What OpenCV and numpy take on the way, 20 bytes a pixel and more,
+    would be 170 MB of a 4K picture at once.
+    """
+    height, width = shape
+    n_rows = height if height * width <= _WHOLE_PIXELS else max(1, _BAND_PIXELS // width)
+    for top in range(0, height, n_rows):
+        bottom, first = min(top + n_rows, height), max(0, top - margin_px)
+        yield slice(top, bottom), slice(first, bottom + margin_px), slice(top - first, bottom - first)
+
+
+def _response(grey: Picture) -> NDArray[Any]:
+    """The smaller eigenvalue of the gradient matrix around each pixel, (H, W) float32."""
+    response = np.empty(grey.shape, dtype=np.float32)
+    for rows, around, inner in _bands(grey.shape, _BLOCK_PX + 1):
+        response[rows] = cv2.cornerMinEigenVal(grey[around], _BLOCK_PX)[inner]
+    return response
+
+
+def _mean_around(response: NDArray[Any], x: Ints, y: Ints) -> NDArray[Any]:
+    """Mean response (N,) in the square around each place; the places in order of their rows."""
+    mean = np.empty(len(x), dtype=np.float32)
+    for rows, around, inner in _bands(response.shape, _AROUND_PX // 2 + 1):
+        here = slice(*np.searchsorted(y, [rows.start, rows.stop]))
+        mean[here] = cv2.boxFilter(response[around], -1, (_AROUND_PX, _AROUND_PX))[inner][y[here] - rows.start, x[here]]
+    return mean
+
+
 def _peaks(response: NDArray[Any], threshold: float, allowed: Picture | None) -> tuple[Ints, Ints]:
     """Columns and rows (N,) of the local maxima above a threshold."""
-    is_peak = (response >= cv2.dilate(response, np.ones((3, 3), np.uint8))) & (response > threshold)
+    is_peak = np.empty(response.shape, dtype=bool)
+    for rows, around, inner in _bands(response.shape, 1):
+        highest = cv2.dilate(response[around], np.ones((3, 3), np.uint8))[inner]
+        is_peak[rows] = (response[rows] >= highest) & (response[rows] > threshold)
     margin = _BLOCK_PX + 1
     is_peak[:margin] = is_peak[-margin:] = False
     is_peak[:, :margin] = is_peak[:, -margin:] = False
