@@ -93,6 +93,7 @@ def manifest_of_run(image_size: tuple[int, int] = (640, 360), **changes: object)
         "counts": {"frames": 1, "track_rows": 0, "objects": 0, "events": 0, "skipped_packets": 0},
         "nearest": None,
         "timings": {"total_s": 1.0, "frames_per_s": 1.0},
+        "limits": [],
         "warnings": [],
         **changes,
     }

@@ -38,3 +38,9 @@ def test_the_smallest_time_of_a_frame_is_that_of_an_object_of_some_age_and_size(
         assert row.n_tracks >= 6
         assert row.ttc_z_lo_s > 0
         assert frame.t_s - first_s[row.cluster_id] >= 0.25 - 1e-9
+
+
+def test_the_summary_names_the_limits_that_the_clip_runs_into(run):
+    limits = run.manifest["limits"]
+    assert limits
+    assert f"limits of this clip: {', '.join(limit['name'] for limit in limits)}" in run.summary()

@@ -149,6 +149,7 @@ def run_analysis(
                 "platform": describe_platform(configuration, told_platform),
                 "counts": tally.counts(source.info, source.report),
                 "nearest": tally.nearest,
+                "limits": tally.limits.limits(configuration.pipeline.egomotion.platform),
                 "warnings": _warnings(source, calibration, tally, configuration.pipeline.horizon_calibration),
                 "timings": _timings(started_s, analyzed_s, tally.n_frames),
             }

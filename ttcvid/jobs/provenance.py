@@ -24,6 +24,7 @@ import scipy
 import ttcvid
 from ttcvid.errors import InputError, counted
 from ttcvid.jobs.clip import Calibration
+from ttcvid.jobs.limits import LimitWatch
 from ttcvid.jobs.options import AUTO_HORIZON, PATH_OPTIONS, AnalyzeOptions
 from ttcvid.model import (
     SCENE_CLUSTER,
@@ -129,6 +130,7 @@ class Tally:
     event_ids: set[int] = field(default_factory=set)
     nearest: dict[str, Any] | None = None
     own_offset_px: list[float] = field(default_factory=list)
+    limits: LimitWatch = field(default_factory=LimitWatch)
     mover_offsets: dict[int, MoverOffset] = field(default_factory=dict)
     n_repeated: int = 0
     n_bad_dt: int = 0
@@ -138,6 +140,7 @@ class Tally:
 
     def add(self, result: FrameResult) -> None:
         """Count one frame."""
+        self.limits.add(result)
         self.n_frames += 1
         self.n_track_rows += len(result.tracks.track_id)
         self.n_cluster_rows += len(result.clusters)

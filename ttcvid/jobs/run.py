@@ -144,11 +144,13 @@ class Run:
         platform = self.manifest["platform"]
         if platform["is_told_by_clip"]:
             parts.append(f"platform {platform['value']} TOLD BY THE CLIP ({platform['reason']})")
+        if self.manifest["limits"]:
+            parts.append(f"limits of this clip: {', '.join(limit['name'] for limit in self.manifest['limits'])}")
         return f"{on_one_line(str(self.folder))}: {'; '.join(parts)}"
 
     def summary_json(self) -> str:
         """The summary as one JSON object."""
-        names = ("state", "counts", "timings", "nearest", "camera", "platform", "warnings")
+        names = ("state", "counts", "timings", "nearest", "camera", "platform", "limits", "warnings")
         content = {"folder": str(self.folder), "exit_code": self.exit_code}
         return json.dumps(content | {name: self.manifest[name] for name in names}, sort_keys=True)
 

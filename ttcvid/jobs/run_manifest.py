@@ -37,6 +37,7 @@ REQUIRED: dict[str, Any] = {
     "platform": {"value": str, "is_told_by_clip": bool, "reason": str},
     "counts": _COUNTS,
     "timings": _TIMES_OF_WORK,
+    "limits": list,
     "warnings": list,
 }
 """Fields that have to be there, with their types; a mapping stands for fields below a field."""
