@@ -74,3 +74,12 @@ def test_degenerate_regions_have_no_number():
     assert np.isnan(expansion_rate(np.repeat(points[:1], 5, axis=0), points, 0.1)[0])
     assert np.isnan(expansion_rate(points, points, 0.0)).all()
     assert np.isnan(expansion_rate(points * np.nan, points, 0.1)).all()
+
+
+@pytest.mark.parametrize("tiny_view", [0, 1, 2])
+def test_points_that_coincide_have_no_expansion(tiny_view: int) -> None:
+    """What rounding leaves between them would grow by any factor."""
+    wide = np.array([[0.3, 0.1, 1.0], [0.31, 0.1, 1.0], [0.3, 0.12, 1.0]])
+    tiny = wide[:1] + np.array([[0, 0, 0], [1e-16, 0, 0], [0, -3e-17, 0]])
+    first, second = [(tiny, wide), (wide, tiny), (tiny, tiny)][tiny_view]
+    assert np.isnan(expansion_rate(first, second, 0.1)).all()

@@ -9,6 +9,9 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats, Ints
 
+LEAST_EXTENT = 1e-9
+"""On the plane z = 1: points that are closer together than this (root mean square) differ by rounding alone."""
+
 
 def expansion_rate(
     rays_first: Floats, rays_second: Floats, dt_s: float | Floats, weights: Floats | None = None
@@ -105,11 +108,13 @@ def _fit_each(
     offset, w = np.empty((regions.shape[1], 4)), np.empty(regions.shape[1])
     for region in range(len(regions)):
         count = _offsets(first, second, weights, regions[region], offset, w)
-        uu, vv, misfit = 0.0, 0.0, 0.0
+        uu, vv, misfit, total = 0.0, 0.0, 0.0, 0.0
         for i in range(count):
+            total += w[i]
             uu += w[i] * (offset[i, 0] ** 2 + offset[i, 1] ** 2)
             vv += w[i] * (offset[i, 2] ** 2 + offset[i, 3] ** 2)
-        if not (uu > 0.0 and vv > 0.0):
+        least = LEAST_EXTENT**2 * total
+        if not (uu > least and vv > least):
             continue
         ratio = np.sqrt(vv / uu)
         for i in range(count):
