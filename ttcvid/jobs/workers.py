@@ -28,7 +28,7 @@ OnNews = Callable[[Any], None]
 
 _NEWS, _RESULT, _FAILURE = "news", "result", "failure"
 _END_WAIT_S = 2.0
-"""A killed process is gone within milliseconds; one that the system holds on to is not waited for any longer."""
+"""A process ends within milliseconds; one that the system holds on to is not waited for any longer."""
 
 
 class WorkerLostError(TtcvidError):
@@ -130,7 +130,7 @@ class LocalWorker:
         connection.close()  # at the end of the pipe it ends itself
         process.join(_END_WAIT_S)
         process.kill()
-        process.join()
+        process.join(_END_WAIT_S)
         return process.exitcode
 
 
