@@ -4,7 +4,7 @@ python benchmarks/batch.py [--clips 6] [--frames 100] [--repeats 2] [--check]
 python benchmarks/batch.py --stress [--clips 200] [--keep FOLDER] [--check]
 
 Throughput: the same clip under several names is analysed with one job and with two, in turns; the best of the repeats
-counts for each.
+counts for each. Means something only on a machine that does nothing else: its load is printed.
 
 Stress: generated clips, a tenth of them broken in five ways; two workers are killed while they work, the batch is
 stopped by SIGTERM, started again, killed by SIGKILL and started again, and one clip's folder lies on a disk that is
@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import subprocess
 import sys
@@ -61,25 +60,15 @@ def throughput(report: Report, folder: Path, n_clips: int, n_frames: int, repeat
     options = ["--focal-px", "721", "--end", str(n_frames), "--json", "--jobs"]
     report.command(["ttcvid", "batch", "clips", "-o", "out", *options, "1|2"])
     rates: dict[int, float] = {}
-    core_s: dict[int, float] = {}
     for turn in range(repeats):
         for jobs in (1, 2):
             command = [str(TTCVID), "batch", str(clips), "-o", str(folder / f"out{jobs}_{turn}"), *options, str(jobs)]
-            before_s = core_seconds_of_children()
             done = subprocess.run(command, capture_output=True, text=True, check=True)
             rates[jobs] = max(rates.get(jobs, 0.0), n_clips * n_frames / json.loads(done.stdout)["time_s"])
-            core_s[jobs] = min(core_s.get(jobs, math.inf), core_seconds_of_children() - before_s)
     report.say(f"load of the machine (1 minute): {os.getloadavg()[0]:.1f}")
     for jobs, rate in rates.items():
         report.figure(f"{jobs} at a time", rate, "frames/s")
-        report.figure("of which each takes", 1000 * core_s[jobs] / (n_clips * n_frames), "core-milliseconds")
     report.figure("two at a time over one", rates[2] / rates[1], "x", GAIN_BAR)
-
-
-def core_seconds_of_children() -> float:
-    """Processor time of all processes that have ended by now and were waited for."""
-    times = os.times()
-    return times.children_user + times.children_system
 
 
 if __name__ == "__main__":
