@@ -4,8 +4,10 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from fractions import Fraction
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 
 import av
@@ -374,4 +376,30 @@ def test_a_file_that_never_ends_is_not_read(
     with pytest.raises(error) as caught:
         analyze(clip, tmp_path / "out", **given)
     assert str(tmp_path / "file") in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def no_thread(self: object) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+def no_process(self: object) -> None:
+    raise BlockingIOError(11, "Resource temporarily unavailable")
+
+
+@pytest.mark.parametrize(
+    "refused", [(threading.Thread, no_thread), (ForkProcess, no_process)], ids=["thread", "process"]
+)
+def test_too_few_threads_or_processes_are_not_the_fault_of_the_clip(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    refused: tuple[type, Callable[[object], None]],
+) -> None:
+    clip = write_clip(tmp_path / "clip.mp4", approach(4))
+    monkeypatch.setattr(refused[0], "start", refused[1])
+    assert main(["analyze", str(clip), "--focal-px", "300", "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert "no further thread or process can be started" in message
+    assert "ulimit -u" in message
     assert not (tmp_path / "out").exists()

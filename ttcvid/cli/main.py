@@ -93,6 +93,11 @@ def _run(arguments: list[str], stop: _Interruption) -> int:
                 f"standard output cannot be written ({reason}): results that go to files are there",
                 OutputError.exit_code,
             )
+        if _is_of_processes(error):
+            return _fail(
+                f"no further thread or process can be started ({error}): allow more of them (ulimit -u), or end some",
+                UsageError.exit_code,
+            )
         if isinstance(error, FileNotFoundError) and not _has_working_folder():
             return _fail("the working folder does not exist any more: change to another one", UsageError.exit_code)
         remedy = "an error in ttcvid itself; TTCVID_DEBUG=1 shows where, please report it"
@@ -133,6 +138,11 @@ def _is_of_output(error: OSError) -> bool:
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     return trace is not None and trace.tb_frame.f_globals["__name__"] in ("click.utils", __name__)
+
+
+def _is_of_processes(error: Exception) -> bool:
+    """Whether the system refused a thread or a copy of this process: nothing else here gives these errors."""
+    return isinstance(error, BlockingIOError) or (isinstance(error, RuntimeError) and "start new thread" in str(error))
 
 
 def _has_working_folder() -> bool:

@@ -162,6 +162,7 @@ def check_video(path: Path) -> int:
     try:
         with av.open(local_url(path)) as container:
             stream = container.streams.video[0]
+            stream.thread_type = "NONE"  # key frames alone: threads would not pay, and may not be allowed
             n_listed, n_pictures, n_key_frames, n_decoded = stream.frames, 0, 0, 0
             for packet in container.demux(stream):
                 is_end = packet.size == 0
