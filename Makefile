@@ -49,6 +49,8 @@ $(READY): pyproject.toml constraints.txt
 	@# pip compiles what it copies, but not a package that stays where it is; where Python is told to write no bytecode
 	@# (PYTHONDONTWRITEBYTECODE), every start would compile it again, which takes half a second.
 	$(BIN)/python -m compileall -q ttcvid
+	@# What every first analysis would compile, and every test process for itself.
+	$(BIN)/ttcvid doctor --warm
 	@touch $@
 
 clean:

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from consensus import epipoles_by_ransac
 from report import Bar, Report
 
 from ttcvid.geometry.collision import (
@@ -25,7 +26,6 @@ from ttcvid.geometry.collision import (
     times_from_position_velocity,
     times_from_state,
 )
-from ttcvid.geometry.consensus import epipoles_by_ransac
 from ttcvid.geometry.epipole import epipole_from_flow_lines, epipole_maximum_likelihood
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.geometry.flow_line import flow_line_chi2, flow_line_distance_px

@@ -79,7 +79,7 @@ def frozen_clips() -> dict[str, FrozenClip]:
         _otherwise(by_name["kitti_sfnd_ttc"], "smooth", collision_times={"smooth": True}),
         _otherwise(by_name["kitti_sfnd_ttc"], "two-frame", collision_times={"estimator": "two-frame"}),
         _otherwise(by_name["kitti_sfnd_ttc"], "three-frame", collision_times={"estimator": "three-frame"}),
-        _otherwise(by_name["demo"], "horizon", horizon=str(REPOSITORY / "sample_configs" / "horizon.yaml")),
+        _scene(_SCENES / "demo.yaml", "horizon"),
         _otherwise(by_name["demo"], "smooth", collision_times={"smooth": True}),
     ]
     return {clip.name: clip for clip in (*real, *scenes, *ways, *_drawn_tables())}
@@ -150,14 +150,18 @@ def _real(name: str, path: str, options: dict[str, Any]) -> FrozenClip:
     return FrozenClip(name, name, lambda _: (data / path, options))
 
 
-def _scene(path: Path) -> FrozenClip:
+def _scene(path: Path, *files: str) -> FrozenClip:
+    """A sample scene, with the camera and other calibration ``files`` that its simulation writes."""
+
     def rendered(folder: Path) -> tuple[Path, dict[str, Any]]:
         out = folder / "truth"
         ttcvid.simulate(path, out, n_frames=MOST_FRAMES, overwrite=True)
         platform = _PLATFORM_OF_SCENE.get(path.stem, "vehicle")
-        return out / "clip.mp4", {"camera": str(out / "camera.yaml"), "platform": platform}
+        given = {name: str(out / f"{name}.yaml") for name in ("camera", *files)}
+        return out / "clip.mp4", {**given, "platform": platform}
 
-    return FrozenClip(path.stem, path.stem, rendered)
+    name = "_".join((path.stem, *files))
+    return FrozenClip(name, name, rendered)
 
 
 def _otherwise(clip: FrozenClip, way: str, **options: Any) -> FrozenClip:

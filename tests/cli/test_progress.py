@@ -2,7 +2,9 @@
 
 import pytest
 
-from ttcvid.cli.progress import ProgressLines, progress_on_stderr
+from ttcvid.cli.main import main
+from ttcvid.cli.progress import ProgressLines, compile_first, progress_on_stderr
+from ttcvid.jobs.compilation import OnCompiled
 
 
 def test_without_a_terminal_a_line_says_every_10_s_how_far_it_is(capsys: pytest.CaptureFixture[str]) -> None:
@@ -44,3 +46,37 @@ def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         with progress_on_stderr(enabled=enabled) as progress:
             progress(1, 2)
         assert len(capsys.readouterr().err.splitlines()) == n_lines
+
+
+def test_it_is_said_that_something_is_compiled_and_when_it_is_done(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compile_three(on_compiled: OnCompiled = lambda n_done, n_total: None) -> bool:
+        for n_done in (0, 1, 3):
+            on_compiled(n_done, 3)
+        return True
+
+    monkeypatch.setattr("ttcvid.jobs.compilation.compile_missing", compile_three)
+    compile_first()
+    said = ["ttcvid: compiling, once on this machine", "ttcvid: 3 functions compiled"]
+    assert capsys.readouterr().err.splitlines() == said
+    compile_first(enabled=False)
+    assert capsys.readouterr().err == ""
+
+
+def test_nothing_is_said_where_all_is_compiled(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ttcvid.jobs.compilation.compile_missing", lambda on_compiled: False)
+    compile_first()
+    assert capsys.readouterr().err == ""
+
+
+def test_doctor_compiles_ahead_where_it_is_told_to(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled = []
+    monkeypatch.setattr("ttcvid.jobs.compilation.compile_missing", compiled.append)
+    for options, n_compiled in (([], 0), (["--warm"], 1)):
+        assert main(["doctor", *options]) == 0
+        assert len(compiled) == n_compiled

@@ -158,20 +158,16 @@ def test_expectations_fail_by_themselves_and_are_named(clip, ran):
     assert re.search("warnings?, expected at least 9", text)
 
 
-@pytest.mark.parametrize(("has_place", "part", "n_runs"), [(True, 1.0, 1), (True, 0.2, 2), (False, 0.0, 1)])
-def test_a_clip_is_run_once_for_the_compiler_where_something_is_compiled_once(
-    has_place, part, n_runs, clip, ran, monkeypatch
-):
+def test_what_is_missing_is_compiled_before_the_first_clip(clip, ran, monkeypatch):
     calls = []
 
     def counted(function, *arguments):
         calls.append(function.__name__)
 
     monkeypatch.setattr("ttcvid.jobs.regress.LocalWorker", lambda **_: WorkerHere(counted))
-    monkeypatch.setattr("ttcvid.jobs.compilation.has_place_on_disk", lambda: has_place)
-    monkeypatch.setattr("ttcvid.jobs.compilation.part_on_disk", lambda: part)
+    monkeypatch.setattr("ttcvid.jobs.regress.compile_missing", lambda: calls.append("compile_missing"))
     ran([{**entry(clip, expectations=["max_rss_mb: 2000"]), "baseline": False}])
-    assert calls == ["run_clip"] * n_runs
+    assert calls == ["compile_missing", "run_clip"]
 
 
 def test_a_scene_is_rendered_with_camera_horizon_and_truth(ran, tmp_path):

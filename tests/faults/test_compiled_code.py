@@ -24,8 +24,6 @@ TIMES_THREE = TIMES_TWO.replace("2.0", "3.0")
 @pytest.fixture(autouse=True)
 def compiled_beside_the_source(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    # What is compiled here is none of the package's.
-    monkeypatch.setattr("ttcvid.geometry.compiled._FUNCTIONS", [])
 
 
 def imported(folder: Path, source: str) -> ModuleType:

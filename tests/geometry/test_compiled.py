@@ -1,6 +1,7 @@
 """Compiled functions are kept on disk by their own file: what they use of others would go stale unnoticed."""
 
 import ast
+import inspect
 import os
 import subprocess
 import sys
@@ -8,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.sigutils import normalize_signature
 
 import ttcvid
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, entry_points
+from ttcvid.jobs.compilation import import_compiled
 
 PACKAGE = Path(ttcvid.__file__).parent
 
@@ -20,9 +23,7 @@ def compiled_functions(tree):
         node
         for node in tree.body
         if isinstance(node, ast.FunctionDef)
-        and any(
-            isinstance(mark, ast.Name) and mark.id in ("compiled", "compiled_in_place") for mark in node.decorator_list
-        )
+        and any(ast.unparse(mark).startswith("compiled") for mark in node.decorator_list)
     ]
 
 
@@ -76,11 +77,11 @@ def test_compiled_sums_that_hold_a_nan_are_not_finite():
 
 SCRIPT = """
 import numpy as np
-from ttcvid.geometry import compiled
-from ttcvid.geometry.medians import median
-before = compiled.part_on_disk()
-median(np.arange(5.0))
-print(compiled.has_place_on_disk(), before, compiled.part_on_disk())
+from ttcvid.geometry import compiled, medians
+if {ahead}:
+    for entry in compiled.entry_points():
+        entry.compile()
+print(compiled.has_place_on_disk(), medians.median(np.arange(5.0)), sum(medians._median.stats.cache_hits.values()))
 """
 
 
@@ -88,43 +89,61 @@ print(compiled.has_place_on_disk(), before, compiled.part_on_disk())
 WITHOUT_PLACE = "from numba.core import caching; caching.CacheImpl._locator_classes = []"
 
 
-def parts_on_disk(folder, before=""):
-    """Whether there is a place, and the part that lies there before and after a function was used, in a new process."""
+def printed_by_median(folder, before="", ahead=False):
+    """Whether there is a place, a median, and how often its code came from disk, in a new process."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
     run = subprocess.run(
-        [sys.executable, "-c", before + SCRIPT], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", before + SCRIPT.format(ahead=ahead)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    has_place, before, after = run.stdout.split()
-    return has_place == "True", float(before), float(after)
+    return run.stdout.split()
 
 
-def test_what_a_former_run_has_compiled_is_found_on_disk(tmp_path):
-    has_place, before, after = parts_on_disk(tmp_path)
-    assert has_place
-    assert before == 0.0 < after
-    assert parts_on_disk(tmp_path)[1] == after
+@pytest.mark.parametrize("ahead", [False, True])
+def test_what_a_former_run_has_compiled_is_found_on_disk(tmp_path, ahead):
+    assert printed_by_median(tmp_path, ahead=ahead) == ["True", "2.0", "0"]
+    assert printed_by_median(tmp_path) == ["True", "2.0", "1"]
 
 
 def test_without_a_place_on_disk_it_is_compiled_all_the_same(tmp_path):
-    assert parts_on_disk(tmp_path, WITHOUT_PLACE) == (False, 0.0, 0.0)
+    assert printed_by_median(tmp_path, WITHOUT_PLACE) == ["False", "2.0", "0"]
 
 
-IMPORTS = """
+def test_an_entry_point_says_a_type_for_each_of_its_arguments():
+    import_compiled()
+    for entry in entry_points():
+        types, _ = normalize_signature(entry.signature)
+        assert len(types) == len(inspect.signature(entry.function.py_func).parameters), entry
+
+
+ANALYSIS = """
 import sys
-import numpy as np
-from ttcvid.geometry.medians import median
-before = set(sys.modules)
-median(np.arange(5.0))
-print(len(set(sys.modules) - before))
+from contextlib import nullcontext
+import ttcvid
+from ttcvid.geometry.compiled import entry_points
+from ttcvid.jobs import analyze as job
+from ttcvid.simulate import TrackOptions
+# In this process, where the calls can be counted.
+job.beside = lambda function, items: nullcontext(function(items))
+scene, out = sys.argv[1:]
+ttcvid.simulate(scene, out + "/scene", tracks=TrackOptions(n_tracks=150), n_frames=24)
+ttcvid.analyze(out + "/scene/tracks.parquet", out + "/run", camera=out + "/scene/camera.yaml", platform="vehicle")
+used = [entry for entry in entry_points() if entry.function.signatures]
+print(len(used), *(entry.signature for entry in used if len(entry.function.signatures) > 1), sep="\\n")
 """
 
 
-def test_the_first_call_of_what_lies_on_disk_imports_nothing_more(tmp_path):
-    """A process that is copied before the first call would have to import it twice."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", IMPORTS]
-    runs = [subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
-    assert runs[1].stdout.strip() == "0"
+@pytest.mark.slow
+def test_an_analysis_calls_each_entry_point_with_the_types_that_it_says(tmp_path):
+    scene = PACKAGE / "jobs" / "demo_scene.yaml"
+    command = [sys.executable, "-c", ANALYSIS, str(scene), str(tmp_path)]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    n_used, *others = run.stdout.split("\n")
+    assert int(n_used) > 60
+    assert "".join(others) == ""
 
 
 CALLEE = """

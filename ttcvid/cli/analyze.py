@@ -47,9 +47,8 @@ def analyze(
     Every option may also stand in a configuration file (focal_px under [analyze]) or in the environment
     (TTCVID_FOCAL_PX); the command line is stronger than the environment, and that than --config.
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
-    from ttcvid.cli.progress import log_to_stderr, progress_on_stderr
+    from ttcvid.cli.progress import compile_first, log_to_stderr, progress_on_stderr
     from ttcvid.jobs.analyze import run_analysis
-    from ttcvid.jobs.compilation import compilation_note
     from ttcvid.jobs.configuration import configure_from_command_line
 
     input_ = _only_one(inputs)
@@ -57,7 +56,8 @@ def analyze(
     configuration = configure_from_command_line(
         {name: as_text(value) for name, value in options.items()}, settings, Path(config) if config else None
     )
-    with progress_on_stderr(compilation_note(), enabled=not quiet) as progress:
+    compile_first(enabled=not quiet)
+    with progress_on_stderr(enabled=not quiet) as progress:
         run = run_analysis(input_, Path(out) if out else None, configuration, arguments=ctx.obj, on_frame=progress)
     click.echo(run.summary_json() if as_json else run.summary())
     ctx.exit(run.exit_code)

@@ -62,11 +62,12 @@ def batch(
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     from ttcvid.cli.batch_progress import batch_progress
     from ttcvid.cli.main import EXIT_INTERRUPTED
-    from ttcvid.cli.progress import log_to_stderr
+    from ttcvid.cli.progress import compile_first, log_to_stderr
     from ttcvid.jobs.batch import run_batch
     from ttcvid.jobs.layers import layer_from_command_line
 
     log_to_stderr(quiet=quiet, verbose=verbose)
+    compile_first(enabled=not quiet)
     for_all = layer_from_command_line({name: as_text(value) for name, value in options.items()}, settings)
     try:
         with batch_progress(enabled=not quiet) as (on_progress, on_failure):

@@ -70,13 +70,14 @@ def calibrate_horizon(
       ttcvid calibrate-horizon dashcam.mp4 --moving
       ttcvid analyze street.mp4 --camera calib.yaml --horizon horizon.yaml
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
-    from ttcvid.cli.progress import log_to_stderr, progress_on_stderr
+    from ttcvid.cli.progress import compile_first, log_to_stderr, progress_on_stderr
     from ttcvid.jobs.calibrate_horizon import run_calibration
     from ttcvid.jobs.configuration import configure_from_command_line
 
     log_to_stderr(quiet=quiet, verbose=verbose)
     texts = {name: str(value).lower() if isinstance(value, bool) else value for name, value in options.items()}
     configuration = configure_from_command_line(texts, settings, Path(config) if config else None)
+    compile_first(enabled=not quiet)
     with progress_on_stderr(enabled=not quiet) as progress:
         done = run_calibration(
             clips, Path(out), configuration, evidence=Path(evidence) if evidence else None, on_frame=progress

@@ -72,12 +72,13 @@ def collision_map(
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     import json
 
-    from ttcvid.cli.progress import progress_on_stderr
+    from ttcvid.cli.progress import compile_first, progress_on_stderr
     from ttcvid.config import CollisionMapConfig
     from ttcvid.jobs.collision_map import run_collision_map
     from ttcvid.jobs.configuration import configure_study
 
     parameters = configure_study("collision_map", CollisionMapConfig, options, config, is_text=True)
+    compile_first(enabled=not quiet)
     with progress_on_stderr(enabled=not quiet) as progress:
         result = run_collision_map(run, out, parameters, frame, time_s, overwrite, progress)
     if as_json:

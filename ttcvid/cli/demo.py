@@ -21,11 +21,12 @@ SHOWN = {
 @click.pass_context
 def demo(ctx: click.Context, /, out: str, overwrite: bool, n_frames: int | None, quiet: bool) -> None:
     """Render a roundabout with a bus, a lorry, a car and known truth, analyse the clip, and say where to look."""
-    from ttcvid.cli.progress import log_to_stderr, progress_on_stderr
+    from ttcvid.cli.progress import compile_first, log_to_stderr, progress_on_stderr
     from ttcvid.jobs.demo import demo as run_demo
     from ttcvid.studies.wording import describe_object, describe_value
 
     log_to_stderr(quiet=quiet)
+    compile_first(enabled=not quiet)
     with progress_on_stderr(enabled=not quiet) as progress:
         result = run_demo(out, overwrite=overwrite, n_frames=n_frames, on_picture=progress, on_frame=progress)
     evaluation = result.evaluated.evaluation

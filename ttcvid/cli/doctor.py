@@ -10,11 +10,16 @@ import click
 
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--warm", is_flag=True, help="Compile ahead what the first analysis would compile.")
 @click.pass_context
-def doctor(ctx: click.Context, /, as_json: bool) -> None:
+def doctor(ctx: click.Context, /, as_json: bool, warm: bool) -> None:
     """Print the versions of what ttcvid stands on, and what is broken; exit code 1 if anything is."""
     from ttcvid.jobs.doctor import examine
 
+    if warm:
+        from ttcvid.cli.progress import compile_first
+
+        compile_first()
     diagnosis = examine()
     if as_json:
         click.echo(json.dumps(asdict(diagnosis), sort_keys=True))

@@ -6,7 +6,7 @@ import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -21,40 +21,67 @@ OnProgress = Callable[[int, int | None], None]
 """Called with (frames done, frames in all or None)."""
 
 
+def compile_first(*, enabled: bool = True) -> None:
+    """Compile what no former run has left on disk, and say so: on a terminal by a bar, elsewhere by lines."""
+    from ttcvid.jobs.compilation import compile_missing
+
+    if not enabled:
+        compile_missing()
+    elif Console(stderr=True).is_terminal:
+        columns = TextColumn("compiling, once on this machine"), BarColumn(), MofNCompleteColumn()
+        with ExitStack() as stack:
+            bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            task = bar.add_task("functions", total=None)
+
+            def show(n_done: int, n_total: int) -> None:
+                if n_done == 0:  # nothing is shown where nothing is missing
+                    stack.enter_context(bar)
+                bar.update(task, completed=n_done, total=n_total)
+
+            compile_missing(show)
+    else:
+        compile_missing(_say_compiled)
+
+
+def _say_compiled(n_done: int, n_total: int) -> None:
+    if n_done in (0, n_total):
+        said = f"{n_total} functions compiled" if n_done else "compiling, once on this machine"
+        print(f"ttcvid: {said}", file=sys.stderr)
+
+
 @contextmanager
-def progress_on_stderr(note: str = "", *, enabled: bool = True) -> Iterator[OnProgress]:
+def progress_on_stderr(*, enabled: bool = True) -> Iterator[OnProgress]:
     """A function to call with (frames done, frames in all or None); shows frames/s and the time left.
 
-    On a terminal it is a bar, which is gone when the block is left; the ``note`` stands there until the first frame is
-    done. Elsewhere (a log, a CI job) it is a line every 10 s.
+    On a terminal it is a bar, which is gone when the block is left. Elsewhere (a log, a CI job) it is a line every
+    10 s.
     """
     console = Console(stderr=True)
     if not enabled:
         yield lambda n_done, n_total: None
     elif console.is_terminal:
-        with _progress_bar(console, note) as show:
+        with _progress_bar(console) as show:
             yield show
     else:
         yield ProgressLines()
 
 
 @contextmanager
-def _progress_bar(console: Console, note: str) -> Iterator[OnProgress]:
+def _progress_bar(console: Console) -> Iterator[OnProgress]:
     bar = Progress(
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]} frames/s"),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
         console=console,
         transient=True,
     )
     with bar:
-        task = bar.add_task("frames", total=None, rate="  -", note=note)
+        task = bar.add_task("frames", total=None, rate="  -")
 
         def show(n_done: int, n_total: int | None) -> None:
             rate = bar.tasks[0].speed
-            bar.update(task, completed=n_done, total=n_total, rate="  -" if rate is None else f"{rate:.1f}", note="")
+            bar.update(task, completed=n_done, total=n_total, rate="  -" if rate is None else f"{rate:.1f}")
 
         yield show
 

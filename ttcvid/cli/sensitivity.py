@@ -61,12 +61,13 @@ def sensitivity(
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     import json
 
-    from ttcvid.cli.progress import progress_on_stderr
+    from ttcvid.cli.progress import compile_first, progress_on_stderr
     from ttcvid.config import SensitivityConfig
     from ttcvid.jobs.configuration import configure_study
     from ttcvid.jobs.sensitivity import run_sensitivity
 
     parameters = configure_study("sensitivity", SensitivityConfig, options, config, is_text=True)
+    compile_first(enabled=not quiet)
     with progress_on_stderr(enabled=not quiet) as progress:
         result = run_sensitivity(parameters, out, overwrite, progress)
     if as_json:

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ttcvid.draw.palette import Colour
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import ImageSize, Picture
 
 # A part of DejaVu Sans (Latin letters, signs, arrows); its licence stands beside it.
@@ -63,7 +63,7 @@ class Lettering:
         return np.asarray(cover, dtype=np.uint8)
 
 
-@compiled
+@compiled_for("(u1[:, :, ::1], u1[:, ::1], i8, i8, i8, i8, i8)")
 def _blend(bgr: Picture, cover: Picture, x: int, y: int, blue: int, green: int, red: int) -> None:
     """Lays a colour over a picture from (x, y) on, where it is covered, as far as that lies in the picture."""
     height, width = bgr.shape[:2]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ttcvid.draw.palette import Colour, colours_of_tracks
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, TrackRows
 
 # Tracks of no cluster show their last step only, those of the scene half of their way.
@@ -55,7 +55,7 @@ class Trails:
         _fill_squares(bgr, corner, colour[is_object], side_px)
 
 
-@compiled
+@compiled_for("(u1[:, :, ::1], f8[:, :, ::1], i8[::1], i8[::1], i8[::1], u1[:, ::1], i8[::1])")
 def _draw_lines(
     bgr: Picture, way: Floats, n_steps: Ints, line_step: Ints, order: Ints, colour: Picture, stroke: Ints
 ) -> None:
@@ -86,7 +86,7 @@ def _draw_lines(
                             bgr[v, u, channel] = colour[i, channel]
 
 
-@compiled
+@compiled_for("(u1[:, :, ::1], i8[:, ::1], u1[:, ::1], i8)")
 def _fill_squares(bgr: Picture, corner: Ints, colour: Picture, side_px: int) -> None:
     """Fills squares from their upper left corners ``(N, 2)`` on, as far as they lie in the picture."""
     height, width = bgr.shape[:2]

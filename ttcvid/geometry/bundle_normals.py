@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Floats, Ints
 
 N_SHARED = 4
@@ -24,7 +24,9 @@ _CAP = 16.0
 _LEAST_DEPTH = 1e-3
 
 
-@compiled
+@compiled_for(
+    "(f8[:, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8, f8, f8[:, ::1])"
+)
 def bundle_cost(
     xy_px: Floats,
     frame: Ints,
@@ -61,7 +63,10 @@ def bundle_cost(
     return cost
 
 
-@compiled
+@compiled_for(
+    "(i8[::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[::1], f8[::1], f8, f8, "
+    "f8[:, ::1], f8[:, ::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1])"
+)
 def bundle_normals(
     frame: Ints,
     point: Ints,
@@ -164,7 +169,7 @@ def bundle_normals(
             point_gradient[n, 2] -= weight * behind
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1])")
 def carry(mixed: Floats, inverse: Floats, carried: Floats) -> None:
     """Fill ``carried (K, N, 3)`` with ``mixed (K, N, 3)`` times ``inverse (N, 3, 3)``, point by point."""
     for k in range(len(mixed)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.distortion import distort, distorted_area, undistort
 from ttcvid.model import Camera, Floats
 
@@ -38,14 +38,14 @@ def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
     return rays
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8, f8, f8, f8, f8[:, ::1])")
 def _put_onto_plane(xy_px: Floats, fx_px: float, fy_px: float, cx_px: float, cy_px: float, xy: Floats) -> None:
     """Fills places ``xy (N, 2)`` on the plane z = 1, distorted as the pixels are."""
     for i in range(len(xy)):
         xy[i, 0], xy[i, 1] = (xy_px[i, 0] - cx_px) / fx_px, (xy_px[i, 1] - cy_px) / fy_px
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1])")
 def _fill_rays(xy: Floats, rays: Floats) -> None:
     """Fills ``rays (N, 3)`` through places ``xy (N, 2)`` on the plane z = 1."""
     for i in range(len(rays)):

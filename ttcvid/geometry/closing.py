@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Floats
 
 # Views that a depth, its rate and its acceleration need, with some to tell their noise.
@@ -140,7 +140,7 @@ def _solved(rows: Floats) -> Closing:
     return Closing(float(found[1] / found[0]), float(found[2] / found[0]), cov[1:, 1:] / found[0] ** 2)
 
 
-@compiled
+@compiled_for("(f8[::1], f8[::1], f8[::1], f8, f8[::1], f8[:, ::1])")
 def _whiten(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float, began_s: Floats, rows: Floats) -> int:
     """Fills ``rows (L, 3 + K)`` with 1, t, K curves and the depth of each known view, independent of unit variance.
 
@@ -173,7 +173,7 @@ def _whiten(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float, b
     return n
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1])")
 def _fit_sizes(xy: Floats, depth: Floats, variance: Floats) -> float:
     """Fills ``depth, variance (L,)`` of `depths_over_time`; returns its ``radius``."""
     now, n_tracks, radius = len(xy) - 1, xy.shape[1], 0.0

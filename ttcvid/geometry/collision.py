@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints, Status
 
@@ -80,7 +80,7 @@ def angles_from_epipoles(rays: Floats, direction: Floats) -> Floats:
     return angle_rad
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[::1])")
 def _angle_of_each(rays: Floats, direction: Floats, angle_rad: Floats) -> None:
     """Fills ``angle_rad (N,)`` of `angles_from_epipoles`: the length of the cross product over the dot product."""
     for i in range(len(rays)):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rigid_path import Points
 from ttcvid.model import Floats, Ints
 
@@ -51,7 +51,7 @@ def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_st
     return velocity, info
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, ::1], f8[:, ::1])")
 def _step(info: Floats, score: Floats, velocity: Floats) -> None:
     """Move each ``velocity (K, 3)`` by what its normal equations say, if these say all of it."""
     for k in range(len(velocity)):
@@ -59,7 +59,9 @@ def _step(info: Floats, score: Floats, velocity: Floats) -> None:
             velocity[k] += np.linalg.solve(info[k], score[k])
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1])"
+)
 def _add_points(
     rays: Floats,
     track: Ints,

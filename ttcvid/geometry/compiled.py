@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import codegen
-from numba.core.registry import cpu_target
+from numba.core import sigutils
 
-from ttcvid.geometry.copies_on_disk import INDEX_ENDING, checked_cache, damaged_copies
+from ttcvid.geometry.copies_on_disk import checked_cache, damaged_copies
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -27,58 +26,41 @@ _OPTIONS: dict[str, Any] = {
 }
 
 
-_FUNCTIONS: list[Any] = []
+@dataclass(frozen=True)
+class EntryPoint:
+    """A compiled function that Python calls, and the only types of its arguments.
 
-# numba imports the seventy modules that say what compiled code is made of when a compiled function is first called.
-# Imported with all else, they are there before a process is copied: loaded once, and not by both.
-cpu_target.target_context.refresh()
-
-# Its parts have no types.
-_NUMBA: Any = codegen
-_Library: Any = _NUMBA.JITCodeLibrary
-
-
-class _Loaded(_Library):  # type: ignore[misc]
-    """Machine code from disk, whose intermediate code is parsed only when a caller is compiled.
-
-    A copy on disk holds both. Only the compiler asks for the latter, to put the function in where it is called; numba
-    parses it and lists its symbols all the same, which takes twice as long as all else that loading does: 0.3 s of the
-    start of an analysis.
+    ``signature`` in numba's words: ``(f8[:, ::1], i8)`` for a contiguous array (N, M) of floats and a whole number.
     """
 
-    _intermediate: bytes | None = None
-    _shared_module: Any
+    function: Any
+    signature: str
 
-    @classmethod
-    def _unserialize(cls, target: Any, state: Any) -> Any:
-        """As numba's, but for the intermediate code."""
-        name, kind, data = state
-        if kind != "object":
-            return super()._unserialize(target, state)
-        library = target.create_library(name)
-        machine_code, library._intermediate = data
-        library.enable_object_caching()
-        library._set_compiled_object(machine_code)
-        library._finalize_final_module()
-        return library
+    @property
+    def module(self) -> str:
+        """The module that it stands in."""
+        return str(self.function.__module__)
 
-    def _get_module_for_linking(self) -> Any:
-        if self._shared_module is None and self._intermediate is not None:
-            self._shared_module = _NUMBA.ll.parse_bitcode(self._intermediate)
-        return super()._get_module_for_linking()
+    @property
+    def folder(self) -> str | None:
+        """Where its copy on disk belongs; None where there is no place to keep one."""
+        path: str | None = self.function.stats.cache_path
+        return path
 
-    def get_pointer_to_function(self, name: str) -> Any:
-        """Of a function by its name, without a look at the list of symbols where there is none."""
-        if self._intermediate is None:
-            return super().get_pointer_to_function(name)
-        return self._codegen._engine.get_function_address(name)
+    def compile(self) -> None:
+        """Compile it, or load its copy from disk."""
+        # As types: under its text numba would keep a copy that no call finds.
+        types, _ = sigutils.normalize_signature(self.signature)  # type: ignore[no-untyped-call]
+        self.function.compile(types)
 
 
-cpu_target.target_context.codegen()._library_class = _Loaded
+_ENTRY_POINTS: list[EntryPoint] = []
 
 
 def compiled(function: F) -> F:
     """The same function of scalars and arrays, compiled by numba at its first call and kept on disk.
+
+    For functions that compiled ones call; those that Python calls say their types (`compiled_for`).
 
     It runs without the interpreter's lock. Divisions by zero give infinity or NaN as numpy's do, and there are no
     threads inside. A product and the sum that it goes into are rounded once where the processor can, and a loop adds up
@@ -97,9 +79,45 @@ def compiled(function: F) -> F:
     return _compiled(function)
 
 
+def compiled_for(signature: str) -> Callable[[F], F]:
+    """As `compiled`, for a function that Python calls: with arguments of these types alone, as `EntryPoint` says them.
+
+    Other types compile it a second time, with all that it calls: arrays that are strided, read-only or of another kind
+    of number are made contiguous where they are made.
+    """
+
+    def decorate(function: F) -> F:
+        done = _compiled(function)
+        _ENTRY_POINTS.append(EntryPoint(done, signature))
+        return done
+
+    return decorate
+
+
 def compiled_in_place(function: F) -> F:
     """The same, put in where it is called: only so can a loop that calls it work at several items side by side."""
     return _compiled(function, forceinline=True)
+
+
+def entry_points() -> tuple[EntryPoint, ...]:
+    """The compiled functions that Python calls, of all modules imported so far."""
+    return tuple(_ENTRY_POINTS)
+
+
+def has_place_on_disk() -> bool:
+    """Whether what is compiled can be kept for the next run."""
+    return all(entry.folder is not None for entry in _ENTRY_POINTS)
+
+
+def damaged_on_disk() -> list[Path]:
+    """Copies, left by former runs, that are not as they were written: no run uses them."""
+    return [file for folder in _folders() for file in damaged_copies(folder)]
+
+
+def _folders() -> list[Path]:
+    """Where copies of the functions imported so far lie."""
+    paths = {Path(entry.folder) for entry in _ENTRY_POINTS if entry.folder is not None}
+    return sorted(path for path in paths if path.is_dir())
 
 
 def _compiled(function: F, **more: Any) -> F:
@@ -110,39 +128,4 @@ def _compiled(function: F, **more: Any) -> F:
         if "no locator" not in str(error):
             raise
         # Neither the package's folder nor the user's can be written to.
-    _FUNCTIONS.append(done)
     return cast(F, done)
-
-
-def has_place_on_disk() -> bool:
-    """Whether what is compiled can be kept for the next run."""
-    return all(function.stats.cache_path for function in _FUNCTIONS)
-
-
-def part_on_disk() -> float:
-    """The part of all compiled functions imported so far that a former run has left on disk."""
-    written_s = {
-        entry.name.rpartition(".py")[0]: entry.stat().st_mtime
-        for folder in _folders()
-        for entry in os.scandir(folder)
-        if entry.name.endswith(INDEX_ENDING)
-    }
-    return sum(_is_among(function.py_func, written_s) for function in _FUNCTIONS) / max(len(_FUNCTIONS), 1)
-
-
-def damaged_on_disk() -> list[Path]:
-    """Copies, left by former runs, that are not as they were written: no run uses them."""
-    return [file for folder in _folders() for file in damaged_copies(folder)]
-
-
-def _folders() -> list[Path]:
-    """Where copies of the functions imported so far lie."""
-    paths = {function.stats.cache_path for function in _FUNCTIONS} - {None}
-    return [Path(path) for path in sorted(paths) if os.path.isdir(path)]
-
-
-def _is_among(function: Any, written_s: dict[str, float]) -> bool:
-    """Whether a function is among those on disk, by numba's names for them, and not older than its source."""
-    code = function.__code__
-    name = f"{Path(code.co_filename).stem}.{function.__qualname__}-{code.co_firstlineno}"
-    return written_s.get(name, 0.0) >= os.stat(code.co_filename).st_mtime

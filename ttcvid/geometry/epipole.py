@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.flow_line import flow_line_chi2, flow_normals, moves_towards
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
@@ -147,7 +147,7 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
     return chi2
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[::1])")
 def _direction_chi2_of_each(one: Floats, other: Floats, covariance: Floats, chi2: Floats) -> None:
     """Fills ``chi2 (N,)`` of `direction_chi2`."""
     for i in range(len(chi2)):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Floats, Ints
 
 LEAST_EXTENT = 1e-9
@@ -96,7 +96,7 @@ def _rates(
     return (scale - 1.0) / dt_s, scale * np.sqrt(log_scale_variance.reshape(shape)) / dt_s
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[::1], i8[:, ::1], f8[::1], f8[::1])")
 def _fit_each(
     first: Floats, second: Floats, weights: Floats, regions: Ints, scale: Floats, log_scale_variance: Floats
 ) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
 # Sums of a track: information on a (and b), couplings of a and b with c, information on c, score of a, b, c, squared
@@ -102,7 +102,7 @@ def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats) -
     return GrowthSums(sums, freedom)
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[::1])")
 def _add_up(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats, sums: Floats, freedom: Floats) -> None:
     """Fill ``sums (13, M)`` and ``freedom (M,)`` of `GrowthSums`; places are taken out as the means of their rows.
 
@@ -165,7 +165,7 @@ def _sums(views: Floats) -> tuple[float, tuple[float, ...]]:
     return n, (tt, tc_x, tc_y, cc, score_a, score_b, score_c, square, ta, tb, cs, ss, score_s)
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8, i8, b1[::1])")
 def _search(sums: Floats, freedom: Floats, misfit: Floats, gate: float, least_tracks: int, fits: Bools) -> bool:
     """Fill ``fits (M,)`` of `GrowthSums.sharing_a_velocity`; whether they are enough."""
     n = len(misfit)

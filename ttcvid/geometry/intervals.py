@@ -13,7 +13,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.inversion_range import CHI2_90_TWO, inversion_range
 from ttcvid.model import CollisionTimes, Floats
 
@@ -59,7 +59,7 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     """
     times = np.full((_N_TIMES, len(x)), np.nan)
     found = CollisionTimes(*times)
-    _times_of_each(x, y, abc_hz, cov, times)
+    _times_of_each(np.ascontiguousarray(x), np.ascontiguousarray(y), abc_hz, cov, times)
     bounds = inversion_range(*radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm))
     # The value itself is in the region; by another way of rounding it may seem to lie beyond the border.
     np.minimum(bounds[0], found.tcpa_s, out=found.tcpa_lo_s)
@@ -69,7 +69,7 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     return found
 
 
-@compiled
+@compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1])")
 def _times_of_each(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, times: Floats) -> None:
     """Fills of ``times (9, N)``, in the order of `CollisionTimes`, the times themselves and the bounds of ttc_z.
 
@@ -99,11 +99,11 @@ def radial_and_transverse_rate(
     Parameters as in `collision_times_from_state`. At u = 0, where no t is given, any normal of r is taken.
     """
     rates, rates_cov = np.empty((len(x), 2)), np.empty((len(x), 2, 2))
-    _rates_of_each(x, y, abc_hz, cov, sigma_norm, rates, rates_cov)
+    _rates_of_each(np.ascontiguousarray(x), np.ascontiguousarray(y), abc_hz, cov, sigma_norm, rates, rates_cov)
     return rates, rates_cov
 
 
-@compiled
+@compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, ::1], f8[:, :, ::1])")
 def _rates_of_each(
     x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats, rates: Floats, rates_cov: Floats
 ) -> None:

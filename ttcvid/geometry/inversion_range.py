@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_in_place
+from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
 from ttcvid.model import Floats
 
 CHI2_90_TWO = 4.605170185988092
@@ -61,7 +61,7 @@ def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats,
     return bounds[0], bounds[1], bounds[2], bounds[3]
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, :, ::1], f8[:, ::1])")
 def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
     """Fill ``bounds (4, N)``: lower and upper tcpa, lower and upper miss."""
     points, looks = np.ones(_N_POINT), np.empty(_N_LOOK)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Floats, Ints
 
 
@@ -41,13 +41,13 @@ def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
     return found
 
 
-@compiled
+@compiled_for("(f8[::1],)")
 def _median(values: Floats) -> float:
     middle: float = np.median(values)
     return middle
 
 
-@compiled
+@compiled_for("(f8[::1], f8)")
 def _quantile(values: Floats, part: float) -> float:
     ordered, place = np.sort(values), part * (len(values) - 1)
     below = min(int(place), len(values) - 2) if len(values) > 1 else 0
@@ -56,7 +56,7 @@ def _quantile(values: Floats, part: float) -> float:
     return between
 
 
-@compiled
+@compiled_for("(f8[::1], i8[::1], f8[::1])")
 def _fill(values: Floats, group: Ints, found: Floats) -> None:
     """Fill ``found (K,)``."""
     start = np.zeros(len(found) + 1, dtype=np.int64)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_in_place
+from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathFit, Points, RigidPaths
 from ttcvid.geometry.rotation import rotation_from_vector
@@ -92,7 +92,10 @@ def with_newest_steps(
     return RigidPaths(cam_R_past, path)
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], i8[::1], i8[::1], f8[::1], f8[:, :, :, ::1], f8[:, :, ::1], f8[:, ::1], "
+    "Tuple((f8[:, ::1], f8[::1], f8[::1])), f8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1])"
+)
 def _add_up(
     rays: Floats,
     track: Ints,
@@ -201,7 +204,7 @@ def _residual(rays: Floats, i: int, ways: Floats, q: int, x0: float, y0: float) 
     return rx, (ways[q, 3, k] * a + ways[q, 4, k] * b + ways[q, 5, k] * c) / ahead - y0
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, ::1], f8[::1], f8[:, ::1])")
 def _solve_shifts(normal: Floats, score: Floats, shift_sigma: Floats, change: Floats) -> None:
     """Fill the last three of each ``change (K, 6)``: the shifts of things that turn as their paths say."""
     for b in range(len(change)):
@@ -210,7 +213,7 @@ def _solve_shifts(normal: Floats, score: Floats, shift_sigma: Floats, change: Fl
         change[b, 3:] = _solved(normal[b, 3:, 3:].copy(), score[b, 3:].copy())
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, ::1], f8[::1], f8[:, ::1], f8, f8[:, ::1])")
 def _solve_all(
     normal: Floats, score: Floats, shift_sigma: Floats, turned_rad: Floats, turn_sigma_rad: float, change: Floats
 ) -> None:

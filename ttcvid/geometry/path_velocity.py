@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.shared_path import N_SHARED
 from ttcvid.geometry.whole_track_on_path import PathRates
 from ttcvid.model import Bools, Floats, Ints
@@ -77,7 +77,10 @@ def velocities_on_paths(
     return found
 
 
-@compiled
+@compiled_for(
+    "(f8[:, ::1], f8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], b1[::1], f8[:, :, ::1], f8[::1], "
+    "f8[:, ::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1])"
+)
 def _fill(
     state: Floats,
     rate_variance: Floats,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rigid_path_descent import LANES, N_STEPS, fit_each, refine_each
 from ttcvid.model import Bools, Floats, Ints
 
@@ -175,7 +175,7 @@ def refined_paths(
     expected = rotations[0] if priors.cam_R_past is None else np.ascontiguousarray(priors.cam_R_past)
     refine_each(
         points.rays,
-        points.track,
+        np.ascontiguousarray(points.track),
         order,
         first,
         points.sigma_norm,
@@ -190,7 +190,7 @@ def refined_paths(
     return RigidPaths(rotations, path), rate
 
 
-@compiled
+@compiled_for("(i8[::1], i8[::1], i8[::1])")
 def _sort_by_thing(thing: Ints, order: Ints, first: Ints) -> None:
     """Fill ``order (M,)``, points in order of ``thing (M,)``, and where each thing starts in it, ``first (K + 1,)``."""
     for number in thing:
@@ -203,7 +203,7 @@ def _sort_by_thing(thing: Ints, order: Ints, first: Ints) -> None:
         free[thing[m]] += 1
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, :, ::1])")
 def _list_views(rays: Floats, by_track: Floats) -> None:
     """Fill ``by_track (N, 3, M)`` from ``rays (L, N, 3)``; what is left over of M stands first and is not seen."""
     before = by_track.shape[2] - len(rays)

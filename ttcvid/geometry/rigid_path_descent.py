@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_in_place
+from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
 from ttcvid.model import Floats, Ints
 
 N_STEPS = 2
@@ -42,7 +42,10 @@ _NO_LENGTH = 1e-9
 _Priors = tuple[Floats, Floats, Floats]
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, :, ::1], f8[:, :, ::1], f8[::1], f8[::1], f8[::1], i8, "
+    "f8[:, ::1], f8[::1], f8[::1], f8[::1], i8[::1])"
+)
 def fit_each(
     rays: Floats,
     track: Ints,
@@ -74,7 +77,10 @@ def fit_each(
         rate_sigma[m], misfit[m] = 1.0 / np.sqrt(information), chi2 / (2 * n - 3 if n > 2 else 1)
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], Tuple((f8[:, :, ::1], f8[::1], f8[::1])), "
+    "i8[::1], f8[::1], f8[:, :, :, ::1], f8[:, :, ::1], f8[::1])"
+)
 def refine_each(
     rays: Floats,
     track: Ints,

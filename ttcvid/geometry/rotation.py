@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Floats, Ints
 
 # Below this 1 + y the tangent basis changes its formula: a cap of 2.6 deg about straight up, where no motion of
@@ -120,7 +120,9 @@ def each_turned_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation:
         ``(K, L, 3, 3)``, and which of the K sets turns it: ``(M,)``.
     """
     xy = np.empty((len(rays), len(ray), 2))
-    _turn_into_plane(np.ascontiguousarray(rays), ray, np.ascontiguousarray(rotations), rotation, xy)
+    _turn_into_plane(
+        np.ascontiguousarray(rays), np.ascontiguousarray(ray), np.ascontiguousarray(rotations), rotation, xy
+    )
     return xy
 
 
@@ -149,7 +151,7 @@ def tangent_basis(direction: Floats) -> Floats:
     return basis
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, :, ::1])")
 def _basis_of_each(directions: Floats, bases: Floats) -> None:
     """Fills ``bases (N, 3, 2)`` from ``directions (N, 3)``."""
     for i in range(len(directions)):
@@ -161,7 +163,7 @@ def _basis_of_each(directions: Floats, bases: Floats) -> None:
         basis[0, 1], basis[1, 1], basis[2, 1] = sign + x * x * inverse, -x, mixed
 
 
-@compiled
+@compiled_for("(f8[:, ::1],)")
 def _normalize_each(vectors: Floats) -> None:
     """Brings ``vectors (N, n)`` to unit length in place."""
     for i in range(len(vectors)):
@@ -174,7 +176,7 @@ def _normalize_each(vectors: Floats) -> None:
             vectors[i, j] = vectors[i, j] / length if is_usable else np.nan
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, :, ::1])")
 def _turn_each(vectors: Floats, rotations: Floats) -> None:
     """Fill ``rotations (N, 3, 3)`` from ``vectors (N, 3)``."""
     for i in range(len(vectors)):
@@ -195,7 +197,7 @@ def _turn_each(vectors: Floats, rotations: Floats) -> None:
         r[1, 2], r[2, 1] = versed * y * z - sine * x, versed * y * z + sine * x
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], i8[::1], f8[:, :, :, ::1], i8[::1], f8[:, :, ::1])")
 def _turn_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints, xy: Floats) -> None:
     """Fill ``xy (L, M, 2)``."""
     for place in range(len(rays)):
@@ -210,7 +212,7 @@ def _turn_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints,
                 xy[place, m, 0] = xy[place, m, 1] = np.nan
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, ::1])")
 def _vector_of_each(rotations: Floats, vectors: Floats) -> None:
     """Fill ``vectors (N, 3)`` from ``rotations (N, 3, 3)``."""
     q = np.empty(4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Floats, Ints
 
 # A point off by more sigmas than this loses weight (Cauchy).
@@ -68,7 +68,9 @@ def shared_directions(
     return direction, covariance, chi2
 
 
-@compiled
+@compiled_for(
+    "(f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1], i8[::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[::1])"
+)
 def _fit_each(
     xy: Floats,
     w: Floats,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
 from ttcvid.geometry.shared_path_belief import believe_as_found, set_beliefs, set_prior
 from ttcvid.geometry.shared_path_descent import N_LOCAL, add_up_windows, descend_together, start_points
@@ -274,7 +274,7 @@ def _shared_paths(
     return SharedPaths(path, direction, offset, shared_cov, bend_hz, own_cov, left[:, 0], left[:, 1])
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, :, ::1])")
 def _invert_each(information: Floats, cov: Floats) -> None:
     """Fills ``cov (K, n, n)``, the inverses of symmetric positive matrices, by Cholesky factors."""
     n = information.shape[1]
@@ -306,7 +306,7 @@ def _invert_each(information: Floats, cov: Floats) -> None:
                 cov[k, i, j] = cov[k, j, i] = total
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[::1], f8[:, :, ::1], f8[:, ::1])")
 def _move_paths(
     base: Floats, direction: Floats, basis: Floats, local: Floats, t_s: Floats, path: Floats, velocity: Floats
 ) -> None:
@@ -325,7 +325,7 @@ def _move_paths(
                 path[k, place, j] = (base[k, place, j] + t * change + 0.5 * t * t * bend) * slower
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, :, :, ::1], b1[::1], i8[::1], f8[:, :, ::1])")
 def _turn_views(xy: Floats, rotations: Floats, turns: Bools, path_of: Ints, back: Floats) -> None:
     """Fill ``back (L, N, 2)`` with the views turned by ``rotations (K, L, 3, 3)`` of the paths that turn at all."""
     for place in range(len(xy)):

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Floats, Ints
 
 # What does not contradict a direction: a chi-square with two degrees of freedom inside its 90 %.
 _CHANCE_CHI2 = 4.605
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, :, ::1], f8, f8, f8, f8[:, :, ::1])")
 def set_prior(
     basis: Floats, direction_cov: Floats, across_sigma: float, along_sigma: float, turn_sigma: float, prior: Floats
 ) -> None:
@@ -36,7 +36,7 @@ def set_prior(
             prior[k, j, j] = 1.0 / turn_sigma**2
 
 
-@compiled
+@compiled_for("(b1, f8[:, :, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1])")
 def set_beliefs(
     turns_itself: bool,
     basis: Floats,
@@ -70,7 +70,7 @@ def set_beliefs(
                     believed[k, j, m] += own_motion[k, i, j] * half[i, m]
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1])")
 def believe_as_found(
     basis: Floats,
     own_motion: Floats,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Floats, Ints
 
 N_LOCAL = 8
@@ -43,7 +43,10 @@ _Points = tuple[Floats, Floats, Floats, Ints, Ints, Ints]
 """
 
 
-@compiled
+@compiled_for(
+    "(Tuple((f8[:, :, ::1], f8[::1], f8[::1], i8[:, ::1], i8[::1], i8[::1])), f8[:, :, ::1], f8[:, :, ::1], "
+    "f8[:, ::1], f8[::1])"
+)
 def start_points(points: _Points, base: Floats, basis: Floats, state: Floats, relative: Floats) -> None:
     """Fills ``state (N, 3)`` (x, y, rho) on believed paths ``base (K, L, 3)``, and the mean square residuals (N,)."""
     xy, t_s, sigma, seen, n_views, first = points
@@ -57,7 +60,10 @@ def start_points(points: _Points, base: Floats, basis: Floats, state: Floats, re
             relative[i] = _start(views, way, i, before, seen, n_views[i], sigma[i], state)
 
 
-@compiled
+@compiled_for(
+    "(Tuple((f8[:, :, ::1], f8[::1], f8[::1], i8[:, ::1], i8[::1], i8[::1])), f8[:, :, ::1], f8[:, :, ::1], "
+    "f8[:, :, ::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[:, ::1])"
+)
 def descend_together(
     points: _Points,
     base: Floats,
@@ -119,7 +125,10 @@ def descend_together(
                 break
 
 
-@compiled
+@compiled_for(
+    "(Tuple((f8[:, :, ::1], f8[::1], f8[::1], i8[:, ::1], i8[::1], i8[::1])), f8[:, :, ::1], f8[:, :, ::1], "
+    "i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1])"
+)
 def add_up_windows(
     points: _Points, path: Floats, basis: Floats, n_frames: Ints, state: Floats, information: Floats, score: Floats
 ) -> None:

@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Floats
 
 _N_SHARED, _N_LOCAL = 9, 8
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], "
+    "f8[:, ::1], f8[:, :, ::1])"
+)
 def share(
     basis: Floats,
     own_motion: Floats,

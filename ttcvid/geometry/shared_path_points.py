@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.shared_path_descent import LEAST_VIEWS
 from ttcvid.model import Bools, Floats, Ints
 
@@ -83,7 +83,7 @@ def points_of_paths(
     )
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], i8[::1], f8[:, :, ::1], i8[::1], i8[:, ::1], i8[::1])")
 def _list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Ints, n_views: Ints) -> None:
     """Fills ``seen (N, M)`` with the first M places in ``order`` at which a point and its path are known.
 
@@ -104,7 +104,7 @@ def _list_views(xy: Floats, order: Ints, paths: Floats, path_of: Ints, seen: Int
         n_views[i] = count
 
 
-@compiled
+@compiled_for("(i8[::1], i8[::1], i8, i8, i8[::1], i8[::1])")
 def _pick_some_of_each(path_of: Ints, n_views: Ints, least_views: int, most: int, index: Ints, first: Ints) -> None:
     """Fills ``index`` with an even part of the points of each path, no more than ``most``, path by path.
 

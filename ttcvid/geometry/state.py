@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross
@@ -130,13 +130,16 @@ def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, e_variance:
     covariance, which is the variance along the worse axis of a direction that is open along one, at most twice it else.
     """
     is_at = np.empty(len(q), dtype=bool)
-    e, variance = np.ascontiguousarray(e), np.ascontiguousarray(np.broadcast_to(variance + e_variance, (len(q),)))
+    # Neither is written to, but arrays that cannot be written to are of another type.
+    e, variance = (
+        np.require(values, requirements=("C", "W")) for values in (e, np.broadcast_to(variance + e_variance, (len(q),)))
+    )
     gate = SIGNIFICANCE_SIGMAS**2
     _compare_with_noise(np.ascontiguousarray(q), np.ascontiguousarray(r), e, variance, gate, is_at)
     return is_at
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8, b1[::1])")
 def _compare_with_noise(q: Floats, r: Floats, e: Floats, variance: Floats, gate: float, is_at: Bools) -> None:
     """Fills ``is_at (N,)`` of `is_at_epipole`: abs(ray x e) over abs(ray) is the sine of their angle."""
     for i in range(len(q)):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector
 from ttcvid.geometry.turning_body_descent import N_SHARED, descend
 from ttcvid.model import Floats
@@ -122,10 +122,11 @@ def fit_turning_body(
     place = _places_now(xy, now)
     centre = np.append(np.median(place, axis=0), 1.0)
     # Data and beliefs of the descent.
-    data = (np.ascontiguousarray(xy), np.asarray(t_s, dtype=np.float64), np.asarray(sigma_norm), centre)
+    t_s = np.ascontiguousarray(t_s, dtype=np.float64)
+    data = (np.ascontiguousarray(xy), t_s, np.ascontiguousarray(sigma_norm, dtype=np.float64), centre)
 
     own = np.column_stack([place, np.ones(len(place))])
-    first, *others = _starts(xy, data[1], now)
+    first, *others = _starts(xy, t_s, now)
     found = [_fitted(data, own, first, bend_hz, turn_sigma_rad_s)]
     if may_do(found[0]):
         found += [_fitted(data, own, start, bend_hz, turn_sigma_rad_s) for start in others]
@@ -176,7 +177,7 @@ def _with_doubts(found: list[TurningBody]) -> TurningBody:
     return replace(best, cov=cov)
 
 
-@compiled
+@compiled_for("(f8[::1], f8[::1], f8[::1])")
 def _fill_normalized(centre: Floats, shared: Floats, normalized: Floats) -> float:
     """Fills ``normalized (9,)``, as `shared_path` counts what points share, of a body's ``shared (9,)``.
 
@@ -199,7 +200,7 @@ def _fill_normalized(centre: Floats, shared: Floats, normalized: Floats) -> floa
     return float(length)
 
 
-@compiled
+@compiled_for("(f8[::1], f8[::1], f8, f8[:, ::1])")
 def _fill_slopes(centre: Floats, shared: Floats, step: float, jacobian: Floats) -> None:
     """Fills ``jacobian (9, 9)`` of `_fill_normalized`, by central differences."""
     n = len(shared)

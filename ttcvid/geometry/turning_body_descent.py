@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_in_place
+from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
 from ttcvid.model import Floats
 
 N_SHARED = 9
@@ -39,7 +39,9 @@ _Sums = tuple[Floats, Floats, Floats]
 """``kept (N, 3, 13)``, and of what is shared the ``information (9, 9)``, of which the lower half counts, and score."""
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, f8, f8, f8, f8, f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])"
+)
 def descend(
     xy: Floats,
     t_s: Floats,

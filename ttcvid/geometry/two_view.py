@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rotation import cross, rotation_from_vector, vector_from_rotation
 from ttcvid.geometry.two_view_descent import descend_motion, descend_rotation
 from ttcvid.model import Floats, Ints
@@ -158,7 +158,7 @@ def _prior_cost(prior: GaussianPrior, offset: Floats, direction: Floats) -> floa
     return cost
 
 
-@compiled
+@compiled_for("(f8[::1], f8[::1])")
 def _capped_cost(residual: Floats, sense: Floats) -> float:
     """Sum of squared residuals, each capped: what counts is how many points a fit explains, not how far others are.
 
@@ -170,7 +170,7 @@ def _capped_cost(residual: Floats, sense: Floats) -> float:
     return cost
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1])")
 def _fill_covariance(information: Floats, score: Floats, region: Ints, covariance: Floats) -> None:
     """Fill ``covariance (k, k)`` of `TwoViewFit`."""
     covariance[:] = np.linalg.inv(information)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_in_place
+from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
 from ttcvid.model import Floats
 
 # Geman and McClure's weight falls to a quarter at so many sigmas and on towards zero: a lorry of two fifths of all
@@ -27,7 +27,7 @@ _TINY = 1e-14
 _LEAST_GAP = 1e-6
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1], f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[:, ::1])")
 def descend_rotation(
     rays_prev: Floats,
     rays_cam: Floats,
@@ -72,7 +72,10 @@ def descend_rotation(
     _turn(offset, expected, cam_R_prev)
 
 
-@compiled
+@compiled_for(
+    "(f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1], f8, f8[::1], f8, f8, f8[::1], f8[::1], f8[:, ::1], f8[::1], "
+    "f8[::1], f8[:, ::1], f8[:, ::1])"
+)
 def descend_motion(
     rays_prev: Floats,
     rays_cam: Floats,

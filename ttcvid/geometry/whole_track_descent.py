@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Floats, Ints
 
 LEAST_FRAMES = 3
@@ -33,7 +33,10 @@ _LEAST_INFO = 1e-6
 _N_SUMS = 14
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], f8[::1], f8[::1], i8[::1], i8, f8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1], "
+    "f8[:, :, ::1], f8[:, :, ::1], f8[::1], i8[::1])"
+)
 def fit_each(
     xy: Floats,
     t_s: Floats,

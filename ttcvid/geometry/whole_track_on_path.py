@@ -45,7 +45,7 @@ class PathRates:
     @property
     def rate_hz(self) -> Floats:
         """Rates (N,)."""
-        return self.state[:, 2]
+        return np.ascontiguousarray(self.state[:, 2])
 
 
 def straight_path(direction: Floats, t_s: Floats) -> Floats:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_in_place
+from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
 from ttcvid.model import Floats, Ints
 
 LEAST_FRAMES = 2
@@ -44,7 +44,10 @@ _ALONG_X, _ALONG_Y, _VARIANCE, _BY_SHARED = (np.uint64(16 * j) for j in (5, 6, 7
 _N_STATE = np.uint64(16 * 17)
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], f8[::1], f8[::1], i8[::1], i8, f8[:, :, ::1], i8[::1], f8[::1], f8[::1], f8[:, ::1], b1, "
+    "f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[::1], i8[::1])"
+)
 def fit_each(
     xy: Floats,
     t_s: Floats,

@@ -22,7 +22,7 @@ from ttcvid.jobs.clip import (
     read_calibration,
     refuse_folder_of_input,
 )
-from ttcvid.jobs.compilation import compilation_complaint, compilation_note
+from ttcvid.jobs.compilation import compilation_complaint
 from ttcvid.jobs.configuration import Configuration, configure_from_arguments
 from ttcvid.jobs.found_focal import with_found_focal
 from ttcvid.jobs.found_platform import describe_platform, with_told_platform
@@ -224,8 +224,6 @@ def _log_start(source: Source, path: Path, configuration: Configuration) -> None
     for name, origin in sorted(configuration.origins.items()):
         _LOG.info("%s is set by %s", name, origin)
     _LOG.info("writing to %s", path)
-    if _LOG.isEnabledFor(logging.INFO) and (note := compilation_note()):
-        _LOG.info("%s", note)
     if complaint := compilation_complaint():
         _LOG.warning("%s", complaint)
 

@@ -1,23 +1,79 @@
-"""What to know of the inner loops, which are compiled when they are first used and then kept on disk."""
+"""Compiled code: made ahead on all cores where it is missing, and what to know where it cannot be kept.
+
+The inner loops are compiled when they are first called, and kept on disk. A command compiles all that is missing before
+its work, so that its progress tells of the work alone.
+"""
 
 from __future__ import annotations
 
-from ttcvid.geometry.compiled import damaged_on_disk, has_place_on_disk, part_on_disk
+import hashlib
+import importlib
+import multiprocessing
+import platform
+import re
+import signal
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 
-# No run uses all of them: below this part, most are still to be compiled.
-_LEAST_PART = 0.5
+import numba
+
+import ttcvid
+from ttcvid.errors import TtcvidError
+from ttcvid.geometry.compiled import damaged_on_disk, entry_points, has_place_on_disk
+from ttcvid.posix import can_copy_process, usable_cores
+
+OnCompiled = Callable[[int, int], None]
+"""Called with (functions done, functions in all)."""
+
+_PACKAGE = Path(ttcvid.__file__).parent
+_MARK_OF_SOURCE = rb"(?m)^@compiled"
+_DONE_NAME = "ttcvid-compiled-"
+# Each takes 200 MB.
+_MOST_PROCESSES = 4
 
 
-def compiles_once() -> bool:
-    """Whether a run now would compile most of them, and the next one none."""
-    return has_place_on_disk() and part_on_disk() < _LEAST_PART
+def compile_missing(on_compiled: OnCompiled = lambda n_done, n_total: None) -> bool:
+    """Compile what no former run has left on disk, on all cores; whether there was anything to do.
+
+    Nothing is done where nothing can be kept: each run then compiles what it uses.
+
+    Raises
+    ------
+    TtcvidError
+        A process that compiles was ended from outside.
+    """
+    sources = _sources()
+    # Any of them says where copies belong, but always the same one.
+    first = _module(sources[0])
+    importlib.import_module(first)
+    folder = next(entry.folder for entry in entry_points() if entry.module == first)
+    if folder is None:
+        return False
+    done = Path(folder) / f"{_DONE_NAME}{_digest(sources)}"
+    if done.exists():
+        return False
+    import_compiled()
+    n_done, n_total = 0, len(entry_points())
+    on_compiled(n_done, n_total)
+    # A long file takes long: those first, so that all processes end together.
+    for n_of_module in _each_compiled(
+        [_module(file) for file in sorted(sources, key=lambda file: -file.stat().st_size)]
+    ):
+        n_done += n_of_module
+        on_compiled(n_done, n_total)
+    for former in done.parent.glob(f"{_DONE_NAME}*"):
+        former.unlink(missing_ok=True)
+    done.touch()
+    return True
 
 
-def compilation_note() -> str:
-    """Why the first frame will be long in coming; empty where it will not."""
-    if not has_place_on_disk():
-        return "compiling, which takes a minute"
-    return "compiling, which takes a minute the first time" if compiles_once() else ""
+def import_compiled() -> None:
+    """Import all modules that hold compiled functions: `entry_points` then knows all of them."""
+    for file in _sources():
+        importlib.import_module(_module(file))
 
 
 def compilation_complaint() -> str | None:
@@ -37,3 +93,52 @@ def damage_complaint() -> str | None:
         return None
     others = f" and {len(damaged) - 1} more beside it" if len(damaged) > 1 else ""
     return f"{damaged[0]}{others}: damaged compiled code, compiled anew when it is used: remove it if this stays"
+
+
+def _sources() -> list[Path]:
+    """The files of the package that hold compiled functions."""
+    return [file for file in sorted(_PACKAGE.rglob("*.py")) if re.search(_MARK_OF_SOURCE, file.read_bytes())]
+
+
+def _module(file: Path) -> str:
+    return ".".join((_PACKAGE.name, *file.relative_to(_PACKAGE).with_suffix("").parts))
+
+
+def _digest(sources: list[Path]) -> str:
+    """Changes with what makes numba compile anew: source files, versions, and the machine with its processor."""
+    stamps = [(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in sources]
+    machine = platform.node(), platform.machine(), numba.__version__, platform.python_version()
+    return hashlib.sha256(repr((stamps, machine)).encode()).hexdigest()[:16]
+
+
+def _each_compiled(modules: list[str]) -> Iterator[int]:
+    """Compile modules side by side; the number of functions of each that is done."""
+    n_processes = min(usable_cores(), _MOST_PROCESSES)
+    if n_processes == 1 or not can_copy_process():
+        yield from map(_compile_module, modules)
+        return
+    with warnings.catch_warnings():
+        # Python 3.12 warns of locks that threads hold while a process is copied: no thread of ours runs yet.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        context = multiprocessing.get_context("fork")
+        pool = ProcessPoolExecutor(n_processes, mp_context=context, initializer=_end_with_ctrl_c)
+        try:
+            for future in as_completed([pool.submit(_compile_module, module) for module in modules]):
+                yield future.result()
+        except BrokenProcessPool:
+            raise TtcvidError("a process that compiles was ended from outside: is there enough memory?") from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _compile_module(module: str) -> int:
+    """Compile the entry points of a module; their number."""
+    entries = [entry for entry in entry_points() if entry.module == module]
+    for entry in entries:
+        entry.compile()
+    return len(entries)
+
+
+def _end_with_ctrl_c() -> None:
+    """Ctrl-C goes to all processes of a terminal: these end without a word."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

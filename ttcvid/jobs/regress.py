@@ -13,7 +13,7 @@ from ttcvid.errors import NotComparableError, TtcvidError, UsageError, counted
 from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
 from ttcvid.jobs.clip_run import ClipRun, ClipTask, render_scene, run_clip
 from ttcvid.jobs.compare import write_junit
-from ttcvid.jobs.compilation import compiles_once
+from ttcvid.jobs.compilation import compile_missing
 from ttcvid.jobs.crew import Attempt, Call, Crew
 from ttcvid.jobs.result_tables import read_run
 from ttcvid.jobs.stopping import StopSignals
@@ -144,6 +144,8 @@ def regress(
     read = read_suite(Path(suite))
     folder = Path(f"{Path(suite).stem}_regress") if out is None else Path(out)
     clips = read.chosen(only)
+    # Else time and memory of the first clip on a machine would be those of the compiler.
+    compile_missing()
     outcomes = []
     with closing(_outcomes(read, clips, folder, update, jobs)) as found:
         for outcome in found:
@@ -200,9 +202,6 @@ def _checked(suite: Suite, clip: SuiteClip, folder: Path, update: bool, call: Ca
     path, tolerance = suite.baseline(clip), suite.tolerance(clip)
     former = _former(path, update) if clip.baseline else None
     task = _task(suite, clip, folder, call)
-    if compiles_once():
-        # Time and memory of the first run on a machine would be those of the compiler.
-        call(run_clip, task)
     run = call(run_clip, task)
     results = read_run(run.folder)
     complaints = _complaints(suite.expectations[clip.name], run, results)

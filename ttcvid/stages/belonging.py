@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
@@ -139,7 +139,7 @@ def numbers_of(key: Ints, movers: Movers) -> Ints:
     return number
 
 
-@compiled
+@compiled_for("(i8[::1], i8[::1], i8[::1])")
 def _number(known: Ints, key: Ints, number: Ints) -> None:
     """Fill ``number (N,)`` with how many of the ascending ``known (K,)`` are no larger than each key."""
     for i in range(len(key)):
@@ -248,7 +248,7 @@ def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_
     return np.asarray(rate_hz - usual_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(usual_hz))
 
 
-@compiled
+@compiled_for("(i8[::1], i8[:, ::1], i8[:, ::1])")
 def _asked(number: Ints, neighbours: Ints, votes: Ints) -> tuple[Ints, Ints]:
     """Tracks and movers that are asked about, (M,) each, track by track: those of a track's neighbours, and its own.
 
@@ -267,7 +267,7 @@ def _asked(number: Ints, neighbours: Ints, votes: Ints) -> tuple[Ints, Ints]:
     return track[:count], mover[:count]
 
 
-@compiled
+@compiled_for("(f8[::1], i8[::1], i8[::1], f8[::1], i8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1])")
 def _choose(
     misfit: Floats,
     track: Ints,

@@ -6,7 +6,7 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.geometry.shared_path import (
     PathBeliefs,
@@ -166,7 +166,7 @@ def _turns_by_views(paths: SharedPaths, sigma_rad_s: float) -> tuple[Floats, Flo
     return chi2, rate_rad_s
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, ::1], f8, f8, f8, f8[::1], f8[::1])")
 def _fill_turns(
     cov: Floats, offset: Floats, believed: float, least: float, tight: float, chi2: Floats, rate_rad_s: Floats
 ) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.newest_step import StepPriors, with_newest_steps
 from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
@@ -47,7 +47,7 @@ def carried_forward(bodies: RigidPaths, cam_R_prev: Floats, t_s: Floats, step: F
     return RigidPaths(cam_R_past, path)
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, :, :, ::1], f8[:, :, :, ::1])")
 def _turn_each(turn: Floats, before: Floats, now: Floats) -> None:
     """Fill ``now (K, L, 3, 3)`` with the last L - 1 of the views ``before (K, M, 3, 3)`` turned on, and with none."""
     n_past = now.shape[1] - 1

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
 from ttcvid.model import (
@@ -314,7 +314,7 @@ def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int,
     return found
 
 
-@compiled
+@compiled_for("(f8[:, ::1], i8[::1], i8[::1], f8, i8[:, ::1])")
 def _find_neighbours(xy: Floats, cluster: Ints, asked: Ints, radius: float, found: Ints) -> None:
     """Fills ``found (N, K)`` of `neighbours_in_cluster`; the tracks that are ``asked`` come cluster by cluster."""
     most, n_members, last = found.shape[1], 0, -1

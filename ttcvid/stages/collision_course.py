@@ -14,7 +14,7 @@ from ttcvid.config import EventsConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, straightened
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.closing import Closing
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, MotionState
 from ttcvid.stages.own_bend import OwnBend
@@ -191,7 +191,7 @@ def _missing(rays: Floats, abc_hz: Floats, cov: Floats, on_ground: bool, camera:
     return miss
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[::1], f8[:, ::1], f8[:, ::1], b1, f8, f8[::1])")
 def _fill_miss(
     outline: Floats, abc_hz: Floats, cov: Floats, basis: Floats, on_ground: bool, least_width: float, found: Floats
 ) -> None:

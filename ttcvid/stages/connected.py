@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
 # The search for the nearest goes outwards by so many rings of cells.
@@ -89,7 +89,7 @@ def _without_wide_gaps(number: Ints, border: int) -> Ints:
     return np.asarray(np.cumsum(steps)[place])
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8, i8[:, ::1])")
 def _place_on_grid(xy: Floats, side: float, column_row: Ints) -> int:
     """Fill ``column_row (2, N)`` of points ``(N, 2)``, counted from the first of each; returns the largest."""
     most = 0
@@ -121,7 +121,7 @@ def _sorted_by_cell(column_row: Ints, border: int) -> tuple[Ints, Ints, Ints, in
     return cell, order, start, width
 
 
-@compiled
+@compiled_for("(f8[:, ::1], i8[:, ::1], f8, b1[::1], b1[::1], i8[:, ::1])")
 def _nearest(
     xy_px: Floats, column_row: Ints, radius: float, is_asked: Bools, is_beside: Bools, neighbours: Ints
 ) -> None:
@@ -170,7 +170,7 @@ def _as_key(square: float, index: int) -> int:
     return (int(np.float64(square).view(np.int64)) & ~_INDEX) | index
 
 
-@compiled
+@compiled_for("(f8[:, ::1], i8[:, ::1], f8)")
 def _pairs(xy: Floats, column_row: Ints, radius: float) -> Ints:
     """All pairs of `linked_pairs`."""
     cell, order, start, width = _sorted_by_cell(column_row, 1)
@@ -188,7 +188,7 @@ def _pairs(xy: Floats, column_row: Ints, radius: float) -> Ints:
     return pairs[:count]
 
 
-@compiled
+@compiled_for("(f8[:, ::1], i8[:, ::1], f8, i8[::1], f8[::1], f8[::1], i8[::1])")
 def _link(
     xy_px: Floats, column_row: Ints, radius: float, of_group: Ints, of_value: Floats, slack: Floats, label: Ints
 ) -> None:
@@ -252,7 +252,7 @@ def _unite_with(
             _unite(root, order[here], order[place])
 
 
-@compiled
+@compiled_for("(b1[::1], i8[:, ::1], i8[::1])")
 def _join(is_in: Bools, pairs: Ints, label: Ints) -> None:
     """Fill ``label (N,)`` of `connected_parts`."""
     root = np.arange(len(is_in))

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.geometry.two_view import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion, fit_rotation
@@ -198,7 +198,7 @@ def picture_region(rays: Floats, side: float = REGION) -> Ints:
     return region
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8, i8[::1])")
 def _number_cells(rays: Floats, side: float, region: Ints) -> None:
     """Fills ``region (N,)``: cells are numbered in the order in which they are first met."""
     first, last = _REGION_COUNT * _REGION_COUNT, 0

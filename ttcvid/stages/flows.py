@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.history import ROTATION_DRIFT_RAD, TrackHistory
 
@@ -82,7 +82,7 @@ def scene_directions(history: TrackHistory, flows: Flows) -> Floats:
     return chosen
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, ::1], i8[::1], f8[:, ::1])")
 def _follow_scene(cam_R_past: Floats, direction: Floats, gap_frames: Ints, chosen: Floats) -> None:
     """Fill ``chosen (N, 3)`` of `scene_directions`."""
     n_views = len(direction)
@@ -101,7 +101,7 @@ def _follow_scene(cam_R_past: Floats, direction: Floats, gap_frames: Ints, chose
             chosen[i, a] = means[max(gap_frames[i] - 1, 0), a]
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, :, ::1], i8, f8, f8, f8[::1], f8[:, ::1], i8[::1], f8[::1])")
 def _select(
     rays: Floats,
     cam_R_past: Floats,

@@ -105,7 +105,7 @@ def _fit(window: list[SeenPoints], image_size: ImageSize) -> FocalFit | None:
     cells, region = np.unique(_cell(xy_px, image_size), return_inverse=True)
     if xy_px.shape[1] < _LEAST_POINTS or len(cells) < _LEAST_CELLS:
         return None
-    point, frame = np.nonzero(np.isfinite(xy_px[..., 0]).T)
+    point, frame = map(np.ascontiguousarray, np.nonzero(np.isfinite(xy_px[..., 0]).T))
     views = Views(xy_px[frame, point], frame, point, region)
     width_px = float(image_size.width_px)
     least_turn_rad = _common_sigma(image_size, 1.0) / _HOPELESS

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.joint_states import JointStates
 from ttcvid.stages.sets import TrackSets
@@ -53,7 +53,10 @@ def front_boxes(members: TrackSets, joint: JointStates, states: TrackStates, xy_
     return boxes
 
 
-@compiled
+@compiled_for(
+    "(i8[::1], UniTuple(i8[::1], 2), f8[::1], b1[::1], Tuple((f8[:, ::1], f8[:, :, ::1])), "
+    "Tuple((i8[::1], f8[::1], f8[::1])), f8[:, ::1], f8[:, ::1])"
+)
 def _fill_fronts(
     index: Ints,
     reach: tuple[Ints, Ints],

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints, PointSet
 
 # A track is on its pixel within this distance, px: three times the noise of Lucas-Kanade on an unchanging patch.
@@ -67,7 +67,7 @@ def find_frozen(
     return is_frozen, FrozenMemory(points.track_id, anchor_px, n_stayed)
 
 
-@compiled
+@compiled_for("(i8[::1], i8[::1], f8[:, ::1], f8[::1], f8, f8[:, ::1], f8[::1], b1[::1])")
 def _count_stays(
     track_id: Ints,
     known: Ints,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.growth import growth_sums
 from ttcvid.geometry.rotation import skew, turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
@@ -125,7 +125,7 @@ def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) ->
     return np.flatnonzero(is_near)
 
 
-@compiled
+@compiled_for("(f8[:, ::1], b1[::1], b1[::1], f8, b1[::1])")
 def _mark_near(xy_px: Floats, is_asked: Bools, may_be: Bools, reach_px: float, is_near: Bools) -> None:
     """Fill ``is_near (N,)``: tracks asked, and those that may be around one of them."""
     for i in range(len(is_near)):
@@ -137,7 +137,7 @@ def _mark_near(xy_px: Floats, is_asked: Bools, may_be: Bools, reach_px: float, i
                 is_near[j] |= may_be[j] and x * x + y * y < reach_px * reach_px
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[::1], b1[::1], b1[::1], f8, i8[::1])")
 def _list_around(
     xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, reach_px: float, around: Ints
 ) -> tuple[int, int]:

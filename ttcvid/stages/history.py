@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ttcvid.geometry.camera import plane_per_px
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.shared_path import SharedPaths
@@ -252,7 +252,7 @@ def extended(
     )
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8[::1])")
 def _fill_angles(rays: Floats, sigma_px: Floats, per_px: Floats, sigma_rad: Floats) -> None:
     """Fill ``sigma_rad (N,)`` of `TrackHistory` for tracks now at ``rays (N, 3)``."""
     for i in range(len(sigma_rad)):
@@ -261,7 +261,7 @@ def _fill_angles(rays: Floats, sigma_px: Floats, per_px: Floats, sigma_rad: Floa
         sigma_rad[i] = sigma_px[i] * per_px[i] * cosine * np.sqrt(cosine)
 
 
-@compiled
+@compiled_for("(Tuple((i8[::1], f8[::1], f8[::1], f8[::1])), f8, i8[::1], f8[:, ::1])")
 def _carry_each(known: tuple[Ints, Floats, Floats, Floats], new_sigma: float, place: Ints, carried: Floats) -> None:
     """Fill ``carried (4, N)``: what is known of each track, at ``place (N,)``; of new ones, -1, their noise alone."""
     n_frames, sigma, noise_sum, noise_weight = known
@@ -278,7 +278,7 @@ def _carry_each(known: tuple[Ints, Floats, Floats, Floats], new_sigma: float, pl
             carried[0, i], carried[1, i], carried[2, i], carried[3, i] = 0.0, new_sigma, 0.0, 0.0
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], i8[::1], f8[:, :, ::1])")
 def _carry_views(past: Floats, place: Ints, views: Floats) -> None:
     """Fill all but the last of ``views (L, N, 3)``: ``past (L - 1, P, 3)`` at ``place (N,)``, NaN where that is -1."""
     for k in range(len(past)):

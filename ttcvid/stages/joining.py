@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.model import Bools, Floats, Ints
@@ -145,7 +145,7 @@ def _worth_trying(
     return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
 
 
-@compiled
+@compiled_for("(i8[::1], i8[:, ::1], i8, i8[:, ::1], b1[::1])")
 def _list_pairs(number: Ints, neighbours: Ints, n_movers: int, pairs: Ints, touch: Bools) -> int:
     """Fill ``pairs (P, 2)`` of movers, the larger one first, and whether they ``touch (P,)``; how many there are.
 

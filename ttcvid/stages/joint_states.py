@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 from ttcvid.stages.slant import move_to_centres, nearest_parts
@@ -128,7 +128,11 @@ def _rated_tracks(
     return _RatedTracks(sets, owner, path, turns, direction[owner], rate_hz, own_hz, sigma_hz, by_shared[:m], xy, xy_px)
 
 
-@compiled
+@compiled_for(
+    "(i8[::1], i8[::1], b1[::1], f8[:, ::1], Tuple((f8[:, ::1], f8[:, :, ::1])), "
+    "Tuple((i8[::1], f8[::1], f8[::1], f8[:, ::1])), UniTuple(f8[:, ::1], 2), i8[::1], i8[::1], i8[::1], "
+    "f8[:, ::1], f8[:, ::1], f8[:, :, ::1])"
+)
 def _rate_each(
     members: Ints,
     n_members: Ints,
@@ -227,7 +231,10 @@ def _joined(
     return JointStates(rated.owner[left], ref_px, abc_hz, cov, place_cov, speed_change)
 
 
-@compiled
+@compiled_for(
+    "(i8[::1], i8[::1], b1[::1], b1[::1], f8[::1], Tuple((f8[:, ::1], f8[:, :, ::1])), f8[:, ::1], "
+    "Tuple((i8[::1], f8[:, ::1])), i8[::1], i8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1])"
+)
 def _join_each(
     rated: Ints,
     n_rated: Ints,
@@ -318,7 +325,11 @@ def _joint_covariances(
     return cov, place_cov, speed_change
 
 
-@compiled
+@compiled_for(
+    "(i8[::1], i8[::1], f8[::1], f8[:, ::1], f8[::1], Tuple((f8[:, :, ::1], f8[:, ::1])), "
+    "Tuple((i8[::1], f8[::1], f8[:, :, ::1])), Tuple((f8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, ::1])), i8, "
+    "f8[:, :, ::1], f8[:, :, ::1], f8[::1])"
+)
 def _fill_covariances(
     index: Ints,
     lengths: Ints,

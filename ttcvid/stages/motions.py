@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.shared_direction import shared_directions
 from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
@@ -203,7 +203,7 @@ def _stay_while_we_turn(history: TrackHistory) -> Bools:
     return stays
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[:, :, ::1], f8, f8, b1[::1])")
 def _find_staying(rays: Floats, cam_R_past: Floats, limit_rad: float, turned_rad: float, stays: Bools) -> None:
     """Fill ``stays (N,)``: over `_STAYING_VIEWS` of ``rays (L, N, 3)`` at least, not moved by the limit, and the camera
     turned by ``turned_rad``.
@@ -268,7 +268,7 @@ def _shared_directions(history: TrackHistory, tracks: WholeTracks, thing: Ints, 
     return direction, covariance
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8, f8[:, :, ::1])")
 def _turn_each(state: Floats, rate: float, by_rotation: Floats) -> None:
     """Fill ``by_rotation (N, 3, 3)``: what a rate of turning about each axis does to w of points at x, y (`skew`)."""
     for i in range(len(state)):
@@ -281,11 +281,11 @@ def _turn_each(state: Floats, rate: float, by_rotation: Floats) -> None:
 def _are_sure(tracks: WholeTracks, direction: Floats, thing: Ints) -> Bools:
     """Things (K,) whose rate their tracks tell well enough, all together and apart from what errs in common."""
     squares = np.zeros(len(direction))
-    _add_up_rates(tracks.state[:, 2:], tracks.info_w, direction, thing, squares)
+    _add_up_rates(np.ascontiguousarray(tracks.state[:, 2:]), tracks.info_w, direction, thing, squares)
     return np.asarray(squares > _SURE_PART**-2)
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8[::1], f8[::1])")
 def _add_up_rates(w: Floats, info: Floats, direction: Floats, thing: Ints, squares: Floats) -> None:
     """Add to ``squares (K,)`` the squared rate of each track along the direction of its thing, in its sigmas.
 

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.geometry.shared_direction import shared_directions
@@ -151,7 +151,7 @@ def _without_slip(views: BodyViews, on_road: Bools, misfit: Floats) -> Floats:
     return least
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[::1], b1[::1], f8[::1], f8[::1])")
 def _take_slip(rays: Floats, sigma: Floats, on_road: Bools, misfit: Floats, least: Floats) -> None:
     """Fill ``least (N,)``: the part of each misfit that is left if the slip of the last frame is noise, too."""
     now, before = len(rays) - 1, len(rays) - 2
@@ -173,7 +173,7 @@ def _candidates(neighbours: Ints, is_asked: Bools, misfit: Floats, config: Bodie
     return np.flatnonzero(is_candidate)
 
 
-@compiled
+@compiled_for("(i8[:, ::1], b1[::1], f8[::1], f8, b1[::1])")
 def _contradict(neighbours: Ints, is_asked: Bools, misfit: Floats, gate: float, is_candidate: Bools) -> None:
     """Fill ``is_candidate (N,)`` by the median of ln(misfit) of each track and its ``neighbours (N, K)``."""
     around = np.empty(neighbours.shape[1] + 1)
@@ -233,7 +233,7 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     return connected_parts(np.ones(len(index), dtype=bool), pairs[is_alike])
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[::1], i8[:, ::1], b1[::1], f8, b1[::1])")
 def _are_alike(xy: Floats, since_s: Floats, pairs: Ints, is_along: Bools, floor: float, is_alike: Bools) -> None:
     """Fill ``is_alike (P,)``: whether two tracks flow alike since each was first seen; ``floor`` of the whole way."""
     last, n = len(xy) - 1, xy.shape[1]

@@ -16,7 +16,7 @@ import numpy as np
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
 from ttcvid.geometry.closing import Closing
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.connected import linked_pairs
@@ -292,7 +292,7 @@ def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
     return np.flatnonzero(is_own)
 
 
-@compiled
+@compiled_for("(i8, f8[::1], f8[::1], i8[:, ::1], b1[::1])")
 def _spread(seed: int, log_rate: Floats, tolerance: Floats, pairs: Ints, is_own: Bools) -> None:
     """Fill ``is_own (K,)``: along ``pairs (M, 2)`` to tracks like the seed, then to those like the median of all."""
     centre = log_rate[seed]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
 # Side of what is looked at around a track, px: the window of the tracker in the pictures.
@@ -29,7 +29,7 @@ def overlap_factors(xy_px: Floats, set_of: Ints, is_asked: Bools) -> Floats:
     return factor
 
 
-@compiled
+@compiled_for("(f8[:, ::1], i8[::1], b1[::1], f8[::1])")
 def _fill(xy: Floats, set_of: Ints, is_asked: Bools, factor: Floats) -> None:
     """Fills ``factor (K,)``."""
     # Places in order of the sets: those of set k are ``x[first[k] : first[k + 1]]`` and likewise ``y``.

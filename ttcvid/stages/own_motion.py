@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import EgomotionConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
@@ -158,7 +158,7 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> _
     return before.take(used, axis=0), now.take(used, axis=0), sigma_rad.take(used)
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], b1[::1], i8[::1])")
 def _list_seen(before: Floats, now: Floats, is_free: Bools, seen: Ints) -> int:
     """Fills ``seen`` with the tracks that have both rays, and are not frozen to their pixel; how many there are."""
     count = 0
@@ -169,7 +169,7 @@ def _list_seen(before: Floats, now: Floats, is_free: Bools, seen: Ints) -> int:
     return count
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[::1], i8[::1], i8[::1], b1[::1])")
 def _keep_some(rays: Floats, sigma: Floats, seen: Ints, region: Ints, is_kept: Bools) -> None:
     """Fills ``is_kept (M,)`` with the quietest few of the tracks ``seen (M,)`` in each region.
 
@@ -215,7 +215,7 @@ def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     return min(max(math.ceil(_WANTED_FLOW_PX / max(flow_px, _TINY_PX)), 1), _LONGEST_GAP)
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, ::1], b1[::1], f8[::1])")
 def _list_flows(before: Floats, now: Floats, cam_R_prev: Floats, is_free: Bools, flow: Floats) -> int:
     """Fills ``flow`` with the lengths of the derotated flows of free tracks that have one; how many there are."""
     count = 0

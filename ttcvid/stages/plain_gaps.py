@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
 # A plain part between two others is as long as this part of the larger one at the most: a thing shows more of itself
@@ -35,7 +35,7 @@ def across_plain_gaps(
     return is_plain
 
 
-@compiled
+@compiled_for("(f8[:, ::1], i8[::1], b1[::1], i8[::1], i8[::1], i8[::1], f8, b1[::1])")
 def _look_between(
     xy: Floats, thing: Ints, is_told: Bools, part: Ints, one: Ints, other: Ints, least_px: float, is_plain: Bools
 ) -> None:

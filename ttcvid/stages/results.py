@@ -6,7 +6,7 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.closing import Closing
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import (
     NO_CLUSTER,
     SCENE_CLUSTER,
@@ -132,7 +132,7 @@ def _age_s(history: TrackHistory) -> Floats:
     return age_s
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1])")
 def _fill_ages(rays: Floats, t_s: Floats, age_s: Floats) -> None:
     """Fills ``age_s (N,)`` with the time from the first to the last of the ``rays (L, N, 3)`` of each track."""
     for i in range(len(age_s)):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.body_views import BodyViews
@@ -171,7 +171,7 @@ def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
     return np.asarray(is_rated & (fit.place[:, 1] > epipole_y - _PITCH + LEAST_BELOW))
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8[::1])")
 def _fit_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> bool:
     """Bring ``road (3,)`` to the plane of the points that lie on it, twice; False where these are too few.
 
@@ -210,7 +210,7 @@ def _is_level(road: Floats, epipole_y: float) -> bool:
     return bool(road[2] > 0.0 and abs(-road[0] / road[2] - epipole_y) < _HORIZON_OFF)
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1])")
 def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
     """Which row of ``(H, N)`` holds the densest interval of 2 `_ROAD_SPREAD`, and where it starts; -1 without any.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
@@ -203,7 +203,7 @@ def _with_contradictions(misfit: Floats, road: RoadMemory, is_road: Bools, key: 
     return np.where(is_road, misfit, raised)
 
 
-@compiled
+@compiled_for("(i8[::1], i8, f8[::1], b1[::1], f8, f8[::1])")
 def _raise_odd(key: Ints, scene: int, evidence: Floats, is_odd: Bools, least: float, misfit: Floats) -> None:
     """Raise each ``misfit (N,)`` to the least one where a track is odd, or the mean evidence against its mover."""
     n_keys = np.max(key) + 1 if len(key) else 0

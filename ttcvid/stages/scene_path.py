@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
 from ttcvid.geometry.shared_path_points import MOST_POINTS, points_of_paths
@@ -67,7 +67,7 @@ def _follows(history: TrackHistory, direction: Floats) -> Bools:
     return follows
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8, b1[::1])")
 def _compare_with_line(
     first: Floats, now: Floats, cam_R_first: Floats, e: Floats, sigma: Floats, drift_rad: float, follows: Bools
 ) -> None:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 
@@ -69,7 +69,7 @@ class TrackSets:
         return radii
 
 
-@compiled
+@compiled_for("(i8[::1], i8[::1], f8[:, ::1], f8[:, ::1])")
 def _fill_boxes(index: Ints, lengths: Ints, xy: Floats, boxes: Floats) -> None:
     """Fills ``boxes (K, 4)``."""
     place = 0
@@ -83,7 +83,7 @@ def _fill_boxes(index: Ints, lengths: Ints, xy: Floats, boxes: Floats) -> None:
             place += 1
 
 
-@compiled
+@compiled_for("(i8[::1], i8[::1], f8[:, ::1], b1[::1], f8[::1])")
 def _fill_radii(index: Ints, lengths: Ints, xy: Floats, is_asked: Bools, radii: Floats) -> None:
     """Fills ``radii (K,)``, which come as zeros."""
     low = 0
@@ -109,7 +109,7 @@ def places_among(known: Ints, track_id: Ints) -> Ints:
     return place
 
 
-@compiled
+@compiled_for("(i8[::1], i8[::1], i8[::1])")
 def _find_places(known: Ints, track_id: Ints, place: Ints) -> None:
     """Fills ``place (N,)`` of `places_among`."""
     m = 0

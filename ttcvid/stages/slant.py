@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 
@@ -90,7 +90,9 @@ def nearest_parts(
     return is_near, above_hz, variance, centre
 
 
-@compiled
+@compiled_for(
+    "(i8[::1], b1[::1], i8[::1], f8[::1], UniTuple(f8[:, ::1], 2), f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1])"
+)
 def move_to_centres(
     lengths: Ints,
     is_near: Bools,
@@ -133,7 +135,10 @@ def move_to_centres(
         low, first = high, first + counts[k]
 
 
-@compiled
+@compiled_for(
+    "(f8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8[::1], i8[::1], i8[::1], b1[::1], "
+    "b1[::1], f8[::1], f8[::1], f8[:, ::1])"
+)
 def _find_each(
     rate: Floats,
     own: Floats,

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import ClusterRow, CollisionTimes, Floats, MotionState, Status
 from ttcvid.stages.clusters import ranked
 
@@ -78,7 +78,7 @@ def _limit(confidence: float, freedom: int) -> float:
     return float(chi2_quantile(confidence, freedom))
 
 
-@compiled
+@compiled_for("(f8[:, ::1],)")
 def _chi2_about_parabola(rates: Floats) -> tuple[float, float, int]:
     """Weighted squares of the rates about their parabola, and what a bend at some time takes off them at the most.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.sets import TrackSets
 
@@ -82,7 +82,7 @@ def tracks_needed(n_tracks: Ints) -> Ints:
     return np.asarray(np.where(n_tracks == _ALL_TRACKS, _ALL_TRACKS, of_many))
 
 
-@compiled
+@compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8, i8[::1], i8[::1], b1[::1])")
 def _find_each(rate: Floats, sigma: Floats, xy: Floats, link: float, lengths: Ints, needed: Ints, is_in: Bools) -> None:
     """Fills ``is_in (M,)`` set by set."""
     low = 0

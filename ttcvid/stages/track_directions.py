@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Status
 from ttcvid.stages.egomotion import DIRECTION_FLOOR_RAD
 from ttcvid.stages.flows import Flows, scene_directions, select_flows
@@ -58,7 +58,7 @@ def track_directions(
     return TrackDirections(flows, direction, covariance, status)
 
 
-@compiled
+@compiled_for("(i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8, f8[:, ::1], f8[:, :, ::1])")
 def _take_over(
     place: Ints,
     ways: Floats,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats
@@ -89,7 +89,7 @@ def _relative_roughness(history: TrackHistory, sigma_floor_px: float) -> tuple[F
     return np.maximum(roughness, 0.0) / peers, is_measured, typical
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1], f8[::1])")
 def _list_roughness(plane: Floats, plane_per_px: Floats, roughness: Floats, measured: Floats) -> int:
     """Fill ``roughness (N,)``, px^2, of places ``plane (4, N, 2)``, -1 where it is not known; and ``measured``.
 

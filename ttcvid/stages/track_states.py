@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.collision import angles_from_epipoles
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.intervals import collision_times_from_state
 from ttcvid.geometry.rotation import cross, tangent_basis
@@ -227,7 +227,10 @@ def with_constant_bearing(
     return replace(states, abc_hz=abc_hz, cov=cov, direction=direction, status=status, shared=shared)
 
 
-@compiled
+@compiled_for(
+    "(i8[::1], f8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8, i8, f8[:, ::1], f8[:, :, ::1], f8[:, ::1], "
+    "i8[::1], i8[::1])"
+)
 def _bear_constantly(
     asked: Ints,
     eta_hz: Floats,
@@ -278,7 +281,7 @@ def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> 
     return noise_hz
 
 
-@compiled
+@compiled_for("(f8[:, ::1], f8[::1], i8[:, ::1], f8, f8[::1])")
 def _fill_noise(xy: Floats, sigma_norm: Floats, neighbours: Ints, gap_s: float, noise_hz: Floats) -> None:
     """Fills ``noise_hz (Q,)`` of `_expansion_noise_hz`: by the noisiest of each neighbourhood, over its size."""
     for k in range(len(neighbours)):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
 # A mover is seen as a whole with this part of its tracks; the number of these falls by this part a frame at the most.
@@ -56,7 +56,7 @@ class Whereabouts:
         return Whereabouts(centre, extent, n_tracks, seen_s)
 
 
-@compiled
+@compiled_for("(i8[::1], f8[:, ::1], f8[::1], f8, i8, f8[:, ::1], f8[::1], f8[::1], f8[::1])")
 def _see(
     number: Ints,
     xy: Floats,

@@ -6,7 +6,7 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.path_velocity import velocities_on_paths
 from ttcvid.geometry.shared_path import SharedPaths, joined_paths, turned_back
@@ -129,7 +129,7 @@ def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     return views
 
 
-@compiled
+@compiled_for("(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1])")
 def _keep_within(xy: Floats, first: Ints, stop: Ints, views: Floats) -> None:
     """Fills ``views (L, N, 2)`` with those of each track from ``first (N,)`` up to ``stop (N,)``, NaN elsewhere."""
     for place in range(len(xy)):
@@ -204,7 +204,10 @@ def _on_paths(
     return TrackStates(history.xy[history.now], found.abc_hz, found.cov, history.sigma_norm, direction, status, shared)
 
 
-@compiled
+@compiled_for(
+    "(f8[:, :, ::1], i8, i8[::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], i8[::1], f8[::1], i8[::1], "
+    "UniTuple(i8, 6), i8, f8, f8, f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8[::1])"
+)
 def _judge(
     xy: Floats,
     now: int,
@@ -278,7 +281,7 @@ def _misfit(path_of: Ints, rates: PathRates, count: int) -> Floats:
     return misfit
 
 
-@compiled
+@compiled_for("(i8[::1], f8[::1], i8[::1], f8[::1])")
 def _fill_misfits(path_of: Ints, chi2: Floats, dof: Ints, misfit: Floats) -> None:
     """Fills ``misfit (K,)`` of `_misfit`."""
     dof_sum = np.zeros(len(misfit))
@@ -308,7 +311,7 @@ def _fill_free(
         free,
         (found.state, found.info_w, found.chi2, found.n_frames),
         window_gates(config.max_frames, 2 * LEAST_FRAMES - 1, config.window_probability),
-        history.rotation_rate_cov,
+        np.ascontiguousarray(history.rotation_rate_cov),
         _JUDGED,
         (LEAST_FRAMES, 2 if plane is not None else LEAST_FRAMES),
         INFINITY_COSINE,
@@ -317,7 +320,10 @@ def _fill_free(
     )
 
 
-@compiled
+@compiled_for(
+    "(i8[::1], Tuple((f8[:, ::1], f8[:, :, ::1], f8[::1], i8[::1])), f8[::1], f8[:, ::1], UniTuple(i8, 6), "
+    "UniTuple(i8, 2), f8, f8, Tuple((f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8[::1])))"
+)
 def _judge_free(
     free: Ints,
     found: tuple[Floats, Floats, Floats, Ints],

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Floats
 
 RIGHT, DOWN, AHEAD = 0, 1, 2
@@ -27,7 +27,10 @@ _FAR_SIGMAS = 5.0
 _NEGLIGIBLE = 1e-4
 
 
-@compiled
+@compiled_for(
+    "(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[:, :, ::1], f8[::1], b1, f8[:, ::1], f8[:, ::1], f8, f8, "
+    "f8[:, ::1], f8[:, ::1])"
+)
 def add_contacts(
     position_m: Floats,
     velocity_m_s: Floats,

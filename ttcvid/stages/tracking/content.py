@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Floats, Picture
 
 # A window is a corner when the lesser of its two gradients is at least this part of the greater one.
@@ -42,7 +42,7 @@ def window_contents(grey: Picture, xy_px: Floats, window_px: int) -> tuple[Float
     return offset, edge
 
 
-@compiled
+@compiled_for("(u1[:, ::1], f8[:, ::1], i8, f8[:, ::1], f8[:, ::1])")
 def _fill(grey: Picture, xy: Floats, reach: int, offset: Floats, edge: Floats) -> None:
     """Fills ``offset, edge (N, 2)``: Scharr gradients at whole pixels, between them bilinear, as OpenCV has them."""
     height, width = grey.shape

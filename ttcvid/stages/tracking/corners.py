@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints, Picture
 
 # Side of the gradient window of the corner response, px.
@@ -193,7 +193,7 @@ def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, int], dista
     return chosen[:n]
 
 
-@compiled
+@compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8, f8, f8[:, :, ::1], i8[::1])")
 def _choose(x: Floats, y: Floats, taken: Floats, distance: float, cell: float, grid: Floats, chosen: Ints) -> int:
     """Fills ``chosen`` by greedy choice; how many. ``grid`` holds one point a cell: two would be too close."""
     for k in range(len(taken)):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Ints, Picture
 
 # A descriptor of 61 bytes (AKAZE's 486 bits) fills eight words. The number is fixed so that the loop over the words
@@ -50,7 +50,7 @@ def _words(descriptors: Picture) -> NDArray[np.uint64]:
     return np.pad(descriptors, ((0, 0), (0, missing))).view(np.uint64)
 
 
-@compiled
+@compiled_for("(u8[:, ::1], u8[:, ::1])")
 def _nearest(one: NDArray[np.uint64], other: NDArray[np.uint64]) -> tuple[Ints, Ints, Ints, Ints]:
     """What `Neighbours` holds, of words ``(N, 8)`` and ``(8, M)``."""
     n_one, n_other = one.shape[0], other.shape[1]

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ttcvid.config import TrackingConfig
-from ttcvid.geometry.compiled import compiled
+from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
 from ttcvid.stages.tracking.content import window_contents
@@ -196,7 +196,7 @@ def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
     return crowded
 
 
-@compiled
+@compiled_for("(f8[:, ::1], i8[::1], b1[::1])")
 def _find_crowded(xy_px: Floats, candidates: Ints, crowded: Bools) -> None:
     """Marks in ``crowded (N,)`` all but the first track of each cell: they are in the order of their age."""
     column, row = np.empty(len(candidates), dtype=np.int64), np.empty(len(candidates), dtype=np.int64)

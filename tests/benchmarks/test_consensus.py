@@ -4,18 +4,18 @@ from math import comb, log
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from moving_points import jitter, views
-from scipy.stats import chi2
-
-from ttcvid.geometry.consensus import (
+from consensus import (
     chance_of_sharing,
     directions_of_pairs,
     epipoles_by_ransac,
     log_false_alarms,
     shares_direction,
 )
+from hypothesis import given
+from hypothesis import strategies as st
+from moving_points import jitter, views
+from scipy.stats import chi2
+
 from ttcvid.geometry.rotation import normalize, tangent_basis
 
 GATE = float(chi2.ppf(0.99, 1))
