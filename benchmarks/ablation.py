@@ -200,6 +200,8 @@ def lines_of(trial: Trial) -> int:
 
 
 def _cells(with_it: list[SceneScore], without: list[SceneScore]) -> list[str]:
+    if not with_it:
+        return ["–"] * (len(FIGURES) + 3)
     one, other = Figures(with_it), Figures(without)
     helped, harmed = families_changed(with_it, without)
     figures = [shown(earned(one, other, name, sign), scale) for name, _, scale, sign in FIGURES]

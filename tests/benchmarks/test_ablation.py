@@ -7,11 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from ablation import EVERY, NONE_OF_THEM, Difference, earned, earned_badness, families_changed, shown, trials_of
-from scenario_suite.drawing import read_json
 from scenario_suite.figures import Figures
 from scenario_suite.rules import GROUPS, RULES, switched_off
-from scenario_suite.running import Task, do
-from scenario_suite.scoring import SceneScore, score
+from scenario_suite.scoring import SceneScore
 
 from ttcvid.stages import motions, steadied
 
@@ -71,16 +69,3 @@ def test_a_rule_earns_what_is_found_with_it_and_not_without():
     alike = earned(Figures(with_it), Figures(with_it), "found", 1.0)
     assert alike == Difference(0.0, 0.0, 0.0)
     assert (shown(alike), shown(Difference(0.1, 0.05, 0.2), 100.0)) == ("0", "**+10 (+5.0 to +20)**")
-
-
-@pytest.mark.slow
-def test_the_analysis_goes_on_without_any_of_the_rules(tmp_path):
-    tasks = {
-        without: Task("mast-crossing", 5, "tracks", tmp_path / str(len(without)), tmp_path, {}, without=without)
-        for without in ((), tuple(RULES))
-    }
-    done = {without: do(task) for without, task in tasks.items()}
-    assert [one.run["error"] for one in done.values()] == [None, None]
-    assert read_json(done[()].folder / "run.json")["key"] != read_json(done[tuple(RULES)].folder / "run.json")["key"]
-    with_all, with_none = (score(one.folder).object_frames for one in done.values())
-    assert not with_all.is_found.equals(with_none.is_found)
