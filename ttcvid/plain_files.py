@@ -14,6 +14,7 @@ from typing import BinaryIO
 
 from ttcvid.posix import BINARY, NEVER_WAIT, NO_LINK
 
+_LEAST_READ_BYTES = 65_536
 NOT_PLAIN = "it is no plain file"
 
 
@@ -25,7 +26,11 @@ def open_plain(path: Path) -> BinaryIO:
 def read_plain(path: Path, max_bytes: int) -> bytes:
     """The content of a plain file; OSError where it is none, or has more than ``max_bytes``."""
     with open_plain(path) as file:
-        content = file.read(max_bytes + 1)
+        # Python takes all the memory that it is asked to read into, however short the file is.
+        at_once = max(_LEAST_READ_BYTES, min(os.fstat(file.fileno()).st_size, max_bytes) + 1)
+        content = b""
+        while len(content) <= max_bytes and (more := file.read(at_once)):
+            content += more
     if len(content) > max_bytes:
         raise OSError(errno.EFBIG, f"it has more than {max_bytes / 1e6:g} MB", str(path))
     return content

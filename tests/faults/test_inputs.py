@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import threading
+import tracemalloc
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from multiprocessing.context import ForkProcess
@@ -28,6 +29,7 @@ from ttcvid.jobs.analyze import analyze
 from ttcvid.jobs.provenance import digest_in_background
 from ttcvid.jobs.run import Run
 from ttcvid.model import ImageSize
+from ttcvid.plain_files import read_plain
 from ttcvid.sources import open_source
 
 SCENE = Path(__file__).resolve().parents[2] / "sample_configs" / "scenes" / "resting_six_movers.yaml"
@@ -403,3 +405,15 @@ def test_too_few_threads_or_processes_are_not_the_fault_of_the_clip(
     assert "no further thread or process can be started" in message
     assert "ulimit -u" in message
     assert not (tmp_path / "out").exists()
+
+
+def test_a_short_file_takes_little_memory_whatever_it_may_have(tmp_path: Path) -> None:
+    (tmp_path / "short").write_bytes(b"x" * 100_000)
+    tracemalloc.start()
+    try:
+        assert len(read_plain(tmp_path / "short", 2_000_000_000)) == 100_000
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+    with pytest.raises(OSError, match=r"more than 0\.09 MB"):
+        read_plain(tmp_path / "short", 90_000)
