@@ -5,7 +5,20 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from tables_of_points import CAMERA, FOCAL_PX, STILL, VEHICLE, Body, box, driving, ids_of, results_of, street, table
+from tables_of_points import (
+    CAMERA,
+    FOCAL_PX,
+    STILL,
+    VEHICLE,
+    Body,
+    box,
+    driving,
+    ids_of,
+    moving,
+    results_of,
+    street,
+    table,
+)
 
 import ttcvid.stages.surface_motions as surface_motions
 from ttcvid.model import FrameStatus, Horizon, PointSet
@@ -13,6 +26,7 @@ from ttcvid.pipeline import analyze_frames
 
 LEVEL = Horizon(CAMERA.cy_px, CAMERA.cy_px, CAMERA.image_size, 0.002, "test")
 STOPPED = Body(box((0.0, 0.5, 30.0), (1.8, 1.4, 0.3)))
+CROSSING = Body(box((12.0, 0.5, 30.0), (1.8, 1.4, 0.3)), moving(-4.0, 0.0, 0.0))
 
 
 def test_what_stands_in_our_way_keeps_its_number_over_a_frame_whose_way_is_not_known(monkeypatch):
@@ -86,7 +100,7 @@ def test_a_frame_without_numbers_shows_the_horizon_where_it_was_last():
 
 
 def test_a_warning_stands_in_frames_without_numbers_and_ends_when_there_are_only_such():
-    frames = table([street(free_way=True), STOPPED], driving(10.0), n_frames=24)
+    frames = table([street(free_way=True), CROSSING], driving(10.0), n_frames=24)
     results = results_of(doubled(frames, after=20))
     warned = [index for index, result in enumerate(results) if result.events]
     assert warned[0] < 20

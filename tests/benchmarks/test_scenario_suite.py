@@ -163,7 +163,7 @@ def test_what_is_complete_is_not_done_again_and_another_estimator_gets_the_same_
     assert not first.is_old
     assert (first.run["exit_code"], first.run["error"]) == (0, None)
     folder = tmp_path / "out" / "CCRs" / "0"
-    assert {path.name for path in folder.iterdir()} == {"scenario.json", "truth", "run", "run.json"}
+    assert {path.name for path in folder.iterdir()} == {"scenario.json", "truth", "run", "run.json", "score"}
     assert (folder / "run" / "clusters.parquet").exists()
     said = read_json(folder / "scenario.json")
     assert (said["name"], said["kind"], said["nuisances"]) == ("CCRs:0", "tracks", baselines("tracks"))

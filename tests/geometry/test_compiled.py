@@ -127,7 +127,7 @@ from ttcvid.geometry.compiled import entry_points
 from ttcvid.jobs import analyze as job
 from ttcvid.simulate import TrackOptions
 # In this process, where the calls can be counted.
-job.beside = lambda function, items: nullcontext(function(items))
+job.beside = lambda function, items, *_: nullcontext(function(items))
 scene, out = sys.argv[1:]
 ttcvid.simulate(scene, out + "/scene", tracks=TrackOptions(n_tracks=150), n_frames=24)
 ttcvid.analyze(out + "/scene/tracks.parquet", out + "/run", camera=out + "/scene/camera.yaml", platform="vehicle")

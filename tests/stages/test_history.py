@@ -262,12 +262,6 @@ def test_before_a_background_without_noise_what_moves_has_its_own_noise_and_no_m
     np.testing.assert_allclose(history.sigma_px[30:], FLOOR_PX)
 
 
-def test_no_track_is_taken_for_more_than_five_times_as_noisy_as_its_peers():
-    """What is rougher than that moves: its path says so, not its picture."""
-    history = noisy_history(noisy_px=3.0)
-    assert history.sigma_px.max() == pytest.approx(5.0 * history.pool_sigma_px)
-
-
 def test_new_tracks_start_with_the_noise_of_all_tracks():
     history = noisy_history(spread=1.05)
     points = history.track_id.max() + 1

@@ -74,13 +74,6 @@ def test_what_is_in_our_own_lane_of_a_bend_is_warned_of_in_time(side, speed_m_s)
     assert rows[start].times.tcpa_s[0] > 1.2
 
 
-def test_what_stands_in_our_lane_is_warned_of_without_a_road_too():
-    """It moves as the scene does, and so tells our speed itself."""
-    rows = [replace(row, motion_id=0) for row in drive(1.0, 0.0, 0.0)]
-    bend = replace(bend_to(1.0), road_hz=None)
-    assert warned(rows, bend) == warned(rows, bend_to(1.0))
-
-
 @pytest.mark.parametrize("turn_rad_s", [0.2, -0.2])
 def test_a_turn_is_that_of_the_camera(turn_rad_s):
     t_s = 0.05 * np.arange(20)

@@ -21,8 +21,6 @@ _FORGETTING, _PRIOR_WEIGHT = 0.9, 4.0
 _POOL_GAIN = 0.2
 # Squared third difference of independent noise, two components, over its variance.
 _PX2_PER_VARIANCE = 40.0
-# No track is noisier than its peers by more than this factor: what is rougher moves.
-_MOST_OVER_PEERS = 5.0
 # Time steps that differ by more than this part make a third difference meaningless.
 _EVEN_STEPS = 0.1
 # Median of a chi-square variable with two degrees of freedom, divided by two.
@@ -53,9 +51,7 @@ def with_noise(
         pool = max(sigma_floor_px, pool * max(residual_spread, rough) ** _POOL_GAIN)
     noise_sum = _FORGETTING * history.noise_sum + 2.0 * fresh
     noise_weight = _FORGETTING * history.noise_weight + 2.0 * is_measured
-    relative_variance = np.minimum(
-        (_PRIOR_WEIGHT + noise_sum) / (_PRIOR_WEIGHT + noise_weight), _MOST_OVER_PEERS * _MOST_OVER_PEERS
-    )
+    relative_variance = (_PRIOR_WEIGHT + noise_sum) / (_PRIOR_WEIGHT + noise_weight)
     return replace(
         history,
         sigma_px=np.maximum(pool * np.sqrt(relative_variance), sigma_floor_px),

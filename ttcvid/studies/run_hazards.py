@@ -17,7 +17,6 @@ from ttcvid.studies.contacts import AHEAD, DOWN, RIGHT
 from ttcvid.studies.hazards import Hazards, OwnBody, Situation, joined, one_object
 from ttcvid.studies.static_scene import (
     BORDER_SHARE,
-    OBSTACLE_SIGMA,
     StaticPoints,
     carried,
     no_points,
@@ -37,6 +36,8 @@ _MAX_DEPTH_M = 2.0
 _CONTACT_PX_SHARE, _CONTACT_NORM = 0.05, 0.002
 """Uncertainty of where an object stands on the road, in its tangent under the horizon: a share of it and a constant,
 about a pixel: what is tracked of an object seldom reaches down to the road."""
+_REST_SIGMA = 0.1
+"""Relative error of distance up to which an object at rest, of several tracks, has a depth by own speed."""
 _LINKS_AGREE_SIGMAS = 2.0
 """Two links of one object that differ by more contradict each other."""
 _SPEED_SIGMA = 0.02
@@ -310,7 +311,7 @@ def _object_depth_m(
         by_road = _depth_by_road(seen, k, level_R_cam, height_m)
     if int(objects.motion_id[k]) == SCENE_MOTION and speed_m_s > _RESTING_M_S:
         depth, sigma = _depth_by_speed(seen, k, speed_m_s)
-        if sigma >= OBSTACLE_SIGMA:
+        if sigma >= _REST_SIGMA:
             return None, np.inf, ""
         if by_road is None:
             return depth, sigma, "own speed, as a thing at rest"

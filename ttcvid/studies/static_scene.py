@@ -23,7 +23,7 @@ _MIN_FRAMES, _MIN_AGE_S, _AGREES_SIGMAS = 4, 0.4, 3.0
 """A track is believed to be at rest where it has stood at one place, to so many sigmas, for so long and so often: that
 of a moving thing wanders, for it is taken to be nearer or farther than it is."""
 OBSTACLE_SIGMA = 0.07
-"""Relative error of distance up to which something at rest is an obstacle. What is known worse is far off, or may be an
+"""Relative error of distance up to which a point at rest is an obstacle. What is known worse is far off, or may be an
 oncoming car, which looks like a nearer thing at rest."""
 _UNSEEN_S = 0.5
 """What ought to be seen, and has not been for so long, is not there."""
