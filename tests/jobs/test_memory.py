@@ -1,5 +1,6 @@
 """Memory of this process and of those that it has started."""
 
+import mmap
 import multiprocessing
 import time
 from collections.abc import Callable
@@ -16,7 +17,10 @@ BLOCK_MB = 100
 
 
 def block() -> np.ndarray:
-    return np.ones(BLOCK_MB * 1_000_000, dtype=np.uint8)
+    """New pages of the system: an allocator may keep some that earlier tests have touched."""
+    taken = np.frombuffer(mmap.mmap(-1, BLOCK_MB * 1_000_000), dtype=np.uint8)
+    taken[:] = 1
+    return taken
 
 
 def hold(is_there: Event, may_end: Event) -> None:
