@@ -2,13 +2,14 @@
 
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from attacked_commands import SoundInputs, arguments_of
-from attacked_runs import Attacker, assert_sound, is_whole
+from attacked_runs import ORPHAN_S, Attacker, assert_sound, is_whole
 
 ATTACKED = ["analyze", "calibrate-horizon", "collision-map", "evaluate", "report", "sensitivity", "simulate"]
 DISK_BYTES = 4 << 20
@@ -24,6 +25,15 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     if subprocess.run(mount, capture_output=True, check=False).returncode != 0:
         pytest.skip("a file system can be mounted by root alone: the limit of file sizes is tried instead")
     yield disk
+    _unmount(disk)
+
+
+def _unmount(disk: Path) -> None:
+    """Helpers of a process that has ended may hold files there for some seconds more."""
+    for _ in range(round(2.0 * ORPHAN_S)):
+        if subprocess.run(["umount", str(disk)], capture_output=True, check=False).returncode == 0:
+            return
+        time.sleep(1.0)
     subprocess.run(["umount", str(disk)], check=True)
 
 
