@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from real_clips.clips import CLIPS, DASHCAM, ClipTask, do_clip
 from report import REPOSITORY, Report
-from runs import data_folder
+from runs import data_folder, until_stopped
 from scenario_suite.families import FAMILIES, in_turn
 from scenario_suite.figures import SPREAD, Figures, draws_of
 from scenario_suite.page import badness, number
@@ -289,9 +287,4 @@ def _seeds(text: str) -> range:
 
 
 if __name__ == "__main__":
-    # As Ctrl-C: its processes end with it.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        main()
-    except KeyboardInterrupt:
-        sys.exit(130)
+    until_stopped(main)

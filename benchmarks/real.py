@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from real_clips.clips import CLIPS, ClipDone, ClipTask, do_clip
 from real_clips.judging import report_clips
 from report import REPOSITORY, Report
-from runs import data_folder
+from runs import data_folder, until_stopped
 from scenario_suite.running import run_all
 
 
@@ -44,9 +42,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # As Ctrl-C: its processes end with it.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        main()
-    except KeyboardInterrupt:
-        sys.exit(130)
+    until_stopped(main)

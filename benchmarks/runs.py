@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +37,15 @@ def data_folder() -> Path:
     if not folder.is_dir():
         raise SystemExit(f"{folder}: real clips not found: set TTCVID_DATA to their folder")
     return folder
+
+
+def until_stopped(main: Callable[[], None]) -> None:
+    """Run a program that has begun processes; they end with it at Ctrl-C and at SIGTERM, with exit code 130."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)
 
 
 def shown(words: list[str]) -> list[str]:

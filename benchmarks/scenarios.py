@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 import time
 from pathlib import Path
@@ -26,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from real import analyzed_clips
 from real_clips.judging import report_clips
 from report import REPOSITORY, Report
-from runs import data_place
+from runs import data_place, until_stopped
 from scenario_suite.drawing import drawn, input_of
 from scenario_suite.families import FAMILIES, in_turn, scenario
 from scenario_suite.nuisances import NUISANCES
@@ -200,9 +199,4 @@ def _show(name: str, kind: str | None, pictures: Path) -> None:
 
 
 if __name__ == "__main__":
-    # As Ctrl-C: its processes end with it.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        main()
-    except KeyboardInterrupt:
-        sys.exit(130)
+    until_stopped(main)
