@@ -5,12 +5,13 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+READY_FOR_DOCS := $(VENV)/.ready_for_docs
 
 # One thread of linear algebra, as on the command line: two test workers share the cores.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo test faults lint regress setup clean
+.PHONY: help demo test faults lint docs regress setup clean
 
 help:
 	@echo "make demo   render a roundabout with known truth, analyse and evaluate it"
@@ -18,6 +19,7 @@ help:
 	@echo "make faults kill, damage and starve every command at many drawn moments and places"
 	@echo "make regress  analyse simulated clips, hold them against their baselines"
 	@echo "make lint   style, types and the direction of imports"
+	@echo "make docs   the documentation as a searchable site: open site/index.html"
 	@echo "make clean  remove the virtual environment and all caches"
 
 demo: $(READY)
@@ -38,6 +40,10 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Links that lead nowhere and pages that nothing leads to are errors.
+docs: $(READY_FOR_DOCS)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 setup: $(READY)
 
 $(READY): pyproject.toml constraints.txt
@@ -53,6 +59,10 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/ttcvid doctor --warm
 	@touch $@
 
+$(READY_FOR_DOCS): $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@touch $@
+
 clean:
-	rm -rf $(VENV) out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) out site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +

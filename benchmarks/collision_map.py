@@ -68,7 +68,7 @@ def main() -> int:
     arguments = parser.parse_args()
     report = Report()
     report.say(
-        "What a map says stands in the [manual](../README.md#what-would-have-helped); what was measured of it is here. "
+        "[What a map says](evasion.md); what was measured of it is here. "
         "A cell is away from the border when all its eight neighbours fare as it does in the simulator."
     )
     time_maps(report)

@@ -48,7 +48,7 @@ which null is NA, and puts units and descriptions into `attrs`; of an empty tabl
 """
 _CONFIGURATION_HEAD = f"""# Every parameter
 
-{_GENERATED} Where values come from, and which place is stronger: [README](../README.md#configuration).
+{_GENERATED} Where values come from, and which place is stronger: [command line](command_line.md#configuration).
 
 In a TOML file each heading below is a section; in the environment `[tracking] max_tracks` is
 `TTCVID_TRACKING__MAX_TRACKS`, on the command line `--set tracking.max_tracks=800`, in Python

@@ -10,8 +10,11 @@ from types import ModuleType
 
 import click
 import pytest
+import yaml
 
 from ttcvid.cli.commands import COMMANDS, cli
+from ttcvid.cli.main import EXIT_INTERRUPTED
+from ttcvid.errors import TtcvidError
 from ttcvid.jobs.layers import layer_from_environment, layer_from_file
 from ttcvid.model import FrameStatus, Status
 from ttcvid.schema import TABLE_NAMES, TABLES, markdown_of
@@ -19,6 +22,7 @@ from ttcvid.schema import TABLE_NAMES, TABLES, markdown_of
 REPOSITORY = Path(__file__).resolve().parent.parent
 DOCS = REPOSITORY / "docs"
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+COMMAND_LINE = (DOCS / "command_line.md").read_text(encoding="utf-8")
 PAGES = sorted([*REPOSITORY.glob("*.md"), *DOCS.glob("*.md")])
 LARGEST_PICTURE_BYTES = 400_000
 # Options of other programs, and patterns, in our own pages.
@@ -107,14 +111,25 @@ def test_tests_named_in_the_page_of_promises_exist():
         assert f"def {function or 'test_'}" in (REPOSITORY / path).read_text(encoding="utf-8"), (path, function)
 
 
-def test_commands_of_the_readme_exist_with_the_options_shown():
-    shown = [line.split("#")[0].split() for block in blocks(README, "") for line in block.splitlines()]
-    commands = [words for words in shown if words and words[0] == "ttcvid"]
-    assert len(commands) >= 9
-    for _, command, *arguments in commands:
-        assert command in COMMANDS
-        given = {word for word in arguments if word.startswith("-")}
-        assert given <= options_of(command), (command, given)
+def test_every_page_is_in_the_navigation_of_the_site():
+    listed = re.findall(r"- (?:\w+: )?(\w+\.md)$", (REPOSITORY / "mkdocs.yml").read_text("utf-8"), re.MULTILINE)
+    assert sorted(listed) == sorted(
+        [*(page.name for page in DOCS.glob("*.md")), *script("site_pages").PAGE_OF.values()]
+    )
+
+
+def test_commands_of_the_pages_exist_with_the_options_shown():
+    n_commands = 0
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        shown = [line.split("#")[0].split() for block in blocks(text, "") for line in block.splitlines()]
+        commands = [words for words in shown if len(words) > 1 and words[0] == "ttcvid"]
+        for _, command, *arguments in commands:
+            assert command in COMMANDS, (page.name, command)
+            given = {word for word in arguments if word.startswith("-")}
+            assert given <= options_of(command), (page.name, command, given)
+        n_commands += len(commands)
+    assert n_commands >= 40
 
 
 def test_options_named_in_the_pages_exist():
@@ -130,8 +145,8 @@ def test_targets_of_make_named_in_the_pages_exist():
         assert set(re.findall(r"(?:^|`)make ([a-z]+)", page.read_text(encoding="utf-8"), re.MULTILINE)) <= targets
 
 
-def test_configuration_shown_in_the_readme_is_accepted(tmp_path):
-    examples = blocks(README, "toml")
+def test_configuration_shown_is_accepted(tmp_path):
+    examples = blocks(COMMAND_LINE, "toml")
     assert examples
     for number, example in enumerate(examples):
         path = tmp_path / f"{number}.toml"
@@ -139,8 +154,8 @@ def test_configuration_shown_in_the_readme_is_accepted(tmp_path):
         assert layer_from_file(path).entries["tracking"]["max_tracks"].value == 800
 
 
-def test_environment_variables_of_the_readme_are_accepted():
-    assignments = dict(re.findall(r"`(TTCVID_[A-Z_]+)=([^`]+)`", README))
+def test_environment_variables_shown_are_accepted():
+    assignments = dict(re.findall(r"`(TTCVID_[A-Z_]+)=([^`]+)`", COMMAND_LINE))
     assert "TTCVID_TRACKING__MAX_TRACKS" in assignments
     layer_from_environment(assignments)
 
@@ -151,11 +166,11 @@ def test_example_of_the_conventions_gives_what_it_says():
     assert failed == 0
 
 
-def test_python_example_of_the_readme_uses_names_that_exist():
+def test_python_example_uses_names_that_exist():
     import ttcvid
 
-    (example,) = blocks(README, "python")
-    compile(example, "README.md", "exec")
+    (example,) = blocks((DOCS / "python.md").read_text(encoding="utf-8"), "python")
+    compile(example, "python.md", "exec")
     for name in re.findall(r"\bttcvid\.(\w+)", example):
         assert hasattr(ttcvid, name), name
     columns = {column.name for column in TABLES["clusters"]}
@@ -168,9 +183,27 @@ def test_every_status_is_explained():
         assert f"`{status}`" in page, status
 
 
-def test_every_table_and_file_of_a_result_is_named_in_the_readme():
+def test_every_table_and_file_of_a_result_is_named_where_results_are_listed():
+    results = (DOCS / "results.md").read_text(encoding="utf-8")
     for name in (*(f"{name}.parquet" for name in TABLE_NAMES), "overlay.mp4", "manifest.json"):
         assert f"`{name}`" in README
+        assert f"`{name}`" in results
+
+
+def test_every_command_and_exit_code_is_explained():
+    for command in COMMANDS:
+        assert f"`{command}`" in README
+    for code in {0, 4, EXIT_INTERRUPTED, *(error.exit_code for error in TtcvidError.__subclasses__())}:
+        assert f"\n| {code} |" in COMMAND_LINE
+
+
+def test_citation_names_the_version_of_the_package():
+    import ttcvid
+
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == ttcvid.__version__
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
+    assert citation["references"][0]["title"] == "Monocular Navigation in Large Scale Dynamic Environments"
 
 
 def test_version_of_the_changelog_is_that_of_the_package():

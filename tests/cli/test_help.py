@@ -1,5 +1,6 @@
 """Help answers at once and tells the truth."""
 
+import os
 import shlex
 import subprocess
 import sys
@@ -29,6 +30,28 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "[]"
     assert done.stdout
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_is_told_how_to_complete_without_heavy_imports(shell: str) -> None:
+    code = (
+        f"import atexit, sys; heavy = {HEAVY!r}; sys.argv = ['ttcvid'];"
+        "atexit.register(lambda: print([name for name in heavy if name in sys.modules], file=sys.stderr));"
+        "from ttcvid.cli.main import main; main()"
+    )
+    environment = {**os.environ, "_TTCVID_COMPLETE": f"{shell}_source"}
+    # bash is asked for its version, which some systems do not have
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stderr.strip().endswith("[]")
+    assert "ttcvid" in done.stdout
+    assert f"_TTCVID_COMPLETE={shell}_complete" in done.stdout
+
+
+def test_options_and_their_choices_are_completed() -> None:
+    environment = {**os.environ, "_TTCVID_COMPLETE": "bash_complete", "COMP_CWORD": "3"}
+    words = {**environment, "COMP_WORDS": "ttcvid analyze --platform ve"}
+    done = subprocess.run([sys.executable, "-m", "ttcvid"], env=words, capture_output=True, text=True, check=True)
+    assert done.stdout == "plain,vehicle\n"
 
 
 def test_the_package_runs_as_the_program_does() -> None:
