@@ -20,8 +20,8 @@ from runs import TTCVID, analyze_command, data_folder, shown, timed
 from truths import Figure, Judged, RealClip, judge_bodies, real_clips
 
 from ttcvid import Run, evaluate
-from ttcvid.studies.metrics import Value
-from ttcvid.studies.wording import describe_value
+from ttcvid.studies.evaluation.metrics import Value
+from ttcvid.studies.evaluation.wording import describe_value
 
 SCENES = REPOSITORY / "sample_configs" / "scenes"
 PLATFORMS = {

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from brute_force import distance_of, ways_m
 
-from ttcvid.jobs.true_hazards import level_axes, own_body_of, true_situation
+from ttcvid.jobs.collision_map.true_hazards import level_axes, own_body_of, true_situation
 from ttcvid.simulate import Scene, World, build_world
-from ttcvid.studies.evasion import Evasion, EvasionLimits, EvasionStatus, evade, needed_s
+from ttcvid.studies.collision_map.evasion import Evasion, EvasionLimits, EvasionStatus, evade, needed_s
 
 SUBSTEPS = 5
 """Steps of motion and of looking for a contact, between two advices."""

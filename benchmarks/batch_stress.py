@@ -16,8 +16,8 @@ import psutil
 from report import REPOSITORY, Bar, Report
 from runs import TTCVID
 
-from ttcvid.jobs.batch import JOURNAL_NAME
-from ttcvid.jobs.batch_table import ClipRow, read_rows
+from ttcvid.jobs.batch.command import JOURNAL_NAME
+from ttcvid.jobs.batch.table import ClipRow, read_rows
 from ttcvid.sinks.folder import PARTIAL_NAME
 
 if str(REPOSITORY / "tests") not in sys.path:

@@ -26,12 +26,12 @@ from runs import TTCVID, analyze_command, data_folder, shown, timed
 
 import ttcvid
 from ttcvid.config import CollisionMapConfig
-from ttcvid.jobs.collision_map import open_clip_of
-from ttcvid.jobs.true_hazards import level_axes, own_body_of, true_situation
+from ttcvid.jobs.collision_map.command import open_clip_of
+from ttcvid.jobs.collision_map.true_hazards import level_axes, own_body_of, true_situation
 from ttcvid.simulate import Scene, World, build_world, encounters, load_scene
-from ttcvid.studies.collision_map import LIKELY, map_of_changes
-from ttcvid.studies.evasion import EvasionLimits, EvasionStatus, evade
-from ttcvid.studies.hazards import OwnBody, Situation, joined, one_object
+from ttcvid.studies.collision_map.evasion import EvasionLimits, EvasionStatus, evade
+from ttcvid.studies.collision_map.hazards import OwnBody, Situation, joined, one_object
+from ttcvid.studies.collision_map.velocity_map import LIKELY, map_of_changes
 
 SCENES = REPOSITORY / "sample_configs" / "scenes"
 LOOK_AHEAD_S = 5.0

@@ -24,8 +24,8 @@ from runs import TTCVID, analyze_command, data_folder, shown, timed
 from truths import Judged, RealClip, judge_lead_car, judge_smoothed_lead_car, real_clips
 
 from ttcvid import Run, evaluate
-from ttcvid.studies.collision_map_picture import write_figure
-from ttcvid.studies.metrics import Value
+from ttcvid.studies.collision_map.picture import write_figure
+from ttcvid.studies.evaluation.metrics import Value
 
 WAYS: dict[str, tuple[str, ...]] = {
     "two-frame": ("--estimator", "two-frame"),

@@ -28,7 +28,7 @@ _EACH = """
 import sys, time
 sys.path.insert(0, "benchmarks")
 from ttcvid.geometry.compiled import entry_points
-from ttcvid.jobs.compilation import import_compiled
+from ttcvid.jobs.processes.compilation import import_compiled
 import_compiled()
 for entry in entry_points():
     start_s = time.process_time()

@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.model import Floats, ImageSize, PointSet
-from ttcvid.stages.focal_length import SeenPoints
+from ttcvid.stages.egomotion.focal_length import SeenPoints
 
 SIZE = ImageSize(800, 450)
 KINDS = ("pan", "pan and step", "curve", "hand", "flight", "straight")

@@ -20,12 +20,12 @@ from focal_drives import KINDS, SIZE, focal_drive
 from report import Bar, Report
 from runs import TTCVID, data_folder, timed
 
+from ttcvid.jobs.analyze.found_focal import with_found_focal
 from ttcvid.jobs.clip import open_clip, read_calibration
-from ttcvid.jobs.configuration import configure_from_arguments
-from ttcvid.jobs.found_focal import with_found_focal
+from ttcvid.jobs.settings.configuration import configure_from_arguments
 from ttcvid.simulate.loading import load_scene
 from ttcvid.simulate.scene import camera_of
-from ttcvid.stages.focal_length import find_focal_length
+from ttcvid.stages.egomotion.focal_length import find_focal_length
 
 N_CLIPS = 120
 FAR_OFF = 0.1

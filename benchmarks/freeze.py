@@ -38,7 +38,7 @@ from frozen_clips import FrozenClip, frozen_clips, tracked_of
 from report import REPOSITORY
 
 from ttcvid.jobs.clip import read_calibration
-from ttcvid.jobs.configuration import configure_from_arguments
+from ttcvid.jobs.settings.configuration import configure_from_arguments
 from ttcvid.pipeline import analyze_tracked
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.tables import TableSink

@@ -22,9 +22,9 @@ from scenario_suite.running import options_of
 
 import ttcvid
 from ttcvid.jobs.clip import open_clip, read_calibration
-from ttcvid.jobs.configuration import configure_from_arguments
+from ttcvid.jobs.settings.configuration import configure_from_arguments
 from ttcvid.model import Frame, FrameStatus, ImageSize, PointSet
-from ttcvid.stages.tracked_frames import TrackedFrame, track_frames
+from ttcvid.stages.tracking.tracked_frames import TrackedFrame, track_frames
 
 MOST_FRAMES = 60
 """So many frames of each clip: enough for whole windows (40), births and deaths of objects, and warnings."""

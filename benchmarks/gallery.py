@@ -26,7 +26,7 @@ from runs import analyze_command, data_folder, shown, timed
 
 from ttcvid import Run
 from ttcvid.draw import OverlayPainter
-from ttcvid.jobs.run_manifest import camera_of
+from ttcvid.jobs.runs.manifest import camera_of
 from ttcvid.model import (
     ClusterRow,
     CollisionTimes,
@@ -37,7 +37,7 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.studies.truth import plain
+from ttcvid.studies.evaluation.truth import plain
 
 DRAWINGS = REPOSITORY / "docs" / "gallery"
 TRAIL_FRAMES = 8

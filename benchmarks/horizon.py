@@ -29,9 +29,9 @@ from ttcvid.geometry.horizon_line import band_px
 from ttcvid.simulate import TrackOptions, simulate_tracks
 from ttcvid.simulate.poses import mean_horizon_px
 from ttcvid.simulate.scene import camera_of
-from ttcvid.stages.horizon import calibrated_horizon
-from ttcvid.stages.horizon_motions import find_motions
-from ttcvid.stages.whole_tracks import Observations, joined
+from ttcvid.stages.horizon.at_rest import calibrated_horizon
+from ttcvid.stages.horizon.straight_motions import find_motions
+from ttcvid.stages.horizon.whole_tracks import Observations, joined
 
 N_CAMERAS = 200
 SIGMA_PX, OUTLIERS = 0.3, 0.01

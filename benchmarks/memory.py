@@ -18,9 +18,9 @@ import numpy as np
 from report import Bar, Report
 from runs import data_folder
 
-from ttcvid.jobs.analyze import run_analysis
-from ttcvid.jobs.configuration import configure_from_arguments
-from ttcvid.jobs.memory import PeakMemory, resident_mb
+from ttcvid.jobs.analyze.command import run_analysis
+from ttcvid.jobs.processes.memory import PeakMemory, resident_mb
+from ttcvid.jobs.settings.configuration import configure_from_arguments
 
 PEAK_BAR, GROWTH_BAR = Bar(500.0), Bar(20.0)
 """MB (10^6 bytes)."""

@@ -15,9 +15,18 @@ from report import REPOSITORY, Bar, Report
 
 from ttcvid.config import SENSITIVITY_SPANS, SensitivityConfig
 from ttcvid.jobs.sensitivity import sensitivity_picture
-from ttcvid.studies.collision_map_picture import write_figure
-from ttcvid.studies.sensitivity import Point, base_case, is_small, lengths_of, methods, reach_m, sensitivity, summary
-from ttcvid.studies.sensitivity_formulas import stereo_depth_sigma_m
+from ttcvid.studies.collision_map.picture import write_figure
+from ttcvid.studies.sensitivity.formulas import stereo_depth_sigma_m
+from ttcvid.studies.sensitivity.study import (
+    Point,
+    base_case,
+    is_small,
+    lengths_of,
+    methods,
+    reach_m,
+    sensitivity,
+    summary,
+)
 
 QUANTITIES = {"direction": "direction_rad", "ttc_z": "ttc_z", "tcpa": "tcpa"}
 TRIALS = 20000

@@ -15,15 +15,16 @@ import numpy as np
 
 from ttcvid import pipeline
 from ttcvid.draw import OverlayPainter
-from ttcvid.jobs import outputs
+from ttcvid.jobs.analyze import outputs
+from ttcvid.jobs.analyze.outputs import open_sinks
 from ttcvid.jobs.clip import open_clip, read_calibration
-from ttcvid.jobs.configuration import configure_from_arguments
-from ttcvid.jobs.outputs import open_sinks
-from ttcvid.jobs.process import one_opencv_thread, rare_garbage_collections
+from ttcvid.jobs.processes.threads import one_opencv_thread, rare_garbage_collections
+from ttcvid.jobs.settings.configuration import configure_from_arguments
 from ttcvid.posix import share_freed_memory
 from ttcvid.sinks.tables import TableSink
 from ttcvid.sinks.video import OverlayVideo
-from ttcvid.stages import analyzed_frames, seen_frames, tracked_frames
+from ttcvid.stages import analyzed_frames, update
+from ttcvid.stages.tracking import tracked_frames
 
 PIPELINE_STAGES = {
     "prepare_picture": "tracking",
@@ -38,7 +39,7 @@ PIPELINE_STAGES = {
     "update_events": "rows",
 }
 """Functions that an analysis of frames calls, and the stage that each is counted to."""
-PIPELINE_MODULES = (tracked_frames, seen_frames, analyzed_frames)
+PIPELINE_MODULES = (tracked_frames, update, analyzed_frames)
 GEOMETRY = ("history", "own motion", "motions", "rows")
 STAGES = ("decode", "tracking", *GEOMETRY, "colour", "paint", "encode", "tables", "closing")
 

@@ -23,9 +23,9 @@ from scenario_suite.drawing import input_of
 from scenario_suite.families import FAMILIES, scenario
 from scenario_suite.running import options_of
 
+from ttcvid.jobs.analyze.found_platform import with_told_platform
 from ttcvid.jobs.clip import open_clip, read_calibration
-from ttcvid.jobs.configuration import configure_from_arguments
-from ttcvid.jobs.found_platform import with_told_platform
+from ttcvid.jobs.settings.configuration import configure_from_arguments
 
 ANY_OF: dict[str, tuple[str, ...]] = {
     "vehicle": ("vehicle",),

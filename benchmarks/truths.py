@@ -19,8 +19,8 @@ from runs import data_folder
 from ttcvid import Run
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.jobs.evaluate import read_run_tables
-from ttcvid.studies.evaluate import Evaluation, judge_run
-from ttcvid.studies.truth import BOX, DIRECTION, ROTATION, RunTables, Truth, object_at
+from ttcvid.studies.evaluation.evaluate import Evaluation, judge_run
+from ttcvid.studies.evaluation.truth import BOX, DIRECTION, ROTATION, RunTables, Truth, object_at
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import annotated_types
 from pydantic.fields import FieldInfo
 
 from ttcvid.config import PipelineConfig
-from ttcvid.jobs.options import SECTIONS, SHORTCUTS
+from ttcvid.jobs.settings.options import SECTIONS, SHORTCUTS
 from ttcvid.model import Platform
 from ttcvid.schema import CALIBRATION_TABLES, SCHEMA_VERSION, STUDY_TABLES, TABLE_NAMES, VERSION_KEY, markdown_of
 

@@ -10,7 +10,7 @@ from perfect_runs import manifest_of_run, write_run
 from ttcvid.model import ImageSize
 from ttcvid.sinks.manifest import write_manifest
 from ttcvid.sinks.video import OverlayVideo
-from ttcvid.studies.truth import RunTables
+from ttcvid.studies.evaluation.truth import RunTables
 
 DT_S = 0.1
 SIZE = ImageSize(64, 48)

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from ttcvid.schema import TABLES, table_schema
 from ttcvid.sinks.manifest import write_manifest
-from ttcvid.studies.truth import BOX, DIRECTION, ROTATION, RunTables, Truth
+from ttcvid.studies.evaluation.truth import BOX, DIRECTION, ROTATION, RunTables, Truth
 
 DT_S = 0.1
 N_FRAMES = 20

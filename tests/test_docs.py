@@ -15,7 +15,7 @@ import yaml
 from ttcvid.cli.commands import COMMANDS, cli
 from ttcvid.cli.main import EXIT_INTERRUPTED
 from ttcvid.errors import TtcvidError
-from ttcvid.jobs.layers import layer_from_environment, layer_from_file
+from ttcvid.jobs.settings.layers import layer_from_environment, layer_from_file
 from ttcvid.model import FrameStatus, Status
 from ttcvid.schema import TABLE_NAMES, TABLES, markdown_of
 

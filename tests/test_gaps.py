@@ -20,7 +20,7 @@ from tables_of_points import (
     table,
 )
 
-import ttcvid.stages.surface_motions as surface_motions
+import ttcvid.stages.objects.surface_motions as surface_motions
 from ttcvid.model import FrameStatus, Horizon, PointSet
 from ttcvid.pipeline import analyze_frames
 

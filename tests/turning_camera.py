@@ -9,7 +9,7 @@ import numpy as np
 
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.model import Floats, ImageSize, PointSet
-from ttcvid.stages.focal_length import SeenPoints
+from ttcvid.stages.egomotion.focal_length import SeenPoints
 
 SIZE = ImageSize(800, 450)
 CENTRE_PX = np.array([399.5, 224.5])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
-from ttcvid.stages.egomotion import picture_region
+from ttcvid.stages.egomotion.relative_pose import picture_region
 
 FOCAL_PX, WIDTH_PX, HEIGHT_PX = 720.0, 1242, 375
 

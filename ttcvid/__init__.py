@@ -24,17 +24,17 @@ if TYPE_CHECKING:
         UndeterminedError,
         UsageError,
     )
-    from ttcvid.jobs.analyze import analyze
-    from ttcvid.jobs.batch import batch
-    from ttcvid.jobs.batch_results import open_batch
-    from ttcvid.jobs.calibrate_horizon import calibrate_horizon
-    from ttcvid.jobs.collision_map import collision_map
-    from ttcvid.jobs.compare import compare
+    from ttcvid.jobs.analyze.command import analyze
+    from ttcvid.jobs.batch.command import batch
+    from ttcvid.jobs.batch.results import open_batch
+    from ttcvid.jobs.calibrate_horizon.command import calibrate_horizon
+    from ttcvid.jobs.collision_map.command import collision_map
+    from ttcvid.jobs.compare.command import compare
     from ttcvid.jobs.evaluate import evaluate
     from ttcvid.jobs.export import export
-    from ttcvid.jobs.regress import regress
+    from ttcvid.jobs.regress.command import regress
     from ttcvid.jobs.report import report
-    from ttcvid.jobs.run import Run
+    from ttcvid.jobs.runs.run import Run
     from ttcvid.jobs.sensitivity import sensitivity
     from ttcvid.jobs.simulate import simulate
 
@@ -66,19 +66,19 @@ _HOMES = {
     "InputError": "ttcvid.errors",
     "NotComparableError": "ttcvid.errors",
     "OutputError": "ttcvid.errors",
-    "Run": "ttcvid.jobs.run",
+    "Run": "ttcvid.jobs.runs.run",
     "TtcvidError": "ttcvid.errors",
     "UndeterminedError": "ttcvid.errors",
     "UsageError": "ttcvid.errors",
-    "analyze": "ttcvid.jobs.analyze",
-    "batch": "ttcvid.jobs.batch",
-    "calibrate_horizon": "ttcvid.jobs.calibrate_horizon",
-    "collision_map": "ttcvid.jobs.collision_map",
-    "compare": "ttcvid.jobs.compare",
+    "analyze": "ttcvid.jobs.analyze.command",
+    "batch": "ttcvid.jobs.batch.command",
+    "calibrate_horizon": "ttcvid.jobs.calibrate_horizon.command",
+    "collision_map": "ttcvid.jobs.collision_map.command",
+    "compare": "ttcvid.jobs.compare.command",
     "evaluate": "ttcvid.jobs.evaluate",
     "export": "ttcvid.jobs.export",
-    "open_batch": "ttcvid.jobs.batch_results",
-    "regress": "ttcvid.jobs.regress",
+    "open_batch": "ttcvid.jobs.batch.results",
+    "regress": "ttcvid.jobs.regress.command",
     "report": "ttcvid.jobs.report",
     "sensitivity": "ttcvid.jobs.sensitivity",
     "simulate": "ttcvid.jobs.simulate",

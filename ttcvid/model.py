@@ -84,7 +84,7 @@ APPROACHING = frozenset({MotionState.approaching, MotionState.constant_bearing})
 class Platform(StrEnum):
     """What carries the camera; chooses the priors on own motion.
 
-    ``auto`` is to be told from the clip (``ttcvid.stages.platform``) before anything is analysed.
+    ``auto`` is to be told from the clip (``ttcvid.stages.egomotion.platform``) before anything is analysed.
     """
 
     auto = "auto"
@@ -378,7 +378,7 @@ class FrameResult:
 
     ``rotation_rad`` (3,) is the rotation vector of ``cam_R_prev``, None where there is no estimate, with
     ``rotation_sigma_rad`` its standard deviation per axis. ``nearest`` is the row of the object that is reached first,
-    of those whose approach deserves to be told (``ttcvid.stages.nearest``); None where there is none.
+    of those whose approach deserves to be told (``ttcvid.stages.objects.reached_first``); None where there is none.
     ``horizon_px`` is the horizon line (y at x = 0, y at x = width - 1, undistorted pixels) of this frame, None where
     none is in use.
     ``events`` are the warnings active in this frame, as they stand: the last version of each ``event_id`` is final.

@@ -18,10 +18,10 @@ from ttcvid.model import (
     Platform,
 )
 from ttcvid.stages.analyzed_frames import AnalyzedFrame, RowMemory, analyze_seen, smoothed
-from ttcvid.stages.history import empty_history
-from ttcvid.stages.planar import horizon_plane
-from ttcvid.stages.seen_frames import Clip, Memory, see_motions
-from ttcvid.stages.tracked_frames import MapAhead, TrackedFrame, track_frames
+from ttcvid.stages.horizon.planar_motion import horizon_plane
+from ttcvid.stages.tracking.history import empty_history
+from ttcvid.stages.tracking.tracked_frames import MapAhead, TrackedFrame, track_frames
+from ttcvid.stages.update import Clip, Memory, see_motions
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -76,7 +76,7 @@ def analyze_tracked(
 
 
 def _with_platform(config: PipelineConfig) -> PipelineConfig:
-    """What carries the camera; where nobody has told (`ttcvid.stages.platform`), nothing is expected of its motion."""
+    """What carries the camera, where nobody has told (`stages.egomotion.platform`): any motion is as likely."""
     if config.egomotion.platform != Platform.auto:
         return config
     return config.model_copy(update={"egomotion": config.egomotion.model_copy(update={"platform": Platform.free})})

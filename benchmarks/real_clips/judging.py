@@ -19,8 +19,8 @@ from scenario_suite.page import NONE, number
 
 from real_clips.clips import DASHCAM, ClipDone
 from ttcvid.jobs.evaluate import read_run_tables
-from ttcvid.studies.matching import match_objects
-from ttcvid.studies.truth import BOX, RunTables
+from ttcvid.studies.evaluation.matching import match_objects
+from ttcvid.studies.evaluation.truth import BOX, RunTables
 
 BOXES = Path(__file__).with_name("boxes.csv")
 SIZES_PX = (24.0, 60.0)

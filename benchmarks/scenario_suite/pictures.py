@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from scenario_suite.scoring import SceneScore
-from ttcvid.studies.truth import BOX
+from ttcvid.studies.evaluation.truth import BOX
 
 DISTANCE_M = np.geomspace(3.0, 200.0, 8)
 SIZE_PX = np.geomspace(10.0, 400.0, 8)

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 import ttcvid
-from ttcvid.stages.floating import Floating
-from ttcvid.stages.frozen import FrozenMemory
+from ttcvid.stages.segmentation.ground_contact import Floating
+from ttcvid.stages.tracking.static_overlays import FrozenMemory
 
 _PACKAGE = Path(ttcvid.__file__).parent
 
@@ -81,152 +81,173 @@ RULES: dict[str, Rule] = {
     "road": Rule(
         "the plane of the road, and what would lie under it",
         "ground",
-        {"stages.road.find_road": _none},
-        _stage("road"),
+        {"stages.segmentation.ground_plane.find_road": _none},
+        _stage("segmentation/ground_plane"),
     ),
     "floating": Rule(
-        "what nothing bears moves", "ground", {"stages.floating.find_floating": _nothing_floats}, _stage("floating")
+        "what nothing bears moves",
+        "ground",
+        {"stages.segmentation.ground_contact.find_floating": _nothing_floats},
+        _stage("segmentation/ground_contact"),
     ),
     "upper_parts": Rule(
         "above what would lie under the road",
         "ground",
-        {"stages.upper_parts.above_under": _zeros(3)},
-        _stage("upper_parts"),
+        {"stages.segmentation.above_ground_contact.above_under": _zeros(3)},
+        _stage("segmentation/above_ground_contact"),
     ),
     "slipping": Rule(
         "windows that slip along an edge make no mover",
         "slips",
-        {"stages.slipping.may_slip": _zeros(0)},
-        _stage("slipping"),
+        {"stages.segmentation.aperture_problem.may_slip": _zeros(0)},
+        _stage("segmentation/aperture_problem"),
     ),
     "slip_on_road": Rule(
         "the last step's slip on the road is noise",
         "slips",
-        {"stages.new_movers._without_slip": lambda views, on_road, misfit: misfit},
+        {"stages.segmentation.births._without_slip": lambda views, on_road, misfit: misfit},
         (),
     ),
     "occlusions": Rule(
         "corners of two surfaces make no mover",
         "slips",
-        {"stages.occlusions.between_surfaces": _zeros(3)},
-        _stage("occlusions"),
+        {"stages.segmentation.occlusions.between_surfaces": _zeros(3)},
+        _stage("segmentation/occlusions"),
     ),
     "spreading": Rule(
         "new movers that keep their bearing and spread",
         "births",
-        {"stages.spreading.spreading_things": lambda *_, **__: []},
-        _stage("spreading"),
+        {"stages.segmentation.diverging_flow.spreading_things": lambda *_, **__: []},
+        _stage("segmentation/diverging_flow"),
     ),
     "growing": Rule(
         "what comes straight at us and grows",
         "births",
-        {"stages.growing.find_growing": lambda *arguments: _no_surfaces(arguments[7])},
-        _stage("growing"),
+        {"stages.segmentation.expansion.find_growing": lambda *arguments: _no_surfaces(arguments[7])},
+        _stage("segmentation/expansion"),
     ),
     "obstacles": Rule(
         "what stands in our way",
         "births",
-        {"stages.obstacles.find_obstacles": lambda *arguments, **_: _no_surfaces(arguments[4])},
-        _stage("obstacles"),
+        {"stages.segmentation.obstacles.find_obstacles": lambda *arguments, **_: _no_surfaces(arguments[4])},
+        _stage("segmentation/obstacles"),
     ),
     "surface_memory": Rule(
         "a surface that turns out to move keeps its number",
         "births",
-        {"stages.surface_memory.number_of_taken": _none},
-        _stage("surface_memory"),
+        {"stages.segmentation.surface_memory.number_of_taken": _none},
+        _stage("segmentation/surface_memory"),
     ),
     "begun_anew": Rule(
         "movers that went astray are begun anew",
         "bodies",
-        {"stages.begun_anew.begun_anew": lambda movers, rate_hz, *_: (movers, rate_hz)},
-        _stage("begun_anew"),
+        {"stages.segmentation.reinitialisation.begun_anew": lambda movers, rate_hz, *_: (movers, rate_hz)},
+        _stage("segmentation/reinitialisation"),
     ),
     "known_again": Rule(
         "hidden movers are known again",
         "bodies",
-        {"stages.known_again.known_again": lambda *a: (a[2], a[3], np.zeros(len(a[4]), dtype=bool))},
-        _stage("known_again"),
+        {"stages.segmentation.reidentification.known_again": lambda *a: (a[2], a[3], np.zeros(len(a[4]), dtype=bool))},
+        _stage("segmentation/reidentification"),
     ),
     "merged": Rule(
         "movers that are one become one",
         "bodies",
-        {"stages.joining.merged": lambda views, scene, key, movers, *_: (key, movers)},
-        _stage("joining"),
+        {"stages.segmentation.merge_and_split.merged": lambda views, scene, key, movers, *_: (key, movers)},
+        _stage("segmentation/merge_and_split"),
     ),
     "split": Rule(
         "movers that are several become several",
         "bodies",
-        {"stages.joining.split": lambda views, key, movers, own, next_key, config: (key, movers, next_key)},
-        _stage("joining"),
+        {
+            "stages.segmentation.merge_and_split.split": lambda views, key, movers, own, next_key, config: (
+                key,
+                movers,
+                next_key,
+            )
+        },
+        _stage("segmentation/merge_and_split"),
     ),
     "plain_gaps": Rule(
         "parts with nothing between are neighbours",
         "bodies",
-        {"stages.plain_gaps.across_plain_gaps": _zeros(4)},
-        _stage("plain_gaps"),
+        {"stages.segmentation.plain_gaps.across_plain_gaps": _zeros(4)},
+        _stage("segmentation/plain_gaps"),
     ),
     "frozen": Rule(
         "what stays on its pixel is bonnet or text",
         "bodies",
-        {"stages.frozen.find_frozen": _none_frozen},
-        _stage("frozen"),
+        {"stages.tracking.static_overlays.find_frozen": _none_frozen},
+        _stage("tracking/static_overlays"),
     ),
     "fronts": Rule(
         "the front part of an object",
         "times",
-        {"stages.fronts.front_boxes": lambda members, joint, states, xy_px: members.boxes(xy_px)[joint.owner]},
-        _stage("fronts"),
+        {
+            "stages.objects.near_face.front_boxes": lambda members, joint, states, xy_px: members.boxes(xy_px)[
+                joint.owner
+            ]
+        },
+        _stage("objects/near_face"),
     ),
     "slant": Rule(
-        "surfaces that turn a side to us", "times", {"stages.slant.nearest_parts": _as_they_are}, _stage("slant")
+        "surfaces that turn a side to us",
+        "times",
+        {"stages.objects.slant.nearest_parts": _as_they_are},
+        _stage("objects/slant"),
     ),
     "bends": Rule(
         "objects in a bend have paths of their own",
         "times",
-        {"stages.bends._ASKED_TURN_RAD_S": np.inf, "stages.bends._BEND_CHI2": np.inf},
-        _stage("bends"),
+        {"stages.objects.turning._ASKED_TURN_RAD_S": np.inf, "stages.objects.turning._BEND_CHI2": np.inf},
+        _stage("objects/turning"),
     ),
     "overlaps": Rule(
         "tracks that look at the same pixels share noise",
         "times",
-        {"stages.overlaps.overlap_factors": lambda xy_px, set_of, is_asked: np.ones(len(is_asked))},
-        _stage("overlaps"),
+        {"stages.objects.overlaps.overlap_factors": lambda xy_px, set_of, is_asked: np.ones(len(is_asked))},
+        _stage("objects/overlaps"),
     ),
     "steadied": Rule(
         "a camera's sway is not the movers'",
         "times",
-        {"stages.steadied.steadied": lambda history, *_: history.xy},
-        _stage("steadied"),
+        {"stages.objects.camera_shake.steadied": lambda history, *_: history.xy},
+        _stage("objects/camera_shake"),
     ),
     "common_errors": Rule(
         "approach has to exceed the tracker's common error",
         "amendments",
-        {"stages.approach.with_common_errors": _first},
-        _stage("approach"),
+        {"stages.segmentation.approach_probability.with_common_errors": _first},
+        _stage("segmentation/approach_probability"),
     ),
     "seen_motion": Rule(
         "approach has to agree with the picture's growth",
         "amendments",
-        {"stages.approach.with_seen_motion": _first},
-        _stage("approach"),
+        {"stages.segmentation.approach_probability.with_seen_motion": _first},
+        _stage("segmentation/approach_probability"),
     ),
     "steadiness": Rule(
         "objects whose times contradict themselves lose them",
         "amendments",
-        {"stages.steadiness.steady_rows": lambda rates, t_s, rows: (rows, rates)},
-        _stage("steadiness"),
+        {"stages.objects.consistency.steady_rows": lambda rates, t_s, rows: (rows, rates)},
+        _stage("objects/consistency"),
     ),
-    "own_bend": Rule("our own bend in the course", "warnings", {"stages.own_bend.own_bend": _none}, _stage("own_bend")),
+    "own_bend": Rule(
+        "our own bend in the course",
+        "warnings",
+        {"stages.segmentation.own_turn.own_bend": _none},
+        _stage("segmentation/own_turn"),
+    ),
     "closing": Rule(
         "the size of what stands in our way tells its time",
         "warnings",
-        {"stages.approach.closing_of_tracks": _none},
+        {"stages.segmentation.approach_probability.closing_of_tracks": _none},
         ("geometry/closing.py",),
     ),
     "braking": Rule(
         "the size of what may have begun to brake",
         "warnings",
-        {"stages.approach.braking_of_tracks": _none},
+        {"stages.segmentation.approach_probability.braking_of_tracks": _none},
         ("geometry/closing.py",),
     ),
 }
@@ -240,7 +261,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 def switched_off(names: Sequence[str]) -> Iterator[None]:
     """The analysis without some of its rules, until the block ends."""
     changed: list[tuple[Any, str, Any]] = []
-    import_module("ttcvid.jobs.analyze")
+    import_module("ttcvid.jobs.analyze.command")
     try:
         for name in names:
             for place, value in RULES[name].instead.items():

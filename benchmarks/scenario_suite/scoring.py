@@ -18,10 +18,10 @@ import ttcvid
 from scenario_suite.drawing import code_digest, read_json, write_json
 from ttcvid.jobs.evaluate import read_run_tables, read_truth
 from ttcvid.model import Bools, Floats
-from ttcvid.studies.directions import angle_deg
-from ttcvid.studies.evaluate import Evaluation, judge_run
-from ttcvid.studies.times import TIME_RANGE_S, TIMES, is_within, relative_error_of_eta
-from ttcvid.studies.truth import BOX, DIRECTION, POSITION, VELOCITY, RunTables, Truth
+from ttcvid.studies.evaluation.directions import angle_deg
+from ttcvid.studies.evaluation.evaluate import Evaluation, judge_run
+from ttcvid.studies.evaluation.times import TIME_RANGE_S, TIMES, is_within, relative_error_of_eta
+from ttcvid.studies.evaluation.truth import BOX, DIRECTION, POSITION, VELOCITY, RunTables, Truth
 
 LEAST_SIZE_PX = 24.0
 """An object has to be found where it is larger than this: the geometric mean of its visible box's sides."""

@@ -11,7 +11,7 @@ from scenario_suite.figures import Figures
 from scenario_suite.rules import GROUPS, RULES, switched_off
 from scenario_suite.scoring import SceneScore
 
-from ttcvid.stages import motions, steadied
+from ttcvid.stages.objects import camera_shake, motions
 
 
 def scene(family: str, n_found: int, n_due: int = 10) -> SceneScore:
@@ -33,7 +33,7 @@ def places(names=tuple(RULES)):
 def test_a_rule_is_off_inside_the_block_and_as_it_was_after_it():
     before = {place: getattr(import_module(f"ttcvid.{place[0]}"), place[2]) for place in places()}
     with switched_off(["steadied"]):
-        assert motions.steadied is steadied.steadied is not before["stages.steadied", ".", "steadied"]
+        assert motions.steadied is camera_shake.steadied is not before["stages.objects.camera_shake", ".", "steadied"]
         history = type("History", (), {"xy": "views as they are"})
         assert motions.steadied(history, None, None, None) == "views as they are"
     off = switched_off(tuple(RULES))
@@ -41,7 +41,7 @@ def test_a_rule_is_off_inside_the_block_and_as_it_was_after_it():
     assert all(getattr(import_module(f"ttcvid.{a}"), b) is not former for (a, _, b), former in before.items())
     assert off.__exit__(KeyError, KeyError(), None) is not True
     assert all(getattr(import_module(f"ttcvid.{a}"), b) is former for (a, _, b), former in before.items())
-    assert motions.steadied is steadied.steadied
+    assert motions.steadied is camera_shake.steadied
 
 
 def test_every_rule_is_in_one_group_and_in_every_kind_of_trial():

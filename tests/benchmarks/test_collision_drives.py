@@ -8,10 +8,10 @@ from advised_drive import drive
 from brute_force import contact_times_s, is_inner
 from collision_map import brute_force_map
 
-from ttcvid.jobs.true_hazards import own_body_of, true_situation
+from ttcvid.jobs.collision_map.true_hazards import own_body_of, true_situation
 from ttcvid.simulate import build_world, encounters, load_scene
-from ttcvid.studies.collision_map import LIKELY, map_of_changes
-from ttcvid.studies.evasion import EvasionLimits, EvasionStatus, evade
+from ttcvid.studies.collision_map.evasion import EvasionLimits, EvasionStatus, evade
+from ttcvid.studies.collision_map.velocity_map import LIKELY, map_of_changes
 
 SCENES = Path(__file__).parent.parent.parent / "sample_configs" / "scenes"
 

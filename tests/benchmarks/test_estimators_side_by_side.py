@@ -6,7 +6,7 @@ from accuracy import SCENES
 from estimators_side_by_side import COLUMNS, SHOWN_SCENES, WAYS, lead_car_picture, rows_of
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.studies.metrics import METRICS
+from ttcvid.studies.evaluation.metrics import METRICS
 
 
 def joined(ttc_z_lo_s, ttc_z_hi_s):

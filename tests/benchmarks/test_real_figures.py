@@ -5,7 +5,7 @@ import pandas as pd
 from real_clips.clips import CLIPS, DASHCAM
 from real_clips.judging import BOXES, boxes_of, judge_boxes
 
-from ttcvid.studies.truth import BOX, RunTables
+from ttcvid.studies.evaluation.truth import BOX, RunTables
 
 
 def run_of(objects: pd.DataFrame) -> RunTables:

@@ -16,7 +16,7 @@ from scenario_suite.page import label_of, number, shown, write_page
 from scenario_suite.running import Task, do
 from scenario_suite.scoring import SceneScore, judged_rows, own_velocity_m_s, score, size_px, wanted
 
-from ttcvid.studies.truth import BOX, DIRECTION, POSITION, VELOCITY, Truth
+from ttcvid.studies.evaluation.truth import BOX, DIRECTION, POSITION, VELOCITY, Truth
 
 FOCAL_PX, SIGMA_PX = 500.0, 0.2
 NO_DRAW = np.ones((1, 1), np.int64)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from truths import frames_of_poses, judge_quiet, real_clips
 
-from ttcvid.studies.truth import DIRECTION, ROTATION, RunTables
+from ttcvid.studies.evaluation.truth import DIRECTION, ROTATION, RunTables
 
 
 def tables(n_frames: int) -> RunTables:

@@ -19,8 +19,8 @@ from ttcvid.jobs.evaluate import read_truth
 from ttcvid.jobs.simulate import simulate
 from ttcvid.simulate.tracks import TrackOptions
 from ttcvid.sinks.manifest import write_manifest
-from ttcvid.studies.metrics import METRICS
-from ttcvid.studies.truth import RunTables
+from ttcvid.studies.evaluation.metrics import METRICS
+from ttcvid.studies.evaluation.truth import RunTables
 
 SCENE = Path(__file__).parents[2] / "sample_configs/scenes/demo.yaml"
 N_FRAMES = 12

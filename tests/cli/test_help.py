@@ -15,7 +15,7 @@ from ttcvid.cli.clip_options import TRACKERS
 from ttcvid.cli.commands import COMMANDS
 from ttcvid.cli.main import main
 from ttcvid.config import CollisionTimesConfig, TrackingConfig
-from ttcvid.jobs.options import SHORTCUTS, AnalyzeOptions
+from ttcvid.jobs.settings.options import SHORTCUTS, AnalyzeOptions
 from ttcvid.model import Platform
 
 HEAVY = ("numpy", "cv2", "pandas", "pyarrow", "pydantic", "av", "scipy", "rich", "yaml")

@@ -14,7 +14,7 @@ from moving_clips import approach, swaying, write_clip
 
 from ttcvid.cli.main import main
 from ttcvid.errors import InputError, TtcvidError
-from ttcvid.jobs.run import Run
+from ttcvid.jobs.runs.run import Run
 
 N_LONG = 1200
 DEADLINE_S = 60.0

@@ -4,7 +4,7 @@ import pytest
 
 from ttcvid.cli.main import main
 from ttcvid.cli.progress import ProgressLines, compile_first, progress_on_stderr
-from ttcvid.jobs.compilation import OnCompiled
+from ttcvid.jobs.processes.compilation import OnCompiled
 
 
 def test_without_a_terminal_a_line_says_every_10_s_how_far_it_is(capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,7 +56,7 @@ def test_it_is_said_that_something_is_compiled_and_when_it_is_done(
             on_compiled(n_done, 3)
         return True
 
-    monkeypatch.setattr("ttcvid.jobs.compilation.compile_missing", compile_three)
+    monkeypatch.setattr("ttcvid.jobs.processes.compilation.compile_missing", compile_three)
     compile_first()
     said = ["ttcvid: compiling, once on this machine", "ttcvid: 3 functions compiled"]
     assert capsys.readouterr().err.splitlines() == said
@@ -67,7 +67,7 @@ def test_it_is_said_that_something_is_compiled_and_when_it_is_done(
 def test_nothing_is_said_where_all_is_compiled(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ttcvid.jobs.compilation.compile_missing", lambda on_compiled: False)
+    monkeypatch.setattr("ttcvid.jobs.processes.compilation.compile_missing", lambda on_compiled: False)
     compile_first()
     assert capsys.readouterr().err == ""
 
@@ -76,7 +76,7 @@ def test_doctor_compiles_ahead_where_it_is_told_to(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compiled = []
-    monkeypatch.setattr("ttcvid.jobs.compilation.compile_missing", compiled.append)
+    monkeypatch.setattr("ttcvid.jobs.processes.compilation.compile_missing", compiled.append)
     for options, n_compiled in (([], 0), (["--warm"], 1)):
         assert main(["doctor", *options]) == 0
         assert len(compiled) == n_compiled

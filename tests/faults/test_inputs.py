@@ -24,10 +24,10 @@ from moving_clips import FPS, approach, write_approaching_tracks, write_clip, wr
 from ttcvid.calibration import read_mask
 from ttcvid.cli.main import main
 from ttcvid.errors import CalibrationError, InputError, UsageError
-from ttcvid.jobs import provenance
-from ttcvid.jobs.analyze import analyze
-from ttcvid.jobs.provenance import digest_in_background
-from ttcvid.jobs.run import Run
+from ttcvid.jobs.analyze.command import analyze
+from ttcvid.jobs.runs import provenance
+from ttcvid.jobs.runs.provenance import digest_in_background
+from ttcvid.jobs.runs.run import Run
 from ttcvid.model import ImageSize
 from ttcvid.plain_files import read_plain
 from ttcvid.sources import open_source

@@ -13,7 +13,7 @@ from numba.core.sigutils import normalize_signature
 
 import ttcvid
 from ttcvid.geometry.compiled import compiled, entry_points
-from ttcvid.jobs.compilation import import_compiled
+from ttcvid.jobs.processes.compilation import import_compiled
 
 PACKAGE = Path(ttcvid.__file__).parent
 
@@ -124,7 +124,7 @@ import sys
 from contextlib import nullcontext
 import ttcvid
 from ttcvid.geometry.compiled import entry_points
-from ttcvid.jobs import analyze as job
+from ttcvid.jobs.analyze import command as job
 from ttcvid.simulate import TrackOptions
 # In this process, where the calls can be counted.
 job.beside = lambda function, items, *_: nullcontext(function(items))

@@ -9,7 +9,7 @@ from ttcvid.geometry.collision import times_from_position_velocity
 from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.intervals import collision_times_from_state
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
-from ttcvid.stages import scene_path
+from ttcvid.stages.egomotion import scene_trajectory
 
 DIRECTIONS = normalize(
     np.concatenate(
@@ -137,7 +137,7 @@ def test_what_follows_the_scene_is_within_the_gate_of_its_flow_line():
     first[0], now[1], sigma_rad, drift_rad = np.nan, np.nan, rng.uniform(5e-4, 2e-3, 300), 3e-4
     follows = np.empty(300, dtype=bool)
     cam_R_first = rotation_from_vector(np.array([0.01, -0.02, 0.005]))
-    scene_path._compare_with_line(first, now, cam_R_first, e, sigma_rad, drift_rad, follows)
+    scene_trajectory._compare_with_line(first, now, cam_R_first, e, sigma_rad, drift_rad, follows)
     chi2 = flow_line_chi2(e, first @ cam_R_first.T, now, np.hypot(sigma_rad, drift_rad))
-    np.testing.assert_array_equal(follows, chi2 < scene_path._GATE_CHI2)
+    np.testing.assert_array_equal(follows, chi2 < scene_trajectory._GATE_CHI2)
     assert 50 < np.count_nonzero(follows) < 250

@@ -12,7 +12,7 @@ from moving_clips import FPS, approach, picture, swaying, write_approaching_trac
 
 import ttcvid
 from ttcvid.cli.main import main
-from ttcvid.jobs import side_by_side
+from ttcvid.jobs.processes import side_by_side
 from ttcvid.schema import TABLE_NAMES, TABLES
 
 SAMPLE_CONFIGS = Path(__file__).resolve().parents[2] / "sample_configs"

@@ -17,9 +17,9 @@ from workers_here import WorkerHere
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.errors import InputError, OutputError, UsageError
-from ttcvid.jobs.batch import JOURNAL_NAME, Batch
-from ttcvid.jobs.batch_table import ClipRow, read_rows
-from ttcvid.jobs.workers import WorkerLostError
+from ttcvid.jobs.batch.command import JOURNAL_NAME, Batch
+from ttcvid.jobs.batch.table import ClipRow, read_rows
+from ttcvid.jobs.processes.workers import WorkerLostError
 from ttcvid.schema import TABLE_NAMES
 
 TRACKS = {"image_size": "192x128", "focal_px": 200, "overlay": False, "report": False}
@@ -28,7 +28,7 @@ TRACKS = {"image_size": "192x128", "focal_px": 200, "overlay": False, "report": 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> WorkerHere:
     worker = WorkerHere()
-    monkeypatch.setattr("ttcvid.jobs.batch.LocalWorker", lambda **_: worker)
+    monkeypatch.setattr("ttcvid.jobs.batch.command.LocalWorker", lambda **_: worker)
     return worker
 
 
@@ -289,7 +289,7 @@ def test_a_folder_without_batch_is_no_batch(tmp_path: Path) -> None:
 def test_without_a_scheduler_at_the_address_nothing_begins(
     clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ttcvid.jobs.cluster.CONNECT_WAIT_S", 0.2)
+    monkeypatch.setattr("ttcvid.jobs.processes.cluster.CONNECT_WAIT_S", 0.2)
     for address in ("tcp://127.0.0.1:1", "nonsense"):
         with pytest.raises(UsageError, match=f"--scheduler {address}: no Dask scheduler answers there"):
             analyzed(clips, tmp_path / "out", scheduler=address)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from ttcvid.errors import InputError, UsageError
-from ttcvid.jobs.batch_inputs import read_inputs
-from ttcvid.jobs.configuration import configure_each, configure_from_arguments
-from ttcvid.jobs.layers import layer_from_command_line
+from ttcvid.jobs.batch.inputs import read_inputs
+from ttcvid.jobs.settings.configuration import configure_each, configure_from_arguments
+from ttcvid.jobs.settings.layers import layer_from_command_line
 
 FILES = ("a/front.mp4", "a/rear.mkv", "b/front.mp4", "b/notes.txt", "b/.hidden.mp4", "pictures/000.png", "top.avi")
 

@@ -13,8 +13,8 @@ import pytest
 from numba.core.compiler_lock import global_compiler_lock
 
 from ttcvid.errors import InputError, TtcvidError
-from ttcvid.jobs import beside as module
-from ttcvid.jobs.beside import AHEAD_ITEMS, OtherProcess, beside
+from ttcvid.jobs.analyze import beside as module
+from ttcvid.jobs.analyze.beside import AHEAD_ITEMS, OtherProcess, beside
 from ttcvid.posix import can_copy_process
 
 DEADLINE_S = 30.0
@@ -244,7 +244,7 @@ def compiling(numbers: Iterable[int]) -> Iterator[int]:
 def test_the_other_process_ends_with_one_that_is_killed(way: str) -> None:
     script = """
 import multiprocessing
-from ttcvid.jobs.beside import OtherProcess
+from ttcvid.jobs.analyze.beside import OtherProcess
 def numbers(items):
     for item in items:
         yield item

@@ -16,7 +16,7 @@ from ttcvid.draw.horizon_picture import write_horizon_picture
 from ttcvid.errors import OutputError, UndeterminedError, UsageError
 from ttcvid.model import ImageSize
 from ttcvid.simulate.tracks import TrackOptions
-from ttcvid.stages.whole_tracks import joined
+from ttcvid.stages.horizon.whole_tracks import joined
 
 SCENES = "sample_configs/scenes"
 SIZE = ImageSize(640, 360)

@@ -10,11 +10,11 @@ import pytest
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.config import CollisionMapConfig
-from ttcvid.jobs.collision_map import advice_at, most_telling
-from ttcvid.jobs.moments import Moment
+from ttcvid.jobs.collision_map.command import advice_at, most_telling
+from ttcvid.jobs.collision_map.moments import Moment
 from ttcvid.schema import STUDY_TABLES
-from ttcvid.studies.evasion import EvasionStatus
-from ttcvid.studies.hazards import OwnBody, Situation, one_object
+from ttcvid.studies.collision_map.evasion import EvasionStatus
+from ttcvid.studies.collision_map.hazards import OwnBody, Situation, one_object
 
 SCENES = Path(__file__).parent.parent.parent / "sample_configs" / "scenes"
 

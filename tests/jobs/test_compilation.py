@@ -7,7 +7,7 @@ import sys
 SCRIPT = """
 from pathlib import Path
 import ttcvid
-from ttcvid.jobs import compilation
+from ttcvid.jobs.processes import compilation
 geometry = Path(ttcvid.__file__).parent / "geometry"
 compilation._sources = lambda: [geometry / "medians.py", geometry / "camera.py"]
 told = []
@@ -32,7 +32,7 @@ def test_what_is_missing_is_compiled_once_by_several_processes(tmp_path):
 
 
 def test_other_files_are_compiled_again_when_a_source_file_changes(tmp_path, monkeypatch):
-    from ttcvid.jobs import compilation
+    from ttcvid.jobs.processes import compilation
 
     source = tmp_path / "loops.py"
     source.write_text("@compiled")

@@ -8,7 +8,7 @@ import pytest
 
 from ttcvid.config import TrackingConfig
 from ttcvid.errors import UsageError
-from ttcvid.jobs.configuration import Configuration, configure_from_arguments, configure_from_command_line
+from ttcvid.jobs.settings.configuration import Configuration, configure_from_arguments, configure_from_command_line
 from ttcvid.model import ImageSize, Platform
 
 PLACES = ("command line", "environment", "config", "project")

@@ -9,8 +9,8 @@ import pytest
 from workers_here import WorkerHere
 
 from ttcvid.errors import InputError
-from ttcvid.jobs.crew import Attempt, Call, Crew
-from ttcvid.jobs.stopping import StopSignals
+from ttcvid.jobs.processes.crew import Attempt, Call, Crew
+from ttcvid.jobs.processes.stopping import StopSignals
 
 
 class Watched(WorkerHere):

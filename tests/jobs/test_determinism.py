@@ -12,7 +12,7 @@ import pytest
 from moving_clips import approach, swaying, write_clip
 
 import ttcvid
-from ttcvid.jobs.side_by_side import map_ahead
+from ttcvid.jobs.processes.side_by_side import map_ahead
 from ttcvid.schema import TABLE_NAMES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -42,7 +42,7 @@ def expected(clip: Path, tracker: str, tmp_path_factory: pytest.TempPathFactory)
 @pytest.mark.parametrize("workers", [1, 3])
 def test_tables_do_not_depend_on_the_number_of_workers(clip, tracker, expected, workers, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "ttcvid.jobs.analyze.map_ahead", functools.partial(map_ahead, workers=workers, ahead=2 * workers)
+        "ttcvid.jobs.analyze.command.map_ahead", functools.partial(map_ahead, workers=workers, ahead=2 * workers)
     )
     run = ttcvid.analyze(clip, tmp_path / "run", tracker=tracker, focal_px=200, overlay=False)
     assert tables_of(run.folder) == expected

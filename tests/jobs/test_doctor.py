@@ -12,7 +12,7 @@ import pytest
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.jobs import doctor
-from ttcvid.jobs.provenance import versions
+from ttcvid.jobs.runs.provenance import versions
 
 
 def test_a_sound_installation_is_well(capsys: pytest.CaptureFixture[str]) -> None:
@@ -67,6 +67,6 @@ def test_a_library_that_cannot_be_imported_is_found(monkeypatch: pytest.MonkeyPa
 
 
 def test_an_installation_that_can_keep_no_compiled_code_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ttcvid.jobs.compilation.has_place_on_disk", lambda: False)
+    monkeypatch.setattr("ttcvid.jobs.processes.compilation.has_place_on_disk", lambda: False)
     problems = [problem for problem in doctor.examine().problems if problem.startswith("numba: no folder to keep")]
     assert any("NUMBA_CACHE_DIR" in problem for problem in problems)

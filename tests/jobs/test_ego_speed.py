@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from ttcvid.errors import InputError, UsageError
-from ttcvid.jobs.ego_speed import ego_speed_m_s
+from ttcvid.jobs.collision_map.ego_speed import ego_speed_m_s
 
 FRAME, T_S = np.array([4, 5, 6]), np.array([0.4, 0.5, 0.6])
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from frame_results import frame_result, no_tracks, object_cluster, scene_cluster, some_tracks
 
-from ttcvid.jobs.limits import LimitWatch
+from ttcvid.jobs.analyze.limits import LimitWatch
 from ttcvid.model import FrameResult, FrameStatus, Platform
 
 MANY = some_tracks(200, np.random.default_rng(1))

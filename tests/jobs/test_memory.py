@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 import pytest
 
-from ttcvid.jobs.memory import PeakMemory, resident_mb
+from ttcvid.jobs.processes.memory import PeakMemory, resident_mb
 
 pytestmark = pytest.mark.skipif(not psutil.LINUX, reason="shared pages count in parts on Linux alone")
 BLOCK_MB = 100

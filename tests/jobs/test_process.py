@@ -5,7 +5,7 @@ import sys
 
 import cv2
 
-from ttcvid.jobs.process import one_opencv_thread, quick_thread_switches, rare_garbage_collections
+from ttcvid.jobs.processes.threads import one_opencv_thread, quick_thread_switches, rare_garbage_collections
 
 
 def test_opencv_has_one_thread_inside_and_its_own_number_afterwards():

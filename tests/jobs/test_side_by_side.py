@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import pytest
 
-from ttcvid.jobs.side_by_side import ReadAhead, WriteBehind, map_ahead, waiting_items
+from ttcvid.jobs.processes.side_by_side import ReadAhead, WriteBehind, map_ahead, waiting_items
 
 pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
 

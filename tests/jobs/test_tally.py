@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from frame_results import no_tracks
 
-from ttcvid.jobs.provenance import Tally
+from ttcvid.jobs.runs.provenance import Tally
 from ttcvid.model import FrameResult, FrameStatus
 
 

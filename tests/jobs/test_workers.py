@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from ttcvid.errors import InputError
-from ttcvid.jobs.workers import LocalWorker, WorkerLostError
+from ttcvid.jobs.processes.workers import LocalWorker, WorkerLostError
 
 DEADLINE_S = 30.0
 GONE_WITHIN_S = 5.0
@@ -117,7 +117,7 @@ def test_signals_to_all_processes_do_not_end_it(worker: LocalWorker) -> None:
 
 LEADER = """
 import os, time
-from ttcvid.jobs.workers import LocalWorker
+from ttcvid.jobs.processes.workers import LocalWorker
 worker = LocalWorker()
 print(worker.call(os.getpid), flush=True)
 worker.call(time.sleep, 100)

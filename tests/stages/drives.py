@@ -7,7 +7,7 @@ from two_views import FOCAL_PX, HEIGHT_PX, WIDTH_PX, points_of_a_street
 
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Camera, ImageSize, PointSet
-from ttcvid.stages.history import empty_history, extended
+from ttcvid.stages.tracking.history import empty_history, extended
 
 CAMERA = Camera(FOCAL_PX, FOCAL_PX, (WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2, ImageSize(WIDTH_PX, HEIGHT_PX))
 DT_S = 0.1

@@ -4,8 +4,8 @@ import numpy as np
 
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import Camera, ImageSize, PointSet
-from ttcvid.stages.flows import Flows
-from ttcvid.stages.history import empty_history, extended, with_egomotion
+from ttcvid.stages.egomotion.flows import Flows
+from ttcvid.stages.tracking.history import empty_history, extended, with_egomotion
 
 FOCAL_PX = 720.0
 CAMERA = Camera(FOCAL_PX, FOCAL_PX, 319.5, 179.5, ImageSize(640, 360))

@@ -11,9 +11,9 @@ from relative_motion import CAMERA, FOCAL_PX, box_of_points, pixels
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Platform, PointSet
-from ttcvid.stages.egomotion import Egomotion
-from ttcvid.stages.history import empty_history, extended, with_egomotion
-from ttcvid.stages.segmentation import BodyMemory, find_bodies
+from ttcvid.stages.egomotion.relative_pose import Egomotion
+from ttcvid.stages.segmentation.labels import BodyMemory, find_bodies
+from ttcvid.stages.tracking.history import empty_history, extended, with_egomotion
 
 DT_S, MAX_FRAMES = 0.1, 20
 LINK_PX, MODEL_ERROR_PX = 32.0, 0.1

@@ -8,7 +8,7 @@ import pytest
 from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.geometry.whole_track_on_path import straight_path
-from ttcvid.stages.bodies import carried_forward, refined_movers, refined_scene, with_unit_speed
+from ttcvid.stages.segmentation.bodies import carried_forward, refined_movers, refined_scene, with_unit_speed
 
 N_VIEWS = 12
 T_S = -0.05 * np.arange(float(N_VIEWS))[::-1]

@@ -8,7 +8,7 @@ from relative_motion import CAMERA, FOCAL_PX, box_of_points, direction_noise, fl
 
 from ttcvid.geometry.expansion import expansion_rate
 from ttcvid.model import ClusterRow, MotionState, Status
-from ttcvid.stages.clusters import (
+from ttcvid.stages.objects.clusters import (
     ON_HORIZON,
     ClusterMotion,
     epipole_pixels,
@@ -19,8 +19,8 @@ from ttcvid.stages.clusters import (
     with_epipole_pixels,
     with_times,
 )
-from ttcvid.stages.sets import TrackSets
-from ttcvid.stages.track_states import two_frame_states
+from ttcvid.stages.objects.paper_track_states import two_frame_states
+from ttcvid.stages.tracking.groups import TrackSets
 
 LINK_PX = 32.0
 PLATE_M = (2.5, 1.2, 0.0)

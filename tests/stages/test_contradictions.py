@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ttcvid.config import BodiesConfig
-from ttcvid.stages import joining, new_movers, road
+from ttcvid.stages.segmentation import births, ground_plane, merge_and_split
 
 N, K = 80, 5
 
@@ -25,7 +25,7 @@ def test_candidates_are_those_whose_neighbourhood_has_a_large_median_misfit(seed
         together = np.median(np.log(np.maximum(around, 0.1)))
         if len(around) >= 3 and together > 0.6 * np.log(config.scene_gate):
             expected.append(i)
-    found = new_movers._candidates(neighbours, is_asked, misfit, config)
+    found = births._candidates(neighbours, is_asked, misfit, config)
     np.testing.assert_array_equal(found, expected)
 
 
@@ -35,7 +35,7 @@ def test_a_track_on_a_road_is_given_the_slip_of_its_window_and_one_not_seen_befo
     rays[-2, :20], on_road = np.nan, rng.random(N) < 0.5
     slip2 = 0.02**2 * np.nan_to_num(np.sum((rays[-1] - rays[-2]) ** 2, axis=1))
     expected = np.where(on_road, sigma**2 / (sigma**2 + slip2), 1.0) * misfit
-    found = new_movers._without_slip(SimpleNamespace(rays=rays, sigma_norm=sigma), on_road, misfit)
+    found = births._without_slip(SimpleNamespace(rays=rays, sigma_norm=sigma), on_road, misfit)
     np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
@@ -51,7 +51,7 @@ def test_movers_touch_where_a_track_of_one_is_beside_a_track_of_the_other():
                 large, small = (one, other) if counts[one] >= counts[other] else (other, one)
                 expected[large - 1, small - 1] = bool(np.any(number[neighbours[number == one]] == other))
     pairs, touch = np.empty((10, 2), dtype=np.int64), np.empty(10, dtype=bool)
-    count = joining._list_pairs(number, neighbours, 5, pairs, touch)
+    count = merge_and_split._list_pairs(number, neighbours, 5, pairs, touch)
     found = [(int(large), int(small)) for large, small in pairs[:count]]
     assert dict(zip(found, touch[:count].tolist(), strict=True)) == expected
     assert 0 < sum(expected.values()) < count == len(expected)
@@ -71,6 +71,6 @@ def test_the_plane_of_a_road_is_that_of_weighted_least_squares():
         normal = weighted.T @ weighted
         normal[1, 1] += normal[2, 2] * 0.1**2
         expected = np.linalg.solve(normal, weighted.T @ (rate[used] / predicted[used]))
-    assert road._fit_plane(place, rate, np.ones(len(rate)), found)
+    assert ground_plane._fit_plane(place, rate, np.ones(len(rate)), found)
     np.testing.assert_allclose(found, expected, rtol=1e-11)
-    assert not road._fit_plane(place[:8], rate[:8], np.ones(8), found.copy())
+    assert not ground_plane._fit_plane(place[:8], rate[:8], np.ones(8), found.copy())

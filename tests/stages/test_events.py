@@ -8,7 +8,7 @@ from relative_motion import CAMERA
 from watched_rows import CONFIG, FRAME_S, HARMLESS, HIT, WIDTH_M, WITHOUT_STATE, drive, first_warned, row_of, watched
 
 from ttcvid.model import MotionState
-from ttcvid.stages.events import EventMemory, restarted_events, update_events
+from ttcvid.stages.warnings.events import EventMemory, restarted_events, update_events
 
 
 def test_a_collision_course_is_warned_of_once_it_has_lasted():

@@ -7,8 +7,8 @@ from two_views import FOCAL_PX, angle_deg
 
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import PointSet
-from ttcvid.stages.flows import scene_directions, select_flows
-from ttcvid.stages.history import extended, with_egomotion
+from ttcvid.stages.egomotion.flows import scene_directions, select_flows
+from ttcvid.stages.tracking.history import extended, with_egomotion
 
 FORWARD = np.array([0.0, 0.0, -1.0])
 TURN_DEG = (0.1, 0.8, -0.2)

@@ -7,7 +7,7 @@ import pytest
 from turning_camera import CURVE, PAN, PAN_AND_STEP, REST, SIZE, STRAIGHT, seen_points
 
 from ttcvid.model import PointSet
-from ttcvid.stages.focal_length import find_focal_length
+from ttcvid.stages.egomotion.focal_length import find_focal_length
 
 
 @pytest.mark.parametrize("drive", [PAN, PAN_AND_STEP, CURVE], ids=["pan", "pan and step", "curve"])

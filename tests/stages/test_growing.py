@@ -7,7 +7,7 @@ from relative_motion import FOCAL_PX, history_of
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.whole_track_on_path import straight_path
-from ttcvid.stages.growing import find_growing
+from ttcvid.stages.segmentation.expansion import find_growing
 
 CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
 TIMES_S = 0.05 * np.arange(20.0)

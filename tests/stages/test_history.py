@@ -8,8 +8,8 @@ from two_views import FOCAL_PX
 from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import Camera, ImageSize, PointSet
-from ttcvid.stages.history import empty_history, extended, last_frame_only, with_egomotion
-from ttcvid.stages.track_noise import with_noise
+from ttcvid.stages.tracking.history import empty_history, extended, last_frame_only, with_egomotion
+from ttcvid.stages.tracking.noise import with_noise
 
 FLOOR_PX = 0.05
 FORWARD = np.array([0.0, 0.0, -1.0])

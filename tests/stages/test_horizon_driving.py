@@ -7,7 +7,7 @@ from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.horizon import horizon_px, pitch_roll_rad
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Camera, ImageSize
-from ttcvid.stages.horizon_driving import OwnStep, driving_horizon, own_motions
+from ttcvid.stages.horizon.driving import OwnStep, driving_horizon, own_motions
 
 CAMERA = Camera(500.0, 500.0, 319.5, 179.5, ImageSize(640, 360))
 CONFIG = HorizonCalibrationConfig()

@@ -5,7 +5,7 @@ import pytest
 
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import HorizonOffset
-from ttcvid.stages.horizon_watch import MoverOffset, complaint_about_movers, complaint_about_own_epipoles
+from ttcvid.stages.horizon.watch import MoverOffset, complaint_about_movers, complaint_about_own_epipoles
 
 RNG = np.random.default_rng(9)
 NOISE_PX = 4.0 * RNG.standard_normal(400)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttcvid.stages.joint_states import joint_states
-from ttcvid.stages.sets import TrackSets
-from ttcvid.stages.track_states import SharedErrors, TrackStates
+from ttcvid.stages.objects.joint_states import joint_states
+from ttcvid.stages.objects.paper_track_states import SharedErrors, TrackStates
+from ttcvid.stages.tracking.groups import TrackSets
 
 N, N_SHARED = 40, 9
 RATE_HZ, OWN_PART, SHARED_PART, CHANGE = 0.4, 0.05, 0.08, 0.1

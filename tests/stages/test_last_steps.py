@@ -17,8 +17,8 @@ from watched_things import (
     usual_misfit,
 )
 
-from ttcvid.stages.bodies import carried_forward, refined_movers
-from ttcvid.stages.last_steps import stepped_movers
+from ttcvid.stages.segmentation.bodies import carried_forward, refined_movers
+from ttcvid.stages.segmentation.last_steps import stepped_movers
 
 ONE_STEP = np.array([1])
 

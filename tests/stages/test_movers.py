@@ -5,8 +5,8 @@ import pytest
 
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import PointSet
-from ttcvid.stages.movers import group_movers, moving_tracks
-from ttcvid.stages.whole_tracks import joined, observations_of, without_ended_at_rest
+from ttcvid.stages.horizon.movers import group_movers, moving_tracks
+from ttcvid.stages.horizon.whole_tracks import joined, observations_of, without_ended_at_rest
 
 DT_S, N_FRAMES = 0.04, 50
 CONFIG = HorizonCalibrationConfig()

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from ttcvid.model import PointSet
+from ttcvid.stages.horizon.whole_tracks import joined, observations_of, recentred
 from ttcvid.stages.tracking.moving_parts import StreetSample, background_of, moving_part, street_sample
-from ttcvid.stages.whole_tracks import joined, observations_of, recentred
 
 SIZE = (120, 160)
 

@@ -9,7 +9,7 @@ from relative_motion import box_of_points
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.rigid_path import PathFit
-from ttcvid.stages.obstacles import StaticPoints, find_obstacles, own_path, unknown_closing
+from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path, unknown_closing
 
 CONFIG = BodiesConfig()
 FOCAL_PX, LINK_PX, DT_S, N_VIEWS = 500.0, 32.0, 0.05, 20

@@ -5,7 +5,7 @@ import pytest
 from rigid_worlds import bodies_of, car, world
 
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
-from ttcvid.stages.occlusions import between_surfaces
+from ttcvid.stages.segmentation.occlusions import between_surfaces
 
 N_FRAMES, SLOWLY = 16, (0.0, 0.0, 4.0)
 PLACE, NEAR_HZ, FAR_HZ, SINCE_S = np.array([0.3, -0.1]), 0.5, 0.1, np.array([-1.0, -0.5, 0.0])

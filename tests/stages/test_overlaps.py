@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ttcvid.stages.overlaps import overlap_factors
+from ttcvid.stages.objects.overlaps import overlap_factors
 
 EVERYTHING = np.array([True])
 

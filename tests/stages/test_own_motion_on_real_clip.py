@@ -13,9 +13,9 @@ from ttcvid.config import EgomotionConfig, TrackingConfig
 from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import ImageSize, Platform
-from ttcvid.stages.egomotion import EgomotionMemory
-from ttcvid.stages.history import empty_history, extended
-from ttcvid.stages.own_motion import find_own_motion
+from ttcvid.stages.egomotion.frame_gap import find_own_motion
+from ttcvid.stages.egomotion.relative_pose import EgomotionMemory
+from ttcvid.stages.tracking.history import empty_history, extended
 from ttcvid.stages.tracking.tracker import TrackerMemory, follow_points, prepare_picture
 
 FRAMES = range(14, 51)

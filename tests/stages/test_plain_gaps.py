@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.stages.plain_gaps import across_plain_gaps
+from ttcvid.stages.segmentation.plain_gaps import across_plain_gaps
 
 # Shoulders and legs of somebody 100 px high, with a plain coat between them; in the order of the tracks.
 SHOULDERS, LEGS = [(0.0, 0.0), (8.0, 4.0), (2.0, 30.0)], [(-4.0, 50.0), (9.0, 60.0), (0.0, 95.0)]

@@ -7,7 +7,7 @@ import pytest
 
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.model import Camera, ImageSize, Platform, PointSet
-from ttcvid.stages.platform import Glance, Verdict, glance_at, told_platform
+from ttcvid.stages.egomotion.platform import Glance, Verdict, glance_at, told_platform
 
 SIZE = ImageSize(640, 360)
 CAMERA = Camera(500.0, 500.0, 319.5, 179.5, SIZE)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ttcvid.model import ImageSize, PointSet
-from ttcvid.stages.rest import Look, compare_looks, complaint_about_motion
+from ttcvid.stages.egomotion.rest import Look, compare_looks, complaint_about_motion
 
 SIZE = ImageSize(640, 360)
 

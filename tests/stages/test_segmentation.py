@@ -11,8 +11,8 @@ from rigid_worlds import DT_S, Thing, bodies_of, car, world
 
 from ttcvid.geometry.rigid_path import fit_on_paths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Platform
-from ttcvid.stages import segmentation
-from ttcvid.stages.segmentation import restarted_bodies
+from ttcvid.stages.segmentation import labels
+from ttcvid.stages.segmentation.labels import restarted_bodies
 
 N_FRAMES, AHEAD, SLOWLY, STILL = 16, (0.0, 0.0, 10.0), (0.0, 0.0, 4.0), (0.0, 0.0, 0.0)
 # A new mover needs three views of its tracks, and three frames more to be sure of it.
@@ -165,7 +165,7 @@ def test_a_crowd_before_a_camera_on_a_mast_is_not_the_noise_of_the_street():
 
 def test_rates_on_the_path_of_a_mover_that_is_gone_split_none_that_its_tracks_start_anew(monkeypatch):
     """Each frame forgets all movers, and finds them again among the tracks that have just gone to the scene."""
-    asked, really_kept, really_split = [], segmentation.kept, segmentation.split
+    asked, really_kept, really_split = [], labels.kept, labels.split
 
     def forgotten(*args):
         key, movers = really_kept(*args)
@@ -175,8 +175,8 @@ def test_rates_on_the_path_of_a_mover_that_is_gone_split_none_that_its_tracks_st
         asked.append(own.rate_hz[key != SCENE_CLUSTER])
         return really_split(views, key, movers, own, *args)
 
-    monkeypatch.setattr(segmentation, "kept", forgotten)
-    monkeypatch.setattr(segmentation, "split", watched)
+    monkeypatch.setattr(labels, "kept", forgotten)
+    monkeypatch.setattr(labels, "split", watched)
     rng = np.random.default_rng(0)
     bodies_of(world(rng, AHEAD, N_FRAMES, crossing(rng)), N_FRAMES)
     rates_hz = np.concatenate(asked)
@@ -294,14 +294,14 @@ def test_a_car_that_a_post_hides_for_some_frames_keeps_its_key_and_number(n_hidd
 
 
 def test_the_path_of_a_car_ahead_that_brakes_keeps_up_with_its_tracks(monkeypatch):
-    misfits, really = [], segmentation.stepped_movers
+    misfits, really = [], labels.stepped_movers
 
     def noted(movers, scene, points, n_steps, rate_hz):
         paths, now_hz = really(movers, scene, points, n_steps, rate_hz)
         misfits.append(np.median(fit_on_paths(points, paths, now_hz[points.thing]).misfit))
         return paths, now_hz
 
-    monkeypatch.setattr(segmentation, "stepped_movers", noted)
+    monkeypatch.setattr(labels, "stepped_movers", noted)
     rng = np.random.default_rng(1)
     ahead = car(rng, (0.5, 0.5, 22.0), AHEAD, acceleration_m_s2=(0.0, 0.0, -5.0))
     bodies_of(world(rng, AHEAD, 24, ahead), 24, camera_m_s=AHEAD)

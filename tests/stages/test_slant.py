@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ttcvid.stages.sets import TrackSets
-from ttcvid.stages.slant import nearest_parts
+from ttcvid.stages.objects.slant import nearest_parts
+from ttcvid.stages.tracking.groups import TrackSets
 
 NO_ERRORS = np.zeros((1, 2, 2))
 

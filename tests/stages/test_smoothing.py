@@ -9,12 +9,12 @@ from relative_motion import CAMERA, EXACT_SIGMA_PX, box_of_points, pixels, unit
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import NO_CLUSTER, PointSet, Status
-from ttcvid.stages.clusters import ClusterMotion
-from ttcvid.stages.egomotion import Egomotion
-from ttcvid.stages.history import empty_history, extended, with_egomotion
-from ttcvid.stages.motions import FrameMotions, motions_of
+from ttcvid.stages.egomotion.relative_pose import Egomotion
+from ttcvid.stages.objects.clusters import ClusterMotion
+from ttcvid.stages.objects.motions import FrameMotions, motions_of
+from ttcvid.stages.objects.track_states import multi_frame_states
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
-from ttcvid.stages.whole_track_states import multi_frame_states
+from ttcvid.stages.tracking.history import empty_history, extended, with_egomotion
 
 DT_S, N_FRAMES, MAX_FRAMES = 0.1, 25, 20
 NOW, AFTER = 14, 9

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.stages.surface_memory import Obstacle, number_of_taken, remembered, without_numbers
+from ttcvid.stages.segmentation.surface_memory import Obstacle, number_of_taken, remembered, without_numbers
 
 CONFIG = BodiesConfig()
 TRACKS = np.arange(100, 130)

@@ -5,8 +5,8 @@ from relative_motion import CAMERA, FOCAL_PX
 
 from ttcvid.config import EventsConfig
 from ttcvid.model import ClusterRow, Status
-from ttcvid.stages.clusters import with_times
-from ttcvid.stages.events import EventMemory, update_events
+from ttcvid.stages.objects.clusters import with_times
+from ttcvid.stages.warnings.events import EventMemory, update_events
 
 CONFIG = EventsConfig(max_ttc_s=4.0, max_miss_widths=1.0, persistence_s=0.3)
 FRAME_S = 0.05

@@ -3,10 +3,10 @@
 import numpy as np
 import pandas as pd
 
-from ttcvid.jobs.result_tables import in_ordinary_types
+from ttcvid.jobs.compare.result_tables import in_ordinary_types
 from ttcvid.schema import TABLES
-from ttcvid.studies.compare import Results, compare_results
-from ttcvid.studies.compare_tolerance import (
+from ttcvid.studies.compare.results import Results, compare_results
+from ttcvid.studies.compare.tolerance import (
     Tolerance,
 )
 

@@ -6,13 +6,13 @@ import pytest
 from made_results import FACTS, different, filled, whole_result
 
 from ttcvid.errors import NotComparableError
-from ttcvid.jobs.baseline import baseline_text, read_baseline, write_baseline
+from ttcvid.jobs.compare.baseline import baseline_text, read_baseline, write_baseline
 from ttcvid.schema import TABLES
-from ttcvid.studies.compare import Results
-from ttcvid.studies.compare_thinned import N_FRAMES as N_KEPT
-from ttcvid.studies.compare_thinned import N_TRACKS as N_TRACKS_KEPT
-from ttcvid.studies.compare_thinned import thinned
-from ttcvid.studies.compare_tolerance import (
+from ttcvid.studies.compare.results import Results
+from ttcvid.studies.compare.thinned import N_FRAMES as N_KEPT
+from ttcvid.studies.compare.thinned import N_TRACKS as N_TRACKS_KEPT
+from ttcvid.studies.compare.thinned import thinned
+from ttcvid.studies.compare.tolerance import (
     ObjectTolerance,
 )
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ttcvid.studies.collision_map import NO_OBJECT, map_of_changes
-from ttcvid.studies.hazards import Hazards, OwnBody, Situation, joined, one_object
+from ttcvid.studies.collision_map.hazards import Hazards, OwnBody, Situation, joined, one_object
+from ttcvid.studies.collision_map.velocity_map import NO_OBJECT, map_of_changes
 
 BALL = OwnBody(2.0, 2.0, 2.0, is_round=True)
 CAR = OwnBody(1.8, 4.5, 1.5)

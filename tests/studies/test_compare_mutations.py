@@ -9,13 +9,13 @@ import pytest
 from compared_runs import SCENE, analyzed, simulated
 
 import ttcvid
-from ttcvid.jobs.result_tables import read_run
+from ttcvid.jobs.compare.result_tables import read_run
 from ttcvid.model import NO_CLUSTER
 from ttcvid.simulate.tracks import TrackOptions
-from ttcvid.studies.compare import Results, compare_results
-from ttcvid.studies.compare_objects import join_objects
-from ttcvid.studies.compare_tolerance import ObjectTolerance, Tolerance
-from ttcvid.studies.compare_wording import describe_comparison
+from ttcvid.studies.compare.objects import join_objects
+from ttcvid.studies.compare.results import Results, compare_results
+from ttcvid.studies.compare.tolerance import ObjectTolerance, Tolerance
+from ttcvid.studies.compare.wording import describe_comparison
 
 TIMES = ("ttc_z", "tcpa", "miss")
 RUNS = ("drive", "resting", "table")

@@ -8,11 +8,11 @@ import pytest
 from made_results import DT_S, FACTS, N_FRAMES, N_TRACKS, different, whole_result, with_table
 
 from ttcvid.schema import TABLES
-from ttcvid.studies.compare import Results, changes, compare_results
-from ttcvid.studies.compare_columns import JoinedRows, explanation, is_judged, judge_columns, reported_sigma
-from ttcvid.studies.compare_frames import join_frames
-from ttcvid.studies.compare_objects import OTHER_OBJECT, baseline_numbers, join_events, join_objects
-from ttcvid.studies.compare_tolerance import (
+from ttcvid.studies.compare.columns import JoinedRows, explanation, is_judged, judge_columns, reported_sigma
+from ttcvid.studies.compare.frames import join_frames
+from ttcvid.studies.compare.objects import OTHER_OBJECT, baseline_numbers, join_events, join_objects
+from ttcvid.studies.compare.results import Results, changes, compare_results
+from ttcvid.studies.compare.tolerance import (
     NOT_JUDGED,
     EventTolerance,
     FrameTolerance,
@@ -21,7 +21,7 @@ from ttcvid.studies.compare_tolerance import (
     markdown_of_tolerances,
     tolerance_from,
 )
-from ttcvid.studies.compare_tracks import join_tracks, positions_by_frame
+from ttcvid.studies.compare.tracks import join_tracks, positions_by_frame
 
 
 def test_facts_that_differ_by_rounding_alone_are_no_change():

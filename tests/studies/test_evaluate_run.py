@@ -8,10 +8,10 @@ import pytest
 from perfect_runs import N_FRAMES, perfect_run, two_object_truth
 
 from ttcvid.model import NO_CLUSTER
-from ttcvid.studies.evaluate import Evaluation, judge_run
-from ttcvid.studies.metrics import METRICS
-from ttcvid.studies.truth import RunTables
-from ttcvid.studies.wording import describe_object
+from ttcvid.studies.evaluation.evaluate import Evaluation, judge_run
+from ttcvid.studies.evaluation.metrics import METRICS
+from ttcvid.studies.evaluation.truth import RunTables
+from ttcvid.studies.evaluation.wording import describe_object
 
 TRUTH = two_object_truth()
 RUN = perfect_run(TRUTH)

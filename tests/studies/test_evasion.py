@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttcvid.studies.collision_map import map_of_changes
-from ttcvid.studies.evasion import Evasion, EvasionLimits, EvasionStatus, evade, needed_s
-from ttcvid.studies.evasion_wording import describe_advice
-from ttcvid.studies.hazards import Hazards, OwnBody, Situation, joined, one_object
+from ttcvid.studies.collision_map.evasion import Evasion, EvasionLimits, EvasionStatus, evade, needed_s
+from ttcvid.studies.collision_map.evasion_wording import describe_advice
+from ttcvid.studies.collision_map.hazards import Hazards, OwnBody, Situation, joined, one_object
+from ttcvid.studies.collision_map.velocity_map import map_of_changes
 
 OWN = OwnBody(1.8, 4.5, 1.5)
 LIMITS = EvasionLimits()

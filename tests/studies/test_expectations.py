@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from ttcvid.errors import UsageError
-from ttcvid.studies.expectations import Observed, expectation_from_text
+from ttcvid.studies.regression.expectations import Observed, expectation_from_text
 
 CLUSTERS = pd.DataFrame(
     {

@@ -10,13 +10,20 @@ from hypothesis import strategies as st
 
 from ttcvid.errors import UsageError
 from ttcvid.geometry.rotation import rotation_from_vector
-from ttcvid.studies.directions import angle_deg, judge_directions, judge_rotation, true_scene_directions
-from ttcvid.studies.grouping import judge_grouping
-from ttcvid.studies.matching import best_one_to_one, count_tracks, intersection_over_union, match_objects
-from ttcvid.studies.metrics import METRICS, check_from_text, markdown_of_metrics
-from ttcvid.studies.times import is_within, judge_times, relative_half_width
-from ttcvid.studies.truth import SKY_LABEL, UNKNOWN_OBJECT, object_at, objects_from_tracks, plain, with_counted
-from ttcvid.studies.wording import describe_value
+from ttcvid.studies.evaluation.directions import angle_deg, judge_directions, judge_rotation, true_scene_directions
+from ttcvid.studies.evaluation.grouping import judge_grouping
+from ttcvid.studies.evaluation.matching import best_one_to_one, count_tracks, intersection_over_union, match_objects
+from ttcvid.studies.evaluation.metrics import METRICS, check_from_text, markdown_of_metrics
+from ttcvid.studies.evaluation.times import is_within, judge_times, relative_half_width
+from ttcvid.studies.evaluation.truth import (
+    SKY_LABEL,
+    UNKNOWN_OBJECT,
+    object_at,
+    objects_from_tracks,
+    plain,
+    with_counted,
+)
+from ttcvid.studies.evaluation.wording import describe_value
 
 NAN = np.nan
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttcvid.studies.collision_map import map_of_changes
-from ttcvid.studies.hazards import OwnBody, Situation
-from ttcvid.studies.run_hazards import Scale, SeenFrame, SeenObjects, SeenSituation, situation_of
-from ttcvid.studies.static_scene import StaticPoints, carried, obstacles, remembered, seen_now
+from ttcvid.studies.collision_map.hazards import OwnBody, Situation
+from ttcvid.studies.collision_map.run_hazards import Scale, SeenFrame, SeenObjects, SeenSituation, situation_of
+from ttcvid.studies.collision_map.static_scene import StaticPoints, carried, obstacles, remembered, seen_now
+from ttcvid.studies.collision_map.velocity_map import map_of_changes
 
 OWN = OwnBody(1.8, 4.5, 1.5)
 OWN_SPEED_M_S, CAMERA_HEIGHT_M = 10.0, 1.4

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from ttcvid.config import SensitivityConfig
-from ttcvid.studies import sensitivity_bounds as bounds
-from ttcvid.studies import sensitivity_formulas as formulas
-from ttcvid.studies import sensitivity_trials as trials
-from ttcvid.studies.sensitivity import Method, base_case, is_small, methods, reach_m, sensitivity, summary
-from ttcvid.studies.sensitivity_case import Case, Errors
+from ttcvid.studies.sensitivity import bounds, formulas, trials
+from ttcvid.studies.sensitivity.case import Case, Errors
+from ttcvid.studies.sensitivity.study import Method, base_case, is_small, methods, reach_m, sensitivity, summary
 
 PAPER = base_case(SensitivityConfig())
 ALL = methods([5, 10, 20])

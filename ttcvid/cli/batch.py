@@ -63,8 +63,8 @@ def batch(
     from ttcvid.cli.batch_progress import batch_progress
     from ttcvid.cli.main import EXIT_INTERRUPTED
     from ttcvid.cli.progress import compile_first, log_to_stderr
-    from ttcvid.jobs.batch import run_batch
-    from ttcvid.jobs.layers import layer_from_command_line
+    from ttcvid.jobs.batch.command import run_batch
+    from ttcvid.jobs.settings.layers import layer_from_command_line
 
     log_to_stderr(quiet=quiet, verbose=verbose)
     compile_first(enabled=not quiet)

@@ -71,8 +71,8 @@ def calibrate_horizon(
       ttcvid analyze street.mp4 --camera calib.yaml --horizon horizon.yaml
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     from ttcvid.cli.progress import compile_first, log_to_stderr, progress_on_stderr
-    from ttcvid.jobs.calibrate_horizon import run_calibration
-    from ttcvid.jobs.configuration import configure_from_command_line
+    from ttcvid.jobs.calibrate_horizon.command import run_calibration
+    from ttcvid.jobs.settings.configuration import configure_from_command_line
 
     log_to_stderr(quiet=quiet, verbose=verbose)
     texts = {name: str(value).lower() if isinstance(value, bool) else value for name, value in options.items()}

@@ -23,7 +23,7 @@ def demo(ctx: click.Context, /, out: str, overwrite: bool, n_frames: int | None,
     """Render a roundabout with a bus, a lorry, a car and known truth, analyse the clip, and say where to look."""
     from ttcvid.cli.progress import compile_first, log_to_stderr, progress_on_stderr
     from ttcvid.jobs.demo import demo as run_demo
-    from ttcvid.studies.wording import describe_object, describe_value
+    from ttcvid.studies.evaluation.wording import describe_object, describe_value
 
     log_to_stderr(quiet=quiet)
     compile_first(enabled=not quiet)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from ttcvid.studies.evaluate import Evaluation
+    from ttcvid.studies.evaluation.evaluate import Evaluation
 
 EXIT_CHECK_FAILED = 1
 
@@ -47,7 +47,7 @@ def evaluate(
     from ttcvid.cli.progress import log_to_stderr
     from ttcvid.jobs.evaluate import evaluate as evaluate_run
     from ttcvid.jobs.evaluate import write_page
-    from ttcvid.studies.metrics import check_from_text
+    from ttcvid.studies.evaluation.metrics import check_from_text
 
     checks = [check_from_text(text) for text in conditions]
     log_to_stderr(quiet=quiet)
@@ -66,6 +66,6 @@ def evaluate(
 
 def describe(evaluation: Evaluation) -> str:
     """All metrics that have a value, a line a group, and a line for each object."""
-    from ttcvid.studies.wording import describe_groups, describe_object
+    from ttcvid.studies.evaluation.wording import describe_groups, describe_object
 
     return "\n".join([*describe_groups(evaluation.metrics), *map(describe_object, evaluation.objects)])

@@ -23,7 +23,7 @@ OnProgress = Callable[[int, int | None], None]
 
 def compile_first(*, enabled: bool = True) -> None:
     """Compile what no former run has left on disk, and say so: on a terminal by a bar, elsewhere by lines."""
-    from ttcvid.jobs.compilation import compile_missing
+    from ttcvid.jobs.processes.compilation import compile_missing
 
     if not enabled:
         compile_missing()

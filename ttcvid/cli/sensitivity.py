@@ -63,8 +63,8 @@ def sensitivity(
 
     from ttcvid.cli.progress import compile_first, progress_on_stderr
     from ttcvid.config import SensitivityConfig
-    from ttcvid.jobs.configuration import configure_study
     from ttcvid.jobs.sensitivity import run_sensitivity
+    from ttcvid.jobs.settings.configuration import configure_study
 
     parameters = configure_study("sensitivity", SensitivityConfig, options, config, is_text=True)
     compile_first(enabled=not quiet)

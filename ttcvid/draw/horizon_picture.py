@@ -14,8 +14,8 @@ from ttcvid.geometry.camera import rays_from_pixels
 from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.horizon_line import HorizonFit, band_px
 from ttcvid.model import Camera, Floats, Picture
-from ttcvid.stages.horizon_motion import Motion
-from ttcvid.stages.whole_tracks import Observations
+from ttcvid.stages.horizon.straight_motion import Motion
+from ttcvid.stages.horizon.whole_tracks import Observations
 
 # Margin around the picture in which epipoles are shown, in picture widths and heights.
 _MARGIN = (0.5, 0.5)

@@ -16,7 +16,7 @@ from ttcvid.calibration import (
 from ttcvid.calibration import read_horizon as read_horizon_file
 from ttcvid.calibration import read_mask as read_mask_file
 from ttcvid.errors import OutputError, UsageError
-from ttcvid.jobs.options import AnalyzeOptions
+from ttcvid.jobs.settings.options import AnalyzeOptions
 from ttcvid.model import Camera, Horizon, ImageSize, Picture
 from ttcvid.sources import Selection, Source, open_source
 from ttcvid.sources.images import is_pattern

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ttcvid.errors import OutputError
-from ttcvid.jobs.analyze import OnFrame, run_analysis
-from ttcvid.jobs.configuration import configure_from_arguments
+from ttcvid.jobs.analyze.command import OnFrame, run_analysis
 from ttcvid.jobs.evaluate import EvaluatedRun, evaluate, write_page
-from ttcvid.jobs.run import Run
+from ttcvid.jobs.runs.run import Run
+from ttcvid.jobs.settings.configuration import configure_from_arguments
 from ttcvid.jobs.simulate import Simulation, simulate
 
 SCENE_NAME, RESULT_NAME, PAGE_NAME = "scene", "result", "evaluation.html"

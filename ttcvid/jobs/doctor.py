@@ -143,7 +143,7 @@ def _old_python() -> str | None:
 def _nowhere_to_keep_compiled_code() -> str | None:
     try:
         importlib.import_module("ttcvid.pipeline")
-        from ttcvid.jobs.compilation import compilation_complaint
+        from ttcvid.jobs.processes.compilation import compilation_complaint
     except Exception:
         return None  # reported as an import that fails
     complaint = compilation_complaint()
@@ -153,7 +153,7 @@ def _nowhere_to_keep_compiled_code() -> str | None:
 def _damaged_compiled_code() -> str | None:
     try:
         importlib.import_module("ttcvid.pipeline")
-        from ttcvid.jobs.compilation import damage_complaint
+        from ttcvid.jobs.processes.compilation import damage_complaint
     except Exception:
         return None  # reported as an import that fails
     complaint = damage_complaint()

@@ -14,17 +14,17 @@ import pyarrow.parquet as pq
 
 from ttcvid.calibration import read_camera_image_size
 from ttcvid.errors import InputError
-from ttcvid.jobs.addresses import address
-from ttcvid.jobs.provenance import digest_of
-from ttcvid.jobs.run import Run
+from ttcvid.jobs.runs.addresses import address
+from ttcvid.jobs.runs.provenance import digest_of
+from ttcvid.jobs.runs.run import Run
 from ttcvid.model import ImageSize, Ints
 from ttcvid.plain_files import open_plain
 from ttcvid.report.evaluation_page import Curve, Metric, evaluation_page
 from ttcvid.sinks.whole_text import write_whole
 from ttcvid.sources.images import read_picture
-from ttcvid.studies.evaluate import Evaluation, judge_run
-from ttcvid.studies.metrics import METRICS
-from ttcvid.studies.truth import (
+from ttcvid.studies.evaluation.evaluate import Evaluation, judge_run
+from ttcvid.studies.evaluation.metrics import METRICS
+from ttcvid.studies.evaluation.truth import (
     BOX,
     DIRECTION,
     POINT,
@@ -39,7 +39,7 @@ from ttcvid.studies.truth import (
     plain,
     with_counted,
 )
-from ttcvid.studies.wording import describe_object, describe_value
+from ttcvid.studies.evaluation.wording import describe_object, describe_value
 
 _LOG = logging.getLogger(__name__)
 

@@ -19,13 +19,13 @@ from ttcvid.export.exported import ExportedRun
 from ttcvid.export.mcap_recording import write_mcap
 from ttcvid.export.mot import write_mot
 from ttcvid.export.rerun_recording import write_rerun
-from ttcvid.jobs.run import Run
-from ttcvid.jobs.run_manifest import camera_of
+from ttcvid.jobs.runs.manifest import camera_of
+from ttcvid.jobs.runs.run import Run
 from ttcvid.model import NO_CLUSTER
 from ttcvid.plain_files import open_plain
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.failures import output_errors
-from ttcvid.studies.truth import plain
+from ttcvid.studies.evaluation.truth import plain
 
 WRITERS: dict[str, tuple[str, Callable[[Path, ExportedRun], None]]] = {
     "mot": ("_mot.txt", write_mot),

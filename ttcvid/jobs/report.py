@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ttcvid.errors import InputError, OutputError, UsageError
-from ttcvid.jobs.addresses import address
-from ttcvid.jobs.run import Run
-from ttcvid.jobs.run_manifest import camera_of
+from ttcvid.jobs.runs.addresses import address
+from ttcvid.jobs.runs.manifest import camera_of
+from ttcvid.jobs.runs.run import Run
 from ttcvid.plain_files import open_plain, printable
 from ttcvid.report.contents import TABLE_COLUMNS, RunContents
 from ttcvid.report.run_page import run_page

@@ -12,16 +12,16 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 
 from ttcvid.config import SensitivityConfig
-from ttcvid.jobs.configuration import configure_study
-from ttcvid.jobs.provenance import versions
+from ttcvid.jobs.runs.provenance import versions
+from ttcvid.jobs.settings.configuration import configure_study
 from ttcvid.sinks.failures import output_errors
 from ttcvid.sinks.folder import OutputFolder
 from ttcvid.sinks.tables import write_table
-from ttcvid.studies.collision_map_picture import write_figure
-from ttcvid.studies.sensitivity import Point, base_case, is_small, lengths_of, methods, reach_m, summary, varied
-from ttcvid.studies.sensitivity import sensitivity as points_of
-from ttcvid.studies.sensitivity_case import Errors
-from ttcvid.studies.sensitivity_picture import sensitivity_figure
+from ttcvid.studies.collision_map.picture import write_figure
+from ttcvid.studies.sensitivity.case import Errors
+from ttcvid.studies.sensitivity.picture import sensitivity_figure
+from ttcvid.studies.sensitivity.study import Point, base_case, is_small, lengths_of, methods, reach_m, summary, varied
+from ttcvid.studies.sensitivity.study import sensitivity as points_of
 
 SENSITIVITY_NAMES = ("sensitivity.parquet", "sensitivity.png", "sensitivity.svg")
 DEFAULT_FOLDER = "sensitivity"

@@ -9,7 +9,7 @@ import numpy as np
 from ttcvid.geometry.epipole import INFINITY_COSINE
 from ttcvid.geometry.horizon_line import HorizonFit
 from ttcvid.model import Camera
-from ttcvid.stages.horizon_motion import Motion
+from ttcvid.stages.horizon.straight_motion import Motion
 
 _UPPER_TRIANGLE = np.triu_indices(3)
 

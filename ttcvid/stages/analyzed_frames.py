@@ -15,13 +15,13 @@ from ttcvid.model import (
     Platform,
     TrackRows,
 )
-from ttcvid.stages.events import EventMemory, restarted_events, standing_events, update_events
-from ttcvid.stages.nearest import Since, nearest_object
-from ttcvid.stages.planar import HorizonPlane
-from ttcvid.stages.results import closing_of_cluster, cluster_rows, no_tracks, track_rows
-from ttcvid.stages.seen_frames import Clip, SeenFrame
+from ttcvid.stages.horizon.planar_motion import HorizonPlane
+from ttcvid.stages.objects.consistency import Rates, steady_rows
+from ttcvid.stages.objects.reached_first import Since, nearest_object
+from ttcvid.stages.rows import closing_of_cluster, cluster_rows, no_tracks, track_rows
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
-from ttcvid.stages.steadiness import Rates, steady_rows
+from ttcvid.stages.update import Clip, SeenFrame
+from ttcvid.stages.warnings.events import EventMemory, restarted_events, standing_events, update_events
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ import numpy as np
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import SCENE_CLUSTER, Camera, Floats, Ints, Status
-from ttcvid.stages.clusters import ClusterMotion
-from ttcvid.stages.egomotion import Egomotion
-from ttcvid.stages.history import FULL_RATE_HZ, TrackHistory
-from ttcvid.stages.motions import FrameMotions, motions_of, scene_motion
-from ttcvid.stages.planar import HorizonPlane
-from ttcvid.stages.scene_path import with_scene_path
+from ttcvid.stages.egomotion.relative_pose import Egomotion
+from ttcvid.stages.egomotion.scene_trajectory import with_scene_path
+from ttcvid.stages.horizon.planar_motion import HorizonPlane
+from ttcvid.stages.objects.clusters import ClusterMotion
+from ttcvid.stages.objects.motions import FrameMotions, motions_of, scene_motion
+from ttcvid.stages.tracking.history import FULL_RATE_HZ, TrackHistory
 
 # The scene's direction follows a parabola (three coefficients) over so many steps on each side.
 _NEAR_STEPS, _PARABOLA = 5, 3

@@ -1,0 +1,136 @@
+"""What is said to come nearer has to be seen to: beyond what matching errs by, and in the picture's growth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from relative_motion import CAMERA, box_of_points
+
+from ttcvid.geometry.camera import pixels_from_rays
+from ttcvid.geometry.rotation import normalize
+from ttcvid.model import ClusterRow, MotionState, Status
+from ttcvid.stages.objects.clusters import with_times
+from ttcvid.stages.segmentation.approach_probability import (
+    CommonViews,
+    braking_of,
+    closing_of,
+    radii_px,
+    with_common_errors,
+    with_seen_motion,
+)
+from ttcvid.stages.tracking.groups import TrackSets
+
+GAP_S, N = 0.5, 60
+AHEAD_M, ASIDE_M = (1.0, 0.5, 20.0), (8.0, 0.5, 20.0)
+NEARER = (MotionState.approaching, MotionState.constant_bearing)
+
+
+def row_seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05, seed=1, age_s=2.0, camera=CAMERA):
+    """Row of a car's rear that says ``abc_hz``, and whose tracks moved by ``moved_m`` over the common gap."""
+    rng = np.random.default_rng(seed)
+    now_m = box_of_points(rng, N, at_m, (size_m, size_m, 0.0))
+    first, now = normalize(now_m - np.asarray(moved_m)), normalize(now_m)
+    first = normalize(first + noise_px / CAMERA.fx_px * rng.normal(size=first.shape))
+    ((x_px, y_px),) = pixels_from_rays(camera, np.array([at_m]))
+    row = ClusterRow(
+        1,
+        1,
+        N,
+        (0.0, 0.0, 1.0, 1.0),
+        Status.ok,
+        Status.ok,
+        "whole-tracks",
+        ref_px=(float(x_px), float(y_px)),
+        state_abc_hz=np.asarray(abc_hz, float),
+        state_cov=sigma_hz**2 * np.eye(3),
+    )
+    views, tracks = CommonViews(first, now, GAP_S), np.arange(N)
+    members, growth = TrackSets.of([tracks]), views.expansions([tracks])
+    radius_px = radii_px(pixels_from_rays(camera, now), now, members, np.array([True]))
+    rows = with_common_errors([row], members, radius_px, np.full(N, age_s), GAP_S, camera)
+    (row,) = with_seen_motion(with_times(rows, camera), radius_px, growth, GAP_S, camera)
+    return row
+
+
+def seen(*args, **options):
+    """What the row of `row_seen` says of its motion."""
+    return row_seen(*args, **options).motion_state
+
+
+def test_a_car_that_comes_nearer_and_grows_approaches():
+    assert seen((0.0, 0.0, -0.2), 0.01, (0.0, 0.0, -2.0)) in NEARER
+
+
+def test_a_car_that_stays_as_large_as_it_was_does_not_approach_whatever_its_paths_say():
+    assert seen((0.0, 0.0, -0.1), 0.01, (0.0, 0.0, 0.0)) == MotionState.unknown
+    assert seen((0.0, 0.0, 0.1), 0.01, (0.0, 0.0, 0.0)) == MotionState.unknown
+
+
+def test_what_all_tracks_may_err_by_in_common_is_no_approach_however_sure_they_are():
+    # 0.002 of 20 px in 0.6 s: a fiftieth of a pixel.
+    assert seen((0.0, 0.0, -0.002), 1e-5, (0.0, 0.0, -0.02)) not in NEARER
+
+
+def test_a_time_that_may_be_a_common_error_of_the_tracks_has_an_interval_by_way_of_infinity():
+    times = row_seen((0.0, 0.0, -0.002), 1e-5, (0.0, 0.0, -0.02)).times
+    assert times.ttc_z_lo_s[0] > times.ttc_z_hi_s[0]
+    # Of what is large in the picture, a part of a pixel is nothing: its interval is that of its own noise.
+    times = row_seen((0.0, 0.0, -0.5), 0.02, (0.0, 0.0, -5.0), size_m=10.0).times
+    assert 1.0 / times.ttc_z_lo_s[0] - 1.0 / times.ttc_z_hi_s[0] == pytest.approx(2 * 1.645 * 0.02, rel=0.05)
+
+
+def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
+    car = box_of_points(np.random.default_rng(2), N, AHEAD_M, (1.8, 1.8, 0.0))
+    now = normalize(car)
+    row = ClusterRow(1, 1, N, (0.0, 0.0, 1.0, 1.0), Status.ok, Status.ok, "whole-tracks", ref_px=(340.0, 190.0))
+    row = replace(row, state_abc_hz=np.array([0.0, 0.0, -0.2]), state_cov=1e-6 * np.eye(3))
+    members, age_s = TrackSets.of([np.arange(N)]), np.full(N, 2.0)
+
+    def cov_of(rays):
+        radius_px = radii_px(pixels_from_rays(CAMERA, rays), rays, members, np.array([True]))
+        return with_common_errors([row], members, radius_px, age_s, GAP_S, CAMERA)[0].state_cov
+
+    without_one, unseen = now.copy(), np.full_like(now, np.nan)
+    without_one[0] = np.nan
+    np.testing.assert_allclose(cov_of(without_one), cov_of(now), rtol=0.1)
+    assert np.isfinite(cov_of(unseen)).all()
+
+
+def test_a_car_that_crosses_before_us_without_growing_still_comes_nearer():
+    # It comes from the side: nearer by its way across, at the same depth.
+    assert seen((-0.8, 0.0, 0.0), 0.01, (-8.0, 0.0, 0.0), ASIDE_M) == MotionState.approaching
+
+
+@pytest.mark.parametrize(("nearer_hz", "is_sure"), [(0.055, False), (0.12, True)])
+def test_the_outline_is_as_small_as_it_is_seen_through_a_fisheye_off_its_axis(nearer_hz, is_sure):
+    """A car 60 deg off the axis: 12 px, of which the drift is a larger part than of the 27 px without the lens."""
+    fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
+    at_m = np.array([20.0 * np.tan(np.radians(60.0)), 0.5, 20.0])
+    said, moved = -nearer_hz * at_m / at_m[2], -nearer_hz * GAP_S * at_m
+    assert (seen(said, 1e-4, moved, at_m, camera=fisheye) in NEARER) == is_sure
+
+
+@pytest.mark.parametrize("sigma_hz", [0.02, 0.1])
+def test_nothing_is_said_to_approach_by_noise_more_often_than_stated(sigma_hz):
+    rng = np.random.default_rng(5)
+    trials = 800
+    states = [
+        seen((0.0, 0.0, sigma_hz * rng.normal()), sigma_hz, (0.0, 0.0, 0.0), size_m=40.0, seed=k) for k in range(trials)
+    ]
+    approaching = sum(s in NEARER for s in states) / trials
+    assert approaching < 0.01 + 0.011
+
+
+def test_what_approaches_shows_its_acceleration():
+    since_s = -np.arange(20)[::-1] / 20.0
+    rear_m = box_of_points(np.random.default_rng(1), N, (0.0, 0.0, 0.0), (1.8, 1.4, 0.0))[:, :2]
+    depth_m = 20.0 - 2.0 * since_s - 2.0 * since_s**2
+    found = closing_of(rear_m[None] / depth_m[:, None, None], since_s, CAMERA.fx_px)
+    assert found.rate_hz == pytest.approx(-0.1, abs=1e-6)
+    assert found.acceleration_hz2 == pytest.approx(-0.2, abs=1e-6)
+    # 0.25 px at the outline, as a random walk over 0.6 s: a quarter of that acceleration in a second.
+    assert found.acceleration_sigma_hz2 == pytest.approx(0.05, rel=0.4)
+    # Half of that walks, the other half grows evenly, which is no acceleration: the rate is as unsure as it was.
+    brakes = braking_of(rear_m[None] / depth_m[:, None, None], since_s, CAMERA.fx_px, 0.25)
+    assert brakes.acceleration_sigma_hz2 == pytest.approx(0.5 * found.acceleration_sigma_hz2, rel=0.01)
+    assert brakes.rate_sigma_hz == pytest.approx(found.rate_sigma_hz, rel=0.35)

@@ -1,0 +1,390 @@
+"""What is on collision course: what will hit us, soon and surely, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from relative_motion import CAMERA, FOCAL_PX
+from watched_rows import CONFIG, FRAME_S, HIT, WIDTH_M, drive, first_warned, row_of, watched
+
+from ttcvid.config import EventsConfig
+from ttcvid.geometry.camera import pixels_from_rays
+from ttcvid.geometry.closing import Closing
+from ttcvid.model import SCENE_MOTION, MotionState
+from ttcvid.stages.objects.clusters import with_times
+from ttcvid.stages.segmentation.own_turn import OwnBend
+from ttcvid.stages.warnings.course import course_of
+
+
+def is_course(row, camera=CAMERA, config=CONFIG, **options):
+    """Whether a row is surely on collision course."""
+    course = course_of(row, camera, config, **options)
+    return course is not None and course.is_sure
+
+
+def test_a_near_miss_inside_a_width_is_a_collision_course():
+    active, _ = watched(drive((1.2, 0.0, 20.0), (0.0, 0.0, -8.0), 2.0, relative_sigma=0.003))
+    (event,) = active[-1]
+    assert event.kind == "collision_course"
+    assert event.miss_s == pytest.approx(1.2 / 8.0, rel=1e-6)
+    assert (
+        watched(drive((1.2, 0.0, 10.0), (0.0, 0.0, -8.0), 1.0, relative_sigma=0.003))[0][-1][0].kind
+        == "collision_course"
+    )
+
+
+def test_it_is_not_warned_of_before_it_is_near_in_time():
+    active, _ = watched(drive((0.0, 0.0, 80.0), (0.0, 0.0, -10.0), 7.0))
+    # 4 s away at frame 80; it came at us all the while before.
+    assert first_warned(active) in (80, 81)
+
+
+def test_a_time_that_runs_down_need_not_be_short_for_long_but_one_time_alone_is_none():
+    """A little later than it is warned of a thing is watched; most of its times have to say that it is near now."""
+    soon, later, never = (row_of((0.0, 0.0, z_m), (0.0, 0.0, -10.0)) for z_m in (39.0, 46.0, 55.0))
+    assert first_warned(watched([later] * 30)[0]) is None
+    assert first_warned(watched([later] * 10 + [soon] + [later] * 20)[0]) is None
+    assert first_warned(watched([later] * 10 + [soon] * 10)[0]) in (12, 13)
+    assert first_warned(watched([never] * 10 + [soon] * 10)[0]) == 16
+    aside = row_of((1.25 * WIDTH_M, 0.0, 39.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
+    assert first_warned(watched([aside] * 10 + [soon] * 10)[0]) == 16
+
+
+@pytest.mark.parametrize("widths", [3.0, 5.0])
+@pytest.mark.parametrize("speed_m_s", [2.0, 20.0])
+def test_a_passing_car_is_never_warned_of(widths, speed_m_s):
+    start_m = (widths * WIDTH_M, 0.0, 6.0 * speed_m_s)
+    active, _ = watched(drive(start_m, (0.0, 0.0, -speed_m_s), 6.0))
+    assert first_warned(active) is None
+
+
+@pytest.mark.parametrize(
+    ("position_m", "velocity_m_s"),
+    [
+        ((0.0, 0.0, 10.0), (0.0, 0.0, 5.0)),
+        ((0.0, 0.0, 10.0), (0.0, 0.0, -0.1)),
+        ((-12.0, 0.0, 20.0), (10.0, 0.0, 0.0)),
+        ((-3.0, 0.0, 10.0), (-4.0, 0.0, -4.0)),
+    ],
+    ids=["recedes", "near at our speed", "crosses ahead", "turns away"],
+)
+def test_what_does_not_come_near_is_not_warned_of(position_m, velocity_m_s):
+    assert first_warned(watched(drive(position_m, velocity_m_s, 1.5))[0]) is None
+
+
+@pytest.mark.parametrize("off_axis_deg", [0.0, 40.0, 60.0, 75.0])
+@pytest.mark.parametrize(("miss_widths", "is_hit"), [(0.4, True), (2.0, False)])
+def test_a_width_is_as_wide_through_a_fisheye_off_its_axis_as_without_a_lens(off_axis_deg, miss_widths, is_hit):
+    """Off the axis a fisheye crowds a thing into few pixels."""
+    fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
+    place = np.array([np.tan(np.radians(off_axis_deg)), 0.0, 1.0])
+    across = np.array([place[2], 0.0, -place[0]]) / np.linalg.norm(place)
+    half, to_us = 0.1, 0.3 * (miss_widths * 0.2 * across - place)
+    row = replace(row_of(10.0 * place, 10.0 * to_us, relative_sigma=0.001), motion_state=MotionState.approaching)
+    for camera in (CAMERA, fisheye):
+        middle, left, right = pixels_from_rays(
+            camera, place + half * np.array([[0.0], [-1.0], [1.0]]) * (1.0, 0.0, 0.0)
+        )
+        seen = replace(row, ref_px=tuple(middle), box_px=(left[0], left[1] - 9.0, right[0], right[1] + 9.0))
+        assert is_course(seen, camera) == is_hit
+
+
+@pytest.mark.parametrize(("start_m", "is_hit"), [((0.0, 5.0, 0.5), True), ((0.0, 5.0, 10.0), False)])
+def test_what_goes_straight_up_shows_its_whole_width(start_m, is_hit):
+    """Asked for at less than even chance: whether it comes nearer in depth is open."""
+    config = EventsConfig(max_ttc_s=4.0, max_miss_widths=1.0, confidence=0.4)
+    row = replace(row_of(start_m, (0.0, -5.0, 0.0), relative_sigma=0.001), motion_state=MotionState.approaching)
+    assert is_course(row, config=config) == is_hit
+
+
+@pytest.mark.parametrize(("aside_m", "is_hit"), [(4.0, True), (12.0, False)])
+def test_which_end_of_a_lorry_is_the_reference_changes_nothing(aside_m, is_hit):
+    """The lorry is seen from its side, 9 m long."""
+    row = row_of((aside_m, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.001, width_m=9.0)
+    assert row.ref_px is not None
+    row = replace(row, motion_state=MotionState.approaching)
+    for x_px in (row.box_px[0], row.ref_px[0], row.box_px[2]):
+        seen = replace(row, ref_px=(x_px, row.ref_px[1]))
+        assert is_course(seen) == is_hit
+
+
+def test_what_reaches_beyond_a_right_angle_off_the_axis_is_wide():
+    fisheye = replace(CAMERA, distortion_model="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
+    place = np.array([np.tan(np.radians(60.0)), 0.0, 1.0])
+    row = replace(row_of(10.0 * place, -3.0 * place, relative_sigma=0.001), motion_state=MotionState.approaching)
+    x_px = CAMERA.cx_px + FOCAL_PX * np.radians([30.0, 60.0, 100.0])
+    seen = replace(row, ref_px=(x_px[1], CAMERA.cy_px), box_px=(x_px[0], 0.0, x_px[2], 300.0))
+    seen = with_times([seen], fisheye)[0]
+    assert is_course(replace(seen, motion_state=row.motion_state), fisheye)
+
+
+def test_the_same_geometry_is_judged_alike_at_two_and_at_twenty_metres_a_second():
+    """A fixed miss_s would mean 0.6 m at one speed and 6 m at the other; widths mean the same."""
+    for lateral_widths in (0.0, 0.5, 0.85, 1.5, 3.0):
+        verdicts = {
+            speed: first_warned(
+                watched(
+                    drive((lateral_widths * WIDTH_M, 0.0, 3.0 * speed), (0.0, 0.0, -speed), 2.0, relative_sigma=5e-4)
+                )[0]
+            )
+            for speed in (2.0, 20.0)
+        }
+        assert (verdicts[2.0] is None) == (verdicts[20.0] is None) == (lateral_widths > 1.0)
+    scaled = [
+        [
+            e.start_frame
+            for events in watched(drive((s, 0.0, 30.0 * s), (0.0, 0.0, -10.0 * s), 2.5, width_m=2.0 * s))[0]
+            for e in events
+        ]
+        for s in (1.0, 10.0)
+    ]
+    assert scaled[0] == scaled[1]
+    assert scaled[0]
+
+
+def test_what_is_not_sure_is_not_warned_of():
+    assert first_warned(watched(drive(*HIT, 2.5, relative_sigma=1.0))[0]) is None
+
+
+def test_a_long_bus_that_crosses_well_before_us_is_not_warned_of():
+    # 12 m long, moves to the side along its length; it passes 8 m off.
+    frames = drive((-4.0, 0.0, 12.0), (8.0, 0.0, -1.5), 1.5, width_m=12.0)
+    assert first_warned(watched(frames)[0]) is None
+
+
+def changing(row, change):
+    """The row of a body whose speed may change by a part of itself soon."""
+    along = change**2 * np.outer(row.state_abc_hz, row.state_abc_hz)
+    return with_times([replace(row, state_cov=row.state_cov + along, speed_change=change)], CAMERA)[0]
+
+
+def test_a_car_that_brakes_has_no_sure_time_and_is_warned_of_all_the_same():
+    frames = [changing(row, 0.7) for row in drive(*HIT, 1.0)]
+    assert not frames[0].times.ttc_z_hi_s[0] > 0.0
+    assert first_warned(watched(frames)[0]) == 6
+    aside = [changing(row, 0.7) for row in drive((5.4, 0.0, 30.0), HIT[1], 1.0)]
+    assert first_warned(watched(aside)[0]) is None
+
+
+def braking_from_behind(acceleration_sigma_hz2, range_m=16.0, braking_m_s2=5.0, seconds=1.5, aside_m=0.0):
+    """Rows of a car at our own speed that has just begun to brake, and the acceleration that its picture shows."""
+    rows, closings = [], []
+    for t_s in np.arange(FRAME_S, seconds, FRAME_S):
+        z_m, speed_m_s = range_m - 0.5 * braking_m_s2 * t_s**2, braking_m_s2 * t_s
+        cov = np.diag([0.02, acceleration_sigma_hz2]) ** 2
+        rows.append(row_of((aside_m, 0.0, z_m), (0.0, 0.0, -speed_m_s)))
+        closings.append(Closing(-speed_m_s / z_m, -braking_m_s2 / z_m, cov))
+    return rows, closings
+
+
+def test_a_car_that_has_just_begun_to_brake_is_warned_of_by_its_acceleration_where_that_is_sure():
+    """At constant velocity 5 s are left 0.65 s after it began to; its brakes tell 0.4 s earlier."""
+    rows, closings = braking_from_behind(0.05)
+    _, unsure = braking_from_behind(0.3)
+    assert first_warned(watched(rows)[0]) == 18
+    assert first_warned(watched(rows, closings=closings)[0]) < 11
+    assert first_warned(watched(rows, closings=unsure)[0]) == 18
+
+
+def test_brakes_that_bring_a_contact_near_for_a_moment_are_not_warned_of():
+    """Of a time by the acceleration the looser limit is no proof: it jumps."""
+    row = row_of((0.0, 0.0, 40.0), (0.0, 0.0, -5.0))
+    later, soon = (Closing(-0.125, acceleration_hz2, 1e-4 * np.eye(2)) for acceleration_hz2 in (-0.09, -0.2))
+    assert later.left_after(5.0, 1.0)[0] < 0.0 < later.left_after(4.0, 1.0)[0]
+    assert soon.left_after(4.0, 1.0)[0] < 0.0
+    assert first_warned(watched([row] * 16, closings=[*[later] * 10, *[soon] * 2, *[later] * 4])[0]) is None
+    assert first_warned(watched([row] * 20, closings=[*[later] * 10, *[soon] * 10])[0]) is not None
+    watched_by_its_time = row_of((0.0, 0.0, 46.0), (0.0, 0.0, -10.0))
+    blip = [*[later] * 10, soon, *[later] * 9]
+    assert first_warned(watched([watched_by_its_time] * 20, closings=blip)[0]) is None
+
+
+def warned_after(sigmas, row_sigma=0.001, config=CONFIG):
+    """Frames after its first one in which a car is warned of whose brakes are told by so many standard deviations."""
+    row = row_of((0.0, 0.0, 40.0), (0.0, 0.0, -5.0), relative_sigma=row_sigma)
+    # What looking for when they began adds to them is taken off.
+    brakes = Closing(-0.125, -0.4, np.diag([0.01, 0.4 / (sigmas + 0.35)]) ** 2)
+    return first_warned(watched([row] * 30, config, closings=[brakes] * 30)[0])
+
+
+def test_the_surer_brakes_are_the_shorter_they_have_to_last():
+    """Log odds add up to those of the confidence over the persistence, 0.3 s of 2.94."""
+    assert warned_after(2.2) is None
+    # 99.29 %, log odds 4.94: 0.179 s. From 99.99 % on, log odds 9.21: 0.096 s, however sure.
+    assert warned_after(2.45) == 4
+    assert warned_after(3.8) == warned_after(20.0) == 2
+    # Sure brakes of what goes not as surely straight at us.
+    assert warned_after(20.0, row_sigma=0.025) > 2
+
+
+def test_one_look_alone_warns_of_nothing():
+    slow = CONFIG.model_copy(update={"persistence_s": 0.1})
+    assert warned_after(20.0, config=slow) == 1
+
+
+def test_whoever_asks_for_less_than_an_even_chance_has_to_wait_for_the_persistence():
+    assert warned_after(20.0, config=CONFIG.model_copy(update={"confidence": 0.4})) == 6
+
+
+def bus_on_a_bend(yaw_rate_rad_s, heading_off_rad, n_frames=10, speed_m_s=8.0, seed=0):
+    """Rows of a bus 24 m ahead that comes at us on a bend, each by its present velocity, as tracks err."""
+    rng, place, heading, rows = np.random.default_rng(seed), np.array([0.0, 24.0]), heading_off_rad, []
+    for _ in range(n_frames):
+        velocity = speed_m_s * np.array([np.sin(heading), -np.cos(heading)])
+        seen = velocity + 0.002 * speed_m_s * rng.normal(size=2)
+        rows.append(row_of((place[0], 0.0, place[1]), (seen[0], 0.0, seen[1]), relative_sigma=0.002, width_m=4.0))
+        place, heading = place + velocity * FRAME_S, heading + yaw_rate_rad_s * FRAME_S
+    return rows
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bus_that_heads_at_us_for_a_moment_on_a_bend_is_not_warned_of(seed, side):
+    """By its velocity it misses us by less than its width for 0.3 s and longer; in the end by more than two of them."""
+    rows = bus_on_a_bend(side * 0.35, -side * 0.02, seed=seed)
+    assert sum(is_course(row) for row in rows) > 6
+    assert first_warned(watched(rows)[0]) is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_comes_straight_on_or_turns_towards_us_is_warned_of_as_soon_as_without_errors(seed):
+    assert first_warned(watched(bus_on_a_bend(0.0, 0.06, seed=seed))[0]) == 6
+    assert first_warned(watched(bus_on_a_bend(-0.1, 0.12, seed=seed))[0]) == 6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whoever_asks_for_hardly_any_confidence_is_told_of_no_fewer(seed):
+    """What surely turns away is not told at less than an even chance."""
+    config = CONFIG.model_copy(update={"confidence": 1e-6})
+    assert first_warned(watched(bus_on_a_bend(0.0, 0.06, seed=seed), config)[0]) == 6
+
+
+def test_brakes_that_may_as_well_leave_more_time_are_not_warned_of():
+    """They are let go: 12 s are left then, and 3.9 s if they last for another second."""
+    row = row_of((0.0, 0.0, 22.0), (0.0, 0.0, -2.0), relative_sigma=0.001)
+    brakes, harder = (Closing(-0.128, -hz2, np.diag([0.015, 0.034]) ** 2) for hz2 in (0.15, 0.2))
+    assert brakes.left_after(4.0, 1.0)[0] < 0.0
+    assert first_warned(watched([row] * 20, closings=[brakes] * 20)[0]) is None
+    assert first_warned(watched([row] * 20, closings=[harder] * 20)[0]) is not None
+
+
+def test_an_acceleration_is_not_taken_to_last_for_ever():
+    """At 40 m it would be reached in 4 s by going on as now; nobody knows that it does."""
+    rows, closings = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
+    assert closings[0].left_after(4.0, 9.0)[0] < 0.0 < closings[-1].left_after(4.0, 1.0)[0]
+    assert first_warned(watched(rows, closings=closings)[0]) is None
+
+
+def test_a_car_that_brakes_beside_our_way_is_not_warned_of():
+    rows, closings = braking_from_behind(0.02, aside_m=5.4)
+    assert first_warned(watched(rows, closings=closings)[0]) is None
+
+
+def low_part(offset_m, z_m=15.0):
+    """Row of the legs of somebody 0.5 m wide who stands on the road, 1.5 m below us, and comes straight at us."""
+    row = row_of((offset_m, 1.0, z_m), (0.0, 0.0, -8.0), width_m=0.5)
+    x_px, y_px = row.ref_px
+    half_px, low_px = 0.25 * FOCAL_PX / z_m, 0.5 * FOCAL_PX / z_m
+    return replace(row, box_px=(x_px - half_px, y_px - low_px, x_px + half_px, y_px + low_px))
+
+
+def test_what_passes_below_the_camera_on_the_road_hits_our_car():
+    """Of somebody who walks onto the road only the legs may be told from the background; an aircraft passes below."""
+    assert is_course(low_part(0.0), on_ground=True)
+    assert not is_course(low_part(0.0))
+    assert not is_course(low_part(2.5), on_ground=True)
+
+
+def side_of_lorry(offset_m, z_m=30.0, length_m=9.0):
+    """Row of a lorry that shows its side, and whose middle passes us by ``offset_m``; our camera is 1.5 m high."""
+    row = row_of((offset_m, 0.0, z_m), (0.0, 0.0, -10.0), width_m=length_m, relative_sigma=0.005)
+    x_px, y_px = row.ref_px
+    half_px, foot_px = 0.5 * length_m * FOCAL_PX / z_m, 1.5 * FOCAL_PX / z_m
+    return replace(row, box_px=(x_px - half_px, y_px - foot_px, x_px + half_px, y_px + foot_px))
+
+
+def test_on_the_road_half_a_lorry_and_half_our_width_are_what_it_must_not_come_closer_by():
+    assert is_course(side_of_lorry(4.5 + 0.9), on_ground=True)
+    assert not is_course(side_of_lorry(4.5 + 3.9), on_ground=True)
+    # Where nothing tells how large it is, its own width has to do.
+    assert is_course(side_of_lorry(4.5 + 3.9))
+
+
+def test_a_small_thing_on_the_road_is_judged_by_its_width_as_before():
+    for offset_m in (0.0, 1.2, 1.6, 2.2, 3.5):
+        row = row_of((offset_m, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
+        assert is_course(row, on_ground=True) == is_course(row)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize(("aside_m", "is_hit"), [(0.0, True), (0.9, True), (1.5, False)])
+def test_who_walks_on_the_road_is_hit_by_half_of_our_car_beside_the_camera(side, aside_m, is_hit):
+    """A walker 0.6 m wide, 1.4 m below our camera: our car is 1.7 m wide, and hits him within 1.15 m of his middle."""
+    walker = standing(0.6, 1.75, ref_below_m=0.5, centre_below_m=0.53, position_m=(side * aside_m, 0.0, 16.0))
+    assert is_course(walker, on_ground=True) == is_hit
+    assert is_course(walker) == (aside_m == 0.0)
+
+
+@pytest.mark.parametrize("roll_deg", [-3.0, 3.0])
+@pytest.mark.parametrize(("x_m", "across_m_s"), [(-2.0, 1.4), (2.0, -1.4), (-4.0, 1.4)])
+@pytest.mark.parametrize("z_m", [4.0, 8.0, 12.0])
+def test_who_crosses_before_us_while_we_creep_is_not_hit(roll_deg, x_m, across_m_s, z_m):
+    """A level way that looks inclined before a rolled camera: from it alone the road could lie any depth below us."""
+    roll = np.radians(roll_deg)
+    up_m_s, creeping_m_s = across_m_s * np.sin(roll), -0.05
+    walker = row_of((x_m, 0.5, z_m), (across_m_s * np.cos(roll), up_m_s, creeping_m_s), relative_sigma=0.003)
+    half_px = 0.5 * FOCAL_PX / z_m * np.array([0.6, 1.75])
+    centre_px = FOCAL_PX / z_m * np.array([x_m, 0.53]) + (CAMERA.cx_px, CAMERA.cy_px)
+    walker = replace(walker, box_px=(*(centre_px - half_px).tolist(), *(centre_px + half_px).tolist()))
+    assert not is_course(walker, on_ground=True)
+
+
+def test_confidence_is_the_probability_of_the_approach_and_as_high_as_asked_for():
+    """A harder confidence warns of less: an approach known to 30 % is sure at 95 % but not at 99.99 %."""
+    hit = drive(*HIT, 1.5, relative_sigma=0.3, width_m=8.0)
+    wide = CONFIG.model_copy(update={"max_miss_widths": 100.0})
+    active, _ = watched(hit, wide)
+    assert first_warned(active) == 6
+    # The rate is 1 / 0.3 of its standard deviations away from none.
+    assert active[6][0].confidence == pytest.approx(0.99957, abs=1e-5)
+    assert first_warned(watched(hit, wide.model_copy(update={"confidence": 0.9999}))[0]) is None
+
+
+def standing(width_m, height_m, ref_below_m, centre_below_m, position_m=(0.0, 0.0, 16.0)):
+    """Row of an upright thing that comes straight on, its reference point and its middle so far below the camera."""
+    x_m, _, z_m = position_m
+    row = row_of((x_m, ref_below_m, z_m), (0.0, 0.0, -8.0), relative_sigma=0.003)
+    half_px = 0.5 * FOCAL_PX / z_m * np.array([width_m, height_m])
+    centre_px = FOCAL_PX / z_m * np.array([x_m, centre_below_m]) + (CAMERA.cx_px, CAMERA.cy_px)
+    return replace(row, box_px=(*(centre_px - half_px).tolist(), *(centre_px + half_px).tolist()))
+
+
+def test_a_thing_is_hit_over_its_whole_height():
+    # Somebody 1.75 m tall, 0.6 m wide, whose feet are seen best, 1.4 m below the camera.
+    walker = standing(0.6, 1.75, ref_below_m=1.3, centre_below_m=0.53)
+    assert is_course(walker)
+    beside = standing(0.6, 1.75, ref_below_m=1.3, centre_below_m=0.53, position_m=(1.2, 0.0, 16.0))
+    assert not is_course(beside)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_what_ends_far_below_or_begins_far_above_is_not_hit(side):
+    assert not is_course(standing(0.6, 0.4, 1.5 * side, 1.5 * side))
+
+
+@pytest.mark.parametrize("motion_id", [SCENE_MOTION, 1])
+@pytest.mark.parametrize("road_hz", [None, np.array([0.0, 0.0, 10.0])])
+def test_on_the_road_what_stands_is_warned_of_where_a_road_is_found(motion_id, road_hz):
+    """A bridge or trees beside the road come at us like a wall as long as nobody knows where the road is."""
+    row = replace(row_of((0.0, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005), motion_id=motion_id)
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=road_hz)
+    is_told = motion_id != SCENE_MOTION or road_hz is not None
+    assert is_course(row, on_ground=True, bend=bend) == is_told
+    # What is warned of goes on when the road is lost for a moment.
+    assert is_course(row, on_ground=True, bend=bend, is_warned=True)
+    assert is_course(row, on_ground=False, bend=bend)
+
+
+def test_on_the_road_nothing_that_stands_is_warned_of_before_it_is_known_how_we_drive():
+    row = replace(row_of((0.0, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005), motion_id=SCENE_MOTION)
+    assert not is_course(row, on_ground=True, bend=None)

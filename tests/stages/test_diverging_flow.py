@@ -1,0 +1,223 @@
+"""New movers that keep their bearing: found by how they grow, and nothing that stands still is taken for one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from relative_motion import box_of_points, history_of
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
+from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.stages.segmentation.births import new_movers
+from ttcvid.stages.segmentation.body_views import body_views
+from ttcvid.stages.segmentation.diverging_flow import least_tracks, spreading_things
+from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
+
+CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
+TIMES_S = 0.05 * np.arange(20.0)
+OWN_M_S = np.array([0.0, 0.0, -10.0])
+CAR_M, ROAD_Y_M = (4.3, 1.2, 0.2), 1.4
+# A car from the left that is where we will be in 2.8 s.
+TO_US_M_S = np.array([5.0, 0.0, -10.0])
+AT_M = -2.8 * TO_US_M_S + [0.0, 0.7, 0.0]
+# Somebody who walks there, with one track on the head and one on each foot.
+TO_US_ON_FOOT_M_S = np.array([2.0, 0.0, -10.0])
+WALKER_M = -2.8 * TO_US_ON_FOOT_M_S + [[0.0, -0.3, 0.0], [-0.3, 1.4, 0.0], [0.3, 1.4, 0.0]]
+
+
+def houses_and_road(rng, n=150):
+    """A wall across, 60 m ahead, and the road up to it."""
+    depth_m = 8.0 / rng.uniform(0.14, 1.0, n)
+    road = np.column_stack([rng.uniform(-0.5, 0.5, n) * depth_m, np.full(n, ROAD_Y_M), depth_m])
+    return np.concatenate([box_of_points(rng, n, (-10.0, -3.0, 60.0), (60.0, 8.0, 0.5)), road])
+
+
+def views_and_fit(position_m, velocity_m_s, rng, sigma_px=SIGMA_PX):
+    """Views of tracks, the path of the scene, and how that explains them."""
+    history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=rng)
+    every = np.arange(len(position_m))
+    views = body_views(history, np.ones(len(every), dtype=bool), LINK_PX, ERROR_PX)
+    way = straight_path(OWN_M_S / np.linalg.norm(OWN_M_S), views.since_s)
+    scene = RigidPaths(np.repeat(np.eye(3)[None, None], len(TIMES_S), axis=1), way[None])
+    return views, scene, fit_on_paths(views.points(every), scene)
+
+
+def street_with(thing_m, velocity_m_s, rng):
+    """A street with a thing before it: places (N, 3), the thing's first, and velocities relative to us."""
+    scene = houses_and_road(rng)
+    velocities = np.broadcast_to(velocity_m_s, thing_m.shape), np.broadcast_to(OWN_M_S, scene.shape)
+    return np.concatenate([thing_m, scene]), np.concatenate(velocities)
+
+
+def found_in(views, scene, fit, seeds=None, sway=None, *, few_are_enough=True):
+    seeds = np.flatnonzero(fit.misfit > CONFIG.scene_gate) if seeds is None else seeds
+    sway = np.zeros((len(TIMES_S), 3)) if sway is None else sway
+    may_be = fit.n_views >= LEAST_VIEWS
+    return spreading_things(views, scene, may_be, sway, seeds, fit.misfit, 1.0, CONFIG, few_are_enough=few_are_enough)
+
+
+def new_in(views, scene, fit):
+    every = np.arange(len(fit.misfit))
+    members, paths, _ = new_movers(
+        views,
+        scene,
+        np.zeros((len(TIMES_S), 3)),
+        np.ones(len(every), dtype=bool),
+        fit,
+        fit.misfit,
+        fit.misfit,
+        1.0,
+        np.zeros(len(every), dtype=bool),
+        np.zeros((len(every), 2)),
+        views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
+        CONFIG,
+        few_are_enough=True,
+    )
+    return members, paths
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(18)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_car_at_constant_bearing_is_found_with_its_direction_by_eight_tracks(seed):
+    rng = np.random.default_rng(seed)
+    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 8, AT_M, CAR_M), TO_US_M_S, rng), rng)
+    ((members, path),) = found_in(views, scene, fit)
+    direction = path[0] / -np.linalg.norm(path[0])
+    assert np.count_nonzero(members < 8) >= least_tracks(CONFIG)
+    # What else is taken for a part of it moves as it does, as far as can be seen.
+    assert np.count_nonzero(members >= 8) <= 1
+    assert np.degrees(np.arccos(direction @ TO_US_M_S / np.linalg.norm(TO_US_M_S))) < 4.0
+
+
+def test_six_of_its_tracks_are_enough_in_nineteen_of_twenty_draws():
+    n_found = 0
+    for seed in range(100, 120):
+        rng = np.random.default_rng(seed)
+        views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 6, AT_M, CAR_M), TO_US_M_S, rng), rng)
+        things = found_in(views, scene, fit)
+        n_found += any(np.count_nonzero(members < 6) >= least_tracks(CONFIG) for members, _ in things)
+    assert n_found >= 19
+
+
+def test_it_is_found_though_tracks_all_over_the_street_contradict_the_scene_worse(rng):
+    # Along the outlines of posts and trees tracks slide, each its own way.
+    sliding = np.array([[x, y, 12.0] for x in (-6.0, -3.0, 3.0, 6.0) for y in (-2.5, -1.0)])
+    thing, (where, velocity) = box_of_points(rng, 8, AT_M, CAR_M), street_with(sliding, TO_US_M_S, rng)
+    velocity = velocity.copy()
+    velocity[: len(sliding)] += rng.uniform(-4.0, 4.0, (len(sliding), 3))
+    where, velocity = np.concatenate([thing, where]), np.concatenate([np.tile(TO_US_M_S, (8, 1)), velocity])
+    views, scene, fit = views_and_fit(where, velocity, rng)
+    assert np.count_nonzero(fit.misfit[8:16] > fit.misfit[:8].max()) > 5
+    ((members, _),) = found_in(views, scene, fit)
+    assert np.count_nonzero(members < 8) >= least_tracks(CONFIG)
+
+
+def test_it_is_a_new_mover_though_the_flows_of_its_tracks_are_not_alike(rng):
+    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 10, AT_M, CAR_M), TO_US_M_S, rng), rng)
+    (members,), paths = new_in(views, scene, fit)
+    assert np.count_nonzero(members < 10) >= least_tracks(CONFIG)
+    assert np.count_nonzero(members >= 10) == 0
+    assert len(paths) == 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_stands_still_is_none_though_it_errs_three_times_as_much_as_is_said(seed):
+    rng = np.random.default_rng(seed)
+    street = houses_and_road(rng)
+    views, scene, _ = views_and_fit(street, OWN_M_S, rng, sigma_px=3.0 * SIGMA_PX)
+    every = np.arange(len(street))
+    views = replace(views, sigma_norm=views.sigma_norm / 3.0)
+    fit = fit_on_paths(views.points(every), scene)
+    # Enough tracks contradict the scene for a thing to be looked for.
+    assert np.count_nonzero(fit.misfit > CONFIG.gain) > least_tracks(CONFIG)
+    assert found_in(views, scene, fit, every) == []
+
+
+@pytest.mark.parametrize("velocity_m_s", [(0.0, 0.0, 6.0), (8.0, 0.0, 0.0)], ids=["goes away", "just crosses"])
+def test_what_does_not_come_nearer_is_none(rng, velocity_m_s):
+    views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 10, AT_M, CAR_M), velocity_m_s, rng), rng)
+    assert found_in(views, scene, fit) == []
+
+
+def test_tracks_that_go_each_its_way_are_none(rng):
+    where, velocity = street_with(box_of_points(rng, 10, AT_M, CAR_M), TO_US_M_S, rng)
+    velocity = velocity.copy()
+    velocity[:10] += rng.uniform(-3.0, 3.0, (10, 3))
+    views, scene, fit = views_and_fit(where, velocity, rng)
+    assert found_in(views, scene, fit) == []
+
+
+def test_three_tracks_of_what_heads_at_us_are_enough_in_nine_of_ten_draws():
+    n_found = 0
+    for seed in range(200, 220):
+        rng = np.random.default_rng(seed)
+        views, scene, fit = views_and_fit(*street_with(WALKER_M, TO_US_ON_FOOT_M_S, rng), rng)
+        n_found += any(set(members) == {0, 1, 2} for members, _ in found_in(views, scene, fit))
+    assert n_found >= 18
+
+
+def test_they_are_not_where_few_do_not_count(rng):
+    views, scene, fit = views_and_fit(*street_with(WALKER_M, TO_US_ON_FOOT_M_S, rng), rng)
+    assert found_in(views, scene, fit, few_are_enough=False) == []
+
+
+@pytest.mark.parametrize("aside_m", [-6.0, 6.0])
+def test_four_tracks_of_what_passes_us_are_too_few(rng, aside_m):
+    passing_m = box_of_points(rng, 4, AT_M + np.array([aside_m, 0.0, 0.0]), CAR_M)
+    views, scene, fit = views_and_fit(*street_with(passing_m, TO_US_M_S, rng), rng)
+    assert found_in(views, scene, fit) == []
+
+
+def test_four_tracks_of_what_is_here_in_seven_seconds_are_too_few(rng):
+    far_m = box_of_points(rng, 4, -7.0 * TO_US_M_S + [0.0, 0.7, 0.0], CAR_M)
+    views, scene, fit = views_and_fit(*street_with(far_m, TO_US_M_S, rng), rng)
+    assert found_in(views, scene, fit) == []
+
+
+def street_of_posts_that_slide(posts_m, rng):
+    """As `street_with`, with posts at places (P, 3) of which four tracks each slide alike."""
+    sliding = np.concatenate([box_of_points(rng, 4, post, (0.5, 2.5, 0.5)) for post in posts_m])
+    where, velocity = street_with(sliding, OWN_M_S, rng)
+    velocity = velocity.copy()
+    velocity[: len(sliding)] += np.repeat(rng.uniform(-1.0, 1.0, (len(posts_m), 3)), 4, axis=0)
+    return where, velocity
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_few_tracks_that_slide_alike_along_what_stands_beside_the_road_are_none(seed):
+    rng = np.random.default_rng(seed)
+    posts_m = [[side * rng.uniform(4.0, 7.0), 0.0, depth] for side in (-1.0, 1.0) for depth in (12.0, 16.0, 20.0)]
+    views, scene, fit = views_and_fit(*street_of_posts_that_slide(posts_m, rng), rng)
+    n_sliding = 4 * len(posts_m)
+    assert np.count_nonzero(fit.misfit[:n_sliding] > CONFIG.scene_gate) > n_sliding / 2
+    assert found_in(views, scene, fit) == []
+
+
+def test_next_to_where_we_go_few_tracks_that_slide_alike_are_seldom_a_thing_though_all_that_stands_there_heads_at_us():
+    n_found = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        posts_m = [[side * rng.uniform(1.0, 2.5), 0.0, depth] for side in (-1.0, 1.0) for depth in (14.0, 20.0, 26.0)]
+        n_found += len(found_in(*views_and_fit(*street_of_posts_that_slide(posts_m, rng), rng)))
+    # Of 180 posts. Without a look at what stands there, 42.
+    assert n_found <= 10
+
+
+def test_three_tracks_are_a_new_mover_among_others_that_slide_along_its_outline(rng):
+    outline_m = WALKER_M[0] + [[-0.3, 0.2, 0.0], [0.3, 0.2, 0.0], [-0.3, 0.8, 0.0], [0.3, 0.8, 0.0]]
+    where, velocity = street_with(np.concatenate([WALKER_M, outline_m]), TO_US_ON_FOOT_M_S, rng)
+    velocity = velocity.copy()
+    velocity[3:7] += [[-3.0, 1.0, 0.0], [3.0, -1.5, 0.0], [-4.0, -2.0, 0.0], [4.0, 2.0, 0.0]]
+    views, scene, fit = views_and_fit(where, velocity, rng)
+    (members,), _ = new_in(views, scene, fit)
+    assert set(members) == {0, 1, 2}
+
+
+def test_nothing_to_see_is_none(rng):
+    views, scene, fit = views_and_fit(np.empty((0, 3)), OWN_M_S, rng)
+    assert found_in(views, scene, fit) == []

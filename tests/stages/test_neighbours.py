@@ -1,0 +1,137 @@
+"""Neighbours and parts in the picture, held against brute force and against scipy."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, linked_parts, nearest_neighbours
+
+
+@st.composite
+def places(draw):
+    """Points on a coarse grid, with many equal distances and doubles, or anywhere; negative coordinates too."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = draw(st.integers(0, 60))
+    if draw(st.booleans()):
+        return rng.integers(-6, 7, (n, 2)).astype(float)
+    return rng.uniform(-500.0, 900.0, (n, 2)) / draw(st.sampled_from([1.0, 20.0, 200.0]))
+
+
+RADII = st.sampled_from([0.5, 1.0, 1.5, 2.0, 7.3, 40.0, 3000.0])
+
+
+def squares_of(xy):
+    return np.sum((xy[:, None] - xy[None]) ** 2, axis=2)
+
+
+def neighbours_of_all(xy, count, radius):
+    return nearest_neighbours(xy, count, radius, np.ones(len(xy), dtype=bool), np.zeros(len(xy), dtype=bool))
+
+
+@given(xy=places(), radius=RADII, count=st.integers(1, 9))
+@settings(max_examples=150)
+def test_neighbours_are_the_nearest_within_the_radius_those_of_smaller_index_first(xy, radius, count):
+    found = neighbours_of_all(xy, count, radius)
+    assert found.shape == (len(xy), count)
+    square = squares_of(xy)
+    for i, row in enumerate(found):
+        order = np.lexsort((np.arange(len(xy)), square[i]))
+        near = [j for j in order if j != i and square[i, j] < radius**2][:count]
+        assert row.tolist() == near + [i] * (count - len(near))
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 400))
+@settings(max_examples=30)
+def test_neighbours_are_those_of_a_tree(seed, n):
+    xy = np.random.default_rng(seed).uniform(0.0, 640.0, (n, 2))
+    distance, index = KDTree(xy).query(xy, k=range(2, 8), distance_upper_bound=60.0)
+    expected = np.where(np.isfinite(distance), index, np.arange(n)[:, None])
+    np.testing.assert_array_equal(neighbours_of_all(xy, 6, 60.0), expected)
+
+
+@given(xy=places(), radius=RADII, part=st.sampled_from([0.0, 0.1, 0.6]))
+@settings(max_examples=150)
+def test_neighbours_of_those_asked_for_and_of_those_beside_others_are_as_if_all_were(xy, radius, part):
+    rng = np.random.default_rng(len(xy))
+    is_asked, is_beside = rng.random((2, len(xy))) < part
+    found, of_all = nearest_neighbours(xy, 6, radius, is_asked, is_beside), neighbours_of_all(xy, 6, radius)
+    is_needed = is_asked | ((squares_of(xy) < radius**2) & is_beside).any(axis=1)
+    np.testing.assert_array_equal(found[is_needed], of_all[is_needed])
+    alone = np.arange(len(xy))[:, None]
+    assert ((found == of_all).all(axis=1) | (found == alone).all(axis=1)).all()
+
+
+@given(xy=places(), radius=RADII)
+@settings(max_examples=150)
+def test_pairs_are_all_that_are_closer_than_the_radius_each_once(xy, radius):
+    pairs = linked_pairs(xy, radius)
+    one, other = np.nonzero(np.triu(squares_of(xy) < radius**2, k=1)) if len(xy) else ([], [])
+    assert sorted(map(tuple, pairs.tolist())) == sorted(zip(one, other, strict=True))
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+
+
+def test_points_far_outside_the_picture_cost_no_memory_and_change_nothing():
+    """A table may hold a point at a million pixels: the grid is of the cells that something lies in."""
+    rng = np.random.default_rng(3)
+    near = rng.uniform(0.0, 640.0, (300, 2))
+    far = np.concatenate([rng.uniform(-1e6, 1e6, (40, 2)), [[1e6, 0.0], [1e6 + 20.0, 0.0], [0.0, -1e6]]])
+    xy = np.concatenate([near, far])
+    distance, index = KDTree(xy).query(xy, k=range(2, 8), distance_upper_bound=60.0)
+    expected = np.where(np.isfinite(distance), index, np.arange(len(xy))[:, None])
+    np.testing.assert_array_equal(neighbours_of_all(xy, 6, 60.0), expected)
+    pairs = linked_pairs(xy, 30.0)
+    assert set(map(tuple, pairs.tolist())) == KDTree(xy).query_pairs(30.0)
+    one_group, same = np.zeros(len(xy), dtype=int), np.zeros(len(xy))
+    parts = linked_parts(xy, 30.0, one_group, same, same + 1.0)
+    np.testing.assert_array_equal(parts, connected_parts(np.ones(len(xy), dtype=bool), pairs))
+
+
+def test_points_exactly_a_radius_apart_are_no_neighbours():
+    xy = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 3.9]])
+    assert linked_pairs(xy, 5.0).tolist() == [[0, 2], [1, 2]]
+    assert neighbours_of_all(xy, 1, 5.0).tolist() == [[2], [2], [1]]
+
+
+@st.composite
+def graphs(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = draw(st.integers(0, 40))
+    pairs = rng.integers(0, n, (draw(st.integers(0, 60)), 2)) if n else np.empty((0, 2), dtype=np.int64)
+    return rng.random(n) < 0.8, pairs
+
+
+@given(graph=graphs())
+@settings(max_examples=150)
+def test_parts_are_those_of_scipy(graph):
+    is_in, pairs = graph
+    n = len(is_in)
+    label = connected_parts(is_in, pairs)
+    kept = pairs[is_in[pairs].all(axis=1)]
+    edges = coo_array((np.ones(len(kept)), (kept[:, 0], kept[:, 1])), shape=(n, n))
+    number, expected = connected_components(edges, directed=False) if n else (0, np.empty(0))
+    assert len(np.unique(label)) == number
+    np.testing.assert_array_equal(label[:, None] == label, expected[:, None] == expected)
+    # Numbered by their first track, without gaps.
+    first = [np.flatnonzero(label == k)[0] for k in range(number)]
+    assert first == sorted(first)
+
+
+@given(graph=graphs(), seed=st.integers(0, 1000))
+def test_parts_do_not_depend_on_the_order_of_the_pairs(graph, seed):
+    is_in, pairs = graph
+    shuffled = np.random.default_rng(seed).permuted(np.random.default_rng(seed).permutation(pairs), axis=1)
+    np.testing.assert_array_equal(connected_parts(is_in, pairs), connected_parts(is_in, shuffled))
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 60))
+def test_linked_parts_are_those_that_near_pairs_of_one_group_and_like_values_join(seed, n):
+    rng = np.random.default_rng(seed)
+    xy, group, value = rng.uniform(0.0, 100.0, (n, 2)), rng.integers(0, 2, n), rng.uniform(0.0, 1.0, n)
+    tolerance = rng.choice([0.0, 0.2, np.inf], n)
+    one, other = linked_pairs(xy, 25.0).T
+    is_alike = (group[one] == group[other]) & (np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other])
+    expected = connected_parts(np.ones(n, dtype=bool), np.column_stack([one, other])[is_alike])
+    np.testing.assert_array_equal(linked_parts(xy, 25.0, group, value, tolerance), expected)

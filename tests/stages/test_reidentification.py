@@ -1,0 +1,68 @@
+"""A small far thing that was hidden is known again as surely as its noisy tracks allow, and another one is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigid_worlds import DT_S, bodies_of, car, static_points
+
+from ttcvid.model import NO_CLUSTER
+from ttcvid.stages.segmentation import labels
+from ttcvid.stages.segmentation.reidentification import known_again
+
+CAMERA_M_S, CAR_M_S, DEPTH_M, ASIDE_M = (0.0, 0.0, 8.0), (-3.0, 0.0, 0.0), 45.0, 5.4
+N_POINTS, N_AFTER = 8, 10
+
+
+def keys(seed, n_seen, n_hidden, sigma_px, other_m_s=None):
+    """Key of a car 60 px wide before it is hidden, and of what comes out: the car or, in its place, another one.
+
+    None where it has no number yet, or nothing is found in the second in which it is remembered.
+    """
+    rng, out_at = np.random.default_rng(seed), n_seen + n_hidden
+    n_frames = out_at + N_AFTER
+    whole = car(rng, (ASIDE_M, 0.5, DEPTH_M), CAR_M_S, n=N_POINTS)
+    # Ever so little: the same points are other tracks.
+    after = replace(whole, points=whole.points + 1e-9, frames=(out_at, n_frames))
+    if other_m_s is not None:
+        out_m = whole.at(out_at * DT_S).mean(axis=0)
+        start_m = out_m - out_at * DT_S * np.array(other_m_s)
+        after = car(rng, start_m, other_m_s, n=N_POINTS, frames=(out_at, n_frames))
+    static = static_points(rng, CAMERA_M_S, n_frames, (whole, after))
+    things = [static, replace(whole, frames=(0, n_seen)), after]
+    frames = bodies_of(things, n_frames, camera_m_s=CAMERA_M_S, sigma_px=sigma_px, seed=seed)
+    # The first frame is without bodies.
+    before, later = frames[n_seen - 2], frames[out_at - 1 : n_seen + 8]
+    key = before.keys_of(1)[0]
+    found = [frame.keys_of(2)[0] for frame in later if frame.keys_of(2)[0] != 0]
+    has_number = before.cluster_ids.get(key, NO_CLUSTER) != NO_CLUSTER
+    return key if has_number else None, found[0] if found else None
+
+
+def share_known_again(n_seen, n_hidden, sigma_px, other_m_s=None):
+    both = [keys(seed, n_seen, n_hidden, sigma_px, other_m_s) for seed in range(30)]
+    asked = [before == after for before, after in both if None not in (before, after)]
+    assert len(asked) >= 15
+    return np.mean(asked)
+
+
+@pytest.mark.parametrize("sigma_px", [0.05, 0.15])
+@pytest.mark.parametrize(("n_seen", "n_hidden"), [(9, 3), (14, 3), (14, 5)])
+def test_what_was_hidden_is_known_again(n_seen, n_hidden, sigma_px):
+    assert share_known_again(n_seen, n_hidden, sigma_px) >= 0.95
+
+
+def test_it_is_known_again_though_a_track_of_it_is_left_at_the_rim_of_what_hid_it(monkeypatch):
+    def with_one_left(views, scene, key, movers, *found):
+        hidden, key = movers.key[movers.n_missed > 0], key.copy()
+        key[: len(hidden)] = hidden
+        return known_again(views, scene, key, movers, *found)
+
+    monkeypatch.setattr(labels, "known_again", with_one_left)
+    assert share_known_again(14, 3, 0.05) >= 0.95
+
+
+@pytest.mark.parametrize("other_m_s", [(6.0, 0.0, 0.0), (-15.0, 0.0, 0.0), (-3.0, 0.0, -14.0)])
+def test_what_moves_otherwise_in_its_place_is_another_thing(other_m_s):
+    assert share_known_again(14, 3, 0.05, other_m_s) <= 0.05
+    assert share_known_again(14, 3, 0.15, other_m_s) <= 0.05

@@ -1,0 +1,266 @@
+"""Own motion: first pairs, movers, rest, platforms and the noise of the scene, against exact truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from two_views import FOCAL_PX, angle_deg, two_views
+
+from ttcvid.geometry.rotation import vector_from_rotation
+from ttcvid.model import Camera, ImageSize, Platform
+from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion, picture_region, region_side_of
+
+FORWARD = np.array([0.0, 0.0, -1.0])
+LEAST_PARALLAX_RAD = 0.25 / FOCAL_PX
+TURN_DEG, TRAVEL_M = (0.05, 0.3, 0.02), (0.05, 0.02, 1.0)
+LAST = EgomotionMemory(np.radians([0.03, 0.25, 0.0]), FORWARD)
+FIRST = EgomotionMemory()
+MOVING_PLATFORMS = [Platform.vehicle, Platform.aircraft, Platform.free]
+
+
+def estimate(views, memory=LAST, platform=Platform.vehicle):
+    return estimate_egomotion(views.rays_prev, views.rays_cam, views.sigma_rad, LEAST_PARALLAX_RAD, memory, platform)[0]
+
+
+def turn_error_deg(egomotion, views):
+    return np.degrees(np.linalg.norm(vector_from_rotation(egomotion.cam_R_prev @ views.cam_R_prev.T)))
+
+
+def assert_is_true(egomotion, views, turn_deg=0.06, direction_deg=0.5):
+    assert turn_error_deg(egomotion, views) < turn_deg
+    assert egomotion.direction is not None
+    assert angle_deg(egomotion.direction, views.direction) < direction_deg
+
+
+def test_parts_of_a_picture_are_as_large_however_the_camera_is_held():
+    lying, standing = (Camera(900.0, 900.0, 0.0, 0.0, ImageSize(*size)) for size in ((1280, 720), (720, 1280)))
+    assert region_side_of(standing) == region_side_of(lying)
+
+
+@pytest.mark.parametrize("platform", MOVING_PLATFORMS)
+@pytest.mark.parametrize("yaw_deg", [-3.5, -2.5, 0.0, 1.7, 3.5])
+def test_first_pair_of_a_turning_camera_needs_no_former_rotation(platform, yaw_deg):
+    for seed in range(2):
+        views = two_views(
+            np.random.default_rng(seed), 250, (0.05, yaw_deg, 0.02), TRAVEL_M, movers=[((0.6, 0.8), (-0.6, 0, -0.5))]
+        )
+        assert_is_true(estimate(views, FIRST, platform), views)
+
+
+@pytest.mark.parametrize("travel_m", [(0, 0, -1.0), (1.0, 0, 0), (-0.7, -0.3, 0.7), (0, 1.0, 0.2)])
+def test_a_free_camera_may_travel_in_any_direction(travel_m):
+    views = two_views(np.random.default_rng(1), 300, TURN_DEG, travel_m)
+    assert_is_true(estimate(views, FIRST, Platform.free), views)
+
+
+@pytest.mark.parametrize("platform", MOVING_PLATFORMS)
+def test_a_camera_that_went_ahead_and_now_goes_back_has_the_opposite_direction(platform):
+    """The residuals are those of the way ahead: what tells is on which side of the camera the points would lie."""
+    for travel_m in ((0.05, 0.02, -1.0), (0.0, 0.0, -0.3)):
+        views = two_views(np.random.default_rng(2), 300, TURN_DEG, travel_m, movers=[((0.0, 0.2), (0.5, 0, 0))])
+        assert_is_true(estimate(views, LAST, platform), views, direction_deg=1.0)
+
+
+MOVERS = {
+    "two across": [((0.3, 0.5), (0.8, 0, 0)), ((0.6, 0.8), (-0.6, 0, -0.5))],
+    "one ahead, faster": [((0.0, 0.4), (0, 0, 2.2))],
+    "one from the right": [((0.6, 1.0), (-1.2, 0, 0.3))],
+}
+
+
+@pytest.mark.parametrize("movers", MOVERS.values(), ids=MOVERS)
+@pytest.mark.parametrize("platform", MOVING_PLATFORMS)
+def test_two_fifths_of_movers_do_not_turn_the_camera(movers, platform):
+    for seed in range(4):
+        views = two_views(np.random.default_rng(seed), 300, TURN_DEG, TRAVEL_M, movers=movers)
+        assert views.is_mover.mean() > 0.3
+        assert_is_true(estimate(views, LAST, platform), views)
+
+
+@pytest.mark.parametrize(
+    ("movers", "memory"),
+    [([((0.6, 1.0), (-1.2, 0, 0.3))], FIRST), ([((0.3, 0.7), (0.8, 0, 0))], LAST)],
+    ids=["first pair", "in the middle of the picture"],
+)
+def test_a_lorry_that_crosses_two_fifths_of_the_picture_is_not_taken_for_the_scene(movers, memory):
+    errors = []
+    for seed in range(8):
+        views = two_views(np.random.default_rng(seed), 400, TURN_DEG, TRAVEL_M, movers=movers)
+        egomotion = estimate(views, memory)
+        errors.append(180.0 if egomotion.direction is None else angle_deg(egomotion.direction, views.direction))
+    assert max(errors) < 1.0
+
+
+RESTING_MOVERS = {
+    "nothing moves": [],
+    "a lorry across": [((0.3, 0.63), (0.8, 0, 0))],
+    "a lorry comes": [((0.3, 0.63), (0.1, 0, -0.8))],
+    "two cars": [((0.0, 0.2), (0.5, 0, 0)), ((0.5, 0.63), (-0.3, 0, -0.5))],
+}
+
+
+@pytest.mark.parametrize("movers", RESTING_MOVERS.values(), ids=RESTING_MOVERS)
+@pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (0.02, 0.8, 0.0)], ids=["at rest", "turning"])
+def test_movers_in_a_third_of_the_picture_do_not_make_a_resting_camera_travel(movers, turn_deg):
+    for seed in range(2):
+        views = two_views(np.random.default_rng(seed), 250, turn_deg, (0, 0, 0), movers=movers)
+        for platform in MOVING_PLATFORMS:
+            egomotion = estimate(views, FIRST, platform)
+            assert egomotion.direction is None
+            assert egomotion.direction_cov is None
+            assert turn_error_deg(egomotion, views) < 0.02
+
+
+def test_a_camera_that_travels_does_not_rest():
+    for seed in range(10):
+        views = two_views(np.random.default_rng(seed), 300, travel_m=(0, 0, 0.1))
+        assert estimate(views, FIRST).direction is not None
+
+
+def test_flow_within_the_least_parallax_is_no_travel_however_small_the_noise():
+    """The nearest point flows by 0.2 px, a hundred times its stated noise."""
+    views = two_views(np.random.default_rng(1), 300, travel_m=(0, 0, 0.002), sigma_px=0.0, told_sigma_px=0.002)
+    assert estimate(views).direction is None
+    much = two_views(np.random.default_rng(1), 300, travel_m=(0, 0, 0.2), sigma_px=0.0, told_sigma_px=0.002)
+    assert estimate(much).direction is not None
+
+
+def test_a_camera_on_a_mast_shakes_but_never_travels():
+    views = two_views(np.random.default_rng(2), 300, (0.05, 0.05, 0.0), (0, 0, 0.5))
+    assert estimate(views, FIRST, Platform.static).direction is None
+    shaken = two_views(np.random.default_rng(2), 300, (0.05, -0.04, 0.02), (0, 0, 0), movers=[((0.0, 0.3), (1, 0, 0))])
+    # What it did last says nothing of what it does now: it swings back.
+    last = EgomotionMemory(np.radians([-0.1, 0.2, 0.0]), None)
+    assert turn_error_deg(estimate(shaken, last, Platform.static), shaken) < 0.02
+
+
+@pytest.mark.parametrize("part", [0.7, 0.9, 1.0])
+@pytest.mark.parametrize("velocity_m", [(0.4, 0.0, 0.0), (-0.5, 0.02, 0.1)], ids=["to the right", "to the left"])
+def test_a_lorry_that_fills_the_picture_does_not_turn_a_camera_on_a_mast(part, velocity_m):
+    views = two_views(
+        np.random.default_rng(4), 300, travel_m=(0, 0, 0), movers=[((0.0, part), velocity_m)], depth_m=(5, 6)
+    )
+    egomotion = estimate(views, EgomotionMemory(np.zeros(3), None), Platform.static)
+    assert turn_error_deg(egomotion, views) < 0.03
+    # Its flow is no measure of the noise.
+    assert egomotion.residual_spread < 1.5
+
+
+@pytest.mark.parametrize("turn_deg", [(0.02, 0.8, 0.0), (0.0, -2.5, 0.0)])
+def test_a_camera_on_a_mast_that_is_panned_all_the_same_turns(turn_deg):
+    last = EgomotionMemory(np.zeros(3), None)
+    views = two_views(np.random.default_rng(5), 300, turn_deg, (0, 0, 0), movers=[((0.3, 0.5), (1, 0, 0))])
+    assert turn_error_deg(estimate(views, last, Platform.static), views) < 0.03
+
+
+def test_priors_hold_a_vehicle_closer_to_forward_than_an_aircraft_than_a_hand():
+    """A far scene in strong noise leaves the direction open: then the platform decides."""
+    error = {platform: [] for platform in MOVING_PLATFORMS}
+    for seed in range(15):
+        views = two_views(np.random.default_rng(seed), 60, travel_m=(0, 0, 1.0), sigma_px=0.6, depth_m=(25, 200))
+        for platform in MOVING_PLATFORMS:
+            egomotion = estimate(views, EgomotionMemory(np.zeros(3), FORWARD), platform)
+            if egomotion.direction is not None:
+                error[platform].append(angle_deg(egomotion.direction, FORWARD))
+    vehicle, aircraft, free = (np.sqrt(np.mean(np.square(error[p]))) for p in MOVING_PLATFORMS)
+    assert len(error[Platform.vehicle]) >= 10
+    assert vehicle < aircraft < free
+
+
+def test_a_prior_does_not_overrule_a_clear_picture():
+    """A car in a drift of 20 deg, seen clearly."""
+    views = two_views(np.random.default_rng(3), 400, TURN_DEG, (0.36, 0, 1.0))
+    assert_is_true(estimate(views, LAST, Platform.vehicle), views, direction_deg=0.7)
+
+
+@pytest.mark.parametrize("movers", [[], [((0.0, 0.3), (0.8, 0, 0))]], ids=["scene alone", "with movers"])
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
+def test_residual_spread_is_the_true_noise_over_the_assumed_one(ratio, movers):
+    spread = []
+    for seed in range(8):
+        views = two_views(
+            np.random.default_rng(seed), 600, TURN_DEG, TRAVEL_M, 0.2 * ratio, movers=movers, told_sigma_px=0.2
+        )
+        spread.append(estimate(views).residual_spread)
+    assert np.mean(spread) == pytest.approx(ratio, rel=0.08)
+
+
+def test_residual_spread_of_a_resting_camera_is_the_same_measure():
+    views = two_views(np.random.default_rng(4), 800, (0, 0.2, 0), (0, 0, 0), 0.3, told_sigma_px=0.2)
+    egomotion = estimate(views, FIRST)
+    assert egomotion.direction is None
+    assert egomotion.residual_spread == pytest.approx(1.5, rel=0.08)
+
+
+def test_the_next_search_starts_from_this_result():
+    views = two_views(np.random.default_rng(5), 300, TURN_DEG, TRAVEL_M)
+    egomotion, memory = estimate_egomotion(
+        views.rays_prev, views.rays_cam, views.sigma_rad, LEAST_PARALLAX_RAD, LAST, Platform.vehicle
+    )
+    np.testing.assert_array_equal(memory.rotation_rad, egomotion.rotation_rad)
+    np.testing.assert_array_equal(memory.direction, egomotion.direction)
+
+
+def test_a_stop_keeps_the_direction_for_when_it_goes_on():
+    views = two_views(np.random.default_rng(6), 300, (0, 0, 0), (0, 0, 0))
+    direction = np.array([0.1, 0.0, -0.995])
+    _, memory = estimate_egomotion(
+        views.rays_prev,
+        views.rays_cam,
+        views.sigma_rad,
+        LEAST_PARALLAX_RAD,
+        EgomotionMemory(np.zeros(3), direction),
+        Platform.vehicle,
+    )
+    np.testing.assert_array_equal(memory.direction, direction)
+
+
+def test_order_of_the_points_does_not_matter():
+    views = two_views(np.random.default_rng(7), 300, TURN_DEG, TRAVEL_M)
+    order = np.random.default_rng(8).permutation(300)
+    one = estimate(views)
+    other, _ = estimate_egomotion(
+        views.rays_prev[order],
+        views.rays_cam[order],
+        views.sigma_rad[order],
+        LEAST_PARALLAX_RAD,
+        LAST,
+        Platform.vehicle,
+    )
+    np.testing.assert_allclose(other.cam_R_prev, one.cam_R_prev, atol=1e-9)
+    np.testing.assert_allclose(other.direction, one.direction, atol=1e-8)
+    np.testing.assert_allclose(other.residual, one.residual[order], atol=1e-4)
+
+
+def test_parts_of_the_picture_are_squares_of_a_tenth_of_the_focal_length_or_of_the_width():
+    rays = np.array([[0.01, 0.01, 1.0], [0.09, 0.09, 1.0], [0.11, 0.01, 1.0], [-0.01, 0.01, 1.0], [0.02, 0.18, 2.0]])
+    one, same, right, left, deep = picture_region(rays)
+    assert one == same == deep
+    assert len({one, right, left}) == 3
+    ordinary, wide, long = (
+        Camera(focal_px, focal_px, 639.5, 359.5, ImageSize(1280, 720)) for focal_px in (1200.0, 500.0, 12000.0)
+    )
+    assert region_side_of(ordinary) == region_side_of(wide) == 0.1
+    assert region_side_of(long) * 12000.0 == pytest.approx(128.0)
+
+
+def beside_far_away(rng, travel_m, n_near=300, n_far=250):
+    """Two views of things nearby and of others beside them that are too far away to show any travel."""
+    near = two_views(rng, n_near, TURN_DEG, travel_m, sigma_px=0.1, depth_m=(4.0, 12.0))
+    far = two_views(rng, n_far, TURN_DEG, travel_m, sigma_px=0.1, depth_m=(200.0, 400.0))
+    joined = {name: np.concatenate([getattr(near, name), getattr(far, name)]) for name in near.__dataclass_fields__}
+    rays = joined["rays_prev"], joined["rays_cam"], joined["sigma_rad"]
+    return replace(near, rays_prev=rays[0], rays_cam=rays[1], sigma_rad=rays[2])
+
+
+@pytest.mark.parametrize("angle_of_travel_deg", range(0, 360, 40))
+@pytest.mark.parametrize("before", [FORWARD, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])])
+def test_a_free_camera_that_sways_before_a_far_background_has_its_direction_whatever_the_last_one(
+    angle_of_travel_deg, before
+):
+    """The far half of the points fits any direction: from the wrong side no search comes round."""
+    angle = np.radians(angle_of_travel_deg)
+    travel_m = 0.03 * np.array([np.cos(angle), np.sin(angle), 0.1])
+    views = beside_far_away(np.random.default_rng(angle_of_travel_deg), travel_m)
+    found = estimate(views, EgomotionMemory(np.radians([0.03, 0.25, 0.0]), before), Platform.free)
+    assert_is_true(found, views, turn_deg=0.02, direction_deg=4.0)

@@ -1,0 +1,149 @@
+"""The rows of a frame: every track with its time or its reason, every cluster in order."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from relative_motion import CAMERA, box_of_points, history_of, pixels, unit
+
+from ttcvid.config import CollisionTimesConfig
+from ttcvid.model import NO_CLUSTER, MotionState, Status
+from ttcvid.stages.objects.clusters import ClusterMotion
+from ttcvid.stages.objects.motions import FrameMotions
+from ttcvid.stages.rows import cluster_rows, no_tracks, track_rows
+
+STATIC, CAR, LOOSE = 40, 25, 3
+OWN, CAR_V, LOOSE_V = np.array([0.0, 0.0, -8.0]), np.array([3.0, 0.3, -6.0]), np.array([0.0, 4.0, -1.0])
+TWO_FRAME, THREE_FRAME, MULTI_FRAME = (
+    CollisionTimesConfig(estimator=name) for name in ("two-frame", "three-frame", "multi-frame")
+)
+
+
+@pytest.fixture
+def frame():
+    """History, motions and true places of a scene, a car on collision course and three tracks of no cluster."""
+    rng = np.random.default_rng(101)
+    side = rng.choice([-1.0, 1.0], STATIC)
+    static = np.column_stack(
+        [side * rng.uniform(3, 8, STATIC), rng.uniform(-2, 2, STATIC), rng.uniform(15, 40, STATIC)]
+    )
+    car = box_of_points(rng, CAR, (-5.0, 0.5, 15.0), (2.0, 1.2, 0.0))
+    loose = box_of_points(rng, LOOSE, (2.0, -3.0, 25.0), (1.0, 0.5, 1.0))
+    position_m = np.concatenate([static, car, loose])
+    velocity = np.repeat([OWN, CAR_V, LOOSE_V], [STATIC, CAR, LOOSE], axis=0)
+    history = history_of(position_m, velocity, 0.05 * np.arange(9))
+    history = replace(history, scene_direction=np.tile(unit(OWN), (9, 1)))
+    cluster = np.repeat([0, 4, NO_CLUSTER], [STATIC, CAR, LOOSE])
+    return history, motions_of(history, cluster), position_m, velocity
+
+
+def motions_of(history, cluster, known=(True, True)):
+    status = np.full(history.n_tracks, Status.no_epipole, dtype=np.int64)
+    clusters = []
+    for number, velocity, is_known in zip((0, 4), (OWN, CAR_V), known, strict=True):
+        members, e = np.flatnonzero(cluster == number), unit(velocity)
+        status[members] = Status.ok if is_known else Status.no_parallax
+        e_cov = 1e-10 * (np.eye(3) - np.outer(e, e)) if is_known else None
+        clusters.append(
+            ClusterMotion(number, members, e if is_known else None, e_cov, Status(status[members[0]]), "consensus")
+        )
+    return FrameMotions(cluster, status, tuple(clusters), 32.0, np.ones(len(cluster), dtype=bool))
+
+
+@pytest.mark.parametrize(
+    "config", [TWO_FRAME, THREE_FRAME, MULTI_FRAME], ids=["two-frame", "three-frame", "multi-frame"]
+)
+def test_every_track_of_a_cluster_has_its_exact_times(frame, config):
+    history, motions, position_m, velocity = frame
+    _, rows = track_rows(history, motions, config)
+    chosen = np.arange(STATIC + CAR)
+    assert (rows.status[chosen] == Status.ok).all()
+    speed2 = np.einsum("ni,ni->n", velocity, velocity)
+    tcpa_s = -np.einsum("ni,ni->n", position_m, velocity) / speed2
+    miss_s = np.linalg.norm(np.cross(position_m, velocity), axis=1) / speed2
+    np.testing.assert_allclose(rows.times.tcpa_s[chosen], tcpa_s[chosen], rtol=1e-6)
+    np.testing.assert_allclose(rows.times.miss_s[chosen], miss_s[chosen], rtol=1e-6)
+    np.testing.assert_allclose(rows.times.ttc_z_s[chosen], (-position_m[:, 2] / velocity[:, 2])[chosen], rtol=1e-6)
+    cosine = -np.einsum("ni,ni->n", unit(position_m), unit(velocity))
+    np.testing.assert_allclose(rows.alpha_rad[chosen], np.arccos(cosine)[chosen], atol=1e-6)
+
+
+def test_tracks_without_an_epipole_have_a_reason_and_no_time(frame):
+    history, motions, *_ = frame
+    _, rows = track_rows(history, motions, TWO_FRAME)
+    loose = slice(STATIC + CAR, None)
+    assert (rows.status[loose] == Status.no_epipole).all()
+    assert np.isnan(rows.times.tcpa_s[loose]).all()
+    assert (rows.cluster_id[loose] == NO_CLUSTER).all()
+
+
+@pytest.mark.parametrize("config", [THREE_FRAME, MULTI_FRAME], ids=["three-frame", "multi-frame"])
+def test_tracks_of_no_cluster_have_times_of_their_own(frame, config):
+    history, motions, position_m, velocity = frame
+    _, rows = track_rows(history, motions, config)
+    loose = slice(STATIC + CAR, None)
+    tcpa_s = -np.einsum("ni,ni->n", position_m, velocity) / np.einsum("ni,ni->n", velocity, velocity)
+    np.testing.assert_allclose(rows.times.tcpa_s[loose], tcpa_s[loose], rtol=1e-5)
+
+
+def test_no_result_is_a_nan_beside_a_reason_and_a_result_is_never_one(frame):
+    history, motions, *_ = frame
+    for config in (TWO_FRAME, THREE_FRAME, MULTI_FRAME):
+        states, rows = track_rows(history, motions, config)
+        np.testing.assert_array_equal(np.isfinite(rows.times.tcpa_s), states.has_value)
+        assert len({len(v) for v in (rows.track_id, rows.cluster_id, rows.xy_px, rows.n_frames, rows.status)}) == 1
+        np.testing.assert_array_equal(rows.n_frames, 9)
+
+
+def test_a_track_at_the_epipole_of_its_group_takes_the_time_of_its_surroundings():
+    """A car that comes straight at us: its middle keeps its bearing."""
+    rng = np.random.default_rng(102)
+    position_m = np.concatenate([[[0.0, 0.0, 15.0]], box_of_points(rng, 24, (0.0, 0.0, 15.0), (1.6, 1.0, 0.0))])
+    velocity = np.array([0.0, 0.0, -6.0])
+    history = history_of(position_m, velocity, 0.05 * np.arange(9))
+    e = unit(velocity)
+    cov = 1e-8 * np.diag([1.0, 1.0, 0.0])
+    n, car = len(position_m), ClusterMotion(1, np.arange(25), e, cov, Status.ok, "consensus")
+    ok = np.zeros(n, np.int64)
+    motions = FrameMotions(np.ones(n, np.int64), ok, (car,), 60.0, np.ones(n, dtype=bool))
+    _, rows = track_rows(history, motions, TWO_FRAME)
+    assert rows.status[0] == Status.ok
+    assert rows.times.ttc_z_s[0] == pytest.approx(2.5, rel=1e-6)
+    alone = replace(motions, cluster_id=np.full(n, NO_CLUSTER))
+    _, rows = track_rows(history, alone, TWO_FRAME)
+    assert rows.status[0] == Status.at_epipole
+
+
+def test_the_scene_comes_first_and_objects_have_times_motion_and_rank(frame):
+    history, motions, position_m, _ = frame
+    states, _ = track_rows(history, motions, TWO_FRAME)
+    scene, car = cluster_rows(history, motions, states, CAMERA)
+    assert (scene.cluster_id, scene.role, scene.n_tracks, scene.urgency_rank) == (0, "scene", STATIC, None)
+    assert np.isnan(scene.times.ttc_z_s[0])
+    assert (car.cluster_id, car.role, car.n_tracks, car.urgency_rank) == (4, "object", CAR, 1)
+    assert (scene.motion_id, car.motion_id) == (0, 1)
+    assert car.motion_state == MotionState.approaching
+    assert car.times.ttc_z_s[0] == pytest.approx(2.5, rel=1e-6)
+    assert car.expansion_hz == pytest.approx(1.0 / 2.5, rel=1e-6)
+    xy_px = pixels(position_m[STATIC : STATIC + CAR])
+    np.testing.assert_allclose(car.box_px, [*xy_px.min(axis=0), *xy_px.max(axis=0)])
+
+
+def test_objects_are_seen_where_the_camera_rests(frame):
+    history, _, position_m, velocity = frame
+    cluster = np.repeat([0, 4, NO_CLUSTER], [STATIC, CAR, LOOSE])
+    resting = np.where((cluster == 0)[:, None], 0.0, velocity)
+    history = history_of(position_m, resting, history.t_s)
+    motions = motions_of(history, cluster, known=(False, True))
+    states, rows = track_rows(history, motions, TWO_FRAME)
+    assert (rows.status[:STATIC] == Status.no_parallax).all()
+    scene, car = cluster_rows(history, motions, states, CAMERA)
+    assert scene.motion_state == MotionState.no_relative_motion
+    assert scene.epipole_px is None
+    assert car.times.ttc_z_s[0] == pytest.approx(2.5, rel=1e-6)
+
+
+def test_a_frame_without_tracks_has_empty_rows():
+    rows = no_tracks()
+    assert len(rows.track_id) == len(rows.times.tcpa_s) == len(rows.status) == 0
+    assert rows.xy_px.shape == (0, 2)

@@ -1,0 +1,1 @@
+"""The command `analyze`: one clip to one result folder."""

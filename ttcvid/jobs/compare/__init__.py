@@ -1,0 +1,1 @@
+"""The command `compare`: two results held against each other."""

@@ -1,0 +1,1 @@
+"""The command `regress`: clips analysed again, and held against their baselines."""

@@ -1,0 +1,1 @@
+"""Finished runs: what is in their folders, and what their manifests say."""

@@ -1,0 +1,1 @@
+"""Options and configuration: where each value comes from."""

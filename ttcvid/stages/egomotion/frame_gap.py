@@ -1,0 +1,245 @@
+"""Own motion of a frame, over a gap that grows until the flow is long enough."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.config import EgomotionConfig
+from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.medians import median
+from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.egomotion.relative_pose import (
+    Egomotion,
+    EgomotionMemory,
+    cost_of,
+    estimate_egomotion,
+    picture_region,
+    region_side_of,
+)
+from ttcvid.stages.egomotion.scene_trajectory import with_scene_path
+from ttcvid.stages.tracking.history import TrackHistory, last_frame_only, with_egomotion
+from ttcvid.stages.tracking.noise import with_noise
+
+# In each part of the picture (`picture_region`) only so many tracks are used: errors that neighbours share are what
+# limits own motion.
+_MOST_IN_CELL = 6
+# The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames. A steady way
+# that asks for the longest gap steps so little that it leaves no third difference (6 step / k^2, k frames before a
+# collision).
+_WANTED_FLOW_PX, _LONGEST_GAP = 2.5, 5
+_TINY_PX = 1e-6
+
+
+def find_own_motion(
+    history: TrackHistory,
+    is_free: Bools,
+    in_scene: Bools,
+    memory: EgomotionMemory,
+    config: EgomotionConfig,
+    least_parallax_px: float,
+    sigma_floor_px: float,
+) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
+    """Rotation from the last frame, and direction of travel as the whole tracks of the scene show it.
+
+    Parameters
+    ----------
+    is_free : (N,) tracks that are not frozen to their pixel.
+    in_scene : (N,) tracks that no known mover holds. They alone tell of own motion, unless what all tracks tell
+        explains all of them better: what is known of movers may be wrong.
+    least_parallax_px : flow of one step that is not taken for translation, however small the noise.
+
+    Returns
+    -------
+    egomotion : None where there are too few tracks; then the history keeps only the present frame.
+    """
+    parallax_rad = least_parallax_px / history.focal_px
+    step = _last_step(history, is_free, in_scene, memory, config, parallax_rad)
+    if step is None:
+        return None, last_frame_only(history), replace(memory, gap_frames=1)
+    egomotion, history, memory = _over_gap(history, step, config, parallax_rad, sigma_floor_px)
+    history = with_scene_path(history, step.tells, egomotion)
+    direction = memory.direction if egomotion.direction is None else egomotion.direction
+    return egomotion, history, replace(memory, direction=direction)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Own motion since the last frame, what to remember of it, and the tracks ``tells (N,)`` that tell of it."""
+
+    egomotion: Egomotion
+    memory: EgomotionMemory
+    tells: Bools
+
+
+def _last_step(
+    history: TrackHistory,
+    is_free: Bools,
+    in_scene: Bools,
+    memory: EgomotionMemory,
+    config: EgomotionConfig,
+    parallax_rad: float,
+) -> _Step | None:
+    """Own motion since the last frame as the tracks of no known mover tell it, or all; None with too few tracks."""
+    everything = _pair(history, is_free, 1, config.min_tracks)
+    if everything is None:
+        return None
+    side = region_side_of(history.camera)
+
+    def told_by(tells: Bools, pair: _Pair) -> _Step:
+        return _Step(*estimate_egomotion(*pair, parallax_rad, memory, config.platform, side), tells)
+
+    by_all = told_by(is_free, everything)
+    without_movers = is_free & in_scene
+    pair = _pair(history, without_movers, 1, config.min_tracks) if (is_free & ~in_scene).any() else None
+    if pair is None:
+        return by_all
+    by_scene = told_by(without_movers, pair)
+    return min(by_scene, by_all, key=lambda step: cost_of(step.egomotion, *everything))
+
+
+def _over_gap(
+    history: TrackHistory, step: _Step, config: EgomotionConfig, parallax_rad: float, sigma_floor_px: float
+) -> tuple[Egomotion, TrackHistory, EgomotionMemory]:
+    """Rotation from the last frame, and direction of travel over the gap that the flow asks for.
+
+    Rotations of single steps would add up with their errors, which are partly common to all steps: over ten frames
+    they bend the flow of everything far away. Where the flow is short, the motion is therefore found once more
+    between the present frame and one so far back that the flow is long enough: its rotation corrects the sum, its
+    direction replaces that of the step. The gap stays short all the same: the direction found is the mean over it.
+    """
+    egomotion, memory, side = step.egomotion, step.memory, region_side_of(history.camera)
+    history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
+    gap = min(memory.gap_frames, len(history.frame) - 1)
+    # Where a step shows no translation, what is left of its flow is noise only if a longer one shows none, either.
+    is_noise_known, is_slow = egomotion.direction is not None or gap <= 1, gap >= _LONGEST_GAP
+    if is_noise_known:
+        history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
+    memory = replace(memory, gap_frames=_gap_for(history, step.tells))
+    long_step = _pair(history, step.tells, gap, config.min_tracks) if gap > 1 else None
+    if long_step is None:
+        if not is_noise_known:
+            history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
+        return egomotion, history, memory
+    start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
+    over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform, side)
+    if not is_noise_known:
+        told = egomotion if over_gap.direction is None else over_gap
+        history = with_noise(history, told.residual_spread, sigma_floor_px, is_slow)
+    history = _corrected(history, over_gap, gap)
+    egomotion = replace(egomotion, direction=over_gap.direction, direction_cov=over_gap.direction_cov)
+    return egomotion, history, memory
+
+
+_Pair = tuple[Floats, Floats, Floats]
+
+
+def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> _Pair | None:
+    """Rays ``gap`` frames ago and now, each in its own camera, and their noise; None with too few tracks.
+
+    Of tracks so that no place of the picture holds too many: one textured lorry is not the world. A mover near by may
+    hold most of the tracks, but it does not fill most of the picture.
+    """
+    if not 0 < gap < len(history.frame):
+        return None
+    before, now, sigma_rad = history.rays[-1 - gap], history.rays[-1], history.sigma_rad
+    seen = np.empty(len(now), dtype=np.int64)
+    seen = seen[: _list_seen(before, now, is_free, seen)]
+    if len(seen) < min_tracks:
+        return None
+    is_kept = np.zeros(len(seen), dtype=bool)
+    region = picture_region(now.take(seen, axis=0), region_side_of(history.camera))
+    _keep_some(now, sigma_rad, seen, region, is_kept)
+    spread = seen[is_kept]
+    used = spread if len(spread) >= min_tracks else seen
+    return before.take(used, axis=0), now.take(used, axis=0), sigma_rad.take(used)
+
+
+@compiled_for("(f8[:, ::1], f8[:, ::1], b1[::1], i8[::1])")
+def _list_seen(before: Floats, now: Floats, is_free: Bools, seen: Ints) -> int:
+    """Fills ``seen`` with the tracks that have both rays, and are not frozen to their pixel; how many there are."""
+    count = 0
+    for i in range(len(now)):
+        if is_free[i] and np.isfinite(before[i, 0] + now[i, 0]):
+            seen[count] = i
+            count += 1
+    return count
+
+
+@compiled_for("(f8[:, ::1], f8[::1], i8[::1], i8[::1], b1[::1])")
+def _keep_some(rays: Floats, sigma: Floats, seen: Ints, region: Ints, is_kept: Bools) -> None:
+    """Fills ``is_kept (M,)`` with the quietest few of the tracks ``seen (M,)`` in each region.
+
+    The same ones in whatever order they come.
+    """
+    n_regions = 0
+    for number in region:
+        n_regions = max(n_regions, number + 1)
+    kept, count = np.empty((n_regions, _MOST_IN_CELL), dtype=np.int64), np.zeros(n_regions, dtype=np.int64)
+    for m in range(len(seen)):
+        own = region[m]
+        place = count[own]
+        # From the noisiest of those that are kept: most of a crowded region end there.
+        while place > 0 and _is_quieter(rays, sigma, seen[m], seen[kept[own, place - 1]]):
+            if place < _MOST_IN_CELL:
+                kept[own, place] = kept[own, place - 1]
+            place -= 1
+        if place < _MOST_IN_CELL:
+            kept[own, place] = m
+            count[own] = min(count[own] + 1, _MOST_IN_CELL)
+    for own in range(n_regions):
+        for place in range(count[own]):
+            is_kept[kept[own, place]] = True
+
+
+@compiled
+def _is_quieter(rays: Floats, sigma: Floats, new: int, old: int) -> bool:
+    """Whether a track comes before another one: by its noise, and of the same noise by its place."""
+    if sigma[new] != sigma[old]:
+        return bool(sigma[new] < sigma[old])
+    if rays[new, 0] != rays[old, 0]:
+        return bool(rays[new, 0] < rays[old, 0])
+    return bool(rays[new, 1] < rays[old, 1])
+
+
+def _gap_for(history: TrackHistory, is_free: Bools) -> int:
+    """Frames after which the median derotated flow has the wanted length, by the flow of the last step."""
+    flow_rad = np.empty(history.n_tracks)
+    count = _list_flows(history.rays[-2], history.rays[-1], history.cam_R_seen[-2], is_free, flow_rad)
+    if not count:
+        return 1
+    flow_px = median(flow_rad[:count]) * history.focal_px
+    return min(max(math.ceil(_WANTED_FLOW_PX / max(flow_px, _TINY_PX)), 1), _LONGEST_GAP)
+
+
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, ::1], b1[::1], f8[::1])")
+def _list_flows(before: Floats, now: Floats, cam_R_prev: Floats, is_free: Bools, flow: Floats) -> int:
+    """Fills ``flow`` with the lengths of the derotated flows of free tracks that have one; how many there are."""
+    count = 0
+    for i in range(len(now)):
+        if not is_free[i]:
+            continue
+        square = 0.0
+        for j in range(3):
+            turned = cam_R_prev[j, 0] * before[i, 0] + cam_R_prev[j, 1] * before[i, 1] + cam_R_prev[j, 2] * before[i, 2]
+            square += (now[i, j] - turned) ** 2
+        if np.isfinite(square):
+            flow[count] = np.sqrt(square)
+            count += 1
+    return count
+
+
+def _corrected(history: TrackHistory, over_gap: Egomotion, gap: int) -> TrackHistory:
+    """Past rotations with the error of their sum taken out evenly, and the direction of the last step replaced."""
+    error_rad = vector_from_rotation(over_gap.cam_R_prev @ history.cam_R_past[-1 - gap].T)
+    # What lies before the gap was put right when it was within one: it is carried along, not stretched.
+    steps = np.minimum(np.arange(len(history.frame) - 1, -1, -1), gap)
+    corrected = rotation_from_vector(error_rad * (steps / gap)[:, None]) @ history.cam_R_past
+    # By way of rotation vectors: products that go on for ever would cease to be rotations.
+    corrected = rotation_from_vector(vector_from_rotation(corrected))
+    scene_direction = history.scene_direction.copy()
+    scene_direction[-1] = np.nan if over_gap.direction is None else over_gap.direction
+    return replace(history, cam_R_past=corrected, scene_direction=scene_direction)

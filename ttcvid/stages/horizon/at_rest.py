@@ -1,0 +1,139 @@
+"""The horizon of a resting camera from the motions of all its clips, or why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import stdtrit
+
+from ttcvid.config import HorizonCalibrationConfig
+from ttcvid.geometry.horizon_line import HorizonFit, band_px, fit_horizon, is_one_direction, widest_angle_rad
+from ttcvid.model import Camera, Floats
+from ttcvid.stages.horizon.straight_motion import TRACKS, Motion
+
+# Roll taken as zero still has this error, rad: a spirit level's.
+ROLL_ZERO_SIGMA_RAD = 1e-4
+# Part of a distribution below the upper border of its 95 % interval.
+_UPPER_95 = 0.975
+
+
+@dataclass(frozen=True)
+class HorizonResult:
+    """A horizon with the motions that it is made of; ``fit`` None where undetermined, and ``reason`` says why.
+
+    ``roll_zero``: roll was taken as zero, not measured; ``notes`` are what else a user has to know.
+    """
+
+    fit: HorizonFit | None
+    motions: tuple[Motion, ...]
+    reason: str = ""
+    roll_zero: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def calibrated_horizon(
+    motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig, *, from_pictures: bool = False
+) -> HorizonResult:
+    """The line through the epipoles of straight motions.
+
+    Undetermined with too few motions, with motions in one direction, and where the band is too wide to be of use. With
+    ``config.roll_zero`` the line is level and one direction is enough.
+
+    Where tracks come ``from_pictures`` all tracks of a mover err alike (what their windows hold changes as it turns,
+    comes nearer, is hidden), which no scatter between them shows. Their epipoles are taken as less certain than they
+    say, and the pieces of one mover together as no more certain than one. By how much is known roughly only, so that
+    the band is that of Student's distribution with as many degrees of freedom as there are motions.
+    """
+    roll_zero = config.roll_zero
+    usable = [motion for motion in motions if motion.status == "used"]
+    refused = tuple(motions)
+    floor_rad = np.radians(config.floor_deg)
+    least = 1 if roll_zero else config.min_motions
+    n_usable = _count(usable)
+    if n_usable < least:
+        found = f"{n_usable} straight motion{'s' * (n_usable != 1)} found of {_count(motions)}"
+        return HorizonResult(None, refused, f"{found}, at least {least} needed: take a longer clip, or several")
+    directions = np.array([motion.direction for motion in usable])
+    covariances = formal = np.array([motion.covariance for motion in usable])
+    if not roll_zero:
+        reason = _too_alike(directions, covariances, config)
+        if reason:
+            return HorizonResult(None, refused, reason)
+    if from_pictures:
+        covariances = covariances * _picture_factors(usable, config)[:, None, None]
+        floor_rad = max(floor_rad, float(np.radians(config.picture_floor_deg)))
+    fit = fit_horizon(directions, covariances, floor_rad, ROLL_ZERO_SIGMA_RAD if roll_zero else None)
+    if fit is None:
+        return HorizonResult(None, refused, "the epipoles lie on no common line")
+    if from_pictures:
+        fit = replace(fit, quantile=float(stdtrit(fit.is_used.sum(), _UPPER_95)))
+    judged = iter(zip(fit.is_used.tolist(), covariances, strict=True))
+    labelled = tuple(_judged(motion, *next(judged)) if motion.status == "used" else motion for motion in motions)
+    agreeing = [motion for motion, is_used in zip(usable, fit.is_used.tolist(), strict=True) if is_used]
+    reason = _unusable(fit, directions, formal, camera, config, (_count(agreeing), n_usable))
+    notes = ("roll taken as zero",) if roll_zero else ()
+    return HorizonResult(None if reason else fit, labelled, reason, roll_zero, notes)
+
+
+def _count(motions: Sequence[Motion]) -> int:
+    """Number of motions: those of points, and of outlines where a mover's points tell none."""
+    by_tracks = {(motion.clip, motion.mover) for motion in motions if motion.evidence == TRACKS}
+    return sum(motion.evidence == TRACKS or (motion.clip, motion.mover) not in by_tracks for motion in motions)
+
+
+def _picture_factors(motions: list[Motion], config: HorizonCalibrationConfig) -> Floats:
+    """How many times the variances ``(K,)`` of epipoles from pictures are larger than their own scatter says.
+
+    Points of a body that is not quite rigid (people: their limbs, their clothes) err together, and the more the more
+    they scatter.
+    """
+    who = [(motion.clip, motion.mover, motion.evidence == TRACKS) for motion in motions]
+    _, same, count = np.unique(who, axis=0, return_inverse=True, return_counts=True)
+    of_tracks = config.picture_sigma_factor * np.array([motion.looseness for motion in motions])
+    is_tracks = np.array([motion.evidence == TRACKS for motion in motions])
+    factors: Floats = np.where(is_tracks, of_tracks, config.outline_sigma_factor) ** 2 * count[same.ravel()]
+    return factors
+
+
+def _judged(motion: Motion, is_used: bool, covariance: np.ndarray) -> Motion:
+    """A motion with what the fit made of it."""
+    return replace(motion, status="used" if is_used else "off_horizon", covariance=covariance)
+
+
+def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonCalibrationConfig) -> str:
+    remedy = "film things that cross or turn off, too, or give --roll-zero if the camera stands level"
+    if is_one_direction(directions, covariances, np.radians(config.floor_deg), config.one_direction_probability):
+        return f"all {len(directions)} motions run in one direction: {remedy}"
+    widest_deg = float(np.degrees(widest_angle_rad(directions, covariances)))
+    if widest_deg < config.min_spread_deg:
+        return f"directions surely differ by {widest_deg:.1f} deg only, {config.min_spread_deg:g} deg needed: {remedy}"
+    return ""
+
+
+def _unusable(
+    fit: HorizonFit,
+    directions: np.ndarray,
+    covariances: np.ndarray,
+    camera: Camera,
+    config: HorizonCalibrationConfig,
+    counts: tuple[int, int],
+) -> str:
+    """Why a fitted line is not to be believed, empty if it is; ``counts`` of the motions that agree, and of all."""
+    n_used, n_all = counts
+    roll_zero = config.roll_zero
+    if n_used < (1 if roll_zero else config.min_motions):
+        return f"only {n_used} of {n_all} motions agree on a horizon"
+    if 2 * n_used < n_all:
+        return f"only {n_used} of {n_all} motions agree on a horizon: do they move on one level ground?"
+    if not roll_zero:
+        reason = _too_alike(directions[fit.is_used], covariances[fit.is_used], config)
+        if reason:
+            return reason
+    width = camera.image_size.width_px
+    _, half_px = band_px(camera, fit, np.array([0.0, (width - 1) / 2, width - 1.0]))
+    most_px = config.max_band_part * camera.image_size.height_px
+    if not half_px[1] <= most_px:
+        return f"the 95 % band is +-{half_px[1]:.0f} px at the centre, more than {most_px:.0f} px: take a longer clip"
+    return ""

@@ -1,0 +1,166 @@
+"""The horizon of a driving camera, from the epipoles of its own motion with its rotation removed.
+
+The car moves along the road, so that its direction lies on the horizon. Within a window of a few seconds all directions
+are turned into one camera, that of the window's mean tilt: a car that pitches takes its horizon along, and what is
+calibrated is the horizon about which it pitches. Where the car turns, the directions spread along the horizon and tell
+its slope; on a straight road they do not, and the roll is taken as zero within a few degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.config import HorizonCalibrationConfig
+from ttcvid.geometry.horizon_line import band_px, fit_horizon, pitch_roll_covariance_rad2
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
+from ttcvid.model import SCENE_CLUSTER, Camera, Floats, FrameResult
+from ttcvid.stages.horizon.at_rest import ROLL_ZERO_SIGMA_RAD, HorizonResult
+from ttcvid.stages.horizon.straight_motion import Motion
+
+# Cameras in cars are mounted upright within this, rad; a drive that turns says more.
+_ROLL_SIGMA_RAD = np.radians(2.0)
+# The roll is measured when the drive has brought its deviation below this part of what is believed beforehand.
+_MEASURED_PART = 0.5
+# Rotations are added up over this long, s: their errors stay small beside those of the directions.
+_WINDOW_S = 4.0
+# Directions are averaged over this long, s, since their errors hang together from frame to frame, and over so many
+# frames at least: half a frame more than that is never less.
+_BIN_S = 0.5
+_LEAST_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class OwnStep:
+    """Own motion up to one frame: ``cam_R_prev (3, 3)``, and ``direction (3,)`` of the scene with its covariance.
+
+    Direction and ``covariance (3, 3)`` are NaN where the camera did not translate.
+    """
+
+    frame: int
+    t_s: float
+    cam_R_prev: Floats
+    direction: Floats
+    covariance: Floats
+
+
+def own_step(result: FrameResult) -> OwnStep | None:
+    """What a frame's result says of own motion, None where it says nothing."""
+    if result.rotation_rad is None:
+        return None
+    scene = next((row for row in result.clusters if row.cluster_id == SCENE_CLUSTER), None)
+    direction, covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
+    if scene is not None and scene.direction is not None and scene.direction_cov is not None:
+        direction, covariance = scene.direction, scene.direction_cov
+    return OwnStep(result.frame, result.t_s, rotation_from_vector(result.rotation_rad), direction, covariance)
+
+
+def own_motions(steps: Iterable[OwnStep | None], clip: int = 0) -> list[Motion]:
+    """Directions of own motion over half a second or three frames each, in the camera of their window's mean tilt."""
+    motions: list[Motion] = []
+    for window in _windows(steps):
+        motions += _motions_of_window(window, clip, len(motions))
+    return motions
+
+
+def driving_horizon(motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig) -> HorizonResult:
+    """The line through the directions of own motion; the roll about zero as far as the drive does not tell it."""
+    duration_s = sum(motion.duration_s for motion in motions)
+    if duration_s < config.min_drive_s:
+        reason = f"own motion is seen for {duration_s:.1f} s only, {config.min_drive_s:g} s needed: take a longer drive"
+        return HorizonResult(None, tuple(motions), reason)
+    directions = np.array([motion.direction for motion in motions])
+    covariances = np.array([motion.covariance for motion in motions])
+    floor_rad = np.radians(config.driving_floor_deg)
+    roll_sigma_rad = ROLL_ZERO_SIGMA_RAD if config.roll_zero else _ROLL_SIGMA_RAD
+    fit = fit_horizon(directions, covariances, floor_rad, roll_sigma_rad)
+    if fit is None:
+        return HorizonResult(None, tuple(motions), "the directions of own motion lie on no common line")
+    # What a car leans in the mean (load, camber, slope of the road) is common to the whole drive.
+    fit = replace(fit, covariance=fit.covariance + floor_rad**2 * (np.eye(3) - np.outer(fit.normal, fit.normal)))
+    labelled = tuple(
+        replace(motion, status="used" if is_used else "off_horizon")
+        for motion, is_used in zip(motions, fit.is_used, strict=True)
+    )
+    if 2 * int(fit.is_used.sum()) < len(motions):
+        reason = f"only {fit.is_used.sum()} of {len(motions)} directions of own motion agree on a horizon"
+        return HorizonResult(None, labelled, reason)
+    most_px = config.max_band_part * camera.image_size.height_px
+    _, half_px = band_px(camera, fit, np.array([(camera.image_size.width_px - 1) / 2]))
+    if not half_px[0] <= most_px:
+        reason = (
+            f"the 95 % band is +-{half_px[0]:.0f} px at the centre, more than {most_px:.0f} px: take a longer drive"
+        )
+        return HorizonResult(None, labelled, reason)
+    roll_found_rad = float(np.sqrt(pitch_roll_covariance_rad2(fit)[1, 1]))
+    is_assumed = bool(config.roll_zero or roll_found_rad > _MEASURED_PART * _ROLL_SIGMA_RAD)
+    notes: tuple[str, ...] = ()
+    if is_assumed:
+        level = fit_horizon(directions, covariances, floor_rad, ROLL_ZERO_SIGMA_RAD)
+        if level is not None:
+            fit = replace(level, covariance=fit.covariance)
+        notes = ("roll taken as zero",)
+    return HorizonResult(fit, labelled, "", is_assumed, notes)
+
+
+def _windows(steps: Iterable[OwnStep | None]) -> Iterable[list[OwnStep]]:
+    """Stretches without a gap, of at most `_WINDOW_S`."""
+    window: list[OwnStep] = []
+    for step in steps:
+        if window and (step is None or step.t_s - window[0].t_s > _WINDOW_S):
+            yield window
+            window = []
+        if step is not None:
+            window.append(step)
+    if window:
+        yield window
+
+
+def _motions_of_window(window: list[OwnStep], clip: int, first_number: int) -> list[Motion]:
+    ref_R_cam = [np.eye(3)]
+    for step in window[1:]:
+        ref_R_cam.append(ref_R_cam[-1] @ step.cam_R_prev.T)
+    # n of frame i is ref_R_cam[i]' n_ref; its mean over the window is what the window stands for.
+    mean_from_ref = np.mean([rotation.T for rotation in ref_R_cam], axis=0)
+    to_mean = np.linalg.inv(mean_from_ref).T
+    start_s = window[0].t_s
+    bin_s = max(_BIN_S, (_LEAST_FRAMES + 0.5) * _usual_step_s(window))
+    bins: dict[int, list[int]] = {}
+    for place, step in enumerate(window):
+        if np.isfinite(step.direction[0]):
+            bins.setdefault(int((step.t_s - start_s) / bin_s), []).append(place)
+    motions: list[Motion] = []
+    for places in bins.values():
+        if len(places) >= _LEAST_FRAMES:
+            turned = [to_mean @ ref_R_cam[place] for place in places]
+            motions.append(_averaged([window[place] for place in places], turned, clip, first_number + len(motions)))
+    return motions
+
+
+def _usual_step_s(window: list[OwnStep]) -> float:
+    return float(np.median(np.diff([step.t_s for step in window]))) if len(window) > 1 else 0.0
+
+
+def _averaged(steps: list[OwnStep], turned: list[Floats], clip: int, number: int) -> Motion:
+    """Mean direction of neighbouring frames; its error is that of a single one, and how they scatter beside."""
+    directions = normalize(np.array([R @ step.direction for R, step in zip(turned, steps, strict=True)]))
+    mean = normalize(np.median(directions, axis=0))
+    basis = tangent_basis(mean)
+    own = np.median(
+        [basis.T @ R @ step.covariance @ R.T @ basis for R, step in zip(turned, steps, strict=True)], axis=0
+    )
+    scatter = np.cov(directions @ basis, rowvar=False) / len(steps)
+    return Motion(
+        clip=clip,
+        mover=number,
+        status="used",
+        track_id=np.array([step.frame for step in steps], dtype=np.int64),
+        first_frame=steps[0].frame,
+        last_frame=steps[-1].frame,
+        # Each step is own motion up to its frame: the first one counts as the others do.
+        duration_s=(steps[-1].t_s - steps[0].t_s) * len(steps) / (len(steps) - 1),
+        direction=mean,
+        covariance=basis @ (own + scatter) @ basis.T,
+    )

@@ -1,0 +1,124 @@
+"""Which long tracks belong to one moving thing: neighbours that keep moving alike for as long as both are seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from ttcvid.config import HorizonCalibrationConfig
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.horizon.whole_tracks import Observations
+
+# Each quarter of a track brings it on by more than this part of the whole way, and aside by less than the other.
+_LEAST_QUARTER, _MOST_ASIDE = 0.06, 0.2
+# Motions are compared over this time, s.
+_STEP_S = 0.4
+# Two neighbours move alike when their steps differ by less than this part of the longer one, and this many px.
+_ALIKE_PART, _ALIKE_PX = 0.2, 0.7
+# They belong together when they moved alike in so much of the time in which both were seen near each other.
+_ALIKE_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    one: Ints
+    other: Ints
+    is_alike: Bools
+
+
+def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools:
+    """Long tracks that went somewhere at a steady pace and without detours, (M,).
+
+    A point of the background over which somebody walks is dragged along for a moment, and rests before and after; an
+    arm swings forth and back. So each quarter of the track has to bring it on.
+    """
+    starts, lengths = rows.starts, rows.lengths
+    ends = starts + lengths - 1
+    way = rows.xy_px[ends] - rows.xy_px[starts]
+    moved_px = np.linalg.norm(way, axis=1)
+    seen_s = rows.t_s[ends] - rows.t_s[starts]
+    quarters = starts[:, None] + np.rint((lengths - 1)[:, None] * np.linspace(0.0, 1.0, 5)).astype(np.int64)
+    steps = np.diff(rows.xy_px[quarters], axis=1)
+    square = np.maximum(moved_px, 1e-9)[:, None] ** 2
+    onward = np.einsum("mqi,mi->mq", steps, way) / square
+    aside = np.abs(steps[:, :, 0] * way[:, None, 1] - steps[:, :, 1] * way[:, None, 0]) / square
+    is_steady = (onward.min(axis=1) > _LEAST_QUARTER) & (aside.max(axis=1) < _MOST_ASIDE)
+    moves: Bools = (lengths >= 4) & (seen_s >= config.min_track_s) & (moved_px >= config.min_path_px) & is_steady
+    return moves
+
+
+def group_movers(rows: Observations, link_px: float) -> Ints:
+    """Number of the mover of each track: (M,), 0 .. (number of movers) - 1.
+
+    Parameters
+    ----------
+    rows : tracks that move.
+    link_px : neighbours are nearer than this.
+    """
+    n_tracks = len(rows.starts)
+    if n_tracks == 0:
+        return np.empty(0, dtype=np.int64)
+    number = np.repeat(np.arange(n_tracks), rows.lengths)
+    frames, first = np.unique(rows.frame, return_index=True)
+    order = np.argsort(rows.frame, kind="stable")
+    at_frame = np.split(order, np.searchsorted(rows.frame[order], frames)[1:])
+    pairs = [
+        _neighbours(rows, number, at_frame[now], at_frame[later], link_px) for now, later in _compared(rows.t_s[first])
+    ]
+    one, other, is_alike = (
+        np.concatenate([getattr(pair, name) for pair in pairs]) if pairs else np.empty(0, dtype=np.int64)
+        for name in ("one", "other", "is_alike")
+    )
+    key, place, times_near = np.unique(one * n_tracks + other, return_inverse=True, return_counts=True)
+    times_alike = np.bincount(place, is_alike, minlength=len(key)) if len(key) else np.empty(0)
+    linked = key[times_alike >= _ALIKE_SHARE * times_near]
+    graph = coo_matrix((np.ones(len(linked)), (linked // n_tracks, linked % n_tracks)), shape=(n_tracks, n_tracks))
+    labels: Ints = connected_components(graph, directed=False)[1].astype(np.int64)
+    return labels
+
+
+def _compared(t_s: Floats) -> list[tuple[int, int]]:
+    """Which two frames are compared: twice a step, one with that nearest in time to a step later.
+
+    Times may be uneven, and frames left out: what is by more than half a step too early or too late is not compared,
+    unless frames are as rare as that.
+
+    Parameters
+    ----------
+    t_s : (T,) times of the frames, ascending.
+    """
+    usual_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
+    compared, next_s = list[tuple[int, int]](), -np.inf
+    for now in range(len(t_s) - 1):
+        if t_s[now] < next_s:
+            continue
+        next_s = t_s[now] + 0.5 * (_STEP_S - usual_s)
+        late_s = np.abs(t_s[now + 1 :] - t_s[now] - _STEP_S)
+        nearest = int(np.argmin(late_s))
+        if late_s[nearest] <= max(0.5 * _STEP_S, usual_s):
+            compared.append((now, now + 1 + nearest))
+    return compared
+
+
+def _neighbours(rows: Observations, number: Ints, now: Ints, later: Ints, link_px: float) -> _Pairs:
+    """Pairs of tracks that are near each other between two frames, and whether they move alike."""
+    _, in_now, in_later = np.intersect1d(number[now], number[later], return_indices=True)
+    track, here, there = number[now][in_now], rows.xy_px[now][in_now], rows.xy_px[later][in_later]
+    flow: Floats = there - here
+    length = np.linalg.norm(flow, axis=1)
+    pairs = (
+        KDTree(0.5 * (here + there)).query_pairs(link_px, output_type="ndarray")
+        if len(track) > 1
+        else np.empty((0, 2), int)
+    )
+    one, other = pairs.T
+    longer = np.maximum(length[one], length[other])
+    differ = np.linalg.norm(flow[one] - flow[other], axis=1)
+    seen = longer > 2.0 * _ALIKE_PX
+    is_alike = differ < _ALIKE_PART * longer + _ALIKE_PX
+    low, high = np.minimum(track[one], track[other]), np.maximum(track[one], track[other])
+    return _Pairs(low[seen], high[seen], is_alike[seen])

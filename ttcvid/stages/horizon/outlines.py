@@ -1,0 +1,134 @@
+"""Straight motions from the outlines of movers: where the lines of their tops and of their feet meet.
+
+An outline is followed for as long as the mover is seen, over limbs that swing and clothes that fold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.config import HorizonCalibrationConfig
+from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.horizon_outline import fit_outline
+from ttcvid.model import Camera, Floats, Ints
+from ttcvid.stages.horizon.straight_motion import OUTLINE, Motion
+from ttcvid.stages.horizon.whole_tracks import Observations
+from ttcvid.stages.tracking.silhouettes import Silhouettes, extent_px
+
+# Top and bottom are looked for within this part of the mover's height to either side of its middle.
+_WIDTH_PART = 0.12
+_NARROW_PX = 2.0
+# Where the border of a mover is seen may be off by this, px, all its life: half a pixel of blur, a contact shadow.
+_BORDER_PX = 0.5
+# An outline that scatters by more than this part of its height is no rigid thing's.
+_MOST_SCATTER = 0.03
+# So much of the outlines has to lie near their line.
+_LEAST_SHARE = 0.5
+# So much of the variance along the way is that of a steady motion; what is hidden by and by does not go on steadily.
+_LEAST_STEADINESS = 0.9
+# An outline is followed for at least so many times as long as its errors hang together: a whole stride.
+_LEAST_MEMORIES = 2.0
+_LEAST_HEIGHT_PX = 12.0
+_SURE_SIGMAS = 4.0
+
+
+def outline_motions(
+    rows: Observations,
+    silhouettes: Silhouettes,
+    camera: Camera,
+    config: HorizonCalibrationConfig,
+    clip: int,
+    mover: int,
+    *,
+    may_bend: bool,
+) -> list[Motion]:
+    """The motions of one mover from its outlines: one, or two or more where its way bends.
+
+    Parameters
+    ----------
+    rows : its tracks, source pixels.
+    may_bend : False where the points of a rigid body go straight: an outline that bends then changes its shape.
+    """
+    track_id = np.unique(rows.track_id)
+    outline, frame, t_s = _outlines(rows, silhouettes, camera)
+    return _motions_of(outline, frame, t_s, camera, config, (clip, mover, track_id), may_bend)
+
+
+def _outlines(rows: Observations, silhouettes: Silhouettes, camera: Camera) -> tuple[Floats, Ints, Floats]:
+    """x, top and bottom in normalised coordinates ``(N, 3)``, frames and times ``(N,)`` where a mover is seen."""
+    order = np.argsort(rows.frame, kind="stable")
+    frames, first = np.unique(rows.frame[order], return_index=True)
+    middle_px = [np.median(part, axis=0) for part in np.split(rows.xy_px[order], first[1:])]
+    masks = [silhouettes.mask(frame) for frame in frames.tolist()]
+    half_px = _NARROW_PX
+    found: list[tuple[float, float] | None] = []
+    for _ in range(2):
+        found = [
+            None if mask is None else extent_px(mask, at[0], at[1], half_px)
+            for mask, at in zip(masks, middle_px, strict=True)
+        ]
+        heights = [extent[1] - extent[0] for extent in found if extent is not None]
+        if not heights:
+            break
+        half_px = max(_NARROW_PX, _WIDTH_PART * float(np.median(heights)))
+    is_seen = np.array([extent is not None for extent in found], dtype=bool)
+    rows_px = np.array([extent for extent in found if extent is not None]).reshape(-1, 2)
+    x_px = np.array(middle_px)[is_seen, 0]
+    top, bottom = (rays_from_pixels(camera, np.column_stack([x_px, rows_px[:, side]])) for side in (0, 1))
+    outline = np.column_stack([0.5 * (top[:, 0] + bottom[:, 0]), top[:, 1], bottom[:, 1]])
+    return outline, frames[is_seen], rows.t_s[order][first][is_seen]
+
+
+def _motions_of(
+    outline: Floats,
+    frame: Ints,
+    t_s: Floats,
+    camera: Camera,
+    config: HorizonCalibrationConfig,
+    who: tuple[int, int, Ints],
+    may_bend: bool,
+) -> list[Motion]:
+    """The motion of one outline ``(n, 3)``, in halves where its way bends; none of what is too short or too small."""
+    duration_s = float(np.ptp(t_s)) if len(t_s) else 0.0
+    least_s = max(config.min_motion_s, _LEAST_MEMORIES * config.error_memory_s)
+    if duration_s < least_s:
+        return []
+    height_px = float(np.median(outline[:, 2] - outline[:, 1])) * camera.fy_px
+    way_px = float(np.linalg.norm(np.ptp(outline, axis=0))) * camera.fx_px
+    if height_px < _LEAST_HEIGHT_PX or way_px < config.min_path_px:
+        return []
+    blocks = max(5, int(duration_s / config.error_memory_s))
+    block = np.minimum(((t_s - t_s[0]) / duration_s * blocks).astype(np.int64), blocks - 1)
+    fit = fit_outline(outline, t_s, block, duration_s / config.error_memory_s, _BORDER_PX / camera.fy_px)
+    if fit is None:
+        return []
+    if may_bend and fit.bend_sigmas > _SURE_SIGMAS and duration_s >= 2 * least_s:
+        half = t_s < t_s[0] + 0.5 * duration_s
+        return [
+            m
+            for part in (half, ~half)
+            for m in _motions_of(outline[part], frame[part], t_s[part], camera, config, who, may_bend)
+        ]
+    sigma_rad = float(np.sqrt(np.linalg.norm(fit.covariance, 2)))
+    status = "uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used"
+    noise_px = fit.noise * camera.fy_px
+    if noise_px > _MOST_SCATTER * height_px or fit.share < _LEAST_SHARE or fit.steadiness < _LEAST_STEADINESS:
+        status = "not_rigid"
+    elif fit.bend_sigmas > _SURE_SIGMAS:
+        status = "curved"
+    clip, mover, track_id = who
+    return [
+        Motion(
+            clip=clip,
+            mover=mover,
+            status=status,
+            track_id=track_id,
+            first_frame=int(frame[0]),
+            last_frame=int(frame[-1]),
+            duration_s=duration_s,
+            direction=fit.direction,
+            covariance=fit.covariance,
+            noise_px=noise_px,
+            evidence=OUTLINE,
+        )
+    ]

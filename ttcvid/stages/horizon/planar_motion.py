@@ -1,0 +1,149 @@
+"""Planar motion: with a known horizon an epipole has to lie on it.
+
+The calibrated horizon is that of the camera as mounted. A car pitches and rolls on its springs, and the horizon moves
+in the picture: it is carried along with the camera's rotation from frame to frame, and drawn back to where it was
+calibrated within seconds, since errors of rotation add up, and a road that bends upwards turns the camera but takes its
+plane along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.geometry.epipole import INFINITY_COSINE
+from ttcvid.geometry.horizon import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
+from ttcvid.geometry.planar import planar_epipole
+from ttcvid.geometry.rotation import cross, normalize, tangent_basis
+from ttcvid.model import Camera, Floats, Horizon, HorizonOffset, Ints, Status
+from ttcvid.stages.egomotion.flows import Flows
+
+# Time in which the horizon returns to where it was calibrated, s: a car's springs swing at 1 to 2 Hz and a braking car
+# dips for a second or two, while the road's own slope changes over tens of seconds.
+_RETURN_S = 2.0
+
+
+@dataclass(frozen=True)
+class HorizonPlane:
+    """The plane of motion: unit ``normal (3,)`` with its ``covariance (3, 3)`` in rad^2, and its line in px.
+
+    ``line_px`` is the line's height at both sides of the picture. The covariance is that of the calibration, in the
+    camera as mounted; the few degrees of its springs do not matter.
+    """
+
+    normal: Floats
+    covariance: Floats
+    line_px: tuple[float, float]
+
+    def sigma_rad(self, directions: Floats) -> Floats:
+        """How far off the plane directions ``(..., 3)`` may lie by its own error: standard deviation of n . dir."""
+        variance = np.einsum("...i,ij,...j->...", directions, self.covariance, directions)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def horizon_plane(camera: Camera, horizon: Horizon | None) -> HorizonPlane | None:
+    """The plane of a calibrated horizon, None without one."""
+    if horizon is None:
+        return None
+    normal = normal_from_horizon(camera, horizon)
+    if horizon.covariance_rad2 is None:
+        covariance = horizon.sigma_rad**2 * (np.eye(3) - np.outer(normal, normal))
+    else:
+        by_angles = normal_by_pitch_roll(*pitch_roll_rad(normal))
+        covariance = by_angles @ np.array(horizon.covariance_rad2) @ by_angles.T
+    return HorizonPlane(normal, covariance, (horizon.y_left_px, horizon.y_right_px))
+
+
+def centre_sigma_px(camera: Camera, horizon: Horizon) -> float:
+    """Standard deviation of the calibrated horizon's height at the centre of the picture, px."""
+    plane = horizon_plane(camera, horizon)
+    assert plane is not None
+    middle = 0.5 * (horizon.y_left_px + horizon.y_right_px)
+    ahead = np.array([0.0, (middle - camera.cy_px) / camera.fy_px, 1.0])
+    return float(camera.fy_px * plane.sigma_rad(ahead) / abs(plane.normal[1]))
+
+
+def followed_plane(
+    plane: HorizonPlane | None,
+    calibrated: HorizonPlane | None,
+    cam_R_prev: Floats | None,
+    dt_s: float | None,
+    camera: Camera,
+) -> HorizonPlane | None:
+    """The plane in the camera of this frame; None without a calibrated one.
+
+    Parameters
+    ----------
+    plane : in the camera of the frame before; None: there was none.
+    cam_R_prev : (3, 3) rotation since then; None: unknown.
+    """
+    if plane is None or calibrated is None:
+        return calibrated
+    normal = plane.normal if cam_R_prev is None else cam_R_prev @ plane.normal
+    share = 1.0 if dt_s is None else 1.0 - np.exp(-max(dt_s, 0.0) / _RETURN_S)
+    normal = normalize(normal + share * (calibrated.normal - normal))
+    return replace(calibrated, normal=normal, line_px=horizon_px(camera, normal))
+
+
+def onto_horizon(direction: Floats, covariance: Floats, plane: HorizonPlane) -> tuple[Floats, Floats]:
+    """A direction moved onto the horizon along its covariance, and the covariance that is left.
+
+    The paper's correction of the epipole before the times are computed; here it is the conditional mean given
+    ``n . dir = 0`` within the horizon's own error, so that a well-known epipole moves little sideways.
+
+    Parameters
+    ----------
+    direction : (3,) unit vector, ``covariance (3, 3)`` in its tangent plane, rad^2.
+    """
+    basis = tangent_basis(direction)
+    tangent_cov = basis.T @ covariance @ basis
+    slope = basis.T @ plane.normal
+    height = float(plane.normal @ direction)
+    # A direction that is known better than the horizon would not come down to it: the plane is taken at its word.
+    variance = float(slope @ tangent_cov @ slope) + 1e-18
+    gain = tangent_cov @ slope / variance
+    moved = normalize(direction - basis @ gain * height)
+    reduced = tangent_cov - np.outer(gain, slope @ tangent_cov) + np.outer(gain, gain) * plane.sigma_rad(moved) ** 2
+    new_basis = tangent_basis(moved)
+    turn = new_basis.T @ basis
+    return moved, new_basis @ turn @ reduced @ turn.T @ new_basis.T
+
+
+def horizon_offset_px(direction: Floats, plane: HorizonPlane, camera: Camera) -> float | None:
+    """Distance of an epipole from the horizon line in the undistorted picture, px, positive below it.
+
+    None where the epipole is at infinity.
+    """
+    if abs(direction[2]) < INFINITY_COSINE:
+        return None
+    x_px = camera.fx_px * direction[0] / direction[2] + camera.cx_px
+    y_px = camera.fy_px * direction[1] / direction[2] + camera.cy_px
+    left, right = plane.line_px
+    slope = (right - left) / (camera.image_size.width_px - 1)
+    return float((y_px - left - slope * x_px) / np.hypot(1.0, slope))
+
+
+def horizon_offset(direction: Floats, covariance: Floats, plane: HorizonPlane) -> HorizonOffset:
+    """The angle of a direction (3,) below the horizon, with the error that its ``covariance (3, 3)`` says."""
+    ahead = direction if direction[2] > 0.0 else -direction
+    below_rad = -float(np.arcsin(np.clip(float(plane.normal @ ahead), -1.0, 1.0)))
+    sigma_rad = float(np.sqrt(max(float(plane.normal @ covariance @ plane.normal), 0.0)))
+    return HorizonOffset(below_rad, sigma_rad, float(ahead[2]))
+
+
+def planar_directions(flows: Flows, plane: HorizonPlane) -> tuple[Floats, Floats, Ints]:
+    """Direction of every track by itself, where its flow line meets the horizon (the paper's planar case).
+
+    Returns
+    -------
+    direction : (N, 3), NaN where there is none.
+    covariance : (N, 3, 3) rad^2.
+    status : (N,) why there is none.
+    """
+    along = normalize(cross(cross(flows.first, flows.second), plane.normal))
+    sigma_rad = plane.sigma_rad(np.nan_to_num(along))  # where there is no direction, planar_epipole says why
+    direction, covariance, status = planar_epipole(flows.first, flows.second, plane.normal, flows.sigma_rad, sigma_rad)
+    has_none = ~np.isin(status, [Status.ok, Status.epipole_at_infinity])
+    direction = np.where(has_none[:, None], np.nan, direction)
+    return direction, np.where(has_none[:, None, None], np.nan, covariance), status

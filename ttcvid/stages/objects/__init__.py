@@ -1,0 +1,1 @@
+"""Objects: their nearest surfaces, states and times."""

@@ -1,0 +1,62 @@
+"""Movers as a camera would have seen them that keeps its present velocity: what sways is ours, and not theirs.
+
+A camera in a hand or on a drone sways. What is seen of a thing that goes straight on sways with it, by as much as the
+thing is near; a straight way of 20 views, or a parabola, then leads somewhere else. How the camera swayed is known from
+the scene, and how near the thing is, in units of the scene, from how far the ways of its tracks follow that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.growth import growth_sums
+from ttcvid.model import Floats, Ints
+from ttcvid.stages.tracking.history import TrackHistory
+
+# So surely the tracks of a thing have to follow the sway.
+_SURE_SIGMAS = 3.0
+# Tracks that misfit what all of a thing's say by more than so many times the usual are left out, in so many rounds.
+_MISFIT, _ROUNDS = 4.0, 2
+_LEAST_TRACKS = 3
+
+
+def steadied(history: TrackHistory, sway: Floats, members: Ints, thing: Ints) -> Floats:
+    """Places (L, N, 2) of the tracks in the plane z = 1, those of movers without the sway of the camera.
+
+    Parameters
+    ----------
+    sway : (L, 3) how far the scene lay off a steady path, in its units (`stages.segmentation.bodies.sway_of`).
+    members, thing : (M,) tracks of movers, and which each belongs to.
+    """
+    if not sway.any() or not len(members):
+        return history.xy
+    xy = history.xy.copy()
+    for number in np.unique(thing):
+        own = members[thing == number]
+        found = _of_one(xy[:, own], history.since_s, history.sigma_norm[own], sway)
+        if found is not None:
+            xy[:, own] = found
+    return xy
+
+
+def _of_one(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats) -> Floats | None:
+    """Views ``xy (L, M, 2)`` of the tracks of a thing without the sway; None where they do not tell of it."""
+    sums = growth_sums(xy, since_s, sigma_norm, sway)
+    fits = np.isfinite(xy).all(axis=2).sum(axis=0) > 1
+    misfit = np.ones(len(fits))
+    for _ in range(_ROUNDS):
+        if np.count_nonzero(fits) < _LEAST_TRACKS:
+            return None
+        unknowns, cov = sums.unknowns(fits)
+        misfit = sums.misfits(unknowns)
+        fits &= misfit <= _MISFIT * max(float(np.median(misfit[fits])), 1.0)
+    if not np.isfinite(unknowns).all():
+        return None
+    c, s = float(unknowns[2]), float(unknowns[3])
+    if not s > _SURE_SIGMAS * np.sqrt(max(float(misfit[fits].mean()), 1.0) * cov[3, 3]):
+        return None
+    depth = (1.0 + c * since_s + s * sway[:, 2])[:, None]
+    off = s * sway / depth
+    if not (depth > 0.0).all():
+        return None
+    return np.asarray((xy - off[:, None, :2]) / (1.0 - off[:, None, 2:]))

@@ -1,0 +1,182 @@
+"""The nearest well-supported surfaces of objects: what is hit first."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.tracking.groups import TrackSets
+
+# A surface is borne by this part of an object's tracks, and by at least so many: with fewer tracks, a nearly lost
+# mover's rate is not reliable enough to warn by.
+_LEAST_PART, _LEAST_TRACKS = 0.1, 5
+# What is small has no more than these: all of them agree by chance less often than five of many do. (That an aircraft
+# or a car far off has a time a second earlier is worth it; three that agree are what is left behind a post.)
+_ALL_TRACKS = 4
+# Tracks within so many of their standard deviations of the surface's rate belong to it.
+_SURFACE_SIGMAS = 2.0
+# After a start without support the next one lies this much lower, in sigmas.
+_NEXT_START_SIGMAS = 0.5
+# The mean-shift from the first support settles within so many steps.
+_MAX_STEPS = 20
+
+
+def in_nearest_of_path(
+    rate_hz: Floats,
+    sigma_hz: Floats,
+    by_shared: Floats,
+    shared_cov: Floats,
+    xy_px: Floats,
+    sets: TrackSets,
+    needed: Ints,
+    link_px: float,
+) -> Bools:
+    """As `in_nearest_surface`; where nothing is supported, what errors that tracks share let agree supports a surface.
+
+    A thing that keeps its bearing goes along a line that meets the picture among its tracks. If the line is a little
+    off, rates are too large on one side of it and too small on the other, by far more than by the tracks' own noise.
+
+    Parameters
+    ----------
+    by_shared, shared_cov : (M, n), what one of n errors does to each rate, and (K, n, n), the covariance of these.
+    """
+    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, needed, link_px)
+    is_bare = np.bincount(sets.set_of, is_in, len(sets)) == 0.0
+    if not is_bare.any():
+        return is_in
+    is_asked = is_bare[sets.set_of]
+    sets, bare = sets.where(is_asked)
+    rate_hz, sigma_hz, by_shared, xy_px = rate_hz[is_asked], sigma_hz[is_asked], by_shared[is_asked], xy_px[is_asked]
+    weight, set_of = sigma_hz**-2.0, sets.set_of
+    mean = sets.sums(weight[:, None] * by_shared) / sets.sums(weight)[:, None]
+    apart = by_shared - mean[set_of]
+    variance = np.maximum(np.einsum("mi,mij,mj->m", apart, shared_cov[bare][set_of], apart), 0.0)
+    is_in[is_asked] = in_nearest_surface(rate_hz, np.sqrt(sigma_hz**2 + variance), xy_px, sets, needed[bare], link_px)
+    return is_in
+
+
+def in_nearest_surface(
+    rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, needed: Ints, link_px: float
+) -> Bools:
+    """Which tracks (M,) of each set bear the nearest well-supported surface of it; none where nothing is supported.
+
+    The largest rate with enough connected tracks inside 2 sigma is where the search starts; it then
+    moves to the weighted mean of those tracks until it stays. Without that last step the largest of N noisy rates of
+    one plane would be taken for a surface of its own, two sigmas too near.
+
+    Parameters
+    ----------
+    rate_hz, sigma_hz : (M,) rates, speed over depth, and their standard deviations, 1/s, in the order of the sets.
+    xy_px : (M, 2) places, px; tracks closer than ``link_px`` are connected.
+    needed : (K,) tracks that a surface needs, see `tracks_needed`.
+    """
+    is_in = np.zeros(len(rate_hz), dtype=bool)
+    _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, sets.lengths, needed, is_in)
+    return is_in
+
+
+def tracks_needed(n_tracks: Ints) -> Ints:
+    """Tracks (K,) that bear a surface of objects of ``n_tracks (K,)``, those without a rate among them."""
+    of_many = np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64))
+    return np.asarray(np.where(n_tracks == _ALL_TRACKS, _ALL_TRACKS, of_many))
+
+
+@compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8, i8[::1], i8[::1], b1[::1])")
+def _find_each(rate: Floats, sigma: Floats, xy: Floats, link: float, lengths: Ints, needed: Ints, is_in: Bools) -> None:
+    """Fills ``is_in (M,)`` set by set."""
+    low = 0
+    for k in range(len(lengths)):
+        high = low + lengths[k]
+        _find(rate[low:high], sigma[low:high], xy[low:high], link, needed[k], is_in[low:high])
+        low = high
+
+
+@compiled
+def _find(rate: Floats, sigma: Floats, xy: Floats, link: float, needed: int, is_in: Bools) -> None:
+    """Fills ``is_in (N,)`` with the surface that the largest rate with enough support leads to."""
+    start, below, part = -1, np.inf, np.empty(len(rate), dtype=np.int64)
+    while True:
+        start = _next_start(rate, start, below)
+        if start < 0:
+            break
+        if _support(rate, sigma, rate[start], is_in) < needed:
+            continue
+        _settle(rate, sigma, rate[start], is_in)
+        if _keep_largest_part(xy, link, is_in, part) >= needed:
+            return
+        below = rate[start] - _NEXT_START_SIGMAS * sigma[start]
+    is_in[:] = False
+
+
+@compiled
+def _next_start(rate: Floats, last: int, below: float) -> int:
+    """The largest rate up to ``below`` that comes after the last one, in the order of rates and then of places; or -1.
+
+    The first few lead to a surface: to sort all would take longer.
+    """
+    found = -1
+    for i in range(len(rate)):
+        is_next = last < 0 or rate[i] < rate[last] or (rate[i] == rate[last] and i > last)
+        if is_next and rate[i] <= below and (found < 0 or rate[i] > rate[found]):
+            found = i
+    return found
+
+
+@compiled
+def _support(rate: Floats, sigma: Floats, centre: float, is_in: Bools) -> int:
+    """Fills ``is_in`` with the tracks near a rate; how many there are."""
+    count = 0
+    for i in range(len(rate)):
+        is_in[i] = abs(rate[i] - centre) < _SURFACE_SIGMAS * sigma[i]
+        count += is_in[i]
+    return count
+
+
+@compiled
+def _settle(rate: Floats, sigma: Floats, centre: float, is_in: Bools) -> None:
+    """Mean-shift from a first rate to where it stays: ``is_in`` is the support there."""
+    again, count = np.empty(len(rate), dtype=np.bool_), 0
+    for _ in range(_MAX_STEPS):
+        found = _support(rate, sigma, centre, again)
+        if found < count or (found == count and np.array_equal(again, is_in)):
+            break
+        is_in[:], count = again, found
+        total, weights = 0.0, 0.0
+        for i in range(len(rate)):
+            if is_in[i]:
+                weight = 1.0 / (sigma[i] * sigma[i])
+                total += weight * rate[i]
+                weights += weight
+        centre = total / weights
+
+
+@compiled
+def _keep_largest_part(xy: Floats, link: float, is_in: Bools, part: Ints) -> int:
+    """Leaves in ``is_in`` its largest part that hangs together; how many tracks that has.
+
+    ``part (N,)`` is scratch: the tracks in order of the parts, each part grown from its first track by all that are
+    near to one of it.
+    """
+    count = 0
+    for i in range(len(is_in)):
+        if is_in[i]:
+            part[count] = i
+            count += 1
+    best_first, best_stop, first = 0, 0, 0
+    while first < count:
+        next_, stop = first, first + 1
+        while next_ < stop:
+            x, y = xy[part[next_], 0], xy[part[next_], 1]
+            for place in range(stop, count):
+                i = part[place]
+                if (xy[i, 0] - x) ** 2 + (xy[i, 1] - y) ** 2 < link * link:
+                    part[place], part[stop] = part[stop], i
+                    stop += 1
+            next_ += 1
+        if stop - first > best_stop - best_first:
+            best_first, best_stop = first, stop
+        first = stop
+    is_in[:] = False
+    is_in[part[best_first:best_stop]] = True
+    return best_stop - best_first

@@ -1,0 +1,156 @@
+"""Objects that are found as one surface: what of the scene stands in our way, and what comes straight at us."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from ttcvid.config import PipelineConfig
+from ttcvid.geometry.epipole import INFINITY_COSINE
+from ttcvid.geometry.rotation import normalize
+from ttcvid.model import SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
+from ttcvid.stages.egomotion.relative_pose import Egomotion
+from ttcvid.stages.horizon.planar_motion import HorizonPlane, horizon_offset, horizon_offset_px, onto_horizon
+from ttcvid.stages.objects.clusters import ON_HORIZON, ClusterMotion
+from ttcvid.stages.segmentation.approach_probability import closing_of_tracks
+from ttcvid.stages.segmentation.expansion import find_growing
+from ttcvid.stages.segmentation.ground_plane import find_road
+from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation
+from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path
+from ttcvid.stages.segmentation.surface_memory import Obstacle
+from ttcvid.stages.tracking.history import TrackHistory
+
+# The direction of the scene's path, where that of the last step is not known.
+_WAY_SIGMA_RAD = float(np.radians(0.5))
+
+
+def in_our_way(
+    history: TrackHistory,
+    egomotion: Egomotion,
+    found: Segmentation,
+    is_free: Bools,
+    before: tuple[Obstacle, ...],
+    memory: BodyMemory,
+    link_px: float,
+    plane: HorizonPlane | None,
+    camera: Camera,
+    config: PipelineConfig,
+) -> tuple[list[ClusterMotion], BodyMemory]:
+    """What of the scene stands in our way, as objects that move as the scene does; and the memory with them."""
+    way = own_path(found.scene.path[0], history.since_s)
+    in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < config.bodies.scene_gate)
+    platform = config.egomotion.platform
+    road = memory.road.plane
+    if platform == Platform.free and way is not None:
+        # We may well be on a road, or low over the ground.
+        road = find_road(found.scene_fit, in_scene, float(way.aim[1]))
+    seen = StaticPoints(
+        history.track_id,
+        history.xy_px,
+        history.focal_px,
+        link_px,
+        found.scene_fit,
+        in_scene,
+        partial(closing_of_tracks, history),
+    )
+    public, obstacles, next_cluster_id = find_obstacles(
+        before,
+        seen,
+        way,
+        road,
+        memory.next_cluster_id,
+        config.bodies,
+        on_ground=platform == Platform.vehicle,
+    )
+    memory = replace(memory, obstacles=obstacles, next_cluster_id=next_cluster_id)
+    if way is None:
+        return [], memory
+    direction, covariance = egomotion.direction, egomotion.direction_cov
+    if direction is None or covariance is None:
+        # Two views tell no direction; all views of the scene do, roughly.
+        direction = -normalize(np.append(way.aim, 1.0)[None])[0]
+        covariance = _WAY_SIGMA_RAD**2 * (np.eye(3) - np.outer(direction, direction))
+    motions = [
+        on_plane(
+            number, members, direction, covariance, "egomotion", plane, camera, is_static=True, is_one_surface=True
+        )
+        for number, members in public.items()
+    ]
+    return motions, memory
+
+
+def road_hz(memory: BodyMemory, found: Segmentation, history: TrackHistory) -> Floats | None:
+    """Our present speed over the depth of the road that is seen at (x, y), as p0 + p1 x + p2 y: (3,); None: no road."""
+    way = own_path(found.scene.path[0], history.since_s)
+    return None if way is None or memory.road.plane is None else way.speed * memory.road.plane
+
+
+def growing_things(
+    history: TrackHistory,
+    found: Segmentation,
+    is_free: Bools,
+    before: tuple[Obstacle, ...],
+    memory: BodyMemory,
+    link_px: float,
+    error_px: float,
+    plane: HorizonPlane | None,
+    camera: Camera,
+    config: PipelineConfig,
+) -> tuple[list[ClusterMotion], BodyMemory]:
+    """What comes straight at us on a way of its own, as objects; and the memory with them."""
+    public, growing, next_cluster_id = find_growing(
+        before,
+        history,
+        found.misfit,
+        found.usual_misfit,
+        (found.key == SCENE_CLUSTER) & is_free,
+        error_px,
+        link_px,
+        memory.next_cluster_id,
+        config.bodies,
+    )
+    motions = [
+        on_plane(
+            number, one.members, one.direction, one.direction_cov, "whole-tracks", plane, camera, is_one_surface=True
+        )
+        for number, one in public.items()
+    ]
+    return motions, replace(memory, growing=growing, next_cluster_id=next_cluster_id)
+
+
+def on_plane(
+    cluster_id: int,
+    members: Ints,
+    direction: Floats,
+    covariance: Floats,
+    method: str,
+    plane: HorizonPlane | None,
+    camera: Camera,
+    *,
+    window_s: float = np.inf,
+    is_static: bool = False,
+    is_one_surface: bool = False,
+) -> ClusterMotion:
+    """The motion as found, or moved onto the horizon with the offset noted."""
+    offset_px = offset = None
+    if plane is not None:
+        offset_px = horizon_offset_px(direction, plane, camera)
+        offset = horizon_offset(direction, covariance, plane)
+        direction, covariance = onto_horizon(direction, covariance, plane)
+        method += ON_HORIZON
+    status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
+    return ClusterMotion(
+        cluster_id,
+        members,
+        direction,
+        covariance,
+        status,
+        method,
+        offset_px,
+        window_s,
+        is_static,
+        is_one_surface,
+        offset,
+    )

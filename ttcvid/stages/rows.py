@@ -1,0 +1,150 @@
+"""The rows of a frame: times of every track and of every cluster."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.closing import Closing
+from ttcvid.geometry.compiled import compiled_for
+from ttcvid.model import (
+    NO_CLUSTER,
+    SCENE_CLUSTER,
+    Camera,
+    ClusterRow,
+    CollisionTimes,
+    Floats,
+    Status,
+    TrackRows,
+)
+from ttcvid.stages.egomotion.flows import select_flows
+from ttcvid.stages.horizon.planar_motion import HorizonPlane
+from ttcvid.stages.objects.clusters import (
+    neighbours_in_cluster,
+    ranked,
+    rows_of,
+    with_epipole_pixels,
+    with_times,
+)
+from ttcvid.stages.objects.motions import FrameMotions
+from ttcvid.stages.objects.paper_track_states import (
+    EXPANSION_NEIGHBOURS,
+    TrackStates,
+    three_frame_states,
+    two_frame_states,
+    with_constant_bearing,
+)
+from ttcvid.stages.objects.track_directions import track_directions
+from ttcvid.stages.objects.track_states import multi_frame_states
+from ttcvid.stages.segmentation.approach_probability import (
+    CommonViews,
+    braking_of_tracks,
+    radii_px,
+    with_common_errors,
+    with_seen_motion,
+)
+from ttcvid.stages.tracking.groups import TrackSets
+from ttcvid.stages.tracking.history import TrackHistory
+
+# Expansions are measured over so many steps of the history, where there are as many.
+_EXPANSION_FRAMES = 5
+# As plain numbers, with which arrays are compared in a third of the time.
+_AT_EPIPOLE, _NO_PARALLAX = int(Status.at_epipole), int(Status.no_parallax)
+
+
+def track_rows(
+    history: TrackHistory, motions: FrameMotions, config: CollisionTimesConfig, plane: HorizonPlane | None = None
+) -> tuple[TrackStates, TrackRows]:
+    """States and rows of all live tracks; ``plane`` is that of planar motion."""
+    if config.estimator == "multi-frame":
+        states = multi_frame_states(history, motions, plane, config)
+    elif config.estimator == "three-frame":
+        states = three_frame_states(history, select_flows(history, config.max_gap_frames, config.target_flow_px))
+    else:
+        own = track_directions(history, motions, plane, config)
+        states = two_frame_states(own.flows, own.direction, own.covariance)
+        asks = own.flows.has_flow & ~np.isfinite(own.direction[:, 0])
+        states = states.with_status(np.where(asks, own.status, states.status))
+    states = states.without(~motions.is_free, Status.no_parallax)
+    states = _with_expansions(history, motions, states)
+    rows = TrackRows(
+        track_id=history.track_id,
+        cluster_id=motions.cluster_id,
+        xy_px=history.xy_px,
+        n_frames=history.n_frames,
+        alpha_rad=states.alpha_rad,
+        times=states.times(),
+        status=states.status,
+    )
+    return states, rows
+
+
+def cluster_rows(
+    history: TrackHistory, motions: FrameMotions, states: TrackStates, camera: Camera
+) -> tuple[ClusterRow, ...]:
+    """Rows of the scene and of all objects, ascending in ``cluster_id``."""
+    members = TrackSets.of([motion.members for motion in motions.clusters])
+    views = _common_views(history)
+    # The scene's picture expands differently at each depth.
+    is_object = np.array([motion.cluster_id != SCENE_CLUSTER for motion in motions.clusters], dtype=bool)
+    nothing = np.empty(0, dtype=np.int64)
+    growth = views.expansions(
+        [motion.members if asked else nothing for motion, asked in zip(motions.clusters, is_object, strict=True)]
+    )
+    rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, growth[0])
+    radius_px = radii_px(history.xy_px, views.now, members, is_object)
+    rows = with_common_errors(rows, members, radius_px, _age_s(history), views.gap_s, camera)
+    rows = with_times(with_epipole_pixels(rows, camera), camera)
+    return tuple(ranked(with_seen_motion(rows, radius_px, growth, views.gap_s, camera)))
+
+
+def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMotions, least_s: float) -> Closing | None:
+    """How the depth of an object changes that may have begun to brake, by its sizes; None without enough views."""
+    members = next(motion.members for motion in motions.clusters if motion.cluster_id == cluster_id)
+    return braking_of_tracks(history, members, least_s)
+
+
+def no_tracks() -> TrackRows:
+    """The rows of a frame without tracks."""
+    nothing = np.empty(0, dtype=np.int64)
+    return TrackRows(nothing, nothing, np.empty((0, 2)), nothing, np.empty(0), CollisionTimes.missing(0), nothing)
+
+
+def _with_expansions(history: TrackHistory, motions: FrameMotions, states: TrackStates) -> TrackStates:
+    """Times by expansion for tracks of a cluster that have no flow of their own."""
+    # The surroundings of a point of the scene lie at many depths: there only a point on the epipole itself is asked.
+    is_at_epipole = (states.status == _AT_EPIPOLE) & (motions.cluster_id != NO_CLUSTER)
+    stays = (states.status == _NO_PARALLAX) & (motions.cluster_id > SCENE_CLUSTER)
+    asks = is_at_epipole | stays
+    gap = min(_EXPANSION_FRAMES, history.n_past)
+    if gap < 1 or not asks.any():
+        return states
+    neighbours = neighbours_in_cluster(
+        history.xy_px, motions.cluster_id, np.flatnonzero(asks), EXPANSION_NEIGHBOURS, motions.link_px
+    )
+    return with_constant_bearing(states, history, neighbours, gap, asks)
+
+
+def _common_views(history: TrackHistory) -> CommonViews:
+    """All tracks a common gap ago and now."""
+    past = history.now - min(_EXPANSION_FRAMES, history.n_past)
+    return CommonViews(history.derotated(past), history.rays[history.now], -float(history.since_s[past]))
+
+
+def _age_s(history: TrackHistory) -> Floats:
+    """For how long each track is seen, (N,) s, as far as the history goes."""
+    age_s = np.empty(history.n_tracks)
+    _fill_ages(history.rays, history.t_s, age_s)
+    return age_s
+
+
+@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1])")
+def _fill_ages(rays: Floats, t_s: Floats, age_s: Floats) -> None:
+    """Fills ``age_s (N,)`` with the time from the first to the last of the ``rays (L, N, 3)`` of each track."""
+    for i in range(len(age_s)):
+        first, last = 0, len(rays) - 1
+        while first < last and np.isnan(rays[first, i, 0]):
+            first += 1
+        while last > first and np.isnan(rays[last, i, 0]):
+            last -= 1
+        age_s[i] = t_s[last] - t_s[first]

@@ -1,0 +1,253 @@
+"""New movers: neighbouring tracks that contradict the scene together, and flow alike or share one V / Z."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths
+from ttcvid.geometry.rotation import turned_into_plane
+from ttcvid.geometry.shared_direction import shared_directions
+from ttcvid.geometry.whole_track import fit_whole_tracks
+from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.segmentation.aperture_problem import may_slip
+from ttcvid.stages.segmentation.bodies import refined_movers
+from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
+from ttcvid.stages.segmentation.diverging_flow import spreading_things, tracks_needed
+from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
+from ttcvid.stages.segmentation.occlusions import between_surfaces
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
+
+# Views that a track needs to contradict the scene.
+_LEAST_VIEWS = 3
+# Neighbours contradict the scene together where the median of their ln(misfit) is this part of the gate's.
+_TOGETHER, _LEAST_AROUND = 0.6, 3
+# Flows of two tracks are alike when they differ by less than this part of their mean and this, px over the window.
+_FLOW_PART, _FLOW_PX = 0.35, 1.0
+# A new path is refined in so many steps.
+_FIRST_STEPS = 3
+# The square window of a tracker slips on a road that grows and shears below it, by this part of its way in a frame.
+_SLIP = 0.02
+# Misfits below this say nothing any more.
+_NO_MISFIT = 0.1
+
+
+def new_movers(
+    views: BodyViews,
+    scene: RigidPaths,
+    sway: Floats,
+    in_scene: Bools,
+    scene_fit: PathFit,
+    misfit: Floats,
+    seen_misfit: Floats,
+    usual_misfit: float,
+    on_road: Bools,
+    edge: Floats,
+    neighbours: Ints,
+    config: BodiesConfig,
+    *,
+    few_are_enough: bool,
+) -> tuple[list[Ints], RigidPaths, Floats]:
+    """Connected tracks of the scene that contradict it together and that a motion of their own explains.
+
+    Parameters
+    ----------
+    sway : (L, 3) how far the scene lay off a steady path, see `Segmentation`.
+    in_scene : (N,) which tracks belong to the scene by now, and how its path explains them: ``scene_fit``.
+    misfit, seen_misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``, with what the road
+        contradicts and without it.
+    on_road : (N,) tracks at the depth of the road on which they are seen.
+    edge : (N, 2) how far the window of each is on an edge along which it may slip, as in `PointSet`.
+    neighbours : (N, K) of each track that contradicts the scene.
+    few_are_enough : of what heads at us, as in `spreading_things`.
+
+    Returns
+    -------
+    Tracks (M,), motion and median rate of each.
+    """
+    is_asked = in_scene & views.is_free & (scene_fit.n_views >= _LEAST_VIEWS)
+    candidates = _candidates(neighbours, is_asked, _without_slip(views, on_road, misfit), config)
+    is_along = (misfit > config.scene_gate) & (seen_misfit < config.scene_gate)
+    explained = partial(
+        _explained, views, scene, scene_fit, misfit, usual_misfit, in_scene & (misfit < config.scene_gate), neighbours
+    )
+    # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
+    may_spread = is_asked & (scene_fit.n_views >= LEAST_VIEWS)
+    things = spreading_things(
+        views, scene, may_spread, sway, candidates, misfit, usual_misfit, config, few_are_enough=few_are_enough
+    )
+    spread, paths, rate_hz = explained(
+        things, np.zeros_like(is_along), np.zeros_like(edge), tracks_needed(things, config), config
+    )
+    for members in spread:
+        candidates = np.setdiff1d(candidates, members)
+    things = _alike_things(views, scene, candidates, is_along, config)
+    alike, alike_paths, alike_hz = explained(things, is_along, edge, np.full(len(things), config.min_tracks), config)
+    return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
+
+
+def _explained(
+    views: BodyViews,
+    scene: RigidPaths,
+    scene_fit: PathFit,
+    misfit: Floats,
+    usual_misfit: float,
+    is_static: Bools,
+    neighbours: Ints,
+    things: list[tuple[Ints, Floats]],
+    is_along: Bools,
+    edge: Floats,
+    needed: Ints,
+    config: BodiesConfig,
+) -> tuple[list[Ints], RigidPaths, Floats]:
+    """Those of K things, tracks (M,) and path (L, 3) of each, that a motion of their own explains.
+
+    Parameters
+    ----------
+    scene_fit, misfit : of all N tracks on the path of the scene; ``is_static (N,)`` those that it explains.
+    is_along : (N,) tracks that contradict the scene by their place alone.
+    edge : (N, 2) how far the window of each is on an edge along which it may slip.
+    needed : (K,) tracks that each thing needs, surely explained better.
+
+    Returns
+    -------
+    Tracks that it explains better, motion and median rate of each.
+    """
+    if not things:
+        return [], scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
+    track = np.concatenate([members for members, _ in things])
+    thing = np.repeat(np.arange(len(things)), [len(members) for members, _ in things])
+    points = views.points(track, thing)
+    ways = np.stack([path for _, path in things])
+    # What contradicts the scene by its place alone moves along our own path.
+    ways[np.bincount(thing, is_along[track]) > 0.0] = scene.path[0]
+    starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
+    paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
+    misfit_by_own = fit_on_movers(points, paths, rate_hz).misfit / usual_misfit
+    is_better = misfit_by_own < misfit[track] / config.gain
+    is_found = np.bincount(thing, is_better) > 0.5 * np.bincount(thing)
+    if is_found.any():
+        xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
+        may_slide = between_surfaces(scene, scene_fit, is_static, track, neighbours[track], xy) & ~is_along[track]
+        # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
+        is_sure = is_better & (~may_slide | (misfit_by_own < misfit[track] / config.gain**2))
+        gate = config.scene_gate * usual_misfit
+        slips = may_slip(edge[track], xy, scene.path[0], views.sigma_norm[track], gate)
+        is_found &= np.bincount(thing, is_sure & (~slips | is_along[track])) >= needed
+    found = np.flatnonzero(is_found)
+    return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
+
+
+def _without_slip(views: BodyViews, on_road: Bools, misfit: Floats) -> Floats:
+    """Misfits (N,), those of tracks on a road as if their window had slipped as much as it may."""
+    if len(views.rays) < 2:
+        return misfit
+    least = np.empty(len(misfit))
+    _take_slip(views.rays, views.sigma_norm, on_road, misfit, least)
+    return least
+
+
+@compiled_for("(f8[:, :, ::1], f8[::1], b1[::1], f8[::1], f8[::1])")
+def _take_slip(rays: Floats, sigma: Floats, on_road: Bools, misfit: Floats, least: Floats) -> None:
+    """Fill ``least (N,)``: the part of each misfit that is left if the slip of the last frame is noise, too."""
+    now, before = len(rays) - 1, len(rays) - 2
+    for i in range(len(misfit)):
+        moved2 = 0.0
+        for a in range(3):
+            moved2 += (rays[now, i, a] - rays[before, i, a]) ** 2
+        least[i] = misfit[i]
+        # NaN: it was not seen before.
+        if on_road[i] and moved2 > 0.0:
+            noise2 = sigma[i] * sigma[i]
+            least[i] *= noise2 / (noise2 + _SLIP * _SLIP * moved2)
+
+
+def _candidates(neighbours: Ints, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:
+    """Tracks that contradict the scene, in a neighbourhood that does."""
+    is_candidate = np.empty(len(misfit), dtype=bool)
+    _contradict(neighbours, is_asked, misfit, config.scene_gate, is_candidate)
+    return np.flatnonzero(is_candidate)
+
+
+@compiled_for("(i8[:, ::1], b1[::1], f8[::1], f8, b1[::1])")
+def _contradict(neighbours: Ints, is_asked: Bools, misfit: Floats, gate: float, is_candidate: Bools) -> None:
+    """Fill ``is_candidate (N,)`` by the median of ln(misfit) of each track and its ``neighbours (N, K)``."""
+    around = np.empty(neighbours.shape[1] + 1)
+    for i in range(len(misfit)):
+        is_candidate[i] = False
+        if not (is_asked[i] and misfit[i] > gate):
+            continue
+        around[0], n = misfit[i], 1
+        for beside in range(neighbours.shape[1]):
+            j = neighbours[i, beside]
+            if j != i and is_asked[j]:
+                place = n
+                while place > 0 and around[place - 1] > misfit[j]:
+                    around[place] = around[place - 1]
+                    place -= 1
+                around[place] = misfit[j]
+                n += 1
+        if n >= _LEAST_AROUND:
+            one, other = max(around[(n - 1) // 2], _NO_MISFIT), max(around[n // 2], _NO_MISFIT)
+            is_candidate[i] = 0.5 * (np.log(one) + np.log(other)) > _TOGETHER * np.log(gate)
+
+
+def _alike_things(
+    views: BodyViews, scene: RigidPaths, candidates: Ints, is_along: Bools, config: BodiesConfig
+) -> list[tuple[Ints, Floats]]:
+    """Things of near tracks of similar flow, each with its tracks (M,) and its path (L, 3).
+
+    ``candidates`` are tracks; of all tracks those that move along our own path are ``is_along (N,)``.
+    """
+    if len(candidates) < config.min_tracks:
+        return []
+    xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
+    label = _alike_and_near(views, candidates, xy, is_along[candidates])
+    is_one = np.bincount(label)[label] >= config.min_tracks
+    if not is_one.any():
+        return []
+    xy, candidates = xy.compress(is_one, axis=1), candidates[is_one]
+    numbers, thing = np.unique(label[is_one], return_inverse=True)
+    tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
+    places, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
+    directions, _, _ = shared_directions(places, velocity_hz, tracks.info_w, thing, len(numbers))
+    is_told = np.isfinite(directions[:, 0])
+    return [
+        (candidates[thing == number], straight_path(directions[number], views.since_s))
+        for number in np.flatnonzero(is_told)
+    ]
+
+
+def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:
+    """Number of the part that each track of ``index`` belongs to: near ones of similar flow are connected.
+
+    Those that move along our own path, ``is_along``, only with each other.
+    """
+    pairs = linked_pairs(views.xy_px[index], views.link_px)
+    is_alike = np.empty(len(pairs), dtype=bool)
+    _are_alike(xy, views.since_s, pairs, is_along, _FLOW_PX / views.focal_px, is_alike)
+    return connected_parts(np.ones(len(index), dtype=bool), pairs[is_alike])
+
+
+@compiled_for("(f8[:, :, ::1], f8[::1], i8[:, ::1], b1[::1], f8, b1[::1])")
+def _are_alike(xy: Floats, since_s: Floats, pairs: Ints, is_along: Bools, floor: float, is_alike: Bools) -> None:
+    """Fill ``is_alike (P,)``: whether two tracks flow alike since each was first seen; ``floor`` of the whole way."""
+    last, n = len(xy) - 1, xy.shape[1]
+    flow, length, span_s = np.empty((n, 2)), np.empty(n), np.empty(n)
+    for i in range(n):
+        oldest = 0
+        while oldest < last and not np.isfinite(xy[oldest, i, 0]):
+            oldest += 1
+        span_s[i] = -since_s[oldest]
+        for a in range(2):
+            flow[i, a] = (xy[last, i, a] - xy[oldest, i, a]) / span_s[i]
+        length[i] = np.sqrt(flow[i, 0] * flow[i, 0] + flow[i, 1] * flow[i, 1])
+    for m in range(len(pairs)):
+        i, j = pairs[m, 0], pairs[m, 1]
+        x, y = flow[i, 0] - flow[j, 0], flow[i, 1] - flow[j, 1]
+        limit = _FLOW_PART * 0.5 * (length[i] + length[j]) + floor / min(span_s[i], span_s[j])
+        is_alike[m] = np.sqrt(x * x + y * y) < limit and is_along[i] == is_along[j]

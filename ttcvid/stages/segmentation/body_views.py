@@ -1,0 +1,94 @@
+"""The tracks of a frame as the search for rigid bodies sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ttcvid.geometry.rigid_path import PathFit, Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.tracking.history import TrackHistory
+from ttcvid.stages.tracking.neighbours import nearest_neighbours
+
+# Neighbours that have a say in where a track belongs.
+_N_NEIGHBOURS = 8
+# Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
+# which any path explains that turns like the scene's, is kept out by this.
+LEAST_RATE = 0.4
+# A rate up to so many times the least one may have been held there on the way, in one of the few steps of a fit.
+_AT_LEAST = 1.5
+
+
+@dataclass(frozen=True)
+class BodyViews:
+    """N tracks over L views.
+
+    ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as
+    `views_by_track`; ``sigma_norm (N,)``; ``xy_px (N, 2)``
+    now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their pixel; ``link_px`` the distance within which two
+    tracks are neighbours.
+    """
+
+    rays: Floats
+    rays_by_track: Floats
+    sigma_norm: Floats
+    xy_px: Floats
+    t_s: Floats
+    focal_px: float
+    is_free: Bools
+    link_px: float
+
+    @cached_property
+    def since_s(self) -> Floats:
+        """Times relative to the present view: (L,)."""
+        return np.asarray(self.t_s - self.t_s[-1])
+
+    @cached_property
+    def xy(self) -> Floats:
+        """Places now in the plane z = 1: (N, 2)."""
+        return np.asarray(self.rays[-1, :, :2] / self.rays[-1, :, 2:])
+
+    def neighbours(self, is_asked: Bools, is_beside: Bools) -> Ints:
+        """The nearest tracks within ``link_px``, the track itself standing in for missing ones: (N, K).
+
+        Of tracks ``is_asked (N,)``, and of those that have one ``is_beside (N,)`` so near; of others perhaps none.
+        """
+        return nearest_neighbours(self.xy_px, _N_NEIGHBOURS, self.link_px, is_asked, is_beside)
+
+    def points(self, track: Ints, thing: Ints | None = None) -> Points:
+        """These tracks as points of bodies: ``track, thing (M,)``; None: all of one body."""
+        thing = np.zeros(len(track), dtype=np.int64) if thing is None else thing
+        return Points(self.rays_by_track, self.sigma_norm, self.since_s, track, thing)
+
+
+def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:
+    """The points on the paths of movers, their rates not far below what is usual on each: ``rate_hz (K,)``."""
+    usual_hz = rate_hz[points.thing]
+    return fit_on_paths(points, movers, usual_hz, LEAST_RATE * usual_hz)
+
+
+def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_error_px: float) -> BodyViews:
+    """The tracks of the history as bodies are found in them.
+
+    Parameters
+    ----------
+    model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
+    """
+    sigma_norm = np.maximum(history.sigma_px, model_error_px) * history.plane_per_px
+    return BodyViews(
+        history.rays,
+        views_by_track(history.rays),
+        sigma_norm,
+        history.xy_px,
+        history.t_s,
+        history.focal_px,
+        is_free,
+        link_px,
+    )
+
+
+def are_held(fit: PathFit, points: Points, rate_hz: Floats) -> Bools:
+    """Which of the points of `fit_on_movers` (M,) may be held up by the least rate that they may have."""
+    return np.asarray(fit.rate_hz <= _AT_LEAST * LEAST_RATE * rate_hz[points.thing])

@@ -1,0 +1,330 @@
+"""Which body each track belongs to: the one whose path explains its views best, with a say for its neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.medians import medians
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
+from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, are_held, fit_on_movers
+from ttcvid.stages.segmentation.last_known_position import Whereabouts, nowhere
+from ttcvid.stages.segmentation.velocities import Velocities, unknown_velocities
+
+# Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
+# much, where a track was before this much, and that most of the world stands still this much.
+_WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
+# The habit and the scene's bonus count for tracks with more views than these.
+_HABIT_VIEWS, _SCENE_VIEWS = 3, 2
+# A track that the scene explains, with a misfit (over the usual one) below the first, is no part of a mover whose
+# tracks lie so many times as far away: a bus seen from behind at 10 m ends at 22 m.
+_SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
+# A mover whose tracks the scene explains as well as it does most of its own stands still: its own path, free in every
+# frame, explains them better still, and its tracks vote for each other.
+_AS_STILL = 1.0
+# A mover that is hidden is known again for so long, s: after that it may well move otherwise.
+_KNOWN_AGAIN_S = 1.0
+# What a mover was not in one frame it seldom is in the next: that is looked into in its first frames, then once in so
+# many.
+_YOUNG_FRAMES, _DUE_FRAMES = 5, 4
+
+
+@dataclass(frozen=True)
+class Movers:
+    """K movers as remembered, ascending in their internal ``key (K,)``.
+
+    ``cluster_id (K,)`` is public, `NO_CLUSTER` until a mover has been confirmed; ``n_found, n_missed (K,)`` frames in
+    which it was found, and was not since; ``paths`` the motions, with the median rate ``rate_hz (K,)`` of their points;
+    ``where`` they are, and their ``velocity``.
+    """
+
+    key: Ints
+    cluster_id: Ints
+    n_found: Ints
+    n_missed: Ints
+    rate_hz: Floats
+    paths: RigidPaths
+    where: Whereabouts
+    velocity: Velocities
+
+    def __len__(self) -> int:
+        return len(self.key)
+
+    def take(self, index: Ints | Bools) -> Movers:
+        """The movers that an index array or a mask picks."""
+        return Movers(
+            self.key[index],
+            self.cluster_id[index],
+            self.n_found[index],
+            self.n_missed[index],
+            self.rate_hz[index],
+            self.paths.take(index),
+            self.where.take(index),
+            self.velocity.take(index),
+        )
+
+    def with_new(self, next_key: int, paths: RigidPaths, rate_hz: Floats) -> Movers:
+        """These and J new ones, whose keys count up from ``next_key``."""
+        count = len(paths)
+        if not count:
+            return self
+        return Movers(
+            np.append(self.key, next_key + np.arange(count)),
+            np.append(self.cluster_id, np.full(count, NO_CLUSTER)),
+            np.append(self.n_found, np.ones(count, dtype=np.int64)),
+            np.append(self.n_missed, np.zeros(count, dtype=np.int64)),
+            np.append(self.rate_hz, rate_hz),
+            self.paths.joined(paths),
+            self.where.with_new(count),
+            self.velocity.with_new(count),
+        )
+
+    def found_again(self, mover: int, paths: RigidPaths, rate_hz: Floats, place: int) -> Movers:
+        """These, of which the one at an index is found again: with the motion that stands in a place of others."""
+        is_it = np.arange(len(self)) == mover
+        return replace(
+            self,
+            n_found=self.n_found + is_it,
+            n_missed=np.where(is_it, 0, self.n_missed),
+            rate_hz=np.where(is_it, rate_hz[place], self.rate_hz),
+            paths=RigidPaths(
+                np.where(is_it[:, None, None, None], paths.cam_R_past[place], self.paths.cam_R_past),
+                np.where(is_it[:, None, None], paths.path[place], self.paths.path),
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class OwnFit:
+    """N tracks, each on the path of its own body, (N,) each: ``misfit`` in units of what is usual on the scene's path.
+
+    ``rate_hz`` with its standard deviation ``rate_sigma_hz`` are those of the tracks of movers; NaN where not known.
+    """
+
+    misfit: Floats
+    rate_hz: Floats
+    rate_sigma_hz: Floats
+
+    def without_rates(self, index: Ints | Bools) -> OwnFit:
+        """The same; the rates of some tracks are those on a path that their body does not have any more."""
+        rate_hz, sigma_hz = self.rate_hz.copy(), self.rate_sigma_hz.copy()
+        rate_hz[index], sigma_hz[index] = np.nan, np.nan
+        return OwnFit(self.misfit, rate_hz, sigma_hz)
+
+
+def unknown_fit(misfit: Floats) -> OwnFit:
+    """No rate is known."""
+    return OwnFit(misfit, np.full(len(misfit), np.nan), np.full(len(misfit), np.nan))
+
+
+def no_movers(n_views: int) -> Movers:
+    """None at all, over so many views."""
+    none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
+    return Movers(none, none, none, none, np.empty(0), paths, nowhere(0), unknown_velocities(0))
+
+
+def is_due(n_found: Ints) -> Bools:
+    """Whether movers that have been found in so many frames, (K,), are to be looked into in this one."""
+    return np.asarray((n_found <= _YOUNG_FRAMES) | (n_found % _DUE_FRAMES == 0))
+
+
+def numbers_of(key: Ints, movers: Movers) -> Ints:
+    """0 for a track of the scene, else 1 + place of its mover: (N,)."""
+    number = np.empty(len(key), dtype=np.int64)
+    _number(np.ascontiguousarray(movers.key), key, number)
+    return number
+
+
+@compiled_for("(i8[::1], i8[::1], i8[::1])")
+def _number(known: Ints, key: Ints, number: Ints) -> None:
+    """Fill ``number (N,)`` with how many of the ascending ``known (K,)`` are no larger than each key."""
+    for i in range(len(key)):
+        count = 0
+        for j in range(len(known)):
+            count += known[j] <= key[i]
+        number[i] = count
+
+
+def assigned(
+    views: BodyViews,
+    movers: Movers,
+    scene: RigidPaths | None,
+    key: Ints,
+    neighbours: Ints,
+    scene_fit: PathFit,
+    misfit: Floats,
+    seen_misfit: Floats,
+    usual_misfit: float,
+) -> tuple[Ints, Movers, OwnFit]:
+    """Each track to the body that explains it best, among the scene and those that it or a neighbour belonged to.
+
+    Parameters
+    ----------
+    scene : its path, which movers may go along; None where it is not known to move past us.
+    key : (N,) body of each track by now.
+    neighbours : (N, K) of each track that belongs to a mover or has one beside it.
+    scene_fit, misfit, seen_misfit : of each track on the scene's path; (N,), in units of ``usual_misfit``, with what
+        the road contradicts and without it.
+
+    Returns
+    -------
+    Key (N,) of each track's body; the movers, those that go along our way on its path; and how each track's body
+    explains it.
+    """
+    if not len(movers):
+        return key, movers, unknown_fit(misfit)
+    number, n_bodies = numbers_of(key, movers), len(movers) + 1
+    votes = np.zeros((len(key), n_bodies), dtype=np.int64)
+    track, mover = _asked(number, neighbours, votes)
+    points = views.points(track, mover)
+    fit = fit_on_movers(points, movers.paths, movers.rate_hz)
+    off, rate_hz, sigma_hz = fit.misfit / usual_misfit, fit.rate_hz, fit.rate_sigma_hz
+    is_held = are_held(fit, points, movers.rate_hz)
+    is_own = number[track] == mover + 1
+    if scene is not None:
+        # All that a mover had is asked: what its own path explains no longer shows most that it goes along our way.
+        is_along = _most_of(is_own & (seen_misfit[track] < off), is_own, mover, len(movers))
+        movers = _on_path_of(scene, scene_fit, movers, number, is_along)
+        along = is_along[mover]
+        most_hz = scene_fit.rate_hz + _RATE_SIGMAS * scene_fit.rate_sigma_hz
+        is_far = most_hz[track] < LEAST_RATE * movers.rate_hz[mover]
+        off = np.where(along, np.where(is_far, np.inf, seen_misfit[track]), off)
+        rate_hz = np.where(along, scene_fit.rate_hz[track], rate_hz)
+        sigma_hz = np.where(along, scene_fit.rate_sigma_hz[track], sigma_hz)
+        is_held &= ~along
+    is_other = misfit[track] < _SCENE_EXPLAINS
+    is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
+    asked, own = np.empty(len(key), dtype=np.int64), unknown_fit(np.empty(len(key)))
+    is_still = _most_of(is_own & (misfit[track] < _AS_STILL), is_own, mover, len(movers))
+    off = np.where(is_other | is_still[mover], np.inf, off)
+    _choose(misfit, track, mover, off, votes, number, scene_fit.n_views, asked, own.misfit)
+    moves = np.flatnonzero(asked >= 0)
+    asked, best = asked[moves], np.zeros(len(key), dtype=np.int64)
+    best[moves], own.rate_sigma_hz[moves] = 1 + mover[asked], sigma_hz[asked]
+    own.rate_hz[moves] = np.where(is_held, np.nan, rate_hz)[asked]
+    return np.append(SCENE_CLUSTER, movers.key)[best], movers, own
+
+
+def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
+    """Of which movers (K,) most tracks that belonged to them are one, both (M,); ``mover (M,)`` of each track."""
+    return np.asarray(np.bincount(mover, is_one, n_movers) > 0.5 * np.bincount(mover, is_own, n_movers))
+
+
+def _on_path_of(scene: RigidPaths, scene_fit: PathFit, movers: Movers, number: Ints, is_along: Bools) -> Movers:
+    """The movers, those ``is_along (K,)`` on the path of the scene; ``number (N,)`` of each track's body.
+
+    What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
+    refinement a frame lags behind that, and the next step goes on from there.
+    """
+    if not is_along.any():
+        return movers
+    track = np.flatnonzero(np.append(False, is_along)[number] & (scene_fit.rate_sigma_hz > 0.0))
+    rate_hz = medians(scene_fit.rate_hz[track], number[track] - 1, len(movers))
+    paths = RigidPaths(
+        np.where(is_along[:, None, None, None], scene.cam_R_past, movers.paths.cam_R_past),
+        np.where(is_along[:, None, None], scene.path, movers.paths.path),
+    )
+    return replace(movers, paths=paths, rate_hz=np.where(np.isfinite(rate_hz), rate_hz, movers.rate_hz))
+
+
+def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_things: int) -> Bools:
+    """Which tracks (M,) lie so much nearer than the other tracks of a thing that they are hardly a part of it.
+
+    Of a car ahead that goes our way, or nearly, the path is that of the scene but for its speed: it explains the road
+    before the car as well as the scene does, at another depth.
+
+    Parameters
+    ----------
+    rate_hz, sigma_hz : (M,) speed over depth of each track on the path of a thing ``thing (M,)``.
+    is_own : (M,) those that belong to it by now.
+    """
+    is_own = is_own & np.isfinite(rate_hz)
+    usual_hz = medians(rate_hz[is_own], thing[is_own], n_things)[thing]
+    # Without a rate (NaN), of its own or of the thing, nothing is said.
+    return np.asarray(rate_hz - usual_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(usual_hz))
+
+
+@compiled_for("(i8[::1], i8[:, ::1], i8[:, ::1])")
+def _asked(number: Ints, neighbours: Ints, votes: Ints) -> tuple[Ints, Ints]:
+    """Tracks and movers that are asked about, (M,) each, track by track: those of a track's neighbours, and its own.
+
+    Adds to ``votes (N, B)`` how many of the neighbours ``(N, K)`` of each track belong to each body.
+    """
+    track, mover, count = np.empty(votes.size, dtype=np.int64), np.empty(votes.size, dtype=np.int64), 0
+    for i in range(len(number)):
+        for beside in range(neighbours.shape[1]):
+            j = neighbours[i, beside]
+            if j != i:
+                votes[i, number[j]] += 1
+        for b in range(1, votes.shape[1]):
+            if votes[i, b] > 0 or b == number[i]:
+                track[count], mover[count] = i, b - 1
+                count += 1
+    return track[:count], mover[:count]
+
+
+@compiled_for("(f8[::1], i8[::1], i8[::1], f8[::1], i8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1])")
+def _choose(
+    misfit: Floats,
+    track: Ints,
+    mover: Ints,
+    off: Floats,
+    votes: Ints,
+    number: Ints,
+    n_views: Ints,
+    best: Ints,
+    least_off: Floats,
+) -> None:
+    """Fill which of those asked about is ``best (N,)``, -1 the scene, and how far off that is, ``least_off (N,)``.
+
+    ``misfit (N,)`` is that of each track on the scene, ``off (M,)`` those on the movers that are asked about, infinite:
+    it is none of it.
+    """
+    place = 0
+    for i in range(len(misfit)):
+        best[i], least_off[i] = -1, misfit[i]
+        if place == len(track) or track[place] != i:
+            continue
+        all_votes = 0
+        for b in range(votes.shape[1]):
+            all_votes += votes[i, b]
+        least = np.log1p(min(misfit[i], _WORST_MISFIT)) - votes[i, 0] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
+        if n_views[i] > _SCENE_VIEWS:
+            least -= _SCENE_WEIGHT
+        if number[i] == 0 and n_views[i] > _HABIT_VIEWS:
+            least -= _HABIT_WEIGHT
+        while place < len(track) and track[place] == i:
+            b = mover[place] + 1
+            if off[place] < np.inf:
+                score = np.log1p(min(off[place], _WORST_MISFIT)) - votes[i, b] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
+                if b == number[i] and n_views[i] > _HABIT_VIEWS:
+                    score -= _HABIT_WEIGHT
+                if score < least:
+                    best[i], least, least_off[i] = place, score, off[place]
+            place += 1
+
+
+def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:
+    """Movers that are still known; the last one or two tracks of a mover wait for a while, then these go to the scene.
+
+    A mover with a number is remembered for `_KNOWN_AGAIN_S` after it was last seen.
+    """
+    number, now_s, least = numbers_of(key, movers), views.t_s[-1], min(3, config.min_tracks)
+    counts = np.bincount(number, minlength=len(movers) + 1)[1:]
+    is_found = counts >= least
+    is_held = is_found | (movers.n_missed < config.forget_frames)
+    is_hidden = (movers.cluster_id != NO_CLUSTER) & (is_held | (now_s - movers.where.seen_s <= _KNOWN_AGAIN_S))
+    movers = replace(
+        movers,
+        n_found=movers.n_found + is_found,
+        n_missed=np.where(is_found, 0, movers.n_missed + 1),
+        where=movers.where.seen_again(number, views.xy, movers.rate_hz, now_s, least),
+    )
+    is_kept = (is_held & (counts > 0)) | is_hidden
+    if not is_held.all():
+        key = np.where(np.append(True, is_held)[number], key, SCENE_CLUSTER)
+    return key, movers if is_kept.all() else movers.take(is_kept)

@@ -1,0 +1,212 @@
+"""New movers that keep their bearing: tracks whose flows point away from each other, as those of one thing that comes.
+
+What crosses our way and will hit us hardly moves in the picture: it grows. The flows of its tracks are not alike, as
+those of other movers are, but one V / Z explains them all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.growth import GrowthSums, growth_sums
+from ttcvid.geometry.rigid_path import RigidPaths
+from ttcvid.geometry.rotation import each_turned_into_plane
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.segmentation.approach_probability import common_growth_hz
+from ttcvid.stages.segmentation.body_views import BodyViews
+from ttcvid.stages.segmentation.expansion import SIGMAS_999, around_any, around_the_oddest
+
+# Tracks that are enough for a thing: fewer than those of other movers, since three unknowns for all say more than flows
+# that are alike; as many as bear a surface.
+_ENOUGH_TRACKS = 5
+# Of what heads at us these are, the fewest that tell V / Z by more than two: what slides along the outlines of things
+# that stand still does not keep its bearing while it grows, but goes past us as they do. It is here within this time,
+# as long as a warning is of use, and passes within this part of its distance, two cars' halves from 20 m off; and
+# nearer than the other part of how far off what stands there will: next to where we go, all that stands still heads at
+# us.
+_FEW_TRACKS, _SOON_S, _AT_US, _UNLIKE_STANDING = 3, 5.0, 0.1, 0.5
+# Those of so few tracks that contradict the scene one by one are found in so many rounds at the most.
+_ROUNDS = 3
+# So many things are looked for in a frame, around so many tracks: in a street, tracks that slide along the outlines of
+# posts and trees contradict the scene worse than somebody who walks does, some ten at a time, and the same ones in each
+# frame.
+_MOST_THINGS, _MOST_SEEDS = 3, 12
+# Misfits below this are noise.
+_NOISE = 1.0
+# What will be here later than so many times as long as it has been seen has hardly grown: its direction is better told
+# by flows that are alike.
+_REACHED_WITHIN = 6.0
+
+
+def least_tracks(config: BodiesConfig) -> int:
+    """Tracks that a thing needs that spreads."""
+    return min(config.min_tracks, _ENOUGH_TRACKS)
+
+
+def tracks_needed(things: list[tuple[Ints, Floats]], config: BodiesConfig) -> Ints:
+    """Tracks (K,) that each thing needs that its own path surely explains: all of `least_tracks`, or of fewer these."""
+    lengths, least = np.array([len(members) for members, _ in things], dtype=np.int64), least_tracks(config)
+    return np.where(lengths < least, _FEW_TRACKS, least)
+
+
+def spreading_things(
+    views: BodyViews,
+    scene: RigidPaths,
+    may_be: Bools,
+    sway: Floats,
+    seeds: Ints,
+    misfit: Floats,
+    usual_misfit: float,
+    config: BodiesConfig,
+    *,
+    few_are_enough: bool,
+) -> list[tuple[Ints, Floats]]:
+    """Things that come nearer and spread, each with its tracks (M,) and its path (L, 3).
+
+    The tracks of each are `least_tracks`, and explained better than by the scene, all together and that one around
+    which it was looked for, by `BodiesConfig.gain`; as many misfit the scene by so much. (What a linear fit makes of
+    each track is too crude to ask more of all: `new_movers` does, of a refined path.) Of what heads at us, soon, a few
+    may be enough, if each contradicts the scene and is explained better by so much.
+
+    Parameters
+    ----------
+    may_be : (N,) tracks that things may be made of, each of `LEAST_VIEWS` at the least.
+    sway : (L, 3) how far the scene lay off a steady path, as in `bodies.sway_of`.
+    seeds : those of the tracks that contradict the scene together.
+    misfit : (N,) of each track on the path of the scene, in units of ``usual_misfit``.
+    few_are_enough : of what heads at us.
+    """
+    is_free, is_asked = may_be.copy(), np.zeros(len(may_be), dtype=bool)
+    is_asked[seeds] = may_be[seeds]
+    things, small, needed = list[_Thing](), list[_Thing](), least_tracks(config)
+    least = min(_FEW_TRACKS, needed) if few_are_enough else needed
+    # Most tracks are around several of those asked, and say the same each time.
+    near, place = around_any(views.xy_px, is_asked, is_free, views.link_px), np.empty(len(may_be), dtype=np.int64)
+    place[near] = np.arange(len(near))
+    xy = each_turned_into_plane(views.rays, near, scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
+    sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[near], sway)
+    for _ in range(_MOST_SEEDS):
+        if len(things) == _MOST_THINGS or not np.count_nonzero(is_asked):
+            break
+        seed, around = around_the_oddest(views.xy_px, misfit, is_asked, is_free, views.link_px)
+        is_asked[seed] = False
+        found = _thing_around(sums.of(place[around]), misfit[around], least, needed, config)
+        if found is None:
+            continue
+        thing = _Thing(around[found.is_in], found.unknowns)
+        own_xy = xy[:, place[thing.members]]
+        seen_s = float(np.median(-views.since_s[np.argmax(np.isfinite(own_xy[:, :, 0]), axis=0)]))
+        within_s = _SOON_S if found.is_few else _REACHED_WITHIN * seen_s
+        if not _grows(views.xy_px[thing.members], seen_s, found, 1.0 / within_s):
+            continue
+        if not found.is_few:
+            things.append(thing)
+            is_free[thing.members] = is_asked[thing.members] = False
+        elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, scene.path[0, 0]):
+            small.append(thing)
+    things = _with_small_ones(things, small, sums, place, config)
+    return [(thing.members, thing.path(views.since_s, sway)) for thing in things]
+
+
+@dataclass(frozen=True)
+class _Thing:
+    """Tracks ``members (M,)`` that share ``unknowns (4,)`` of `GrowthSums`."""
+
+    members: Ints
+    unknowns: Floats
+
+    def path(self, since_s: Floats, sway: Floats) -> Floats:
+        """Where it was at the times ``since_s (L,)``, less where it is, in s of its speed: (L, 3)."""
+        way = since_s[:, None] * self.unknowns[:3] + self.unknowns[3] * sway
+        return np.asarray(way / np.linalg.norm(self.unknowns[:3]))
+
+
+@dataclass(frozen=True)
+class _Sharing:
+    """Which of some tracks (M,) share ``unknowns (4,)`` of `GrowthSums`, and the standard deviation of c, 1/s.
+
+    ``is_few``: fewer than a thing needs that does not head at us.
+    """
+
+    is_in: Bools
+    unknowns: Floats
+    sigma_hz: float
+    is_few: bool
+
+
+def _with_small_ones(
+    things: list[_Thing], small: list[_Thing], sums: GrowthSums, place: Ints, config: BodiesConfig
+) -> list[_Thing]:
+    """The things, and of those of few tracks the first that are no part of another; ``place (N,)`` of tracks in sums.
+
+    What is left over of a thing is none.
+    """
+    things = list(things)
+    for thing in small:
+        own = sums.of(place[thing.members])
+        is_other = all(float(np.median(own.misfits(one.unknowns))) > config.scene_gate for one in things)
+        is_free = not any(np.isin(thing.members, one.members).any() for one in things)
+        if len(things) < _MOST_THINGS and is_free and is_other:
+            things.append(thing)
+    return things
+
+
+def _thing_around(sums: GrowthSums, misfit: Floats, least: int, needed: int, config: BodiesConfig) -> _Sharing | None:
+    """Which of some tracks (M,), so many at the ``least``, are a thing with the first; None: too few.
+
+    Of fewer than ``needed`` those that contradict the scene one by one.
+    """
+    n_odd = np.count_nonzero(misfit > config.gain)
+    if n_odd < least:
+        return None
+    fits = sums.sharing_a_velocity(misfit, config.scene_gate, least)
+    if fits is None:
+        return None
+    unknowns, cov = sums.unknowns(fits)
+    own = sums.misfits(unknowns)
+    is_better = np.maximum(own[fits], _NOISE).sum() < misfit[fits].sum() / config.gain
+    if not (fits[0] and own[0] < misfit[0] / config.gain and is_better):
+        return None
+    if min(n_odd, np.count_nonzero(fits)) < needed:
+        return _odd_ones(sums, fits, misfit, config)
+    return _shared_by(fits, unknowns, cov, own, is_few=False)
+
+
+def _odd_ones(sums: GrowthSums, fits: Bools, misfit: Floats, config: BodiesConfig) -> _Sharing | None:
+    """Those of the tracks ``fits (M,)`` that contradict the scene one by one; None where they are too few."""
+    fits = fits & (misfit > config.scene_gate)
+    for _ in range(_ROUNDS):
+        if np.count_nonzero(fits) < _FEW_TRACKS:
+            return None
+        unknowns, cov = sums.unknowns(fits)
+        own = sums.misfits(unknowns)
+        stays = fits & (own < misfit / config.gain)
+        if np.array_equal(stays, fits):
+            return _shared_by(fits, unknowns, cov, own, is_few=True)
+        fits = stays
+    return None
+
+
+def _grows(xy_px: Floats, seen_s: float, found: _Sharing, least_hz: float) -> bool:
+    """Whether tracks at ``xy_px (M, 2)`` surely come nearer, beyond what they err by in common, and at ``least_hz``."""
+    radius_px = np.sqrt(np.mean(np.sum((xy_px - xy_px.mean(axis=0)) ** 2, axis=1)))
+    common_hz = float(common_growth_hz(np.asarray(radius_px), np.asarray(seen_s)))
+    return bool(-found.unknowns[2] > max(SIGMAS_999 * float(np.hypot(found.sigma_hz, common_hz)), least_hz))
+
+
+def _shared_by(fits: Bools, unknowns: Floats, cov: Floats, own: Floats, *, is_few: bool) -> _Sharing:
+    """What the tracks ``fits (M,)`` share, no surer than their misfits ``own (M,)`` leave it."""
+    return _Sharing(fits, unknowns, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2])), is_few)
+
+
+def _heads_at_us(xy: Floats, velocity_hz: Floats, own_path: Floats) -> bool:
+    """Whether what is at ``xy (2,)``, in the plane z = 1, and comes nearer at ``velocity_hz`` passes near us.
+
+    And much nearer than what stands still there, as the scene does that was at ``own_path (3,)``.
+    """
+    off = float(np.hypot(*(xy - velocity_hz[:2] / velocity_hz[2])))
+    stands_off = float(np.hypot(*(xy - own_path[:2] / own_path[2]))) if own_path[2] > 0.0 else np.inf
+    return off < min(_AT_US, _UNLIKE_STANDING * stands_off)

@@ -1,0 +1,204 @@
+"""What comes straight at us on a way of its own: a few tracks that keep their bearing, and spread.
+
+An aircraft on a collision course stands still in the picture and grows. A scene far away explains each of its tracks,
+or nearly, and their flows are not alike: they point away from each other. Together they are those of one thing that
+comes nearer, with three unknowns for all, where the scene has one for each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.growth import growth_sums
+from ttcvid.geometry.rotation import skew, turned_into_plane
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.segmentation.approach_probability import common_growth_hz
+from ttcvid.stages.segmentation.obstacles import REACHED_WITHIN_S
+from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
+from ttcvid.stages.tracking.history import TrackHistory
+
+LEAST_VIEWS = 6
+"""Views that a track needs: with fewer, one V / Z explains any."""
+SIGMAS_999 = 3.090
+"""A thing grows at 99.9 % (one side)."""
+# Tracks that a thing needs: as many as what stands in our way, and fewer than a mover. That they share one velocity,
+# which no two things of the scene do, says more than their number.
+_LEAST_TRACKS = 4
+# Tracks of one thing lie within so many link lengths of the one that the scene explains worst: of an aircraft, wing
+# tips and nose. So many of the nearest are looked at, and so many things a frame.
+_LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
+
+
+@dataclass(frozen=True)
+class Growing:
+    """A thing that grows: its tracks (M,), its direction (3,), V over its length, and the covariance (3, 3) of that."""
+
+    members: Ints
+    direction: Floats
+    direction_cov: Floats
+
+
+def find_growing(
+    before: tuple[Obstacle, ...],
+    history: TrackHistory,
+    misfit: Floats,
+    usual_misfit: float,
+    may_be: Bools,
+    error_px: float,
+    link_px: float,
+    next_cluster_id: int,
+    config: BodiesConfig,
+) -> tuple[dict[int, Growing], tuple[Obstacle, ...], int]:
+    """The public things that grow by their numbers, those that are seen to in this frame; what to remember; the next
+    number.
+
+    Parameters
+    ----------
+    before : what the last frame remembered.
+    misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
+    may_be : (N,) tracks that belong to no mover.
+    error_px : error of a position that no track's noise knows of.
+    """
+    is_known = np.isin(history.track_id, tracks_of(before))
+    things = _things(history, misfit, usual_misfit, may_be, is_known, error_px, link_px, config)
+    is_free = may_be.copy()
+    for thing in things:
+        is_free[thing.members] = False
+    public, memory, next_cluster_id = remembered(
+        before, history.track_id, [thing.members for thing in things], is_free, next_cluster_id, config
+    )
+    # No track is part of two, and those of what is only remembered are part of none.
+    thing_of = {int(thing.members[0]): thing for thing in things}
+    found = {number: thing_of[int(own[0])] for number, own in public.items() if len(own) and int(own[0]) in thing_of}
+    return found, memory, next_cluster_id
+
+
+def _things(
+    history: TrackHistory,
+    misfit: Floats,
+    usual_misfit: float,
+    may_be: Bools,
+    is_known: Bools,
+    error_px: float,
+    link_px: float,
+    config: BodiesConfig,
+) -> list[Growing]:
+    """The things that grow around tracks that contradict the scene, or are known to be part of one."""
+    may_be = may_be & (history.n_frames >= LEAST_VIEWS)
+    is_asked = may_be & ((misfit > config.scene_gate) | is_known)
+    things = list[Growing]()
+    for _ in range(_MOST_THINGS):
+        if not is_asked.any():
+            break
+        seed, around = around_the_oddest(history.xy_px, misfit, is_asked, may_be, link_px)
+        is_asked[seed] = False
+        thing = _thing_around(history, around, misfit[around], usual_misfit, error_px, config)
+        if thing is not None:
+            things.append(thing)
+            may_be[thing.members] = is_asked[thing.members] = False
+    return things
+
+
+def around_the_oddest(
+    xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, link_px: float
+) -> tuple[int, Ints]:
+    """Of N tracks that one of those asked that the scene explains worst, and the nearest around it, nearest first.
+
+    Parameters
+    ----------
+    xy_px, misfit : (N, 2) places and (N,) misfits on the scene's path.
+    is_asked, may_be : (N,) tracks that may be the one, and may be around it.
+    """
+    around = np.empty(_MOST_AROUND, dtype=np.int64)
+    seed, n_around = _list_around(np.ascontiguousarray(xy_px), misfit, is_asked, may_be, _LINKS * link_px, around)
+    return seed, around[:n_around]
+
+
+def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) -> Ints:
+    """All tracks (M,) that `around_the_oddest` may find around those asked, and these, ascending."""
+    is_near = np.empty(len(xy_px), dtype=bool)
+    _mark_near(np.ascontiguousarray(xy_px), is_asked, may_be, _LINKS * link_px, is_near)
+    return np.flatnonzero(is_near)
+
+
+@compiled_for("(f8[:, ::1], b1[::1], b1[::1], f8, b1[::1])")
+def _mark_near(xy_px: Floats, is_asked: Bools, may_be: Bools, reach_px: float, is_near: Bools) -> None:
+    """Fill ``is_near (N,)``: tracks asked, and those that may be around one of them."""
+    for i in range(len(is_near)):
+        is_near[i] = is_asked[i]
+    for i in range(len(is_near)):
+        if is_asked[i]:
+            for j in range(len(is_near)):
+                x, y = xy_px[j, 0] - xy_px[i, 0], xy_px[j, 1] - xy_px[i, 1]
+                is_near[j] |= may_be[j] and x * x + y * y < reach_px * reach_px
+
+
+@compiled_for("(f8[:, ::1], f8[::1], b1[::1], b1[::1], f8, i8[::1])")
+def _list_around(
+    xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, reach_px: float, around: Ints
+) -> tuple[int, int]:
+    """Fill ``around (M,)`` with the nearest tracks within reach of the oddest; which that is, and how many they are."""
+    seed, n_around, off2 = -1, 0, np.empty(len(around))
+    for i in range(len(misfit)):
+        if is_asked[i] and (seed < 0 or misfit[i] > misfit[seed]):
+            seed = i
+    for i in range(len(misfit)):
+        x, y = xy_px[i, 0] - xy_px[seed, 0], xy_px[i, 1] - xy_px[seed, 1]
+        own2, place = x * x + y * y, n_around
+        if not (may_be[i] and own2 < reach_px * reach_px):
+            continue
+        n_around = min(n_around + 1, len(around))
+        while place > 0 and off2[place - 1] > own2:
+            if place < len(around):
+                around[place], off2[place] = around[place - 1], off2[place - 1]
+            place -= 1
+        if place < len(around):
+            around[place], off2[place] = i, own2
+    return seed, n_around
+
+
+def _thing_around(
+    history: TrackHistory, around: Ints, misfit: Floats, usual_misfit: float, error_px: float, config: BodiesConfig
+) -> Growing | None:
+    """The thing that the first of some tracks (M,) is a part of; None where they show none that comes at us."""
+    if len(around) < _LEAST_TRACKS:
+        return None
+    past = slice(0, history.n_past + 1)
+    xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
+    sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
+    # An aircraft flies straight on.
+    sway = np.zeros((len(xy), 3))
+    sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm, sway)
+    fits = sums.sharing_a_velocity(misfit, config.scene_gate, _LEAST_TRACKS)
+    if fits is None:
+        return None
+    unknowns, cov = sums.unknowns(fits)
+    own, velocity_hz, cov = sums.misfits(unknowns), unknowns[:3], cov[:3, :3]
+    contradicts = misfit[0] > config.scene_gate
+    if not fits[0] or (contradicts and not own[0] < misfit[0] / config.gain):
+        return None
+    cov = max(float(own[fits].mean()), 1.0) * cov + _common_cov(history, around[fits], xy[:, fits])
+    if not -velocity_hz[2] > max(SIGMAS_999 * float(np.sqrt(cov[2, 2])), 1.0 / REACHED_WITHIN_S):
+        return None
+    speed_hz = float(np.linalg.norm(velocity_hz))
+    direction = velocity_hz / speed_hz
+    across = (np.eye(3) - np.outer(direction, direction)) / speed_hz
+    return Growing(np.sort(around[fits]), direction, across @ cov @ across)
+
+
+def _common_cov(history: TrackHistory, members: Ints, xy: Floats) -> Floats:
+    """Covariance (3, 3) of V / Z of some tracks (M,) by what they err by in common: matching, and own rotation.
+
+    ``xy (L, M, 2)`` their places in the plane z = 1.
+    """
+    off_px = history.xy_px[members] - history.xy_px[members].mean(axis=0)
+    seen_s = -history.since_s[np.argmax(np.isfinite(xy[:, :, 0]), axis=0)]
+    radius_px = float(np.sqrt(np.mean(np.sum(off_px**2, axis=1))))
+    ray = np.append(xy[-1].mean(axis=0), 1.0)
+    turned = skew(ray)
+    growth_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
+    return np.asarray(growth_hz**2 * np.outer(ray, ray) + turned @ history.rotation_rate_cov @ turned.T)

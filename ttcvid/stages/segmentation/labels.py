@@ -1,0 +1,270 @@
+"""Which tracks move with the static scene, and which with a mover of their own.
+
+Scene and movers are rigid bodies, each with its own path relative to the camera. A track belongs to the body whose path
+explains all of its views best, with a say for its neighbours and for where it belonged before. New movers start where
+neighbouring tracks contradict the scene together and agree with each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
+from ttcvid.stages.egomotion.relative_pose import Egomotion
+from ttcvid.stages.segmentation.births import new_movers
+from ttcvid.stages.segmentation.bodies import carried_forward
+from ttcvid.stages.segmentation.body_views import BodyViews, body_views
+from ttcvid.stages.segmentation.data_association import Movers, OwnFit, assigned, is_due, kept, no_movers, numbers_of
+from ttcvid.stages.segmentation.ground_plane import RoadMemory, on_road
+from ttcvid.stages.segmentation.last_steps import stepped_movers
+from ttcvid.stages.segmentation.merge_and_split import merged, split
+from ttcvid.stages.segmentation.reidentification import known_again, with_velocities
+from ttcvid.stages.segmentation.reinitialisation import begun_anew
+from ttcvid.stages.segmentation.scene import SeenScene, see_scene
+from ttcvid.stages.segmentation.surface_memory import Obstacle, number_of_taken, without_numbers
+from ttcvid.stages.tracking.groups import places_among
+from ttcvid.stages.tracking.history import TrackHistory
+
+# Steps of refinement a frame of a new mover, and of one that has been found in some frames; fewer points than this do
+# not refine it.
+_YOUNG_STEPS, _YOUNG_FRAMES, _OLD_STEPS, _LEAST_POINTS = 2, 5, 1, 3
+
+
+@dataclass(frozen=True)
+class BodyMemory:
+    """What is known of the last frame: the scene, the movers, and for each track its body and its rate.
+
+    ``obstacles`` are what of the scene stands in our way (`segmentation.obstacles`), ``growing`` what comes at us
+    (`segmentation.expansion`); ``frame (L,)`` the views of the bodies.
+    """
+
+    scene: RigidPaths | None = None
+    movers: Movers = field(default_factory=lambda: no_movers(0))
+    track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    track_key: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    rate_hz: Floats = field(default_factory=lambda: np.empty(0))
+    road: RoadMemory = field(default_factory=RoadMemory)
+    next_key: int = SCENE_CLUSTER + 1
+    next_cluster_id: int = SCENE_CLUSTER + 1
+    obstacles: tuple[Obstacle, ...] = ()
+    growing: tuple[Obstacle, ...] = ()
+    frame: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """The bodies of a frame: ``key (N,)`` of each track's body, the movers, and how the scene explains tracks.
+
+    ``misfit (N,)`` of each track on the scene's path, in units of what is usual there, ``usual_misfit``;
+    ``sway (L, 3)`` how far the scene lay off a steady path, 0 before a camera that does not sway.
+    """
+
+    key: Ints
+    movers: Movers
+    scene: RigidPaths
+    scene_fit: PathFit
+    misfit: Floats
+    usual_misfit: float
+    sway: Floats
+
+
+def in_scene(memory: BodyMemory, track_id: Ints) -> Bools:
+    """Tracks (N,) that no mover of the last frame holds."""
+    return np.asarray(_carried_labels(memory, track_id)[0] == SCENE_CLUSTER)
+
+
+def find_bodies(
+    history: TrackHistory,
+    egomotion: Egomotion,
+    platform: Platform,
+    is_free: Bools,
+    may_start: Bools,
+    memory: BodyMemory,
+    link_px: float,
+    model_error_px: float,
+    config: BodiesConfig,
+) -> tuple[Segmentation, BodyMemory]:
+    """The scene, corrected, and the movers of a frame.
+
+    Parameters
+    ----------
+    platform : what carries the camera.
+    is_free : (N,) tracks that are not frozen to their pixel.
+    may_start : (N,) tracks that a new mover may be made of.
+    link_px : two tracks are neighbours when they lie closer than this, px.
+    model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
+    """
+    views = body_views(history, is_free, link_px, model_error_px)
+    memory = _over_views(memory, history.frame)
+    key, rate_hz = _carried_labels(memory, history.track_id)
+    movers = _carried_movers(memory, egomotion, views)
+    known = np.append(SCENE_CLUSTER, movers.key)
+    key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
+    seen = see_scene(history, egomotion, platform, is_free, memory.scene, memory.road, views, rate_hz, key, config)
+
+    movers = _refined(movers, seen.scene, views, key, seen.usual_misfit)
+    # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
+    neighbours = views.neighbours(is_free & (seen.misfit > config.scene_gate), key != SCENE_CLUSTER)
+    key, movers, own = _divided(views, seen, key, movers, neighbours, config)
+    # In the air what comes straight at us is found as one surface, which few tracks tell the times of.
+    few_are_enough = platform != Platform.aircraft
+    key, movers, next_key = _with_new(
+        history, views, seen, key, movers, neighbours, may_start, memory.next_key, few_are_enough, config
+    )
+    key, movers, next_key = split(views, key, movers, own, next_key, config)
+    movers = with_velocities(views, seen.scene, key, movers)
+    surfaces = memory.growing + memory.obstacles
+    movers, next_cluster_id = _named(movers, key, history.track_id, surfaces, memory.next_cluster_id, config)
+    memory = replace(memory, rate_hz=memory.rate_hz * seen.speed)
+    labels = _with_lost(history, memory, key, seen.rate_hz)
+    memory = BodyMemory(seen.scene, movers, *labels, seen.road, next_key, next_cluster_id, frame=history.frame)
+    return Segmentation(key, movers, seen.scene, seen.fit, seen.misfit, seen.usual_misfit, seen.sway), memory
+
+
+def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) -> Movers:
+    """The movers of the last frame as they go on to this one."""
+    if len(views.t_s) < 2 or memory.scene is None or not len(memory.movers):
+        return no_movers(len(views.t_s))
+    before, cam_R_prev = memory.movers, egomotion.cam_R_prev
+    paths = carried_forward(before.paths, cam_R_prev, views.t_s)
+    where = before.where.carried_forward(cam_R_prev, paths.path[:, -2])
+    velocity = before.velocity.carried_forward(cam_R_prev, before.where.centre, views.t_s[-1] - views.t_s[-2])
+    return replace(before, paths=paths, where=where, velocity=velocity)
+
+
+def _divided(
+    views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
+) -> tuple[Ints, Movers, OwnFit]:
+    """The tracks, ``key (N,)``, among the scene and the movers that are known; those that stay; how each explains its
+    own.
+    """
+    scene = None if seen.rests else seen.scene
+    key, movers, own = assigned(
+        views, movers, scene, key, neighbours, seen.fit, seen.misfit, seen.seen_misfit, seen.usual_misfit
+    )
+    before = key
+    key, movers = kept(views, key, movers, config)
+    key, movers = merged(views, seen.scene, key, movers, neighbours, own.misfit, seen.usual_misfit)
+    # Of what goes to the scene, too, something new may be made.
+    has_changed = key != before
+    if has_changed.any():
+        is_touched = np.zeros(key.max() + 1, dtype=bool)
+        is_touched[key[has_changed]] = True
+        own = own.without_rates(is_touched[key])
+    return key, movers, own
+
+
+def _with_new(
+    history: TrackHistory,
+    views: BodyViews,
+    seen: SeenScene,
+    key: Ints,
+    movers: Movers,
+    neighbours: Ints,
+    may_start: Bools,
+    next_key: int,
+    few_are_enough: bool,
+    config: BodiesConfig,
+) -> tuple[Ints, Movers, int]:
+    """The bodies with what of the scene's tracks moves by itself: known again, or new; and the next key."""
+    found, paths, found_hz = new_movers(
+        views,
+        seen.scene,
+        seen.sway,
+        (key == SCENE_CLUSTER) & may_start,
+        seen.fit,
+        seen.misfit,
+        seen.seen_misfit,
+        seen.usual_misfit,
+        on_road(seen.fit, seen.road),
+        # Before a camera that moves past nothing all surfaces flow alike, and nothing slips.
+        history.edge if seen.moves_past else np.zeros_like(history.edge),
+        neighbours,
+        config,
+        few_are_enough=few_are_enough,
+    )
+    if found and len(movers):
+        key, movers, is_known = known_again(views, seen.scene, key, movers, found, paths, found_hz, seen.usual_misfit)
+        found = [members for members, known in zip(found, is_known, strict=True) if not known]
+        paths, found_hz = paths.take(~is_known), found_hz[~is_known]
+    for count, members in enumerate(found):
+        key[members] = next_key + count
+    return key, movers.with_new(next_key, paths, found_hz), next_key + len(found)
+
+
+def restarted_bodies(memory: BodyMemory) -> BodyMemory:
+    """Nothing known any more, but no number given out twice."""
+    return BodyMemory(next_key=memory.next_key, next_cluster_id=memory.next_cluster_id)
+
+
+def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
+    """The bodies over those of their views that the history with the frames ``frame (L,)`` still has."""
+    if memory.scene is None or np.array_equal(memory.frame[1 - len(frame) :], frame[:-1]):
+        return memory
+    stays = np.isin(memory.frame, frame)
+    if not stays.any():
+        return restarted_bodies(memory)
+    movers = replace(memory.movers, paths=memory.movers.paths.over(stays))
+    return replace(memory, scene=memory.scene.over(stays), movers=movers)
+
+
+def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:
+    """Body and rate that each track had; new ones are with the scene."""
+    key, rate_hz = np.full(len(track_id), SCENE_CLUSTER), np.full(len(track_id), np.nan)
+    place = places_among(memory.track_id, track_id)
+    is_known = place >= 0
+    key[is_known], rate_hz[is_known] = memory.track_key[place[is_known]], memory.rate_hz[place[is_known]]
+    return key, rate_hz
+
+
+def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Floats) -> tuple[Ints, Ints, Floats]:
+    """All tracks that may be in the next frame, each with its body and rate."""
+    if history.lost is None:
+        return history.track_id, key, rate_hz
+    lost_key, lost_hz = _carried_labels(memory, history.lost.track_id)
+    track_id = np.concatenate([history.track_id, history.lost.track_id])
+    order = np.argsort(track_id)
+    return track_id[order], np.concatenate([key, lost_key])[order], np.concatenate([rate_hz, lost_hz])[order]
+
+
+def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usual_misfit: float) -> Movers:
+    """The movers, each corrected by the tracks that it had."""
+    number = numbers_of(key, movers)
+    has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
+    track = np.flatnonzero(np.append(False, has_points)[number])
+    if not len(track):
+        return movers
+    steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
+    points = views.points(track, number[track] - 1)
+    paths, rate_hz = stepped_movers(movers.paths, scene, points, steps * has_points, movers.rate_hz)
+    paths, rate_hz = begun_anew(paths, rate_hz, is_due(movers.n_found), scene, points, usual_misfit)
+    return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
+
+
+def _named(
+    movers: Movers,
+    key: Ints,
+    track_id: Ints,
+    surfaces: tuple[Obstacle, ...],
+    next_cluster_id: int,
+    config: BodiesConfig,
+) -> tuple[Movers, int]:
+    """Public numbers for movers that have been found often enough: that of the surface each was before, or a new one.
+
+    Parameters
+    ----------
+    key, track_id : (N,) body and number of each track.
+    surfaces : what was found as one surface up to the last frame.
+    """
+    asks = (movers.cluster_id == NO_CLUSTER) & (movers.n_found >= config.confirm_frames)
+    cluster_id = movers.cluster_id.copy()
+    for place in np.flatnonzero(asks):
+        left = without_numbers(surfaces, cluster_id)
+        number = number_of_taken(left, track_id, np.flatnonzero(key == movers.key[place]))
+        cluster_id[place] = next_cluster_id if number is None else number
+        next_cluster_id += number is None
+    return replace(movers, cluster_id=cluster_id), next_cluster_id

@@ -1,0 +1,53 @@
+"""How we drive along a bend: where to, how fast, and how fast we turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttcvid.geometry.along_bend import share_of_bend
+from ttcvid.geometry.rotation import vector_from_rotation
+from ttcvid.model import Floats
+from ttcvid.stages.segmentation.ground_plane import LEAST_BELOW
+from ttcvid.stages.tracking.history import TrackHistory
+
+# The turn is that of so long, s: steps of a car's wheels and of matching are gone by then, a bend has hardly changed.
+_TURN_S = 0.5
+
+
+@dataclass(frozen=True)
+class OwnBend:
+    """Where we drive, ``heading (3,)``, and how fast we turn to the right, but for steering to and fro.
+
+    ``road_hz (3,)``: our speed over the depth of the road that is seen at (x, y) is p0 + p1 x + p2 y; None without one.
+    """
+
+    heading: Floats
+    turn_rad_s: float
+    road_hz: Floats | None
+
+    def speed_hz(self, foot: Floats) -> float | None:
+        """Our speed over the depth of what stands on the road where its ``foot`` (x, y) is seen; None: not known."""
+        if self.road_hz is None:
+            return None
+        speed_hz = float(self.road_hz[0] + self.road_hz[1:] @ foot)
+        return speed_hz if speed_hz > LEAST_BELOW * self.road_hz[2] else None
+
+
+def own_bend(history: TrackHistory, direction: Floats | None, road_hz: Floats | None) -> OwnBend | None:
+    """The bend that we drive along; None where we do not drive ahead, or that has not been seen for long enough.
+
+    Parameters
+    ----------
+    direction : (3,) ``dir`` of the scene.
+    road_hz : as of `OwnBend`.
+    """
+    if direction is None or not direction[2] < 0.0:
+        return None
+    first = int(np.searchsorted(history.since_s, -_TURN_S, side="right")) - 1
+    if first < 0:
+        return None
+    # What we turn away from goes to the other side.
+    turn_rad_s = float(vector_from_rotation(history.cam_R_seen[first])[1] / history.since_s[first])
+    return OwnBend(-direction, share_of_bend(turn_rad_s) * turn_rad_s, road_hz)

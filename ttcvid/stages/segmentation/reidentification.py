@@ -1,0 +1,109 @@
+"""Movers that were hidden, behind a post or for want of texture, and are seen again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ttcvid.geometry.rigid_path import RigidPaths
+from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ
+from ttcvid.stages.segmentation.body_views import BodyViews
+from ttcvid.stages.segmentation.data_association import Movers, numbers_of
+from ttcvid.stages.segmentation.velocities import recent_velocities
+
+# Tracks of a mover seen again are within so many of its extents of where it has to be.
+_WITHIN_EXTENTS = 2.5
+# How fast it went is known to this part: its last tracks were those at the rim of what hid it.
+_UNSURE_PART = 0.3
+# Chi-square of three degrees of freedom within which 99 % are that are one thing.
+_SAME_VELOCITY = 11.3
+# Steps on the velocity of what has just been found, and a frame on that of a mover.
+_FIRST_STEPS, _STEPS = 4, 1
+# Where the tracks say nothing of a velocity, it is taken to be known to this, 1/s.
+_MOST_UNSURE_HZ = 10.0
+
+
+def known_again(
+    views: BodyViews,
+    scene: RigidPaths,
+    key: Ints,
+    movers: Movers,
+    found: Sequence[Ints],
+    paths: RigidPaths,
+    rate_hz: Floats,
+    usual_misfit: float,
+) -> tuple[Ints, Movers, Bools]:
+    """Which of J new movers are hidden ones seen again: they lie where a hidden one should be, and move as it did.
+
+    Parameters
+    ----------
+    key, movers : body of each track (N,), and the movers known by now.
+    found, paths, rate_hz : tracks, motion and median rate of each new one.
+    usual_misfit : of tracks on the scene's path: their chi-square over its degrees of freedom.
+
+    Returns
+    -------
+    key, movers : with those that are known again.
+    is_known : (J,).
+    """
+    key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
+    # One or two tracks may be left at the rim of what hides the others.
+    hidden = np.flatnonzero((movers.n_missed > 0) & (movers.where.centre[:, 2] > 0.0))
+    for place, members in enumerate(found):
+        if not len(hidden):
+            break
+        as_hidden = _chi2_as_hidden(views, scene, members, movers.take(hidden), usual_misfit)
+        best = int(np.argmin(as_hidden))
+        if not as_hidden[best] <= _SAME_VELOCITY:
+            continue
+        mover = hidden[best]
+        key[members], is_known[place] = movers.key[mover], True
+        movers = movers.found_again(mover, paths, rate_hz, place)
+        hidden = np.delete(hidden, best)
+    return key, movers, is_known
+
+
+def with_velocities(views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers) -> Movers:
+    """The movers, with the velocities of those that are found in this frame."""
+    number, is_found = numbers_of(key, movers), movers.n_missed == 0
+    track = np.flatnonzero(np.append(False, is_found)[number])
+    if not len(track):
+        return movers
+    points = views.points(track, number[track] - 1)
+    return replace(movers, velocity=movers.velocity.seen_again(points, scene.cam_R_past[0], is_found, _STEPS))
+
+
+def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: Movers, usual_misfit: float) -> Floats:
+    """How much the velocity of some tracks differs from those of hidden movers: (K,), infinite where these are not.
+
+    In units of what is unsure: of both by their tracks, and by how velocities change while a thing is not seen.
+    """
+    centre, chi2 = hidden.where.centre, np.full(len(hidden), np.inf)
+    away = np.linalg.norm(np.mean(views.xy[members], axis=0) - centre[:, :2] / centre[:, 2:], axis=1)
+    limit = _WITHIN_EXTENTS * hidden.where.extent / centre[:, 2] + views.link_px / views.focal_px
+    limit += _UNSURE_PART * _moved_unseen(views, hidden)
+    unseen_s = views.t_s[-1] - hidden.where.seen_s
+    for mover in np.flatnonzero(away < limit):
+        before = hidden.velocity.v_hz[mover]
+        now, info = recent_velocities(views.points(members), scene.cam_R_past[0], before[None], _FIRST_STEPS)
+        cov = _covariance(hidden.velocity.info[mover], usual_misfit) + _covariance(info[0], usual_misfit)
+        cov += (SHIFT_RATE_HZ * unseen_s[mover]) ** 2 * (before @ before) * np.eye(3)
+        chi2[mover] = (now[0] - before) @ np.linalg.solve(cov, now[0] - before)
+    return chi2
+
+
+def _covariance(info: Floats, usual_misfit: float) -> Floats:
+    """The covariance (3, 3) of a velocity."""
+    return np.asarray(np.linalg.inv(info / usual_misfit + np.eye(3) / _MOST_UNSURE_HZ**2))
+
+
+def _moved_unseen(views: BodyViews, hidden: Movers) -> Floats:
+    """How far hidden movers have gone in the plane z = 1 since they were seen, by their motion now: (K,)."""
+    where, step = hidden.where, hidden.paths.path[:, -2]
+    place = where.centre[:, :2] / where.centre[:, 2:]
+    last = np.linalg.norm(step[:, :2] - place * step[:, 2:], axis=1) / where.centre[:, 2]
+    moved: Floats = last * (views.t_s[-1] - where.seen_s) / (views.t_s[-1] - views.t_s[-2])
+    return moved

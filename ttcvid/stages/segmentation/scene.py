@@ -1,0 +1,217 @@
+"""The static scene as a body: its path, how that explains each track, and what the road under it contradicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttcvid.config import BodiesConfig
+from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.medians import median
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
+from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
+from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, Egomotion, picture_region, region_side_of
+from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, sway_of, with_unit_speed
+from ttcvid.stages.segmentation.body_views import BodyViews
+from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
+from ttcvid.stages.tracking.history import TrackHistory
+
+# Of more tracks than this only so many correct the scene; those of a crowded place count less: so many times as large
+# as the parts of the picture for own motion.
+_ENOUGH_TRACKS, _CELLS = 400, 1.2
+_SCENE_STEPS = 2
+# Own speed does not fall below this part of what it was at the start of the window, so that it can rise again.
+_LEAST_SPEED = 0.1
+# A rate above so many of its standard deviations is no standstill.
+_MOVES_SIGMAS = 3.0
+# A single pair of frames tells the direction to some degrees: within 20 deg of ahead it is ahead.
+_AHEAD_COSINE = float(np.cos(np.radians(20.0)))
+# The usual misfit is that of tracks with more views than this.
+_USUAL_VIEWS = 3
+# A mover stays one, however well the scene explains it, while the road contradicts its tracks by this on the average.
+_MOVER_EVIDENCE = 0.25
+# Misfits under 1 (in units of the scene's median) are noise.
+_LEAST_MISFIT = 1.0
+_LEAST_MEASURED = 10
+# What steps farther than this before a camera on a mast is not the street, px.
+_STILL_STEP_PX = 1.0
+
+
+@dataclass(frozen=True)
+class SeenScene:
+    """The scene of a frame, and how it explains the N tracks.
+
+    Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
+    each: of a scene that ``rests``, without motion. ``misfit (N,)``, in units of what is usual, ``usual_misfit``, with
+    what the ``road`` contradicts raised above ``seen_misfit (N,)``; ``moves_past``: whether the camera is seen to move
+    past it. ``sway (L, 3)`` how far it lay off a steady path, 0 before a camera that does not sway.
+    """
+
+    scene: RigidPaths
+    speed: float
+    rate_hz: Floats
+    fit: PathFit
+    misfit: Floats
+    seen_misfit: Floats
+    usual_misfit: float
+    road: RoadMemory
+    rests: bool
+    moves_past: bool
+    sway: Floats
+
+
+def see_scene(
+    history: TrackHistory,
+    egomotion: Egomotion,
+    platform: Platform,
+    is_free: Bools,
+    before: RigidPaths | None,
+    road_before: RoadMemory,
+    views: BodyViews,
+    rate_hz: Floats,
+    key: Ints,
+    config: BodiesConfig,
+) -> SeenScene:
+    """The scene, corrected by its tracks.
+
+    Parameters
+    ----------
+    is_free : (N,) tracks that are not frozen to their pixel.
+    before, road_before : the scene and the road of the last frame.
+    rate_hz, key : (N,) of each track on the path of the body that it was in, and that body.
+    """
+    region = picture_region(history.rays[-1], _CELLS * region_side_of(history.camera))
+    if len(history.t_s) < 2:
+        before = None
+    scene = _scene(history, egomotion, platform != Platform.static, before, views, region, rate_hz, key)
+    scene, speed = with_unit_speed(scene, views.since_s)
+    every = views.points(np.arange(len(key)))
+    fit = fit_on_paths(every, scene, rate_hz * speed)
+    rate_hz = fit.rate_hz
+    is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
+    moves_past = _moves_past(fit, region, is_free)
+    rests = not is_sure and not moves_past
+    if rests:
+        fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
+    may_rest = _steps_little(views, scene) if platform == Platform.static else is_free
+    usual = _usual_misfit(fit, (key == SCENE_CLUSTER) & is_free & may_rest)
+    misfit = seen_misfit = fit.misfit / usual
+    road = RoadMemory()
+    if platform == Platform.vehicle and scene.path[0, 0, 2] > 0.0:
+        in_scene = (key == SCENE_CLUSTER) & is_free & (misfit < config.scene_gate)
+        epipole_y = float(scene.path[0, 0, 1] / scene.path[0, 0, 2])
+        # What moves as the scene does belongs together by its depth alone, whatever was taken for a part of it.
+        alike = np.where(misfit < config.scene_gate, SCENE_CLUSTER, key)
+        road_before = road_before.in_units(speed)
+        road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, epipole_y)
+        misfit = _with_contradictions(misfit, road, on_road(fit, road), key, config)
+    # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
+    sways = platform == Platform.free and not rests
+    sway = sway_of(scene.path[0], views.since_s) if sways else np.zeros_like(scene.path[0])
+    return SeenScene(scene, speed, rate_hz, fit, misfit, seen_misfit, usual, road, rests, moves_past, sway)
+
+
+def _scene(
+    history: TrackHistory,
+    egomotion: Egomotion,
+    can_translate: bool,
+    before: RigidPaths | None,
+    views: BodyViews,
+    region: Ints,
+    rate_hz: Floats,
+    key: Ints,
+) -> RigidPaths:
+    """The scene on its way, corrected by its tracks; ``region, key (N,)``: the part of the picture that each is in, and
+    the body that it was in.
+    """
+    if before is None:
+        # Before the parallax shows well where it goes, a camera that can move is taken to move ahead, if roughly.
+        seen = egomotion.direction
+        way = FORWARD_DIR if seen is None or seen @ FORWARD_DIR > _AHEAD_COSINE else seen
+        ahead = straight_path(way, history.since_s) if can_translate else np.zeros((len(views.t_s), 3))
+        scene = RigidPaths(history.cam_R_past[None], ahead[None])
+    else:
+        step = None
+        if egomotion.direction is not None:
+            dt_s = views.t_s[-1] - views.t_s[-2]
+            step = -egomotion.direction * dt_s * max(recent_speed(before.path[0], views.t_s[:-1]), _LEAST_SPEED)
+        carried = carried_forward(before, egomotion.cam_R_prev, views.t_s, step)
+        # Own motion has corrected the rotations of the last frames by its own means: those are taken over.
+        path = carried.path
+        if egomotion.direction is not None:
+            path = _without_unseen_return(history, carried.path[0])[None]
+        scene = RigidPaths(history.cam_R_past[None], path)
+    used = np.flatnonzero(views.is_free)
+    used = used[:: max(1, -(-len(used) // _ENOUGH_TRACKS))]
+    weight = _balance(region[used])
+    return refined_scene(scene, views.points(used), weight, key[used] == SCENE_CLUSTER, rate_hz[used], _SCENE_STEPS)
+
+
+def _without_unseen_return(history: TrackHistory, path: Floats) -> Floats:
+    """The path ``(L, 3)`` without steps in which no travel was seen and that go against the present one.
+
+    A camera at rest is carried on along its last direction: where it then starts the other way, that was not so.
+    """
+    steps = np.diff(path, axis=0)
+    unseen = np.isnan(history.scene_direction[1:, 0])
+    steps[unseen & (steps @ steps[-1] < 0.0)] = 0.0
+    return np.append(-np.cumsum(steps[::-1], axis=0)[::-1], path[-1:], axis=0)
+
+
+def _moves_past(fit: PathFit, region: Ints, is_free: Bools) -> bool:
+    """Whether most parts of the picture show that the camera moves past the scene.
+
+    A resting camera's scene has no flow; a lorry that comes nearer would fit a camera that moves towards it.
+    """
+    known = np.flatnonzero(is_free & (fit.rate_sigma_hz > 0.0))
+    if not len(known):
+        return False
+    moves = fit.rate_hz[known] > _MOVES_SIGMAS * fit.rate_sigma_hz[known]
+    here = region[known]
+    per_region = np.bincount(here)
+    return bool(np.mean(np.bincount(here, moves)[per_region > 0] > 0.5 * per_region[per_region > 0]) > 0.5)
+
+
+def _balance(region: Ints) -> Floats:
+    """Weight of each track by how many share its part of the picture: one textured lorry is not the world."""
+    return np.asarray(1.0 / np.sqrt(np.bincount(region)[region]))
+
+
+def _steps_little(views: BodyViews, scene: RigidPaths) -> Bools:
+    """Tracks (N,) that before a camera on a mast may be those of the street, by their last step."""
+    if len(views.rays) < 2:
+        return views.is_free
+    step = views.rays[-1] - views.rays[-2] @ scene.cam_R_past[0, -2].T
+    return np.asarray(np.einsum("ni,ni->n", step, step) < (_STILL_STEP_PX / views.focal_px) ** 2)
+
+
+def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
+    """Median misfit of the scene's tracks: what the model does not know of, beyond their noise."""
+    measured = fit.misfit[in_scene & (fit.n_views > _USUAL_VIEWS)]
+    return max(median(measured), _LEAST_MISFIT) if len(measured) > _LEAST_MEASURED else _LEAST_MISFIT
+
+
+def _with_contradictions(misfit: Floats, road: RoadMemory, is_road: Bools, key: Ints, config: BodiesConfig) -> Floats:
+    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers.
+
+    Not of what lies on the road, ``is_road (N,)``: where that was taken for a part of a mover, it leaves it again.
+    """
+    least, raised = 2.0 * config.scene_gate, misfit.copy()
+    _raise_odd(key, SCENE_CLUSTER, road.evidence, road.contradicts(), least, raised)
+    return np.where(is_road, misfit, raised)
+
+
+@compiled_for("(i8[::1], i8, f8[::1], b1[::1], f8, f8[::1])")
+def _raise_odd(key: Ints, scene: int, evidence: Floats, is_odd: Bools, least: float, misfit: Floats) -> None:
+    """Raise each ``misfit (N,)`` to the least one where a track is odd, or the mean evidence against its mover."""
+    n_keys = np.max(key) + 1 if len(key) else 0
+    sums, counts = np.zeros(n_keys), np.zeros(n_keys)
+    for i in range(len(key)):
+        sums[key[i]] += evidence[i]
+        counts[key[i]] += 1.0
+    for i in range(len(key)):
+        k = key[i]
+        if is_odd[i] or (k != scene and sums[k] > _MOVER_EVIDENCE * counts[k]):
+            misfit[i] = max(misfit[i], least)

@@ -1,0 +1,372 @@
+"""The observations of every live track around a frame, with the rotation from each other camera to its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ttcvid.geometry.camera import plane_per_px
+from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.medians import median
+from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
+from ttcvid.geometry.shared_path import SharedPaths
+from ttcvid.model import Camera, Floats, Ints, PointSet
+from ttcvid.stages.tracking.groups import places_among
+
+# Views that count as recent, however long ago.
+_LEAST_RECENT = 4
+# Views are not thinned out among so many last ones: own motion looks back as far, and a track's roughness comes from
+# even steps. Half a frame is left to times that were rounded.
+_DENSE_VIEWS, _ROUNDING_FRAMES = 5, 0.5
+
+FULL_RATE_HZ = 30.0
+"""The views of a clip that is faster are thinned, so that they reach as far back as they would at this rate."""
+
+ROTATION_DRIFT_RAD = float(np.radians(0.006))
+"""Systematic matching error rotates the camera estimate by this much per view, always in the same sense.
+
+Measured: 0.004 deg on simulated streets, 0.013 deg of yaw on kitti_odom_straight50.
+"""
+
+
+@dataclass(frozen=True)
+class LostTracks:
+    """What a `TrackHistory` knows of M tracks that are not seen in its present frame and may come back.
+
+    ``rays (L, M, 3)`` over the views of the history; the rest (M,) as in the history.
+    """
+
+    track_id: Ints
+    n_frames: Ints
+    rays: Floats
+    sigma_px: Floats
+    noise_sum: Floats
+    noise_weight: Floats
+
+
+@dataclass(frozen=True)
+class TrackHistory:
+    """The last L views of the N live tracks, oldest first: every frame, but where the clip is faster than 30/s.
+
+    ``frame (L,)``, ``t_s (L,)``; ``cam_R_past (L, 3, 3)`` turns a ray of frame l into the present camera
+    (`with_egomotion` brings it up to date); ``scene_direction (L, 3)`` is ``dir`` of the scene in the step up to frame
+    l, in its own camera, NaN where unknown; ``rotation_sigma_rad`` the error of the present rotation, per axis;
+    ``track_id (N,)`` ascending; ``n_frames (N,)`` observations so far; ``xy_px (N, 2)`` present position;
+    ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not observed; ``sigma_px (N,)`` noise of
+    one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its evidence and ``pool_sigma_px`` the noise of
+    all tracks together; ``plane_per_px (N,)`` how much of the plane z = 1 a pixel spans where each track is
+    (`geometry.camera.plane_per_px`); ``edge (N, 2)`` as in `PointSet`. ``scene`` is the path of the static scene as its
+    tracks see it together (`egomotion.scene_trajectory`), None until found in this frame. ``now`` is the entry of
+    the present frame, counted from the end: the last one, but where a frame is looked at once more with views of later
+    ones (`stages.smoothing`). ``lost`` are tracks that may come back.
+    """
+
+    frame: Ints
+    t_s: Floats
+    cam_R_past: Floats
+    scene_direction: Floats
+    rotation_sigma_rad: float
+    track_id: Ints
+    n_frames: Ints
+    xy_px: Floats
+    rays: Floats
+    sigma_px: Floats
+    noise_sum: Floats
+    noise_weight: Floats
+    pool_sigma_px: float
+    plane_per_px: Floats
+    edge: Floats
+    camera: Camera
+    scene: SharedPaths | None = None
+    now: int = -1
+    lost: LostTracks | None = None
+
+    @property
+    def n_past(self) -> int:
+        """Number of frames before the present one."""
+        return len(self.frame) + self.now
+
+    @property
+    def n_tracks(self) -> int:
+        """Number of live tracks."""
+        return len(self.track_id)
+
+    @property
+    def focal_px(self) -> float:
+        """Pixels per rad about the axis."""
+        return 0.5 * (self.camera.fx_px + self.camera.fy_px)
+
+    @cached_property
+    def sigma_rad(self) -> Floats:
+        """Noise of one coordinate of a unit ray, ``(N,)`` rad.
+
+        What a pixel spans in the plane z = 1 is seen under a smaller angle away from the axis: cos^2 along the radius
+        and cos across, taken together as cos^1.5.
+        """
+        sigma_rad = np.empty(self.n_tracks)
+        _fill_angles(self.rays[self.now], self.sigma_px, self.plane_per_px, sigma_rad)
+        return sigma_rad
+
+    @cached_property
+    def sigma_norm(self) -> Floats:
+        """Noise of one coordinate in the plane z = 1, ``(N,)``."""
+        return self.sigma_px * self.plane_per_px
+
+    @cached_property
+    def xy(self) -> Floats:
+        """Positions in the plane z = 1 of the present camera, ``(L, N, 2)``; NaN where not observed."""
+        return turned_into_plane(self.rays, self.cam_R_seen)
+
+    @cached_property
+    def cam_R_seen(self) -> Floats:
+        """``cam_R_past`` without the rotation rate that the scene's tracks find left in it, ``(L, 3, 3)``."""
+        if self.scene is None:
+            return self.cam_R_past
+        return rotation_from_vector(-self.since_s[:, None] * self.scene.turn_rad_s) @ self.cam_R_past
+
+    @property
+    def rotation_rate_cov(self) -> Floats:
+        """Covariance (3, 3) of the rotation rate that is left in all past rays, (rad/s)^2."""
+        if self.scene is not None:
+            return self.scene.cov[0, 6:, 6:]
+        return self.rotation_rate_sigma_rad_s**2 * np.eye(3)
+
+    @property
+    def rotation_rate_sigma_rad_s(self) -> float:
+        """What is to be expected, per axis, of a rotation rate that own motion leaves in the past rays."""
+        return ROTATION_DRIFT_RAD / self.step_s if len(self.t_s) > 1 else 0.0
+
+    @cached_property
+    def step_s(self) -> float:
+        """Usual time between views, 0 with a single one."""
+        return median(np.diff(self.t_s)) if len(self.t_s) > 1 else 0.0
+
+    def views_within(self, window_s: float) -> slice:
+        """The views within a time of the present one, and the last few up to it in any case."""
+        first = int(np.searchsorted(self.since_s, -window_s))
+        stop = int(np.searchsorted(self.since_s, window_s, side="right"))
+        return slice(max(0, min(first, self.n_past + 1 - _LEAST_RECENT)), stop)
+
+    @property
+    def reach_s(self) -> float:
+        """Time from the present frame to the view farthest from it."""
+        return float(np.abs(self.since_s[[0, -1]]).max())
+
+    @cached_property
+    def since_s(self) -> Floats:
+        """Times relative to the present frame, ``(L,)`` s: up to 0, but for later views."""
+        since: Floats = self.t_s - self.t_s[self.now]
+        return since
+
+    @property
+    def scene_steps(self) -> Floats:
+        """Where the static scene was relative to the camera, ``(L, 3)`` s in the axes of the present camera.
+
+        The sum of the steps, each along its own direction: own speed is taken as steady, own direction is not. NaN
+        beyond a step whose direction is not known.
+        """
+        steps = np.einsum("lij,lj->li", self.cam_R_past, self.scene_direction)[1:]
+        lengths = np.diff(self.t_s)[:, None] * steps
+        path, n_past = np.zeros((len(self.t_s), 3)), self.n_past
+        path[:n_past] = -np.cumsum(lengths[:n_past][::-1], axis=0)[::-1]
+        path[n_past + 1 :] = np.cumsum(lengths[n_past:], axis=0)
+        return path
+
+    def derotated(self, index: int) -> Floats:
+        """Rays of history entry ``index`` as the present camera would see them: ``(N, 3)``, NaN where not observed."""
+        return np.asarray(self.rays[index] @ self.cam_R_seen[index].T)
+
+
+def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
+    """Before the first frame, and after a cut."""
+    return TrackHistory(
+        frame=np.empty(0, np.int64),
+        t_s=np.empty(0),
+        cam_R_past=np.empty((0, 3, 3)),
+        scene_direction=np.empty((0, 3)),
+        rotation_sigma_rad=0.0,
+        track_id=np.empty(0, np.int64),
+        n_frames=np.empty(0, np.int64),
+        xy_px=np.empty((0, 2)),
+        rays=np.empty((0, 0, 3)),
+        sigma_px=np.empty(0),
+        noise_sum=np.empty(0),
+        noise_weight=np.empty(0),
+        pool_sigma_px=sigma_start_px,
+        plane_per_px=np.empty(0),
+        edge=np.empty((0, 2)),
+        camera=camera,
+    )
+
+
+def extended(
+    history: TrackHistory,
+    frame: int,
+    t_s: float,
+    points: PointSet,
+    rays: Floats,
+    max_frames: int,
+    *,
+    may_come_back: bool = False,
+) -> TrackHistory:
+    """The history with one more frame; tracks that are not among ``points`` end, at most ``max_frames`` views are kept.
+
+    Parameters
+    ----------
+    rays : (N, 3) unit rays of ``points``.
+    may_come_back : whether a track may be missing for some frames: it ends when no view of it is left.
+    """
+    if history.lost is not None:
+        history = _with_lost(history, history.lost)
+    n = len(points.track_id)
+    before = places_among(history.track_id, points.track_id)
+    of_tracks = np.empty((4, n))
+    now_of = (history.n_frames, history.sigma_px, history.noise_sum, history.noise_weight)
+    _carry_each(now_of, history.pool_sigma_px, before, of_tracks)
+    n_before, sigma_px, noise_sum, noise_weight = of_tracks
+    stay = _views_that_stay(history.t_s, t_s, max_frames)
+    kept = history.rays[stay]
+    with_past = np.empty((len(kept) + 1, n, 3))
+    with_past[-1] = rays
+    _carry_views(kept, before, with_past)
+    return replace(
+        history,
+        frame=np.append(history.frame[stay], frame),
+        t_s=np.append(history.t_s[stay], t_s),
+        cam_R_past=np.concatenate([history.cam_R_past[stay], np.eye(3)[None]]),
+        scene_direction=np.concatenate([history.scene_direction[stay], np.full((1, 3), np.nan)]),
+        track_id=points.track_id,
+        n_frames=n_before.astype(np.int64) + 1,
+        xy_px=points.xy_px,
+        rays=with_past,
+        scene=None,
+        sigma_px=sigma_px,
+        noise_sum=noise_sum,
+        noise_weight=noise_weight,
+        plane_per_px=plane_per_px(history.camera, rays),
+        edge=points.edges,
+        lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
+    )
+
+
+@compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8[::1])")
+def _fill_angles(rays: Floats, sigma_px: Floats, per_px: Floats, sigma_rad: Floats) -> None:
+    """Fill ``sigma_rad (N,)`` of `TrackHistory` for tracks now at ``rays (N, 3)``."""
+    for i in range(len(sigma_rad)):
+        # NaN, not observed, stays NaN.
+        cosine = 0.1 if rays[i, 2] < 0.1 else 1.0 if rays[i, 2] > 1.0 else rays[i, 2]
+        sigma_rad[i] = sigma_px[i] * per_px[i] * cosine * np.sqrt(cosine)
+
+
+@compiled_for("(Tuple((i8[::1], f8[::1], f8[::1], f8[::1])), f8, i8[::1], f8[:, ::1])")
+def _carry_each(known: tuple[Ints, Floats, Floats, Floats], new_sigma: float, place: Ints, carried: Floats) -> None:
+    """Fill ``carried (4, N)``: what is known of each track, at ``place (N,)``; of new ones, -1, their noise alone."""
+    n_frames, sigma, noise_sum, noise_weight = known
+    for i in range(len(place)):
+        p = place[i]
+        if p >= 0:
+            carried[0, i], carried[1, i], carried[2, i], carried[3, i] = (
+                n_frames[p],
+                sigma[p],
+                noise_sum[p],
+                noise_weight[p],
+            )
+        else:
+            carried[0, i], carried[1, i], carried[2, i], carried[3, i] = 0.0, new_sigma, 0.0, 0.0
+
+
+@compiled_for("(f8[:, :, ::1], i8[::1], f8[:, :, ::1])")
+def _carry_views(past: Floats, place: Ints, views: Floats) -> None:
+    """Fill all but the last of ``views (L, N, 3)``: ``past (L - 1, P, 3)`` at ``place (N,)``, NaN where that is -1."""
+    for k in range(len(past)):
+        for i in range(len(place)):
+            if place[i] >= 0:
+                for a in range(3):
+                    views[k, i, a] = past[k, place[i], a]
+            else:
+                for a in range(3):
+                    views[k, i, a] = np.nan
+
+
+def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:
+    """The history with its lost tracks among the others, as if they were seen nowhere in its present frame."""
+    order = np.argsort(np.concatenate([history.track_id, lost.track_id]))
+
+    def joined(live: Floats | Ints, gone: Floats | Ints, axis: int = 0) -> Any:
+        return np.concatenate([live, gone], axis=axis).take(order, axis=axis)
+
+    return replace(
+        history,
+        track_id=joined(history.track_id, lost.track_id),
+        n_frames=joined(history.n_frames, lost.n_frames),
+        xy_px=joined(history.xy_px, np.full((len(lost.track_id), 2), np.nan)),
+        rays=joined(history.rays, lost.rays, 1),
+        sigma_px=joined(history.sigma_px, lost.sigma_px),
+        noise_sum=joined(history.noise_sum, lost.noise_sum),
+        noise_weight=joined(history.noise_weight, lost.noise_weight),
+        lost=None,
+    )
+
+
+def _lost_tracks(history: TrackHistory, track_id: Ints, kept: Floats) -> LostTracks | None:
+    """The tracks of a history that are not among those of the next frame but have been seen in its ``kept`` views."""
+    gone = np.flatnonzero(~np.isin(history.track_id, track_id, assume_unique=True))
+    gone = gone[np.isfinite(kept[:, gone, 0]).any(axis=0)]
+    if not len(gone):
+        return None
+    return LostTracks(
+        history.track_id[gone],
+        history.n_frames[gone],
+        np.concatenate([kept[:, gone], np.full((1, len(gone), 3), np.nan)]),
+        history.sigma_px[gone],
+        history.noise_sum[gone],
+        history.noise_weight[gone],
+    )
+
+
+def _views_that_stay(t_s: Floats, now_s: float, max_frames: int) -> slice | Ints:
+    """Which of the past views at the times ``t_s (L,)`` are kept beside a new one.
+
+    The oldest goes where the others reach far enough back without it; else the one whose neighbours are closest in
+    time, so that a fast clip is looked at over the same time with as many views.
+    """
+    first = max(0, len(t_s) - max_frames + 1)
+    wanted_s = (max_frames - 1 - _ROUNDING_FRAMES) / FULL_RATE_HZ
+    if first != 1 or max_frames < _DENSE_VIEWS + 2 or now_s - t_s[1] >= wanted_s:
+        return slice(first, None)
+    between_s = t_s[2 : len(t_s) - _DENSE_VIEWS + 1] - t_s[: len(t_s) - _DENSE_VIEWS - 1]
+    return np.delete(np.arange(len(t_s)), 1 + int(np.argmin(np.round(between_s, 6))))
+
+
+def last_frame_only(history: TrackHistory) -> TrackHistory:
+    """The history without its past rays, for a step whose rotation is not known."""
+    return replace(
+        history,
+        frame=history.frame[-1:],
+        t_s=history.t_s[-1:],
+        cam_R_past=history.cam_R_past[-1:],
+        scene_direction=history.scene_direction[-1:],
+        rays=history.rays[-1:],
+        lost=None,
+    )
+
+
+def with_egomotion(
+    history: TrackHistory, cam_R_prev: Floats, direction: Floats | None, rotation_sigma_rad: float
+) -> TrackHistory:
+    """Carry all past rotations over the step from the last frame to the present one, and note the scene's direction.
+
+    Parameters
+    ----------
+    cam_R_prev : (3, 3) rotation of the step, with the error ``rotation_sigma_rad`` per axis.
+    direction : (3,) ``dir`` of the scene in the step, or None.
+    """
+    cam_R_past = np.concatenate([cam_R_prev @ history.cam_R_past[:-1], np.eye(3)[None]])
+    newest = np.full(3, np.nan) if direction is None else direction
+    scene_direction = np.concatenate([history.scene_direction[:-1], newest[None]])
+    return replace(
+        history, cam_R_past=cam_R_past, scene_direction=scene_direction, rotation_sigma_rad=rotation_sigma_rad
+    )

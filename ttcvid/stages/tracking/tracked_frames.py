@@ -1,0 +1,91 @@
+"""Frames with the points found in them: the part of an analysis that looks at pictures."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ttcvid.config import TrackingConfig
+from ttcvid.model import (
+    Frame,
+    FrameStatus,
+    Picture,
+    PointSet,
+)
+from ttcvid.stages.tracking.given_tracks import compare_table_points
+from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
+
+MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
+
+# A step so long, s, and so many times as long as the last ones were, is a gap: the clock has jumped, or two clips were
+# put together. (On an exact drive 80 % of 90 % intervals or more hold after a jump by up to half a second, and 53 %
+# after one by a second.)
+_GAP_S, _GAP_STEPS, _LAST_STEPS = 0.7, 10.0, 9
+NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """A frame with the points found in it, and what became of it so far."""
+
+    frame: Frame
+    points: PointSet
+    status: FrameStatus
+
+
+@dataclass
+class _Clock:
+    """Tells gaps in time, by the steps of all frames so far."""
+
+    last_t_s: float = -np.inf
+    steps_s: deque[float] = field(default_factory=lambda: deque(maxlen=_LAST_STEPS))
+    is_gap: bool = False
+
+    def goes_on(self, t_s: float) -> bool:
+        """Whether time goes on to ``t_s``; notes the step, and that it is a gap, until `take_gap`."""
+        step_s, self.last_t_s = t_s - self.last_t_s, max(t_s, self.last_t_s)
+        if not step_s > 0.0:
+            return False
+        if np.isfinite(step_s):
+            usual_s = float(np.median(self.steps_s)) if self.steps_s else np.inf
+            self.is_gap |= step_s > max(_GAP_S, _GAP_STEPS * usual_s)
+            self.steps_s.append(step_s)
+        return True
+
+    def take_gap(self) -> bool:
+        """Whether there was a gap since it was asked for last."""
+        is_gap, self.is_gap = self.is_gap, False
+        return is_gap
+
+
+def track_frames(
+    frames: Iterable[Frame], config: TrackingConfig, mask: Picture | None, map_ahead: MapAhead = map
+) -> Iterator[TrackedFrame]:
+    """Each frame with its points: from the tracker, or from the table that the source reads.
+
+    Over a gap in time no motion is told: the first frame that shows something after it is a ``cut``.
+    """
+    memory, last_points = TrackerMemory(), None
+
+    def prepare(frame: Frame) -> tuple[Frame, PreparedPicture | None]:
+        return frame, None if frame.grey is None else prepare_picture(frame.grey, mask, config)
+
+    clock = _Clock()
+    for frame, prepared in map_ahead(prepare, frames):
+        if not clock.goes_on(frame.t_s):
+            yield TrackedFrame(frame, NO_POINTS, FrameStatus.bad_dt)
+            continue
+        if prepared is not None:
+            points, status, memory = follow_points(memory, prepared, mask, config)
+        elif frame.points is not None:
+            points, status = frame.points, compare_table_points(last_points, frame.points)
+            last_points = points
+        else:
+            raise ValueError(f"frame {frame.index}: expected a picture or points, got neither")
+        if status in (FrameStatus.ok, FrameStatus.cut) and clock.take_gap():
+            status = FrameStatus.cut
+        yield TrackedFrame(frame, points, status)

@@ -1,0 +1,188 @@
+"""What moves in a frame: the part of an analysis that each frame goes on with from the frames before it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ttcvid.config import PipelineConfig
+from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.rotation import normalize
+from ttcvid.model import (
+    Bools,
+    Camera,
+    Frame,
+    FrameStatus,
+    Platform,
+    PointSet,
+)
+from ttcvid.stages.egomotion.frame_gap import find_own_motion
+from ttcvid.stages.egomotion.relative_pose import Egomotion, EgomotionMemory
+from ttcvid.stages.horizon.planar_motion import HorizonPlane, followed_plane
+from ttcvid.stages.objects.motions import find_motions
+from ttcvid.stages.segmentation.labels import BodyMemory, in_scene, restarted_bodies
+from ttcvid.stages.smoothing import Seen
+from ttcvid.stages.tracking.history import TrackHistory, empty_history, extended
+from ttcvid.stages.tracking.static_overlays import FrozenMemory, find_frozen
+from ttcvid.stages.tracking.tracked_frames import TrackedFrame
+
+# Flow left after the rotation that is not taken for motion, however small the noise, px: matching errs in common.
+LEAST_PARALLAX_PX = 0.25
+# A rotation that moves the picture by more than this shows which pixels are frozen, px.
+_TURNING_PX = 0.5
+# Third differences need four frames of history.
+_LEAST_HISTORY = 4
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What does not change during an analysis."""
+
+    camera: Camera
+    config: PipelineConfig
+    plane: HorizonPlane | None
+
+
+@dataclass(frozen=True)
+class SeenFrame:
+    """A frame with what moves in it, which the next frame goes on from; ``seen`` None for one that gives no number.
+
+    ``dt_s`` is the time over which the motion of the frame goes, ``plane`` where the horizon was last seen to be.
+    """
+
+    frame: Frame
+    dt_s: float | None
+    status: FrameStatus
+    plane: HorizonPlane | None
+    seen: Seen | None = None
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Everything about motions that is remembered from one frame to the next.
+
+    ``t_s`` is the time of the last frame, ``used_t_s`` that of the last one that gave points to the history.
+    ``before_gap`` is the history before frames with too few tracks: it goes on where enough of its tracks come back.
+    """
+
+    history: TrackHistory
+    t_s: float | None = None
+    used_t_s: float | None = None
+    egomotion: EgomotionMemory = field(default_factory=EgomotionMemory)
+    frozen: FrozenMemory = field(default_factory=FrozenMemory)
+    bodies: BodyMemory = field(default_factory=BodyMemory)
+    scene_moves: bool = False
+    plane: HorizonPlane | None = None
+    before_gap: TrackHistory | None = None
+
+
+def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[SeenFrame, Memory]:
+    """What later frames go on from: own motion, and which tracks move together."""
+    frame, points, status = tracked.frame, tracked.points, tracked.status
+    followed = clip.plane if memory.plane is None else memory.plane
+    if status == FrameStatus.bad_dt:
+        return SeenFrame(frame, _since(memory.t_s, frame), status, followed), memory
+    dt_s = _since(memory.used_t_s, frame)
+    memory = replace(memory, t_s=frame.t_s)
+    if status in (FrameStatus.dark, FrameStatus.duplicate):
+        return SeenFrame(frame, dt_s, status, followed), memory
+    memory = replace(memory, used_t_s=frame.t_s)
+    if status == FrameStatus.cut:
+        memory = _after_cut(memory, clip)
+
+    step_s = np.inf if dt_s is None else dt_s
+    is_frozen, frozen = find_frozen(memory.frozen, points, scene_moves=memory.scene_moves, step_s=step_s)
+    egomotion, history, ego_memory = _own_motion(frame, points, ~is_frozen, memory, clip)
+    before_gap = None
+    if egomotion is None:
+        before_gap = _before_gap(memory, frame.t_s)
+    else:
+        dt_s = float(history.t_s[-1] - history.t_s[-2])
+    if status == FrameStatus.ok:
+        status = _motion_status(egomotion, clip.config.egomotion.platform)
+    plane = followed_plane(
+        memory.plane, clip.plane, None if egomotion is None else egomotion.cam_R_prev, dt_s, clip.camera
+    )
+    motions, history, bodies = find_motions(
+        history, egomotion, ~is_frozen, ~frozen.is_suspect, memory.bodies, plane, clip.camera, clip.config
+    )
+    memory = replace(
+        memory,
+        history=history,
+        frozen=frozen,
+        egomotion=ego_memory,
+        bodies=restarted_bodies(bodies) if egomotion is None and before_gap is None else bodies,
+        scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
+        plane=plane,
+        before_gap=before_gap,
+    )
+    return SeenFrame(frame, dt_s, status, plane, Seen(history, egomotion, motions, plane)), memory
+
+
+def _own_motion(
+    frame: Frame, points: PointSet, is_free: Bools, memory: Memory, clip: Clip
+) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
+    """Own motion since the last frame, or since the one before a gap where that has more tracks to go on from."""
+    for before in (memory.before_gap, memory.history):
+        if before is None:
+            continue
+        history = _with_points(frame, points, before, clip)
+        found = find_own_motion(
+            history,
+            is_free,
+            in_scene(memory.bodies, history.track_id),
+            memory.egomotion,
+            clip.config.egomotion,
+            LEAST_PARALLAX_PX,
+            clip.config.tracking.sigma_floor_px,
+        )
+        if found[0] is not None:
+            break
+    return found
+
+
+def _before_gap(memory: Memory, t_s: float) -> TrackHistory | None:
+    """The history before a frame with too few tracks, for as long as it reaches back."""
+    before = memory.history if memory.before_gap is None else memory.before_gap
+    return before if len(before.t_s) > 1 and t_s - before.t_s[-1] <= before.t_s[-1] - before.t_s[0] else None
+
+
+def _since(t_s: float | None, frame: Frame) -> float | None:
+    return None if t_s is None else frame.t_s - t_s
+
+
+def _after_cut(memory: Memory, clip: Clip) -> Memory:
+    """Nothing is carried over a cut but the numbers already given away."""
+    return Memory(
+        history=empty_history(clip.camera, clip.config.tracking.sigma_start_px),
+        t_s=memory.t_s,
+        used_t_s=memory.used_t_s,
+        bodies=restarted_bodies(memory.bodies),
+    )
+
+
+def _with_points(frame: Frame, points: PointSet, before: TrackHistory, clip: Clip) -> TrackHistory:
+    """The history with this frame's points as rays; a point that no ray belongs to (far outside a lens) has NaN."""
+    rays = normalize(rays_from_pixels(clip.camera, points.xy_px))
+    times = clip.config.collision_times
+    max_frames = max(_LEAST_HISTORY, times.max_gap_frames + 1, times.max_frames)
+    # A tracker of pictures gives no number twice; of another one, who knows.
+    from_table = frame.points is not None
+    return extended(before, frame.index, frame.t_s, points, rays, max_frames, may_come_back=from_table)
+
+
+def _motion_status(egomotion: Egomotion | None, platform: Platform) -> FrameStatus:
+    if egomotion is None:
+        return FrameStatus.few_tracks
+    if platform == Platform.static:
+        return FrameStatus.static
+    return FrameStatus.rotation_only if egomotion.direction is None else FrameStatus.ok
+
+
+def _shows_frozen_pixels(egomotion: Egomotion | None, camera: Camera) -> bool:
+    """Whether the camera moved so that every pixel of the scene had to change its place."""
+    if egomotion is None:
+        return False
+    turned_px = float(np.linalg.norm(egomotion.rotation_rad)) * camera.fx_px
+    return egomotion.direction is not None or turned_px > _TURNING_PX

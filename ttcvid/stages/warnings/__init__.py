@@ -1,0 +1,1 @@
+"""Collision course, and the warnings that follow from it."""

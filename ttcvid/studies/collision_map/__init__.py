@@ -1,0 +1,1 @@
+"""Which change of own velocity leads to a collision."""

@@ -1,0 +1,1 @@
+"""Two results, joined and held against each other."""

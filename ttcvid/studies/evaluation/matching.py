@@ -1,0 +1,147 @@
+"""Which object found is which true object: frame by frame, and over the whole clip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import linear_sum_assignment
+
+from ttcvid.model import Floats, Ints
+from ttcvid.studies.evaluation.truth import BOX, UNKNOWN_OBJECT
+
+MIN_OVERLAP = 0.3
+"""Intersection over union, of boxes or of sets of tracks, from which on two are taken for the same thing."""
+MIN_INSIDE = 0.5
+"""Share of a box, or of its tracks, on a true object from which on it is another piece of that object."""
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What is what.
+
+    ``pairs`` has a row for each match: ``frame, object_id, cluster_id`` and the row numbers ``truth_row, found_row``
+    in the truth's objects and the found ones. ``verdict`` says of each found row ``match``, ``double`` (another piece
+    of a true object), ``at_rest`` (on nothing true, and said to move with the scene) or ``false``; ``owner`` is the
+    true object of a match or double, ``UNKNOWN_OBJECT`` otherwise.
+    """
+
+    pairs: pd.DataFrame
+    verdict: np.ndarray
+    owner: Ints
+
+
+def match_objects(truth: pd.DataFrame, found: pd.DataFrame, on_tracks: pd.DataFrame | None = None) -> Matches:
+    """Match true objects to found ones one-to-one in each frame, so that the sum of overlaps is largest.
+
+    Parameters
+    ----------
+    truth
+        ``frame, object_id`` and a box, a row per frame and object.
+    found
+        ``frame, cluster_id, motion_id`` and a box.
+    on_tracks
+        ``frame, cluster_id, object_id, n`` as from `count_tracks`; None where the tracks' objects are unknown.
+    """
+    left = truth[["frame", "object_id", *BOX]].reset_index(drop=True)
+    right = found[["frame", "cluster_id", *BOX]].reset_index(drop=True)
+    left, right = left.rename_axis("truth_row").reset_index(), right.rename_axis("found_row").reset_index()
+    near = left.merge(right, on="frame", suffixes=("", "_found"))
+    boxes = near[BOX].to_numpy(float), near[[f"{side}_found" for side in BOX]].to_numpy(float)
+    near["overlap"], near["inside"] = intersection_over_union(*boxes), share_inside(*boxes)
+    if on_tracks is not None:
+        overlap, inside = _track_overlap(near, on_tracks)
+        near["overlap"] = np.fmax(near.overlap, overlap)
+        near["inside"] = np.fmax(near.inside, inside)
+    pairs = _one_to_one(near[near.overlap >= MIN_OVERLAP])
+    owner, verdict = np.full(len(found), UNKNOWN_OBJECT), np.full(len(found), "false", dtype=object)
+    verdict[found.motion_id.to_numpy() == 0] = "at_rest"
+    pieces = near[near.inside >= MIN_INSIDE].sort_values("inside")
+    for name, rows in (("double", pieces), ("match", pairs)):
+        owner[rows.found_row], verdict[rows.found_row] = rows.object_id, name
+    return Matches(pairs[["frame", "object_id", "cluster_id", "truth_row", "found_row"]], verdict, owner)
+
+
+def count_tracks(frame: Ints, cluster_id: Ints, track_object: Ints) -> pd.DataFrame:
+    """Tracks per frame, cluster and true object: ``frame, cluster_id, object_id, n``; unknown ones are left out."""
+    rows = pd.DataFrame({"frame": frame, "cluster_id": cluster_id, "object_id": track_object})
+    rows = rows[rows.object_id != UNKNOWN_OBJECT]
+    return rows.groupby(["frame", "cluster_id", "object_id"]).size().rename("n").reset_index()
+
+
+def best_one_to_one(first: Ints, second: Ints, weight: Ints | None = None) -> dict[int, int]:
+    """The one-to-one assignment of ``first (N,)`` to ``second (N,)`` numbers that the most rows agree with.
+
+    >>> best_one_to_one(np.array([1, 1, 1, 2, 2]), np.array([7, 7, 8, 7, 8]))
+    {1: 7, 2: 8}
+    """
+    if len(first) == 0:
+        return {}
+    names, rows = np.unique(first, return_inverse=True)
+    others, columns = np.unique(second, return_inverse=True)
+    agreement = np.zeros((len(names), len(others)))
+    np.add.at(agreement, (rows, columns), 1 if weight is None else weight)
+    assigned = zip(*linear_sum_assignment(agreement, maximize=True), strict=True)
+    return {int(names[i]): int(others[j]) for i, j in assigned if agreement[i, j] > 0}
+
+
+def intersection_over_union(first: Floats, second: Floats) -> Floats:
+    """Intersection over union ``(N,)`` of boxes ``(N, 4)``: x0, y0, x1, y1; 1 for the same box, that of a point too.
+
+    >>> intersection_over_union(np.array([[0.0, 0, 2, 2]]), np.array([[1.0, 0, 3, 2]])).round(3).tolist()
+    [0.333]
+    """
+    common = _common_area(first, second)
+    union = _area(first) + _area(second) - common
+    overlap = common / np.maximum(union, np.finfo(float).tiny)
+    return np.where(np.all(first == second, axis=1), 1.0, overlap)
+
+
+def share_inside(outer: Floats, inner: Floats) -> Floats:
+    """The share ``(N,)`` of boxes ``inner (N, 4)`` that lies in ``outer (N, 4)``."""
+    return _common_area(outer, inner) / np.maximum(_area(inner), np.finfo(float).tiny)
+
+
+def _one_to_one(pairs: pd.DataFrame) -> pd.DataFrame:
+    """Those pairs that the best assignment within each frame takes; most have no rival and need none."""
+    has_rival = pairs.duplicated("truth_row", keep=False) | pairs.duplicated("found_row", keep=False)
+    rivals = pairs[pairs.frame.isin(pairs.frame[has_rival])]
+    chosen = [pairs.drop(index=rivals.index), *(_best_of_frame(of_frame) for _, of_frame in rivals.groupby("frame"))]
+    return pd.concat(chosen).sort_index().reset_index(drop=True)
+
+
+def _best_of_frame(pairs: pd.DataFrame) -> pd.DataFrame:
+    truth_rows, i = np.unique(pairs.truth_row, return_inverse=True)
+    found_rows, j = np.unique(pairs.found_row, return_inverse=True)
+    overlap, position = np.zeros((len(truth_rows), len(found_rows))), np.full((len(truth_rows), len(found_rows)), -1)
+    overlap[i, j], position[i, j] = pairs.overlap, np.arange(len(pairs))
+    chosen = position[linear_sum_assignment(overlap, maximize=True)]
+    best: pd.DataFrame = pairs.iloc[chosen[chosen >= 0]]
+    return best
+
+
+def _track_overlap(near: pd.DataFrame, on_tracks: pd.DataFrame) -> tuple[Floats, Floats]:
+    """Of each pair: tracks in both over tracks in either, and the share of the cluster's tracks on the object."""
+    common = near[["frame", "cluster_id", "object_id"]].merge(
+        on_tracks, on=["frame", "cluster_id", "object_id"], how="left"
+    )
+    n_common = common.n.fillna(0).to_numpy(float)
+    n_cluster = _totals(near, on_tracks, "cluster_id")
+    n_object = _totals(near, on_tracks, "object_id")
+    either = np.maximum(n_cluster + n_object - n_common, 1.0)
+    return n_common / either, n_common / np.maximum(n_cluster, 1.0)
+
+
+def _totals(near: pd.DataFrame, on_tracks: pd.DataFrame, name: str) -> Floats:
+    totals = on_tracks.groupby(["frame", name]).n.sum().reset_index()
+    return near[["frame", name]].merge(totals, on=["frame", name], how="left").n.fillna(0).to_numpy(float)
+
+
+def _common_area(first: Floats, second: Floats) -> Floats:
+    low, high = np.maximum(first[:, :2], second[:, :2]), np.minimum(first[:, 2:], second[:, 2:])
+    return np.asarray(np.prod(np.clip(high - low, 0, None), axis=1))
+
+
+def _area(box: Floats) -> Floats:
+    return np.asarray(np.prod(box[:, 2:] - box[:, :2], axis=1))

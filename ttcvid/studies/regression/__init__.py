@@ -1,0 +1,1 @@
+"""What a regression suite expects, and how it is told."""

@@ -1,0 +1,1 @@
+"""How the errors of direction and time grow."""
