@@ -1,6 +1,7 @@
 """What the manual says is so: pages that come from the code are up to date, and names in the others exist."""
 
 import doctest
+import importlib
 import importlib.util
 import re
 import struct
@@ -100,7 +101,7 @@ def test_links_within_the_repository_lead_somewhere(page):
         assert file.exists(), target
         if anchor:
             headings = re.findall(r"^#+ (.+)$", file.read_text(encoding="utf-8"), re.MULTILINE)
-            assert anchor in {heading.lower().replace(" ", "-") for heading in headings}, target
+            assert anchor in {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}, target
 
 
 def test_tests_named_in_the_page_of_promises_exist():
@@ -175,6 +176,31 @@ def test_python_example_uses_names_that_exist():
         assert hasattr(ttcvid, name), name
     columns = {column.name for column in TABLES["clusters"]}
     assert set(re.findall(r'"(\w+)"', example.split("]]")[0].split("[[")[1])) <= columns
+
+
+def test_functions_of_the_page_of_equations_exist_and_say_where_they_come_from():
+    named = re.findall(r"^::: ([\w.]+)\.(\w+)$", (DOCS / "equations.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(named) >= 8
+    for module, function in named:
+        documented = getattr(importlib.import_module(module), function).__doc__
+        assert "Source: " in documented, function
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_code_of_the_tutorial_runs_and_draws_its_plots(data_dir, tmp_path, monkeypatch):
+    monkeypatch.setenv("TTCVID_DATA", str(data_dir))
+    page = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    printed, variables = script("tutorial").run_page(page, tmp_path)
+    assert variables["error"].median() < 0.1
+    assert variables["run"].events.empty
+    assert "changed: configuration.events.max_ttc_s from 4 to 8" in printed
+    assert (tmp_path / "both.html").stat().st_size > 0
+    pictures = re.findall(r"\]\((tutorial_\w+\.png)\)", page)
+    assert len(pictures) == 2
+    for picture in pictures:
+        assert (tmp_path / picture).read_bytes()[16:24] == (DOCS / picture).read_bytes()[16:24]
+        assert (DOCS / picture).stat().st_size < LARGEST_PICTURE_BYTES / 8
 
 
 def test_every_status_is_explained():
