@@ -1,6 +1,5 @@
-"""Compiled functions are kept on disk by their own file: what they use of others would go stale unnoticed."""
+"""Compiled functions are kept on disk, and made anew when their file or what they use of others changes."""
 
-import ast
 import inspect
 import os
 import subprocess
@@ -16,49 +15,6 @@ from ttcvid.geometry.compiled import compiled, entry_points
 from ttcvid.jobs.processes.compilation import import_compiled
 
 PACKAGE = Path(ttcvid.__file__).parent
-
-
-def compiled_functions(tree):
-    return [
-        node
-        for node in tree.body
-        if isinstance(node, ast.FunctionDef)
-        and any(ast.unparse(mark).startswith("compiled") for mark in node.decorator_list)
-    ]
-
-
-def names_from_our_other_files(tree):
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    return {
-        alias.asname or alias.name
-        for node in imports
-        if (node.module or "").startswith("ttcvid")
-        for alias in node.names
-    }
-
-
-def with_what_is_made_of_them(tree, names):
-    """The names, and those of the module's variables whose values come of these."""
-    names = set(names)
-    for line in tree.body:
-        if not isinstance(line, ast.Assign | ast.AnnAssign) or line.value is None:
-            continue
-        if names & {node.id for node in ast.walk(line.value) if isinstance(node, ast.Name)}:
-            targets = line.targets if isinstance(line, ast.Assign) else [line.target]
-            names |= {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
-    return names
-
-
-FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if compiled_functions(ast.parse(path.read_text()))]
-
-
-@pytest.mark.parametrize("path", FILES, ids=[path.stem for path in FILES])
-def test_a_compiled_function_uses_nothing_of_our_other_files(path):
-    tree = ast.parse(path.read_text())
-    foreign = with_what_is_made_of_them(tree, names_from_our_other_files(tree))
-    for function in compiled_functions(tree):
-        used = {node.id for line in function.body for node in ast.walk(line) if isinstance(node, ast.Name)}
-        assert not used & foreign, f"{function.name} in {path.name}"
 
 
 @compiled
@@ -158,6 +114,14 @@ def doubled(x):
 def sums(x):
     return doubled(x) + 1.0
 """
+CALLER = """
+from callee import ONE, doubled
+from ttcvid.geometry.compiled import compiled
+
+@compiled
+def other_sums(x):
+    return doubled(x) + ONE
+"""
 USES_CALLEE = "from callee import doubled; print(doubled(3.0), doubled.stats.cache_hits.total())"
 USES_BOTH = "from callee import doubled, sums; print(doubled(3.0), sums(3.0), sums.stats.cache_hits.total())"
 
@@ -174,3 +138,21 @@ def test_a_function_that_calls_one_from_disk_can_be_compiled_and_found_there_its
     assert printed(USES_CALLEE) == ["6.0", "1"]
     assert printed(USES_BOTH) == ["6.0", "7.0", "0"]
     assert printed(USES_BOTH) == ["6.0", "7.0", "1"]
+
+
+@pytest.mark.parametrize(("before", "after", "value"), [("2.0 *", "3.0 *", "10.0"), ("ONE = 1.0", "ONE = 2.0", "8.0")])
+def test_a_function_is_compiled_anew_when_what_it_uses_of_another_file_changes(tmp_path, before, after, value):
+    callee = tmp_path / "callee.py"
+    callee.write_text(CALLEE + "ONE = 1.0\n")
+    (tmp_path / "caller.py").write_text(CALLER)
+    environment = {**os.environ, "PYTHONPATH": f"{PACKAGE.parent}:{tmp_path}"}
+
+    def printed():
+        code = "from caller import other_sums; print(other_sums(3.0), other_sums.stats.cache_hits.total())"
+        command = [sys.executable, "-c", code]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    assert printed() == ["7.0", "0"]
+    assert printed() == ["7.0", "1"]
+    callee.write_text(callee.read_text().replace(before, after))
+    assert printed() == [value, "0"]

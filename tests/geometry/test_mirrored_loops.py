@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry import rigid_path_descent, shared_direction, shared_path_descent, two_view_descent
-from ttcvid.geometry import whole_track_on_path_descent as on_path
+from ttcvid.geometry import shared_direction, shared_path_descent, two_view_descent
 from ttcvid.geometry.collision import times_from_position_velocity
 from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.intervals import collision_times_from_state
@@ -32,11 +31,9 @@ def test_tangents_of_two_views_are_the_tangent_basis_and_those_of_a_shared_direc
 def test_rotations_are_those_of_the_rotation_vector(angle):
     rng = np.random.default_rng(2)
     vector, before = angle * normalize(rng.normal(size=3)), rotation_from_vector(rng.normal(size=3))
-    turned, back = np.empty((3, 3)), before.copy()
+    turned = np.empty((3, 3))
     two_view_descent._turn(vector, before, turned)
-    rigid_path_descent._turn_back(vector, back)
     np.testing.assert_allclose(turned, rotation_from_vector(vector) @ before, atol=1e-14)
-    np.testing.assert_allclose(back, rotation_from_vector(-vector) @ before, atol=1e-14)
     t_s, way = np.array([-0.7, 0.0]), np.zeros((13, 8))
     shared_path_descent._set_way(t_s, np.zeros((2, 3)), np.eye(3), np.append(np.zeros(5), vector), way)
     rotations = way[:9, -2:].T.reshape(2, 3, 3)
@@ -45,35 +42,11 @@ def test_rotations_are_those_of_the_rotation_vector(angle):
 
 def test_solvers_solve():
     rng = np.random.default_rng(3)
-    for n, solve in ((8, shared_path_descent._solve), (5, two_view_descent._solve), (6, None)):
+    for n, solve in ((8, shared_path_descent._solve), (5, two_view_descent._solve)):
         root, right = rng.normal(size=(n, n)), rng.normal(size=n)
         matrix, solution = root @ root.T + np.eye(n), np.empty(n)
-        expected = np.linalg.solve(matrix, right)
-        if solve is None:
-            solution = right.copy()
-            rigid_path_descent._solve(np.tril(matrix), solution)
-        else:
-            solve(matrix, right, solution)
-        np.testing.assert_allclose(solution, expected, rtol=1e-10)
-
-
-def test_what_a_point_says_of_its_place_and_rate_is_the_same_alone_and_together():
-    """With one view far off, so that the robust weight is the same, too."""
-    rng = np.random.default_rng(4)
-    n, s, inverse = 6, np.array([0.2, -0.1, 0.3]), 1.0 / 3e-4
-    path = np.column_stack([0.1 * rng.normal(size=(n, 2)), np.linspace(0.0, 0.8, n)])
-    seen = (s[:2] + s[2] * path[:, :2]) / (1.0 + s[2] * path[:, 2:]) + 3e-4 * rng.normal(size=(n, 2))
-    seen[2] += 0.01
-    # Of many points side by side, one that is not the first.
-    views, state, lane = np.zeros((n + 1, on_path._ROW // 16, 16)), np.zeros((on_path._N_STATE // 16, 16)), 5
-    views[1:, :2, lane], views[1:, 2, lane], views[1:, 3:6, lane], state[:3, lane] = seen, inverse, path, s
-    state[3, lane], state[4, lane] = -np.inf, np.inf
-    on_path._add_up(views.reshape(-1), n, state.reshape(-1), False)
-    kept, mean_square, _ = added_together(seen, -0.1 * np.arange(n), path, s, 1.0 / inverse)
-    row = views[n, int(on_path._OWN) // 16 :, lane]
-    rate = row[3] - (row[1] ** 2 + row[2] ** 2) / row[0], row[6] - (row[1] * row[4] + row[2] * row[5]) / row[0]
-    np.testing.assert_allclose(kept[3, :7], [row[0], row[1], row[2], rate[0], row[4], row[5], rate[1]], rtol=1e-9)
-    assert mean_square == pytest.approx(row[7] / (2 * n - 3))
+        solve(matrix, right, solution)
+        np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), rtol=1e-10)
 
 
 def test_what_a_point_says_of_what_it_shares_is_what_is_left_when_its_own_unknowns_follow():

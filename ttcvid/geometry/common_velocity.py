@@ -15,7 +15,7 @@ from ttcvid.model import Floats, Ints
 # Things are about so many times as deep as they are wide in the picture, root mean square of both: depths of their
 # points, as a part of the depth.
 _DEPTH_OF_WIDTH, _LEAST_DEPTH = 2.0, 0.01
-# As in `rigid_path_descent`: residuals beyond this, in sigmas, count by their length; least depth of a point over that
+# As in `kernels.path_point`: residuals beyond this, in sigmas, count by their length; least depth of a point over that
 # at time 0, and least z of a turned ray.
 _ROBUST_SIGMAS, _LEAST_DEPTH_RATIO, _LEAST_FORWARD = 3.0, 0.05, 0.05
 # Numbers of a view: its rotation (9) and time; 0 of one that is not looked at.

@@ -65,8 +65,7 @@ def compiled(function: F) -> F:
     It runs without the interpreter's lock. Divisions by zero give infinity or NaN as numpy's do, and there are no
     threads inside. A product and the sum that it goes into are rounded once where the processor can, and a loop adds up
     as many terms side by side as the processor can (a third of the time): two runs give identical numbers, another
-    kind of processor may differ in the last digits. A compiled function may call others of its own file only: a change
-    in another file would go unnoticed by the copy on disk.
+    kind of processor may differ in the last digits.
 
     Where speed counts, functions called for every point take whole arrays and an index, and end in one place: a slice
     counts who holds its array, up and down, as does a function with several ends for what it was given. Such a count
@@ -97,6 +96,11 @@ def compiled_for(signature: str) -> Callable[[F], F]:
 def compiled_in_place(function: F) -> F:
     """The same, put in where it is called: only so can a loop that calls it work at several items side by side."""
     return _compiled(function, forceinline=True)
+
+
+def compiled_part(function: F) -> F:
+    """The same of a function made by another, with functions that it calls: kept on disk only with what calls it."""
+    return cast(F, numba.njit(**_OPTIONS)(function))
 
 
 def entry_points() -> tuple[EntryPoint, ...]:

@@ -1,8 +1,9 @@
 """Copies of compiled functions on disk, each with a checksum: one that is damaged or out of date counts as absent.
 
 numba reads its copies as they are. An empty file (a full disk, a power cut) would end every later run, and a changed
-byte of machine code could do anything at all. It also writes the index of a changed function before its code: killed in
-between, later runs would compute with the former code.
+byte of machine code could do anything at all. It also writes the index of a changed function before its code: killed
+in between, later runs would compute with the former code. And it knows a function by its own file alone, though the
+machine code holds what that calls and the constants that it uses of others.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 from numba.core import caching
 
 MARK = "-checked"
@@ -46,6 +48,10 @@ def damaged_copies(folder: Path) -> list[Path]:
 class _CheckedFile(_File):  # type: ignore[misc]
     """As numba's, but each file ends with the digests of its content and of the source that it was compiled from."""
 
+    def __init__(self, function: Callable[..., Any], *where: Any) -> None:
+        super().__init__(*where)
+        self._function = function
+
     @contextmanager
     def _open_for_write(self, path: str) -> Iterator[BinaryIO]:
         with super()._open_for_write(path) as file:
@@ -63,7 +69,7 @@ class _CheckedFile(_File):  # type: ignore[misc]
 
     @property
     def _source(self) -> bytes:
-        return _digest(repr(self._source_stamp).encode())
+        return _digest(repr((self._source_stamp, sorted(_uses_of(self._function)))).encode())
 
 
 class _CheckedCache(_Cache):  # type: ignore[misc]
@@ -73,13 +79,32 @@ class _CheckedCache(_Cache):  # type: ignore[misc]
         super().__init__(function)
         place = self._impl.locator
         self._cache_file: Any = _CheckedFile(
-            place.get_cache_path(), self._impl.filename_base + MARK, place.get_source_stamp()
+            function, place.get_cache_path(), self._impl.filename_base + MARK, place.get_source_stamp()
         )
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Keep a copy where that can be done (disk full, or a file of somebody else's in its place)."""
         with suppress(OSError):
             super().save_overload(signature, data)
+
+
+def _uses_of(function: Any) -> set[str]:
+    """The files of the compiled functions that a function calls, as they are now, and the constants that they use."""
+    uses, known, left = set(), {function}, [function]
+    while left:
+        caller = left.pop()
+        cells = (cell.cell_contents for cell in caller.__closure__ or ())
+        names = {name: caller.__globals__.get(name) for name in caller.__code__.co_names}
+        for name, value in (*names.items(), *zip(caller.__code__.co_freevars, cells, strict=True)):
+            callee = getattr(value, "py_func", None)
+            if isinstance(value, bool | int | float | str | tuple | np.generic):
+                uses.add(f"{name} = {value!r}")
+            elif callee is not None and callee not in known:
+                known.add(callee)
+                left.append(callee)
+                file = Path(callee.__code__.co_filename)
+                uses.add(f"{file} {file.stat().st_mtime_ns} {file.stat().st_size}")
+    return uses
 
 
 def _source_of(path: Path) -> bytes | None:

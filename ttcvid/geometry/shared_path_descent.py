@@ -180,7 +180,7 @@ def _add_point(
 
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does. The sums of x, y, rho are those of
-    `whole_track_on_path_descent._add_up`.
+    `kernels.path_point`.
 
     Adds to ``sums (10, 9)`` the information on what is shared, its lower half, and in the last row the score, less what
     x, y, rho take of these when they follow (Schur complement). No information on rho adds nothing. Fills ``kept[i]``

@@ -12,7 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.whole_track_descent import TAIL, fit_each
+from ttcvid.geometry.kernels.free_point import fit_free_points
+from ttcvid.geometry.kernels.windows import TAIL
 from ttcvid.model import Floats, Ints
 
 
@@ -100,25 +101,18 @@ def fit_whole_tracks(
     order = np.argsort(np.abs(t_s), kind="stable")
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
     nothing = np.empty(0), np.empty((0, 0))
-    normal, normal_cov = nothing if plane is None else (plane.normal, plane.covariance)
     state, cov = np.full((n, 5), np.nan), np.full((n if has_covariance else 0, 5, 5), np.nan)
     info_w, chi2 = np.zeros((n, 3, 3)), np.zeros(n)
     n_frames = np.zeros(n, dtype=np.int64)
-    fit_each(
+    fit_free_points(
         np.ascontiguousarray(xy, dtype=np.float64),
         np.asarray(t_s, dtype=np.float64),
         np.asarray(sigma_norm, dtype=np.float64),
         order,
         longest,
-        window_gates(longest, 5, gate_probability),
-        window_gates(TAIL, 0, gate_probability),
-        np.asarray(normal, dtype=np.float64),
-        np.asarray(normal_cov, dtype=np.float64),
-        state,
-        cov,
-        info_w,
-        chi2,
-        n_frames,
+        (window_gates(longest, 5, gate_probability), window_gates(TAIL, 0, gate_probability)),
+        nothing if plane is None else (plane.normal, plane.covariance),
+        (state, cov, info_w, chi2, n_frames),
     )
     if plane is not None:
         _add_plane(plane, state, cov, info_w)

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.geometry.kernels.known_path import fit_points_on_known_paths
+from ttcvid.geometry.kernels.windows import TAIL
 from ttcvid.geometry.whole_track import window_gates
-from ttcvid.geometry.whole_track_on_path_descent import TAIL, fit_each
 from ttcvid.model import Floats, Ints
 
 NO_PATH = -1
@@ -100,25 +101,18 @@ def fit_rates_on_paths(
             f"got {xy.shape}, {t_s.shape}, {paths.shape} and {path_of.shape}"
         )
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
-    state, cov, by_shared = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 9))
+    state, cov, by_shared = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full((n, 9), np.nan)
     chi2, n_frames = np.zeros(n), np.zeros(n, dtype=np.int64)
-    fit_each(
+    fit_points_on_known_paths(
         np.ascontiguousarray(xy, dtype=np.float64),
         np.asarray(t_s, dtype=np.float64),
         np.asarray(sigma_norm, dtype=np.float64),
         np.argsort(np.abs(t_s), kind="stable"),
         longest,
-        np.ascontiguousarray(paths, dtype=np.float64),
-        np.asarray(path_of, dtype=np.int64),
-        window_gates(longest, 3, gate_probability),
-        window_gates(TAIL, 0, gate_probability),
+        (np.ascontiguousarray(paths, dtype=np.float64), np.asarray(path_of, dtype=np.int64)),
+        (window_gates(longest, 3, gate_probability), window_gates(TAIL, 0, gate_probability)),
         np.empty((0, 3)) if start is None else np.asarray(start, dtype=np.float64),
-        has_sensitivities,
-        state,
-        cov,
-        by_shared,
-        chi2,
-        n_frames,
+        (state, cov, by_shared if has_sensitivities else by_shared[:0], chi2, n_frames),
     )
     dof = np.maximum(2 * n_frames - 3, 0)
     return PathRates(state, cov, by_shared, chi2, dof, n_frames)

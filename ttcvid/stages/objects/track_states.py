@@ -8,12 +8,12 @@ from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
+from ttcvid.geometry.kernels.free_point import LEAST_FRAMES
+from ttcvid.geometry.kernels.known_path import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
 from ttcvid.geometry.path_velocity import velocities_on_paths
 from ttcvid.geometry.shared_path import SharedPaths, joined_paths, turned_back
 from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks, window_gates
-from ttcvid.geometry.whole_track_descent import LEAST_FRAMES
 from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
-from ttcvid.geometry.whole_track_on_path_descent import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.egomotion.relative_pose import DIRECTION_FLOOR_RAD
 from ttcvid.stages.egomotion.scene_trajectory import scene_path
