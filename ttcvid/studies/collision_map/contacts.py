@@ -7,11 +7,12 @@ each edge direction, and the time of contact is the intersection of the times in
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
-from ttcvid.geometry.compiled import compiled, compiled_for
-from ttcvid.model import Floats
+from ttcvid.model import Floats, Ints
 
 RIGHT, DOWN, AHEAD = 0, 1, 2
 """Places of the level axes in a vector."""
@@ -23,220 +24,208 @@ _ROUND_DIRECTIONS = 8
 _TINY = 1e-12
 # What stays farther off than this many of its standard deviations has no probability worth computing.
 _FAR_SIGMAS = 5.0
-# Probabilities below this count as none.
-_NEGLIGIBLE = 1e-4
 
 
-@compiled_for(
-    "(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[:, :, ::1], f8[::1], b1, f8[:, ::1], f8[:, ::1], f8, f8, "
-    "f8[:, ::1], f8[:, ::1])"
-)
+@dataclass(frozen=True)
+class Boxes:
+    """N boxes at the start of a stretch, in level axes.
+
+    ``position_m, velocity_m_s, half_size_m (N, 3)`` and ``yaw_rad (N,)``;
+    ``covariance (N, 6, 6)`` is that of place and velocity now; without it a box is known exactly.
+    """
+
+    position_m: Floats
+    velocity_m_s: Floats
+    half_size_m: Floats
+    yaw_rad: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A stretch of C ways that we could go, in which our velocity differs from the present one by a constant.
+
+    ``change_m_s (C, 3)`` in level axes, from ``start_s`` to ``end_s``; ``shift_m (C, 3)`` is how far we are by then
+    from where the present velocity would have brought us.
+    """
+
+    start_s: float
+    end_s: float
+    shift_m: Floats
+    change_m_s: Floats
+
+
+@dataclass(frozen=True)
+class _Outlines:
+    """M boxes and our own outline, by their extents: ``half_size_m (M, 3)``, ``yaw_rad (M,)``, ``own_half_m (3,)``."""
+
+    half_size_m: Floats
+    yaw_rad: Floats
+    own_half_m: Floats
+    is_round: bool
+
+    @property
+    def reach_down(self) -> Floats:
+        """Half the height of both together, ``(M,)``."""
+        reach: Floats = self.half_size_m[:, DOWN] + self.own_half_m[DOWN]
+        return reach
+
+    def box_extent(self, n_right: Floats | float, n_ahead: Floats | float) -> Floats:
+        """Half the extent of each turned box along a horizontal unit vector (its support function)."""
+        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        across, along = np.abs(c * n_right - s * n_ahead), np.abs(s * n_right + c * n_ahead)
+        extent: Floats = self.half_size_m[:, RIGHT] * across + self.half_size_m[:, AHEAD] * along
+        return extent
+
+    def own_extent(self, n_right: Floats | float, n_ahead: Floats | float) -> Floats:
+        """Half our own extent along a horizontal unit vector, at the height of the camera."""
+        across, along = self.own_half_m[RIGHT] * n_right, self.own_half_m[AHEAD] * n_ahead
+        extent: Floats = np.hypot(across, along) if self.is_round else np.abs(across) + np.abs(along)
+        return extent
+
+
 def add_contacts(
-    position_m: Floats,
-    velocity_m_s: Floats,
-    half_size_m: Floats,
-    yaw_rad: Floats,
-    covariance: Floats,
-    own_half_m: Floats,
-    is_round: bool,
-    shift_m: Floats,
-    change_m_s: Floats,
-    start_s: float,
-    duration_s: float,
-    time_s: Floats,
-    probability: Floats,
+    boxes: Boxes, own_half_m: Floats, is_round: bool, leg: Leg, time_s: Floats, probability: Floats
 ) -> None:
     """Contacts of N boxes on C ways within one stretch, entered where they are earlier or more probable than before.
 
     Parameters
     ----------
-    position_m, velocity_m_s, half_size_m, yaw_rad, covariance
-        Of the boxes at the start of the stretch, as in `collision_map.hazards.Hazards`; the covariance is that of now.
+    boxes
+        At the start of the stretch, places relative to the middle of our own outline.
     own_half_m
         ``(3,)`` half our width, height and length; with ``is_round`` the half-axes of an ellipsoid.
-    shift_m, change_m_s
-        ``(C, 3)`` where we are at the start, and our velocity, both relative to keeping the present velocity.
-    start_s, duration_s
-        When the stretch begins, from now, and how long it is.
+    leg
+        The stretch.
     time_s, probability
         ``(N, C)``, changed in place: the earliest time from now at which a contact is possible (infinite: none), and
         the probability of a contact in the likeliest stretch. Where the box is known exactly it is 0 or 1.
     """
-    for n in range(len(position_m)):
-        half, yaw = half_size_m[n], yaw_rad[n]
-        is_exact = not covariance[n].any()
-        factors = _variances(covariance[n])
-        slabs = _slabs(half, yaw, own_half_m, is_round)
-        end_sigma = _largest_sigma(factors, start_s + duration_s)
-        spare = _FAR_SIGMAS * max(end_sigma, _largest_sigma(factors, start_s))
-        reach = math.hypot(half[RIGHT], half[AHEAD]) + math.hypot(own_half_m[RIGHT], own_half_m[AHEAD]) + spare
-        for c in range(len(shift_m)):
-            x, y, z = (
-                position_m[n, 0] - shift_m[c, 0],
-                position_m[n, 1] - shift_m[c, 1],
-                position_m[n, 2] - shift_m[c, 2],
-            )
-            u = velocity_m_s[n, 0] - change_m_s[c, 0]
-            v = velocity_m_s[n, 1] - change_m_s[c, 1]
-            w = velocity_m_s[n, 2] - change_m_s[c, 2]
-            pace2 = max(u * u + w * w, _TINY)
-            closest = min(max(-(x * u + z * w) / pace2, 0.0), duration_s)
-            near_x, near_z = x + closest * u, z + closest * w
-            if near_x * near_x + near_z * near_z > reach * reach:
-                continue
-            p = 1.0
-            if not is_exact:
-                p = _probability(
-                    x, y, z, u, v, w, closest, half, yaw, own_half_m, is_round, factors, start_s, duration_s
-                )
-                probability[n, c] = max(probability[n, c], p)
-                if p < POSSIBLE or start_s >= time_s[n, c]:
-                    continue
-            below = max(abs(y + closest * v) - half[DOWN], 0.0)
-            share = _share_at_height(below / own_half_m[DOWN]) if is_round else 1.0
-            enter, leave = _touching(x, y, z, u, v, w, half[DOWN] + own_half_m[DOWN], slabs, share)
-            is_contact = enter <= leave and leave >= 0.0 and enter <= duration_s
-            if is_contact or not is_exact:
-                probability[n, c] = max(probability[n, c], p)
-                time_s[n, c] = min(time_s[n, c], start_s + (max(enter, 0.0) if is_contact else closest))
+    duration_s = leg.end_s - leg.start_s
+    factors = _variances(boxes.covariance)
+    box, way = _near(boxes, factors, own_half_m, leg)
+    if len(box) == 0:
+        return
+    place_m = boxes.position_m[box] - leg.shift_m[way]
+    velocity_m_s = boxes.velocity_m_s[box] - leg.change_m_s[way]
+    closest_s = _closest_s(place_m, velocity_m_s, duration_s)
+    outlines = _Outlines(boxes.half_size_m[box], boxes.yaw_rad[box], own_half_m, is_round)
+    is_exact = (boxes.covariance == 0.0).all(axis=(1, 2))[box]
+    p = np.where(is_exact, 1.0, _probability(place_m, velocity_m_s, closest_s, outlines, factors[:, :, box], leg))
+    enter, leave = _touching(place_m, velocity_m_s, closest_s, outlines)
+    is_contact = (enter <= leave) & (leave >= 0.0) & (enter <= duration_s)
+    found = np.where(is_exact & ~is_contact, 0.0, p)
+    probability[box, way] = np.maximum(probability[box, way], found)
+    when_s = leg.start_s + np.where(is_contact, np.maximum(enter, 0.0), closest_s)
+    time_s[box, way] = np.minimum(time_s[box, way], np.where(found >= POSSIBLE, when_s, np.inf))
 
 
-@compiled
-def _share_at_height(ratio: float) -> float:
-    """How wide an ellipsoid is at a height in units of its half-axis, relative to its middle."""
-    return math.sqrt(max(1.0 - ratio * ratio, 0.0))
+def _near(boxes: Boxes, factors: Floats, own_half_m: Floats, leg: Leg) -> tuple[Ints, Ints]:
+    """Pairs of a box and a way that come near enough for a contact that is not negligible: two ``(M,)``."""
+    largest_sigma = np.maximum(_largest_sigma(factors, leg.start_s), _largest_sigma(factors, leg.end_s))
+    half = boxes.half_size_m
+    own_reach = math.hypot(own_half_m[RIGHT], own_half_m[AHEAD])
+    reach = np.hypot(half[:, RIGHT], half[:, AHEAD]) + own_reach + _FAR_SIGMAS * largest_sigma
+    place_m = boxes.position_m[:, None] - leg.shift_m
+    velocity_m_s = boxes.velocity_m_s[:, None] - leg.change_m_s
+    closest_s = _closest_s(place_m, velocity_m_s, leg.end_s - leg.start_s)
+    nearest = place_m + closest_s[..., None] * velocity_m_s
+    box, way = np.nonzero(nearest[..., RIGHT] ** 2 + nearest[..., AHEAD] ** 2 <= reach[:, None] ** 2)
+    return box, way
 
 
-@compiled
-def _slabs(half: Floats, yaw: float, own_half: Floats, is_round: bool) -> Floats:
-    """Upright slabs ``(K, 4)`` that cut out the sum of box and outline: unit vector (x, z), extents of box and us."""
-    n_own = _ROUND_DIRECTIONS if is_round else 2
-    slabs = np.empty((2 + n_own, 4))
-    for k in range(2 + n_own):
-        angle = -yaw + 0.5 * math.pi * k if k < 2 else math.pi * (k - 2) / n_own
-        nx, nz = math.cos(angle), math.sin(angle)
-        slabs[k, 0], slabs[k, 1] = nx, nz
-        slabs[k, 2] = _box_extent(half, yaw, nx, nz)
-        slabs[k, 3] = _own_extent(own_half, is_round, nx, nz)
-    return slabs
+def _closest_s(place_m: Floats, velocity_m_s: Floats, duration_s: float) -> Floats:
+    """When boxes ``(..., 3)`` pass our middle most closely, seen from above and within a stretch."""
+    level = [RIGHT, AHEAD]
+    pace2 = np.maximum((velocity_m_s[..., level] ** 2).sum(axis=-1), _TINY)
+    closest: Floats = np.clip(-(place_m[..., level] * velocity_m_s[..., level]).sum(axis=-1) / pace2, 0.0, duration_s)
+    return closest
 
 
-@compiled
-def _touching(
-    x: float, y: float, z: float, u: float, v: float, w: float, reach_down: float, slabs: Floats, share: float
-) -> tuple[float, float]:
-    """From when until when a box at (x, y, z) with velocity (u, v, w) touches us; enter > leave: never.
-
-    ``share`` is how wide we are at the height of meeting.
-    """
-    enter, leave = _slab(y, v, reach_down)
-    for k in range(len(slabs)):
-        nx, nz = slabs[k, 0], slabs[k, 1]
-        slab_enter, slab_leave = _slab(nx * x + nz * z, nx * u + nz * w, slabs[k, 2] + share * slabs[k, 3])
-        enter, leave = max(enter, slab_enter), min(leave, slab_leave)
+def _touching(place_m: Floats, velocity_m_s: Floats, closest_s: Floats, outlines: _Outlines) -> tuple[Floats, Floats]:
+    """From when until when M boxes touch us, from the start of the stretch; enter > leave: never."""
+    own_half, turn = outlines.own_half_m, -outlines.yaw_rad
+    enter, leave = _slab(place_m[:, DOWN], velocity_m_s[:, DOWN], outlines.reach_down)
+    below = np.maximum(np.abs(place_m[:, DOWN] + closest_s * velocity_m_s[:, DOWN]) - outlines.half_size_m[:, DOWN], 0)
+    share = np.ones(len(below))
+    if outlines.is_round:
+        # An ellipsoid is narrower at the height of meeting than in its middle.
+        share = np.sqrt(np.maximum(1.0 - (below / own_half[DOWN]) ** 2, 0.0))
+    n_own = _ROUND_DIRECTIONS if outlines.is_round else 2
+    own_angles = [np.full(len(turn), math.pi * k / n_own) for k in range(n_own)]
+    for angle in (turn, turn + 0.5 * math.pi, *own_angles):
+        n_right, n_ahead = np.cos(angle), np.sin(angle)
+        slab_enter, slab_leave = _slab(
+            n_right * place_m[:, RIGHT] + n_ahead * place_m[:, AHEAD],
+            n_right * velocity_m_s[:, RIGHT] + n_ahead * velocity_m_s[:, AHEAD],
+            outlines.box_extent(n_right, n_ahead) + share * outlines.own_extent(n_right, n_ahead),
+        )
+        enter, leave = np.maximum(enter, slab_enter), np.minimum(leave, slab_leave)
     return enter, leave
 
 
-@compiled
-def _slab(along: float, rate: float, reach: float) -> tuple[float, float]:
+def _slab(along: Floats, rate: Floats, reach: Floats) -> tuple[Floats, Floats]:
     """From when until when abs(along + rate t) <= reach; without a rate that is always, or so late as never."""
-    safe = rate if abs(rate) > _TINY else _TINY
-    middle, spread = -along / safe, reach / abs(safe)
+    safe = np.where(np.abs(rate) > _TINY, rate, _TINY)
+    middle, spread = -along / safe, reach / np.abs(safe)
     return middle - spread, middle + spread
 
 
-@compiled
-def _box_extent(half: Floats, yaw: float, nx: float, nz: float) -> float:
-    """Half the extent of a turned box along a horizontal unit vector (its support function)."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    extent: float = half[RIGHT] * abs(c * nx - s * nz) + half[AHEAD] * abs(s * nx + c * nz)
-    return extent
-
-
-@compiled
-def _own_extent(own_half: Floats, is_round: bool, nx: float, nz: float) -> float:
-    """Half our own extent along a horizontal unit vector, at the height of the camera."""
-    across, along = own_half[RIGHT] * nx, own_half[AHEAD] * nz
-    extent: float = math.hypot(across, along) if is_round else abs(across) + abs(along)
-    return extent
-
-
-@compiled
 def _probability(
-    x: float,
-    y: float,
-    z: float,
-    u: float,
-    v: float,
-    w: float,
-    closest: float,
-    half: Floats,
-    yaw: float,
-    own_half: Floats,
-    is_round: bool,
-    factors: Floats,
-    start_s: float,
-    duration_s: float,
-) -> float:
-    """Probability of contact within a stretch.
+    place_m: Floats, velocity_m_s: Floats, closest_s: Floats, outlines: _Outlines, factors: Floats, leg: Leg
+) -> Floats:
+    """Probability of contact within a stretch, of M boxes whose places have the variances ``factors (4, 3, M)``.
 
     The product of four: the paths cross within both outlines (across the relative motion), at one height, we are not
     past each other at the start, and have met by the end (along the motion).
     """
-    pace = math.sqrt(max(u * u + w * w, _TINY))
-    ax, az = u / pace, w / pace
-    along, across = ax * x + az * z, az * x - ax * z
-    reach_along = _box_extent(half, yaw, ax, az) + _own_extent(own_half, is_round, ax, az)
-    reach_across = _box_extent(half, yaw, az, -ax) + _own_extent(own_half, is_round, az, -ax)
-    reach_down = half[DOWN] + own_half[DOWN]
-    at_closest = start_s + closest
-    p = _between(across, reach_across, _sigma(factors, at_closest, az, -ax))
-    if p < _NEGLIGIBLE:
-        return 0.0
-    p *= _below((reach_along + along + pace * duration_s) / _sigma(factors, start_s + duration_s, ax, az))
-    p *= _below((reach_along - along) / _sigma(factors, start_s, ax, az))
-    if p < _NEGLIGIBLE:
-        return 0.0
-    return p * _between(y + closest * v, reach_down, math.sqrt(max(_variance(factors, 3, at_closest), _TINY)))
+    pace = np.sqrt(np.maximum(velocity_m_s[:, RIGHT] ** 2 + velocity_m_s[:, AHEAD] ** 2, _TINY))
+    right, ahead = velocity_m_s[:, RIGHT] / pace, velocity_m_s[:, AHEAD] / pace
+    along = right * place_m[:, RIGHT] + ahead * place_m[:, AHEAD]
+    across = ahead * place_m[:, RIGHT] - right * place_m[:, AHEAD]
+    reach_along = outlines.box_extent(right, ahead) + outlines.own_extent(right, ahead)
+    reach_across = outlines.box_extent(ahead, -right) + outlines.own_extent(ahead, -right)
+    at_closest_s = leg.start_s + closest_s
+    sigma_down = np.sqrt(np.maximum(_at(factors[3], at_closest_s), _TINY))
+    down = place_m[:, DOWN] + closest_s * velocity_m_s[:, DOWN]
+    probability: Floats = (
+        _between(across, reach_across, _sigma(factors, at_closest_s, ahead, -right))
+        * ndtr((reach_along + along + pace * (leg.end_s - leg.start_s)) / _sigma(factors, leg.end_s, right, ahead))
+        * ndtr((reach_along - along) / _sigma(factors, leg.start_s, right, ahead))
+        * _between(down, outlines.reach_down, sigma_down)
+    )
+    return probability
 
 
-@compiled
-def _between(mean: float, reach: float, sigma: float) -> float:
+def _between(mean: Floats, reach: Floats, sigma: Floats) -> Floats:
     """Probability that a normal variable lies within +-reach."""
-    return _below((reach - mean) / sigma) - _below((-reach - mean) / sigma)
+    inside: Floats = ndtr((reach - mean) / sigma) - ndtr((-reach - mean) / sigma)
+    return inside
 
 
-@compiled
-def _below(x: float) -> float:
-    """The standard normal distribution function."""
-    return 0.5 * math.erfc(-x / math.sqrt(2.0))
-
-
-@compiled
 def _variances(covariance: Floats) -> Floats:
-    """Of the variances of P + V t, right right, right ahead, ahead ahead and down down: the factors of 1, t and t^2."""
-    factors = np.empty((4, 3))
-    for k, (i, j) in enumerate(((RIGHT, RIGHT), (RIGHT, AHEAD), (AHEAD, AHEAD), (DOWN, DOWN))):
-        factors[k, 0] = covariance[i, j]
-        factors[k, 1] = covariance[i, 3 + j] + covariance[3 + i, j]
-        factors[k, 2] = covariance[3 + i, 3 + j]
-    return factors
+    """Of the variances of P + V t, right right, right ahead, ahead ahead, down down: factors of 1, t, t^2 (4, 3, N)."""
+    pairs = ((RIGHT, RIGHT), (RIGHT, AHEAD), (AHEAD, AHEAD), (DOWN, DOWN))
+    return np.array(
+        [
+            [covariance[:, i, j], covariance[:, i, 3 + j] + covariance[:, 3 + i, j], covariance[:, 3 + i, 3 + j]]
+            for i, j in pairs
+        ]
+    )
 
 
-@compiled
-def _variance(factors: Floats, k: int, t_s: float) -> float:
-    variance: float = factors[k, 0] + t_s * (factors[k, 1] + t_s * factors[k, 2])
+def _at(factors: Floats, t_s: Floats | float) -> Floats:
+    """A variance with the ``factors (3, M)`` at a time."""
+    variance: Floats = factors[0] + t_s * (factors[1] + t_s * factors[2])
     return variance
 
 
-@compiled
-def _sigma(factors: Floats, t_s: float, nx: float, nz: float) -> float:
-    """Standard deviation of P + V t along a horizontal unit vector."""
-    variance = nx * nx * _variance(factors, 0, t_s) + nz * nz * _variance(factors, 2, t_s)
-    return math.sqrt(max(variance + 2.0 * nx * nz * _variance(factors, 1, t_s), _TINY))
+def _sigma(factors: Floats, t_s: Floats | float, n_right: Floats, n_ahead: Floats) -> Floats:
+    """Standard deviation of P + V t along horizontal unit vectors."""
+    variance = n_right**2 * _at(factors[0], t_s) + n_ahead**2 * _at(factors[2], t_s)
+    return np.sqrt(np.maximum(variance + 2.0 * n_right * n_ahead * _at(factors[1], t_s), _TINY))
 
 
-@compiled
-def _largest_sigma(factors: Floats, t_s: float) -> float:
+def _largest_sigma(factors: Floats, t_s: float) -> Floats:
     """A bound of the standard deviation of P + V t along any horizontal direction."""
-    return math.sqrt(max(_variance(factors, 0, t_s) + _variance(factors, 2, t_s), 0.0))
+    return np.sqrt(np.maximum(_at(factors[0], t_s) + _at(factors[2], t_s), 0.0))

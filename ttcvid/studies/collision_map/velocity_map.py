@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from ttcvid.model import Floats, Ints
-from ttcvid.studies.collision_map.contacts import POSSIBLE, add_contacts
+from ttcvid.studies.collision_map.contacts import POSSIBLE, Boxes, Leg, add_contacts
 from ttcvid.studies.collision_map.hazards import Hazards, Situation, turned_right
 
 NO_OBJECT = -1
@@ -23,20 +23,6 @@ LIKELY = 0.5
 """From this probability on a collision counts as likely."""
 _TINY = 1e-12
 _STILL = 1e-6
-
-
-@dataclass(frozen=True)
-class Leg:
-    """A stretch of C ways that we could go, in which our velocity differs from the present one by a constant.
-
-    ``change_m_s (C, 3)`` in level axes, from ``start_s`` to ``end_s``; ``shift_m (C, 3)`` is how far we are by then
-    from where the present velocity would have brought us.
-    """
-
-    start_s: float
-    end_s: float
-    shift_m: Floats
-    change_m_s: Floats
 
 
 @dataclass(frozen=True)
@@ -152,21 +138,10 @@ def outcomes(situation: Situation, legs: Sequence[Leg], horizon_s: float) -> Out
     times_s = np.array([legs[0].start_s, *(leg.end_s for leg in legs)])
     for leg, then in zip(legs, near.along(times_s, situation.own_velocity_m_s), strict=True):
         # A hazard that is met in two legs is met in the one in which that is more probable, not twice.
-        add_contacts(
-            np.ascontiguousarray(then.position_m - own.middle_m),
-            np.ascontiguousarray(then.velocity_m_s),
-            then.half_size_m,
-            then.yaw_rad,
-            then.covariance,
-            own.half_m,
-            own.is_round,
-            leg.shift_m,
-            leg.change_m_s,
-            leg.start_s,
-            leg.end_s - leg.start_s,
-            time,
-            probability,
+        boxes = Boxes(
+            then.position_m - own.middle_m, then.velocity_m_s, then.half_size_m, then.yaw_rad, then.covariance
         )
+        add_contacts(boxes, own.half_m, own.is_round, leg, time, probability)
     return _by_object(near, time, probability, n_objects)
 
 
