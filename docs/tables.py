@@ -48,7 +48,7 @@ which null is NA, and puts units and descriptions into `attrs`; of an empty tabl
 """
 _CONFIGURATION_HEAD = f"""# Every parameter
 
-{_GENERATED} Where values come from, and which place is stronger: [command line](command_line.md#configuration).
+{_GENERATED} Where values come from, and which place wins: [command line](command_line.md#configuration).
 
 In a TOML file each heading below is a section; in the environment `[tracking] max_tracks` is
 `TTCVID_TRACKING__MAX_TRACKS`, on the command line `--set tracking.max_tracks=800`, in Python
@@ -59,22 +59,22 @@ _ABOUT_OPTIONS = {
     "camera": "camera file",
     "focal_px": "focal length in px",
     "image_size": "size of the pictures behind a track table, such as 1242x375",
-    "horizon": "horizon file, or `auto`: found in the clip itself; switches planar motion on",
-    "max_image_mpx": "picture files that claim more, in 10^6 pixels, are left out unread",
-    "mask": "picture, black where nothing is to be looked at",
+    "horizon": "horizon file, or `auto`: estimated from the clip itself; switches planar motion on",
+    "max_image_mpx": "picture files whose header claims more, in 10^6 pixels, are skipped unread",
+    "mask": "picture, black where nothing is to be analysed",
     "fps": "frame rate of pictures, 1/s",
     "timestamps": "file with the time of each picture",
     "start": "first frame (120) or time (4.5s, 00:01:02.5)",
-    "end": "frame or time of the end, itself left out",
+    "end": "frame or time of the end, itself excluded",
     "overlay": "write overlay.mp4",
     "report": "write report.html",
     "overwrite": "replace an output folder that exists",
     "platform": "what carries the camera: expectations of its own motion",
-    "estimator": "views that a time is made of",
-    "tracker": "how points are followed",
+    "estimator": "from how many views a time is estimated",
+    "tracker": "how points are tracked",
     "smooth": "directions and times from frames on both sides",
     "moving": "the camera drives (calibrate-horizon)",
-    "roll_zero": "the camera stands level (calibrate-horizon)",
+    "roll_zero": "the camera has no roll (calibrate-horizon)",
     "preset": "effort of the H.264 encoder",
 }
 _BOUNDS = {"ge": ">= {}", "gt": "> {}", "le": "<= {}", "lt": "< {}"}

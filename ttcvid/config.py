@@ -37,17 +37,20 @@ class StageConfig(BaseModel):
 
 
 class TrackingConfig(StageConfig):
-    """How points are found and followed from picture to picture."""
+    """How points are detected and tracked."""
 
     tracker: Literal["klt", "akaze"] = "klt"
     max_tracks: int = Field(
-        default=1300, ge=20, le=20000, description="tracks held alive (klt) or features taken (akaze)"
+        default=1300, ge=20, le=20000, description="live tracks (klt) or features per picture (akaze)"
     )
     min_distance_px: float = Field(
-        default=7.0, ge=1.0, description="usual least distance between a new corner and any track"
+        default=7.0, ge=1.0, description="minimum distance between a new corner and any track"
     )
     close_share: float = Field(
-        default=0.1, ge=0.0, le=1.0, description="part of the new corners that may stand at 0.57 of it, on small things"
+        default=0.1,
+        ge=0.0,
+        le=1.0,
+        description="share of new corners allowed at 0.57 of that distance, on small objects",
     )
     corner_quality: Fraction = Field(
         default=0.005, description="corner response relative to the best one of the picture"
@@ -69,26 +72,33 @@ class EgomotionConfig(StageConfig):
     """Priors of own rotation and translation."""
 
     platform: Platform = Field(
-        default=Platform.auto, description="what carries the camera; auto: told by the clip, static, vehicle or free"
+        default=Platform.auto,
+        description="what carries the camera; auto: static, vehicle or free, decided from the clip",
     )
     min_tracks: int = Field(default=12, ge=5, description="fewer tracks than this give the status few_tracks")
 
 
 class BodiesConfig(StageConfig):
-    """How tracks are told apart into the static scene and movers."""
+    """How tracks are segmented into the static scene and movers."""
 
     min_tracks: int = Field(
         default=6,
         ge=3,
-        description="least number of tracks of a new mover; for one that keeps its bearing 5 are enough, 3 if it heads "
-        "at us",
+        description="minimum number of tracks of a new mover; 5 for an expanding object at constant bearing, 3 if it "
+        "heads at us",
     )
     scene_gate: PositiveFloat = Field(
-        default=5.0, description="misfit on the scene's path, over the usual one, from which a track contradicts it"
+        default=5.0,
+        description="reduced chi-square on the scene's motion, over the median of its own tracks, above which a track "
+        "contradicts the scene",
     )
-    gain: PositiveFloat = Field(default=4.0, description="how much better its own path explains a new mover's tracks")
+    gain: PositiveFloat = Field(
+        default=4.0, description="ratio by which a new mover's own motion has to reduce the chi-square of its tracks"
+    )
     confirm_frames: int = Field(
-        default=3, ge=1, description="frames in which a new mover or obstacle is found before it gets its cluster_id"
+        default=3,
+        ge=1,
+        description="frames in which a new mover or obstacle has to be found before it gets its cluster_id",
     )
     forget_frames: int = Field(
         default=2, ge=0, description="frames for which a mover with fewer than three tracks keeps them"
@@ -96,7 +106,7 @@ class BodiesConfig(StageConfig):
 
 
 class CollisionTimesConfig(StageConfig):
-    """Which of the estimators gives the times, and over which frames."""
+    """Which estimator gives the times, and from which frames."""
 
     estimator: Literal["multi-frame", "three-frame", "two-frame"] = "multi-frame"
     smooth: bool = Field(
@@ -106,10 +116,11 @@ class CollisionTimesConfig(StageConfig):
         default=20,
         ge=3,
         le=100,
-        description="multi-frame: most views of a track; above 30 frames/s thinned, to reach as far back as at 30",
+        description="multi-frame: maximum number of views of a track; above 30 frames/s they are thinned to span the "
+        "same time as at 30",
     )
     object_window_s: PositiveFloat = Field(
-        default=0.6, description="multi-frame: how far back a mover is looked at; cars brake within a second"
+        default=0.6, description="multi-frame: length of the window of a mover; cars brake within a second"
     )
     window_probability: Fraction = Field(
         default=0.999, description="multi-frame: chi-square probability within which one motion explains the views"
@@ -118,7 +129,7 @@ class CollisionTimesConfig(StageConfig):
         default=10,
         ge=1,
         le=60,
-        description="largest gap of the flexible baseline, in views: frames, but above 30 frames/s thinned",
+        description="largest gap of the flexible baseline, in views (frames; above 30 frames/s thinned)",
     )
     target_flow_px: PositiveFloat = Field(default=8.0, description="the gap grows until the flow is this long")
 
@@ -139,7 +150,8 @@ class EventsConfig(StageConfig):
     confidence: Fraction = Field(default=0.95, description="probability of approach that a warning needs")
     persistence_s: PositiveFloat = Field(
         default=0.25,
-        description="how long the condition has to hold, and to be gone; less for who brakes surer than `confidence`",
+        description="how long the condition has to hold before a warning starts, and to be gone before it ends; "
+        "shorter for an object that brakes with more than `confidence`",
     )
 
 
@@ -152,52 +164,57 @@ class OverlayConfig(StageConfig):
 
 
 class HorizonCalibrationConfig(StageConfig):
-    """How the horizon is found from what moves in straight lines."""
+    """How the horizon is estimated from objects that move in straight lines."""
 
-    moving: bool = Field(default=False, description="the camera drives: its own motion tells the horizon")
-    roll_zero: bool = Field(default=False, description="the camera stands level: one direction is enough")
-    min_track_s: PositiveFloat = Field(default=0.3, description="shortest track that is looked at, s")
-    min_path_px: PositiveFloat = Field(default=8.0, description="least distance between a track's ends, px")
-    min_tracks: int = Field(default=6, ge=2, description="least number of tracks of a mover")
+    moving: bool = Field(default=False, description="the camera drives: its own motion determines the horizon")
+    roll_zero: bool = Field(default=False, description="the camera has no roll: one direction is enough")
+    min_track_s: PositiveFloat = Field(default=0.3, description="shortest track that is used, s")
+    min_path_px: PositiveFloat = Field(default=8.0, description="minimum distance between a track's ends, px")
+    min_tracks: int = Field(default=6, ge=2, description="minimum number of tracks of a mover")
     min_motion_s: PositiveFloat = Field(default=0.8, description="shortest motion, s: most of a stride")
-    max_motion_s: PositiveFloat = Field(default=4.0, description="longer motions are looked at piece by piece, s")
+    max_motion_s: PositiveFloat = Field(default=4.0, description="longer motions are cut into pieces of this length, s")
     link_part: Fraction = Field(default=0.06, description="neighbours are nearer than this part of the picture's width")
     speed_change_hz: PositiveFloat = Field(
         default=0.15, description="standard deviation of the change of speed, parts of the speed per s"
     )
     turn_sigma_deg_s: PositiveFloat = Field(
-        default=0.7, description="standard deviation of the turning of what counts as straight, deg/s"
+        default=0.7, description="standard deviation of the turn rate of motion that counts as straight, deg/s"
     )
     max_turn_deg: PositiveFloat = Field(default=4.0, description="a path that turns by more is curved, deg")
     error_memory_s: PositiveFloat = Field(
-        default=0.6, description="errors of a mover's tracks hang together over this time, s: half a stride"
+        default=0.6, description="correlation time of the errors of a mover's tracks, s: half a stride"
     )
-    max_sigma_deg: PositiveFloat = Field(default=15.0, description="an epipole less certain than this is none, deg")
-    floor_deg: PositiveFloat = Field(default=0.02, description="epipoles scatter by this even where they agree, deg")
+    max_sigma_deg: PositiveFloat = Field(
+        default=15.0, description="an epipole with a larger standard deviation is not used, deg"
+    )
+    floor_deg: PositiveFloat = Field(default=0.02, description="minimum scatter of epipoles, deg")
     picture_sigma_factor: float = Field(
-        default=2.0, ge=1, description="epipoles from pictures are this much less certain than their tracks say"
+        default=2.0, ge=1, description="factor on the standard deviation of epipoles found from pictures"
     )
     rigid_noise_px: PositiveFloat = Field(
         default=0.3,
         description="scatter about a body, px, above which its epipole's sigma grows in proportion",
     )
     outline_sigma_factor: float = Field(
-        default=1.5, ge=1, description="epipoles from outlines are this much less certain than they say"
+        default=1.5, ge=1, description="factor on the standard deviation of epipoles found from outlines"
     )
     picture_floor_deg: PositiveFloat = Field(
         default=0.2,
-        description="least standard deviation of an epipole found from pictures, deg: its tracks err alike",
+        description="minimum standard deviation of an epipole found from pictures, deg: errors that its tracks have in "
+        "common",
     )
     min_drive_s: PositiveFloat = Field(default=2.0, description="shortest own motion of a driving camera, s")
     driving_floor_deg: PositiveFloat = Field(
-        default=0.2, description="a driving car leans by this beside the road, deg: not measurable, in the band"
+        default=0.2,
+        description="standard deviation of a car's roll relative to the road, deg: cannot be measured, and widens the "
+        "band",
     )
-    min_motions: int = Field(default=3, ge=2, description="least number of straight motions")
+    min_motions: int = Field(default=3, ge=2, description="minimum number of straight motions")
     one_direction_probability: Fraction = Field(
-        default=0.9999, description="probability at which the directions are told apart"
+        default=0.9999, description="probability at which two directions count as different"
     )
     min_spread_deg: PositiveFloat = Field(
-        default=10.0, description="least sure angle between two of the directions, deg"
+        default=10.0, description="minimum certain angle between two of the directions, deg"
     )
     max_band_part: Fraction = Field(
         default=0.15, description="widest 95 % band (half its width) at the centre, part of the picture's height"
@@ -254,7 +271,7 @@ class SensitivityConfig(StageConfig):
 
 
 class CollisionMapConfig(StageConfig):
-    """What would change of our own velocity lead to: scale, own size, limits, and the map itself."""
+    """What a change of own velocity leads to: scale, own size, limits, and the map itself."""
 
     ego_speed: str | None = Field(
         default=None, description="own speed: 13.9 (m/s), 50km/h, or FILE:COLUMN of a table with frame or t_s"
@@ -267,9 +284,9 @@ class CollisionMapConfig(StageConfig):
     length_m: PositiveFloat | None = Field(default=None, description="own length; a scene knows its own, else 4.5")
     height_m: PositiveFloat | None = Field(default=None, description="own height; a scene knows its own, else 1.5")
     look_ahead_s: float = Field(default=5.0, gt=0, le=60, description="collisions later than this do not count")
-    warn_s: float = Field(default=3.5, gt=0, le=60, description="an advice is given for a contact earlier than this")
+    warn_s: float = Field(default=3.5, gt=0, le=60, description="advice is given for contacts earlier than this")
     max_probability: Fraction = Field(
-        default=0.1, description="probability of a collision above which an advice is given, and to which it leads"
+        default=0.1, description="probability of a collision above which advice is given, and to which it leads"
     )
     braking_m_s2: PositiveFloat = Field(default=6.0, description="hardest braking")
     sideways_m_s2: PositiveFloat = Field(default=3.0, description="largest acceleration sideways")

@@ -52,4 +52,4 @@ def test_a_drive_along_the_view_says_what_goes_our_way():
     for result in frames(direction=AHEAD):
         watch.add(result)
     (limit,) = watch.limits(Platform.free)
-    assert "no road is looked for with --platform free" in limit["text"]
+    assert "the road is not used with --platform free" in limit["text"]

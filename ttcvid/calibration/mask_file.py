@@ -1,4 +1,4 @@
-"""Masks: pictures that are black where nothing is to be looked at."""
+"""Masks: pictures that are black where nothing is to be analysed."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def read_mask(path: Path, image_size: ImageSize) -> Picture:
     claimed = size_in_header(content)
     if claimed is None:
         raise CalibrationError(
-            f"{path}: no picture that can be read; expected a mask of {image_size}, black where nothing is to be seen: "
-            "save it as PNG"
+            f"{path}: no picture that can be read; expected a mask of {image_size}, black where nothing is to be "
+            "analysed: save it as PNG"
         )
     _require_size(path, claimed, image_size)  # before it is decoded: a few bytes can claim gigabytes
     try:
@@ -47,7 +47,7 @@ def read_mask(path: Path, image_size: ImageSize) -> Picture:
         ) from error
     if picture is None:
         raise CalibrationError(
-            f"{path}: no picture; expected a mask of {image_size}, black where nothing is to be seen"
+            f"{path}: no picture; expected a mask of {image_size}, black where nothing is to be analysed"
         )
     _require_size(path, (picture.shape[1], picture.shape[0]), image_size)
     return _black_or_white(path, picture, JPEG_BLACK_LEVEL if content.startswith(_JPEG_START) else 0)

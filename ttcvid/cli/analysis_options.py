@@ -13,7 +13,7 @@ from ttcvid.cli.grouped import option_under
 ESTIMATORS = ("multi-frame", "three-frame", "two-frame")
 PLATFORMS = ("auto", "vehicle", "aircraft", "free", "static")
 
-_camera_option = option_under("Camera (without one: found in a clip that turns, else 55 deg assumed, and said)")
+_camera_option = option_under("Camera (default: focal length estimated where the camera turns, else 55 deg assumed)")
 
 
 def analysis_options() -> Callable[[Command], Command]:
@@ -32,7 +32,7 @@ def analysis_options() -> Callable[[Command], Command]:
         method_option(
             "--platform",
             type=click.Choice(PLATFORMS),
-            help="What carries the camera: expectations of its own motion; auto: told by the clip.  [default: auto]",
+            help="What carries the camera: the prior of its motion; auto: decided from the clip.  [default: auto]",
         ),
         tracker_option(),
         method_option(

@@ -35,7 +35,7 @@ def analyze(
     settings: tuple[str, ...],
     **options: Any,
 ) -> None:
-    """Find what moves on its own in INPUT, when each thing comes closest, and how far off it passes.
+    """Find what moves by itself in INPUT, when each object comes closest, and how far off it passes.
 
     INPUT is a video, a folder or pattern of pictures (frames/%06d.png, 'frames/*.png'), or a table of point tracks
     (.parquet or .csv with frame, t_s, track_id, x_px, y_px).

@@ -54,8 +54,8 @@ def batch(
       ttcvid batch clips/ -o results --jobs 2
       ttcvid batch 'clips/**/front.mp4' batch.csv -o results --platform vehicle
 
-    What the folder holds already and is the same (input, version, configuration) is kept: started again, a batch goes
-    on where it was stopped. A clip that fails is tried once more, and does not stop the rest.
+    Results in the folder with the same input, version and configuration are kept: started again, a batch resumes
+    where it was stopped. A clip that fails is tried once more, and does not stop the rest.
 
     Exit codes: 0 every clip is complete, 2 usage, configuration or output folder, 3 an input is not there, 4 some
     clips failed or end early, 130 stopped by a signal.

@@ -17,7 +17,7 @@ from ttcvid.cli.clip_options import (
 )
 from ttcvid.cli.grouped import GroupedCommand, option_under
 
-_camera_option = option_under("Camera (without one, 55 deg horizontal field of view is assumed, and said)")
+_camera_option = option_under("Camera (default: a horizontal field of view of 55 deg is assumed)")
 
 
 @click.command(cls=GroupedCommand, short_help="The horizon of a camera from things that move in straight lines.")
@@ -39,11 +39,11 @@ _camera_option = option_under("Camera (without one, 55 deg horizontal field of v
 @message_options()
 @_camera_option("--camera", metavar="FILE", help="Intrinsics and distortion, as for analyze.")
 @clip_options(_camera_option)
-@method_option("--moving", is_flag=True, default=None, help="The camera drives: its own motion tells the horizon.")
-@method_option("--roll-zero", is_flag=True, default=None, help="The camera stands level: one direction is enough.")
+@method_option("--moving", is_flag=True, default=None, help="The camera drives: its own motion determines the horizon.")
+@method_option("--roll-zero", is_flag=True, default=None, help="The camera has no roll: one direction is enough.")
 @tracker_option()
 @method_option(
-    "--platform", type=click.Choice(("vehicle", "free", "static")), help="static: believe without a look that it rests."
+    "--platform", type=click.Choice(("vehicle", "free", "static")), help="static: skip the check that the camera rests."
 )
 @configuration_options("horizon_calibration.min_motions=4")
 @click.pass_context
@@ -62,8 +62,8 @@ def calibrate_horizon(
 ) -> None:
     """Find the horizon of a camera in CLIP, or in several clips of the same camera in the same place.
 
-    A resting camera that watches several things move in straight lines, in different directions, sees each make for a
-    point of the horizon. Where that is not so, the result is "undetermined": exit code 5, and no file.
+    A resting camera finds it from several objects that move in straight lines, in different directions. Where the clip
+    does not determine it, the result is "undetermined": exit code 5, and no file.
 
     \b
       ttcvid calibrate-horizon street.mp4 --camera calib.yaml -o horizon.yaml --evidence look

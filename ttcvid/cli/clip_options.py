@@ -15,8 +15,8 @@ Option = Callable[..., Callable[[Command], Command]]
 TRACKERS = ("klt", "akaze")
 
 _IMAGE_SIZE = "Picture size in px of a track table without a camera file."
-_MAX_IMAGE_MPX = "Leave out pictures that claim more, in 10^6 pixels.  [default: 100]"
-_MASK = "Picture, black where nothing is to be looked at (own bonnet, text)."
+_MAX_IMAGE_MPX = "Skip pictures whose header claims more, in 10^6 pixels.  [default: 100]"
+_MASK = "Picture, black where nothing is to be analysed (own bonnet, text)."
 _FPS = "Frame rate of an image folder; of a video, instead of its own times."
 _TIMESTAMPS = "Times of all frames in seconds, one a line, or in KITTI's format."
 
@@ -36,7 +36,7 @@ def clip_options(camera_option: Option[Any]) -> Callable[[Command], Command]:
         _time_option("--fps", metavar="HZ", help=_FPS),
         _time_option("--timestamps", metavar="FILE", help=_TIMESTAMPS),
         _time_option("--start", metavar="PLACE", help="First frame or time.  [default: the beginning]"),
-        _time_option("--end", metavar="PLACE", help="End, itself left out.  [default: the end]"),
+        _time_option("--end", metavar="PLACE", help="End (excluded).  [default: the end]"),
         _time_option("--stride", metavar="N", help="Take every N-th frame.  [default: 1]"),
     )
 
@@ -51,15 +51,15 @@ def message_options() -> Callable[[Command], Command]:
 
 
 def tracker_option() -> Callable[[Command], Command]:
-    """How points are followed."""
-    return method_option("--tracker", type=click.Choice(TRACKERS), help="How points are followed.  [default: klt]")
+    """How points are tracked."""
+    return method_option("--tracker", type=click.Choice(TRACKERS), help="How points are tracked.  [default: klt]")
 
 
 def configuration_options(example: str) -> Callable[[Command], Command]:
     """A file of settings, and single ones; ``example`` is a setting that means something to the command."""
     return in_order(
         method_option(
-            "--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, and is weaker."
+            "--config", metavar="FILE", help="TOML configuration; ./ttcvid.toml is read as well, with lower precedence."
         ),
         method_option(
             "--set",

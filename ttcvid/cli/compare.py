@@ -37,7 +37,7 @@ def compare(
     junit: Path | None,
     quiet: bool,
 ) -> None:
-    """Whether RUN gives the same results as BASELINE: output folders of analyze, or a baseline file of regress.
+    """Compare the results of RUN with those of BASELINE: output folders of analyze, or a baseline file of regress.
 
     \b
       ttcvid analyze clip.mp4 -o today

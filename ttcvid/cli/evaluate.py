@@ -37,7 +37,7 @@ def evaluate(
     conditions: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    """Hold RUN (the output folder of analyze) against TRUTH (the folder of simulate, or tables of the same columns).
+    """Compare RUN (the output folder of analyze) with TRUTH (the folder of simulate, or tables of the same columns).
 
     \b
       ttcvid simulate sample_configs/scenes/roundabout.yaml -o scene

@@ -15,7 +15,7 @@ MAX_DETAILS = 40
 
 @click.command(short_help="Analyse the clips of a suite again and say what got different.")
 @click.argument("suite", type=click.Path(path_type=Path))
-@click.option("--update", is_flag=True, help="Write the baselines anew and show what that changes.")
+@click.option("--update", is_flag=True, help="Rewrite the baselines and show what changes.")
 @click.option("--only", metavar="NAME", multiple=True, help="This clip only. Repeatable.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Clips at a time.")
 @click.option(
@@ -45,7 +45,7 @@ def regress(
 
     Prints a line a clip and writes a JUnit file. Baselines are small text files that live beside the suite.
 
-    Exit codes: 0 all as expected (or skipped), 1 something got different, 2 suite or baseline cannot be used,
+    Exit codes: 0 all as expected (or skipped), 1 something changed, 2 suite or baseline cannot be used,
     3 a clip is missing or cannot be read.
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     from ttcvid.jobs.regress.command import regress as run_suite

@@ -47,7 +47,7 @@ def sensitivity(
     quiet: bool,
     **options: str | None,
 ) -> None:
-    """How the errors of the direction of motion and of the time to collision grow, and up to which distance they serve.
+    """How the errors of the direction of motion and of the time to collision grow, and how far they are useful.
 
     Compares the paper's planar method (two pictures and a horizon) and general method (three pictures), whole tracks
     by maximum likelihood, and a stereo pair: by closed form, by Cramer-Rao bound, and by Monte-Carlo of the functions

@@ -102,7 +102,7 @@ def _own_motion_sentences(contents: RunContents) -> list[str]:
     if not bad:
         return []
     listed = ", ".join(f"{count} {status}" for status, count in sorted(bad.items()))
-    return [f"{sum(bad.values())} of {counted(n, 'frame')} tell nothing of own motion ({listed})."]
+    return [f"{sum(bad.values())} of {counted(n, 'frame')} do not determine own motion ({listed})."]
 
 
 def assumptions(contents: RunContents) -> list[Assumption]:
@@ -113,11 +113,11 @@ def assumptions(contents: RunContents) -> list[Assumption]:
     found.append(_platform(manifest))
     found.append(Assumption(_TIME_ORIGINS.get(str(manifest["input"].get("time_origin")), "")))
     if _value(settings, "collision_times", "smooth") == "True":
-        found.append(Assumption("Directions and times are made from frames on both sides; warnings are causal."))
+        found.append(Assumption("Directions and times use frames on both sides; warnings are causal."))
     else:
-        found.append(Assumption("Every value is causal: made of the frames up to its own."))
+        found.append(Assumption("Every value is causal: it uses the frames up to its own."))
     found.append(
-        Assumption("Times hold if everything keeps its velocity: what brakes or turns later comes at another time.")
+        Assumption("Times hold if everything keeps its velocity: what brakes or turns later arrives at another time.")
     )
     found.append(
         Assumption(
@@ -158,7 +158,7 @@ def _camera_assumptions(contents: RunContents) -> list[Assumption]:
         origin = {"focal_px": "--focal-px", "hfov_deg": "--hfov"}.get(camera.origin, PurePath(camera.origin).name)
         found = [Assumption(f"The focal length is {focal} ({hfov_deg:.0f}° horizontally), given by {origin}.")]
     if camera.distortion_model == "none":
-        found.append(Assumption("The lens bends no lines."))
+        found.append(Assumption("The lens is taken as free of distortion."))
     else:
         found.append(Assumption(f"The lens is described by the model {camera.distortion_model}."))
     return found

@@ -38,7 +38,7 @@ def with_found_focal(input_: str, calibration: Calibration, configuration: Confi
     with open_clip(input_, configuration.options) as source:
         found = find_focal_length(_seen_points(source, calibration, pipeline), camera.image_size)
     if found is None:
-        _LOG.info("%s: its first %d frames do not tell the focal length", input_, MOST_FRAMES)
+        _LOG.info("%s: its first %d frames do not determine the focal length", input_, MOST_FRAMES)
         return calibration
     sigma_px = found.sigma * found.focal_px
     _LOG.info("%s: focal length found: %.1f +- %.1f px", input_, found.focal_px, sigma_px)

@@ -59,7 +59,8 @@ class LimitWatch:
         if not self.track_counts or np.median(self.track_counts) >= _LITTLE_TEXTURE:
             return None
         n = int(np.median(self.track_counts))
-        return Limit("little texture", f"{n} tracks in the median frame: what is small or plain has too few to be seen")
+        text = f"{n} tracks in the median frame: small or plain objects have too few to be found"
+        return Limit("little texture", text)
 
     def _few_points(self) -> Limit | None:
         objects = [(n, total) for n, total in self.rows_of_objects.values() if n >= _LEAST_FRAMES]
@@ -73,12 +74,13 @@ class LimitWatch:
         if platform == Platform.static or self.n_turns_only < _OFTEN * max(self.n_frames, 1):
             return None
         text = f"no own travel is seen in {self.n_turns_only} of {counted(self.n_frames, 'frame')} (rotation_only): "
-        return Limit("own travel unseen", text + "at rest, or before plain sky, what comes straight at us looks static")
+        text += "at rest, or before a plain sky, what heads straight at the camera looks static"
+        return Limit("own travel unseen", text)
 
     def _own_direction(self, platform: Platform) -> Limit | None:
         if self.n_ahead < _OFTEN * max(self.n_frames, 1):
             return None
-        text = "what moves along our own direction at constant speed looks like a static thing at another depth: "
+        text = "what moves along our own direction at constant speed looks like a static point at another depth: "
         if platform == Platform.vehicle:
-            return Limit("own direction", f"{text}it is found late, by the road under it, and else not")
-        return Limit("own direction", f"{text}no road is looked for with --platform {platform.value}")
+            return Limit("own direction", f"{text}it is found late, by the road below it, or not at all")
+        return Limit("own direction", f"{text}the road is not used with --platform {platform.value}")

@@ -238,7 +238,7 @@ def most_telling(advices: list[Evasion]) -> int:
     with_map = (EvasionStatus.no_danger, EvasionStatus.unknown)
     known = [n for n, advice in enumerate(advices) if advice.status in with_map]
     if not known:
-        raise UsageError("no frame has anything with a known distance, so there is nothing to draw a map of")
+        raise UsageError("no frame has anything with a known distance, so there is no map to draw")
     return max(known, key=lambda n: (advices[n].probability_now, -np.nan_to_num(advices[n].time_s, nan=np.inf), n))
 
 
