@@ -1,7 +1,7 @@
-"""What is around us in coordinates that run along our own bend: a straight road of what is a bend.
+"""Road coordinates along our own bend: a circular road becomes a straight one.
 
-Who drives along a bend goes straight in them, and so does what stands still: the angle about the centre of our circle
-is the way along the road, the distance from the circle the place across it.
+In these coordinates whoever follows the bend moves straight, and so does what stands still: the angle about the centre
+of our circle is the distance along the road, the distance from the circle the lateral position.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ _LEAST_PART = 1e-6
 
 @dataclass(frozen=True)
 class Straightened:
-    """A thing beside a straight road: ``place (3,)`` and ``velocity (3,)`` relative to us, to the right, down, ahead.
+    """An object in road coordinates: ``place (3,)`` and ``velocity (3,)`` relative to us, axes right, down, ahead.
 
-    The velocity is ``jacobian (3, 3)`` times that in the camera, and a constant.
+    Same unit of length as the input. The velocity is ``jacobian (3, 3)`` times that in the camera frame, plus a
+    constant.
     """
 
     place: Floats
@@ -36,18 +37,24 @@ class Straightened:
 
 
 def straightened(place: Floats, velocity: Floats, heading: Floats, speed: float, turn_rad_s: float) -> Straightened:
-    """A thing in coordinates along our circle; our way ahead is the axis "ahead".
+    """Position and velocity of an object in coordinates along our own circle; our heading is the axis "ahead".
 
-    With R = speed / turn to the right, the place (B, A) to our right and ahead has the angle phi of (R - B, A) about
-    the centre and its distance r from it: it lies R - r across and R phi along. What stands still, what goes along
-    the road on a circle about the same centre, and what crosses the road at a right angle has a velocity there that
-    lasts.
+    With R = speed / turn rate, positive to the right, the point (B, A) to our right and ahead has the angle phi of (R -
+    B, A) about the centre and its distance r from it: it lies R - r to the side and R phi along the road. What stands
+    still, what follows the road on a circle about the same centre, and what crosses it at a right angle has a constant
+    velocity there.
 
     Parameters
     ----------
-    place, velocity : (3,) relative to the camera, in any unit of length, y down.
-    heading, speed : (3,) where we drive now, and how fast in that unit; level to the plane of x and z.
-    turn_rad_s : how fast we turn to the right. Nothing is straightened where we go straight on, and behind the centre.
+    place, velocity
+        ``(3,)`` relative to the camera, in any one unit of length (velocity: per s), y down.
+    heading
+        ``(3,)`` unit vector of our direction of travel, in the plane of x and z.
+    speed
+        Our speed, in that unit per s.
+    turn_rad_s
+        Our turn rate, positive to the right. Where it is 0, and behind the centre, the coordinates are the camera's
+        own.
     """
     level = math.hypot(heading[0], heading[2])
     ahead_x, ahead_z = heading[0] / level, heading[2] / level
@@ -70,5 +77,5 @@ def straightened(place: Floats, velocity: Floats, heading: Floats, speed: float,
 
 
 def share_of_bend(turn_rad_s: float) -> float:
-    """The part of a turn that is a bend and lasts: the rest is steering to and fro in a lane."""
+    """Share of a turn rate (rad/s) that belongs to a bend, 0 to 1; the rest is steering within a lane."""
     return turn_rad_s**2 / (turn_rad_s**2 + _WOBBLE_RAD_S**2)

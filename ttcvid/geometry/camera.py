@@ -1,4 +1,4 @@
-"""From pixels to rays and back, through the lens: NaN in gives NaN out."""
+"""Between pixels and rays, through the lens. NaN in gives NaN out."""
 
 from __future__ import annotations
 
@@ -13,10 +13,19 @@ UNDISTORTION_TOLERANCE_PX = 5e-11
 
 
 def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
-    """Undistorted rays ``(N, 3)`` with z = 1 of distorted source pixels ``(N, 2)``.
+    """Undistorted rays of distorted source pixels.
 
-    NaN where no ray leads to the pixel: outside of what the lens model can reach, and, since z = 1 cannot hold it, at
-    90 deg or more off the axis of a fisheye lens.
+    Parameters
+    ----------
+    camera
+        Intrinsics and distortion.
+    xy_px
+        ``(N, 2)`` source pixels.
+
+    Returns
+    -------
+    ``(N, 3)`` rays with z = 1, camera frame. NaN where no ray leads to the pixel: outside of what the lens model
+    reaches, and, since z = 1 cannot represent it, at 90 deg or more off the axis of a fisheye lens.
 
     Raises
     ------
@@ -56,10 +65,21 @@ def _fill_rays(xy: Floats, rays: Floats) -> None:
 
 
 def plane_per_px(camera: Camera, rays: Floats) -> Floats:
-    """How much of the plane z = 1 a pixel spans at rays ``(N, 3)``, as a length: the root of its area there, (N,).
+    """Length in the plane z = 1 that one pixel spans at each ray: the square root of the area of a pixel.
 
-    One over the focal length without distortion; a fisheye lens crowds the more into a pixel the farther off the axis.
-    That of the axis for rays without one (NaN, z <= 0, where the lens model folds over).
+    Without distortion that is one over the focal length; a fisheye lens packs more into a pixel the farther off the
+    axis.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics and distortion.
+    rays
+        ``(N, 3)`` of any length, camera frame.
+
+    Returns
+    -------
+    ``(N,)`` without unit; the value at the axis where a ray has none (NaN, z <= 0, where the lens model folds over).
 
     >>> from ttcvid.model import ImageSize
     >>> camera = Camera(100.0, 100.0, 320.0, 240.0, ImageSize(640, 480), "fisheye", (0.0, 0.0, 0.0, 0.0))
@@ -78,9 +98,18 @@ def plane_per_px(camera: Camera, rays: Floats) -> Floats:
 
 
 def pixels_from_rays(camera: Camera, rays: Floats) -> Floats:
-    """Distorted source pixels ``(N, 2)`` of rays or points ``(N, 3)`` of any length, in the camera frame.
+    """Distorted source pixels of rays or points.
 
-    NaN for z <= 0 (behind the camera or in its picture plane) and where the lens model folds over.
+    Parameters
+    ----------
+    camera
+        Intrinsics and distortion.
+    rays
+        ``(N, 3)`` of any length, camera frame.
+
+    Returns
+    -------
+    ``(N, 2)`` px; NaN for z <= 0 (behind the camera or in its picture plane) and where the lens model folds over.
 
     Raises
     ------

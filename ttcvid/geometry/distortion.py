@@ -1,7 +1,7 @@
-"""Lens distortion with OpenCV's coefficients, forth and back, on the plane z = 1.
+"""Lens distortion with OpenCV's coefficients and its inverse, on the plane z = 1.
 
-A lens model is a bijection only out to where it folds over: from there on it sends two rays to one place. Both
-directions stop there and give NaN, so that what is distorted can be undistorted.
+A lens model is one-to-one only out to where it folds over: beyond, two rays have the same image. Both directions end
+there and give NaN, so that whatever is distorted can be undistorted.
 """
 
 from __future__ import annotations
@@ -24,9 +24,20 @@ _MAX_TABLE_RADIUS = np.tan(np.radians(89.5))
 
 
 def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
-    """Distorted places ``(N, 2)`` of undistorted ones ``(N, 2)``, both on the plane z = 1.
+    """Apply a lens model to points of the plane z = 1.
 
-    NaN beyond the place where the lens model folds over.
+    Parameters
+    ----------
+    model
+        ``none``, ``plumb_bob``, ``rational`` or ``fisheye``.
+    coefficients
+        As many as the model has, in OpenCV's order.
+    xy
+        ``(N, 2)`` undistorted points.
+
+    Returns
+    -------
+    ``(N, 2)`` distorted points; NaN beyond the fold of the lens model.
 
     Raises
     ------
@@ -61,7 +72,16 @@ def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
 
 
 def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
-    """How many times smaller or larger `distort` makes a small area at each place ``(N, 2)``: its Jacobian, (N,).
+    """Factor by which `distort` scales a small area at each point: the determinant of its Jacobian.
+
+    Parameters
+    ----------
+    model, coefficients, xy
+        As in `distort`.
+
+    Returns
+    -------
+    ``(N,)`` without unit.
 
     >>> distorted_area("fisheye", (0.0, 0.0, 0.0, 0.0), np.array([[0.0, 0.0], [np.sqrt(3.0), 0.0]])).round(4)
     array([1.    , 0.1511])
@@ -80,10 +100,21 @@ def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> F
 
 
 def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats, tolerance: float) -> Floats:
-    """Undistorted places ``(N, 2)`` of distorted ones ``(N, 2)``, both on the plane z = 1: the inverse of `distort`.
+    """Invert a lens model on the plane z = 1, by Newton's method.
 
-    Newton's method until `distort` gives the place back within ``tolerance`` (a length on the plane z = 1). NaN where
-    it does not get there: no undistorted place leads here, or it is at the fold, or 90 deg or more off the axis.
+    Parameters
+    ----------
+    model, coefficients
+        As in `distort`.
+    xy_distorted
+        ``(N, 2)`` distorted points.
+    tolerance
+        The iteration ends where `distort` reproduces the point within this length on the plane z = 1.
+
+    Returns
+    -------
+    ``(N, 2)`` undistorted points; NaN where the iteration does not converge: no undistorted point leads there, or it is
+    at the fold, or 90 deg or more off the axis.
 
     Raises
     ------

@@ -44,7 +44,17 @@ def flow_line_distance_px(epipole_px: Floats, first_px: Floats, second_px: Float
 
 
 def flow_normals(first_px: Floats, second_px: Floats) -> Floats:
-    """Unit normals ``(N, 2)`` of flow lines, (-t_y, t_x) / abs(t) with t the flow; NaN where there is no flow."""
+    """Unit normals of flow lines in the picture: (-t_y, t_x) / abs(t) with t the flow.
+
+    Parameters
+    ----------
+    first_px, second_px
+        ``(N, 2)`` undistorted.
+
+    Returns
+    -------
+    ``(N, 2)``; NaN where there is no flow.
+    """
     flow = second_px - first_px
     normal = np.stack([-flow[:, 1], flow[:, 0]], axis=1)
     length = np.hypot(flow[:, 0], flow[:, 1])[:, None]

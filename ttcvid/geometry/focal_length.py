@@ -1,7 +1,7 @@
-"""The focal length of a camera from how points of a static scene move in its pictures (self-calibration).
+"""Self-calibration: the focal length of a camera from the motion of points of a static scene.
 
-A wrong focal length turns the picture of a rotating camera into something that no rotation and no motion past static
-points explains. How much a clip tells depends on how far the camera turns: the standard deviation says it.
+With a wrong focal length, no rotation and no motion past static points explains what a turning camera sees. How well a
+clip determines it depends on how far the camera turns, and is part of the result.
 """
 
 from __future__ import annotations
@@ -40,9 +40,11 @@ _DIRECTIONS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [-1.
 
 @dataclass(frozen=True)
 class FocalFit:
-    """``log_focal`` (f in px) with ``sigma``; ``spread_px`` of the residuals; ``behind`` part of the points that would
-    lie behind the camera; ``lens_chi2`` how far principal point and distortion are from what lenses have (three
-    degrees of freedom); ``turned_rad`` how far the camera has turned at most, but for turns about its optical axis.
+    """``log_focal`` (f in px) with its standard deviation ``sigma``, and how well the views fit.
+
+    ``spread_px`` of the residuals; ``behind`` the share of points that would lie behind the camera; ``lens_chi2``
+    chi-square (three degrees of freedom) of principal point and distortion against what lenses have; ``turned_rad`` the
+    largest turn of the camera, without turns about its optical axis.
     """
 
     log_focal: float
@@ -54,16 +56,25 @@ class FocalFit:
 
 
 def fit_focal_length(views: Views, t_s: Floats, width_px: float, least_turn_rad: float) -> FocalFit | None:
-    """The focal length that makes all views of a static scene agree; None where the camera turns too little.
+    """Focal length that makes all views of a static scene consistent, by bundle adjustment.
 
-    Principal point and radial distortion are unknown as well, within narrow priors: not to find them, but because what
-    they may be makes the focal length uncertain.
+    Principal point and radial distortion are unknowns within narrow priors: not to estimate them, but because their
+    possible values make the focal length uncertain.
 
     Parameters
     ----------
-    t_s : (J,) times of the frames; where the search starts, the speed is taken as steady.
-    width_px : width of the picture.
-    least_turn_rad : if the camera turned less than this at the first trial focal length, return None.
+    views
+        Positions of the points in the views.
+    t_s
+        ``(J,)`` times of the frames; the start assumes a constant speed.
+    width_px
+        Width of the picture.
+    least_turn_rad
+        Smallest turn of the camera that is used.
+
+    Returns
+    -------
+    None where the camera turns by less than ``least_turn_rad`` at the first trial focal length, or no start converges.
     """
     mean = np.array([np.log(width_px), 0.0, 0.0, 0.0])
     sigma = np.array([_LOG_FOCAL_SIGMA, _CENTRE_SIGMA * width_px, _CENTRE_SIGMA * width_px, _DISTORTION_SIGMA])

@@ -1,4 +1,4 @@
-"""The steps of whoever walks, in how high the head is: it goes up and down once a step."""
+"""The steps of a pedestrian from the height of the head, which goes up and down once per step."""
 
 from __future__ import annotations
 
@@ -26,28 +26,32 @@ _LEAST_STEPS, _LEAST_PICTURES = 2.5, 2.0
 
 @dataclass(frozen=True)
 class Wave:
-    """Steps at ``steps_hz``: their ``terms (N, 2)``, in which heights that bob are linear."""
+    """Steps at ``steps_hz``, with the sine and cosine ``terms (N, 2)`` in which the height is linear."""
 
     steps_hz: float
     terms: Floats
 
 
 def find_steps(height: Floats, t_s: Floats, size: Floats, weight: Floats) -> Wave | None:
-    """The steps that make a height bob, None where there are none for sure.
+    """The frequency of steps in the height of a head.
 
-    An F test of the best wave against waves of other frequencies about it, so that scatter which hangs together from
-    picture to picture makes few; for as many frequencies as the time tells apart.
+    An F test of the best frequency against the other frequencies around it, so that scatter that is correlated from
+    picture to picture causes few false detections; corrected for the number of frequencies that the duration resolves.
 
     Parameters
     ----------
     height
-        ``(N,)`` of the head, less its way.
+        ``(N,)`` height of the head, its trend removed.
     t_s
-        ``(N,)`` ascending.
+        ``(N,)`` ascending times.
     size
-        ``(N,)`` height of the whole figure, in the same units: bobbing is a part of it.
+        ``(N,)`` height of the whole figure, in the same unit: the amplitude is proportional to it.
     weight
-        ``(N,)`` 0 .. 1, small for what is something else.
+        ``(N,)`` 0 to 1, small for outliers.
+
+    Returns
+    -------
+    None where no steps are significant.
     """
     window_s = float(np.ptp(t_s))
     if window_s <= 0 or float(np.median(np.diff(t_s))) * _BACKGROUND_HZ[1] * _LEAST_PICTURES > 1.0:

@@ -14,10 +14,21 @@ from ttcvid.model import Camera, Floats, Horizon
 
 
 def normal_from_horizon(camera: Camera, horizon: Horizon) -> Floats:
-    """Unit normal ``(3,)`` of the plane through the focal point and the horizon line, pointing up.
+    """Unit normal of the plane through the focal point and the horizon line, pointing up.
 
-    The line is given in undistorted pixels, so only the camera matrix counts, not the distortion. A camera that has
-    turned since keeps the plane by turning the normal: ``cam_R_prev @ normal``.
+    The line is in undistorted pixels, so only the camera matrix counts, not the distortion. When the camera turns, the
+    normal turns with it: ``cam_R_prev @ normal``.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics.
+    horizon
+        Heights of the line at the left and the right border.
+
+    Returns
+    -------
+    ``(3,)`` in the camera frame.
 
     >>> from ttcvid.model import ImageSize
     >>> size = ImageSize(641, 481)
@@ -34,17 +45,19 @@ def normal_from_horizon(camera: Camera, horizon: Horizon) -> Floats:
 
 
 def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:
-    """The line ``normal . ray = 0`` in undistorted pixels: y at x = 0 and at x = width - 1.
+    """The horizon line ``normal . ray = 0`` in undistorted pixels.
 
     Parameters
     ----------
+    camera
+        Intrinsics.
     normal
         ``(3,)`` of any length and either sign.
 
     Returns
     -------
-    ``(y_left, y_right)`` in px; NaN where the line has no y there: it is upright in the picture (the camera lies on its
-    side), or lies at infinity (the camera looks straight up or down).
+    ``(y_left, y_right)`` in px, at x = 0 and x = width - 1. NaN where the line has no y there: it is vertical in the
+    picture (the camera lies on its side), or at infinity (the camera looks straight up or down).
 
     >>> from ttcvid.model import ImageSize
     >>> camera = Camera(fx_px=500.0, fy_px=500.0, cx_px=320.0, cy_px=240.0, image_size=ImageSize(641, 481))
@@ -60,7 +73,16 @@ def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:
 
 
 def pitch_roll_rad(normal: Floats) -> tuple[float, float]:
-    """Pitch (positive: looks down) and roll (positive: right side low) of a camera that sees the normal ``(3,)`` up.
+    """Pitch (positive: looks down) and roll (positive: right side low), from the upward normal of the ground.
+
+    Parameters
+    ----------
+    normal
+        ``(3,)`` unit vector in the camera frame.
+
+    Returns
+    -------
+    ``(pitch, roll)`` in rad.
 
     >>> pitch_roll_rad(np.array([0.0, -1.0, 0.0]))
     (-0.0, -0.0)

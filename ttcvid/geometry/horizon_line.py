@@ -1,7 +1,7 @@
-"""The horizon through the epipoles of several motions: total least squares on the unit sphere, robust over motions.
+"""The horizon through the epipoles of several motions: robust total least squares on the unit sphere.
 
-All directions of motion along a level ground are normal to the ground's normal n, so that ``n . dir = 0``: a great
-circle through the epipoles. On the sphere an epipole at infinity is a point like any other, and counts for the slope.
+All directions of motion on level ground are normal to the ground's normal n, so that ``n . dir = 0``: a great circle
+through the epipoles. On the sphere an epipole at infinity is a point like any other, and determines the slope.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ UP = np.array([0.0, -1.0, 0.0])
 
 @dataclass(frozen=True)
 class HorizonFit:
-    """A horizon: unit ``normal (3,)`` pointing up with ``covariance (3, 3)`` in its tangent plane, rad^2.
+    """A horizon: unit ``normal (3,)`` pointing up, with ``covariance (3, 3)`` in its tangent plane, rad^2.
 
-    ``is_used (K,)`` motions that agree with it, ``residual_rad (K,)`` the angle of each epipole above it, ``sigma_rad
-    (K,)`` its standard deviation there; ``scatter_rad`` what the epipoles scatter beyond their own covariances;
+    ``is_used (K,)`` marks the motions that agree with it; ``residual_rad (K,)`` is the angle of each epipole above it,
+    with standard deviation ``sigma_rad (K,)``; ``scatter_rad`` the scatter of epipoles beyond their own covariances;
     ``quantile`` the number of standard deviations of a 95 % band.
     """
 
@@ -52,11 +52,11 @@ class HorizonFit:
 def fit_horizon(
     directions: Floats, covariances: Floats, floor_rad: float, roll_sigma_rad: float | None = None
 ) -> HorizonFit | None:
-    """The great circle nearest to K epipoles, each weighted by its own covariance; None where none is determined.
+    """The great circle nearest to K epipoles, each weighted by its own covariance.
 
     The best pair of epipoles by truncated cost starts a Gauss-Newton search on the sum of ``(n.e)^2 / (n'Cn + s^2)``
-    over the motions that agree; s, the scatter that their covariances do not explain, is at least ``floor_rad`` and is
-    enlarged until the sum has the size that is to be expected (Paule and Mandel, 1982).
+    over the motions that agree; s, the scatter that their covariances do not explain, is at least ``floor_rad`` and
+    grows until the sum has its expected size.
 
     Parameters
     ----------
@@ -65,9 +65,15 @@ def fit_horizon(
     covariances
         ``(K, 3, 3)`` in their tangent planes, rad^2.
     floor_rad
-        Scatter that is there even where the epipoles agree better.
+        Minimum scatter, even where the epipoles agree better.
     roll_sigma_rad
-        Prior of the camera's roll, about zero; None: none.
+        Standard deviation of the prior of the camera's roll about zero; None: no prior.
+
+    Returns
+    -------
+    None where the epipoles do not determine a horizon.
+
+    Source: the scatter s as in Paule and Mandel, 1982.
     """
     starts = _starts(directions, covariances, roll_sigma_rad)
     if not len(starts):
@@ -102,9 +108,16 @@ def fit_horizon(
 
 
 def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, probability: float) -> bool:
-    """Whether K epipoles may all be one (of either sign): no horizon can be drawn through a single point.
+    """Whether K epipoles may all be the same one (of either sign), through which no horizon is determined.
 
     A chi-square test with two degrees of freedom for each motion but the first.
+
+    Parameters
+    ----------
+    directions, covariances, floor_rad
+        As in `fit_horizon`.
+    probability
+        Probability at which the epipoles count as different.
     """
     if len(directions) < 2:
         return True
@@ -124,9 +137,18 @@ def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, 
 
 
 def widest_angle_rad(directions: Floats, covariances: Floats) -> float:
-    """Largest angle that is sure between the lines along any two of K directions, of either sign; 0: none.
+    """Largest angle between any two of K directions, of either sign, that is certain.
 
-    An angle is sure as far as it exceeds three standard deviations, each direction's taken along its longest axis.
+    An angle is certain as far as it exceeds three standard deviations, each direction's along its longest axis.
+
+    Parameters
+    ----------
+    directions, covariances
+        As in `fit_horizon`.
+
+    Returns
+    -------
+    rad; 0 where no angle is certain.
     """
     angle = np.arccos(np.clip(np.abs(directions @ directions.T), 0.0, 1.0))
     variance = np.linalg.norm(covariances, 2, axis=(1, 2))
@@ -142,7 +164,21 @@ def pitch_roll_covariance_rad2(fit: HorizonFit) -> Floats:
 
 
 def band_px(camera: Camera, fit: HorizonFit, x_px: Floats) -> tuple[Floats, Floats]:
-    """Height of the horizon at columns ``x_px (N,)`` of the undistorted picture, and half of its 95 % band."""
+    """Height of the horizon at some columns of the undistorted picture, and half of its 95 % band.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics.
+    fit
+        The horizon.
+    x_px
+        ``(N,)`` columns.
+
+    Returns
+    -------
+    y, half_width : ``(N,)`` px each.
+    """
     x = (x_px - camera.cx_px) / camera.fx_px
     n = fit.normal
     rays = np.column_stack([x, -(n[0] * x + n[2]) / n[1], np.ones_like(x)])

@@ -1,11 +1,10 @@
-"""The direction of a thing that moves as a whole, from the top and the bottom of its outline.
+"""The direction of an object that moves as a whole, from the top and the bottom of its outline.
 
-A straight motion makes a point at the top and one at the bottom run along two lines of the picture, which meet at the
-motion's epipole, where the thing would have no height. Whatever its speed, (x, top, bottom) runs along one straight
-line in three dimensions then, and the epipole is where that line crosses the plane top = bottom.
+In a straight motion a point at the top and one at the bottom run along two lines of the picture, which meet at the
+epipole, where the object would have no height. Whatever its speed, (x, top, bottom) then moves along a straight line in
+three dimensions, and the epipole is where that line crosses the plane top = bottom.
 
-Whoever walks bobs about that line, once a step and as regularly as the steps are: no scatter that averages out slowly,
-but a wave that is fitted along with the line (`ttcvid.geometry.gait`).
+A pedestrian bobs about that line, once per step: a wave that is fitted together with the line (`ttcvid.geometry.gait`).
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ class OutlineFit:
     """An epipole ``direction (3,)``, its sign along the motion, with ``covariance (3, 3)`` in its tangent plane, rad^2.
 
     ``noise`` is the scatter about the line in the units of the outlines, without the bobbing of steps; ``share`` the
-    part of them that lie near it, ``bend_sigmas`` by how many standard deviations the way bends; ``steadiness`` the
-    part of the variance along the way that a constant rate explains, small where an outline only gets smaller as
-    something hides it.
+    part of the outlines near the line; ``bend_sigmas`` the curvature of the path in standard deviations; ``steadiness``
+    the part of the variance along the path that a constant rate explains, small where an outline shrinks by occlusion
+    only.
     """
 
     direction: Floats
@@ -48,9 +47,9 @@ class OutlineFit:
 
 @dataclass(frozen=True)
 class _Line:
-    """A line by a ``point`` and the direction ``along``; ``level (N, 3)`` are the outlines without their bobbing.
+    """A line through ``point`` in the direction ``along``; ``level (N, 3)`` are the outlines without their bobbing.
 
-    ``weight (N,)``, and ``noise``, the scatter of a coordinate about the line.
+    ``weight (N,)`` of each outline; ``noise`` the scatter of a coordinate about the line.
     """
 
     point: Floats
@@ -63,25 +62,27 @@ class _Line:
 def fit_outline(
     outline: Floats, t_s: Floats, block: Ints, n_independent: float, border_sigma: float
 ) -> OutlineFit | None:
-    """Fit the line of (x, top, bottom), robustly, as outlines run into each other where things hide each other.
+    """Fit the line of (x, top, bottom), robust against outlines that merge where objects occlude each other.
 
     Parameters
     ----------
     outline
         ``(N, 3)`` x, top and bottom in undistorted normalised coordinates.
     t_s
-        ``(N,)`` their times, ascending.
+        ``(N,)`` ascending times.
     block
-        ``(N,)`` ascending numbers; errors of different blocks are independent. The covariance is the jackknife's: what
-        leaving out one block after the other changes (Efron and Stein, Annals of Statistics 1981).
+        ``(N,)`` ascending numbers; errors of different blocks are independent. The covariance is the jackknife's over
+        blocks.
     n_independent
-        Number of outlines with independent errors that they are worth. The covariance is at least what so many tell.
+        Number of independent outlines; the covariance is at least that of so many.
     border_sigma
-        Error of the top and of the bottom that lasts, in the units of ``outline``: where exactly the outline is seen.
+        Constant error of the top and of the bottom, in the unit of ``outline``: where exactly the outline is seen.
 
     Returns
     -------
-    None where there are less than three blocks, or no line.
+    None where there are fewer than three blocks, or no line.
+
+    Source: jackknife as in Efron and Stein, Annals of Statistics, 1981.
     """
     numbers = np.unique(block)
     if len(numbers) < 3:

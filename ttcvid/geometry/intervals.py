@@ -94,9 +94,17 @@ def _times_of_each(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, times: Flo
 def radial_and_transverse_rate(
     x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats
 ) -> tuple[Floats, Floats]:
-    """(q, u) ``(N, 2)`` in 1/s with ``V / abs(P) = q r + u t``, u >= 0, and their covariance ``(N, 2, 2)``.
+    """Radial rate q and transverse rate u of each point, with their covariance: ``V / abs(P) = q r + u t``, u >= 0.
 
-    Parameters as in `collision_times_from_state`. At u = 0, where no t is given, any normal of r is taken.
+    Parameters
+    ----------
+    x, y, abc_hz, cov, sigma_norm
+        As in `collision_times_from_state`.
+
+    Returns
+    -------
+    rates : ``(N, 2)`` q and u in 1/s; where u = 0, any t normal to r.
+    cov : ``(N, 2, 2)`` in 1/s^2.
     """
     rates, rates_cov = np.empty((len(x), 2)), np.empty((len(x), 2, 2))
     _rates_of_each(np.ascontiguousarray(x), np.ascontiguousarray(y), abc_hz, cov, sigma_norm, rates, rates_cov)

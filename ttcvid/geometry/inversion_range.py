@@ -1,4 +1,4 @@
-"""Range of the inversion of a point in the unit circle over an ellipse: what bounds tcpa and miss.
+"""Bounds of tcpa and miss: the range of an inversion in the unit circle over an ellipse.
 
 With (q, u) the radial and transverse rate of a point, tcpa and miss are ``(-q, u) / (q^2 + u^2)``. Both are harmonic,
 so that their extremes over a region without the origin lie on its border.

@@ -1,4 +1,4 @@
-"""Medians and quantiles of few numbers: numpy's take longer to get going than to count."""
+"""Medians and quantiles of short arrays, for which numpy has too much overhead."""
 
 from __future__ import annotations
 
@@ -18,7 +18,14 @@ def median(values: Floats) -> float:
 
 
 def quantile(values: Floats, part: float) -> float:
-    """The number below which so large a part of ``values (N,)`` lies, interpolated; all of them finite, N > 0.
+    """Quantile of finite numbers, linearly interpolated.
+
+    Parameters
+    ----------
+    values
+        ``(N,)``, N > 0.
+    part
+        In [0, 1].
 
     >>> quantile(np.array([3.0, 1.0, 2.0, 5.0]), 0.25)
     1.75
@@ -27,11 +34,20 @@ def quantile(values: Floats, part: float) -> float:
 
 
 def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
-    """Median of the values of each group: (K,), NaN of one without any.
+    """Median of the values of each group.
 
     Parameters
     ----------
-    values, group : (N,) numbers, NaN for none, and which of the ``n_groups`` K each belongs to.
+    values
+        ``(N,)``; NaN is left out.
+    group
+        ``(N,)`` group of each value, from 0.
+    n_groups
+        Number K of groups.
+
+    Returns
+    -------
+    ``(K,)``; NaN for a group without values.
 
     >>> medians(np.array([5.0, 1.0, 2.0, 4.0]), np.array([0, 0, 2, 0]), 3)
     array([ 4., nan,  2.])

@@ -1,14 +1,15 @@
-"""A rigid body that moves in a straight line before a resting camera, as its point tracks show it.
+"""A rigid body that moves in a straight line before a resting camera: model of its point tracks.
 
 Point i of the body is at ``P_i(t) = r_i + s_i (dt e + dq (a e + w b))``, in units of its depth at its own middle time:
-r_i = (x_i, y_i, 1) is its ray there, s_i = |V| / Z_i its rate, e the unit direction shared by all points. dt and dq are
-the differences of tau and tau^2 / 2 to the point's middle time, tau being the time from the body's middle. The lines of
-the points meet at e in the picture (the vanishing point), and the speed-up along each line tells how far away it is.
+r_i = (x_i, y_i, 1) is its ray there, s_i = |V| / Z_i its inverse depth times speed, e the unit direction shared by all
+points. dt and dq are the differences of tau and tau^2 / 2 to the point's middle time, tau being the time from the
+body's middle. The lines of the points meet at e in the picture (the vanishing point), and the speed-up along each line
+tells the distance.
 
-Three nuisances are held near zero by priors: ``a`` the change of speed (1/s); ``w`` the rate of turning (rad/s) towards
-b, the level direction across e; and for each point a drift across its line, for what is not quite rigid: a walker's
-sleeve, the rim of a shape. They keep a body that brakes, or turns imperceptibly, from being believed too much, and a
-long track of it from outweighing many short ones.
+Three nuisance parameters have priors about zero: ``a`` the change of speed (1/s); ``w`` the turn rate (rad/s) towards
+b, the level direction normal to e; and for each point a drift normal to its line, for what is not quite rigid: a
+sleeve, the rim of a shape. They keep a body that brakes or turns slightly from counting as too certain, and one long
+track from outweighing many short ones.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class BodyTracks:
         return np.asarray(np.add.reduceat(values, self.starts))
 
     def take(self, tracks: Bools) -> BodyTracks:
-        """Only the tracks of a mask ``(M,)``, numbered anew."""
+        """Only the tracks of a mask ``(M,)``, numbered again from 0."""
         rows = tracks[self.track]
         number = (np.cumsum(tracks) - 1).astype(np.int64)
         return BodyTracks(number[self.track[rows]], self.t_s[rows], self.xy[rows], self.sigma)
@@ -89,7 +90,7 @@ class Unknowns:
 
 
 def direction_from_lines(tracks: BodyTracks) -> Floats:
-    """A first direction ``(3,)``: where the planes of the tracks' first and last rays meet, along the motion."""
+    """A start direction ``(3,)``: where the planes of the tracks' first and last rays meet, along the motion."""
     rays = np.column_stack([tracks.xy, np.ones(len(tracks.xy))])
     q, p = normalize(rays[tracks.starts]), normalize(rays[tracks.starts + tracks.counts - 1])
     normals = np.cross(q, p)
@@ -99,7 +100,15 @@ def direction_from_lines(tracks: BodyTracks) -> Floats:
 
 
 def first_unknowns(tracks: BodyTracks, direction: Floats) -> Unknowns:
-    """Points at the means of their tracks, rates by least squares on the straight path, no drift."""
+    """Start of the search: points at the means of their tracks, rates by least squares on the straight path, no drift.
+
+    Parameters
+    ----------
+    tracks
+        The body's tracks.
+    direction
+        ``(3,)`` unit vector e.
+    """
     dt, _ = tracks.times
     centre = tracks.sums(tracks.xy) / tracks.counts[:, None]
     towards = direction[:2] - centre * direction[2]
@@ -163,7 +172,7 @@ def _points(tracks: BodyTracks, unknowns: Unknowns) -> tuple[Floats, Floats]:
 
 
 def across_lines(tracks: BodyTracks, unknowns: Unknowns) -> Floats:
-    """Displacement of each observation by a unit drift of its point across its line, in sigmas: ``(N, 2)``."""
+    """Displacement of each observation by a unit drift of its point normal to its line, in sigmas: ``(N, 2)``."""
     towards = unknowns.direction[:2] - unknowns.own[:, :2] * unknowns.direction[2]
     across = np.nan_to_num(normalize(np.column_stack([-towards[:, 1], towards[:, 0]])))
     result: Floats = across[tracks.track] * tracks.times[0][:, None]

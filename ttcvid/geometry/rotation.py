@@ -15,7 +15,16 @@ _LEAST_FORWARD = 0.05
 
 
 def cross(v: Floats, w: Floats) -> Floats:
-    """Cross products of ``v`` and ``w (..., 3)``, broadcast; a fifth of the time of `numpy.cross` on short arrays.
+    """Cross products, five times as fast as `numpy.cross` on short arrays.
+
+    Parameters
+    ----------
+    v, w
+        ``(..., 3)``, broadcast.
+
+    Returns
+    -------
+    ``(..., 3)``.
 
     >>> cross(np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     array([0., 0., 1.])
@@ -98,9 +107,19 @@ def vector_from_rotation(rotation: Floats) -> Floats:
 
 
 def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
-    """Where turned rays meet the plane z = 1: ``(L, N, 2)`` of ``rays (L, N, 3)`` and ``rotations (L, 3, 3)``.
+    """Rotate rays and project them onto the plane z = 1.
 
-    NaN where a ray is NaN or does not point clearly forward (z of the unit ray under 0.05) once it is turned.
+    Parameters
+    ----------
+    rays
+        ``(L, N, 3)`` of any length.
+    rotations
+        ``(L, 3, 3)``, one per view.
+
+    Returns
+    -------
+    ``(L, N, 2)``; NaN where a ray is NaN or does not point clearly forward after the rotation (z of the unit ray below
+    0.05).
 
     >>> turned_into_plane(np.array([[[0.6, 0.0, 0.8]]]), np.eye(3)[None])
     array([[[0.75, 0.  ]]])
@@ -110,14 +129,18 @@ def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
 
 
 def each_turned_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints) -> Floats:
-    """As `turned_into_plane`, of M picked rays, each with its own of several sets of rotations: ``(L, M, 2)``.
+    """As `turned_into_plane`, for M selected rays, each with its own of several groups of rotations.
 
     Parameters
     ----------
     rays, ray
-        ``(L, N, 3)``, and which of the N is meant: ``(M,)``.
+        ``(L, N, 3)``, and the index of each selected ray: ``(M,)``.
     rotations, rotation
-        ``(K, L, 3, 3)``, and which of the K sets turns it: ``(M,)``.
+        ``(K, L, 3, 3)``, and the index of the group that rotates it: ``(M,)``.
+
+    Returns
+    -------
+    ``(L, M, 2)``.
     """
     xy = np.empty((len(rays), len(ray), 2))
     _turn_into_plane(

@@ -1,4 +1,4 @@
-"""The direction of motion that the points of one translating thing share, from the states of their whole tracks."""
+"""The direction of motion shared by the points of one translating object, from the states of whole tracks."""
 
 from __future__ import annotations
 

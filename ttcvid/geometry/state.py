@@ -108,9 +108,23 @@ def state_from_direction(
 
 
 def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """``s = (q x r).m / (m.m gap)`` with ``m = q x e``: ``(N,)`` in 1/s, and its derivatives ``(N, 3)`` by q, r and e.
+    """Rate of each point along a known direction, as in `state_from_direction`, with its derivatives.
 
-    The rate of `state_from_direction`, for ``q, r (N, 3)`` with z = 1, ``e (N, 3)`` and ``gap_s (N,)``.
+    ``s = (q x r).m / (m.m gap)`` with ``m = q x e``.
+
+    Parameters
+    ----------
+    q, r
+        ``(N, 3)`` points of the two views on the plane z = 1.
+    e
+        ``(N, 3)`` unit vectors.
+    gap_s
+        ``(N,)`` time between the views.
+
+    Returns
+    -------
+    s : ``(N,)`` in 1/s.
+    by_q, by_r, by_e : ``(N, 3)`` derivatives of s.
     """
     m, flow = cross(q, e), cross(q, r)
     square = _square_sum(m)
@@ -124,10 +138,21 @@ def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple
 
 
 def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, e_variance: Floats) -> Bools:
-    """Points ``(N,)`` of which two rays ``(N, 3)`` both lie within noise (of the ray and of e) of the line along e.
+    """Whether both rays of a point lie within noise of the line along e.
 
-    ``variance (N,)`` of a ray's direction and ``e_variance (N,)`` or ``(1,)`` of e, in rad^2: the trace of its
-    covariance, which is the variance along the worse axis of a direction that is open along one, at most twice it else.
+    Parameters
+    ----------
+    q, r, e
+        ``(N, 3)`` rays of the two views, and unit vectors.
+    variance
+        ``(N,)`` rad^2, of a ray's direction.
+    e_variance
+        ``(N,)`` or ``(1,)`` rad^2, of e: the trace of its covariance. That is the variance along the worse axis where
+        the direction is uncertain along one axis only, and at most twice as much otherwise.
+
+    Returns
+    -------
+    ``(N,)``.
     """
     is_at = np.empty(len(q), dtype=bool)
     # Neither is written to, but arrays that cannot be written to are of another type.

@@ -43,12 +43,12 @@ _MEDIAN_CHI2_1 = 0.455
 class Translation:
     """A body's direction of motion.
 
-    ``direction (3,)`` is ``dir`` = V / |V| with ``covariance (3, 3)`` in its tangent plane, rad^2, which allows for
+    ``direction (3,)`` is ``dir`` = V / |V| with ``covariance (3, 3)`` in its tangent plane, rad^2, which includes
     errors that last over several frames and are common to the tracks. ``speed_change_hz`` and ``turn_rad_s`` are a and
-    w, with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the noise found, in units of the one assumed;
-    ``correlation`` how many times the variance is larger than independent errors would make it;
-    ``rate_hz (M,)`` is s of each track, ``residual (M,)`` its root mean square residual in sigmas of the noise found;
-    ``drift_sigma`` how fast points drift across their lines, in sigmas of the noise assumed per s.
+    w of `ttcvid.geometry.moving_body`, with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the estimated
+    noise in units of the assumed one; ``correlation`` the factor of the variance over that of independent errors;
+    ``rate_hz (M,)`` is s of each track, ``residual (M,)`` its root mean square residual in sigmas of the estimated
+    noise; ``drift_sigma`` the drift of points normal to their lines, in sigmas of the assumed noise per s.
     """
 
     direction: Floats
@@ -94,19 +94,25 @@ def fit_translation(
     turn_sigma_rad_s: float,
     memory_s: float,
 ) -> Translation | None:
-    """Maximum likelihood of the direction of a body, None where it does not converge.
+    """Maximum likelihood estimate of the direction of a body.
 
-    Gauss-Newton on the reprojection error with Cauchy weights; the unknowns of each point are eliminated. How
-    much points drift is taken from the scatter of their lines about a first direction found without drift.
+    Gauss-Newton on the reprojection error with Cauchy weights; the unknowns of each point are eliminated. The drift of
+    points is estimated from the scatter of their lines about a first direction found without drift.
 
     Parameters
     ----------
+    tracks
+        The body's tracks.
     start
-        ``(3,)`` a first direction, its sign along the motion.
+        ``(3,)`` start direction, its sign along the motion.
     speed_change_sigma_hz, turn_sigma_rad_s
-        Priors of the nuisances (standard deviations).
+        Standard deviations of the priors of the nuisance parameters.
     memory_s
-        Errors farther apart in time than this are independent; nearer ones are taken as they are found.
+        Correlation time of errors: those farther apart are independent, nearer ones are used as they are found.
+
+    Returns
+    -------
+    None where the search does not converge.
     """
     shared = 1.0 / np.array([np.inf, np.inf, speed_change_sigma_hz, turn_sigma_rad_s]) ** 2
     rigid = _Prior(shared, 1.0 / _TINY)
