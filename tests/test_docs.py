@@ -3,6 +3,7 @@
 import doctest
 import importlib
 import importlib.util
+import pkgutil
 import re
 import struct
 import sys
@@ -13,6 +14,8 @@ import click
 import pytest
 import yaml
 
+import ttcvid
+import ttcvid.geometry
 from ttcvid.cli.commands import COMMANDS, cli
 from ttcvid.cli.main import EXIT_INTERRUPTED
 from ttcvid.errors import TtcvidError
@@ -168,8 +171,6 @@ def test_example_of_the_conventions_gives_what_it_says():
 
 
 def test_python_example_uses_names_that_exist():
-    import ttcvid
-
     (example,) = blocks((DOCS / "python.md").read_text(encoding="utf-8"), "python")
     compile(example, "python.md", "exec")
     for name in re.findall(r"\bttcvid\.(\w+)", example):
@@ -184,6 +185,13 @@ def test_functions_of_the_page_of_equations_exist_and_say_where_they_come_from()
     for module, function in named:
         documented = getattr(importlib.import_module(module), function).__doc__
         assert "Source: " in documented, function
+
+
+def test_examples_in_the_docstrings_of_the_geometry_give_what_they_say():
+    modules = pkgutil.walk_packages(ttcvid.geometry.__path__, "ttcvid.geometry.")
+    results = [doctest.testmod(importlib.import_module(module.name)) for module in modules]
+    assert sum(result.failed for result in results) == 0
+    assert sum(result.attempted for result in results) >= 50
 
 
 @pytest.mark.data
@@ -224,8 +232,6 @@ def test_every_command_and_exit_code_is_explained():
 
 
 def test_citation_names_the_version_of_the_package():
-    import ttcvid
-
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == ttcvid.__version__
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
@@ -233,8 +239,6 @@ def test_citation_names_the_version_of_the_package():
 
 
 def test_version_of_the_changelog_is_that_of_the_package():
-    import ttcvid
-
     newest = re.search(r"^## ([\d.]+)", (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert newest is not None
     assert newest[1] == ttcvid.__version__
