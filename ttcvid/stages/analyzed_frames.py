@@ -1,4 +1,4 @@
-"""The rows and warnings of a frame: the part of an analysis of which no later frame knows."""
+"""The rows and warnings of a frame: the part of an analysis that no later frame depends on."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
 
 
 def smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
-    """Each frame once the frames after it have been analysed, its directions and times estimated again with them."""
+    """Each frame once the frames after it have been analysed, with directions and times estimated again."""
     max_frames = clip.config.collision_times.max_frames
     held: deque[AnalyzedFrame] = deque()
     memory = RowMemory()

@@ -1,8 +1,8 @@
-"""A frame looked at once more, with views of its tracks from the frames after it.
+"""A frame estimated again, with views of its tracks from the frames after it (``--smooth``).
 
-What a frame found out when it came (own rotation, which tracks belong together, warnings) stays as it was; directions
-and times are estimated again from views on both sides of it, and objects that the next frames find have been there
-before. Where a velocity changes, views of the past alone tell what it was half a window ago.
+What a frame found when it came (egomotion, segmentation, warnings) stays as it was; directions and times are estimated
+again from views on both sides of it, and objects that the next frames find exist already. Where a velocity changes,
+views of the past alone tell what it was half a window ago.
 """
 
 from __future__ import annotations
@@ -36,16 +36,21 @@ class Seen:
     plane: HorizonPlane | None
 
     def is_continued_by(self, later: TrackHistory) -> bool:
-        """Whether a later frame still knows this one: no cut, and no unknown rotation, lies between."""
+        """Whether a later frame continues this one: no cut, and no unknown rotation, lies between."""
         return len(later.frame) > 1 and bool(later.frame[0] <= self.history.frame[-1])
 
 
 def are_enough(n_after: int, after_s: float, max_frames: int) -> bool:
-    """Whether a frame's estimates wait no longer for the frames after it: these are half of a window.
+    """Whether a frame has enough frames after it to be estimated again: half of a window.
 
     Parameters
     ----------
-    n_after : frames after it, the last of which came ``after_s`` later.
+    n_after
+        Number of frames after it.
+    after_s
+        Time of the last of them, relative to it.
+    max_frames
+        Length of the window, in frames.
     """
     half = max_frames // 2
     return n_after >= half and after_s >= (half - 0.5) / FULL_RATE_HZ
@@ -56,7 +61,12 @@ def seen_again(seen: Seen, later: Sequence[Seen], camera: Camera, config: Pipeli
 
     Parameters
     ----------
-    later : the next frames in order, each of which knows this one (`Seen.is_continued_by`).
+    seen
+        The frame.
+    later
+        The next frames in order, each of which continues this one (`Seen.is_continued_by`).
+    camera, config
+        Intrinsics; parameters of all stages.
     """
     if not later or seen.egomotion is None:
         return seen

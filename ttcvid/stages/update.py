@@ -1,4 +1,4 @@
-"""What moves in a frame: the part of an analysis that each frame goes on with from the frames before it."""
+"""What a frame adds to the motions known so far: the part of an analysis that the next frame depends on."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ class Clip:
 
 @dataclass(frozen=True)
 class SeenFrame:
-    """A frame with what moves in it, which the next frame goes on from; ``seen`` None for one that gives no number.
+    """A frame with its motions, from which the next frame continues; ``seen`` is None for one without a result.
 
-    ``dt_s`` is the time over which the motion of the frame goes, ``plane`` where the horizon was last seen to be.
+    ``dt_s`` is the time over which the motion of the frame is measured, ``plane`` the last position of the horizon.
     """
 
     frame: Frame
@@ -60,10 +60,10 @@ class SeenFrame:
 
 @dataclass(frozen=True)
 class Memory:
-    """Everything about motions that is remembered from one frame to the next.
+    """All that is remembered about motions from one frame to the next.
 
-    ``t_s`` is the time of the last frame, ``used_t_s`` that of the last one that gave points to the history.
-    ``before_gap`` is the history before frames with too few tracks: it goes on where enough of its tracks come back.
+    ``t_s`` is the time of the last frame, ``used_t_s`` that of the last one with points in the history. ``before_gap``
+    is the history before frames with too few tracks: it continues where enough of its tracks return.
     """
 
     history: TrackHistory
@@ -78,7 +78,7 @@ class Memory:
 
 
 def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[SeenFrame, Memory]:
-    """What later frames go on from: own motion, and which tracks move together."""
+    """Egomotion and segmentation of a frame: what later frames depend on."""
     frame, points, status = tracked.frame, tracked.points, tracked.status
     followed = clip.plane if memory.plane is None else memory.plane
     if status == FrameStatus.bad_dt:

@@ -1,1 +1,1 @@
-"""Own rotation and direction of travel of the camera."""
+"""Egomotion: rotation and direction of travel of the camera."""

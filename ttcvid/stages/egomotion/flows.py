@@ -20,13 +20,13 @@ _ERROR_PER_FLOW = 0.0035
 
 @dataclass(frozen=True)
 class Flows:
-    """Flow of N tracks up to the present frame, with own rotation removed.
+    """Flow of N tracks up to the present frame, with the camera's rotation removed.
 
-    ``first, second (N, 3)`` unit rays in the present camera, ``first`` NaN for a track of one observation, both where
-    the present one lies outside of what the lens maps; ``gap_frames (N,)`` steps of the history between them (0: none),
-    ``gap_s (N,)``; ``sigma_rad (N,)`` noise of one coordinate of a ray, with the error of the last rotation, NaN
-    without a present ray; ``rotation_error_rad (N,)`` error, per axis and common to all tracks of one gap, of the
-    rotation over it.
+    ``first, second (N, 3)`` unit rays in the present camera: ``first`` is NaN for a track of one observation, both
+    where the present position lies outside of what the lens model maps; ``gap_frames (N,)`` steps of the history
+    between them (0: none); ``gap_s (N,)``; ``sigma_rad (N,)`` noise of one coordinate of a ray, including the error of
+    the last rotation, NaN without a present ray; ``rotation_error_rad (N,)`` error of the rotation over the gap, per
+    axis and common to all tracks of one gap.
     """
 
     first: Floats
@@ -43,11 +43,18 @@ class Flows:
 
 
 def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: float) -> Flows:
-    """Per track the smallest gap with a flow of ``target_flow_px``, or the largest that there is.
+    """Flow of each track over the smallest gap with ``target_flow_px`` of it, else over the largest available gap.
 
     Parameters
     ----------
-    max_gap_frames : largest gap tried, in frames of the history.
+    history
+        Views of the tracks.
+    max_gap_frames
+        Largest gap, in views of the history.
+    target_flow_px
+        Length of flow that ends the search.
+
+    Source: the paper's flexible baseline.
     """
     n = history.n_tracks
     first, gap_frames, sigma_rad = np.full((n, 3), np.nan), np.zeros(n, dtype=np.int64), np.empty(n)
@@ -72,10 +79,10 @@ def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: flo
 
 
 def scene_directions(history: TrackHistory, flows: Flows) -> Floats:
-    """``dir`` of the static scene over each track's own gap, in the present camera: (N, 3), NaN where unknown.
+    """``dir`` of the static scene over each track's own gap, in the present camera: ``(N, 3)``, NaN where unknown.
 
-    The mean of the directions of the single steps, each turned into the present camera: own speed is taken
-    as steady over the gap, own direction is not.
+    The mean of the directions of the single steps, each rotated into the present camera. Own speed is assumed constant
+    over the gap, own direction is not.
     """
     chosen = np.empty((len(flows.gap_frames), 3))
     _follow_scene(history.cam_R_past, history.scene_direction, flows.gap_frames, chosen)

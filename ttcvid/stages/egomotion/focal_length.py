@@ -1,4 +1,4 @@
-"""The focal length of an unknown camera, from the first frames of its clip."""
+"""Self-calibration: the focal length of an unknown camera, from the first frames of its clip."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SURE, _SURE_ALONE = 0.08, 0.05
 
 @dataclass(frozen=True)
 class FocalLength:
-    """A focal length found in a clip: ``focal_px`` with the relative standard deviation ``sigma``."""
+    """An estimated focal length: ``focal_px`` with the relative standard deviation ``sigma``."""
 
     focal_px: float
     sigma: float
@@ -45,7 +45,7 @@ class FocalLength:
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """The points of a frame, at ``t_s``; ``is_new`` where tracks do not go on from the frame before (a cut)."""
+    """The points of a frame at ``t_s``; ``is_new`` where no track continues from the frame before (a cut)."""
 
     t_s: float
     points: PointSet
@@ -53,7 +53,19 @@ class SeenPoints:
 
 
 def find_focal_length(frames: Iterable[SeenPoints], image_size: ImageSize) -> FocalLength | None:
-    """The focal length that the frames tell together; None where they do not: the camera hardly turns."""
+    """Estimate the focal length from all frames together.
+
+    Parameters
+    ----------
+    frames
+        Points of consecutive frames.
+    image_size
+        Size of the pictures.
+
+    Returns
+    -------
+    None where the frames do not determine it: the camera hardly turns, or the points do not fit one static scene.
+    """
     fits: list[FocalFit] = []
     n_contradicting = 0
     for window in _windows(frames, image_size):

@@ -1,4 +1,4 @@
-"""Own motion of a frame, over a gap that grows until the flow is long enough."""
+"""Egomotion of a frame, over a gap that grows until the flow is long enough."""
 
 from __future__ import annotations
 
@@ -43,14 +43,25 @@ def find_own_motion(
     least_parallax_px: float,
     sigma_floor_px: float,
 ) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
-    """Rotation from the last frame, and direction of travel as the whole tracks of the scene show it.
+    """Rotation since the last frame, and direction of travel from the whole tracks of the scene.
 
     Parameters
     ----------
-    is_free : (N,) tracks that are not frozen to their pixel.
-    in_scene : (N,) tracks that no known mover holds. They alone tell of own motion, unless what all tracks tell
-        explains all of them better: what is known of movers may be wrong.
-    least_parallax_px : flow of one step that is not taken for translation, however small the noise.
+    history
+        Views of all tracks, the present one included.
+    is_free
+        ``(N,)`` tracks that are not frozen to their pixel.
+    in_scene
+        ``(N,)`` tracks of no known mover. They alone determine egomotion, unless a fit to all tracks explains all of
+        them better: the known movers may be wrong.
+    memory
+        Start of the search, from the frame before.
+    config
+        Priors.
+    least_parallax_px
+        Flow of one step that does not count as translation, however small the noise.
+    sigma_floor_px
+        Minimum noise of a track.
 
     Returns
     -------
@@ -68,7 +79,7 @@ def find_own_motion(
 
 @dataclass(frozen=True)
 class _Step:
-    """Own motion since the last frame, what to remember of it, and the tracks ``tells (N,)`` that tell of it."""
+    """Egomotion since the last frame, the memory of it, and the tracks ``tells (N,)`` that determined it."""
 
     egomotion: Egomotion
     memory: EgomotionMemory

@@ -1,9 +1,9 @@
-"""What carries the camera, told from the clip: whether it rests, drives along its view, or moves freely.
+"""What carries the camera, decided from the clip: whether it rests, drives along its view, or moves freely.
 
-A clip is looked at in short stretches that are spread over all of it, so that a drive that begins at a red light is a
-drive. A camera rests where the picture stays in its place, within the stretches and from one to the next. It drives
-where travel within some degrees of the optical axis explains the flow as well as any other motion does, over a ground
-that goes by as it does under a car. All else moves freely: nothing is expected of it.
+Short samples are spread over the whole clip, so that a drive that begins at a red light is a drive. A camera rests
+where the picture stays in place, within the samples and from one to the next. It drives where translation within some
+degrees of the optical axis explains the flow as well as any other direction, over a ground that moves as it does below
+a car. Otherwise it moves freely, and there is no prior on its direction.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _LEAST_GLANCES, _RESTING_GLANCES, _DRIVING_GLANCES, _WITHOUT_GROUND = 2, 0.75, 0
 
 
 class Verdict(StrEnum):
-    """What a stretch shows of the camera."""
+    """What a sample shows of the camera."""
 
     rests = "rests"
     drives = "drives"
@@ -67,12 +67,12 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Glance:
-    """A short stretch of a clip.
+    """A short sample of a clip.
 
-    ``still_share`` of the picture's parts stay in their place once the rotation ``turned_rad`` is taken out.
-    ``travel (3,)`` is the way of travel, there or back, as a unit vector ahead, None where no travel is seen; it
-    explains ``explained_share`` of the parts, the best direction of all ``best_share``. ``ground_hz`` is how fast what
-    lies below the horizon goes by, in camera heights a second; None where that is not told.
+    ``still_share`` of the picture's cells stay in place once the rotation ``turned_rad`` is removed. ``travel (3,)`` is
+    the line of travel as a unit vector pointing ahead, None where no translation is observed; it explains
+    ``explained_share`` of the cells, the best of all directions ``best_share``. ``ground_hz`` is the speed of the
+    ground below the horizon in camera heights per second; None where it is not observed.
     """
 
     t_s: float
@@ -85,7 +85,7 @@ class Glance:
 
     @property
     def off_axis_rad(self) -> float | None:
-        """Angle between the way of travel and the optical axis."""
+        """Angle between the line of travel and the optical axis."""
         return None if self.travel is None else float(np.arccos(min(self.travel[2], 1.0)))
 
     @property
@@ -102,7 +102,7 @@ class Glance:
 
 @dataclass(frozen=True)
 class ToldPlatform:
-    """What carries the camera, the ``reason`` in words, and the glances that it rests on."""
+    """What carries the camera, the ``reason`` in words, and the samples behind it."""
 
     platform: Platform
     reason: str
@@ -110,12 +110,14 @@ class ToldPlatform:
 
 
 def told_platform(glances: Sequence[Glance], between: Sequence[float]) -> ToldPlatform:
-    """What carries the camera, by the glances at a clip.
+    """What carries the camera, from samples of its clip.
 
     Parameters
     ----------
+    glances
+        The samples.
     between
-        The share of the picture's parts that are in the same place in one stretch and in the next, for all that tell.
+        The share of the picture's cells that are in the same place in one sample and in the next, where it is known.
     """
     told, glances = partial(ToldPlatform, glances=tuple(glances)), list(glances)
     drives = [glance for glance in glances if glance.verdict == Verdict.drives]
@@ -148,10 +150,19 @@ def _wavers_rad(drives: Sequence[Glance]) -> float:
 
 
 def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Camera) -> Glance | None:
-    """What a stretch of at least two frames shows; None with too few points.
+    """What a sample of at least two frames shows; None with too few points.
 
-    The prior of a vehicle finds the way ahead where there is one: among many movers or with few points the search
-    from any direction loses it. Whether another direction explains more is asked for afterwards.
+    The prior of a vehicle finds the direction ahead where there is one: among many movers or with few points, a search
+    without it fails. Whether another direction explains more is tested afterwards.
+
+    Parameters
+    ----------
+    stretch
+        Points of each frame.
+    times_s
+        Time of each frame.
+    camera
+        Intrinsics and distortion.
     """
     stretch = _without_stuck(stretch, camera.image_size)
     before, now = _in_common(stretch[0], stretch[-1])
@@ -179,7 +190,7 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
 
 
 def share_in_place(one: PointSet, other: PointSet, size: ImageSize) -> float | None:
-    """The share of the picture's parts that are in their place in both frames; None with too few points in common."""
+    """Share of the picture's cells that are in place in both frames; None with too few points in common."""
     before, now = _in_common(one, other)
     if len(before) < _LEAST_POINTS:
         return None

@@ -1,4 +1,4 @@
-"""Own rotation and direction of travel from the motion of the static scene between two frames."""
+"""Relative pose: rotation and direction of travel from the motion of the static scene between two frames."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ _ACROSS = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD), np.zeros(_WAYS_ACR
 
 @dataclass(frozen=True)
 class MotionPrior:
-    """What is believed of own motion before a pair of frames is looked at (standard deviations, rad).
+    """Prior of egomotion before a pair of frames is seen (standard deviations, rad).
 
-    ``rotation_sigma_rad`` about the previous rotation (about none for a resting camera); ``direction_sigma_rad``
-    about forward, None where any direction is as likely; ``can_translate`` False for a resting camera.
+    ``rotation_sigma_rad`` about the previous rotation (about none for a resting camera); ``direction_sigma_rad`` about
+    forward, None where any direction is equally likely; ``can_translate`` False for a resting camera.
     """
 
     rotation_sigma_rad: float
@@ -78,12 +78,12 @@ MOTION_PRIORS = {
 
 @dataclass(frozen=True)
 class Egomotion:
-    """Own motion from an earlier frame ("prev") to this one, in the camera of this frame.
+    """Motion of the camera from an earlier frame ("prev") to this one, in the camera of this frame.
 
-    ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2;
-    ``direction (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does
-    not translate measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2. ``residual (N,)`` in sigmas,
-    of the points that tell of it.
+    ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2; ``direction
+    (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does not translate
+    measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2. ``residual (N,)`` in sigmas, of the points
+    that determined it.
     """
 
     cam_R_prev: Floats
@@ -119,7 +119,7 @@ class Egomotion:
 
 @dataclass(frozen=True)
 class EgomotionMemory:
-    """Where the next search starts: the rotation vector expected of it (rad) and the last direction; None at first.
+    """Start of the next search: the expected rotation vector (rad) and the last direction; None at first.
 
     ``gap_frames`` is the gap that the last flow asks for.
     """
@@ -140,17 +140,25 @@ def estimate_egomotion(
 ) -> tuple[Egomotion, EgomotionMemory]:
     """Rotation and direction of travel by robust Gauss-Newton with priors.
 
-    Every static point moves in the plane of its ray and the direction of travel, by an unknown amount: the residual
-    is its distance from that plane, in sigmas. Movers lose their weight (Geman and McClure's). A rotation without
-    translation is chosen where it explains the same flow (Torr's GRIC).
+    Every static point moves in the plane of its ray and the direction of travel, by an unknown amount: the residual is
+    its distance from that plane, in sigmas. Movers lose their weight (Geman and McClure). Rotation without translation
+    is chosen where it explains the same flow (Torr's GRIC).
 
     Parameters
     ----------
-    rays_prev, rays_cam : (N, 3) unit rays of the same points in the last and in this frame, each in its own camera.
-    sigma_rad : (N,) noise of one coordinate of a unit ray.
-    least_parallax_rad : flow left after the rotation that is not taken for translation, however small the noise:
-        matching errs in common where the light or the blur changes.
-    region_side : of the cells of `picture_region` (`region_side_of`).
+    rays_prev, rays_cam
+        ``(N, 3)`` unit rays of the same points in the last and in this frame, each in its own camera.
+    sigma_rad
+        ``(N,)`` noise of one coordinate of a unit ray.
+    least_parallax_rad
+        Flow left after the rotation that does not count as translation, however small the noise: matching has common
+        errors where light or blur change.
+    memory
+        Start of the search.
+    platform
+        What carries the camera: the prior.
+    region_side
+        Of the cells of `picture_region` (`region_side_of`).
 
     Notes
     -----
@@ -172,10 +180,10 @@ def estimate_egomotion(
 
 
 def cost_of(egomotion: Egomotion, rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats) -> float:
-    """How badly own motion explains points, also such as it was not found from: Torr's criterion, less is better.
+    """Cost of an egomotion on some points, also on others than those behind it: Torr's criterion, less is better.
 
-    Parameters as of `estimate_egomotion`. A point that moves against the direction lies behind the camera: it costs as
-    much as any.
+    Parameters as of `estimate_egomotion`. A point that moves against the direction lies behind the camera, and has the
+    largest cost of a point.
     """
     turned = rays_prev @ egomotion.cam_R_prev.T
     if egomotion.direction is None:

@@ -1,4 +1,4 @@
-"""Whether the camera rests: most parts of the picture then stay where they are."""
+"""Whether the camera rests: then most cells of the picture stay in place."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RESTING_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Look:
-    """Two frames compared: time of the later one, and the share of the picture's parts that stayed in their place."""
+    """Two frames compared: time of the later one, and the share of the picture's cells that stayed in place."""
 
     t_s: float
     still_share: float
@@ -37,8 +37,17 @@ class Look:
 def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) -> Look | None:
     """Compare the points of two frames; None with too few points in common.
 
-    Each part of the picture has one vote, and gives it by the majority of its points, so that one lorry full of texture
-    does not outvote the street.
+    Each cell of the picture has one vote, by the majority of its points, so that one lorry full of texture does not
+    outvote the street.
+
+    Parameters
+    ----------
+    before, now
+        Points of both frames.
+    t_s
+        Time of the later one.
+    size
+        Size of the pictures.
     """
     _, i, j = np.intersect1d(before.track_id, now.track_id, assume_unique=True, return_indices=True)
     if len(i) < _LEAST_POINTS:
@@ -48,7 +57,7 @@ def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) 
 
 
 def share_of_parts(xy_px: Floats, stays: Floats, size: ImageSize) -> float:
-    """The share of the parts of a picture, most of whose points (N, 2) stay: 1 where one does, else 0, (N,)."""
+    """Share of the cells of a picture in which most points stay: ``xy_px (N, 2)``, ``stays (N,)`` 1 or 0."""
     side_px = size.longer_side_px / _PARTS
     cell = np.clip((xy_px / side_px).astype(np.int64), 0, _PARTS - 1)
     still = coo_matrix((stays, cell.T), shape=(_PARTS, _PARTS)).toarray()
@@ -57,7 +66,7 @@ def share_of_parts(xy_px: Floats, stays: Floats, size: ImageSize) -> float:
 
 
 def complaint_about_motion(looks: list[Look]) -> str:
-    """What to say when the camera does not rest, empty where it does."""
+    """Why the camera does not rest, as a sentence; empty where it does."""
     if not looks:
         return "too few points to see whether the camera rests: take a clip with more texture"
     moving_s = [look.t_s for look in looks if not look.is_resting]

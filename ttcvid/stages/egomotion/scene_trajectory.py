@@ -1,4 +1,4 @@
-"""The path of the static scene relative to the camera, improved by all views of its tracks."""
+"""The trajectory of the static scene relative to the camera, refined by all views of its tracks."""
 
 from __future__ import annotations
 
@@ -25,17 +25,20 @@ _GAP_FRAMES, _GATE_CHI2 = 5, 9.0
 
 
 def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion) -> TrackHistory:
-    """The history with the path of the scene as its whole tracks show it.
+    """The history with the trajectory of the scene, as its whole tracks show it.
 
-    Summed single steps keep three errors that two views cannot resolve: final direction, acceleration, rotation rate.
-    All tracks share them.
-    (The direction of the epipole stays that of two views, which follows a swinging one more closely: 0.07 against
-    0.13 deg. So do the steps: the next frame's path is to be fitted to views, not to itself.)
+    The sum of single steps keeps three errors that two views cannot resolve: final direction, acceleration and rotation
+    rate. All tracks share them. (The epipole stays that of two views, which follows a swinging direction more closely:
+    0.07 against 0.13 deg. So do the steps: the next frame's trajectory has to be fitted to views, not to itself.)
 
     Parameters
     ----------
-    is_free : (N,) tracks that are not frozen to their pixel.
-    egomotion : of the last step. Without a direction there is no path, and nothing changes.
+    history
+        Views of all tracks.
+    is_free
+        ``(N,)`` tracks that are not frozen to their pixel.
+    egomotion
+        Of the last step. Without a direction there is no trajectory, and nothing changes.
     """
     if egomotion.direction is None or egomotion.direction_cov is None:
         return history
@@ -52,7 +55,7 @@ def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion)
 
 
 def scene_path(history: TrackHistory, direction: Floats, direction_cov: Floats) -> SharedPaths:
-    """The path of the scene: as its tracks see it together, or as the single steps add up to."""
+    """Trajectory of the scene: estimated from its tracks together, else the sum of the single steps."""
     if history.scene is not None:
         return history.scene
     return believed_paths(_belief(history, direction, direction_cov))

@@ -1,1 +1,1 @@
-"""The horizon of a camera, at rest and driving, and planar motion beside it."""
+"""The horizon of a camera, resting and driving, and planar motion with it."""

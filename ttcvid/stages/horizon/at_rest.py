@@ -1,4 +1,4 @@
-"""The horizon of a resting camera from the motions of all its clips, or why there is none."""
+"""The horizon of a resting camera from the motions of all its clips, or why it is undetermined."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _UPPER_95 = 0.975
 
 @dataclass(frozen=True)
 class HorizonResult:
-    """A horizon with the motions that it is made of; ``fit`` None where undetermined, and ``reason`` says why.
+    """A horizon with the motions behind it; ``fit`` is None where undetermined, and ``reason`` says why.
 
-    ``roll_zero``: roll was taken as zero, not measured; ``notes`` are what else a user has to know.
+    ``roll_zero``: roll was assumed zero, not measured; ``notes`` are warnings for the user.
     """
 
     fit: HorizonFit | None
@@ -41,10 +41,21 @@ def calibrated_horizon(
     Undetermined with too few motions, with motions in one direction, and where the band is too wide to be of use. With
     ``config.roll_zero`` the line is level and one direction is enough.
 
-    Where tracks come ``from_pictures`` all tracks of a mover err alike (what their windows hold changes as it turns,
-    comes nearer, is hidden), which no scatter between them shows. Their epipoles are taken as less certain than they
-    say, and the pieces of one mover together as no more certain than one. By how much is known roughly only, so that
-    the band is that of Student's distribution with as many degrees of freedom as there are motions.
+    Where tracks come ``from_pictures`` all tracks of a mover have common errors (what their windows hold changes as it
+    turns, approaches, is occluded), which no scatter between them shows. Their epipoles get larger standard deviations,
+    and the pieces of one mover count as one. How much larger is known roughly only, so the band is that of Student's
+    distribution with as many degrees of freedom as there are motions.
+
+    Parameters
+    ----------
+    motions
+        Straight motions of all clips.
+    camera
+        Intrinsics.
+    config
+        Bounds and factors.
+    from_pictures
+        Whether the tracks were made from pictures, by us.
     """
     roll_zero = config.roll_zero
     usable = [motion for motion in motions if motion.status == "used"]

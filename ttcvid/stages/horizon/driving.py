@@ -1,9 +1,9 @@
 """The horizon of a driving camera, from the epipoles of its own motion with its rotation removed.
 
-The car moves along the road, so that its direction lies on the horizon. Within a window of a few seconds all directions
-are turned into one camera, that of the window's mean tilt: a car that pitches takes its horizon along, and what is
-calibrated is the horizon about which it pitches. Where the car turns, the directions spread along the horizon and tell
-its slope; on a straight road they do not, and the roll is taken as zero within a few degrees.
+The car moves along the road, so its direction lies on the horizon. Within a window of a few seconds all directions are
+rotated into one camera, that of the window's mean tilt: a pitching car takes its horizon along, and the calibrated one
+is that about which it pitches. Where the car turns, the directions spread along the horizon and determine its slope; on
+a straight road they do not, and the roll is assumed zero within a few degrees.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _LEAST_FRAMES = 3
 
 @dataclass(frozen=True)
 class OwnStep:
-    """Own motion up to one frame: ``cam_R_prev (3, 3)``, and ``direction (3,)`` of the scene with its covariance.
+    """Egomotion up to one frame: ``cam_R_prev (3, 3)``, and ``direction (3,)`` of the scene with its covariance.
 
-    Direction and ``covariance (3, 3)`` are NaN where the camera did not translate.
+    Direction and ``covariance (3, 3)`` (rad^2) are NaN where the camera did not translate.
     """
 
     frame: int
@@ -47,7 +47,7 @@ class OwnStep:
 
 
 def own_step(result: FrameResult) -> OwnStep | None:
-    """What a frame's result says of own motion, None where it says nothing."""
+    """Egomotion of a frame's result, None where it has none."""
     if result.rotation_rad is None:
         return None
     scene = next((row for row in result.clusters if row.cluster_id == SCENE_CLUSTER), None)
@@ -66,7 +66,7 @@ def own_motions(steps: Iterable[OwnStep | None], clip: int = 0) -> list[Motion]:
 
 
 def driving_horizon(motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig) -> HorizonResult:
-    """The line through the directions of own motion; the roll about zero as far as the drive does not tell it."""
+    """The line through the directions of own motion; roll zero as far as the drive does not determine it."""
     duration_s = sum(motion.duration_s for motion in motions)
     if duration_s < config.min_drive_s:
         reason = f"own motion is seen for {duration_s:.1f} s only, {config.min_drive_s:g} s needed: take a longer drive"

@@ -1,4 +1,4 @@
-"""Which long tracks belong to one moving thing: neighbours that keep moving alike for as long as both are seen."""
+"""Groups long tracks into movers: neighbours with the same motion for as long as both are seen."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class _Pairs:
 
 
 def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools:
-    """Long tracks that went somewhere at a steady pace and without detours, (M,).
+    """Long tracks with a net motion at a steady pace and without detours: ``(M,)``.
 
-    A point of the background over which somebody walks is dragged along for a moment, and rests before and after; an
-    arm swings forth and back. So each quarter of the track has to bring it on.
+    A background point that a pedestrian passes is dragged along for a moment, and rests before and after; an arm swings
+    to and fro. So each quarter of the track has to advance.
     """
     starts, lengths = rows.starts, rows.lengths
     ends = starts + lengths - 1
@@ -52,12 +52,14 @@ def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools
 
 
 def group_movers(rows: Observations, link_px: float) -> Ints:
-    """Number of the mover of each track: (M,), 0 .. (number of movers) - 1.
+    """Number of the mover of each track: ``(M,)``, 0 .. (number of movers) - 1.
 
     Parameters
     ----------
-    rows : tracks that move.
-    link_px : neighbours are nearer than this.
+    rows
+        Tracks that move.
+    link_px
+        Neighbours are nearer than this.
     """
     n_tracks = len(rows.starts)
     if n_tracks == 0:

@@ -1,6 +1,6 @@
-"""Straight motions from the outlines of movers: where the lines of their tops and of their feet meet.
+"""Straight motions from the outlines of movers: the lines of their tops and of their feet meet at the epipole.
 
-An outline is followed for as long as the mover is seen, over limbs that swing and clothes that fold.
+An outline is followed for as long as the mover is seen, whatever limbs and clothes do.
 """
 
 from __future__ import annotations
@@ -42,12 +42,20 @@ def outline_motions(
     *,
     may_bend: bool,
 ) -> list[Motion]:
-    """The motions of one mover from its outlines: one, or two or more where its way bends.
+    """The motions of one mover from its outlines: one, or two or more where its path bends.
 
     Parameters
     ----------
-    rows : its tracks, source pixels.
-    may_bend : False where the points of a rigid body go straight: an outline that bends then changes its shape.
+    rows
+        Its tracks, source pixels.
+    silhouettes
+        Masks of what moves, by frame.
+    camera, config
+        Intrinsics; bounds and factors.
+    clip, mover
+        Numbers for the result.
+    may_bend
+        False where the points of a rigid body move straight: an outline that bends then changes its shape.
     """
     track_id = np.unique(rows.track_id)
     outline, frame, t_s = _outlines(rows, silhouettes, camera)

@@ -1,9 +1,8 @@
-"""Planar motion: with a known horizon an epipole has to lie on it.
+"""Planar motion: with a known horizon, epipoles lie on it.
 
 The calibrated horizon is that of the camera as mounted. A car pitches and rolls on its springs, and the horizon moves
-in the picture: it is carried along with the camera's rotation from frame to frame, and drawn back to where it was
-calibrated within seconds, since errors of rotation add up, and a road that bends upwards turns the camera but takes its
-plane along.
+in the picture: it follows the camera's rotation from frame to frame, and returns to the calibrated one within seconds,
+since errors of rotation add up, and a road that bends upwards turns the camera together with its plane.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ _RETURN_S = 2.0
 class HorizonPlane:
     """The plane of motion: unit ``normal (3,)`` with its ``covariance (3, 3)`` in rad^2, and its line in px.
 
-    ``line_px`` is the line's height at both sides of the picture. The covariance is that of the calibration, in the
-    camera as mounted; the few degrees of its springs do not matter.
+    ``line_px`` are the heights of the line at both sides of the picture. The covariance is that of the calibration, in
+    the camera as mounted; the few degrees of its springs do not matter.
     """
 
     normal: Floats
@@ -37,7 +36,7 @@ class HorizonPlane:
     line_px: tuple[float, float]
 
     def sigma_rad(self, directions: Floats) -> Floats:
-        """How far off the plane directions ``(..., 3)`` may lie by its own error: standard deviation of n . dir."""
+        """Standard deviation of n . dir by the plane's own error, for directions ``(..., 3)``."""
         variance = np.einsum("...i,ij,...j->...", directions, self.covariance, directions)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
@@ -87,14 +86,26 @@ def followed_plane(
 
 
 def onto_horizon(direction: Floats, covariance: Floats, plane: HorizonPlane) -> tuple[Floats, Floats]:
-    """A direction moved onto the horizon along its covariance, and the covariance that is left.
+    """Move a direction onto the horizon along its covariance.
 
-    The paper's correction of the epipole before the times are computed; here it is the conditional mean given
-    ``n . dir = 0`` within the horizon's own error, so that a well-known epipole moves little sideways.
+    The paper's correction of the epipole before times are computed; here it is the conditional mean given ``n . dir =
+    0`` within the horizon's own error, so that a well-known epipole moves little.
 
     Parameters
     ----------
-    direction : (3,) unit vector, ``covariance (3, 3)`` in its tangent plane, rad^2.
+    direction
+        ``(3,)`` unit vector.
+    covariance
+        ``(3, 3)`` in its tangent plane, rad^2.
+    plane
+        The plane of motion.
+
+    Returns
+    -------
+    direction : ``(3,)``.
+    covariance : ``(3, 3)`` that is left, rad^2.
+
+    Source: the paper's section 2.1, "Planar Motion".
     """
     basis = tangent_basis(direction)
     tangent_cov = basis.T @ covariance @ basis

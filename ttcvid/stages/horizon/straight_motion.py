@@ -1,4 +1,4 @@
-"""One straight motion, as it counts for a horizon."""
+"""One straight motion, as it enters a horizon."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ TRACKS, OUTLINE = "tracks", "outline"
 class Motion:
     """One straight motion of one mover in one clip.
 
-    ``status``: ``used`` (of the horizon), ``off_horizon``, ``curved``, ``not_rigid`` (the tracks do not move as one),
-    ``uncertain`` (the epipole could be anywhere). ``track_id`` are its tracks; ``direction (3,)`` and ``covariance
-    (3, 3)`` NaN where there are none; ``turned_rad`` by how much its path bends; ``noise_px``, ``correlation`` as in
-    `Translation`; ``looseness`` how many times more its points scatter than those of a rigid body; ``evidence``: the
-    points of the mover, or its outline as a whole.
+    ``status``: ``used`` (for the horizon), ``off_horizon``, ``curved``, ``not_rigid`` (no common motion of the tracks),
+    ``uncertain`` (the epipole could be anywhere). ``track_id`` are its tracks; ``direction (3,)`` and ``covariance (3,
+    3)`` (rad^2) are NaN where there are none; ``turned_rad`` the turn of its path; ``noise_px``, ``correlation`` as in
+    `Translation`; ``looseness`` the scatter of its points over that of a rigid body; ``evidence``: the points of the
+    mover, or its outline as a whole.
     """
 
     clip: int

@@ -1,4 +1,4 @@
-"""From movers to straight motions, each with its epipole and covariance; what bends or falls apart is refused."""
+"""From movers to straight motions, each with epipole and covariance; curved and non-rigid ones are rejected."""
 
 from __future__ import annotations
 

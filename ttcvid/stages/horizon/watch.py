@@ -1,4 +1,4 @@
-"""Whether the calibrated horizon still fits: epipoles lie beside it by chance, but not on one side, nor wandering."""
+"""Whether the calibrated horizon still fits: offsets of epipoles should scatter about zero and not drift."""
 
 from __future__ import annotations
 
@@ -29,17 +29,19 @@ _REMEDY = "the calibration no longer fits, calibrate the horizon again"
 
 
 def own_offset_px(result: FrameResult) -> float | None:
-    """How far off the horizon the epipole of own motion was found, px; None where we do not move."""
+    """Offset of the epipole of own motion from the horizon, px; None where we do not move."""
     return next((row.horizon_offset_px for row in result.clusters if row.cluster_id == SCENE_CLUSTER), None)
 
 
 def complaint_about_own_epipoles(offset_px: Floats, tolerance_px: float) -> str:
-    """What to say where own epipoles of a clip's frames ``(N,)`` do not fit the calibration; empty where they do.
+    """Why own epipoles of a clip do not fit the calibration, as a sentence; empty where they do.
 
     Parameters
     ----------
-    offset_px : positive below the horizon, in the order of the frames.
-    tolerance_px : offsets that the calibration's own error explains.
+    offset_px
+        ``(N,)`` of the frames in order, positive below the horizon.
+    tolerance_px
+        Offsets that the calibration's own error explains.
     """
     parts = np.array_split(offset_px, _PARTS)
     if len(parts[-1]) < _LEAST_FRAMES:
@@ -61,7 +63,7 @@ def complaint_about_own_epipoles(offset_px: Floats, tolerance_px: float) -> str:
 
 @dataclass
 class MoverOffset:
-    """What the frames of a mover say of its offset from the horizon, each with the weight of its error."""
+    """Offsets of a mover from the horizon over its frames, weighted by their errors."""
 
     n_frames: int = 0
     weight: float = 0.0
@@ -70,7 +72,7 @@ class MoverOffset:
     ahead: float = 0.0
 
     def add(self, offset: HorizonOffset) -> None:
-        """Take in one frame."""
+        """Add one frame."""
         weight = 1.0 / max(offset.sigma_rad, _LEAST_SIGMA_RAD) ** 2
         self.n_frames += 1
         self.weight += weight
@@ -80,7 +82,7 @@ class MoverOffset:
 
     @property
     def mean(self) -> HorizonOffset:
-        """That of the mover: its error is that of a frame, since its frames err together."""
+        """The mover's offset; its error is that of one frame, since its frames have common errors."""
         return HorizonOffset(self.below_rad / self.weight, self.sigma_rad / self.weight, self.ahead / self.weight)
 
 
@@ -90,17 +92,23 @@ def complaint_about_movers(
     tolerance_rad: float,
     config: HorizonCalibrationConfig,
 ) -> str:
-    """What to say where the epipoles of movers do not fit the calibration; empty where they do.
+    """Why the epipoles of movers do not fit the calibration, as a sentence; empty where they do.
 
-    They are judged by the errors by which a calibration judges them: the tracks of a mover err together all its life
-    (limbs, clothes, a gait), so that each mover has one say, whatever its number of frames, and what its tracks say of
-    its error is too little. What movers scatter by beyond that they may err by in common, too (walkers do: on
-    tud_stadtmitte all of 18 lie below the true horizon, by 0.4 to 9 deg): their mean is no better than one of them.
+    The errors are those of a calibration: the tracks of a mover have common errors all its life (limbs, clothes, a
+    gait), so that each mover has one vote, whatever its number of frames, with a larger error than its tracks say.
+    Scatter between movers beyond that may be common too (pedestrians: on tud_stadtmitte all of 18 lie below the true
+    horizon, by 0.4 to 9 deg): their mean is then no better than one of them.
 
     Parameters
     ----------
-    movers : what each showed, over its life.
-    tolerance_rad : offsets that no calibration is better than.
+    movers
+        Offsets of each mover, over its life.
+    horizon_sigma_rad
+        Error of the calibration.
+    tolerance_rad
+        Offsets that no calibration is better than.
+    config
+        Factors of the calibration.
     """
     seen = [mover for mover in movers if mover.n_frames >= _LEAST_MOVER_FRAMES]
     if len(seen) < config.min_motions:

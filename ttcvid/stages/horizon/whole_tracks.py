@@ -1,4 +1,4 @@
-"""Whole tracks of a clip, gathered frame by frame; what stays in its place is forgotten once its track has ended."""
+"""Whole tracks of a clip, collected frame by frame; static ones are dropped once they have ended."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def observations_of(points: PointSet, frame: int, t_s: float) -> Observations:
 
 
 def joined(parts: list[Observations]) -> Observations:
-    """All rows of several pieces of one clip, sorted."""
+    """All rows of several parts of one clip, sorted."""
     if not parts:
         nothing = np.empty(0, dtype=np.int64)
         return Observations(nothing, nothing, np.empty(0), np.empty((0, 2)))
@@ -60,13 +60,16 @@ def joined(parts: list[Observations]) -> Observations:
 
 
 def recentred(rows: Observations, centres: Observations) -> Observations:
-    """The tracks moved to where their content lies; a track whose content was never seen is left out.
+    """Move tracks to where the content of their windows lies; a track whose content was never located is left out.
 
-    A track follows the same content all its life, so that one shift holds for all of it: the median of those found.
+    A track follows the same content all its life, so one offset holds for all of it: the median of those found.
 
     Parameters
     ----------
-    centres : where the content lay of some of the observations, in ``xy_px``; NaN where it was not found.
+    rows
+        Observations of the tracks.
+    centres
+        Where the content lay for some of the observations, in ``xy_px``; NaN where it was not located.
     """
     centres = joined([centres.take(np.isfinite(centres.xy_px[:, 0]))])
     _, in_rows, in_centres = np.intersect1d(_key(rows), _key(centres), assume_unique=True, return_indices=True)
@@ -85,7 +88,7 @@ def _key(rows: Observations) -> Ints:
 
 
 def without_ended_at_rest(rows: Observations, frame: int) -> Observations:
-    """Leave out the tracks that ended before ``frame`` and never left their place."""
+    """Leave out tracks that ended before ``frame`` and never moved."""
     if not len(rows.frame):
         return rows
     starts = rows.starts

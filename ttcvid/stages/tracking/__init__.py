@@ -1,1 +1,1 @@
-"""Points found in a picture and followed through the next ones; the only stage that uses OpenCV."""
+"""Tracking of points from picture to picture; the only stage that uses OpenCV."""

@@ -25,7 +25,7 @@ class Features:
 
 @dataclass(frozen=True)
 class AkazeMemory:
-    """Features of the last picture and the track that each belongs to: ``track_id (N,)``."""
+    """Features of the last picture and the track of each: ``track_id (N,)``."""
 
     features: Features
     track_id: Ints
@@ -48,18 +48,18 @@ def detect_features(grey: Picture, allowed: Picture | None, config: TrackingConf
 
 
 def start_akaze(features: Features, next_track_id: int = 0) -> AkazeMemory:
-    """Every feature of a first picture begins a track."""
+    """Start a track at every feature of a first picture."""
     track_id = next_track_id + np.arange(len(features.xy_px), dtype=np.int64)
     return AkazeMemory(features, track_id, next_track_id + len(track_id))
 
 
 def follow_akaze(memory: AkazeMemory, features: Features, config: TrackingConfig) -> tuple[AkazeMemory, float]:
-    """Chain the features of this picture to the tracks of the last one.
+    """Match the features of this picture to the tracks of the last one.
 
     Returns
     -------
-    memory : of this picture; features without a match begin tracks of their own.
-    survival : part of the former features that were found again (1 where there were none): low after a cut.
+    memory : of this picture; features without a match start new tracks.
+    survival : share of the former features that were matched (1 where there were none): low after a cut.
     """
     n_former, n_now = len(memory.track_id), len(features.xy_px)
     former, now = _matches(memory.features.descriptors, features.descriptors, config.akaze_ratio)

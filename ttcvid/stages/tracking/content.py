@@ -1,4 +1,4 @@
-"""Where the content lies that a Lucas-Kanade window follows, and whether it is an edge."""
+"""Where the content lies that a Lucas-Kanade window follows, and whether it is an edge (aperture problem)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""What moves before a camera at rest, cut out of its pictures, so that a tracker follows it alone.
+"""Cuts what moves before a resting camera out of its pictures, so that a tracker follows it alone.
 
-A Lucas-Kanade window that holds both a mover and the street behind it follows a mixture of the two; and all windows
-that hold the same piece of a mover follow that piece, wherever they stand: they then seem not to come apart as the
-mover comes nearer. So the street is painted over, and each track is put where the content of its window lies
-(`stages.tracking.content`).
+A Lucas-Kanade window with both a mover and the street behind follows a mixture of the two; and all windows that hold
+the same piece of a mover follow that piece, wherever they stand: they do not diverge as the mover approaches. So the
+street is masked, and each track is placed where the content of its window lies (`stages.tracking.content`).
 """
 
 from __future__ import annotations

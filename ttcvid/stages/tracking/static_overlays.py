@@ -1,7 +1,7 @@
 """Tracks that stay on their pixel while the scene moves: bonnet, wiper, burned-in text.
 
-They look like a thing at constant bearing, the most dangerous there is, and are none. They are followed all the same:
-what begins to move again, such as a car ahead that kept its distance, is looked at again at once.
+They look like an object at constant bearing, the most dangerous there is, and are none. They are tracked nevertheless:
+what starts to move again, such as a car ahead that kept its distance, is used again at once.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _NEAR_FROZEN_PX = 15.0
 
 @dataclass(frozen=True)
 class FrozenMemory:
-    """Per live track: the pixel it is compared with, and for how many frames of a moving scene it has stayed there.
+    """Per live track: the pixel that it is compared with, and for how many frames of a moving scene it stayed there.
 
-    ``n_stayed (N,)`` counts frames of a fast clip by their part.
+    ``n_stayed (N,)`` counts the frames of a fast clip as fractions.
     """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
@@ -40,19 +40,25 @@ class FrozenMemory:
 
     @property
     def is_suspect(self) -> Bools:
-        """Tracks that may be on the way to be frozen: (N,)."""
+        """Tracks that may become frozen: ``(N,)``."""
         return np.asarray(self.n_stayed >= _SUSPECT_FRAMES)
 
 
 def find_frozen(
     memory: FrozenMemory, points: PointSet, *, scene_moves: bool, step_s: float = np.inf
 ) -> tuple[Bools, FrozenMemory]:
-    """Which of the points (N,) are frozen.
+    """Which of the points ``(N,)`` are frozen.
 
     Parameters
     ----------
-    scene_moves : whether the camera translated or turned in the step before: only then does staying mean anything.
-    step_s : time since the last frame.
+    memory
+        From the frame before.
+    points
+        Points of this frame.
+    scene_moves
+        Whether the camera translated or turned in the step before: only then does staying mean anything.
+    step_s
+        Time since the last frame.
     """
     n = len(points.track_id)
     anchor_px, n_stayed, is_new = points.xy_px.copy(), np.zeros(n), np.ones(n, dtype=bool)

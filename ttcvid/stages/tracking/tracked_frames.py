@@ -67,7 +67,7 @@ def track_frames(
 ) -> Iterator[TrackedFrame]:
     """Each frame with its points: from the tracker, or from the table that the source reads.
 
-    Over a gap in time no motion is told: the first frame that shows something after it is a ``cut``.
+    No motion is estimated over a gap in time: the first frame with content after it is a ``cut``.
     """
     memory, last_points = TrackerMemory(), None
 

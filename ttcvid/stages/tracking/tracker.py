@@ -1,4 +1,4 @@
-"""One interface to both trackers, with cuts, darkness and doubled pictures told apart from motion."""
+"""One interface to both trackers; cuts, dark and duplicate pictures are distinguished from motion."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _DARK_LEVEL = 24
 
 @dataclass(frozen=True)
 class PreparedPicture:
-    """What can be worked out of a picture by itself, ahead of its turn: its look, and its features for AKAZE."""
+    """What can be computed from a picture alone, ahead of its turn: its thumbnail, and its features for AKAZE."""
 
     grey: Picture
     thumbnail: Picture
@@ -79,9 +79,10 @@ def follow_points(
 
     Returns
     -------
-    points : none where the picture is ``dark`` or a ``duplicate`` of the last one, exactly or but for what a codec
-        does (then the memory of the tracks stays as it was).
-    status : ``first``, ``cut`` (all tracks begin anew), ``dark``, ``duplicate`` or ``ok``.
+    points : none where the picture is ``dark`` or a ``duplicate`` of the last one, exactly or but for the effect of a
+    codec
+        (then the memory of the tracks stays as it was).
+    status : ``first``, ``cut`` (all tracks start again), ``dark``, ``duplicate`` or ``ok``.
     memory : for the next picture.
     """
     if int(prepared.thumbnail.max()) < _DARK_LEVEL:
