@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry import shared_direction, shared_path_descent, two_view_descent
+from ttcvid.geometry import shared_direction, shared_path_descent
 from ttcvid.geometry.collision import times_from_position_velocity
 from ttcvid.geometry.flow_line import flow_line_chi2
 from ttcvid.geometry.intervals import collision_times_from_state
-from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.stages.egomotion import scene_trajectory
 
 DIRECTIONS = normalize(
@@ -18,35 +18,20 @@ DIRECTIONS = normalize(
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
-def test_tangents_of_two_views_are_the_tangent_basis_and_those_of_a_shared_direction_are_a_basis(direction):
-    mirrored, other = np.empty((3, 2)), np.empty((3, 2))
-    two_view_descent._tangents(direction, mirrored)
+def test_tangents_of_a_shared_direction_are_a_basis(direction):
+    other = np.empty((3, 2))
     shared_direction._tangents(direction, other)
-    np.testing.assert_allclose(mirrored, tangent_basis(direction), atol=1e-14)
     np.testing.assert_allclose(other.T @ other, np.eye(2), atol=1e-14)
     np.testing.assert_allclose(other.T @ direction, 0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.01, 2.0])
 def test_rotations_are_those_of_the_rotation_vector(angle):
-    rng = np.random.default_rng(2)
-    vector, before = angle * normalize(rng.normal(size=3)), rotation_from_vector(rng.normal(size=3))
-    turned = np.empty((3, 3))
-    two_view_descent._turn(vector, before, turned)
-    np.testing.assert_allclose(turned, rotation_from_vector(vector) @ before, atol=1e-14)
+    vector = angle * normalize(np.random.default_rng(2).normal(size=3))
     t_s, way = np.array([-0.7, 0.0]), np.zeros((13, 8))
     shared_path_descent._set_way(t_s, np.zeros((2, 3)), np.eye(3), np.append(np.zeros(5), vector), way)
     rotations = way[:9, -2:].T.reshape(2, 3, 3)
     np.testing.assert_allclose(rotations, rotation_from_vector(-t_s[:, None] * vector), atol=1e-14)
-
-
-def test_solvers_solve():
-    rng = np.random.default_rng(3)
-    for n, solve in ((8, shared_path_descent._solve), (5, two_view_descent._solve)):
-        root, right = rng.normal(size=(n, n)), rng.normal(size=n)
-        matrix, solution = root @ root.T + np.eye(n), np.empty(n)
-        solve(matrix, right, solution)
-        np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), rtol=1e-10)
 
 
 def test_what_a_point_says_of_what_it_shares_is_what_is_left_when_its_own_unknowns_follow():

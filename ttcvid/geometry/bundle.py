@@ -3,6 +3,11 @@
 Everything at once by maximum likelihood: how the camera turned and moved from frame to frame, where the points are, and
 the focal length that makes all views agree. Own motion from two views knows next to nothing of the focal length when
 it goes along the optical axis, which is what cars do; over many frames the depths of the points have to agree as well.
+
+A point is a unit ray and an inverse distance in the axes of one frame; frame j sees it along R_j ray + inverse t_j. The
+lens is u = f x (1 + k |x|^2) + c with x the point in the plane z = 1. The unknowns that frames hold come as
+``K = 6 J + 4``: each frame's rotation vector and translation, then log f, c and k, which all share; those of a point
+are two tangent coordinates of its ray and the inverse distance.
 """
 
 from __future__ import annotations
@@ -11,10 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.bundle_normals import N_POSE, N_SHARED, bundle_cost, bundle_normals, carry
-from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
+from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
+N_SHARED, N_POSE = 4, 6
+"""Numbers of the unknowns that all frames share, and of those of a frame."""
+
+# Geman and McClure's cost: that of an outlier is limited to so many sigmas squared.
+_CAP = 16.0
+# A point nearer to the picture plane, or behind it, cannot be seen: it costs what an outlier costs.
+_LEAST_DEPTH = 1e-3
 # Levenberg and Marquardt's damping: at first, its change after a good and after a bad step, and where it gives up.
 _DAMPING, _LESS, _MORE, _MOST_DAMPING = 1e-3, 0.125, 6.0, 1e6
 # A step that lowers the cost by less than this part is the last one.
@@ -90,7 +101,11 @@ class BundleFit:
 
 @dataclass(frozen=True)
 class _Equations:
-    """Gauss-Newton's equations as `bundle_normals` fills them."""
+    """Gauss-Newton's equations: ``pose_hessian (K, K)``, ``pose_gradient (K,)``, downhill, of what frames hold.
+
+    ``mixed (K, N, 3)`` couples it with the points, of which ``point_hessian (N, 3, 3)`` and ``point_gradient (N, 3)``
+    are; ``score (N, K)`` is the part of each point in the pose gradient.
+    """
 
     pose_hessian: Floats
     pose_gradient: Floats
@@ -154,21 +169,21 @@ def adjust_bundle(
 
 
 def _cost(views: Views, bundle: Bundle, sigma_px: float) -> tuple[float, Floats]:
-    residual = np.empty((len(views.frame), 2))
-    cost = bundle_cost(
-        views.xy_px,
-        views.frame,
-        views.point,
-        bundle.rotation,
-        bundle.translation,
-        bundle.ray,
-        bundle.inverse,
-        bundle.shared,
-        sigma_px,
-        _inverse_sigma(bundle),
-        residual,
-    )
-    return cost, residual
+    """Robust cost of all observations and of negative distances; residuals (M, 2), inf where unseen."""
+    seen = np.einsum("mab,mb->ma", bundle.rotation[views.frame], bundle.ray[views.point])
+    seen += bundle.inverse[views.point, None] * bundle.translation[views.frame]
+    is_ahead = seen[:, 2] >= _LEAST_DEPTH
+    x = seen[:, :2] / np.where(is_ahead, seen[:, 2], 1.0)[:, None]
+    bend = np.exp(bundle.shared[0]) * (1.0 + bundle.shared[3] * np.sum(x * x, axis=1))
+    residual = (bend[:, None] * x + bundle.shared[1:3] - views.xy_px) / sigma_px
+    residual[~is_ahead] = np.inf
+    squares = np.append(np.sum(residual[is_ahead] ** 2, axis=1), _behind(bundle) ** 2)
+    return float(np.sum(squares / (1.0 + squares / _CAP)) + _CAP * np.count_nonzero(~is_ahead)), residual
+
+
+def _behind(bundle: Bundle) -> Floats:
+    """By how many sigmas each distance is negative, (N,); 0 if it is not."""
+    return np.asarray(np.minimum(bundle.inverse / _inverse_sigma(bundle), 0.0))
 
 
 def _inverse_sigma(bundle: Bundle) -> float:
@@ -179,34 +194,57 @@ def _inverse_sigma(bundle: Bundle) -> float:
 def _equations(
     views: Views, bundle: Bundle, sigma_px: float, residual: Floats, shared_mean: Floats, precision: Floats
 ) -> _Equations:
-    """The normal equations of all unknowns at a bundle, with the prior of the shared ones."""
+    """The normal equations of all unknowns at a bundle and the robust weights, with the prior of the shared ones."""
     n, k = views.n_points, N_POSE * views.n_frames + N_SHARED
-    equations = _Equations(
-        np.empty((k, k)), np.empty(k), np.empty((k, n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, k))
+    found = _Equations(
+        np.zeros((k, k)), np.zeros(k), np.zeros((k, n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, k))
     )
-    bundle_normals(
-        views.frame,
-        views.point,
-        bundle.rotation,
-        bundle.translation,
-        bundle.ray,
-        tangent_basis(bundle.ray),
-        bundle.inverse,
-        bundle.shared,
-        sigma_px,
-        _inverse_sigma(bundle),
-        residual,
-        equations.pose_hessian,
-        equations.pose_gradient,
-        equations.mixed,
-        equations.point_hessian,
-        equations.point_gradient,
-        equations.score,
-    )
-    shared = np.arange(k - N_SHARED, k)
-    equations.pose_hessian[shared, shared] += precision
-    equations.pose_gradient[shared] -= precision * (bundle.shared - shared_mean)
-    return equations
+    shared, is_seen, basis = np.arange(k - N_SHARED, k), np.isfinite(residual[:, 0]), tangent_basis(bundle.ray)
+    for frame in range(views.n_frames):
+        # A point is seen once in a frame.
+        of_frame = np.flatnonzero((views.frame == frame) & is_seen)
+        point, left = views.point[of_frame], residual[of_frame]
+        by_pose, by_point = _derivatives(bundle, frame, point, basis[point], sigma_px)
+        weight = (1.0 + np.sum(left**2, axis=1) / _CAP) ** -2.0
+        place = np.append(np.arange(N_POSE * frame, N_POSE * (frame + 1)), shared)
+        pose, own, pull = weight[:, None, None] * by_pose, weight[:, None, None] * by_point, weight[:, None] * left
+        score = -(pull[:, None] @ by_pose)[:, 0]
+        found.score[np.ix_(point, place)] += score
+        found.pose_gradient[place] += score.sum(axis=0)
+        found.pose_hessian[np.ix_(place, place)] += pose.reshape(-1, len(place)).T @ by_pose.reshape(-1, len(place))
+        found.mixed[np.ix_(place, point)] += (pose.transpose(0, 2, 1) @ by_point).transpose(1, 0, 2)
+        found.point_gradient[point] -= (pull[:, None] @ by_point)[:, 0]
+        found.point_hessian[point] += own.transpose(0, 2, 1) @ by_point
+    behind, sigma = _behind(bundle), _inverse_sigma(bundle)
+    weight = np.where(behind < 0.0, (1.0 + behind**2 / _CAP) ** -2.0, 0.0) / sigma
+    found.point_hessian[:, 2, 2] += weight / sigma
+    found.point_gradient[:, 2] -= weight * behind
+    found.pose_hessian[shared, shared] += precision
+    found.pose_gradient[shared] -= precision * (bundle.shared - shared_mean)
+    return found
+
+
+def _derivatives(bundle: Bundle, frame: int, point: Ints, basis: Floats, sigma_px: float) -> tuple[Floats, Floats]:
+    """How the m points of a frame move in the picture, in sigmas: by frame and shared ``(m, 2, 10)``, by own unknowns.
+
+    The latter ``(m, 2, 3)``, along ``basis (m, 3, 2)``.
+    """
+    rotation, translation = bundle.rotation[frame], bundle.translation[frame]
+    inverse, focal = bundle.inverse[point], float(np.exp(bundle.shared[0]))
+    turned = bundle.ray[point] @ rotation.T
+    seen = turned + inverse[:, None] * translation
+    x = seen[:, :2] / seen[:, 2:]
+    square = np.sum(x * x, axis=1)
+    bend = 1.0 + bundle.shared[3] * square
+    by_seen, by_pose = np.empty((len(point), 2, 3)), np.zeros((len(point), 2, N_POSE + N_SHARED))
+    by_seen[..., :2] = bend[:, None, None] * np.eye(2) + 2.0 * bundle.shared[3] * x[:, :, None] * x[:, None]
+    by_seen[..., :2] *= (focal / (seen[:, 2] * sigma_px))[:, None, None]
+    by_seen[..., 2] = -np.einsum("mab,mb->ma", by_seen[..., :2], x)
+    by_pose[..., :3] = cross(turned[:, None], by_seen)
+    by_pose[..., 3:6] = by_seen * inverse[:, None, None]
+    by_pose[..., 6], by_pose[..., 9] = (focal * x * each[:, None] / sigma_px for each in (bend, square))
+    by_pose[:, 0, 7] = by_pose[:, 1, 8] = 1.0 / sigma_px
+    return by_pose, np.concatenate([by_seen @ (rotation @ basis), (by_seen @ translation)[..., None]], axis=2)
 
 
 def _reduced(equations: _Equations, damping: float) -> tuple[Floats, Floats, Floats]:
@@ -216,8 +254,7 @@ def _reduced(equations: _Equations, damping: float) -> tuple[Floats, Floats, Flo
     hessian[:, diagonal, diagonal] *= 1.0 + damping + _TINY
     hessian[:, diagonal, diagonal] += _TINY
     inverse: Floats = np.linalg.inv(hessian).astype(np.float64)
-    carried = np.empty_like(equations.mixed)
-    carry(equations.mixed, inverse, carried)
+    carried = np.einsum("kna,nab->knb", equations.mixed, inverse)
     n_unknowns = len(carried)
     schur: Floats = equations.pose_hessian - carried.reshape(n_unknowns, -1) @ equations.mixed.reshape(n_unknowns, -1).T
     return schur, carried, inverse

@@ -8,8 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.medians import median, row_medians
+from ttcvid.geometry.quotient import quotient
 from ttcvid.model import Floats
 
 # Views that a depth, its rate and its acceleration need, with some to tell their noise.
@@ -82,9 +84,34 @@ def depths_over_time(xy: Floats) -> tuple[Floats, Floats, float]:
     radius : root mean square distance of the points that agree from their centre, in the plane z = 1.
     """
     every = max(1, -(-xy.shape[1] // _MOST_TRACKS))
-    depth, variance = np.full(len(xy), np.nan), np.full(len(xy), np.nan)
-    radius = _fit_sizes(np.ascontiguousarray(xy[:, ::every]), depth, variance)
-    return depth, variance, radius
+    xy = xy[:, ::every]
+    is_seen = np.isfinite(xy[..., 0]) & np.isfinite(xy[-1, :, 0])
+    then, now = np.where(is_seen[..., None], xy, 0.0), np.where(is_seen[..., None], xy[-1], 0.0)
+    # As if the size were the same: what flows as most of them do.
+    flow = np.stack([row_medians(now[..., j] - then[..., j], is_seen) for j in range(2)], axis=-1)
+    square = np.sum((now - then - flow[:, None]) ** 2, axis=2)
+    for _ in range(_STEPS):
+        sigma2 = _SIGMA_OF_MEDIAN**2 * row_medians(square, is_seen)[:, None] + _TINY**2
+        w = is_seen / (1.0 + square / (_CAUCHY_SIGMAS**2 * sigma2))
+        total = np.sum(w, axis=1)
+        off_then, off_now = (
+            each - quotient(np.einsum("lm,lmj->lj", w, each), total[:, None])[:, None] for each in (then, now)
+        )
+        uu, vv = (np.einsum("lm,lmj->l", w, each**2) for each in (off_then, off_now))
+        scale = np.sqrt(quotient(vv, uu))
+        square = np.sum((off_now - scale[:, None, None] * off_then) ** 2, axis=2)
+    squares = np.sum(w * w, axis=1)
+    count = quotient(total * total, squares)
+    is_told = (np.sum(is_seen, axis=1) >= 3) & (uu > 0.0) & (vv > 0.0) & (count > 2.0)
+    is_told[-1] = False
+    # Weighted points tell a size as well as so many equal ones would.
+    misfit = np.sum(w * w * square, axis=1)
+    point_variance = quotient(misfit * count, squares * (2.0 * count - 3.0) * (1.0 + scale * scale))
+    of_size = scale * scale * point_variance * quotient(total, count) * (quotient(1.0, uu) + quotient(1.0, vv))
+    depth, variance = np.where(is_told, scale, np.nan), np.where(is_told, of_size, np.nan)
+    depth[-1], variance[-1] = 1.0, np.fmin.reduce(variance)
+    radius = np.sqrt(quotient(vv, total))[is_told]
+    return depth, variance, float(radius[-1]) if len(radius) else 0.0
 
 
 def fit_closing(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float) -> Closing | None:
@@ -99,9 +126,8 @@ def fit_closing(depth: Floats, variance: Floats, since_s: Floats, drift_hz: floa
     since_s : (L,) times up to 0.
     drift_hz : variance that the random walk gains in a second.
     """
-    rows = np.empty((len(depth), 4))
-    n_views = _whiten(depth, variance, since_s, drift_hz, np.full(1, -np.inf), rows)
-    return None if n_views < _LEAST_VIEWS else _solved(rows[:n_views])
+    rows = _whitened(depth, variance, since_s, drift_hz, np.full(1, -np.inf))
+    return None if rows is None else _solved(rows)
 
 
 def fit_braking(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float, least_s: float) -> Closing | None:
@@ -119,11 +145,9 @@ def fit_braking(depth: Floats, variance: Floats, since_s: Floats, drift_hz: floa
     """
     began_s = since_s[np.isfinite(depth) & np.isfinite(variance)][:-_LEAST_STEPS]
     began_s = np.append(began_s[:1], began_s[1:][began_s[1:] <= -least_s])
-    rows = np.empty((len(depth), 3 + len(began_s)))
-    n_views = _whiten(depth, variance, since_s, drift_hz, began_s, rows)
-    if n_views < _LEAST_VIEWS:
+    rows = _whitened(depth, variance, since_s, drift_hz, began_s)
+    if rows is None:
         return None
-    rows = rows[:n_views]
     steady = np.linalg.qr(rows[:, :2])[0]
     left = rows[:, 2:] - steady @ (steady.T @ rows[:, 2:])
     gain = (left[:, :-1].T @ left[:, -1]) ** 2 / np.maximum(np.sum(left[:, :-1] ** 2, axis=0), _TINY)
@@ -140,91 +164,19 @@ def _solved(rows: Floats) -> Closing:
     return Closing(float(found[1] / found[0]), float(found[2] / found[0]), cov[1:, 1:] / found[0] ** 2)
 
 
-@compiled_for("(f8[::1], f8[::1], f8[::1], f8, f8[::1], f8[:, ::1])")
-def _whiten(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float, began_s: Floats, rows: Floats) -> int:
-    """Fills ``rows (L, 3 + K)`` with 1, t, K curves and the depth of each known view, independent of unit variance.
+def _whitened(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float, began_s: Floats) -> Floats | None:
+    """1, t, K curves and the depth of each known view, independent of unit variance: (L, 3 + K); None with too few.
 
     A curve is what an acceleration of 1 adds that began at ``began_s (K,)``, seen from now: t^2 / 2 since then, and
     before it the straight line that meets that. Independent: multiplied by the inverse of the Cholesky factor of what
-    the views err by. Returns how many are known; with too few, they stay as they are.
+    the views err by.
     """
-    n, n_columns, noise, t = 0, rows.shape[1], np.empty(len(depth)), np.empty(len(depth))
-    for i in range(len(depth)):
-        if np.isfinite(depth[i]) and np.isfinite(variance[i]):
-            noise[n], t[n] = variance[i], since_s[i]
-            rows[n, 0], rows[n, 1], rows[n, n_columns - 1] = 1.0, t[n], depth[i]
-            for k in range(n_columns - 3):
-                until = max(t[n], began_s[k])
-                rows[n, 2 + k] = until * (t[n] - 0.5 * until)
-            n += 1
-    if n < _LEAST_VIEWS:
-        return n
-    factor, own = np.empty((n, n)), max(np.median(noise[:n]), _TINY * _TINY)
-    for i in range(n):
-        for k in range(i + 1):
-            rest = drift_hz * min(-t[i], -t[k]) + (own if i == k else 0.0)
-            for m in range(k):
-                rest -= factor[i, m] * factor[k, m]
-            factor[i, k] = np.sqrt(rest) if i == k else rest / factor[k, k]
-        for column in range(n_columns):
-            for m in range(i):
-                rows[i, column] -= factor[i, m] * rows[m, column]
-            rows[i, column] /= factor[i, i]
-    return n
-
-
-@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1])")
-def _fit_sizes(xy: Floats, depth: Floats, variance: Floats) -> float:
-    """Fills ``depth, variance (L,)`` of `depths_over_time`; returns its ``radius``."""
-    now, n_tracks, radius = len(xy) - 1, xy.shape[1], 0.0
-    offset, w, square, centre = np.empty((n_tracks, 4)), np.empty(n_tracks), np.empty(n_tracks), np.empty(4)
-    for view in range(now):
-        n = 0
-        for i in range(n_tracks):
-            if np.isfinite(xy[view, i, 0]) and np.isfinite(xy[now, i, 0]):
-                offset[n, 0], offset[n, 1] = xy[view, i, 0], xy[view, i, 1]
-                offset[n, 2], offset[n, 3] = xy[now, i, 0], xy[now, i, 1]
-                n += 1
-        if n < 3:
-            continue
-        # As if the size were the same: what flows as most of them do.
-        flow_x, flow_y = np.median(offset[:n, 2] - offset[:n, 0]), np.median(offset[:n, 3] - offset[:n, 1])
-        for i in range(n):
-            dx, dy = offset[i, 2] - offset[i, 0] - flow_x, offset[i, 3] - offset[i, 1] - flow_y
-            square[i] = dx * dx + dy * dy
-        scale, uu, vv, total, misfit, squares = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for _ in range(_STEPS):
-            sigma2 = _SIGMA_OF_MEDIAN**2 * np.median(square[:n]) + _TINY**2
-            total, squares = 0.0, 0.0
-            centre[0], centre[1], centre[2], centre[3] = 0.0, 0.0, 0.0, 0.0
-            for i in range(n):
-                w[i] = 1.0 / (1.0 + square[i] / (_CAUCHY_SIGMAS**2 * sigma2))
-                total += w[i]
-                squares += w[i] * w[i]
-                for j in range(4):
-                    centre[j] += w[i] * offset[i, j]
-            for j in range(4):
-                centre[j] /= total
-            uu, vv = 0.0, 0.0
-            for i in range(n):
-                uu += w[i] * ((offset[i, 0] - centre[0]) ** 2 + (offset[i, 1] - centre[1]) ** 2)
-                vv += w[i] * ((offset[i, 2] - centre[2]) ** 2 + (offset[i, 3] - centre[3]) ** 2)
-            if not (uu > 0.0 and vv > 0.0):
-                break
-            scale = np.sqrt(vv / uu)
-            misfit = 0.0
-            for i in range(n):
-                dx = offset[i, 2] - centre[2] - scale * (offset[i, 0] - centre[0])
-                dy = offset[i, 3] - centre[3] - scale * (offset[i, 1] - centre[1])
-                square[i] = dx * dx + dy * dy
-                misfit += w[i] * w[i] * square[i]
-        count = total * total / squares
-        if not (uu > 0.0 and vv > 0.0 and count > 2.0):
-            continue
-        # Weighted points tell a size as well as so many equal ones would.
-        point_variance = misfit * count / (squares * (2.0 * count - 3.0) * (1.0 + scale * scale))
-        depth[view] = scale
-        variance[view] = scale * scale * point_variance * (total / count) * (1.0 / uu + 1.0 / vv)
-        radius = np.sqrt(vv / total)
-    depth[now], variance[now] = 1.0, np.nanmin(variance)
-    return radius
+    is_known = np.isfinite(depth) & np.isfinite(variance)
+    t = since_s[is_known]
+    if len(t) < _LEAST_VIEWS:
+        return None
+    until = np.maximum(t[:, None], began_s)
+    rows = np.column_stack([np.ones(len(t)), t, until * (t[:, None] - 0.5 * until), depth[is_known]])
+    errors = drift_hz * np.minimum(-t[:, None], -t)
+    errors[np.diag_indices(len(t))] += max(median(variance[is_known]), _TINY * _TINY)
+    return np.asarray(solve_triangular(np.linalg.cholesky(errors), rows, lower=True, check_finite=False))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.model import Floats, Ints
+from ttcvid.geometry.kernels.medians import median as median_of
+from ttcvid.model import Bools, Floats, Ints
 
 
 def median(values: Floats) -> float:
@@ -14,7 +15,7 @@ def median(values: Floats) -> float:
     >>> median(np.array([3.0, 1.0, 2.0, 5.0]))
     2.5
     """
-    return float(_median(np.ascontiguousarray(values))) if len(values) else np.nan
+    return float(_median(values.astype(np.float64))) if len(values) else np.nan
 
 
 def quantile(values: Floats, part: float) -> float:
@@ -30,7 +31,10 @@ def quantile(values: Floats, part: float) -> float:
     >>> quantile(np.array([3.0, 1.0, 2.0, 5.0]), 0.25)
     1.75
     """
-    return float(_quantile(np.ascontiguousarray(values), part))
+    ordered, place = np.sort(values), part * (len(values) - 1)
+    below = max(min(int(place), len(values) - 2), 0)
+    above = ordered[min(below + 1, len(values) - 1)]
+    return float(ordered[below] + (place - below) * (above - ordered[below]))
 
 
 def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
@@ -57,19 +61,23 @@ def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
     return found
 
 
+def row_medians(values: Floats, is_known: Bools) -> Floats:
+    """Median of the known ones of each row of ``values (L, M)``: (L,), NaN without any.
+
+    >>> row_medians(np.array([[5.0, 1.0, 2.0, 4.0]]), np.array([[True, True, False, True]]))
+    array([4.])
+    """
+    if not values.shape[1]:
+        return np.full(len(values), np.nan)
+    ordered = np.sort(np.where(is_known, values, np.inf), axis=1)
+    n = np.sum(is_known, axis=1)
+    middle = np.stack([np.maximum(n - 1, 0) // 2, np.minimum(n // 2, values.shape[1] - 1)], axis=1)
+    return np.where(n > 0, np.mean(np.take_along_axis(ordered, middle, axis=1), axis=1), np.nan)
+
+
 @compiled_for("(f8[::1],)")
 def _median(values: Floats) -> float:
-    middle: float = np.median(values)
-    return middle
-
-
-@compiled_for("(f8[::1], f8)")
-def _quantile(values: Floats, part: float) -> float:
-    ordered, place = np.sort(values), part * (len(values) - 1)
-    below = min(int(place), len(values) - 2) if len(values) > 1 else 0
-    above = ordered[min(below + 1, len(values) - 1)]
-    between: float = ordered[below] + (place - below) * (above - ordered[below])
-    return between
+    return median_of(values)
 
 
 @compiled_for("(f8[::1], i8[::1], f8[::1])")
@@ -87,4 +95,4 @@ def _fill(values: Floats, group: Ints, found: Floats) -> None:
             end[group[i]] += 1
     for number in range(len(found)):
         is_any = start[number + 1] > start[number]
-        found[number] = np.median(by_group[start[number] : start[number + 1]]) if is_any else np.nan
+        found[number] = median_of(by_group[start[number] : start[number + 1]]) if is_any else np.nan

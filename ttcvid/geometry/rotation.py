@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents
 from ttcvid.model import Floats, Ints
 
-# Below this 1 + y the tangent basis changes its formula: a cap of 2.6 deg about straight up, where no motion of
-# interest points; everywhere else the basis is smooth, which keeps finite differences and Gauss-Newton steps sound.
-_CAP_ONE_PLUS_Y = 1e-3
 # Least z of a unit ray that still has a place in the plane z = 1: 87 deg from the axis.
 _LEAST_FORWARD = 0.05
 
@@ -178,12 +176,7 @@ def tangent_basis(direction: Floats) -> Floats:
 def _basis_of_each(directions: Floats, bases: Floats) -> None:
     """Fills ``bases (N, 3, 2)`` from ``directions (N, 3)``."""
     for i in range(len(directions)):
-        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        sign = -1.0 if 1.0 + y < _CAP_ONE_PLUS_Y else 1.0
-        inverse = -1.0 / (sign + y)
-        mixed, basis = z * x * inverse, bases[i]
-        basis[0, 0], basis[1, 0], basis[2, 0] = sign * mixed, -sign * z, 1.0 + sign * z * z * inverse
-        basis[0, 1], basis[1, 1], basis[2, 1] = sign + x * x * inverse, -x, mixed
+        fill_tangents(directions[i, 0], directions[i, 1], directions[i, 2], bases[i])
 
 
 @compiled_for("(f8[:, ::1],)")
@@ -203,21 +196,7 @@ def _normalize_each(vectors: Floats) -> None:
 def _turn_each(vectors: Floats, rotations: Floats) -> None:
     """Fill ``rotations (N, 3, 3)`` from ``vectors (N, 3)``."""
     for i in range(len(vectors)):
-        x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
-        # A sum is finite where all of its terms are.
-        if not np.isfinite(x + y + z):
-            rotations[i] = np.nan
-            continue
-        angle = np.sqrt(x * x + y * y + z * z)
-        sine = np.sin(angle) / angle if angle > 0.0 else 1.0
-        half = np.sin(0.5 * angle) / (0.5 * angle) if angle > 0.0 else 1.0
-        versed = 0.5 * half * half
-        r = rotations[i]
-        r[0, 0], r[1, 1] = 1.0 - versed * (y * y + z * z), 1.0 - versed * (x * x + z * z)
-        r[2, 2] = 1.0 - versed * (x * x + y * y)
-        r[0, 1], r[1, 0] = versed * x * y - sine * z, versed * x * y + sine * z
-        r[0, 2], r[2, 0] = versed * x * z + sine * y, versed * x * z - sine * y
-        r[1, 2], r[2, 1] = versed * y * z - sine * x, versed * y * z + sine * x
+        fill_rotation(vectors[i, 0], vectors[i, 1], vectors[i, 2], rotations[i])
 
 
 @compiled_for("(f8[:, :, ::1], i8[::1], f8[:, :, :, ::1], i8[::1], f8[:, :, ::1])")

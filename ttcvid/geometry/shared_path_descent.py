@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Floats, Ints
 
 N_LOCAL = 8
@@ -115,7 +116,8 @@ def descend_together(
             # What the belief says at an offset from it.
             information[:], score[:] = believed[k], -np.sum(believed[k] * offset[k], axis=1)
             _project(sums, axes, information, score)
-            fall = _solve(information, score, step)
+            step[:] = score
+            fall = solve(information, step)
             offset[k] += step
             _set_way(t_s, base[k], axes, offset[k], way)
             _in_camera(axes, step, moved)
@@ -383,26 +385,3 @@ def _set_way(t_s: Floats, base: Floats, basis: Floats, offset: Floats, way: Floa
         way[1, k], way[3, k] = versed * wx * wy + sine * wz, versed * wx * wy - sine * wz
         way[2, k], way[6, k] = versed * wx * wz - sine * wy, versed * wx * wz + sine * wy
         way[5, k], way[7, k] = versed * wy * wz + sine * wx, versed * wy * wz - sine * wx
-
-
-@compiled
-def _solve(matrix: Floats, right: Floats, solution: Floats) -> float:
-    """Fills the solution of a positive definite system, by elimination; returns ``right . solution``.
-
-    As in `two_view_descent`, whose file a compiled function may not call.
-    """
-    rest = matrix.copy()
-    solution[:] = right
-    for j in range(N_LOCAL):
-        for i in range(j + 1, N_LOCAL):
-            factor = rest[i, j] / rest[j, j]
-            solution[i] -= factor * solution[j]
-            for k in range(j, N_LOCAL):
-                rest[i, k] -= factor * rest[j, k]
-    fall = 0.0
-    for j in range(N_LOCAL - 1, -1, -1):
-        for k in range(j + 1, N_LOCAL):
-            solution[j] -= rest[j, k] * solution[k]
-        solution[j] /= rest[j, j]
-        fall += right[j] * solution[j]
-    return fall

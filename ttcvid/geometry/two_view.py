@@ -7,9 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.kernels.two_views import fit_two_views
 from ttcvid.geometry.rotation import cross, rotation_from_vector, vector_from_rotation
-from ttcvid.geometry.two_view_descent import descend_motion, descend_rotation
 from ttcvid.model import Floats, Ints
 
 # Standard deviation of a direction that nothing is known of, rad.
@@ -48,9 +47,14 @@ class TwoViewFit:
         Never smaller than what the assumed noise gives: the inverse information I^-1, made larger by the largest
         eigenvalue of I^-1 sum g g', g the scores of a region.
         """
-        covariance = np.empty_like(self.information)
-        _fill_covariance(self.information, self.score, self.region, covariance)
-        return covariance
+        covariance = np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+        k, n_used = len(covariance), np.count_nonzero(np.bincount(self.region))
+        if n_used <= 2 * k:
+            return covariance
+        sums = np.stack([np.bincount(self.region, column) for column in self.score.T])
+        half = np.linalg.cholesky(covariance).T @ sums
+        ratio = float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k)
+        return covariance * max(1.0, ratio)
 
 
 @dataclass(frozen=True)
@@ -80,20 +84,7 @@ def fit_rotation(
     region : (N,) number of the part of the picture a point lies in; errors within one part are taken as common.
     cam_R_prev : (3, 3) start.
     """
-    expected = prior.cam_R_prev
-    offset = vector_from_rotation(cam_R_prev @ expected.T)
-    fitted, residual, score, information = (
-        np.empty((3, 3)),
-        np.empty(len(rays_cam)),
-        np.empty((len(rays_cam), 3)),
-        np.empty((3, 3)),
-    )
-    descend_rotation(
-        rays_prev, rays_cam, sigma_rad, expected, prior.rotation_sigma_rad, offset, fitted, residual, score, information
-    )
-    sense = np.zeros(len(rays_cam))
-    cost = _capped_cost(residual, sense) + float(offset @ offset) / prior.rotation_sigma_rad**2
-    return TwoViewFit(fitted, None, residual, cost, information, score, region, sense)
+    return _fitted(rays_prev, rays_cam, sigma_rad, region, prior, cam_R_prev, None)
 
 
 def fit_motion(
@@ -111,29 +102,46 @@ def fit_motion(
     square root of lambda_min(B'(pp' + qq')B) / sigma^2: chi-square with one degree of freedom, also close to the
     epipole. Parameters as for `fit_rotation`; ``direction (3,)`` is the start.
     """
-    n = len(rays_cam)
-    expected = prior.cam_R_prev
-    offset, direction = vector_from_rotation(cam_R_prev @ expected.T), direction.copy()
-    fitted, residual, sense = np.empty((3, 3)), np.empty(n), np.empty(n)
-    score, information = np.empty((n, 5)), np.empty((5, 5))
-    descend_motion(
+    return _fitted(rays_prev, rays_cam, sigma_rad, region, prior, cam_R_prev, direction.copy())
+
+
+def _fitted(
+    rays_prev: Floats,
+    rays_cam: Floats,
+    sigma_rad: Floats,
+    region: Ints,
+    prior: GaussianPrior,
+    cam_R_prev: Floats,
+    direction: Floats | None,
+) -> TwoViewFit:
+    """The fit from a start, of which the ``direction`` is overwritten; None: rotation alone."""
+    offset = vector_from_rotation(cam_R_prev @ prior.cam_R_prev.T)
+    precision, pull = np.full(3, prior.rotation_sigma_rad**-2.0), np.zeros(3)
+    if direction is not None:
+        # On a sphere a direction is never less certain than this, whatever the flow says.
+        of_direction = _OPEN_DIRECTION_RAD**-2.0
+        if prior.direction is not None:
+            of_direction += prior.direction_sigma_rad**-2.0
+            pull = prior.direction / prior.direction_sigma_rad**2
+        precision = np.concatenate([np.full(2, of_direction), precision])
+    n, k = len(rays_cam), len(precision)
+    fitted, residual, sense, score, information = (np.empty(of) for of in ((3, 3), n, n, (n, k), (k, k)))
+    fit_two_views(
         rays_prev,
         rays_cam,
         sigma_rad,
-        expected,
-        prior.rotation_sigma_rad,
-        np.zeros(3) if prior.direction is None else prior.direction,
-        0.0 if prior.direction is None else 1.0 / prior.direction_sigma_rad**2,
-        1.0 / _OPEN_DIRECTION_RAD**2,
+        (prior.cam_R_prev, precision, pull),
         offset,
-        direction,
-        fitted,
-        residual,
-        sense,
-        score,
-        information,
+        np.empty(0) if direction is None else direction,
+        (fitted, residual, sense, score, information),
     )
-    cost = _capped_cost(residual, sense) + _prior_cost(prior, offset, direction)
+    # What counts is how many points a fit explains, not how far others are; one that moves the wrong way costs as much
+    # as any.
+    cost = float(np.where(sense >= 0.0, np.minimum(residual * residual, _COST_CAP), _COST_CAP).sum())
+    cost += float(offset @ offset) / prior.rotation_sigma_rad**2
+    if direction is not None and prior.direction is not None:
+        # 2 (1 - cos) is the squared angle for small ones and stays finite for opposite directions.
+        cost += 2.0 * (1.0 - float(direction @ prior.direction)) / prior.direction_sigma_rad**2
     return TwoViewFit(fitted, direction, residual, cost, information, score, region, sense)
 
 
@@ -147,44 +155,3 @@ def direction_from_flow(rays_prev: Floats, rays_cam: Floats, cam_R_prev: Floats)
     _, vectors = np.linalg.eigh(normal.T @ normal)
     direction: Floats = vectors[:, 0]
     return direction if np.sum((rays_cam - turned) @ direction) >= 0 else -direction
-
-
-def _prior_cost(prior: GaussianPrior, offset: Floats, direction: Floats) -> float:
-    """Squared distance from the prior in its sigmas, ``offset (3,)`` rad from its rotation."""
-    cost = float(offset @ offset) / prior.rotation_sigma_rad**2
-    if prior.direction is not None:
-        # 2 (1 - cos) is the squared angle for small ones and stays finite for opposite directions.
-        cost += 2.0 * (1.0 - float(direction @ prior.direction)) / prior.direction_sigma_rad**2
-    return cost
-
-
-@compiled_for("(f8[::1], f8[::1])")
-def _capped_cost(residual: Floats, sense: Floats) -> float:
-    """Sum of squared residuals, each capped: what counts is how many points a fit explains, not how far others are.
-
-    A point that moves the wrong way costs as much as any.
-    """
-    cost = 0.0
-    for i in range(len(residual)):
-        cost += min(residual[i] * residual[i], _COST_CAP) if sense[i] >= 0.0 else _COST_CAP
-    return cost
-
-
-@compiled_for("(f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1])")
-def _fill_covariance(information: Floats, score: Floats, region: Ints, covariance: Floats) -> None:
-    """Fill ``covariance (k, k)`` of `TwoViewFit`."""
-    covariance[:] = np.linalg.inv(information)
-    k, n_regions = len(covariance), 0
-    for number in region:
-        n_regions = max(n_regions, number + 1)
-    sums, has_points, n_used = np.zeros((k, n_regions)), np.zeros(n_regions, dtype=np.bool_), 0
-    for i in range(len(region)):
-        n_used += 0 if has_points[region[i]] else 1
-        has_points[region[i]] = True
-        for j in range(k):
-            sums[j, region[i]] += score[i, j]
-    if n_used <= 2 * k:
-        return
-    half = np.linalg.cholesky(covariance).T @ sums
-    ratio = np.linalg.eigvalsh(half @ half.T)[k - 1] * n_used / (n_used - k)
-    covariance *= max(1.0, ratio)

@@ -1,0 +1,44 @@
+"""Medians of few numbers."""
+
+from __future__ import annotations
+
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Floats
+
+
+@compiled
+def median(values: Floats) -> float:
+    """The median of ``values (N,)``, N > 0, which are put into another order."""
+    n = len(values)
+    upper = _smallest_from(values, n // 2)
+    if n % 2 == 1:
+        return upper
+    lower = values[0]
+    for i in range(1, n // 2):
+        lower = max(lower, values[i])
+    middle: float = 0.5 * (lower + upper)
+    return middle
+
+
+@compiled
+def _smallest_from(values: Floats, place: int) -> float:
+    """The number at a place in order, no smaller ones behind it and no larger ones before it (Hoare's selection)."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if place <= j:
+            high = j
+        elif place >= i:
+            low = i
+        else:
+            break
+    return float(values[place])

@@ -1,0 +1,48 @@
+"""Small positive definite systems."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.compiled import compiled
+from ttcvid.model import Floats
+
+
+@compiled
+def solve(matrix: Floats, right: Floats) -> float:
+    """Turn ``right (N,)`` into the solution, by Cholesky's decomposition; return ``right . solution``.
+
+    Only the lower half of ``matrix (N, N)`` counts, and becomes its Cholesky factor. NaN where it is not positive
+    definite.
+    """
+    n, product = len(right), 0.0
+    for j in range(n):
+        for k in range(j):
+            matrix[j, j] -= matrix[j, k] * matrix[j, k]
+            right[j] -= matrix[j, k] * right[k]
+        matrix[j, j] = np.sqrt(matrix[j, j])
+        right[j] /= matrix[j, j]
+        product += right[j] * right[j]
+        for i in range(j + 1, n):
+            for k in range(j):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] /= matrix[j, j]
+    for j in range(n - 1, -1, -1):
+        for i in range(j + 1, n):
+            right[j] -= matrix[i, j] * right[i]
+        right[j] /= matrix[j, j]
+    return product
+
+
+@compiled
+def eliminate(matrix: Floats, right: Floats, n: int) -> None:
+    """Take from the equations of the other unknowns what the first n explain when they follow (Schur complement).
+
+    In place, of the lower half of ``matrix (N, N)`` and of ``right (N,)``, one unknown after the other.
+    """
+    for r in range(n):
+        for i in range(r + 1, len(right)):
+            part = matrix[i, r] / matrix[r, r]
+            right[i] -= part * right[r]
+            for c in range(r + 1, i + 1):
+                matrix[i, c] -= part * matrix[c, r]
