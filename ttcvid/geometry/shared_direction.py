@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels.medians import median
 from ttcvid.model import Floats, Ints
 
 # A point off by more sigmas than this loses weight (Cauchy).
@@ -166,7 +167,8 @@ def _begin(points: Floats, n: int, e: Floats, basis: Floats, normal: Floats, sco
     of each point towards its own ray, so that the descent ended in a minimum near the thing itself. The lines stay.
     """
     spread, lines, cofactors = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
-    w, ray, across, pull = np.empty(3), np.ones(3), np.empty(3), np.empty(3)
+    w, ray, across, pull = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    ray[2] = 1.0
     for c in range(n):
         ray[0], ray[1] = points[9, c], points[10, c]
         for a in range(3):
@@ -192,11 +194,11 @@ def _begin(points: Floats, n: int, e: Floats, basis: Floats, normal: Floats, sco
     _fill_main_axis(cofactors, e)
     _tangents(e, basis)
     _add_up(points, n, e, basis, normal, score, off)
-    misfit = np.median(off[:n])
+    misfit = median(off[:n])
     _fill_main_axis(spread, w)
     _tangents(w, basis)
     _add_up(points, n, w, basis, normal, score, off)
-    if np.median(off[:n]) <= misfit:
+    if median(off[:n]) <= misfit:
         for a in range(3):
             e[a] = w[a]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels.medians import median
 from ttcvid.model import Floats, Ints
 
 # What does not contradict a direction: a chi-square with two degrees of freedom inside its 90 %.
@@ -132,9 +133,9 @@ def _set_own_motion(turns_itself: bool, basis: Floats, state: Floats, own_motion
             own_motion[j, k] = 1.0 if j == k else 0.0
     if not turns_itself or len(state) == 0:
         return
-    rate = np.median(state[:, 2])
+    rate = median(state[:, 2].copy())
     if rate > 0.0:
-        x, y, z = np.median(state[:, 0]) / rate, np.median(state[:, 1]) / rate, 1.0 / rate
+        x, y, z = median(state[:, 0].copy()) / rate, median(state[:, 1].copy()) / rate, 1.0 / rate
         for j in range(2):
             # omega x C along the axis b is omega . (C x b).
             own_motion[j, 5] = y * basis[2, j] - z * basis[1, j]

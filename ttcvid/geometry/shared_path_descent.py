@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Floats, Ints
 
@@ -101,7 +102,7 @@ def descend_together(
         _set_way(t_s, base[k], axes, offset[k], way)
         for i in range(low, high):
             begin[i] = _list_views(xy, i, seen, n_views[i], views)
-        usual = np.median(relative[low:high])
+        usual = median(relative[low:high].copy())
         for _ in range(_MAX_STEPS):
             misfit = max(1.0, np.sqrt(usual))
             limit = (_ROBUST_SIGMAS * misfit) ** 2
@@ -111,10 +112,15 @@ def descend_together(
                 if not slowest < state[i, 2] < fastest:
                     _start(views, way, i, before, seen, n_views[i], sigma[i], state)
                 relative[i] = _add_point(views, begin[i], way, i, state, sigma[i], limit, kept, sums)
-            usual = np.median(relative[low:high])
-            left[k, 0], left[k, 1] = np.sum(kept[low:high, _OWN, 7]), usual
+            usual = median(relative[low:high].copy())
+            left[k, 0], left[k, 1] = 0.0, usual
+            for i in range(low, high):
+                left[k, 0] += kept[i, _OWN, 7]
             # What the belief says at an offset from it.
-            information[:], score[:] = believed[k], -np.sum(believed[k] * offset[k], axis=1)
+            information[:], score[:] = believed[k], 0.0
+            for j in range(N_LOCAL):
+                for m in range(N_LOCAL):
+                    score[j] -= believed[k, j, m] * offset[k, m]
             _project(sums, axes, information, score)
             step[:] = score
             fall = solve(information, step)
@@ -147,7 +153,7 @@ def add_up_windows(
         low, high = first[k], first[k + 1]
         if low == high:
             continue
-        least = _LOYAL_SHARE * np.median(share[low:high])
+        least = _LOYAL_SHARE * median(share[low:high].copy())
         _set_way(t_s, path[k], basis[k], nothing, way)
         sums[:] = 0.0
         for i in range(low, high):

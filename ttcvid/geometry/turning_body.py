@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.kernels.turning_points import N_SHARED, fit_turning_points
 from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector
-from ttcvid.geometry.turning_body_descent import N_SHARED, descend
 from ttcvid.model import Floats
 
 # Vehicles in junctions turn by up to 0.5 rad/s (6 m/s on a circle of 12 m); half of the time by less than 0.2.
@@ -76,20 +75,17 @@ class TurningBody:
     @property
     def rate_hz(self) -> float:
         """The length of that path's derivative at time 0 before it is made a unit vector, in depths a second."""
-        return float(_fill_normalized(self.centre, self.shared, np.empty(N_SHARED)))
+        return _normalized(self.centre, self.shared)[1]
 
     @property
     def start(self) -> Floats:
         """The derivative of that path at time 0, a unit vector (3,)."""
-        normalized = np.empty(N_SHARED)
-        _fill_normalized(self.centre, self.shared, normalized)
-        return normalized[:3]
+        return _normalized(self.centre, self.shared)[0][:3]
 
     @property
     def path_cov(self) -> Floats:
         """Covariance (9, 9) of the first and second derivative of that path at time 0, and of the turn."""
-        jacobian = np.empty((N_SHARED, N_SHARED))
-        _fill_slopes(self.centre, self.shared, _STEP, jacobian)
+        jacobian = _slopes(self.centre, self.shared)
         return np.asarray(jacobian @ self.cov @ jacobian.T)
 
 
@@ -139,7 +135,8 @@ def _fitted(
     """What the search comes to from a start (9,), the turn held there at first."""
     own, shared, information, left = own.copy(), start.copy(), np.empty((N_SHARED, N_SHARED)), np.empty(2)
     for mean, sigma, chi2 in ((start[6:], _HELD_RAD_S, _ROUGH_CHI2), (np.zeros(3), turn_sigma_rad_s, _FINE_CHI2)):
-        descend(*data, mean, sigma, bend_hz, _LEAST_SPEED_HZ, _RELIEF, chi2, own, shared, information, left)
+        beliefs = np.array([sigma, bend_hz, _LEAST_SPEED_HZ, _RELIEF])
+        fit_turning_points(data, mean, beliefs, chi2, own, shared, information, left)
     cov: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return TurningBody(data[3], shared[:3], shared[3:6], shared[6:], cov, float(left[0]), float(left[1]))
 
@@ -177,46 +174,27 @@ def _with_doubts(found: list[TurningBody]) -> TurningBody:
     return replace(best, cov=cov)
 
 
-@compiled_for("(f8[::1], f8[::1], f8[::1])")
-def _fill_normalized(centre: Floats, shared: Floats, normalized: Floats) -> float:
-    """Fills ``normalized (9,)``, as `shared_path` counts what points share, of a body's ``shared (9,)``.
+def _normalized(centre: Floats, shared: Floats) -> tuple[Floats, float]:
+    """What points share as `shared_path` counts it, (9,), of a body's ``shared (9,)``; and the length of the first.
 
     First and second derivative at time 0 of the path in views turned back, V - omega x C and so on, both over the
-    length of the first, which is returned; and the turn.
+    length of the first; and the turn.
     """
-    start, about, bend, square = normalized[:3], np.empty(3), normalized[3:6], 0.0
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        about[i] = shared[6 + j] * centre[k] - shared[6 + k] * centre[j]
-        start[i], normalized[6 + i] = shared[i] - about[i], shared[6 + i]
-        square += start[i] * start[i]
-    length = np.sqrt(square)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        x, y = about[j] + 2.0 * start[j], about[k] + 2.0 * start[k]
-        bend[i] = (shared[3 + i] - (shared[6 + j] * y - shared[6 + k] * x)) / length
-    for i in range(3):
-        start[i] /= length
-    return float(length)
+    velocity, acceleration, turn = shared[:3], shared[3:6], shared[6:]
+    start = velocity - cross(turn, centre)
+    length = float(np.sqrt(start @ start))
+    bend = acceleration - cross(turn, cross(turn, centre) + 2.0 * start)
+    return np.concatenate([start / length, bend / length, turn]), length
 
 
-@compiled_for("(f8[::1], f8[::1], f8, f8[:, ::1])")
-def _fill_slopes(centre: Floats, shared: Floats, step: float, jacobian: Floats) -> None:
-    """Fills ``jacobian (9, 9)`` of `_fill_normalized`, by central differences."""
-    n = len(shared)
-    moved, after, before = shared.copy(), np.empty(n), np.empty(n)
-    for k in range(n):
-        moved[k] = shared[k] + step
-        _fill_normalized(centre, moved, after)
-        moved[k] = shared[k] - step
-        _fill_normalized(centre, moved, before)
-        moved[k] = shared[k]
-        for j in range(n):
-            jacobian[j, k] = (after[j] - before[j]) / (2.0 * step)
+def _slopes(centre: Floats, shared: Floats) -> Floats:
+    """Derivatives (9, 9) of `_normalized`, by central differences."""
+    ends = [(_normalized(centre, shared + off)[0], _normalized(centre, shared - off)[0]) for off in _STEP * np.eye(9)]
+    return np.column_stack([(after - before) / (2.0 * _STEP) for after, before in ends])
 
 
 def _path(centre: Floats, shared: Floats, t: Floats) -> Floats:
-    """R(-t) S(t), with S of `turning_body_descent`: (L, 3)."""
+    """R(-t) S(t), with S of `kernels.turning_points`: (L, 3)."""
     velocity, acceleration, turn = shared[:3], shared[3:6], shared[6:]
     forward = rotation_from_vector(t[:, None] * turn)
     moved = centre - forward @ centre + t[:, None] * velocity + _twice_integrated(turn, t, acceleration)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ttcvid.geometry.compiled import compiled
 from ttcvid.model import Floats
 
 
 @compiled
 def median(values: Floats) -> float:
-    """The median of ``values (N,)``, N > 0, which are put into another order."""
+    """The median of ``values (N,)``, which are put into another order; NaN without any."""
     n = len(values)
+    if n == 0:
+        return np.nan
     upper = _smallest_from(values, n // 2)
     if n % 2 == 1:
         return upper

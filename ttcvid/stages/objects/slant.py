@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels.medians import median
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.groups import TrackSets
 
@@ -246,8 +247,7 @@ def _flatness(
             relief = max(_relief(own[i], sigma[i]), _TINY)
             parts[count] = _BY_MEDIAN * abs(rate[i] - _rate_at(plane, xy[i])) / relief
             count += 1
-    found: float = np.median(parts[:count])
-    return found
+    return median(parts[:count])
 
 
 @compiled

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.kernels.solve import solve
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import picture_region
@@ -198,7 +199,8 @@ def _fit_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> boo
         if n_on_road < _LEAST_POINTS or on_road < _LEAST_SHARE * below:
             return False
         normal[1, 1] += normal[2, 2] * _ROLL_SIGMA * _ROLL_SIGMA
-        road[:] = np.linalg.solve(normal, right)
+        solve(normal, right)
+        road[:] = right
     return True
 
 

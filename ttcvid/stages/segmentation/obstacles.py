@@ -17,6 +17,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
 from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
@@ -310,7 +311,7 @@ def _spread(seed: int, log_rate: Floats, tolerance: Floats, pairs: Ints, is_own:
                 if abs(log_rate[other] - centre) < tolerance[other]:
                     is_own[other] = True
                     grows = True
-        centre = np.median(log_rate[is_own])
+        centre = median(log_rate[is_own])
 
 
 def _goes_on(surface: Ints, depths: _Depths, pairs: Ints) -> bool:
