@@ -266,7 +266,7 @@ class SensitivityConfig(StageConfig):
         if first >= last:
             return f"first = {first:g} is not below last = {last:g}: raise last"
         if self.over == "angle" and last >= 90:
-            return f"last = {last:g} deg: expected less than 90, for what comes nearer"
+            return f"last = {last:g} deg: expected less than 90, for an approaching point"
         return None
 
 

@@ -78,7 +78,7 @@ class MotionState(StrEnum):
 
 
 APPROACHING = frozenset({MotionState.approaching, MotionState.constant_bearing})
-"""The states of what comes nearer."""
+"""The states of approaching objects."""
 
 
 class Platform(StrEnum):

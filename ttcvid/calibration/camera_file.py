@@ -1,4 +1,4 @@
-"""Camera files of every accepted format, told apart by their content."""
+"""Camera files of every accepted format, recognised by their content."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from ttcvid.cli.grouped import GroupedCommand, option_under
 _camera_option = option_under("Camera (default: a horizontal field of view of 55 deg is assumed)")
 
 
-@click.command(cls=GroupedCommand, short_help="The horizon of a camera from things that move in straight lines.")
+@click.command(cls=GroupedCommand, short_help="The horizon of a camera from objects that move in straight lines.")
 @click.argument("clips", metavar="CLIP...", nargs=-1, required=True)
 @output_option(
     "-o",

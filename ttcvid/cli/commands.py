@@ -17,7 +17,7 @@ from ttcvid.errors import UsageError
 COMMANDS = {
     "analyze": "Collision times of everything that moves in a clip: tables and an annotated video.",
     "batch": "Analyse many clips, several at a time, and go on where one stopped.",
-    "calibrate-horizon": "The horizon of a camera from things that move in straight lines.",
+    "calibrate-horizon": "The horizon of a camera from objects that move in straight lines.",
     "collision-map": "Which change of own velocity leads to a collision, and which one avoids it.",
     "compare": "Whether two results are the same, and what is different: frames, objects, times, warnings.",
     "demo": "Render a scene with known truth, analyse and evaluate it, and say where to look.",
@@ -69,7 +69,7 @@ class LazyGroup(click.Group):
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(ttcvid.__version__, prog_name="ttcvid")
 def cli() -> None:
-    """Which things in a clip move on their own, when each comes closest, and how far off it passes.
+    """What moves by itself in a clip, when each object comes closest, and how far off it passes.
 
     One camera, moving or at rest; no depth sensor, no training, no GPU.
 

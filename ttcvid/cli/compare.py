@@ -20,7 +20,7 @@ EXIT_DIFFERENT = 1
     "warn_s",
     type=click.FloatRange(min=0),
     metavar="S",
-    help="Objects that surely come sooner always count, however small.  [default: 4]",
+    help="Objects that certainly come sooner always count, however small.  [default: 4]",
 )
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of the words.")
 @click.option("--junit", type=click.Path(path_type=Path), metavar="FILE", help="Write a JUnit file as well.")

@@ -49,7 +49,7 @@ class _GuardedFile(io.FileIO):
 
 
 def _guarded(stream: TextIO | None, descriptor: int, forgiven: type[OSError], errors: str) -> Any:
-    """The stream anew, with what becomes of a file's name that is no text: printed as it is, or as escapes."""
+    """The stream opened again, with what becomes of a file's name that is no text: printed as it is, or as escapes."""
     if stream is None:
         return None
     file = io.BufferedWriter(_GuardedFile(descriptor, forgiven))

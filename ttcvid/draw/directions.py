@@ -22,7 +22,7 @@ _TURN_RAD = np.linspace(0, 2 * np.pi, _ELLIPSE_POINTS, endpoint=False)
 _CIRCLE = np.stack([np.zeros_like(_TURN_RAD), np.cos(_TURN_RAD), np.sin(_TURN_RAD)])
 # An ellipse that is longer than this many picture widths says no more than "somewhere".
 _LONGEST_ELLIPSE = 0.4
-# Below this sine of the angle between ray and motion a thing moves along the line of sight: no arrow can show it.
+# Below this sine of the angle between ray and motion an object moves along the line of sight: no arrow can show it.
 _MIN_SIDEWAYS = 0.06
 _SMALL_STEP = 1e-3  # in units of the focal length: over it, the lens does not bend
 _HORIZON_PIECES = 60
@@ -116,7 +116,7 @@ def draw_horizon(bgr: Picture, camera: Camera, horizon_px: tuple[float, float], 
 
 def _flows(camera: Camera, starts_px: Floats, directions: Floats) -> tuple[Floats, Floats, Bools]:
     """Unit vectors ``(N, 2)`` along which points move in the picture, how much of their motion goes across the line
-    of sight ``(N,)`` (sine of the angle), and whether they come nearer ``(N,)``.
+    of sight ``(N,)`` (sine of the angle), and whether they approach ``(N,)``.
     """
     rays = rays_from_pixels(camera, starts_px)
     flows = directions[:, :2] - rays[:, :2] * directions[:, 2:]

@@ -33,7 +33,7 @@ class OverlayPainter:
     is_smooth
         Whether estimates use later frames too: said beside the clock.
     told_platform
-        What the clip tells of what carries the camera: said beside the clock; empty where that was given.
+        What carries the camera, decided from the clip: shown beside the clock; empty where it was given.
     """
 
     def __init__(

@@ -86,7 +86,7 @@ def records(rows: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def label_of(row: Mapping[str, Any]) -> str:
-    """What stands beside an object's box: its number, and its time to collision while it comes nearer."""
+    """What stands beside an object's box: its number, and its time to collision while it approaches."""
     time = f" {row['ttc_z_s']:.1f} s" if row["ttc_z_s"] > 0 else ""
     return f"{row['cluster_id']}{time}"
 

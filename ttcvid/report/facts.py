@@ -72,7 +72,7 @@ def summary_sentences(contents: RunContents, objects: list[SeenObject], warnings
         sentences.append(
             f"The smallest time to collision is {nearest['ttc_z_s']:.2f} s (90 % interval {nearest['ttc_z_lo_s']:.2f} "
             f"to {nearest['ttc_z_hi_s']:.2f} s), of object {nearest['cluster_id']} at frame {nearest['frame']}: of "
-            f"objects that have surely come nearer for {_value(settings, 'events', 'persistence_s')} s."
+            f"objects that have certainly approached for {_value(settings, 'events', 'persistence_s')} s."
         )
     sentences += _own_motion_sentences(contents)
     return sentences
@@ -122,7 +122,7 @@ def assumptions(contents: RunContents) -> list[Assumption]:
     found.append(
         Assumption(
             "Intervals hold the true value in 90 of 100 cases, as far as the camera is as described. One that is open "
-            "upwards means that it is not sure that the object comes nearer."
+            "upwards means that it is not certain that the object approaches."
         )
     )
     found.append(
@@ -208,7 +208,7 @@ def manifest_facts(contents: RunContents) -> dict[str, list[Fact]]:
 
 
 def compared_facts(contents: RunContents) -> dict[str, str]:
-    """What several runs are told apart by, in the words of `summary_sentences`; the same names for every run."""
+    """What several runs differ in, in the words of `summary_sentences`; the same names for every run."""
     manifest = contents.manifest
     settings, counts, nearest = manifest["configuration"], manifest["counts"], manifest["nearest"]
     camera = contents.camera

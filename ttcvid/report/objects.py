@@ -45,7 +45,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The smallest time to collision of an object that surely comes nearer, with its 90 % interval, and the frame."""
+    """The smallest time to collision of an object that certainly approaches, with its 90 % interval, and the frame."""
 
     ttc_z_s: float
     lo_s: float
@@ -69,7 +69,7 @@ class SeenObject:
 
     @property
     def is_of_interest(self) -> bool:
-        """Whether it was warned of, or surely came nearer at any time."""
+        """Whether it was warned of, or certainly approached at any time."""
         return bool(self.warnings) or self.smallest is not None
 
 

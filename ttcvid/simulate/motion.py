@@ -1,4 +1,4 @@
-"""How things move: straight, accelerating, turning or swinging paths over the ground, exact at every time.
+"""How bodies move: straight, accelerating, turning or swinging paths over the ground, exact at every time.
 
 Road frame (ISO 8855): x ahead, y to the left, z up, in metres; headings and yaw rates count from x towards y.
 """
@@ -24,7 +24,7 @@ class Motion:
     The speed is constant, changes by ``acceleration_m_s2`` from ``acceleration_from_s`` until
     ``acceleration_until_s``, and never falls below zero. The course is ``course_rad``, plus ``yaw_rate_rad_s`` times
     the time since ``yaw_from_s`` (until ``yaw_until_s``), plus ``sideslip_rad sin(2 pi t / sideslip_period_s)``; the
-    heading of the thing that moves leaves the sideslip out and adds ``facing_rad``. ``climb_m_s`` is the constant rate
+    heading of the moving body leaves the sideslip out and adds ``facing_rad``. ``climb_m_s`` is the constant rate
     of ascent. A lane change adds ``lane_change_m`` to the left of ``course_rad`` within ``lane_change_duration_s``,
     with no jump of the acceleration; the heading follows. It excludes a yaw rate.
     """
@@ -59,7 +59,7 @@ def speed_at(motion: Motion, t_s: Floats) -> Floats:
 
 
 def heading_at(motion: Motion, t_s: Floats) -> Floats:
-    """Heading of the thing itself in rad at times ``(N,)``."""
+    """Heading of the body itself in rad at times ``(N,)``."""
     _, aside, _ = _lane_change_at(motion, t_s)
     turned = motion.yaw_rate_rad_s * _turning_s(motion, t_s)
     return np.asarray(motion.course_rad + motion.facing_rad + turned + np.arctan2(aside, speed_at(motion, t_s)))

@@ -164,7 +164,7 @@ class Repeat(SceneModel):
 
 
 class Body(SceneModel):
-    """One thing of the scene: what it is, where it stands at time 0 (centre of its base), how it moves.
+    """One body of the scene: what it is, where it stands at time 0 (centre of its base), how it moves.
 
     Either ``speed_m_s`` along ``heading_deg`` or ``velocity_m_s`` (then ``heading_deg`` is where it faces, along its
     motion when not given). ``lane_change_m`` to the left comes on top of a straight path; ``spin_deg_s`` turns a body

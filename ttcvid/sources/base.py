@@ -46,7 +46,7 @@ class Source(Protocol):
 
     def __iter__(self) -> Iterator[Frame]: ...
     def close(self) -> None:
-        """End the reading and let go of the files."""
+        """End the reading and release the files."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -94,7 +94,7 @@ class OnePassSource(ABC):
         return SourceReport(self.n_skipped, self.is_truncated, self.warnings, self.n_corrupt, self.n_missing)
 
     def close(self) -> None:
-        """End the reading and let go of the files."""
+        """End the reading and release the files."""
         if self._frames is None:
             self._frames = iter(())
         elif hasattr(self._frames, "close"):

@@ -72,7 +72,7 @@ class _Doubt:
         if is_damaged or self._lasts:
             self._pts.add(packet.pts)
         else:
-            self._pts.discard(packet.pts)  # a clock that started anew gives the same times again
+            self._pts.discard(packet.pts)  # a clock that started again gives the same times again
         self._lasts |= is_damaged and _is_referred_to(packet, codec)
 
     def without_doubtful(self, pictures: list[VideoFrame | None]) -> Iterator[VideoFrame | None]:

@@ -332,7 +332,7 @@ def _damaged(rows: list[_Packet], is_transport_stream: bool) -> frozenset[int]:
         return frozenset(marked)
     # its parser gives a packet out while it reads the next one, and with the mark of that
     damaged = {min(i + 1, len(rows) - 1) for i in marked}
-    # where two streams were put together nothing is missing, only the count of packets starts anew
+    # where two streams were put together nothing is missing, only the count of packets starts again
     return frozenset(i for i in damaged if not _clock_starts_anew(rows, i + 1))
 
 
@@ -359,7 +359,7 @@ def _clock_starts_anew(rows: list[_Packet], number: int) -> bool:
 
 
 def _presentation_order(rows: list[_Packet], known: list[int]) -> list[int]:
-    """Packet numbers in the order of presentation; a clock that jumps back (dts falls) starts anew behind."""
+    """Packet numbers in the order of presentation; a clock that jumps back (dts falls) starts again behind."""
     order: list[int] = []
     piece: list[int] = []
     last_dts: int | None = None

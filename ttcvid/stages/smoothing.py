@@ -131,7 +131,7 @@ def _same_tracks(history: TrackHistory, after: TrackHistory) -> tuple[Ints, Ints
 def _smoothed_direction(history: TrackHistory, egomotion: Egomotion) -> Egomotion:
     """Own motion with the direction that a parabola through the directions of the steps around has.
 
-    Its covariance stays: errors of neighbouring steps hang together.
+    Its covariance stays: errors of neighbouring steps are correlated.
     """
     directions = np.einsum("lij,lj->li", history.cam_R_past, history.scene_direction)
     near = np.abs(np.arange(len(directions)) - history.n_past) <= _NEAR_STEPS

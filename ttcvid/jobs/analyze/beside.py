@@ -84,7 +84,7 @@ class OtherProcess(Generic[T, R]):
         # One at a time: another copy made in between would hold the far end of this pipe open. And not while a thread
         # compiles: the lock of the compiler would stay locked in the copy.
         with _FORKING, global_compiler_lock, warnings.catch_warnings():
-            # Python 3.12 warns of other locks. The copy takes none but the interpreter's own, which are made anew: it
+            # Python 3.12 warns of other locks. The copy takes none but the interpreter's own, which are made again: it
             # has arrays in and arrays out, and logs nothing.
             warnings.simplefilter("ignore", DeprecationWarning)
             self._connection, theirs = context.Pipe()

@@ -75,7 +75,7 @@ OnFrame = Callable[[int, int | None], None]
 def analyze(
     input_: str | Path, out: str | Path | None = None, *, config: str | Path | None = None, **options: Any
 ) -> Run:
-    """Find what moves on its own in a clip, when each thing comes closest, and how far off it passes.
+    """Find what moves by itself in a clip, when each object comes closest, and how far off it passes.
 
     Parameters
     ----------

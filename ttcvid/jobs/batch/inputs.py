@@ -139,7 +139,7 @@ def _plain_parts(pattern: Path) -> Iterator[str]:
 def _in_list(path: Path, out: Path) -> Iterator[BatchClip]:
     """The clips, folders and patterns of a text file, one a line, relative to its folder.
 
-    What is not there is a clip all the same, whose analysis will fail: lists are long, and the rest is to go on.
+    A missing path is a clip too, whose analysis will fail: lists are long, and the rest is to go on.
     """
     lines = [line.strip() for line in _text(path).splitlines()]
     named = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]

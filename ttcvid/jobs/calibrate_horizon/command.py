@@ -111,7 +111,7 @@ def calibrate_horizon(
     config: str | Path | None = None,
     **options: Any,
 ) -> HorizonCalibration:
-    """Find the horizon of a camera from things that move in straight lines before it.
+    """Find the horizon of a camera from objects that move in straight lines.
 
     Parameters
     ----------

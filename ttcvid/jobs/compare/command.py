@@ -31,7 +31,7 @@ def compare(
     tolerance
         A YAML file of tolerances, laid over the defaults.
     warn_s
-        An object that surely approaches and is nearer in time than this always counts, however few its tracks;
+        An object that certainly approaches and is nearer in time than this always counts, however few its tracks;
         default: that of the tolerances.
 
     Raises

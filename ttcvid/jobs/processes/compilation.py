@@ -1,7 +1,7 @@
 """Compiled code: made ahead on all cores where it is missing, and what to know where it cannot be kept.
 
 The inner loops are compiled when they are first called, and kept on disk. A command compiles all that is missing before
-its work, so that its progress tells of the work alone.
+its work, so that its progress shows the work alone.
 """
 
 from __future__ import annotations
@@ -87,12 +87,12 @@ def compilation_complaint() -> str | None:
 
 
 def damage_complaint() -> str | None:
-    """Where copies of former runs are damaged, those are compiled anew."""
+    """Where copies of former runs are damaged, those are compiled again."""
     damaged = damaged_on_disk()
     if not damaged:
         return None
     others = f" and {len(damaged) - 1} more beside it" if len(damaged) > 1 else ""
-    return f"{damaged[0]}{others}: damaged compiled code, compiled anew when it is used: remove it if this stays"
+    return f"{damaged[0]}{others}: damaged compiled code, compiled again when it is used: remove it if this stays"
 
 
 def _sources() -> list[Path]:
@@ -105,7 +105,7 @@ def _module(file: Path) -> str:
 
 
 def _digest(sources: list[Path]) -> str:
-    """Changes with what makes numba compile anew: source files, versions, and the machine with its processor."""
+    """Changes with what makes numba compile again: source files, versions, and the machine with its processor."""
     stamps = [(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in sources]
     machine = platform.node(), platform.machine(), numba.__version__, platform.python_version()
     return hashlib.sha256(repr((stamps, machine)).encode()).hexdigest()[:16]

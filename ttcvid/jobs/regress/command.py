@@ -118,7 +118,7 @@ def regress(
     suite
         The YAML file of the suite.
     update
-        Write the baselines anew from these runs; what that changes stands in each outcome.
+        Rewrite the baselines from these runs; each outcome lists what changed.
     only
         Names of clips; none: all.
     jobs
@@ -223,7 +223,7 @@ def _checked(suite: Suite, clip: SuiteClip, folder: Path, update: bool, call: Ca
 
 
 def _former(path: Path, update: bool) -> Results | None:
-    """The baseline as it is; one that cannot be read is no hindrance where it is to be written anew."""
+    """The baseline as it is; one that cannot be read is no hindrance where it is to be rewritten."""
     try:
         return read_baseline(path)
     except NotComparableError:

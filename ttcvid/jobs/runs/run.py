@@ -94,7 +94,7 @@ class Run:
         return self.clusters[self.clusters.role == "object"].reset_index(drop=True)
 
     def approaching(self, within_s: float | None = None) -> pd.DataFrame:
-        """The rows of ``objects`` that surely come nearer, of state ``approaching`` or ``constant_bearing``.
+        """The rows of ``objects`` that certainly approach, of state ``approaching`` or ``constant_bearing``.
 
         With ``within_s`` only those whose depth is zero within so many seconds (``ttc_z_s``).
         """

@@ -120,7 +120,7 @@ def _over_gap(
     Rotations of single steps would add up with their errors, which are partly common to all steps: over ten frames
     they bend the flow of everything far away. Where the flow is short, the motion is therefore found once more
     between the present frame and one so far back that the flow is long enough: its rotation corrects the sum, its
-    direction replaces that of the step. The gap stays short all the same: the direction found is the mean over it.
+    direction replaces that of the step. The gap stays short nevertheless: the direction found is the mean over it.
     """
     egomotion, memory, side = step.egomotion, step.memory, region_side_of(history.camera)
     history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)

@@ -255,7 +255,7 @@ def _shaking(observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turni
         return _result(turning)
     stays = np.linalg.norm(rays_cam - rays_prev, axis=1) < farthest_rad
     if np.count_nonzero(stays) < _LEAST_STILL:
-        # Nothing but movers: nothing tells of the noise, either.
+        # Only movers: the noise is not observed either.
         cov = prior.rotation_sigma_rad**2 * np.eye(3)
         return Egomotion(prior.cam_R_prev, cov, None, None, np.array([_MEDIAN_RAYLEIGH]))
     still = (rays_prev[stays], rays_cam[stays], sigma_rad[stays], region[stays], prior)
@@ -273,7 +273,7 @@ def _fit_from_starts(
     it, the opposite is tried as well (a car that backs out of where it stopped).
 
     A camera that may go anywhere sways across its view in turn: from the wrong side no search comes round, the points
-    nearby are let go like movers, and those far away show no translation.
+    nearby are rejected like movers, and those far away show no translation.
     """
     rays_prev, rays_cam, _, _, prior = observed
     last = FORWARD_DIR if memory.direction is None else memory.direction

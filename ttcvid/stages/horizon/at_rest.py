@@ -114,12 +114,14 @@ def _judged(motion: Motion, is_used: bool, covariance: np.ndarray) -> Motion:
 
 
 def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonCalibrationConfig) -> str:
-    remedy = "film things that cross or turn off, too, or give --roll-zero if the camera stands level"
+    remedy = "film objects that cross or turn off, too, or give --roll-zero if the camera has no roll"
     if is_one_direction(directions, covariances, np.radians(config.floor_deg), config.one_direction_probability):
         return f"all {len(directions)} motions run in one direction: {remedy}"
     widest_deg = float(np.degrees(widest_angle_rad(directions, covariances)))
     if widest_deg < config.min_spread_deg:
-        return f"directions surely differ by {widest_deg:.1f} deg only, {config.min_spread_deg:g} deg needed: {remedy}"
+        return (
+            f"directions certainly differ by {widest_deg:.1f} deg only, {config.min_spread_deg:g} deg needed: {remedy}"
+        )
     return ""
 
 

@@ -26,7 +26,7 @@ _ROLL_SIGMA_RAD = np.radians(2.0)
 _MEASURED_PART = 0.5
 # Rotations are added up over this long, s: their errors stay small beside those of the directions.
 _WINDOW_S = 4.0
-# Directions are averaged over this long, s, since their errors hang together from frame to frame, and over so many
+# Directions are averaged over this long, s, since their errors are correlated from frame to frame, and over so many
 # frames at least: half a frame more than that is never less.
 _BIN_S = 0.5
 _LEAST_FRAMES = 3

@@ -19,7 +19,7 @@ _LEAST_QUARTER, _MOST_ASIDE = 0.06, 0.2
 _STEP_S = 0.4
 # Two neighbours move alike when their steps differ by less than this part of the longer one, and this many px.
 _ALIKE_PART, _ALIKE_PX = 0.2, 0.7
-# They belong together when they moved alike in so much of the time in which both were seen near each other.
+# They are one mover when they moved alike in this share of the time in which both were seen side by side.
 _ALIKE_SHARE = 0.75
 
 

@@ -20,13 +20,13 @@ _WIDTH_PART = 0.12
 _NARROW_PX = 2.0
 # Where the border of a mover is seen may be off by this, px, all its life: half a pixel of blur, a contact shadow.
 _BORDER_PX = 0.5
-# An outline that scatters by more than this part of its height is no rigid thing's.
+# An outline that scatters by more than this part of its height is no rigid body's.
 _MOST_SCATTER = 0.03
 # So much of the outlines has to lie near their line.
 _LEAST_SHARE = 0.5
 # So much of the variance along the way is that of a steady motion; what is hidden by and by does not go on steadily.
 _LEAST_STEADINESS = 0.9
-# An outline is followed for at least so many times as long as its errors hang together: a whole stride.
+# An outline is followed for at least so many correlation times of its errors: a whole stride.
 _LEAST_MEMORIES = 2.0
 _LEAST_HEIGHT_PX = 12.0
 _SURE_SIGMAS = 4.0

@@ -83,7 +83,7 @@ def _motions_of(
 ) -> list[Motion]:
     """The motions of a mover; one that bends is looked at again in halves, as long as they are long enough.
 
-    What lasts long is looked at piece by piece: people who follow each other hang together in their tracks. Tracks that
+    Long motions are cut into pieces: tracks of people who follow each other are connected. Tracks that
     do not go with the others are tried by themselves: two who walk side by side, and part.
     """
     duration_s = float(np.ptp(rows.t_s)) if len(rows.t_s) else 0.0

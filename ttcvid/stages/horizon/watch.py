@@ -13,7 +13,7 @@ from ttcvid.model import SCENE_CLUSTER, Floats, FrameResult, HorizonOffset
 # The clip is looked at in so many parts, each with at least so many frames that have an offset: own motion misled by a
 # bus before the camera for a second is no drift.
 _PARTS, _LEAST_FRAMES = 4, 25
-# Errors of epipoles hang together over about so many frames.
+# Errors of epipoles are correlated over about so many frames.
 _FRAMES_TOGETHER = 10
 # An offset or a drift is believed from so many standard deviations on.
 _SURE_SIGMAS = 4.0

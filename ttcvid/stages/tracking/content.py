@@ -16,7 +16,7 @@ def content_offsets(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
 
     A Lucas-Kanade step is ``H^-1 sum(g g' d)`` over the window, with gradients g, ``H = sum(g g')`` and the
     displacement d of each pixel. Where d is a shift and an expansion about any point, that is d at
-    ``H^-1 sum(g g' x)``: where something comes nearer, the middle of a window leaves the point that it began on, by
+    ``H^-1 sum(g g' x)``: where something approaches, the middle of a window leaves the point that it began on, by
     the expansion times this offset, and the content does not.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Which tracks are neighbours in the picture, and which hang together."""
+"""Which tracks are neighbours in the picture, and which are connected."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
 def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, tolerance: Floats) -> Ints:
     """Number of the part that each point belongs to, (N,), numbered by their first point.
 
-    Two points hang together when they lie closer than a radius, are of one group, and their values differ by less than
+    Two points are connected when they lie closer than a radius, are of one group, and their values differ by less than
     the sum of their tolerances.
 
     Parameters
@@ -194,7 +194,7 @@ def _link(
 ) -> None:
     """Fill ``label (N,)`` of `linked_parts`.
 
-    First each point with a few that come next in the order of cells: that joins nearly all that hang together. Then
+    First each point with a few that come next in the order of cells: that joins nearly all that are connected. Then
     what is not in the largest part of its group, with all around it; of two points of that nothing is left to ask.
     """
     cell, order, start, width = _sorted_by_cell(column_row, 1)
@@ -246,7 +246,7 @@ def _unite_with(
     for place in range(first, stop):
         square = (xy[place, 0] - xy[here, 0]) ** 2 + (xy[place, 1] - xy[here, 1]) ** 2
         differs = abs(value[place] - value[here]) - tolerance[place] - tolerance[here]
-        # One branch, that seldom goes another way than the last time: most are known to hang together.
+        # One branch, that seldom goes another way than the last time: most are known to be connected.
         is_one = (square < radius * radius) & (differs < 0.0) & (group[place] == group[here])
         if is_one & (root[order[here]] != root[order[place]]):
             _unite(root, order[here], order[place])

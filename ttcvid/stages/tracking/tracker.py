@@ -21,7 +21,7 @@ _SAMPLED_PX = 4
 # A cut leaves less than this part of the tracks, and another histogram: at least this part of its mass moved. On the
 # real clips a hard cut leaves 0 and moves 0.27 or more, the wildest drive leaves 0.4 and moves 0.14.
 _CUT_SURVIVAL, _CUT_HISTOGRAM = 0.15, 0.2
-# With hardly a track left (up to 10 % of AKAZE features match anything) everything begins anew, whatever the look.
+# With hardly a track left (up to 10 % of AKAZE features match anything) everything starts again.
 _LOST_SURVIVAL = 0.12
 # Lucas-Kanade takes brightness as lasting, and loses most tracks where it changes by a fifth. Below this survival they
 # are looked for once more in the picture as bright as the last one, if that is not the same.

@@ -1,6 +1,6 @@
 """The situation of a moment from the tables of a run: what has a scale becomes metres, what has none a family.
 
-A run knows places and velocities in units of each thing's own depth. Four links lead to metres: own speed scales the
+A run knows places and velocities in units of each object's own depth. Four links lead to metres: own speed scales the
 static scene; the road under it then tells the camera's height, or the other way round; a moving object stands on that
 road, or has a known width. An object that moves with the scene (its ``motion_id`` is 0) has the scene's scale.
 """
@@ -138,7 +138,7 @@ class SeenSituation:
     memory: Memory | None
     speed_by_height_m_s: float | None = None
     is_scene_known: bool = False
-    """Whether the static scene has been watched for long enough, over a road where things stand on one."""
+    """Whether the static scene has been watched for long enough, over a road where objects stand on one."""
     course_rad: tuple[float, float] = (-np.pi, np.pi)
     """Which courses lie in view, from ahead to the right."""
 
@@ -299,8 +299,8 @@ def _object_depth_m(
 ) -> tuple[float | None, float, str]:
     """Depth of an object's reference point, its relative standard deviation, and the link that it comes from.
 
-    A thing at rest has to be known by its own motion as well as the static scene is. By own speed and by the road it is
-    equally far away, or it is not at rest, or does not stand there: then neither is believed.
+    The motion of an object at rest has to be known as well as that of the static scene. Own speed and the road give it
+    the same distance; otherwise it is not at rest, or does not stand there, and neither distance is used.
     """
     objects = seen.objects
     width = scale.width_m_of.get(int(objects.cluster_id[k]), scale.width_m)

@@ -21,10 +21,10 @@ BORDER_SHARE = 0.1
 kerb. Courses are not known better than that."""
 _MIN_FRAMES, _MIN_AGE_S, _AGREES_SIGMAS = 4, 0.4, 3.0
 """A track is believed to be at rest where it has stood at one place, to so many sigmas, for so long and so often: that
-of a moving thing wanders, for it is taken to be nearer or farther than it is."""
+of a moving object wanders, for it is taken to be nearer or farther than it is."""
 OBSTACLE_SIGMA = 0.07
 """Relative error of distance up to which a point at rest is an obstacle. What is known worse is far off, or may be an
-oncoming car, which looks like a nearer thing at rest."""
+oncoming car, which looks like a nearer object at rest."""
 _UNSEEN_S = 0.5
 """What ought to be seen, and has not been for so long, is not there."""
 _OVER_ROAD_M, _ROAD_SIGMAS, _LEVEL_RAD = 0.5, 3.0, 0.005
@@ -90,7 +90,7 @@ def remembered(before: StaticPoints, seen: StaticPoints, is_in_view: Callable[[F
     """What is known after a frame: the points before, carried along, and those seen now, which stand for their tracks.
 
     Forgotten is what we have left behind, and what has not been seen for a while though its place is in view.
-    ``is_in_view`` tells of places ``(M, 3)`` whether they are.
+    ``is_in_view`` says of positions ``(M, 3)`` whether they are.
     """
     _, old, new = np.intersect1d(before.track_id, seen.track_id, assume_unique=True, return_indices=True)
     off_m = np.linalg.norm(seen.place_m[new] - before.place_m[old], axis=1)

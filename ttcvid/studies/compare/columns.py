@@ -26,9 +26,9 @@ _OBJECT_TIMES = ("ttc_z_s", "tcpa_s", "miss_s")
 
 @dataclass(frozen=True)
 class JoinedRows:
-    """Rows of one part of the tables that are the same thing in both results, one beside the other.
+    """Rows of one part of the tables that correspond to each other in both results.
 
-    ``baseline`` and ``run`` have the same length and order, null is NaN. ``who`` names the thing of each row beyond
+    ``baseline`` and ``run`` have the same length and order, null is NaN. ``who`` names the object of each row beyond
     its frame ("object 2"; empty where the frame says all), after ``prefix``; ``frame`` and ``t_s`` are the baseline's.
     """
 

@@ -38,7 +38,7 @@ def join_frames(
 ) -> JoinedFrames:
     """Join the frames of two results by time, or where their tracks say otherwise, by what the pictures show.
 
-    A clip that was encoded anew without one of its frames has the same times as before, but one picture less: from
+    A clip that was encoded again without one of its frames has the same times as before, but one picture less: from
     there on every picture is early, which only its content tells.
 
     Parameters

@@ -174,7 +174,7 @@ def _lives(
 
 
 def _are_near(objects: pd.DataFrame, warn_s: float) -> Bools:
-    """Whether an object is surely nearer in time than ``warn_s`` in a row, as ``frames.min_ttc_z_s`` tells it."""
+    """Whether an object is certainly nearer in time than ``warn_s`` in a row, as ``frames.min_ttc_z_s`` says."""
     rows = objects.reset_index(drop=True).sort_values(["cluster_id", "frame"], kind="stable")
     is_sure = (
         rows.state.isin([state.value for state in APPROACHING])

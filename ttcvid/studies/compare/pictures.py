@@ -11,7 +11,7 @@ from ttcvid.studies.compare.tracks import Placed
 MAX_SHIFT = 3
 """Frames that can be lost or doubled beyond what the numbers of frames tell."""
 SAME_PLACE_PX = 0.3
-"""Corners of the same picture, also of one that was encoded anew, are within this distance; of another one they are
+"""Corners of the same picture, also of one that was encoded again, are within this distance; of another one they are
 so by chance only, or because nothing moves there."""
 MAX_TRACKS = 200
 """Tracks of a frame that are looked for."""
@@ -19,7 +19,7 @@ N_LOOKED_AT = 20
 SHIFT_COST = 0.25
 """A change of the shift has to bring more than this in shares of tracks, summed over the frames after it."""
 LEAST_GAIN, LEAST_SIGMAS = 0.05, 5.0
-"""Frames are joined anew only if they agree better by this share of tracks, and by so many standard deviations of
+"""Frames are joined again only if they agree better by this share of tracks, and by so many standard deviations of
 such a share: pictures at rest are all alike."""
 
 

@@ -50,7 +50,7 @@ def thinned(results: Results, tolerance: ObjectTolerance) -> Results:
     kept = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), N_FRAMES)).astype(int))]
     tables = {name: _in_frames(table, kept) for name, table in results.tables.items()}
     tables["collision_times"] = _some_tracks(tables["collision_times"])
-    # A track is known again by what its object is: that of a kept track is kept, however small.
+    # A track is re-identified by its object: that of a kept track is kept, however small.
     number = [*_objects_kept(results.tables, tolerance), *tables["collision_times"].cluster_id.unique()]
     for name in ("clusters", "epipoles"):
         tables[name] = tables[name][tables[name].cluster_id.isin([SCENE_CLUSTER, *number])].reset_index(drop=True)

@@ -53,13 +53,13 @@ class PartTolerance(StageConfig):
 class ObjectTolerance(StageConfig):
     """Which objects have to be there again, and what being there means.
 
-    An object counts by itself if it carries a warning, if it surely approaches and is nearer in time than ``warn_s``,
+    An object counts if it carries a warning, if it certainly approaches and is nearer in time than ``warn_s``,
     or if it is large enough. Of all others only their number is judged.
     """
 
     min_frames: int = Field(default=8, ge=1, description="an object counts by itself from so many frames on")
     min_tracks: int = Field(default=10, ge=1, description="and so many tracks (median over its frames)")
-    warn_s: NotNegative = Field(default=4.0, description="it counts whatever its size, where it surely comes sooner")
+    warn_s: NotNegative = Field(default=4.0, description="it counts whatever its size, where it certainly comes sooner")
     min_found: Share = Field(default=0.5, description="share of an object's frames in which it has to be there again")
     min_one_number: Share = Field(default=0.8, description="share of those frames in which it has one number")
     rate_sigmas: NotNegative = Field(
@@ -144,10 +144,10 @@ DEFAULT_PARTS: dict[str, PartTolerance] = {
     "events": PartTolerance(max_share=0.0, typical=1.0),
 }
 
-"""The tables; those with a row per cluster in two parts, because objects are told apart less surely than the scene."""
+"""The tables; those with a row per cluster in two parts: objects are found less certainly than the scene."""
 
 NOT_JUDGED = ("frame", "t_s", "track_id", "cluster_id", "motion_id", "event_id", "role", "start_frame", "end_frame")
-"""What rows are joined by, and numbers that may be given out anew; the clusters of tracks are judged even so."""
+"""What rows are joined by, and numbers that may be assigned again; the clusters of tracks are judged even so."""
 
 
 class Tolerance(StageConfig):

@@ -1,4 +1,4 @@
-"""Whether tracks are in the group of the thing that they lie on."""
+"""Whether tracks are in the group of the object that they lie on."""
 
 from __future__ import annotations
 

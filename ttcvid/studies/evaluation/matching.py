@@ -12,7 +12,7 @@ from ttcvid.model import Floats, Ints
 from ttcvid.studies.evaluation.truth import BOX, UNKNOWN_OBJECT
 
 MIN_OVERLAP = 0.3
-"""Intersection over union, of boxes or of sets of tracks, from which on two are taken for the same thing."""
+"""Intersection over union, of boxes or of sets of tracks, from which on two are taken for the same object."""
 MIN_INSIDE = 0.5
 """Share of a box, or of its tracks, on a true object from which on it is another piece of that object."""
 

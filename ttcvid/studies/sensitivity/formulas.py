@@ -18,7 +18,7 @@ def planar_two_frame(case: Case) -> Errors:
     - ``ttc_z = d y0 / (y1 - y0)``, relative variance ``sigma^2 ((y1 / y0)^2 + 1) / (y1 - y0)^2``;
     - ``tcpa = ttc_z (1 + x1 xe) / (1 + xe^2)``.
 
-    Infinite where the point lies in the horizon's plane or does not come nearer.
+    Infinite where the point lies in the horizon's plane or does not approach.
     """
     (x0, y0), (x1, y1) = positions(case, case.times_s(2))
     if y1 == y0 or y0 == 0.0:
