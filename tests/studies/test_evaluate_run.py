@@ -188,6 +188,8 @@ def test_displaced_observations_that_a_body_takes_in_are_counted() -> None:
     )
     metrics = metrics_of(replace(RUN, collision_times=tracks), track_points=points)
     assert metrics["tracks.outliers_in"] == pytest.approx(0.5)
+    # They lie on nothing: whether such a row is in a cluster is told by this figure alone.
+    assert metrics["tracks.right"] == 1
 
 
 def test_a_warning_of_what_does_not_collide_is_false() -> None:

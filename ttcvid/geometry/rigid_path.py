@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.kernels.newest_view import predict_newest
 from ttcvid.geometry.kernels.rigid_points import LANES, N_EQUATIONS, add_turns_and_shifts, fit_rigid_points
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
@@ -144,6 +145,37 @@ def fit_on_paths(
         (place, rate, sigma, misfit, n_views),
     )
     return PathFit(place, rate, sigma, misfit, n_views)
+
+
+@dataclass(frozen=True)
+class Surprise:
+    """How far M points are now from where they were to be expected.
+
+    ``off (M, 2)`` of where the path of its thing leads each, in the plane z = 1; ``chi2 (M,)``, with two degrees of
+    freedom, of that or of where its own course over the last views leads, whichever is nearer: what is on neither has
+    nothing to do with the earlier views. 0 where these say nothing.
+    """
+
+    off: Floats
+    chi2: Floats
+
+
+def surprise_of_newest(points: Points, paths: RigidPaths, rate_hz: Floats) -> Surprise:
+    """How far the points are now from where their earlier views lead; ``rate_hz (M,)`` to start from, NaN: none."""
+    off, chi2 = np.empty((len(points.track), 2)), np.empty(len(points.track))
+    predict_newest(
+        points.rays,
+        points.track,
+        points.thing,
+        ways_of(paths, points.rays.shape[2]),
+        points.sigma_norm,
+        points.since_s,
+        rate_hz,
+        2 * _N_STEPS,
+        off,
+        chi2,
+    )
+    return Surprise(off, chi2)
 
 
 def ways_of(paths: RigidPaths, n_views: int) -> Floats:

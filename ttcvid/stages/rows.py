@@ -65,7 +65,7 @@ def track_rows(
         states = two_frame_states(own.flows, own.direction, own.covariance)
         asks = own.flows.has_flow & ~np.isfinite(own.direction[:, 0])
         states = states.with_status(np.where(asks, own.status, states.status))
-    states = states.without(~motions.is_free, Status.no_parallax)
+    states = states.without(~motions.is_free, motions.no_direction_status)
     states = _with_expansions(history, motions, states)
     rows = TrackRows(
         track_id=history.track_id,

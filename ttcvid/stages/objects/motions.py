@@ -22,7 +22,7 @@ from ttcvid.stages.segmentation.data_association import numbers_of
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation, find_bodies
 from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
 from ttcvid.stages.segmentation.surface_memory import without_numbers
-from ttcvid.stages.tracking.history import TrackHistory
+from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
 _LINK_PART = 0.05
@@ -47,6 +47,7 @@ class FrameMotions:
     scene first, then the movers; ``link_px`` the distance within which tracks hang together; ``is_free (N,)`` tracks
     not frozen to their pixel; ``bend`` how we drive along a road, None where we do not, or that is not known;
     ``steady_xy (L, N, 2)`` the tracks' places as a steady camera would have seen them, None: as they were seen.
+    What is displaced, a single false observation, is of no cluster, and not rigid.
     """
 
     cluster_id: Ints
@@ -82,6 +83,7 @@ def find_motions(
     times = config.collision_times
     link_px = _LINK_PART * camera.image_size.longer_side_px
     in_scene, objects, bend, steady_xy = is_free, list[ClusterMotion](), None, None
+    is_displaced = np.zeros(history.n_tracks, dtype=bool)
     if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
         error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
@@ -89,7 +91,8 @@ def find_motions(
         found, memory = find_bodies(
             history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
         )
-        history = replace(history, cam_R_past=found.scene.cam_R_past[0])
+        history = without_displaced(replace(history, cam_R_past=found.scene.cam_R_past[0]), found.is_displaced)
+        is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced
         numbers = found.movers.cluster_id
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
         objects, steady_xy = _object_motions(history, found, is_free, plane, camera, times)
@@ -129,7 +132,7 @@ def find_motions(
             in_scene[surface.members] = False
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
-    motions = replace(_assigned(clusters, is_free, link_px), bend=bend, steady_xy=steady_xy)
+    motions = replace(_assigned(clusters, is_free, is_displaced, link_px), bend=bend, steady_xy=steady_xy)
     return motions, history, memory
 
 
@@ -311,11 +314,12 @@ def scene_motion(
     return on_plane(SCENE_CLUSTER, members, egomotion.direction, egomotion.direction_cov, "egomotion", plane, camera)
 
 
-def _assigned(clusters: tuple[ClusterMotion, ...], is_free: Bools, link_px: float) -> FrameMotions:
+def _assigned(clusters: tuple[ClusterMotion, ...], is_free: Bools, is_displaced: Bools, link_px: float) -> FrameMotions:
     """The cluster of each track, and why it has no direction where that has none."""
     cluster_id = np.full(len(is_free), NO_CLUSTER, dtype=np.int64)
     status = np.full(len(is_free), Status.no_epipole, dtype=np.int64)
     status[~is_free] = Status.no_parallax
+    status[is_displaced] = Status.not_rigid
     for motion in clusters:
         cluster_id[motion.members], status[motion.members] = motion.cluster_id, motion.status
     return FrameMotions(cluster_id, status, clusters, link_px, is_free)

@@ -95,8 +95,8 @@ class TrackStates:
         """The same states with other reasons."""
         return replace(self, status=status)
 
-    def without(self, index: Bools, status: Status) -> TrackStates:
-        """No result for the tracks of ``index (N,)``, for one reason."""
+    def without(self, index: Bools, status: Ints) -> TrackStates:
+        """No result for the tracks of ``index (N,)``, for the reason ``status (N,)``."""
         if not index.any():
             return self
         gone = index[:, None]

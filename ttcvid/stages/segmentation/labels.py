@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.rigid_path import PathFit, RigidPaths
+from ttcvid.geometry.medians import medians
+from ttcvid.geometry.rigid_path import PathFit, RigidPaths, surprise_of_newest
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.segmentation.births import new_movers
@@ -32,6 +33,12 @@ from ttcvid.stages.tracking.history import TrackHistory
 # Steps of refinement a frame of a new mover, and of one that has been found in some frames; fewer points than this do
 # not refine it.
 _YOUNG_STEPS, _YOUNG_FRAMES, _OLD_STEPS, _LEAST_POINTS = 2, 5, 1, 3
+# An observation is a false one beyond so many sigmas of what is expected: noise alone has none of them.
+_DISPLACED_CHI2 = 6.0**2
+# What is usual is found without these, in so many rounds. Two are off alike within this part of how far they are off.
+_ROUNDS, _ALIKE = 3, 0.3
+# Median of a chi-square variable with two degrees of freedom.
+_MEDIAN_CHI2_2 = 1.3863
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,8 @@ class Segmentation:
     """The bodies of a frame: ``key (N,)`` of each track's body, the movers, and how the scene explains tracks.
 
     ``misfit (N,)`` of each track on the scene's path, in units of what is usual there, ``usual_misfit``;
-    ``sway (L, 3)`` how far the scene lay off a steady path, 0 before a camera that does not sway.
+    ``sway (L, 3)`` how far the scene lay off a steady path, 0 before a camera that does not sway; ``is_displaced (N,)``
+    tracks whose present observation no body explains: it is a false one.
     """
 
     key: Ints
@@ -70,6 +78,7 @@ class Segmentation:
     misfit: Floats
     usual_misfit: float
     sway: Floats
+    is_displaced: Bools
 
 
 def in_scene(memory: BodyMemory, track_id: Ints) -> Bools:
@@ -107,6 +116,9 @@ def find_bodies(
     seen = see_scene(history, egomotion, platform, is_free, memory.scene, memory.road, views, rate_hz, key, config)
 
     movers = _refined(movers, seen.scene, views, key, seen.usual_misfit)
+    is_displaced = _are_displaced(views, seen, movers, key, rate_hz)
+    belonged, is_free = key, is_free & ~is_displaced
+    views = replace(views, is_free=is_free)
     # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
     neighbours = views.neighbours(is_free & (seen.misfit > config.scene_gate), key != SCENE_CLUSTER)
     key, movers, own = _divided(views, seen, key, movers, neighbours, config)
@@ -116,13 +128,44 @@ def find_bodies(
         history, views, seen, key, movers, neighbours, may_start, memory.next_key, few_are_enough, config
     )
     key, movers, next_key = split(views, key, movers, own, next_key, config)
+    # A track whose present observation belongs to nothing is with its body again when the next one fits.
+    stays = is_displaced & np.isin(belonged, np.append(SCENE_CLUSTER, movers.key))
+    key = np.where(stays, belonged, key)
     movers = with_velocities(views, seen.scene, key, movers)
     surfaces = memory.growing + memory.obstacles
     movers, next_cluster_id = _named(movers, key, history.track_id, surfaces, memory.next_cluster_id, config)
     memory = replace(memory, rate_hz=memory.rate_hz * seen.speed)
     labels = _with_lost(history, memory, key, seen.rate_hz)
     memory = BodyMemory(seen.scene, movers, *labels, seen.road, next_key, next_cluster_id, frame=history.frame)
-    return Segmentation(key, movers, seen.scene, seen.fit, seen.misfit, seen.usual_misfit, seen.sway), memory
+    found = Segmentation(key, movers, seen.scene, seen.fit, seen.misfit, seen.usual_misfit, seen.sway, is_displaced)
+    return found, memory
+
+
+def _are_displaced(views: BodyViews, seen: SeenScene, movers: Movers, key: Ints, rate_hz: Floats) -> Bools:
+    """Tracks (N,) whose present observation is a false one: neither their body nor their own course leads there.
+
+    Where most tracks of a body are off, it is its last step that is wrong; where a neighbour is off alike, it is
+    something that is not known yet.
+    """
+    number = numbers_of(key, movers)
+    start_hz = np.where(number == 0, rate_hz * seen.speed, np.append(0.0, movers.rate_hz)[number])
+    points = views.points(np.arange(len(key)), number)
+    surprise = surprise_of_newest(points, seen.scene.joined(movers.paths), start_hz)
+    is_displaced, is_known = np.zeros(len(key), dtype=bool), (surprise.chi2 > 0.0) & views.is_free
+    for _ in range(_ROUNDS):
+        tells = is_known & ~is_displaced
+        usual = medians(surprise.chi2[tells], number[tells], len(movers) + 1) / _MEDIAN_CHI2_2
+        is_displaced = is_known & (surprise.chi2 > _DISPLACED_CHI2 * np.fmax(usual, 1.0)[number])
+    if not is_displaced.any():
+        return is_displaced
+    beside = views.neighbours(is_displaced, np.zeros_like(is_displaced))[is_displaced]
+    off = surprise.off[is_displaced]
+    apart = np.linalg.norm(surprise.off[beside] - off[:, None], axis=2)
+    is_alike = (apart < _ALIKE * np.linalg.norm(off, axis=1)[:, None]) & (
+        beside != np.flatnonzero(is_displaced)[:, None]
+    )
+    is_displaced[is_displaced] = ~is_alike.any(axis=1)
+    return is_displaced
 
 
 def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) -> Movers:

@@ -13,7 +13,7 @@ from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
 from ttcvid.geometry.shared_path import SharedPaths
-from ttcvid.model import Camera, Floats, Ints, PointSet
+from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
 from ttcvid.stages.tracking.groups import places_among
 
 # Views that count as recent, however long ago.
@@ -21,6 +21,8 @@ _LEAST_RECENT = 4
 # Views are not thinned out among so many last ones: own motion looks back as far, and a track's roughness comes from
 # even steps. Half a frame is left to times that were rounded.
 _DENSE_VIEWS, _ROUNDING_FRAMES = 5, 0.5
+# So many false observations in a row are no chance: at 30 % of them one in 11 pairs is.
+_STRAYING_VIEWS = 2
 
 FULL_RATE_HZ = 30.0
 """The views of a clip that is faster are thinned, so that they reach as far back as they would at this rate."""
@@ -352,6 +354,22 @@ def last_frame_only(history: TrackHistory) -> TrackHistory:
         rays=history.rays[-1:],
         lost=None,
     )
+
+
+def without_displaced(history: TrackHistory, is_displaced: Bools) -> TrackHistory:
+    """The history without the present observation of the tracks ``is_displaced (N,)``.
+
+    What has strayed for longer is not displaced, but has found another thing: its track begins anew, with this one.
+    """
+    if not is_displaced.any():
+        return history
+    rays, now = history.rays.copy(), len(history.rays) - 1
+    has_strayed = is_displaced & np.isnan(rays[max(now - _STRAYING_VIEWS, 0) : now, :, 0]).all(axis=0)
+    rays[-1, is_displaced & ~has_strayed] = np.nan
+    rays[:-1, has_strayed] = np.nan
+    # It has made its track look noisy: nothing but its peers tells of that now.
+    noise_sum = np.where(is_displaced, history.noise_weight, history.noise_sum)
+    return replace(history, rays=rays, noise_sum=noise_sum)
 
 
 def with_egomotion(

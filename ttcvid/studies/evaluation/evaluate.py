@@ -87,7 +87,7 @@ def judge_run(run: RunTables, truth: Truth) -> Evaluation:
         numbers["rotation"] = judge_rotation(truth.frames, run.frames)
         numbers["epipole_scene"] = summary_of(by_frame.epipole_deg[by_frame.is_epipole_judged].to_numpy(float))
     if truth.track_object is not None:
-        object_of_track = _counted_only(run, truth, truth.track_object)
+        object_of_track = _without_displaced(run, truth, _counted_only(run, truth, truth.track_object))
         numbers["tracks"] = judge_grouping(object_of_track, run.collision_times.cluster_id.to_numpy())
         numbers["tracks"] |= _outliers(run, truth.track_points)
     if truth.track_points is not None:
@@ -139,6 +139,17 @@ def _counted_only(run: RunTables, truth: Truth, track_object: Ints) -> Ints:
     rows = pd.DataFrame({"frame": run.collision_times.frame, "object_id": track_object})
     is_ignored = rows.merge(ignored, on=["frame", "object_id"], how="left").is_ignored.notna().to_numpy()
     return np.where(is_ignored, UNKNOWN_OBJECT, track_object)
+
+
+def _without_displaced(run: RunTables, truth: Truth, track_object: Ints) -> Ints:
+    """The object of each track, unknown where the observation is a displaced one: that lies on nothing."""
+    points = truth.track_points
+    if points is None or "is_outlier" not in points:
+        return track_object
+    rows = run.collision_times[["frame", "track_id"]].merge(
+        points[["frame", "track_id", "is_outlier"]], on=["frame", "track_id"], how="left"
+    )
+    return np.where(rows.is_outlier.eq(True), UNKNOWN_OBJECT, track_object)
 
 
 def _join(truth: pd.DataFrame, found: pd.DataFrame, matches: Matches) -> pd.DataFrame:

@@ -63,7 +63,8 @@ METRICS: dict[str, tuple[str, str]] = {
     **{f"rotation.{key}": (unit, text.format("frames but the first", "rotation since the frame before, as the angle of "
                                              "their difference"))
        for key, (unit, text) in _OF_ANGLE.items()},
-    "tracks.n": ("1", "rows of tracks whose true object is known and counts; on outlines it is not known"),
+    "tracks.n": ("1", "rows of tracks whose true object is known and counts; on outlines, and of displaced "
+                 "observations, it is not known"),
     "tracks.right": ("1", "share of them in the right cluster, the static scene among the clusters"),
     "tracks.objects_right": ("1", "share of those on true objects that are in the object's cluster"),
     "tracks.objects_pure": ("1", "share of those in clusters other than the scene that lie on the cluster's object"),

@@ -1,0 +1,125 @@
+"""Whether the newest view of a point is where its earlier views lead: by the path of its body, by its own course."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels import path_point
+from ttcvid.model import Floats, Ints
+
+# A track goes straight on over so many views. On a parabola it then leaves their line by so many times as much as each
+# of them is off the middle of its neighbours.
+_STRAIGHT_VIEWS, _BEND = 4, 5.0
+_OWN, _WITH_X, _WITH_Y = path_point.OWN, path_point.WITH_X, path_point.WITH_Y
+_SCORE_X, _SCORE_Y = path_point.SCORE_X, path_point.SCORE_Y
+_X, _Y, _INVERSE, _TIME = path_point.X, path_point.Y, path_point.INVERSE, path_point.TIME
+_PATH_X, _PATH_Y, _PATH_Z = path_point.PATH_X, path_point.PATH_Y, path_point.PATH_Z
+_N_ROWS, _N_SUMS = path_point.N_ROWS, path_point.N_SUMS
+_add_views, _rate_equation, _list_turned = (
+    path_point.add_views_by_length,
+    path_point.rate_equation,
+    path_point.list_turned,
+)
+
+
+@compiled_for("(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], f8[::1], f8[::1], i8, f8[:, ::1], f8[::1])")
+def predict_newest(
+    rays: Floats,
+    track: Ints,
+    body: Ints,
+    ways: Floats,
+    sigma: Floats,
+    since_s: Floats,
+    start: Floats,
+    n_steps: int,
+    off: Floats,
+    chi2: Floats,
+) -> None:
+    """Fill ``off (M, 2)`` and ``chi2 (M,)`` of `rigid_path.Surprise`, point by point.
+
+    Arguments as of `rigid_points.fit_rigid_points`; ``start (M,)`` are rates to start from, in ``n_steps``.
+    """
+    views, sums, s = np.empty((_N_ROWS, rays.shape[2])), np.empty(_N_SUMS), np.empty(3)
+    last, before = rays.shape[2] - 1, rays.shape[2] - len(since_s)
+    views[_TIME] = 0.0
+    for k in range(len(since_s)):
+        views[_TIME, before + k] = since_s[k]
+    for m in range(len(track)):
+        n = _list_turned(rays, track[m], ways, body[m], 1.0 / sigma[track[m]], views)
+        off[m], chi2[m] = 0.0, 0.0
+        # With fewer than three earlier views nothing tells how straight the point went.
+        if n < 4 or not views[_INVERSE, last] > 0.0:
+            continue
+        s[2] = start[m] if start[m] > 0.0 else 0.0
+        _fit_earlier(views, last, n_steps, s, sums)
+        off[m, 0], off[m, 1] = views[_X, last] - s[0], views[_Y, last] - s[1]
+        chi2[m] = min(_off_path(views, last, s, sums), _off_line(views, last))
+
+
+@compiled
+def _fit_earlier(views: Floats, last: int, n_steps: int, s: Floats, sums: Floats) -> None:
+    """Fill place and rate by robust Gauss-Newton on the views before the ``last``, and the sums there.
+
+    It starts from where the latest of them leads: from the last, if that is wrong, few steps do not come back.
+    """
+    k = last - 1
+    while not views[_INVERSE, k] > 0.0:
+        k -= 1
+    s[0] = views[_X, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_X, k]
+    s[1] = views[_Y, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_Y, k]
+    for count in range(n_steps + 1):
+        sums[:] = 0.0
+        _add_views(views, 0, last, s, sums)
+        if count == n_steps:
+            break
+        info, score = _rate_equation(sums)
+        change = max(score / info, -s[2]) if info > 0.0 else 0.0
+        s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
+        s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
+        s[2] += change
+
+
+@compiled
+def _off_path(views: Floats, last: int, s: Floats, sums: Floats) -> float:
+    """How far the last view is from (s_x, s_y), in chi-square: that is known to 1 / own, and along (x, y) as rho is."""
+    info, _ = _rate_equation(sums)
+    own, along_x, along_y = sums[_OWN], sums[_WITH_X] / sums[_OWN], sums[_WITH_Y] / sums[_OWN]
+    variance = 1.0 / (views[_INVERSE, last] * views[_INVERSE, last]) + 1.0 / own
+    rx, ry = views[_X, last] - s[0], views[_Y, last] - s[1]
+    along, known = along_x * rx + along_y * ry, variance * max(info, 0.0) + along_x * along_x + along_y * along_y
+    return float((rx * rx + ry * ry - (along * along / known if known > 0.0 else 0.0)) / variance)
+
+
+@compiled
+def _off_line(views: Floats, last: int) -> float:
+    """How far the last view is from where the point went straight in the ones before it, in chi-square.
+
+    A bent course leads off the line: as far as the straighter part of it is bent beyond noise, for a false view is off
+    its neighbours too.
+    """
+    n, t_sum, tt_sum, x_sum, y_sum, tx_sum, ty_sum, bent = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf
+    t1 = x1 = y1 = t2 = x2 = y2 = 0.0
+    for back in range(1, last + 1):
+        k = last - back
+        if not views[_INVERSE, k] > 0.0:
+            continue
+        t, x, y = views[_TIME, k], views[_X, k], views[_Y, k]
+        n += 1
+        t_sum += t
+        tt_sum += t * t
+        x_sum += x
+        y_sum += y
+        tx_sum += t * x
+        ty_sum += t * y
+        if n > 2:
+            part = (t1 - t) / (t2 - t)
+            bent = min(bent, (x1 - x - part * (x2 - x)) ** 2 + (y1 - y - part * (y2 - y)) ** 2)
+        t1, x1, y1, t2, x2, y2 = t, x, y, t1, x1, y1
+        if n >= _STRAIGHT_VIEWS:
+            break
+    spread, variance = n * tt_sum - t_sum * t_sum, 1.0 / (views[_INVERSE, last] * views[_INVERSE, last])
+    x, y = (tt_sum * x_sum - t_sum * tx_sum) / spread, (tt_sum * y_sum - t_sum * ty_sum) / spread
+    off = np.sqrt((views[_X, last] - x) ** 2 + (views[_Y, last] - y) ** 2)
+    off -= _BEND * np.sqrt(max(bent - 3.0 * variance, 0.0))
+    return float(max(off, 0.0) ** 2 / (variance * (1.0 + tt_sum / spread)))
