@@ -117,7 +117,7 @@ RULES: dict[str, Rule] = {
     "spreading": Rule(
         "new movers that keep their bearing and spread",
         "births",
-        {"stages.segmentation.diverging_flow.spreading_things": lambda *_, **__: []},
+        {"stages.segmentation.diverging_flow.expanding_movers": lambda *_, **__: []},
         _stage("segmentation/diverging_flow"),
     ),
     "growing": Rule(
@@ -138,16 +138,16 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.surface_memory.number_of_taken": _none},
         _stage("segmentation/surface_memory"),
     ),
-    "begun_anew": Rule(
+    "reinitialised": Rule(
         "movers that went astray are begun anew",
         "bodies",
-        {"stages.segmentation.reinitialisation.begun_anew": lambda movers, rate_hz, *_: (movers, rate_hz)},
+        {"stages.segmentation.reinitialisation.reinitialised": lambda movers, rate_hz, *_: (movers, rate_hz)},
         _stage("segmentation/reinitialisation"),
     ),
-    "known_again": Rule(
+    "reidentified": Rule(
         "hidden movers are known again",
         "bodies",
-        {"stages.segmentation.reidentification.known_again": lambda *a: (a[2], a[3], np.zeros(len(a[4]), dtype=bool))},
+        {"stages.segmentation.reidentification.reidentified": lambda *a: (a[2], a[3], np.zeros(len(a[4]), dtype=bool))},
         _stage("segmentation/reidentification"),
     ),
     "merged": Rule(
@@ -208,10 +208,10 @@ RULES: dict[str, Rule] = {
         {"stages.objects.overlaps.overlap_factors": lambda xy_px, set_of, is_asked: np.ones(len(is_asked))},
         _stage("objects/overlaps"),
     ),
-    "steadied": Rule(
+    "stabilised": Rule(
         "a camera's sway is not the movers'",
         "times",
-        {"stages.objects.camera_shake.steadied": lambda history, *_: history.xy},
+        {"stages.objects.camera_shake.stabilised": lambda history, *_: history.xy},
         _stage("objects/camera_shake"),
     ),
     "common_errors": Rule(

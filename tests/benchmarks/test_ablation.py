@@ -32,16 +32,20 @@ def places(names=tuple(RULES)):
 
 def test_a_rule_is_off_inside_the_block_and_as_it_was_after_it():
     before = {place: getattr(import_module(f"ttcvid.{place[0]}"), place[2]) for place in places()}
-    with switched_off(["steadied"]):
-        assert motions.steadied is camera_shake.steadied is not before["stages.objects.camera_shake", ".", "steadied"]
+    with switched_off(["stabilised"]):
+        assert (
+            motions.stabilised
+            is camera_shake.stabilised
+            is not before["stages.objects.camera_shake", ".", "stabilised"]
+        )
         history = type("History", (), {"xy": "views as they are"})
-        assert motions.steadied(history, None, None, None) == "views as they are"
+        assert motions.stabilised(history, None, None, None) == "views as they are"
     off = switched_off(tuple(RULES))
     off.__enter__()
     assert all(getattr(import_module(f"ttcvid.{a}"), b) is not former for (a, _, b), former in before.items())
     assert off.__exit__(KeyError, KeyError(), None) is not True
     assert all(getattr(import_module(f"ttcvid.{a}"), b) is former for (a, _, b), former in before.items())
-    assert motions.steadied is camera_shake.steadied
+    assert motions.stabilised is camera_shake.stabilised
 
 
 def test_every_rule_is_in_one_group_and_in_every_kind_of_trial():

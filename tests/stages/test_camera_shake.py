@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from relative_motion import box_of_points, history_of
 
-from ttcvid.stages.objects.camera_shake import steadied
-from ttcvid.stages.segmentation.bodies import sway_of
+from ttcvid.stages.objects.camera_shake import stabilised
+from ttcvid.stages.segmentation.bodies import shake_of
 
 TIMES_S = 0.04 * np.arange(20.0)
 SINCE_S = TIMES_S - TIMES_S[-1]
@@ -36,7 +36,7 @@ def test_places_are_those_that_a_steady_camera_sees():
     steady = seen(np.random.default_rng(3), np.zeros((len(SINCE_S), 3)))
     swayed = seen(rng, SWAY_M)
     off = np.abs(swayed.xy - steady.xy).max()
-    found = steadied(swayed, SWAY_M / OWN_M_S, np.arange(N), np.zeros(N, dtype=np.int64))
+    found = stabilised(swayed, SWAY_M / OWN_M_S, np.arange(N), np.zeros(N, dtype=np.int64))
     assert off > 0.01
     # Its nearest part is a hundredth nearer than its middle.
     assert np.abs(found - steady.xy).max() < 0.02 * off
@@ -45,7 +45,7 @@ def test_places_are_those_that_a_steady_camera_sees():
 def test_a_thing_that_does_not_sway_with_us_stays_as_it_is_seen():
     """What the scene swayed by is none of what its tracks show: a thing so far away that it makes no difference."""
     history = seen(np.random.default_rng(5), np.zeros((len(SINCE_S), 3)), sigma_px=0.1)
-    found = steadied(history, SWAY_M / OWN_M_S, np.arange(N), np.zeros(N, dtype=np.int64))
+    found = stabilised(history, SWAY_M / OWN_M_S, np.arange(N), np.zeros(N, dtype=np.int64))
     np.testing.assert_array_equal(found, history.xy)
 
 
@@ -53,18 +53,18 @@ def test_a_thing_that_does_not_sway_with_us_stays_as_it_is_seen():
 def test_tracks_of_no_mover_stay_as_they_are_seen(members):
     history = seen(np.random.default_rng(5), SWAY_M)
     members = np.array(members, dtype=np.int64)
-    found = steadied(history, SWAY_M / OWN_M_S, members, np.zeros_like(members))
+    found = stabilised(history, SWAY_M / OWN_M_S, members, np.zeros_like(members))
     np.testing.assert_array_equal(found, history.xy)
 
 
 def test_what_goes_on_as_it_did_does_not_sway():
     path = np.outer(SINCE_S, [0.1, 0.0, -1.0])
-    np.testing.assert_allclose(sway_of(path, SINCE_S), 0.0, atol=1e-12)
-    np.testing.assert_array_equal(sway_of(path[-5:], SINCE_S[-5:]), 0.0)
+    np.testing.assert_allclose(shake_of(path, SINCE_S), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(shake_of(path[-5:], SINCE_S[-5:]), 0.0)
 
 
 def test_the_sway_has_no_velocity_now():
     """Of a velocity that changes evenly nothing but half of the change by the square of the time is left."""
     path = np.outer(SINCE_S, [0.0, 0.0, -1.0]) + np.outer(0.5 * SINCE_S**2, [0.3, 0.0, 0.0])
     expected = np.outer(0.5 * SINCE_S**2, [0.3, 0.0, 0.0])
-    np.testing.assert_allclose(sway_of(path, SINCE_S), expected, atol=1e-12)
+    np.testing.assert_allclose(shake_of(path, SINCE_S), expected, atol=1e-12)

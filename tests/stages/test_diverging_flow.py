@@ -11,7 +11,7 @@ from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.body_views import body_views
-from ttcvid.stages.segmentation.diverging_flow import least_tracks, spreading_things
+from ttcvid.stages.segmentation.diverging_flow import expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 
 CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
@@ -54,7 +54,7 @@ def found_in(views, scene, fit, seeds=None, sway=None, *, few_are_enough=True):
     seeds = np.flatnonzero(fit.misfit > CONFIG.scene_gate) if seeds is None else seeds
     sway = np.zeros((len(TIMES_S), 3)) if sway is None else sway
     may_be = fit.n_views >= LEAST_VIEWS
-    return spreading_things(views, scene, may_be, sway, seeds, fit.misfit, 1.0, CONFIG, few_are_enough=few_are_enough)
+    return expanding_movers(views, scene, may_be, sway, seeds, fit.misfit, 1.0, CONFIG, few_are_enough=few_are_enough)
 
 
 def new_in(views, scene, fit):

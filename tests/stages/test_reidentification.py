@@ -8,7 +8,7 @@ from rigid_worlds import DT_S, bodies_of, car, static_points
 
 from ttcvid.model import NO_CLUSTER
 from ttcvid.stages.segmentation import labels
-from ttcvid.stages.segmentation.reidentification import known_again
+from ttcvid.stages.segmentation.reidentification import reidentified
 
 CAMERA_M_S, CAR_M_S, DEPTH_M, ASIDE_M = (0.0, 0.0, 8.0), (-3.0, 0.0, 0.0), 45.0, 5.4
 N_POINTS, N_AFTER = 8, 10
@@ -56,9 +56,9 @@ def test_it_is_known_again_though_a_track_of_it_is_left_at_the_rim_of_what_hid_i
     def with_one_left(views, scene, key, movers, *found):
         hidden, key = movers.key[movers.n_missed > 0], key.copy()
         key[: len(hidden)] = hidden
-        return known_again(views, scene, key, movers, *found)
+        return reidentified(views, scene, key, movers, *found)
 
-    monkeypatch.setattr(labels, "known_again", with_one_left)
+    monkeypatch.setattr(labels, "reidentified", with_one_left)
     assert share_known_again(14, 3, 0.05) >= 0.95
 
 

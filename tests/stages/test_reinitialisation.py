@@ -23,7 +23,7 @@ from watched_things import (
 from ttcvid.geometry.rigid_path import Points, RigidPaths
 from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.stages.segmentation.bodies import refined_movers
-from ttcvid.stages.segmentation.reinitialisation import begun_anew
+from ttcvid.stages.segmentation.reinitialisation import reinitialised
 
 ALL = np.array([True])
 
@@ -46,7 +46,7 @@ def turning_box(rng):
 def test_what_turned_the_other_way_is_begun_anew():
     points, _, wrong, rate_hz = turning_box(np.random.default_rng(2))
     more, _ = refined_movers(wrong, SCENE, points, np.array([12]))
-    anew, anew_hz = begun_anew(wrong, rate_hz, ALL, SCENE, points, 1.0)
+    anew, anew_hz = reinitialised(wrong, rate_hz, ALL, SCENE, points, 1.0)
     assert usual_misfit(points, anew) < 0.5 * min(usual_misfit(points, wrong), usual_misfit(points, more))
     assert anew_hz[0] == pytest.approx(np.median(converged(points, anew).rate_hz), rel=0.05)
 
@@ -58,7 +58,7 @@ def test_a_bus_that_was_followed_without_its_turn_is_found_turning():
     still = RigidPaths(SCENE.cam_R_past, way_of_middle(turning))
     # As many steps as it would have had as an old mover, and more.
     still, rate_hz = refined_movers(still, SCENE, points, np.array([50]))
-    anew, _ = begun_anew(still, rate_hz, ALL, SCENE, points, 1.0)
+    anew, _ = reinitialised(still, rate_hz, ALL, SCENE, points, 1.0)
     assert usual_misfit(points, still) > 5.0 * usual_misfit(points, truth)
     assert usual_misfit(points, anew) < 1.2 * usual_misfit(points, truth)
     off = vector_from_rotation(anew.cam_R_past[:, 0] @ truth.cam_R_past[0, 0].T)
@@ -83,7 +83,7 @@ def test_what_explains_its_points_as_usual_or_is_not_asked_stays_as_it_is():
         (points, wrong, False, 1.0),
         (few, wrong, True, 1.0),
     ):
-        after, after_hz = begun_anew(paths, rate_hz, np.array([is_asked]), SCENE, is_seen, usual)
+        after, after_hz = reinitialised(paths, rate_hz, np.array([is_asked]), SCENE, is_seen, usual)
         np.testing.assert_array_equal(after.path, paths.path)
         np.testing.assert_array_equal(after.cam_R_past, paths.cam_R_past)
         np.testing.assert_array_equal(after_hz, rate_hz)
@@ -93,7 +93,7 @@ def test_what_does_not_turn_is_not_said_to():
     rng = np.random.default_rng(6)
     points, wrong = seen(rays_of(braking, box(rng), rng), N_FRAMES - 1), true_path(coming_near, N_FRAMES - 1)
     rate_hz = np.array([np.median(converged(points, wrong).rate_hz)])
-    anew, _ = begun_anew(wrong, rate_hz, ALL, SCENE, points, 1.0)
+    anew, _ = reinitialised(wrong, rate_hz, ALL, SCENE, points, 1.0)
     assert usual_misfit(points, anew) < 1.2
     assert np.degrees(np.linalg.norm(vector_from_rotation(anew.cam_R_past[:, 0]))) < 0.5
 
@@ -101,9 +101,9 @@ def test_what_does_not_turn_is_not_said_to():
 def test_of_several_movers_only_what_went_astray_is_begun_anew():
     points, truth, wrong, rate_hz = turning_box(np.random.default_rng(4))
     both = Points(points.rays, points.sigma_norm, points.since_s, np.tile(points.track, 2), np.repeat([0, 1], 40))
-    after, after_hz = begun_anew(truth.joined(wrong), np.repeat(rate_hz, 2), np.repeat(ALL, 2), SCENE, both, 3.0)
+    after, after_hz = reinitialised(truth.joined(wrong), np.repeat(rate_hz, 2), np.repeat(ALL, 2), SCENE, both, 3.0)
     np.testing.assert_array_equal(after.path[0], truth.path[0])
-    alone, alone_hz = begun_anew(wrong, rate_hz, ALL, SCENE, points, 3.0)
+    alone, alone_hz = reinitialised(wrong, rate_hz, ALL, SCENE, points, 3.0)
     np.testing.assert_allclose(after.path[1], alone.path[0], rtol=1e-9, atol=1e-12)
     assert after_hz[0] == rate_hz[0]
     assert after_hz[1] == pytest.approx(alone_hz[0], rel=1e-9)

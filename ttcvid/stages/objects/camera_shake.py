@@ -1,8 +1,8 @@
-"""Movers as a camera would have seen them that keeps its present velocity: what sways is ours, and not theirs.
+"""Stabilisation: movers as seen by a camera that keeps its present velocity; the shake is the camera's, not theirs.
 
-A camera in a hand or on a drone sways. What is seen of a thing that goes straight on sways with it, by as much as the
-thing is near; a straight way of 20 views, or a parabola, then leads somewhere else. How the camera swayed is known from
-the scene, and how near the thing is, in units of the scene, from how far the ways of its tracks follow that.
+A handheld or flying camera shakes. An object that moves straight shifts with it, the more the nearer it is; a straight
+trajectory through 20 views, or a parabola, then leads elsewhere. The scene tells how the camera shook, and how far the
+tracks of the object follow that tells its depth in units of the scene.
 """
 
 from __future__ import annotations
@@ -20,13 +20,21 @@ _MISFIT, _ROUNDS = 4.0, 2
 _LEAST_TRACKS = 3
 
 
-def steadied(history: TrackHistory, sway: Floats, members: Ints, thing: Ints) -> Floats:
-    """Places (L, N, 2) of the tracks in the plane z = 1, those of movers without the sway of the camera.
+def stabilised(history: TrackHistory, sway: Floats, members: Ints, thing: Ints) -> Floats:
+    """Positions of the tracks in the plane z = 1, those of movers without camera shake.
 
     Parameters
     ----------
-    sway : (L, 3) how far the scene lay off a steady path, in its units (`stages.segmentation.bodies.sway_of`).
-    members, thing : (M,) tracks of movers, and which each belongs to.
+    history
+        Views of all tracks.
+    sway
+        ``(L, 3)`` offset of the scene from a steady trajectory, in its units (`stages.segmentation.bodies.shake_of`).
+    members, thing
+        ``(M,)`` tracks of movers, and the mover of each.
+
+    Returns
+    -------
+    ``(L, N, 2)``, NaN where not observed.
     """
     if not sway.any() or not len(members):
         return history.xy

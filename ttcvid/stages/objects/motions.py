@@ -15,7 +15,7 @@ from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
-from ttcvid.stages.objects.camera_shake import steadied
+from ttcvid.stages.objects.camera_shake import stabilised
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_hz
 from ttcvid.stages.segmentation.data_association import numbers_of
@@ -159,7 +159,7 @@ def _object_motions(
     public = np.flatnonzero(np.bincount(ids))
     thing = np.searchsorted(public, ids)
     parts = {int(number): members[ids == number] for number in public}
-    steady_xy = steadied(history, found.sway, members, thing)
+    steady_xy = stabilised(history, found.sway, members, thing)
     return motions_of(parts, history, steady_xy, plane, camera, config), steady_xy
 
 

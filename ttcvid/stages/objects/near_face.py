@@ -1,7 +1,7 @@
-"""The part of each object that comes first: what is seen of it at the depth of its nearest surface.
+"""The near face of each object: what is seen of it at the depth of its nearest surface.
 
-A car that comes round a bend shows its side, which follows its front; and cars one behind the other that are taken for
-one thing pass us one after the other.
+A car in a bend shows its side, which follows its front; and cars behind each other that are taken for one object pass
+us one after the other.
 """
 
 from __future__ import annotations

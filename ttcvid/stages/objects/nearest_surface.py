@@ -59,17 +59,24 @@ def in_nearest_of_path(
 def in_nearest_surface(
     rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, needed: Ints, link_px: float
 ) -> Bools:
-    """Which tracks (M,) of each set bear the nearest well-supported surface of it; none where nothing is supported.
+    """Which tracks ``(M,)`` of each group support its nearest surface; none where nothing is supported.
 
-    The largest rate with enough connected tracks inside 2 sigma is where the search starts; it then
-    moves to the weighted mean of those tracks until it stays. Without that last step the largest of N noisy rates of
-    one plane would be taken for a surface of its own, two sigmas too near.
+    The search starts at the largest rate with enough connected tracks inside 2 sigma, and then moves to the weighted
+    mean of those tracks until it stays. Without that last step the largest of N noisy rates of one plane would be taken
+    for a surface of its own, two sigmas too near.
 
     Parameters
     ----------
-    rate_hz, sigma_hz : (M,) rates, speed over depth, and their standard deviations, 1/s, in the order of the sets.
-    xy_px : (M, 2) places, px; tracks closer than ``link_px`` are connected.
-    needed : (K,) tracks that a surface needs, see `tracks_needed`.
+    rate_hz, sigma_hz
+        ``(M,)`` rates, speed over depth, and their standard deviations, 1/s, in the order of the groups.
+    xy_px
+        ``(M, 2)`` positions, px.
+    sets
+        The groups of tracks.
+    needed
+        ``(K,)`` tracks that a surface needs, see `tracks_needed`.
+    link_px
+        Tracks closer than this are connected.
     """
     is_in = np.zeros(len(rate_hz), dtype=bool)
     _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, sets.lengths, needed, is_in)
@@ -77,7 +84,7 @@ def in_nearest_surface(
 
 
 def tracks_needed(n_tracks: Ints) -> Ints:
-    """Tracks (K,) that bear a surface of objects of ``n_tracks (K,)``, those without a rate among them."""
+    """Tracks ``(K,)`` that a surface of objects of ``n_tracks (K,)`` needs; those without a rate count as well."""
     of_many = np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64))
     return np.asarray(np.where(n_tracks == _ALL_TRACKS, _ALL_TRACKS, of_many))
 

@@ -1,4 +1,4 @@
-"""Tracks that stand so close that they look at the same pixels: their noise is not each one's own."""
+"""Tracks so close that their windows see the same pixels: their noise is correlated."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ _WINDOW_PX = 9.0
 
 
 def overlap_factors(xy_px: Floats, set_of: Ints, is_asked: Bools) -> Floats:
-    """By how much the variance of a mean over each set of tracks is larger than if all had noise of their own: (K,).
+    """Factor on the variance of a mean over each group of tracks, relative to independent noise: ``(K,)``.
 
-    Of two tracks, the part of a window that both look at is what of their noise is common. With that as correlation,
-    the mean over a set has n times less variance than a track, and as many times more as a track shares windows with
-    all of its set, itself among them.
+    The correlation of two tracks is the overlap of their windows. A mean over n tracks has n times less variance than a
+    track, times the mean number of tracks that a track of the group shares its window with, itself included.
 
     Parameters
     ----------
-    xy_px, set_of : (N, 2), (N,) places, and the set of each track, negative for none.
-    is_asked : (K,) the others have 1.
+    xy_px, set_of
+        ``(N, 2)``, ``(N,)`` positions, and the group of each track, negative for none.
+    is_asked
+        ``(K,)``; the others have 1.
     """
     factor = np.ones(len(is_asked))
     if is_asked.any():

@@ -1,8 +1,8 @@
-"""Which object is reached first, of those whose approach deserves to be told.
+"""Which object is reached first, of those with a credible approach.
 
-A smallest time is taken over many objects in many frames, so it finds whatever errs the most: a handful of points that
-came together a moment ago. An approach deserves to be told once its 90 % interval has said so in each frame of the
-persistence, and has enough tracks to be a body.
+A minimum over many objects in many frames finds whatever has the largest error: a handful of points that were grouped a
+moment ago. An approach is credible once its whole 90 % interval has approached in each frame of the persistence, and it
+has enough tracks to be a body.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Since = Mapping[int, float]
 def nearest_object(
     since: Since, t_s: float, clusters: tuple[ClusterRow, ...], config: PipelineConfig
 ) -> tuple[ClusterRow | None, Since]:
-    """The object with the smallest time to depth zero whose approach deserves to be told, and what to remember.
+    """The object with the smallest time to depth zero among credible approaches, and what to remember.
 
-    Such an object approaches by the whole of its interval, has done so in each frame of ``events.persistence_s``, and
-    has at least ``bodies.min_tracks`` tracks.
+    Such an object approaches by its whole interval, has done so in each frame of ``events.persistence_s``, and has at
+    least ``bodies.min_tracks`` tracks.
     """
     surely = [row for row in clusters if approaches(row)]
     now = {row.cluster_id: since.get(row.cluster_id, t_s) for row in surely}
@@ -37,7 +37,7 @@ def nearest_object(
 
 
 def approaches(row: ClusterRow) -> bool:
-    """Whether an object comes nearer by the whole of its 90 % interval."""
+    """Whether an object approaches by its whole 90 % interval."""
     times = row.times
     return row.motion_state in APPROACHING and bool(
         0.0 < times.ttc_z_lo_s[0] <= times.ttc_z_s[0] <= times.ttc_z_hi_s[0] < math.inf

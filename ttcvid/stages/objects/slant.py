@@ -1,4 +1,4 @@
-"""Surfaces that turn a side to us: how their depth slopes, and which part of them is the nearest."""
+"""Slanted surfaces: how their depth changes over the picture, and which part of them is nearest."""
 
 from __future__ import annotations
 

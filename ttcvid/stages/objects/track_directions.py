@@ -1,4 +1,4 @@
-"""Flow and direction of every track over a gap of its own, which the paper's estimators ask for."""
+"""Flow and direction of every track over its own gap, for the paper's estimators."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Windows on an edge, which slip along it.
+"""The aperture problem: windows on an edge, which slip along it.
 
-Where the picture has gradients in one direction only, a tracker's window finds its place across the edge, and along it
-by what else is in it: the leaves behind a railing, the next of many equal bars. Neighbours on the same edge slip alike,
-at a velocity of none of the surfaces there.
+Where the picture has gradients in one direction only, a tracker's window is located across the edge, and along it only
+by what else it contains: the leaves behind a railing, the next of many equal bars. Neighbours on the same edge slip
+alike, at a velocity of none of the surfaces there.
 """
 
 from __future__ import annotations
@@ -19,19 +19,23 @@ _LEAST_EDGE = (1.0 - _ALONG_PART**2) / (1.0 + _ALONG_PART**2)
 
 
 def may_slip(edge: Floats, xy: Floats, path: Floats, sigma_norm: Floats, gate: float) -> Bools:
-    """Which tracks (M,) may be points of the static scene that slip along their edges.
+    """Which tracks ``(M,)`` may be points of the static scene that slip along their edges.
 
-    They are on an edge, some depth explains how they move across it, and along it they go the way of the scene, at
-    whatever speed: what else is in the window is of the scene, too, at another depth. What goes the other way moves by
-    itself.
+    They are on an edge, some depth explains their motion across it, and along it they move the way of the scene, at any
+    speed: whatever else the window contains is static too, at another depth. What moves the other way moves by itself.
 
     Parameters
     ----------
-    edge : (M, 2) as in `PointSet`.
-    xy : (L, M, 2) places in the plane z = 1 of the present camera, in three views at the least, NaN in others.
-    path : (L, 3) of the scene, as in `RigidPaths`.
-    sigma_norm : (M,) standard deviation of one coordinate of a place.
-    gate : chi-square over its degrees of freedom, below which a depth explains a track.
+    edge
+        ``(M, 2)`` as in `PointSet`.
+    xy
+        ``(L, M, 2)`` positions in the plane z = 1 of the present camera, in at least three views, NaN in others.
+    path
+        ``(L, 3)`` of the scene, as in `RigidPaths`.
+    sigma_norm
+        ``(M,)`` standard deviation of one coordinate of a position.
+    gate
+        Reduced chi-square below which a depth explains a track.
     """
     angle = 0.5 * np.arctan2(edge[:, 1], edge[:, 0])
     across = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -17,7 +17,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.aperture_problem import may_slip
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
-from ttcvid.stages.segmentation.diverging_flow import spreading_things, tracks_needed
+from ttcvid.stages.segmentation.diverging_flow import expanding_movers, tracks_needed
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.occlusions import between_surfaces
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
@@ -63,7 +63,7 @@ def new_movers(
     on_road : (N,) tracks at the depth of the road on which they are seen.
     edge : (N, 2) how far the window of each is on an edge along which it may slip, as in `PointSet`.
     neighbours : (N, K) of each track that contradicts the scene.
-    few_are_enough : of what heads at us, as in `spreading_things`.
+    few_are_enough : of what heads at us, as in `expanding_movers`.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def new_movers(
     )
     # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
     may_spread = is_asked & (scene_fit.n_views >= LEAST_VIEWS)
-    things = spreading_things(
+    things = expanding_movers(
         views, scene, may_spread, sway, candidates, misfit, usual_misfit, config, few_are_enough=few_are_enough
     )
     spread, paths, rate_hz = explained(

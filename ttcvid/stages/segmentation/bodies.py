@@ -72,7 +72,7 @@ def recent_speed(path: Floats, t_s: Floats) -> float:
     return float(np.linalg.norm(path[back]) / (t_s[-1] - t_s[back]))
 
 
-def sway_of(path: Floats, since_s: Floats) -> Floats:
+def shake_of(path: Floats, since_s: Floats) -> Floats:
     """How far views of a body's ``path (L, 3)`` lie off one on which it keeps its present velocity: (L, 3).
 
     That is the mean velocity of the last few views, and half of what it has changed by since those before them.

@@ -12,7 +12,7 @@ from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, are_held, fit_on_movers
-from ttcvid.stages.segmentation.last_known_position import Whereabouts, nowhere
+from ttcvid.stages.segmentation.last_known_position import LastKnownPositions, nowhere
 from ttcvid.stages.segmentation.velocities import Velocities, unknown_velocities
 
 # Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
@@ -48,7 +48,7 @@ class Movers:
     n_missed: Ints
     rate_hz: Floats
     paths: RigidPaths
-    where: Whereabouts
+    where: LastKnownPositions
     velocity: Velocities
 
     def __len__(self) -> int:

@@ -1,7 +1,7 @@
-"""New movers that keep their bearing: tracks whose flows point away from each other, as those of one thing that comes.
+"""New movers at constant bearing: tracks with diverging flows that one approaching object explains.
 
-What crosses our way and will hit us hardly moves in the picture: it grows. The flows of its tracks are not alike, as
-those of other movers are, but one V / Z explains them all.
+An object on collision course hardly moves in the picture: it expands. The flows of its tracks are not similar, as those
+of other movers are, but one V / Z explains them all.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _REACHED_WITHIN = 6.0
 
 
 def least_tracks(config: BodiesConfig) -> int:
-    """Tracks that a thing needs that spreads."""
+    """Minimum number of tracks for an expanding object."""
     return min(config.min_tracks, _ENOUGH_TRACKS)
 
 
@@ -52,7 +52,7 @@ def tracks_needed(things: list[tuple[Ints, Floats]], config: BodiesConfig) -> In
     return np.where(lengths < least, _FEW_TRACKS, least)
 
 
-def spreading_things(
+def expanding_movers(
     views: BodyViews,
     scene: RigidPaths,
     may_be: Bools,
@@ -74,7 +74,7 @@ def spreading_things(
     Parameters
     ----------
     may_be : (N,) tracks that things may be made of, each of `LEAST_VIEWS` at the least.
-    sway : (L, 3) how far the scene lay off a steady path, as in `bodies.sway_of`.
+    sway : (L, 3) how far the scene lay off a steady path, as in `bodies.shake_of`.
     seeds : those of the tracks that contradict the scene together.
     misfit : (N,) of each track on the path of the scene, in units of ``usual_misfit``.
     few_are_enough : of what heads at us.

@@ -1,8 +1,8 @@
-"""What comes straight at us on a way of its own: a few tracks that keep their bearing, and spread.
+"""What heads straight at us on a trajectory of its own: a few tracks at constant bearing that expand.
 
-An aircraft on a collision course stands still in the picture and grows. A scene far away explains each of its tracks,
-or nearly, and their flows are not alike: they point away from each other. Together they are those of one thing that
-comes nearer, with three unknowns for all, where the scene has one for each.
+An aircraft on collision course stands still in the picture and expands. A far scene explains each of its tracks, or
+nearly, and their flows diverge. Together they belong to one approaching object, with three unknowns for all, where the
+scene has one for each.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
 
 @dataclass(frozen=True)
 class Growing:
-    """A thing that grows: its tracks (M,), its direction (3,), V over its length, and the covariance (3, 3) of that."""
+    """An expanding object: tracks ``(M,)``, direction ``(3,)`` V over its length, with its covariance ``(3, 3)``."""
 
     members: Ints
     direction: Floats
@@ -106,12 +106,16 @@ def _things(
 def around_the_oddest(
     xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, link_px: float
 ) -> tuple[int, Ints]:
-    """Of N tracks that one of those asked that the scene explains worst, and the nearest around it, nearest first.
+    """Of the tracks that are asked, the one that the scene explains worst, and the nearest around it, nearest first.
 
     Parameters
     ----------
-    xy_px, misfit : (N, 2) places and (N,) misfits on the scene's path.
-    is_asked, may_be : (N,) tracks that may be the one, and may be around it.
+    xy_px, misfit
+        ``(N, 2)`` positions and ``(N,)`` reduced chi-squares on the scene's trajectory.
+    is_asked, may_be
+        ``(N,)`` tracks that may be the one, and may be around it.
+    link_px
+        Neighbours are nearer than this.
     """
     around = np.empty(_MOST_AROUND, dtype=np.int64)
     seed, n_around = _list_around(np.ascontiguousarray(xy_px), misfit, is_asked, may_be, _LINKS * link_px, around)

@@ -23,8 +23,8 @@ from ttcvid.stages.segmentation.data_association import Movers, OwnFit, assigned
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, on_road
 from ttcvid.stages.segmentation.last_steps import stepped_movers
 from ttcvid.stages.segmentation.merge_and_split import merged, split
-from ttcvid.stages.segmentation.reidentification import known_again, with_velocities
-from ttcvid.stages.segmentation.reinitialisation import begun_anew
+from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
+from ttcvid.stages.segmentation.reinitialisation import reinitialised
 from ttcvid.stages.segmentation.scene import SeenScene, see_scene
 from ttcvid.stages.segmentation.surface_memory import Obstacle, number_of_taken, without_numbers
 from ttcvid.stages.tracking.groups import places_among
@@ -231,7 +231,7 @@ def _with_new(
         few_are_enough=few_are_enough,
     )
     if found and len(movers):
-        key, movers, is_known = known_again(views, seen.scene, key, movers, found, paths, found_hz, seen.usual_misfit)
+        key, movers, is_known = reidentified(views, seen.scene, key, movers, found, paths, found_hz, seen.usual_misfit)
         found = [members for members, known in zip(found, is_known, strict=True) if not known]
         paths, found_hz = paths.take(~is_known), found_hz[~is_known]
     for count, members in enumerate(found):
@@ -284,7 +284,7 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usu
     steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
     points = views.points(track, number[track] - 1)
     paths, rate_hz = stepped_movers(movers.paths, scene, points, steps * has_points, movers.rate_hz)
-    paths, rate_hz = begun_anew(paths, rate_hz, is_due(movers.n_found), scene, points, usual_misfit)
+    paths, rate_hz = reinitialised(paths, rate_hz, is_due(movers.n_found), scene, points, usual_misfit)
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 

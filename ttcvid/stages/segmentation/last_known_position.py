@@ -1,4 +1,4 @@
-"""Where movers are, also while they are hidden: what comes out from behind a post is what went in."""
+"""Last known positions of movers, also while they are hidden: what reappears behind a post is what vanished."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _TINY_HZ = 1e-9
 
 
 @dataclass(frozen=True)
-class Whereabouts:
-    """Where K movers are relative to the camera, in s of their own speed.
+class LastKnownPositions:
+    """Positions of K movers relative to the camera, in s of their own speed.
 
-    ``centre (K, 3)`` the middle of their tracks and ``extent (K,)`` the root mean square distance of these from it, as
-    they were when the thing was last seen as a whole, moved on with it since; ``n_tracks (K,)`` those of the whole
-    thing, ``seen_s (K,)`` when it was found last.
+    ``centre (K, 3)`` centroid of their tracks and ``extent (K,)`` the root mean square distance from it, of the last
+    frame in which the mover was seen as a whole, predicted to now; ``n_tracks (K,)`` of the whole mover, ``seen_s
+    (K,)`` time at which it was last found.
     """
 
     centre: Floats
@@ -28,32 +28,41 @@ class Whereabouts:
     n_tracks: Floats
     seen_s: Floats
 
-    def take(self, index: Ints | Bools) -> Whereabouts:
-        """Those of the movers that an index array or a mask picks."""
-        return Whereabouts(*(getattr(self, f.name)[index] for f in fields(self)))
+    def take(self, index: Ints | Bools) -> LastKnownPositions:
+        """Those of the movers that an index array or a mask selects."""
+        return LastKnownPositions(*(getattr(self, f.name)[index] for f in fields(self)))
 
-    def with_new(self, count: int) -> Whereabouts:
-        """These, and so many of which nothing is known yet."""
+    def with_new(self, count: int) -> LastKnownPositions:
+        """These, and as many again at unknown positions."""
         new = nowhere(count)
-        return Whereabouts(*(np.concatenate([getattr(self, f.name), getattr(new, f.name)]) for f in fields(self)))
+        return LastKnownPositions(
+            *(np.concatenate([getattr(self, f.name), getattr(new, f.name)]) for f in fields(self))
+        )
 
-    def carried_forward(self, cam_R_prev: Floats, step: Floats) -> Whereabouts:
-        """As the next camera sees them: turned by ``cam_R_prev (3, 3)``, less where they were (K, 3)."""
-        return Whereabouts(self.centre @ cam_R_prev.T - step, self.extent, self.n_tracks, self.seen_s)
+    def carried_forward(self, cam_R_prev: Floats, step: Floats) -> LastKnownPositions:
+        """Predicted for the next camera: rotated by ``cam_R_prev (3, 3)``, less the former ``step (K, 3)``."""
+        return LastKnownPositions(self.centre @ cam_R_prev.T - step, self.extent, self.n_tracks, self.seen_s)
 
-    def seen_again(self, number: Ints, xy: Floats, rate_hz: Floats, now_s: float, least: int) -> Whereabouts:
-        """With the tracks of this frame, at ``xy (N, 2)`` in the plane z = 1.
+    def seen_again(self, number: Ints, xy: Floats, rate_hz: Floats, now_s: float, least: int) -> LastKnownPositions:
+        """Updated by the tracks of this frame, at ``xy (N, 2)`` in the plane z = 1.
 
         Parameters
         ----------
-        number : (N,) 0 for a track of the scene, else 1 + place of its mover.
-        rate_hz : (K,) median rate of the tracks of each mover.
-        least : fewer tracks than this say nothing.
+        number
+            ``(N,)`` 0 for a track of the scene, else 1 + index of its mover.
+        xy
+            ``(N, 2)`` in the plane z = 1.
+        rate_hz
+            ``(K,)`` median inverse depth (times speed) of the tracks of each mover.
+        now_s
+            Time of the frame.
+        least
+            Movers with fewer tracks are not updated.
         """
         centre, extent = self.centre.copy(), self.extent.copy()
         n_tracks, seen_s = self.n_tracks.copy(), self.seen_s.copy()
         _see(number, xy, rate_hz, now_s, least, centre, extent, n_tracks, seen_s)
-        return Whereabouts(centre, extent, n_tracks, seen_s)
+        return LastKnownPositions(centre, extent, n_tracks, seen_s)
 
 
 @compiled_for("(i8[::1], f8[:, ::1], f8[::1], f8, i8, f8[:, ::1], f8[::1], f8[::1], f8[::1])")
@@ -68,7 +77,7 @@ def _see(
     n_tracks: Floats,
     seen_s: Floats,
 ) -> None:
-    """Brings what `Whereabouts` knows up to date with the tracks of a frame."""
+    """Brings what `LastKnownPositions` knows up to date with the tracks of a frame."""
     n_movers = len(rate_hz)
     # Of the tracks of each mover: their number, the sums of x and y, and that of the squares of both.
     count, sums = np.zeros(n_movers), np.zeros((n_movers, 3))
@@ -89,6 +98,8 @@ def _see(
         n_tracks[k] = max(count[k], _FALLS * n_tracks[k])
 
 
-def nowhere(count: int) -> Whereabouts:
-    """Of so many movers nothing is known."""
-    return Whereabouts(np.full((count, 3), np.nan), np.full(count, np.nan), np.zeros(count), np.full(count, -np.inf))
+def nowhere(count: int) -> LastKnownPositions:
+    """Unknown positions of ``count`` movers."""
+    return LastKnownPositions(
+        np.full((count, 3), np.nan), np.full(count, np.nan), np.zeros(count), np.full(count, -np.inf)
+    )

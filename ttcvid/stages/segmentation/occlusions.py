@@ -1,7 +1,7 @@
-"""Corners that two surfaces of the scene make together, one behind the other.
+"""False corners that two surfaces of the scene make together, one behind the other.
 
-Where the outline of a post crosses a line of the wall behind it, the picture has a corner that is a point of neither.
-A tracker follows it well, and it moves as nothing in the scene does: it slides along both.
+Where the outline of a post crosses a line of the wall behind it, the picture has a corner that is a point of neither. A
+tracker follows it well, and it moves as nothing in the scene does: it slides along both.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How we drive along a bend: where to, how fast, and how fast we turn."""
+"""Our own motion along a bend: heading, speed and turn rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Movers that were hidden, behind a post or for want of texture, and are seen again."""
+"""Re-identification: movers that were hidden, behind a post or for want of texture, and are seen again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FIRST_STEPS, _STEPS = 4, 1
 _MOST_UNSURE_HZ = 10.0
 
 
-def known_again(
+def reidentified(
     views: BodyViews,
     scene: RigidPaths,
     key: Ints,
@@ -36,18 +36,23 @@ def known_again(
     rate_hz: Floats,
     usual_misfit: float,
 ) -> tuple[Ints, Movers, Bools]:
-    """Which of J new movers are hidden ones seen again: they lie where a hidden one should be, and move as it did.
+    """Which of J new movers are hidden ones: they lie at the predicted position of a hidden one, and move as it did.
 
     Parameters
     ----------
-    key, movers : body of each track (N,), and the movers known by now.
-    found, paths, rate_hz : tracks, motion and median rate of each new one.
-    usual_misfit : of tracks on the scene's path: their chi-square over its degrees of freedom.
+    views, scene
+        The tracks of the frame, and the static scene.
+    key, movers
+        Body of each track ``(N,)``, and the known movers.
+    found, paths, rate_hz
+        Tracks, trajectory and median rate of each new one.
+    usual_misfit
+        Median reduced chi-square of tracks on the scene's trajectory.
 
     Returns
     -------
-    key, movers : with those that are known again.
-    is_known : (J,).
+    key, movers : with the re-identified ones.
+    is_known : ``(J,)``.
     """
     key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
     # One or two tracks may be left at the rim of what hides the others.
@@ -67,7 +72,7 @@ def known_again(
 
 
 def with_velocities(views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers) -> Movers:
-    """The movers, with the velocities of those that are found in this frame."""
+    """Update the velocities of the movers that are found in this frame."""
     number, is_found = numbers_of(key, movers), movers.n_missed == 0
     track = np.flatnonzero(np.append(False, is_found)[number])
     if not len(track):

@@ -1,4 +1,4 @@
-"""Movers whose paths went astray, begun anew as bodies that turn steadily."""
+"""Re-initialisation: movers whose trajectories have failed start again as bodies with a steady turn."""
 
 from __future__ import annotations
 
@@ -28,26 +28,35 @@ _LEAST_VIEWS = 6
 _BEND_HZ = float(np.hypot(SHIFT_RATE_HZ, TURN_SIGMA_RAD_S))
 
 
-def begun_anew(
+def reinitialised(
     movers: RigidPaths, rate_hz: Floats, is_asked: Bools, scene: RigidPaths, points: Points, usual_misfit: float
 ) -> tuple[RigidPaths, Floats]:
-    """The movers, those that explain their points badly as if they turned steadily, where that explains them better.
+    """Re-initialise movers that explain their points badly as steadily turning bodies, where that explains them better.
 
-    What begins to turn, or is small, is followed as if it went straight on: by a path without a turn that swings with
-    the thing's middle, at rates that are wrong. No small step leads from there to the turn, and the farther it gets the
-    more tracks the path loses: a bus becomes two. And what is small looks nearly alike turned one way, and turned the
+    What starts to turn, or is small, is followed as if it moved straight: by a trajectory without turn that swings with
+    the mover's centre, at wrong depths. No small step leads from there to the turn, and the farther it goes the more
+    tracks the trajectory loses: a bus becomes two. A small body looks nearly the same turned one way, and turned the
     other way with near and far exchanged (Necker's reversal); which it was shows when it is near. A steady turn and a
-    steady acceleration, nine numbers, are found from the views alone.
+    steady acceleration, nine unknowns, are estimated from the views alone.
 
     Parameters
     ----------
-    rate_hz : (K,) usual rate of each.
-    is_asked : (K,) movers that may be begun anew.
-    usual_misfit : of tracks on the scene's path: their chi-square over its degrees of freedom.
+    movers
+        The movers.
+    rate_hz
+        ``(K,)`` median inverse depth (times speed) of each.
+    is_asked
+        ``(K,)`` movers that may be re-initialised.
+    scene
+        The static scene.
+    points
+        Points of the movers.
+    usual_misfit
+        Median reduced chi-square of tracks on the scene's trajectory.
 
     Returns
     -------
-    The movers, and the rates (K,) that are usual on them.
+    The movers, and the median rate ``(K,)`` of each.
     """
     own = np.flatnonzero(is_asked[points.thing])
     if not len(own):

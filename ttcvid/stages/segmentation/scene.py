@@ -13,7 +13,7 @@ from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, Egomotion, picture_region, region_side_of
-from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, sway_of, with_unit_speed
+from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, shake_of, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.tracking.history import TrackHistory
@@ -109,7 +109,7 @@ def see_scene(
         misfit = _with_contradictions(misfit, road, on_road(fit, road), key, config)
     # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
     sways = platform == Platform.free and not rests
-    sway = sway_of(scene.path[0], views.since_s) if sways else np.zeros_like(scene.path[0])
+    sway = shake_of(scene.path[0], views.since_s) if sways else np.zeros_like(scene.path[0])
     return SeenScene(scene, speed, rate_hz, fit, misfit, seen_misfit, usual, road, rests, moves_past, sway)
 
 

@@ -1,4 +1,4 @@
-"""Things found as one surface, from frame to frame: each keeps its number while it keeps its tracks."""
+"""Objects found as one surface, from frame to frame: each keeps its number while it keeps its tracks."""
 
 from __future__ import annotations
 
@@ -34,13 +34,22 @@ def remembered(
     next_cluster_id: int,
     config: BodiesConfig,
 ) -> tuple[dict[int, Ints], tuple[Obstacle, ...], int]:
-    """Tracks (M,) of every public one of the surfaces by its number; what to remember; the next number.
+    """Tracks ``(M,)`` of every public surface by its number; what to remember; the next number.
 
     Parameters
     ----------
-    before : what the last frame remembered.
-    surfaces : tracks (M,) of what has been found in this frame.
-    is_free : (N,) tracks that a surface which is not found in this frame may keep.
+    before
+        From the last frame.
+    track_id
+        Of all live tracks.
+    surfaces
+        Tracks ``(M,)`` of each surface found in this frame.
+    is_free
+        ``(N,)`` tracks that a surface which is not found in this frame may keep.
+    next_cluster_id
+        The next free number.
+    config
+        Frames until a surface becomes public.
     """
     left_over = list(surfaces)
     is_seen = np.zeros(len(track_id), dtype=bool)
@@ -73,15 +82,20 @@ def remembered(
 
 
 def number_of_taken(surfaces: Sequence[Obstacle], track_id: Ints, members: Ints) -> int | None:
-    """The number of that public surface of which most live tracks are ``members (M,)`` of a mover; None without one.
+    """Number of the public surface most of whose live tracks are ``members (M,)`` of a mover; None without one.
 
-    Of several that of which it has most, three at least: one alone may be dragged along by what passes. What stands in
-    our way may begin to move, or turns out to: it is the same thing, with the same number. So is what comes straight at
-    us when it is near enough to be seen to move.
+    Of several, the one with most of them, at least three: a single one may be dragged along by what passes. An obstacle
+    may start to move, or turns out to move: it is the same object, with the same number. So is what heads straight at
+    us once it is near enough for its motion to show.
 
     Parameters
     ----------
-    track_id : (N,) of all live tracks.
+    surfaces
+        Of the last frame.
+    track_id
+        ``(N,)`` of all live tracks.
+    members
+        ``(M,)`` tracks of the mover.
     """
     is_member, number, most = np.zeros(len(track_id), dtype=bool), None, _LEAST_TAKEN - 1
     is_member[members] = True

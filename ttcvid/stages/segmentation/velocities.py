@@ -1,4 +1,4 @@
-"""How movers move, over their depth, also while they are hidden."""
+"""Velocities of movers in units of their depth, also while they are hidden."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LEAST_DEPTH_RATIO = 0.05
 
 @dataclass(frozen=True)
 class Velocities:
-    """V / Z of K movers relative to the camera now, ``v_hz (K, 3)`` in 1/s, by when they were last found.
+    """V / Z of K movers relative to the camera now, ``v_hz (K, 3)`` in 1/s, as of when they were last found.
 
     ``info (K, 3, 3)`` is its information matrix; 0 where nothing is known.
     """
@@ -30,7 +30,7 @@ class Velocities:
         return Velocities(self.v_hz[index], self.info[index])
 
     def with_new(self, count: int) -> Velocities:
-        """These, and so many of which nothing is known yet."""
+        """These, and as many again at unknown velocities."""
         new = unknown_velocities(count)
         return Velocities(np.concatenate([self.v_hz, new.v_hz]), np.concatenate([self.info, new.info]))
 
@@ -66,5 +66,5 @@ def recent_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_st
 
 
 def unknown_velocities(count: int) -> Velocities:
-    """Of so many movers nothing is known."""
+    """Unknown velocities of ``count`` movers."""
     return Velocities(np.zeros((count, 3)), np.zeros((count, 3, 3)))
