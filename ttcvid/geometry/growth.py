@@ -179,7 +179,8 @@ def _search(sums: Floats, freedom: Floats, misfit: Floats, gate: float, least_tr
         gain = _explained(sums, freedom, misfit, limit, total, tried)
         if gain > most:
             most = gain
-            fits[:] = tried
+            for m in range(n):
+                fits[m] = tried[m]
     for _ in range(_ROUNDS - 1):
         if np.sum(fits) < least_tracks:
             return False

@@ -14,6 +14,7 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.kernels.newest_view import predict_newest
 from ttcvid.geometry.kernels.rigid_points import LANES, N_EQUATIONS, add_turns_and_shifts, fit_rigid_points
+from ttcvid.geometry.kernels.solve import solve_each
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
@@ -262,7 +263,8 @@ def _corrected(paths: RigidPaths, equations: tuple[Floats, Floats], priors: Path
         off[..., :3] = vector_from_rotation(priors.cam_R_past[past] @ cam_R_past[:, past].transpose(0, 1, 3, 2))
     off[..., 3:] = path[:, past] - (since_s[past] / since_s[0])[:, None] * path[:, :1]
     information[..., diagonal, diagonal] += precision
-    change: Floats = np.linalg.solve(information, (score - precision * off)[..., None])[..., 0].astype(np.float64)
+    change = np.ascontiguousarray(score - precision * off)
+    solve_each(np.ascontiguousarray(information).reshape(-1, 6, 6), change.reshape(-1, 6))
     turned = rotation_from_vector(-change[..., :3]) @ cam_R_past[:, past]
     # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
     cam_R_past[:, past] = turned @ (1.5 * np.eye(3) - 0.5 * turned.transpose(0, 1, 3, 2) @ turned)

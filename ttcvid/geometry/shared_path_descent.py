@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels.arrays import copy, copy_rows
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Floats, Ints
@@ -117,12 +118,13 @@ def descend_together(
             for i in range(low, high):
                 left[k, 0] += kept[i, _OWN, 7]
             # What the belief says at an offset from it.
-            information[:], score[:] = believed[k], 0.0
+            copy_rows(believed[k], information)
+            score[:] = 0.0
             for j in range(N_LOCAL):
                 for m in range(N_LOCAL):
                     score[j] -= believed[k, j, m] * offset[k, m]
             _project(sums, axes, information, score)
-            step[:] = score
+            copy(score, step)
             fall = solve(information, step)
             offset[k] += step
             _set_way(t_s, base[k], axes, offset[k], way)

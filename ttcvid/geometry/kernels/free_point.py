@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
+from ttcvid.geometry.kernels.arrays import ZERO, add
 from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
 from ttcvid.geometry.kernels.windows import window_descent
 from ttcvid.model import Floats, Ints
@@ -61,7 +62,7 @@ def fit_free_points(
     for i in range(xy.shape[1]):
         if not sigma[i] > 0.0:
             continue
-        m, first, last = 0, 0.0, 0.0
+        m, first, last = ZERO, 0.0, 0.0
         for k in order:
             # A sum is finite where all of its terms are.
             if m < longest and np.isfinite(xy[k, i, 0] + xy[k, i, 1]):
@@ -80,9 +81,9 @@ def fit_free_points(
         limits[_HIGH] = (1.0 - _LEAST_DEPTH_RATIO) / max(-first, 1e-12)
         belief = limits, normal, normal_cov
         s[:], sums[:] = 0.0, 0.0
-        _add(views, 0, m, s, True, 1.0, sums)
+        _add(views, ZERO, m, s, True, 1.0, sums)
         _solve(sums, s, belief, work[1])
-        s += work[1]
+        add(work[1], s)
         n_frames[i], chi2[i] = _descend(views, m, LEAST_FRAMES, belief, gates, s, sums, work)
         _store(sums, s, limits, n_frames[i] >= LEAST_FRAMES, i, state, cov, info_w)
 
@@ -201,11 +202,14 @@ def _solve_on_plane(sums: Floats, s: Floats, belief: _Belief, step: Floats) -> f
     _solve_with(sums, limits[_PRIOR], c, -np.inf, np.inf, step)
     off = normal[0] * s[2] + normal[1] * s[3] + by_c * c
     miss = off + normal[0] * step[2] + normal[1] * step[3] + by_c * step[4]
-    step -= reach * (miss / (variance + normal[0] * reach[2] + normal[1] * reach[3] + by_c * reach[4]))
+    part = miss / (variance + normal[0] * reach[2] + normal[1] * reach[3] + by_c * reach[4])
+    for j in range(5):
+        step[j] -= part * reach[j]
     least, most = _limits_of_step(s, limits)
     limit = min(max(step[4], least), most)
-    if limit != step[4]:
-        step *= limit / step[4]
+    shorter = limit / step[4] if limit != step[4] else 1.0
+    for j in range(5):
+        step[j] *= shorter
     pull = off / variance
     fall: float = sums[_SCORE_X] * step[0] + sums[_SCORE_Y] * step[1] + (sums[_SCORE_C] - pull * by_c) * step[4]
     fall += (sums[_SCORE_A] - pull * normal[0]) * step[2] + (sums[_SCORE_B] - pull * normal[1]) * step[3]

@@ -6,6 +6,7 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels import path_point
+from ttcvid.geometry.kernels.arrays import ZERO, copy
 from ttcvid.geometry.kernels.windows import window_descent
 from ttcvid.model import Floats, Ints
 
@@ -55,7 +56,7 @@ def fit_points_on_known_paths(
             continue
         has_start = len(start) > 0 and np.isfinite(start[i, 0] + start[i, 1])
         if has_start and limits[0] < start[i, 2] < limits[1]:
-            s[:] = start[i]
+            copy(start[i], s)
         else:
             _start(views, m, limits, s)
         n_frames[i], chi2[i] = _descend(views, m, LEAST_FRAMES, limits, gates, s, sums, work)
@@ -63,7 +64,7 @@ def fit_points_on_known_paths(
         # Without information on the rate they stay NaN.
         if not info > 0.0:
             continue
-        state[i] = s
+        copy(s, state[i])
         along = (-sums[_WITH_X] / sums[_OWN], -sums[_WITH_Y] / sums[_OWN], 1.0)
         for j in range(3):
             for k in range(3):
@@ -87,7 +88,7 @@ def _list_views(
     limits: Floats,
 ) -> int:
     """Fill the views of point i, nearest first, and the limits of its rate; return how many views it has."""
-    nearest, farthest, m = 0.0, 0.0, 0
+    nearest, farthest, m = 0.0, 0.0, ZERO
     for k in order:
         x, y, tx, tz = xy[k, i, 0], xy[k, i, 1], paths[path, k, 0], paths[path, k, 2]
         # A sum is finite where all of its terms are.

@@ -14,7 +14,7 @@ def median(values: Floats) -> float:
     n = len(values)
     if n == 0:
         return np.nan
-    upper = _smallest_from(values, n // 2)
+    upper = at_rank(values, n // 2)
     if n % 2 == 1:
         return upper
     lower = values[0]
@@ -25,8 +25,8 @@ def median(values: Floats) -> float:
 
 
 @compiled
-def _smallest_from(values: Floats, place: int) -> float:
-    """The number at a place in order, no smaller ones behind it and no larger ones before it (Hoare's selection)."""
+def at_rank(values: Floats, place: int) -> float:
+    """The number at a place in order, put there: no smaller ones behind it, no larger ones before it (Hoare)."""
     low, high = 0, len(values) - 1
     while low < high:
         pivot, i, j = values[(low + high) // 2], low, high

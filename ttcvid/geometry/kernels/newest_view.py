@@ -6,6 +6,7 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels import path_point
+from ttcvid.geometry.kernels.arrays import ZERO
 from ttcvid.model import Floats, Ints
 
 # A track goes straight on over so many views. On a parabola it then leaves their line by so many times as much as each
@@ -70,7 +71,7 @@ def _fit_earlier(views: Floats, last: int, n_steps: int, s: Floats, sums: Floats
     s[1] = views[_Y, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_Y, k]
     for count in range(n_steps + 1):
         sums[:] = 0.0
-        _add_views(views, 0, last, s, sums)
+        _add_views(views, ZERO, last, s, sums)
         if count == n_steps:
             break
         info, score = _rate_equation(sums)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_in_place
+from ttcvid.geometry.kernels.arrays import ZERO
 from ttcvid.model import Floats
 
 
@@ -28,8 +29,8 @@ def add_equations(rows: Floats, stop: int, information: Floats, score: Floats) -
     n = len(score)
     for c in range(n):
         for d in range(c + 1):
-            information[c, d] += product(rows, c, d, 0, stop)
-        score[c] += product(rows, c, n, 0, stop)
+            information[c, d] += product(rows, c, d, ZERO, stop)
+        score[c] += product(rows, c, n, ZERO, stop)
 
 
 @compiled

@@ -10,6 +10,7 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.kernels import path_point
+from ttcvid.geometry.kernels.arrays import ZERO
 from ttcvid.model import Floats, Ints
 
 LANES = 8
@@ -63,7 +64,7 @@ def fit_rigid_points(
         info, chi2 = 0.0, 0.0
         for count in range(n_steps + 1):
             sums[:] = 0.0
-            _add_views(views, 0, last + 1, s, sums)
+            _add_views(views, ZERO, last + 1, s, sums)
             info, score = _rate_equation(sums)
             chi2 = sums[_CHI2]
             if count == n_steps:
@@ -161,7 +162,7 @@ def add_last_steps(
         for k in range(last + 1):
             views[_INVERSE, k] *= 1.0 if 1.0 + rho * views[_PATH_Z, k] >= _LEAST_DEPTH_RATIO else 0.0
         s[0], s[1], s[2], sums[:] = x0, y0, rho, 0.0
-        _add_views_as_they_are(views, 0, last + 1, s, sums)
+        _add_views_as_they_are(views, ZERO, last + 1, s, sums)
         info, score = _rate_equation(sums)
         if not info > 0.0:
             continue

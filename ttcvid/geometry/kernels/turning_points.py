@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels.arrays import ZERO, copy, copy_rows
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.normal_equations import add_equations, mirror, product
 from ttcvid.geometry.kernels.solve import eliminate, solve
@@ -76,7 +77,7 @@ def fit_turning_points(
     rows, kept, matrix = np.empty((_N_ALL + 1, 2 * n * n_views)), np.empty((n, _N_OWN, _N_ALL + 1)), np.empty((12, 12))
     score, step, damped = np.empty(N_SHARED), np.empty(N_SHARED), np.empty((N_SHARED, N_SHARED))
     prior, mean, trial, trial_own = np.empty(N_SHARED), np.zeros(N_SHARED), np.empty(N_SHARED), np.empty_like(own)
-    mean[6:] = mean_turn
+    copy(mean_turn, mean[6:])
     damping, n_steps, is_over = _FIRST_DAMPING, 0, False
     left[0], left[1] = np.inf, 1.0
     for j in range(N_SHARED):
@@ -94,7 +95,8 @@ def fit_turning_points(
             prior[j], prior[3 + j], prior[6 + j] = _FASTEST_HZ**-2, (beliefs[1] * speed) ** -2, beliefs[0] ** -2
         if not is_over:
             # Beliefs weigh as much beside views that err by more than they should.
-            prior *= scale * scale
+            for j in range(N_SHARED):
+                prior[j] *= scale * scale
             loose *= scale * scale
         for j in range(N_SHARED):
             information[j, :], information[j, j] = 0.0, prior[j]
@@ -106,8 +108,9 @@ def fit_turning_points(
         before = _cost(squares, far) + _believed(shared, own, mean, prior, loose)
         is_better, fall = False, 0.0
         while damping < _MOST_DAMPING and not is_better:
+            copy_rows(information, damped)
+            copy(score, step)
             for j in range(N_SHARED):
-                damped[j, :], step[j] = information[j], score[j]
                 damped[j, j] *= 1.0 + damping
             fall = _take_points(kept, damping, damped, step, matrix)
             fall += solve(damped, step)
@@ -124,7 +127,9 @@ def fit_turning_points(
         is_over = not is_better or n_steps == _MAX_STEPS or fall < converged_chi2 * scale * scale
         if is_better:
             damping = max(_LESS * damping, _LEAST_DAMPING)
-            shared[:], own[:], squares[:] = trial, trial_own, trial_squares
+            copy(trial, shared)
+            copy_rows(trial_own, own)
+            copy_rows(trial_squares, squares)
             way, trial_way = trial_way, way
     # The information at the end, without damping.
     left[0], left[1] = 0.0, usual
@@ -221,7 +226,7 @@ def _add_up(
     Kept of a point: its block of the information (3 x 3), its couplings (3 x 9) and its score (3). Fills ``rows`` on
     the way, as `normal_equations` has them.
     """
-    n, moves = 0, np.empty((_N_ALL, 3))
+    n, moves = ZERO, np.empty((_N_ALL, 3))
     for i in range(len(own)):
         first, n = n, _set_rows(views, way, i, own, far, n, moves, rows)
         for c in range(_N_OWN):

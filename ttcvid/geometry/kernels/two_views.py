@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
+from ttcvid.geometry.kernels.arrays import copy_rows
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.normal_equations import add_equations, mirror
 from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents
@@ -75,14 +76,16 @@ def fit_two_views(
                 step[j] -= precision[j] * offset[j - first_turn]
             else:
                 step[j] += basis[0, j] * pull[0] + basis[1, j] * pull[1] + basis[2, j] * pull[2]
-        left[:] = information
+        copy_rows(information, left)
         is_last = solve(left, step) < _CONVERGED_CHI2 or count == _MAX_STEPS - 1
         if has_direction:
             length = np.sqrt(step[0] * step[0] + step[1] * step[1])
             shorter = min(1.0, _LONGEST_STEP_RAD / max(length, _TINY))
             for j in range(3):
                 direction[j] += shorter * (basis[j, 0] * step[0] + basis[j, 1] * step[1])
-            direction /= np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+            length = np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+            for j in range(3):
+                direction[j] /= length
         for j in range(3):
             offset[j] += step[first_turn + j]
         if is_last:
@@ -150,14 +153,15 @@ def _weigh(rows: Floats, residual: Floats, sense: Floats, is_signed: bool) -> No
     The scale of the weights is at least 1, in sigmas: a poor start sees far, a good one trusts the noise it was told.
     It is half of the spread: with two fifths of the points on movers the median is no measure of the noise.
     """
-    n = len(residual)
-    scale = max(1.0, 0.5 * 1.4826 * median(np.abs(residual)) * (1.0 if is_signed else np.sqrt(0.5)))
+    n, root = len(residual), np.abs(residual)
+    scale = max(1.0, 0.5 * 1.4826 * median(root) * (1.0 if is_signed else np.sqrt(0.5)))
     for i in range(n):
         relative = residual[i] / (scale * _REDESCENT)
-        root = 1.0 / ((1.0 + relative * relative) * scale) * np.sqrt(_WRONG_WAY_WEIGHT if sense[i] < 0.0 else 1.0)
-        for j in range(len(rows)):
-            for k in range(i, rows.shape[1], n):
-                rows[j, k] *= root
+        root[i] = np.sqrt(_WRONG_WAY_WEIGHT if sense[i] < 0.0 else 1.0) / ((1.0 + relative * relative) * scale)
+    for j in range(len(rows)):
+        for first in range(0, rows.shape[1], n):
+            for i in range(np.uint64(n)):
+                rows[j, np.uint64(first) + i] *= root[i]
 
 
 @compiled

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ttcvid.geometry.compiled import compiled_part
+from ttcvid.geometry.kernels.arrays import ZERO, copy
+from ttcvid.geometry.kernels.arrays import add as add_to
 from ttcvid.model import Floats
 
 TAIL = 3
@@ -55,19 +57,19 @@ def window_descent(
         for count in range(_MAX_STEPS):
             n = n_views if count < _WINDOW_STEPS else n
             sums[:] = 0.0
-            add(views, 0, n, state, 1.0, sums)
+            add(views, ZERO, n, state, 1.0, sums)
             while n > least:
                 left = sums[last] - solve(sums, state, belief, step)
                 if left <= window_gates[n]:
                     k = max(n - TAIL, least)
-                    near[:] = sums
+                    copy(sums, near)
                     add(views, k, n, state, -1.0, near)
                     if left - near[last] + solve(near, state, belief, step) <= tail_gates[n - k]:
                         break
                 n -= 1
                 add(views, n, n + 1, state, -1.0, sums)
             fall = solve_last(sums, state, belief, step)
-            state += step
+            add_to(step, state)
             chi2 = max(sums[last] - fall, 0.0)
             if fall < _CONVERGED_CHI2:
                 break

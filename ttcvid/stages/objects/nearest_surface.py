@@ -146,11 +146,14 @@ def _settle(rate: Floats, sigma: Floats, centre: float, is_in: Bools) -> None:
     again, count = np.empty(len(rate), dtype=np.bool_), 0
     for _ in range(_MAX_STEPS):
         found = _support(rate, sigma, centre, again)
-        if found < count or (found == count and np.array_equal(again, is_in)):
-            break
-        is_in[:], count = again, found
-        total, weights = 0.0, 0.0
+        is_same = found == count
         for i in range(len(rate)):
+            is_same &= again[i] == is_in[i]
+        if found < count or is_same:
+            break
+        count, total, weights = found, 0.0, 0.0
+        for i in range(len(rate)):
+            is_in[i] = again[i]
             if is_in[i]:
                 weight = 1.0 / (sigma[i] * sigma[i])
                 total += weight * rate[i]
@@ -185,5 +188,6 @@ def _keep_largest_part(xy: Floats, link: float, is_in: Bools, part: Ints) -> int
             best_first, best_stop = first, stop
         first = stop
     is_in[:] = False
-    is_in[part[best_first:best_stop]] = True
+    for place in range(best_first, best_stop):
+        is_in[part[place]] = True
     return best_stop - best_first

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
-from ttcvid.geometry.kernels.medians import median
+from ttcvid.geometry.kernels.medians import at_rank, median
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.groups import TrackSets
 
@@ -124,16 +124,26 @@ def move_to_centres(
             step = centre[k].copy()
             for i in range(low, high):
                 if is_near[i]:
-                    step -= weight[q] * places[0][i]
+                    for j in range(2):
+                        step[j] -= weight[q] * places[0][i, j]
                     q += 1
             for j in range(2):
-                spread = np.ptp(places[0][low:high, j])
+                spread = _extent(places[0], j, low, high)
                 if spread > 0.0:
-                    ref_px[k, j] += step[j] * np.ptp(places[1][low:high, j]) / spread
+                    ref_px[k, j] += step[j] * _extent(places[1], j, low, high) / spread
             abc_hz[k, 0] -= turn_rad_s[k, 2] * step[1]
             abc_hz[k, 1] += turn_rad_s[k, 2] * step[0]
             abc_hz[k, 2] += turn_rad_s[k, 0] * step[1] - turn_rad_s[k, 1] * step[0]
         low, first = high, first + counts[k]
+
+
+@compiled
+def _extent(places: Floats, j: int, low: int, high: int) -> float:
+    """From the least to the greatest coordinate j of the places from one to another."""
+    least, most = np.inf, -np.inf
+    for i in range(low, high):
+        least, most = min(least, places[i, j]), max(most, places[i, j])
+    return most - least
 
 
 @compiled_for(
@@ -178,11 +188,13 @@ def _find_each(
             count = _mark(*of_set, 1.0, plane, again[low:high])
         if count < needed[k]:
             continue
+        most = -np.inf
         for i in range(low, high):
             on_plane[i] = _rate_at(plane, xy[i]) if again[i] else -np.inf
+            most = max(most, on_plane[i])
         part = min(_NEAREST_PART * (high - low) / count, 1.0)
         nearest = _rate_of_nearest(plane, xy[low:high], again[low:high], part, centre[k])
-        last = min(nearest, on_plane[low:high].max())
+        last = min(nearest, most)
         there = _rate_at(plane, centre[k])
         for i in range(low, high):
             is_near[i] = on_plane[i] >= last - _DEPTH_PART * abs(last)
@@ -212,8 +224,7 @@ def _rate_of_nearest(plane: Floats, xy: Floats, is_on: Bools, part: float, centr
             place[0] = left + (i + 0.5) / _PLACES * (right - left)
             place[1] = top + (j + 0.5) / _PLACES * (low - top)
             rates[i * _PLACES + j] = _rate_at(plane, place)
-    rates_there = np.sort(rates)
-    found: float = rates_there[min(int((1.0 - part) * len(rates)), len(rates) - 1)]
+    found = at_rank(rates.copy(), min(int((1.0 - part) * len(rates)), len(rates) - 1))
     x, y, count = 0.0, 0.0, 0
     for i in range(_PLACES):
         for j in range(_PLACES):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.kernels.arrays import copy
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
@@ -200,7 +201,7 @@ def _fit_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> boo
             return False
         normal[1, 1] += normal[2, 2] * _ROLL_SIGMA * _ROLL_SIGMA
         solve(normal, right)
-        road[:] = right
+        copy(right, road)
     return True
 
 
