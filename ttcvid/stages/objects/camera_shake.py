@@ -13,9 +13,9 @@ from ttcvid.geometry.growth import growth_sums
 from ttcvid.model import Floats, Ints
 from ttcvid.stages.tracking.history import TrackHistory
 
-# So surely the tracks of a thing have to follow the sway.
+# The tracks of a mover have to follow the shake with this significance, in sigmas.
 _SURE_SIGMAS = 3.0
-# Tracks that misfit what all of a thing's say by more than so many times the usual are left out, in so many rounds.
+# Tracks with a reduced chi-square of more than so many times the median are rejected, in so many rounds.
 _MISFIT, _ROUNDS = 4.0, 2
 _LEAST_TRACKS = 3
 

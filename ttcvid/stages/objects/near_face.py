@@ -14,11 +14,11 @@ from ttcvid.stages.objects.joint_states import JointStates
 from ttcvid.stages.objects.paper_track_states import TrackStates, nothing_shared
 from ttcvid.stages.tracking.groups import TrackSets
 
-# What lies off the depth of the nearest surface by less than this part of it (natural logarithm) is as near; a track
-# whose depth is known worse, by two standard deviations, may be.
+# Tracks within this part (natural logarithm) of the depth of the nearest surface belong to the near face; a less
+# certain one may, within two standard deviations.
 _ONE_DEPTH, _SURELY = 0.12, 2.0
-# A front has so many tracks at the least; and so many, and this part of all that may be as near, where only those count
-# that are known to be.
+# Minimum number of tracks of a near face; and where only certain ones count, so many, and this part of all that may
+# belong to it.
 _LEAST_TRACKS, _LEAST_KNOWN, _KNOWN_PART = 3, 5, 0.5
 # Least rate, 1/s.
 _TINY = 1e-12

@@ -8,11 +8,11 @@ from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.groups import TrackSets
 
-# A surface is borne by this part of an object's tracks, and by at least so many: with fewer tracks, a nearly lost
-# mover's rate is not reliable enough to warn by.
+# A surface needs this part of an object's tracks, and at least so many: with fewer, the depth of a nearly lost mover
+# is not reliable enough for a warning.
 _LEAST_PART, _LEAST_TRACKS = 0.1, 5
-# What is small has no more than these: all of them agree by chance less often than five of many do. (That an aircraft
-# or a car far off has a time a second earlier is worth it; three that agree are what is left behind a post.)
+# A small object has no more than these: all of them agree by chance less often than five of many do. (So an aircraft
+# or a car far off has a time one second earlier; three that agree are what is left behind a post.)
 _ALL_TRACKS = 4
 # Tracks within so many of their standard deviations of the surface's rate belong to it.
 _SURFACE_SIGMAS = 2.0

@@ -13,9 +13,9 @@ from ttcvid.stages.tracking.groups import TrackSets
 _N_SLOPES = 2
 # Tracks within so many of their standard deviations of a plane lie on it.
 _PLANE_SIGMAS = 2.0
-# A plane through two sides of a thing lies on neither. Looked at again so often, with what its tracks themselves
-# scatter by for what they may leave it by, it settles on the side that more of them show. No side is known to be
-# flatter than this part of what surfaces are not flat by: 0.5 % of the distance.
+# A plane through two sides of an object lies on neither. Refit this often, with the inliers' own scatter as
+# tolerance, it settles on the side that more tracks show. The scatter is never less than this part of the assumed
+# unevenness of surfaces: 0.5 % of the distance.
 _LOOKS, _LEAST_FLATNESS = 4, 0.2
 # Standard deviation of a Gaussian over its median deviation.
 _BY_MEDIAN = 1.4826

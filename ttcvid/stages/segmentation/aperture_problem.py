@@ -11,8 +11,8 @@ import numpy as np
 
 from ttcvid.model import Bools, Floats
 
-# A window is on an edge where its gradients along it (r.m.s.) are less than this part of those across it: it finds its
-# place along it that much worse.
+# A window is on an edge where its gradients along it (r.m.s.) are less than this part of those across it: its
+# position along the edge is that much less certain.
 _ALONG_PART = 0.5
 # The same as length of `PointSet.edge`.
 _LEAST_EDGE = (1.0 - _ALONG_PART**2) / (1.0 + _ALONG_PART**2)

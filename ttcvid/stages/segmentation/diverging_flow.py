@@ -19,25 +19,24 @@ from ttcvid.stages.segmentation.approach_probability import common_growth_hz
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.expansion import SIGMAS_999, around_any, around_the_oddest
 
-# Tracks that are enough for a thing: fewer than those of other movers, since three unknowns for all say more than flows
-# that are alike; as many as bear a surface.
+# Minimum number of tracks for an expanding object. Fewer than for other movers, since three unknowns for all are
+# stronger evidence than similar flows; as many as support a surface.
 _ENOUGH_TRACKS = 5
-# Of what heads at us these are, the fewest that tell V / Z by more than two: what slides along the outlines of things
-# that stand still does not keep its bearing while it grows, but goes past us as they do. It is here within this time,
-# as long as a warning is of use, and passes within this part of its distance, two cars' halves from 20 m off; and
-# nearer than the other part of how far off what stands there will: next to where we go, all that stands still heads at
-# us.
+# Minimum number of tracks of an object that heads at us, the fewest that determine V / Z with one to spare. It
+# arrives within this time (a warning is of no use later), and passes within this part of its distance (half of two
+# cars at 20 m), and within the other part of the distance at which a static point there would pass: tracks that slide
+# along outlines of static objects pass us as these do, and close to our heading everything static heads at us.
 _FEW_TRACKS, _SOON_S, _AT_US, _UNLIKE_STANDING = 3, 5.0, 0.1, 0.5
-# Those of so few tracks that contradict the scene one by one are found in so many rounds at the most.
+# At most this many searches for objects of so few tracks.
 _ROUNDS = 3
-# So many things are looked for in a frame, around so many tracks: in a street, tracks that slide along the outlines of
-# posts and trees contradict the scene worse than somebody who walks does, some ten at a time, and the same ones in each
+# At most this many objects per frame, around at most this many tracks: in a street, tracks that slide along outlines
+# of posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same ones in each
 # frame.
 _MOST_THINGS, _MOST_SEEDS = 3, 12
-# Misfits below this are noise.
+# A reduced chi-square below this is noise.
 _NOISE = 1.0
-# What will be here later than so many times as long as it has been seen has hardly grown: its direction is better told
-# by flows that are alike.
+# What arrives later than this multiple of its observed span has hardly expanded: similar flows determine its
+# direction better.
 _REACHED_WITHIN = 6.0
 
 

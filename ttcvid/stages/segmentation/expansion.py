@@ -25,11 +25,11 @@ LEAST_VIEWS = 6
 """Views that a track needs: with fewer, one V / Z explains any."""
 SIGMAS_999 = 3.090
 """A thing grows at 99.9 % (one side)."""
-# Tracks that a thing needs: as many as what stands in our way, and fewer than a mover. That they share one velocity,
-# which no two things of the scene do, says more than their number.
+# Minimum number of tracks for an expanding object: as many as for an obstacle, fewer than for a mover. A common
+# velocity, which no two objects of the scene have, is stronger evidence than their number.
 _LEAST_TRACKS = 4
-# Tracks of one thing lie within so many link lengths of the one that the scene explains worst: of an aircraft, wing
-# tips and nose. So many of the nearest are looked at, and so many things a frame.
+# Tracks of one object lie within this many link lengths of the one that the scene explains worst (wing tips and nose
+# of an aircraft). At most this many of the nearest are used, for at most this many objects per frame.
 _LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
 
 

@@ -41,8 +41,8 @@ _ROLL_SIGMA = 0.1
 _UNDER_SIGMAS, _LEAST_VIEWS = 3.0, 4
 # A point lies on the road within this part of its rate.
 _ON_ROAD = 0.2
-# Evidence is gathered with this memory, and kept with the other where there is a road and a frame says nothing of a
-# thing, as where the road has no texture; a track contradicts a static scene with more than a half of it.
+# Evidence decays by the first factor per frame, by the second where there is a road but the frame does not observe it
+# there, as where the road has no texture; a track contradicts a static scene above the last value.
 _FORGETTING, _NOTHING_SAID, _ENOUGH = 0.8, 0.97, 0.5
 # A point of the road that has newly come to be seen below a thing is an error as often as not: a track at an outline
 # slides. Two of them are enough.

@@ -25,38 +25,38 @@ from ttcvid.stages.tracking.neighbours import linked_pairs
 
 REACHED_WITHIN_S = 6.0
 """What we reach later than this is no obstacle yet, s: half as long again as a warning looks ahead."""
-# A track says something from so many views on, with a rate known to this part.
+# A track counts from so many views on, with a rate known to this part.
 _LEAST_VIEWS, _KNOWN_PART = 4, 0.2
 # Tracks of one surface have rates within this part of its median (natural logarithm), and two sigmas of their own.
 _ONE_SURFACE, _SURFACE_SIGMAS = 0.12, 2.0
-# A surface goes on to nearer tracks beside it when these are more than so many, and than this part of its own: it is
-# a slope or a wall along our way.
+# A surface that continues in nearer tracks beside it, more than so many and more than this part of its own, is a
+# slope or a wall along our way.
 _LEAST_GOES_ON, _GOES_ON = 2.0, 0.25
-# Where there is no road, tracks of one surface may lie so many times as far apart as those of a mover: of an aircraft,
-# wing tips and nose.
+# Without a road, tracks of one surface may lie this many times as far apart as those of a mover (wing tips and nose
+# of an aircraft).
 _LINKS = 2.0
-# On a road they are no farther apart than so many heights of the camera.
+# On a road they are at most this many camera heights apart.
 _BESIDE = 1.5
 # The box of the tracks may miss the aim by `_OFF_LINK` link lengths, since tracks do not reach the rim; by `_KEPT`
 # times that for a known obstacle.
 _OFF_LINK, _KEPT = 0.33, 1.5
-# A surface in our way has so many tracks at the least. Fewer than a new mover: where it is looked for is known.
+# Minimum number of tracks of an obstacle. Fewer than for a new mover, since its position is known.
 _LEAST_TRACKS = 4
-# Surfaces are looked for around tracks that lie this close to where we go, as a tangent, and followed as far as the
-# second; so many are looked at.
+# Surfaces are searched around tracks within this angle (tangent) of our heading, and followed up to the second one;
+# at most so many.
 _LOOK, _FOLLOWED, _MOST_SURFACES = 0.1, 0.5, 6
-# The turn of the own path is taken from views over this time at the least, s.
+# Our turn rate is taken from views over at least this time, s.
 _LEAST_TURN_S = 0.3
-# What stands on the ground that a car drives on reaches below its camera by this part of its height, or hangs over it.
+# What stands on the road reaches this part of the camera height below the camera; otherwise it is suspended.
 _BELOW_CAMERA = 0.15
-# Heights over the road, in heights of the camera: what ends below the first can be driven over, what begins above the
-# second is driven under; so many tracks of a thing stand above the first.
+# Heights above the road, in camera heights: what ends below the first is driven over, what begins above the second is
+# driven under; so many tracks of an object lie above the first.
 _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
-# What stands on the road reaches down to it: two of its tracks have once been below this height. A car far ahead on a
-# bend that moves as we do, and a little to the side, looks near, and then seems to hang at the height of the camera.
+# Two tracks of what stands on the road were once below this height. A car far ahead on a bend that moves nearly as we do
+# looks near by its small sideways motion, and then seems to float at the height of the camera.
 _MOST_FOOT = 0.5
-# What hangs comes at us if its picture grows, at 99.9 % (one side), and as fast as it has to, as far as two standard
-# deviations tell, but for what its times may err by.
+# A suspended object approaches if its expansion is significant (99.9 %, one side) and, within two standard deviations,
+# at least this part of what its time to collision implies.
 _SIGMAS_999, _AGREES_SIGMAS, _AS_FAST = 3.090, 2.0, 0.85
 _TINY_HZ = 1e-9
 

@@ -14,15 +14,15 @@ from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers, numbers_of
 from ttcvid.stages.segmentation.velocities import recent_velocities
 
-# Tracks of a mover seen again are within so many of its extents of where it has to be.
+# A re-identified mover lies within this many of its extents of its predicted position.
 _WITHIN_EXTENTS = 2.5
-# How fast it went is known to this part: its last tracks were those at the rim of what hid it.
+# Relative standard deviation of its speed: its last tracks were at the rim of what occluded it.
 _UNSURE_PART = 0.3
-# Chi-square of three degrees of freedom within which 99 % are that are one thing.
+# 99 % quantile of chi-square with three degrees of freedom: the velocities of one object.
 _SAME_VELOCITY = 11.3
-# Steps on the velocity of what has just been found, and a frame on that of a mover.
+# Gauss-Newton steps for the velocity of a new mover, and per frame for that of a known one.
 _FIRST_STEPS, _STEPS = 4, 1
-# Where the tracks say nothing of a velocity, it is taken to be known to this, 1/s.
+# Standard deviation of a velocity that the tracks do not determine, 1/s.
 _MOST_UNSURE_HZ = 10.0
 
 

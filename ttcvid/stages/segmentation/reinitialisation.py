@@ -13,18 +13,18 @@ from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ, with_unit_speed
 
-# A mover is begun anew where its path explains its points worse than this, over the usual misfit, and the new path does
-# better by the factor: of two that fit alike, one is better by chance.
+# A mover is re-initialised where its trajectory explains its points worse than this, over the median reduced
+# chi-square, and the new one is better by the factor: of two equally good ones, one is better by chance.
 _BADLY, _CLEARLY = 1.0, 1.5
-# Where the first search for it, from no turn, comes to a body that explains its points worse by the factor than that
-# path does, it is no body: of eleven scenes with what turns, in 37 bodies that were better in the end it came to 1.7
-# of that at the most; where a street full of cars is one mover, to 2 to 600.
+# Where the first search, from no turn, finds a body that explains the points worse than the present trajectory by
+# this factor, they are no body: in eleven scenes with turning objects, 37 bodies that were better in the end reached
+# 1.7 at most; a street full of cars taken for one mover reaches 2 to 600.
 _NO_BODY = 2.0
-# Points that tell how a body turns, at the least, and at the most; and every so many views: more hardly say better, in
-# so much more time. Each is seen in so many views at the least: of a turn before it was seen nobody knows.
+# Minimum and maximum number of points for the turn of a body, every so many views: more are slower and hardly better.
+# Each is observed in at least so many views: a turn before that is unknown.
 _LEAST_POINTS, _ENOUGH_POINTS, _EVERY_VIEWS = 8, 16, 2
 _LEAST_VIEWS = 6
-# What turns on a circle is pulled across by its turn times its speed; and it brakes, as all movers do.
+# Acceleration of a turning body: turn rate times speed across, and braking as of any mover along.
 _BEND_HZ = float(np.hypot(SHIFT_RATE_HZ, TURN_SIGMA_RAD_S))
 
 

@@ -18,11 +18,11 @@ from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.tracking.history import TrackHistory
 
-# Of more tracks than this only so many correct the scene; those of a crowded place count less: so many times as large
-# as the parts of the picture for own motion.
+# At most this many tracks refine the scene; those in crowded cells have less weight. Side of the cells, in cells of
+# the egomotion.
 _ENOUGH_TRACKS, _CELLS = 400, 1.2
 _SCENE_STEPS = 2
-# Own speed does not fall below this part of what it was at the start of the window, so that it can rise again.
+# Own speed does not fall below this part of its value at the start of the window, so that it can rise again.
 _LEAST_SPEED = 0.1
 # A rate above so many of its standard deviations is no standstill.
 _MOVES_SIGMAS = 3.0

@@ -10,9 +10,9 @@ import numpy as np
 from ttcvid.config import BodiesConfig
 from ttcvid.model import Bools, Ints
 
-# One that is missed stays an object for `forget_frames`, and can be re-identified for this many times as long.
+# A surface that is missed stays an object for `forget_frames`, and can be re-identified for this many times as long.
 _REMEMBERED = 4
-# A mover is the surface of which it has so many tracks, and most of those that live.
+# A mover is the surface with at least so many of its tracks, and most of the live ones.
 _LEAST_TAKEN = 3
 
 
