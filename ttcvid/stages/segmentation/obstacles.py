@@ -52,8 +52,8 @@ _BELOW_CAMERA = 0.15
 # Heights above the road, in camera heights: what ends below the first is driven over, what begins above the second is
 # driven under; so many tracks of an object lie above the first.
 _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
-# Two tracks of what stands on the road were once below this height. A car far ahead on a bend that moves nearly as we do
-# looks near by its small sideways motion, and then seems to float at the height of the camera.
+# Two tracks of what stands on the road were once below this height. A car far ahead on a bend that moves nearly as we
+# do looks near by its small sideways motion, and then seems to float at the height of the camera.
 _MOST_FOOT = 0.5
 # A suspended object approaches if its expansion is significant (99.9 %, one side) and, within two standard deviations,
 # at least this part of what its time to collision implies.
