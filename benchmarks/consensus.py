@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.epipole import SIGNIFICANCE_SIGMAS, epipole_maximum_likelihood
-from ttcvid.geometry.flow_line import flow_line_chi2, moves_towards
+from ttcvid.geometry.paper.epipole import SIGNIFICANCE_SIGMAS, epipole_maximum_likelihood
+from ttcvid.geometry.paper.flow_line import flow_line_chi2, moves_towards
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Bools, Floats, Ints

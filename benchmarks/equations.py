@@ -19,20 +19,20 @@ import numpy as np
 from consensus import epipoles_by_ransac
 from report import Bar, Report
 
-from ttcvid.geometry.collision import (
+from ttcvid.geometry.paper.collision import (
     angle_from_direction,
     collision_point,
     k_from_two_angles,
     times_from_position_velocity,
     times_from_state,
 )
-from ttcvid.geometry.epipole import epipole_from_flow_lines, epipole_maximum_likelihood
-from ttcvid.geometry.expansion import expansion_rate
-from ttcvid.geometry.flow_line import flow_line_chi2, flow_line_distance_px
-from ttcvid.geometry.planar import planar_epipole
+from ttcvid.geometry.paper.epipole import epipole_from_flow_lines, epipole_maximum_likelihood
+from ttcvid.geometry.paper.expansion import expansion_rate
+from ttcvid.geometry.paper.flow_line import flow_line_chi2, flow_line_distance_px
+from ttcvid.geometry.paper.planar import planar_epipole
+from ttcvid.geometry.paper.three_frames import epipole_offset_three_frames, three_frame_direction
+from ttcvid.geometry.paper.two_view_state import state_from_direction
 from ttcvid.geometry.rotation import normalize
-from ttcvid.geometry.state import state_from_direction
-from ttcvid.geometry.three_frames import epipole_offset_three_frames, three_frame_direction
 from ttcvid.model import Floats
 
 ERROR_BAR = Bar(1e-9)

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from report import Bar, Report
 
-from ttcvid.geometry.intervals import collision_times_from_state
-from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks
-from ttcvid.geometry.whole_track_on_path import fit_rates_on_paths, straight_path
+from ttcvid.geometry.estimation.intervals import collision_times_from_state
+from ttcvid.geometry.estimation.track_on_trajectory import fit_rates_on_paths, straight_path
+from ttcvid.geometry.estimation.track_state import MotionPlane, fit_whole_tracks
 from ttcvid.model import CollisionTimes, Floats
 
 FOCAL_PX, DT_S = 720.0, 0.1

@@ -24,8 +24,8 @@ from runs import analyze_command, analyzed, data_folder, shown, timed
 
 import ttcvid
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.geometry.horizon import pitch_roll_rad
-from ttcvid.geometry.horizon_line import band_px
+from ttcvid.geometry.horizon.line import band_px
+from ttcvid.geometry.horizon.plane import pitch_roll_rad
 from ttcvid.simulate import TrackOptions, simulate_tracks
 from ttcvid.simulate.poses import mean_horizon_px
 from ttcvid.simulate.scene import camera_of

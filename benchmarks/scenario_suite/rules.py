@@ -242,13 +242,13 @@ RULES: dict[str, Rule] = {
         "the size of what stands in our way tells its time",
         "warnings",
         {"stages.segmentation.approach_probability.closing_of_tracks": _none},
-        ("geometry/closing.py",),
+        ("geometry/estimation/closing.py",),
     ),
     "braking": Rule(
         "the size of what may have begun to brake",
         "warnings",
         {"stages.segmentation.approach_probability.braking_of_tracks": _none},
-        ("geometry/closing.py",),
+        ("geometry/estimation/closing.py",),
     ),
 }
 GROUPS: dict[str, tuple[str, ...]] = {

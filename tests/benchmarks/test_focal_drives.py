@@ -3,8 +3,8 @@
 import numpy as np
 from focal_drives import KINDS, focal_drive
 
+from ttcvid.geometry.estimation.relative_pose import GaussianPrior, fit_rotation
 from ttcvid.geometry.rotation import vector_from_rotation
-from ttcvid.geometry.two_view import GaussianPrior, fit_rotation
 
 
 def test_a_seed_gives_the_same_clip_again():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ttcvid.calibration import read_camera, read_camera_image_size, write_camera
 from ttcvid.errors import CalibrationError
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.model import Camera, ImageSize
 
 SIZE = ImageSize(1241, 376)

@@ -5,7 +5,7 @@ import pytest
 
 from ttcvid.calibration import ASSUMED_HFOV_DEG, assumed_camera, camera_from_focal, camera_from_hfov
 from ttcvid.errors import UsageError
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.model import Camera, ImageSize
 
 SIZE = ImageSize(1242, 375)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ttcvid.geometry.moving_body import BodyTracks
+from ttcvid.geometry.estimation.moving_body import BodyTracks
 
 FOCAL_PX, FPS = 500.0, 25.0
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttcvid.geometry.bundle import N_POSE, N_SHARED, Bundle, Views, _cost, _equations, adjust_bundle
+from ttcvid.geometry.estimation.bundle import N_POSE, N_SHARED, Bundle, Views, _cost, _equations, adjust_bundle
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 
 N_FRAMES, N_POINTS = 6, 40

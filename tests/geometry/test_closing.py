@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.closing import Closing, depths_over_time, fit_braking, fit_closing
+from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking, fit_closing
 
 FOCAL_PX, FPS = 530.0, 20.0
 SINCE_S = -np.arange(20)[::-1] / FPS

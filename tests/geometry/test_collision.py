@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import moving_points, views
 
-from ttcvid.geometry.collision import (
+from ttcvid.geometry.paper.collision import (
     angle_from_direction,
     collision_point,
     k_from_two_angles,

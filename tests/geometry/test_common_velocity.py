@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.common_velocity import common_velocities
-from ttcvid.geometry.rigid_path import Points, views_by_track
+from ttcvid.geometry.estimation.rigid_motion import Points, views_by_track
+from ttcvid.geometry.estimation.shared_translation import common_velocities
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 
 SINCE_S = -0.1 * np.arange(6.0)[::-1]

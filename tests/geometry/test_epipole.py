@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import jitter, moving_points, views
 
-from ttcvid.geometry.epipole import epipole_from_flow_lines, epipole_maximum_likelihood
-from ttcvid.geometry.planar import planar_epipole
+from ttcvid.geometry.paper.epipole import epipole_from_flow_lines, epipole_maximum_likelihood
+from ttcvid.geometry.paper.planar import planar_epipole
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Status
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ttcvid.geometry.expansion import expansion_of_neighbourhood, expansion_rate
+from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood, expansion_rate
 
 
 def plane(rng, m, depth=20.0):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from moving_points import jitter, moving_points, views
 
-from ttcvid.geometry.flow_line import flow_line_chi2, flow_line_distance_px, moves_towards
+from ttcvid.geometry.paper.flow_line import flow_line_chi2, flow_line_distance_px, moves_towards
 from ttcvid.geometry.rotation import normalize, tangent_basis
 
 

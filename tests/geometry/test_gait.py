@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.gait import find_steps
+from ttcvid.geometry.horizon.gait import find_steps
 
 SIZE = np.ones(75)
 T_S = np.arange(75) / 25.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.growth import growth_sums
+from ttcvid.geometry.estimation.growth import growth_sums
 
 SINCE_S = -0.05 * np.arange(20.0)[::-1]
 CENTRE_M, N_POINTS, SIGMA = np.array([60.0, -5.0, 240.0]), 4, 0.1 / 880.0

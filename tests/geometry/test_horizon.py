@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.horizon import horizon_px, normal_from_horizon
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
+from ttcvid.geometry.horizon.plane import horizon_px, normal_from_horizon
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.model import Camera, Horizon, ImageSize
 

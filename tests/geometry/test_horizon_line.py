@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.horizon import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
-from ttcvid.geometry.horizon_line import (
+from ttcvid.geometry.horizon.line import (
     band_px,
     fit_horizon,
     is_one_direction,
     pitch_roll_covariance_rad2,
     widest_angle_rad,
 )
+from ttcvid.geometry.horizon.plane import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
 from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import Camera, Horizon, ImageSize
 from ttcvid.simulate.poses import mean_horizon_px

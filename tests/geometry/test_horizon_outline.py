@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.horizon_outline import fit_outline
+from ttcvid.geometry.horizon.outline import fit_outline
 
 F_PX = 600.0
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from moving_points import views
 
-from ttcvid.geometry.collision import times_from_position_velocity
-from ttcvid.geometry.intervals import (
+from ttcvid.geometry.estimation.intervals import (
     NORMAL_90_SIGMAS,
     REGION_90_SIGMAS,
     collision_times_from_state,
     radial_and_transverse_rate,
 )
-from ttcvid.geometry.inversion_range import inversion_range
+from ttcvid.geometry.estimation.tcpa_miss_bounds import inversion_range
+from ttcvid.geometry.paper.collision import times_from_position_velocity
+from ttcvid.geometry.paper.two_view_state import state_from_direction
 from ttcvid.geometry.rotation import normalize, tangent_basis
-from ttcvid.geometry.state import state_from_direction
 
 CHI2_90_TWO = -2.0 * np.log(0.1)
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry import shared_direction, shared_path_descent
-from ttcvid.geometry.collision import times_from_position_velocity
-from ttcvid.geometry.flow_line import flow_line_chi2
-from ttcvid.geometry.intervals import collision_times_from_state
+from ttcvid.geometry.estimation import shared_direction, shared_trajectory_descent
+from ttcvid.geometry.estimation.intervals import collision_times_from_state
+from ttcvid.geometry.paper.collision import times_from_position_velocity
+from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.stages.egomotion import scene_trajectory
 
@@ -29,7 +29,7 @@ def test_tangents_of_a_shared_direction_are_a_basis(direction):
 def test_rotations_are_those_of_the_rotation_vector(angle):
     vector = angle * normalize(np.random.default_rng(2).normal(size=3))
     t_s, way = np.array([-0.7, 0.0]), np.zeros((13, 8))
-    shared_path_descent._set_way(t_s, np.zeros((2, 3)), np.eye(3), np.append(np.zeros(5), vector), way)
+    shared_trajectory_descent._set_way(t_s, np.zeros((2, 3)), np.eye(3), np.append(np.zeros(5), vector), way)
     rotations = way[:9, -2:].T.reshape(2, 3, 3)
     np.testing.assert_allclose(rotations, rotation_from_vector(-t_s[:, None] * vector), atol=1e-14)
 
@@ -53,7 +53,7 @@ def test_what_a_point_says_of_what_it_shares_is_what_is_left_when_its_own_unknow
     slope = [(predicted(step * one) - predicted(-step * one)) / (2.0 * step * sigma) for one in np.eye(12)]
     residual = (seen - predicted(np.zeros(12))) / sigma
     square = np.sum(residual**2, axis=1)
-    weight = np.minimum(1.0, shared_path_descent._ROBUST_SIGMAS**2 / square)[:, None]
+    weight = np.minimum(1.0, shared_trajectory_descent._ROBUST_SIGMAS**2 / square)[:, None]
     by = np.array(slope)
     whole, right = np.einsum("ilc,jlc->ij", by * weight, by), np.einsum("ilc,lc->i", by * weight, residual)
     follow = np.linalg.solve(whole[:3, :3], whole[:3, 3:]).T
@@ -69,10 +69,10 @@ def added_together(seen, t_s, path, s, sigma):
     n_lanes = -(-len(t_s) // 8) * 8
     way, views = np.zeros((13, n_lanes)), np.full((1, 2, n_lanes), np.nan)
     views[0, :, n_lanes - len(t_s) :] = seen.T
-    shared_path_descent._set_way(t_s, path, np.eye(3), np.zeros(8), way)
+    shared_trajectory_descent._set_way(t_s, path, np.eye(3), np.zeros(8), way)
     kept, sums = np.zeros((1, 4, 9)), np.zeros((10, 9))
-    far = shared_path_descent._ROBUST_SIGMAS**2
-    mean_square = shared_path_descent._add_point(views, 0, way, 0, s[None].copy(), sigma, far, kept, sums)
+    far = shared_trajectory_descent._ROBUST_SIGMAS**2
+    mean_square = shared_trajectory_descent._add_point(views, 0, way, 0, s[None].copy(), sigma, far, kept, sums)
     return kept[0], mean_square, sums
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.newest_step import StepPriors, with_newest_steps
-from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.estimation.pose_update import StepPriors, with_newest_steps
+from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 
 N_VIEWS, SIGMA = 15, 0.1 / 700.0

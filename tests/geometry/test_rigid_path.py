@@ -5,9 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths, views_by_track
+from ttcvid.geometry.estimation.rigid_motion import (
+    PathPriors,
+    Points,
+    RigidPaths,
+    fit_on_paths,
+    refined_paths,
+    views_by_track,
+)
+from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
-from ttcvid.geometry.whole_track_on_path import straight_path
 
 T_S = -0.05 * np.arange(12.0)[::-1]
 SIGMA = 0.2 / 720.0

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ttcvid.geometry.estimation.shared_direction import shared_directions
+from ttcvid.geometry.estimation.track_state import fit_whole_tracks
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_direction import shared_directions
-from ttcvid.geometry.whole_track import fit_whole_tracks
 
 DIRECTIONS = [(0.0, 0.0, -1.0), (0.3, 0.0, -1.0), (1.0, 0.0, 0.0), (-0.7, 0.1, 0.1), (0.0, -0.2, 1.0)]
 

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttcvid.geometry.path_velocity import velocities_on_paths
-from ttcvid.geometry.rotation import normalize, rotation_from_vector
-from ttcvid.geometry.shared_path import (
+from ttcvid.geometry.estimation.shared_trajectory import (
     PathBeliefs,
     believed_paths,
     fit_paths,
@@ -15,8 +13,10 @@ from ttcvid.geometry.shared_path import (
     joined_paths,
     turned_back,
 )
-from ttcvid.geometry.shared_path_points import points_of_paths
-from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths, straight_path
+from ttcvid.geometry.estimation.shared_trajectory_points import points_of_paths
+from ttcvid.geometry.estimation.track_on_trajectory import NO_PATH, fit_rates_on_paths, straight_path
+from ttcvid.geometry.estimation.trajectory_velocity import velocities_on_paths
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
 
 T_S = -0.05 * np.arange(20.0)[::-1]
 BOTH_SIDES_S = T_S - T_S[10]

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import moving_points, views
 
+from ttcvid.geometry.paper.two_view_state import state_from_direction
 from ttcvid.geometry.rotation import normalize, tangent_basis
-from ttcvid.geometry.state import state_from_direction
 from ttcvid.model import Status
 
 POSITION, VELOCITY, GAP_S = np.array([6.0, 2.0, 25.0]), np.array([-1.0, 0.5, -8.0]), 0.4

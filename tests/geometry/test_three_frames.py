@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import moving_points, views
 
-from ttcvid.geometry.collision import times_from_position_velocity
+from ttcvid.geometry.paper.collision import times_from_position_velocity
+from ttcvid.geometry.paper.three_frames import epipole_offset_three_frames, three_frame_direction
 from ttcvid.geometry.rotation import normalize
-from ttcvid.geometry.three_frames import epipole_offset_three_frames, three_frame_direction
 from ttcvid.model import Status
 
 GAPS = st.floats(0.2, 0.7)

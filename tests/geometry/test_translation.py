@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from bodies import body_tracks
 
-from ttcvid.geometry.moving_body import direction_from_lines
-from ttcvid.geometry.translation import fit_translation
+from ttcvid.geometry.estimation.moving_body import direction_from_lines
+from ttcvid.geometry.estimation.translation import fit_translation
 
 SPEED_CHANGE_HZ, TURN_RAD_S, MEMORY_S = 0.15, 0.012, 0.6
 

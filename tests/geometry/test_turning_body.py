@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry import turning_body
+from ttcvid.geometry.estimation import turning_body
+from ttcvid.geometry.estimation.shared_trajectory import turned_back
+from ttcvid.geometry.estimation.track_on_trajectory import fit_rates_on_paths
+from ttcvid.geometry.estimation.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
 from ttcvid.geometry.rotation import rotation_from_vector
-from ttcvid.geometry.shared_path import turned_back
-from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
-from ttcvid.geometry.whole_track_on_path import fit_rates_on_paths
 
 T_S = 0.05 * np.arange(-19.0, 1.0)
 OWN_M_S = np.array([0.0, 0.0, 5.0])

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import chi2
 from two_views import FOCAL_PX, angle_deg, two_views
 
+from ttcvid.geometry.estimation.relative_pose import GaussianPrior, direction_from_flow, fit_motion, fit_rotation
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
-from ttcvid.geometry.two_view import GaussianPrior, direction_from_flow, fit_motion, fit_rotation
 
 FORWARD = np.array([0.0, 0.0, -1.0])
 STILL = np.eye(3)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import moving_points, views
 
-from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks
+from ttcvid.geometry.estimation.track_state import MotionPlane, fit_whole_tracks
 
 SIGMA = 0.2 / 720.0
 T_S = -0.1 * np.arange(15.0)[::-1]

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import moving_points, views
 
+from ttcvid.geometry.estimation.track_on_trajectory import NO_PATH, fit_rates_on_paths, straight_path
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
-from ttcvid.geometry.whole_track_on_path import NO_PATH, fit_rates_on_paths, straight_path
 
 SIGMA = 0.2 / 720.0
 T_S = -0.1 * np.arange(12.0)[::-1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
 from ttcvid.simulate import Renderer, Scene, build_world
 from ttcvid.simulate.casting import NOTHING, cast, face_stack, points_in_camera
 

@@ -6,7 +6,7 @@ from relative_motion import CAMERA, FOCAL_PX
 from rigid_worlds import LINK_PX, bodies_of, car
 from test_ground_contact import CAMERA_M, SLOPE_HZ, SPEED_M_S, road, street, without_hidden
 
-from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.stages.segmentation.above_ground_contact import above_under
 
 SIGMA_HZ, MOST_SIGMA_HZ = 0.002, 0.02

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from relative_motion import CAMERA, box_of_points
 
-from ttcvid.geometry.camera import pixels_from_rays
+from ttcvid.geometry.camera.pinhole import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.objects.clusters import with_times

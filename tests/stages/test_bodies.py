@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
-from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.stages.segmentation.bodies import carried_forward, refined_movers, refined_scene, with_unit_speed
 
 N_VIEWS = 12

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from relative_motion import CAMERA, FOCAL_PX, box_of_points, direction_noise, flows_of, pixels, unit
 
-from ttcvid.geometry.expansion import expansion_rate
+from ttcvid.geometry.paper.expansion import expansion_rate
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.objects.clusters import (
     ON_HORIZON,

@@ -8,8 +8,8 @@ from relative_motion import CAMERA, FOCAL_PX
 from watched_rows import CONFIG, FRAME_S, HIT, WIDTH_M, drive, first_warned, row_of, watched
 
 from ttcvid.config import EventsConfig
-from ttcvid.geometry.camera import pixels_from_rays
-from ttcvid.geometry.closing import Closing
+from ttcvid.geometry.camera.pinhole import pixels_from_rays
+from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.model import SCENE_MOTION, MotionState
 from ttcvid.stages.objects.clusters import with_times
 from ttcvid.stages.segmentation.own_turn import OwnBend

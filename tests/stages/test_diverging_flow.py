@@ -7,8 +7,8 @@ import pytest
 from relative_motion import box_of_points, history_of
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
-from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
+from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.diverging_flow import expanding_movers, least_tracks

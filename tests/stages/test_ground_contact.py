@@ -5,7 +5,7 @@ import pytest
 from relative_motion import CAMERA, FOCAL_PX
 from rigid_worlds import LINK_PX, Thing, bodies_of, car
 
-from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.stages.segmentation.ground_contact import find_floating
 
 SPEED_M_S, CAMERA_M = 10.0, 1.4

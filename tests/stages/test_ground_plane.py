@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, find_road, on_road, steadied
 
 SPEED_M_S, CAMERA_M = 10.0, 1.4

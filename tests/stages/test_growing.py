@@ -5,8 +5,8 @@ import pytest
 from relative_motion import FOCAL_PX, history_of
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
-from ttcvid.geometry.whole_track_on_path import straight_path
+from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.stages.segmentation.expansion import find_growing
 
 CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1

@@ -5,7 +5,7 @@ import pytest
 from drives import CAMERA, DT_S, drive, extended_by, start
 from two_views import FOCAL_PX
 
-from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import Camera, ImageSize, PointSet
 from ttcvid.stages.tracking.history import empty_history, extended, last_frame_only, with_egomotion

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.geometry.horizon import horizon_px, pitch_roll_rad
+from ttcvid.geometry.horizon.plane import horizon_px, pitch_roll_rad
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Camera, ImageSize
 from ttcvid.stages.horizon.driving import OwnStep, driving_horizon, own_motions

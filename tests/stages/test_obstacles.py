@@ -7,8 +7,8 @@ import pytest
 from relative_motion import box_of_points
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.closing import Closing
-from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.geometry.estimation.closing import Closing
+from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path, unknown_closing
 
 CONFIG = BodiesConfig()

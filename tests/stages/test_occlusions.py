@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rigid_worlds import bodies_of, car, world
 
-from ttcvid.geometry.rigid_path import PathFit, RigidPaths
+from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
 from ttcvid.stages.segmentation.occlusions import between_surfaces
 
 N_FRAMES, SLOWLY = 16, (0.0, 0.0, 4.0)

@@ -10,7 +10,7 @@ import pytest
 
 from ttcvid.calibration import read_camera
 from ttcvid.config import EgomotionConfig, TrackingConfig
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import ImageSize, Platform
 from ttcvid.stages.egomotion.frame_gap import find_own_motion

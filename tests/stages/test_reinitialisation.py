@@ -20,7 +20,7 @@ from watched_things import (
     usual_misfit,
 )
 
-from ttcvid.geometry.rigid_path import Points, RigidPaths
+from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths
 from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.reinitialisation import reinitialised

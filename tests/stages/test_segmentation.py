@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from relative_motion import box_of_points
 from rigid_worlds import DT_S, Thing, bodies_of, car, world
 
-from ttcvid.geometry.rigid_path import fit_on_paths
+from ttcvid.geometry.estimation.rigid_motion import fit_on_paths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Platform
 from ttcvid.stages.segmentation import labels
 from ttcvid.stages.segmentation.labels import restarted_bodies

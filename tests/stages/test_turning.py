@@ -5,8 +5,8 @@ import pytest
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
+from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_path import PathBeliefs
 from ttcvid.stages.objects.turning import STRAIGHT_TURN_RAD_S, straight_or_in_bend
 
 T_S = 0.05 * np.arange(-12.0, 1.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 
 N_VIEWS, N_FRAMES, DT_S = 20, 32, 0.1

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.calibration.fields import Fields
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.model import Camera, ImageSize
 
 MODEL_OF_NAME = {

@@ -10,7 +10,7 @@ import numpy as np
 
 from ttcvid.draw.palette import BLACK, HORIZON, Colour
 from ttcvid.draw.signs import Point, draw_arrow, draw_cross, draw_edge_arrow, draw_ring
-from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Camera, ClusterRow, Floats, Picture
 

@@ -10,9 +10,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.epipole import INFINITY_COSINE
-from ttcvid.geometry.horizon_line import HorizonFit, band_px
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
+from ttcvid.geometry.horizon.line import HorizonFit, band_px
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE
 from ttcvid.model import Camera, Floats, Picture
 from ttcvid.stages.horizon.straight_motion import Motion
 from ttcvid.stages.horizon.whole_tracks import Observations

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ttcvid.geometry.intervals import NORMAL_90_SIGMAS
+from ttcvid.geometry.estimation.intervals import NORMAL_90_SIGMAS
 from ttcvid.model import SCENE_CLUSTER, Floats, Ints
 from ttcvid.report.colours import colours_of_objects
 from ttcvid.report.contents import RunContents

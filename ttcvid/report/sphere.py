@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.model import Camera, Floats
 
 OUTLINE_POINTS_PER_SIDE = 16

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.model import Bools, Camera, Floats, Picture
 from ttcvid.simulate.ripmap import Float32s
 from ttcvid.simulate.world import SKY_LABEL

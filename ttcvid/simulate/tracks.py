@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.simulate.casting import GROUND, NOTHING, FaceStack, cast, face_stack, points_in_camera
 from ttcvid.simulate.scene import Scene

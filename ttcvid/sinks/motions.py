@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ttcvid.geometry.epipole import INFINITY_COSINE
-from ttcvid.geometry.horizon_line import HorizonFit
+from ttcvid.geometry.horizon.line import HorizonFit
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE
 from ttcvid.model import Camera
 from ttcvid.stages.horizon.straight_motion import Motion
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.model import (
     NO_CLUSTER,
     SCENE_CLUSTER,

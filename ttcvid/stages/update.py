@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.config import PipelineConfig
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import (
     Bools,

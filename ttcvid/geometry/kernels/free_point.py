@@ -49,7 +49,7 @@ def fit_free_points(
     plane: tuple[Floats, Floats],
     found: tuple[Floats, Floats, Floats, Floats, Ints],
 ) -> None:
-    """Fill the results ``found`` of `whole_track.fit_whole_tracks`, track by track.
+    """Fill the results ``found`` of `track_state.fit_whole_tracks`, track by track.
 
     ``order`` lists the views, nearest first, of which at most ``longest`` are used; ``gates`` as in `windows`; the
     normal of the ``plane`` and its covariance are empty where there is none, the covariances to fill where they are

@@ -37,7 +37,7 @@ def predict_newest(
     off: Floats,
     chi2: Floats,
 ) -> None:
-    """Fill ``off (M, 2)`` and ``chi2 (M,)`` of `rigid_path.Surprise`, point by point.
+    """Fill ``off (M, 2)`` and ``chi2 (M,)`` of `rigid_motion.Surprise`, point by point.
 
     Arguments as of `rigid_points.fit_rigid_points`; ``start (M,)`` are rates to start from, in ``n_steps``.
     """

@@ -45,7 +45,7 @@ def fit_rigid_points(
     n_steps: int,
     found: tuple[Floats, Floats, Floats, Floats, Ints],
 ) -> None:
-    """Fill the results ``found`` of `rigid_path.fit_on_paths`, point by point; ``rates`` to start from and least ones.
+    """Fill the results ``found`` of `rigid_motion.fit_on_paths`, by point; ``rates`` to start from and least ones.
 
     It starts where the point is seen now, in the last view, and with so few steps a point that does not fit stays near
     there. No views at all if it is not seen now.

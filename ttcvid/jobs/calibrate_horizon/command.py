@@ -18,8 +18,8 @@ from ttcvid.calibration import write_horizon
 from ttcvid.config import PipelineConfig
 from ttcvid.draw.horizon_picture import write_horizon_picture
 from ttcvid.errors import OutputError, UsageError
-from ttcvid.geometry.horizon import pitch_roll_rad
-from ttcvid.geometry.horizon_line import HorizonFit, band_px, pitch_roll_covariance_rad2
+from ttcvid.geometry.horizon.line import HorizonFit, band_px, pitch_roll_covariance_rad2
+from ttcvid.geometry.horizon.plane import pitch_roll_rad
 from ttcvid.jobs.calibrate_horizon.clips import WatchedClip, watch_driving_clip, watch_resting_clip
 from ttcvid.jobs.clip import ASSUMED_CAMERA_WARNING, Calibration, open_clip, read_calibration
 from ttcvid.jobs.runs.provenance import digest_of

@@ -12,9 +12,9 @@ import pandas as pd
 
 from ttcvid.config import CollisionMapConfig
 from ttcvid.errors import UsageError
-from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.horizon import normal_from_horizon
-from ttcvid.geometry.intervals import REGION_90_SIGMAS
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
+from ttcvid.geometry.estimation.intervals import REGION_90_SIGMAS
+from ttcvid.geometry.horizon.plane import normal_from_horizon
 from ttcvid.jobs.collision_map.ego_speed import ego_speed_m_s
 from ttcvid.jobs.collision_map.moments import Clip, Moment, own_body
 from ttcvid.jobs.runs.manifest import camera_of

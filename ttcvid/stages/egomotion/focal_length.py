@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.bundle import Views
-from ttcvid.geometry.focal_length import FocalFit, fit_focal_length
+from ttcvid.geometry.estimation.bundle import Views
+from ttcvid.geometry.estimation.focal_length import FocalFit, fit_focal_length
 from ttcvid.model import Bools, Floats, ImageSize, Ints, PointSet
 
 # A frame is looked at when the picture has moved by this part of its width since the last one that was, or when so

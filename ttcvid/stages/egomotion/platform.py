@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ttcvid.geometry.camera import rays_from_pixels
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Bools, Camera, Floats, ImageSize, Platform, PointSet
 from ttcvid.stages.egomotion.relative_pose import (

@@ -9,9 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.flow_line import flow_line_chi2
+from ttcvid.geometry.estimation.relative_pose import (
+    GaussianPrior,
+    TwoViewFit,
+    direction_from_flow,
+    fit_motion,
+    fit_rotation,
+)
+from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
-from ttcvid.geometry.two_view import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion, fit_rotation
 from ttcvid.model import Camera, Floats, Ints, Platform
 
 # Yaw rates tried on the first pair of frames, where no previous rotation helps, rad.

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
+from ttcvid.geometry.estimation.shared_trajectory_points import MOST_POINTS, points_of_paths
 from ttcvid.geometry.rotation import each_turned_into_plane
-from ttcvid.geometry.shared_path import PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
-from ttcvid.geometry.shared_path_points import MOST_POINTS, points_of_paths
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.tracking.history import ROTATION_DRIFT_RAD, TrackHistory
@@ -74,7 +74,7 @@ def _follows(history: TrackHistory, direction: Floats) -> Bools:
 def _compare_with_line(
     first: Floats, now: Floats, cam_R_first: Floats, e: Floats, sigma: Floats, drift_rad: float, follows: Bools
 ) -> None:
-    """Fills ``follows (N,)``: whether `geometry.flow_line.flow_line_chi2` of the direction e is inside the gate.
+    """Fills ``follows (N,)``: whether `geometry.paper.flow_line.flow_line_chi2` of the direction e is inside the gate.
 
     For rays ``first, now (N, 3)``, the first of which ``cam_R_first (3, 3)`` turns into the present camera.
     """

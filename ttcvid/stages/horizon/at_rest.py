@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.geometry.horizon_line import HorizonFit, band_px, fit_horizon, is_one_direction, widest_angle_rad
+from ttcvid.geometry.horizon.line import HorizonFit, band_px, fit_horizon, is_one_direction, widest_angle_rad
 from ttcvid.model import Camera, Floats
 from ttcvid.stages.horizon.straight_motion import TRACKS, Motion
 

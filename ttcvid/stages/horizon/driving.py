@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.geometry.horizon_line import band_px, fit_horizon, pitch_roll_covariance_rad2
+from ttcvid.geometry.horizon.line import band_px, fit_horizon, pitch_roll_covariance_rad2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 from ttcvid.model import SCENE_CLUSTER, Camera, Floats, FrameResult
 from ttcvid.stages.horizon.at_rest import ROLL_ZERO_SIGMA_RAD, HorizonResult

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.horizon_outline import fit_outline
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
+from ttcvid.geometry.horizon.outline import fit_outline
 from ttcvid.model import Camera, Floats, Ints
 from ttcvid.stages.horizon.straight_motion import OUTLINE, Motion
 from ttcvid.stages.horizon.whole_tracks import Observations

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.epipole import INFINITY_COSINE
-from ttcvid.geometry.horizon import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
-from ttcvid.geometry.planar import planar_epipole
+from ttcvid.geometry.horizon.plane import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE
+from ttcvid.geometry.paper.planar import planar_epipole
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Camera, Floats, Horizon, HorizonOffset, Ints, Status
 from ttcvid.stages.egomotion.flows import Flows

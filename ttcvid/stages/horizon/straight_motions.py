@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.moving_body import BodyTracks, direction_from_lines
-from ttcvid.geometry.translation import Translation, fit_translation
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
+from ttcvid.geometry.estimation.moving_body import BodyTracks, direction_from_lines
+from ttcvid.geometry.estimation.translation import Translation, fit_translation
 from ttcvid.model import Bools, Camera, Ints
 from ttcvid.stages.horizon.movers import group_movers, moving_tracks
 from ttcvid.stages.horizon.outlines import outline_motions

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.growth import growth_sums
+from ttcvid.geometry.estimation.growth import growth_sums
 from ttcvid.model import Floats, Ints
 from ttcvid.stages.tracking.history import TrackHistory
 

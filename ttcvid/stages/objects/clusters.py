@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ttcvid.geometry.camera import pixels_from_rays, rays_from_pixels
+from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.epipole import INFINITY_COSINE, direction_chi2
-from ttcvid.geometry.intervals import collision_times_from_state, radial_and_transverse_rate
+from ttcvid.geometry.estimation.intervals import collision_times_from_state, radial_and_transverse_rate
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.model import (
     APPROACHING,
     SCENE_CLUSTER,

@@ -9,9 +9,9 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.epipole import MAX_DIRECTION_SIGMA_RAD
-from ttcvid.geometry.shared_direction import shared_directions
-from ttcvid.geometry.whole_track import WholeTracks, fit_whole_tracks
+from ttcvid.geometry.estimation.shared_direction import shared_directions
+from ttcvid.geometry.estimation.track_state import WholeTracks, fit_whole_tracks
+from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.collision import angles_from_epipoles
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.expansion import expansion_of_neighbourhood
-from ttcvid.geometry.intervals import collision_times_from_state
+from ttcvid.geometry.estimation.intervals import collision_times_from_state
+from ttcvid.geometry.estimation.shared_trajectory import N_SHARED
+from ttcvid.geometry.paper.collision import angles_from_epipoles
+from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
+from ttcvid.geometry.paper.three_frames import three_frame_direction
+from ttcvid.geometry.paper.two_view_state import rate_from_direction, state_from_direction
 from ttcvid.geometry.rotation import cross, tangent_basis
-from ttcvid.geometry.shared_path import N_SHARED
-from ttcvid.geometry.state import rate_from_direction, state_from_direction
-from ttcvid.geometry.three_frames import three_frame_direction
 from ttcvid.model import Bools, CollisionTimes, Floats, Ints, Status
 from ttcvid.stages.egomotion.flows import Flows
 from ttcvid.stages.tracking.history import TrackHistory
@@ -35,7 +35,7 @@ class SharedErrors:
     ``path_of (N,)`` the path of each track, negative for none; ``along (K, 3)`` the direction in which the noise of a
     track's own views counts; ``rate_hz (N,)`` speed along the path over depth, with ``rate_variance (N,)``, 1/s^2, by
     that noise; ``jacobian (N, 3, 9)`` of (a, b, c) and ``rate_jacobian (N, 9)`` of the rates by the shared unknowns, in
-    the order of `geometry.shared_path`, and their covariance ``cov (K, 9, 9)``; ``change (K,)`` by what part the speed
+    the order of `shared_trajectory`, and their covariance ``cov (K, 9, 9)``; ``change (K,)`` by what part the speed
     along each path may change soon; ``turn_rad_s (K, 3)`` how the things on them turn themselves.
     """
 

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ttcvid.config import PipelineConfig
-from ttcvid.geometry.epipole import INFINITY_COSINE
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion

@@ -7,13 +7,13 @@ import numpy as np
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.compiled import compiled, compiled_for
-from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
+from ttcvid.geometry.estimation.shared_trajectory import SharedPaths, joined_paths, turned_back
+from ttcvid.geometry.estimation.track_on_trajectory import NO_PATH, PathRates, fit_rates_on_paths
+from ttcvid.geometry.estimation.track_state import MotionPlane, fit_whole_tracks, window_gates
+from ttcvid.geometry.estimation.trajectory_velocity import velocities_on_paths
 from ttcvid.geometry.kernels.free_point import LEAST_FRAMES
 from ttcvid.geometry.kernels.known_path import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
-from ttcvid.geometry.path_velocity import velocities_on_paths
-from ttcvid.geometry.shared_path import SharedPaths, joined_paths, turned_back
-from ttcvid.geometry.whole_track import MotionPlane, fit_whole_tracks, window_gates
-from ttcvid.geometry.whole_track_on_path import NO_PATH, PathRates, fit_rates_on_paths
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.egomotion.relative_pose import DIRECTION_FLOOR_RAD
 from ttcvid.stages.egomotion.scene_trajectory import scene_path
@@ -261,7 +261,7 @@ def _judge(
 def _is_at_epipole(xy: Floats, now: int, e: Floats, variance: float) -> bool:
     """Whether the first and the last of the views ``(L, 2)`` lie on the line along e within a variance (rad^2).
 
-    As `geometry.state.is_at_epipole`: abs(ray x e) over abs(ray) is the sine of their angle.
+    As `geometry.paper.two_view_state.is_at_epipole`: abs(ray x e) over abs(ray) is the sine of their angle.
     """
     first = 0
     while not np.isfinite(xy[first, 0]):

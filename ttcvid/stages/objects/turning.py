@@ -7,16 +7,16 @@ import numpy as np
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.compiled import compiled, compiled_for
-from ttcvid.geometry.rotation import cross, normalize
-from ttcvid.geometry.shared_path import (
+from ttcvid.geometry.estimation.shared_trajectory import (
     PathBeliefs,
     SharedPaths,
     chosen_paths,
     fit_paths,
     fit_shared_paths,
 )
-from ttcvid.geometry.shared_path_points import PathPoints, points_of_paths
-from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
+from ttcvid.geometry.estimation.shared_trajectory_points import PathPoints, points_of_paths
+from ttcvid.geometry.estimation.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints
 
 STRAIGHT_TURN_RAD_S = 0.006

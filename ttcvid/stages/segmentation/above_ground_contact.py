@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path import PathFit
+from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.neighbours import linked_parts
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.closing import Closing, depths_over_time, fit_braking, fit_closing
-from ttcvid.geometry.expansion import expansion_of_neighbourhood
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
+from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking, fit_closing
+from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
 from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory

@@ -8,11 +8,11 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.rigid_path import PathFit, RigidPaths
+from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
+from ttcvid.geometry.estimation.shared_direction import shared_directions
+from ttcvid.geometry.estimation.track_on_trajectory import straight_path
+from ttcvid.geometry.estimation.track_state import fit_whole_tracks
 from ttcvid.geometry.rotation import turned_into_plane
-from ttcvid.geometry.shared_direction import shared_directions
-from ttcvid.geometry.whole_track import fit_whole_tracks
-from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.aperture_problem import may_slip
 from ttcvid.stages.segmentation.bodies import refined_movers

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.pose_update import StepPriors, with_newest_steps
+from ttcvid.geometry.estimation.rigid_motion import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.newest_step import StepPriors, with_newest_steps
-from ttcvid.geometry.rigid_path import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
 from ttcvid.model import Bools, Floats, Ints
 
 # Own rotation is known from own motion; a frame corrects it by about this much, rad.

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path import PathFit, Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.history import TrackHistory
 from ttcvid.stages.tracking.neighbours import nearest_neighbours

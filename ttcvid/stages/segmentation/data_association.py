@@ -8,8 +8,8 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.rigid_path import PathFit, RigidPaths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, are_held, fit_on_movers
 from ttcvid.stages.segmentation.last_known_position import LastKnownPositions, nowhere

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.growth import GrowthSums, growth_sums
-from ttcvid.geometry.rigid_path import RigidPaths
+from ttcvid.geometry.estimation.growth import GrowthSums, growth_sums
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.approach_probability import common_growth_hz

@@ -13,7 +13,7 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.growth import growth_sums
+from ttcvid.geometry.estimation.growth import growth_sums
 from ttcvid.geometry.rotation import skew, turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.approach_probability import common_growth_hz

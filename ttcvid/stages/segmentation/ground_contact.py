@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.geometry.medians import quantile
-from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.neighbours import linked_parts
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.kernels.arrays import copy
+from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.geometry.kernels.solve import solve
-from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import picture_region
 from ttcvid.stages.segmentation.above_ground_contact import above_under

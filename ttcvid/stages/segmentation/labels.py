@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
+from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, surprise_of_newest
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.rigid_path import PathFit, RigidPaths, surprise_of_newest
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.segmentation.births import new_movers

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.estimation.pose_update import StepPriors, with_newest_steps
+from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, fit_on_paths
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.newest_step import StepPriors, with_newest_steps
-from ttcvid.geometry.rigid_path import PathFit, Points, RigidPaths, fit_on_paths
 from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.model import Floats, Ints
 from ttcvid.stages.segmentation.bodies import mean_step, refined_movers, turn_sigma_rad

@@ -8,8 +8,8 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.rigid_path import RigidPaths, fit_on_paths
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers

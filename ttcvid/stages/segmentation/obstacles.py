@@ -15,10 +15,10 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
-from ttcvid.geometry.closing import Closing
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.closing import Closing
+from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.geometry.kernels.medians import median
-from ttcvid.geometry.rigid_path import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
 from ttcvid.stages.tracking.neighbours import linked_pairs

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path import PathFit, RigidPaths
+from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
 from ttcvid.model import Bools, Floats, Ints
 
 # Views of a track whose depth counts; a surface is as near or as far as is sure by so many standard deviations.

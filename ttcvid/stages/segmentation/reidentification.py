@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.rigid_path import RigidPaths
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ
 from ttcvid.stages.segmentation.body_views import BodyViews

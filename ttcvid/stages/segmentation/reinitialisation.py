@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths
+from ttcvid.geometry.estimation.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
 from ttcvid.geometry.medians import median, medians
-from ttcvid.geometry.rigid_path import Points, RigidPaths, fit_on_paths
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
-from ttcvid.geometry.turning_body import TURN_SIGMA_RAD_S, fit_turning_body
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ, with_unit_speed
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, fit_on_paths
+from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.medians import median
-from ttcvid.geometry.rigid_path import PathFit, RigidPaths, fit_on_paths
-from ttcvid.geometry.whole_track_on_path import straight_path
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, Egomotion, picture_region, region_side_of
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, shake_of, with_unit_speed

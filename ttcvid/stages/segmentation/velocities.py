@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.common_velocity import common_velocities
-from ttcvid.geometry.rigid_path import Points
+from ttcvid.geometry.estimation.rigid_motion import Points
+from ttcvid.geometry.estimation.shared_translation import common_velocities
 from ttcvid.model import Bools, Floats, Ints
 
 # A velocity is that of the last views, s: cars brake within a second. So many views in any case, at low frame rates.

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ttcvid.geometry.camera import plane_per_px
+from ttcvid.geometry.camera.pinhole import plane_per_px
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.shared_trajectory import SharedPaths
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
-from ttcvid.geometry.shared_path import SharedPaths
 from ttcvid.model import Bools, Camera, Floats, Ints, PointSet
 from ttcvid.stages.tracking.groups import places_among
 
@@ -60,7 +60,7 @@ class TrackHistory:
     ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not observed; ``sigma_px (N,)`` noise of
     one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its evidence and ``pool_sigma_px`` the noise of
     all tracks together; ``plane_per_px (N,)`` how much of the plane z = 1 a pixel spans where each track is
-    (`geometry.camera.plane_per_px`); ``edge (N, 2)`` as in `PointSet`. ``scene`` is the path of the static scene as its
+    (`pinhole.plane_per_px`); ``edge (N, 2)`` as in `PointSet`. ``scene`` is the path of the static scene as its
     tracks see it together (`egomotion.scene_trajectory`), None until found in this frame. ``now`` is the entry of
     the present frame, counted from the end: the last one, but where a frame is looked at once more with views of later
     ones (`stages.smoothing`). ``lost`` are tracks that may come back.

@@ -12,9 +12,9 @@ from scipy.special import ndtr, ndtri
 
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, straightened
-from ttcvid.geometry.camera import rays_from_pixels
-from ttcvid.geometry.closing import Closing
+from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, MotionState
 from ttcvid.stages.segmentation.own_turn import OwnBend
@@ -28,7 +28,7 @@ _KEEP_TTC, _KEEP_MISS = 1.25, 1.5
 # by this part in any case, since nothing is a line.
 _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
 # What closes in ever faster is told at 99 % (one side), beyond what looking for when that began adds
-# (`geometry.closing.fit_braking`); who brakes goes on with it for about so long, s.
+# (`geometry.estimation.closing.fit_braking`); who brakes goes on with it for about so long, s.
 _SIGMAS_99, _SIGMAS_OF_CHOICE, _LASTING_S = 2.326, 0.35, 1.0
 # The time that this leaves has to be short by its best estimate and a standard deviation: it does not run down as other
 # times do, since brakes are let go.

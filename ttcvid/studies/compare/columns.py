@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from ttcvid.geometry.intervals import NORMAL_90_SIGMAS, REGION_90_SIGMAS
+from ttcvid.geometry.estimation.intervals import NORMAL_90_SIGMAS, REGION_90_SIGMAS
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.schema import TABLES, Column
 from ttcvid.studies.compare.tolerance import NOT_JUDGED, ColumnTolerance, Tolerance

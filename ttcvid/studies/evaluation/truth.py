@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ttcvid.geometry.collision import times_from_position_velocity
+from ttcvid.geometry.paper.collision import times_from_position_velocity
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints
 

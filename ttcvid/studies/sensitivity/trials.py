@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ttcvid.geometry.collision import times_from_position_velocity, times_from_state
-from ttcvid.geometry.planar import planar_epipole
+from ttcvid.geometry.estimation.track_state import fit_whole_tracks
+from ttcvid.geometry.paper.collision import times_from_position_velocity, times_from_state
+from ttcvid.geometry.paper.planar import planar_epipole
+from ttcvid.geometry.paper.three_frames import three_frame_direction
+from ttcvid.geometry.paper.two_view_state import state_from_direction
 from ttcvid.geometry.rotation import normalize
-from ttcvid.geometry.state import state_from_direction
-from ttcvid.geometry.three_frames import three_frame_direction
-from ttcvid.geometry.whole_track import fit_whole_tracks
 from ttcvid.model import Floats
 from ttcvid.studies.sensitivity.case import Case, Errors
 from ttcvid.studies.sensitivity.formulas import positions

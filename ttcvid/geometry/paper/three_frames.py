@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.collision import angle_from_direction, k_from_two_angles
-from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
+from ttcvid.geometry.paper.collision import angle_from_direction, k_from_two_angles
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Floats, Ints, Status

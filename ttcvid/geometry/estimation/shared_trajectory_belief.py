@@ -1,4 +1,4 @@
-"""What is believed of a path, said of what its points share, compiled: see `shared_path_descent` for the unknowns.
+"""What is believed of a path, said of what its points share: see `shared_trajectory_descent` for the unknowns.
 
 All arrays that a function fills are arguments of it.
 """

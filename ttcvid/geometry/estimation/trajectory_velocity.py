@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.shared_path import N_SHARED
-from ttcvid.geometry.whole_track_on_path import PathRates
+from ttcvid.geometry.estimation.shared_trajectory import N_SHARED
+from ttcvid.geometry.estimation.track_on_trajectory import PathRates
 from ttcvid.model import Bools, Floats, Ints
 
 # As `N_SHARED`: a copy on disk would not notice that this changed elsewhere.
@@ -53,7 +53,7 @@ def velocities_on_paths(
         ``(K,)`` True where the thing on the path turns: its points have the velocity turn x P beside. False: the
         rotation is an error of the camera's, which is no motion.
     shared_cov
-        ``(K, 9, 9)`` of the shared unknowns of `geometry.shared_path`.
+        ``(K, 9, 9)`` of the shared unknowns of `geometry.estimation.shared_trajectory`.
     change
         ``(K,)`` by what part the speed along each path may change soon.
     """

@@ -4,7 +4,7 @@ In a straight motion a point at the top and one at the bottom run along two line
 epipole, where the object would have no height. Whatever its speed, (x, top, bottom) then moves along a straight line in
 three dimensions, and the epipole is where that line crosses the plane top = bottom.
 
-A pedestrian bobs about that line, once per step: a wave that is fitted together with the line (`ttcvid.geometry.gait`).
+A pedestrian bobs about that line, once per step: a wave that is fitted together with the line (`horizon.gait`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.gait import Wave, find_steps
+from ttcvid.geometry.horizon.gait import Wave, find_steps
 from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 

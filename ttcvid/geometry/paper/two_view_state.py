@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats, Ints, Status

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
+from ttcvid.geometry.paper.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints, Status

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.flow_line import flow_line_chi2, flow_normals, moves_towards
+from ttcvid.geometry.paper.flow_line import flow_line_chi2, flow_normals, moves_towards
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Floats, Status

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.geometry.estimation.track_state import window_gates
 from ttcvid.geometry.kernels.known_path import fit_points_on_known_paths
 from ttcvid.geometry.kernels.windows import TAIL
-from ttcvid.geometry.whole_track import window_gates
 from ttcvid.model import Floats, Ints
 
 NO_PATH = -1

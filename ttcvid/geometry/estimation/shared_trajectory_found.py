@@ -1,4 +1,4 @@
-"""What is found of paths, said as `shared_path` says it: in the axes of the camera, compiled.
+"""What is found of paths, said as `shared_trajectory` says it: in the axes of the camera, compiled.
 
 All arrays that a function fills are arguments of it.
 """

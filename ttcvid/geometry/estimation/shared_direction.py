@@ -35,7 +35,7 @@ def shared_directions(
     Parameters
     ----------
     xy : (N, 2) where the points are: the lines along which they move say where to begin.
-    velocity_hz, info_w : (N, 3) and (N, 3, 3) of `whole_track.WholeTracks`: (a, b, c) and its information, in s^2.
+    velocity_hz, info_w : (N, 3) and (N, 3, 3) of `track_state.WholeTracks`: (a, b, c) and its information, in s^2.
     thing : (N,) which of the ``n_things`` K each point belongs to, from 0.
     by_shared : (N, 3, E) what one standard deviation of each of E errors that all points share does to w; None: none.
 

@@ -14,7 +14,7 @@ from dataclasses import fields
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.inversion_range import CHI2_90_TWO, inversion_range
+from ttcvid.geometry.estimation.tcpa_miss_bounds import CHI2_90_TWO, inversion_range
 from ttcvid.model import CollisionTimes, Floats
 
 NORMAL_90_SIGMAS = 1.6448536269514722
@@ -73,7 +73,7 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
 def _times_of_each(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, times: Floats) -> None:
     """Fills of ``times (9, N)``, in the order of `CollisionTimes`, the times themselves and the bounds of ttc_z.
 
-    The times are those of `geometry.collision.times_from_position_velocity`, at the ray (x, y, 1).
+    The times are those of `geometry.paper.collision.times_from_position_velocity`, at the ray (x, y, 1).
     """
     for i in range(len(x)):
         a, b, c = abc_hz[i, 0], abc_hz[i, 1], abc_hz[i, 2]

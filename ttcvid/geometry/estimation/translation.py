@@ -1,4 +1,4 @@
-"""The direction of a moving body (`ttcvid.geometry.moving_body`) by maximum likelihood, from whole point tracks."""
+"""The direction of a moving body (`estimation.moving_body`) by maximum likelihood, from whole point tracks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.moving_body import (
+from ttcvid.geometry.estimation.moving_body import (
     DRIFT,
     N_OWN,
     N_SHARED,
@@ -45,7 +45,7 @@ class Translation:
 
     ``direction (3,)`` is ``dir`` = V / |V| with ``covariance (3, 3)`` in its tangent plane, rad^2, which includes
     errors that last over several frames and are common to the tracks. ``speed_change_hz`` and ``turn_rad_s`` are a and
-    w of `ttcvid.geometry.moving_body`, with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the estimated
+    w of `estimation.moving_body`, with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the estimated
     noise in units of the assumed one; ``correlation`` the factor of the variance over that of independent errors;
     ``rate_hz (M,)`` is s of each track, ``residual (M,)`` its root mean square residual in sigmas of the estimated
     noise; ``drift_sigma`` the drift of points normal to their lines, in sigmas of the assumed noise per s.

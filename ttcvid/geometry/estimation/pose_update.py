@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, ways_of, weights_by_misfit
 from ttcvid.geometry.kernels.rigid_points import add_last_steps
-from ttcvid.geometry.rigid_path import PathFit, Points, RigidPaths, ways_of, weights_by_misfit
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.model import Floats
 
@@ -37,7 +37,7 @@ def with_newest_steps(
     """The paths of K things, the last step of each corrected by all of its points, that are free to follow.
 
     A step that is wrong moves all past views alike. Where points and views are corrected in turn
-    (`rigid_path.refined_paths`), the points go along: each lies where most of its views have it, and one that began a
+    (`rigid_motion.refined_paths`), the points go along: each lies where most of its views have it, and one that began a
     moment ago fits any step. A scene before a camera that brakes would keep its speed, and what brakes or turns before
     it would lag behind.
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.shared_trajectory_belief import believe_as_found, set_beliefs, set_prior
+from ttcvid.geometry.estimation.shared_trajectory_descent import N_LOCAL, add_up_windows, descend_together, start_points
+from ttcvid.geometry.estimation.shared_trajectory_found import share
+from ttcvid.geometry.estimation.shared_trajectory_points import PathPoints
+from ttcvid.geometry.estimation.track_on_trajectory import fit_rates_on_paths
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
-from ttcvid.geometry.shared_path_belief import believe_as_found, set_beliefs, set_prior
-from ttcvid.geometry.shared_path_descent import N_LOCAL, add_up_windows, descend_together, start_points
-from ttcvid.geometry.shared_path_found import share
-from ttcvid.geometry.shared_path_points import PathPoints
-from ttcvid.geometry.whole_track_on_path import fit_rates_on_paths
 from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED = 9

@@ -2,7 +2,7 @@
 
 Its middle moves as on a circle, its acceleration turning with it: that is exact for a steady turn at a steady speed,
 seen by a camera that moves steadily, however far it turns. Over a second in a junction (half a rad) a path that is a
-parabola, as in `shared_path`, is wrong by many pixels.
+parabola, as in `shared_trajectory`, is wrong by many pixels.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def _with_doubts(found: list[TurningBody]) -> TurningBody:
 
 
 def _normalized(centre: Floats, shared: Floats) -> tuple[Floats, float]:
-    """What points share as `shared_path` counts it, (9,), of a body's ``shared (9,)``; and the length of the first.
+    """What points share as in `shared_trajectory`, (9,), of a body's ``shared (9,)`` and the length of the first.
 
     First and second derivative at time 0 of the path in views turned back, V - omega x C and so on, both over the
     length of the first; and the turn.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.camera.distortion import distort, distorted_area, undistort
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.distortion import distort, distorted_area, undistort
 from ttcvid.model import Camera, Floats
 
 UNDISTORTION_TOLERANCE_PX = 5e-11

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, ways_of
 from ttcvid.geometry.kernels.common_velocities import add_velocities
-from ttcvid.geometry.rigid_path import Points, RigidPaths, ways_of
 from ttcvid.model import Floats
 
 

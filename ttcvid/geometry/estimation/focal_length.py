@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.bundle import Bundle, BundleFit, Views, adjust_bundle
+from ttcvid.geometry.estimation.bundle import Bundle, BundleFit, Views, adjust_bundle
+from ttcvid.geometry.estimation.relative_pose import GaussianPrior, direction_from_flow, fit_motion, fit_rotation
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
-from ttcvid.geometry.two_view import GaussianPrior, direction_from_flow, fit_motion, fit_rotation
 from ttcvid.model import Floats
 
 # Focal lengths that are tried as starts, in picture widths: 48, 90, 67, 34, 24 deg of view. The first shows whether

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.horizon import normal_by_pitch_roll, pitch_roll_rad
+from ttcvid.geometry.horizon.plane import normal_by_pitch_roll, pitch_roll_rad
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Bools, Camera, Floats
 

@@ -1,4 +1,4 @@
-"""The inner loops of `shared_path`: Gauss-Newton on K paths and on the places and rates of their points, compiled.
+"""The inner loops of `shared_trajectory`: Gauss-Newton on K paths and on places and rates of their points, compiled.
 
 All arrays that a function fills are arguments of it. Points stand in order of their paths: those of path k are
 ``first[k] ... first[k + 1] - 1``. What the points of a path share is counted in the axes ``basis (3, 3)`` of the

@@ -1,4 +1,4 @@
-"""The points that tell a path, and which of their views: see `shared_path`."""
+"""The points that tell a path, and which of their views: see `shared_trajectory`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.shared_path_descent import LEAST_VIEWS
+from ttcvid.geometry.estimation.shared_trajectory_descent import LEAST_VIEWS
 from ttcvid.model import Bools, Floats, Ints
 
 MOST_POINTS = 150

@@ -1,0 +1,1 @@
+"""The camera: pixels to rays and back, through the lens."""

@@ -1,0 +1,1 @@
+"""The horizon as a line, and what tells it."""
