@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.kernels.arrays import copy
 from ttcvid.geometry.estimation.rigid_motion import PathFit
+from ttcvid.geometry.kernels.arrays import copy
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import picture_region
