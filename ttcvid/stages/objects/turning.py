@@ -6,7 +6,6 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.chi_square import chi2_quantile
-from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.estimation.shared_trajectory import (
     PathBeliefs,
     SharedPaths,
@@ -159,54 +158,9 @@ def _turns_by_views(paths: SharedPaths, sigma_rad_s: float) -> tuple[Floats, Flo
     -------
     their chi-square (K,) and, where they are believed as those of tight bends are, how large they are (K,), rad/s.
     """
-    chi2, rate_rad_s = np.empty(len(paths.cov)), np.empty(len(paths.cov))
     # Views may say nothing of a turn about some axis.
     believed, least, tight = 1.0 / sigma_rad_s**2, _LEAST_TURN_PART / sigma_rad_s**2, 1.0 / TURN_SIGMA_RAD_S**2
-    _fill_turns(paths.cov, paths.offset, believed, least, tight, chi2, rate_rad_s)
-    return chi2, rate_rad_s
-
-
-@compiled_for("(f8[:, :, ::1], f8[:, ::1], f8, f8, f8, f8[::1], f8[::1])")
-def _fill_turns(
-    cov: Floats, offset: Floats, believed: float, least: float, tight: float, chi2: Floats, rate_rad_s: Floats
-) -> None:
-    """Fills ``chi2 (K,)`` and ``rate_rad_s (K,)`` of `_turns_by_views`.
-
-    ``cov (K, 9, 9)`` and ``offset (K, 9)`` are those of `SharedPaths`; then come informations, about each axis: what is
-    in them by the belief, what views have at the least, and what is believed of tight bends.
-    """
-    information, score, turn = np.empty((3, 3)), np.empty(3), np.empty(3)
-    for k in range(len(chi2)):
-        _invert(cov[k, 6:, 6:], information)
-        for i in range(3):
-            score[i] = 0.0
-            for j in range(3):
-                score[i] += information[i, j] * offset[k, 6 + j]
-        for i in range(3):
-            information[i, i] += least - believed
-        _solve(information, score, turn)
-        chi2[k] = score[0] * turn[0] + score[1] * turn[1] + score[2] * turn[2]
-        for i in range(3):
-            information[i, i] += tight - least
-        _solve(information, score, turn)
-        rate_rad_s[k] = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
-
-
-@compiled
-def _solve(matrix: Floats, right: Floats, solution: Floats) -> None:
-    """Fills ``solution (3,)`` for a symmetric ``matrix (3, 3)``."""
-    inverse = np.empty((3, 3))
-    _invert(matrix, inverse)
-    for i in range(3):
-        solution[i] = inverse[i, 0] * right[0] + inverse[i, 1] * right[1] + inverse[i, 2] * right[2]
-
-
-@compiled
-def _invert(matrix: Floats, inverse: Floats) -> None:
-    """Fills the ``inverse (3, 3)`` of a symmetric matrix, by cofactors."""
-    a, b, c, d, e, f = matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
-    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-    part = 1.0 / (a * aa + b * ab + c * ac)
-    inverse[0, 0], inverse[0, 1], inverse[0, 2] = part * aa, part * ab, part * ac
-    inverse[1, 0], inverse[1, 1], inverse[1, 2] = part * ab, part * (a * f - c * c), part * (b * c - a * e)
-    inverse[2, 0], inverse[2, 1], inverse[2, 2] = part * ac, part * (b * c - a * e), part * (a * d - b * b)
+    information = np.linalg.inv(paths.cov[:, 6:, 6:])
+    score = information @ paths.offset[:, 6:, None]
+    turn, tight_turn = (np.linalg.solve(information + (each - believed) * np.eye(3), score) for each in (least, tight))
+    return np.sum(score * turn, axis=(1, 2)), np.sqrt(np.sum(tight_turn**2, axis=(1, 2)))
