@@ -87,6 +87,10 @@ def evaluate(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
     truth
         The folder of ``ttcvid simulate``, or one with tables of the same names and columns; one table is enough.
 
+    Returns
+    -------
+    `EvaluatedRun`: its ``evaluation`` has the metrics (docs/evaluation.md) and what became of each true object.
+
     Raises
     ------
     InputError

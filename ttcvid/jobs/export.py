@@ -56,6 +56,10 @@ def export(
     overwrite
         Replace what exists; of a folder, the files that have the names of tables.
 
+    Returns
+    -------
+    Path of the file, or of the folder of all tables.
+
     Raises
     ------
     UsageError

@@ -33,6 +33,10 @@ def report(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
         The page; without it the report of a single run is ``report.html`` in its folder, and its manifest lists it.
         The page finds the videos where they are, as long as page and runs keep their places to each other.
 
+    Returns
+    -------
+    Path of the page.
+
     Raises
     ------
     UsageError

@@ -70,6 +70,10 @@ def sensitivity(
     **options
         The parameters of ``SensitivityConfig``, as ``focal_mm=12``; the rest is the paper's case.
 
+    Returns
+    -------
+    `SensitivityResult`: the output folder, the reach of each method, and a ``table``, a row per value and method.
+
     Raises
     ------
     TtcvidError

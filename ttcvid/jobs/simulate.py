@@ -96,6 +96,10 @@ def simulate(
     progress
         Called with (pictures done, pictures in all).
 
+    Returns
+    -------
+    `Simulation`: the folder, the ``input`` for `ttcvid.analyze`, numbers of frames and objects.
+
     Raises
     ------
     UsageError

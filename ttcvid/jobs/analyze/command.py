@@ -89,6 +89,11 @@ def analyze(
         The options of ``ttcvid analyze`` with underscores (``focal_px=721``, ``platform="vehicle"``), and the
         parameters of stages as mappings (``tracking={"max_tracks": 800}``).
 
+    Returns
+    -------
+    `Run`: the finished output folder, with its tables as data frames. ``state`` is ``truncated`` where the input
+    breaks off.
+
     Raises
     ------
     TtcvidError

@@ -162,6 +162,10 @@ def batch(
     **options
         The options of `analyze` for all clips; those of a table of clips are stronger.
 
+    Returns
+    -------
+    `Batch`: what became of each clip.
+
     Raises
     ------
     TtcvidError

@@ -88,6 +88,10 @@ def _with_clip(paths: Sequence[str], clips: Sequence[str], schema: pa.Schema) ->
 def open_batch(folder: str | Path) -> BatchResults:
     """The batch in ``folder``.
 
+    Returns
+    -------
+    `BatchResults`: the tables of all clips as one.
+
     Raises
     ------
     InputError

@@ -105,6 +105,10 @@ def collision_map(
     **options
         The parameters of ``CollisionMapConfig``, as ``ego_speed="50km/h"``.
 
+    Returns
+    -------
+    `MapResult`: the output folder, the map of the chosen moment and its advice.
+
     Raises
     ------
     TtcvidError

@@ -34,6 +34,10 @@ def compare(
         An object that certainly approaches and is nearer in time than this always counts, however few its tracks;
         default: that of the tolerances.
 
+    Returns
+    -------
+    `Comparison`: ``is_same``, and every difference with its worst rows.
+
     Raises
     ------
     NotComparableError

@@ -130,6 +130,10 @@ def regress(
     on_clip
         Called with the outcome of each clip, in the order of the suite.
 
+    Returns
+    -------
+    `Regression`: the outcome of each clip.
+
     Raises
     ------
     UsageError
