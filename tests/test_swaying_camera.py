@@ -1,6 +1,7 @@
 """Before a camera that sways, what stands still does not stay taken for something that moves."""
 
 import numpy as np
+import pytest
 from tables_of_points import ids_of, results_of, street, table
 
 from ttcvid.config import EgomotionConfig, PipelineConfig
@@ -22,3 +23,23 @@ def test_pieces_of_a_street_taken_for_movers_are_soon_let_go():
         results = results_of(table([still], swaying, n_frames=50, fps=30.0, seed=seed), FREE)
         n_rows += sum(len(ids_of(result)) for result in results)
     assert n_rows < 50
+
+
+def drifting(t_s):
+    """0.5 m/s ahead, and as fast to either side and up and down."""
+    return np.array([0.25 * np.sin(2.0 * t_s), 0.2 * np.sin(2.5 * t_s + 1.0), 0.5 * t_s])
+
+
+@pytest.mark.parametrize("fps", [10.0, 30.0])
+def test_direction_of_the_scene_is_that_of_the_last_step_where_flow_is_short(fps):
+    """A step moves the picture by a pixel: two views are compared over some frames, in which the camera turns off."""
+    off_deg = []
+    for seed in range(2):
+        still = street(n=300, depth_m=(6.0, 40.0), travel_m=0.0, seed=seed + 10)
+        results = results_of(table([still], drifting, n_frames=int(3.0 * fps), fps=fps, seed=seed), FREE)
+        for result in results[int(fps) :]:
+            step = drifting(result.t_s - 1.0 / fps) - drifting(result.t_s)
+            told = next(row.direction for row in result.clusters if row.cluster_id == 0)
+            off_deg.append(np.degrees(np.arccos(told @ step / np.linalg.norm(step))))
+    assert np.median(off_deg) < 2.2
+    assert np.quantile(off_deg, 0.9) < 4.0

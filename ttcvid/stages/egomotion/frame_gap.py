@@ -141,7 +141,8 @@ def _over_gap(
         told = egomotion if over_gap.direction is None else over_gap
         history = with_noise(history, told.residual_spread, sigma_floor_px, is_slow)
     history = _corrected(history, over_gap, gap)
-    egomotion = replace(egomotion, direction=over_gap.direction, direction_cov=over_gap.direction_cov)
+    mean, cov = over_gap.direction, over_gap.direction_cov
+    egomotion = replace(egomotion, direction=mean, direction_cov=cov, gap_frames=gap)
     return egomotion, history, memory
 
 

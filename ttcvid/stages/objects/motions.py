@@ -9,6 +9,7 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.estimation.shared_direction import shared_directions
 from ttcvid.geometry.estimation.track_state import WholeTracks, fit_whole_tracks
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
@@ -18,6 +19,7 @@ from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.camera_shake import stabilised
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_hz
+from ttcvid.stages.segmentation.bodies import direction_of_last_step
 from ttcvid.stages.segmentation.data_association import numbers_of
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation, find_bodies
 from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
@@ -130,10 +132,27 @@ def find_motions(
         objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
         for surface in surfaces:
             in_scene[surface.members] = False
+        egomotion = _with_direction_of_last_step(egomotion, found.scene, history.since_s)
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
     motions = replace(_assigned(clusters, is_free, is_displaced, link_px), bend=bend, steady_xy=steady_xy)
     return motions, history, memory
+
+
+def _with_direction_of_last_step(egomotion: Egomotion, scene: RigidPaths, since_s: Floats) -> Egomotion:
+    """Own motion with the direction of the last step, by the scene's whole tracks, instead of the mean over a gap.
+
+    A camera that sways leaves the mean by 5 deg within 0.2 s.
+    """
+    if egomotion.direction is None or egomotion.direction_cov is None or egomotion.gap_frames == 1:
+        return egomotion
+    found = direction_of_last_step(scene.path[0], since_s)
+    if found is None:
+        return egomotion
+    direction, cov = found
+    across = np.eye(3) - np.outer(direction, direction)
+    # The views do not tell what errs in all of them alike: two views know that at least as badly.
+    return replace(egomotion, direction=direction, direction_cov=cov + across @ egomotion.direction_cov @ across)
 
 
 def _object_motions(

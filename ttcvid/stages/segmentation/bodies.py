@@ -19,6 +19,9 @@ _SCENE_TURN_RAD = float(np.radians(0.05))
 _TURN_RATE_RAD_S, SHIFT_RATE_HZ, _SHIFT_FLOOR = float(np.radians(10.0)), 0.3, 0.02
 # A body goes on as it did over so many views.
 _STEADY_VIEWS = 5
+# A velocity changes evenly for so long, s: a hand sways with periods of 2 to 5 s. Three terms leave scatter with four
+# views; times may have been rounded.
+_EVEN_S, _LEAST_EVEN, _ROUNDING_S = 0.4, 4, 1e-3
 # A turn prior needs some width at the present view too.
 _LEAST_TIME_S = 1e-3
 # Paths shorter than this have no scale to keep.
@@ -83,6 +86,29 @@ def shake_of(path: Floats, since_s: Floats) -> Floats:
     late_hz = path[middle] / since_s[middle]
     early_hz = (path[first] - path[middle]) / (since_s[first] - since_s[middle])
     return np.asarray(path - since_s[:, None] * (late_hz + 0.5 * (late_hz - early_hz)))
+
+
+def direction_of_last_step(path: Floats, since_s: Floats) -> tuple[Floats, Floats] | None:
+    """Direction of a body's last step and its covariance in the tangent plane, rad^2; None with too few views.
+
+    A step alone is as long as the errors of its ends where it is short: a velocity that changes evenly is fitted to the
+    views within `_EVEN_S` of the ``path (L, 3)``, whose scatter about it tells how well it is known.
+    """
+    n_views = max(_LEAST_EVEN, int(np.count_nonzero(since_s >= -_EVEN_S - _ROUNDING_S)))
+    if len(path) < n_views:
+        return None
+    powers = np.vander(since_s[-n_views:], 3, increasing=True)
+    inverse = np.linalg.inv(powers.T @ powers)
+    terms = inverse @ powers.T @ path[-n_views:]
+    # Halfway through the step.
+    slope = np.array([0.0, 1.0, since_s[-2]])
+    velocity = slope @ terms
+    speed = float(np.linalg.norm(velocity))
+    if not speed > _NO_LENGTH:
+        return None
+    direction, left = velocity / speed, path[-n_views:] - powers @ terms
+    variance = float((left * left).sum()) / (3.0 * (n_views - 3)) * float(slope @ inverse @ slope) / speed**2
+    return direction, variance * (np.eye(3) - np.outer(direction, direction))
 
 
 def with_unit_speed(scene: RigidPaths, since_s: Floats) -> tuple[RigidPaths, float]:
