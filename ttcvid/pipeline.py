@@ -58,8 +58,10 @@ def analyze_frames(
     map_ahead : like ``map``; may work some items early in other threads (finding features is the slow part).
     run_apart : may run the geometry of all frames in another process; only points of tracks go there, and results back.
     """
-    waiting = deque[Frame]()
-    tracked = _without_pictures(track_frames(frames, config.tracking, mask, map_ahead), waiting)
+    waiting, camera_rests = deque[Frame](), config.egomotion.platform == Platform.static
+    tracked = _without_pictures(
+        track_frames(frames, config.tracking, mask, map_ahead, camera_rests=camera_rests), waiting
+    )
     geometry = partial(analyze_tracked, camera=camera, config=config, horizon=horizon)
     for result in run_apart(geometry, tracked):
         yield waiting.popleft(), result

@@ -7,7 +7,7 @@ from scipy.spatial.distance import pdist
 from wave_pictures import HEIGHT, WIDTH, wave_picture
 
 from ttcvid.stages.tracking import corners
-from ttcvid.stages.tracking.corners import find_corners, occupied_cells
+from ttcvid.stages.tracking.corners import find_corners, find_corners_where, occupied_cells
 
 NO_POINTS = np.empty((0, 2))
 # Part of the corners that may stand close, and of the distance what is kept between those.
@@ -149,6 +149,25 @@ def test_places_without_tracks_alone_give_corners_where_only_new_ones_are_asked_
     assert len(found) == 20
     assert (found[:, 0] > WIDTH / 2 - 10).all()
     assert len(find_corners(picture, None, corners, 20, 7.0, 0.005, 0.1, only_new_places=True)) == 0
+
+
+def test_faint_corners_are_found_where_they_are_asked_for_and_nowhere_else():
+    """Beside far stronger ones; where room is left for more, closer ones follow."""
+    picture = 4.0 * (wave_picture().astype(float) - 128)
+    picture[:, WIDTH // 2 :] *= 0.03
+    picture = np.clip(np.rint(picture + 128), 0, 255).astype(np.uint8)
+    where = np.zeros_like(picture)
+    where[20:80, WIDTH // 2 + 10 : WIDTH - 20] = 255
+    assert not (find_corners(picture, where, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)).size
+    found = find_corners_where(picture, where, NO_POINTS, 1000, 7.0)
+    assert len(found) > 15
+    assert (where[tuple(np.rint(found).astype(int).T[::-1])] > 0).all()
+    few = find_corners_where(picture, where, NO_POINTS, 10, 7.0)
+    np.testing.assert_array_equal(few, found[:10])
+    assert pdist(few).min() > 7.0 - 1.0
+    assert 0.57 * 7.0 - 1.0 < pdist(found).min() < 6.0
+    assert len(find_corners_where(picture, where, found, 1000, 7.0)) == 0
+    assert len(find_corners_where(picture, where, NO_POINTS, 0, 7.0)) == 0
 
 
 def test_corners_of_a_large_picture_are_those_found_without_bands(monkeypatch: pytest.MonkeyPatch) -> None:

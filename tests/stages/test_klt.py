@@ -170,7 +170,7 @@ def test_of_two_tracks_on_one_point_the_older_one_lives():
         np.concatenate([start.points.track_id, 500 + start.points.track_id]),
         np.concatenate([start.points.xy_px, start.points.xy_px]),
     )
-    memory = KltMemory(start.grey, doubled, np.zeros((2 * n, 2)), 2000)
+    memory = KltMemory(start.grey, doubled, np.zeros((2 * n, 2)), 2000, start.grey)
     after, _ = follow_klt(memory, wave_picture(Warp(shift_px=(0.8, 0.3))), None, replace_config(max_tracks=20))
     assert (after.points.track_id < 500).all()
     assert len(after.points.track_id) > 0.85 * n
@@ -235,6 +235,27 @@ def test_what_comes_into_the_picture_of_a_camera_at_rest_is_followed_within_some
     memory, _ = follow_klt(memory, with_things(10, **thing), None, config)
     kept = on_things(memory, 10, **thing) & np.isin(memory.points.track_id, known)
     assert kept.sum() >= 15
+
+
+def test_faint_movers_before_a_camera_at_rest_have_tracks_though_the_street_could_have_them_all():
+    """The street has more corners than are wanted, each of them better than those of the mover."""
+    config = replace_config(max_tracks=150, min_distance_px=5.0)
+    texture = np.rint(128 + 0.3 * (wave_picture(seed=9)[:40, :60].astype(float) - 128)).astype(np.uint8)
+
+    def picture(left_px):
+        street = wave_picture()
+        street[50:90, left_px : left_px + 60] = texture
+        return street
+
+    memory = start_klt(picture(10), None, config)
+    assert len(memory.points.track_id) == 150
+    for left_px in range(12, 44, 2):
+        memory, _ = follow_klt(memory, picture(left_px), None, config, camera_rests=True)
+    is_on_it = on_things(memory, 42, [50], (60, 40))
+    assert is_on_it.sum() > 20
+    # The street keeps half of what there may be, its oldest tracks.
+    assert 60 < np.count_nonzero(memory.points.track_id[~is_on_it] < 150) <= 75
+    assert len(memory.points.track_id) <= 150
 
 
 def test_new_points_on_small_fast_things_go_where_their_others_have_gone():

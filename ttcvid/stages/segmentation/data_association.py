@@ -159,6 +159,8 @@ def assigned(
     misfit: Floats,
     seen_misfit: Floats,
     usual_misfit: float,
+    *,
+    camera_rests: bool,
 ) -> tuple[Ints, Movers, OwnFit]:
     """Each track to the body that explains it best, among the scene and those that it or a neighbour belonged to.
 
@@ -169,6 +171,7 @@ def assigned(
     neighbours : (N, K) of each track that belongs to a mover or has one beside it.
     scene_fit, misfit, seen_misfit : of each track on the scene's path; (N,), in units of ``usual_misfit``, with what
         the road contradicts and without it.
+    camera_rests : before it the scene has no motion that could be wrong: what moves is none of it.
 
     Returns
     -------
@@ -201,7 +204,7 @@ def assigned(
     asked, own = np.empty(len(key), dtype=np.int64), unknown_fit(np.empty(len(key)))
     is_still = _most_of(is_own & (misfit[track] < _AS_STILL), is_own, mover, len(movers))
     off = np.where(is_other | is_still[mover], np.inf, off)
-    _choose(misfit, track, mover, off, votes, number, scene_fit.n_views, asked, own.misfit)
+    _choose(misfit, track, mover, off, votes, number, scene_fit.n_views, camera_rests, asked, own.misfit)
     moves = np.flatnonzero(asked >= 0)
     asked, best = asked[moves], np.zeros(len(key), dtype=np.int64)
     best[moves], own.rate_sigma_hz[moves] = 1 + mover[asked], sigma_hz[asked]
@@ -267,7 +270,7 @@ def _asked(number: Ints, neighbours: Ints, votes: Ints) -> tuple[Ints, Ints]:
     return track[:count], mover[:count]
 
 
-@compiled_for("(f8[::1], i8[::1], i8[::1], f8[::1], i8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1])")
+@compiled_for("(f8[::1], i8[::1], i8[::1], f8[::1], i8[:, ::1], i8[::1], i8[::1], b1, i8[::1], f8[::1])")
 def _choose(
     misfit: Floats,
     track: Ints,
@@ -276,14 +279,19 @@ def _choose(
     votes: Ints,
     number: Ints,
     n_views: Ints,
+    camera_rests: bool,
     best: Ints,
     least_off: Floats,
 ) -> None:
     """Fill which of those asked about is ``best (N,)``, -1 the scene, and how far off that is, ``least_off (N,)``.
 
     ``misfit (N,)`` is that of each track on the scene, ``off (M,)`` those on the movers that are asked about, infinite:
-    it is none of it.
+    it is none of it. Before a camera that rests the scene has no motion that could be wrong: no body is preferred, and
+    no misfit is as bad as another: a swinging leg is explained badly by the body it belongs to, and worse by the scene.
     """
+    worst, scene_weight, habit_weight = _WORST_MISFIT, _SCENE_WEIGHT, _HABIT_WEIGHT
+    if camera_rests:
+        worst, scene_weight, habit_weight = np.inf, 0.0, 0.0
     place = 0
     for i in range(len(misfit)):
         best[i], least_off[i] = -1, misfit[i]
@@ -292,17 +300,18 @@ def _choose(
         all_votes = 0
         for b in range(votes.shape[1]):
             all_votes += votes[i, b]
-        least = np.log1p(min(misfit[i], _WORST_MISFIT)) - votes[i, 0] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
+        least = np.log1p(min(misfit[i], worst)) - votes[i, 0] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
         if n_views[i] > _SCENE_VIEWS:
-            least -= _SCENE_WEIGHT
+            least -= scene_weight
         if number[i] == 0 and n_views[i] > _HABIT_VIEWS:
-            least -= _HABIT_WEIGHT
+            least -= habit_weight
         while place < len(track) and track[place] == i:
             b = mover[place] + 1
             if off[place] < np.inf:
-                score = np.log1p(min(off[place], _WORST_MISFIT)) - votes[i, b] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
+                score = np.log1p(min(off[place], worst))
+                score -= votes[i, b] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
                 if b == number[i] and n_views[i] > _HABIT_VIEWS:
-                    score -= _HABIT_WEIGHT
+                    score -= habit_weight
                 if score < least:
                     best[i], least, least_off[i] = place, score, off[place]
             place += 1

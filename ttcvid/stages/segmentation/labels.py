@@ -39,6 +39,8 @@ _DISPLACED_CHI2 = 6.0**2
 _ROUNDS, _ALIKE = 3, 0.3
 # Median of a chi-square variable with two degrees of freedom.
 _MEDIAN_CHI2_2 = 1.3863
+# Before a camera at rest nothing moves but movers: so many tracks that move alike are one, away from known ones.
+_TRACKS_AT_REST = 3
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,16 @@ def _divided(
     """
     scene = None if seen.rests else seen.scene
     key, movers, own = assigned(
-        views, movers, scene, key, neighbours, seen.fit, seen.misfit, seen.seen_misfit, seen.usual_misfit
+        views,
+        movers,
+        scene,
+        key,
+        neighbours,
+        seen.fit,
+        seen.misfit,
+        seen.seen_misfit,
+        seen.usual_misfit,
+        camera_rests=seen.camera_rests,
     )
     before = key
     key, movers = kept(views, key, movers, config)
@@ -214,6 +225,9 @@ def _with_new(
     config: BodiesConfig,
 ) -> tuple[Ints, Movers, int]:
     """The bodies with what of the scene's tracks moves by itself: known again, or new; and the next key."""
+    births = config
+    if seen.camera_rests:
+        births = config.model_copy(update={"min_tracks": min(config.min_tracks, _TRACKS_AT_REST)})
     found, paths, found_hz = new_movers(
         views,
         seen.scene,
@@ -227,9 +241,13 @@ def _with_new(
         # Before a camera that moves past nothing all surfaces flow alike, and nothing slips.
         history.edge if seen.moves_past else np.zeros_like(history.edge),
         neighbours,
-        config,
+        births,
         few_are_enough=few_are_enough,
     )
+    if seen.camera_rests and found:
+        is_one = _are_no_outlines(views, key, found, config.min_tracks)
+        found = [members for members, is_mover in zip(found, is_one, strict=True) if is_mover]
+        paths, found_hz = paths.take(is_one), found_hz[is_one]
     if found and len(movers):
         key, movers, is_known = reidentified(views, seen.scene, key, movers, found, paths, found_hz, seen.usual_misfit)
         found = [members for members, known in zip(found, is_known, strict=True) if not known]
@@ -237,6 +255,20 @@ def _with_new(
     for count, members in enumerate(found):
         key[members] = next_key + count
     return key, movers.with_new(next_key, paths, found_hz), next_key + len(found)
+
+
+def _are_no_outlines(views: BodyViews, key: Ints, found: list[Ints], enough: int) -> Bools:
+    """Which of new movers (K,), tracks of each, have ``enough`` of them, or none that moves with another thing near.
+
+    Where the outline of a mover crosses the lines of what stands behind it, corners run along: few, and beside it.
+    """
+    moves, is_one = key != SCENE_CLUSTER, np.array([len(members) >= enough for members in found])
+    for members in (found[place] for place in np.flatnonzero(is_one)):
+        moves[members] = True
+    for place in np.flatnonzero(~is_one):
+        off_px = views.xy_px[found[place], None] - views.xy_px[moves]
+        is_one[place] = not (np.hypot(off_px[:, :, 0], off_px[:, :, 1]) < views.link_px).any()
+    return is_one
 
 
 def restarted_bodies(memory: BodyMemory) -> BodyMemory:

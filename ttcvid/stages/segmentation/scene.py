@@ -11,6 +11,7 @@ from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.medians import median
+from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, Egomotion, picture_region, region_side_of
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, shake_of, with_unit_speed
@@ -37,6 +38,8 @@ _LEAST_MISFIT = 1.0
 _LEAST_MEASURED = 10
 # What steps farther than this before a camera on a mast is not the street, px.
 _STILL_STEP_PX = 1.0
+# What has stood still over so many views has stopped.
+_STOPPED_VIEWS = 5
 
 
 @dataclass(frozen=True)
@@ -45,8 +48,9 @@ class SeenScene:
 
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
     each: of a scene that ``rests``, without motion. ``misfit (N,)``, in units of what is usual, ``usual_misfit``, with
-    what the ``road`` contradicts raised above ``seen_misfit (N,)``; ``moves_past``: whether the camera is seen to move
-    past it. ``sway (L, 3)`` how far it lay off a steady path, 0 before a camera that does not sway.
+    what the ``road`` contradicts raised above ``seen_misfit (N,)``; ``camera_rests``: on a mast, as was told;
+    ``moves_past``: whether the camera is seen to move past the scene. ``sway (L, 3)`` how far it lay off a steady path,
+    0 before a camera that does not sway.
     """
 
     scene: RigidPaths
@@ -58,6 +62,7 @@ class SeenScene:
     usual_misfit: float
     road: RoadMemory
     rests: bool
+    camera_rests: bool
     moves_past: bool
     sway: Floats
 
@@ -95,9 +100,12 @@ def see_scene(
     rests = not is_sure and not moves_past
     if rests:
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
-    may_rest = _steps_little(views, scene) if platform == Platform.static else is_free
+    camera_rests = platform == Platform.static
+    may_rest = _steps_little(views, scene) if camera_rests else is_free
     usual = _usual_misfit(fit, (key == SCENE_CLUSTER) & is_free & may_rest)
     misfit = seen_misfit = fit.misfit / usual
+    if camera_rests:
+        misfit = seen_misfit = _with_stopped(misfit, views, scene)
     road = RoadMemory()
     if platform == Platform.vehicle and scene.path[0, 0, 2] > 0.0:
         in_scene = (key == SCENE_CLUSTER) & is_free & (misfit < config.scene_gate)
@@ -110,7 +118,9 @@ def see_scene(
     # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
     sways = platform == Platform.free and not rests
     sway = shake_of(scene.path[0], views.since_s) if sways else np.zeros_like(scene.path[0])
-    return SeenScene(scene, speed, rate_hz, fit, misfit, seen_misfit, usual, road, rests, moves_past, sway)
+    return SeenScene(
+        scene, speed, rate_hz, fit, misfit, seen_misfit, usual, road, rests, camera_rests, moves_past, sway
+    )
 
 
 def _scene(
@@ -185,6 +195,26 @@ def _steps_little(views: BodyViews, scene: RigidPaths) -> Bools:
         return views.is_free
     step = views.rays[-1] - views.rays[-2] @ scene.cam_R_past[0, -2].T
     return np.asarray(np.einsum("ni,ni->n", step, step) < (_STILL_STEP_PX / views.focal_px) ** 2)
+
+
+def _with_stopped(misfit: Floats, views: BodyViews, scene: RigidPaths) -> Floats:
+    """Misfits (N,), before a camera at rest those of tracks that have stopped by their last views alone.
+
+    Over these they have moved by no more than their noise, and would have, had they gone on as before: what moved on
+    has left them behind, or has stopped.
+    """
+    if len(views.rays) <= _STOPPED_VIEWS:
+        return misfit
+    xy = turned_into_plane(views.rays, scene.cam_R_past[0])
+    first = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
+    way, last_way = xy[-1] - xy[first, np.arange(len(first))], xy[-1] - xy[-_STOPPED_VIEWS]
+    part = views.since_s[-_STOPPED_VIEWS] / np.minimum(views.since_s[first], views.since_s[-_STOPPED_VIEWS])
+    # Of two noisy places, two coordinates each.
+    variance = 4.0 * views.sigma_norm**2
+    moved, missing = ((one * one).sum(axis=1) / variance for one in (last_way, last_way - part[:, None] * way))
+    limit = 0.5 * _MOVES_SIGMAS**2
+    # Without a view so long ago (NaN) nothing has stopped.
+    return np.where((moved < limit) & (missing > limit), np.minimum(misfit, moved), misfit)
 
 
 def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:

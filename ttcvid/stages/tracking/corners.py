@@ -107,6 +107,35 @@ def find_corners(
     return np.concatenate([xy, _refined(response, x[close], y[close])])
 
 
+def find_corners_where(
+    grey: Picture, where: Picture, xy_taken_px: Floats, n_wanted: int, min_distance_px: float
+) -> Floats:
+    """Strongest corners at certain places that keep their distance from each other and from the points already there.
+
+    However weak beside those of the whole picture; at the least distance first, then closer: at 0.57 of it.
+
+    Parameters
+    ----------
+    where : (H, W) uint8, 0 where no corner is wanted.
+    xy_taken_px, n_wanted, min_distance_px : as of `find_corners`.
+
+    Returns
+    -------
+    (M, 2) float64 corners, px, in order of choice, M <= n_wanted.
+    """
+    if n_wanted <= 0:
+        return np.empty((0, 2))
+    response = _response(grey)
+    x, y = _peaks(response, _MIN_RESPONSE, where)
+    first = _largest_first(response[y, x])
+    xy = np.empty((0, 2))
+    for distance_px in (min_distance_px, _CLOSE_PART * min_distance_px):
+        taken = np.concatenate([xy_taken_px, xy])
+        chosen = first[_spread(x[first], y[first], taken, grey.shape, distance_px, n_wanted - len(xy))]
+        xy = np.concatenate([xy, _refined(response, x[chosen], y[chosen])])
+    return xy
+
+
 def _bands(shape: tuple[int, ...], margin_px: int) -> Iterator[tuple[slice, slice, slice]]:
     """Rows of a picture (H, W), those that have to be looked at for them, and where among these they lie.
 
@@ -183,7 +212,7 @@ def _one_a_cell(row: Ints, column: Ints, taken: Bools) -> Ints:
     return np.asarray(free[np.sort(best)])
 
 
-def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, int], distance_px: float, n_wanted: int) -> Ints:
+def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, ...], distance_px: float, n_wanted: int) -> Ints:
     """Which of the pixels (N,), best first, keep their distance from each other and from the points already there."""
     cell_px = distance_px / np.sqrt(2.0)
     # Two rows and columns more on each side, so that every cell has its neighbours.

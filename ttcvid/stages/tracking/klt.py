@@ -6,7 +6,7 @@ comes nearer the content stays with its surface, and the middle of the window do
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,8 +16,9 @@ from ttcvid.config import TrackingConfig
 from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
+from ttcvid.stages.tracking.changes import changed_places
 from ttcvid.stages.tracking.content import window_contents
-from ttcvid.stages.tracking.corners import find_corners
+from ttcvid.stages.tracking.corners import find_corners, find_corners_where
 
 # Lucas-Kanade ends after so many iterations or when a step is shorter than this, px. Ended at 0.03 px it leaves errors
 # that make slow things (an aircraft far away) a third less accurate; for the check by the way back it is enough.
@@ -38,6 +39,8 @@ _CROWDED_PX = 2.0
 # every third picture. More often, the search costs as much as following all tracks back. Before a camera at rest hardly
 # any die, and what comes into the picture would have none for seconds: there they are looked for after so many.
 _TOP_UP_BELOW, _TOP_UP_AFTER = 0.8, 3
+# Part of the tracks that the street needs before a camera at rest; the others are for what moves.
+_STREET_PART = 0.5
 # Before a camera at rest half of the points step less than this from picture to picture, px; so they do before one that
 # is slow for its frame rate, where new tracks are as scarce.
 _RESTING_STEP_PX = 1.0
@@ -47,27 +50,28 @@ _RESTING_STEP_PX = 1.0
 class KltMemory:
     """What is remembered between two pictures: the last one, its points with their windows, and their last step.
 
-    ``step_px (N, 2)`` is NaN for a point that has made none yet; ``n_since`` counts the pictures since new corners were
-    looked for.
+    ``step_px (N, 2)`` is NaN for a point that has made none yet; ``looked`` is the picture in which new corners were
+    looked for last, ``n_since`` counts those since then.
     """
 
     grey: Picture
     points: PointSet
     step_px: Floats
     next_track_id: int
+    looked: Picture
     n_since: int = 0
 
 
 def start_klt(grey: Picture, allowed: Picture | None, config: TrackingConfig, next_track_id: int = 0) -> KltMemory:
     """Fresh corners on a first picture (or the first one after a cut)."""
-    nothing = KltMemory(grey, PointSet(np.empty(0, np.int64), np.empty((0, 2))), np.empty((0, 2)), next_track_id)
-    return _topped_up(nothing, grey, allowed, config)
+    nothing = KltMemory(grey, PointSet(np.empty(0, np.int64), np.empty((0, 2))), np.empty((0, 2)), next_track_id, grey)
+    return _topped_up(nothing, grey, allowed, config, camera_rests=False)
 
 
 def follow_klt(
-    memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig
+    memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig, *, camera_rests: bool = False
 ) -> tuple[KltMemory, float]:
-    """Follow the points of ``memory`` into ``grey`` and top them up.
+    """Follow the points of ``memory`` into ``grey`` and top them up: where the ``camera_rests``, where it changes.
 
     Returns
     -------
@@ -85,8 +89,8 @@ def follow_klt(
     points = PointSet(memory.points.track_id[found], xy_px[found], window_px[found], memory.points.edges[found])
     step = (window_px - before_px)[found]
     survival = float(found.mean()) if n_before else 1.0
-    followed = KltMemory(grey, points, step, memory.next_track_id, memory.n_since + 1)
-    return _topped_up(followed, grey, allowed, config), survival
+    followed = KltMemory(grey, points, step, memory.next_track_id, memory.looked, memory.n_since + 1)
+    return _topped_up(followed, grey, allowed, config, camera_rests), survival
 
 
 def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[Bools, Floats]:
@@ -120,14 +124,14 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
     # the others have gone. Not before a camera in motion: there they would lead corners of outlines, where two surfaces
     # meet, along with either.
     lost = np.flatnonzero(is_new & ~found)
-    if len(lost) and _camera_rests((there - before)[found]):
+    if len(lost) and _stands_nearly((there - before)[found]):
         start = _as_neighbours(before, there, found, lost)
         is_far = np.linalg.norm(start - before[lost], axis=1) > config.window_px
         look_for(lost[is_far], start[is_far], fine_levels)
     return found, there.astype(np.float64)
 
 
-def _camera_rests(step_px: np.ndarray) -> bool:
+def _stands_nearly(step_px: np.ndarray) -> bool:
     """Whether most points, of steps (N, 2), stand nearly still."""
     step_px = step_px.astype(np.float64)
     return bool(len(step_px) and median(np.sqrt((step_px * step_px).sum(axis=1))) < _RESTING_STEP_PX)
@@ -211,25 +215,54 @@ def _find_crowded(xy_px: Floats, candidates: Ints, crowded: Bools) -> None:
         is_taken[v, u] = True
 
 
-def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig) -> KltMemory:
+def _topped_up(
+    memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig, camera_rests: bool
+) -> KltMemory:
     """Add corners once too many tracks have died, or at rest, where something new may be, once some pictures passed."""
-    points = memory.points
-    n_live = len(points.track_id)
-    has_many = n_live >= _TOP_UP_BELOW * config.max_tracks
+    windows_px, n_live = memory.points.windows_px, len(memory.points.track_id)
     step_px = memory.step_px[np.isfinite(memory.step_px[:, 0])]
-    if has_many and not (memory.n_since >= _TOP_UP_AFTER and _camera_rests(step_px)):
+    has_many = n_live >= _TOP_UP_BELOW * config.max_tracks * (_STREET_PART if camera_rests else 1.0)
+    if has_many and not (memory.n_since >= _TOP_UP_AFTER and _stands_nearly(step_px)):
         return memory
-    windows_px = points.windows_px
-    new_px = find_corners(
-        grey,
-        allowed,
-        windows_px,
-        n_wanted=config.max_tracks - n_live,
-        min_distance_px=config.min_distance_px,
-        quality=config.corner_quality,
-        close_share=config.close_share,
-        only_new_places=has_many,
-    )
+    changed = changed_places(memory.looked, grey) if has_many and camera_rests else None
+    if changed is not None:
+        memory = _with_room(memory, changed, config)
+        where = changed if allowed is None else np.minimum(changed, allowed)
+        windows_px = memory.points.windows_px
+        n_wanted = config.max_tracks - len(windows_px)
+        new_px = find_corners_where(grey, where, windows_px, n_wanted, config.min_distance_px)
+    else:
+        new_px = find_corners(
+            grey,
+            allowed,
+            windows_px,
+            n_wanted=config.max_tracks - n_live,
+            min_distance_px=config.min_distance_px,
+            quality=config.corner_quality,
+            close_share=config.close_share,
+            only_new_places=has_many,
+        )
+    return _with_new(memory, grey, allowed, new_px, config)
+
+
+def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> KltMemory:
+    """The same without the youngest of the tracks that stand where nothing has ``changed``, beyond those that the
+    street needs: left behind by what went on, they would take the place of what moves.
+    """
+    stands = np.flatnonzero(~_is_allowed(changed, memory.points.windows_px))
+    surplus = stands[int(_STREET_PART * config.max_tracks) :]
+    keeps = np.ones(len(memory.step_px), dtype=bool)
+    keeps[surplus] = False
+    points = memory.points
+    left = PointSet(points.track_id[keeps], points.xy_px[keeps], points.windows_px[keeps], points.edges[keeps])
+    return replace(memory, points=left, step_px=memory.step_px[keeps])
+
+
+def _with_new(
+    memory: KltMemory, grey: Picture, allowed: Picture | None, new_px: Floats, config: TrackingConfig
+) -> KltMemory:
+    """The tracks, and those that begin at corners ``new_px (M, 2)`` of the picture."""
+    points = memory.points
     offset_px, edge = window_contents(grey, new_px, config.window_px)
     content_px = new_px + np.nan_to_num(offset_px)
     is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
@@ -240,9 +273,10 @@ def _topped_up(memory: KltMemory, grey: Picture, allowed: Picture | None, config
         points=PointSet(
             np.concatenate([points.track_id, new_id]),
             np.concatenate([points.xy_px, content_px]),
-            np.concatenate([windows_px, new_px]),
+            np.concatenate([points.windows_px, new_px]),
             np.concatenate([points.edges, edge]),
         ),
         step_px=np.concatenate([memory.step_px, np.full_like(new_px, np.nan)]),
         next_track_id=memory.next_track_id + len(new_px),
+        looked=grey,
     )

@@ -63,11 +63,17 @@ class _Clock:
 
 
 def track_frames(
-    frames: Iterable[Frame], config: TrackingConfig, mask: Picture | None, map_ahead: MapAhead = map
+    frames: Iterable[Frame],
+    config: TrackingConfig,
+    mask: Picture | None,
+    map_ahead: MapAhead = map,
+    *,
+    camera_rests: bool = False,
 ) -> Iterator[TrackedFrame]:
     """Each frame with its points: from the tracker, or from the table that the source reads.
 
-    No motion is estimated over a gap in time: the first frame with content after it is a ``cut``.
+    No motion is estimated over a gap in time: the first frame with content after it is a ``cut``. Where the
+    ``camera_rests`` all of the time, new points are looked for where its picture changes.
     """
     memory, last_points = TrackerMemory(), None
 
@@ -80,7 +86,7 @@ def track_frames(
             yield TrackedFrame(frame, NO_POINTS, FrameStatus.bad_dt)
             continue
         if prepared is not None:
-            points, status, memory = follow_points(memory, prepared, mask, config)
+            points, status, memory = follow_points(memory, prepared, mask, config, camera_rests=camera_rests)
         elif frame.points is not None:
             points, status = frame.points, compare_table_points(last_points, frame.points)
             last_points = points

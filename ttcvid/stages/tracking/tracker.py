@@ -73,9 +73,14 @@ def prepare_picture(grey: Picture, allowed: Picture | None, config: TrackingConf
 
 
 def follow_points(
-    memory: TrackerMemory, prepared: PreparedPicture, allowed: Picture | None, config: TrackingConfig
+    memory: TrackerMemory,
+    prepared: PreparedPicture,
+    allowed: Picture | None,
+    config: TrackingConfig,
+    *,
+    camera_rests: bool = False,
 ) -> tuple[PointSet, FrameStatus, TrackerMemory]:
-    """Points of this picture with their tracks.
+    """Points of this picture with their tracks; of klt, where the ``camera_rests``, more of them on what moves.
 
     Returns
     -------
@@ -93,7 +98,7 @@ def follow_points(
         return points, FrameStatus.first, started
     if np.array_equal(last.thumbnail, prepared.thumbnail) and np.array_equal(last.grey, prepared.grey):
         return _no_points(), FrameStatus.duplicate, replace(memory, steps_px=None)
-    followed, survival, n_before = _followed(memory, prepared, allowed, config)
+    followed, survival, n_before = _followed(memory, prepared, allowed, config, camera_rests)
     if _is_cut(survival, n_before, last.thumbnail, prepared.thumbnail):
         points, started = _started(memory, prepared, allowed, config)
         return points, FrameStatus.cut, started
@@ -117,7 +122,11 @@ def _started(
 
 
 def _followed(
-    memory: TrackerMemory, prepared: PreparedPicture, allowed: Picture | None, config: TrackingConfig
+    memory: TrackerMemory,
+    prepared: PreparedPicture,
+    allowed: Picture | None,
+    config: TrackingConfig,
+    camera_rests: bool,
 ) -> tuple[TrackerMemory, float, int]:
     """The memory after following, the part of the tracks that survived, and how many there were."""
     if memory.akaze is not None and prepared.features is not None:
@@ -125,11 +134,11 @@ def _followed(
         return TrackerMemory(prepared, None, akaze), survival, len(memory.akaze.track_id)
     if memory.klt is None:
         raise ValueError("follow_points: the memory belongs to another tracker than the one configured")
-    klt, survival = follow_klt(memory.klt, prepared.grey, allowed, config)
+    klt, survival = follow_klt(memory.klt, prepared.grey, allowed, config, camera_rests=camera_rests)
     gain = 1.0 if memory.prepared is None else _exposure_gain(memory.prepared, prepared)
     if survival < _POOR_SURVIVAL and abs(gain - 1.0) > _LEAST_EXPOSURE_CHANGE:
         exposed = np.asarray(cv2.convertScaleAbs(prepared.grey, alpha=gain), dtype=np.uint8)
-        again, survival_exposed = follow_klt(memory.klt, exposed, allowed, config)
+        again, survival_exposed = follow_klt(memory.klt, exposed, allowed, config, camera_rests=camera_rests)
         if survival_exposed > survival:
             klt, survival = replace(again, grey=prepared.grey), survival_exposed
     return TrackerMemory(prepared, klt), survival, len(memory.klt.points.track_id)
