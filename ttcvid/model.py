@@ -165,13 +165,15 @@ class PointSet:
     windows stand by which a tracker follows them, None where they stand about the points. ``edge (N, 2)`` how far each
     window was on an edge when its track began, None where that is not known: ``(l1 - l2) / (l1 + l2)`` of its gradient
     matrix's eigenvalues, 0 for a corner and 1 for an edge, times (cos, sin) of twice the angle across it, from x to y
-    in that picture: a camera that has rolled since by more than some 10 deg makes it a corner.
+    in that picture: a camera that has rolled since by more than some 10 deg makes it a corner. ``common_error_px`` is
+    what the points of a thing err by together (standard deviation at its outline): 0 where each errs by itself.
     """
 
     track_id: Ints
     xy_px: Floats
     window_px: Floats | None = None
     edge: Floats | None = None
+    common_error_px: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
@@ -306,9 +308,8 @@ class ClusterRow:
 
     ``direction`` (3,) is ``dir``, None where there is no epipole, with ``direction_cov`` (3, 3) in rad^2 in its
     tangent plane. ``epipole_px`` (2,) is None within 1 deg of the picture plane. ``state_abc_hz`` (3,) is
-    (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2, in which ``speed_change`` is
-    the part by which abs(V) may change soon: that tells how sure the times are, not whether and where to it moves now.
-    ``times`` has one row. ``method`` names how the epipole was found. ``front_px`` is the box of what of it is as near
+    (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2. ``times`` has one
+    row. ``method`` names how the epipole was found. ``front_px`` is the box of what of it is as near
     as the reference point, None where that is not known. ``horizon_offset`` is None without a horizon.
     """
 
@@ -329,7 +330,6 @@ class ClusterRow:
     front_px: tuple[float, float, float, float] | None = None
     state_abc_hz: Floats | None = None
     state_cov: Floats | None = None
-    speed_change: float = 0.0
     expansion_hz: float | None = None
     urgency_rank: int | None = None
     times: CollisionTimes = field(default_factory=lambda: _NO_TIMES)
@@ -346,13 +346,6 @@ class ClusterRow:
     def role(self) -> str:
         """``scene`` or ``object``."""
         return "scene" if self.cluster_id == SCENE_CLUSTER else "object"
-
-    @property
-    def present_cov(self) -> Floats | None:
-        """Covariance (3, 3) of the state without what its speed may change by soon."""
-        if self.state_cov is None or self.state_abc_hz is None:
-            return None
-        return self.state_cov - self.speed_change**2 * (self.state_abc_hz[:, None] * self.state_abc_hz)
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def fitted(xy, beliefs, sigma=SIGMA, t_s=T_S):
 @pytest.mark.parametrize("bend_hz", [(0.0, 0.0, 0.0), (-0.08, 0.0, 0.25), (0.2, 0.02, 0.0)])
 def test_braking_and_turning_are_found_by_all_points_together(bend_hz, t_s):
     found = fitted(seen(body(60, np.random.default_rng(1)), bend_hz, t_s=t_s), belief(t_s=t_s), 1e-6, t_s)
-    np.testing.assert_allclose(found.bend_hz[0], bend_hz, atol=2e-3)
+    np.testing.assert_allclose(found.offset[0, 3:6], bend_hz, atol=2e-3)
     np.testing.assert_allclose(found.direction[0], DIRECTION, atol=1e-4)
 
 
@@ -99,7 +99,6 @@ def test_covariance_of_rates_holds_what_the_path_does_not_say():
             np.zeros((1, 3)),
             np.array([False]),
             found.cov,
-            np.zeros(1),
         )
         mean = velocities.jacobian.mean(axis=0)
         own = np.mean(rates.cov[:, 2, 2]) / 30 * np.outer(found.direction[0], found.direction[0])
@@ -124,7 +123,6 @@ def test_the_velocity_of_a_turning_thing_is_that_of_its_points():
         turn[None],
         np.array([True]),
         np.zeros((1, 9, 9)),
-        np.zeros(1),
     )
     velocity = SPEED_M_S * DIRECTION + np.cross(turn, position)
     np.testing.assert_allclose(found.abc_hz, velocity / position[:, 2:], rtol=1e-6, atol=1e-9)
@@ -136,7 +134,7 @@ def test_points_that_move_otherwise_do_not_bend_the_path():
     xy = seen(position)
     xy[:, :12] = seen(position[:12], bend_hz=(3.0, -2.0, 4.0))
     found = fitted(xy + SIGMA * rng.normal(size=xy.shape), belief())
-    assert np.abs(found.bend_hz[0]).max() < 0.1
+    assert np.abs(found.offset[0, 3:6]).max() < 0.1
 
 
 def directions_from_found(off_rad, sigma, common=1.0, n_points=12, found_rad=0.004):
@@ -209,7 +207,6 @@ def states_of(xy, found, sigma):
         found.turn_rad_s,
         np.array([True]),
         found.cov,
-        np.zeros(1),
     ).abc_hz
 
 

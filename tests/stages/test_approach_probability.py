@@ -19,6 +19,7 @@ from ttcvid.stages.segmentation.approach_probability import (
     with_seen_motion,
 )
 from ttcvid.stages.tracking.groups import TrackSets
+from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
 GAP_S, N = 0.5, 60
 AHEAD_M, ASIDE_M = (1.0, 0.5, 20.0), (8.0, 0.5, 20.0)
@@ -47,7 +48,7 @@ def row_seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05,
     views, tracks = CommonViews(first, now, GAP_S), np.arange(N)
     members, growth = TrackSets.of([tracks]), views.expansions([tracks])
     radius_px = radii_px(pixels_from_rays(camera, now), now, members, np.array([True]))
-    rows = with_common_errors([row], members, radius_px, np.full(N, age_s), GAP_S, camera)
+    rows = with_common_errors([row], members, radius_px, np.full(N, age_s), GAP_S, COMMON_ERROR_PX, camera)
     (row,) = with_seen_motion(with_times(rows, camera), radius_px, growth, GAP_S, camera)
     return row
 
@@ -88,7 +89,7 @@ def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
 
     def cov_of(rays):
         radius_px = radii_px(pixels_from_rays(CAMERA, rays), rays, members, np.array([True]))
-        return with_common_errors([row], members, radius_px, age_s, GAP_S, CAMERA)[0].state_cov
+        return with_common_errors([row], members, radius_px, age_s, GAP_S, COMMON_ERROR_PX, CAMERA)[0].state_cov
 
     without_one, unseen = now.copy(), np.full_like(now, np.nan)
     without_one[0] = np.nan

@@ -152,20 +152,6 @@ def test_a_long_bus_that_crosses_well_before_us_is_not_warned_of():
     assert first_warned(watched(frames)[0]) is None
 
 
-def changing(row, change):
-    """The row of a body whose speed may change by a part of itself soon."""
-    along = change**2 * np.outer(row.state_abc_hz, row.state_abc_hz)
-    return with_times([replace(row, state_cov=row.state_cov + along, speed_change=change)], CAMERA)[0]
-
-
-def test_a_car_that_brakes_has_no_sure_time_and_is_warned_of_all_the_same():
-    frames = [changing(row, 0.7) for row in drive(*HIT, 1.0)]
-    assert not frames[0].times.ttc_z_hi_s[0] > 0.0
-    assert first_warned(watched(frames)[0]) == 6
-    aside = [changing(row, 0.7) for row in drive((5.4, 0.0, 30.0), HIT[1], 1.0)]
-    assert first_warned(watched(aside)[0]) is None
-
-
 def braking_from_behind(acceleration_sigma_hz2, range_m=16.0, braking_m_s2=5.0, seconds=1.5, aside_m=0.0):
     """Rows of a car at our own speed that has just begun to brake, and the acceleration that its picture shows."""
     rows, closings = [], []

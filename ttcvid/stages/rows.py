@@ -93,7 +93,7 @@ def cluster_rows(
     )
     rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, growth[0])
     radius_px = radii_px(history.xy_px, views.now, members, is_object)
-    rows = with_common_errors(rows, members, radius_px, _age_s(history), views.gap_s, camera)
+    rows = with_common_errors(rows, members, radius_px, _age_s(history), views.gap_s, history.common_error_px, camera)
     rows = with_times(with_epipole_pixels(rows, camera), camera)
     return tuple(ranked(with_seen_motion(rows, radius_px, growth, views.gap_s, camera)))
 

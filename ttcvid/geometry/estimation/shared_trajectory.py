@@ -60,17 +60,16 @@ class PathBeliefs:
 class SharedPaths:
     """K paths as all their points see them: ``path (K, L, 3)``, ``direction (K, 3)`` = dir at time 0.
 
-    ``offset (K, 9)`` the shared unknowns, from the belief on, with ``cov (K, 9, 9)``. Of the middle of what turns
-    itself: ``bend_hz (K, 3)`` acceleration over speed, beside what the belief has of it, and ``direction_cov (K, 3,
-    3)`` in rad^2. What is left in all views: the ``squares (K,)`` of the residuals in sigmas, each no larger than a
-    robust fit counts it, and what is ``usual (K,)`` by the degree of freedom; 0 where nothing was fitted.
+    ``offset (K, 9)`` the shared unknowns, from the belief on, with ``cov (K, 9, 9)``. ``direction_cov (K, 3, 3)`` in
+    rad^2 is that of the middle of what turns itself. What is left in all views: the ``squares (K,)`` of the residuals
+    in sigmas, each no larger than a robust fit counts it, and what is ``usual (K,)`` by the degree of freedom; 0 where
+    nothing was fitted.
     """
 
     path: Floats
     direction: Floats
     offset: Floats
     cov: Floats
-    bend_hz: Floats
     direction_cov: Floats
     squares: Floats
     usual: Floats
@@ -114,7 +113,6 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
         beliefs.direction,
         np.zeros((count, N_SHARED)),
         cov,
-        np.zeros((count, 3)),
         cov[:, :3, :3],
         np.zeros(count),
         np.zeros(count),
@@ -268,10 +266,10 @@ def _shared_paths(
     """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``; ``left (K, 2)``."""
     count = len(basis)
     path, velocity = _moved_paths(beliefs, basis, local, t_s)
-    direction, bend_hz = np.empty((count, 3)), np.empty((count, 3))
+    direction = np.empty((count, 3))
     offset, shared_cov, own_cov = np.empty((count, N_SHARED)), np.empty((count, 9, 9)), np.empty((count, 3, 3))
-    share(basis, own_motion, local, cov, velocity, direction, offset, shared_cov, bend_hz, own_cov)
-    return SharedPaths(path, direction, offset, shared_cov, bend_hz, own_cov, left[:, 0], left[:, 1])
+    share(basis, own_motion, local, cov, velocity, direction, offset, shared_cov, own_cov)
+    return SharedPaths(path, direction, offset, shared_cov, own_cov, left[:, 0], left[:, 1])
 
 
 @compiled_for("(f8[:, :, ::1], f8[:, :, ::1])")

@@ -15,7 +15,7 @@ _N_SHARED, _N_LOCAL = 9, 8
 
 @compiled_for(
     "(f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], "
-    "f8[:, ::1], f8[:, :, ::1])"
+    "f8[:, :, ::1])"
 )
 def share(
     basis: Floats,
@@ -26,7 +26,6 @@ def share(
     direction: Floats,
     offset: Floats,
     shared_cov: Floats,
-    bend_hz: Floats,
     own_cov: Floats,
 ) -> None:
     """Fills what `SharedPaths` holds of offsets ``local (K, 8)`` with ``cov (K, 8, 8)``; a direction is a unit vector.
@@ -41,13 +40,11 @@ def share(
         for j in range(3):
             direction[k, j] = velocity[k, j] * slower
             offset[k, j] = basis[k, j, 0] * local[k, 0] + basis[k, j, 1] * local[k, 1]
-            offset[k, 3 + j], bend_hz[k, j], offset[k, 6 + j] = 0.0, 0.0, local[k, 5 + j]
+            offset[k, 3 + j], offset[k, 6 + j] = 0.0, local[k, 5 + j]
             columns[j, 0], columns[j, 1], columns[6 + j, 5 + j] = basis[k, j, 0] * slower, basis[k, j, 1] * slower, 1.0
             for m in range(3):
                 columns[3 + j, 2 + m] = basis[k, j, m] * slower
                 offset[k, 3 + j] += basis[k, j, m] * local[k, 2 + m]
-                for n in range(_N_LOCAL):
-                    bend_hz[k, j] += basis[k, j, m] * own_motion[k, 2 + m, n] * local[k, n]
             for n in range(_N_LOCAL):
                 own[j, n] = columns[j, 0] * own_motion[k, 0, n] + columns[j, 1] * own_motion[k, 1, n]
         _turn_covariance(columns, cov[k], half, shared_cov[k])

@@ -19,8 +19,8 @@ _N_SHARED = 9
 class PathVelocities:
     """Velocities of N points: ``abc_hz (N, 3)`` = V / Z, rho e and what a turn adds to it; NaN without path or rate.
 
-    ``along_sigma_hz (N,)`` how sure it is along the path; ``cov (N, 3, 3)`` in 1/s^2 with what the speed may change by
-    soon; ``jacobian (N, 3, 9)`` of (a, b, c) by what the points of a path share.
+    ``along_sigma_hz (N,)`` how sure it is along the path; ``cov (N, 3, 3)`` in 1/s^2; ``jacobian (N, 3, 9)`` of
+    (a, b, c) by what the points of a path share.
     """
 
     abc_hz: Floats
@@ -37,7 +37,6 @@ def velocities_on_paths(
     turn_rad_s: Floats,
     is_own_turn: Bools,
     shared_cov: Floats,
-    change: Floats,
 ) -> PathVelocities:
     """(a, b, c) of N points.
 
@@ -54,8 +53,6 @@ def velocities_on_paths(
         rotation is an error of the camera's, which is no motion.
     shared_cov
         ``(K, 9, 9)`` of the shared unknowns of `geometry.estimation.shared_trajectory`.
-    change
-        ``(K,)`` by what part the speed along each path may change soon.
     """
     n = len(path_of)
     found = PathVelocities(np.empty((n, 3)), np.empty(n), np.empty((n, 3, 3)), np.empty((n, 3, N_SHARED)))
@@ -68,7 +65,6 @@ def velocities_on_paths(
         turn_rad_s,
         is_own_turn,
         shared_cov,
-        change,
         found.abc_hz,
         found.along_sigma_hz,
         found.cov,
@@ -78,7 +74,7 @@ def velocities_on_paths(
 
 
 @compiled_for(
-    "(f8[:, ::1], f8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], b1[::1], f8[:, :, ::1], f8[::1], "
+    "(f8[:, ::1], f8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], b1[::1], f8[:, :, ::1], "
     "f8[:, ::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1])"
 )
 def _fill(
@@ -90,7 +86,6 @@ def _fill(
     turn_rad_s: Floats,
     is_own_turn: Bools,
     shared_cov: Floats,
-    change: Floats,
     abc_hz: Floats,
     along_sigma_hz: Floats,
     cov: Floats,
@@ -152,6 +147,5 @@ def _fill(
                 total = cov[i, j, m] + direction[k, j] * (square * direction[k, m] + mixed[m])
                 total += mixed[j] * direction[k, m]
                 along += (1.0 if m == j else 2.0) * direction[k, j] * total * direction[k, m]
-                total += change[k] * change[k] * abc_hz[i, j] * abc_hz[i, m]
                 cov[i, j, m] = cov[i, m, j] = total
         along_sigma_hz[i] = np.sqrt(along)

@@ -63,11 +63,6 @@ class TurningBody:
         across = np.eye(3) - np.outer(along, along)
         return np.asarray(across @ self.cov[:3, :3] @ across / max(float(np.sum(self.velocity_hz**2)), 1e-12))
 
-    @property
-    def speed_change_hz(self) -> float:
-        """Acceleration along the velocity over the speed, 1/s."""
-        return float(self.acceleration_hz2 @ self.velocity_hz / max(float(np.sum(self.velocity_hz**2)), 1e-12))
-
     def path_turned_back(self, t_s: Floats) -> Floats:
         """Path ``(L, 3)`` of its points in views turned back by the turn; its derivative at time 0 is a unit vector."""
         return np.asarray(_path(self.centre, self.shared, np.asarray(t_s)) / self.rate_hz)

@@ -97,13 +97,12 @@ def rows_of(
     joint = joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_one, states, xy_px, link_px)
     stated: dict[int, dict[str, Any]] = {}
     fronts = front_boxes(members, joint, states, xy_px).tolist()
-    for place, ref_px, front_px, abc_hz, cov, change in zip(
+    for place, ref_px, front_px, abc_hz, cov in zip(
         joint.owner.tolist(),
         joint.ref_px.tolist(),
         fronts,
         joint.abc_hz,
         joint.cov,
-        joint.speed_change.tolist(),
         strict=True,
     ):
         stated[place] = {
@@ -112,7 +111,6 @@ def rows_of(
             "front_px": tuple(front_px),
             "state_abc_hz": abc_hz,
             "state_cov": cov,
-            "speed_change": change,
         }
     turned = _directions_of_states(motions, joint, believed, believed_cov)
     for place, direction, cov, status in turned:
@@ -238,9 +236,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     # The reference point is where the tracks are, by definition: it has no error of its own.
     sigma_norm = np.full(len(stated), _EXACT)
     times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
-    change = np.array([rows[place].speed_change for place in stated])
-    present_cov = cov - (change**2)[:, None, None] * (abc_hz[:, :, None] * abc_hz[:, None, :])
-    rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, present_cov, sigma_norm)
+    rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
     sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
     rows = list(rows)
     for i, (place, rate, sigma) in enumerate(zip(stated, rates.tolist(), sigmas.tolist(), strict=True)):

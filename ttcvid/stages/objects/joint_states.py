@@ -33,7 +33,7 @@ class JointStates:
     """States of K surfaces at their centroids ``ref_px (K, 2)``; ``owner (K,)`` says whose each of them is.
 
     ``abc_hz (K, 3)`` = V / Z with ``cov (K, 3, 3)`` in 1/s^2, of which ``place_cov`` comes from not knowing the very
-    place; ``speed_change (K,)`` by what part the speed may change.
+    place.
     """
 
     owner: Ints
@@ -41,7 +41,6 @@ class JointStates:
     abc_hz: Floats
     cov: Floats
     place_cov: Floats
-    speed_change: Floats
 
 
 def joint_states(
@@ -226,9 +225,9 @@ def _joined(
     left = np.flatnonzero(lengths)
     surfaces, weight = TrackSets(index[:m], lengths[left]), weight[:m]
     along, ref_px, abc_hz, variance = along[left], ref_px[left], abc_hz[left], variance[left]
-    cov, place_cov, speed_change = _joint_covariances(states, surfaces, weight, abc_hz, along, variance > 0.0)
+    cov, place_cov = _joint_covariances(states, surfaces, weight, along, variance > 0.0)
     cov = cov + place_cov + _TRIMMED_VARIANCE * variance[:, None, None] * along[:, :, None] * along[:, None, :]
-    return JointStates(rated.owner[left], ref_px, abc_hz, cov, place_cov, speed_change)
+    return JointStates(rated.owner[left], ref_px, abc_hz, cov, place_cov)
 
 
 @compiled_for(
@@ -293,9 +292,9 @@ def _join_each(
 
 
 def _joint_covariances(
-    states: TrackStates, surfaces: TrackSets, weight: Floats, abc_hz: Floats, along: Floats, is_plane: Bools
-) -> tuple[Floats, Floats, Floats]:
-    """Covariances of weighted means of (a, b, c), by noise and by place, and by what part the speeds may change.
+    states: TrackStates, surfaces: TrackSets, weight: Floats, along: Floats, is_plane: Bools
+) -> tuple[Floats, Floats]:
+    """Covariances of weighted means of (a, b, c), by noise and by place, and the part of the place.
 
     Own noise averages out, errors of what they share do not. Tracks of a surface share one path, but for those timed by
     expansion: each of these is in the neighbourhoods of others, which err with it. Where each track has a direction of
@@ -304,45 +303,41 @@ def _joint_covariances(
     plane, ``is_plane`` (K,), their noise is in its variance.
     """
     shared, count = states.shared, len(surfaces)
-    place_cov, speed_change = np.zeros((count, 3, 3)), np.zeros(count)
+    place_cov = np.zeros((count, 3, 3))
     if shared is None:
-        return _averaged_out(states, surfaces, weight, along, is_plane), place_cov, speed_change
+        return _averaged_out(states, surfaces, weight, along, is_plane), place_cov
     cov = np.zeros((count, 3, 3))
     _fill_covariances(
         surfaces.index,
         surfaces.lengths,
         weight,
-        abc_hz,
         np.where(is_plane, 0.0, _TRIMMED_VARIANCE),
         (states.cov, np.ascontiguousarray(states.xy)),
         (shared.path_of, shared.rate_variance, shared.jacobian),
-        (shared.along, shared.cov, shared.change, shared.turn_rad_s),
+        (shared.along, shared.cov, shared.turn_rad_s),
         EXPANSION_NEIGHBOURS,
         cov,
         place_cov,
-        speed_change,
     )
-    return cov, place_cov, speed_change
+    return cov, place_cov
 
 
 @compiled_for(
-    "(i8[::1], i8[::1], f8[::1], f8[:, ::1], f8[::1], Tuple((f8[:, :, ::1], f8[:, ::1])), "
-    "Tuple((i8[::1], f8[::1], f8[:, :, ::1])), Tuple((f8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, ::1])), i8, "
-    "f8[:, :, ::1], f8[:, :, ::1], f8[::1])"
+    "(i8[::1], i8[::1], f8[::1], f8[::1], Tuple((f8[:, :, ::1], f8[:, ::1])), "
+    "Tuple((i8[::1], f8[::1], f8[:, :, ::1])), Tuple((f8[:, ::1], f8[:, :, ::1], f8[:, ::1])), i8, "
+    "f8[:, :, ::1], f8[:, :, ::1])"
 )
 def _fill_covariances(
     index: Ints,
     lengths: Ints,
     weight: Floats,
-    abc_hz: Floats,
     own_factor: Floats,
     state: tuple[Floats, Floats],
     of_tracks: tuple[Ints, Floats, Floats],
-    of_paths: tuple[Floats, Floats, Floats, Floats],
+    of_paths: tuple[Floats, Floats, Floats],
     err_together: int,
     cov: Floats,
     place_cov: Floats,
-    speed_change: Floats,
 ) -> None:
     """Fills the results of `_joint_covariances`, surface by surface: all of them come as zeros.
 
@@ -351,7 +346,7 @@ def _fill_covariances(
     """
     track_cov, xy = state
     path_of, rate_variance, jacobian = of_tracks
-    path_along, shared_cov, change, turn_rad_s = of_paths
+    path_along, shared_cov, turn_rad_s = of_paths
     n_shared, low = shared_cov.shape[1], 0
     by_shared, product, by_place = np.empty((3, n_shared)), np.empty(n_shared), np.empty(3)
     for k in range(len(lengths)):
@@ -380,7 +375,6 @@ def _fill_covariances(
             for q in range(3):
                 cov[k, j, q] *= count
         if path >= 0:
-            speed_change[k] = change[path]
             for j in range(3):
                 for q in range(n_shared):
                     product[q] = 0.0
@@ -388,7 +382,6 @@ def _fill_covariances(
                         product[q] += by_shared[j, r] * shared_cov[path, r, q]
                 for r in range(3):
                     total = own_factor[k] * own * path_along[path, j] * path_along[path, r]
-                    total += change[path] * change[path] * abc_hz[k, j] * abc_hz[k, r]
                     for q in range(n_shared):
                         total += product[q] * by_shared[r, q]
                     cov[k, j, r] += total

@@ -35,8 +35,8 @@ class SharedErrors:
     ``path_of (N,)`` the path of each track, negative for none; ``along (K, 3)`` the direction in which the noise of a
     track's own views counts; ``rate_hz (N,)`` speed along the path over depth, with ``rate_variance (N,)``, 1/s^2, by
     that noise; ``jacobian (N, 3, 9)`` of (a, b, c) and ``rate_jacobian (N, 9)`` of the rates by the shared unknowns, in
-    the order of `shared_trajectory`, and their covariance ``cov (K, 9, 9)``; ``change (K,)`` by what part the speed
-    along each path may change soon; ``turn_rad_s (K, 3)`` how the things on them turn themselves.
+    the order of `shared_trajectory`, and their covariance ``cov (K, 9, 9)``; ``turn_rad_s (K, 3)`` how the things on
+    them turn themselves.
     """
 
     path_of: Ints
@@ -46,7 +46,6 @@ class SharedErrors:
     jacobian: Floats
     rate_jacobian: Floats
     cov: Floats
-    change: Floats
     turn_rad_s: Floats
 
 
@@ -60,7 +59,6 @@ def nothing_shared(n: int) -> SharedErrors:
         np.zeros((n, 3, N_SHARED)),
         np.zeros((n, N_SHARED)),
         np.zeros((1, N_SHARED, N_SHARED)),
-        np.zeros(1),
         np.zeros((1, 3)),
     )
 
@@ -157,7 +155,6 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
         jacobian,
         rate_jacobian,
         shared_cov,
-        np.zeros(len(first)),
         np.zeros((len(first), 3)),
     )
     return replace(states, shared=shared)

@@ -15,7 +15,6 @@ from ttcvid.geometry.kernels.free_point import LEAST_FRAMES
 from ttcvid.geometry.kernels.known_path import LEAST_FRAMES as LEAST_FRAMES_ON_PATH
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
-from ttcvid.stages.egomotion.relative_pose import DIRECTION_FLOOR_RAD
 from ttcvid.stages.egomotion.scene_trajectory import scene_path
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.motions import FrameMotions
@@ -38,11 +37,8 @@ _JUDGEMENTS = (
     Status.ok,
 )
 _JUDGED = tuple(int(judgement) for judgement in _JUDGEMENTS)
-# A time takes the velocity as lasting. Where it was seen to change, it is uncertain by what it changes in so long, s:
-# on the lead car of kitti_sfnd_ttc, whose brakes come and go, 90 % intervals hold then in about 80 % of the frames.
-_LASTING_S = 0.4
-# What a velocity may change by, over itself, without being seen to: 0.5 m/s^2 at 5 m/s.
-_UNSEEN_BEND_HZ = 0.1
+# Acceleration does not last: by this part of itself it is another one now than over the views. Brakes come and go.
+_ACCELERATION_CHANGE = 0.5
 # What is left of a sum of squares below this part of it is rounding.
 _ROUNDING = 1e-15
 
@@ -162,24 +158,16 @@ def _on_paths(
         config.window_probability,
     )
     misfit = _misfit(path_of, rates, len(paths.direction)) * common
-    across = np.eye(3) - paths.direction[:, :, None] * paths.direction[:, None, :]
     shared_cov = paths.cov * misfit[:, None, None]
-    shared_cov[:, :3, :3] += DIRECTION_FLOOR_RAD**2 * across
+    bend = _ACCELERATION_CHANGE * paths.offset[:, 3:6]
+    shared_cov[:, 3:6, 3:6] += bend[:, :, None] * bend[:, None, :]
     own_cov = paths.direction_cov
-    direction_variance = (
-        misfit * (own_cov[:, 0, 0] + own_cov[:, 1, 1] + own_cov[:, 2, 2]) + 2.0 * DIRECTION_FLOOR_RAD**2
-    )
+    direction_variance = misfit * (own_cov[:, 0, 0] + own_cov[:, 1, 1] + own_cov[:, 2, 2])
     # `NO_PATH` picks the last one.
     rate_variance = rates.cov[:, 2, 2] * np.append(misfit, 1.0)[path_of]
-    # Times take the velocity as lasting: where it was seen to change, they are uncertain by what it changes in a while.
-    # Whether and where to a thing moves now is as sure as before.
-    bend_hz = np.sum(paths.bend_hz * paths.direction, axis=1)
-    change = np.where(is_object, _LASTING_S * np.hypot(bend_hz, _UNSEEN_BEND_HZ), 0.0)
-    found = velocities_on_paths(
-        rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov, change
-    )
+    found = velocities_on_paths(rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov)
     errors = (rates.rate_hz, rate_variance, found.jacobian, rates.by_shared)
-    shared = SharedErrors(path_of, paths.direction, *errors, shared_cov, change, turn_rad_s)
+    shared = SharedErrors(path_of, paths.direction, *errors, shared_cov, turn_rad_s)
     direction, status = np.full((history.n_tracks, 3), np.nan), np.empty(history.n_tracks, dtype=np.int64)
     _judge(
         history.xy,

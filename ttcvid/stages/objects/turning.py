@@ -144,7 +144,6 @@ def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
         body.start[None],
         np.concatenate([np.zeros(6), body.turn_rad_s])[None],
         body.path_cov[None],
-        (body.speed_change_hz * body.start)[None],
         body.direction_cov[None],
         np.array([body.squares]),
         np.array([body.usual]),

@@ -19,14 +19,14 @@ from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
 from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory
+from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
 # Nearer and farther are told at 99.9 % (one side): in 99 % of frames of ten objects none is told wrongly.
 _SIGMAS_999 = 3.090
 # A growth of the picture is contradicted, or sure, at 95 % (one side).
 _SIGMAS_95 = 1.645
-# Tracks drift together by a part of a pixel, as standard deviation at the outline of their object, px; over this time
-# at the most, s, since a longer look is not less wrong.
-_COMMON_ERROR_PX, _DRIFT_S = 0.25, 0.6
+# Tracks drift together (`COMMON_ERROR_PX`) over this time at the most, s, since a longer look is not less wrong.
+_DRIFT_S = 0.6
 # Most of that grows evenly: what lies deeper than it seems grows less. By this part of it errors walk, and only that
 # looks like a change of speed: judged from one car beside lidar (kitti_sfnd_ttc), whose accelerations err by about half
 # of what they would by all of it.
@@ -52,7 +52,13 @@ class CommonViews:
 
 
 def with_common_errors(
-    rows: list[ClusterRow], members: TrackSets, radius_px: Floats, age_s: Floats, gap_s: float, camera: Camera
+    rows: list[ClusterRow],
+    members: TrackSets,
+    radius_px: Floats,
+    age_s: Floats,
+    gap_s: float,
+    error_px: float,
+    camera: Camera,
 ) -> list[ClusterRow]:
     """The same K rows; their states no surer than what all tracks of an object may err by in common leaves them.
 
@@ -61,6 +67,7 @@ def with_common_errors(
     members, radius_px : tracks of the rows, and their `radii_px`.
     age_s : (N,) for how long each track has been seen.
     gap_s : time over which all tracks are looked at (`CommonViews`).
+    error_px : `PointSet.common_error_px`.
     """
     stated = [k for k, row in enumerate(rows) if row.state_cov is not None]
     if not stated:
@@ -69,7 +76,7 @@ def with_common_errors(
     has_state = np.zeros(len(rows), dtype=bool)
     has_state[stated] = True
     of_stated, _ = members.where(has_state[members.set_of])
-    drift_hz = common_growth_hz(radius_px[stated], of_stated.medians(age_s[of_stated.index]), gap_s)
+    drift_hz = common_growth_hz(radius_px[stated], of_stated.medians(age_s[of_stated.index]), gap_s, error_px)
     # What seems to grow, seems to come along its ray.
     common = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
     rows = list(rows)
@@ -78,16 +85,19 @@ def with_common_errors(
     return rows
 
 
-def common_growth_hz(radius_px: Floats, seen_s: Floats, least_s: float = 0.0) -> Floats:
+def common_growth_hz(
+    radius_px: Floats, seen_s: Floats, least_s: float = 0.0, error_px: float = COMMON_ERROR_PX
+) -> Floats:
     """Growth that tracks show by what matching errs by in common: its standard deviation, 1/s.
 
     Parameters
     ----------
     radius_px : root mean square distance of the tracks of each thing from their centre.
     seen_s, least_s : for how long they have been seen, and for how long they are looked at, at the least.
+    error_px : at their outline.
     """
     looked_s = np.maximum(np.minimum(seen_s, _DRIFT_S), least_s)
-    return np.asarray(_COMMON_ERROR_PX / (np.maximum(radius_px, _LEAST_RADIUS_PX) * looked_s))
+    return np.asarray(error_px / (np.maximum(radius_px, _LEAST_RADIUS_PX) * looked_s))
 
 
 def with_seen_motion(
@@ -105,7 +115,7 @@ def with_seen_motion(
     if not asked:
         return rows
     rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in asked]))
-    abc_hz, cov = np.array([rows[k].state_abc_hz for k in asked]), np.array([rows[k].present_cov for k in asked])
+    abc_hz, cov = np.array([rows[k].state_abc_hz for k in asked]), np.array([rows[k].state_cov for k in asked])
     nearer = zip(*_radial_rates(rays, abc_hz, cov), strict=True)
     grows = np.column_stack(growth).tolist()
     seen = list(rows)
@@ -164,7 +174,7 @@ def _views(history: TrackHistory, members: Ints) -> tuple[Floats, Floats]:
 
 def _drift_hz(radius_px: float) -> float:
     """Variance of the size of a thing by what its matching errs by in common, gained in a second."""
-    return (_COMMON_ERROR_PX / max(radius_px, _LEAST_RADIUS_PX)) ** 2 / _DRIFT_S
+    return (COMMON_ERROR_PX / max(radius_px, _LEAST_RADIUS_PX)) ** 2 / _DRIFT_S
 
 
 def _seen_state(state: MotionState, nearer_hz: float, sigma_hz: float, *, is_contradicted: bool) -> MotionState:
@@ -200,7 +210,7 @@ def _is_contradicted(
     grows_hz, sigma_hz = grows
     if not (math.isfinite(grows_hz) and math.isfinite(sigma_hz) and radius_px > 0.0):
         return False
-    sigma_hz = math.hypot(sigma_hz, _COMMON_ERROR_PX / (radius_px * gap_s))
+    sigma_hz = math.hypot(sigma_hz, COMMON_ERROR_PX / (radius_px * gap_s))
     said_hz, said_sigma_hz = said
     side = 1.0 if state in APPROACHING else -1.0
     is_seen = side * grows_hz > _SIGMAS_95 * sigma_hz

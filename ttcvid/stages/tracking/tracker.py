@@ -39,6 +39,10 @@ _MOST_REPEATED = 5
 _DARK_LEVEL = 24
 
 
+COMMON_ERROR_PX = 0.25
+"""Tracks of a thing drift together by a part of a pixel: standard deviation at its outline."""
+
+
 @dataclass(frozen=True)
 class PreparedPicture:
     """What can be computed from a picture alone, ahead of its turn: its thumbnail, and its features for AKAZE."""
@@ -174,8 +178,10 @@ def _exposure_gain(last: PreparedPicture, now: PreparedPicture) -> float:
 
 def _points(memory: TrackerMemory) -> PointSet:
     if memory.akaze is not None:
-        return points_of(memory.akaze)
-    return _no_points() if memory.klt is None else memory.klt.points
+        points = points_of(memory.akaze)
+    else:
+        points = _no_points() if memory.klt is None else memory.klt.points
+    return replace(points, common_error_px=COMMON_ERROR_PX)
 
 
 def _no_points() -> PointSet:

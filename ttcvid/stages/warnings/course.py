@@ -89,7 +89,7 @@ def course_of(
     bend : how we drive, if we turn: who goes along our road turns as it does.
     closing_of : tells how the depth of a cluster changes; asked where all depends on that, since it takes its time.
     """
-    cov = row.present_cov
+    cov = row.state_cov
     if row.state_abc_hz is None or cov is None or row.motion_state == MotionState.unknown:
         return OPEN
     if row.motion_state not in APPROACHING or not row.times.tcpa_s[0] > 0.0:

@@ -260,7 +260,7 @@ def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
         None,
         None,
         None,
-        surety(row.state_abc_hz, row.present_cov),
+        surety(row.state_abc_hz, row.state_cov),
     )
     return _continued(event, row, frame, t_s)
 
@@ -276,5 +276,5 @@ def _continued(event: Event, row: ClusterRow, frame: int, t_s: float) -> Event:
         min_ttc_z_s=min(ahead) if ahead else None,
         min_tcpa_s=tcpa_s if is_nearer else event.min_tcpa_s,
         miss_s=float(row.times.miss_s[0]) if is_nearer else event.miss_s,
-        confidence=surety(row.state_abc_hz, row.present_cov) if is_nearer else event.confidence,
+        confidence=surety(row.state_abc_hz, row.state_cov) if is_nearer else event.confidence,
     )
