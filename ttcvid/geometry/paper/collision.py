@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints, Status
 
@@ -75,19 +75,9 @@ def angles_from_epipoles(rays: Floats, direction: Floats) -> Floats:
     >>> angles_from_epipoles(np.array([[1.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]]))
     array([0.78539816])
     """
-    angle_rad = np.empty(len(rays))
-    _angle_of_each(np.ascontiguousarray(rays), np.ascontiguousarray(direction), angle_rad)
-    return angle_rad
-
-
-@compiled_for("(f8[:, ::1], f8[:, ::1], f8[::1])")
-def _angle_of_each(rays: Floats, direction: Floats, angle_rad: Floats) -> None:
-    """Fills ``angle_rad (N,)`` of `angles_from_epipoles`: the length of the cross product over the dot product."""
-    for i in range(len(rays)):
-        p, e = (rays[i, 0], rays[i, 1], rays[i, 2]), (direction[i, 0], direction[i, 1], direction[i, 2])
-        x, y, z = p[1] * e[2] - p[2] * e[1], p[2] * e[0] - p[0] * e[2], p[0] * e[1] - p[1] * e[0]
-        along = p[0] * e[0] + p[1] * e[1] + p[2] * e[2]
-        angle_rad[i] = np.arctan2(np.sqrt(x * x + y * y + z * z), -along)
+    across = cross(rays, direction)
+    length = np.sqrt(np.einsum("ni,ni->n", across, across))
+    return np.asarray(np.arctan2(length, -np.einsum("ni,ni->n", rays, direction)))
 
 
 def k_from_two_angles(alpha_rad: Floats, beta_rad: Floats, gap: float | Floats) -> tuple[Floats, Ints]:
@@ -181,30 +171,10 @@ def times_from_position_velocity(position: Floats, velocity: Floats) -> PointTim
     >>> [round(float(t[0]), 2) for t in times]
     [2.31, 1.54, 10.0]
     """
-    every = np.broadcast_shapes(position.shape, velocity.shape)
-    times = PointTimes(*(np.full(every[:-1], np.nan) for _ in PointTimes._fields))
-    _times_of_each(
-        *(
-            np.ascontiguousarray(np.broadcast_to(v, every), dtype=np.float64).reshape(-1, 3)
-            for v in (position, velocity)
-        ),
-        *(time.reshape(-1) for time in times),
-    )
-    return times
-
-
-@compiled
-def _times_of_each(position: Floats, velocity: Floats, tcpa_s: Floats, miss_s: Floats, ttc_z_s: Floats) -> None:
-    """Fills the three times ``(N,)`` of `times_from_position_velocity` where they are defined."""
-    for i in range(len(position)):
-        p, v = (position[i, 0], position[i, 1], position[i, 2]), (velocity[i, 0], velocity[i, 1], velocity[i, 2])
-        speed2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-        if speed2 != 0.0:
-            x, y, z = p[1] * v[2] - p[2] * v[1], p[2] * v[0] - p[0] * v[2], p[0] * v[1] - p[1] * v[0]
-            tcpa_s[i] = -(p[0] * v[0] + p[1] * v[1] + p[2] * v[2]) / speed2
-            miss_s[i] = np.sqrt(x * x + y * y + z * z) / speed2
-        if v[2] != 0.0:
-            ttc_z_s[i] = -p[2] / v[2]
+    across, speed2 = cross(position, velocity), np.sum(velocity**2, axis=-1)
+    tcpa_s = quotient(-np.sum(position * velocity, axis=-1), speed2)
+    miss_s = quotient(np.sqrt(np.sum(across**2, axis=-1)), speed2)
+    return PointTimes(tcpa_s, miss_s, quotient(-position[..., 2], velocity[..., 2]))
 
 
 def times_from_state(state: Floats) -> PointTimes:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross
@@ -154,29 +153,10 @@ def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, e_variance:
     -------
     ``(N,)``.
     """
-    is_at = np.empty(len(q), dtype=bool)
-    # Neither is written to, but arrays that cannot be written to are of another type.
-    e, variance = (
-        np.require(values, requirements=("C", "W")) for values in (e, np.broadcast_to(variance + e_variance, (len(q),)))
-    )
-    gate = SIGNIFICANCE_SIGMAS**2
-    _compare_with_noise(np.ascontiguousarray(q), np.ascontiguousarray(r), e, variance, gate, is_at)
-    return is_at
-
-
-@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8, b1[::1])")
-def _compare_with_noise(q: Floats, r: Floats, e: Floats, variance: Floats, gate: float, is_at: Bools) -> None:
-    """Fills ``is_at (N,)`` of `is_at_epipole`: abs(ray x e) over abs(ray) is the sine of their angle."""
-    for i in range(len(q)):
-        farther = 0.0
-        for rays in (q, r):
-            x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
-            cx, cy, cz = y * e[i, 2] - z * e[i, 1], z * e[i, 0] - x * e[i, 2], x * e[i, 1] - y * e[i, 0]
-            sine2 = (cx * cx + cy * cy + cz * cz) / ((x * x + y * y + z * z) * variance[i])
-            # What is not known is no sign of being off.
-            if sine2 > farther:
-                farther = sine2
-        is_at[i] = farther < gate
+    # abs(ray x e) over abs(ray) is the sine of their angle. What is not known is no sign of being off.
+    sine2 = [quotient(_square_sum(cross(rays, e)), _square_sum(rays)) for rays in (q, r)]
+    farther = np.fmax(np.fmax(*sine2), 0.0)
+    return np.asarray(farther < SIGNIFICANCE_SIGMAS**2 * (variance + e_variance))
 
 
 def _to_unit_depth(rays: Floats) -> Floats:
