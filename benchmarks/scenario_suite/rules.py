@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import ttcvid
-from ttcvid.stages.segmentation.ground_contact import Floating
+from ttcvid.stages.segmentation.ground_contact import Contacts
 from ttcvid.stages.tracking.static_overlays import FrozenMemory
 
 _PACKAGE = Path(ttcvid.__file__).parent
@@ -42,8 +42,8 @@ class Rule:
         return sum(len((_PACKAGE / file).read_text(encoding="utf-8").splitlines()) for file in self.files)
 
 
-def _nothing_floats(xy_px: Any, link_px: Any, fit: Any, key: Any, *_: Any) -> Floating:
-    return Floating(np.full(len(key), -1), np.zeros(len(key), dtype=bool), np.full(len(key), -1))
+def _no_contacts(xy_px: Any, link_px: Any, fit: Any, key: Any, *_: Any) -> Contacts:
+    return Contacts(np.full(len(key), -1), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool))
 
 
 def _none_frozen(memory: Any, points: Any, **_: Any) -> tuple[Any, FrozenMemory]:
@@ -79,22 +79,16 @@ def _stage(file: str) -> tuple[str, ...]:
 
 RULES: dict[str, Rule] = {
     "road": Rule(
-        "the plane of the road, and what would lie under it",
+        "the plane of the road",
         "ground",
         {"stages.segmentation.ground_plane.find_road": _none},
         _stage("segmentation/ground_plane"),
     ),
-    "floating": Rule(
-        "what nothing bears moves",
+    "ground_contact": Rule(
+        "what would lie under the road or hangs over it moves",
         "ground",
-        {"stages.segmentation.ground_contact.find_floating": _nothing_floats},
+        {"stages.segmentation.ground_contact.find_contacts": _no_contacts},
         _stage("segmentation/ground_contact"),
-    ),
-    "upper_parts": Rule(
-        "above what would lie under the road",
-        "ground",
-        {"stages.segmentation.above_ground_contact.above_under": _zeros(3)},
-        _stage("segmentation/above_ground_contact"),
     ),
     "slipping": Rule(
         "windows that slip along an edge make no mover",

@@ -1,4 +1,4 @@
-"""What nothing bears: the road is seen where an oncoming car, taken for a static thing, would have to stand."""
+"""What lies under the road, or hangs over it, if it stood still: it goes our way, or comes towards us."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from relative_motion import CAMERA, FOCAL_PX
 from rigid_worlds import LINK_PX, Thing, bodies_of, car
 
 from ttcvid.geometry.estimation.rigid_motion import PathFit
-from ttcvid.stages.segmentation.ground_contact import find_floating
+from ttcvid.stages.segmentation.ground_contact import find_contacts, on_ground
 
 SPEED_M_S, CAMERA_M = 10.0, 1.4
 SLOPE_HZ = SPEED_M_S / CAMERA_M
@@ -29,56 +29,116 @@ def without_hidden(ground, thing):
     return ground[~np.all((seen > box.min(axis=0)) & (seen < box.max(axis=0)), axis=1)]
 
 
-def floating_of(ground, *things, closing=1.0):
-    """What is found where the last thing comes ``closing`` times as fast as the static scene, and where it is."""
+def contacts_of(ground, *things, apparent=(), sigma_hz=0.002):
+    """What is said of things over the road, each with ``apparent`` times the rate that it would have if it stood still.
+
+    Of each thing: shares of its points that the ground contradicts, and that are borne by it; and of the road.
+    """
     position = np.concatenate([ground, *things])
-    rate_hz = SPEED_M_S / position[:, 2]
-    last = np.arange(len(position)) >= len(position) - len(things[-1])
-    rate_hz[last] *= closing
+    part = np.repeat(np.arange(1 + len(things)), [len(ground), *map(len, things)])
+    rate_hz = np.array([1.0, *apparent])[part] * SPEED_M_S / position[:, 2]
     place, n = position[:, :2] / position[:, 2:], len(position)
     xy_px = place * FOCAL_PX + (CAMERA.cx_px, CAMERA.cy_px)
-    fit = PathFit(place, rate_hz, 0.01 * rate_hz, np.ones(n), np.full(n, 10))
-    road_hz = np.where(place[:, 1] > 0.03, SLOPE_HZ * place[:, 1], np.nan)
-    every = np.ones(n, dtype=bool)
-    return find_floating(xy_px, LINK_PX, fit, np.zeros(n, dtype=int), road_hz, SLOPE_HZ, every), last
+    fit = PathFit(place, rate_hz, np.full(n, sigma_hz), np.ones(n), np.full(n, 10))
+    seen = on_ground(fit, np.array([0.0, 0.0, SLOPE_HZ]), np.ones(n, dtype=bool), 0.0)
+    found = find_contacts(xy_px, LINK_PX, seen, np.zeros(n, dtype=int))
+    is_thing = found.thing >= 0
+    odd, borne = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    odd[is_thing], borne[is_thing] = (said[found.thing[is_thing]] for said in (found.contradicts, found.is_borne))
+    odd, borne = (np.bincount(part, said) / np.bincount(part) for said in (odd, borne))
+    return odd[1:], borne[1:], odd[0]
 
 
 def test_the_road_is_seen_below_a_car_that_comes_as_fast_as_we_drive():
-    oncoming = upright((0.2, 1.4), 20.0, (-4.0, -2.2))
-    floating, is_car = floating_of(without_hidden(road(), oncoming), oncoming, closing=2.0)
-    thing = floating.thing[is_car]
-    assert (thing == thing[0]).all()
-    assert not floating.is_borne[is_car].any()
-    assert np.count_nonzero(floating.below == thing[0]) > 5
+    oncoming = upright((0.2, 1.4), 20.0, (-8.0, -6.2))
+    odd, _, road_odd = contacts_of(without_hidden(road(), oncoming), oncoming, apparent=(2.0,))
+    assert (odd[0], road_odd) == (1.0, 0.0)
+
+
+def test_where_no_road_is_seen_nothing_bears_a_car_that_comes_over_our_lane():
+    oncoming = upright((0.2, 1.4), 20.0, (-4.0, -2.2), n=5)
+    plain = road()[[0, 12, -1]]
+    odd, _, _ = contacts_of(plain, oncoming, apparent=(2.0,))
+    assert odd[0] == 1.0
 
 
 @pytest.mark.parametrize("height_m", [(0.2, 1.4), (0.0, 6.0)])
-def test_what_stands_on_the_road_is_borne_by_it(height_m):
-    parked = upright(height_m, 12.0, (-4.0, -2.2))
-    floating, is_car = floating_of(without_hidden(road(), parked), parked)
-    assert floating.is_borne[is_car & (floating.thing >= 0)].all()
-    assert (floating.below < 0).all()
+@pytest.mark.parametrize("x_m", [(-4.0, -2.2), (-1.0, 0.8)])
+def test_what_stands_on_the_road_is_borne_by_it(height_m, x_m):
+    parked = upright(height_m, 12.0, x_m)
+    odd, borne, road_odd = contacts_of(without_hidden(road(), parked), parked, apparent=(1.0,))
+    assert borne[0] > 0.8
+    assert (odd[0], road_odd) == (0.0, 0.0)
+
+
+def test_what_a_nearer_thing_hides_the_foot_of_does_not_hang():
+    behind, before = upright((0.7, 1.4), 12.0, (-2.0, 0.0)), upright((0.0, 0.6), 9.0, (-2.2, 0.2))
+    odd, _, _ = contacts_of(road()[[0, 12, -1]], behind, before, apparent=(1.0, 1.0))
+    np.testing.assert_array_equal(odd, 0.0)
 
 
 def test_a_plain_wall_below_a_row_of_windows_is_no_hole():
     windows, wall = upright((0.7, 2.0), 12.0, (-6.0, -2.0)), upright((0.0, 2.0), 12.0, (-6.0, -2.0))
-    floating, is_window = floating_of(without_hidden(road(), wall), windows)
-    assert not floating.is_borne[is_window].any()
-    assert (floating.below < 0).all()
+    odd, borne, _ = contacts_of(without_hidden(road(), wall), windows, apparent=(1.0,))
+    assert (odd[0], borne[0]) == (0.0, 0.0)
 
 
 def test_the_road_seen_beside_the_trunk_of_a_tree_below_its_crown_is_no_hole():
     trunk, crown = upright((0.6, 2.0), 12.0, (-3.2, -3.1), n=4), upright((2.0, 5.0), 12.0, (-5.0, -1.0))
     whole_trunk = upright((0.0, 2.0), 12.0, (-3.2, -3.1))
-    floating, is_tree = floating_of(without_hidden(road(), whole_trunk), np.concatenate([trunk, crown]))
-    assert len(np.unique(floating.thing[is_tree])) == 1
-    assert (floating.below < 0).all()
+    tree = np.concatenate([trunk, crown])
+    odd, _, _ = contacts_of(without_hidden(road(), whole_trunk), tree, apparent=(1.0,))
+    assert odd[0] == 0.0
 
 
-def test_a_row_of_houses_is_no_thing_that_floats():
+def test_a_row_of_houses_is_no_thing_that_hangs():
     house = [upright((0.7, 5.0), depth, (-6.0, -5.0)) for depth in np.geomspace(10.0, 30.0, 20)]
-    floating, _ = floating_of(road(), np.concatenate(house))
-    assert (floating.below < 0).all()
+    odd, _, _ = contacts_of(road(), np.concatenate(house), apparent=(1.0,))
+    assert odd[0] == 0.0
+
+
+def rear(top_m=1.6, x_m=(-0.9, 0.9), depth_m=20.0, n=12):
+    """The rear of what is ahead of us, from its bumper up."""
+    return upright((0.3, top_m), depth_m, x_m, n)
+
+
+def far_points(x_m, height_m, depth_m=2000.0, n=400):
+    """Points of a ridge far away."""
+    return np.column_stack([np.linspace(*x_m, n), np.full(n, CAMERA_M - height_m), np.full(n, depth_m)])
+
+
+@pytest.mark.parametrize("apparent", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize("top_m", [1.6, 3.5])
+def test_what_goes_our_way_would_lie_under_the_road_from_its_bumper_to_its_roof(apparent, top_m):
+    ahead = rear(top_m)
+    odd, _, road_odd = contacts_of(without_hidden(road(), ahead), ahead, apparent=(apparent,))
+    assert odd[0] == 1.0
+    # Of the road only what is seen beside it, at the depth that it appears to have, is ever taken along.
+    assert road_odd < 0.01
+
+
+def test_our_own_bonnet_would_lie_under_the_road_and_does_not_move():
+    bonnet = upright((0.3, 0.6), 3.0, (-1.0, 1.0))
+    odd, _, _ = contacts_of(road(), bonnet, apparent=(0.0,))
+    assert odd[0] == 0.0
+
+
+def test_houses_far_behind_it_would_not():
+    ahead, house = rear(), far_points((-20.0, 20.0), 4.4, 100.0)
+    odd, _, _ = contacts_of(without_hidden(road(), ahead), ahead, house, apparent=(0.0, 1.0))
+    assert odd[1] == 0.0
+
+
+def test_a_ridge_at_the_horizon_that_goes_on_to_the_sides_would_not_and_nothing_is_said_of_the_roof():
+    ahead, ridge = rear(), far_points((-600.0, 600.0), 41.4)
+    odd, _, _ = contacts_of(without_hidden(road(), ahead), ahead, ridge, apparent=(0.0, 0.0))
+    assert 0.3 < odd[0] < 1.0
+    assert odd[1] == 0.0
+
+
+def test_rates_that_are_not_known_say_nothing():
+    odd, _, _ = contacts_of(without_hidden(road(), rear()), rear(), apparent=(0.5,), sigma_hz=3.0)
+    assert odd[0] == 0.0
 
 
 def street(rng, n_frames, *movers):
@@ -106,3 +166,16 @@ def test_a_car_that_is_parked_there_stays_with_the_scene():
     parked = car(rng, (-3.5, CAMERA_M - 0.9, 30.0), (0.0, 0.0, 0.0), size_m=(1.8, 1.4, 4.0))
     frames = bodies_of(street(rng, 20, parked), 20, (0.0, 0.0, SPEED_M_S))
     assert all(not frame.mover_keys for frame in frames)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4, 5])
+def test_a_car_ahead_as_fast_as_we_are_is_one_mover_up_to_its_roof_and_takes_nothing_of_the_road(seed):
+    rng = np.random.default_rng(seed)
+    ahead = car(rng, (0.0, CAMERA_M - 0.95, 18.0), (0.0, 0.0, SPEED_M_S), n=40, size_m=(1.8, 1.4, 0.5))
+    frames = bodies_of(street(rng, 40, ahead), 40, (0.0, 0.0, SPEED_M_S), opaque=True)
+    later = frames[15:]
+    keys = {frame.keys_of(1)[0] for frame in later}
+    assert len(keys) == 1
+    assert 0 not in keys
+    assert np.median([frame.keys_of(1)[1] for frame in later]) >= 0.9
+    assert max(np.count_nonzero(frame.key[frame.truth == 0] != 0) for frame in frames) <= 5

@@ -1,7 +1,6 @@
 """What a road tells of movers along our own direction, which look like static points at a wrong depth.
 
-A car ahead that we close on slowly looks like something far away: what lies below the horizon would lie under the road.
-An oncoming car looks nearer than it is: nothing bears it (`stages.segmentation.ground_contact`).
+Such a thing would lie under the road, or hang over it (`stages.segmentation.ground_contact`).
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ from ttcvid.geometry.kernels.arrays import copy
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import picture_region
-from ttcvid.stages.segmentation.above_ground_contact import above_under
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.ground_contact import Floating, find_floating
+from ttcvid.stages.segmentation.ground_contact import Contacts, find_contacts, on_ground
 from ttcvid.stages.tracking.groups import places_among
 
 # The camera looks along the road within so much, as the tangent of its pitch; heights of the horizon that are tried.
@@ -38,15 +36,12 @@ _LEAST_POINTS, _LEAST_SHARE = 12, 0.3
 _HORIZON_OFF = 2.0 * _PITCH
 # How much the road may fall to one side, beside how much it comes nearer downwards: roll of the camera.
 _ROLL_SIGMA = 0.1
-_UNDER_SIGMAS, _LEAST_VIEWS = 3.0, 4
+_LEAST_VIEWS = 4
 # A point lies on the road within this part of its rate.
 _ON_ROAD = 0.2
 # Evidence decays by the first factor per frame, by the second where there is a road but the frame does not observe it
 # there, as where the road has no texture; a track contradicts a static scene above the last value.
 _FORGETTING, _NOTHING_SAID, _ENOUGH = 0.8, 0.97, 0.5
-# A point of the road that has newly come to be seen below a thing is an error as often as not: a track at an outline
-# slides. Two of them are enough.
-_DOUBT = 0.5
 # The road itself changes slowly: beside our way its memory is longer.
 _ROAD_FORGETTING = 0.85
 
@@ -56,14 +51,13 @@ class RoadMemory:
     """Evidence of each track ``track_id (N,)`` against standing on the ground: ``evidence (N,)`` in 0 to 1.
 
     ``plane (3,)`` is the road of this frame, as from `find_road` but steadied, None where there is none, and
-    ``epipole_y`` the height of our direction of travel; ``is_below (N,)`` road seen below a thing.
+    ``epipole_y`` the height of our direction of travel.
     """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     evidence: Floats = field(default_factory=lambda: np.empty(0))
     plane: Floats | None = None
     epipole_y: float = 0.0
-    is_below: Bools = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     def in_units(self, speed: float) -> RoadMemory:
         """The same where ``speed`` is 1: where we brake, the road of the frames before comes nearer the slower."""
@@ -75,7 +69,7 @@ class RoadMemory:
 
 
 def gathered_evidence(
-    memory: RoadMemory, track_id: Ints, views: BodyViews, fit: PathFit, key: Ints, in_scene: Bools, epipole_y: float
+    memory: RoadMemory, track_id: Ints, views: BodyViews, fit: PathFit, key: Ints, in_scene: Bools, aim: Floats
 ) -> RoadMemory:
     """The evidence of the last frames with that of this one.
 
@@ -83,37 +77,33 @@ def gathered_evidence(
     ----------
     fit : of all N tracks on the path of the scene.
     key : (N,) body of each track by now; ``in_scene (N,)`` tracks that a road may be made of.
-    epipole_y : height of own direction of travel in the plane z = 1.
+    aim : (2,) where we go in the plane z = 1.
     """
-    evidence, was_below = np.zeros(len(track_id)), np.zeros(len(track_id), dtype=bool)
+    evidence, epipole_y = np.zeros(len(track_id)), float(aim[1])
     place = places_among(memory.track_id, track_id)
     is_known = place >= 0
-    evidence[is_known], was_below[is_known] = memory.evidence[place[is_known]], memory.is_below[place[is_known]]
+    evidence[is_known] = memory.evidence[place[is_known]]
     road = steadied(memory, find_road(fit, in_scene, epipole_y), epipole_y)
     if road is None:
-        return RoadMemory(track_id, _FORGETTING * evidence, None, epipole_y, was_below)
-    is_rated = views.is_free & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
-    road_hz = _rate_of_road(fit, road)
-    floating = find_floating(views.xy_px, views.link_px, fit, key, road_hz, float(road[2]), is_rated)
-    evidence = _floating_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), floating, was_below)
-    is_under = _under_road(fit, road)
-    most_sigma_hz = _KNOWN_PART * LEAST_BELOW * float(road[2])
-    is_under |= above_under(views.xy_px, views.link_px, fit, key, is_under, road_hz, most_sigma_hz)
-    decays = np.where(floating.is_borne | (floating.thing < 0), _FORGETTING, _NOTHING_SAID)
-    evidence = np.where(is_under, _FORGETTING * evidence + 1.0 - _FORGETTING, decays * evidence)
-    return RoadMemory(track_id, evidence, road, epipole_y, floating.below >= 0)
+        return RoadMemory(track_id, _FORGETTING * evidence, None, epipole_y)
+    most_sigma_hz = _KNOWN_PART * np.maximum(fit.rate_hz, LEAST_BELOW * road[2])
+    is_rated = views.is_free & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < most_sigma_hz)
+    seen = on_ground(fit, road, is_rated, float(aim[0]))
+    contacts = find_contacts(views.xy_px, views.link_px, seen, key)
+    evidence = _shared_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), contacts)
+    return RoadMemory(track_id, evidence, road, epipole_y)
 
 
-def _floating_evidence(evidence: Floats, is_old: Bools, floating: Floating, was_below: Bools) -> Floats:
-    """The evidence (N,), the same for all points of a thing: the mean of its old ones, and what is newly seen below."""
-    own, new = np.flatnonzero(floating.thing >= 0), np.flatnonzero((floating.below >= 0) & ~was_below)
-    thing, n_things = floating.thing[own], int(floating.thing.max(initial=-1)) + 1
+def _shared_evidence(evidence: Floats, is_old: Bools, contacts: Contacts) -> Floats:
+    """The evidence (N,), the same for all points of a thing: the mean of its old ones, and what its foot says now."""
+    own, new = np.flatnonzero(contacts.thing >= 0), _FORGETTING * evidence
+    thing, n_things = contacts.thing[own], len(contacts.contradicts)
     count = np.bincount(thing, is_old[own], n_things)
     mean = np.bincount(thing, is_old[own] * evidence[own], n_things) / np.maximum(count, 1.0)
-    mean = 1.0 - (1.0 - mean) * _DOUBT ** np.bincount(floating.below[new], minlength=n_things)
-    evidence = evidence.copy()
-    evidence[own] = mean[thing]
-    return evidence
+    says = contacts.contradicts | contacts.is_borne
+    mean = np.where(says, _FORGETTING * mean + (1.0 - _FORGETTING) * contacts.contradicts, _NOTHING_SAID * mean)
+    new[own] = mean[thing]
+    return new
 
 
 def steadied(memory: RoadMemory, road: Floats | None, epipole_y: float) -> Floats | None:
@@ -254,8 +244,3 @@ def _rate_of_road(fit: PathFit, road: Floats) -> Floats:
     """Rate of the road where each point is seen: (N,), NaN at the horizon and above."""
     rate = road[0] + fit.place @ road[1:]
     return np.where(rate > LEAST_BELOW * road[2], rate, np.nan)
-
-
-def _under_road(fit: PathFit, road: Floats) -> Bools:
-    limit = _UNDER_PART * _rate_of_road(fit, road)
-    return np.asarray((fit.n_views >= _LEAST_VIEWS) & (limit - fit.rate_hz > _UNDER_SIGMAS * fit.rate_sigma_hz))

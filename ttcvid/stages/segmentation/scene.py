@@ -33,6 +33,8 @@ _AHEAD_COSINE = float(np.cos(np.radians(20.0)))
 _USUAL_VIEWS = 3
 # A mover stays one, however well the scene explains it, while the road contradicts its tracks by this on the average.
 _MOVER_EVIDENCE = 0.25
+# A track with less evidence of its own than this is no part of such a mover, unless it is too young to have any.
+_LEAST_EVIDENCE = 0.1
 # Misfits under 1 (in units of the scene's median) are noise.
 _LEAST_MISFIT = 1.0
 _LEAST_MEASURED = 10
@@ -109,12 +111,12 @@ def see_scene(
     road = RoadMemory()
     if platform == Platform.vehicle and scene.path[0, 0, 2] > 0.0:
         in_scene = (key == SCENE_CLUSTER) & is_free & (misfit < config.scene_gate)
-        epipole_y = float(scene.path[0, 0, 1] / scene.path[0, 0, 2])
+        aim = scene.path[0, 0, :2] / scene.path[0, 0, 2]
         # What moves as the scene does belongs together by its depth alone, whatever was taken for a part of it.
         alike = np.where(misfit < config.scene_gate, SCENE_CLUSTER, key)
         road_before = road_before.in_units(speed)
-        road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, epipole_y)
-        misfit = _with_contradictions(misfit, road, on_road(fit, road), key, config)
+        road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
+        misfit = _with_contradictions(misfit, road, on_road(fit, road), key, fit.n_views, config)
     # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
     sways = platform == Platform.free and not rests
     sway = shake_of(scene.path[0], views.since_s) if sways else np.zeros_like(scene.path[0])
@@ -223,18 +225,24 @@ def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
     return max(median(measured), _LEAST_MISFIT) if len(measured) > _LEAST_MEASURED else _LEAST_MISFIT
 
 
-def _with_contradictions(misfit: Floats, road: RoadMemory, is_road: Bools, key: Ints, config: BodiesConfig) -> Floats:
+def _with_contradictions(
+    misfit: Floats, road: RoadMemory, is_road: Bools, key: Ints, n_views: Ints, config: BodiesConfig
+) -> Floats:
     """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers.
 
     Not of what lies on the road, ``is_road (N,)``: where that was taken for a part of a mover, it leaves it again.
     """
     least, raised = 2.0 * config.scene_gate, misfit.copy()
-    _raise_odd(key, SCENE_CLUSTER, road.evidence, road.contradicts(), least, raised)
+    # Of a mover along our way the path explains any track: only what stands or hangs where the mover does is its part.
+    may_be_part = (road.evidence > _LEAST_EVIDENCE) | (n_views <= _USUAL_VIEWS)
+    _raise_odd(key, SCENE_CLUSTER, road.evidence, road.contradicts(), may_be_part, least, raised)
     return np.where(is_road, misfit, raised)
 
 
-@compiled_for("(i8[::1], i8, f8[::1], b1[::1], f8, f8[::1])")
-def _raise_odd(key: Ints, scene: int, evidence: Floats, is_odd: Bools, least: float, misfit: Floats) -> None:
+@compiled_for("(i8[::1], i8, f8[::1], b1[::1], b1[::1], f8, f8[::1])")
+def _raise_odd(
+    key: Ints, scene: int, evidence: Floats, is_odd: Bools, may_be_part: Bools, least: float, misfit: Floats
+) -> None:
     """Raise each ``misfit (N,)`` to the least one where a track is odd, or the mean evidence against its mover."""
     n_keys = np.max(key) + 1 if len(key) else 0
     sums, counts = np.zeros(n_keys), np.zeros(n_keys)
@@ -243,5 +251,5 @@ def _raise_odd(key: Ints, scene: int, evidence: Floats, is_odd: Bools, least: fl
         counts[key[i]] += 1.0
     for i in range(len(key)):
         k = key[i]
-        if is_odd[i] or (k != scene and sums[k] > _MOVER_EVIDENCE * counts[k]):
+        if is_odd[i] or (may_be_part[i] and k != scene and sums[k] > _MOVER_EVIDENCE * counts[k]):
             misfit[i] = max(misfit[i], least)
