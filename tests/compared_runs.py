@@ -13,7 +13,7 @@ import yaml
 import ttcvid
 
 SCENE = Path(__file__).parents[1] / "sample_configs/scenes/demo.yaml"
-SIZE_PX = [400, 226]
+SIZE_PX = [560, 316]
 N_FRAMES = 28
 DROPPED = 17
 

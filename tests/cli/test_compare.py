@@ -99,7 +99,7 @@ def test_a_focal_length_off_by_2_percent_is_named(clip, compared, tmp_path):
     camera = focal_off(clip, 1.02, tmp_path / "camera.yaml")
     code, text = compared(analyzed(clip, tmp_path / "run", camera=camera))
     assert code == 1
-    assert re.search(r"changed: camera.fx_px: .* -> .* \(\+6.6571, \+2 %\)", text)
+    assert re.search(r"changed: camera.fx_px: .* -> .* \(\+9.32, \+2 %\)", text)
     assert "DIFFERENT collision_times.alpha_rad: factor 0.98" in text
 
 

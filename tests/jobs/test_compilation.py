@@ -9,7 +9,7 @@ from pathlib import Path
 import ttcvid
 from ttcvid.jobs.processes import compilation
 geometry = Path(ttcvid.__file__).parent / "geometry"
-compilation._sources = lambda: [geometry / "medians.py", geometry / "camera.py"]
+compilation._sources = lambda: [geometry / "medians.py", geometry / "camera" / "pinhole.py"]
 told = []
 compilation.usable_cores = lambda: {cores}
 print(compilation.compile_missing(lambda *progress: told.append(progress)), told[:1], sorted(told[1:])[-1:])

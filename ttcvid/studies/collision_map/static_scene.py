@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.studies.collision_map.contacts import AHEAD, DOWN, RIGHT
@@ -25,6 +26,8 @@ of a moving object wanders, for it is taken to be nearer or farther than it is."
 OBSTACLE_SIGMA = 0.07
 """Relative error of distance up to which a point at rest is an obstacle. What is known worse is far off, or may be an
 oncoming car, which looks like a nearer object at rest."""
+_LEAST_POINTS = 3
+"""So many points within the side of a cube, seen from above, make an obstacle."""
 _UNSEEN_S = 0.5
 """What ought to be seen, and has not been for so long, is not there."""
 _OVER_ROAD_M, _ROAD_SIGMAS, _LEVEL_RAD = 0.5, 3.0, 0.005
@@ -114,10 +117,16 @@ def _arrays(points: StaticPoints) -> tuple[np.ndarray, ...]:
 
 
 def _believed(points: StaticPoints) -> StaticPoints:
-    """The points that have stood still for long enough, and are known well enough."""
+    """The points that have stood still for long enough, are known well enough, and do not stand alone.
+
+    One track in a hundred follows nothing, or has the label of another thing: as of an object, three have to agree.
+    """
     sigma = np.linalg.norm(points.spread_m, axis=1) / np.maximum(np.linalg.norm(points.place_m, axis=1), _PLACE_FLOOR_M)
     is_steady = (points.n_frames >= _MIN_FRAMES) & (points.age_s >= _MIN_AGE_S) & (sigma < OBSTACLE_SIGMA)
-    return points.take(is_steady)
+    points = points.take(is_steady)
+    place_m = points.place_m[:, [RIGHT, AHEAD]]
+    tree = cKDTree(place_m)
+    return points.take(tree.query_ball_point(place_m, _CUBE_M, return_length=True) >= _LEAST_POINTS)
 
 
 def _best_of_each_cube(points: StaticPoints) -> StaticPoints:
