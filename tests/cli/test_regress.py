@@ -147,7 +147,7 @@ def test_what_is_wrong_with_a_clip_is_caught_and_named(clip, baselines, ran, tmp
 
 
 def test_expectations_fail_by_themselves_and_are_named(clip, ran):
-    right = ["horizon y centre: 102 +- 5", "max_rss_mb: 2000", "min_fps_ratio: 0.001", "events: at most 5"]
+    right = ["horizon y centre: 141 +- 5", "max_rss_mb: 2000", "min_fps_ratio: 0.001", "events: at most 5"]
     wrong = ["ttc_z of object at (2, 2) in frame 20: 1 s +- 10 %", "max_rss_mb: 1", "events: at least 9"]
     clip_entry = entry(clip, expectations=[*right, *wrong], horizon=str(clip / "horizon.yaml"))
     code, text = ran([{**clip_entry, "baseline": False}])
