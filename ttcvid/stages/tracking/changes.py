@@ -13,8 +13,8 @@ _LEAST_CONTRAST, _CONTRAST_SIGMAS, _SIGMA_PER_MEDIAN = 5.0, 5.0, 1.4826
 # Every so many pixels of each axis are enough to know the usual difference.
 _SAMPLED_PX = 4
 # Pictures are smoothed by this before they are compared; what is narrower than this many pixels is the tremble of an
-# edge; and corners stand within so many pixels of what changes.
-_SMOOTH_PX, _OPENED_PX, _AROUND_PX = 1.0, 3, 1
+# edge.
+_SMOOTH_PX, _OPENED_PX = 1.0, 3
 
 
 def changed_places(before: Picture, now: Picture) -> Picture | None:
@@ -28,7 +28,7 @@ def changed_places(before: Picture, now: Picture) -> Picture | None:
         return None
     differs = (difference > max(_LEAST_CONTRAST, _CONTRAST_SIGMAS * usual)).astype(np.uint8)
     opened = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
-    return np.asarray(cv2.dilate(255 * opened, np.ones((_AROUND_PX, _AROUND_PX), np.uint8)), dtype=np.uint8)
+    return np.asarray(255 * opened, dtype=np.uint8)
 
 
 def _smoothed(grey: Picture) -> NDArray[np.float32]:
