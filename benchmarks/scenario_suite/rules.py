@@ -229,7 +229,7 @@ RULES: dict[str, Rule] = {
     "own_bend": Rule(
         "our own bend in the course",
         "warnings",
-        {"stages.segmentation.own_turn.own_bend": _none},
+        {"stages.segmentation.own_turn.share_of_bend": lambda turn_rad_s: 0.0},
         _stage("segmentation/own_turn"),
     ),
     "closing": Rule(
