@@ -3,26 +3,12 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.estimation import shared_direction, shared_trajectory_descent
+from ttcvid.geometry.estimation import shared_trajectory_descent
 from ttcvid.geometry.estimation.intervals import collision_times_from_state
 from ttcvid.geometry.paper.collision import times_from_position_velocity
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.stages.egomotion import scene_trajectory
-
-DIRECTIONS = normalize(
-    np.concatenate(
-        [np.random.default_rng(1).normal(size=(20, 3)), [[0, -1, 0], [0, -1, 0.03], [0, -1, 0.06]], np.eye(3)]
-    )
-)
-
-
-@pytest.mark.parametrize("direction", DIRECTIONS)
-def test_tangents_of_a_shared_direction_are_a_basis(direction):
-    other = np.empty((3, 2))
-    shared_direction._tangents(direction, other)
-    np.testing.assert_allclose(other.T @ other, np.eye(2), atol=1e-14)
-    np.testing.assert_allclose(other.T @ direction, 0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.01, 2.0])

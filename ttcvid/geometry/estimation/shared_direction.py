@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
-from ttcvid.geometry.kernels.medians import median
+from ttcvid.geometry.medians import medians
+from ttcvid.geometry.rotation import cross, tangent_basis
 from ttcvid.model import Floats, Ints
 
 # A point off by more sigmas than this loses weight (Cauchy).
@@ -18,10 +20,42 @@ _MAX_VOTE_SIGMAS = 3.0
 _LONGEST_STEP_RAD = 0.3
 # What keeps the normal matrix of points that say nothing from being singular, as a part of its trace.
 _RIDGE = 1e-12
-# The main axis is the first column of the matrix to the power of 2 to this.
-_SQUARINGS = 6
-# Numbers of a point: w (3), the upper half of its information (6), and its place x, y.
-_N_POINT = 11
+# The inverse of a symmetric 2 x 2 matrix is this, times it turned by 180 deg, over its determinant.
+_ADJUGATE_SIGNS = np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class _Points:
+    """M points that say something, those of each of K things side by side: ``first (K,)`` is the first of each.
+
+    ``w (M, 3)`` and ``info (M, 3, 3)`` as of `shared_directions`, ``thing (M,)`` from 0 to K - 1.
+    """
+
+    w: Floats
+    info: Floats
+    thing: Ints
+    first: Ints
+
+    def sums(self, values: Floats) -> Floats:
+        """Sums (K, ...) of ``values (M, ...)`` over the points of each thing."""
+        return np.asarray(np.add.reduceat(values, self.first, axis=0))
+
+
+@dataclass(frozen=True)
+class _Misfit:
+    """How M points fit the direction of their thing, and how that follows two tangent coordinates of it.
+
+    ``rate (M,)`` with its inverse standard deviation ``root_info (M,)``, ``chi2 (M,)``; ``off (M, 3)`` information
+    times residual; ``weighted (M,)`` the rate times the robust weight; ``by_tangent (M, 3, 2)`` the information that
+    is left of w where the rate follows, times each tangent.
+    """
+
+    rate: Floats
+    root_info: Floats
+    chi2: Floats
+    off: Floats
+    weighted: Floats
+    by_tangent: Floats
 
 
 def shared_directions(
@@ -51,275 +85,98 @@ def shared_directions(
     >>> shared_directions(xy, w, np.broadcast_to(np.eye(3) * 1e4, (2, 3, 3)), np.array([0, 0]), 1)[0].round(9) + 0.0
     array([[ 0.,  0., -1.]])
     """
-    n = len(velocity_hz)
     direction, covariance = np.full((n_things, 3), np.nan), np.full((n_things, 3, 3), np.nan)
-    chi2 = np.zeros(n)
-    order = np.argsort(thing, kind="stable")
-    _fit_each(
-        np.ascontiguousarray(xy),
-        np.ascontiguousarray(velocity_hz),
-        np.ascontiguousarray(info_w),
-        np.zeros((n, 3, 0)) if by_shared is None else np.ascontiguousarray(by_shared),
-        order,
-        np.searchsorted(thing[order], np.arange(n_things + 1)),
-        direction,
-        covariance,
-        chi2,
-    )
+    chi2 = np.zeros(len(velocity_hz))
+    is_usable = np.isfinite(velocity_hz).all(axis=1) & (np.trace(info_w, axis1=1, axis2=2) > 0.0)
+    usable = np.flatnonzero(is_usable)
+    usable = usable[np.argsort(thing[usable], kind="stable")]
+    if not len(usable):
+        return direction, covariance, chi2
+    told, first, of_told, count = np.unique(thing[usable], return_index=True, return_inverse=True, return_counts=True)
+    points = _Points(velocity_hz[usable], info_w[usable], of_told, first)
+    errors = np.zeros((len(usable), 3, 0)) if by_shared is None else by_shared[usable]
+    # Where points say nothing across the direction, what is divided by is zero, and the covariance is not finite.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        e, basis, misfit, adjugate, determinant = _descend(points, _start(points, xy[usable]))
+        off = points.sums(np.minimum(misfit.chi2, _CAUCHY_SIGMAS**2))
+        widened = np.maximum(off / np.maximum(2 * count - 2, 1), 1.0) / determinant
+        mixed = points.sums(misfit.weighted[:, None, None] * (misfit.by_tangent.transpose(0, 2, 1) @ errors))
+        by_errors = basis @ adjugate @ mixed / determinant[:, None, None]
+        spread = widened[:, None, None] * (basis @ adjugate @ basis.transpose(0, 2, 1))
+        covariance[told] = spread + by_errors @ by_errors.transpose(0, 2, 1)
+    # The fit knows a line; in which sense the points move along it, they vote.
+    votes = points.sums(np.clip(misfit.rate * misfit.root_info, -_MAX_VOTE_SIGMAS, _MAX_VOTE_SIGMAS))
+    direction[told] = np.where(votes < 0.0, -1.0, 1.0)[:, None] * e
+    chi2[usable] = misfit.chi2
     return direction, covariance, chi2
 
 
-@compiled_for(
-    "(f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1], i8[::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[::1])"
-)
-def _fit_each(
-    xy: Floats,
-    w: Floats,
-    info: Floats,
-    shared: Floats,
-    order: Ints,
-    start: Ints,
-    direction: Floats,
-    covariance: Floats,
-    chi2: Floats,
-) -> None:
-    """Fill the results of `shared_directions`; the points of thing k are ``order[start[k] : start[k + 1]]``."""
-    e, basis, errors = np.empty(3), np.empty((3, 2)), np.empty((3, shared.shape[2]))
-    normal, score, mixed = np.empty((2, 2)), np.empty(2), np.empty((2, shared.shape[2]))
-    points, off, usable = np.empty((_N_POINT, len(order))), np.empty(len(order)), np.empty_like(order)
-    for number in range(len(direction)):
-        members = order[start[number] : start[number + 1]]
-        n_usable = _list_usable(xy, w, info, members, points, usable)
-        if n_usable == 0:
-            continue
-        _begin(points, n_usable, e, basis, normal, score, off)
-        votes, one, other, both, determinant, is_converged = 0.0, 0.0, 0.0, 0.0, 0.0, False
-        for step in range(_MAX_STEPS + 1):
-            _tangents(e, basis)
-            votes = _add_up(points, n_usable, e, basis, normal, score, off)
-            ridge = _RIDGE * (normal[0, 0] + normal[1, 1] + 1e-300)
-            one, other, both = normal[0, 0] + ridge, normal[1, 1] + ridge, normal[0, 1]
-            determinant = one * other - both * both
-            if is_converged or step == _MAX_STEPS:
-                break
-            p = (other * score[0] - both * score[1]) / determinant
-            q = (one * score[1] - both * score[0]) / determinant
-            is_converged = p * score[0] + q * score[1] < _CONVERGED_CHI2
-            cut = min(1.0, _LONGEST_STEP_RAD / max(np.sqrt(p * p + q * q), 1e-300))
-            for a in range(3):
-                e[a] += cut * (p * basis[a, 0] + q * basis[a, 1])
-            length = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
-            for a in range(3):
-                e[a] /= length
-        total = 0.0
-        for c in range(n_usable):
-            chi2[usable[c]] = off[c]
-            total += min(off[c], _CAUCHY_SIGMAS * _CAUCHY_SIGMAS)
-        widened = max(total / max(2 * n_usable - 2, 1), 1.0) / determinant
-        _add_up_shared(points, n_usable, usable, shared, e, basis, off, mixed)
-        for a in range(3):
-            to_p = (basis[a, 0] * other - basis[a, 1] * both) / determinant
-            to_q = (basis[a, 1] * one - basis[a, 0] * both) / determinant
-            for k in range(shared.shape[2]):
-                errors[a, k] = to_p * mixed[0, k] + to_q * mixed[1, k]
-        for a in range(3):
-            for b in range(3):
-                value = widened * (
-                    other * basis[a, 0] * basis[b, 0]
-                    + one * basis[a, 1] * basis[b, 1]
-                    - both * (basis[a, 0] * basis[b, 1] + basis[a, 1] * basis[b, 0])
-                )
-                for k in range(shared.shape[2]):
-                    value += errors[a, k] * errors[b, k]
-                covariance[number, a, b] = value
-        for a in range(3):
-            # The fit knows a line; in which sense the points move along it, they vote.
-            direction[number, a] = -e[a] if votes < 0.0 else e[a]
+def _descend(points: _Points, e: Floats) -> tuple[Floats, Floats, _Misfit, Floats, Floats]:
+    """Gauss-Newton from ``e (K, 3)``: where it ends, its tangents, the points there, and its normal matrices.
 
-
-@compiled
-def _list_usable(xy: Floats, w: Floats, info: Floats, members: Ints, points: Floats, usable: Ints) -> int:
-    """Fill ``points (11, M)``, side by side: the numbers of a point (`_N_POINT`), of those that say anything.
-
-    Returns how many these are, and fills which, ``usable (M,)``.
+    Of these (K, 2, 2), the inverse is adjugate over determinant.
     """
-    n = 0
-    for i in members:
-        # A sum is finite where all of its terms are.
-        has_velocity = np.isfinite(w[i, 0] + w[i, 1] + w[i, 2])
-        if not (has_velocity and info[i, 0, 0] + info[i, 1, 1] + info[i, 2, 2] > 0.0):
-            continue
-        points[0, n], points[1, n], points[2, n] = w[i, 0], w[i, 1], w[i, 2]
-        points[3, n], points[4, n], points[5, n] = info[i, 0, 0], info[i, 0, 1], info[i, 0, 2]
-        points[6, n], points[7, n], points[8, n] = info[i, 1, 1], info[i, 1, 2], info[i, 2, 2]
-        points[9, n], points[10, n] = xy[i, 0], xy[i, 1]
-        usable[n] = i
-        n += 1
-    return n
+    is_converged = np.zeros(len(e), dtype=bool)
+    for step in range(_MAX_STEPS + 1):
+        basis = tangent_basis(e)
+        misfit = _misfit(points, e, basis)
+        towards = np.concatenate([misfit.rate[:, None, None] * misfit.by_tangent, misfit.off[..., None]], axis=2)
+        towards = basis[points.thing].transpose(0, 2, 1) @ towards
+        equations = points.sums(misfit.weighted[:, None, None] * towards)
+        normal, score = equations[..., :2], equations[..., 2]
+        normal[:, [0, 1], [0, 1]] += _RIDGE * (normal[:, 0, :1] + normal[:, 1, 1:] + 1e-300)
+        adjugate = normal[:, ::-1, ::-1] * _ADJUGATE_SIGNS
+        determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
+        if is_converged.all() or step == _MAX_STEPS:
+            break
+        change = (adjugate @ score[..., None])[..., 0] / determinant[:, None]
+        change[is_converged] = 0.0
+        is_converged |= np.sum(change * score, axis=1) < _CONVERGED_CHI2
+        length = np.sqrt(np.sum(change**2, axis=1, keepdims=True))
+        change *= np.minimum(_LONGEST_STEP_RAD / np.maximum(length, 1e-300), 1.0)
+        e = e + (basis @ change[..., None])[..., 0]
+        e /= np.sqrt(np.sum(e**2, axis=1, keepdims=True))
+    return e, basis, misfit, adjugate, determinant
 
 
-@compiled
-def _begin(points: Floats, n: int, e: Floats, basis: Floats, normal: Floats, score: Floats, off: Floats) -> None:
-    """Fill ``e`` with the better of two guesses, by the median misfit of the first n points.
+def _misfit(points: _Points, e: Floats, basis: Floats) -> _Misfit:
+    """The points with the directions ``e (K, 3)`` and tangents ``basis (K, 3, 2)`` of their things.
+
+    The best rate of a point is ``s = e' info w / e' info e``. Its residual r = w - s e follows e by
+    ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
+    information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e).
+    """
+    e, basis = e[points.thing], basis[points.thing]
+    pull = (points.info @ e[..., None])[..., 0]
+    info_rate = np.sum(pull * e, axis=1)
+    # Where a point says nothing of its rate, it says nothing.
+    is_told = info_rate > 0.0
+    inverse = np.divide(1.0, info_rate, out=np.zeros(len(e)), where=is_told)
+    rate = np.sum(pull * points.w, axis=1) * inverse
+    residual = points.w - rate[:, None] * e
+    off = (points.info @ residual[..., None])[..., 0]
+    chi2 = np.where(is_told, np.sum(residual * off, axis=1), 0.0)
+    by_tangent = points.info @ basis - pull[..., None] * (inverse[:, None, None] * (pull[:, None] @ basis))
+    weighted = rate / (1.0 + chi2 / _CAUCHY_SIGMAS**2)
+    return _Misfit(rate, np.sqrt(np.maximum(info_rate, 0.0)), chi2, off, weighted, by_tangent)
+
+
+def _start(points: _Points, xy: Floats) -> Floats:
+    """The better of two guesses for each thing, ``(K, 3)``, by the median misfit of its points.
 
     The main axis of their velocities, each counted by how well it is known; and where the lines meet along which they
     move in the picture. Of single tracks the former knows little: brakes are taken for depth, which turns the velocity
     of each point towards its own ray, so that the descent ended in a minimum near the thing itself. The lines stay.
     """
-    spread, lines, cofactors = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
-    w, ray, across, pull = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    ray[2] = 1.0
-    for c in range(n):
-        ray[0], ray[1] = points[9, c], points[10, c]
-        for a in range(3):
-            w[a] = points[a, c]
-        _times(points, c, w[0], w[1], w[2], pull)
-        known, length2, line2 = 0.0, 1e-300, 1e-300
-        for a in range(3):
-            known, length2 = known + pull[a] * w[a], length2 + w[a] * w[a]
-            # The line is normal to the ray of the point and to its velocity.
-            b, d = (a + 1) % 3, (a + 2) % 3
-            across[a] = ray[b] * w[d] - ray[d] * w[b]
-            line2 += across[a] * across[a]
-        _times(points, c, across[0], across[1], across[2], pull)
-        sure = (across[0] * pull[0] + across[1] * pull[1] + across[2] * pull[2]) / line2
-        for a in range(3):
-            for b in range(3):
-                spread[a, b] += known / length2 * w[a] * w[b]
-                lines[a, b] += sure * across[a] * across[b]
-    for a in range(3):
-        for b in range(3):
-            i, j, k, m = (a + 1) % 3, (a + 2) % 3, (b + 1) % 3, (b + 2) % 3
-            cofactors[a, b] = lines[i, k] * lines[j, m] - lines[i, m] * lines[j, k]
-    _fill_main_axis(cofactors, e)
-    _tangents(e, basis)
-    _add_up(points, n, e, basis, normal, score, off)
-    misfit = median(off[:n])
-    _fill_main_axis(spread, w)
-    _tangents(w, basis)
-    _add_up(points, n, w, basis, normal, score, off)
-    if median(off[:n]) <= misfit:
-        for a in range(3):
-            e[a] = w[a]
-
-
-@compiled
-def _fill_main_axis(matrix: Floats, axis: Floats) -> None:
-    """Fill ``axis (3,)`` with the main axis of a symmetric ``matrix (3, 3)``, which is changed."""
-    square = np.empty((3, 3))
-    for _ in range(_SQUARINGS):
-        scale = 1.0 / max(matrix[0, 0] + matrix[1, 1] + matrix[2, 2], 1e-300)
-        for a in range(3):
-            for b in range(3):
-                square[a, b] = (
-                    matrix[a, 0] * matrix[0, b] + matrix[a, 1] * matrix[1, b] + matrix[a, 2] * matrix[2, b]
-                ) * (scale * scale)
-        matrix, square = square, matrix
-    best = 0
-    for a in range(1, 3):
-        best = a if matrix[a, a] > matrix[best, best] else best
-    x, y, z = matrix[best, 0], matrix[best, 1], matrix[best, 2]
-    length = np.sqrt(x * x + y * y + z * z)
-    if length > 0.0:
-        axis[0], axis[1], axis[2] = x / length, y / length, z / length
-    else:
-        axis[0], axis[1], axis[2] = 0.0, 0.0, 1.0
-
-
-@compiled
-def _tangents(e: Floats, basis: Floats) -> None:
-    """Fill ``basis (3, 2)`` with two unit vectors normal to ``e`` and to each other.
-
-    Not those of `rotation.tangent_basis`: any will do here, and `_add_up` and `_fit_each` use one and the same.
-    """
-    least = 0
-    for a in range(1, 3):
-        least = a if abs(e[a]) < abs(e[least]) else least
-    after, last = (least + 1) % 3, (least + 2) % 3
-    length = np.sqrt(e[after] * e[after] + e[last] * e[last])
-    basis[least, 0], basis[after, 0], basis[last, 0] = 0.0, -e[last] / length, e[after] / length
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        basis[a, 1] = e[b] * basis[c, 0] - e[c] * basis[b, 0]
-
-
-@compiled
-def _add_up(points: Floats, n: int, e: Floats, basis: Floats, normal: Floats, score: Floats, chi2: Floats) -> float:
-    """Fill normal matrix (2, 2), score (2,) and ``chi2 (M,)`` of the first n points; returns the vote.
-
-    The best rate of a point is ``s = e' info w / e' info e``. Its residual r = w - s e follows e by
-    ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
-    information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e). Without a branch: several
-    points are worked at side by side.
-    """
-    ex, ey, ez = e[0], e[1], e[2]
-    ux, uy, uz, vx, vy, vz = basis[0, 0], basis[1, 0], basis[2, 0], basis[0, 1], basis[1, 1], basis[2, 1]
-    n00 = n10 = n11 = s0 = s1 = votes = 0.0
-    for c in range(n):
-        wx, wy, wz, xx, xy, xz = points[0, c], points[1, c], points[2, c], points[3, c], points[4, c], points[5, c]
-        yy, yz, zz = points[6, c], points[7, c], points[8, c]
-        along_x, along_y, along_z = (
-            xx * ex + xy * ey + xz * ez,
-            xy * ex + yy * ey + yz * ez,
-            xz * ex + yz * ey + zz * ez,
-        )
-        square = along_x * ex + along_y * ey + along_z * ez
-        # Where a point says nothing of its rate, it says nothing.
-        inverse = 1.0 / square if square > 0.0 else 0.0
-        rate = (along_x * wx + along_y * wy + along_z * wz) * inverse
-        votes += min(max(rate * np.sqrt(max(square, 0.0)), -_MAX_VOTE_SIGMAS), _MAX_VOTE_SIGMAS)
-        x, y, z = wx - rate * ex, wy - rate * ey, wz - rate * ez
-        off_x, off_y, off_z = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
-        chi2[c] = x * off_x + y * off_y + z * off_z if square > 0.0 else 0.0
-        weighted = rate / (1.0 + chi2[c] * (1.0 / (_CAUCHY_SIGMAS * _CAUCHY_SIGMAS)))
-        mean_u = (along_x * ux + along_y * uy + along_z * uz) * inverse
-        mean_v = (along_x * vx + along_y * vy + along_z * vz) * inverse
-        from_u = (xx * ux + xy * uy + xz * uz) * ux + (xy * ux + yy * uy + yz * uz) * uy
-        from_u += (xz * ux + yz * uy + zz * uz) * uz
-        px, py, pz = xx * vx + xy * vy + xz * vz, xy * vx + yy * vy + yz * vz, xz * vx + yz * vy + zz * vz
-        s0 += weighted * (off_x * ux + off_y * uy + off_z * uz)
-        s1 += weighted * (off_x * vx + off_y * vy + off_z * vz)
-        both = weighted * rate
-        n00 += both * (from_u - mean_u * mean_u * square)
-        n10 += both * (px * ux + py * uy + pz * uz - mean_u * mean_v * square)
-        n11 += both * (px * vx + py * vy + pz * vz - mean_v * mean_v * square)
-    normal[0, 0], normal[1, 0], normal[0, 1], normal[1, 1], score[0], score[1] = n00, n10, n10, n11, s0, s1
-    return votes
-
-
-@compiled
-def _add_up_shared(
-    points: Floats,
-    n: int,
-    usable: Ints,
-    shared: Floats,
-    e: Floats,
-    basis: Floats,
-    chi2: Floats,
-    mixed: Floats,
-) -> None:
-    """Fill ``mixed (2, E)``: what the errors ``shared (N, 3, E)`` do to the score of the first n points (`_add_up`)."""
-    mixed[:] = 0.0
-    along, pull = np.empty(3), np.empty(3)
-    for c in range(n if shared.shape[2] else 0):
-        i = usable[c]
-        _times(points, c, e[0], e[1], e[2], along)
-        square = along[0] * e[0] + along[1] * e[1] + along[2] * e[2]
-        if not square > 0.0:
-            continue
-        rate = (along[0] * points[0, c] + along[1] * points[1, c] + along[2] * points[2, c]) / square
-        weighted = rate / (1.0 + chi2[c] / (_CAUCHY_SIGMAS * _CAUCHY_SIGMAS))
-        for j in range(2):
-            _times(points, c, basis[0, j], basis[1, j], basis[2, j], pull)
-            mean = (along[0] * basis[0, j] + along[1] * basis[1, j] + along[2] * basis[2, j]) / square
-            for a in range(3):
-                for k in range(shared.shape[2]):
-                    mixed[j, k] += weighted * (pull[a] - mean * along[a]) * shared[i, a, k]
-
-
-@compiled
-def _times(points: Floats, c: int, x: float, y: float, z: float, product: Floats) -> None:
-    """Fill ``product (3,)``: the information of point c times a vector."""
-    product[0] = points[3, c] * x + points[4, c] * y + points[5, c] * z
-    product[1] = points[4, c] * x + points[6, c] * y + points[7, c] * z
-    product[2] = points[5, c] * x + points[7, c] * y + points[8, c] * z
+    # The line is normal to the ray of the point and to its velocity.
+    across = cross(np.column_stack([xy, np.ones(len(xy))]), points.w)
+    lines, spread = (
+        points.sums(weight[:, None, None] * v[:, :, None] * v[:, None])
+        for v in (across, points.w)
+        for weight in [np.einsum("ni,nij,nj->n", v, points.info, v) / np.maximum(np.sum(v * v, axis=1), 1e-300)]
+    )
+    guesses = np.linalg.eigh(lines)[1][..., 0], np.linalg.eigh(spread)[1][..., 2]
+    by_lines, by_velocity = (
+        medians(_misfit(points, guess, tangent_basis(guess)).chi2, points.thing, len(points.first)) for guess in guesses
+    )
+    return np.where((by_velocity <= by_lines)[:, None], guesses[1], guesses[0])
