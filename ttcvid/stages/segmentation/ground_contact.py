@@ -163,6 +163,8 @@ def _above(seen: OnGround, members: Ints, key: Ints, xy_px: Floats, link_px: flo
     left, right = x[members].min(), x[members].max()
     is_over = np.maximum(left - x, x - right) <= _OVERHANG * (right - left)
     above = np.flatnonzero(is_there & is_over)
+    if not len(above):
+        return above
     both = np.append(members, above)
     part = connected_parts(np.ones(len(both), dtype=bool), linked_pairs(xy_px[both], link_px))
     above = above[np.isin(part[len(members) :], part[: len(members)])]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Floats, Picture
 
 # A window is a corner when the lesser of its two gradients is at least this part of the greater one.
@@ -35,55 +35,33 @@ def window_contents(grey: Picture, xy_px: Floats, window_px: int) -> tuple[Float
 
     Source: the length of the latter is the coherence of Bigun and Granlund (1987).
     """
-    reach = window_px // 2
-    offset, edge = np.empty((len(xy_px), 2)), np.empty((len(xy_px), 2))
-    _fill(np.ascontiguousarray(grey), np.asarray(xy_px, dtype=np.float64), reach, offset, edge)
-    offset[~(np.abs(offset).max(axis=1, initial=0.0) <= window_px / 2)] = np.nan
+    if not len(xy_px):
+        return np.empty((0, 2)), np.empty((0, 2))
+    (gx, gy), reach = _window_gradients(grey, xy_px, window_px // 2), window_px // 2
+    from_middle = np.arange(-reach, reach + 1, dtype=np.float64)
+    along = gx * from_middle + gy * from_middle[:, None]
+    xx, xy, yy = (np.einsum("nvu,nvu->n", *pair) for pair in ((gx, gx), (gx, gy), (gy, gy)))
+    side_x, side_y = (np.einsum("nvu,nvu->n", one, along) for one in (gx, gy))
+    edge = np.stack([xx - yy, 2.0 * xy], axis=1) / np.maximum(xx + yy, 1.0)[:, None]
+    determinant = xx * yy - xy * xy
+    determinant = np.where(determinant > _LEAST_CORNER * (xx + yy) ** 2, determinant, np.nan)
+    offset = np.stack([yy * side_x - xy * side_y, xx * side_y - xy * side_x], axis=1) / determinant[:, None]
+    offset[~(np.abs(offset).max(axis=1) <= window_px / 2)] = np.nan
     return offset, edge
 
 
-@compiled_for("(u1[:, ::1], f8[:, ::1], i8, f8[:, ::1], f8[:, ::1])")
-def _fill(grey: Picture, xy: Floats, reach: int, offset: Floats, edge: Floats) -> None:
-    """Fills ``offset, edge (N, 2)``: Scharr gradients at whole pixels, between them bilinear, as OpenCV has them."""
-    height, width = grey.shape
-    side = 2 * reach + 2
-    by_x, by_y = np.empty((side, side)), np.empty((side, side))
-    for i in range(len(xy)):
-        left, top = int(np.floor(xy[i, 0])), int(np.floor(xy[i, 1]))
-        right_part, low_part = xy[i, 0] - left, xy[i, 1] - top
-        for row in range(side):
-            y = min(max(top - reach + row, 0), height - 1)
-            above, below = max(y - 1, 0), min(y + 1, height - 1)
-            for column in range(side):
-                x = min(max(left - reach + column, 0), width - 1)
-                before, after = max(x - 1, 0), min(x + 1, width - 1)
-                a, b, c = float(grey[above, before]), float(grey[above, x]), float(grey[above, after])
-                d, f = float(grey[y, before]), float(grey[y, after])
-                g, h, k = float(grey[below, before]), float(grey[below, x]), float(grey[below, after])
-                by_x[row, column] = 3.0 * (c - a + k - g) + 10.0 * (f - d)
-                by_y[row, column] = 3.0 * (g - a + k - c) + 10.0 * (h - b)
-        xx, xy_, yy, side_x, side_y = 0.0, 0.0, 0.0, 0.0, 0.0
-        for row in range(side - 1):
-            v = row - reach
-            for column in range(side - 1):
-                u = column - reach
-                upper = by_x[row, column] + right_part * (by_x[row, column + 1] - by_x[row, column])
-                lower = by_x[row + 1, column] + right_part * (by_x[row + 1, column + 1] - by_x[row + 1, column])
-                gx = upper + low_part * (lower - upper)
-                upper = by_y[row, column] + right_part * (by_y[row, column + 1] - by_y[row, column])
-                lower = by_y[row + 1, column] + right_part * (by_y[row + 1, column + 1] - by_y[row + 1, column])
-                gy = upper + low_part * (lower - upper)
-                along = gx * u + gy * v
-                xx += gx * gx
-                xy_ += gx * gy
-                yy += gy * gy
-                side_x += gx * along
-                side_y += gy * along
-        both = max(xx + yy, 1.0)
-        edge[i, 0], edge[i, 1] = (xx - yy) / both, 2.0 * xy_ / both
-        determinant = xx * yy - xy_ * xy_
-        if determinant > _LEAST_CORNER * (xx + yy) ** 2:
-            offset[i, 0] = (yy * side_x - xy_ * side_y) / determinant
-            offset[i, 1] = (xx * side_y - xy_ * side_x) / determinant
-        else:
-            offset[i] = np.nan
+def _window_gradients(grey: Picture, xy_px: Floats, reach: int) -> Floats:
+    """Gradients (2, N, side, side) in N windows: Scharr's at whole pixels, between them bilinear, as OpenCV has it."""
+    corner = np.floor(xy_px).astype(np.intp)
+    part = (xy_px - corner)[:, :, None, None]
+    beside = np.arange(-reach, reach + 2)
+    row = np.clip(corner[:, 1, None] + beside, 0, grey.shape[0] - 1)
+    column = np.clip(corner[:, 0, None] + beside, 0, grey.shape[1] - 1)
+    at_pixels = np.stack(
+        [
+            cv2.Scharr(grey, cv2.CV_16S, *along, borderType=cv2.BORDER_REPLICATE)[row[:, :, None], column[:, None, :]]
+            for along in ((1, 0), (0, 1))
+        ]
+    ).astype(np.float64)
+    upper_lower = at_pixels[..., :-1] + part[:, 0] * np.diff(at_pixels, axis=3)
+    return np.asarray(upper_lower[:, :, :-1] + part[:, 1] * np.diff(upper_lower, axis=2))

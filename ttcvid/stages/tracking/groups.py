@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 
@@ -55,65 +54,25 @@ class TrackSets:
 
     def boxes(self, xy: Floats) -> Floats:
         """Least x and y, greatest x and y of each set: (K, 4), of the places ``xy (N, 2)`` of all tracks."""
-        boxes = np.empty((len(self), 4))
-        _fill_boxes(self.index, self.lengths, np.ascontiguousarray(xy), boxes)
-        return boxes
+        own = xy[self.index]
+        return np.hstack([np.minimum.reduceat(own, self.first), np.maximum.reduceat(own, self.first)])
 
     def radii(self, xy: Floats, is_asked: Bools) -> Floats:
         """Root mean square distance (K,) of the tracks of each set from their centre; 0 if not asked.
 
         ``is_asked (K,)``. Places ``xy (N, 2)`` that are NaN have no part in it; without any other, it is 0.
         """
-        radii = np.zeros(len(self))
-        _fill_radii(self.index, self.lengths, np.ascontiguousarray(xy), is_asked, radii)
-        return radii
-
-
-@compiled_for("(i8[::1], i8[::1], f8[:, ::1], f8[:, ::1])")
-def _fill_boxes(index: Ints, lengths: Ints, xy: Floats, boxes: Floats) -> None:
-    """Fills ``boxes (K, 4)``."""
-    place = 0
-    for k in range(len(lengths)):
-        box = boxes[k]
-        box[0] = box[2] = xy[index[place], 0]
-        box[1] = box[3] = xy[index[place], 1]
-        for _ in range(lengths[k]):
-            x, y = xy[index[place], 0], xy[index[place], 1]
-            box[0], box[1], box[2], box[3] = min(box[0], x), min(box[1], y), max(box[2], x), max(box[3], y)
-            place += 1
-
-
-@compiled_for("(i8[::1], i8[::1], f8[:, ::1], b1[::1], f8[::1])")
-def _fill_radii(index: Ints, lengths: Ints, xy: Floats, is_asked: Bools, radii: Floats) -> None:
-    """Fills ``radii (K,)``, which come as zeros."""
-    low = 0
-    for k in range(len(lengths)):
-        high = low + lengths[k]
-        x, y, count, square = 0.0, 0.0, 0, 0.0
-        for place in range(low, high if is_asked[k] else low):
-            if np.isfinite(xy[index[place], 0]):
-                x, y, count = x + xy[index[place], 0], y + xy[index[place], 1], count + 1
-        if count:
-            x, y = x / count, y / count
-            for place in range(low, high):
-                if np.isfinite(xy[index[place], 0]):
-                    square += (xy[index[place], 0] - x) ** 2 + (xy[index[place], 1] - y) ** 2
-            radii[k] = np.sqrt(square / count)
-        low = high
+        is_known = is_asked[self.set_of] & np.isfinite(xy[self.index, 0])
+        own, set_of, n_sets = xy[self.index[is_known]], self.set_of[is_known], len(self)
+        count = np.maximum(np.bincount(set_of, minlength=n_sets), 1)
+        centre = np.stack([np.bincount(set_of, own[:, axis], n_sets) / count for axis in range(2)], axis=1)
+        off = own - centre[set_of]
+        return np.asarray(np.sqrt(np.bincount(set_of, (off * off).sum(axis=1), n_sets) / count))
 
 
 def places_among(known: Ints, track_id: Ints) -> Ints:
     """Where each of ``track_id (N,)`` stands among those ``known (M,)``, both ascending: (N,), -1 for nowhere."""
-    place = np.empty(len(track_id), dtype=np.int64)
-    _find_places(known, track_id, place)
-    return place
-
-
-@compiled_for("(i8[::1], i8[::1], i8[::1])")
-def _find_places(known: Ints, track_id: Ints, place: Ints) -> None:
-    """Fills ``place (N,)`` of `places_among`."""
-    m = 0
-    for i in range(len(track_id)):
-        while m < len(known) and known[m] < track_id[i]:
-            m += 1
-        place[i] = m if m < len(known) and known[m] == track_id[i] else -1
+    if not len(known):
+        return np.full(len(track_id), -1)
+    place = np.minimum(np.searchsorted(known, track_id), len(known) - 1)
+    return np.where(known[place] == track_id, place, -1)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ttcvid.geometry.camera.pinhole import plane_per_px
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.shared_trajectory import SharedPaths
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, turned_into_plane
@@ -109,9 +108,7 @@ class TrackHistory:
         What a pixel spans in the plane z = 1 is seen under a smaller angle away from the axis: cos^2 along the radius
         and cos across, taken together as cos^1.5.
         """
-        sigma_rad = np.empty(self.n_tracks)
-        _fill_angles(self.rays[self.now], self.sigma_px, self.plane_per_px, sigma_rad)
-        return sigma_rad
+        return np.asarray(self.sigma_norm * np.clip(self.rays[self.now, :, 2], 0.1, 1.0) ** 1.5)
 
     @cached_property
     def sigma_norm(self) -> Floats:
@@ -226,15 +223,19 @@ def extended(
         history = _with_lost(history, history.lost)
     n = len(points.track_id)
     before = places_among(history.track_id, points.track_id)
-    of_tracks = np.empty((4, n))
-    now_of = (history.n_frames, history.sigma_px, history.noise_sum, history.noise_weight)
-    _carry_each(now_of, history.pool_sigma_px, before, of_tracks)
-    n_before, sigma_px, noise_sum, noise_weight = of_tracks
+    is_new = before < 0
+
+    def carried(values: Floats | Ints, new: float) -> Any:
+        # Of a new track (-1) that of the last one stands there first, if there is any.
+        return np.where(is_new, new, values.take(before, mode="wrap")) if len(values) else np.full(n, new)
+
     stay = _views_that_stay(history.t_s, t_s, max_frames)
     kept = history.rays[stay]
     with_past = np.empty((len(kept) + 1, n, 3))
     with_past[-1] = rays
-    _carry_views(kept, before, with_past)
+    if history.n_tracks:
+        kept.take(before, axis=1, out=with_past[:-1], mode="wrap")
+    with_past[:-1, is_new] = np.nan
     return replace(
         history,
         frame=np.append(history.frame[stay], frame),
@@ -242,57 +243,18 @@ def extended(
         cam_R_past=np.concatenate([history.cam_R_past[stay], np.eye(3)[None]]),
         scene_direction=np.concatenate([history.scene_direction[stay], np.full((1, 3), np.nan)]),
         track_id=points.track_id,
-        n_frames=n_before.astype(np.int64) + 1,
+        n_frames=carried(history.n_frames, 0) + 1,
         xy_px=points.xy_px,
         rays=with_past,
         scene=None,
-        sigma_px=sigma_px,
-        noise_sum=noise_sum,
-        noise_weight=noise_weight,
+        sigma_px=carried(history.sigma_px, history.pool_sigma_px),
+        noise_sum=carried(history.noise_sum, 0.0),
+        noise_weight=carried(history.noise_weight, 0.0),
         plane_per_px=plane_per_px(history.camera, rays),
         edge=points.edges,
         common_error_px=points.common_error_px,
         lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
     )
-
-
-@compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8[::1])")
-def _fill_angles(rays: Floats, sigma_px: Floats, per_px: Floats, sigma_rad: Floats) -> None:
-    """Fill ``sigma_rad (N,)`` of `TrackHistory` for tracks now at ``rays (N, 3)``."""
-    for i in range(len(sigma_rad)):
-        # NaN, not observed, stays NaN.
-        cosine = 0.1 if rays[i, 2] < 0.1 else 1.0 if rays[i, 2] > 1.0 else rays[i, 2]
-        sigma_rad[i] = sigma_px[i] * per_px[i] * cosine * np.sqrt(cosine)
-
-
-@compiled_for("(Tuple((i8[::1], f8[::1], f8[::1], f8[::1])), f8, i8[::1], f8[:, ::1])")
-def _carry_each(known: tuple[Ints, Floats, Floats, Floats], new_sigma: float, place: Ints, carried: Floats) -> None:
-    """Fill ``carried (4, N)``: what is known of each track, at ``place (N,)``; of new ones, -1, their noise alone."""
-    n_frames, sigma, noise_sum, noise_weight = known
-    for i in range(len(place)):
-        p = place[i]
-        if p >= 0:
-            carried[0, i], carried[1, i], carried[2, i], carried[3, i] = (
-                n_frames[p],
-                sigma[p],
-                noise_sum[p],
-                noise_weight[p],
-            )
-        else:
-            carried[0, i], carried[1, i], carried[2, i], carried[3, i] = 0.0, new_sigma, 0.0, 0.0
-
-
-@compiled_for("(f8[:, :, ::1], i8[::1], f8[:, :, ::1])")
-def _carry_views(past: Floats, place: Ints, views: Floats) -> None:
-    """Fill all but the last of ``views (L, N, 3)``: ``past (L - 1, P, 3)`` at ``place (N,)``, NaN where that is -1."""
-    for k in range(len(past)):
-        for i in range(len(place)):
-            if place[i] >= 0:
-                for a in range(3):
-                    views[k, i, a] = past[k, place[i], a]
-            else:
-                for a in range(3):
-                    views[k, i, a] = np.nan
 
 
 def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ttcvid.config import TrackingConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
 from ttcvid.stages.tracking.changes import changed_places
@@ -192,27 +191,12 @@ def _is_allowed(allowed: Picture, xy_px: Floats) -> Bools:
 
 
 def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
-    """Tracks (N,) that slid into the cell of an older one: two tracks of one point would count twice."""
-    crowded = np.zeros(len(found), dtype=bool)
+    """Tracks (N,), in the order of their age, that slid into the cell of an older one: two would count twice."""
     candidates = np.flatnonzero(found)
-    if len(candidates):
-        _find_crowded(xy_px, candidates, crowded)
+    _, oldest = np.unique(np.floor(xy_px[candidates] / _CROWDED_PX), axis=0, return_index=True)
+    crowded = found.copy()
+    crowded[candidates[oldest]] = False
     return crowded
-
-
-@compiled_for("(f8[:, ::1], i8[::1], b1[::1])")
-def _find_crowded(xy_px: Floats, candidates: Ints, crowded: Bools) -> None:
-    """Marks in ``crowded (N,)`` all but the first track of each cell: they are in the order of their age."""
-    column, row = np.empty(len(candidates), dtype=np.int64), np.empty(len(candidates), dtype=np.int64)
-    for m in range(len(candidates)):
-        column[m] = int(np.floor(xy_px[candidates[m], 0] / _CROWDED_PX))
-        row[m] = int(np.floor(xy_px[candidates[m], 1] / _CROWDED_PX))
-    first_column, first_row = np.min(column), np.min(row)
-    is_taken = np.zeros((np.max(row) - first_row + 1, np.max(column) - first_column + 1), dtype=np.bool_)
-    for m in range(len(candidates)):
-        v, u = row[m] - first_row, column[m] - first_column
-        crowded[candidates[m]] = is_taken[v, u]
-        is_taken[v, u] = True
 
 
 def _topped_up(

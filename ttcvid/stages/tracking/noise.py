@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats
@@ -75,31 +74,11 @@ def _relative_roughness(history: TrackHistory, sigma_floor_px: float) -> tuple[F
         return nothing
     recent = slice(-_DIFFERENCE_FRAMES, None)
     plane = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
-    roughness, measured = np.empty(history.n_tracks), np.empty(history.n_tracks)
-    n_measured = _list_roughness(plane, history.plane_per_px, roughness, measured)
-    if n_measured < _LEAST_MEASURED:
+    third = np.diff(plane, n=_DIFFERENCE_FRAMES - 1, axis=0)[0] / history.plane_per_px[:, None]
+    roughness = (third * third).sum(axis=1)
+    is_measured = np.isfinite(roughness)
+    if np.count_nonzero(is_measured) < _LEAST_MEASURED:
         return nothing
-    typical = median(measured[:n_measured]) / _MEDIAN_CHI2_2
-    is_measured = roughness >= 0.0
+    typical = median(roughness[is_measured]) / _MEDIAN_CHI2_2
     peers = max(typical, _PX2_PER_VARIANCE * sigma_floor_px * sigma_floor_px)
-    return np.maximum(roughness, 0.0) / peers, is_measured, typical
-
-
-@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1], f8[::1])")
-def _list_roughness(plane: Floats, plane_per_px: Floats, roughness: Floats, measured: Floats) -> int:
-    """Fill ``roughness (N,)``, px^2, of places ``plane (4, N, 2)``, -1 where it is not known; and ``measured``.
-
-    Returns how many of the latter there are: those that are known.
-    """
-    count = 0
-    for i in range(len(roughness)):
-        square = 0.0
-        for a in range(2):
-            third = plane[3, i, a] - 3.0 * plane[2, i, a] + 3.0 * plane[1, i, a] - plane[0, i, a]
-            square += third * third
-        square /= plane_per_px[i] * plane_per_px[i]
-        roughness[i] = -1.0
-        if np.isfinite(square):
-            roughness[i] = measured[count] = square
-            count += 1
-    return count
+    return np.where(is_measured, roughness, 0.0) / peers, is_measured, typical

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints, PointSet
+from ttcvid.stages.tracking.groups import places_among
 
 # A track is on its pixel within this distance, px: three times the noise of Lucas-Kanade on an unchanging patch.
 _STAYS_PX = 0.3
@@ -60,43 +60,17 @@ def find_frozen(
     step_s
         Time since the last frame.
     """
-    n = len(points.track_id)
-    anchor_px, n_stayed, is_new = points.xy_px.copy(), np.zeros(n), np.ones(n, dtype=bool)
     counts = int(scene_moves) * min(1.0, step_s / _WHOLE_FRAME_S)
-    before = (memory.track_id, memory.anchor_px, memory.n_stayed)
-    _count_stays(points.track_id, *before, counts, anchor_px, n_stayed, is_new)
+    anchor_px, place = points.xy_px.copy(), places_among(memory.track_id, points.track_id)
+    is_new = place < 0
+    n_stayed = np.where(is_new, counts, 0.0)
+    old = np.flatnonzero(~is_new)
+    moved_px = anchor_px[old] - memory.anchor_px[place[old]]
+    stays = old[(moved_px * moved_px).sum(axis=1) < _STAYS_PX**2]
+    anchor_px[stays], n_stayed[stays] = memory.anchor_px[place[stays]], memory.n_stayed[place[stays]] + counts
     is_frozen = n_stayed >= _FROZEN_FRAMES
     if is_frozen.any() and is_new.any():
         distance, _ = KDTree(points.xy_px[is_frozen]).query(points.xy_px[is_new])
         n_stayed[np.flatnonzero(is_new)[distance < _NEAR_FROZEN_PX]] = _FROZEN_FRAMES
         is_frozen = n_stayed >= _FROZEN_FRAMES
     return is_frozen, FrozenMemory(points.track_id, anchor_px, n_stayed)
-
-
-@compiled_for("(i8[::1], i8[::1], f8[:, ::1], f8[::1], f8, f8[:, ::1], f8[::1], b1[::1])")
-def _count_stays(
-    track_id: Ints,
-    known: Ints,
-    known_px: Floats,
-    known_stayed: Floats,
-    counts: float,
-    anchor_px: Floats,
-    n_stayed: Floats,
-    is_new: Bools,
-) -> None:
-    """Carries what is known of tracks over to the same ones in this frame, with whose places ``anchor_px`` comes.
-
-    ``known (M,)`` and ``track_id (N,)`` are ascending. The frame ``counts`` for so much where a track stays.
-    """
-    m = 0
-    for i in range(len(track_id)):
-        while m < len(known) and known[m] < track_id[i]:
-            m += 1
-        is_new[i] = m == len(known) or known[m] != track_id[i]
-        if is_new[i]:
-            n_stayed[i] = counts
-            continue
-        dx, dy = anchor_px[i, 0] - known_px[m, 0], anchor_px[i, 1] - known_px[m, 1]
-        if dx * dx + dy * dy < _STAYS_PX * _STAYS_PX:
-            anchor_px[i, 0], anchor_px[i, 1] = known_px[m, 0], known_px[m, 1]
-            n_stayed[i] = known_stayed[m] + counts
