@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from ttcvid.geometry.estimation import shared_trajectory_descent
-from ttcvid.geometry.estimation.intervals import collision_times_from_state
-from ttcvid.geometry.paper.collision import times_from_position_velocity
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.stages.egomotion import scene_trajectory
@@ -60,17 +58,6 @@ def added_together(seen, t_s, path, s, sigma):
     far = shared_trajectory_descent._ROBUST_SIGMAS**2
     mean_square = shared_trajectory_descent._add_point(views, 0, way, 0, s[None].copy(), sigma, far, kept, sums)
     return kept[0], mean_square, sums
-
-
-def test_times_of_states_are_those_of_their_rays_and_velocities():
-    rng = np.random.default_rng(8)
-    x, y, abc_hz = *rng.normal(size=(2, 50)), rng.normal(size=(50, 3))
-    abc_hz[0], abc_hz[1, 2] = 0.0, 0.0
-    cov = np.tile(1e-6 * np.eye(3), (50, 1, 1))
-    found = collision_times_from_state(x, y, abc_hz, cov, np.full(50, 1e-4))
-    expected = times_from_position_velocity(np.column_stack([x, y, np.ones(50)]), abc_hz)
-    for name in ("tcpa_s", "miss_s", "ttc_z_s"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
 
 
 def test_what_follows_the_scene_is_within_the_gate_of_its_flow_line():

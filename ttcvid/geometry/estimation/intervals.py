@@ -9,12 +9,12 @@ that over the 90 % ellipse of (q, u). Both are harmonic, so that their extremes 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.tcpa_miss_bounds import CHI2_90_TWO, inversion_range
+from ttcvid.geometry.paper.collision import times_from_position_velocity
+from ttcvid.geometry.quotient import quotient
 from ttcvid.model import CollisionTimes, Floats
 
 NORMAL_90_SIGMAS = 1.6448536269514722
@@ -23,8 +23,6 @@ NORMAL_90_SIGMAS = 1.6448536269514722
 REGION_90_SIGMAS = math.sqrt(CHI2_90_TWO)
 """Those of tcpa and miss end so many from it, where they are short: they are the borders of the 90 % region of both
 together, so that each alone holds 97 %."""
-
-_N_TIMES = len(fields(CollisionTimes))
 
 
 def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats) -> CollisionTimes:
@@ -57,38 +55,21 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     >>> [round(float(v[0]), 2) for v in (times.tcpa_lo_s, times.tcpa_s, times.tcpa_hi_s)]
     [2.3, 2.31, 2.32]
     """
-    times = np.full((_N_TIMES, len(x)), np.nan)
-    found = CollisionTimes(*times)
-    _times_of_each(np.ascontiguousarray(x), np.ascontiguousarray(y), abc_hz, cov, times)
+    times = times_from_position_velocity(np.column_stack([x, y, np.ones(len(x))]), abc_hz)
+    reach = NORMAL_90_SIGMAS * np.sqrt(np.maximum(cov[:, 2, 2], 0.0))
     bounds = inversion_range(*radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm))
     # The value itself is in the region; by another way of rounding it may seem to lie beyond the border.
-    np.minimum(bounds[0], found.tcpa_s, out=found.tcpa_lo_s)
-    np.maximum(bounds[1], found.tcpa_s, out=found.tcpa_hi_s)
-    np.minimum(bounds[2], found.miss_s, out=found.miss_lo_s)
-    np.maximum(bounds[3], found.miss_s, out=found.miss_hi_s)
-    return found
-
-
-@compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1])")
-def _times_of_each(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, times: Floats) -> None:
-    """Fills of ``times (9, N)``, in the order of `CollisionTimes`, the times themselves and the bounds of ttc_z.
-
-    The times are those of `geometry.paper.collision.times_from_position_velocity`, at the ray (x, y, 1).
-    """
-    for i in range(len(x)):
-        a, b, c = abc_hz[i, 0], abc_hz[i, 1], abc_hz[i, 2]
-        speed2 = a * a + b * b + c * c
-        if speed2 != 0.0:
-            across_x, across_y, across_z = y[i] * c - b, a - x[i] * c, x[i] * b - y[i] * a
-            times[0, i] = -(x[i] * a + y[i] * b + c) / speed2
-            times[3, i] = np.sqrt(across_x * across_x + across_y * across_y + across_z * across_z) / speed2
-        if c != 0.0:
-            times[6, i] = -1.0 / c
-        reach = NORMAL_90_SIGMAS * np.sqrt(max(cov[i, 2, 2], 0.0))
-        if reach - c != 0.0:
-            times[7, i] = 1.0 / (reach - c)
-        if reach + c != 0.0:
-            times[8, i] = -1.0 / (reach + c)
+    return CollisionTimes(
+        times.tcpa_s,
+        np.minimum(bounds[0], times.tcpa_s),
+        np.maximum(bounds[1], times.tcpa_s),
+        times.miss_s,
+        np.minimum(bounds[2], times.miss_s),
+        np.maximum(bounds[3], times.miss_s),
+        times.ttc_z_s,
+        quotient(1.0, reach - abc_hz[:, 2]),
+        quotient(-1.0, reach + abc_hz[:, 2]),
+    )
 
 
 def radial_and_transverse_rate(
@@ -106,41 +87,18 @@ def radial_and_transverse_rate(
     rates : ``(N, 2)`` q and u in 1/s; where u = 0, any t normal to r.
     cov : ``(N, 2, 2)`` in 1/s^2.
     """
-    rates, rates_cov = np.empty((len(x), 2)), np.empty((len(x), 2, 2))
-    _rates_of_each(np.ascontiguousarray(x), np.ascontiguousarray(y), abc_hz, cov, sigma_norm, rates, rates_cov)
-    return rates, rates_cov
-
-
-@compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, ::1], f8[:, :, ::1])")
-def _rates_of_each(
-    x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats, rates: Floats, rates_cov: Floats
-) -> None:
-    """Fills ``rates (N, 2)`` and ``rates_cov (N, 2, 2)``.
-
-    With P the ray (x, y, 1): q = r.V / abs(P) and u = t.V / abs(P), so that dq = (r.dV + (u t - q r).dP) / abs(P) and
-    du = (t.dV - (u r + q t).dP) / abs(P).
-    """
-    by_velocity, by_ray = np.empty((2, 3)), np.empty((2, 3))
-    for i in range(len(x)):
-        inverse = 1.0 / np.sqrt(x[i] * x[i] + y[i] * y[i] + 1.0)
-        r, v = (x[i] * inverse, y[i] * inverse, inverse), (abc_hz[i, 0], abc_hz[i, 1], abc_hz[i, 2])
-        q = (r[0] * v[0] + r[1] * v[1] + r[2] * v[2]) * inverse
-        tx, ty, tz = v[0] * inverse - q * r[0], v[1] * inverse - q * r[1], v[2] * inverse - q * r[2]
-        u = np.sqrt(tx * tx + ty * ty + tz * tz)
-        if u > 0.0:
-            t = (tx / u, ty / u, tz / u)
-        else:
-            # Any normal of r: it is never along y alone.
-            across = 1.0 / np.sqrt(r[0] * r[0] + r[2] * r[2])
-            t = (r[2] * across, 0.0, -r[0] * across)
-        rates[i, 0], rates[i, 1] = q, u
-        for j in range(3):
-            by_velocity[0, j], by_velocity[1, j] = r[j] * inverse, t[j] * inverse
-            by_ray[0, j], by_ray[1, j] = (u * t[j] - q * r[j]) * inverse, -(u * r[j] + q * t[j]) * inverse
-        for m in range(2):
-            for n in range(m + 1):
-                total = (by_ray[m, 0] * by_ray[n, 0] + by_ray[m, 1] * by_ray[n, 1]) * sigma_norm[i] ** 2
-                for j in range(3):
-                    for k in range(3):
-                        total += by_velocity[m, j] * cov[i, j, k] * by_velocity[n, k]
-                rates_cov[i, m, n] = rates_cov[i, n, m] = total
+    # With P the ray (x, y, 1): q = r.V / abs(P) and u = t.V / abs(P), so that dq = (r.dV + (u t - q r).dP) / abs(P)
+    # and du = (t.dV - (u r + q t).dP) / abs(P).
+    inverse = 1.0 / np.sqrt(x * x + y * y + 1.0)
+    r, v = np.stack([x * inverse, y * inverse, inverse]), abc_hz.T * inverse
+    q = np.einsum("in,in->n", r, v)
+    across = v - q * r
+    u = np.sqrt(np.einsum("in,in->n", across, across))
+    # Any normal of r where nothing goes across: it is never along y alone.
+    aside = np.stack([r[2], np.zeros(len(x)), -r[0]]) / np.sqrt(r[0] ** 2 + r[2] ** 2)
+    t = np.where(u > 0.0, quotient(across, u), aside)
+    by_ray = np.stack([u * t - q * r, -u * r - q * t])[:, :2] * (inverse * sigma_norm)
+    by_velocity = np.stack([r, t]) * inverse
+    rates_cov = np.einsum("min,ijn,kjn->mkn", by_velocity, np.ascontiguousarray(cov.transpose(1, 2, 0)), by_velocity)
+    rates_cov += np.einsum("min,kin->mkn", by_ray, by_ray)
+    return np.stack([q, u], axis=1), rates_cov.transpose(2, 0, 1)

@@ -171,9 +171,11 @@ def times_from_position_velocity(position: Floats, velocity: Floats) -> PointTim
     >>> [round(float(t[0]), 2) for t in times]
     [2.31, 1.54, 10.0]
     """
-    across, speed2 = cross(position, velocity), np.sum(velocity**2, axis=-1)
-    tcpa_s = quotient(-np.sum(position * velocity, axis=-1), speed2)
-    miss_s = quotient(np.sqrt(np.sum(across**2, axis=-1)), speed2)
+    across = cross(position, velocity)
+    along, across2, speed2 = (
+        np.einsum("...i,...i->...", v, w) for v, w in ((position, velocity), (across, across), (velocity, velocity))
+    )
+    tcpa_s, miss_s = quotient(-along, speed2), quotient(np.sqrt(across2), speed2)
     return PointTimes(tcpa_s, miss_s, quotient(-position[..., 2], velocity[..., 2]))
 
 
