@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from ttcvid.geometry.estimation import shared_trajectory_descent
-from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
-from ttcvid.stages.egomotion import scene_trajectory
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.01, 2.0])
@@ -58,17 +56,3 @@ def added_together(seen, t_s, path, s, sigma):
     far = shared_trajectory_descent._ROBUST_SIGMAS**2
     mean_square = shared_trajectory_descent._add_point(views, 0, way, 0, s[None].copy(), sigma, far, kept, sums)
     return kept[0], mean_square, sums
-
-
-def test_what_follows_the_scene_is_within_the_gate_of_its_flow_line():
-    rng, e = np.random.default_rng(9), normalize(np.array([0.1, -0.05, -1.0]))
-    first = normalize(rng.normal(size=(300, 3)) + np.array([0.0, 0.0, 3.0]))
-    turned = first @ rotation_from_vector(np.array([0.01, -0.02, 0.005])).T
-    now = normalize(turned + 0.02 * e + 6e-3 * rng.normal(size=(300, 3)))
-    first[0], now[1], sigma_rad, drift_rad = np.nan, np.nan, rng.uniform(5e-4, 2e-3, 300), 3e-4
-    follows = np.empty(300, dtype=bool)
-    cam_R_first = rotation_from_vector(np.array([0.01, -0.02, 0.005]))
-    scene_trajectory._compare_with_line(first, now, cam_R_first, e, sigma_rad, drift_rad, follows)
-    chi2 = flow_line_chi2(e, first @ cam_R_first.T, now, np.hypot(sigma_rad, drift_rad))
-    np.testing.assert_array_equal(follows, chi2 < scene_trajectory._GATE_CHI2)
-    assert 50 < np.count_nonzero(follows) < 250

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.model import (
     NO_CLUSTER,
@@ -133,18 +132,6 @@ def _common_views(history: TrackHistory) -> CommonViews:
 
 def _age_s(history: TrackHistory) -> Floats:
     """For how long each track is seen, (N,) s, as far as the history goes."""
-    age_s = np.empty(history.n_tracks)
-    _fill_ages(history.rays, history.t_s, age_s)
-    return age_s
-
-
-@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1])")
-def _fill_ages(rays: Floats, t_s: Floats, age_s: Floats) -> None:
-    """Fills ``age_s (N,)`` with the time from the first to the last of the ``rays (L, N, 3)`` of each track."""
-    for i in range(len(age_s)):
-        first, last = 0, len(rays) - 1
-        while first < last and np.isnan(rays[first, i, 0]):
-            first += 1
-        while last > first and np.isnan(rays[last, i, 0]):
-            last -= 1
-        age_s[i] = t_s[last] - t_s[first]
+    is_seen = np.isfinite(history.rays[:, :, 0])
+    first, last = is_seen.argmax(axis=0), len(is_seen) - 1 - is_seen[::-1].argmax(axis=0)
+    return np.where(is_seen.any(axis=0), history.t_s[last] - history.t_s[first], 0.0)

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import EgomotionConfig
-from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion.relative_pose import (
     Egomotion,
     EgomotionMemory,
@@ -158,90 +157,27 @@ def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> _
     if not 0 < gap < len(history.frame):
         return None
     before, now, sigma_rad = history.rays[-1 - gap], history.rays[-1], history.sigma_rad
-    seen = np.empty(len(now), dtype=np.int64)
-    seen = seen[: _list_seen(before, now, is_free, seen)]
+    seen = np.flatnonzero(is_free & np.isfinite(before[:, 0] + now[:, 0]))
     if len(seen) < min_tracks:
         return None
-    is_kept = np.zeros(len(seen), dtype=bool)
-    region = picture_region(now.take(seen, axis=0), region_side_of(history.camera))
-    _keep_some(now, sigma_rad, seen, region, is_kept)
-    spread = seen[is_kept]
+    rays = now[seen]
+    region = picture_region(rays, region_side_of(history.camera))
+    # Of the same noise by their place: the same ones in whatever order they come.
+    quietest = np.lexsort((rays[:, 1], rays[:, 0], sigma_rad[seen], region))
+    n_before = np.arange(len(seen)) - np.searchsorted(region[quietest], region[quietest])
+    spread = np.sort(seen[quietest[n_before < _MOST_IN_CELL]])
     used = spread if len(spread) >= min_tracks else seen
     return before.take(used, axis=0), now.take(used, axis=0), sigma_rad.take(used)
 
 
-@compiled_for("(f8[:, ::1], f8[:, ::1], b1[::1], i8[::1])")
-def _list_seen(before: Floats, now: Floats, is_free: Bools, seen: Ints) -> int:
-    """Fills ``seen`` with the tracks that have both rays, and are not frozen to their pixel; how many there are."""
-    count = 0
-    for i in range(len(now)):
-        if is_free[i] and np.isfinite(before[i, 0] + now[i, 0]):
-            seen[count] = i
-            count += 1
-    return count
-
-
-@compiled_for("(f8[:, ::1], f8[::1], i8[::1], i8[::1], b1[::1])")
-def _keep_some(rays: Floats, sigma: Floats, seen: Ints, region: Ints, is_kept: Bools) -> None:
-    """Fills ``is_kept (M,)`` with the quietest few of the tracks ``seen (M,)`` in each region.
-
-    The same ones in whatever order they come.
-    """
-    n_regions = 0
-    for number in region:
-        n_regions = max(n_regions, number + 1)
-    kept, count = np.empty((n_regions, _MOST_IN_CELL), dtype=np.int64), np.zeros(n_regions, dtype=np.int64)
-    for m in range(len(seen)):
-        own = region[m]
-        place = count[own]
-        # From the noisiest of those that are kept: most of a crowded region end there.
-        while place > 0 and _is_quieter(rays, sigma, seen[m], seen[kept[own, place - 1]]):
-            if place < _MOST_IN_CELL:
-                kept[own, place] = kept[own, place - 1]
-            place -= 1
-        if place < _MOST_IN_CELL:
-            kept[own, place] = m
-            count[own] = min(count[own] + 1, _MOST_IN_CELL)
-    for own in range(n_regions):
-        for place in range(count[own]):
-            is_kept[kept[own, place]] = True
-
-
-@compiled
-def _is_quieter(rays: Floats, sigma: Floats, new: int, old: int) -> bool:
-    """Whether a track comes before another one: by its noise, and of the same noise by its place."""
-    if sigma[new] != sigma[old]:
-        return bool(sigma[new] < sigma[old])
-    if rays[new, 0] != rays[old, 0]:
-        return bool(rays[new, 0] < rays[old, 0])
-    return bool(rays[new, 1] < rays[old, 1])
-
-
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     """Frames after which the median derotated flow has the wanted length, by the flow of the last step."""
-    flow_rad = np.empty(history.n_tracks)
-    count = _list_flows(history.rays[-2], history.rays[-1], history.cam_R_seen[-2], is_free, flow_rad)
-    if not count:
+    flow_rad = np.linalg.norm(history.rays[-1, is_free] - history.derotated(-2)[is_free], axis=1)
+    is_known = np.isfinite(flow_rad)
+    if not is_known.any():
         return 1
-    flow_px = median(flow_rad[:count]) * history.focal_px
+    flow_px = median(flow_rad[is_known]) * history.focal_px
     return min(max(math.ceil(_WANTED_FLOW_PX / max(flow_px, _TINY_PX)), 1), _LONGEST_GAP)
-
-
-@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, ::1], b1[::1], f8[::1])")
-def _list_flows(before: Floats, now: Floats, cam_R_prev: Floats, is_free: Bools, flow: Floats) -> int:
-    """Fills ``flow`` with the lengths of the derotated flows of free tracks that have one; how many there are."""
-    count = 0
-    for i in range(len(now)):
-        if not is_free[i]:
-            continue
-        square = 0.0
-        for j in range(3):
-            turned = cam_R_prev[j, 0] * before[i, 0] + cam_R_prev[j, 1] * before[i, 1] + cam_R_prev[j, 2] * before[i, 2]
-            square += (now[i, j] - turned) ** 2
-        if np.isfinite(square):
-            flow[count] = np.sqrt(square)
-            count += 1
-    return count
 
 
 def _corrected(history: TrackHistory, over_gap: Egomotion, gap: int) -> TrackHistory:

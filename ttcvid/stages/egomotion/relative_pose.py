@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.relative_pose import (
     GaussianPrior,
     TwoViewFit,
@@ -208,28 +207,10 @@ def region_side_of(camera: Camera) -> float:
 
 def picture_region(rays: Floats, side: float = REGION) -> Ints:
     """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,), without gaps."""
-    region = np.empty(len(rays), dtype=np.int64)
-    _number_cells(np.ascontiguousarray(rays), side, region)
-    return region
-
-
-@compiled_for("(f8[:, ::1], f8, i8[::1])")
-def _number_cells(rays: Floats, side: float, region: Ints) -> None:
-    """Fills ``region (N,)``: cells are numbered in the order in which they are first met."""
-    first, last = _REGION_COUNT * _REGION_COUNT, 0
-    for i in range(len(rays)):
-        scale = 1.0 / (side * max(rays[i, 2], _LEAST_Z))
-        column = min(max(int(np.floor(rays[i, 0] * scale)) + _REGION_COUNT // 2, 0), _REGION_COUNT - 1)
-        row = min(max(int(np.floor(rays[i, 1] * scale)) + _REGION_COUNT // 2, 0), _REGION_COUNT - 1)
-        region[i] = row * _REGION_COUNT + column
-        first, last = min(first, region[i]), max(last, region[i])
-    # A picture fills some rows of all that there may be.
-    number, count = np.full(max(last - first + 1, 0), -1, dtype=np.int64), 0
-    for i in range(len(rays)):
-        if number[region[i] - first] < 0:
-            number[region[i] - first] = count
-            count += 1
-        region[i] = number[region[i] - first]
+    cell = np.floor(rays[:, :2] / (side * np.maximum(rays[:, 2:], _LEAST_Z)))
+    # A ray that is not known (NaN) has its place in the corner.
+    column, row = np.fmin(np.fmax(cell, -_REGION_COUNT // 2), _REGION_COUNT // 2 - 1).astype(np.int64).T
+    return np.asarray(np.unique(row * _REGION_COUNT + column, return_inverse=True)[1], dtype=np.int64)
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
 from ttcvid.geometry.estimation.shared_trajectory_points import MOST_POINTS, points_of_paths
+from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion.relative_pose import Egomotion
@@ -64,35 +64,9 @@ def scene_path(history: TrackHistory, direction: Floats, direction_cov: Floats) 
 def _follows(history: TrackHistory, direction: Floats) -> Bools:
     """Tracks (N,) that have been there for some frames and have moved as the scene has: (N,)."""
     gap = min(_GAP_FRAMES, history.n_past)
-    place, follows = history.now - gap, np.empty(history.n_tracks, dtype=bool)
-    views = history.rays[place], history.rays[history.now], history.cam_R_seen[place]
-    _compare_with_line(*views, direction, history.sigma_rad, gap * ROTATION_DRIFT_RAD, follows)
-    return follows
-
-
-@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8, b1[::1])")
-def _compare_with_line(
-    first: Floats, now: Floats, cam_R_first: Floats, e: Floats, sigma: Floats, drift_rad: float, follows: Bools
-) -> None:
-    """Fills ``follows (N,)``: whether `geometry.paper.flow_line.flow_line_chi2` of the direction e is inside the gate.
-
-    For rays ``first, now (N, 3)``, the first of which ``cam_R_first (3, 3)`` turns into the present camera.
-    """
-    for i in range(len(now)):
-        x, y, z = first[i, 0], first[i, 1], first[i, 2]
-        qx = cam_R_first[0, 0] * x + cam_R_first[0, 1] * y + cam_R_first[0, 2] * z
-        qy = cam_R_first[1, 0] * x + cam_R_first[1, 1] * y + cam_R_first[1, 2] * z
-        qz = cam_R_first[2, 0] * x + cam_R_first[2, 1] * y + cam_R_first[2, 2] * z
-        px, py, pz = now[i, 0], now[i, 1], now[i, 2]
-        p_along, q_along = px * e[0] + py * e[1] + pz * e[2], qx * e[0] + qy * e[1] + qz * e[2]
-        mixed = px * qx + py * qy + pz * qz - p_along * q_along
-        p_square, q_square = 1.0 - p_along * p_along, 1.0 - q_along * q_along
-        difference = p_square - q_square
-        largest = 0.5 * (p_square + q_square + np.sqrt(4.0 * mixed * mixed + difference * difference))
-        triple = e[0] * (py * qz - pz * qy) + e[1] * (pz * qx - px * qz) + e[2] * (px * qy - py * qx)
-        variance = sigma[i] * sigma[i] + drift_rad * drift_rad
-        # Where something is not known, it is NaN, and no comparison holds.
-        follows[i] = triple * triple < _GATE_CHI2 * variance * largest or largest <= 0.0
+    sigma_rad = np.hypot(history.sigma_rad, gap * ROTATION_DRIFT_RAD)
+    before, now = history.derotated(history.now - gap), history.rays[history.now]
+    return np.asarray(flow_line_chi2(direction, before, now, sigma_rad) < _GATE_CHI2)
 
 
 def _belief(history: TrackHistory, direction: Floats, direction_cov: Floats) -> PathBeliefs:

@@ -13,7 +13,6 @@ from scipy.special import ndtr, ndtri
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, straightened
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, MotionState
@@ -184,64 +183,47 @@ def _along_bend(rays: Floats, abc_hz: Floats, cov: Floats, bend: OwnBend, speed_
 
 
 def _missing(rays: Floats, abc_hz: Floats, cov: Floats, on_ground: bool, camera: Camera) -> Floats:
-    """Where what is seen at ``rays (5, 3)`` passes us, over its width, and the standard deviation of that: (4,)."""
-    basis = tangent_basis(abc_hz / np.linalg.norm(abc_hz))
-    miss = np.empty(4)
-    _fill_miss(rays, abc_hz, cov, basis, on_ground, 1.0 / camera.fx_px, miss)
-    return miss
+    """Where an object passes us, over its width, and the standard deviation of that: (4,).
 
-
-@compiled_for("(f8[:, ::1], f8[::1], f8[:, ::1], f8[:, ::1], b1, f8, f8[::1])")
-def _fill_miss(
-    outline: Floats, abc_hz: Floats, cov: Floats, basis: Floats, on_ground: bool, least_width: float, found: Floats
-) -> None:
-    """Fills ``found (4,)`` of `_miss_widths` by the rays ``outline (5, 3)`` of a box: middle, left, right, top, bottom.
-
-    A thing is as high as it is seen: of somebody who walks before a car the feet pass below the camera by three times
-    the width. A side at 90 deg or more off the axis (of a fisheye) is nowhere in the plane z = 1: infinitely far.
-    ``basis (3, 2)`` are two directions across that of ``abc_hz (3,)``.
+    By the rays (5, 3) of its box: middle, left, right, top, bottom. A thing is as high as it is seen: of somebody who
+    walks before a car the feet pass below the camera by three times the width. A side at 90 deg or more off the axis
+    (of a fisheye) is nowhere in the plane z = 1: infinitely far.
     """
-    speed = np.sqrt(abc_hz[0] ** 2 + abc_hz[1] ** 2 + abc_hz[2] ** 2)
-    dx, dy, dz = abc_hz[0] / speed, abc_hz[1] / speed, abc_hz[2] / speed
-    x, y, z = outline[0, 0], outline[0, 1], outline[0, 2]
-    # Down across the way that it goes, (0, 1, 0) - dy d, of the squared length 1 - dy^2.
-    down2 = (dy * dx) ** 2 + (1.0 - dy * dy) ** 2 + (dy * dz) ** 2
-    top, bottom = outline[3, 1], outline[4, 1]
+    speed = float(np.linalg.norm(abc_hz))
+    way, place = abc_hz / speed, rays[0].copy()
+    left, right, top, bottom = float(rays[1, 0]), float(rays[2, 0]), float(rays[3, 1]), float(rays[4, 1])
+    # Down across the way that it goes; not that of what goes straight down.
+    down = np.array([0.0, 1.0, 0.0]) - way[1] * way
+    down2 = float(down @ down)
     if down2 >= _TINY and np.isfinite(top) and np.isfinite(bottom):
         # Where the thing passes nearest, up or down within the box.
-        nearest = y - (y - dy * (x * dx + y * dy + z * dz)) / down2
-        y = min(max(nearest, min(top, y)), max(bottom, y))
-    ahead = x * dx + y * dy + z * dz
-    off_x, off_y, off_z = x - ahead * dx, y - ahead * dy, z - ahead * dz
-    if on_ground and off_y > 0.0:
+        nearest = place[1] - down @ place / down2
+        place[1] = min(max(nearest, min(top, place[1])), max(bottom, place[1]))
+    ahead = float(way @ place)
+    off = place - ahead * way
+    if on_ground and off[1] > 0.0 and down2 >= _TINY:
         # Our own car is below the camera.
-        part = (off_y - dy * (off_x * dx + off_y * dy + off_z * dz)) / down2
-        off_x, off_y, off_z = off_x + part * dy * dx, off_y - part * (1.0 - dy * dy), off_z + part * dy * dz
-    miss = np.sqrt(off_x * off_x + off_y * off_y + off_z * off_z)
-    variance = 0.0
-    for side in range(2):
-        u, v, w = basis[0, side], basis[1, side], basis[2, side]
-        if miss > _TINY:
-            u, v, w = off_x / miss, off_y / miss, off_z / miss
-        total = u * u * cov[0, 0] + v * v * cov[1, 1] + w * w * cov[2, 2]
-        total += 2.0 * (u * v * cov[0, 1] + u * w * cov[0, 2] + v * w * cov[1, 2])
-        # What is not known stays so.
-        variance = variance if total <= variance else total
+        off -= down @ off / down2 * down
+    miss = float(np.linalg.norm(off))
+    sides = off[None] / miss if miss > _TINY else tangent_basis(way).T
+    sigma = math.sqrt(max(float(np.max(np.einsum("si,ij,sj->s", sides, cov, sides))), 0.0))
+    width = _width(way, left, right, bottom, on_ground, camera)
+    return np.append(off, abs(ahead) / speed * sigma) / width
+
+
+def _width(way: Floats, left: float, right: float, bottom: float, on_ground: bool, camera: Camera) -> float:
+    """Width of an object that goes a ``way (3,)``, in units of depth, with what of our own counts beside it."""
     # Across its way, with some of our own: a bus that crosses shows its length.
-    level = np.sqrt(dx * dx + dz * dz)
-    across = min(_WITH_OURS * abs(dz) / level + _LEAST_ACROSS, 1.0) if level > 0.0 else 1.0
-    left = outline[1, 0] if np.isfinite(outline[1, 0]) else -np.inf
-    right = outline[2, 0] if np.isfinite(outline[2, 0]) else np.inf
-    width = across * max(right - left, least_width)
-    if on_ground and abs(dz) >= _TINY:
-        # The height of the camera above the foot of what moves level to us, in units of its depth.
-        height = bottom - dy / dz
-        if np.isfinite(height):
-            height = max(height, 0.0)
-            # Somebody who walks is narrower than half of our car, which hits him all the same: with its front, of
-            # which less lies across the way of who crosses it, and nothing where we stand.
-            front = _HALF_HEIGHTS * height * abs(dz) / level
-            wide = max(width, 0.5 * width + front)
-            width = min(wide, 0.5 * width + _ROOM_HEIGHTS * height)
-    found[0], found[1], found[2] = off_x / width, off_y / width, off_z / width
-    found[3] = abs(ahead) / speed * np.sqrt(variance) / width
+    along, level = abs(float(way[2])), math.hypot(way[0], way[2])
+    across = min(_WITH_OURS * along / level + _LEAST_ACROSS, 1.0) if level > 0.0 else 1.0
+    seen = (right if math.isfinite(right) else math.inf) - (left if math.isfinite(left) else -math.inf)
+    width = across * max(seen, 1.0 / camera.fx_px)
+    # The height of the camera above the foot of what moves level to us, in units of its depth.
+    height = bottom - way[1] / way[2] if on_ground and along >= _TINY else math.nan
+    if not math.isfinite(height):
+        return width
+    height = max(height, 0.0)
+    # Somebody who walks is narrower than half of our car, which hits him all the same: with its front, of which less
+    # lies across the way of who crosses it, and nothing where we stand.
+    front = _HALF_HEIGHTS * height * along / level
+    return min(max(width, 0.5 * width + front), 0.5 * width + _ROOM_HEIGHTS * height)
