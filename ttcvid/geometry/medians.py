@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.kernels.medians import median as median_of
+from ttcvid.geometry.kernels.medians import fill_medians
 from ttcvid.model import Bools, Floats, Ints
 
 
@@ -15,7 +14,8 @@ def median(values: Floats) -> float:
     >>> median(np.array([3.0, 1.0, 2.0, 5.0]))
     2.5
     """
-    return float(_median(values.astype(np.float64))) if len(values) else np.nan
+    ordered, n = np.sort(values), len(values)
+    return 0.5 * float(ordered[(n - 1) // 2] + ordered[n // 2]) if n else np.nan
 
 
 def quantile(values: Floats, part: float) -> float:
@@ -57,7 +57,7 @@ def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
     array([ 4., nan,  2.])
     """
     found = np.empty(n_groups)
-    _fill(np.ascontiguousarray(values), np.ascontiguousarray(group), found)
+    fill_medians(np.ascontiguousarray(values), np.ascontiguousarray(group), found)
     return found
 
 
@@ -73,26 +73,3 @@ def row_medians(values: Floats, is_known: Bools) -> Floats:
     n = np.sum(is_known, axis=1)
     middle = np.stack([np.maximum(n - 1, 0) // 2, np.minimum(n // 2, values.shape[1] - 1)], axis=1)
     return np.where(n > 0, np.mean(np.take_along_axis(ordered, middle, axis=1), axis=1), np.nan)
-
-
-@compiled_for("(f8[::1],)")
-def _median(values: Floats) -> float:
-    return median_of(values)
-
-
-@compiled_for("(f8[::1], i8[::1], f8[::1])")
-def _fill(values: Floats, group: Ints, found: Floats) -> None:
-    """Fill ``found (K,)``."""
-    start = np.zeros(len(found) + 1, dtype=np.int64)
-    for i in range(len(values)):
-        start[group[i] + 1] += 0 if np.isnan(values[i]) else 1
-    for number in range(len(found)):
-        start[number + 1] += start[number]
-    by_group, end = np.empty(len(values)), start.copy()
-    for i in range(len(values)):
-        if not np.isnan(values[i]):
-            by_group[end[group[i]]] = values[i]
-            end[group[i]] += 1
-    for number in range(len(found)):
-        is_any = start[number + 1] > start[number]
-        found[number] = median_of(by_group[start[number] : start[number + 1]]) if is_any else np.nan

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.camera.distortion import distort, distorted_area, undistort
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Camera, Floats
 
 UNDISTORTION_TOLERANCE_PX = 5e-11
@@ -38,30 +37,13 @@ def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
     array([[0.5, 0. , 1. ],
            [0. , 0.5, 1. ]])
     """
-    xy_px = np.ascontiguousarray(xy_px, dtype=np.float64)
-    xy_distorted, rays = np.empty((len(xy_px), 2)), np.empty((len(xy_px), 3))
-    _put_onto_plane(xy_px, camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, xy_distorted)
+    xy_distorted = (np.asarray(xy_px, dtype=np.float64) - (camera.cx_px, camera.cy_px)) / (camera.fx_px, camera.fy_px)
     tolerance = UNDISTORTION_TOLERANCE_PX / max(camera.fx_px, camera.fy_px)
     xy = undistort(camera.distortion_model, camera.distortion, xy_distorted, tolerance)
-    _fill_rays(np.ascontiguousarray(xy), rays)
+    rays = np.ones((len(xy), 3))
+    rays[:, :2] = xy
+    rays[~np.isfinite(xy).all(axis=1)] = np.nan
     return rays
-
-
-@compiled_for("(f8[:, ::1], f8, f8, f8, f8, f8[:, ::1])")
-def _put_onto_plane(xy_px: Floats, fx_px: float, fy_px: float, cx_px: float, cy_px: float, xy: Floats) -> None:
-    """Fills places ``xy (N, 2)`` on the plane z = 1, distorted as the pixels are."""
-    for i in range(len(xy)):
-        xy[i, 0], xy[i, 1] = (xy_px[i, 0] - cx_px) / fx_px, (xy_px[i, 1] - cy_px) / fy_px
-
-
-@compiled_for("(f8[:, ::1], f8[:, ::1])")
-def _fill_rays(xy: Floats, rays: Floats) -> None:
-    """Fills ``rays (N, 3)`` through places ``xy (N, 2)`` on the plane z = 1."""
-    for i in range(len(rays)):
-        # A sum is finite where all of its terms are.
-        is_place = np.isfinite(xy[i, 0] + xy[i, 1])
-        rays[i, 0], rays[i, 1] = xy[i, 0] if is_place else np.nan, xy[i, 1] if is_place else np.nan
-        rays[i, 2] = 1.0 if is_place else np.nan
 
 
 def plane_per_px(camera: Camera, rays: Floats) -> Floats:

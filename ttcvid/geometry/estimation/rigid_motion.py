@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.kernels.newest_view import predict_newest
 from ttcvid.geometry.kernels.rigid_points import LANES, N_EQUATIONS, add_turns_and_shifts, fit_rigid_points
 from ttcvid.geometry.kernels.solve import solve_each
@@ -110,8 +109,8 @@ def views_by_track(rays: Floats) -> Floats:
     NaN where not observed. M is L, filled up with unobserved views, the first ones, to a multiple of `LANES`.
     """
     n_views, n = rays.shape[:2]
-    by_track = np.empty((n, 3, -(-n_views // LANES) * LANES))
-    _list_views(np.ascontiguousarray(rays), by_track)
+    by_track = np.full((n, 3, -(-n_views // LANES) * LANES), np.nan)
+    by_track[..., by_track.shape[2] - n_views :] = rays.transpose(1, 2, 0)
     return by_track
 
 
@@ -282,15 +281,3 @@ def _where(is_first: Bools, first: RigidPaths, second: RigidPaths) -> RigidPaths
     chosen = is_first[:, None, None]
     rotations = np.where(chosen[..., None], first.cam_R_past, second.cam_R_past)
     return RigidPaths(rotations, np.where(chosen, first.path, second.path))
-
-
-@compiled_for("(f8[:, :, ::1], f8[:, :, ::1])")
-def _list_views(rays: Floats, by_track: Floats) -> None:
-    """Fill ``by_track (N, 3, M)`` from ``rays (L, N, 3)``; what is left over of M stands first and is not seen."""
-    before = by_track.shape[2] - len(rays)
-    for i in range(rays.shape[1]):
-        for k in range(before):
-            by_track[i, 0, k] = by_track[i, 1, k] = by_track[i, 2, k] = np.nan
-        for k in range(len(rays)):
-            for j in range(3):
-                by_track[i, j, before + k] = rays[k, i, j]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
-from ttcvid.model import Floats
+from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.model import Floats, Ints
 
 
 @compiled
@@ -46,3 +46,21 @@ def at_rank(values: Floats, place: int) -> float:
         else:
             break
     return float(values[place])
+
+
+@compiled_for("(f8[::1], i8[::1], f8[::1])")
+def fill_medians(values: Floats, group: Ints, found: Floats) -> None:
+    """Fill ``found (K,)``, the medians of `geometry.medians.medians`."""
+    start = np.zeros(len(found) + 1, dtype=np.int64)
+    for i in range(len(values)):
+        start[group[i] + 1] += 0 if np.isnan(values[i]) else 1
+    for number in range(len(found)):
+        start[number + 1] += start[number]
+    by_group, end = np.empty(len(values)), start.copy()
+    for i in range(len(values)):
+        if not np.isnan(values[i]):
+            by_group[end[group[i]]] = values[i]
+            end[group[i]] += 1
+    for number in range(len(found)):
+        is_any = start[number + 1] > start[number]
+        found[number] = median(by_group[start[number] : start[number + 1]]) if is_any else np.nan

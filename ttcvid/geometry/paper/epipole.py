@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.paper.flow_line import flow_line_chi2, flow_normals, moves_towards
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
@@ -130,43 +129,12 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
     >>> direction_chi2(ahead, np.array([aside, -aside]), 0.01**2 * np.eye(3)).round(9)
     array([ 4., inf])
     """
-    shape = np.broadcast(one[..., 0], other[..., 0], covariance[..., 0, 0]).shape
-
-    def one_after_the_other(values: Floats, *size: int) -> Floats:
-        every = np.empty((*shape, *size))
-        every[...] = values
-        return every.reshape(-1, *size)
-
-    chi2 = np.empty(shape)
-    _direction_chi2_of_each(
-        one_after_the_other(one, 3),
-        one_after_the_other(other, 3),
-        one_after_the_other(covariance, 3, 3),
-        chi2.reshape(-1),
-    )
-    return chi2
-
-
-@compiled_for("(f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[::1])")
-def _direction_chi2_of_each(one: Floats, other: Floats, covariance: Floats, chi2: Floats) -> None:
-    """Fills ``chi2 (N,)`` of `direction_chi2`."""
-    for i in range(len(chi2)):
-        ex, ey, ez = one[i, 0], one[i, 1], one[i, 2]
-        # Any tangent, and the one across it: what they are makes no difference.
-        tx, ty, tz = (ez, 0.0, -ex) if abs(ey) < 0.9 else (ey, -ex, 0.0)
-        length = np.sqrt(tx * tx + ty * ty + tz * tz)
-        t = (tx / length, ty / length, tz / length)
-        s = (ey * t[2] - ez * t[1], ez * t[0] - ex * t[2], ex * t[1] - ey * t[0])
-        along, x, y, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(3):
-            along += one[i, j] * other[i, j]
-            x += t[j] * other[i, j]
-            y += s[j] * other[i, j]
-            for k in range(3):
-                xx += t[j] * covariance[i, j, k] * t[k]
-                xy += t[j] * covariance[i, j, k] * s[k]
-                yy += s[j] * covariance[i, j, k] * s[k]
-        chi2[i] = np.inf if along < 0.0 else (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    basis = tangent_basis(one)
+    x, y = np.moveaxis((other[..., None, :] @ basis)[..., 0, :], -1, 0)
+    across = np.swapaxes(basis, -1, -2) @ covariance @ basis
+    xx, xy, yy = across[..., 0, 0], across[..., 0, 1], across[..., 1, 1]
+    chi2 = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    return np.where(np.sum(one * other, axis=-1) < 0.0, np.inf, chi2)
 
 
 def _eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats) -> Floats:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.quotient import quotient
 from ttcvid.model import Floats, Ints
 
 LEAST_EXTENT = 1e-9
@@ -89,67 +89,22 @@ def _rates(
     first: Floats, second: Floats, weights: Floats, regions: Ints, dt_s: float | Floats, shape: list[int]
 ) -> tuple[Floats, Floats]:
     """`expansion_rate` of ``regions (R, m)`` of N points, in the given shape."""
-    scale, log_scale_variance = np.full(len(regions), np.nan), np.full(len(regions), np.nan)
-    _fit_each(first, second, weights, np.asarray(regions, dtype=np.int64), scale, log_scale_variance)
-    dt_s = np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
-    scale = scale.reshape(shape)
-    return (scale - 1.0) / dt_s, scale * np.sqrt(log_scale_variance.reshape(shape)) / dt_s
-
-
-@compiled_for("(f8[:, ::1], f8[:, ::1], f8[::1], i8[:, ::1], f8[::1], f8[::1])")
-def _fit_each(
-    first: Floats, second: Floats, weights: Floats, regions: Ints, scale: Floats, log_scale_variance: Floats
-) -> None:
-    """Fills the similarity's ``scale (R,)`` of each of the ``regions (R, m)``, and the variance of its logarithm.
-
-    With u, v the offsets from the centroids of the two views: scale^2 = sum w v^2 / sum w u^2, and the residuals
-    v - scale u have 2 m - 3 degrees of freedom.
-    """
-    offset, w = np.empty((regions.shape[1], 4)), np.empty(regions.shape[1])
-    for region in range(len(regions)):
-        count = _offsets(first, second, weights, regions[region], offset, w)
-        uu, vv, misfit, total = 0.0, 0.0, 0.0, 0.0
-        for i in range(count):
-            total += w[i]
-            uu += w[i] * (offset[i, 0] ** 2 + offset[i, 1] ** 2)
-            vv += w[i] * (offset[i, 2] ** 2 + offset[i, 3] ** 2)
-        least = LEAST_EXTENT**2 * total
-        if not (uu > least and vv > least):
-            continue
-        ratio = np.sqrt(vv / uu)
-        for i in range(count):
-            misfit += w[i] * ((offset[i, 2] - ratio * offset[i, 0]) ** 2 + (offset[i, 3] - ratio * offset[i, 1]) ** 2)
-        scale[region] = ratio
-        if count > 1:
-            point_variance = misfit / ((2 * count - 3) * (1.0 + ratio * ratio))
-            log_scale_variance[region] = point_variance * (1.0 / uu + 1.0 / vv)
-
-
-@compiled
-def _offsets(first: Floats, second: Floats, weights: Floats, region: Ints, offset: Floats, w: Floats) -> int:
-    """Fills ``offset (m, 4)`` from the centroids of both views with the points that are seen, and their weights.
-
-    ``region (m,)`` are the points, negative: absent.
-    """
-    count, total = 0, 0.0
-    first_x, first_y, second_x, second_y = 0.0, 0.0, 0.0, 0.0
-    for i in region:
-        # Comparisons with NaN are False.
-        if i < 0 or not (weights[i] > 0.0 and first[i, 2] > 0.0 and second[i, 2] > 0.0):
-            continue
-        x, y = first[i, 0] / first[i, 2], first[i, 1] / first[i, 2]
-        u, v = second[i, 0] / second[i, 2], second[i, 1] / second[i, 2]
-        # A sum is finite where all of its terms are.
-        if np.isfinite(x + y + u + v):
-            w[count] = weights[i]
-            offset[count, 0], offset[count, 1], offset[count, 2], offset[count, 3] = x, y, u, v
-            first_x, first_y = first_x + w[count] * x, first_y + w[count] * y
-            second_x, second_y = second_x + w[count] * u, second_y + w[count] * v
-            total += w[count]
-            count += 1
-    for i in range(count):
-        offset[i, 0] -= first_x / total
-        offset[i, 1] -= first_y / total
-        offset[i, 2] -= second_x / total
-        offset[i, 3] -= second_y / total
-    return count
+    # Absent points have index -1 and no weight; comparisons with NaN are False.
+    is_ahead = (weights > 0.0) & (first[:, 2] > 0.0) & (second[:, 2] > 0.0)
+    with np.errstate(all="ignore"):
+        places = np.concatenate([first[:, :2] / first[:, 2:], second[:, :2] / second[:, 2:]], axis=1)
+    is_there = (is_ahead & np.isfinite(places).all(axis=1))[regions] & (regions >= 0)
+    weight = np.where(is_there, weights[regions], 0.0)[..., None]
+    total, count = weight.sum(axis=1), np.count_nonzero(is_there, axis=1)
+    offset = np.where(is_there[..., None], places[regions], 0.0)
+    offset -= quotient(np.sum(weight * offset, axis=1), total)[:, None]
+    # With u, v the offsets from the centroids of the two views: scale^2 = sum w v^2 / sum w u^2, and the residuals
+    # v - scale u have 2 m - 3 degrees of freedom.
+    u, v = offset[..., :2], offset[..., 2:]
+    uu, vv = (np.sum(weight * each**2, axis=(1, 2)) for each in (u, v))
+    has_extent = np.minimum(uu, vv) > LEAST_EXTENT**2 * total[:, 0]
+    ratio = np.sqrt(quotient(vv, np.where(has_extent, uu, np.nan)))
+    misfit = np.sum(weight * (v - ratio[:, None, None] * u) ** 2, axis=(1, 2))
+    variance = misfit / (np.maximum(2 * count - 3, 1) * (1.0 + ratio**2)) * (quotient(1.0, uu) + quotient(1.0, vv))
+    scale, dt_s = ratio.reshape(shape), np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
+    return (scale - 1.0) / dt_s, scale * np.sqrt(variance.reshape(shape)) / dt_s
