@@ -16,7 +16,9 @@ from ttcvid.geometry.estimation.shared_trajectory import (
 from ttcvid.geometry.estimation.shared_trajectory_points import points_of_paths
 from ttcvid.geometry.estimation.track_on_trajectory import NO_PATH, fit_rates_on_paths, straight_path
 from ttcvid.geometry.estimation.trajectory_velocity import velocities_on_paths
-from ttcvid.geometry.rotation import normalize, rotation_from_vector
+from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
+from ttcvid.geometry.kernels.shared_path import add_windows
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 
 T_S = -0.05 * np.arange(20.0)[::-1]
 BOTH_SIDES_S = T_S - T_S[10]
@@ -251,3 +253,35 @@ def test_a_path_keeps_its_speed_however_wrong_its_direction_was_believed():
     np.testing.assert_allclose(found.direction[0], DIRECTION, atol=1e-3)
     rates = fit_rates_on_paths(xy, T_S, np.full(60, 1e-6), found.path, np.zeros(60, np.int64))
     np.testing.assert_allclose(rates.rate_hz, SPEED_M_S / position[:, 2], rtol=5e-3)
+
+
+def test_what_a_point_says_of_its_path_is_what_is_left_when_its_own_unknowns_follow():
+    """Against the derivatives of the predicted views, taken as differences, without any of the loops."""
+    rng = np.random.default_rng(5)
+    n, s, sigma = 11, np.array([0.2, -0.1, 0.3]), 3e-4
+    t_s, path = -0.1 * np.arange(n), np.column_stack([0.1 * rng.normal(size=(n, 2)), np.linspace(0.0, 0.8, n)])
+    basis = np.column_stack([tangent_basis(DIRECTION), DIRECTION])
+
+    def predicted(own, shared):
+        x, y, rho = s + own
+        moved = path + t_s[:, None] * (basis[:, :2] @ shared[:2]) + 0.5 * t_s[:, None] ** 2 * (basis @ shared[2:5])
+        place = np.array([x, y, 1.0]) + rho * moved
+        place = np.einsum("lij,lj->li", rotation_from_vector(t_s[:, None] * shared[5:]), place)
+        return place[:, :2] / place[:, 2:]
+
+    seen_xy = predicted(np.zeros(3), np.zeros(8)) + sigma * rng.normal(size=(n, 2))
+    seen_xy[2] += 0.01
+    both_ways = [(predicted(d[:3], d[3:]), predicted(-d[:3], -d[3:])) for d in 1e-6 * np.eye(11)]
+    by = np.array([(after - before) / (2e-6 * sigma) for after, before in both_ways])
+    residual = (seen_xy - predicted(np.zeros(3), np.zeros(8))) / sigma
+    weight = np.minimum(1.0, ROBUST_SIGMAS**2 / np.sum(residual**2, axis=1))[:, None]
+    whole, right = np.einsum("ilc,jlc->ij", by * weight, by), np.einsum("ilc,lc->i", by * weight, residual)
+    follow = np.linalg.solve(whole[:3, :3], whole[:3, 3:]).T
+
+    information, score = np.zeros((1, 8, 8)), np.zeros((1, 8))
+    points = seen_xy[:, None].copy(), t_s, np.array([sigma]), np.arange(n), np.array([0, 1])
+    add_windows(points, path[None], basis[None], np.array([n]), s[None], information, score)
+    expected = np.tril(whole[3:, 3:] - follow @ whole[:3, 3:])
+    np.testing.assert_allclose(information[0], expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+    expected = right[3:] - follow @ right[:3]
+    np.testing.assert_allclose(score[0], expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())

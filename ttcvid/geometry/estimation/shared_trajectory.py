@@ -9,17 +9,20 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.estimation.shared_trajectory_belief import believe_as_found, set_beliefs, set_prior
-from ttcvid.geometry.estimation.shared_trajectory_descent import N_LOCAL, add_up_windows, descend_together, start_points
-from ttcvid.geometry.estimation.shared_trajectory_found import share
-from ttcvid.geometry.estimation.shared_trajectory_points import PathPoints
+from ttcvid.geometry.estimation.shared_trajectory_points import LEAST_VIEWS, PathPoints
 from ttcvid.geometry.estimation.track_on_trajectory import fit_rates_on_paths
-from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
+from ttcvid.geometry.kernels.shared_path import N_LOCAL, add_windows, descend_together, start_points
+from ttcvid.geometry.medians import medians
+from ttcvid.geometry.rotation import cross, rotation_from_vector, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED = 9
 """Shared unknowns, in this order: u (3), v (3) with the path ``+ u t + v t^2 / 2``, and a rotation rate (3), rad/s."""
+
+# A point whose window has less than this part of its views, over the same of the median point, is left out.
+_LOYAL_SHARE = 0.7
+# What does not contradict a direction: a chi-square with two degrees of freedom inside its 90 %.
+_CHANCE_CHI2 = 4.605
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,7 @@ class PathFits:
 
     Both are said of what the points of a path share, in its own axes ``basis (K, 3, 3)``: ``believed (K, 8, 8)`` is the
     information of the beliefs; ``information (K, 8, 8)`` and ``score (K, 8)`` are those of the views, at ``offset (K,
-    8)`` from the belief. ``own_motion (K, 8, 8)`` is that of `set_beliefs`, ``left (K, 2)`` that of `descend_together`.
+    8)`` from the belief. ``own_motion (K, 8, 8)`` is that of `_own_motion`, ``left (K, 2)`` that of `descend_together`.
     """
 
     beliefs: PathBeliefs
@@ -140,7 +143,7 @@ class PathFits:
 
     def paths(self) -> SharedPaths:
         """The paths by the beliefs as they are and all views."""
-        return self._paths(self.believed, self.information, self.score)
+        return self._paths(*self._weighed(self.believed))
 
     def paths_from_found_directions(self, found_cov: Floats, common: Floats, searched: SharedPaths) -> SharedPaths:
         """The paths by their believed directions, where these were found to ``found_cov (K, 3, 3)``, in rad^2.
@@ -151,21 +154,35 @@ class PathFits:
         of a mean over them is ``common (K,)`` times as large. The paths are known no better for it than by the search:
         errors that tracks have in common, and a turn that does not show, are in none of these covariances.
         """
-        information, score = self.information / common[:, None, None], self.score / common[:, None]
-        local, cov = self._weighed(self.believed, information, score)
-        believed = self.believed.copy()
-        believe_as_found(self.basis, self.own_motion, self.beliefs.direction_cov, found_cov, local, cov, believed)
-        return _as_unsure_as(searched, self._paths(believed, information, score))
+        local, cov = self._weighed(self.believed, common)
+        across = self.own_motion[:, :2]
+        found, wide = (_of_plane(self.basis, each) for each in (found_cov, self.beliefs.direction_cov))
+        off = across @ local[..., None]
+        both = across @ cov @ across.transpose(0, 2, 1) + found
+        chi2 = (off.transpose(0, 2, 1) @ np.linalg.solve(both, off))[:, 0, 0]
+        worse = np.maximum(1.0, chi2 / _CHANCE_CHI2)
+        more = np.linalg.inv(found) / worse[:, None, None] - np.linalg.inv(wide)
+        steady = self._paths(*self._weighed(self.believed + across.transpose(0, 2, 1) @ more @ across, common))
+        return _as_unsure_as(searched, steady)
 
-    def _paths(self, believed: Floats, information: Floats, score: Floats) -> SharedPaths:
-        local, cov = self._weighed(believed, information, score)
-        return _shared_paths(self.beliefs, self.basis, self.own_motion, local, cov, self.left, self.t_s)
+    def _weighed(self, believed: Floats, common: Floats | None = None) -> tuple[Floats, Floats]:
+        """Offsets (K, 8) by the belief and by what the views say, over ``common (K,)``, and their covariance."""
+        weight = np.ones(len(believed)) if common is None else 1.0 / common
+        cov = np.asarray(np.linalg.inv(believed + weight[:, None, None] * self.information), dtype=np.float64)
+        pull = weight[:, None] * self.score - _times(believed, self.offset)
+        return self.offset + _times(cov, pull), cov
 
-    def _weighed(self, believed: Floats, information: Floats, score: Floats) -> tuple[Floats, Floats]:
-        """Offsets (K, 8) and their covariance (K, 8, 8)."""
-        cov = np.empty_like(believed)
-        _invert_each(believed + information, cov)
-        return self.offset + _times(cov, score - _times(believed, self.offset)), cov
+    def _paths(self, local: Floats, cov: Floats) -> SharedPaths:
+        """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``."""
+        columns, (path, speed) = _to_camera(self.basis), _moved_paths(self.beliefs, self.basis, local, self.t_s)
+        offset = _times(columns, local)
+        # Directions and bends are over the speed.
+        columns[:, :6] /= speed[:, None, None]
+        # Of the middle of what turns itself.
+        own = columns[:, :3, :2] @ self.own_motion[:, :2]
+        direction = (self.beliefs.direction + offset[:, :3]) / speed[:, None]
+        cov_of = (columns @ cov @ columns.transpose(0, 2, 1), own @ cov @ own.transpose(0, 2, 1))
+        return SharedPaths(path, direction, offset, *cov_of, self.left[:, 0], self.left[:, 1])
 
 
 def _as_unsure_as(searched: SharedPaths, paths: SharedPaths) -> SharedPaths:
@@ -190,7 +207,8 @@ def fit_paths(
     """What the points of each path say of it together, by Gauss-Newton on the paths and their points.
 
     First over all views, so that a path that was believed wrongly finds its place; from there one more step over the
-    window of each point that fits.
+    window of each point that fits. Points that leave their path much sooner than others do move otherwise, and are left
+    out of that.
 
     Parameters
     ----------
@@ -199,31 +217,37 @@ def fit_paths(
     max_frames, gate_probability
         As for `fit_rates_on_paths`.
     """
-    t_s = points.t_s
+    t_s, path_of, (n, count) = points.t_s, points.path_of, (len(points.path_of), len(beliefs.base))
     basis = np.concatenate([tangent_basis(beliefs.direction), beliefs.direction[:, :, None]], axis=2)
-    prior = _prior(beliefs, basis)
-    believed, own_motion = np.empty_like(prior), np.empty_like(prior)
-    n, count = len(points.path_of), len(basis)
-    state, relative, offset, left = np.empty((n, 3)), np.empty(n), np.empty((count, N_LOCAL)), np.empty((count, 2))
-    start_points(points.views(points.xy), beliefs.base, basis, state, relative)
-    set_beliefs(beliefs.turns_itself, basis, state, points.first, prior, own_motion, believed)
-    descend_together(points.views(points.xy), beliefs.base, basis, believed, state, relative, offset, left)
+    state, mean_square, offset, left = np.empty((n, 3)), np.empty(n), np.empty((count, N_LOCAL)), np.empty((count, 2))
+    start_points(points.views(points.xy), beliefs.base, state, mean_square)
+    own_motion = _own_motion(beliefs, basis, state, path_of)
+    believed = own_motion.transpose(0, 2, 1) @ _prior(beliefs, basis) @ own_motion
+    descend_together(points.views(points.xy), beliefs.base, basis, believed, state, mean_square, offset, left)
     path, _ = _moved_paths(beliefs, basis, offset, t_s)
-    views = turned_back(points.xy, t_s, offset[:, -3:], points.path_of)
-    rates = fit_rates_on_paths(
-        views,
-        t_s,
-        points.sigma_norm,
-        path,
-        points.path_of,
-        max_frames,
-        gate_probability,
-        state,
-        has_sensitivities=False,
-    )
-    information, score = np.zeros_like(believed), np.zeros_like(offset)
-    add_up_windows(points.views(views), path, basis, rates.n_frames, rates.state, information, score)
+    views = turned_back(points.xy, t_s, offset[:, 5:], path_of)
+    window = max_frames, gate_probability
+    rates = fit_rates_on_paths(views, t_s, points.sigma_norm, path, path_of, *window, state, has_sensitivities=False)
+    share = rates.n_frames / points.n_views
+    is_used = (share >= _LOYAL_SHARE * medians(share, path_of, count)[path_of]) & (rates.n_frames >= LEAST_VIEWS)
+    n_used = np.where(is_used & np.isfinite(rates.rate_hz), rates.n_frames, 0)
+    information, score = np.zeros((count, N_LOCAL, N_LOCAL)), np.zeros((count, N_LOCAL))
+    add_windows(points.views(views), path, basis, n_used, rates.state, information, score)
+    information += np.tril(information, -1).transpose(0, 2, 1)
     return PathFits(beliefs, t_s, basis, own_motion, believed, offset, information, score, left)
+
+
+def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> Floats:
+    """Views ``(L, N, 2)`` without the rotation rates ``(K, 3)`` of their paths, about time 0."""
+    if not turn_rad_s.any():
+        return xy
+    back = xy.copy()
+    for k in np.flatnonzero(turn_rad_s.any(axis=1)):
+        own = np.flatnonzero(path_of == k)
+        rotation = rotation_from_vector(-t_s[:, None] * turn_rad_s[k])
+        turned = xy[:, own] @ rotation[:, :, :2].transpose(0, 2, 1) + rotation[:, None, :, 2]
+        back[:, own] = turned[..., :2] / turned[..., 2:]
+    return back
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
@@ -231,108 +255,54 @@ def _times(matrices: Floats, vectors: Floats) -> Floats:
     return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
-def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> Floats:
-    """Views ``(L, N, 2)`` without the rotation rates ``(K, 3)`` of their paths, about time 0."""
-    if not turn_rad_s.any():
-        return xy
-    back = np.empty_like(xy)
-    rotations = rotation_from_vector(-t_s[None, :, None] * turn_rad_s[:, None, :])
-    turns = np.asarray(turn_rad_s.any(axis=1))
-    _turn_views(np.ascontiguousarray(xy), rotations, turns, np.asarray(path_of, dtype=np.int64), back)
-    return back
+def _of_plane(basis: Floats, cov: Floats) -> Floats:
+    """Covariances (K, 2, 2) along the first two axes of K matrices (K, 3, 3)."""
+    return np.asarray(basis[:, :, :2].transpose(0, 2, 1) @ cov @ basis[:, :, :2])
+
+
+def _to_camera(basis: Floats) -> Floats:
+    """Matrices (K, 9, 8) that take what the points of a path share from its own axes to those of the camera."""
+    columns = np.zeros((len(basis), N_SHARED, N_LOCAL))
+    columns[:, :3, :2], columns[:, 3:6, 2:5], columns[:, 6:, 5:] = basis[:, :, :2], basis, np.eye(3)
+    return columns
 
 
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     """Information (K, 8, 8) of the belief on what moves along a path."""
     prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
-    along_sigma_hz, across_sigma_hz = beliefs.along_sigma_hz, beliefs.across_sigma_hz
-    set_prior(basis, beliefs.direction_cov, across_sigma_hz, along_sigma_hz, beliefs.turn_sigma_rad_s, prior)
+    prior[:, :2, :2] = np.linalg.inv(_of_plane(basis, beliefs.direction_cov))
+    sigma = np.repeat([beliefs.across_sigma_hz, beliefs.along_sigma_hz, beliefs.turn_sigma_rad_s], [2, 1, 3])
+    prior[:, np.arange(2, N_LOCAL), np.arange(2, N_LOCAL)] = sigma**-2.0
     return prior
 
 
-def _moved_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, t_s: Floats) -> tuple[Floats, Floats]:
-    """The paths ``(K, L, 3)`` at the offsets ``local (K, 8)`` in their own axes, and their velocities at time 0 (K, 3).
+def _own_motion(beliefs: PathBeliefs, basis: Floats, state: Floats, path_of: Ints) -> Floats:
+    """Matrices (K, 8, 8) that take shared offsets to the motion of the middle of what turns itself: the belief's.
 
-    A direction far from the believed one would be a longer one: the speed is 1 again on the paths, not in the velocity.
+    Views of a point at C + V t + A t^2 / 2, turned back at the rate omega, show it moving by
+    (V - omega x C) t + (A - 2 omega x V) t^2 / 2, to first order in omega. The offsets are the latter. C is (x, y, 1) /
+    rho of the middle of the points ``state (N, 3)``, in units in which the speed is 1, and V the unit vector of the
+    direction.
     """
-    path, velocity = np.empty_like(beliefs.base), np.empty((len(basis), 3))
-    _move_paths(beliefs.base, beliefs.direction, basis, local, t_s, path, velocity)
-    return path, velocity
-
-
-def _shared_paths(
-    beliefs: PathBeliefs, basis: Floats, own_motion: Floats, local: Floats, cov: Floats, left: Floats, t_s: Floats
-) -> SharedPaths:
-    """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``; ``left (K, 2)``."""
     count = len(basis)
-    path, velocity = _moved_paths(beliefs, basis, local, t_s)
-    direction = np.empty((count, 3))
-    offset, shared_cov, own_cov = np.empty((count, N_SHARED)), np.empty((count, 9, 9)), np.empty((count, 3, 3))
-    share(basis, own_motion, local, cov, velocity, direction, offset, shared_cov, own_cov)
-    return SharedPaths(path, direction, offset, shared_cov, own_cov, left[:, 0], left[:, 1])
+    own_motion = np.tile(np.eye(N_LOCAL), (count, 1, 1))
+    if beliefs.turns_itself:
+        x, y, rho = (medians(column, path_of, count) for column in state.T)
+        axes, has_middle = basis.transpose(0, 2, 1), rho > 0.0
+        middle = np.column_stack([x, y, np.ones(count)])[has_middle] / rho[has_middle, None]
+        # omega x C along the axis b is omega . (C x b).
+        own_motion[has_middle, :2, 5:] = cross(middle[:, None], axes[has_middle, :2])
+        own_motion[:, 2:5, 5:] = 2.0 * cross(beliefs.direction[:, None], axes)
+    return own_motion
 
 
-@compiled_for("(f8[:, :, ::1], f8[:, :, ::1])")
-def _invert_each(information: Floats, cov: Floats) -> None:
-    """Fills ``cov (K, n, n)``, the inverses of symmetric positive matrices, by Cholesky factors."""
-    n = information.shape[1]
-    root, inverse = np.zeros((n, n)), np.zeros((n, n))
-    for k in range(len(information)):
-        for j in range(n):
-            total = information[k, j, j]
-            for m in range(j):
-                total -= root[j, m] * root[j, m]
-            root[j, j] = np.sqrt(total)
-            for i in range(j + 1, n):
-                total = information[k, i, j]
-                for m in range(j):
-                    total -= root[i, m] * root[j, m]
-                root[i, j] = total / root[j, j]
-        # The inverse of the lower factor.
-        for j in range(n):
-            inverse[j, j] = 1.0 / root[j, j]
-            for i in range(j + 1, n):
-                total = 0.0
-                for m in range(j, i):
-                    total -= root[i, m] * inverse[m, j]
-                inverse[i, j] = total / root[i, i]
-        for i in range(n):
-            for j in range(i + 1):
-                total = 0.0
-                for m in range(i, n):
-                    total += inverse[m, i] * inverse[m, j]
-                cov[k, i, j] = cov[k, j, i] = total
+def _moved_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, t_s: Floats) -> tuple[Floats, Floats]:
+    """The paths ``(K, L, 3)`` at the offsets ``local (K, 8)`` in their own axes, and their speeds (K,) before.
 
-
-@compiled_for("(f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[::1], f8[:, :, ::1], f8[:, ::1])")
-def _move_paths(
-    base: Floats, direction: Floats, basis: Floats, local: Floats, t_s: Floats, path: Floats, velocity: Floats
-) -> None:
-    """Fills ``path (K, L, 3)`` and ``velocity (K, 3)`` of `_moved_paths`."""
-    for k in range(len(base)):
-        square = 0.0
-        for j in range(3):
-            velocity[k, j] = direction[k, j] + basis[k, j, 0] * local[k, 0] + basis[k, j, 1] * local[k, 1]
-            square += velocity[k, j] * velocity[k, j]
-        slower = 1.0 / np.sqrt(square)
-        for j in range(3):
-            bend = basis[k, j, 0] * local[k, 2] + basis[k, j, 1] * local[k, 3] + basis[k, j, 2] * local[k, 4]
-            change = velocity[k, j] - direction[k, j]
-            for place in range(len(t_s)):
-                t = t_s[place]
-                path[k, place, j] = (base[k, place, j] + t * change + 0.5 * t * t * bend) * slower
-
-
-@compiled_for("(f8[:, :, ::1], f8[:, :, :, ::1], b1[::1], i8[::1], f8[:, :, ::1])")
-def _turn_views(xy: Floats, rotations: Floats, turns: Bools, path_of: Ints, back: Floats) -> None:
-    """Fill ``back (L, N, 2)`` with the views turned by ``rotations (K, L, 3, 3)`` of the paths that turn at all."""
-    for place in range(len(xy)):
-        for i in range(xy.shape[1]):
-            x, y = xy[place, i, 0], xy[place, i, 1]
-            if path_of[i] < 0 or not turns[path_of[i]]:
-                back[place, i, 0], back[place, i, 1] = x, y
-                continue
-            r = rotations[path_of[i], place]
-            depth = r[2, 0] * x + r[2, 1] * y + r[2, 2]
-            back[place, i, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth
-            back[place, i, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
+    A direction far from the believed one would be a longer one: the speed is 1 again on the paths, not in the offsets.
+    """
+    offset = _times(_to_camera(basis), local)
+    speed: Floats = np.sqrt(np.sum((beliefs.direction + offset[:, :3]) ** 2, axis=1))
+    t = t_s[:, None]
+    path = beliefs.base + t * offset[:, None, :3] + 0.5 * t**2 * offset[:, None, 3:6]
+    return path / speed[:, None, None], speed

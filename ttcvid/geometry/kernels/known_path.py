@@ -50,7 +50,7 @@ def fit_points_on_known_paths(
     for i in range(len(path_of)):
         if path_of[i] < 0 or not sigma[i] > 0.0:
             continue
-        m = _list_views(xy, t_s, order, paths, path_of[i], 1.0 / sigma[i], i, views, limits)
+        m = list_views(xy, t_s, order, paths[path_of[i]], 1.0 / sigma[i], i, views, limits)
         n_frames[i] = m
         if m < LEAST_FRAMES:
             continue
@@ -76,25 +76,20 @@ def fit_points_on_known_paths(
 
 
 @compiled
-def _list_views(
-    xy: Floats,
-    t_s: Floats,
-    order: Ints,
-    paths: Floats,
-    path: int,
-    inverse: float,
-    i: int,
-    views: Floats,
-    limits: Floats,
+def list_views(
+    xy: Floats, t_s: Floats, order: Ints, path: Floats, inverse: float, i: int, views: Floats, limits: Floats
 ) -> int:
-    """Fill the views of point i, nearest first, and the limits of its rate; return how many views it has."""
+    """Fill the views of point i on its ``path (L, 3)``, nearest first, and the limits (2,) of its rate.
+
+    Returns how many views it has.
+    """
     nearest, farthest, m = 0.0, 0.0, ZERO
     for k in order:
-        x, y, tx, tz = xy[k, i, 0], xy[k, i, 1], paths[path, k, 0], paths[path, k, 2]
+        x, y, tx, tz = xy[k, i, 0], xy[k, i, 1], path[k, 0], path[k, 2]
         # A sum is finite where all of its terms are.
         if m < views.shape[1] and np.isfinite(x + y + tx + tz):
             views[_X, m], views[_Y, m], views[_INVERSE, m], views[_TIME, m] = x, y, inverse, t_s[k]
-            views[_PATH_X, m], views[_PATH_Y, m], views[_PATH_Z, m] = tx, paths[path, k, 1], tz
+            views[_PATH_X, m], views[_PATH_Y, m], views[_PATH_Z, m] = tx, path[k, 1], tz
             nearest, farthest, m = min(nearest, tz), max(farthest, tz), m + 1
     limits[0] = -(1.0 - _LEAST_DEPTH_RATIO) / max(farthest, 1e-12)
     limits[1] = (1.0 - _LEAST_DEPTH_RATIO) / max(-nearest, 1e-12)

@@ -112,13 +112,14 @@ def solve_between(sums: Floats, state: Floats, limits: Floats, step: Floats) -> 
 
 
 @compiled
-def start(views: Floats, n: int, limits: Floats, state: Floats) -> None:
+def start(views: Floats, n: int, limits: Floats, state: Floats) -> float:
     """Fill the state by the linear solve of x + rho (T_x - x_i T_z) = x_i over the first n views, with equal weights.
 
-    About the first of them; rho goes half of the way to its limits at most.
+    About the first of them; rho goes half of the way to its limits at most. Returns the sum of the squares that the
+    solution leaves without these limits.
     """
     x0, y0, rest = views[X, 0], views[Y, 0], 1.0 / n
-    sum_x = sum_y = both = right_x = right_y = right = 0.0
+    sum_x = sum_y = both = right_x = right_y = right = square = 0.0
     for k in range(n):
         x, y = views[X, k], views[Y, k]
         jx, jy = views[PATH_X, k] - x * views[PATH_Z, k], views[PATH_Y, k] - y * views[PATH_Z, k]
@@ -129,10 +130,14 @@ def start(views: Floats, n: int, limits: Floats, state: Floats) -> None:
         right_x += x
         right_y += y
         right += jx * x + jy * y
+        square += x * x + y * y
     info = both - (sum_x * sum_x + sum_y * sum_y) * rest
-    rho = (right - (sum_x * right_x + sum_y * right_y) * rest) / info if info > 0.0 else 0.0
+    along = right - (sum_x * right_x + sum_y * right_y) * rest
+    rho = along / info if info > 0.0 else 0.0
+    left = square - (right_x * right_x + right_y * right_y) * rest - rho * along
     rho = min(max(rho, 0.5 * limits[0]), 0.5 * limits[1])
     state[0], state[1], state[2] = x0 + (right_x - sum_x * rho) * rest, y0 + (right_y - sum_y * rho) * rest, rho
+    return float(max(left, 0.0))
 
 
 @compiled

@@ -123,10 +123,6 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
     One that leaves not much less than the squares ``to_beat`` is of no use.
     """
     own = slice(points.first[k], points.first[k + 1])
-    is_used = np.zeros((own.stop - own.start, len(points.t_s)), dtype=bool)
-    for used, seen, n_views in zip(is_used, points.seen[own], points.n_views[own], strict=True):
-        used[seen[:n_views]] = True
-    xy = np.where(is_used.T[..., None], points.xy[:, own], np.nan)
     # What drives along a circle is pulled across by its turn times its speed.
     bend_hz = float(np.hypot(beliefs.across_sigma_hz, TURN_SIGMA_RAD_S))
     noise = points.sigma_norm[own]
@@ -134,7 +130,7 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
     def beats(body: TurningBody) -> bool:
         return body.squares + _BEND_CHI2 * max(1.0, body.usual) <= to_beat
 
-    return fit_turning_body(xy, points.t_s, noise, bend_hz, TURN_SIGMA_RAD_S, beats)
+    return fit_turning_body(points.xy[:, own], points.t_s, noise, bend_hz, TURN_SIGMA_RAD_S, beats)
 
 
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
