@@ -7,11 +7,11 @@ from functools import partial
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
 from ttcvid.geometry.estimation.shared_direction import shared_directions
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.estimation.track_state import fit_whole_tracks
+from ttcvid.geometry.medians import row_medians
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.aperture_problem import may_slip
@@ -146,54 +146,21 @@ def _without_slip(views: BodyViews, on_road: Bools, misfit: Floats) -> Floats:
     """Misfits (N,), those of tracks on a road as if their window had slipped as much as it may."""
     if len(views.rays) < 2:
         return misfit
-    least = np.empty(len(misfit))
-    _take_slip(views.rays, views.sigma_norm, on_road, misfit, least)
-    return least
-
-
-@compiled_for("(f8[:, :, ::1], f8[::1], b1[::1], f8[::1], f8[::1])")
-def _take_slip(rays: Floats, sigma: Floats, on_road: Bools, misfit: Floats, least: Floats) -> None:
-    """Fill ``least (N,)``: the part of each misfit that is left if the slip of the last frame is noise, too."""
-    now, before = len(rays) - 1, len(rays) - 2
-    for i in range(len(misfit)):
-        moved2 = 0.0
-        for a in range(3):
-            moved2 += (rays[now, i, a] - rays[before, i, a]) ** 2
-        least[i] = misfit[i]
-        # NaN: it was not seen before.
-        if on_road[i] and moved2 > 0.0:
-            noise2 = sigma[i] * sigma[i]
-            least[i] *= noise2 / (noise2 + _SLIP * _SLIP * moved2)
+    moved = views.rays[-1] - views.rays[-2]
+    noise2, slip2 = views.sigma_norm**2, _SLIP**2 * (moved * moved).sum(axis=1)
+    # NaN: it was not seen before.
+    return np.where(on_road & (slip2 > 0.0), misfit * (noise2 / (noise2 + slip2)), misfit)
 
 
 def _candidates(neighbours: Ints, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:
     """Tracks that contradict the scene, in a neighbourhood that does."""
-    is_candidate = np.empty(len(misfit), dtype=bool)
-    _contradict(neighbours, is_asked, misfit, config.scene_gate, is_candidate)
-    return np.flatnonzero(is_candidate)
-
-
-@compiled_for("(i8[:, ::1], b1[::1], f8[::1], f8, b1[::1])")
-def _contradict(neighbours: Ints, is_asked: Bools, misfit: Floats, gate: float, is_candidate: Bools) -> None:
-    """Fill ``is_candidate (N,)`` by the median of ln(misfit) of each track and its ``neighbours (N, K)``."""
-    around = np.empty(neighbours.shape[1] + 1)
-    for i in range(len(misfit)):
-        is_candidate[i] = False
-        if not (is_asked[i] and misfit[i] > gate):
-            continue
-        around[0], n = misfit[i], 1
-        for beside in range(neighbours.shape[1]):
-            j = neighbours[i, beside]
-            if j != i and is_asked[j]:
-                place = n
-                while place > 0 and around[place - 1] > misfit[j]:
-                    around[place] = around[place - 1]
-                    place -= 1
-                around[place] = misfit[j]
-                n += 1
-        if n >= _LEAST_AROUND:
-            one, other = max(around[(n - 1) // 2], _NO_MISFIT), max(around[n // 2], _NO_MISFIT)
-            is_candidate[i] = 0.5 * (np.log(one) + np.log(other)) > _TOGETHER * np.log(gate)
+    index = np.flatnonzero(is_asked & (misfit > config.scene_gate))
+    around = np.column_stack([index, neighbours[index]])
+    is_known = is_asked[around]
+    is_known[:, 1:] &= neighbours[index] != index[:, None]
+    middle = row_medians(np.log(np.maximum(misfit[around], _NO_MISFIT)), is_known)
+    is_candidate = middle > _TOGETHER * np.log(config.scene_gate)
+    return np.asarray(index[is_candidate & (is_known.sum(axis=1) >= _LEAST_AROUND)])
 
 
 def _alike_things(
@@ -227,27 +194,15 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
 
     Those that move along our own path, ``is_along``, only with each other.
     """
+    every = np.arange(len(index))
+    oldest = np.isfinite(xy[:, :, 0]).argmax(axis=0)
+    span_s = -views.since_s[oldest]
+    flow = (xy[-1] - xy[oldest, every]) / span_s[:, None]
+    length = np.sqrt((flow * flow).sum(axis=1))
     pairs = linked_pairs(views.xy_px[index], views.link_px)
-    is_alike = np.empty(len(pairs), dtype=bool)
-    _are_alike(xy, views.since_s, pairs, is_along, _FLOW_PX / views.focal_px, is_alike)
+    one, other = pairs.T
+    floor = _FLOW_PX / views.focal_px / np.minimum(span_s[one], span_s[other])
+    apart = np.hypot(*(flow[one] - flow[other]).T)
+    is_alike = apart < _FLOW_PART * 0.5 * (length[one] + length[other]) + floor
+    is_alike &= is_along[one] == is_along[other]
     return connected_parts(np.ones(len(index), dtype=bool), pairs[is_alike])
-
-
-@compiled_for("(f8[:, :, ::1], f8[::1], i8[:, ::1], b1[::1], f8, b1[::1])")
-def _are_alike(xy: Floats, since_s: Floats, pairs: Ints, is_along: Bools, floor: float, is_alike: Bools) -> None:
-    """Fill ``is_alike (P,)``: whether two tracks flow alike since each was first seen; ``floor`` of the whole way."""
-    last, n = len(xy) - 1, xy.shape[1]
-    flow, length, span_s = np.empty((n, 2)), np.empty(n), np.empty(n)
-    for i in range(n):
-        oldest = 0
-        while oldest < last and not np.isfinite(xy[oldest, i, 0]):
-            oldest += 1
-        span_s[i] = -since_s[oldest]
-        for a in range(2):
-            flow[i, a] = (xy[last, i, a] - xy[oldest, i, a]) / span_s[i]
-        length[i] = np.sqrt(flow[i, 0] * flow[i, 0] + flow[i, 1] * flow[i, 1])
-    for m in range(len(pairs)):
-        i, j = pairs[m, 0], pairs[m, 1]
-        x, y = flow[i, 0] - flow[j, 0], flow[i, 1] - flow[j, 1]
-        limit = _FLOW_PART * 0.5 * (length[i] + length[j]) + floor / min(span_s[i], span_s[j])
-        is_alike[m] = np.sqrt(x * x + y * y) < limit and is_along[i] == is_along[j]

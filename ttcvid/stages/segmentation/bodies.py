@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.pose_update import StepPriors, with_newest_steps
 from ttcvid.geometry.estimation.rigid_motion import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
 from ttcvid.geometry.medians import medians
@@ -38,7 +37,7 @@ def carried_forward(bodies: RigidPaths, cam_R_prev: Floats, t_s: Floats, step: F
     step : (3,) where the things were one step ago, if known; else they move on as they did.
     """
     n_past = len(t_s) - 1
-    path, cam_R_past = np.zeros((len(bodies), len(t_s), 3)), np.empty((len(bodies), len(t_s), 3, 3))
+    path = np.zeros((len(bodies), len(t_s), 3))
     past = bodies.path[:, -n_past:] @ cam_R_prev.T
     if step is None:
         step = np.zeros(3)
@@ -46,23 +45,9 @@ def carried_forward(bodies: RigidPaths, cam_R_prev: Floats, t_s: Floats, step: F
             back = max(-1 - _STEADY_VIEWS, -past.shape[1])
             step = past[:, back, None] * ((t_s[-1] - t_s[-2]) / (t_s[-2] - t_s[back - 1]))
     path[:, :-1] = past + step
-    _turn_each(cam_R_prev, bodies.cam_R_past, cam_R_past)
+    now = np.broadcast_to(np.eye(3), (len(bodies), 1, 3, 3))
+    cam_R_past = np.concatenate([cam_R_prev @ bodies.cam_R_past[:, -n_past:], now], axis=1)
     return RigidPaths(cam_R_past, path)
-
-
-@compiled_for("(f8[:, ::1], f8[:, :, :, ::1], f8[:, :, :, ::1])")
-def _turn_each(turn: Floats, before: Floats, now: Floats) -> None:
-    """Fill ``now (K, L, 3, 3)`` with the last L - 1 of the views ``before (K, M, 3, 3)`` turned on, and with none."""
-    n_past = now.shape[1] - 1
-    first = before.shape[1] - n_past
-    for b in range(len(now)):
-        for i in range(3):
-            for j in range(3):
-                for k in range(n_past):
-                    now[b, k, i, j] = 0.0
-                    for m in range(3):
-                        now[b, k, i, j] += turn[i, m] * before[b, first + k, m, j]
-                now[b, n_past, i, j] = 1.0 if i == j else 0.0
 
 
 def recent_speed(path: Floats, t_s: Floats) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
@@ -134,19 +133,7 @@ def is_due(n_found: Ints) -> Bools:
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:
     """0 for a track of the scene, else 1 + place of its mover: (N,)."""
-    number = np.empty(len(key), dtype=np.int64)
-    _number(np.ascontiguousarray(movers.key), key, number)
-    return number
-
-
-@compiled_for("(i8[::1], i8[::1], i8[::1])")
-def _number(known: Ints, key: Ints, number: Ints) -> None:
-    """Fill ``number (N,)`` with how many of the ascending ``known (K,)`` are no larger than each key."""
-    for i in range(len(key)):
-        count = 0
-        for j in range(len(known)):
-            count += known[j] <= key[i]
-        number[i] = count
+    return np.searchsorted(movers.key, key, side="right")
 
 
 def assigned(
@@ -181,8 +168,8 @@ def assigned(
     if not len(movers):
         return key, movers, unknown_fit(misfit)
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
-    votes = np.zeros((len(key), n_bodies), dtype=np.int64)
-    track, mover = _asked(number, neighbours, votes)
+    votes = _votes(number, neighbours, n_bodies)
+    track, mover = np.nonzero((votes[:, 1:] > 0) | (number[:, None] == np.arange(1, n_bodies)))
     points = views.points(track, mover)
     fit = fit_on_movers(points, movers.paths, movers.rate_hz)
     off, rate_hz, sigma_hz = fit.misfit / usual_misfit, fit.rate_hz, fit.rate_sigma_hz
@@ -201,14 +188,16 @@ def assigned(
         is_held &= ~along
     is_other = misfit[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
-    asked, own = np.empty(len(key), dtype=np.int64), unknown_fit(np.empty(len(key)))
     is_still = _most_of(is_own & (misfit[track] < _AS_STILL), is_own, mover, len(movers))
-    off = np.where(is_other | is_still[mover], np.inf, off)
-    _choose(misfit, track, mover, off, votes, number, scene_fit.n_views, camera_rests, asked, own.misfit)
-    moves = np.flatnonzero(asked >= 0)
-    asked, best = asked[moves], np.zeros(len(key), dtype=np.int64)
-    best[moves], own.rate_sigma_hz[moves] = 1 + mover[asked], sigma_hz[asked]
-    own.rate_hz[moves] = np.where(is_held, np.nan, rate_hz)[asked]
+    # Infinite: what is not asked about, and what is none of it.
+    misfits = np.full((len(key), n_bodies), np.inf)
+    misfits[:, 0], misfits[track, 1 + mover] = misfit, np.where(is_other | is_still[mover], np.inf, off)
+    best = np.argmin(_costs(misfits, votes, number, scene_fit.n_views, camera_rests), axis=1)
+    own = unknown_fit(np.take_along_axis(misfits, best[:, None], axis=1)[:, 0])
+    is_best = best[track] == 1 + mover
+    moves = track[is_best]
+    own.rate_hz[moves] = np.where(is_held, np.nan, rate_hz)[is_best]
+    own.rate_sigma_hz[moves] = sigma_hz[is_best]
     return np.append(SCENE_CLUSTER, movers.key)[best], movers, own
 
 
@@ -251,70 +240,29 @@ def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_
     return np.asarray(rate_hz - usual_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(usual_hz))
 
 
-@compiled_for("(i8[::1], i8[:, ::1], i8[:, ::1])")
-def _asked(number: Ints, neighbours: Ints, votes: Ints) -> tuple[Ints, Ints]:
-    """Tracks and movers that are asked about, (M,) each, track by track: those of a track's neighbours, and its own.
+def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Ints:
+    """How many of the neighbours (N, K) of each track belong to each body: (N, B)."""
+    track, beside = np.nonzero(neighbours != np.arange(len(number))[:, None])
+    of_body = number[neighbours[track, beside]]
+    votes = np.bincount(track * n_bodies + of_body, minlength=len(number) * n_bodies)
+    return np.asarray(votes.reshape(len(number), n_bodies))
 
-    Adds to ``votes (N, B)`` how many of the neighbours ``(N, K)`` of each track belong to each body.
+
+def _costs(misfits: Floats, votes: Ints, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
+    """Cost of each body for each track: (N, B), the scene first.
+
+    ``misfits, votes (N, B)``; ``number, n_views (N,)`` the body that each track belonged to, and in how many views it
+    is seen. Before a camera that rests the scene has no motion that could be wrong: no body is preferred, and no misfit
+    is as bad as another: a swinging leg is explained badly by the body it belongs to, and worse by the scene.
     """
-    track, mover, count = np.empty(votes.size, dtype=np.int64), np.empty(votes.size, dtype=np.int64), 0
-    for i in range(len(number)):
-        for beside in range(neighbours.shape[1]):
-            j = neighbours[i, beside]
-            if j != i:
-                votes[i, number[j]] += 1
-        for b in range(1, votes.shape[1]):
-            if votes[i, b] > 0 or b == number[i]:
-                track[count], mover[count] = i, b - 1
-                count += 1
-    return track[:count], mover[:count]
-
-
-@compiled_for("(f8[::1], i8[::1], i8[::1], f8[::1], i8[:, ::1], i8[::1], i8[::1], b1, i8[::1], f8[::1])")
-def _choose(
-    misfit: Floats,
-    track: Ints,
-    mover: Ints,
-    off: Floats,
-    votes: Ints,
-    number: Ints,
-    n_views: Ints,
-    camera_rests: bool,
-    best: Ints,
-    least_off: Floats,
-) -> None:
-    """Fill which of those asked about is ``best (N,)``, -1 the scene, and how far off that is, ``least_off (N,)``.
-
-    ``misfit (N,)`` is that of each track on the scene, ``off (M,)`` those on the movers that are asked about, infinite:
-    it is none of it. Before a camera that rests the scene has no motion that could be wrong: no body is preferred, and
-    no misfit is as bad as another: a swinging leg is explained badly by the body it belongs to, and worse by the scene.
-    """
-    worst, scene_weight, habit_weight = _WORST_MISFIT, _SCENE_WEIGHT, _HABIT_WEIGHT
+    heard = votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1, keepdims=True), 1))
     if camera_rests:
-        worst, scene_weight, habit_weight = np.inf, 0.0, 0.0
-    place = 0
-    for i in range(len(misfit)):
-        best[i], least_off[i] = -1, misfit[i]
-        if place == len(track) or track[place] != i:
-            continue
-        all_votes = 0
-        for b in range(votes.shape[1]):
-            all_votes += votes[i, b]
-        least = np.log1p(min(misfit[i], worst)) - votes[i, 0] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
-        if n_views[i] > _SCENE_VIEWS:
-            least -= scene_weight
-        if number[i] == 0 and n_views[i] > _HABIT_VIEWS:
-            least -= habit_weight
-        while place < len(track) and track[place] == i:
-            b = mover[place] + 1
-            if off[place] < np.inf:
-                score = np.log1p(min(off[place], worst))
-                score -= votes[i, b] * (_NEIGHBOUR_WEIGHT / max(all_votes, 1))
-                if b == number[i] and n_views[i] > _HABIT_VIEWS:
-                    score -= habit_weight
-                if score < least:
-                    best[i], least, least_off[i] = place, score, off[place]
-            place += 1
+        return np.asarray(np.log1p(misfits) - heard)
+    costs = np.where(np.isinf(misfits), np.inf, np.log1p(np.minimum(misfits, _WORST_MISFIT)) - heard)
+    costs[n_views > _SCENE_VIEWS, 0] -= _SCENE_WEIGHT
+    old = np.flatnonzero(n_views > _HABIT_VIEWS)
+    costs[old, number[old]] -= _HABIT_WEIGHT
+    return costs
 
 
 def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:

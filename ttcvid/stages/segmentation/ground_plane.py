@@ -9,10 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit
-from ttcvid.geometry.kernels.arrays import copy
-from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import picture_region
 from ttcvid.stages.segmentation.body_views import BodyViews
@@ -146,9 +143,10 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
     if densest < 0:
         return None
     slope = float(np.exp(log_slope_there + _ROAD_SPREAD))
-    road = np.array([-slope * horizon_y[densest], 0.0, slope])
-    is_borne = _fit_plane(place, rate, weight, road)
-    return road if is_borne and _is_level(road, epipole_y) else None
+    road: Floats | None = np.array([-slope * horizon_y[densest], 0.0, slope])
+    for _ in range(2):
+        road = None if road is None else _fitted_plane(place, rate, weight, road)
+    return road if road is not None and _is_level(road, epipole_y) else None
 
 
 def _share_of_cell(place: Floats) -> Floats:
@@ -163,36 +161,22 @@ def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
     return np.asarray(is_rated & (fit.place[:, 1] > epipole_y - _PITCH + LEAST_BELOW))
 
 
-@compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8[::1])")
-def _fit_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> bool:
-    """Bring ``road (3,)`` to the plane of the points that lie on it, twice; False where these are too few.
+def _fitted_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> Floats | None:
+    """The plane (3,) of the points that lie on a ``road (3,)``, None where these are too few.
 
     Too few of them, or with too small a part of the ``weight (N,)`` of all below the horizon. Least squares of rates
     over what the road before has there, with a prior on the roll.
     """
-    normal, right = np.empty((3, 3)), np.empty(3)
-    for _ in range(2):
-        normal[:], right[:] = 0.0, 0.0
-        n_on_road, on_road, below = 0, 0.0, 0.0
-        for i in range(len(rate)):
-            x, y = place[i, 0], place[i, 1]
-            predicted = road[0] + road[1] * x + road[2] * y
-            if predicted > LEAST_BELOW * road[2]:
-                below += weight[i]
-            if abs(rate[i] - predicted) < 1.5 * _ROAD_SPREAD * predicted:
-                n_on_road += 1
-                on_road += weight[i]
-                columns = (1.0 / predicted, x / predicted, y / predicted)
-                for a in range(3):
-                    right[a] += columns[a] * (rate[i] / predicted)
-                    for b in range(3):
-                        normal[a, b] += columns[a] * columns[b]
-        if n_on_road < _LEAST_POINTS or on_road < _LEAST_SHARE * below:
-            return False
-        normal[1, 1] += normal[2, 2] * _ROLL_SIGMA * _ROLL_SIGMA
-        solve(normal, right)
-        copy(right, road)
-    return True
+    columns = np.column_stack([np.ones(len(place)), place])
+    predicted = columns @ road
+    is_on_road = np.abs(rate - predicted) < 1.5 * _ROAD_SPREAD * predicted
+    below = weight[predicted > LEAST_BELOW * road[2]].sum()
+    if np.count_nonzero(is_on_road) < _LEAST_POINTS or weight[is_on_road].sum() < _LEAST_SHARE * below:
+        return None
+    columns = columns[is_on_road] / predicted[is_on_road, None]
+    normal = columns.T @ columns
+    normal[1, 1] += normal[2, 2] * _ROLL_SIGMA**2
+    return np.asarray(np.linalg.solve(normal, columns.T @ (rate[is_on_road] / predicted[is_on_road])))
 
 
 def _is_level(road: Floats, epipole_y: float) -> bool:
@@ -203,34 +187,22 @@ def _is_level(road: Floats, epipole_y: float) -> bool:
     return bool(road[2] > 0.0 and abs(-road[0] / road[2] - epipole_y) < _HORIZON_OFF)
 
 
-@compiled_for("(f8[:, ::1], f8[:, ::1])")
 def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
     """Which row of ``(H, N)`` holds the densest interval of 2 `_ROAD_SPREAD`, and where it starts; -1 without any.
 
     Rows are ascending, with infinity where there is no point, and have a ``weight (H, N)`` each. What lies too far
     under the interval counts against it.
     """
-    n, under_by = log_slope.shape[1], _ROAD_SPREAD + np.log(_UNDER_PART)
-    densest, start, support = -1, 0.0, 0.0
-    for row in range(len(log_slope)):
-        n_points = 0
-        while n_points < n and log_slope[row, n_points] < np.inf:
-            n_points += 1
-        if n_points < _LEAST_POINTS:
-            continue
-        end, under, inside, against = 0, 0, 0.0, 0.0
-        for place in range(n_points):
-            here = log_slope[row, place]
-            while end < n_points and log_slope[row, end] < here + 2.0 * _ROAD_SPREAD:
-                inside += weight[row, end]
-                end += 1
-            while log_slope[row, under] < here + under_by:
-                against += weight[row, under]
-                under += 1
-            if inside - against > support:
-                densest, start, support = row, here, inside - against
-            inside -= weight[row, place]
-    return densest, start
+    is_point = np.isfinite(log_slope)
+    before = np.pad(np.cumsum(np.where(is_point, weight, 0.0), axis=1), ((0, 0), (1, 0)))
+    support = np.zeros(log_slope.shape)
+    for row in np.flatnonzero(np.count_nonzero(is_point, axis=1) >= _LEAST_POINTS):
+        start = log_slope[row, is_point[row]]
+        end = np.searchsorted(start, start + 2.0 * _ROAD_SPREAD)
+        under = np.searchsorted(start, start + _ROAD_SPREAD + np.log(_UNDER_PART))
+        support[row, : len(start)] = before[row, end] - before[row, : len(start)] - before[row, under]
+    row, place = np.unravel_index(np.argmax(support), support.shape)
+    return (int(row), float(log_slope[row, place])) if support[row, place] > 0.0 else (-1, 0.0)
 
 
 def on_road(fit: PathFit, memory: RoadMemory) -> Bools:

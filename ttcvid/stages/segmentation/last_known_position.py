@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
 # A mover is seen as a whole with this part of its tracks; the number of these falls by this part a frame at the most.
@@ -59,43 +58,21 @@ class LastKnownPositions:
         least
             Movers with fewer tracks are not updated.
         """
-        centre, extent = self.centre.copy(), self.extent.copy()
-        n_tracks, seen_s = self.n_tracks.copy(), self.seen_s.copy()
-        _see(number, xy, rate_hz, now_s, least, centre, extent, n_tracks, seen_s)
-        return LastKnownPositions(centre, extent, n_tracks, seen_s)
-
-
-@compiled_for("(i8[::1], f8[:, ::1], f8[::1], f8, i8, f8[:, ::1], f8[::1], f8[::1], f8[::1])")
-def _see(
-    number: Ints,
-    xy: Floats,
-    rate_hz: Floats,
-    now_s: float,
-    least: int,
-    centre: Floats,
-    extent: Floats,
-    n_tracks: Floats,
-    seen_s: Floats,
-) -> None:
-    """Brings what `LastKnownPositions` knows up to date with the tracks of a frame."""
-    n_movers = len(rate_hz)
-    # Of the tracks of each mover: their number, the sums of x and y, and that of the squares of both.
-    count, sums = np.zeros(n_movers), np.zeros((n_movers, 3))
-    for i in range(len(number)):
-        x, y = xy[i, 0], xy[i, 1]
-        if number[i] > 0 and np.isfinite(x):
-            sums[number[i] - 1, 0] += x
-            sums[number[i] - 1, 1] += y
-            sums[number[i] - 1, 2] += x * x + y * y
-            count[number[i] - 1] += 1.0
-    for k in range(n_movers):
-        if count[k] >= least:
-            seen_s[k] = now_s
-            if count[k] >= _WHOLE * n_tracks[k]:
-                x, y, away_s = sums[k, 0] / count[k], sums[k, 1] / count[k], 1.0 / max(rate_hz[k], _TINY_HZ)
-                centre[k, 0], centre[k, 1], centre[k, 2] = x * away_s, y * away_s, away_s
-                extent[k] = np.sqrt(max(sums[k, 2] / count[k] - x * x - y * y, 0.0)) * away_s
-        n_tracks[k] = max(count[k], _FALLS * n_tracks[k])
+        own = np.flatnonzero((number > 0) & np.isfinite(xy[:, 0]))
+        mover, (x, y), n_movers = number[own] - 1, xy[own].T, len(rate_hz)
+        count = np.bincount(mover, minlength=n_movers)
+        x, y, square = (np.bincount(mover, one, n_movers) / np.maximum(count, 1) for one in (x, y, x * x + y * y))
+        away_s = 1.0 / np.maximum(rate_hz, _TINY_HZ)
+        centre = np.stack([x, y, np.ones(n_movers)], axis=1) * away_s[:, None]
+        extent = np.sqrt(np.maximum(square - x * x - y * y, 0.0)) * away_s
+        is_seen = count >= least
+        is_whole = is_seen & (count >= _WHOLE * self.n_tracks)
+        return LastKnownPositions(
+            np.where(is_whole[:, None], centre, self.centre),
+            np.where(is_whole, extent, self.extent),
+            np.maximum(count, _FALLS * self.n_tracks),
+            np.where(is_seen, now_s, self.seen_s),
+        )
 
 
 def nowhere(count: int) -> LastKnownPositions:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.medians import median
@@ -232,24 +231,8 @@ def _with_contradictions(
 
     Not of what lies on the road, ``is_road (N,)``: where that was taken for a part of a mover, it leaves it again.
     """
-    least, raised = 2.0 * config.scene_gate, misfit.copy()
     # Of a mover along our way the path explains any track: only what stands or hangs where the mover does is its part.
     may_be_part = (road.evidence > _LEAST_EVIDENCE) | (n_views <= _USUAL_VIEWS)
-    _raise_odd(key, SCENE_CLUSTER, road.evidence, road.contradicts(), may_be_part, least, raised)
-    return np.where(is_road, misfit, raised)
-
-
-@compiled_for("(i8[::1], i8, f8[::1], b1[::1], b1[::1], f8, f8[::1])")
-def _raise_odd(
-    key: Ints, scene: int, evidence: Floats, is_odd: Bools, may_be_part: Bools, least: float, misfit: Floats
-) -> None:
-    """Raise each ``misfit (N,)`` to the least one where a track is odd, or the mean evidence against its mover."""
-    n_keys = np.max(key) + 1 if len(key) else 0
-    sums, counts = np.zeros(n_keys), np.zeros(n_keys)
-    for i in range(len(key)):
-        sums[key[i]] += evidence[i]
-        counts[key[i]] += 1.0
-    for i in range(len(key)):
-        k = key[i]
-        if is_odd[i] or (may_be_part[i] and k != scene and sums[k] > _MOVER_EVIDENCE * counts[k]):
-            misfit[i] = max(misfit[i], least)
+    of_mover = np.bincount(key, road.evidence) > _MOVER_EVIDENCE * np.bincount(key)
+    is_odd = road.contradicts() | (may_be_part & (key != SCENE_CLUSTER) & of_mover[key])
+    return np.where(is_odd & ~is_road, np.maximum(misfit, 2.0 * config.scene_gate), misfit)
