@@ -9,6 +9,7 @@ import numpy as np
 from ttcvid.draw.palette import Colour, colours_of_tracks
 from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, TrackRows
+from ttcvid.stages.tracking.groups import places_among
 
 # Tracks of no cluster show their last step only, those of the scene half of their way.
 _LOOSE_STEPS, _SCENE_PART = 1, 0.5
@@ -30,10 +31,9 @@ class Trails:
     def follow(self, tracks: TrackRows) -> None:
         """Take in the tracks of the next frame."""
         positions = np.repeat(tracks.xy_px[:, None, :], self._n_positions, axis=1)
-        if len(self._track_id):
-            place = np.minimum(np.searchsorted(self._track_id, tracks.track_id), len(self._track_id) - 1)
-            is_old = self._track_id[place] == tracks.track_id
-            positions[is_old, 1:] = self.positions_px[place[is_old], :-1]
+        place = places_among(self._track_id, tracks.track_id)
+        is_old = place >= 0
+        positions[is_old, 1:] = self.positions_px[place[is_old], :-1]
         self._track_id, self.positions_px = tracks.track_id, positions
 
     def draw(self, bgr: Picture, tracks: TrackRows, colours: Mapping[int, Colour], stroke_px: int) -> None:
