@@ -13,12 +13,12 @@ from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.model import SCENE_MOTION, MotionState
 from ttcvid.stages.objects.clusters import with_times
 from ttcvid.stages.segmentation.own_turn import OwnBend
-from ttcvid.stages.warnings.course import course_of
+from ttcvid.stages.warnings.course import Viewpoint, course_of
 
 
-def is_course(row, camera=CAMERA, config=CONFIG, **options):
+def is_course(row, camera=CAMERA, config=CONFIG, *, is_warned=False, **known):
     """Whether a row is surely on collision course."""
-    course = course_of(row, camera, config, **options)
+    course = course_of(row, Viewpoint(camera, **known), config, is_warned=is_warned)
     return course is not None and course.is_sure
 
 

@@ -8,6 +8,7 @@ from relative_motion import CAMERA
 from watched_rows import CONFIG, FRAME_S, HARMLESS, HIT, WIDTH_M, WITHOUT_STATE, drive, first_warned, row_of, watched
 
 from ttcvid.model import MotionState
+from ttcvid.stages.warnings.course import Viewpoint
 from ttcvid.stages.warnings.events import EventMemory, restarted_events, update_events
 
 
@@ -57,7 +58,7 @@ def warned_at_s(times_s, step_s):
     memory, warned = EventMemory(), []
     for frame, t_s in enumerate(times_s):
         row = row_of(np.asarray(HIT[0]) + np.asarray(HIT[1]) * t_s, HIT[1])
-        events, memory = update_events(memory, frame, t_s, (row,), CAMERA, CONFIG, step_s=step_s)
+        events, memory = update_events(memory, frame, t_s, (row,), Viewpoint(CAMERA), CONFIG, step_s=step_s)
         warned += [t_s] if events else []
     return warned
 

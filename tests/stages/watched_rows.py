@@ -6,6 +6,7 @@ from relative_motion import CAMERA, FOCAL_PX
 from ttcvid.config import EventsConfig
 from ttcvid.model import ClusterRow, Status
 from ttcvid.stages.objects.clusters import with_times
+from ttcvid.stages.warnings.course import Viewpoint
 from ttcvid.stages.warnings.events import EventMemory, update_events
 
 CONFIG = EventsConfig(max_ttc_s=4.0, max_miss_widths=1.0, persistence_s=0.3)
@@ -48,15 +49,14 @@ def drive(position_m, velocity_m_s, seconds, **options):
 def watched(frames, config=CONFIG, memory=None, first_frame=0, closings=None, **options):
     """Events active in each frame; a frame is a tuple of rows, or one row, or None.
 
-    ``closings``: of each frame, how the depth of all objects changes; ``options`` go to `update_events`.
+    ``closings``: of each frame, how the depth of all objects changes; ``options`` to the `Viewpoint`.
     """
     memory, active = memory or EventMemory(), []
     for number, rows in enumerate(frames, first_frame):
         rows = () if rows is None else rows if isinstance(rows, tuple) else (rows,)
         closing = None if closings is None else closings[number]
-        events, memory = update_events(
-            memory, number, number * FRAME_S, rows, CAMERA, config, closing_of={1: closing}.get, **options
-        )
+        view = Viewpoint(CAMERA, closing_of={1: closing}.get, **options)
+        events, memory = update_events(memory, number, number * FRAME_S, rows, view, config)
         active.append(events)
     return active, memory
 

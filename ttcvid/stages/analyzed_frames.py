@@ -21,6 +21,7 @@ from ttcvid.stages.objects.reached_first import Since, nearest_object
 from ttcvid.stages.rows import closing_of_cluster, cluster_rows, no_tracks, track_rows
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 from ttcvid.stages.update import Clip, SeenFrame
+from ttcvid.stages.warnings.course import Viewpoint
 from ttcvid.stages.warnings.events import EventMemory, restarted_events, standing_events, update_events
 
 
@@ -49,23 +50,11 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
     if item.status == FrameStatus.cut:
         memory = RowMemory(restarted_events(memory.watch))
     tracks, clusters, rates = _rows(seen, memory.rates, clip)
-    events, watch = update_events(
-        memory.watch,
-        frame.index,
-        frame.t_s,
-        clusters,
-        clip.camera,
-        clip.config.events,
-        step_s=seen.history.step_s,
-        on_ground=clip.config.egomotion.platform == Platform.vehicle,
-        bend=seen.motions.bend,
-        closing_of=partial(
-            closing_of_cluster,
-            history=seen.history,
-            motions=seen.motions,
-            least_s=clip.config.events.persistence_s,
-        ),
-    )
+    config, step_s = clip.config.events, seen.history.step_s
+    closing_of = partial(closing_of_cluster, history=seen.history, motions=seen.motions, least_s=config.persistence_s)
+    on_ground = clip.config.egomotion.platform == Platform.vehicle
+    view = Viewpoint(clip.camera, on_ground, seen.motions.bend, closing_of)
+    events, watch = update_events(memory.watch, frame.index, frame.t_s, clusters, view, config, step_s=step_s)
     nearest, since = nearest_object(memory.since, frame.t_s, clusters, clip.config)
     egomotion = seen.egomotion
     result = FrameResult(

@@ -60,16 +60,24 @@ def unknown_closing(_: int) -> None:
     """Nothing is known of how the depth of any cluster changes."""
 
 
+@dataclass(frozen=True)
+class Viewpoint:
+    """From where the objects of a frame are seen, and what else is known of them.
+
+    ``on_ground``: we drive on a road. What is on it is met by a vehicle of usual width that reaches from the camera
+    down to the road: what passes below the camera hits it, and a long lorry need not pass as far off as it is long.
+    ``bend``: how we drive, if we turn: who goes along our road turns as it does. ``closing_of`` tells how the depth of
+    a cluster changes; asked where all depends on that, since it takes its time.
+    """
+
+    camera: Camera
+    on_ground: bool = False
+    bend: OwnBend | None = None
+    closing_of: ClosingOf = unknown_closing
+
+
 def course_of(
-    row: ClusterRow,
-    camera: Camera,
-    config: EventsConfig,
-    *,
-    is_warned: bool = False,
-    is_watched: bool = False,
-    on_ground: bool = False,
-    bend: OwnBend | None = None,
-    closing_of: ClosingOf = unknown_closing,
+    row: ClusterRow, view: Viewpoint, config: EventsConfig, *, is_warned: bool = False, is_watched: bool = False
 ) -> Course | None:
     """Whether an object comes close, soon and surely; None where it does not, as far as is known.
 
@@ -83,23 +91,19 @@ def course_of(
     Parameters
     ----------
     is_warned, is_watched : warned of, it may come a little later and miss by a little more; to be watched, only later.
-    on_ground : we drive on a road. What is on it is met by a vehicle of usual width that reaches from the camera down
-        to the road: what passes below the camera hits it, and a long lorry need not pass as far off as it is long.
-    bend : how we drive, if we turn: who goes along our road turns as it does.
-    closing_of : tells how the depth of a cluster changes; asked where all depends on that, since it takes its time.
     """
     cov = row.state_cov
     if row.state_abc_hz is None or cov is None or row.motion_state == MotionState.unknown:
         return OPEN
     if row.motion_state not in APPROACHING or not row.times.tcpa_s[0] > 0.0:
         return None
-    is_standing, is_road_found = row.motion_id == SCENE_MOTION, bend is not None and bend.road_hz is not None
-    if is_standing and on_ground and not is_road_found and not is_warned:
+    is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road_hz is not None
+    if is_standing and view.on_ground and not is_road_found and not is_warned:
         # A bridge, trees beside the road or paint on it look like a wall as long as nobody knows where the road is.
         return OPEN
     asked = _sigmas_of(config.confidence)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
-    *off_widths, sigma_widths = _miss_widths(row, row.state_abc_hz, cov, camera, on_ground, bend).tolist()
+    *off_widths, sigma_widths = _miss_widths(row, row.state_abc_hz, cov, view).tolist()
     at_best = math.hypot(*off_widths)
     at_asked = at_best + asked * sigma_widths
     if min(at_best, at_asked) > max_miss_widths:
@@ -107,7 +111,7 @@ def course_of(
     is_sure = at_asked <= max_miss_widths and surety(row.state_abc_hz, cov) > config.confidence
     if row.times.tcpa_s[0] <= config.max_ttc_s * (_KEEP_TTC if is_warned or is_watched else 1.0):
         return Course(True, asked, tuple(off_widths)) if is_sure else OPEN
-    closing = closing_of(row.cluster_id) if is_sure else None
+    closing = view.closing_of(row.cluster_id) if is_sure else None
     brakes_sigmas = _brakes_sigmas(closing, config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0))
     if brakes_sigmas is None:
         return None
@@ -143,9 +147,7 @@ def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
     return float(ndtr(-float(abc_hz[2]) / sigma_hz))
 
 
-def _miss_widths(
-    row: ClusterRow, abc_hz: Floats, cov: Floats, camera: Camera, on_ground: bool, bend: OwnBend | None
-) -> Floats:
+def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, view: Viewpoint) -> Floats:
     """Where an object passes us, over its width: (4,), best estimate (3,) and standard deviation of its length.
 
     Both in units of depth: how fast the object comes has no part in it, only where to. Where its sides are is seen at
@@ -153,19 +155,20 @@ def _miss_widths(
     nearer. On the road, what lies behind its front follows that.
     """
     assert row.ref_px is not None
+    bend, on_ground = view.bend, view.on_ground
     box_px = row.front_px if on_ground and row.front_px is not None else row.box_px
     (x0_px, top_px, x1_px, bottom_px), y_px = box_px, row.ref_px[1]
     x_px = 0.5 * (x0_px + x1_px)
     outline_px = ((x_px, y_px), (x0_px, y_px), (x1_px, y_px), (x_px, top_px), (x_px, bottom_px))
-    rays = rays_from_pixels(camera, np.array(outline_px))
-    straight_on = _missing(rays, abc_hz, cov, on_ground, camera)
+    rays = rays_from_pixels(view.camera, np.array(outline_px))
+    straight_on = _missing(rays, abc_hz, cov, on_ground, view.camera)
     if bend is None or not on_ground or not abs(bend.turn_rad_s) * float(row.times.tcpa_s[0]) > _LEAST_TURN_RAD:
         return straight_on
     # What moves as the scene does stands still.
     speed_hz = float(np.linalg.norm(abc_hz)) if row.motion_id == SCENE_MOTION else bend.speed_hz(rays[4, :2])
     if speed_hz is None:
         return straight_on
-    along = _along_bend(rays, abc_hz, cov, bend, speed_hz, camera)
+    along = _along_bend(rays, abc_hz, cov, bend, speed_hz, view.camera)
     unsure = BEND_ENDS * (along[:3] - straight_on[:3])
     along[3] = math.sqrt(along[3] ** 2 + float(unsure @ unsure))
     return along

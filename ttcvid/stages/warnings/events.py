@@ -10,9 +10,8 @@ import numpy as np
 from scipy.special import logit, ndtr, stdtrit
 
 from ttcvid.config import EventsConfig
-from ttcvid.model import Camera, ClusterRow, Event, MotionState
-from ttcvid.stages.segmentation.own_turn import OwnBend
-from ttcvid.stages.warnings.course import ClosingOf, Course, course_of, surety, unknown_closing
+from ttcvid.model import ClusterRow, Event, MotionState
+from ttcvid.stages.warnings.course import Course, Viewpoint, course_of, surety
 
 # A warning of what is hidden, or of which it is open where it goes, stands so many times as long as one that is over:
 # it is still there. So long is waited, too, for what was on its way to a warning.
@@ -64,13 +63,10 @@ def update_events(
     frame: int,
     t_s: float,
     clusters: tuple[ClusterRow, ...],
-    camera: Camera,
+    view: Viewpoint,
     config: EventsConfig,
     *,
     step_s: float = 0.0,
-    on_ground: bool = False,
-    bend: OwnBend | None = None,
-    closing_of: ClosingOf = unknown_closing,
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and what to remember.
 
@@ -84,7 +80,6 @@ def update_events(
     Parameters
     ----------
     step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
-    on_ground, bend, closing_of : as of `course_of`.
     """
     gone_s = _gone_s(config)
     longest_step_s = max(gone_s, _STALLED * step_s)
@@ -103,7 +98,7 @@ def update_events(
             if before is not None and t_s - before.last_s <= _HIDDEN * gone_s:
                 watched[cluster_id] = before
             continue
-        course = partial(course_of, row, camera, config, on_ground=on_ground, bend=bend, closing_of=closing_of)
+        course = partial(course_of, row, view, config)
         seen = course(is_warned=warned, is_watched=True)
         if seen is None or not seen.is_sure:
             left_s = gone_s * (float(warned) if seen is None else _HIDDEN)
