@@ -55,11 +55,6 @@ def _no_surfaces(next_cluster_id: int) -> tuple[dict[int, Any], tuple[Any, ...],
     return {}, (), next_cluster_id
 
 
-def _as_they_are(sets: Any, rate_hz: Any, *others: Any) -> tuple[Any, ...]:
-    is_in = others[6]
-    return is_in, np.zeros(len(rate_hz)), np.zeros(len(sets)), np.full((len(sets), 2), np.nan)
-
-
 def _zeros(place: int) -> Callable[..., Any]:
     """As many False as the argument at a place is long."""
     return lambda *arguments, **_: np.zeros(len(arguments[place]), dtype=bool)
@@ -184,29 +179,11 @@ RULES: dict[str, Rule] = {
         },
         _stage("objects/near_face"),
     ),
-    "slant": Rule(
-        "surfaces that turn a side to us",
-        "times",
-        {"stages.objects.slant.nearest_parts": _as_they_are},
-        _stage("objects/slant"),
-    ),
     "bends": Rule(
         "objects in a bend have paths of their own",
         "times",
         {"stages.objects.turning._ASKED_TURN_RAD_S": np.inf, "stages.objects.turning._BEND_CHI2": np.inf},
         _stage("objects/turning"),
-    ),
-    "overlaps": Rule(
-        "tracks that look at the same pixels share noise",
-        "times",
-        {"stages.objects.overlaps.overlap_factors": lambda xy_px, set_of, is_asked: np.ones(len(is_asked))},
-        _stage("objects/overlaps"),
-    ),
-    "stabilised": Rule(
-        "a camera's sway is not the movers'",
-        "times",
-        {"stages.objects.camera_shake.stabilised": lambda history, *_: history.xy},
-        _stage("objects/camera_shake"),
     ),
     "common_errors": Rule(
         "approach has to exceed the tracker's common error",
@@ -220,23 +197,11 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.approach_probability.with_seen_motion": _first},
         _stage("segmentation/approach_probability"),
     ),
-    "steadiness": Rule(
-        "objects whose times contradict themselves lose them",
-        "amendments",
-        {"stages.objects.consistency.steady_rows": lambda rates, t_s, rows: (rows, rates)},
-        _stage("objects/consistency"),
-    ),
     "own_bend": Rule(
         "our own bend in the course",
         "warnings",
         {"stages.segmentation.own_turn.share_of_bend": lambda turn_rad_s: 0.0},
         _stage("segmentation/own_turn"),
-    ),
-    "closing": Rule(
-        "the size of what stands in our way tells its time",
-        "warnings",
-        {"stages.segmentation.approach_probability.closing_of_tracks": _none},
-        ("geometry/estimation/closing.py",),
     ),
     "braking": Rule(
         "the size of what may have begun to brake",

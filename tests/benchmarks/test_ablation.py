@@ -11,7 +11,8 @@ from scenario_suite.figures import Figures
 from scenario_suite.rules import GROUPS, RULES, switched_off
 from scenario_suite.scoring import SceneScore
 
-from ttcvid.stages.objects import camera_shake, motions
+from ttcvid.stages import update
+from ttcvid.stages.tracking import static_overlays
 
 
 def scene(family: str, n_found: int, n_due: int = 10) -> SceneScore:
@@ -32,20 +33,20 @@ def places(names=tuple(RULES)):
 
 def test_a_rule_is_off_inside_the_block_and_as_it_was_after_it():
     before = {place: getattr(import_module(f"ttcvid.{place[0]}"), place[2]) for place in places()}
-    with switched_off(["stabilised"]):
+    with switched_off(["frozen"]):
         assert (
-            motions.stabilised
-            is camera_shake.stabilised
-            is not before["stages.objects.camera_shake", ".", "stabilised"]
+            update.find_frozen
+            is static_overlays.find_frozen
+            is not before["stages.tracking.static_overlays", ".", "find_frozen"]
         )
-        history = type("History", (), {"xy": "views as they are"})
-        assert motions.stabilised(history, None, None, None) == "views as they are"
+        points = type("Points", (), {"track_id": np.arange(2), "xy_px": np.zeros((2, 2))})
+        assert not update.find_frozen(None, points)[0].any()
     off = switched_off(tuple(RULES))
     off.__enter__()
     assert all(getattr(import_module(f"ttcvid.{a}"), b) is not former for (a, _, b), former in before.items())
     assert off.__exit__(KeyError, KeyError(), None) is not True
     assert all(getattr(import_module(f"ttcvid.{a}"), b) is former for (a, _, b), former in before.items())
-    assert motions.stabilised is camera_shake.stabilised
+    assert update.find_frozen is static_overlays.find_frozen
 
 
 def test_every_rule_is_in_one_group_and_in_every_kind_of_trial():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking, fit_closing
+from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking
 
 FOCAL_PX, FPS = 530.0, 20.0
 SINCE_S = -np.arange(20)[::-1] / FPS
@@ -29,9 +29,8 @@ def views(depth_m, rng, n=40, noise_px=0.0, drift_px=0.0):
 
 
 def closing_of(xy, drift_px=0.25):
-    """What is found from all views of one thing."""
-    depth, variance, radius = depths_over_time(xy)
-    return fit_closing(depth, variance, SINCE_S, (drift_px / (FOCAL_PX * radius)) ** 2 / 0.6)
+    """What is found from all views of one thing that has accelerated in all of them."""
+    return braking_of(xy, drift_px, np.inf)
 
 
 @pytest.mark.parametrize(("closing_m_s", "braking_m_s2"), [(2.0, 5.0), (0.0, 5.0), (6.0, 0.0), (6.0, -3.0)])
@@ -54,7 +53,7 @@ def test_gaps_are_no_views():
     xy[10] = np.nan
     depth, variance, _ = depths_over_time(xy)
     assert np.flatnonzero(np.isnan(depth)).tolist() == [10]
-    assert fit_closing(depth, variance, SINCE_S, 1e-4).acceleration_hz2 == pytest.approx(-5.0 / 16.0, abs=1e-9)
+    assert fit_braking(depth, variance, SINCE_S, 1e-4, np.inf).acceleration_hz2 == pytest.approx(-5.0 / 16.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("drift_px", [0.0, 0.25])
@@ -95,9 +94,7 @@ def test_of_who_has_begun_to_brake_the_present_rate_and_acceleration_are_found_e
 def test_who_has_braked_for_all_views_is_found_as_if_nothing_had_begun():
     xy = views(depths_m(2.0, 5.0), np.random.default_rng(1))
     depth, variance, _ = depths_over_time(xy)
-    whole, begun = (
-        fit(depth, variance, SINCE_S, 1e-5, *more) for fit, more in ((fit_closing, ()), (fit_braking, (0.25,)))
-    )
+    whole, begun = (fit_braking(depth, variance, SINCE_S, 1e-5, least_s) for least_s in (np.inf, 0.25))
     assert begun.rate_hz == pytest.approx(whole.rate_hz, rel=1e-6)
     assert begun.acceleration_hz2 == pytest.approx(whole.acceleration_hz2, rel=1e-6)
     assert begun.cov == pytest.approx(whole.cov, rel=1e-6)

@@ -139,7 +139,7 @@ def test_points_that_move_otherwise_do_not_bend_the_path():
     assert np.abs(found.offset[0, 3:6]).max() < 0.1
 
 
-def directions_from_found(off_rad, sigma, common=1.0, n_points=12, found_rad=0.004):
+def directions_from_found(off_rad, sigma, n_points=12, found_rad=0.004):
     """Angles to the true direction, by a wide belief and by how well it was found; of each ``off_rad (S, 2)``."""
     across, errors = np.linalg.svd(DIRECTION[None])[2][1:], []
     for seed, off in enumerate(off_rad):
@@ -151,7 +151,7 @@ def directions_from_found(off_rad, sigma, common=1.0, n_points=12, found_rad=0.0
         fits = fit_paths(points, beliefs)
         found_cov = beliefs.direction_cov * (found_rad / 0.06) ** 2
         searched = fits.paths()
-        found = fits.paths_from_found_directions(found_cov, np.array([common]), searched)
+        found = fits.paths_from_found_directions(found_cov, searched)
         errors.append([np.arccos(path.direction[0] @ DIRECTION) for path in (searched, found)])
     return np.median(errors, axis=0)
 
@@ -168,13 +168,6 @@ def test_a_direction_that_views_contradict_counts_for_less():
     by_search, found = directions_from_found(np.tile([0.12, 0.0], (20, 1)), SIGMA)
     assert by_search < 0.005
     assert found < 0.01
-
-
-def test_a_direction_counts_for_more_where_points_have_noise_in_common():
-    off_rad = 0.004 * np.random.default_rng(21).normal(size=(40, 2))
-    _, alone = directions_from_found(off_rad, 10.0 * SIGMA, found_rad=0.01)
-    _, in_common = directions_from_found(off_rad, 10.0 * SIGMA, common=8.0, found_rad=0.01)
-    assert in_common < 0.9 * alone
 
 
 def test_paths_without_points_stay_as_believed():

@@ -23,7 +23,7 @@ VELOCITY_M_S = np.array([0.0, 0.0, -5.0])
 def row_of(history):
     """The row of the one object that all tracks of a history are."""
     n = history.n_tracks
-    clusters = tuple(motions_of({1: np.arange(n)}, history, history.xy, None, CAMERA, CONFIG))
+    clusters = tuple(motions_of({1: np.arange(n)}, history, None, CAMERA, CONFIG))
     motions = FrameMotions(np.ones(n, np.int64), np.zeros(n, np.int64), clusters, 32.0, np.ones(n, bool))
     states, _ = track_rows(history, motions, CONFIG)
     return cluster_rows(history, motions, states, CAMERA)[0]

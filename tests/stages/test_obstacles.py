@@ -7,9 +7,8 @@ import pytest
 from relative_motion import box_of_points
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.geometry.estimation.rigid_motion import PathFit
-from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path, unknown_closing
+from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path
 
 CONFIG = BodiesConfig()
 FOCAL_PX, LINK_PX, DT_S, N_VIEWS = 500.0, 32.0, 0.05, 20
@@ -36,13 +35,13 @@ def road(rng, n=150):
 ROAD_PLANE = np.array([0.0, 0.0, SPEED_M_S / CAMERA_M])
 
 
-def points_of(position_m, rng, noise=0.01, track_id=None, closing_of=unknown_closing):
+def points_of(position_m, rng, noise=0.01, track_id=None):
     rate_hz = SPEED_M_S / position_m[:, 2] * (1.0 + noise * rng.normal(size=len(position_m)))
     place = position_m[:, :2] / position_m[:, 2:]
     n = len(place)
     fit = PathFit(place, rate_hz, (noise + 1e-3) * rate_hz, np.ones(n), np.full(n, N_VIEWS))
     ids = np.arange(n) if track_id is None else track_id
-    return StaticPoints(ids, FOCAL_PX * place, FOCAL_PX, LINK_PX, fit, np.ones(n, dtype=bool), closing_of)
+    return StaticPoints(ids, FOCAL_PX * place, FOCAL_PX, LINK_PX, fit, np.ones(n, dtype=bool))
 
 
 def watched(
@@ -52,7 +51,6 @@ def watched(
     on_ground=True,
     yaw_rad_s=0.0,
     speed_m_s=SPEED_M_S,
-    closing_of=unknown_closing,
 ):
     """Public obstacles after some frames in which we come nearer."""
     rng = np.random.default_rng(3)
@@ -60,7 +58,7 @@ def watched(
     for k in range(frames):
         now = position_m - np.array([0.0, 0.0, speed_m_s * DT_S * k])
         public, memory, next_id = find_obstacles(
-            memory, points_of(now, rng, closing_of=closing_of), way, plane, next_id, CONFIG, on_ground=on_ground
+            memory, points_of(now, rng), way, plane, next_id, CONFIG, on_ground=on_ground
         )
     return public
 
@@ -138,37 +136,6 @@ def test_what_looks_near_but_hangs_over_the_road_is_none(rng):
     # It reaches down to the road, as anything that stands there.
     lower = box_of_points(rng, 4, (0.3, 0.8 * CAMERA_M, 25.0), (1.2, 0.2 * CAMERA_M, 0.0))
     assert len(watched(np.concatenate([road(rng), upper, lower]))) == 1
-
-
-@pytest.mark.parametrize(
-    ("growth", "sigma", "is_one"),
-    [(1.0, 0.1, True), (0.7, 0.1, True), (0.0, 0.1, False), (0.6, 0.05, False), (0.3, 0.01, False), (1.0, 0.4, False)],
-)
-def test_what_hangs_over_the_road_comes_at_us_if_its_picture_grows_as_it_has_to(rng, growth, sigma, is_one):
-    """An oncoming car as fast as we are looks half as far away as it is, and half as high as the camera."""
-    depth_m = 25.0
-    car = box_of_points(rng, 12, (0.0, 0.2 * CAMERA_M, depth_m), (1.6, 0.55 * CAMERA_M, 0.0))
-    rate_hz = SPEED_M_S / depth_m
-    closing = Closing(-growth * rate_hz, 0.0, (sigma * rate_hz) ** 2 * np.eye(2))
-    assert bool(watched(np.concatenate([road(rng), car]), closing_of=lambda members: closing)) == is_one
-
-
-def growing_as_it_has_to(depth_m):
-    rate_hz = SPEED_M_S / depth_m
-    return Closing(-rate_hz, 0.0, (0.1 * rate_hz) ** 2 * np.eye(2))
-
-
-def test_what_hangs_has_to_be_seen_to_come_until_it_is_confirmed_and_is_known_again_then(rng):
-    depth_m = 30.0
-    car = box_of_points(rng, 12, (0.0, 0.2 * CAMERA_M, depth_m), (1.6, 0.55 * CAMERA_M, 0.0))
-    scene = np.concatenate([road(rng), car])
-
-    def seen_to_come_in(n_frames):
-        told = iter([growing_as_it_has_to(depth_m)] * n_frames)
-        return lambda members: next(told, None)
-
-    assert watched(scene, frames=FOUND_IN + 3, closing_of=seen_to_come_in(FOUND_IN - 1)) == {}
-    assert list(watched(scene, frames=FOUND_IN + 3, closing_of=seen_to_come_in(FOUND_IN))) == [1]
 
 
 def test_a_lorry_is_still_there_when_its_low_tracks_are_lost(rng):

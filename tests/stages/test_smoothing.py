@@ -81,7 +81,7 @@ def by_past_views(found, now=NOW):
     """The same frame with the direction that its past views show."""
     item = seen(found[now])
     motion = item.motions.clusters[0]
-    clusters = tuple(motions_of({1: motion.members}, item.history, item.history.xy, None, CAMERA, CONFIG))
+    clusters = tuple(motions_of({1: motion.members}, item.history, None, CAMERA, CONFIG))
     return replace(item, motions=replace(item.motions, clusters=clusters))
 
 

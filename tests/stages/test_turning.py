@@ -45,7 +45,6 @@ def fitted(xy, noise=SIGMA_NORM, direction=DIRECTION, config=None, may_leave_dir
         np.zeros(n, dtype=np.int64),
         CollisionTimesConfig() if config is None else config,
         (found_rad**2 * across)[None],
-        np.ones(1),
         may_leave_directions=may_leave_directions,
     )
 

@@ -16,7 +16,6 @@ from ttcvid.model import (
     TrackRows,
 )
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
-from ttcvid.stages.objects.consistency import Rates, steady_rows
 from ttcvid.stages.objects.reached_first import Since, nearest_object
 from ttcvid.stages.rows import closing_of_cluster, cluster_rows, no_tracks, track_rows
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
@@ -35,10 +34,9 @@ class AnalyzedFrame:
 
 @dataclass(frozen=True)
 class RowMemory:
-    """What the rows of a frame rest on of those before: warnings, rates of objects, and who approaches since when."""
+    """What the rows of a frame rest on of those before: warnings, and who approaches since when."""
 
     watch: EventMemory = field(default_factory=EventMemory)
-    rates: Rates = field(default_factory=Rates)
     since: Since = field(default_factory=dict)
 
 
@@ -49,7 +47,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         return _empty_result(item, standing_events(memory.watch, frame.t_s, clip.config.events)), memory
     if item.status == FrameStatus.cut:
         memory = RowMemory(restarted_events(memory.watch))
-    tracks, clusters, rates = _rows(seen, memory.rates, clip)
+    tracks, clusters = _rows(seen, clip)
     config, step_s = clip.config.events, seen.history.step_s
     closing_of = partial(closing_of_cluster, history=seen.history, motions=seen.motions, least_s=config.persistence_s)
     on_ground = clip.config.egomotion.platform == Platform.vehicle
@@ -70,7 +68,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         horizon_px=_line_px(item.plane),
         events=events,
     )
-    return result, RowMemory(watch, rates, since)
+    return result, RowMemory(watch, since)
 
 
 def smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
@@ -103,21 +101,20 @@ def _estimated_again(
     """A frame with the rows that views on both sides give; status, own rotation and warnings stay as they were."""
     if item.seen is None:
         return item, memory
-    tracks, clusters, rates = item.result.tracks, item.result.clusters, memory.rates
+    tracks, clusters = item.result.tracks, item.result.clusters
     if later:
         seen = seen_again(item.seen, later, clip.camera, clip.config)
-        tracks, clusters, rates = _rows(seen, rates, clip)
+        tracks, clusters = _rows(seen, clip)
     since = {} if item.result.status == FrameStatus.cut else memory.since
     nearest, since = nearest_object(since, item.result.t_s, clusters, clip.config)
     result = replace(item.result, tracks=tracks, clusters=clusters, nearest=nearest)
-    return replace(item, result=result), replace(memory, rates=rates, since=since)
+    return replace(item, result=result), replace(memory, since=since)
 
 
-def _rows(seen: Seen, rates: Rates, clip: Clip) -> tuple[TrackRows, tuple[ClusterRow, ...], Rates]:
-    """Rows of tracks and clusters; ``rates`` of the frames before, and with those of this one."""
+def _rows(seen: Seen, clip: Clip) -> tuple[TrackRows, tuple[ClusterRow, ...]]:
+    """Rows of tracks and clusters."""
     states, tracks = track_rows(seen.history, seen.motions, clip.config.collision_times, seen.plane)
-    clusters = cluster_rows(seen.history, seen.motions, states, clip.camera)
-    return tracks, *steady_rows(rates, float(seen.history.t_s[seen.history.now]), clusters)
+    return tracks, cluster_rows(seen.history, seen.motions, states, clip.camera)
 
 
 def _empty_result(item: SeenFrame, events: tuple[Event, ...]) -> FrameResult:

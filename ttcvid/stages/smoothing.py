@@ -179,9 +179,9 @@ def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> 
         for motion in seen.motions.clusters
         if motion.cluster_id == SCENE_CLUSTER
     ]
-    objects = motions_of(members, seen.history, seen.history.xy, seen.plane, camera, config)
+    objects = motions_of(members, seen.history, seen.plane, camera, config)
     status = seen.motions.no_direction_status.copy()
     for motion in objects:
         status[motion.members] = motion.status
     objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
-    return replace(seen.motions, clusters=(*scene, *objects), no_direction_status=status, steady_xy=None)
+    return replace(seen.motions, clusters=(*scene, *objects), no_direction_status=status)

@@ -114,33 +114,20 @@ def depths_over_time(xy: Floats) -> tuple[Floats, Floats, float]:
     return depth, variance, float(radius[-1]) if len(radius) else 0.0
 
 
-def fit_closing(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float) -> Closing | None:
-    """Rate and acceleration of a depth (L,) seen with noise and with an error that drifts; None with too few views.
-
-    Generalised least squares: the present view's noise is in all of ``depth``, so that the present depth is unknown
-    too; what matching errs by adds up like a random walk away from now.
-
-    Parameters
-    ----------
-    depth, variance : as of `depths_over_time`, NaN where not known.
-    since_s : (L,) times up to 0.
-    drift_hz : variance that the random walk gains in a second.
-    """
-    rows = _whitened(depth, variance, since_s, drift_hz, np.full(1, -np.inf))
-    return None if rows is None else _solved(rows)
-
-
 def fit_braking(depth: Floats, variance: Floats, since_s: Floats, drift_hz: float, least_s: float) -> Closing | None:
     """Rate and acceleration now of what may have begun to accelerate at some view; None with too few views.
 
-    Who brakes has not braked all the time that is looked at: a constant acceleration over all of it is too small by
-    then, and the present rate lags. Here it goes on steadily until a view and accelerates from there on; of these,
-    the one that fits best is taken (`fit_closing` among them, which begins at the first view). That makes noise look
-    surer than it is, by less than 0.35 standard deviations.
+    Generalised least squares: the present view's noise is in all of ``depth``, so that the present depth is unknown
+    too; what matching errs by adds up like a random walk away from now. Who brakes has not braked all the time that is
+    looked at: a constant acceleration over all of it is too small by then, and the present rate lags. Here it goes on
+    steadily until a view (the first is one of them) and accelerates from there on; of these, the one that fits best is
+    taken. That makes noise look surer than it is, by less than 0.35 standard deviations.
 
     Parameters
     ----------
-    depth, variance, since_s, drift_hz : as of `fit_closing`.
+    depth, variance : (L,) as of `depths_over_time`, NaN where not known.
+    since_s : (L,) times up to 0.
+    drift_hz : variance that the random walk gains in a second.
     least_s : what has begun since then is left out: it hangs on few views.
     """
     began_s = since_s[np.isfinite(depth) & np.isfinite(variance)][:-_LEAST_STEPS]

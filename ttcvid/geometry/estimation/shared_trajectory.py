@@ -145,16 +145,15 @@ class PathFits:
         """The paths by the beliefs as they are and all views."""
         return self._paths(*self._weighed(self.believed))
 
-    def paths_from_found_directions(self, found_cov: Floats, common: Floats, searched: SharedPaths) -> SharedPaths:
+    def paths_from_found_directions(self, found_cov: Floats, searched: SharedPaths) -> SharedPaths:
         """The paths by their believed directions, where these were found to ``found_cov (K, 3, 3)``, in rad^2.
 
         The search, whose `paths` are ``searched``, is to find a path that was believed wrongly, and believes in no
         direction as much. One that was found as if its path were straight is nearer to the truth, but for where views
-        contradict it: by so much its covariance grows. Points whose noise is partly the same say less beside it: that
-        of a mean over them is ``common (K,)`` times as large. The paths are known no better for it than by the search:
-        errors that tracks have in common, and a turn that does not show, are in none of these covariances.
+        contradict it: by so much its covariance grows. The paths are known no better for it than by the search: errors
+        that tracks have in common, and a turn that does not show, are in none of these covariances.
         """
-        local, cov = self._weighed(self.believed, common)
+        local, cov = self._weighed(self.believed)
         across = self.own_motion[:, :2]
         found, wide = (_of_plane(self.basis, each) for each in (found_cov, self.beliefs.direction_cov))
         off = across @ local[..., None]
@@ -162,15 +161,13 @@ class PathFits:
         chi2 = (off.transpose(0, 2, 1) @ np.linalg.solve(both, off))[:, 0, 0]
         worse = np.maximum(1.0, chi2 / _CHANCE_CHI2)
         more = np.linalg.inv(found) / worse[:, None, None] - np.linalg.inv(wide)
-        steady = self._paths(*self._weighed(self.believed + across.transpose(0, 2, 1) @ more @ across, common))
+        steady = self._paths(*self._weighed(self.believed + across.transpose(0, 2, 1) @ more @ across))
         return _as_unsure_as(searched, steady)
 
-    def _weighed(self, believed: Floats, common: Floats | None = None) -> tuple[Floats, Floats]:
-        """Offsets (K, 8) by the belief and by what the views say, over ``common (K,)``, and their covariance."""
-        weight = np.ones(len(believed)) if common is None else 1.0 / common
-        cov = np.asarray(np.linalg.inv(believed + weight[:, None, None] * self.information), dtype=np.float64)
-        pull = weight[:, None] * self.score - _times(believed, self.offset)
-        return self.offset + _times(cov, pull), cov
+    def _weighed(self, believed: Floats) -> tuple[Floats, Floats]:
+        """Offsets (K, 8) by the belief and by what the views say, and their covariance."""
+        cov = np.asarray(np.linalg.inv(believed + self.information), dtype=np.float64)
+        return self.offset + _times(cov, self.score - _times(believed, self.offset)), cov
 
     def _paths(self, local: Floats, cov: Floats) -> SharedPaths:
         """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``."""

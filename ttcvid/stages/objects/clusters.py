@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.intervals import collision_times_from_state, radial_and_transverse_rate
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.model import (
@@ -305,32 +305,9 @@ def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int,
     Returns ``(N, count)`` tracks within the radius, nearest first, -1 where absent and for tracks not asked.
     """
     found = np.full((len(xy_px), count), -1, dtype=np.int64)
-    by_cluster = asked[np.argsort(cluster[asked], kind="stable")]
-    _find_neighbours(np.ascontiguousarray(xy_px), cluster, by_cluster, radius_px, found)
+    for number in np.unique(cluster[asked]):
+        members, own = np.flatnonzero(cluster == number), asked[cluster[asked] == number]
+        _, place = cKDTree(xy_px[members]).query(xy_px[own], k=np.arange(1, count + 1), distance_upper_bound=radius_px)
+        # One that is absent has the place behind the last member.
+        found[own] = np.append(members, -1)[place]
     return found
-
-
-@compiled_for("(f8[:, ::1], i8[::1], i8[::1], f8, i8[:, ::1])")
-def _find_neighbours(xy: Floats, cluster: Ints, asked: Ints, radius: float, found: Ints) -> None:
-    """Fills ``found (N, K)`` of `neighbours_in_cluster`; the tracks that are ``asked`` come cluster by cluster."""
-    most, n_members, last = found.shape[1], 0, -1
-    square, members = np.empty(most), np.empty(len(xy), dtype=np.int64)
-    for i in asked:
-        if last < 0 or cluster[i] != cluster[last]:
-            n_members, last = 0, i
-            for j in range(len(xy)):
-                if cluster[j] == cluster[i]:
-                    members[n_members] = j
-                    n_members += 1
-        count = 0
-        for m in range(n_members):
-            j = members[m]
-            distance = (xy[j, 0] - xy[i, 0]) ** 2 + (xy[j, 1] - xy[i, 1]) ** 2
-            if distance >= radius * radius or (count == most and distance >= square[-1]):
-                continue
-            place = min(count, most - 1)
-            while place > 0 and distance < square[place - 1]:
-                square[place], found[i, place] = square[place - 1], found[i, place - 1]
-                place -= 1
-            square[place], found[i, place] = distance, j
-            count = min(count + 1, most)

@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.estimation.shared_direction import shared_directions
 from ttcvid.geometry.estimation.track_state import WholeTracks, fit_whole_tracks
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
+from ttcvid.geometry.rotation import skew
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
-from ttcvid.stages.objects.camera_shake import stabilised
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_hz
 from ttcvid.stages.segmentation.bodies import direction_of_last_step
@@ -47,8 +46,7 @@ class FrameMotions:
 
     ``cluster_id (N,)``, and ``no_direction_status (N,)`` why that has no direction, where it has none; ``clusters`` the
     scene first, then the movers; ``link_px`` the distance within which tracks hang together; ``is_free (N,)`` tracks
-    not frozen to their pixel; ``bend`` how we drive along a road, None where we do not, or that is not known;
-    ``steady_xy (L, N, 2)`` the tracks' places as a steady camera would have seen them, None: as they were seen.
+    not frozen to their pixel; ``bend`` how we drive along a road, None where we do not, or that is not known.
     What is displaced, a single false observation, is of no cluster, and not rigid.
     """
 
@@ -58,7 +56,6 @@ class FrameMotions:
     link_px: float
     is_free: Bools
     bend: OwnBend | None = None
-    steady_xy: Floats | None = None
 
 
 def find_motions(
@@ -84,7 +81,7 @@ def find_motions(
     """
     times = config.collision_times
     link_px = _LINK_PART * camera.image_size.longer_side_px
-    in_scene, objects, bend, steady_xy = is_free, list[ClusterMotion](), None, None
+    in_scene, objects, bend = is_free, list[ClusterMotion](), None
     is_displaced = np.zeros(history.n_tracks, dtype=bool)
     if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
@@ -97,7 +94,7 @@ def find_motions(
         is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced
         numbers = found.movers.cluster_id
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
-        objects, steady_xy = _object_motions(history, found, is_free, plane, camera, times)
+        objects = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:
             surfaces, memory = growing_things(
@@ -108,8 +105,6 @@ def find_motions(
                 memory,
                 link_px,
                 error_px,
-                plane,
-                camera,
                 config,
             )
         is_left = is_free.copy()
@@ -122,11 +117,9 @@ def find_motions(
             without_numbers(before.obstacles, numbers),
             memory,
             link_px,
-            plane,
-            camera,
             config,
         )
-        surfaces += obstacles
+        surfaces = [on_plane(one, plane, camera) for one in [*surfaces, *obstacles]]
         if config.egomotion.platform == Platform.vehicle:
             bend = own_bend(history, egomotion.direction, road_hz(memory, found, history))
         objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
@@ -135,7 +128,7 @@ def find_motions(
         egomotion = _with_direction_of_last_step(egomotion, found.scene, history.since_s)
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
-    motions = replace(_assigned(clusters, is_free, is_displaced, link_px), bend=bend, steady_xy=steady_xy)
+    motions = replace(_assigned(clusters, is_free, is_displaced, link_px), bend=bend)
     return motions, history, memory
 
 
@@ -162,11 +155,8 @@ def _object_motions(
     plane: HorizonPlane | None,
     camera: Camera,
     config: CollisionTimesConfig,
-) -> tuple[list[ClusterMotion], Floats]:
-    """The movers that have a public number, each with the direction that the whole tracks of its points share.
-
-    And the places of all tracks, (L, N, 2), as a steady camera would have seen them.
-    """
+) -> list[ClusterMotion]:
+    """The movers that have a public number, each with the direction that the whole tracks of its points share."""
     own_id = np.append(NO_CLUSTER, found.movers.cluster_id)[numbers_of(found.key, found.movers)]
     own_id[own_id < 0] = SCENE_CLUSTER
     # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is. Before a camera that
@@ -176,77 +166,52 @@ def _object_motions(
     members = np.flatnonzero((own_id > 0) & is_free & ~is_text[own_id])
     ids = own_id[members]
     public = np.flatnonzero(np.bincount(ids))
-    thing = np.searchsorted(public, ids)
     parts = {int(number): members[ids == number] for number in public}
-    steady_xy = stabilised(history, found.sway, members, thing)
-    return motions_of(parts, history, steady_xy, plane, camera, config), steady_xy
+    return motions_of(parts, history, plane, camera, config)
 
 
 def motions_of(
     members: Mapping[int, Ints],
     history: TrackHistory,
-    xy: Floats,
     plane: HorizonPlane | None,
     camera: Camera,
     config: CollisionTimesConfig,
 ) -> list[ClusterMotion]:
-    """The motion of each of K things, its tracks given by ``cluster_id``, as its whole tracks ``xy (L, N, 2)`` show."""
+    """The motion of each of K things, its tracks given by ``cluster_id``, as its whole tracks show."""
     if not members:
         return []
     thing = np.repeat(np.arange(len(members)), [len(index) for index in members.values()])
     window_s, direction, covariance = _directions(
-        history, xy, np.concatenate(list(members.values())), thing, len(members), config
+        history, np.concatenate(list(members.values())), thing, len(members), config
     )
-    motions, variance = [], covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]
+    variance, motions = np.trace(covariance, axis1=1, axis2=2), []
     for number, (cluster_id, index) in enumerate(members.items()):
+        motion = ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks")
         if variance[number] < MAX_DIRECTION_SIGMA_RAD**2:
-            motion = on_plane(
-                cluster_id,
-                index,
-                direction[number],
-                covariance[number],
-                "whole-tracks",
-                plane,
-                camera,
+            found = replace(
+                motion,
+                direction=direction[number],
+                direction_cov=covariance[number],
                 window_s=float(window_s[number]),
             )
-            motions.append(motion)
-        else:
-            motions.append(ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks"))
+            motion = on_plane(found, plane, camera)
+        motions.append(motion)
     return motions
 
 
 def _stay_while_we_turn(history: TrackHistory) -> Bools:
     """Tracks (N,) that have stayed on their pixels for long though the camera turned."""
-    stays = np.empty(history.rays.shape[1], dtype=bool)
-    _find_staying(
-        history.rays, history.cam_R_past, _STAYING_PX / history.focal_px, _TURNED_PX / history.focal_px, stays
-    )
-    return stays
-
-
-@compiled_for("(f8[:, :, ::1], f8[:, :, ::1], f8, f8, b1[::1])")
-def _find_staying(rays: Floats, cam_R_past: Floats, limit_rad: float, turned_rad: float, stays: Bools) -> None:
-    """Fill ``stays (N,)``: over `_STAYING_VIEWS` of ``rays (L, N, 3)`` at least, not moved by the limit, and the camera
-    turned by ``turned_rad``.
-    """
-    last = len(rays) - 1
-    for i in range(len(stays)):
-        first, square, turned = 0, 0.0, 0.0
-        while first < last and not np.isfinite(rays[first, i, 0]):
-            first += 1
-        for a in range(3):
-            off, still = -rays[first, i, a], rays[last, i, a] - rays[first, i, a]
-            for b in range(3):
-                off += cam_R_past[first, a, b] * rays[first, i, b]
-            square += still * still
-            turned += off * off
-        has_turned = turned > turned_rad * turned_rad
-        stays[i] = last + 1 - first >= _STAYING_VIEWS and square < limit_rad * limit_rad and has_turned
+    rays, n = history.rays, history.n_tracks
+    first = np.isfinite(rays[..., 0]).argmax(axis=0)
+    then = rays[first, np.arange(n)]
+    moved_px = history.focal_px * np.linalg.norm(rays[-1] - then, axis=1)
+    turned = np.einsum("nij,nj->ni", history.cam_R_past[first], then) - then
+    has_turned = history.focal_px * np.linalg.norm(turned, axis=1) > _TURNED_PX
+    return np.asarray((len(rays) - first >= _STAYING_VIEWS) & (moved_px < _STAYING_PX) & has_turned)
 
 
 def _directions(
-    history: TrackHistory, xy: Floats, members: Ints, thing: Ints, n_things: int, config: CollisionTimesConfig
+    history: TrackHistory, members: Ints, thing: Ints, n_things: int, config: CollisionTimesConfig
 ) -> tuple[Floats, Floats, Floats]:
     """How far back each of K things is looked at, s, its direction and covariance: (K,), (K, 3), (K, 3, 3).
 
@@ -254,25 +219,23 @@ def _directions(
     ----------
     members, thing : (M,) tracks, and which thing each belongs to.
     """
-    tracks = _whole_tracks(history, xy, members, config.object_window_s, config)
+    tracks = _whole_tracks(history, members, config.object_window_s, config)
     direction, covariance = _shared_directions(history, tracks, thing, n_things)
     is_sure = _are_sure(tracks, direction, thing)
     window_s = np.where(is_sure, config.object_window_s, np.inf)
     if not is_sure.all():
         unsure = np.flatnonzero(~is_sure[thing])
-        tracks = _whole_tracks(history, xy, members[unsure], np.inf, config)
+        tracks = _whole_tracks(history, members[unsure], np.inf, config)
         by_all, covariance_by_all = _shared_directions(history, tracks, thing[unsure], n_things)
         direction[~is_sure], covariance[~is_sure] = by_all[~is_sure], covariance_by_all[~is_sure]
     return window_s, direction, covariance
 
 
-def _whole_tracks(
-    history: TrackHistory, xy: Floats, members: Ints, window_s: float, config: CollisionTimesConfig
-) -> WholeTracks:
+def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config: CollisionTimesConfig) -> WholeTracks:
     """The states of tracks by their views within a time of the present one."""
     views = history.views_within(window_s)
     return fit_whole_tracks(
-        xy[views].take(members, axis=1),
+        history.xy[views].take(members, axis=1),
         history.since_s[views],
         history.sigma_norm[members],
         config.max_frames,
@@ -283,44 +246,23 @@ def _whole_tracks(
 
 def _shared_directions(history: TrackHistory, tracks: WholeTracks, thing: Ints, n_things: int) -> tuple[Floats, Floats]:
     """The direction of each thing and its covariance, with the rotation that may be left in all of its tracks."""
-    by_rotation = np.empty((len(thing), 3, 3))
-    _turn_each(tracks.state, history.rotation_rate_sigma_rad_s, by_rotation)
     xy, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
+    by_rotation = history.rotation_rate_sigma_rad_s * skew(np.column_stack([xy, np.ones(len(xy))]))
     direction, covariance, _ = shared_directions(xy, velocity_hz, tracks.info_w, thing, n_things, by_rotation)
     return direction, covariance
 
 
-@compiled_for("(f8[:, ::1], f8, f8[:, :, ::1])")
-def _turn_each(state: Floats, rate: float, by_rotation: Floats) -> None:
-    """Fill ``by_rotation (N, 3, 3)``: what a rate of turning about each axis does to w of points at x, y (`skew`)."""
-    for i in range(len(state)):
-        x, y = rate * state[i, 0], rate * state[i, 1]
-        by_rotation[i, 0, 0], by_rotation[i, 0, 1], by_rotation[i, 0, 2] = 0.0, -rate, y
-        by_rotation[i, 1, 0], by_rotation[i, 1, 1], by_rotation[i, 1, 2] = rate, 0.0, -x
-        by_rotation[i, 2, 0], by_rotation[i, 2, 1], by_rotation[i, 2, 2] = -y, x, 0.0
-
-
 def _are_sure(tracks: WholeTracks, direction: Floats, thing: Ints) -> Bools:
-    """Things (K,) whose rate their tracks tell well enough, all together and apart from what errs in common."""
-    squares = np.zeros(len(direction))
-    _add_up_rates(np.ascontiguousarray(tracks.state[:, 2:]), tracks.info_w, direction, thing, squares)
-    return np.asarray(squares > _SURE_PART**-2)
+    """Things (K,) whose rate their tracks tell well enough, all together and apart from what errs in common.
 
-
-@compiled_for("(f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8[::1], f8[::1])")
-def _add_up_rates(w: Floats, info: Floats, direction: Floats, thing: Ints, squares: Floats) -> None:
-    """Add to ``squares (K,)`` the squared rate of each track along the direction of its thing, in its sigmas.
-
-    The rate is ``e' info w / e' info e`` (`shared_direction`).
+    The rate of a track along e is ``e' info w / e' info e`` (`shared_direction`).
     """
-    for i in range(len(thing)):
-        e, information, towards = direction[thing[i]], 0.0, 0.0
-        for a in range(3):
-            pull = info[i, a, 0] * e[0] + info[i, a, 1] * e[1] + info[i, a, 2] * e[2]
-            information += pull * e[a]
-            towards += pull * w[i, a]
-        if information > 0.0 and np.isfinite(towards):
-            squares[thing[i]] += towards * towards / information
+    e = direction[thing]
+    pull = np.einsum("nij,nj->ni", tracks.info_w, e)
+    information, towards = np.sum(pull * e, axis=1), np.sum(pull * tracks.state[:, 2:], axis=1)
+    tells = (information > 0.0) & np.isfinite(towards)
+    sigmas2 = np.divide(towards**2, information, out=np.zeros(len(thing)), where=tells)
+    return np.asarray(np.bincount(thing, sigmas2, len(direction)) > _SURE_PART**-2)
 
 
 def scene_motion(
@@ -330,7 +272,8 @@ def scene_motion(
     if egomotion is None or egomotion.direction is None or egomotion.direction_cov is None:
         status = Status.no_epipole if egomotion is None else Status.no_parallax
         return ClusterMotion(SCENE_CLUSTER, members, None, None, status, "egomotion")
-    return on_plane(SCENE_CLUSTER, members, egomotion.direction, egomotion.direction_cov, "egomotion", plane, camera)
+    direction, covariance = egomotion.direction, egomotion.direction_cov
+    return on_plane(ClusterMotion(SCENE_CLUSTER, members, direction, covariance, Status.ok, "egomotion"), plane, camera)
 
 
 def _assigned(clusters: tuple[ClusterMotion, ...], is_free: Bools, is_displaced: Bools, link_px: float) -> FrameMotions:

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.intervals import collision_times_from_state
 from ttcvid.geometry.estimation.shared_trajectory import N_SHARED
 from ttcvid.geometry.paper.collision import angles_from_epipoles
 from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.paper.three_frames import three_frame_direction
 from ttcvid.geometry.paper.two_view_state import rate_from_direction, state_from_direction
-from ttcvid.geometry.rotation import cross, tangent_basis
+from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Bools, CollisionTimes, Floats, Ints, Status
 from ttcvid.stages.egomotion.flows import Flows
 from ttcvid.stages.tracking.history import TrackHistory
@@ -214,83 +213,40 @@ def with_constant_bearing(
     past = past_rays[asked]
     is_sure = (eta_hz > _EXPANSION_SIGMAS * sigma_hz) & (past[:, 2] > 0.0)
     asked, eta_hz, sigma_hz, past = asked[is_sure], eta_hz[is_sure], sigma_hz[is_sure], past[is_sure]
+    xy, stretch = states.xy[asked], 1.0 + eta_hz * gap_s
+    # x_past = (x - a T) / (1 - c T) with c = -eta, solved for a; y and b likewise.
+    w = np.column_stack([(xy - past[:, :2] / past[:, 2:] * stretch[:, None]) / gap_s, -eta_hz])
+    # What the expansion errs by moves a point along its ray; across, its own noise does.
+    ray = np.column_stack([xy, np.ones(len(xy))])
+    across_hz2 = 2.0 * (states.sigma_norm[asked] / gap_s) ** 2
     abc_hz, cov = states.abc_hz.copy(), states.cov.copy()
     direction, status = states.direction.copy(), states.status.copy()
-    path_of = np.empty(0, dtype=np.int64) if states.shared is None else states.shared.path_of.copy()
-    across_hz2 = 2.0 * (states.sigma_norm[asked] / gap_s) ** 2
-    found = (abc_hz, cov, direction, status, path_of)
-    _bear_constantly(asked, eta_hz, sigma_hz, across_hz2, past, np.ascontiguousarray(states.xy), gap_s, _OK, *found)
-    shared = None if states.shared is None else replace(states.shared, path_of=path_of)
+    abc_hz[asked], direction[asked], status[asked] = w, normalize(w), Status.ok
+    cov[asked] = (sigma_hz**2)[:, None, None] * ray[:, :, None] * ray[:, None, :]
+    cov[asked] += across_hz2[:, None, None] * np.diag([1.0, 1.0, 0.0])
+    shared = states.shared
+    if shared is not None:
+        # On a path they are no longer.
+        path_of = shared.path_of.copy()
+        path_of[asked] = -1
+        shared = replace(shared, path_of=path_of)
     return replace(states, abc_hz=abc_hz, cov=cov, direction=direction, status=status, shared=shared)
-
-
-@compiled_for(
-    "(i8[::1], f8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8, i8, f8[:, ::1], f8[:, :, ::1], f8[:, ::1], "
-    "i8[::1], i8[::1])"
-)
-def _bear_constantly(
-    asked: Ints,
-    eta_hz: Floats,
-    sigma_hz: Floats,
-    across_hz2: Floats,
-    past: Floats,
-    xy: Floats,
-    gap_s: float,
-    ok: int,
-    abc_hz: Floats,
-    cov: Floats,
-    direction: Floats,
-    status: Ints,
-    path_of: Ints,
-) -> None:
-    """Changes states (N, ...) of the tracks ``asked (M,)`` to those by their expansion ``eta_hz (M,)``.
-
-    x_past = (x - a T) / (1 - c T) with c = -eta, solved for a; y and b likewise. What the expansion errs by moves a
-    point along its ray; across, its own noise does. On a path they are no longer.
-    """
-    ray = np.ones(3)
-    for m in range(len(asked)):
-        i, square = asked[m], 0.0
-        for j in range(2):
-            ray[j] = xy[i, j]
-            abc_hz[i, j] = (xy[i, j] - past[m, j] / past[m, 2] * (1.0 + eta_hz[m] * gap_s)) / gap_s
-            square += abc_hz[i, j] * abc_hz[i, j]
-        abc_hz[i, 2] = -eta_hz[m]
-        length = np.sqrt(square + eta_hz[m] * eta_hz[m])
-        for j in range(3):
-            direction[i, j] = abc_hz[i, j] / length
-            for k in range(3):
-                cov[i, j, k] = sigma_hz[m] * sigma_hz[m] * ray[j] * ray[k]
-        cov[i, 0, 0] += across_hz2[m]
-        cov[i, 1, 1] += across_hz2[m]
-        status[i] = ok
-        if len(path_of):
-            path_of[i] = -1
 
 
 def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> Floats:
     """What the noise of the tracks alone does to the expansion of each neighbourhood (Q, m): (Q,), else infinite.
 
-    The residuals of the similarity may be smaller by chance, or where pictures repeat exactly.
+    By the noisiest of each neighbourhood, over its size. The residuals of the similarity may be smaller by chance, or
+    where pictures repeat exactly.
     """
-    noise_hz = np.empty(len(neighbours))
-    _fill_noise(np.ascontiguousarray(states.xy), states.sigma_norm, neighbours, gap_s, noise_hz)
+    is_there = neighbours >= 0
+    count = np.maximum(np.sum(is_there, axis=1), 1)
+    xy = np.where(is_there[..., None], states.xy[neighbours], 0.0)
+    off = np.where(is_there[..., None], xy - (np.sum(xy, axis=1) / count[:, None])[:, None], 0.0)
+    sigma = np.max(np.where(is_there, states.sigma_norm[neighbours], 0.0), axis=1)
+    size = np.sqrt(np.sum(off**2, axis=(1, 2)))
+    noise_hz: Floats = np.divide(np.sqrt(2.0) * sigma, size * gap_s, out=np.full(len(size), np.inf), where=size > 0.0)
     return noise_hz
-
-
-@compiled_for("(f8[:, ::1], f8[::1], i8[:, ::1], f8, f8[::1])")
-def _fill_noise(xy: Floats, sigma_norm: Floats, neighbours: Ints, gap_s: float, noise_hz: Floats) -> None:
-    """Fills ``noise_hz (Q,)`` of `_expansion_noise_hz`: by the noisiest of each neighbourhood, over its size."""
-    for k in range(len(neighbours)):
-        x, y, sigma, count = 0.0, 0.0, 0.0, 0
-        for i in neighbours[k]:
-            if i >= 0:
-                x, y, sigma, count = x + xy[i, 0], y + xy[i, 1], max(sigma, sigma_norm[i]), count + 1
-        square = 0.0
-        for i in neighbours[k]:
-            if i >= 0:
-                square += (xy[i, 0] - x / count) ** 2 + (xy[i, 1] - y / count) ** 2
-        noise_hz[k] = np.sqrt(2.0) * sigma / (np.sqrt(square) * gap_s) if square > 0.0 else np.inf
 
 
 def _states(flows: Flows, abc_hz: Floats, cov: Floats, direction: Floats, status: Ints) -> TrackStates:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from ttcvid.config import PipelineConfig
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE
 from ttcvid.geometry.rotation import normalize
-from ttcvid.model import SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
+from ttcvid.model import SCENE_CLUSTER, Bools, Camera, Floats, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, horizon_offset, horizon_offset_px, onto_horizon
 from ttcvid.stages.objects.clusters import ON_HORIZON, ClusterMotion
-from ttcvid.stages.segmentation.approach_probability import closing_of_tracks
 from ttcvid.stages.segmentation.expansion import find_growing
 from ttcvid.stages.segmentation.ground_plane import find_road
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation
@@ -34,8 +32,6 @@ def in_our_way(
     before: tuple[Obstacle, ...],
     memory: BodyMemory,
     link_px: float,
-    plane: HorizonPlane | None,
-    camera: Camera,
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What of the scene stands in our way, as objects that move as the scene does; and the memory with them."""
@@ -53,7 +49,6 @@ def in_our_way(
         link_px,
         found.scene_fit,
         in_scene,
-        partial(closing_of_tracks, history),
     )
     public, obstacles, next_cluster_id = find_obstacles(
         before,
@@ -73,8 +68,8 @@ def in_our_way(
         direction = -normalize(np.append(way.aim, 1.0)[None])[0]
         covariance = _WAY_SIGMA_RAD**2 * (np.eye(3) - np.outer(direction, direction))
     motions = [
-        on_plane(
-            number, members, direction, covariance, "egomotion", plane, camera, is_static=True, is_one_surface=True
+        ClusterMotion(
+            number, members, direction, covariance, Status.ok, "egomotion", is_static=True, is_one_surface=True
         )
         for number, members in public.items()
     ]
@@ -95,8 +90,6 @@ def growing_things(
     memory: BodyMemory,
     link_px: float,
     error_px: float,
-    plane: HorizonPlane | None,
-    camera: Camera,
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
@@ -112,45 +105,26 @@ def growing_things(
         config.bodies,
     )
     motions = [
-        on_plane(
-            number, one.members, one.direction, one.direction_cov, "whole-tracks", plane, camera, is_one_surface=True
+        ClusterMotion(
+            number, one.members, one.direction, one.direction_cov, Status.ok, "whole-tracks", is_one_surface=True
         )
         for number, one in public.items()
     ]
     return motions, replace(memory, growing=growing, next_cluster_id=next_cluster_id)
 
 
-def on_plane(
-    cluster_id: int,
-    members: Ints,
-    direction: Floats,
-    covariance: Floats,
-    method: str,
-    plane: HorizonPlane | None,
-    camera: Camera,
-    *,
-    window_s: float = np.inf,
-    is_static: bool = False,
-    is_one_surface: bool = False,
-) -> ClusterMotion:
-    """The motion as found, or moved onto the horizon with the offset noted."""
-    offset_px = offset = None
+def on_plane(motion: ClusterMotion, plane: HorizonPlane | None, camera: Camera) -> ClusterMotion:
+    """A motion with a direction as found, or moved onto the horizon with the offset noted; with the status of that."""
+    direction, covariance = motion.direction, motion.direction_cov
+    if direction is None or covariance is None:
+        return motion
     if plane is not None:
-        offset_px = horizon_offset_px(direction, plane, camera)
-        offset = horizon_offset(direction, covariance, plane)
+        motion = replace(
+            motion,
+            method=motion.method + ON_HORIZON,
+            horizon_offset_px=horizon_offset_px(direction, plane, camera),
+            horizon_offset=horizon_offset(direction, covariance, plane),
+        )
         direction, covariance = onto_horizon(direction, covariance, plane)
-        method += ON_HORIZON
     status = Status.epipole_at_infinity if abs(direction[2]) < INFINITY_COSINE else Status.ok
-    return ClusterMotion(
-        cluster_id,
-        members,
-        direction,
-        covariance,
-        status,
-        method,
-        offset_px,
-        window_s,
-        is_static,
-        is_one_surface,
-        offset,
-    )
+    return replace(motion, direction=direction, direction_cov=covariance, status=status)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Status
 from ttcvid.stages.egomotion.flows import Flows, scene_directions, select_flows
 from ttcvid.stages.egomotion.relative_pose import DIRECTION_FLOOR_RAD
@@ -52,31 +51,10 @@ def track_directions(
             ways[number], covs[number] = way, cov
             if motion.cluster_id == SCENE_CLUSTER:
                 covs[number] += DIRECTION_FLOOR_RAD**2 * (np.eye(3) - np.outer(way, way))
+    taken = place > 0
+    direction[taken], covariance[taken] = ways[place[taken]], covs[place[taken]]
     # The scene's direction has changed over a gap; with a horizon the present one, corrected, stands for all.
-    is_followed = plane is None and np.isfinite(ways[:, 0]) & (ids == SCENE_CLUSTER)
-    _take_over(place, ways, covs, along_scene, int(np.argmax(is_followed)), direction, covariance)
+    is_followed = (plane is None) & np.isfinite(ways[:, 0]) & (ids == SCENE_CLUSTER)
+    in_scene = is_followed[place]
+    direction[in_scene] = along_scene[in_scene]
     return TrackDirections(flows, direction, covariance, status)
-
-
-@compiled_for("(i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8, f8[:, ::1], f8[:, :, ::1])")
-def _take_over(
-    place: Ints,
-    ways: Floats,
-    covs: Floats,
-    along_scene: Floats,
-    followed: int,
-    direction: Floats,
-    covariance: Floats,
-) -> None:
-    """Fill what each of N tracks takes from its cluster, at ``place (N,)`` of those of K + 1 rows; 0 is no cluster.
-
-    Those at the place ``followed`` take directions of their own, ``along_scene (N, 3)``; 0: none do.
-    """
-    for i in range(len(place)):
-        k = place[i]
-        if k == 0:
-            continue
-        for a in range(3):
-            direction[i, a] = along_scene[i, a] if k == followed else ways[k, a]
-            for b in range(3):
-                covariance[i, a, b] = covs[k, a, b]

@@ -72,7 +72,6 @@ def straight_or_in_bend(
     path_of: Ints,
     config: CollisionTimesConfig,
     found_cov: Floats,
-    common: Floats,
     *,
     may_leave_directions: bool,
 ) -> SharedPaths:
@@ -84,9 +83,9 @@ def straight_or_in_bend(
         As ``xy, t_s, sigma_norm, path_of`` of `points_of_paths`.
     beliefs
         `believed_straight`.
-    found_cov, common
-        How well the directions were found that things have if they drive straight on, and what the noise of their
-        points has in common: as for `PathFits.paths_from_found_directions`.
+    found_cov
+        How well the directions were found that things have if they drive straight on, as for
+        `PathFits.paths_from_found_directions`.
     may_leave_directions
         Whether a thing in a bend is a body on a circle, whose direction is free: it would leave a horizon that is
         known. Where it must not, its path is that of a thing that hardly turns, with another belief in its turn.
@@ -113,7 +112,7 @@ def straight_or_in_bend(
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
         is_straight[may_turn] = ~bends
     is_straight &= chi2 <= _STRAIGHT_CHI2 * of_noise
-    steady = fits.paths_from_found_directions(found_cov, common, straight)
+    steady = fits.paths_from_found_directions(found_cov, straight)
     return chosen_paths(chosen, steady, np.arange(len(is_straight)), is_straight)
 
 

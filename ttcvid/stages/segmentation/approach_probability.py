@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
-from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking, fit_closing
+from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking
 from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
 from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
 from ttcvid.stages.tracking.groups import TrackSets
@@ -130,22 +130,14 @@ def with_seen_motion(
     return seen
 
 
-def closing_of(xy: Floats, since_s: Floats, focal_px: float) -> Closing | None:
-    """How the depth of a thing changes, and faster all the while; None where it has not been seen for long enough.
+def braking_of(xy: Floats, since_s: Floats, focal_px: float, least_s: float) -> Closing | None:
+    """How the depth of a thing changes that may have begun to brake within what is seen; None with too few views.
 
     Parameters
     ----------
     xy, since_s : (L, M, 2) places of its tracks in the plane z = 1 of the present camera, the last view the present
         one, and (L,) when that was.
-    """
-    depth, variance, radius = depths_over_time(xy)
-    return fit_closing(depth, variance, since_s, _drift_hz(radius * focal_px))
-
-
-def braking_of(xy: Floats, since_s: Floats, focal_px: float, least_s: float) -> Closing | None:
-    """How the depth of a thing changes that may have begun to brake within what is seen, as `closing_of`.
-
-    ``least_s`` is how long ago at the least.
+    least_s : how long ago it began, at the least.
     """
     depth, variance, radius = depths_over_time(xy)
     drift_hz = _drift_hz(radius * focal_px)
@@ -154,11 +146,6 @@ def braking_of(xy: Floats, since_s: Floats, focal_px: float, least_s: float) -> 
         return None
     steady_hz2 = (1.0 - _WALKING_PART**2) * drift_hz / _DRIFT_S
     return replace(found, cov=found.cov + np.diag([steady_hz2, 0.0]))
-
-
-def closing_of_tracks(history: TrackHistory, members: Ints) -> Closing | None:
-    """How the depth of what some of the tracks (M,) show changes; None without enough views."""
-    return closing_of(*_views(history, members), history.focal_px)
 
 
 def braking_of_tracks(history: TrackHistory, members: Ints, least_s: float) -> Closing | None:

@@ -69,8 +69,7 @@ class Segmentation:
     """The bodies of a frame: ``key (N,)`` of each track's body, the movers, and how the scene explains tracks.
 
     ``misfit (N,)`` of each track on the scene's path, in units of what is usual there, ``usual_misfit``;
-    ``sway (L, 3)`` how far the scene lay off a steady path, 0 before a camera that does not sway; ``is_displaced (N,)``
-    tracks whose present observation no body explains: it is a false one.
+    ``is_displaced (N,)`` tracks whose present observation no body explains: it is a false one.
     """
 
     key: Ints
@@ -79,7 +78,6 @@ class Segmentation:
     scene_fit: PathFit
     misfit: Floats
     usual_misfit: float
-    sway: Floats
     is_displaced: Bools
 
 
@@ -139,7 +137,7 @@ def find_bodies(
     memory = replace(memory, rate_hz=memory.rate_hz * seen.speed)
     labels = _with_lost(history, memory, key, seen.rate_hz)
     memory = BodyMemory(seen.scene, movers, *labels, seen.road, next_key, next_cluster_id, frame=history.frame)
-    found = Segmentation(key, movers, seen.scene, seen.fit, seen.misfit, seen.usual_misfit, seen.sway, is_displaced)
+    found = Segmentation(key, movers, seen.scene, seen.fit, seen.misfit, seen.usual_misfit, is_displaced)
     return found, memory
 
 

@@ -8,7 +8,6 @@ object that shares the scene's motion.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,6 @@ import numpy as np
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
 from ttcvid.geometry.compiled import compiled_for
-from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.model import Bools, Floats, Ints
@@ -55,9 +53,6 @@ _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
 # Two tracks of what stands on the road were once below this height. A car far ahead on a bend that moves nearly as we
 # do looks near by its small sideways motion, and then seems to float at the height of the camera.
 _MOST_FOOT = 0.5
-# A suspended object approaches if its expansion is significant (99.9 %, one side) and, within two standard deviations,
-# at least this part of what its time to collision implies.
-_SIGMAS_999, _AGREES_SIGMAS, _AS_FAST = 3.090, 2.0, 0.85
 _TINY_HZ = 1e-9
 
 
@@ -85,16 +80,11 @@ class OwnPath:
         return np.asarray(self.aim + np.outer(later_s * self.turn_hz, [1.0, 0.0]))
 
 
-def unknown_closing(_: Ints) -> None:
-    """Nothing is known of how the depth of any tracks changes."""
-
-
 @dataclass(frozen=True)
 class StaticPoints:
     """N tracks and their depths on the scene's path: ``track_id (N,)``, ``xy_px (N, 2)``, ``fit``.
 
-    ``in_scene (N,)`` those that move with the scene. Neighbours are nearer than ``link_px``. ``closing_of`` tells how
-    the depth of what some tracks (M,) show changes, by the sizes of its picture; None where that is not known.
+    ``in_scene (N,)`` those that move with the scene. Neighbours are nearer than ``link_px``.
     """
 
     track_id: Ints
@@ -103,7 +93,6 @@ class StaticPoints:
     link_px: float
     fit: PathFit
     in_scene: Bools
-    closing_of: Callable[[Ints], Closing | None] = unknown_closing
 
     @property
     def link(self) -> float:
@@ -205,8 +194,7 @@ def _surfaces(points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: O
         if not is_again and _goes_on(surface, depths, pairs):
             continue
         has_come = is_confirmed[index[surface]].mean() > 0.5
-        hangs = not (has_come or depths.reaches_down(surface))
-        if hangs and not _comes(points, index[surface], way):
+        if not (has_come or depths.reaches_down(surface)):
             continue
         link = points.link * (_KEPT if is_again else 1.0)
         if _is_in_the_way(depths, surface, way, link):
@@ -329,22 +317,6 @@ def _goes_on(surface: Ints, depths: _Depths, pairs: Ints) -> bool:
     beside = beside[~is_ground]
     nearer = depths.log_rate[beside] > np.median(depths.log_rate[surface]) + depths.tolerance[beside]
     return bool(np.count_nonzero(nearer) > max(_LEAST_GOES_ON, _GOES_ON * len(surface)))
-
-
-def _comes(points: StaticPoints, surface: Ints, way: OwnPath) -> bool:
-    """Whether the picture of a surface, tracks (M,), grows as that of what comes at us has to.
-
-    An oncoming car looks nearer than it is, and hangs over the road there. So does a car far ahead that moves as we do,
-    and a little to the side: but its picture stays as large as it was. Cars that drive into a bend one after the other
-    part, and grow as one thing, but hardly as fast.
-    """
-    closing = points.closing_of(surface)
-    if closing is None:
-        return False
-    has_to_hz = 1.0 / float(way.reached_s(np.array([np.median(points.fit.rate_hz[surface])]))[0])
-    grows_hz, sigma_hz = -closing.rate_hz, closing.rate_sigma_hz
-    is_sure = grows_hz > _SIGMAS_999 * sigma_hz
-    return is_sure and grows_hz + _AGREES_SIGMAS * sigma_hz > _AS_FAST * has_to_hz
 
 
 def _is_in_the_way(depths: _Depths, surface: Ints, way: OwnPath, link: float) -> bool:
