@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +47,12 @@ def drawing_key(scenario: Scenario) -> str:
     return hashlib.sha256((json.dumps(content, sort_keys=True, default=str) + code).encode()).hexdigest()
 
 
+@cache
 def code_digest(place: Path, *, without: tuple[str, ...] = ()) -> str:
-    """Digest of the Python files of a folder (or of one file), those of the folders ``without`` left out."""
+    """Digest of the Python files of a folder (or of one file), those of the folders ``without`` left out.
+
+    Read once a process: what it runs is what it imported at its start.
+    """
     digest = hashlib.sha256()
     files = [place] if place.is_file() else sorted(place.rglob("*.py"))
     for file in files:

@@ -1,6 +1,7 @@
 """Whole analyses of small clips: every output is there, says what it is, and is the same each time."""
 
 import json
+from itertools import count
 from pathlib import Path
 
 import av
@@ -46,6 +47,18 @@ def test_a_clip_gives_every_output(work_folder: Path) -> None:
     np.testing.assert_allclose(run.frames.t_s.astype(float), np.arange(12) / FPS, atol=1e-9)
     assert run.frames.dt_s.isna().tolist() == [True] + [False] * 11
     assert len(run.collision_times) == run.manifest["counts"]["track_rows"]
+
+
+def test_from_the_second_analysis_on_its_process_has_the_compiled_code_loaded(
+    work_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+    monkeypatch.setattr("ttcvid.jobs.analyze.command._ANALYSES", count())
+    monkeypatch.setattr("ttcvid.jobs.analyze.command.load_compiled", lambda: calls.append(1))
+    clip = write_clip(work_folder / "clip.mp4", approach(3))
+    for n_calls in (0, 1):
+        ttcvid.analyze(clip, overlay=False, report=False, overwrite=True)
+        assert len(calls) == n_calls
 
 
 def test_an_assumed_camera_is_said_everywhere(work_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,21 +4,32 @@ import os
 import subprocess
 import sys
 
-SCRIPT = """
+FEW_SOURCES = """
 from pathlib import Path
 import ttcvid
 from ttcvid.jobs.processes import compilation
 geometry = Path(ttcvid.__file__).parent / "geometry"
 compilation._sources = lambda: [geometry / "medians.py", geometry / "camera" / "pinhole.py"]
-told = []
 compilation.usable_cores = lambda: {cores}
+"""
+COMPILE = """
+told = []
 print(compilation.compile_missing(lambda *progress: told.append(progress)), told[:1], sorted(told[1:])[-1:])
 """
 
 
-def compiled_in_new_process(folder, cores):
+LOAD = """
+def n_loaded():
+    compilation.load_compiled.cache_clear()
+    compilation.load_compiled()
+    return sum(bool(entry.function.signatures) for entry in compilation.entry_points())
+print(n_loaded(), compilation.compile_missing(), n_loaded() == len(compilation.entry_points()) > 0)
+"""
+
+
+def compiled_in_new_process(folder, cores, script=COMPILE):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    command = [sys.executable, "-c", SCRIPT.format(cores=cores)]
+    command = [sys.executable, "-c", FEW_SOURCES.format(cores=cores) + script]
     run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     return run.stdout.strip()
 
@@ -29,6 +40,10 @@ def test_what_is_missing_is_compiled_once_by_several_processes(tmp_path):
     assert first == f"True [(0, {n_total})] [({n_total}, {n_total})]"
     assert len(list(tmp_path.rglob("medians.*.nbc"))) >= 2
     assert compiled_in_new_process(tmp_path, cores=2) == "False [] []"
+
+
+def test_all_is_loaded_from_disk_and_nothing_before_it_is_there(tmp_path):
+    assert compiled_in_new_process(tmp_path, cores=2, script=LOAD) == "0 True True"
 
 
 def test_other_files_are_compiled_again_when_a_source_file_changes(tmp_path, monkeypatch):

@@ -15,6 +15,8 @@ from ttcvid.simulate.world import World, pose_of
 NOTHING = -2
 GROUND = -1
 """Actor numbers of the sky and of the ground."""
+RAYS_AT_ONCE = 256
+"""Arrays of rays times faces stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +53,22 @@ def face_stack(world: World, frame: int) -> FaceStack:
     cam_R_road = world.path.cam_R_road[frame]
     to_body = {GROUND: (cam_R_road, -cam_R_road @ world.path.position_m[frame])}
     for index, actor in enumerate(world.actors):
-        pose = pose_of(world, actor, frame)
+        pose, faces = pose_of(world, actor, frame), actor.face_arrays
         to_body[index] = (pose.cam_R_body, pose.position_m)
-        for face in actor.faces:
-            corner.append(pose.cam_R_body @ face.origin_m + pose.position_m)
-            along_u.append(pose.cam_R_body @ face.along_u)
-            along_v.append(pose.cam_R_body @ face.along_v)
-            size.append(face.size_m)
-            numbers.append(index)
-    u, v = np.array(along_u).reshape(-1, 3), np.array(along_v).reshape(-1, 3)
+        corner.append(faces.origin_m @ pose.cam_R_body.T + pose.position_m)
+        along_u.append(faces.along_u @ pose.cam_R_body.T)
+        along_v.append(faces.along_v @ pose.cam_R_body.T)
+        size.append(faces.size_m)
+        numbers.append(np.full(len(faces.size_m), index))
+    none = np.empty((0, 3))
+    u, v = np.concatenate([none, *along_u]), np.concatenate([none, *along_v])
     return FaceStack(
-        np.array(corner).reshape(-1, 3),
+        np.concatenate([none, *corner]),
         u,
         v,
         np.cross(u, v),
-        np.array(size).reshape(-1, 2),
-        np.array(numbers, np.int64),
+        np.concatenate([np.empty((0, 2)), *size]),
+        np.concatenate([np.empty(0, np.int64), *numbers]),
         None if world.scene.ground.kind == "none" else cam_R_road[:, 2],
         float(world.path.position_m[frame, 2]),
         to_body,
@@ -75,29 +77,39 @@ def face_stack(world: World, frame: int) -> FaceStack:
 
 def cast(stack: FaceStack, rays: Floats) -> Hit:
     """The nearest surface along rays (x, y, 1) ``(N, 3)``, seen from outside."""
-    depth = np.full(len(rays), np.inf)
-    actor = np.full(len(rays), NOTHING)
-    if stack.ground_up is not None:
-        towards = rays @ stack.ground_up
-        below = towards < 0
-        depth[below] = -stack.height_m / towards[below]
-        actor[below] = GROUND
-    distance = np.sum(stack.normal * stack.corner_m, axis=1)
-    for face in np.flatnonzero(distance > 0):
-        inverse = rays @ stack.normal[face] / distance[face]
-        at = np.where(inverse > 0, 1 / np.where(inverse > 0, inverse, 1.0), np.inf)
-        nearer = np.flatnonzero(at < depth)
-        offset = rays[nearer] * at[nearer, None] - stack.corner_m[face]
-        u, v = offset @ stack.along_u[face], offset @ stack.along_v[face]
-        inside = (u >= 0) & (u <= stack.size_m[face, 0]) & (v >= 0) & (v <= stack.size_m[face, 1])
-        depth[nearer[inside]] = at[nearer[inside]]
-        actor[nearer[inside]] = stack.actor[face]
+    blocks = [_nearest(stack, rays[start : start + RAYS_AT_ONCE]) for start in range(0, len(rays), RAYS_AT_ONCE)]
+    depth = np.concatenate([np.empty(0), *(depth for depth, _ in blocks)])
+    actor = np.concatenate([np.empty(0, np.int64), *(actor for _, actor in blocks)])
     place = np.full((len(rays), 3), np.nan)
     for index in np.unique(actor[actor != NOTHING]):
         cam_R_body, origin = stack.to_body[int(index)]
         on_it = actor == index
         place[on_it] = (rays[on_it] * depth[on_it, None] - origin) @ cam_R_body
     return Hit(depth, actor, place)
+
+
+def _nearest(stack: FaceStack, rays: Floats) -> tuple[Floats, Ints]:
+    """Depth and actor ``(N,)`` of the nearest surface along rays ``(N, 3)``; infinite depth: nothing."""
+    distance = np.sum(stack.normal * stack.corner_m, axis=1)
+    faces = np.flatnonzero(distance > 0)
+    inverse = rays @ stack.normal[faces].T / distance[faces]
+    # A column for the ground, then one for each face that shows its outside.
+    depth = np.full((len(rays), 1 + len(faces)), np.inf)
+    np.divide(1.0, inverse, out=depth[:, 1:], where=inverse > 0)
+    if stack.ground_up is not None:
+        towards = rays @ stack.ground_up
+        np.divide(-stack.height_m, towards, out=depth[:, 0], where=towards < 0)
+    at = np.where(inverse > 0, depth[:, 1:], 0.0)
+    corner, along_u, along_v = stack.corner_m[faces], stack.along_u[faces], stack.along_v[faces]
+    u = at * (rays @ along_u.T) - np.sum(corner * along_u, axis=1)
+    v = at * (rays @ along_v.T) - np.sum(corner * along_v, axis=1)
+    width_m, height_m = stack.size_m[faces].T
+    is_inside = (u >= 0) & (u <= width_m) & (v >= 0) & (v <= height_m)
+    depth[:, 1:][~is_inside] = np.inf
+    first = depth.argmin(axis=1)
+    nearest = depth[np.arange(len(rays)), first]
+    actors = np.concatenate([[GROUND], stack.actor[faces]])
+    return nearest, np.where(np.isfinite(nearest), actors[first], NOTHING)
 
 
 def points_in_camera(world: World, frame: int, actor: Ints, place_m: Floats) -> Floats:

@@ -63,6 +63,26 @@ class Face:
         return np.array([self.origin_m + offset for offset in (0 * across, across, across + down, down)])
 
 
+@dataclass(frozen=True)
+class FaceArrays:
+    """The rectangles of a body: ``origin_m, along_u, along_v (F, 3)`` and ``size_m (F, 2)``, as `Face` has them."""
+
+    origin_m: Floats
+    along_u: Floats
+    along_v: Floats
+    size_m: Floats
+
+
+def face_arrays(faces: list[Face]) -> FaceArrays:
+    """Faces as arrays."""
+    return FaceArrays(
+        np.array([face.origin_m for face in faces], float).reshape(-1, 3),
+        np.array([face.along_u for face in faces], float).reshape(-1, 3),
+        np.array([face.along_v for face in faces], float).reshape(-1, 3),
+        np.array([face.size_m for face in faces], float).reshape(-1, 2),
+    )
+
+
 def size_of(body: Body) -> Vector:
     """Length, width and height of a body in m."""
     length, width, height = body.size_m or DEFAULT_SIZE_M[body.kind]

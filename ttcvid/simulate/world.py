@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ttcvid.model import Camera, Floats
 from ttcvid.simulate.poses import BodyPath, CameraPath, body_motion, body_path, camera_path
 from ttcvid.simulate.scene import Body, Scene, camera_of
-from ttcvid.simulate.shapes import Face, Part, faces_of, parts_of
+from ttcvid.simulate.shapes import Face, FaceArrays, Part, face_arrays, faces_of, parts_of
 
 STATIC_LABEL = 0
 SKY_LABEL = 65535
@@ -26,6 +27,11 @@ class Actor:
     parts: list[Part]
     faces: list[Face]
     path: BodyPath
+
+    @cached_property
+    def face_arrays(self) -> FaceArrays:
+        """Its faces in one."""
+        return face_arrays(self.faces)
 
 
 @dataclass(frozen=True)

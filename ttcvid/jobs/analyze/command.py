@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,7 +26,7 @@ from ttcvid.jobs.clip import (
     read_calibration,
     refuse_folder_of_input,
 )
-from ttcvid.jobs.processes.compilation import compilation_complaint
+from ttcvid.jobs.processes.compilation import compilation_complaint, load_compiled
 from ttcvid.jobs.processes.side_by_side import (
     READ_AHEAD_ITEMS,
     WRITE_BEHIND_ITEMS,
@@ -67,6 +68,9 @@ PICTURE_BYTES_PER_PX = 2.5
 """Of a decoded picture: its brightness for the analysis, and all of it, as it is stored, for the overlay."""
 LEAST_OFFSET_PX = 3.0
 """Epipoles may lie so far off the horizon, whatever the calibration says of itself: a road is not quite level."""
+
+_ANALYSES = count()
+"""Numbers the analyses of this process from 0."""
 
 OnFrame = Callable[[int, int | None], None]
 """Called with the number of frames analysed and the number expected (None: unknown)."""
@@ -201,6 +205,9 @@ def _analyze_into(
         def run_apart(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
             return stack.enter_context(beside(function, stop.until_requested(items), n_apart))
 
+        if next(_ANALYSES) > 0:
+            # Each copy of this process would load from disk what the copy before it has loaded.
+            load_compiled()
         results = analyze_frames(
             frames,
             calibration.camera,

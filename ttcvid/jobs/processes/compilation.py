@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from functools import cache
 from pathlib import Path
 
 import numba
@@ -46,14 +47,8 @@ def compile_missing(on_compiled: OnCompiled = lambda n_done, n_total: None) -> b
         A process that compiles was ended from outside.
     """
     sources = _sources()
-    # Any of them says where copies belong, but always the same one.
-    first = _module(sources[0])
-    importlib.import_module(first)
-    folder = next(entry.folder for entry in entry_points() if entry.module == first)
-    if folder is None:
-        return False
-    done = Path(folder) / f"{_DONE_NAME}{_digest(sources)}"
-    if done.exists():
+    done = _mark_that_all_is_done(sources)
+    if done is None or done.exists():
         return False
     import_compiled()
     n_done, n_total = 0, len(entry_points())
@@ -68,6 +63,20 @@ def compile_missing(on_compiled: OnCompiled = lambda n_done, n_total: None) -> b
         former.unlink(missing_ok=True)
     done.touch()
     return True
+
+
+@cache
+def load_compiled() -> None:
+    """Load all compiled functions into this process, so that a copy of it (a fork) has them; once a process.
+
+    Nothing is done unless all of them are on disk: to compile those that nobody calls takes a minute.
+    """
+    done = _mark_that_all_is_done(_sources())
+    if done is None or not done.exists():
+        return
+    import_compiled()
+    for entry in entry_points():
+        entry.compile()
 
 
 def import_compiled() -> None:
@@ -98,6 +107,15 @@ def damage_complaint() -> str | None:
 def _sources() -> list[Path]:
     """The files of the package that hold compiled functions."""
     return [file for file in sorted(_PACKAGE.rglob("*.py")) if re.search(_MARK_OF_SOURCE, file.read_bytes())]
+
+
+def _mark_that_all_is_done(sources: list[Path]) -> Path | None:
+    """The file that is there once all functions of these sources are on disk; None where nothing can be kept."""
+    # Any of them says where copies belong, but always the same one.
+    first = _module(sources[0])
+    importlib.import_module(first)
+    folder = next(entry.folder for entry in entry_points() if entry.module == first)
+    return None if folder is None else Path(folder) / f"{_DONE_NAME}{_digest(sources)}"
 
 
 def _module(file: Path) -> str:
