@@ -1,4 +1,4 @@
-"""Runs commands of ttcvid for `attacked_runs.Attacker`, each in a copy of this process, so that none waits for imports.
+"""Runs commands of ttcvid for `attacked_runs.Attacker`, each in a copy of this process: none imports or loads anything.
 
 Reads one JSON object a line from standard input and answers each with one on standard output.
 """
@@ -18,6 +18,7 @@ from typing import Any
 import psutil
 
 import ttcvid
+from ttcvid.jobs.processes.compilation import load_compiled
 
 POLL_S = 0.002
 
@@ -96,6 +97,7 @@ def main() -> None:
     for module in pkgutil.walk_packages(ttcvid.__path__, "ttcvid."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
+    load_compiled()
     for line in sys.stdin:
         print(json.dumps(run(json.loads(line))), flush=True)
 

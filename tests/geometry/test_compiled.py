@@ -1,17 +1,20 @@
 """Compiled functions are kept on disk, and made anew when their file or what they use of others changes."""
 
+import importlib
 import inspect
-import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from copies_of_process import in_copy
+from numba.core import caching
 from numba.core.sigutils import normalize_signature
 
 import ttcvid
-from ttcvid.geometry.compiled import compiled, entry_points
+from ttcvid.geometry.compiled import compiled, entry_points, has_place_on_disk
 from ttcvid.jobs.processes.compilation import import_compiled
 
 PACKAGE = Path(ttcvid.__file__).parent
@@ -31,41 +34,73 @@ def test_compiled_sums_that_hold_a_nan_are_not_finite():
     assert _finite_sums(xy, path) == 3
 
 
-SCRIPT = """
+MADE = """
 import numpy as np
-from ttcvid.geometry import compiled, medians
-if {ahead}:
-    for entry in compiled.entry_points():
-        entry.compile()
-print(compiled.has_place_on_disk(), medians.median(np.arange(5.0)), sum(medians._median.stats.cache_hits.values()))
+from ttcvid.geometry.compiled import compiled, compiled_for
+
+@compiled
+def doubled(x):
+    return 2.0 * x
+
+@compiled
+def sums(x):
+    return doubled(x) + 1.0
+
+@compiled_for("(f8[:],)")
+def total(values):
+    return values.sum()
+
+ONE = 1.0
+"""
+CALLER = """
+from made import ONE, doubled
+from ttcvid.geometry.compiled import compiled
+
+@compiled
+def other_sums(x):
+    return doubled(x) + ONE
 """
 
 
-# Numba asks each of these for a place; a folder that root may not write to is not to be had everywhere.
-WITHOUT_PLACE = "from numba.core import caching; caching.CacheImpl._locator_classes = []"
+@pytest.fixture
+def called(tmp_path: Path) -> Callable[..., list[tuple[float, int]]]:
+    """Values of functions of the module made here, and how many came from disk, in a copy of this process."""
+    (tmp_path / "made.py").write_text(MADE)
+    (tmp_path / "caller.py").write_text(CALLER)
+    return lambda *names, **options: in_copy(_called, tmp_path, names, options)
 
 
-def printed_by_median(folder, before="", ahead=False):
-    """Whether there is a place, a median, and how often its code came from disk, in a new process."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    run = subprocess.run(
-        [sys.executable, "-c", before + SCRIPT.format(ahead=ahead)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return run.stdout.split()
+def _called(folder, names, options):
+    # Texts that differ by one figure within a second are the same to Python's own compiled files.
+    sys.dont_write_bytecode = True
+    sys.path.insert(0, str(folder))
+    if not options.get("has_place", True):
+        # Numba asks each of these for a place; a folder that root may not write to is not to be had everywhere.
+        caching.CacheImpl._locator_classes = []
+    modules = [importlib.import_module(name) for name in ("made", "caller")]
+    assert has_place_on_disk() == options.get("has_place", True)
+    if options.get("ahead"):
+        for entry in entry_points():
+            if entry.module == "made":
+                entry.compile()
+    functions = [next(vars(module)[name] for module in modules if name in vars(module)) for name in names]
+    return [
+        (function(ARGUMENTS[name]), function.stats.cache_hits.total())
+        for name, function in zip(names, functions, strict=True)
+    ]
+
+
+ARGUMENTS = {"doubled": 3.0, "sums": 3.0, "other_sums": 3.0, "total": np.arange(3.0)}
 
 
 @pytest.mark.parametrize("ahead", [False, True])
-def test_what_a_former_run_has_compiled_is_found_on_disk(tmp_path, ahead):
-    assert printed_by_median(tmp_path, ahead=ahead) == ["True", "2.0", "0"]
-    assert printed_by_median(tmp_path) == ["True", "2.0", "1"]
+def test_what_a_former_run_has_compiled_is_found_on_disk(called, ahead):
+    assert called("total", ahead=ahead) == [(3.0, 0)]
+    assert called("total") == [(3.0, 1)]
 
 
-def test_without_a_place_on_disk_it_is_compiled_all_the_same(tmp_path):
-    assert printed_by_median(tmp_path, WITHOUT_PLACE) == ["False", "2.0", "0"]
+def test_without_a_place_on_disk_it_is_compiled_all_the_same(called):
+    assert called("total", has_place=False) == [(3.0, 0)]
 
 
 def test_an_entry_point_says_a_type_for_each_of_its_arguments():
@@ -102,57 +137,16 @@ def test_an_analysis_calls_each_entry_point_with_the_types_that_it_says(tmp_path
     assert "".join(others) == ""
 
 
-CALLEE = """
-import numpy as np
-from ttcvid.geometry.compiled import compiled
-
-@compiled
-def doubled(x):
-    return 2.0 * x
-
-@compiled
-def sums(x):
-    return doubled(x) + 1.0
-"""
-CALLER = """
-from callee import ONE, doubled
-from ttcvid.geometry.compiled import compiled
-
-@compiled
-def other_sums(x):
-    return doubled(x) + ONE
-"""
-USES_CALLEE = "from callee import doubled; print(doubled(3.0), doubled.stats.cache_hits.total())"
-USES_BOTH = "from callee import doubled, sums; print(doubled(3.0), sums(3.0), sums.stats.cache_hits.total())"
+def test_a_function_that_calls_one_from_disk_can_be_compiled_and_found_there_itself(called):
+    assert called("doubled") == [(6.0, 0)]
+    assert called("doubled") == [(6.0, 1)]
+    assert called("doubled", "sums") == [(6.0, 1), (7.0, 0)]
+    assert called("doubled", "sums") == [(6.0, 1), (7.0, 1)]
 
 
-def test_a_function_that_calls_one_from_disk_can_be_compiled_and_found_there_itself(tmp_path):
-    (tmp_path / "callee.py").write_text(CALLEE)
-    environment = {**os.environ, "PYTHONPATH": f"{PACKAGE.parent}:{tmp_path}"}
-
-    def printed(code):
-        command = [sys.executable, "-c", code]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
-
-    assert printed(USES_CALLEE) == ["6.0", "0"]
-    assert printed(USES_CALLEE) == ["6.0", "1"]
-    assert printed(USES_BOTH) == ["6.0", "7.0", "0"]
-    assert printed(USES_BOTH) == ["6.0", "7.0", "1"]
-
-
-@pytest.mark.parametrize(("before", "after", "value"), [("2.0 *", "3.0 *", "10.0"), ("ONE = 1.0", "ONE = 2.0", "8.0")])
-def test_a_function_is_compiled_anew_when_what_it_uses_of_another_file_changes(tmp_path, before, after, value):
-    callee = tmp_path / "callee.py"
-    callee.write_text(CALLEE + "ONE = 1.0\n")
-    (tmp_path / "caller.py").write_text(CALLER)
-    environment = {**os.environ, "PYTHONPATH": f"{PACKAGE.parent}:{tmp_path}"}
-
-    def printed():
-        code = "from caller import other_sums; print(other_sums(3.0), other_sums.stats.cache_hits.total())"
-        command = [sys.executable, "-c", code]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
-
-    assert printed() == ["7.0", "0"]
-    assert printed() == ["7.0", "1"]
-    callee.write_text(callee.read_text().replace(before, after))
-    assert printed() == [value, "0"]
+@pytest.mark.parametrize(("before", "after", "value"), [("2.0 *", "3.0 *", 10.0), ("ONE = 1.0", "ONE = 2.0", 8.0)])
+def test_a_function_is_compiled_anew_when_what_it_uses_of_another_file_changes(called, tmp_path, before, after, value):
+    assert called("other_sums") == [(7.0, 0)]
+    assert called("other_sums") == [(7.0, 1)]
+    (tmp_path / "made.py").write_text(MADE.replace(before, after))
+    assert called("other_sums") == [(value, 0)]

@@ -205,8 +205,8 @@ def _analyze_into(
         def run_apart(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
             return stack.enter_context(beside(function, stop.until_requested(items), n_apart))
 
-        if next(_ANALYSES) > 0:
-            # Each copy of this process would load from disk what the copy before it has loaded.
+        if next(_ANALYSES) == 1:
+            # There are several: each copy of this process would load from disk what the one before it has loaded.
             load_compiled()
         results = analyze_frames(
             frames,

@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from functools import cache
 from pathlib import Path
 
 import numba
@@ -65,9 +64,8 @@ def compile_missing(on_compiled: OnCompiled = lambda n_done, n_total: None) -> b
     return True
 
 
-@cache
 def load_compiled() -> None:
-    """Load all compiled functions into this process, so that a copy of it (a fork) has them; once a process.
+    """Load all compiled functions into this process, so that copies of it (forks) have them.
 
     Nothing is done unless all of them are on disk: to compile those that nobody calls takes a minute.
     """
