@@ -1,4 +1,4 @@
-"""Which objects are on collision course: near, soon, and surely."""
+"""Which objects are on collision course: short time, small miss distance, sufficient confidence."""
 
 from __future__ import annotations
 
@@ -19,33 +19,38 @@ from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, 
 from ttcvid.stages.segmentation.own_turn import OwnBend
 
 ClosingOf = Callable[[int], Closing | None]
-"""From the number of a cluster to how its depth changes; None where that is not known."""
+"""From a ``cluster_id`` to how the depth of the object changes; None where that is not known."""
 
-# A warning that stands goes on up to these multiples of the thresholds.
+# Hysteresis: an active warning goes on up to these multiples of the thresholds.
 _KEEP_TTC, _KEEP_MISS = 1.25, 1.5
-# What is seen of a thing counts by its part across the way that it goes, and half as much again for our own width; and
-# by this part in any case, since nothing is a line.
+# Of an object's visible width its component across the direction of motion counts, 1.5 times for our own width, and
+# at least this share of the width: no object is a line.
 _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
-# What closes in ever faster is told at 99 % (one side), beyond what looking for when that began adds
-# (`geometry.estimation.closing.fit_braking`); who brakes goes on with it for about so long, s.
+# Braking is significant at 99 % (one side), beyond what the search for its beginning adds to the statistic
+# (`geometry.estimation.closing.fit_braking`); it is extrapolated for this long, s.
 _SIGMAS_99, _SIGMAS_OF_CHOICE, _LASTING_S = 2.326, 0.35, 1.0
-# The time that this leaves has to be short by its best estimate and a standard deviation: it does not run down as other
-# times do, since brakes are let go.
+# The time left under braking has to be short by one standard deviation: braking may stop, so that this time need not
+# run down.
 _SOON_SIGMAS = 1.0
-# Half of our own width, and that with some room beside it, in heights of the camera above the road: cars, vans and
-# lorries alike.
+# Half of our own width, without and with clearance, in heights of the camera above the road: alike for cars, vans and
+# lorries.
 _HALF_HEIGHTS, _ROOM_HEIGHTS = 0.6, 1.0
-# A bend that turns us by less than this until the closest approach is none, rad.
+# A smaller turn until the closest approach counts as straight, rad.
 _LEAST_TURN_RAD = 0.01
-# A miss distance, in units of depth, without a side.
+# Divisors are at least this; a shorter miss vector, in units of depth, has no direction.
 _TINY = 1e-9
 
 
 @dataclass(frozen=True)
 class Course:
-    """What may be on collision course: surely, and then by how many ``sigmas``; or that is open.
+    """The course of an object that may be on collision course.
 
-    ``miss_widths`` is the best estimate of where it passes us, as seen from the camera: in widths, as the limit is.
+    Attributes
+    ----------
+    is_sure : whether it is on collision course at the configured confidence; else that is open.
+    sigmas : by how many standard deviations, where it is sure.
+    miss_widths : best estimate of the vector from the camera to the closest approach, camera frame, in widths of the
+        object; NaN where it is open.
     """
 
     is_sure: bool
@@ -57,17 +62,19 @@ OPEN = Course(is_sure=False)
 
 
 def unknown_closing(_: int) -> None:
-    """Nothing is known of how the depth of any cluster changes."""
+    """The `ClosingOf` that knows of no cluster."""
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """From where the objects of a frame are seen, and what else is known of them.
+    """What courses are judged from: the camera and what is known of its own motion.
 
-    ``on_ground``: we drive on a road. What is on it is met by a vehicle of usual width that reaches from the camera
-    down to the road: what passes below the camera hits it, and a long lorry need not pass as far off as it is long.
-    ``bend``: how we drive, if we turn: who goes along our road turns as it does. ``closing_of`` tells how the depth of
-    a cluster changes; asked where all depends on that, since it takes its time.
+    Attributes
+    ----------
+    on_ground : we are a road vehicle. It has the usual width and reaches from the camera down to the road: an object
+        that passes below the camera hits it, and a lorry need not pass at a distance of its length.
+    bend : our own turn; None: we go straight. Objects on our road turn with it.
+    closing_of : how the depth of a cluster changes. It is slow, and called only where the result depends on it.
     """
 
     camera: Camera
@@ -79,18 +86,20 @@ class Viewpoint:
 def course_of(
     row: ClusterRow, view: Viewpoint, config: EventsConfig, *, is_warned: bool = False, is_watched: bool = False
 ) -> Course | None:
-    """Whether an object comes close, soon and surely; None where it does not, as far as is known.
+    """Whether an object is on collision course; None where it is not, as far as is known.
 
-    Surely is at the configured confidence, one side each. The miss distance is judged in widths of the object from the
-    same state: a fixed ``miss_s`` would mean 6 m at 20 m/s and 0.6 m at 2 m/s. A car that brakes hard has no sure time,
-    but comes nearer surely, and straight at us.
+    It is where it approaches, and its time of closest approach and its miss distance are below the limits, each at the
+    configured one-sided confidence. The miss distance is judged in widths of the object: a fixed ``miss_s`` would mean
+    6 m at 20 m/s and 0.6 m at 2 m/s. An object that brakes hard (`_brakes_sigmas`) counts by the time under braking.
 
-    Only of such a car, more sigmas than asked for are told: its sizes over all the time that is looked at say that it
-    brakes. The state of anything else is of one moment, in which a bus on a bend heads at us as surely as can be.
+    Only for a braking object ``Course.sigmas`` may exceed the confidence asked for: its braking is seen over the whole
+    window. Any other state holds for one moment, in which a bus on a bend may head at us with great certainty.
 
     Parameters
     ----------
-    is_warned, is_watched : warned of, it may come a little later and miss by a little more; to be watched, only later.
+    row : the object, with state and covariance.
+    is_warned : the object has an active warning: both limits are looser.
+    is_watched : the condition of the watch: only the limit of the time is looser.
     """
     cov = row.state_cov
     if row.state_abc_hz is None or cov is None or row.motion_state == MotionState.unknown:
@@ -99,7 +108,7 @@ def course_of(
         return None
     is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road_hz is not None
     if is_standing and view.on_ground and not is_road_found and not is_warned:
-        # A bridge, trees beside the road or paint on it look like a wall as long as nobody knows where the road is.
+        # Without a ground plane, a bridge, roadside trees or road markings look like a wall ahead.
         return OPEN
     asked = _sigmas_of(config.confidence)
     max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
@@ -116,7 +125,7 @@ def course_of(
     if brakes_sigmas is None:
         return None
     nearer_sigmas = -float(row.state_abc_hz[2]) / max(math.sqrt(cov[2, 2]), _TINY)
-    # The miss distance is as many standard deviations below the limit.
+    # The miss distance is this many standard deviations below its limit.
     straight_sigmas = (max_miss_widths - at_best) / max(sigma_widths, _TINY)
     return Course(True, max(min(nearer_sigmas, straight_sigmas, brakes_sigmas), asked), tuple(off_widths))
 
@@ -128,9 +137,9 @@ def _sigmas_of(confidence: float) -> float:
 
 
 def _brakes_sigmas(closing: Closing | None, max_ttc_s: float) -> float | None:
-    """By how many standard deviations a thing closes in ever faster that is reached so soon; None for anything else.
+    """Significance of an object's braking, if that makes its time shorter than ``max_ttc_s``; else None.
 
-    At constant velocity a car that has just begun to brake seems far away for long.
+    At constant velocity, an object that has just begun to brake seems to have much time left.
     """
     if closing is None:
         return None
@@ -140,7 +149,7 @@ def _brakes_sigmas(closing: Closing | None, max_ttc_s: float) -> float | None:
 
 
 def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
-    """Probability that an object comes nearer in depth, by its state now; 0 without one."""
+    """Probability that the depth of an object decreases, by its state ``(3,)`` and covariance (3, 3); 0 without."""
     if abc_hz is None or cov is None:
         return 0.0
     sigma_hz = max(math.sqrt(cov[2, 2]), _TINY)
@@ -148,11 +157,11 @@ def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
 
 
 def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, view: Viewpoint) -> Floats:
-    """Where an object passes us, over its width: (4,), best estimate (3,) and standard deviation of its length.
+    """Miss vector of an object in widths, and the standard deviation of its length: ``(4,)``, vector first.
 
-    Both in units of depth: how fast the object comes has no part in it, only where to. Where its sides are is seen at
-    the height of the reference point, which itself may be at either side: of a lorry that crosses, the end that is
-    nearer. On the road, what lies behind its front follows that.
+    Speed cancels: both are lengths in units of depth, over the width. The sides are taken at the height of the
+    reference point, which may itself be at one side (the nearer end of a crossing lorry). On the road only the front
+    face counts: the rest follows it.
     """
     assert row.ref_px is not None
     bend, on_ground = view.bend, view.on_ground
@@ -164,7 +173,7 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, view: Viewpoint) 
     straight_on = _missing(rays, abc_hz, cov, on_ground, view.camera)
     if bend is None or not on_ground or not abs(bend.turn_rad_s) * float(row.times.tcpa_s[0]) > _LEAST_TURN_RAD:
         return straight_on
-    # What moves as the scene does stands still.
+    # Objects of the scene's motion stand still on the ground.
     speed_hz = float(np.linalg.norm(abc_hz)) if row.motion_id == SCENE_MOTION else bend.speed_hz(rays[4, :2])
     if speed_hz is None:
         return straight_on
@@ -175,7 +184,7 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, view: Viewpoint) 
 
 
 def _along_bend(rays: Floats, abc_hz: Floats, cov: Floats, bend: OwnBend, speed_hz: float, camera: Camera) -> Floats:
-    """The same in coordinates along our bend, by our speed over the depth of the object."""
+    """As `_missing`, in coordinates along our bend; ``speed_hz`` is our speed over the depth of the object."""
     found = straightened(rays[0], abc_hz, bend.heading, speed_hz, bend.turn_rad_s)
     depth = float(found.place[2])
     if not depth > _TINY:
@@ -186,26 +195,25 @@ def _along_bend(rays: Floats, abc_hz: Floats, cov: Floats, bend: OwnBend, speed_
 
 
 def _missing(rays: Floats, abc_hz: Floats, cov: Floats, on_ground: bool, camera: Camera) -> Floats:
-    """Where an object passes us, over its width, and the standard deviation of that: (4,).
+    """As `_miss_widths`, from the ``rays (5, 3)`` of its box: middle, left, right, top, bottom.
 
-    By the rays (5, 3) of its box: middle, left, right, top, bottom. A thing is as high as it is seen: of somebody who
-    walks before a car the feet pass below the camera by three times the width. A side at 90 deg or more off the axis
-    (of a fisheye) is nowhere in the plane z = 1: infinitely far.
+    The closest point within the height of the box counts: a pedestrian's feet pass below the camera by three times his
+    width. A side at 90 deg or more off the axis (fisheye) does not meet the plane z = 1: it is infinitely far.
     """
     speed = float(np.linalg.norm(abc_hz))
     way, place = abc_hz / speed, rays[0].copy()
     left, right, top, bottom = float(rays[1, 0]), float(rays[2, 0]), float(rays[3, 1]), float(rays[4, 1])
-    # Down across the way that it goes; not that of what goes straight down.
+    # Down, normal to the direction of motion; zero for vertical motion.
     down = np.array([0.0, 1.0, 0.0]) - way[1] * way
     down2 = float(down @ down)
     if down2 >= _TINY and np.isfinite(top) and np.isfinite(bottom):
-        # Where the thing passes nearest, up or down within the box.
+        # The height within the box at which it passes nearest.
         nearest = place[1] - down @ place / down2
         place[1] = min(max(nearest, min(top, place[1])), max(bottom, place[1]))
     ahead = float(way @ place)
     off = place - ahead * way
     if on_ground and off[1] > 0.0 and down2 >= _TINY:
-        # Our own car is below the camera.
+        # Our own body reaches from the camera down to the road.
         off -= down @ off / down2 * down
     miss = float(np.linalg.norm(off))
     sides = off[None] / miss if miss > _TINY else tangent_basis(way).T
@@ -215,18 +223,18 @@ def _missing(rays: Floats, abc_hz: Floats, cov: Floats, on_ground: bool, camera:
 
 
 def _width(way: Floats, left: float, right: float, bottom: float, on_ground: bool, camera: Camera) -> float:
-    """Width of an object that goes a ``way (3,)``, in units of depth, with what of our own counts beside it."""
-    # Across its way, with some of our own: a bus that crosses shows its length.
+    """Width of an object with direction of motion ``way (3,)``, in units of depth, with our own share of it."""
+    # Across the direction of motion, with our own share: a crossing bus shows its length.
     along, level = abs(float(way[2])), math.hypot(way[0], way[2])
     across = min(_WITH_OURS * along / level + _LEAST_ACROSS, 1.0) if level > 0.0 else 1.0
     seen = (right if math.isfinite(right) else math.inf) - (left if math.isfinite(left) else -math.inf)
     width = across * max(seen, 1.0 / camera.fx_px)
-    # The height of the camera above the foot of what moves level to us, in units of its depth.
+    # Height of the camera above the object's foot, in units of depth, for a horizontal motion.
     height = bottom - way[1] / way[2] if on_ground and along >= _TINY else math.nan
     if not math.isfinite(height):
         return width
     height = max(height, 0.0)
-    # Somebody who walks is narrower than half of our car, which hits him all the same: with its front, of which less
-    # lies across the way of who crosses it, and nothing where we stand.
+    # A pedestrian is narrower than half of our car, whose front hits him: its width counts by its component across the
+    # relative motion, which is zero where we stand.
     front = _HALF_HEIGHTS * height * along / level
     return min(max(width, 0.5 * width + front), 0.5 * width + _ROOM_HEIGHTS * height)

@@ -1,4 +1,4 @@
-"""Warnings: objects that will come close soon, with persistence before and hysteresis after."""
+"""Warnings of objects on collision course: they start after a persistence and end with hysteresis."""
 
 from __future__ import annotations
 
@@ -13,32 +13,35 @@ from ttcvid.config import EventsConfig
 from ttcvid.model import ClusterRow, Event, MotionState
 from ttcvid.stages.warnings.course import Course, Viewpoint, course_of, surety
 
-# A warning of what is hidden, or of which it is open where it goes, stands so many times as long as one that is over:
-# it is still there. So long is waited, too, for what was on its way to a warning.
+# A hidden object, or one whose course is open, is still there: its warning, or its watch, lasts this many times as long
+# as that of an object whose condition no longer holds.
 _HIDDEN = 3.0
-# What appears where something under watch was lost, with this part of the smaller box in common, is the same thing.
+# An object is re-identified with a lost one if their boxes overlap by this share of the smaller one.
 _SAME_PLACE = 0.3
-# An even chance: less than this asked for is nothing to be surer than.
+# Up to an even chance there are no odds to add up.
 _EVEN = 0.5
-# A step so many times as long as usual is a gap.
+# A step between frames this many times as long as the usual one is a gap.
 _STALLED = 1.5
-# Times of pictures are rounded to the clock of their container, and differences of them once more: what has lasted as
-# long as the persistence within this, s, has lasted as long.
+# Presentation times are rounded to the clock of their container: tolerance of a comparison of durations, s.
 _ROUNDING_S = 1e-3
-# A miss distance without a side, in widths.
+# A shorter miss vector has no direction, widths.
 _TINY = 1e-9
-# No tail is believed beyond this many standard deviations, 99.99 %: matching errors are not normal that far out.
+# Probabilities are capped at this many standard deviations, 99.99 %: matching errors have heavier tails than a normal.
 _SIGMAS_BELIEVED = 3.719
 
 
 @dataclass(frozen=True)
 class WatchedObject:
-    """An object under watch, and its warning.
+    """An object that meets the looser condition of a warning, and its warning.
 
-    Its condition holds since ``since_s``, last at ``last_s`` in the box ``box_px``; seen later, at ``seen_s``, it has
-    been open since then.
-    ``near_s`` is for how long it would be warned of, as far as that is worth (`_worth`), None where it would not;
-    ``recent`` what was known of it at the times of the last ``persistence_s``: (t_s, tcpa_s, *miss_widths).
+    Attributes
+    ----------
+    since_s, last_s : presentation times at which the condition began to hold and held last.
+    seen_s : when the object was last seen; after ``last_s`` its course is open.
+    box_px : its box at ``last_s``: left, top, right, bottom.
+    near_s : for how long the condition of a warning has held, weighted by `_worth`; None where it does not hold.
+    recent : ``(t_s, tcpa_s, *miss_widths)`` of each frame of the last ``persistence_s``.
+    event : its warning; None before it starts.
     """
 
     since_s: float
@@ -68,31 +71,37 @@ def update_events(
     *,
     step_s: float = 0.0,
 ) -> tuple[tuple[Event, ...], EventMemory]:
-    """Warnings active in this frame, and what to remember.
+    """Warnings active in this frame, and the memory for the next one.
 
-    A warning starts when an object has met the condition for ``persistence_s`` without a gap, in which what is surer
-    than asked for counts for more (`_worth`); or, after having come at us for as long but a little later, when it meets
-    it and what its time was by then has run down below the limit (`_has_run_down`). A look counts for the time since
-    the look before; one at which it is open where the object goes, as without any value, is no gap, but counts for
-    nothing. It ends when the object has not met the looser condition for as long, or has been hidden, or open, for
-    `_HIDDEN` times as long. An object that gets another number behind what hid it is warned of at once.
+    A warning starts when an object meets the condition (`course_of`) and has either
+
+    - met it for ``persistence_s``, where time at a higher confidence counts more (`_worth`), or
+    - met the looser condition for ``persistence_s`` while its time ran down below the limit (`_has_run_down`).
+
+    Each frame counts for the time since the frame before. A frame in which the course is open, or the object has no
+    value, counts for nothing, but is no interruption. A warning ends when the object has not met the looser condition
+    for ``persistence_s``, or has been hidden or open for `_HIDDEN` times as long. A warned object that reappears under
+    another ``cluster_id`` is warned of at once.
 
     Parameters
     ----------
-    step_s : usual time between frames; what is looked at so seldom that this is longer than the persistence has no gap.
+    frame, t_s : index and presentation time of the frame.
+    clusters : rows of the frame.
+    step_s : usual time between frames; where it exceeds the persistence, a single step is no gap.
+    view : as in `course_of`.
     """
     gone_s = _gone_s(config)
     longest_step_s = max(gone_s, _STALLED * step_s)
     rows = {row.cluster_id: row for row in clusters}
     watched: dict[int, WatchedObject] = {}
     next_event_id = memory.next_event_id
-    # What is lost first, whatever its number: something else may turn out to be it.
+    # Lost objects first: an object of this frame may be one of them.
     for cluster_id in sorted(set(rows) | set(memory.watched), key=lambda number: (number in rows, number)):
         before = memory.watched.get(cluster_id)
         warned = before is not None and before.event is not None
         row = rows.get(cluster_id)
         if before is not None and not warned and t_s - before.seen_s > longest_step_s:
-            # Not looked at in between (dark or doubled pictures): that is no persistence.
+            # Frames without an analysis (dark, duplicate) interrupt the persistence.
             before = None
         if row is None:
             if before is not None and t_s - before.last_s <= _HIDDEN * gone_s:
@@ -128,23 +137,23 @@ def update_events(
 def _watched(
     before: WatchedObject | None, row: ClusterRow, miss_widths: tuple[float, ...], t_s: float, config: EventsConfig
 ) -> WatchedObject:
-    """An object whose condition holds now, its warning as before."""
+    """The object with this frame added; its warning is not touched."""
     known = (t_s, float(row.times.tcpa_s[0]), *miss_widths)
     if before is None:
         return WatchedObject(t_s, t_s, t_s, row.box_px, recent=(known,))
-    # After a gap what was before it.
+    # After a gap, the last frame before it is kept.
     first_s = min(t_s - _gone_s(config), before.recent[-1][0])
     recent = (*(one for one in before.recent if one[0] >= first_s), known)
     return replace(before, seen_s=t_s, last_s=t_s, box_px=row.box_px, recent=recent)
 
 
 def _paused(one: WatchedObject, until_s: float) -> WatchedObject:
-    """The same, the time since its condition held last left out, up to this one."""
+    """The object with the time from ``last_s`` to ``until_s`` left out of its persistence."""
     return replace(one, since_s=one.since_s + until_s - one.last_s, last_s=until_s)
 
 
 def _near_s(before: WatchedObject | None, course: Course | None, t_s: float, config: EventsConfig) -> float | None:
-    """For how long an object would have been warned of by now; None where it would not be."""
+    """For how long the condition of a warning has held, s, weighted by `_worth`; None where it does not hold."""
     if course is None or not course.is_sure:
         return None
     if before is None or before.near_s is None:
@@ -153,7 +162,7 @@ def _near_s(before: WatchedObject | None, course: Course | None, t_s: float, con
 
 
 def _under_new_number(lost: WatchedObject, t_s: float, config: EventsConfig) -> WatchedObject:
-    """What was under watch and has another number now: if it was warned of, it is to be warned of at once."""
+    """A lost object re-identified under another ``cluster_id``: one with a warning gets its persistence for free."""
     if lost.event is None:
         return lost
     warned_s = t_s - config.persistence_s
@@ -161,36 +170,37 @@ def _under_new_number(lost: WatchedObject, t_s: float, config: EventsConfig) -> 
 
 
 def _lasts(lasted_s: float, config: EventsConfig) -> bool:
-    """Whether what has held for so long has held for the persistence."""
+    """Whether a duration reaches the persistence."""
     return lasted_s >= config.persistence_s - _ROUNDING_S
 
 
 def _worth(sigmas: float, config: EventsConfig) -> float:
-    """How many times as long as it lasts a condition counts that holds by so many standard deviations.
+    """Factor (at least 1) by which time counts towards the persistence, for a condition met by so many sigmas.
 
-    As in Wald's sequential test, where log odds add up until they are enough: enough is the confidence for the
-    persistence, over which errors of neighbouring frames hang together, so that odds count by the time.
+    Log odds add up as in Wald's sequential test. Enough is the configured confidence during the persistence: errors of
+    neighbouring frames are correlated, so that odds count per time and not per frame.
     """
     asked, sure = config.confidence, float(ndtr(min(sigmas, _SIGMAS_BELIEVED)))
     return float(max(logit(sure) / logit(asked), 1.0)) if asked > _EVEN else 1.0
 
 
 def _has_run_down(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
-    """Whether a thing is near in time by most of what its time was lately, and has come at us for as long.
+    """Whether an object has met the looser condition for the persistence, and its recent times, run down, are short.
 
-    That a time runs down needs no proof, but a single one of them may err.
+    The median of the recent ``tcpa_s``, each less the time since, has to be within the limit: one of them may err.
     """
     left_s = [tcpa_s - (t_s - then_s) for then_s, tcpa_s, *_ in one.recent]
     return _lasts(t_s - one.since_s, config) and float(np.median(left_s)) <= config.max_ttc_s
 
 
 def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
-    """Whether a thing that heads at us now surely will not do so by its closest approach, as its way bends.
+    """Whether an object on a bend surely misses us, although it heads at us at this moment (a bus on a roundabout).
 
-    A bus on a roundabout heads at us for a moment. What accelerates across its way by a goes on to miss us by more: by
-    a times the time that is left in each second, and by half of that rate times this time until then. The rate is that
-    of a straight line through the miss distances of the persistence, to the side on which it is now, as unsure as they
-    scatter about it. (Who brakes is reached by the limit, long before the time at constant velocity.)
+    Under a transverse acceleration a the miss distance of the present velocity grows by a times the time left, per
+    second, and by half that rate times the time left until the closest approach. The rate and its standard deviation
+    come from a straight line through the miss distances of the persistence, along their present direction, with their
+    own scatter as noise. The time left is capped at the limit: a braking object is reached long before its time at
+    constant velocity.
     """
     times_s, tcpa_s, *off_widths = np.array(one.recent).T
     off, ago_s = np.array(off_widths).T, times_s - t_s
@@ -211,7 +221,7 @@ def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
 def _lost_at(
     box_px: tuple[float, float, float, float], watched: dict[int, WatchedObject], rows: dict[int, ClusterRow]
 ) -> int | None:
-    """Number of an object under watch that is not there any more and was last where this box is; None: none."""
+    """``cluster_id`` of a watched object that is lost and whose last box overlaps this one; None: there is none."""
     for cluster_id, one in watched.items():
         if cluster_id not in rows and _common_part(box_px, one.box_px) > _SAME_PLACE:
             return cluster_id
@@ -219,7 +229,7 @@ def _lost_at(
 
 
 def _common_part(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> float:
-    """Area that two boxes have in common over that of the smaller one."""
+    """Area of the intersection of two boxes over that of the smaller one."""
     width = min(one[2], other[2]) - max(one[0], other[0])
     height = min(one[3], other[3]) - max(one[1], other[1])
     smaller = min((box[2] - box[0]) * (box[3] - box[1]) for box in (one, other))
@@ -227,18 +237,18 @@ def _common_part(one: tuple[float, float, float, float], other: tuple[float, flo
 
 
 def _gone_s(config: EventsConfig) -> float:
-    """What is gone for longer has gone."""
+    """Longest interruption of a condition that is not its end, s."""
     return config.persistence_s + _ROUNDING_S
 
 
 def standing_events(memory: EventMemory, t_s: float, config: EventsConfig) -> tuple[Event, ...]:
-    """Warnings that stand in a frame in which nothing is looked at: as they were, until that has lasted too long."""
+    """Warnings still active in a frame without an analysis; each ends as if its object were hidden."""
     recent = [watched for watched in memory.watched.values() if t_s - watched.last_s <= _HIDDEN * _gone_s(config)]
     return tuple(watched.event for watched in recent if watched.event is not None)
 
 
 def restarted_events(memory: EventMemory) -> EventMemory:
-    """Nothing under watch any more, but no number given out twice."""
+    """Memory without watched objects; event numbers go on."""
     return EventMemory(next_event_id=memory.next_event_id)
 
 
