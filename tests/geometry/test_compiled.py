@@ -123,7 +123,8 @@ scene, out = sys.argv[1:]
 ttcvid.simulate(scene, out + "/scene", tracks=TrackOptions(n_tracks=150), n_frames=24)
 ttcvid.analyze(out + "/scene/tracks.parquet", out + "/run", camera=out + "/scene/camera.yaml", platform="vehicle")
 used = [entry for entry in entry_points() if entry.function.signatures]
-print(len(used), *(entry.signature for entry in used if len(entry.function.signatures) > 1), sep="\\n")
+more = [entry.signature for entry in used if len(entry.function.signatures) > 1]
+print(len(used) / len(entry_points()), *more, sep="\\n")
 """
 
 
@@ -132,8 +133,8 @@ def test_an_analysis_calls_each_entry_point_with_the_types_that_it_says(tmp_path
     scene = PACKAGE / "jobs" / "demo_scene.yaml"
     command = [sys.executable, "-c", ANALYSIS, str(scene), str(tmp_path)]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
-    n_used, *others = run.stdout.split("\n")
-    assert int(n_used) > 60
+    used_part, *others = run.stdout.split("\n")
+    assert float(used_part) > 0.5
     assert "".join(others) == ""
 
 
