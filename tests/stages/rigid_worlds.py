@@ -12,6 +12,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Platform, PointSet
 from ttcvid.stages.egomotion.relative_pose import Egomotion
+from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.labels import BodyMemory, find_bodies
 from ttcvid.stages.tracking.history import empty_history, extended, with_egomotion
 
@@ -159,9 +160,8 @@ def bodies_of(
         cov = 1e-8 * np.eye(3)
         egomotion = Egomotion(step, cov, direction, None if direction is None else cov, np.zeros(len(shown)))
         every = np.ones(len(shown), dtype=bool)
-        found, memory = find_bodies(
-            history, egomotion, platform, every, every, memory, LINK_PX, MODEL_ERROR_PX, BodiesConfig()
-        )
+        views = body_views(history, every, LINK_PX, MODEL_ERROR_PX)
+        found, memory = find_bodies(history, views, egomotion, platform, every, memory, BodiesConfig())
         history = replace(history, cam_R_past=found.scene.cam_R_past[0])
         frames.append(Frame(t_s, found, memory, names[shown], numbers[shown]))
     return frames

@@ -9,10 +9,13 @@ from relative_motion import box_of_points, history_of
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
+from ttcvid.model import Platform
 from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.diverging_flow import expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
+from ttcvid.stages.segmentation.ground_plane import RoadMemory
+from ttcvid.stages.segmentation.scene import SeenScene
 
 CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
 TIMES_S = 0.05 * np.arange(20.0)
@@ -58,22 +61,10 @@ def found_in(views, scene, fit, seeds=None, sway=None, *, few_are_enough=True):
 
 
 def new_in(views, scene, fit):
-    every = np.arange(len(fit.misfit))
-    members, paths, _ = new_movers(
-        views,
-        scene,
-        np.zeros((len(TIMES_S), 3)),
-        np.ones(len(every), dtype=bool),
-        fit,
-        fit.misfit,
-        fit.misfit,
-        1.0,
-        np.zeros(len(every), dtype=bool),
-        np.zeros((len(every), 2)),
-        views.neighbours(fit.misfit > CONFIG.scene_gate, np.zeros(len(every), dtype=bool)),
-        CONFIG,
-        few_are_enough=True,
-    )
+    nowhere, misfit = np.zeros(len(fit.misfit), dtype=bool), fit.misfit
+    sway, of_scene = np.zeros((len(TIMES_S), 3)), (fit.rate_hz, fit, misfit, misfit, 1.0)
+    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), False, Platform.free, False, sway)
+    members, paths, _ = new_movers(views, seen, ~nowhere, views.neighbours(misfit > CONFIG.scene_gate, nowhere), CONFIG)
     return members, paths
 
 

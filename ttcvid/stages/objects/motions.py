@@ -19,6 +19,7 @@ from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_hz
 from ttcvid.stages.segmentation.bodies import direction_of_last_step
+from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.data_association import numbers_of
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation, find_bodies
 from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
@@ -87,8 +88,9 @@ def find_motions(
         is_measured = not (camera.is_assumed or camera.is_found)
         error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
         before = memory
+        views = body_views(history, is_free, link_px, error_px)
         found, memory = find_bodies(
-            history, egomotion, config.egomotion.platform, is_free, may_start, memory, link_px, error_px, config.bodies
+            history, views, egomotion, config.egomotion.platform, may_start, memory, config.bodies
         )
         history = without_displaced(replace(history, cam_R_past=found.scene.cam_R_past[0]), found.is_displaced)
         is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced

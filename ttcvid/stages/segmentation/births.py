@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.estimation.shared_direction import shared_directions
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.estimation.track_state import fit_whole_tracks
 from ttcvid.geometry.medians import row_medians
 from ttcvid.geometry.rotation import turned_into_plane
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Bools, Floats, Ints, Platform
 from ttcvid.stages.segmentation.aperture_problem import may_slip
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.segmentation.diverging_flow import expanding_movers, tracks_needed
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
+from ttcvid.stages.segmentation.ground_plane import on_road
 from ttcvid.stages.segmentation.occlusions import between_surfaces
+from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
 # Views that a track needs to contradict the scene.
@@ -36,93 +38,86 @@ _SLIP = 0.02
 _NO_MISFIT = 0.1
 
 
+@dataclass(frozen=True)
+class _Things:
+    """K things that may be movers: ``members``, the tracks (M,) and the path (L, 3) of each.
+
+    ``needed (K,)`` tracks that each needs, surely explained better; ``is_along (N,)`` tracks that contradict the scene
+    by their place alone; ``edge (N, 2)`` how far the window of each is on an edge along which it may slip.
+    """
+
+    members: list[tuple[Ints, Floats]]
+    needed: Ints
+    is_along: Bools
+    edge: Floats
+
+
 def new_movers(
-    views: BodyViews,
-    scene: RigidPaths,
-    sway: Floats,
-    in_scene: Bools,
-    scene_fit: PathFit,
-    misfit: Floats,
-    seen_misfit: Floats,
-    usual_misfit: float,
-    on_road: Bools,
-    edge: Floats,
-    neighbours: Ints,
-    config: BodiesConfig,
-    *,
-    few_are_enough: bool,
+    views: BodyViews, seen: SeenScene, in_scene: Bools, neighbours: Ints, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
     """Connected tracks of the scene that contradict it together and that a motion of their own explains.
 
     Parameters
     ----------
-    sway : (L, 3) how far the scene lay off a steady path, see `Segmentation`.
-    in_scene : (N,) which tracks belong to the scene by now, and how its path explains them: ``scene_fit``.
-    misfit, seen_misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``, with what the road
-        contradicts and without it.
-    on_road : (N,) tracks at the depth of the road on which they are seen.
-    edge : (N, 2) how far the window of each is on an edge along which it may slip, as in `PointSet`.
+    in_scene : (N,) tracks that belong to the scene by now, and may start a mover.
     neighbours : (N, K) of each track that contradicts the scene.
-    few_are_enough : of what heads at us, as in `expanding_movers`.
 
     Returns
     -------
     Tracks (M,), motion and median rate of each.
     """
-    is_asked = in_scene & views.is_free & (scene_fit.n_views >= _LEAST_VIEWS)
-    candidates = _candidates(neighbours, is_asked, _without_slip(views, on_road, misfit), config)
-    is_along = (misfit > config.scene_gate) & (seen_misfit < config.scene_gate)
-    explained = partial(
-        _explained, views, scene, scene_fit, misfit, usual_misfit, in_scene & (misfit < config.scene_gate), neighbours
-    )
+    is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
+    misfit = _without_slip(views, on_road(seen.fit, seen.road), seen.misfit)
+    candidates = _candidates(neighbours, is_asked, misfit, config)
     # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
-    may_spread = is_asked & (scene_fit.n_views >= LEAST_VIEWS)
-    things = expanding_movers(
-        views, scene, may_spread, sway, candidates, misfit, usual_misfit, config, few_are_enough=few_are_enough
+    may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
+    members = expanding_movers(
+        views,
+        seen.scene,
+        may_spread,
+        seen.sway,
+        candidates,
+        seen.misfit,
+        seen.usual_misfit,
+        config,
+        # In the air what comes straight at us is found as one surface, which few tracks tell the times of.
+        few_are_enough=seen.platform != Platform.aircraft,
     )
-    spread, paths, rate_hz = explained(
-        things, np.zeros_like(is_along), np.zeros_like(edge), tracks_needed(things, config), config
-    )
-    for members in spread:
-        candidates = np.setdiff1d(candidates, members)
-    things = _alike_things(views, scene, candidates, is_along, config)
-    alike, alike_paths, alike_hz = explained(things, is_along, edge, np.full(len(things), config.min_tracks), config)
+    nowhere = np.zeros_like(in_scene)
+    things = _Things(members, tracks_needed(members, config), nowhere, np.zeros_like(views.edge))
+    is_static = in_scene & (seen.misfit < config.scene_gate)
+    spread, paths, rate_hz = _explained(views, seen, things, is_static, neighbours, config)
+    for tracks in spread:
+        candidates = np.setdiff1d(candidates, tracks)
+    is_along = (seen.misfit > config.scene_gate) & (seen.seen_misfit < config.scene_gate)
+    members = _alike_things(views, seen.scene, candidates, is_along, config)
+    # Before a camera that moves past nothing all surfaces flow alike, and nothing slips.
+    edge = views.edge if seen.moves_past else np.zeros_like(views.edge)
+    things = _Things(members, np.full(len(members), config.min_tracks), is_along, edge)
+    alike, alike_paths, alike_hz = _explained(views, seen, things, is_static, neighbours, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
 
 def _explained(
-    views: BodyViews,
-    scene: RigidPaths,
-    scene_fit: PathFit,
-    misfit: Floats,
-    usual_misfit: float,
-    is_static: Bools,
-    neighbours: Ints,
-    things: list[tuple[Ints, Floats]],
-    is_along: Bools,
-    edge: Floats,
-    needed: Ints,
-    config: BodiesConfig,
+    views: BodyViews, seen: SeenScene, things: _Things, is_static: Bools, neighbours: Ints, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
-    """Those of K things, tracks (M,) and path (L, 3) of each, that a motion of their own explains.
+    """Those of K things that a motion of their own explains.
 
     Parameters
     ----------
-    scene_fit, misfit : of all N tracks on the path of the scene; ``is_static (N,)`` those that it explains.
-    is_along : (N,) tracks that contradict the scene by their place alone.
-    edge : (N, 2) how far the window of each is on an edge along which it may slip.
-    needed : (K,) tracks that each thing needs, surely explained better.
+    is_static : (N,) tracks that the scene explains.
 
     Returns
     -------
     Tracks that it explains better, motion and median rate of each.
     """
-    if not things:
+    scene, misfit, usual_misfit, is_along = seen.scene, seen.misfit, seen.usual_misfit, things.is_along
+    if not things.members:
         return [], scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
-    track = np.concatenate([members for members, _ in things])
-    thing = np.repeat(np.arange(len(things)), [len(members) for members, _ in things])
+    track = np.concatenate([members for members, _ in things.members])
+    thing = np.repeat(np.arange(len(things.members)), [len(members) for members, _ in things.members])
     points = views.points(track, thing)
-    ways = np.stack([path for _, path in things])
+    ways = np.stack([path for _, path in things.members])
     # What contradicts the scene by its place alone moves along our own path.
     ways[np.bincount(thing, is_along[track]) > 0.0] = scene.path[0]
     starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
@@ -132,12 +127,12 @@ def _explained(
     is_found = np.bincount(thing, is_better) > 0.5 * np.bincount(thing)
     if is_found.any():
         xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
-        may_slide = between_surfaces(scene, scene_fit, is_static, track, neighbours[track], xy) & ~is_along[track]
+        may_slide = between_surfaces(scene, seen.fit, is_static, track, neighbours[track], xy) & ~is_along[track]
         # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
         is_sure = is_better & (~may_slide | (misfit_by_own < misfit[track] / config.gain**2))
         gate = config.scene_gate * usual_misfit
-        slips = may_slip(edge[track], xy, scene.path[0], views.sigma_norm[track], gate)
-        is_found &= np.bincount(thing, is_sure & (~slips | is_along[track])) >= needed
+        slips = may_slip(things.edge[track], xy, scene.path[0], views.sigma_norm[track], gate)
+        is_found &= np.bincount(thing, is_sure & (~slips | is_along[track])) >= things.needed
     found = np.flatnonzero(is_found)
     return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, are_held, fit_on_movers
 from ttcvid.stages.segmentation.last_known_position import LastKnownPositions, nowhere
+from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.segmentation.velocities import Velocities, unknown_velocities
 
 # Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
@@ -137,34 +138,22 @@ def numbers_of(key: Ints, movers: Movers) -> Ints:
 
 
 def assigned(
-    views: BodyViews,
-    movers: Movers,
-    scene: RigidPaths | None,
-    key: Ints,
-    neighbours: Ints,
-    scene_fit: PathFit,
-    misfit: Floats,
-    seen_misfit: Floats,
-    usual_misfit: float,
-    *,
-    camera_rests: bool,
+    views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints
 ) -> tuple[Ints, Movers, OwnFit]:
     """Each track to the body that explains it best, among the scene and those that it or a neighbour belonged to.
 
     Parameters
     ----------
-    scene : its path, which movers may go along; None where it is not known to move past us.
+    seen : the scene, along whose path movers may go unless it rests.
     key : (N,) body of each track by now.
     neighbours : (N, K) of each track that belongs to a mover or has one beside it.
-    scene_fit, misfit, seen_misfit : of each track on the scene's path; (N,), in units of ``usual_misfit``, with what
-        the road contradicts and without it.
-    camera_rests : before it the scene has no motion that could be wrong: what moves is none of it.
 
     Returns
     -------
     Key (N,) of each track's body; the movers, those that go along our way on its path; and how each track's body
     explains it.
     """
+    misfit, scene_fit = seen.misfit, seen.fit
     if not len(movers):
         return key, movers, unknown_fit(misfit)
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
@@ -172,17 +161,17 @@ def assigned(
     track, mover = np.nonzero((votes[:, 1:] > 0) | (number[:, None] == np.arange(1, n_bodies)))
     points = views.points(track, mover)
     fit = fit_on_movers(points, movers.paths, movers.rate_hz)
-    off, rate_hz, sigma_hz = fit.misfit / usual_misfit, fit.rate_hz, fit.rate_sigma_hz
+    off, rate_hz, sigma_hz = fit.misfit / seen.usual_misfit, fit.rate_hz, fit.rate_sigma_hz
     is_held = are_held(fit, points, movers.rate_hz)
     is_own = number[track] == mover + 1
-    if scene is not None:
+    if not seen.rests:
         # All that a mover had is asked: what its own path explains no longer shows most that it goes along our way.
-        is_along = _most_of(is_own & (seen_misfit[track] < off), is_own, mover, len(movers))
-        movers = _on_path_of(scene, scene_fit, movers, number, is_along)
+        is_along = _most_of(is_own & (seen.seen_misfit[track] < off), is_own, mover, len(movers))
+        movers = _on_path_of(seen, movers, number, is_along)
         along = is_along[mover]
         most_hz = scene_fit.rate_hz + _RATE_SIGMAS * scene_fit.rate_sigma_hz
         is_far = most_hz[track] < LEAST_RATE * movers.rate_hz[mover]
-        off = np.where(along, np.where(is_far, np.inf, seen_misfit[track]), off)
+        off = np.where(along, np.where(is_far, np.inf, seen.seen_misfit[track]), off)
         rate_hz = np.where(along, scene_fit.rate_hz[track], rate_hz)
         sigma_hz = np.where(along, scene_fit.rate_sigma_hz[track], sigma_hz)
         is_held &= ~along
@@ -192,7 +181,7 @@ def assigned(
     # Infinite: what is not asked about, and what is none of it.
     misfits = np.full((len(key), n_bodies), np.inf)
     misfits[:, 0], misfits[track, 1 + mover] = misfit, np.where(is_other | is_still[mover], np.inf, off)
-    best = np.argmin(_costs(misfits, votes, number, scene_fit.n_views, camera_rests), axis=1)
+    best = np.argmin(_costs(misfits, votes, number, scene_fit.n_views, seen.camera_rests), axis=1)
     own = unknown_fit(np.take_along_axis(misfits, best[:, None], axis=1)[:, 0])
     is_best = best[track] == 1 + mover
     moves = track[is_best]
@@ -206,7 +195,7 @@ def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
     return np.asarray(np.bincount(mover, is_one, n_movers) > 0.5 * np.bincount(mover, is_own, n_movers))
 
 
-def _on_path_of(scene: RigidPaths, scene_fit: PathFit, movers: Movers, number: Ints, is_along: Bools) -> Movers:
+def _on_path_of(seen: SeenScene, movers: Movers, number: Ints, is_along: Bools) -> Movers:
     """The movers, those ``is_along (K,)`` on the path of the scene; ``number (N,)`` of each track's body.
 
     What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
@@ -214,11 +203,11 @@ def _on_path_of(scene: RigidPaths, scene_fit: PathFit, movers: Movers, number: I
     """
     if not is_along.any():
         return movers
-    track = np.flatnonzero(np.append(False, is_along)[number] & (scene_fit.rate_sigma_hz > 0.0))
-    rate_hz = medians(scene_fit.rate_hz[track], number[track] - 1, len(movers))
+    track = np.flatnonzero(np.append(False, is_along)[number] & (seen.fit.rate_sigma_hz > 0.0))
+    rate_hz = medians(seen.fit.rate_hz[track], number[track] - 1, len(movers))
     paths = RigidPaths(
-        np.where(is_along[:, None, None, None], scene.cam_R_past, movers.paths.cam_R_past),
-        np.where(is_along[:, None, None], scene.path, movers.paths.path),
+        np.where(is_along[:, None, None, None], seen.scene.cam_R_past, movers.paths.cam_R_past),
+        np.where(is_along[:, None, None], seen.scene.path, movers.paths.path),
     )
     return replace(movers, paths=paths, rate_hz=np.where(np.isfinite(rate_hz), rate_hz, movers.rate_hz))
 

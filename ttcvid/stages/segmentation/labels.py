@@ -18,14 +18,14 @@ from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platfor
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.bodies import carried_forward
-from ttcvid.stages.segmentation.body_views import BodyViews, body_views
+from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers, OwnFit, assigned, is_due, kept, no_movers, numbers_of
-from ttcvid.stages.segmentation.ground_plane import RoadMemory, on_road
+from ttcvid.stages.segmentation.ground_plane import RoadMemory
 from ttcvid.stages.segmentation.last_steps import stepped_movers
 from ttcvid.stages.segmentation.merge_and_split import merged, split
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.reinitialisation import reinitialised
-from ttcvid.stages.segmentation.scene import SeenScene, see_scene
+from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
 from ttcvid.stages.segmentation.surface_memory import Obstacle, number_of_taken, without_numbers
 from ttcvid.stages.tracking.groups import places_among
 from ttcvid.stages.tracking.history import TrackHistory
@@ -83,50 +83,41 @@ class Segmentation:
 
 def in_scene(memory: BodyMemory, track_id: Ints) -> Bools:
     """Tracks (N,) that no mover of the last frame holds."""
-    return np.asarray(_carried_labels(memory, track_id)[0] == SCENE_CLUSTER)
+    return np.asarray(_carried_labels(memory, track_id).key == SCENE_CLUSTER)
 
 
 def find_bodies(
     history: TrackHistory,
+    views: BodyViews,
     egomotion: Egomotion,
     platform: Platform,
-    is_free: Bools,
     may_start: Bools,
     memory: BodyMemory,
-    link_px: float,
-    model_error_px: float,
     config: BodiesConfig,
 ) -> tuple[Segmentation, BodyMemory]:
     """The scene, corrected, and the movers of a frame.
 
     Parameters
     ----------
+    views : of the history, as from `body_views`.
     platform : what carries the camera.
-    is_free : (N,) tracks that are not frozen to their pixel.
     may_start : (N,) tracks that a new mover may be made of.
-    link_px : two tracks are neighbours when they lie closer than this, px.
-    model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
     """
-    views = body_views(history, is_free, link_px, model_error_px)
     memory = _over_views(memory, history.frame)
-    key, rate_hz = _carried_labels(memory, history.track_id)
+    labels = _carried_labels(memory, history.track_id)
+    key, rate_hz = labels.key, labels.rate_hz
     movers = _carried_movers(memory, egomotion, views)
     known = np.append(SCENE_CLUSTER, movers.key)
     key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
-    seen = see_scene(history, egomotion, platform, is_free, memory.scene, memory.road, views, rate_hz, key, config)
+    seen = see_scene(history, egomotion, platform, memory.scene, memory.road, views, labels, config)
 
     movers = _refined(movers, seen.scene, views, key, seen.usual_misfit)
     is_displaced = _are_displaced(views, seen, movers, key, rate_hz)
-    belonged, is_free = key, is_free & ~is_displaced
-    views = replace(views, is_free=is_free)
+    belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
-    neighbours = views.neighbours(is_free & (seen.misfit > config.scene_gate), key != SCENE_CLUSTER)
+    neighbours = views.neighbours(views.is_free & (seen.misfit > config.scene_gate), key != SCENE_CLUSTER)
     key, movers, own = _divided(views, seen, key, movers, neighbours, config)
-    # In the air what comes straight at us is found as one surface, which few tracks tell the times of.
-    few_are_enough = platform != Platform.aircraft
-    key, movers, next_key = _with_new(
-        history, views, seen, key, movers, neighbours, may_start, memory.next_key, few_are_enough, config
-    )
+    key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     key, movers, next_key = split(views, key, movers, own, next_key, config)
     # A track whose present observation belongs to nothing is with its body again when the next one fits.
     stays = is_displaced & np.isin(belonged, np.append(SCENE_CLUSTER, movers.key))
@@ -135,8 +126,8 @@ def find_bodies(
     surfaces = memory.growing + memory.obstacles
     movers, next_cluster_id = _named(movers, key, history.track_id, surfaces, memory.next_cluster_id, config)
     memory = replace(memory, rate_hz=memory.rate_hz * seen.speed)
-    labels = _with_lost(history, memory, key, seen.rate_hz)
-    memory = BodyMemory(seen.scene, movers, *labels, seen.road, next_key, next_cluster_id, frame=history.frame)
+    tracks = _with_lost(history, memory, key, seen.rate_hz)
+    memory = BodyMemory(seen.scene, movers, *tracks, seen.road, next_key, next_cluster_id, frame=history.frame)
     found = Segmentation(key, movers, seen.scene, seen.fit, seen.misfit, seen.usual_misfit, is_displaced)
     return found, memory
 
@@ -185,19 +176,7 @@ def _divided(
     """The tracks, ``key (N,)``, among the scene and the movers that are known; those that stay; how each explains its
     own.
     """
-    scene = None if seen.rests else seen.scene
-    key, movers, own = assigned(
-        views,
-        movers,
-        scene,
-        key,
-        neighbours,
-        seen.fit,
-        seen.misfit,
-        seen.seen_misfit,
-        seen.usual_misfit,
-        camera_rests=seen.camera_rests,
-    )
+    key, movers, own = assigned(views, seen, key, movers, neighbours)
     before = key
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, seen.scene, key, movers, neighbours, own.misfit, seen.usual_misfit)
@@ -211,7 +190,6 @@ def _divided(
 
 
 def _with_new(
-    history: TrackHistory,
     views: BodyViews,
     seen: SeenScene,
     key: Ints,
@@ -219,29 +197,13 @@ def _with_new(
     neighbours: Ints,
     may_start: Bools,
     next_key: int,
-    few_are_enough: bool,
     config: BodiesConfig,
 ) -> tuple[Ints, Movers, int]:
     """The bodies with what of the scene's tracks moves by itself: known again, or new; and the next key."""
     births = config
     if seen.camera_rests:
         births = config.model_copy(update={"min_tracks": min(config.min_tracks, _TRACKS_AT_REST)})
-    found, paths, found_hz = new_movers(
-        views,
-        seen.scene,
-        seen.sway,
-        (key == SCENE_CLUSTER) & may_start,
-        seen.fit,
-        seen.misfit,
-        seen.seen_misfit,
-        seen.usual_misfit,
-        on_road(seen.fit, seen.road),
-        # Before a camera that moves past nothing all surfaces flow alike, and nothing slips.
-        history.edge if seen.moves_past else np.zeros_like(history.edge),
-        neighbours,
-        births,
-        few_are_enough=few_are_enough,
-    )
+    found, paths, found_hz = new_movers(views, seen, (key == SCENE_CLUSTER) & may_start, neighbours, births)
     if seen.camera_rests and found:
         is_one = _are_no_outlines(views, key, found, config.min_tracks)
         found = [members for members, is_mover in zip(found, is_one, strict=True) if is_mover]
@@ -285,23 +247,23 @@ def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
     return replace(memory, scene=memory.scene.over(stays), movers=movers)
 
 
-def _carried_labels(memory: BodyMemory, track_id: Ints) -> tuple[Ints, Floats]:
+def _carried_labels(memory: BodyMemory, track_id: Ints) -> TrackLabels:
     """Body and rate that each track had; new ones are with the scene."""
     key, rate_hz = np.full(len(track_id), SCENE_CLUSTER), np.full(len(track_id), np.nan)
     place = places_among(memory.track_id, track_id)
     is_known = place >= 0
     key[is_known], rate_hz[is_known] = memory.track_key[place[is_known]], memory.rate_hz[place[is_known]]
-    return key, rate_hz
+    return TrackLabels(key, rate_hz)
 
 
 def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Floats) -> tuple[Ints, Ints, Floats]:
     """All tracks that may be in the next frame, each with its body and rate."""
     if history.lost is None:
         return history.track_id, key, rate_hz
-    lost_key, lost_hz = _carried_labels(memory, history.lost.track_id)
+    lost = _carried_labels(memory, history.lost.track_id)
     track_id = np.concatenate([history.track_id, history.lost.track_id])
     order = np.argsort(track_id)
-    return track_id[order], np.concatenate([key, lost_key])[order], np.concatenate([rate_hz, lost_hz])[order]
+    return track_id[order], np.concatenate([key, lost.key])[order], np.concatenate([rate_hz, lost.rate_hz])[order]
 
 
 def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usual_misfit: float) -> Movers:

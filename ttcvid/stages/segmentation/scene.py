@@ -49,7 +49,7 @@ class SeenScene:
 
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
     each: of a scene that ``rests``, without motion. ``misfit (N,)``, in units of what is usual, ``usual_misfit``, with
-    what the ``road`` contradicts raised above ``seen_misfit (N,)``; ``camera_rests``: on a mast, as was told;
+    what the ``road`` contradicts raised above ``seen_misfit (N,)``; ``platform`` what carries the camera;
     ``moves_past``: whether the camera is seen to move past the scene. ``sway (L, 3)`` how far it lay off a steady path,
     0 before a camera that does not sway.
     """
@@ -63,49 +63,59 @@ class SeenScene:
     usual_misfit: float
     road: RoadMemory
     rests: bool
-    camera_rests: bool
+    platform: Platform
     moves_past: bool
     sway: Floats
+
+    @property
+    def camera_rests(self) -> bool:
+        """On a mast, as was told: then the scene has no motion that could be wrong."""
+        return self.platform == Platform.static
+
+
+@dataclass(frozen=True)
+class TrackLabels:
+    """N tracks: the body ``key (N,)`` that each is in, and its rate ``rate_hz (N,)`` on the path of that, or NaN."""
+
+    key: Ints
+    rate_hz: Floats
 
 
 def see_scene(
     history: TrackHistory,
     egomotion: Egomotion,
     platform: Platform,
-    is_free: Bools,
     before: RigidPaths | None,
     road_before: RoadMemory,
     views: BodyViews,
-    rate_hz: Floats,
-    key: Ints,
+    labels: TrackLabels,
     config: BodiesConfig,
 ) -> SeenScene:
     """The scene, corrected by its tracks.
 
     Parameters
     ----------
-    is_free : (N,) tracks that are not frozen to their pixel.
     before, road_before : the scene and the road of the last frame.
-    rate_hz, key : (N,) of each track on the path of the body that it was in, and that body.
+    labels : those that the tracks had.
     """
+    is_free, key, can_translate = views.is_free, labels.key, platform != Platform.static
     region = picture_region(history.rays[-1], _CELLS * region_side_of(history.camera))
     if len(history.t_s) < 2:
         before = None
-    scene = _scene(history, egomotion, platform != Platform.static, before, views, region, rate_hz, key)
+    scene = _scene(history, egomotion, can_translate, before, views, region, labels)
     scene, speed = with_unit_speed(scene, views.since_s)
     every = views.points(np.arange(len(key)))
-    fit = fit_on_paths(every, scene, rate_hz * speed)
+    fit = fit_on_paths(every, scene, labels.rate_hz * speed)
     rate_hz = fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
     moves_past = _moves_past(fit, region, is_free)
     rests = not is_sure and not moves_past
     if rests:
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
-    camera_rests = platform == Platform.static
-    may_rest = _steps_little(views, scene) if camera_rests else is_free
+    may_rest = is_free if can_translate else _steps_little(views, scene)
     usual = _usual_misfit(fit, (key == SCENE_CLUSTER) & is_free & may_rest)
     misfit = seen_misfit = fit.misfit / usual
-    if camera_rests:
+    if not can_translate:
         misfit = seen_misfit = _with_stopped(misfit, views, scene)
     road = RoadMemory()
     if platform == Platform.vehicle and scene.path[0, 0, 2] > 0.0:
@@ -119,9 +129,7 @@ def see_scene(
     # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
     sways = platform == Platform.free and not rests
     sway = shake_of(scene.path[0], views.since_s) if sways else np.zeros_like(scene.path[0])
-    return SeenScene(
-        scene, speed, rate_hz, fit, misfit, seen_misfit, usual, road, rests, camera_rests, moves_past, sway
-    )
+    return SeenScene(scene, speed, rate_hz, fit, misfit, seen_misfit, usual, road, rests, platform, moves_past, sway)
 
 
 def _scene(
@@ -131,12 +139,9 @@ def _scene(
     before: RigidPaths | None,
     views: BodyViews,
     region: Ints,
-    rate_hz: Floats,
-    key: Ints,
+    labels: TrackLabels,
 ) -> RigidPaths:
-    """The scene on its way, corrected by its tracks; ``region, key (N,)``: the part of the picture that each is in, and
-    the body that it was in.
-    """
+    """The scene on its way, corrected by its tracks; ``region (N,)`` the part of the picture that each is in."""
     if before is None:
         # Before the parallax shows well where it goes, a camera that can move is taken to move ahead, if roughly.
         seen = egomotion.direction
@@ -157,7 +162,8 @@ def _scene(
     used = np.flatnonzero(views.is_free)
     used = used[:: max(1, -(-len(used) // _ENOUGH_TRACKS))]
     weight = _balance(region[used])
-    return refined_scene(scene, views.points(used), weight, key[used] == SCENE_CLUSTER, rate_hz[used], _SCENE_STEPS)
+    in_scene = labels.key[used] == SCENE_CLUSTER
+    return refined_scene(scene, views.points(used), weight, in_scene, labels.rate_hz[used], _SCENE_STEPS)
 
 
 def _without_unseen_return(history: TrackHistory, path: Floats) -> Floats:
