@@ -158,7 +158,8 @@ def assigned(
         return key, movers, unknown_fit(misfit)
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = _votes(number, neighbours, n_bodies)
-    track, mover = np.nonzero((votes[:, 1:] > 0) | (number[:, None] == np.arange(1, n_bodies)))
+    # As one array, so that both are contiguous: other types would compile the fit of points a second time.
+    track, mover = np.array(np.nonzero((votes[:, 1:] > 0) | (number[:, None] == np.arange(1, n_bodies))))
     points = views.points(track, mover)
     fit = fit_on_movers(points, movers.paths, movers.rate_hz)
     off, rate_hz, sigma_hz = fit.misfit / seen.usual_misfit, fit.rate_hz, fit.rate_sigma_hz
