@@ -69,34 +69,32 @@ _FRAME = _count("frame", "index of the picture in the source, from 0")
 _T_S = _real("t_s", "s", "presentation time of the picture", nullable=False)
 _STATUS = _name(
     "status",
-    "why there is a result, or why there is none (no_approach is reserved: what recedes has negative times)",
+    "why there is a result, or why there is none (no_approach is reserved: receding objects have negative times)",
     STATUS_NAMES,
 )
 _STATE = (
-    "how the cluster moves relative to the camera, as far as it is sure: nearer and across (approaching), nearer but "
-    "not across (constant_bearing), farther (receding), neither (no_relative_motion); the scene: unknown where we move"
+    "significant motion relative to the camera: depth decreases while the bearing changes (approaching) or is constant "
+    "(constant_bearing), depth increases (receding), neither (no_relative_motion); scene: unknown if the camera moves"
 )
-_CLUSTER_ID = _count("cluster_id", "0 the static scene, objects from 1; an object keeps its number for life")
+_CLUSTER_ID = _count("cluster_id", "0: static scene, objects from 1; an object keeps its number for life")
 
 TIMES = (
-    _real(
-        "tcpa_s", "s", "time until closest approach (the paper's k); positive is ahead, negative has already happened"
-    ),
-    _real("tcpa_lo_s", "s", "lower end of the interval of tcpa_s, border of the 90 % region of tcpa and miss together"),
-    _real("tcpa_hi_s", "s", "upper end of the interval of tcpa_s, border of the 90 % region of tcpa and miss together"),
+    _real("tcpa_s", "s", "time until closest approach (the paper's k); positive: in the future, negative: in the past"),
+    _real("tcpa_lo_s", "s", "lower bound of tcpa_s over the joint 90 % region of tcpa and miss"),
+    _real("tcpa_hi_s", "s", "upper bound of tcpa_s over the joint 90 % region of tcpa and miss"),
     _real(
         "miss_s",
         "s",
-        "distance of the closest approach (the paper's H), in seconds of relative motion: metres = miss_s |V|",
+        "miss distance, at the closest approach (the paper's H), in seconds of relative motion; metres = miss_s |V|",
     ),
-    _real("miss_lo_s", "s", "lower end of the interval of miss_s, border of the 90 % region of tcpa and miss together"),
-    _real("miss_hi_s", "s", "upper end of the interval of miss_s, border of the 90 % region of tcpa and miss together"),
-    _real("ttc_z_s", "s", "time until depth zero, -Z/Vz, what lidar and KITTI call TTC; positive approaches"),
+    _real("miss_lo_s", "s", "lower bound of miss_s over the joint 90 % region of tcpa and miss"),
+    _real("miss_hi_s", "s", "upper bound of miss_s over the joint 90 % region of tcpa and miss"),
+    _real("ttc_z_s", "s", "time to collision of lidar and KITTI: time until depth zero, -Z/Vz; positive: approaching"),
     _real(
-        "ttc_z_lo_s", "s", "lower end of the 90 % interval of ttc_z_s, made on 1/time; lo > hi: runs through infinity"
+        "ttc_z_lo_s", "s", "lower end of the 90 % interval of ttc_z_s, computed on 1/time; lo > hi: includes infinity"
     ),
     _real(
-        "ttc_z_hi_s", "s", "upper end of the 90 % interval of ttc_z_s, made on 1/time; lo > hi: runs through infinity"
+        "ttc_z_hi_s", "s", "upper end of the 90 % interval of ttc_z_s, computed on 1/time; lo > hi: includes infinity"
     ),
 )
 
@@ -104,12 +102,12 @@ TABLES: dict[str, tuple[Column, ...]] = {
     "collision_times": (
         _FRAME,
         _T_S,
-        Column("track_id", pa.int64(), "1", "number of the point track, never used twice"),
-        _count("cluster_id", "cluster of the track: 0 the static scene, objects from 1; null: none", nullable=True),
+        Column("track_id", pa.int64(), "1", "number of the point track, unique within the run"),
+        _count("cluster_id", "cluster of the track: 0: static scene, objects from 1; null: no cluster", nullable=True),
         _real("x_px", "px", "position in the source picture, to the right; 0: centre of the leftmost pixel", False),
         _real("y_px", "px", "position in the source picture, downwards; 0: centre of the topmost pixel", False),
         _count("n_frames", "observations of the track so far"),
-        _real("alpha_rad", "rad", "angle between the point's ray and -dir, in [0, pi]; 0 comes straight at the camera"),
+        _real("alpha_rad", "rad", "angle between the point's ray and -dir, in [0, pi]; 0: straight at the camera"),
         _real("k_frames", "frames", "tcpa_s in units of the source's median frame interval"),
         *TIMES,
         _STATUS,
@@ -126,14 +124,20 @@ TABLES: dict[str, tuple[Column, ...]] = {
             _real(f"cov_{ij}", "rad^2", f"covariance of dir, element {ij}; it lies in the tangent plane of dir")
             for ij in ("xx", "xy", "xz", "yy", "yz", "zz")
         ),
-        _real("x_px", "px", "where the line along dir meets the picture plane; null within 1 deg of that plane"),
-        _real("y_px", "px", "where the line along dir meets the picture plane; null within 1 deg of that plane"),
+        _real(
+            "x_px",
+            "px",
+            "epipole (line along dir meets the image plane), to the right; null within 1 deg of that plane",
+        ),
+        _real(
+            "y_px", "px", "epipole (line along dir meets the image plane), downwards; null within 1 deg of that plane"
+        ),
         _real(
             "horizon_offset_px",
             "px",
-            "distance of the epipole from the horizon, positive below; null without one and at infinity",
+            "distance of the epipole from the horizon, positive below it; null without a horizon or at infinity",
         ),
-        _count("n_tracks", "tracks of the cluster, whether they speak for the epipole or not"),
+        _count("n_tracks", "tracks of the cluster, inliers of the epipole or not"),
         _STATUS,
     ),
     "clusters": (
@@ -143,26 +147,26 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _name("role", "the static scene or one object", ROLE_NAMES),
         _count(
             "motion_id",
-            "0: the scene, and what of it stands in our way; movers with one direction share a number from 1 on",
+            "0: the scene and standing obstacles; movers with the same epipole share a number, from 1",
         ),
         _count("n_tracks", "tracks of the cluster"),
-        _real("x0_px", "px", "left side of the box around its tracks"),
-        _real("y0_px", "px", "upper side of the box around its tracks"),
-        _real("x1_px", "px", "right side of the box around its tracks"),
-        _real("y1_px", "px", "lower side of the box around its tracks"),
-        _real("ref_x_px", "px", "reference point that the state and the times hold for"),
-        _real("ref_y_px", "px", "reference point that the state and the times hold for"),
+        _real("x0_px", "px", "left side of the bounding box of its tracks"),
+        _real("y0_px", "px", "upper side of the bounding box of its tracks"),
+        _real("x1_px", "px", "right side of the bounding box of its tracks"),
+        _real("y1_px", "px", "lower side of the bounding box of its tracks"),
+        _real("ref_x_px", "px", "reference point of the state and the times, to the right"),
+        _real("ref_y_px", "px", "reference point of the state and the times, downwards"),
         _real("a_hz", "1/s", "Vx/Z at the reference point"),
         _real("b_hz", "1/s", "Vy/Z at the reference point"),
-        _real("c_hz", "1/s", "Vz/Z at the reference point; negative approaches"),
+        _real("c_hz", "1/s", "Vz/Z at the reference point; negative: approaching"),
         *(
             _real(f"cov_{ij}", "1/s^2", f"covariance of (a, b, c), element {ij}")
             for ij in ("aa", "ab", "ac", "bb", "bc", "cc")
         ),
         _name("state", _STATE, MOTION_STATE_NAMES),
-        _real("expansion_hz", "1/s", "rate at which the cluster's picture grows; positive approaches"),
+        _real("expansion_hz", "1/s", "expansion: relative growth rate of the cluster's image; positive: approaching"),
         *TIMES,
-        _count("urgency_rank", "1 is the most urgent object of the frame; null: not ranked", nullable=True),
+        _count("urgency_rank", "1: most urgent object of the frame; null: not ranked", nullable=True),
         _STATUS,
     ),
     "frames": (
@@ -171,10 +175,10 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _real(
             "dt_s",
             "s",
-            "time since the frame that the rotation is measured from; null for the first",
+            "time since the frame from which the rotation is measured; null for the first",
         ),
         _count("n_tracks", "live tracks"),
-        _count("n_clusters", "clusters, the scene among them"),
+        _count("n_clusters", "clusters, the scene included"),
         _real("rot_x_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about x"),
         _real("rot_y_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about y"),
         _real("rot_z_rad", "rad", "rotation vector of cam_R_prev (ray_cam = cam_R_prev ray_prev), about z"),
@@ -182,26 +186,26 @@ TABLES: dict[str, tuple[Column, ...]] = {
         _real(
             "min_ttc_z_s",
             "s",
-            "smallest ttc_z_s over objects that approach by their whole 90 % interval, have done so in each frame of "
-            "events.persistence_s, and have bodies.min_tracks tracks; null: there is none",
+            "smallest ttc_z_s of the objects whose whole 90 % interval approaches, in each frame of the last "
+            "events.persistence_s, and that have bodies.min_tracks tracks; null: there is none",
         ),
-        _name("status", "what became of the frame; static: ok, before a camera at rest", FRAME_STATUS_NAMES),
+        _name("status", "result of the frame; static: ok, the camera is at rest", FRAME_STATUS_NAMES),
     ),
     "events": (
         _count("event_id", "number of the warning"),
-        _name("kind", "what was warned of", EVENT_KINDS),
-        _count("cluster_id", "object that was warned of"),
+        _name("kind", "kind of the warning", EVENT_KINDS),
+        _count("cluster_id", "object of the warning"),
         _count("start_frame", "first frame of the warning"),
         _count(
             "end_frame",
-            "last frame in which the condition held; the overlay shows a hidden object's warning longer",
+            "last frame in which the condition held; the overlay shows the warning of a hidden object for longer",
         ),
         _real("start_s", "s", "presentation time of start_frame", nullable=False),
         _real("end_s", "s", "presentation time of end_frame", nullable=False),
-        _real("min_ttc_z_s", "s", "smallest ttc_z_s while the warning was on"),
-        _real("min_tcpa_s", "s", "smallest tcpa_s while the warning was on"),
-        _real("miss_s", "s", "distance of the closest approach, in seconds of relative motion"),
-        _real("confidence", "1", "probability that the object comes nearer, at its smallest tcpa_s", nullable=False),
+        _real("min_ttc_z_s", "s", "smallest ttc_z_s during the warning"),
+        _real("min_tcpa_s", "s", "smallest tcpa_s during the warning"),
+        _real("miss_s", "s", "miss distance at the smallest tcpa_s, in seconds of relative motion"),
+        _real("confidence", "1", "probability that its depth decreases, at its smallest tcpa_s", nullable=False),
     ),
 }
 TABLE_NAMES = tuple(TABLES)
@@ -210,24 +214,24 @@ MOTION_STATUS_NAMES = ("used", "off_horizon", "curved", "not_rigid", "uncertain"
 CALIBRATION_TABLES: dict[str, tuple[Column, ...]] = {
     "motions": (
         _count("clip", "number of the clip among those given, from 0"),
-        _count("mover_id", "number of the mover in its clip; one whose path bends can have several straight motions"),
+        _count("mover_id", "number of the mover in its clip; a mover on a bend can have several straight motions"),
         _name("status", "whether the motion is used for the horizon, or why not", MOTION_STATUS_NAMES),
-        _count("first_frame", "first frame in which it is seen"),
-        _count("last_frame", "last frame in which it is seen"),
+        _count("first_frame", "first frame of its observations"),
+        _count("last_frame", "last frame of its observations"),
         _real("duration_s", "s", "time from the first to the last of its observations", nullable=False),
-        _count("n_tracks", "tracks that belong to it; of own motion (--moving) frames"),
+        _count("n_tracks", "number of its tracks; for own motion (--moving) of its frames"),
         *(_real(f"dir_{axis}", "1", f"direction of motion V/|V|, {way}") for axis, way in _AXES),
         *(
             _real(f"cov_{ij}", "rad^2", f"covariance of dir, element {ij}; it lies in the tangent plane of dir")
             for ij in ("xx", "xy", "xz", "yy", "yz", "zz")
         ),
-        _real("x_px", "px", "its epipole in undistorted pixels; null within 1 deg of the picture plane"),
-        _real("y_px", "px", "its epipole in undistorted pixels; null within 1 deg of the picture plane"),
+        _real("x_px", "px", "its epipole in undistorted pixels, to the right; null within 1 deg of the image plane"),
+        _real("y_px", "px", "its epipole in undistorted pixels, downwards; null within 1 deg of the image plane"),
         _real("residual_deg", "deg", "angle of the epipole from the horizon, positive above it"),
         _real("sigma_deg", "deg", "standard deviation of that angle"),
-        _real("turned_deg", "deg", "angle by which the path bends, as far as it can be told"),
-        _real("noise_px", "px", "noise of one coordinate of its observations"),
-        _real("correlation", "1", "variance over what independent errors would give; above 1: they hang together"),
+        _real("turned_deg", "deg", "angle by which its path bends, as far as it can be estimated"),
+        _real("noise_px", "px", "standard deviation of one coordinate of its observations"),
+        _real("correlation", "1", "variance over that of independent errors; above 1: errors are correlated"),
     ),
 }
 
@@ -235,8 +239,8 @@ EVASION_STATUS_NAMES = ("no_danger", "advice", "no_escape", "unknown", "no_scale
 _FORWARD = _real("forward_m_s", "m/s", "change of own velocity in the direction of travel; negative brakes")
 _RIGHT = _real("right_m_s", "m/s", "change of own velocity to the right")
 _WHO = (
-    Column("name", pa.string(), "", "what is hit; null: nothing", nullable=True),
-    _count("cluster_id", "its cluster, 0 for the static scene; null: nothing", nullable=True),
+    Column("name", pa.string(), "", "first object hit; null: none", nullable=True),
+    _count("cluster_id", "its cluster, 0 for the static scene; null: none", nullable=True),
 )
 
 SENSITIVITY_METHODS = ("planar_two_frame", "three_frame", "whole_track", "stereo")
@@ -255,10 +259,10 @@ def _error(name: str, unit: str, what: str) -> tuple[Column, ...]:
 
 STUDY_TABLES: dict[str, tuple[Column, ...]] = {
     "sensitivity": (
-        _name("over", "what is varied", _VARIED),
+        _name("over", "quantity that is varied", _VARIED),
         _real("value", "1", "its value: m, deg, mm, px, 1/s or m", nullable=False),
-        _name("method", "how direction and time are found", SENSITIVITY_METHODS),
-        _count("n_frames", "pictures that it looks at; of the stereo pair, pairs"),
+        _name("method", "how direction and time are estimated", SENSITIVITY_METHODS),
+        _count("n_frames", "number of pictures used; of stereo, number of pairs"),
         _real("distance_m", "m", "distance of the point", nullable=False),
         *_error("direction", "rad", "the direction of motion, both axes together"),
         *_error("ttc_z", "1", "the time until depth zero, relative to it"),
@@ -268,20 +272,20 @@ STUDY_TABLES: dict[str, tuple[Column, ...]] = {
         _FORWARD,
         _RIGHT,
         _real("time_s", "s", "time until the earliest possible contact; null: none within the look-ahead"),
-        _real("probability", "1", "probability of a collision within the look-ahead; null: the camera looks elsewhere"),
+        _real("probability", "1", "probability of a collision within the look-ahead; null: outside the field of view"),
         *_WHO,
     ),
     "evasion": (
         _FRAME,
         _T_S,
-        _real("own_speed_m_s", "m/s", "own speed that the frame's metres rest on"),
+        _real("own_speed_m_s", "m/s", "own speed, which gives the frame its scale in metres"),
         _real("time_s", "s", "time until the earliest possible contact at the present velocity; null: none"),
         _real("probability_now", "1", "probability of a collision within the time of warning at the present velocity"),
         *_WHO,
         _real("forward_m_s", "m/s", "advised change of own velocity in the direction of travel; negative brakes"),
         _real("right_m_s", "m/s", "advised change of own velocity to the right; negative is to the left"),
         _real("probability_after", "1", "probability of a collision within the look-ahead with the advised change"),
-        _name("status", "whether there is a danger, and a way out, or what is missing to tell", EVASION_STATUS_NAMES),
+        _name("status", "whether there is a danger and an evasion, or why that is unknown", EVASION_STATUS_NAMES),
     ),
 }
 """Tables of the studies: of the other commands than ``analyze``."""
