@@ -1,8 +1,8 @@
-"""Whether an object approaches or recedes by more than the tracker's common error, and whether its picture agrees.
+"""Whether an object approaches or recedes significantly beyond the tracker's common error, and expands accordingly.
 
-A state says what the paths of the tracks are best explained by. Where nothing moves, that is what their errors are best
-explained by, and these are not independent: they drift, together and in one direction. At a red light each of three
-hundred tracks of a resting car has a rate of its own, their mean is fifty times as sure as any of them, and wrong.
+The errors of an object's tracks are correlated: they drift together. Without relative motion the state fits that drift:
+at a red light the mean inverse time to collision of 300 tracks of a resting car claims a fiftieth of the error of one
+track, and is wrong.
 """
 
 from __future__ import annotations
@@ -21,30 +21,29 @@ from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
-# Nearer and farther are told at 99.9 % (one side): in 99 % of frames of ten objects none is told wrongly.
+# Approach and recession are significant at 99.9 % (one side): 99 % of frames with ten objects have no false one.
 _SIGMAS_999 = 3.090
-# A growth of the picture is contradicted, or sure, at 95 % (one side).
+# Expansion is contradicted, or significant, at 95 % (one side).
 _SIGMAS_95 = 1.645
-# Tracks drift together (`COMMON_ERROR_PX`) over this time at the most, s, since a longer look is not less wrong.
+# The common error of tracks (`COMMON_ERROR_PX`) is that of a drift over at most this time, s.
 _DRIFT_S = 0.6
-# Most of that grows evenly: what lies deeper than it seems grows less. By this part of it errors walk, and only that
-# looks like a change of speed: judged from one car beside lidar (kitti_sfnd_ttc), whose accelerations err by about half
-# of what they would by all of it.
+# This share of the drift is a random walk, which looks like a change of speed; the rest is steady. From one car with
+# lidar truth (kitti_sfnd_ttc), whose accelerations err by about half of what the whole drift would give.
 _WALKING_PART = 0.5
-# Tracks all in one place tell nothing of its growth, px.
+# Least root mean square radius of a set of tracks as a divisor, px.
 _LEAST_RADIUS_PX = 1e-3
 
 
 @dataclass(frozen=True)
 class CommonViews:
-    """Rays of all N tracks a common gap ago and now, ``(N, 3)`` each, NaN where not seen, and that gap in s."""
+    """Rays ``(N, 3)`` of all N tracks before and after a common gap (NaN: not observed), and the gap in s."""
 
     first: Floats
     now: Floats
     gap_s: float
 
     def expansions(self, members: Sequence[Ints]) -> tuple[Floats, Floats]:
-        """How each of K sets of tracks expands, and its standard deviation: (K,) each, 1/s; NaN where unknown."""
+        """Expansion of each of K sets of tracks and its standard deviation: ``(K,)`` each, 1/s; NaN where unknown."""
         padded = np.full((len(members), max((len(index) for index in members), default=0)), -1, dtype=np.int64)
         for row, index in zip(padded, members, strict=True):
             row[: len(index)] = index
@@ -60,13 +59,13 @@ def with_common_errors(
     error_px: float,
     camera: Camera,
 ) -> list[ClusterRow]:
-    """The same K rows; their states no surer than what all tracks of an object may err by in common leaves them.
+    """The K rows with the common error of the tracks of an object added to the covariance of its state.
 
     Parameters
     ----------
-    members, radius_px : tracks of the rows, and their `radii_px`.
-    age_s : (N,) for how long each track has been seen.
-    gap_s : time over which all tracks are looked at (`CommonViews`).
+    members, radius_px : tracks of the rows, and ``(K,)`` their `radii_px`.
+    age_s : ``(N,)`` age of each track.
+    gap_s : gap of `CommonViews`.
     error_px : `PointSet.common_error_px`.
     """
     stated = [k for k, row in enumerate(rows) if row.state_cov is not None]
@@ -77,7 +76,7 @@ def with_common_errors(
     has_state[stated] = True
     of_stated, _ = members.where(has_state[members.set_of])
     drift_hz = common_growth_hz(radius_px[stated], of_stated.medians(age_s[of_stated.index]), gap_s, error_px)
-    # What seems to grow, seems to come along its ray.
+    # An apparent expansion is an apparent velocity along the ray.
     common = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
     rows = list(rows)
     for k, cov in zip(stated, common, strict=True):
@@ -88,13 +87,14 @@ def with_common_errors(
 def common_growth_hz(
     radius_px: Floats, seen_s: Floats, least_s: float = 0.0, error_px: float = COMMON_ERROR_PX
 ) -> Floats:
-    """Growth that tracks show by what matching errs by in common: its standard deviation, 1/s.
+    """Standard deviation ``(K,)`` of the expansion of objects by the common matching error of their tracks, 1/s.
 
     Parameters
     ----------
-    radius_px : root mean square distance of the tracks of each thing from their centre.
-    seen_s, least_s : for how long they have been seen, and for how long they are looked at, at the least.
-    error_px : at their outline.
+    radius_px : ``(K,)`` root mean square distance of the tracks of each object from their centre.
+    seen_s : ``(K,)`` age of the tracks.
+    least_s : least time that the expansion is measured over.
+    error_px : common matching error at the outline.
     """
     looked_s = np.maximum(np.minimum(seen_s, _DRIFT_S), least_s)
     return np.asarray(error_px / (np.maximum(radius_px, _LEAST_RADIUS_PX) * looked_s))
@@ -103,13 +103,13 @@ def common_growth_hz(
 def with_seen_motion(
     rows: list[ClusterRow], radius_px: Floats, growth: tuple[Floats, Floats], gap_s: float, camera: Camera
 ) -> list[ClusterRow]:
-    """The same K rows; what is said to approach or recede without its picture showing it is not said to.
+    """The K rows; an approach or recession that is not significant, or that the expansion contradicts, is unknown.
 
     Parameters
     ----------
-    radius_px : `radii_px` of the tracks of the rows.
-    growth : (K,) each, how the pictures of the rows expand, and its standard deviation (`CommonViews.expansions`).
-    gap_s : time over which they do.
+    radius_px : ``(K,)`` `radii_px` of the tracks of the rows.
+    growth : expansions of the rows and their standard deviations, ``(K,)`` each (`CommonViews.expansions`).
+    gap_s : time over which the expansions are measured.
     """
     asked = [k for k, row in enumerate(rows) if row.motion_state in {*APPROACHING, MotionState.receding}]
     if not asked:
@@ -149,18 +149,18 @@ def braking_of(xy: Floats, since_s: Floats, focal_px: float, least_s: float) -> 
 
 
 def braking_of_tracks(history: TrackHistory, members: Ints, least_s: float) -> Closing | None:
-    """How it changes where it may have begun to brake just now; None without enough views."""
+    """As `braking_of`, for some of the tracks, ``members (M,)``."""
     return braking_of(*_views(history, members), history.focal_px, least_s)
 
 
 def _views(history: TrackHistory, members: Ints) -> tuple[Floats, Floats]:
-    """Places (L, M, 2) of some tracks (M,) in the plane z = 1 without rotation, and when these were, (L,) up to 0."""
+    """Derotated observations ``(L, M, 2)`` of some tracks in the plane z = 1, and their times ``(L,)`` up to 0, s."""
     past = slice(0, history.n_past + 1)
     return history.xy[past].take(members, axis=1), history.since_s[past]
 
 
 def _drift_hz(radius_px: float) -> float:
-    """Variance of the size of a thing by what its matching errs by in common, gained in a second."""
+    """Variance of the log size of an object by the common matching error, gained per second, 1/s."""
     return (COMMON_ERROR_PX / max(radius_px, _LEAST_RADIUS_PX)) ** 2 / _DRIFT_S
 
 
@@ -171,17 +171,16 @@ def _seen_state(state: MotionState, nearer_hz: float, sigma_hz: float, *, is_con
 
 
 def _radial_rates(rays: Floats, abc_hz: Floats, cov: Floats) -> tuple[list[float], list[float]]:
-    """Rates at which distances along ``rays (K, 3)`` shrink, over themselves, and their standard deviations, 1/s."""
+    """Relative rates at which the distances along ``rays (K, 3)`` decrease, and their standard deviations, 1/s."""
     along = rays / np.einsum("ki,ki->k", rays, rays)[:, None]
     variance = np.einsum("ki,kij,kj->k", along, cov, along)
     return (-np.einsum("ki,ki->k", along, abc_hz)).tolist(), np.sqrt(variance).tolist()
 
 
 def radii_px(xy_px: Floats, rays: Floats, members: TrackSets, is_asked: Bools) -> Floats:
-    """Root mean square distance (K,) of the tracks of each set from their centre, px; 0 without any, and if not asked.
+    """Root mean square distance ``(K,)`` of the tracks of each set from their centre, px; 0 if empty or not asked.
 
-    Points ``xy_px (N, 2)`` outside of what the lens maps have no ray (of ``rays (N, 3)``), and no part in it.
-    ``is_asked (K,)``.
+    Points ``xy_px (N, 2)`` without a ray (``rays (N, 3)`` not finite: outside of the lens model) are left out.
     """
     return members.radii(np.where(np.isfinite(rays[:, :1]), xy_px, np.nan), is_asked)
 
@@ -189,10 +188,10 @@ def radii_px(xy_px: Floats, rays: Floats, members: TrackSets, is_asked: Bools) -
 def _is_contradicted(
     state: MotionState, gap_s: float, grows: Sequence[float], said: tuple[float, float], radius_px: float
 ) -> bool:
-    """Whether the picture of an object that is said to come nearer (go away) surely grows (shrinks) too little.
+    """Whether an object that is said to approach (recede) expands (shrinks) significantly less than that.
 
-    The distances between its own points are blind to rotation, which the paths are not. ``grows`` and ``said`` are
-    rates with their standard deviations.
+    Distances between points are invariant to camera rotation, unlike the trajectories. ``grows`` (expansion) and
+    ``said`` (inverse time to collision) are rates in 1/s with their standard deviations.
     """
     grows_hz, sigma_hz = grows
     if not (math.isfinite(grows_hz) and math.isfinite(sigma_hz) and radius_px > 0.0):

@@ -1,8 +1,8 @@
-"""Which tracks move with the static scene, and which with a mover of their own.
+"""Segmentation of the tracks of a frame into the static scene and movers.
 
-Scene and movers are rigid bodies, each with its own path relative to the camera. A track belongs to the body whose path
-explains all of its views best, with a say for its neighbours and for where it belonged before. New movers start where
-neighbouring tracks contradict the scene together and agree with each other.
+The scene and each mover are rigid bodies with a relative trajectory. A track is assigned to the body that explains all
+of its views best, with a smoothness term over neighbours and one for its former label. Births of movers are proposed
+where neighbouring tracks contradict the scene and agree with each other.
 """
 
 from __future__ import annotations
@@ -30,25 +30,33 @@ from ttcvid.stages.segmentation.surface_memory import Obstacle, number_of_taken,
 from ttcvid.stages.tracking.groups import places_among
 from ttcvid.stages.tracking.history import TrackHistory
 
-# Steps of refinement a frame of a new mover, and of one that has been found in some frames; fewer points than this do
-# not refine it.
+# Gauss-Newton steps a frame for a young mover (up to so many frames) and for an older one, and the least number of
+# tracks for them.
 _YOUNG_STEPS, _YOUNG_FRAMES, _OLD_STEPS, _LEAST_POINTS = 2, 5, 1, 3
-# An observation is a false one beyond so many sigmas of what is expected: noise alone has none of them.
+# Squared residual, in sigmas, beyond which an observation is displaced: noise alone does not reach it.
 _DISPLACED_CHI2 = 6.0**2
-# What is usual is found without these, in so many rounds. Two are off alike within this part of how far they are off.
+# Rounds in which the median residual is found without displaced observations. Two residuals are alike within this
+# share of their length.
 _ROUNDS, _ALIKE = 3, 0.3
 # Median of a chi-square variable with two degrees of freedom.
 _MEDIAN_CHI2_2 = 1.3863
-# Before a camera at rest nothing moves but movers: so many tracks that move alike are one, away from known ones.
+# Least number of tracks of a birth before a camera at rest, where only movers have flow.
 _TRACKS_AT_REST = 3
 
 
 @dataclass(frozen=True)
 class BodyMemory:
-    """What is known of the last frame: the scene, the movers, and for each track its body and its rate.
+    """Bodies of the last frame.
 
-    ``obstacles`` are what of the scene stands in our way (`segmentation.obstacles`), ``growing`` what comes at us
-    (`segmentation.expansion`); ``frame (L,)`` the views of the bodies.
+    Attributes
+    ----------
+    scene, movers : the bodies; None before the first frame.
+    track_id, track_key, rate_hz : ``(M,)`` number, body and inverse depth (1/s) of each track, by ascending number.
+    road : memory of the ground plane.
+    next_key, next_cluster_id : next body and next public number that are free.
+    obstacles : standing obstacles (`segmentation.obstacles`).
+    growing : expanding surfaces (`segmentation.expansion`).
+    frame : ``(L,)`` frames of the views of the trajectories.
     """
 
     scene: RigidPaths | None = None
@@ -66,10 +74,16 @@ class BodyMemory:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """The bodies of a frame: ``key (N,)`` of each track's body, the movers, and how the scene explains tracks.
+    """Bodies of a frame and the labels of its N tracks.
 
-    ``misfit (N,)`` of each track on the scene's path, in units of what is usual there, ``usual_misfit``;
-    ``is_displaced (N,)`` tracks whose present observation no body explains: it is a false one.
+    Attributes
+    ----------
+    key : ``(N,)`` body of each track; 0 the scene.
+    movers, scene : the bodies.
+    scene_fit : fit of each track on the trajectory of the scene.
+    misfit : ``(N,)`` reduced chi-square of each track on the trajectory of the scene, over ``usual_misfit``.
+    usual_misfit : median reduced chi-square of the scene's tracks.
+    is_displaced : ``(N,)`` tracks whose present observation is displaced: no body explains it.
     """
 
     key: Ints
@@ -82,7 +96,7 @@ class Segmentation:
 
 
 def in_scene(memory: BodyMemory, track_id: Ints) -> Bools:
-    """Tracks (N,) that no mover of the last frame holds."""
+    """Whether tracks ``(N,)`` belonged to no mover in the last frame."""
     return np.asarray(_carried_labels(memory, track_id).key == SCENE_CLUSTER)
 
 
@@ -95,13 +109,14 @@ def find_bodies(
     memory: BodyMemory,
     config: BodiesConfig,
 ) -> tuple[Segmentation, BodyMemory]:
-    """The scene, corrected, and the movers of a frame.
+    """Segmentation of a frame, and the memory for the next one.
 
     Parameters
     ----------
-    views : of the history, as from `body_views`.
-    platform : what carries the camera.
-    may_start : (N,) tracks that a new mover may be made of.
+    history, views : the N tracks, and their views as from `body_views`.
+    egomotion : of the last step.
+    platform : carrier of the camera.
+    may_start : ``(N,)`` whether a track may be part of a birth.
     """
     memory = _over_views(memory, history.frame)
     labels = _carried_labels(memory, history.track_id)
@@ -114,12 +129,12 @@ def find_bodies(
     movers = _refined(movers, seen.scene, views, key, seen.usual_misfit)
     is_displaced = _are_displaced(views, seen, movers, key, rate_hz)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
-    # What belongs to the scene, far from any mover, and does not contradict it, is asked nothing more.
+    # Tracks of the scene that fit it and are far from movers keep their label.
     neighbours = views.neighbours(views.is_free & (seen.misfit > config.scene_gate), key != SCENE_CLUSTER)
     key, movers, own = _divided(views, seen, key, movers, neighbours, config)
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     key, movers, next_key = split(views, key, movers, own, next_key, config)
-    # A track whose present observation belongs to nothing is with its body again when the next one fits.
+    # A track with a displaced observation keeps its body: the next observation may fit again.
     stays = is_displaced & np.isin(belonged, np.append(SCENE_CLUSTER, movers.key))
     key = np.where(stays, belonged, key)
     movers = with_velocities(views, seen.scene, key, movers)
@@ -133,10 +148,10 @@ def find_bodies(
 
 
 def _are_displaced(views: BodyViews, seen: SeenScene, movers: Movers, key: Ints, rate_hz: Floats) -> Bools:
-    """Tracks (N,) whose present observation is a false one: neither their body nor their own course leads there.
+    """Whether the present observation of tracks ``(N,)`` is displaced: off the prediction of their body and their own.
 
-    Where most tracks of a body are off, it is its last step that is wrong; where a neighbour is off alike, it is
-    something that is not known yet.
+    Residuals are judged against the median of their body: if most are large, its last step is wrong. A residual that a
+    neighbour shares is none of a single observation: it may belong to a mover not found yet.
     """
     number = numbers_of(key, movers)
     start_hz = np.where(number == 0, rate_hz * seen.speed, np.append(0.0, movers.rate_hz)[number])
@@ -160,7 +175,7 @@ def _are_displaced(views: BodyViews, seen: SeenScene, movers: Movers, key: Ints,
 
 
 def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) -> Movers:
-    """The movers of the last frame as they go on to this one."""
+    """Movers of the last frame, predicted for this one."""
     if len(views.t_s) < 2 or memory.scene is None or not len(memory.movers):
         return no_movers(len(views.t_s))
     before, cam_R_prev = memory.movers, egomotion.cam_R_prev
@@ -173,14 +188,14 @@ def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) 
 def _divided(
     views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
 ) -> tuple[Ints, Movers, OwnFit]:
-    """The tracks, ``key (N,)``, among the scene and the movers that are known; those that stay; how each explains its
-    own.
+    """Labels ``key (N,)`` over the scene and known movers after merging, the movers kept, and the fits of tracks on
+    their own bodies.
     """
     key, movers, own = assigned(views, seen, key, movers, neighbours)
     before = key
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, seen.scene, key, movers, neighbours, own.misfit, seen.usual_misfit)
-    # Of what goes to the scene, too, something new may be made.
+    # Tracks that return to the scene may be part of a birth.
     has_changed = key != before
     if has_changed.any():
         is_touched = np.zeros(key.max() + 1, dtype=bool)
@@ -199,7 +214,7 @@ def _with_new(
     next_key: int,
     config: BodiesConfig,
 ) -> tuple[Ints, Movers, int]:
-    """The bodies with what of the scene's tracks moves by itself: known again, or new; and the next key."""
+    """Labels ``(N,)`` and movers after births among the scene's tracks, re-identified or new, and the next key."""
     births = config
     if seen.camera_rests:
         births = config.model_copy(update={"min_tracks": min(config.min_tracks, _TRACKS_AT_REST)})
@@ -218,9 +233,9 @@ def _with_new(
 
 
 def _are_no_outlines(views: BodyViews, key: Ints, found: list[Ints], enough: int) -> Bools:
-    """Which of new movers (K,), tracks of each, have ``enough`` of them, or none that moves with another thing near.
+    """Which births ``(K,)`` have ``enough`` tracks, or no other moving track nearer than ``views.link_px``.
 
-    Where the outline of a mover crosses the lines of what stands behind it, corners run along: few, and beside it.
+    Corners where the outline of a mover crosses lines of the background move along it: they are few, and beside it.
     """
     moves, is_one = key != SCENE_CLUSTER, np.array([len(members) >= enough for members in found])
     for members in (found[place] for place in np.flatnonzero(is_one)):
@@ -232,12 +247,12 @@ def _are_no_outlines(views: BodyViews, key: Ints, found: list[Ints], enough: int
 
 
 def restarted_bodies(memory: BodyMemory) -> BodyMemory:
-    """Nothing known any more, but no number given out twice."""
+    """Memory without bodies; keys and cluster numbers go on."""
     return BodyMemory(next_key=memory.next_key, next_cluster_id=memory.next_cluster_id)
 
 
 def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
-    """The bodies over those of their views that the history with the frames ``frame (L,)`` still has."""
+    """Memory with the trajectories over those views only that are in the history's frames ``frame (L,)``."""
     if memory.scene is None or np.array_equal(memory.frame[1 - len(frame) :], frame[:-1]):
         return memory
     stays = np.isin(memory.frame, frame)
@@ -248,7 +263,7 @@ def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
 
 
 def _carried_labels(memory: BodyMemory, track_id: Ints) -> TrackLabels:
-    """Body and rate that each track had; new ones are with the scene."""
+    """Body and inverse depth of each track in the last frame; new tracks belong to the scene, with NaN."""
     key, rate_hz = np.full(len(track_id), SCENE_CLUSTER), np.full(len(track_id), np.nan)
     place = places_among(memory.track_id, track_id)
     is_known = place >= 0
@@ -257,7 +272,7 @@ def _carried_labels(memory: BodyMemory, track_id: Ints) -> TrackLabels:
 
 
 def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Floats) -> tuple[Ints, Ints, Floats]:
-    """All tracks that may be in the next frame, each with its body and rate."""
+    """Number, body and inverse depth of all tracks that may be in the next frame, lost ones included: ``(M,)`` each."""
     if history.lost is None:
         return history.track_id, key, rate_hz
     lost = _carried_labels(memory, history.lost.track_id)
@@ -267,7 +282,7 @@ def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Fl
 
 
 def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usual_misfit: float) -> Movers:
-    """The movers, each corrected by the tracks that it had."""
+    """Movers with trajectories refined by the tracks of their last labels."""
     number = numbers_of(key, movers)
     has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
     track = np.flatnonzero(np.append(False, has_points)[number])
@@ -288,12 +303,16 @@ def _named(
     next_cluster_id: int,
     config: BodiesConfig,
 ) -> tuple[Movers, int]:
-    """Public numbers for movers that have been found often enough: that of the surface each was before, or a new one.
+    """Movers with public numbers once they are confirmed: that of the surface that their tracks were, or a new one.
 
     Parameters
     ----------
-    key, track_id : (N,) body and number of each track.
-    surfaces : what was found as one surface up to the last frame.
+    key, track_id : ``(N,)`` body and number of each track.
+    surfaces : obstacles and expanding surfaces up to the last frame.
+
+    Returns
+    -------
+    The movers and the next public number.
     """
     asks = (movers.cluster_id == NO_CLUSTER) & (movers.n_found >= config.confirm_frames)
     cluster_id = movers.cluster_id.copy()
