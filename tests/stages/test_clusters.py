@@ -13,12 +13,12 @@ from ttcvid.stages.objects.clusters import (
     ClusterMotion,
     epipole_pixels,
     motion_ids,
-    neighbours_in_cluster,
     ranked,
     rows_of,
     with_epipole_pixels,
     with_times,
 )
+from ttcvid.stages.objects.constant_bearing import neighbours_in_cluster
 from ttcvid.stages.objects.paper_track_states import two_frame_states
 from ttcvid.stages.tracking.groups import TrackSets
 

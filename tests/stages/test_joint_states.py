@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ttcvid.stages.objects.joint_states import joint_states
-from ttcvid.stages.objects.paper_track_states import SharedErrors, TrackStates
+from ttcvid.stages.objects.states import SharedErrors, TrackStates
 from ttcvid.stages.tracking.groups import TrackSets
 
 N, N_SHARED = 40, 9

@@ -6,7 +6,7 @@ from relative_motion import FOCAL_PX, box_of_points
 
 from ttcvid.stages.objects.joint_states import joint_states
 from ttcvid.stages.objects.near_face import front_boxes
-from ttcvid.stages.objects.paper_track_states import TrackStates
+from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.tracking.groups import TrackSets
 
 V_M_S = np.array([0.0, 0.0, -8.0])

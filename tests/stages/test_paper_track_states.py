@@ -16,12 +16,9 @@ from relative_motion import (
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Status
 from ttcvid.stages.egomotion.flows import select_flows
-from ttcvid.stages.objects.paper_track_states import (
-    TrackStates,
-    three_frame_states,
-    two_frame_states,
-    with_constant_bearing,
-)
+from ttcvid.stages.objects.constant_bearing import with_constant_bearing
+from ttcvid.stages.objects.paper_track_states import three_frame_states, two_frame_states
+from ttcvid.stages.objects.states import TrackStates
 
 # The paper's crossing car, and others: position in m, relative velocity in m/s.
 CROSSING = (np.array([[20.0, 0.0, 20.0]]), np.array([-10.0, 0.0, -2.0]))

@@ -7,32 +7,20 @@ import numpy as np
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.model import (
-    NO_CLUSTER,
     SCENE_CLUSTER,
     Camera,
     ClusterRow,
     CollisionTimes,
     Floats,
-    Status,
     TrackRows,
 )
 from ttcvid.stages.egomotion.flows import select_flows
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
-from ttcvid.stages.objects.clusters import (
-    neighbours_in_cluster,
-    ranked,
-    rows_of,
-    with_epipole_pixels,
-    with_times,
-)
+from ttcvid.stages.objects.clusters import ranked, rows_of, with_epipole_pixels, with_times
+from ttcvid.stages.objects.constant_bearing import EXPANSION_FRAMES, with_expansions
 from ttcvid.stages.objects.motions import FrameMotions
-from ttcvid.stages.objects.paper_track_states import (
-    EXPANSION_NEIGHBOURS,
-    TrackStates,
-    three_frame_states,
-    two_frame_states,
-    with_constant_bearing,
-)
+from ttcvid.stages.objects.paper_track_states import three_frame_states, two_frame_states
+from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.objects.track_directions import track_directions
 from ttcvid.stages.objects.track_states import multi_frame_states
 from ttcvid.stages.segmentation.approach_probability import (
@@ -44,11 +32,6 @@ from ttcvid.stages.segmentation.approach_probability import (
 )
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory
-
-# Expansions are measured over so many steps of the history, where there are as many.
-_EXPANSION_FRAMES = 5
-# As plain numbers, with which arrays are compared in a third of the time.
-_AT_EPIPOLE, _NO_PARALLAX = int(Status.at_epipole), int(Status.no_parallax)
 
 
 def track_rows(
@@ -65,7 +48,7 @@ def track_rows(
         asks = own.flows.has_flow & ~np.isfinite(own.direction[:, 0])
         states = states.with_status(np.where(asks, own.status, states.status))
     states = states.without(~motions.is_free, motions.no_direction_status)
-    states = _with_expansions(history, motions, states)
+    states = with_expansions(states, history, motions)
     rows = TrackRows(
         track_id=history.track_id,
         cluster_id=motions.cluster_id,
@@ -109,24 +92,9 @@ def no_tracks() -> TrackRows:
     return TrackRows(nothing, nothing, np.empty((0, 2)), nothing, np.empty(0), CollisionTimes.missing(0), nothing)
 
 
-def _with_expansions(history: TrackHistory, motions: FrameMotions, states: TrackStates) -> TrackStates:
-    """Times by expansion for tracks of a cluster that have no flow of their own."""
-    # The surroundings of a point of the scene lie at many depths: there only a point on the epipole itself is asked.
-    is_at_epipole = (states.status == _AT_EPIPOLE) & (motions.cluster_id != NO_CLUSTER)
-    stays = (states.status == _NO_PARALLAX) & (motions.cluster_id > SCENE_CLUSTER)
-    asks = is_at_epipole | stays
-    gap = min(_EXPANSION_FRAMES, history.n_past)
-    if gap < 1 or not asks.any():
-        return states
-    neighbours = neighbours_in_cluster(
-        history.xy_px, motions.cluster_id, np.flatnonzero(asks), EXPANSION_NEIGHBOURS, motions.link_px
-    )
-    return with_constant_bearing(states, history, neighbours, gap, asks)
-
-
 def _common_views(history: TrackHistory) -> CommonViews:
     """All tracks a common gap ago and now."""
-    past = history.now - min(_EXPANSION_FRAMES, history.n_past)
+    past = history.now - min(EXPANSION_FRAMES, history.n_past)
     return CommonViews(history.derotated(past), history.rays[history.now], -float(history.since_s[past]))
 
 

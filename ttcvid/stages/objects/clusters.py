@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
 from ttcvid.geometry.estimation.intervals import collision_times_from_state, radial_and_transverse_rate
@@ -28,7 +27,7 @@ from ttcvid.model import (
 )
 from ttcvid.stages.objects.joint_states import JointStates, joint_states
 from ttcvid.stages.objects.near_face import front_boxes
-from ttcvid.stages.objects.paper_track_states import TrackStates
+from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.tracking.groups import TrackSets
 
 # Approaching, receding and sideways motion are told at 95 % (one side).
@@ -297,17 +296,3 @@ def _directions(motions: Sequence[ClusterMotion]) -> tuple[Floats, Floats]:
         if one.direction is not None and one.direction_cov is not None:
             direction[place], cov[place] = one.direction, one.direction_cov
     return direction, cov
-
-
-def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:
-    """The nearest tracks of the same cluster around each of the ``asked`` tracks, itself the first.
-
-    Returns ``(N, count)`` tracks within the radius, nearest first, -1 where absent and for tracks not asked.
-    """
-    found = np.full((len(xy_px), count), -1, dtype=np.int64)
-    for number in np.unique(cluster[asked]):
-        members, own = np.flatnonzero(cluster == number), asked[cluster[asked] == number]
-        _, place = cKDTree(xy_px[members]).query(xy_px[own], k=np.arange(1, count + 1), distance_upper_bound=radius_px)
-        # One that is absent has the place behind the last member.
-        found[own] = np.append(members, -1)[place]
-    return found

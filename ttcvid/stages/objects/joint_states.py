@@ -9,7 +9,7 @@ import numpy as np
 from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, tracks_needed
-from ttcvid.stages.objects.paper_track_states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
+from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
 from ttcvid.stages.tracking.groups import TrackSets
 
 # Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.

@@ -10,7 +10,7 @@ import numpy as np
 
 from ttcvid.model import Floats, Ints
 from ttcvid.stages.objects.joint_states import JointStates
-from ttcvid.stages.objects.paper_track_states import TrackStates
+from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.tracking.groups import TrackSets
 
 # Tracks within this part (natural logarithm) of the depth of the nearest surface belong to the near face; a less

@@ -19,7 +19,7 @@ from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.egomotion.scene_trajectory import scene_path
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.motions import FrameMotions
-from ttcvid.stages.objects.paper_track_states import SharedErrors, TrackStates, has_value
+from ttcvid.stages.objects.states import SharedErrors, TrackStates, has_value
 from ttcvid.stages.objects.turning import believed_straight, straight_or_in_bend
 from ttcvid.stages.tracking.history import TrackHistory
 
