@@ -21,6 +21,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # be found not to be finite.
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
+    "no_cfunc_wrapper": True,
     "error_model": "numpy",
     "fastmath": {"contract", "reassoc"},
 }

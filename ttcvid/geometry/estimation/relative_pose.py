@@ -125,10 +125,10 @@ def _fitted(
             pull = prior.direction / prior.direction_sigma_rad**2
         precision = np.concatenate([np.full(2, of_direction), precision])
     n, k = len(rays_cam), len(precision)
-    fitted, residual, sense, score, information = (np.empty(of) for of in ((3, 3), n, n, (n, k), (k, k)))
+    fitted, residual, sense, score, information = (np.zeros(of) for of in ((3, 3), n, n, (n, k), (k, k)))
     fit_two_views(
         rays_prev,
-        rays_cam,
+        np.ascontiguousarray(rays_cam.T),
         sigma_rad,
         (prior.cam_R_prev, precision, pull),
         offset,

@@ -29,8 +29,9 @@ _TINY = 1e-300
 
 _Ellipse = tuple[tuple[float, float, float], tuple[float, float, float]]
 """q and u, each of the centre and along the longer and the shorter semi-axis."""
-# The extremes, in this order: highest q over q^2 + u^2, lowest, highest u over q^2 + u^2, lowest.
-_HIGH_Q, _LOW_Q, _HIGH_U, _LOW_U = range(4)
+# The extremes: of q over q^2 + u^2 and of u over q^2 + u^2.
+_N_EXTREMES = 4
+_HIGH_Q, _LOW_Q, _HIGH_U, _LOW_U = range(_N_EXTREMES)
 
 
 def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -56,7 +57,7 @@ def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats,
 @compiled_for("(f8[:, ::1], f8[:, :, ::1], f8[:, ::1])")
 def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
     """Fill ``bounds (4, N)``: lower and upper tcpa, lower and upper miss."""
-    start = np.empty((4, 2))
+    start, found = np.empty((_N_EXTREMES, 2)), np.empty(_N_EXTREMES)
     for i in range(len(rates)):
         q, u, variance_q, variance_u, mixed = rates[i, 0], rates[i, 1], cov[i, 0, 0], cov[i, 1, 1], cov[i, 0, 1]
         square, determinant = q * q + u * u, variance_q * variance_u - mixed * mixed
@@ -73,8 +74,8 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
             _look_uphill(ellipse, start)
         else:
             _look_around(ellipse, start)
-        high_q, low_q = _highest(ellipse, 1.0, False, start[_HIGH_Q]), -_highest(ellipse, -1.0, False, start[_LOW_Q])
-        high_u, low_u = _highest(ellipse, 1.0, True, start[_HIGH_U]), -_highest(ellipse, -1.0, True, start[_LOW_U])
+        for extreme in range(_N_EXTREMES):
+            found[extreme] = _climbed(ellipse, extreme, start)
         if reaches_axis:
             # The axis u = 0 crosses the ellipse, too.
             slope = mixed / variance_u if variance_u > 0.0 else 0.0
@@ -83,10 +84,13 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
             for side in (-1.0, 1.0):
                 crossing = q - slope * u + side * half_width
                 if crossing != 0.0:
-                    high_q, low_q = max(high_q, 1.0 / crossing), min(low_q, 1.0 / crossing)
-        bounds[0, i], bounds[1, i], bounds[3, i] = -high_q, -low_q, high_u
+                    found[_HIGH_Q], found[_LOW_Q] = (
+                        max(found[_HIGH_Q], 1.0 / crossing),
+                        min(found[_LOW_Q], 1.0 / crossing),
+                    )
+        bounds[0, i], bounds[1, i], bounds[3, i] = -found[_HIGH_Q], -found[_LOW_Q], found[_HIGH_U]
         if not reaches_axis:
-            bounds[2, i] = low_u
+            bounds[2, i] = found[_LOW_U]
 
 
 @compiled
@@ -179,14 +183,15 @@ def _closest_to_origin(ellipse: _Ellipse) -> tuple[float, float]:
 
 
 @compiled
-def _highest(ellipse: _Ellipse, sign: float, is_u: bool, start: Floats) -> float:
-    """Maximum of ``sign n / (n^2 + m^2)`` along the ellipse near a parameter, and in its centre, by Newton steps.
+def _climbed(ellipse: _Ellipse, extreme: int, start: Floats) -> float:
+    """One of the extremes along the ellipse near its ``start (4, 2)``, or that of the centre, by Newton steps.
 
-    n and m are q and u, or u and q (``is_u``). The steps go to the zero of the derivative's numerator, ``n' D - n D'``
-    with the objective n / D. ``start (2,)`` cosine and sine of the parameter.
+    With n and m for q and u, or for u and q, the steps go to the zero of the derivative's numerator, ``n' D - n D'``
+    with the objective n / D = n / (n^2 + m^2).
     """
+    is_u, sign = extreme >= _HIGH_U, 1.0 if extreme in (_HIGH_Q, _HIGH_U) else -1.0
     (n_0, n_a, n_b), (m_0, m_a, m_b) = (ellipse[1], ellipse[0]) if is_u else (ellipse[0], ellipse[1])
-    cos, sin, best = start[0], start[1], sign * n_0 / (n_0 * n_0 + m_0 * m_0)
+    cos, sin, best = start[extreme, 0], start[extreme, 1], sign * n_0 / (n_0 * n_0 + m_0 * m_0)
     for _ in range(_NEWTON_STEPS + 1):
         n_offset, m_offset = n_a * cos + n_b * sin, m_a * cos + m_b * sin
         n, m = n_0 + n_offset, m_0 + m_offset
@@ -201,4 +206,4 @@ def _highest(ellipse: _Ellipse, sign: float, is_u: bool, start: Floats) -> float
         scale = 1.0 / (1.0 + half_step * half_step)
         turn_cos, turn_sin = (1.0 - half_step * half_step) * scale, 2.0 * half_step * scale
         cos, sin = cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin
-    return best
+    return sign * best

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels.arrays import ZERO, add
 from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
 from ttcvid.geometry.kernels.windows import window_descent
@@ -81,7 +81,7 @@ def fit_free_points(
         limits[_HIGH] = (1.0 - _LEAST_DEPTH_RATIO) / max(-first, 1e-12)
         belief = limits, normal, normal_cov
         s[:], sums[:] = 0.0, 0.0
-        _add(views, ZERO, m, s, True, 1.0, sums)
+        _add(views, ZERO, m, s, np.inf, 1.0, sums)
         _solve(sums, s, belief, work[1])
         add(work[1], s)
         n_frames[i], chi2[i] = _descend(views, m, LEAST_FRAMES, belief, gates, s, sums, work)
@@ -91,16 +91,17 @@ def fit_free_points(
 @compiled
 def _add_views(views: Floats, first: int, stop: int, s: Floats, sign: float, sums: Floats) -> None:
     """Add the normal equations of a range of views, as `windows.descend` asks for."""
-    _add(views, first, stop, s, False, sign, sums)
+    _add(views, first, stop, s, ROBUST_SIGMAS * ROBUST_SIGMAS, sign, sums)
 
 
-@compiled_in_place
-def _add(views: Floats, first: int, stop: int, s: Floats, is_linear: bool, sign: float, sums: Floats) -> None:
+@compiled
+def _add(views: Floats, first: int, stop: int, s: Floats, limit: float, sign: float, sums: Floats) -> None:
     """Add to ``sums (14,)``. With h = 1 / (1 + c t), d x(t) / d(x, a, c) = (h, h t, -h t x(t)).
 
-    ``is_linear``: of x + a t - x_i t c = x_i instead, with observed positions in the column of c.
+    Residuals with a square above the ``limit`` lose weight; an infinite one stands for the linear equations
+    x + a t - x_i t c = x_i, with observed positions in the column of c.
     """
-    limit = ROBUST_SIGMAS * ROBUST_SIGMAS
+    is_linear = limit == np.inf
     h0 = h1 = h2 = x_c = a_c = y_c = b_c = info = score_x = score_a = score_y = score_b = score_c = squares = 0.0
     for k in range(np.uint64(first), np.uint64(stop)):
         inverse, t = views[_INVERSE, k], views[_TIME, k]
@@ -145,10 +146,9 @@ def _add(views: Floats, first: int, stop: int, s: Floats, is_linear: bool, sign:
 
 
 @compiled
-def _follow(sums: Floats, j: int, k: int) -> tuple[float, float]:
-    """What (x, a) or (y, b) are for the right-hand side ``sums[[j, k]]``: the two share one 2 x 2 matrix."""
+def _follow(sums: Floats, p: float, q: float) -> tuple[float, float]:
+    """What (x, a) or (y, b) are for the right-hand side (p, q): the two share one 2 x 2 matrix."""
     inverse = 1.0 / (sums[_H] * sums[_HTT] - sums[_HT] * sums[_HT])
-    p, q = sums[j], sums[k]
     return (sums[_HTT] * p - sums[_HT] * q) * inverse, (sums[_H] * q - sums[_HT] * p) * inverse
 
 
@@ -158,8 +158,9 @@ def _solve_with(sums: Floats, prior: float, c: float, least: float, most: float,
 
     Returns by how much chi-square falls. (x, a) and (y, b) meet in c alone.
     """
-    (x_c, a_c), (y_c, b_c) = _follow(sums, _X_C, _A_C), _follow(sums, _Y_C, _B_C)
-    (x_0, a_0), (y_0, b_0) = _follow(sums, _SCORE_X, _SCORE_A), _follow(sums, _SCORE_Y, _SCORE_B)
+    (x_c, a_c), (y_c, b_c) = _follow(sums, sums[_X_C], sums[_A_C]), _follow(sums, sums[_Y_C], sums[_B_C])
+    x_0, a_0 = _follow(sums, sums[_SCORE_X], sums[_SCORE_A])
+    y_0, b_0 = _follow(sums, sums[_SCORE_Y], sums[_SCORE_B])
     info = max(sums[_INFO] - sums[_X_C] * x_c - sums[_A_C] * a_c - sums[_Y_C] * y_c - sums[_B_C] * b_c, 0.0)
     score = sums[_SCORE_C] + sums[_X_C] * x_0 + sums[_A_C] * a_0 + sums[_Y_C] * y_0 + sums[_B_C] * b_0
     dc = min(max((score - prior * c) / (info + prior), least), most)
@@ -242,7 +243,7 @@ def _store(
     if len(cov) == 0 or not has_cov:
         return
     # How x, y, a, b follow c along the valley of the likelihood: the part of the covariance that c makes.
-    (x_c, a_c), (y_c, b_c) = _follow(sums, _X_C, _A_C), _follow(sums, _Y_C, _B_C)
+    (x_c, a_c), (y_c, b_c) = _follow(sums, sums[_X_C], sums[_A_C]), _follow(sums, sums[_Y_C], sums[_B_C])
     info_c = sums[_INFO] - sums[_X_C] * x_c - sums[_A_C] * a_c - sums[_Y_C] * y_c - sums[_B_C] * b_c
     if not info_c > _LEAST_INFO * limits[_PRIOR]:
         return

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for, compiled_in_place
+from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels.arrays import copy_rows
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.normal_equations import add_equations, mirror
@@ -37,7 +37,7 @@ _LEAST_GAP = 1e-6
 )
 def fit_two_views(
     rays_prev: Floats,
-    rays_cam: Floats,
+    now: Floats,
     sigma: Floats,
     priors: tuple[Floats, Floats, Floats],
     offset: Floats,
@@ -46,29 +46,33 @@ def fit_two_views(
 ) -> None:
     """``offset (3,)`` and ``direction (3,)`` in and out; an empty direction: rotation alone, every point at infinity.
 
-    ``priors`` are the rotation expected, the precision of each unknown, and for the direction the score that belongs
-    to that, (3,). Fills ``found``: the rotation, the ``residual (N,)``, signed where there is a direction, the
-    ``sense (N,)`` of each point (`_plane_residual`), ``score (N, U)`` and ``information (U, U)``, of two tangent
-    coordinates of the direction, where there is one, and the rotation vector.
+    ``rays_prev (N, 3)`` are of the first view, ``now (3, N)`` of the second; ``priors`` the rotation expected, the
+    precision of each unknown, and for the direction the score that belongs to that, (3,). Fills ``found``: the
+    rotation, the ``residual (N,)``, signed where there is a direction, the ``sense (N,)`` of each point
+    (`_set_motion_rows`), ``score (N, U)`` and ``information (U, U)``, of two tangent coordinates of the direction,
+    where there is one, and the rotation vector.
     """
     cam_R_prev, residual, sense, score, information = found
     expected, precision, pull = priors
     n, n_unknowns, has_direction = len(sigma), len(information), len(direction) > 0
-    now, turned = rays_cam.T.copy(), np.empty((3, n))
+    turned = np.empty((3, n))
     n_rows, first_turn = n if has_direction else 3 * n, n_unknowns - 3
-    rows, turn, basis = np.empty((n_unknowns + 1, n_rows)), np.empty((3, 3)), np.zeros((3, 2))
+    rows, axes, basis = np.empty((n_unknowns + 1, n_rows)), np.empty((3, 3)), np.empty((3, 2))
     step, left = np.empty(n_unknowns), np.empty((n_unknowns, n_unknowns))
-    sense[:] = 0.0
     for count in range(_MAX_STEPS):
-        _turn(offset, expected, turn, cam_R_prev)
-        _turn_rays(cam_R_prev, rays_prev, turned)
+        _turn(offset, expected, cam_R_prev, rays_prev, turned)
         if has_direction:
             fill_tangents(direction[0], direction[1], direction[2], basis)
-            _set_motion_rows(turned, now, sigma, _axes(direction, basis), rows, residual, sense)
+            for j in range(3):
+                axes[0, j], axes[1, j], axes[2, j] = direction[j], basis[j, 0], basis[j, 1]
+            _set_motion_rows(turned, now, sigma, axes, rows, residual, sense)
         else:
             _set_rotation_rows(turned, now, sigma, rows, residual)
         _weigh(rows, residual, sense, has_direction)
-        information[:], step[:] = 0.0, 0.0
+        for j in range(n_unknowns):
+            step[j] = 0.0
+            for k in range(n_unknowns):
+                information[j, k] = 0.0
         add_equations(rows, n_rows, information, step)
         for j in range(n_unknowns):
             information[j, j] += precision[j]
@@ -96,22 +100,18 @@ def fit_two_views(
             for k in range(i, n_rows, n):
                 score[i, j] += rows[j, k] * rows[n_unknowns, k]
     mirror(information)
-    _turn(offset, expected, turn, cam_R_prev)
+    _turn(offset, expected, cam_R_prev, rays_prev, turned)
 
 
 @compiled
-def _turn(offset: Floats, expected: Floats, turn: Floats, rotation: Floats) -> None:
-    """Fill ``rotation`` with ``expected`` turned by the ``offset``."""
+def _turn(offset: Floats, expected: Floats, rotation: Floats, rays: Floats, turned: Floats) -> None:
+    """Fill ``rotation`` with ``expected`` turned by the ``offset``, and ``turned (3, N)`` with ``rays (N, 3)`` so."""
+    turn = np.empty((3, 3))
     fill_rotation(offset[0], offset[1], offset[2], turn)
     for j in range(3):
         for k in range(3):
             rotation[j, k] = turn[j, 0] * expected[0, k] + turn[j, 1] * expected[1, k] + turn[j, 2] * expected[2, k]
-
-
-@compiled
-def _turn_rays(rotation: Floats, rays: Floats, turned: Floats) -> None:
-    """Fill ``turned (3, N)``, axis by axis, from ``rays (N, 3)``."""
-    for i in range(rays.shape[0]):
+    for i in range(len(rays)):
         for j in range(3):
             turned[j, i] = rotation[j, 0] * rays[i, 0] + rotation[j, 1] * rays[i, 1] + rotation[j, 2] * rays[i, 2]
 
@@ -135,15 +135,46 @@ def _set_rotation_rows(turned: Floats, now: Floats, sigma: Floats, rows: Floats,
 
 @compiled
 def _set_motion_rows(
-    turned: Floats, now: Floats, sigma: Floats, axes: tuple[float, ...], rows: Floats, residual: Floats, sense: Floats
+    turned: Floats, now: Floats, sigma: Floats, axes: Floats, rows: Floats, residual: Floats, sense: Floats
 ) -> None:
-    """Fill ``rows (6, N)`` without weights, ``residual (N,)`` and ``sense (N,)``."""
+    """Fill ``rows (6, N)`` without weights, ``residual (N,)`` and ``sense (N,)``; axes (3, 3): direction and tangents.
+
+    The rows have the derivatives by direction (2) and rotation (3). The sense is 1 for a point that moves along the
+    direction by more than its noise, -1 against it, else 0.
+
+    The residual is the smaller singular value of the two rays' parts across the direction: their area,
+    direction . (q x p), over the larger one. Both are differentiated. With the denominator held, the estimate solves
+    an equation that noise shifts: the direction errs by a bias that grows with the square of the noise.
+    """
+    # As plain numbers: no array that the loop fills can hold them.
+    d0, d1, d2, a0, a1, a2 = axes[0, 0], axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1], axes[1, 2]
+    b0, b1, b2 = axes[2, 0], axes[2, 1], axes[2, 2]
     for i in range(len(sigma)):
-        q, p = (turned[0, i], turned[1, i], turned[2, i]), (now[0, i], now[1, i], now[2, i])
-        residual[i], rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], sense[i] = _plane_residual(
-            q, p, axes, sigma[i]
-        )
-        rows[5, i] = -residual[i]
+        q0, q1, q2, p0, p1, p2 = turned[0, i], turned[1, i], turned[2, i], now[0, i], now[1, i], now[2, i]
+        u0, u1 = q0 * a0 + q1 * a1 + q2 * a2, q0 * b0 + q1 * b1 + q2 * b2
+        v0, v1 = p0 * a0 + p1 * a1 + p2 * a2, p0 * b0 + p1 * b1 + p2 * b2
+        area = u0 * v1 - u1 * v0
+        trace = u0 * u0 + u1 * u1 + v0 * v0 + v1 * v1
+        # Between the squared singular values. Where they are equal, on the epipole itself, the smaller has no
+        # derivative.
+        gap = max(np.sqrt(max(trace * trace - 4.0 * area * area, 0.0)), _LEAST_GAP * trace, _TINY)
+        largest = max(0.5 * (trace + gap), _TINY)
+        scale = 1.0 / (np.sqrt(largest) * sigma[i])
+        off = area * scale
+        by_area = scale + off * area / (gap * largest)
+        by_trace = -0.25 * off * (1.0 + trace / gap) / largest
+        n0, n1, n2 = q1 * p2 - q2 * p1, q2 * p0 - q0 * p2, q0 * p1 - q1 * p0
+        along_q, along_p = q0 * d0 + q1 * d1 + q2 * d2, p0 * d0 + p1 * d1 + p2 * d2
+        cosine, turn_trace = q0 * p0 + q1 * p1 + q2 * p2, -2.0 * along_q * by_trace
+        rows[0, i] = (n0 * a0 + n1 * a1 + n2 * a2) * by_area - 2.0 * (along_q * u0 + along_p * v0) * by_trace
+        rows[1, i] = (n0 * b0 + n1 * b1 + n2 * b2) * by_area - 2.0 * (along_q * u1 + along_p * v1) * by_trace
+        rows[2, i] = (along_q * p0 - cosine * d0) * by_area + (q1 * d2 - q2 * d1) * turn_trace
+        rows[3, i] = (along_q * p1 - cosine * d1) * by_area + (q2 * d0 - q0 * d2) * turn_trace
+        rows[4, i] = (along_q * p2 - cosine * d2) * by_area + (q0 * d1 - q1 * d0) * turn_trace
+        rows[5, i], residual[i] = -off, off
+        towards = (along_p - along_q) / (np.sqrt(max(trace, _TINY)) * sigma[i])
+        wrong_way = -1.0 if towards <= -_SENSE_SIGMAS else 0.0
+        sense[i] = 1.0 if towards >= _SENSE_SIGMAS else wrong_way
 
 
 @compiled
@@ -153,7 +184,10 @@ def _weigh(rows: Floats, residual: Floats, sense: Floats, is_signed: bool) -> No
     The scale of the weights is at least 1, in sigmas: a poor start sees far, a good one trusts the noise it was told.
     It is half of the spread: with two fifths of the points on movers the median is no measure of the noise.
     """
-    n, root = len(residual), np.abs(residual)
+    n = len(residual)
+    root = np.empty(n)
+    for i in range(n):
+        root[i] = abs(residual[i])
     scale = max(1.0, 0.5 * 1.4826 * median(root) * (1.0 if is_signed else np.sqrt(0.5)))
     for i in range(n):
         relative = residual[i] / (scale * _REDESCENT)
@@ -162,63 +196,3 @@ def _weigh(rows: Floats, residual: Floats, sense: Floats, is_signed: bool) -> No
         for first in range(0, rows.shape[1], n):
             for i in range(np.uint64(n)):
                 rows[j, np.uint64(first) + i] *= root[i]
-
-
-@compiled
-def _axes(direction: Floats, basis: Floats) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """The direction and its two tangents as plain numbers: no array that a loop fills can hold them."""
-    return (
-        direction[0],
-        direction[1],
-        direction[2],
-        basis[0, 0],
-        basis[1, 0],
-        basis[2, 0],
-        basis[0, 1],
-        basis[1, 1],
-        basis[2, 1],
-    )
-
-
-@compiled_in_place
-def _plane_residual(
-    q: tuple[float, float, float], p: tuple[float, float, float], axes: tuple[float, ...], sigma: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """Residual of a point, its derivative by direction (2) and rotation (3), and its sense.
-
-    The sense is 1 for a point that moves along the direction by more than its noise, -1 against it, else 0.
-
-    The residual is the smaller singular value of the two rays' parts across the direction: their area,
-    direction . (q x p), over the larger one. Both are differentiated. With the denominator held, the estimate solves
-    an equation that noise shifts: the direction errs by a bias that grows with the square of the noise.
-    """
-    q0, q1, q2 = q
-    p0, p1, p2 = p
-    d0, d1, d2, a0, a1, a2, b0, b1, b2 = axes
-    u0, u1 = q0 * a0 + q1 * a1 + q2 * a2, q0 * b0 + q1 * b1 + q2 * b2
-    v0, v1 = p0 * a0 + p1 * a1 + p2 * a2, p0 * b0 + p1 * b1 + p2 * b2
-    area = u0 * v1 - u1 * v0
-    trace = u0 * u0 + u1 * u1 + v0 * v0 + v1 * v1
-    # Between the squared singular values. Where they are equal, on the epipole itself, the smaller has no derivative.
-    gap = max(np.sqrt(max(trace * trace - 4.0 * area * area, 0.0)), _LEAST_GAP * trace, _TINY)
-    largest = max(0.5 * (trace + gap), _TINY)
-    scale = 1.0 / (np.sqrt(largest) * sigma)
-    residual = area * scale
-    by_area = scale + residual * area / (gap * largest)
-    by_trace = -0.25 * residual * (1.0 + trace / gap) / largest
-    n0, n1, n2 = q1 * p2 - q2 * p1, q2 * p0 - q0 * p2, q0 * p1 - q1 * p0
-    along_q, along_p = q0 * d0 + q1 * d1 + q2 * d2, p0 * d0 + p1 * d1 + p2 * d2
-    trace_a, trace_b = -2.0 * (along_q * u0 + along_p * v0), -2.0 * (along_q * u1 + along_p * v1)
-    cosine = q0 * p0 + q1 * p1 + q2 * p2
-    towards = (along_p - along_q) / (np.sqrt(max(trace, _TINY)) * sigma)
-    wrong_way = -1.0 if towards <= -_SENSE_SIGMAS else 0.0
-    turn_trace = -2.0 * along_q * by_trace
-    return (
-        residual,
-        (n0 * a0 + n1 * a1 + n2 * a2) * by_area + trace_a * by_trace,
-        (n0 * b0 + n1 * b1 + n2 * b2) * by_area + trace_b * by_trace,
-        (along_q * p0 - cosine * d0) * by_area + (q1 * d2 - q2 * d1) * turn_trace,
-        (along_q * p1 - cosine * d1) * by_area + (q2 * d0 - q0 * d2) * turn_trace,
-        (along_q * p2 - cosine * d2) * by_area + (q0 * d1 - q1 * d0) * turn_trace,
-        1.0 if towards >= _SENSE_SIGMAS else wrong_way,
-    )
