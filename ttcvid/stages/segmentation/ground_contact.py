@@ -105,7 +105,10 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     pairs = pairs[key[index[pairs[:, 0]]] == key[index[pairs[:, 1]]]]
     tolerance = 0.5 * (_ONE_THING * np.abs(seen.rate_hz[index]) + _SIGMAS * seen.sigma_hz[index])
     label, is_off = np.full(len(index), -1), seen.is_off_road[index]
-    n_things = _surfaces(seen.rate_hz[index], tolerance, is_off, pairs, label)
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    start, beside = np.searchsorted(both[:, 0], np.arange(len(index) + 1)), np.ascontiguousarray(both[:, 1])
+    n_things = _surfaces(seen.rate_hz[index], tolerance, is_off, start, beside, label)
     thing = np.full(len(key), -1)
     contradicts, is_borne = np.zeros(n_things, dtype=bool), np.zeros(n_things, dtype=bool)
     for number in range(n_things):
@@ -198,24 +201,13 @@ def _hangs(seen: OnGround, members: Ints) -> bool:
     return bool(down * len(members) > _MISSING * (low - top) and not is_aside and not bears.any())
 
 
-@compiled_for("(f8[::1], f8[::1], b1[::1], i8[:, ::1], i8[::1])")
-def _surfaces(rate_hz: Floats, tolerance: Floats, is_seed: Bools, pairs: Ints, label: Ints) -> int:
+@compiled_for("(f8[::1], f8[::1], b1[::1], i8[::1], i8[::1], i8[::1])")
+def _surfaces(rate_hz: Floats, tolerance: Floats, is_seed: Bools, start: Ints, beside: Ints, label: Ints) -> int:
     """Fill ``label (K,)`` with the surface of each point, -1 without one; how many they are.
 
-    Along ``pairs (M, 2)`` from a seed to points of its rate, then to those of the median rate of all of these.
+    From a seed on to points of its rate, then to those of the median rate of all of these. The neighbours of point i
+    are ``beside[start[i] : start[i + 1]]``.
     """
-    start = np.zeros(len(rate_hz) + 1, dtype=np.int64)
-    for m in range(len(pairs)):
-        start[pairs[m, 0] + 1] += 1
-        start[pairs[m, 1] + 1] += 1
-    for i in range(len(rate_hz)):
-        start[i + 1] += start[i]
-    beside, end = np.empty(2 * len(pairs), dtype=np.int64), start.copy()
-    for m in range(len(pairs)):
-        i, j = pairs[m, 0], pairs[m, 1]
-        beside[end[i]], beside[end[j]] = j, i
-        end[i] += 1
-        end[j] += 1
     members, rates, n_things = np.empty(len(rate_hz), dtype=np.int64), np.empty(len(rate_hz)), 0
     for seed in range(len(rate_hz)):
         if label[seed] >= 0 or not is_seed[seed]:
