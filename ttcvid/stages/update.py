@@ -18,6 +18,7 @@ from ttcvid.model import (
     PointSet,
 )
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
+from ttcvid.stages.egomotion.outflow import flows_out
 from ttcvid.stages.egomotion.relative_pose import Egomotion, EgomotionMemory
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, followed_plane
 from ttcvid.stages.objects.motions import find_motions
@@ -113,7 +114,7 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
         frozen=frozen,
         egomotion=ego_memory,
         bodies=restarted_bodies(bodies) if egomotion is None and before_gap is None else bodies,
-        scene_moves=_shows_frozen_pixels(egomotion, clip.camera),
+        scene_moves=_shows_frozen_pixels(egomotion, history, clip),
         plane=plane,
         before_gap=before_gap,
     )
@@ -180,9 +181,17 @@ def _motion_status(egomotion: Egomotion | None, platform: Platform) -> FrameStat
     return FrameStatus.rotation_only if egomotion.direction is None else FrameStatus.ok
 
 
-def _shows_frozen_pixels(egomotion: Egomotion | None, camera: Camera) -> bool:
-    """Whether the camera moved so that every pixel of the scene had to change its place."""
+def _shows_frozen_pixels(egomotion: Egomotion | None, history: TrackHistory, clip: Clip) -> bool:
+    """Whether the camera moved so that every pixel of the scene had to change its place.
+
+    Also where most of the picture rides along with the camera, and so is taken for a scene at rest.
+    """
     if egomotion is None:
         return False
-    turned_px = float(np.linalg.norm(egomotion.rotation_rad)) * camera.fx_px
-    return egomotion.direction is not None or turned_px > _TURNING_PX
+    own = clip.config.egomotion
+    if egomotion.direction is not None or own.platform == Platform.static:
+        moves = egomotion.direction is not None
+    else:
+        moves = flows_out(history, LEAST_PARALLAX_PX, own.min_tracks, own.platform)
+    turned_px = float(np.linalg.norm(egomotion.rotation_rad)) * clip.camera.fx_px
+    return moves or turned_px > _TURNING_PX

@@ -94,17 +94,17 @@ def _last_step(
     parallax_rad: float,
 ) -> _Step | None:
     """Own motion since the last frame as the tracks of no known mover tell it, or all; None with too few tracks."""
-    everything = _pair(history, is_free, 1, config.min_tracks)
+    everything = paired_rays(history, is_free, 1, config.min_tracks)
     if everything is None:
         return None
     side = region_side_of(history.camera)
 
-    def told_by(tells: Bools, pair: _Pair) -> _Step:
+    def told_by(tells: Bools, pair: RayPairs) -> _Step:
         return _Step(*estimate_egomotion(*pair, parallax_rad, memory, config.platform, side), tells)
 
     by_all = told_by(is_free, everything)
     without_movers = is_free & in_scene
-    pair = _pair(history, without_movers, 1, config.min_tracks) if (is_free & ~in_scene).any() else None
+    pair = paired_rays(history, without_movers, 1, config.min_tracks) if (is_free & ~in_scene).any() else None
     if pair is None:
         return by_all
     by_scene = told_by(without_movers, pair)
@@ -129,7 +129,7 @@ def _over_gap(
     if is_noise_known:
         history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
     memory = replace(memory, gap_frames=_gap_for(history, step.tells))
-    long_step = _pair(history, step.tells, gap, config.min_tracks) if gap > 1 else None
+    long_step = paired_rays(history, step.tells, gap, config.min_tracks) if gap > 1 else None
     if long_step is None:
         if not is_noise_known:
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
@@ -145,10 +145,10 @@ def _over_gap(
     return egomotion, history, memory
 
 
-_Pair = tuple[Floats, Floats, Floats]
+RayPairs = tuple[Floats, Floats, Floats]
 
 
-def _pair(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> _Pair | None:
+def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> RayPairs | None:
     """Rays ``gap`` frames ago and now, each in its own camera, and their noise; None with too few tracks.
 
     Of tracks so that no place of the picture holds too many: one textured lorry is not the world. A mover near by may
