@@ -1,5 +1,7 @@
 """Which change of own velocity leads to a collision: against hand-made cases, brute force and Monte-Carlo."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -97,7 +99,8 @@ def test_who_turns_hits_what_stands_on_the_circle_and_misses_what_stands_straigh
 
 
 def test_what_brakes_to_a_halt_is_reached_though_it_is_as_fast_as_we_are():
-    lead = thing(place=(0.0, 0.0, 16.5), velocity=(0.0, 0.0, 0.0), acceleration_m_s2=-5.0)
+    lead = thing(place=(0.0, 0.0, 16.5), velocity=(0.0, 0.0, 0.0))
+    lead = replace(lead, acceleration_m_s2=np.array([-5.0]))
     made = map_of_changes(moment(lead), ZERO, ZERO, 6.0)
     # 15 m between us; it stands after 2 s and 10 m, we cover 25 m in 2.5 s.
     assert made.time_s.item() == pytest.approx(2.5, abs=0.01)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,13 +75,13 @@ def _body_hazards(world: World, actor: Actor, frame: int, level_R_road: Floats) 
     turn = actor.path.turn_rad_s[frame]
     motion, t_s = body_motion(actor.body), world.path.t_s[frame]
     is_pushed = motion.acceleration_from_s <= t_s < motion.acceleration_until_s
-    return one_object(
+    box = one_object(
         actor.name,
         actor.object_id,
         (actor.path.position_m[frame] + offset - world.path.position_m[frame]) @ level_R_road.T,
         (actor.path.velocity_m_s[frame] + np.cross(turn, offset) - world.path.velocity_m_s[frame]) @ level_R_road.T,
         0.5 * (high - low) @ np.abs(box_R_body).T,
         yaw,
-        turn_rad_s=-float(turn[2]),
-        acceleration_m_s2=motion.acceleration_m_s2 if is_pushed else 0.0,
     )
+    acceleration = np.full(len(box), motion.acceleration_m_s2 if is_pushed else 0.0)
+    return replace(box, turn_rad_s=np.full(len(box), -turn[2]), acceleration_m_s2=acceleration)

@@ -178,10 +178,11 @@ def one_object(
     half_size_m: Floats,
     yaw_rad: float = 0.0,
     covariance: Floats | None = None,
-    turn_rad_s: float = 0.0,
-    acceleration_m_s2: float = 0.0,
 ) -> Hazards:
-    """An object of N boxes ``(N, 3)``, all turned alike and all there together; without a covariance it is exact."""
+    """An object of N boxes ``(N, 3)``, all turned alike and all there together, on a straight steady way.
+
+    Without a ``covariance (N, 6, 6)`` it is exact.
+    """
     n = len(position_m)
     return Hazards(
         position_m,
@@ -189,8 +190,8 @@ def one_object(
         half_size_m,
         np.full(n, yaw_rad),
         np.zeros((n, 6, 6)) if covariance is None else covariance,
-        np.full(n, turn_rad_s),
-        np.full(n, acceleration_m_s2),
+        np.zeros(n),
+        np.zeros(n),
         np.zeros(n, np.int64),
         np.zeros(n, np.int64),
         np.ones(n),
