@@ -5,7 +5,7 @@ import pytest
 
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.normal_equations import add_equations
-from ttcvid.geometry.kernels.solve import eliminate, solve
+from ttcvid.geometry.kernels.solve import eliminate, follow, solve
 
 RNG = np.random.default_rng(3)
 
@@ -19,14 +19,36 @@ def test_a_positive_definite_system_is_solved_by_its_lower_half(n):
     assert product == pytest.approx(right @ solution)
 
 
-def test_what_is_left_of_equations_when_some_unknowns_follow_has_the_same_solution_for_the_others():
+def eliminated(matrix, right):
+    """Information and score of the last four of six unknowns, and the step of all, the first two following."""
+    equations, kept = np.vstack([np.tril(matrix), right]), np.empty((7, 2))
+    information, score, step = np.zeros((4, 4)), np.zeros(4), np.full(6, np.nan)
+    eliminate(equations, kept, information, score)
+    left = information.copy(), score.copy()
+    information += np.eye(4) * (np.trace(information) == 0.0)
+    solve(information, score)
+    step[2:] = score
+    follow(kept, step)
+    return *left, step
+
+
+def test_unknowns_that_follow_are_eliminated_and_found_again():
     root, right = RNG.normal(size=(6, 6)), RNG.normal(size=6)
     matrix = root @ root.T + np.eye(6)
-    left, of_others = np.tril(matrix), right.copy()
-    eliminate(left, of_others, 2)
-    others = of_others[2:].copy()
-    solve(left[2:, 2:].copy(), others)
-    np.testing.assert_allclose(others, np.linalg.solve(matrix, right)[2:], rtol=1e-10)
+    information, score, step = eliminated(matrix, right)
+    follow_by = np.linalg.solve(matrix[:2, :2], matrix[:2, 2:]).T
+    np.testing.assert_allclose(information, np.tril(matrix[2:, 2:] - follow_by @ matrix[:2, 2:]), rtol=1e-10)
+    np.testing.assert_allclose(score, right[2:] - follow_by @ right[:2], rtol=1e-10)
+    np.testing.assert_allclose(step, np.linalg.solve(matrix, right), rtol=1e-10)
+
+
+def test_equations_that_leave_what_follows_open_say_nothing_of_the_others():
+    root, right = RNG.normal(size=(6, 6)), RNG.normal(size=6)
+    root[1], right[1] = 0.0, 0.0
+    information, score, step = eliminated(root @ root.T, right)
+    assert not information.any()
+    assert not score.any()
+    np.testing.assert_array_equal(step, 0.0)
 
 
 def test_equations_are_products_of_derivatives_and_residuals():

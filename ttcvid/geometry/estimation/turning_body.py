@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.kernels.turning_points import N_SHARED, fit_turning_points
-from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector
+from ttcvid.geometry.kernels.turning_points import N_SHARED, fit_turning_points, set_trajectory
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats
 
 # Vehicles in junctions turn by up to 0.5 rad/s (6 m/s on a circle of 12 m); half of the time by less than 0.2.
@@ -65,7 +65,9 @@ class TurningBody:
 
     def path_turned_back(self, t_s: Floats) -> Floats:
         """Path ``(L, 3)`` of its points in views turned back by the turn; its derivative at time 0 is a unit vector."""
-        return np.asarray(_path(self.centre, self.shared, np.asarray(t_s)) / self.rate_hz)
+        rotations, shift = np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 3))
+        set_trajectory(np.ascontiguousarray(t_s, dtype=np.float64), self.centre, self.shared, rotations, shift)
+        return np.asarray(np.einsum("lji,lj->li", rotations, shift) / self.rate_hz)
 
     @property
     def rate_hz(self) -> float:
@@ -186,24 +188,3 @@ def _slopes(centre: Floats, shared: Floats) -> Floats:
     """Derivatives (9, 9) of `_normalized`, by central differences."""
     ends = [(_normalized(centre, shared + off)[0], _normalized(centre, shared - off)[0]) for off in _STEP * np.eye(9)]
     return np.column_stack([(after - before) / (2.0 * _STEP) for after, before in ends])
-
-
-def _path(centre: Floats, shared: Floats, t: Floats) -> Floats:
-    """R(-t) S(t), with S of `kernels.turning_points`: (L, 3)."""
-    velocity, acceleration, turn = shared[:3], shared[3:6], shared[6:]
-    forward = rotation_from_vector(t[:, None] * turn)
-    moved = centre - forward @ centre + t[:, None] * velocity + _twice_integrated(turn, t, acceleration)
-    return np.asarray(np.einsum("lji,lj->li", forward, moved))
-
-
-def _twice_integrated(turn: Floats, t: Floats, vector: Floats) -> Floats:
-    """The double integral from 0 to t of a vector that turns: (L, 3)."""
-    rate = float(np.linalg.norm(turn))
-    once, twice = cross(turn, vector), cross(turn, cross(turn, vector))
-    angle = rate * t
-    if np.all(np.abs(angle) < 1e-2):
-        third, fourth = t**3 * (1.0 / 6.0 - angle**2 / 120.0), t**4 * (1.0 / 24.0 - angle**2 / 720.0)
-    else:
-        third = (t - np.sin(angle) / rate) / rate**2
-        fourth = (0.5 * t**2 - 2.0 * (np.sin(0.5 * angle) / rate) ** 2) / rate**2
-    return np.asarray(0.5 * t[:, None] ** 2 * vector + third[:, None] * once + fourth[:, None] * twice)

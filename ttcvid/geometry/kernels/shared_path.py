@@ -33,10 +33,6 @@ _Points = tuple[Floats, Floats, Floats, Ints, Ints]
 """Views ``xy (L, N, 2)``, NaN where not seen, of the times ``t_s (L,)``, with the noise ``sigma (N,)``; ``order (L,)``
 lists the views, nearest first; the points of path k are ``first[k] ... first[k + 1] - 1``, ``(K + 1,)``.
 """
-_Equations = tuple[Floats, Floats, Floats]
-"""Of one point: weighted derivatives and residuals, side by side; information, its lower half, and score of its own
-unknowns and the shared ones.
-"""
 
 
 @compiled_for("(Tuple((f8[:, :, ::1], f8[::1], f8[::1], i8[::1], i8[::1])), f8[:, :, ::1], f8[:, ::1], f8[::1])")
@@ -76,9 +72,7 @@ def descend_together(
     xy, t_s, sigma, order, first = points
     path, rotations, turned = np.empty((len(t_s), 3)), np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 1, 2))
     views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
-    equations = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL, _N_ALL)), np.empty(_N_ALL)
-    _, matrix, right = equations
-    kept, kept_score = np.empty((len(sigma), _N_ALL, _N_OWN)), np.empty((len(sigma), _N_OWN))
+    rows, kept = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((len(sigma), _N_ALL + 1, _N_OWN))
     information, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(_N_ALL)
     score = step[_N_OWN:]
     for k in range(len(base)):
@@ -102,21 +96,16 @@ def descend_together(
                 if not limits[0] < state[i, 2] < limits[1]:
                     point.start(views, n, limits, state[i])
                 far = _LIMIT * misfit * misfit
-                total, inside = _add_point(views, n, state[i], basis[k], far, equations, information, score)
+                total, inside = _add_point(views, n, state[i], basis[k], far, rows, kept[i], information, score)
                 mean_square[i] = total / (2 * n - 3)
                 left[k, 0] += inside
-                for c in range(_N_OWN):
-                    kept_score[i, c] = right[c]
-                    for d in range(_N_ALL):
-                        kept[i, d, c] = matrix[d, c]
             usual = median(mean_square[low:high].copy())
             left[k, 1] = usual
             fall = solve(information, score)
             add(score, offset[k])
             for i in range(low, high):
-                if kept[i, 2, 2] > 0.0:
-                    follow(kept[i], kept_score[i], step)
-                    add(step, state[i])
+                follow(kept[i], step)
+                add(step, state[i])
             if fall < _CONVERGED_CHI2 * misfit * misfit:
                 break
 
@@ -134,12 +123,12 @@ def add_windows(
     """
     xy, t_s, sigma, order, first = points
     views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
-    equations = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL, _N_ALL)), np.empty(_N_ALL)
+    rows, kept = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL + 1, _N_OWN))
     for k in range(len(paths)):
         for i in range(first[k], first[k + 1]):
             if n_views[i] > 0:
                 list_views(xy, t_s, order, paths[k], 1.0 / sigma[i], i, views, limits)
-                _add_point(views, n_views[i], state[i], basis[k], _LIMIT, equations, information[k], score[k])
+                _add_point(views, n_views[i], state[i], basis[k], _LIMIT, rows, kept, information[k], score[k])
 
 
 @compiled
@@ -149,11 +138,12 @@ def _add_point(
     s: Floats,
     basis: Floats,
     limit: float,
-    equations: _Equations,
+    rows: Floats,
+    kept: Floats,
     information: Floats,
     score: Floats,
 ) -> tuple[float, float]:
-    """Add what the first n views of a point say of what it shares, once x, y, rho follow; fill its ``equations``.
+    """Add what the first n views of a point say of what it shares, once x, y, rho follow, and what these ``kept``.
 
     Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
 
@@ -161,7 +151,6 @@ def _add_point(
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit`` lose
     weight. No information on rho (2, 2) adds nothing.
     """
-    rows, matrix, right = equations
     rho, total, inside = s[2], 0.0, 0.0
     # By an index without a sign: several views are worked at at a time.
     for k in range(np.uint64(n)):
@@ -188,14 +177,9 @@ def _add_point(
         rows[9, k], rows[9, other] = turned * (1.0 + x * x), turned * x * y
         rows[10, k], rows[10, other] = -turned * y, turned * x
         rows[11, k], rows[11, other] = root * rx, root * ry
-    matrix[:], right[:] = 0.0, 0.0
-    add_equations(rows, 2 * n, matrix, right)
-    eliminate(matrix, right, _N_OWN)
-    if matrix[2, 2] > 0.0:
-        for c in range(N_LOCAL):
-            score[c] += right[_N_OWN + c]
-            for d in range(c + 1):
-                information[c, d] += matrix[_N_OWN + c, _N_OWN + d]
+    equations = np.zeros((_N_ALL + 1, _N_ALL))
+    add_equations(rows, 2 * n, equations, equations[_N_ALL])
+    eliminate(equations, kept, information, score)
     return total, inside
 
 

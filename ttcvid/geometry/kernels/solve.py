@@ -35,30 +35,40 @@ def solve(matrix: Floats, right: Floats) -> float:
 
 
 @compiled
-def eliminate(matrix: Floats, right: Floats, n: int) -> None:
-    """Take from the equations of the other unknowns what the first n explain when they follow (Schur complement).
+def eliminate(equations: Floats, kept: Floats, information: Floats, score: Floats) -> None:
+    """Add what equations say of all unknowns but the first n, which follow (Schur complement).
 
-    In place, of the lower half of ``matrix (N, N)`` and of ``right (N,)``, one unknown after the other.
+    ``equations (N + 1, N)``: information, of which the lower half counts, and in the last row the score; changed in
+    place. Fills ``kept (N + 1, n)`` for `follow`. Adds to ``information (N - n, N - n)``, its lower half, and ``score
+    (N - n,)``: nothing where the n-th unknown stays open.
     """
+    n, size = kept.shape[1], equations.shape[1]
     for r in range(n):
-        for i in range(r + 1, len(right)):
-            part = matrix[i, r] / matrix[r, r]
-            right[i] -= part * right[r]
-            for c in range(r + 1, i + 1):
-                matrix[i, c] -= part * matrix[c, r]
+        for i in range(r, size + 1):
+            kept[i, r] = equations[i, r]
+        for i in range(r + 1, size + 1):
+            part = kept[i, r] / kept[r, r]
+            for c in range(r + 1, min(i, size - 1) + 1):
+                equations[i, c] -= part * kept[c, r]
+    if kept[n - 1, n - 1] > 0.0:
+        for c in range(size - n):
+            score[c] += equations[size, n + c]
+            for d in range(c + 1):
+                information[c, d] += equations[n + c, n + d]
 
 
 @compiled
-def follow(matrix: Floats, right: Floats, step: Floats) -> None:
+def follow(kept: Floats, step: Floats) -> None:
     """Fill the first n of ``step (N,)``, those that `eliminate` took out, for the others as they stand in it.
 
-    ``matrix (N, n)`` and ``right (n,)`` are the first columns and numbers of what it left.
+    They stay where they are, with a step of 0, where the n-th of them is open.
     """
-    for r in range(len(right) - 1, -1, -1):
-        step[r] = right[r]
-        for i in range(r + 1, len(step)):
-            step[r] -= matrix[i, r] * step[i]
-        step[r] /= matrix[r, r]
+    n, size = kept.shape[1], len(step)
+    is_open = not kept[n - 1, n - 1] > 0.0
+    for r in range(n - 1, -1, -1):
+        step[r] = 0.0 if is_open else kept[size, r] / kept[r, r]
+        for i in range(r + 1, size):
+            step[r] -= 0.0 if is_open else kept[i, r] / kept[r, r] * step[i]
 
 
 @compiled_for("(f8[:, :, ::1], f8[:, ::1])")
