@@ -25,8 +25,9 @@ help:
 demo: $(READY)
 	$(BIN)/ttcvid demo --out out/demo --overwrite
 
+# Files, not tests, are shared out: what the tests of a file have in common is made once.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 faults: $(READY)
 	$(BIN)/python -m pytest -n 2 -m exhaustive tests/faults

@@ -24,6 +24,7 @@ from ttcvid.studies.sensitivity.study import (
     lengths_of,
     methods,
     reach_m,
+    reaches_m,
     sensitivity,
     summary,
 )
@@ -49,7 +50,7 @@ def main() -> int:
         "horizon's plane: 1 m. Errors are one standard deviation; of the time to collision, relative to it."
     )
     report.say("![Errors over distance](sensitivity.png)")
-    report.say(f"{summary(config).capitalize()}.")
+    report.say(f"{summary(config, reaches_m(config)).capitalize()}.")
     _reaches(report, config)
     _curves(report)
     report.heading("Agreement")

@@ -62,11 +62,10 @@ def test_a_rerun_into_another_folder_is_the_same_even_exactly(clip, compared, tm
     assert "DIFFERENT" not in text
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_another_seed_is_named_and_passes(clip, compared, tmp_path, seed):
-    code, text = compared(analyzed(clip, tmp_path / "run", seed=seed))
+def test_another_seed_is_named_and_passes(clip, compared, tmp_path):
+    code, text = compared(analyzed(clip, tmp_path / "run", seed=3))
     assert code == 0, text
-    assert f"changed: configuration.analyze.seed: 0 -> {seed}" in text
+    assert "changed: configuration.analyze.seed: 0 -> 3" in text
 
 
 def test_a_frame_dropped_from_the_clip_is_named_by_its_time(clip, compared, tmp_path):

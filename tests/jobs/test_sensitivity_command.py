@@ -19,6 +19,12 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures take a second, and most tests look at none."""
+    monkeypatch.setattr("ttcvid.jobs.sensitivity.write_figure", lambda figure, path: path.touch())
+
+
 def test_table_and_pictures_are_there(study: Path):
     import pandas as pd
 
@@ -30,6 +36,7 @@ def test_table_and_pictures_are_there(study: Path):
     assert (study / "sensitivity.svg").read_text().startswith("<?xml")
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_configuration_of_the_file_counts_and_the_command_line_is_stronger(study: Path, tmp_path: Path):
     manifest = json.loads((study / "manifest.json").read_text())
     assert manifest["configuration"]["focal_mm"] == 16
@@ -39,6 +46,7 @@ def test_configuration_of_the_file_counts_and_the_command_line_is_stronger(study
     assert len(result.table) == 2 * 5
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_summary_is_one_line_or_one_json_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     words = ["sensitivity", "--steps", "2", "--trials", "100", "-o", str(tmp_path / "a")]
     assert main(words) == 0

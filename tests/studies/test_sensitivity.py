@@ -8,7 +8,16 @@ import pytest
 from ttcvid.config import SensitivityConfig
 from ttcvid.studies.sensitivity import bounds, formulas, trials
 from ttcvid.studies.sensitivity.case import Case, Errors
-from ttcvid.studies.sensitivity.study import Method, base_case, is_small, methods, reach_m, sensitivity, summary
+from ttcvid.studies.sensitivity.study import (
+    Method,
+    base_case,
+    is_small,
+    methods,
+    reach_m,
+    reaches_m,
+    sensitivity,
+    summary,
+)
 
 PAPER = base_case(SensitivityConfig())
 ALL = methods([5, 10, 20])
@@ -134,7 +143,8 @@ def test_every_quantity_can_be_varied():
 
 
 def test_summary_names_every_method_and_its_distance():
-    sentence = summary(SensitivityConfig(frames="5,20"))
+    config = SensitivityConfig(frames="5,20")
+    sentence = summary(config, reaches_m(config))
     assert sentence.startswith("time to collision within 10 %: planar, 2 frames up to ")
     for words in ("general, 3 frames", "whole track, 5 frames", "whole track, 20 frames", "stereo pair up to 6.6"):
         assert words in sentence

@@ -20,7 +20,7 @@ from ttcvid.sinks.tables import write_table
 from ttcvid.studies.collision_map.picture import write_figure
 from ttcvid.studies.sensitivity.case import Errors
 from ttcvid.studies.sensitivity.picture import sensitivity_figure
-from ttcvid.studies.sensitivity.study import Point, base_case, is_small, lengths_of, methods, reach_m, summary, varied
+from ttcvid.studies.sensitivity.study import Point, is_small, lengths_of, methods, reaches_m, summary, varied
 from ttcvid.studies.sensitivity.study import sensitivity as points_of
 
 SENSITIVITY_NAMES = ("sensitivity.parquet", "sensitivity.png", "sensitivity.svg")
@@ -103,12 +103,12 @@ def run_sensitivity(
         write_table(
             folder.partial / SENSITIVITY_NAMES[0], "sensitivity", [_row(config.over, p) for p in points], metadata
         )
-        sentence = summary(config)
+        reaches = reaches_m(config)
+        sentence = summary(config, reaches)
         figure = sensitivity_picture(config, points)
         with output_errors(target):
             for name in SENSITIVITY_NAMES[1:]:
                 write_figure(figure, folder.partial / name)
-        reaches = {method.label: reach_m(base_case(config), method, config.within) for method in ways}
         folder.publish(
             {
                 "state": "complete",

@@ -146,13 +146,16 @@ def reach_m(case: Case, method: Method, within: float, quantity: str = "ttc_z") 
     return float(distances[is_within.argmax() + beyond[0] - 1]) if len(beyond) else float(distances[-1])
 
 
-def summary(config: SensitivityConfig) -> str:
-    """Up to which distance each method stays within the limit, in one sentence."""
+def reaches_m(config: SensitivityConfig) -> dict[str, float]:
+    """Up to which distance each method, by its label, stays within the limit."""
     case = base_case(config)
-    limit = f"{100 * config.within:g} %"
-    reaches = [(method, reach_m(case, method, config.within)) for method in methods(lengths_of(config))]
-    parts = [f"{method.label} up to {distance:.3g} m" for method, distance in reaches]
-    return f"time to collision within {limit}: {', '.join(parts)}"
+    return {method.label: reach_m(case, method, config.within) for method in methods(lengths_of(config))}
+
+
+def summary(config: SensitivityConfig, reaches: dict[str, float]) -> str:
+    """What `reaches_m` says, in one sentence."""
+    parts = [f"{label} up to {distance:.3g} m" for label, distance in reaches.items()]
+    return f"time to collision within {100 * config.within:g} %: {', '.join(parts)}"
 
 
 def lengths_of(config: SensitivityConfig) -> list[int]:
