@@ -1,4 +1,4 @@
-"""New movers: neighbouring tracks that contradict the scene together, and flow alike or share one V / Z."""
+"""Births of movers: neighbouring tracks that contradict the scene and share a flow or an expansion."""
 
 from __future__ import annotations
 
@@ -24,26 +24,31 @@ from ttcvid.stages.segmentation.occlusions import between_surfaces
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
-# Views that a track needs to contradict the scene.
+# Least number of views of a track that contradicts the scene.
 _LEAST_VIEWS = 3
-# Neighbours contradict the scene together where the median of their ln(misfit) is this part of the gate's.
+# A neighbourhood contradicts the scene if the median of ln(reduced chi-square) exceeds this share of that of the gate,
+# over at least so many tracks.
 _TOGETHER, _LEAST_AROUND = 0.6, 3
-# Flows of two tracks are alike when they differ by less than this part of their mean and this, px over the window.
+# Flows of two tracks are alike if they differ by less than this share of their mean plus this, px over the window.
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
-# A new path is refined in so many steps.
+# Gauss-Newton steps for a new trajectory.
 _FIRST_STEPS = 3
-# The square window of a tracker slips on a road that grows and shears below it, by this part of its way in a frame.
+# Slip of a tracker's square window on a road that scales and shears, as a share of the flow of a frame.
 _SLIP = 0.02
-# Misfits below this say nothing any more.
+# Reduced chi-squares are at least this where their logarithm is taken.
 _NO_MISFIT = 0.1
 
 
 @dataclass(frozen=True)
 class _Things:
-    """K things that may be movers: ``members``, the tracks (M,) and the path (L, 3) of each.
+    """K proposals of movers.
 
-    ``needed (K,)`` tracks that each needs, surely explained better; ``is_along (N,)`` tracks that contradict the scene
-    by their place alone; ``edge (N, 2)`` how far the window of each is on an edge along which it may slip.
+    Attributes
+    ----------
+    members : tracks ``(M,)`` and trajectory ``(L, 3)`` of each.
+    needed : ``(K,)`` least number of tracks that it has to explain significantly better than the scene.
+    is_along : ``(N,)`` tracks that contradict the scene by their depth alone.
+    edge : ``(N, 2)`` as in `PointSet`: how far each window is on an edge, along which it may slip (aperture problem).
     """
 
     members: list[tuple[Ints, Floats]]
@@ -55,21 +60,21 @@ class _Things:
 def new_movers(
     views: BodyViews, seen: SeenScene, in_scene: Bools, neighbours: Ints, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
-    """Connected tracks of the scene that contradict it together and that a motion of their own explains.
+    """Sets of connected tracks that contradict the scene and that a trajectory of their own explains.
 
     Parameters
     ----------
-    in_scene : (N,) tracks that belong to the scene by now, and may start a mover.
-    neighbours : (N, K) of each track that contradicts the scene.
+    in_scene : ``(N,)`` tracks of the scene that may be part of a birth.
+    neighbours : ``(N, K)`` neighbours of tracks that contradict the scene.
 
     Returns
     -------
-    Tracks (M,), motion and median rate of each.
+    Of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
     is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
     misfit = _without_slip(views, on_road(seen.fit, seen.road), seen.misfit)
     candidates = _candidates(neighbours, is_asked, misfit, config)
-    # What is seen to keep its bearing has a way of its own, also where it is the road that contradicts it.
+    # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
     members = expanding_movers(
         views,
@@ -80,7 +85,7 @@ def new_movers(
         seen.misfit,
         seen.usual_misfit,
         config,
-        # In the air what comes straight at us is found as one surface, which few tracks tell the times of.
+        # In the air an object straight at us is found as one surface, whose times few tracks determine.
         few_are_enough=seen.platform != Platform.aircraft,
     )
     nowhere = np.zeros_like(in_scene)
@@ -91,7 +96,7 @@ def new_movers(
         candidates = np.setdiff1d(candidates, tracks)
     is_along = (seen.misfit > config.scene_gate) & (seen.seen_misfit < config.scene_gate)
     members = _alike_things(views, seen.scene, candidates, is_along, config)
-    # Before a camera that moves past nothing all surfaces flow alike, and nothing slips.
+    # Without camera translation all surfaces have the same flow, and no window slips.
     edge = views.edge if seen.moves_past else np.zeros_like(views.edge)
     things = _Things(members, np.full(len(members), config.min_tracks), is_along, edge)
     alike, alike_paths, alike_hz = _explained(views, seen, things, is_static, neighbours, config)
@@ -101,15 +106,15 @@ def new_movers(
 def _explained(
     views: BodyViews, seen: SeenScene, things: _Things, is_static: Bools, neighbours: Ints, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
-    """Those of K things that a motion of their own explains.
+    """Those of K proposals that a trajectory of their own explains significantly better than the scene.
 
     Parameters
     ----------
-    is_static : (N,) tracks that the scene explains.
+    is_static : ``(N,)`` tracks that the scene explains.
 
     Returns
     -------
-    Tracks that it explains better, motion and median rate of each.
+    Of each of J births the tracks explained better, trajectory and median inverse depth ``(J,)``, 1/s.
     """
     scene, misfit, usual_misfit, is_along = seen.scene, seen.misfit, seen.usual_misfit, things.is_along
     if not things.members:
@@ -118,7 +123,7 @@ def _explained(
     thing = np.repeat(np.arange(len(things.members)), [len(members) for members, _ in things.members])
     points = views.points(track, thing)
     ways = np.stack([path for _, path in things.members])
-    # What contradicts the scene by its place alone moves along our own path.
+    # Tracks that contradict the scene by their depth alone move along our own direction.
     ways[np.bincount(thing, is_along[track]) > 0.0] = scene.path[0]
     starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
@@ -128,7 +133,7 @@ def _explained(
     if is_found.any():
         xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
         may_slide = between_surfaces(scene, seen.fit, is_static, track, neighbours[track], xy) & ~is_along[track]
-        # What slides along two outlines moves nearly as a rigid thing does; what is one is explained better still.
+        # Corners that slide along two outlines are nearly rigid: a rigid body has to fit better still.
         is_sure = is_better & (~may_slide | (misfit_by_own < misfit[track] / config.gain**2))
         gate = config.scene_gate * usual_misfit
         slips = may_slip(things.edge[track], xy, scene.path[0], views.sigma_norm[track], gate)
@@ -138,17 +143,17 @@ def _explained(
 
 
 def _without_slip(views: BodyViews, on_road: Bools, misfit: Floats) -> Floats:
-    """Misfits (N,), those of tracks on a road as if their window had slipped as much as it may."""
+    """Reduced chi-squares ``(N,)``; those of tracks on the road with the slip of their window added to their noise."""
     if len(views.rays) < 2:
         return misfit
     moved = views.rays[-1] - views.rays[-2]
     noise2, slip2 = views.sigma_norm**2, _SLIP**2 * (moved * moved).sum(axis=1)
-    # NaN: it was not seen before.
+    # NaN: not observed before.
     return np.where(on_road & (slip2 > 0.0), misfit * (noise2 / (noise2 + slip2)), misfit)
 
 
 def _candidates(neighbours: Ints, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:
-    """Tracks that contradict the scene, in a neighbourhood that does."""
+    """Indices ``(M,)`` of tracks that contradict the scene, in a neighbourhood that contradicts it."""
     index = np.flatnonzero(is_asked & (misfit > config.scene_gate))
     around = np.column_stack([index, neighbours[index]])
     is_known = is_asked[around]
@@ -161,9 +166,12 @@ def _candidates(neighbours: Ints, is_asked: Bools, misfit: Floats, config: Bodie
 def _alike_things(
     views: BodyViews, scene: RigidPaths, candidates: Ints, is_along: Bools, config: BodiesConfig
 ) -> list[tuple[Ints, Floats]]:
-    """Things of near tracks of similar flow, each with its tracks (M,) and its path (L, 3).
+    """Connected tracks of similar flow: tracks ``(M,)`` and straight trajectory ``(L, 3)`` of each.
 
-    ``candidates`` are tracks; of all tracks those that move along our own path are ``is_along (N,)``.
+    Parameters
+    ----------
+    candidates : ``(C,)`` indices of tracks.
+    is_along : ``(N,)`` tracks that move along our own direction.
     """
     if len(candidates) < config.min_tracks:
         return []
@@ -185,9 +193,9 @@ def _alike_things(
 
 
 def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:
-    """Number of the part that each track of ``index`` belongs to: near ones of similar flow are connected.
+    """Connected component ``(C,)`` of each track ``index (C,)``: near tracks of similar flow are connected.
 
-    Those that move along our own path, ``is_along``, only with each other.
+    Tracks along our own direction, ``is_along (C,)``, are connected with each other only.
     """
     every = np.arange(len(index))
     oldest = np.isfinite(xy[:, :, 0]).argmax(axis=0)

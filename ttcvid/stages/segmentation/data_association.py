@@ -1,4 +1,4 @@
-"""Which body each track belongs to: the one whose path explains its views best, with a say for its neighbours."""
+"""Data association: each track gets the body that explains its views best, with smoothness over neighbours."""
 
 from __future__ import annotations
 
@@ -15,31 +15,35 @@ from ttcvid.stages.segmentation.last_known_position import LastKnownPositions, n
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.segmentation.velocities import Velocities, unknown_velocities
 
-# Belonging is decided by ln(1 + misfit), misfits beyond this being equally bad; all neighbours together weigh this
-# much, where a track was before this much, and that most of the world stands still this much.
+# The cost of a label is ln(1 + reduced chi-square), capped at this chi-square. Rewards: agreement of all neighbours,
+# the former label, and the static scene, which most tracks belong to.
 _WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
-# The habit and the scene's bonus count for tracks with more views than these.
+# The rewards of the former label and of the scene hold for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
-# A track that the scene explains, with a misfit (over the usual one) below the first, is no part of a mover whose
-# tracks lie so many times as far away: a bus seen from behind at 10 m ends at 22 m.
+# A track whose reduced chi-square under the scene is below the first (over the usual one) is not associated with a
+# mover whose tracks are this many times as far away: a bus seen from behind at 10 m ends at 22 m.
 _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
-# A mover whose tracks the scene explains as well as it does most of its own stands still: its own path, free in every
-# frame, explains them better still, and its tracks vote for each other.
+# A mover most of whose tracks have a smaller reduced chi-square (over the usual one) under the scene stands still. Its
+# own trajectory, free in every frame, would explain them better still, and its tracks would support each other.
 _AS_STILL = 1.0
-# A mover that is hidden is known again for so long, s: after that it may well move otherwise.
+# A hidden mover can be re-identified for this long, s: later its motion may have changed.
 _KNOWN_AGAIN_S = 1.0
-# What a mover was not in one frame it seldom is in the next: that is looked into in its first frames, then once in so
-# many.
+# Proposals of merges, splits and re-initialisations are tried in the first frames of a mover, then every fourth frame.
 _YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 
 
 @dataclass(frozen=True)
 class Movers:
-    """K movers as remembered, ascending in their internal ``key (K,)``.
+    """K movers, ascending in ``key``.
 
-    ``cluster_id (K,)`` is public, `NO_CLUSTER` until a mover has been confirmed; ``n_found, n_missed (K,)`` frames in
-    which it was found, and was not since; ``paths`` the motions, with the median rate ``rate_hz (K,)`` of their points;
-    ``where`` they are, and their ``velocity``.
+    Attributes
+    ----------
+    key : ``(K,)`` internal number.
+    cluster_id : ``(K,)`` public number; `NO_CLUSTER` until the mover is confirmed.
+    n_found, n_missed : ``(K,)`` frames in which it was found, and frames without since the last of them.
+    rate_hz : ``(K,)`` median inverse depth of its tracks (speed over depth), 1/s.
+    paths : relative trajectories.
+    where, velocity : last known positions and velocities.
     """
 
     key: Ints
@@ -55,7 +59,7 @@ class Movers:
         return len(self.key)
 
     def take(self, index: Ints | Bools) -> Movers:
-        """The movers that an index array or a mask picks."""
+        """The movers of an index array or a mask ``(K,)``."""
         return Movers(
             self.key[index],
             self.cluster_id[index],
@@ -68,7 +72,7 @@ class Movers:
         )
 
     def with_new(self, next_key: int, paths: RigidPaths, rate_hz: Floats) -> Movers:
-        """These and J new ones, whose keys count up from ``next_key``."""
+        """The movers and J new ones, whose keys count up from ``next_key``; ``rate_hz (J,)``."""
         count = len(paths)
         if not count:
             return self
@@ -84,7 +88,7 @@ class Movers:
         )
 
     def found_again(self, mover: int, paths: RigidPaths, rate_hz: Floats, place: int) -> Movers:
-        """These, of which the one at an index is found again: with the motion that stands in a place of others."""
+        """The movers; the one at index ``mover`` is found again, with the trajectory at index ``place`` of others."""
         is_it = np.arange(len(self)) == mover
         return replace(
             self,
@@ -100,9 +104,12 @@ class Movers:
 
 @dataclass(frozen=True)
 class OwnFit:
-    """N tracks, each on the path of its own body, (N,) each: ``misfit`` in units of what is usual on the scene's path.
+    """Fits of N tracks on the trajectories of their own bodies.
 
-    ``rate_hz`` with its standard deviation ``rate_sigma_hz`` are those of the tracks of movers; NaN where not known.
+    Attributes
+    ----------
+    misfit : ``(N,)`` reduced chi-square over the median one of the scene.
+    rate_hz, rate_sigma_hz : ``(N,)`` inverse depth of tracks of movers and its standard deviation, 1/s; NaN: unknown.
     """
 
     misfit: Floats
@@ -110,48 +117,48 @@ class OwnFit:
     rate_sigma_hz: Floats
 
     def without_rates(self, index: Ints | Bools) -> OwnFit:
-        """The same; the rates of some tracks are those on a path that their body does not have any more."""
+        """The same without the inverse depths of some tracks, whose body has got another trajectory."""
         rate_hz, sigma_hz = self.rate_hz.copy(), self.rate_sigma_hz.copy()
         rate_hz[index], sigma_hz[index] = np.nan, np.nan
         return OwnFit(self.misfit, rate_hz, sigma_hz)
 
 
 def unknown_fit(misfit: Floats) -> OwnFit:
-    """No rate is known."""
+    """A fit without inverse depths; ``misfit (N,)``."""
     return OwnFit(misfit, np.full(len(misfit), np.nan), np.full(len(misfit), np.nan))
 
 
 def no_movers(n_views: int) -> Movers:
-    """None at all, over so many views."""
+    """Zero movers, with trajectories over ``n_views`` views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
     return Movers(none, none, none, none, np.empty(0), paths, nowhere(0), unknown_velocities(0))
 
 
 def is_due(n_found: Ints) -> Bools:
-    """Whether movers that have been found in so many frames, (K,), are to be looked into in this one."""
+    """Whether proposals are tried for movers in this frame: ``(K,)``, by the number of frames ``n_found (K,)``."""
     return np.asarray((n_found <= _YOUNG_FRAMES) | (n_found % _DUE_FRAMES == 0))
 
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:
-    """0 for a track of the scene, else 1 + place of its mover: (N,)."""
+    """Index of the body of each track: ``(N,)``, 0 the scene, else 1 + index of its mover."""
     return np.searchsorted(movers.key, key, side="right")
 
 
 def assigned(
     views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints
 ) -> tuple[Ints, Movers, OwnFit]:
-    """Each track to the body that explains it best, among the scene and those that it or a neighbour belonged to.
+    """Labels of least cost over the scene, a track's former body and those of its neighbours.
 
     Parameters
     ----------
-    seen : the scene, along whose path movers may go unless it rests.
-    key : (N,) body of each track by now.
-    neighbours : (N, K) of each track that belongs to a mover or has one beside it.
+    seen : the scene. Unless it rests, movers along our own direction share its trajectory.
+    key : ``(N,)`` former body of each track.
+    neighbours : ``(N, K)`` neighbours of tracks that belong to a mover or are beside one; of others, themselves.
 
     Returns
     -------
-    Key (N,) of each track's body; the movers, those that go along our way on its path; and how each track's body
-    explains it.
+    Key ``(N,)`` of the body of each track; the movers, those along our direction on the trajectory of the scene; and
+    the fit of each track on its body.
     """
     misfit, scene_fit = seen.misfit, seen.fit
     if not len(movers):
@@ -166,7 +173,7 @@ def assigned(
     is_held = are_held(fit, points, movers.rate_hz)
     is_own = number[track] == mover + 1
     if not seen.rests:
-        # All that a mover had is asked: what its own path explains no longer shows most that it goes along our way.
+        # All former tracks of a mover count: those that its own trajectory no longer explains say most.
         is_along = _most_of(is_own & (seen.seen_misfit[track] < off), is_own, mover, len(movers))
         movers = _on_path_of(seen, movers, number, is_along)
         along = is_along[mover]
@@ -179,7 +186,7 @@ def assigned(
     is_other = misfit[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
     is_still = _most_of(is_own & (misfit[track] < _AS_STILL), is_own, mover, len(movers))
-    # Infinite: what is not asked about, and what is none of it.
+    # Infinite: combinations that are not tried, or excluded.
     misfits = np.full((len(key), n_bodies), np.inf)
     misfits[:, 0], misfits[track, 1 + mover] = misfit, np.where(is_other | is_still[mover], np.inf, off)
     best = np.argmin(_costs(misfits, votes, number, scene_fit.n_views, seen.camera_rests), axis=1)
@@ -192,15 +199,18 @@ def assigned(
 
 
 def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
-    """Of which movers (K,) most tracks that belonged to them are one, both (M,); ``mover (M,)`` of each track."""
+    """For which movers ``(K,)`` a condition ``is_one (M,)`` holds for most of their own tracks ``is_own (M,)``.
+
+    ``mover (M,)`` is the mover that each track is tried for.
+    """
     return np.asarray(np.bincount(mover, is_one, n_movers) > 0.5 * np.bincount(mover, is_own, n_movers))
 
 
 def _on_path_of(seen: SeenScene, movers: Movers, number: Ints, is_along: Bools) -> Movers:
-    """The movers, those ``is_along (K,)`` on the path of the scene; ``number (N,)`` of each track's body.
+    """The movers, those of ``is_along (K,)`` with the trajectory of the scene; ``number (N,)`` body of each track.
 
-    What comes along our own way has the scene's path but for its speed. Its growth alone shows its own path, a step of
-    refinement a frame lags behind that, and the next step goes on from there.
+    A mover along our own direction has the scene's trajectory up to its speed. Only its expansion would determine a
+    trajectory of its own, and one refinement step a frame lags behind.
     """
     if not is_along.any():
         return movers
@@ -214,24 +224,24 @@ def _on_path_of(seen: SeenScene, movers: Movers, number: Ints, is_along: Bools) 
 
 
 def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_things: int) -> Bools:
-    """Which tracks (M,) lie so much nearer than the other tracks of a thing that they are hardly a part of it.
+    """Whether tracks ``(M,)`` are significantly nearer than the other tracks of an object, too near to be part of it.
 
-    Of a car ahead that goes our way, or nearly, the path is that of the scene but for its speed: it explains the road
-    before the car as well as the scene does, at another depth.
+    The trajectory of a car ahead in our direction is that of the scene up to its speed: it explains the road before the
+    car as well as the scene does, at another depth.
 
     Parameters
     ----------
-    rate_hz, sigma_hz : (M,) speed over depth of each track on the path of a thing ``thing (M,)``.
-    is_own : (M,) those that belong to it by now.
+    rate_hz, sigma_hz : ``(M,)`` inverse depth of each track on the trajectory of object ``thing (M,)``, 1/s.
+    is_own : ``(M,)`` whether the track belongs to it now.
     """
     is_own = is_own & np.isfinite(rate_hz)
     usual_hz = medians(rate_hz[is_own], thing[is_own], n_things)[thing]
-    # Without a rate (NaN), of its own or of the thing, nothing is said.
+    # False without an inverse depth (NaN) of the track or of the object.
     return np.asarray(rate_hz - usual_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(usual_hz))
 
 
 def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Ints:
-    """How many of the neighbours (N, K) of each track belong to each body: (N, B)."""
+    """Number of the neighbours ``(N, K)`` of each track in each body: ``(N, B)``."""
     track, beside = np.nonzero(neighbours != np.arange(len(number))[:, None])
     of_body = number[neighbours[track, beside]]
     votes = np.bincount(track * n_bodies + of_body, minlength=len(number) * n_bodies)
@@ -239,11 +249,15 @@ def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Ints:
 
 
 def _costs(misfits: Floats, votes: Ints, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
-    """Cost of each body for each track: (N, B), the scene first.
+    """Cost of each body for each track: ``(N, B)``, the scene first.
 
-    ``misfits, votes (N, B)``; ``number, n_views (N,)`` the body that each track belonged to, and in how many views it
-    is seen. Before a camera that rests the scene has no motion that could be wrong: no body is preferred, and no misfit
-    is as bad as another: a swinging leg is explained badly by the body it belongs to, and worse by the scene.
+    Before a camera at rest the trajectory of the scene is exact: no label is rewarded, chi-squares are not capped. A
+    swinging leg fits its body badly, and the scene worse.
+
+    Parameters
+    ----------
+    misfits, votes : ``(N, B)`` reduced chi-square over the usual one, and number of neighbours.
+    number, n_views : ``(N,)`` former body, and number of views.
     """
     heard = votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1, keepdims=True), 1))
     if camera_rests:
@@ -256,9 +270,10 @@ def _costs(misfits: Floats, votes: Ints, number: Ints, n_views: Ints, camera_res
 
 
 def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> tuple[Ints, Movers]:
-    """Movers that are still known; the last one or two tracks of a mover wait for a while, then these go to the scene.
+    """Labels and movers without those that are lost.
 
-    A mover with a number is remembered for `_KNOWN_AGAIN_S` after it was last seen.
+    A mover of too few tracks is lost after ``forget_frames``, and its tracks go to the scene. A confirmed one is kept
+    without tracks for `_KNOWN_AGAIN_S` after it was last seen, for its re-identification.
     """
     number, now_s, least = numbers_of(key, movers), views.t_s[-1], min(3, config.min_tracks)
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
