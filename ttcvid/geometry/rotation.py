@@ -42,9 +42,9 @@ def normalize(v: Floats) -> Floats:
     array([[0. , 0.6, 0.8],
            [nan, nan, nan]])
     """
-    unit = np.array(v, dtype=np.float64, order="C")
-    _normalize_each(unit.reshape(-1, unit.shape[-1]))
-    return unit
+    v = np.asarray(v, dtype=np.float64)
+    length = np.sqrt(np.einsum("...i,...i->...", v, v))[..., None]
+    return v / np.where(np.isfinite(length) & (length > 0.0), length, np.nan)
 
 
 def skew(v: Floats) -> Floats:
@@ -177,19 +177,6 @@ def _basis_of_each(directions: Floats, bases: Floats) -> None:
     """Fills ``bases (N, 3, 2)`` from ``directions (N, 3)``."""
     for i in range(len(directions)):
         fill_tangents(directions[i, 0], directions[i, 1], directions[i, 2], bases[i])
-
-
-@compiled_for("(f8[:, ::1],)")
-def _normalize_each(vectors: Floats) -> None:
-    """Brings ``vectors (N, n)`` to unit length in place."""
-    for i in range(len(vectors)):
-        square = 0.0
-        for j in range(vectors.shape[1]):
-            square += vectors[i, j] * vectors[i, j]
-        length = np.sqrt(square)
-        is_usable = np.isfinite(length) and length > 0.0
-        for j in range(vectors.shape[1]):
-            vectors[i, j] = vectors[i, j] / length if is_usable else np.nan
 
 
 @compiled_for("(f8[:, ::1], f8[:, :, ::1])")

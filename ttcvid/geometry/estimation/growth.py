@@ -23,9 +23,6 @@ from ttcvid.model import Bools, Floats, Ints
 # Sums of a track: information on a (and b), couplings of a and b with c, information on c, score of a, b, c, squared
 # residuals; then of s the couplings with a, b and c, the information and the score.
 _N_SUMS = 13
-# Numbers of a view of a track: whether it is seen (1 or 0), the time, the place (0: not seen), and the sway.
-_N_VIEW = 7
-_SEEN, _T, _X, _Y, _SWAY_X, _SWAY_Y, _SWAY_Z = range(_N_VIEW)
 # One over the time that the camera takes to where a thing is, is hardly more than this, 1/s: what is nearer than half a
 # second away was found before.
 _USUAL_S_HZ = 2.0
@@ -108,61 +105,44 @@ def _add_up(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats, sums:
 
     The rows are x = x0 + a t - c t x + s (sway_x - x sway_z), and the same with b for y.
     """
-    views = np.empty((_N_VIEW, len(since_s)))
-    for v in range(len(since_s)):
-        views[_T, v] = since_s[v]
-        views[_SWAY_X, v], views[_SWAY_Y, v], views[_SWAY_Z, v] = sway[v, 0], sway[v, 1], sway[v, 2]
+    n_views = len(since_s)
     for m in range(xy.shape[1]):
-        for v in range(len(since_s)):
-            is_seen = np.isfinite(xy[v, m, 0])
-            views[_SEEN, v] = 1.0 if is_seen else 0.0
-            views[_X, v], views[_Y, v] = (xy[v, m, 0], xy[v, m, 1]) if is_seen else (0.0, 0.0)
-        n, found = _sums(views)
-        freedom[m], weight = max(2.0 * (n - 1.0), 1.0), 1.0 / (sigma_norm[m] * sigma_norm[m])
+        n = mean_t = mean_x = mean_y = mean_tx = mean_ty = mean_ox = mean_oy = 0.0
+        for v in range(n_views):
+            t, x, y = since_s[v], xy[v, m, 0], xy[v, m, 1]
+            if np.isfinite(x):
+                n += 1.0
+                mean_t += t
+                mean_x += x
+                mean_y += y
+                mean_tx += t * x
+                mean_ty += t * y
+                mean_ox += sway[v, 0] - x * sway[v, 2]
+                mean_oy += sway[v, 1] - y * sway[v, 2]
+        part, weight = 1.0 / max(n, 1.0), 1.0 / (sigma_norm[m] * sigma_norm[m])
+        freedom[m] = max(2.0 * (n - 1.0), 1.0)
         for j in range(_N_SUMS):
-            sums[j, m] = weight * found[j]
-
-
-@compiled
-def _sums(views: Floats) -> tuple[float, tuple[float, ...]]:
-    """How often a track is seen, and its sums without their weight; several of its ``views (7, L)`` side by side."""
-    n = mean_t = mean_x = mean_y = mean_tx = mean_ty = mean_ox = mean_oy = 0.0
-    # An index without a sign: one that may count from the end takes the lanes apart.
-    n_views = np.uint64(views.shape[1])
-    for v in range(n_views):
-        w, t, x, y = views[_SEEN, v], views[_T, v], views[_X, v], views[_Y, v]
-        n += w
-        mean_t += w * t
-        mean_x += x
-        mean_y += y
-        mean_tx += t * x
-        mean_ty += t * y
-        mean_ox += w * views[_SWAY_X, v] - x * views[_SWAY_Z, v]
-        mean_oy += w * views[_SWAY_Y, v] - y * views[_SWAY_Z, v]
-    part = 1.0 / max(n, 1.0)
-    mean_t, mean_x, mean_y = mean_t * part, mean_x * part, mean_y * part
-    mean_tx, mean_ty, mean_ox, mean_oy = mean_tx * part, mean_ty * part, mean_ox * part, mean_oy * part
-    tt = tc_x = tc_y = cc = score_a = score_b = score_c = square = ta = tb = cs = ss = score_s = 0.0
-    for v in range(n_views):
-        w, t, x, y = views[_SEEN, v], views[_T, v], views[_X, v], views[_Y, v]
-        by_x, by_y = w * (mean_tx - t * x), w * (mean_ty - t * y)
-        off_x = w * (views[_SWAY_X, v] - x * views[_SWAY_Z, v] - mean_ox)
-        off_y = w * (views[_SWAY_Y, v] - y * views[_SWAY_Z, v] - mean_oy)
-        t, x, y = w * (t - mean_t), w * (x - mean_x), w * (y - mean_y)
-        tt += t * t
-        tc_x += t * by_x
-        tc_y += t * by_y
-        cc += by_x * by_x + by_y * by_y
-        score_a += t * x
-        score_b += t * y
-        score_c += by_x * x + by_y * y
-        square += x * x + y * y
-        ta += t * off_x
-        tb += t * off_y
-        cs += by_x * off_x + by_y * off_y
-        ss += off_x * off_x + off_y * off_y
-        score_s += off_x * x + off_y * y
-    return n, (tt, tc_x, tc_y, cc, score_a, score_b, score_c, square, ta, tb, cs, ss, score_s)
+            sums[j, m] = 0.0
+        for v in range(n_views):
+            t, x, y = since_s[v], xy[v, m, 0], xy[v, m, 1]
+            if np.isfinite(x):
+                by_x, by_y = mean_tx * part - t * x, mean_ty * part - t * y
+                off_x = sway[v, 0] - x * sway[v, 2] - mean_ox * part
+                off_y = sway[v, 1] - y * sway[v, 2] - mean_oy * part
+                t, x, y = t - mean_t * part, x - mean_x * part, y - mean_y * part
+                sums[0, m] += weight * t * t
+                sums[1, m] += weight * t * by_x
+                sums[2, m] += weight * t * by_y
+                sums[3, m] += weight * (by_x * by_x + by_y * by_y)
+                sums[4, m] += weight * t * x
+                sums[5, m] += weight * t * y
+                sums[6, m] += weight * (by_x * x + by_y * y)
+                sums[7, m] += weight * (x * x + y * y)
+                sums[8, m] += weight * t * off_x
+                sums[9, m] += weight * t * off_y
+                sums[10, m] += weight * (by_x * off_x + by_y * off_y)
+                sums[11, m] += weight * (off_x * off_x + off_y * off_y)
+                sums[12, m] += weight * (off_x * x + off_y * y)
 
 
 @compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8, i8, b1[::1])")

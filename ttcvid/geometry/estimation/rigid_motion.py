@@ -163,17 +163,9 @@ class Surprise:
 def surprise_of_newest(points: Points, paths: RigidPaths, rate_hz: Floats) -> Surprise:
     """How far the points are now from where their earlier views lead; ``rate_hz (M,)`` to start from, NaN: none."""
     off, chi2 = np.empty((len(points.track), 2)), np.empty(len(points.track))
+    ways = ways_of(paths, points.rays.shape[2])
     predict_newest(
-        points.rays,
-        points.track,
-        points.thing,
-        ways_of(paths, points.rays.shape[2]),
-        points.sigma_norm,
-        points.since_s,
-        rate_hz,
-        2 * _N_STEPS,
-        off,
-        chi2,
+        points.rays, points.track, points.thing, ways, points.sigma_norm, points.since_s, rate_hz, (off, chi2)
     )
     return Surprise(off, chi2)
 

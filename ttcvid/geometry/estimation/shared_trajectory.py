@@ -224,7 +224,7 @@ def fit_paths(
     path, _ = _moved_paths(beliefs, basis, offset, t_s)
     views = turned_back(points.xy, t_s, offset[:, 5:], path_of)
     window = max_frames, gate_probability
-    rates = fit_rates_on_paths(views, t_s, points.sigma_norm, path, path_of, *window, state, has_sensitivities=False)
+    rates = fit_rates_on_paths(views, t_s, points.sigma_norm, path, path_of, *window, state)
     share = rates.n_frames / points.n_views
     is_used = (share >= _LOYAL_SHARE * medians(share, path_of, count)[path_of]) & (rates.n_frames >= LEAST_VIEWS)
     n_used = np.where(is_used & np.isfinite(rates.rate_hz), rates.n_frames, 0)

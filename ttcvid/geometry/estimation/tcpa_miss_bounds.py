@@ -129,10 +129,20 @@ def _look_around(ellipse: _Ellipse, start: Floats) -> None:
 
     The border is looked at in places that are dense where it is next to the origin: where the ellipse passes the origin
     at a distance small against its axes, the inversion has a peak there of the width ``squeeze``. Half-angle tangents
-    times ``squeeze`` resolve that peak as they resolve a circle.
+    times ``squeeze`` resolve that peak as they resolve a circle. The point next to the origin is found by Newton on
+    Eberly's equation, *Distance from a Point to an Ellipse*, 2013: convex, and started on its left.
     """
     (q0, aq, bq), (u0, au, bu) = ellipse
-    cos0, sin0 = _closest_to_origin(ellipse)
+    aa, bb = aq * aq + au * au, bq * bq + bu * bu
+    towards_a, towards_b = -(aq * q0 + au * u0), -(bq * q0 + bu * u0)
+    a_y, b_y = abs(towards_a), abs(towards_b)
+    t = max(a_y - aa, b_y - bb)
+    for _ in range(_CLOSEST_POINT_STEPS):
+        t_a, t_b = t + aa + _TINY, t + bb + _TINY
+        first, second = (a_y / t_a) ** 2, (b_y / t_b) ** 2
+        t += (first + second - 1.0) / (2.0 * (first / t_a + second / t_b) + _TINY)
+    cos0 = min(a_y / (t + aa + _TINY), 1.0)
+    cos0, sin0 = np.copysign(cos0, towards_a), np.copysign(np.sqrt(1.0 - cos0 * cos0), towards_b)
     offset_q, offset_u = aq * cos0 + bq * sin0, au * cos0 + bu * sin0
     tangent_q, tangent_u = bq * cos0 - aq * sin0, bu * cos0 - au * sin0
     near_q, near_u = q0 + offset_q, u0 + offset_u
@@ -160,26 +170,6 @@ def _look_around(ellipse: _Ellipse, start: Floats) -> None:
             highest_u, start[_HIGH_U, 0], start[_HIGH_U, 1] = u, cos, sin
         if u < lowest_u:
             lowest_u, start[_LOW_U, 0], start[_LOW_U, 1] = u, cos, sin
-
-
-@compiled
-def _closest_to_origin(ellipse: _Ellipse) -> tuple[float, float]:
-    """Cosine and sine of the parameter of the ellipse's point nearest to an origin outside of it.
-
-    Newton on Eberly's equation, *Distance from a Point to an Ellipse*, 2013: convex, and started on its left.
-    """
-    (q0, aq, bq), (u0, au, bu) = ellipse
-    aa, bb = aq * aq + au * au, bq * bq + bu * bu
-    towards_a, towards_b = -(aq * q0 + au * u0), -(bq * q0 + bu * u0)
-    a_y, b_y = abs(towards_a), abs(towards_b)
-    t = max(a_y - aa, b_y - bb)
-    for _ in range(_CLOSEST_POINT_STEPS):
-        t_a, t_b = t + aa + _TINY, t + bb + _TINY
-        first, second = (a_y / t_a) ** 2, (b_y / t_b) ** 2
-        t += (first + second - 1.0) / (2.0 * (first / t_a + second / t_b) + _TINY)
-    cos = min(a_y / (t + aa + _TINY), 1.0)
-    sin = np.sqrt(1.0 - cos * cos)
-    return np.copysign(cos, towards_a), np.copysign(sin, towards_b)
 
 
 @compiled

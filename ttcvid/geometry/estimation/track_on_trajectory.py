@@ -63,7 +63,6 @@ def fit_rates_on_paths(
     max_frames: int | None = None,
     gate_probability: float = 0.999,
     start: Floats | None = None,
-    has_sensitivities: bool = True,
 ) -> PathRates:
     """Place and rate of each point on its path, over the longest window that fits it (two views at the least).
 
@@ -81,8 +80,6 @@ def fit_rates_on_paths(
         sum of the steps, each along its own direction. NaN where not known: those views are not used.
     start
         ``(N, 3)`` x, y, rho to start from; NaN rows, or None: from the linear solve.
-    has_sensitivities
-        False leaves ``by_shared`` NaN, for speed.
     path_of
         ``(N,)`` path of each point, `NO_PATH` for none.
 
@@ -108,11 +105,10 @@ def fit_rates_on_paths(
         np.asarray(t_s, dtype=np.float64),
         np.asarray(sigma_norm, dtype=np.float64),
         np.argsort(np.abs(t_s), kind="stable"),
-        longest,
         (np.ascontiguousarray(paths, dtype=np.float64), np.asarray(path_of, dtype=np.int64)),
         (window_gates(longest, 3, gate_probability), window_gates(TAIL, 0, gate_probability)),
         np.empty((0, 3)) if start is None else np.asarray(start, dtype=np.float64),
-        (state, cov, by_shared if has_sensitivities else by_shared[:0], chi2, n_frames),
+        (state, cov, by_shared, chi2, n_frames),
     )
     dof = np.maximum(2 * n_frames - 3, 0)
     return PathRates(state, cov, by_shared, chi2, dof, n_frames)

@@ -109,7 +109,6 @@ def fit_whole_tracks(
         np.asarray(t_s, dtype=np.float64),
         np.asarray(sigma_norm, dtype=np.float64),
         order,
-        longest,
         (window_gates(longest, 5, gate_probability), window_gates(TAIL, 0, gate_probability)),
         nothing if plane is None else (plane.normal, plane.covariance),
         (state, cov, info_w, chi2, n_frames),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
-from ttcvid.geometry.kernels.arrays import ZERO, add
+from ttcvid.geometry.kernels.arrays import ZERO, copy
 from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
 from ttcvid.geometry.kernels.windows import window_descent
 from ttcvid.model import Floats, Ints
@@ -36,7 +36,7 @@ _PRIOR, _LOW, _HIGH, _LONGEST, _X0, _Y0 = range(6)
 
 
 @compiled_for(
-    "(f8[:, :, ::1], f8[::1], f8[::1], i8[::1], i8, Tuple((f8[::1], f8[::1])), Tuple((f8[::1], f8[:, ::1])), "
+    "(f8[:, :, ::1], f8[::1], f8[::1], i8[::1], Tuple((f8[::1], f8[::1])), Tuple((f8[::1], f8[:, ::1])), "
     "Tuple((f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1], i8[::1])))"
 )
 def fit_free_points(
@@ -44,19 +44,20 @@ def fit_free_points(
     t_s: Floats,
     sigma: Floats,
     order: Ints,
-    longest: int,
     gates: tuple[Floats, Floats],
     plane: tuple[Floats, Floats],
     found: tuple[Floats, Floats, Floats, Floats, Ints],
 ) -> None:
     """Fill the results ``found`` of `track_state.fit_whole_tracks`, track by track.
 
-    ``order`` lists the views, nearest first, of which at most ``longest`` are used; ``gates`` as in `windows`; the
+    ``order`` lists the views, nearest first, of which only so many are used as the first of the ``gates`` allows for,
+    as in `windows`; the
     normal of the ``plane`` and its covariance are empty where there is none, the covariances to fill where they are
     not asked for.
     """
     state, cov, info_w, chi2, n_frames = found
     normal, normal_cov = plane
+    longest = len(gates[0]) - 1
     views, limits, work = np.empty((4, longest)), np.empty(6), (np.empty(14), np.empty(5))
     sums, s = np.empty(14), np.empty(5)
     for i in range(xy.shape[1]):
@@ -83,7 +84,7 @@ def fit_free_points(
         s[:], sums[:] = 0.0, 0.0
         _add(views, ZERO, m, s, np.inf, 1.0, sums)
         _solve(sums, s, belief, work[1])
-        add(work[1], s)
+        copy(work[1], s)
         n_frames[i], chi2[i] = _descend(views, m, LEAST_FRAMES, belief, gates, s, sums, work)
         _store(sums, s, limits, n_frames[i] >= LEAST_FRAMES, i, state, cov, info_w)
 

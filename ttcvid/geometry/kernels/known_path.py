@@ -24,7 +24,7 @@ _descend = window_descent(path_point.add_views, path_point.solve_between, path_p
 
 
 @compiled_for(
-    "(f8[:, :, ::1], f8[::1], f8[::1], i8[::1], i8, Tuple((f8[:, :, ::1], i8[::1])), Tuple((f8[::1], f8[::1])), "
+    "(f8[:, :, ::1], f8[::1], f8[::1], i8[::1], Tuple((f8[:, :, ::1], i8[::1])), Tuple((f8[::1], f8[::1])), "
     "f8[:, ::1], Tuple((f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[::1], i8[::1])))"
 )
 def fit_points_on_known_paths(
@@ -32,7 +32,6 @@ def fit_points_on_known_paths(
     t_s: Floats,
     sigma: Floats,
     order: Ints,
-    longest: int,
     paths_of_points: tuple[Floats, Ints],
     gates: tuple[Floats, Floats],
     start: Floats,
@@ -40,12 +39,12 @@ def fit_points_on_known_paths(
 ) -> None:
     """Fill the results ``found`` of `whole_track_on_path.fit_rates_on_paths`, point by point.
 
-    ``order`` lists the views, nearest first, of which at most ``longest`` are used; ``gates`` as in `windows`;
-    ``start (N, 3)`` may be empty, as may the ``by_shared`` to fill.
+    ``order`` lists the views, nearest first, of which only so many are used as the first of the ``gates`` allows
+    for, as in `windows`; ``start (N, 3)`` may be empty.
     """
     paths, path_of = paths_of_points
     state, cov, by_shared, chi2, n_frames = found
-    views, limits, work = np.empty((_N_ROWS, longest)), np.empty(2), (np.empty(_N_SUMS), np.empty(3))
+    views, limits, work = np.empty((_N_ROWS, len(gates[0]) - 1)), np.empty(2), (np.empty(_N_SUMS), np.empty(3))
     sums, s = np.empty(_N_SUMS), np.empty(3)
     for i in range(len(path_of)):
         if path_of[i] < 0 or not sigma[i] > 0.0:
@@ -71,8 +70,7 @@ def fit_points_on_known_paths(
                 cov[i, j, k] = along[j] * along[k] / info
         cov[i, 0, 0] += 1.0 / sums[_OWN]
         cov[i, 1, 1] += 1.0 / sums[_OWN]
-        if len(by_shared):
-            _fill_by_shared(views, n_frames[i], s, along[0], along[1], 1.0 / info, by_shared[i])
+        _fill_by_shared(views, n_frames[i], s, along[0], along[1], 1.0 / info, by_shared[i])
 
 
 @compiled

@@ -12,6 +12,8 @@ from ttcvid.model import Floats, Ints
 # A track goes straight on over so many views. On a parabola it then leaves their line by so many times as much as each
 # of them is off the middle of its neighbours.
 _STRAIGHT_VIEWS, _BEND = 4, 5.0
+# Gauss-Newton steps on a point from its last rate.
+_N_STEPS = 4
 _OWN, _WITH_X, _WITH_Y = path_point.OWN, path_point.WITH_X, path_point.WITH_Y
 _SCORE_X, _SCORE_Y = path_point.SCORE_X, path_point.SCORE_Y
 _X, _Y, _INVERSE, _TIME = path_point.X, path_point.Y, path_point.INVERSE, path_point.TIME
@@ -24,7 +26,9 @@ _add_views, _rate_equation, _list_turned = (
 )
 
 
-@compiled_for("(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], f8[::1], f8[::1], i8, f8[:, ::1], f8[::1])")
+@compiled_for(
+    "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], f8[::1], f8[::1], Tuple((f8[:, ::1], f8[::1])))"
+)
 def predict_newest(
     rays: Floats,
     track: Ints,
@@ -33,63 +37,47 @@ def predict_newest(
     sigma: Floats,
     since_s: Floats,
     start: Floats,
-    n_steps: int,
-    off: Floats,
-    chi2: Floats,
+    found: tuple[Floats, Floats],
 ) -> None:
-    """Fill ``off (M, 2)`` and ``chi2 (M,)`` of `rigid_motion.Surprise`, point by point.
+    """Fill ``found``, ``off (M, 2)`` and ``chi2 (M,)`` of `rigid_motion.Surprise`, point by point.
 
-    Arguments as of `rigid_points.fit_rigid_points`; ``start (M,)`` are rates to start from, in ``n_steps``.
+    Arguments as of `rigid_points.fit_rigid_points`; ``start (M,)`` are rates to start from.
     """
+    off, chi2 = found
     views, sums, s = np.empty((_N_ROWS, rays.shape[2])), np.empty(_N_SUMS), np.empty(3)
     last, before = rays.shape[2] - 1, rays.shape[2] - len(since_s)
-    views[_TIME] = 0.0
-    for k in range(len(since_s)):
-        views[_TIME, before + k] = since_s[k]
+    for k in range(rays.shape[2]):
+        views[_TIME, k] = since_s[k - before] if k >= before else 0.0
     for m in range(len(track)):
         n = _list_turned(rays, track[m], ways, body[m], 1.0 / sigma[track[m]], views)
-        off[m], chi2[m] = 0.0, 0.0
+        off[m, 0], off[m, 1], chi2[m] = 0.0, 0.0, 0.0
         # With fewer than three earlier views nothing tells how straight the point went.
         if n < 4 or not views[_INVERSE, last] > 0.0:
             continue
+        # Place and rate by the views before the last. They start from where the latest of them leads: from the last,
+        # if that is wrong, few steps do not come back.
+        k = last - 1
+        while not views[_INVERSE, k] > 0.0:
+            k -= 1
         s[2] = start[m] if start[m] > 0.0 else 0.0
-        _fit_earlier(views, last, n_steps, s, sums)
-        off[m, 0], off[m, 1] = views[_X, last] - s[0], views[_Y, last] - s[1]
-        chi2[m] = min(_off_path(views, last, s, sums), _off_line(views, last))
-
-
-@compiled
-def _fit_earlier(views: Floats, last: int, n_steps: int, s: Floats, sums: Floats) -> None:
-    """Fill place and rate by robust Gauss-Newton on the views before the ``last``, and the sums there.
-
-    It starts from where the latest of them leads: from the last, if that is wrong, few steps do not come back.
-    """
-    k = last - 1
-    while not views[_INVERSE, k] > 0.0:
-        k -= 1
-    s[0] = views[_X, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_X, k]
-    s[1] = views[_Y, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_Y, k]
-    for count in range(n_steps + 1):
-        sums[:] = 0.0
-        _add_views(views, ZERO, last, s, sums)
-        if count == n_steps:
-            break
-        info, score = _rate_equation(sums)
-        change = max(score / info, -s[2]) if info > 0.0 else 0.0
-        s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
-        s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
-        s[2] += change
-
-
-@compiled
-def _off_path(views: Floats, last: int, s: Floats, sums: Floats) -> float:
-    """How far the last view is from (s_x, s_y), in chi-square: that is known to 1 / own, and along (x, y) as rho is."""
-    info, _ = _rate_equation(sums)
-    own, along_x, along_y = sums[_OWN], sums[_WITH_X] / sums[_OWN], sums[_WITH_Y] / sums[_OWN]
-    variance = 1.0 / (views[_INVERSE, last] * views[_INVERSE, last]) + 1.0 / own
-    rx, ry = views[_X, last] - s[0], views[_Y, last] - s[1]
-    along, known = along_x * rx + along_y * ry, variance * max(info, 0.0) + along_x * along_x + along_y * along_y
-    return float((rx * rx + ry * ry - (along * along / known if known > 0.0 else 0.0)) / variance)
+        s[0] = views[_X, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_X, k]
+        s[1] = views[_Y, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_Y, k]
+        for count in range(_N_STEPS + 1):
+            sums[:] = 0.0
+            _add_views(views, ZERO, last, s, sums)
+            info, score = _rate_equation(sums)
+            if count < _N_STEPS:
+                change = max(score / info, -s[2]) if info > 0.0 else 0.0
+                s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
+                s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
+                s[2] += change
+        # The place is known to 1 / own, and along (x, y) as rho is.
+        rx, ry = views[_X, last] - s[0], views[_Y, last] - s[1]
+        own, along_x, along_y = sums[_OWN], sums[_WITH_X] / sums[_OWN], sums[_WITH_Y] / sums[_OWN]
+        variance = 1.0 / (views[_INVERSE, last] * views[_INVERSE, last]) + 1.0 / own
+        along, known = along_x * rx + along_y * ry, variance * max(info, 0.0) + along_x * along_x + along_y * along_y
+        off_path = (rx * rx + ry * ry - (along * along / known if known > 0.0 else 0.0)) / variance
+        off[m, 0], off[m, 1], chi2[m] = rx, ry, min(off_path, _off_line(views, last))
 
 
 @compiled
