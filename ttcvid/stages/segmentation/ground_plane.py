@@ -1,6 +1,7 @@
-"""What a road tells of movers along our own direction, which look like static points at a wrong depth.
+"""The ground plane, and its evidence against static tracks: movers along our own direction.
 
-Such a thing would lie under the road, or hang over it (`stages.segmentation.ground_contact`).
+Such a mover looks like a static object at another depth, which would lie under the ground plane or hang over it
+(`stages.segmentation.ground_contact`).
 """
 
 from __future__ import annotations
@@ -16,39 +17,42 @@ from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.ground_contact import Contacts, find_contacts, on_ground
 from ttcvid.stages.tracking.groups import places_among
 
-# The camera looks along the road within so much, as the tangent of its pitch; heights of the horizon that are tried.
+# Largest pitch of the camera against the road (tangent), and number of horizons that are tried within it.
 _PITCH, _N_HORIZONS = 0.06, 13
 LEAST_BELOW = 0.03
-"""From so far below the horizon on (tangent) a point says something of the road, and the road of our speed."""
-# With a rate known to this part.
+"""Least distance below the horizon (tangent) of points that determine the ground plane, and that it gives speed for."""
+# Largest relative standard deviation of an inverse depth that counts.
 _KNOWN_PART = 0.1
-# Rates of road points agree within this part (natural logarithm); a point with less than this part of the road's rate
-# would lie under it, and counts against a road.
+# Inverse depths of road points agree within this natural logarithm; a point with less than this share of the road's
+# inverse depth would lie under it, and counts against it.
 _ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
-# Points count by the parts of the picture in which they lie: squares of this side (tangent, 3 deg).
+# Points are weighted to equal totals per square of this side (tangent, 3 deg).
 _CELL = 0.05
-# A road is borne by so many points, and by this part of the weight of all below the horizon.
+# Least number of points on a ground plane, and their least share of the weight of all below the horizon.
 _LEAST_POINTS, _LEAST_SHARE = 12, 0.3
-# The horizon of the plane lies this close to where we go: twice the pitch, one for its own error.
+# Largest distance of the plane's horizon from the epipole (tangent): the pitch, and as much for its error.
 _HORIZON_OFF = 2.0 * _PITCH
-# How much the road may fall to one side, beside how much it comes nearer downwards: roll of the camera.
+# Prior standard deviation of the roll between camera and road, rad.
 _ROLL_SIGMA = 0.1
 _LEAST_VIEWS = 4
-# A point lies on the road within this part of its rate.
+# A point is on the road if its inverse depth is within this share of the road's.
 _ON_ROAD = 0.2
-# Evidence decays by the first factor per frame, by the second where there is a road but the frame does not observe it
-# there, as where the road has no texture; a track contradicts a static scene above the last value.
+# Evidence decays by the first factor per frame, by the second while an object is not observed against the ground plane
+# (a road without texture). Above the last value a track contradicts the static scene.
 _FORGETTING, _NOTHING_SAID, _ENOUGH = 0.8, 0.97, 0.5
-# The road itself changes slowly: beside our way its memory is longer.
+# The ground plane, relative to our direction of travel, decays by this factor: it changes slowly.
 _ROAD_FORGETTING = 0.85
 
 
 @dataclass(frozen=True)
 class RoadMemory:
-    """Evidence of each track ``track_id (N,)`` against standing on the ground: ``evidence (N,)`` in 0 to 1.
+    """Ground plane of a frame, and evidence of tracks against it.
 
-    ``plane (3,)`` is the road of this frame, as from `find_road` but steadied, None where there is none, and
-    ``epipole_y`` the height of our direction of travel.
+    Attributes
+    ----------
+    track_id, evidence : ``(N,)`` evidence of each track against being static, in 0 to 1.
+    plane : ``(3,)`` as from `find_road`, filtered over frames; None: not found.
+    epipole_y : y of our direction of travel in the plane z = 1.
     """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
@@ -57,24 +61,25 @@ class RoadMemory:
     epipole_y: float = 0.0
 
     def in_units(self, speed: float) -> RoadMemory:
-        """The same where ``speed`` is 1: where we brake, the road of the frames before comes nearer the slower."""
+        """The memory in units of another speed: inverse depths are speed over depth, and shrink where we brake."""
         return self if self.plane is None else replace(self, plane=self.plane * speed)
 
     def contradicts(self) -> Bools:
-        """Tracks that a static scene cannot hold: (N,)."""
+        """Whether tracks ``(N,)`` contradict the static scene."""
         return np.asarray(self.evidence > _ENOUGH)
 
 
 def gathered_evidence(
     memory: RoadMemory, track_id: Ints, views: BodyViews, fit: PathFit, key: Ints, in_scene: Bools, aim: Floats
 ) -> RoadMemory:
-    """The evidence of the last frames with that of this one.
+    """The memory with the ground plane and the evidence of this frame.
 
     Parameters
     ----------
-    fit : of all N tracks on the path of the scene.
-    key : (N,) body of each track by now; ``in_scene (N,)`` tracks that a road may be made of.
-    aim : (2,) where we go in the plane z = 1.
+    fit : of all N tracks on the trajectory of the scene.
+    key : ``(N,)`` body of each track.
+    in_scene : ``(N,)`` tracks that may be points of the ground plane.
+    aim : ``(2,)`` our direction of travel in the plane z = 1.
     """
     evidence, epipole_y = np.zeros(len(track_id)), float(aim[1])
     place = places_among(memory.track_id, track_id)
@@ -92,7 +97,7 @@ def gathered_evidence(
 
 
 def _shared_evidence(evidence: Floats, is_old: Bools, contacts: Contacts) -> Floats:
-    """The evidence (N,), the same for all points of a thing: the mean of its old ones, and what its foot says now."""
+    """Evidence ``(N,)``, equal over each object: mean of its older tracks, updated by its ground contact now."""
     own, new = np.flatnonzero(contacts.thing >= 0), _FORGETTING * evidence
     thing, n_things = contacts.thing[own], len(contacts.contradicts)
     count = np.bincount(thing, is_old[own], n_things)
@@ -104,9 +109,9 @@ def _shared_evidence(evidence: Floats, is_old: Bools, contacts: Contacts) -> Flo
 
 
 def steadied(memory: RoadMemory, road: Floats | None, epipole_y: float) -> Floats | None:
-    """The road (3,) of this frame with those of the last ones: where it is far, one frame errs by a car's height.
+    """The ground plane ``(3,)`` filtered over frames: far ahead, a single frame errs by a car's height.
 
-    The road lies steadily below our way, not in the picture: its horizon is taken from the epipole on.
+    It is steady relative to our direction of travel, not in the picture: its horizon is measured from the epipole.
     """
     if road is None or memory.plane is None:
         return road
@@ -116,19 +121,21 @@ def steadied(memory: RoadMemory, road: Floats | None, epipole_y: float) -> Float
 
 
 def _along_our_way(road: Floats, epipole_y: float) -> Floats:
-    """Height of the horizon below the epipole, fall to the right, and rate a tangent below the horizon: (3,)."""
+    """``(3,)``: horizon below the epipole, slope to the right, inverse depth at tangent 1 below the horizon."""
     return np.array([-road[0] / road[2] - epipole_y, road[1] / road[2], road[2]])
 
 
 def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
-    """The road as the plane ``rate = p0 + p1 x + p2 y``: (3,) in 1/s, None where there is none.
+    """The ground plane as ``inverse depth = p0 + p1 x + p2 y``: ``(3,)`` in 1/s, None where there is none.
 
-    A plane has inverse depths that are affine in the picture. The densest rates below each of some horizons about the
-    epipole, then least squares with those points.
+    The inverse depth of a plane is affine in the image. The densest interval of inverse depths over some horizons about
+    the epipole is the start of a least-squares fit.
 
     Parameters
     ----------
-    fit : of N points on the path of the scene; ``in_scene (N,)`` those that may lie on the road.
+    fit : of N tracks on the trajectory of the scene.
+    in_scene : ``(N,)`` tracks that may be points of the ground plane.
+    epipole_y : y of our direction of travel in the plane z = 1.
     """
     index = np.flatnonzero(_may_be_road(fit, in_scene, epipole_y))
     if len(index) < _LEAST_POINTS:
@@ -150,22 +157,22 @@ def find_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Floats | None:
 
 
 def _share_of_cell(place: Floats) -> Floats:
-    """Weight of each point (N,): one for each part of the picture, since a car has more corners than the road has."""
+    """Weights ``(N,)`` with a total of one per square of the image: a car has more corners than the road."""
     cell = picture_region(np.column_stack([place, np.ones(len(place))]), _CELL)
     return np.asarray(1.0 / np.bincount(cell)[cell])
 
 
 def _may_be_road(fit: PathFit, in_scene: Bools, epipole_y: float) -> Bools:
-    """Points (N,) of the scene below any horizon, of a known rate."""
+    """Whether points ``(N,)`` belong to the scene, lie below all horizons tried, and have a known inverse depth."""
     is_rated = in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
     return np.asarray(is_rated & (fit.place[:, 1] > epipole_y - _PITCH + LEAST_BELOW))
 
 
 def _fitted_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> Floats | None:
-    """The plane (3,) of the points that lie on a ``road (3,)``, None where these are too few.
+    """Least-squares plane ``(3,)`` of the points on ``road (3,)``, with a prior on the roll; None with too few of them.
 
-    Too few of them, or with too small a part of the ``weight (N,)`` of all below the horizon. Least squares of rates
-    over what the road before has there, with a prior on the roll.
+    Residuals are relative to the inverse depth of ``road``. Too few: by number, or by their share of the
+    ``weight (N,)`` of all points below the horizon.
     """
     columns = np.column_stack([np.ones(len(place)), place])
     predicted = columns @ road
@@ -180,18 +187,18 @@ def _fitted_plane(place: Floats, rate: Floats, weight: Floats, road: Floats) -> 
 
 
 def _is_level(road: Floats, epipole_y: float) -> bool:
-    """Whether a plane (3,) comes nearer downwards as a road does: it ends in a horizon, about where we go.
+    """Whether a plane ``(3,)`` is level: its horizon is near our direction of travel.
 
-    A wall fits a road for as long as it is low; but its rates hardly change downwards, and its horizon is high above.
+    A low wall may fit, but its inverse depth hardly changes downwards, so that its horizon is far above.
     """
     return bool(road[2] > 0.0 and abs(-road[0] / road[2] - epipole_y) < _HORIZON_OFF)
 
 
 def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
-    """Which row of ``(H, N)`` holds the densest interval of 2 `_ROAD_SPREAD`, and where it starts; -1 without any.
+    """Row of ``log_slope (H, N)`` with the densest interval of 2 `_ROAD_SPREAD`, and its start; -1 without any.
 
-    Rows are ascending, with infinity where there is no point, and have a ``weight (H, N)`` each. What lies too far
-    under the interval counts against it.
+    Rows are ascending, infinite where there is no point. Support is the ``weight (H, N)`` within the interval, less
+    that of points too far below it, which would lie under the road.
     """
     is_point = np.isfinite(log_slope)
     before = np.pad(np.cumsum(np.where(is_point, weight, 0.0), axis=1), ((0, 0), (1, 0)))
@@ -206,13 +213,13 @@ def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
 
 
 def on_road(fit: PathFit, memory: RoadMemory) -> Bools:
-    """Points at the depth of the road where they are seen: (N,); none where no road is known."""
+    """Whether points ``(N,)`` have the inverse depth of the ground plane; none without a plane."""
     if memory.plane is None:
         return np.zeros(len(fit.rate_hz), dtype=bool)
     return np.asarray(np.abs(fit.rate_hz / _rate_of_road(fit, memory.plane) - 1.0) < _ON_ROAD)
 
 
 def _rate_of_road(fit: PathFit, road: Floats) -> Floats:
-    """Rate of the road where each point is seen: (N,), NaN at the horizon and above."""
+    """Inverse depth of the ground plane at each point, 1/s: ``(N,)``, NaN at the horizon and above."""
     rate = road[0] + fit.place @ road[1:]
     return np.where(rate > LEAST_BELOW * road[2], rate, np.nan)

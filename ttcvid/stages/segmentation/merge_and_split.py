@@ -1,4 +1,4 @@
-"""Movers that turn out to be one, and parts of one that turn out to be several."""
+"""Merges and splits of movers."""
 
 from __future__ import annotations
 
@@ -17,27 +17,30 @@ from ttcvid.stages.segmentation.data_association import Movers, OwnFit, is_due, 
 from ttcvid.stages.segmentation.plain_gaps import across_plain_gaps
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_parts
 
-# Two bodies, or two parts of one, are one where their rates differ by less than this factor; or where they hang
-# together by tracks beside each other whose rates differ by less than the other, and are known to a fourth of that.
+# Two bodies, or two parts of one, can be one if the ratio of their inverse depths is below the first factor, or if they
+# are connected by neighbouring tracks with ratios below the second, each known to a fourth of that.
 _ONE_RATE, _BESIDE_RATE, _KNOWN_PART = 1.5, 1.2, 0.25
-# Two movers are one where one motion explains both at most this much worse than two, misfits below 1 being 1; before
-# that is tried, the motion of the larger has to explain the smaller within this factor: what fits one half of a bus
-# that turns leaves the other up to 30 times as far off, until both correct it.
+# Two movers are merged if one trajectory raises their reduced chi-square (at least 1) by at most the first factor. That
+# is tried if the trajectory of the larger fits the smaller within the second: that of one half of a turning bus leaves
+# the other up to 30 times as far off before refinement.
 _MERGED_MISFIT, _WORTH_TRYING = 2.0, 32.0
 _LEAST_MISFIT = 1.0
-# Steps of refinement of two taken as one; so many tracks of each tell whether they are.
+# Gauss-Newton steps for the joint trajectory, and largest number of tracks of each mover in its test.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
 _LEAST_TRACKS = 3
-# Views after which a track says by its own motion to what it belongs: a new one is taken for the scene's.
+# Views after which the label of a track tells its motion: new tracks start with the scene.
 _LEAST_VIEWS = 5
 _TINY_HZ = 1e-9
 
 
 @dataclass(frozen=True)
 class _Pairs:
-    """P pairs of neighbouring movers: the places ``large, small (P,)`` of both.
+    """P pairs of neighbouring movers.
 
-    ``limit (P,)`` is the misfit that is usual in both, in units of the scene's.
+    Attributes
+    ----------
+    large, small : ``(P,)`` indices of both.
+    limit : ``(P,)`` median reduced chi-square of their tracks on their own bodies, over that of the scene.
     """
 
     large: Ints
@@ -51,7 +54,7 @@ class _Pairs:
 
 @dataclass(frozen=True)
 class _Joint:
-    """The motions of P pairs taken as one, the median rate of their points, and whether each pair is one."""
+    """Joint trajectories of P pairs, median inverse depths ``rate_hz (P,)``, and whether each pair is one: ``(P,)``."""
 
     paths: RigidPaths
     rate_hz: Floats
@@ -71,12 +74,15 @@ def merged(
     own_misfit: Floats,
     usual_misfit: float,
 ) -> tuple[Ints, Movers]:
-    """Movers side by side, or with nothing between, that one motion explains are one; the older one's number stays.
+    """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
+
+    Movers are adjacent if they have neighbouring tracks, or only a gap without texture between them.
 
     Parameters
     ----------
-    neighbours : (N, K) of each track that belongs to a mover.
-    own_misfit : (N,) of each track on its body, in units of ``usual_misfit``.
+    key : ``(N,)`` body of each track.
+    neighbours : ``(N, K)`` neighbours of tracks that belong to a mover.
+    own_misfit : ``(N,)`` reduced chi-square of each track on its body, over ``usual_misfit``.
     """
     number = numbers_of(key, movers)
     asked = _asked_neighbours(views, neighbours, number, movers)
@@ -95,7 +101,7 @@ def merged(
         if is_gone[both].any():
             continue
         if is_changed[both].any():
-            # One of the two has just become one with another.
+            # One of the two has just been merged with a third.
             movers = replace(movers, paths=paths, rate_hz=rate_hz)
             joint = _joint(views, scene, tracks_of, movers, pair, usual_misfit)
         if not joint.is_one[0]:
@@ -110,7 +116,7 @@ def merged(
 
 
 def _asked_neighbours(views: BodyViews, neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
-    """The places of the larger and the smaller of each two neighbours that are asked about; None without any."""
+    """Indices of the larger and the smaller of P adjacent movers that are due, ``(P,)`` each; None without any."""
     if len(movers) < 2:
         return None
     pairs = np.empty((len(movers) * (len(movers) - 1) // 2, 2), dtype=np.int64)
@@ -132,7 +138,7 @@ def _worth_trying(
     own_misfit: Floats,
     usual_misfit: float,
 ) -> _Pairs | None:
-    """Neighbours, at the places ``large, small (P,)``, that may be one; None without any."""
+    """Adjacent movers, of indices ``large, small (P,)``, whose merge is worth trying; None without any."""
     counts = np.array([len(tracks) for tracks in tracks_of], dtype=np.int64)
     few = np.repeat(np.arange(len(large)), counts[small])
     points = views.points(np.concatenate([tracks_of[place] for place in small]), few)
@@ -174,17 +180,17 @@ def _list_pairs(number: Ints, neighbours: Ints, n_movers: int, pairs: Ints, touc
 def _joint(
     views: BodyViews, scene: RigidPaths, tracks_of: list[Ints], movers: Movers, pairs: _Pairs, usual_misfit: float
 ) -> _Joint:
-    """Each pair taken as one."""
+    """Joint trajectory of each pair, and whether it is one mover."""
     of_pairs = [tracks_of[place] for pair in zip(pairs.large, pairs.small, strict=True) for place in pair]
     parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in of_pairs]
     part, n_pairs = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts]), len(pairs.large)
     points = views.points(np.concatenate(parts), part // 2)
     steps = np.full(n_pairs, _JOINT_STEPS)
-    # From no rates at all the first steps would bend a path that fits.
+    # Without inverse depths to start from, the first steps would bend a trajectory that fits.
     start_hz = movers.rate_hz[pairs.large][points.thing]
     joint, joint_hz = refined_movers(movers.paths.take(pairs.large), scene, points, steps, start_hz)
     fit = fit_on_paths(points, joint)
-    # A track that has just been born has no rate yet.
+    # A new track has no inverse depth yet.
     known = np.isfinite(fit.rate_hz)
     one, other = medians(fit.rate_hz[known], part[known], len(parts)).reshape(-1, 2).T
     is_one = medians(fit.misfit, points.thing, n_pairs) < _MERGED_MISFIT * usual_misfit * pairs.limit
@@ -195,9 +201,9 @@ def _joint(
 
 
 def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -> bool:
-    """Whether most tracks of ``one`` and of the ``other`` are of one piece on one ``path``, though they lie deep.
+    """Whether most tracks of ``one`` and of the ``other`` are connected in image and depth, on a common trajectory.
 
-    The cab of a lorry beside us is twice as far away as its tank, and in between is the rest of it.
+    A large object spans depths: the cab of a lorry beside us is twice as far away as its tank.
     """
     both = np.concatenate([one, other])
     fit = fit_on_paths(views.points(both, np.zeros_like(both)), path)
@@ -214,10 +220,15 @@ def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -
 def split(
     views: BodyViews, key: Ints, movers: Movers, own_fit: OwnFit, next_key: int, config: BodiesConfig
 ) -> tuple[Ints, Movers, int]:
-    """Parts of a mover that do not hang together in the picture, or lie at other depths, are movers of their own.
+    """Labels, movers and next key after splits of movers into parts that are not connected in image and depth.
 
-    Those apart from each other with nothing else between them stay one. The largest part keeps the number. ``own_fit``
-    of each track on the path of its mover: what it does not know is found out.
+    Parts with only a gap without texture between them stay one mover. The largest part keeps the key.
+
+    Parameters
+    ----------
+    key : ``(N,)`` body of each track.
+    own_fit : fit of each track on its mover; unknown inverse depths are fitted here.
+    next_key : first free key.
     """
     number = numbers_of(key, movers)
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
@@ -230,14 +241,14 @@ def split(
     if len(unknown):
         fit = fit_on_paths(views.points(own[unknown], body[unknown]), movers.paths, movers.rate_hz[body[unknown]])
         rate_hz[unknown], sigma_hz[unknown] = fit.rate_hz, fit.rate_sigma_hz
-    # Where nothing is known (NaN), the rate is none, and may be any.
+    # An unknown inverse depth (NaN) matches any.
     rate_hz = np.fmax(rate_hz, _TINY_HZ)
     unsure = np.fmin(sigma_hz / rate_hz, np.inf)
     tolerance = 0.5 * np.log(_ONE_RATE) + 2.0 * unsure
     label = linked_parts(views.xy_px[own], views.link_px, body, np.log(rate_hz), tolerance)
     counts = np.bincount(label)
     if len(counts) == np.count_nonzero(np.bincount(body)):
-        # Each is of one piece.
+        # Every mover is connected.
         return key, movers, next_key
     label = _across_gaps(views, number, own, label, rate_hz)
     counts = np.bincount(label)
@@ -253,9 +264,12 @@ def split(
 
 
 def _across_gaps(views: BodyViews, number: Ints, own: Ints, label: Ints, rate_hz: Floats) -> Ints:
-    """The parts ``label (M,)`` of tracks ``own (M,)``: those of one mover, at one depth, with nothing between are one.
+    """Labels ``(M,)`` of parts of movers after joining those at one depth with only a textureless gap between them.
 
-    ``number (N,)`` as from `numbers_of`; ``rate_hz (M,)``.
+    Parameters
+    ----------
+    number : ``(N,)`` index of the body of each track, as from `numbers_of`.
+    own, label, rate_hz : ``(M,)`` tracks, part and inverse depth of each.
     """
     n_parts = int(label.max()) + 1
     mover_of, part = np.empty(n_parts, dtype=np.int64), np.full(len(number), -1)
@@ -272,5 +286,5 @@ def _across_gaps(views: BodyViews, number: Ints, own: Ints, label: Ints, rate_hz
 
 
 def _told(views: BodyViews) -> Bools:
-    """Tracks (N,) that are seen in enough views to tell to which body they belong."""
+    """Whether tracks ``(N,)`` have enough views for their labels to count."""
     return np.asarray(np.isfinite(views.rays[-_LEAST_VIEWS:, :, 0]).all(axis=0))
