@@ -71,6 +71,16 @@ def test_a_direction_that_was_believed_wrongly_is_put_right():
     np.testing.assert_allclose(found.direction[0], DIRECTION, atol=2e-4)
 
 
+def test_a_direction_that_is_believed_to_lie_in_a_plane_is_found_there():
+    ahead, across = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
+    true = normalize(ahead + 0.03 * across)
+    place = body(60, np.random.default_rng(2)) + SPEED_M_S * T_S[:, None, None] * true
+    believed = replace(belief(ahead), direction_cov=0.02**2 * np.outer(across, across)[None])
+    found = fitted(place[..., :2] / place[..., 2:], believed, 1e-6)
+    np.testing.assert_allclose(found.direction[0], true, atol=1e-4)
+    assert abs(found.direction[0, 1]) < 1e-9
+
+
 @pytest.mark.parametrize("t_s", [T_S, BOTH_SIDES_S], ids=["past", "both sides"])
 def test_a_rotation_left_in_the_views_is_found_and_taken_out(t_s):
     rng, turn = np.random.default_rng(3), np.array([0.001, 0.003, -0.002])

@@ -21,6 +21,8 @@ N_SHARED = 9
 
 # A point whose window has less than this part of its views, over the same of the median point, is left out.
 _LOYAL_SHARE = 0.7
+# No direction is believed in more than this: one in a plane would have no information across it.
+_LEAST_SIGMA_RAD = 1e-8
 # What does not contradict a direction: a chi-square with two degrees of freedom inside its 90 %.
 _CHANCE_CHI2 = 4.605
 
@@ -94,8 +96,6 @@ def chosen_paths(first: SharedPaths, second: SharedPaths, asked: Ints, takes_sec
     """Of K paths of which those of ``asked (Q,)`` were fitted again, these where ``takes_second (Q,)`` holds."""
     if not takes_second.any():
         return first
-    if len(asked) == len(first.path) and takes_second.all():
-        return second
     chosen = []
     for field in fields(SharedPaths):
         values = getattr(first, field.name).copy()
@@ -162,7 +162,11 @@ class PathFits:
         worse = np.maximum(1.0, chi2 / _CHANCE_CHI2)
         more = np.linalg.inv(found) / worse[:, None, None] - np.linalg.inv(wide)
         steady = self._paths(*self._weighed(self.believed + across.transpose(0, 2, 1) @ more @ across))
-        return _as_unsure_as(searched, steady)
+        # Known as those that were searched are, which they may be as well.
+        off = searched.direction - steady.direction
+        squares, cov = off[:, :, None] * off[:, None, :], searched.cov.copy()
+        cov[:, :3, :3] += squares
+        return replace(steady, cov=cov, direction_cov=searched.direction_cov + squares)
 
     def _weighed(self, believed: Floats) -> tuple[Floats, Floats]:
         """Offsets (K, 8) by the belief and by what the views say, and their covariance."""
@@ -180,15 +184,6 @@ class PathFits:
         direction = (self.beliefs.direction + offset[:, :3]) / speed[:, None]
         cov_of = (columns @ cov @ columns.transpose(0, 2, 1), own @ cov @ own.transpose(0, 2, 1))
         return SharedPaths(path, direction, offset, *cov_of, self.left[:, 0], self.left[:, 1])
-
-
-def _as_unsure_as(searched: SharedPaths, paths: SharedPaths) -> SharedPaths:
-    """The ``paths``, known as those that were ``searched`` are, which they may be as well."""
-    off = searched.direction - paths.direction
-    squares = off[:, :, None] * off[:, None, :]
-    cov = searched.cov.copy()
-    cov[:, :3, :3] += squares
-    return replace(paths, cov=cov, direction_cov=searched.direction_cov + squares)
 
 
 def fit_shared_paths(
@@ -253,8 +248,9 @@ def _times(matrices: Floats, vectors: Floats) -> Floats:
 
 
 def _of_plane(basis: Floats, cov: Floats) -> Floats:
-    """Covariances (K, 2, 2) along the first two axes of K matrices (K, 3, 3)."""
-    return np.asarray(basis[:, :, :2].transpose(0, 2, 1) @ cov @ basis[:, :, :2])
+    """Covariances (K, 2, 2) along the first two axes of K matrices (K, 3, 3), which may lie in a plane."""
+    across = basis[:, :, :2]
+    return np.asarray(across.transpose(0, 2, 1) @ cov @ across + _LEAST_SIGMA_RAD**2 * np.eye(2))
 
 
 def _to_camera(basis: Floats) -> Floats:
