@@ -1,4 +1,4 @@
-"""One row a cluster: its epipole, the state of its nearest surface, how it moves, and how urgent it is."""
+"""Rows of clusters: epipole, state and times of the nearest surface, motion state, urgency."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from ttcvid.stages.objects.near_face import front_boxes
 from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.tracking.groups import TrackSets
 
-# Approaching, receding and sideways motion are told at 95 % (one side).
+# Approach, recession and transverse motion are significant at 95 % (one side).
 _SIGMAS_95 = 1.645
-# Sideways rate, a length of two components, is none below this many sigmas (95 % of a 2-D Gaussian).
+# The same for the transverse rate, a length of two components, in sigmas (95 % of a 2-D Gaussian).
 _SIGMAS_95_OF_TWO = 2.45
-# Two directions are one when their difference is inside 99 % of a 2-D Gaussian.
+# Two directions are equal if their difference is inside 99 % of a 2-D Gaussian.
 _SAME_DIRECTION_CHI2 = 9.21
-# Directions known less well than this could be any, rad.
+# Directions with a larger standard deviation are equal to none, rad.
 _KNOWN_DIRECTION_RAD = float(np.radians(10.0))
-# A cluster has a direction.
+# Statuses of clusters with a direction.
 _VALUED = (Status.ok, Status.epipole_at_infinity)
-# What says no more of an object than that it may have a state.
+# Statuses that leave open whether an object has a state.
 _OPEN = (*_VALUED, Status.no_parallax)
 # Noise of a point that is exact by definition.
 _EXACT = 1e-12
@@ -51,12 +51,18 @@ ON_HORIZON = "+horizon"
 
 @dataclass(frozen=True)
 class ClusterMotion:
-    """What is known of a cluster before its times: ``members`` index the frame's tracks, ``direction`` is its ``dir``.
+    """A cluster before its state and times.
 
-    ``horizon_offset_px`` how far off the horizon its epipole was found, before it was moved there, and
-    ``horizon_offset`` the same as an angle with its error; ``window_s`` for how
-    long its motion has been what it is; ``is_static`` a thing that moves with the scene; ``is_one_surface`` one that
-    was found as one surface, and may have few tracks.
+    Attributes
+    ----------
+    cluster_id, status, method : as in the tables.
+    members : ``(M,)`` indices of its tracks in the frame.
+    direction, direction_cov : its ``dir`` ``(3,)`` and the covariance (3, 3), rad^2; None without one.
+    horizon_offset_px, horizon_offset : offset of its epipole from the horizon before it was moved there, in px, and as
+        an angle with its standard deviation.
+    window_s : for how long its motion has been the present one.
+    is_static : it moves with the scene (a standing obstacle).
+    is_one_surface : it was found as one surface, and may have few tracks.
     """
 
     cluster_id: int
@@ -80,14 +86,15 @@ def rows_of(
     link_px: float,
     expansion_hz: Floats,
 ) -> list[ClusterRow]:
-    """A row for each cluster; an object's has the state of its nearest surface, and `with_times` what follows from it.
+    """Rows of K clusters; those of objects have the state of their nearest surface, and no times yet (`with_times`).
 
-    The scene has no state (it has many depths).
+    The scene has no state: it has many depths.
 
     Parameters
     ----------
-    members : tracks of the K ``motions``.
-    expansion_hz : (K,) of all tracks of each, NaN where unknown.
+    motions, members : the clusters and their tracks.
+    states, xy_px, link_px : of all tracks, as for `joint_states`.
+    expansion_hz : ``(K,)`` expansion of each, NaN where unknown.
     """
     believed, believed_cov = _directions(motions)
     is_scene = np.array([_is_scene(motion) for motion in motions], dtype=bool)
@@ -142,10 +149,9 @@ def _row(
     motion_id: int,
     stated: dict[str, Any],
 ) -> ClusterRow:
-    """The row of a cluster, with what is ``stated`` of it beside what its motion and the places of its tracks say.
+    """The row of a cluster; the fields in ``stated`` replace those of its motion.
 
-    An object without a state has no parallax. Where its tracks have values, but too few of them one value, it is not
-    rigid.
+    An object without a state has the status ``no_parallax``, or ``not_rigid`` if its tracks have values that disagree.
     """
     status, motion_state = motion.status, MotionState.unknown
     if _is_scene(motion):
@@ -172,14 +178,15 @@ def _row(
 
 
 def motion_ids(is_ours: Bools, direction: Floats, direction_cov: Floats) -> list[int]:
-    """Number of each cluster's motion: 0 for those of our own, the scene and what stands in our way; movers from 1.
+    """``motion_id`` of K clusters: 0 for the scene and standing obstacles, movers from 1.
 
-    Movers share a number where their directions, both known well, are one. A mover has none of the scene's, though it
-    may go along our own line: who is told that a thing stands still takes our speed for its closing speed.
+    Movers share a number if their directions are equal within small errors. A mover never has 0, even along our own
+    direction: users take the closing speed of what stands still for their own speed.
 
     Parameters
     ----------
-    is_ours, direction, direction_cov : (K,), (K, 3), (K, 3, 3) of the clusters; NaN where not known.
+    is_ours : ``(K,)`` the scene and standing obstacles.
+    direction, direction_cov : ``(K, 3)`` and ``(K, 3, 3)``, NaN where unknown.
     """
     movers = np.flatnonzero(~is_ours)
     is_same = _have_same_direction(direction[movers], direction_cov[movers]) if len(movers) > 1 else np.ones((1, 1))
@@ -192,10 +199,10 @@ def motion_ids(is_ours: Bools, direction: Floats, direction_cov: Floats) -> list
 
 
 def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
-    """Give approaching objects their urgency, 1 first: by the distance in collision times, abs(P') = abs(P)/abs(V).
+    """Rows with ``urgency_rank`` of approaching objects, 1 first, by their distance in collision times abs(P)/abs(V).
 
-    The paper's conclusion: a near car at our own speed is harmless (both its times are long), a far one that closes
-    fast is not; one that will pass far off lies between.
+    Conclusion of the paper: a near car at our own speed is harmless (both its times are long), a far one that closes in
+    fast is not; one that will pass at a distance is between.
     """
     urgent = [
         (float(np.hypot(row.times.tcpa_s[0], row.times.miss_s[0])), row.cluster_id)
@@ -207,7 +214,7 @@ def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
 
 
 def with_epipole_pixels(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
-    """The same with the pixel of each epipole: where the line along its direction meets the picture."""
+    """Rows with the pixel of each epipole, where the line along its direction meets the image plane."""
     directed = [place for place, row in enumerate(rows) if row.direction is not None]
     pixels = epipole_pixels(np.reshape([rows[place].direction for place in directed], (-1, 3)), camera)
     rows = list(rows)
@@ -218,21 +225,21 @@ def with_epipole_pixels(rows: list[ClusterRow], camera: Camera) -> list[ClusterR
 
 
 def epipole_pixels(directions: Floats, camera: Camera) -> Floats:
-    """Where lines along ``directions (K, 3)`` meet the picture: (K, 2) source pixels, NaN within 1 deg of its plane."""
+    """Epipoles ``(K, 2)`` of ``directions (K, 3)`` in source pixels; NaN within 1 deg of the image plane."""
     z = directions[:, 2]
     forward = np.where(np.abs(z) < INFINITY_COSINE, np.nan, np.sign(z))[:, None] * directions
     return pixels_from_rays(camera, forward)
 
 
 def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
-    """The times of all rows that have a state, and how they move; the others as they are."""
+    """Rows with times and motion states, where they have a state."""
     stated = [place for place, row in enumerate(rows) if row.state_abc_hz is not None and row.ref_px is not None]
     if not stated:
         return rows
     xy = rays_from_pixels(camera, np.array([rows[place].ref_px for place in stated]))[:, :2]
     abc_hz = np.array([rows[place].state_abc_hz for place in stated])
     cov = np.array([rows[place].state_cov for place in stated])
-    # The reference point is where the tracks are, by definition: it has no error of its own.
+    # The reference point is defined by the tracks, and has no error.
     sigma_norm = np.full(len(stated), _EXACT)
     times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
     rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
@@ -244,7 +251,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
 
 
 def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionState:
-    """Test of the radial rate q (negative: nearer) and the transverse rate u at 95 %."""
+    """Motion state by tests of the radial rate q (negative: approaching) and the transverse rate u at 95 %, 1/s."""
     (q, u), (q_sigma, u_sigma) = rates, sigmas
     moves_across = u > _SIGMAS_95_OF_TWO * u_sigma
     if q < -_SIGMAS_95 * q_sigma:
@@ -257,11 +264,11 @@ def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionStat
 def _directions_of_states(
     motions: Sequence[ClusterMotion], joint: JointStates, believed: Floats, believed_cov: Floats
 ) -> list[tuple[int, Floats, Floats, Status]]:
-    """Objects whose states contradict their directions: which, and the directions of the states with their covariances.
+    """Objects whose state contradicts their direction: index, direction of the state, its covariance, and status.
 
-    The direction was found as if all tracks were straight, which is the surer way where they are. In a bend it lags,
-    and the curve is taken for depth. (On a horizon the plane says more than either.) What the states vary by over the
-    places of things that turn is no reason to keep a direction found as if nothing did.
+    The direction assumes straight tracks, and is the more precise where they are. In a bend it lags, and curvature is
+    taken for depth. On a horizon, which is better known than either, it is kept. The variance of the state over the
+    places of a turning object (``place_cov``) does not count in the test.
     """
     asked = np.array([not motions[place].method.endswith(ON_HORIZON) for place in joint.owner], dtype=bool)
     if not asked.any():
@@ -271,7 +278,7 @@ def _directions_of_states(
     direction = abc_hz / speed_hz
     across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
     cov_here = across @ (joint.cov - joint.place_cov)[asked] @ across
-    # Without a covariance of the belief (NaN) it stays.
+    # False without a covariance of the direction (NaN).
     is_other = direction_chi2(direction, believed[owner], cov_here + believed_cov[owner]) >= _SAME_DIRECTION_CHI2
     found = []
     for i in np.flatnonzero(is_other):
@@ -283,14 +290,14 @@ def _directions_of_states(
 
 
 def _have_same_direction(direction: Floats, cov: Floats) -> Bools:
-    """Which pairs of clusters (K, K) have one direction within their errors, and not only because these are large."""
+    """Whether pairs of clusters ``(K, K)`` have equal directions, within small errors."""
     is_one = direction_chi2(direction, direction[:, None], cov + cov[:, None]) < _SAME_DIRECTION_CHI2
     is_known = cov[:, 0, 0] + cov[:, 1, 1] + cov[:, 2, 2] < _KNOWN_DIRECTION_RAD**2
     return np.asarray(is_one & is_known & is_known[:, None])
 
 
 def _directions(motions: Sequence[ClusterMotion]) -> tuple[Floats, Floats]:
-    """Directions (K, 3) and their covariances (K, 3, 3), NaN where one of them is not known."""
+    """Directions ``(K, 3)`` and their covariances ``(K, 3, 3)``, NaN where unknown."""
     direction, cov = np.full((len(motions), 3), np.nan), np.full((len(motions), 3, 3), np.nan)
     for place, one in enumerate(motions):
         if one.direction is not None and one.direction_cov is not None:

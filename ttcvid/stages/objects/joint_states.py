@@ -1,4 +1,4 @@
-"""The states of objects: each that of its nearest well-supported surface, what is hit first."""
+"""States of objects: of the nearest well-supported surface, which is hit first."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ttcvid.stages.tracking.groups import TrackSets
 _TRIMMED_VARIANCE = 1.35
 # Minimum number of tracks of an object that was found as one surface.
 _LEAST_OF_SURFACE = 3
-# The parts of a car's front lie in depths that differ by this (standard deviation, as a part of the distance).
+# Standard deviation of the depths on the front of a car, as a share of its distance.
 _RELIEF = 0.025
-# An object that turns faster has another velocity at each place. Its turn tells depths well, so that less of what lies
-# behind its nearest tracks is mixed in.
+# An object that turns faster than the first, rad/s, has a velocity that varies with the place. Its turn determines
+# depths well: the smaller relief mixes in less of what is behind its nearest tracks.
 _TURNS_RAD_S, _TURNING_RELIEF = 0.05, 0.01
-# An end of a line is so many times the variance of its points away from its middle, squared.
+# Squared distance of the end of a line from its middle over the variance of its points.
 _END_VARIANCE = 3.0
 # Least variance of a rate, 1/s^2.
 _TINY = 1e-24
@@ -29,10 +29,14 @@ _TINY = 1e-24
 
 @dataclass(frozen=True)
 class JointStates:
-    """States of K surfaces at their centroids ``ref_px (K, 2)``; ``owner (K,)`` says whose each of them is.
+    """States of K surfaces.
 
-    ``abc_hz (K, 3)`` = V / Z with ``cov (K, 3, 3)`` in 1/s^2, of which ``place_cov`` comes from not knowing the very
-    place.
+    Attributes
+    ----------
+    owner : ``(K,)`` index of the object.
+    ref_px : ``(K, 2)`` centroid.
+    abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.
+    place_cov : ``(K, 3, 3)`` part of ``cov`` that is due to the unknown place of the nearest point.
     """
 
     owner: Ints
@@ -45,20 +49,18 @@ class JointStates:
 def joint_states(
     members: TrackSets, direction: Floats, is_one: Bools, states: TrackStates, xy_px: Floats, link_px: float
 ) -> JointStates:
-    """The state of the nearest surface of each object that has one: the weighted mean over its tracks.
+    """State of the nearest surface of each of N objects that has one: the weighted mean over its tracks.
 
-    The nearest is the one with the largest rate speed / Z, whether it comes, goes or crosses. (Of a thing that
-    approaches, the largest rate is also the largest 1 / ttc_z. Of one that recedes it is the smallest, and one that
-    crosses has none: its tracks would make no surfaces.) What the tracks have in common moves all surfaces alike, and
-    does not make one of two (it may, where else nothing would have support: `in_nearest_of_path`); but no surface is
-    flat.
+    The nearest surface has the largest inverse depth (speed / Z), for any direction of motion: 1 / ttc_z orders the
+    depths of approaching objects only. Errors common to all tracks shift all surfaces alike and do not count in their
+    separation, unless no surface had enough tracks otherwise (`in_nearest_of_path`). The relief of a surface counts.
 
     Parameters
     ----------
-    members, direction, is_one
-        Of N objects: their tracks, ``dir (N, 3)``, NaN where there is none, and (N,) which were found as one surface.
-    states, xy_px, link_px
-        Of all tracks, as for `in_nearest_of_path`.
+    members : tracks of the objects.
+    direction : ``(N, 3)`` their ``dir``, NaN where there is none.
+    is_one : ``(N,)`` found as one surface, and so may have few tracks.
+    states, xy_px, link_px : of all tracks, as for `in_nearest_of_path`.
     """
     shared = nothing_shared(len(states.xy)) if states.shared is None else states.shared
     has_direction = np.isfinite(direction[:, 0])
@@ -71,7 +73,7 @@ def joint_states(
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_of_path(rate_hz, sigma_hz, by_shared, shared.cov[path], xy_px[sets.index], sets, needed, link_px)
     has_surface = np.bincount(sets.set_of[is_in], minlength=len(sets)) > 0
-    # What was found as one surface may have few tracks.
+    # An object that was found as one surface may have few tracks.
     takes_all = ~has_surface & is_one[owner] & (sets.lengths >= _LEAST_OF_SURFACE)
     surfaces, left = sets.where(is_in | takes_all[sets.set_of])
     weight = 1.0 / np.maximum(states.cov[surfaces.index, 2, 2], _TINY)
@@ -83,17 +85,17 @@ def joint_states(
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
-    """The path (K,) of each set, -1 for none; tracks timed by expansion have none."""
+    """Index of the trajectory of each set, ``(K,)``; -1 for none (tracks timed by expansion)."""
     return np.asarray(np.maximum.reduceat(shared.path_of[sets.index], sets.first))
 
 
 def _rates(
     sets: TrackSets, direction: Floats, states: TrackStates, shared: SharedErrors
 ) -> tuple[Floats, Floats, Floats]:
-    """Speed over depth of M tracks (M,), 1/s, its variance by their own noise, and what shared errors do to it (M, 9).
+    """Inverse depths (speed over depth) of M tracks: value, variance by own noise, Jacobian by shared errors (M, 9).
 
-    On a path the speed is one for all of its points: those of a turning thing have velocities of their own, and still
-    the nearest has the largest rate. For other tracks it is the speed along the ``direction (K, 3)`` of the object.
+    On a trajectory all points share one speed, on a turning body too, so that the nearest has the largest one. For
+    other tracks it is the speed along the ``direction (K, 3)`` of the object, over depth. In 1/s.
     """
     index, along, has_path = sets.index, direction[sets.set_of], shared.path_of[sets.index] >= 0
     rate_hz = np.where(has_path, shared.rate_hz[index], np.einsum("mi,mi->m", along, states.abc_hz[index]))
@@ -103,12 +105,11 @@ def _rates(
 
 
 def _covariances(surfaces: TrackSets, weight: Floats, states: TrackStates) -> tuple[Floats, Floats]:
-    """Covariances (K, 3, 3) of weighted means of (a, b, c), by noise and by place.
+    """Covariances ``(K, 3, 3)`` of the weighted means of (a, b, c), by noise and by place, 1/s^2.
 
-    Own noise averages out, errors of what they share do not. Tracks of a surface share one path, but for those timed by
-    expansion: each of these is in the neighbourhoods of others, which err with it. Where each track has a direction of
-    its own (three frames), nothing is common. What turns has another velocity at each of its places, and which of them
-    is the nearest is not known: it may be any end of the surface.
+    Own noise averages out, shared errors do not. Tracks of a surface share the errors of one trajectory; those timed by
+    expansion share them with the tracks in whose neighbourhoods they are; tracks with directions of their own (three
+    frames) share none. The velocity of a turning object varies with the place, and the nearest may be either end.
     """
     index, set_of, shared = surfaces.index, surfaces.set_of, states.shared
     squared_cov = (weight**2)[:, None, None] * states.cov[index]
@@ -121,7 +122,7 @@ def _covariances(surfaces: TrackSets, weight: Floats, states: TrackStates) -> tu
     along = shared.along[path]
     on_path = _TRIMMED_VARIANCE * own[:, None, None] * along[:, :, None] * along[:, None, :]
     on_path += by_shared @ shared.cov[path] @ np.swapaxes(by_shared, 1, 2)
-    # No more than a neighbourhood of them errs together.
+    # At most a neighbourhood of them has common errors.
     off_weight = np.where(is_off, weight, 0.0)
     squares = surfaces.sums(off_weight**2)
     together = np.minimum(surfaces.sums(off_weight) ** 2 / np.maximum(squares, _TINY), EXPANSION_NEIGHBOURS)

@@ -1,4 +1,4 @@
-"""Objects that drive straight on, and those in a bend: which of them each of their paths is."""
+"""Relative trajectories of objects: straight, or turning where the views show it significantly."""
 
 from __future__ import annotations
 
@@ -19,40 +19,43 @@ from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints
 
 STRAIGHT_TURN_RAD_S = 0.006
-"""What drives straight on turns itself by some tenths of a deg/s: to believe in more would take noise for a turn, and
-that for a wrong velocity."""
+"""Prior of the turn rate of an object on a straight course, some tenths of a deg/s: with a wider one, noise would pass
+for a turn, and bias the velocity."""
 
-# The search believes in a direction that was found as if the path were straight no more than this: its covariance times
-# the factor and the square of the angle, so that it finds a path that is not.
+# The prior of the direction comes from a fit of straight tracks. Its covariance is widened by this factor and the
+# square of this angle, so that curved trajectories can be found.
 _SEARCH_FACTOR, _SEARCH_FLOOR_RAD = 9.0, float(np.radians(1.0))
 # Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
 _OBJECT_BEND_HZ = 0.2
-# In a bend it turns by some deg/s. On a horizon, which a body on a circle might leave, that is believed where it
-# explains the views much better than none (chi-square with three degrees of freedom, 99.9 %).
+# Prior of the turn rate in a bend, some deg/s. On a known horizon, which a free turning body could leave, it is chosen
+# if it lowers the squared residuals significantly (chi-square, three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
 _BEND_CHI2 = float(chi2_quantile(0.999, 3))
-# And where they show no turn, as chance makes it in nine of ten cases, a thing drives straight on: a direction that was
-# found as if it did lags behind a turn by many times what it is known to.
+# Below this statistic (90 %) no turn is visible and the direction of straight tracks is kept; under a turn that lags by
+# many times its standard deviation.
 _STRAIGHT_CHI2 = float(chi2_quantile(0.9, 3))
-# The first order promises more than a fit keeps, and a body that is free to turn follows the errors that neighbours
-# share: less than this is enough neither for a second fit nor for a turn of any rate.
+# Least gain for a second fit and for a turning body: the first order overestimates the gain, and a turning body follows
+# the errors that neighbours share.
 _SURE_CHI2 = 2.5 * _BEND_CHI2
-# A body on a circle is looked for where the first order, which says a third of a turn or less, says more than this, and
-# so many points are there to tell. (In a junction things turn by 0.1 to 0.5 rad/s.)
+# Least turn rate by the first order, which gives a third of it or less, and least number of points for the fit of a
+# turning body. (At junctions objects turn by 0.1 to 0.5 rad/s.)
 _ASKED_TURN_RAD_S, _LEAST_POINTS = 0.05, 8
-# Residuals whose squares are so many times what noise makes of them reject a straight path in any case.
+# A straight trajectory with a larger reduced chi-square is rejected in any case.
 _REJECTED = 10.0
-# Information on a turn below this part of what is believed is none.
+# Least information on a turn, as a share of that of the prior.
 _LEAST_TURN_PART = 1e-3
-# What this many points of an object say of its path together, more of them hardly say better, in so much more time:
-# errors that neighbours have in common limit it.
+# Largest number of points of an object in a fit: more hardly improve it, since neighbours share errors, and take time.
 _MOST_POINTS = 50
 
 
 def believed_straight(since_s: Floats, direction: Floats, found_cov: Floats, normal: Floats | None) -> PathBeliefs:
-    """What is believed of K things that drive straight on at first, at times ``since_s (L,)``.
+    """Priors of the trajectories of K objects on straight courses.
 
-    Their directions ``(K, 3)`` were found to ``found_cov (K, 3, 3)``, in rad^2, in a plane if that has a ``normal``.
+    Parameters
+    ----------
+    since_s : ``(L,)`` times of the views, s, up to 0.
+    direction, found_cov : ``(K, 3)`` directions of motion and their covariances ``(K, 3, 3)``, rad^2.
+    normal : ``(3,)`` of the plane that the directions lie in (the horizon); None: any direction.
     """
     if normal is None:
         across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
@@ -75,7 +78,7 @@ def straight_or_in_bend(
     *,
     may_leave_directions: bool,
 ) -> SharedPaths:
-    """Paths of K things that hardly turn, or, where that explains their views much better, of things in a bend.
+    """Trajectories of K objects: straight, or turning where that explains their views significantly better.
 
     Parameters
     ----------
@@ -84,11 +87,10 @@ def straight_or_in_bend(
     beliefs
         `believed_straight`.
     found_cov
-        How well the directions were found that things have if they drive straight on, as for
-        `PathFits.paths_from_found_directions`.
+        ``(K, 3, 3)`` covariances of the directions on straight courses, as for `PathFits.paths_from_found_directions`.
     may_leave_directions
-        Whether a thing in a bend is a body on a circle, whose direction is free: it would leave a horizon that is
-        known. Where it must not, its path is that of a thing that hardly turns, with another belief in its turn.
+        Whether an object in a bend is fitted as a turning body with a free direction. Otherwise (known horizon) it is
+        fitted as a straight one with the wider prior of the turn rate.
     """
     longest, probability = config.max_frames, config.window_probability
     points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
@@ -117,12 +119,12 @@ def straight_or_in_bend(
 
 
 def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: float) -> TurningBody:
-    """The thing k as a body that turns, by the views that the other fits may use.
+    """Object k as a turning body, from the views of the other fits.
 
-    One that leaves not much less than the squares ``to_beat`` is of no use.
+    The fit ends early if its squared residuals are not significantly below ``to_beat``.
     """
     own = slice(points.first[k], points.first[k + 1])
-    # What drives along a circle is pulled across by its turn times its speed.
+    # The transverse acceleration on a circle is the turn rate times the speed.
     bend_hz = float(np.hypot(beliefs.across_sigma_hz, TURN_SIGMA_RAD_S))
     noise = points.sigma_norm[own]
 
@@ -133,7 +135,7 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
 
 
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
-    """The path of the points of a body that turns, one of K = 1."""
+    """The trajectory of a turning body as `SharedPaths` of K = 1."""
     return SharedPaths(
         body.path_turned_back(t_s)[None],
         body.start[None],
