@@ -1,7 +1,7 @@
-"""Where things would touch the ground if they stood still: what lies under the road, or hangs over it, moves.
+"""Ground contact: an object whose foot, at the depth of a static object, is under the road or over it, moves.
 
-What moves along our own direction looks like a static thing at another depth. A car ahead that we close on slowly looks
-too far away: its foot would lie under the road. An oncoming one looks too near, and so smaller: it hangs over the road.
+A mover along our own direction looks like a static object at another depth. A car ahead that we approach slowly looks
+too far away, with its foot under the road; an oncoming one looks too near, and so smaller, with its foot over the road.
 (Klappstein et al., 2009: the constraints of positive depth and of positive height.)
 """
 
@@ -18,40 +18,44 @@ from ttcvid.geometry.medians import median, quantile
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
-# Points of a thing have rates within this part of each other's, and so many of their standard deviations.
+# Points of an object have inverse depths within this share of each other's and so many standard deviations.
 _ONE_THING, _SIGMAS = 0.12, 2.0
-# A thing has so many points; its foot is where the middle one of its lowest ones is: one of them may be an error.
+# Least number of points of an object; its foot is the middle one of so many lowest points, of which one may be wrong.
 _LEAST_POINTS, _FOOT = 4, 3
-# A point may be road within this part of its rate.
+# A point may be on the road if its inverse depth is within this share of the road's.
 _ON_ROAD = 0.2
-# A foot with less than the first part of the road's rate lies under the road, with more than the second it hangs: a
-# road is no plane, and is found to a quarter of its depth. Both at so many standard deviations: of the rate, and of the
-# horizon of the road, which is known to this tangent.
+# A foot with less than the first share of the road's inverse depth is under the road, with more than the second over
+# it: a road is no plane, and is known to a quarter of its depth. Both at so many standard deviations, of the inverse
+# depth and of the road's horizon (tangent).
 _UNDER_PART, _HANGING_PART, _FOOT_SIGMAS, _HORIZON_SIGMA = 0.75, 1.4, 3.0, 0.002
-# What keeps its distance, but for this part of our speed, with a foot less than so many heights of the camera ahead, is
-# our own car: bonnet, dashboard, or their reflection in the windscreen.
+# An object with a closing speed below this share of our speed, and its foot less than so many camera heights ahead, is
+# part of our own car: bonnet, dashboard, or their reflection in the windscreen.
 _KEEPS_DISTANCE, _OWN_FRONT = 0.2, 3.0
-# What hangs is no longer than so many heights of the camera, or than this part of its distance: a row of houses is no
-# thing.
+# A suspended object is shorter than so many camera heights, or spans depths by less than this ratio: a row of houses is
+# no single object.
 _MOST_LENGTH, _MOST_DEPTH_RATIO = 3.0, 1.3
-# Below it so many points of the road are seen that are farther than it by this factor: the last part down to its foot
-# may be hidden. They are seen below its lowest part: beside the trunk of a tree the road is seen below its crown.
+# Evidence of suspension: so many road points, farther than the object by this factor (its foot may be hidden), below
+# the lowest share of it (the road is seen below the crown of a tree, beside the trunk).
 _SEEN_THROUGH, _FARTHER, _BOTTOM = 2, 1.25, 0.25
-# Or it hangs over our own lane, so many heights of the camera to the side at the most, where nothing hangs, and would
-# show so many points down to the road if it had as many there as above.
+# Or it is over our own lane, at most so many camera heights aside, and lacks so many points down to the road, by the
+# density of its points above.
 _OWN_LANE, _MISSING = 2.0, 3.0
-# What would lie under the road may appear as far away as the background: less than this tangent below the horizon a
-# point with the rate of the road there, or less, connects nothing. It belongs to a thing if it stands above its foot,
-# as a roof does, beside its other points, and farther to the side by this part of its width at the most, as mirrors
-# do. Where more than this part of what is above goes on beside it, it is background.
+# The upper points of an object with its foot under the road may look as far away as the background. Points with at most
+# the inverse depth of the road this tangent below the horizon connect nothing. They belong to an object if they are
+# above its foot (roof), connected, and at most this share of its width aside (mirrors). If points of more than the last
+# share of their number continue beside the object, they are background.
 _FAR, _OVERHANG, _MOST_BESIDE = 0.015, 0.1, 0.25
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Things by the N tracks that show them: ``thing (N,)`` the number of each track's, -1 without one.
+    """K objects and their ground contacts.
 
-    ``contradicts, is_borne (K,)``: things that the ground contradicts, and those that reach down to it.
+    Attributes
+    ----------
+    thing : ``(N,)`` object of each track, -1 without one.
+    contradicts : ``(K,)`` the foot contradicts a static object.
+    is_borne : ``(K,)`` the foot is on the ground.
     """
 
     thing: Ints
@@ -61,10 +65,15 @@ class Contacts:
 
 @dataclass(frozen=True)
 class OnGround:
-    """N tracks on the path of the scene over a road.
+    """N tracks on the trajectory of the scene, and the ground plane.
 
-    ``place (N, 2)``; ``rate_hz, sigma_hz (N,)``; ``road_hz (N,)`` the rate of the road where each is seen, which grows
-    by ``slope_hz`` a tangent downwards; ``known (N,)`` tracks whose rate is; ``aim_x`` where we go.
+    Attributes
+    ----------
+    place : ``(N, 2)`` in the plane z = 1.
+    rate_hz, sigma_hz : ``(N,)`` inverse depth and its standard deviation, 1/s.
+    road_hz, slope_hz : ``(N,)`` inverse depth of the ground plane there, and its growth per tangent downwards, 1/s.
+    known : ``(N,)`` whether the inverse depth is known.
+    aim_x : x of our direction of travel in the plane z = 1.
     """
 
     place: Floats
@@ -77,28 +86,28 @@ class OnGround:
 
     @property
     def is_off_road(self) -> Bools:
-        """Points (N,) that are known not to lie on the road."""
+        """Whether points ``(N,)`` are known not to be on the road."""
         return np.asarray(self.known & ~(np.abs(self.rate_hz - self.road_hz) < _ON_ROAD * self.road_hz))
 
     @property
     def is_far(self) -> Bools:
-        """Points (N,) that appear far away, and are not seen before a road that is nearer."""
+        """Whether points ``(N,)`` look far away, and the road behind them, too."""
         return np.asarray(np.maximum(self.rate_hz, self.road_hz) < _FAR * self.slope_hz)
 
 
 def on_ground(fit: PathFit, road: Floats, known: Bools, aim_x: float) -> OnGround:
-    """The tracks over a road (3,) as from `stages.segmentation.ground_plane.find_road`."""
+    """The tracks and the ground plane ``road (3,)`` as from `stages.segmentation.ground_plane.find_road`."""
     road_hz = road[0] + fit.place @ road[1:]
     return OnGround(fit.place, fit.rate_hz, fit.rate_sigma_hz, road_hz, float(road[2]), known, aim_x)
 
 
 def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> Contacts:
-    """Things, and how each meets the ground.
+    """Objects and their ground contacts.
 
     Parameters
     ----------
-    xy_px : (N, 2) where tracks are seen; points of a thing are nearer to each other than ``link_px``.
-    key : (N,) body of each track by now.
+    xy_px, link_px : ``(N, 2)`` observations; points of an object are connected by distances below ``link_px``.
+    key : ``(N,)`` body of each track.
     """
     index = np.flatnonzero(seen.known & ~seen.is_far)
     pairs = linked_pairs(xy_px[index], link_px)
@@ -115,7 +124,7 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
         members = index[label == number]
         upright = members[seen.is_off_road[members]]
         x = seen.place[members, 0]
-        # Beside it the road goes on at its depth.
+        # The road at its depth continues beside it.
         members = members[(x >= seen.place[upright, 0].min()) & (x <= seen.place[upright, 0].max())]
         if len(members) < _LEAST_POINTS:
             continue
@@ -130,13 +139,13 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
 
 
 def _foot(seen: OnGround, members: Ints) -> int:
-    """The track in the middle of the lowest of some (M,)."""
+    """Index of the foot: the middle one of the lowest tracks of ``members (M,)``."""
     lowest = members[np.argsort(-seen.place[members, 1], kind="stable")[:_FOOT]]
     return int(lowest[len(lowest) // 2])
 
 
 def _lies_under(seen: OnGround, members: Ints) -> bool:
-    """Whether the foot of a thing, tracks (M,), surely lies under the road, and it is not a part of our own car."""
+    """Whether the foot of an object, tracks ``(M,)``, is significantly under the road, and not part of our own car."""
     road_hz, usual_hz = seen.road_hz[_foot(seen, members)], _usual_hz(seen, members)
     if usual_hz < _KEEPS_DISTANCE * road_hz and road_hz > seen.slope_hz / _OWN_FRONT:
         return False
@@ -144,7 +153,7 @@ def _lies_under(seen: OnGround, members: Ints) -> bool:
 
 
 def _is_high(seen: OnGround, members: Ints) -> bool:
-    """Whether the foot of a thing, tracks (M,), surely lies above the road."""
+    """Whether the foot of an object, tracks ``(M,)``, is significantly over the road."""
     limit_hz = _HANGING_PART * seen.road_hz[_foot(seen, members)]
     return bool(_usual_hz(seen, members) - limit_hz > _FOOT_SIGMAS * _foot_sigma_hz(seen, members, _HANGING_PART))
 
@@ -154,13 +163,13 @@ def _usual_hz(seen: OnGround, members: Ints) -> float:
 
 
 def _foot_sigma_hz(seen: OnGround, members: Ints, part: float) -> float:
-    """Standard deviation of the rate of a thing, tracks (M,), beside that part of the road's at its foot."""
+    """Standard deviation of an object's inverse depth less that share of the road's at its foot, 1/s."""
     rate_sigma_hz = median(seen.sigma_hz[members]) * np.sqrt(0.5 * np.pi / len(members))
     return float(np.hypot(rate_sigma_hz, part * seen.slope_hz * _HORIZON_SIGMA))
 
 
 def _above(seen: OnGround, members: Ints, key: Ints, xy_px: Floats, link_px: float) -> Ints:
-    """What stands above a thing, tracks (M,), and appears as far away as the background."""
+    """Upper points of an object, tracks ``(M,)``, that look as far away as the background."""
     (x, y), rate_hz, foot = seen.place.T, seen.rate_hz, _foot(seen, members)
     is_there = seen.known & seen.is_far & (rate_hz <= rate_hz[members].max()) & (key == key[foot]) & (y < y[foot])
     left, right = x[members].min(), x[members].max()
@@ -180,7 +189,7 @@ def _above(seen: OnGround, members: Ints, key: Ints, xy_px: Floats, link_px: flo
 
 
 def _hangs(seen: OnGround, members: Ints) -> bool:
-    """Whether the road is seen below a thing, tracks (M,), or nothing where it would have to stand in our lane."""
+    """Whether an object, tracks ``(M,)``, is suspended: road is seen below it, or in our lane nothing that bears it."""
     rate_hz = seen.rate_hz[members]
     near_hz, far_hz = quantile(rate_hz, 0.95), quantile(rate_hz, 0.05)
     is_deep = seen.slope_hz * (near_hz - far_hz) > _MOST_LENGTH * near_hz * far_hz
@@ -196,17 +205,17 @@ def _hangs(seen: OnGround, members: Ints) -> bool:
     usual_hz, middle = median(rate_hz), median(x[members])
     down = (usual_hz - seen.road_hz[foot]) / seen.slope_hz
     is_aside = abs(middle - seen.aim_x) * seen.slope_hz > _OWN_LANE * usual_hz
-    # What is nearer may bear it, or hide its foot.
+    # A nearer object may bear it, or hide its foot.
     bears = is_below & (y < low + down) & ~is_road & (seen.rate_hz * _FARTHER > far_hz)
     return bool(down * len(members) > _MISSING * (low - top) and not is_aside and not bears.any())
 
 
 @compiled_for("(f8[::1], f8[::1], b1[::1], i8[::1], i8[::1], i8[::1])")
 def _surfaces(rate_hz: Floats, tolerance: Floats, is_seed: Bools, start: Ints, beside: Ints, label: Ints) -> int:
-    """Fill ``label (K,)`` with the surface of each point, -1 without one; how many they are.
+    """Fill ``label (K,)`` with the surface of each point, -1 without one; return their number.
 
-    From a seed on to points of its rate, then to those of the median rate of all of these. The neighbours of point i
-    are ``beside[start[i] : start[i + 1]]``.
+    A region grows from a seed over points of its inverse depth, then again over those of the region's median. The
+    neighbours of point i are ``beside[start[i] : start[i + 1]]``.
     """
     members, rates, n_things = np.empty(len(rate_hz), dtype=np.int64), np.empty(len(rate_hz)), 0
     for seed in range(len(rate_hz)):
@@ -229,7 +238,7 @@ def _surfaces(rate_hz: Floats, tolerance: Floats, is_seed: Bools, start: Ints, b
                 rates[place] = rate_hz[members[place]]
             centre = np.median(rates[:count])
         if count < _LEAST_POINTS:
-            # Another surface may well hold them.
+            # They may be part of another surface.
             for place in range(count):
                 label[members[place]] = -1
         else:
