@@ -50,6 +50,9 @@ _BELOW_CAMERA = 0.15
 # Heights above the road, in camera heights: what ends below the first is driven over, what begins above the second is
 # driven under; so many tracks of an object lie above the first.
 _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
+# A road is no plane, and its horizon is not known exactly: at a distance a point surely stands if it also would with the
+# horizon this tangent higher, as where the grade changes by 1 % over 30 m.
+_MOST_RISE = 0.008
 # Two tracks of what stands on the road were once below this height. A car far ahead on a bend that moves nearly as we
 # do looks near by its small sideways motion, and then seems to float at the height of the camera.
 _MOST_FOOT = 0.5
@@ -219,7 +222,7 @@ class _Depths:
     """Depths of K tracks: ``log_rate (K,)`` with the ``tolerance (K,)`` within which another depth is the same one.
 
     ``height (K,)`` over the road in heights of the camera, if the road goes on to their depth (None: there is no road);
-    ``stands (K,)`` tracks that do not lie on it.
+    ``stands (K,)`` tracks that do not lie on it, ``surely_stands (K,)`` also if the road rises.
     """
 
     def __init__(self, fit: PathFit, ground: _Ground) -> None:
@@ -228,15 +231,17 @@ class _Depths:
         self.log_rate = np.log(fit.rate_hz)
         self.tolerance = _ONE_SURFACE + _SURFACE_SIGMAS * fit.rate_sigma_hz / fit.rate_hz
         self.height: Floats | None = None
-        self.stands = np.ones(len(fit.rate_hz), dtype=bool)
+        self.stands = self.surely_stands = np.ones(len(fit.rate_hz), dtype=bool)
         if road is not None:
             x, y = fit.place.T
             horizon = -(road[0] + road[1] * x) / road[2]
-            self.height = 1.0 - (y - horizon) * road[2] / fit.rate_hz
+            depth = road[2] / fit.rate_hz  # in heights of the camera
+            self.height = 1.0 - (y - horizon) * depth
             self.stands = self.height > _LEAST_HEIGHT
+            self.surely_stands = self.height > _LEAST_HEIGHT + _MOST_RISE * depth
 
     def are_beside(self, pairs: Ints) -> Bools:
-        """Which pairs (M, 2) are parts of one thing on the road: one of them stands, the other is near in metres too.
+        """Which pairs (M, 2) are parts of one thing on the road: one of them surely stands, the other is near in metres.
 
         Without this all that has one depth on both sides of a road would be one thing.
         """
@@ -245,7 +250,7 @@ class _Depths:
             return np.ones(len(pairs), dtype=bool)
         camera_height = np.exp(self.log_rate[pairs].min(axis=1)) / road[2]
         apart = np.linalg.norm(self.place[pairs[:, 0]] - self.place[pairs[:, 1]], axis=1)
-        return np.asarray(self.stands[pairs].any(axis=1) & (apart < _BESIDE * camera_height))
+        return np.asarray(self.surely_stands[pairs].any(axis=1) & (apart < _BESIDE * camera_height))
 
     def without_road_beside(self, surface: Ints, reach: float) -> Ints:
         """A surface without the points of the road that lie beside what stands there."""
