@@ -72,7 +72,7 @@ def descend_together(
     xy, t_s, sigma, order, first = points
     path, rotations, turned = np.empty((len(t_s), 3)), np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 1, 2))
     views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
-    rows, kept = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((len(sigma), _N_ALL + 1, _N_OWN))
+    kept = np.empty((len(sigma), _N_ALL + 1, _N_OWN))
     information, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(_N_ALL)
     score = step[_N_OWN:]
     for k in range(len(base)):
@@ -96,7 +96,7 @@ def descend_together(
                 if not limits[0] < state[i, 2] < limits[1]:
                     point.start(views, n, limits, state[i])
                 far = _LIMIT * misfit * misfit
-                total, inside = _add_point(views, n, state[i], basis[k], far, rows, kept[i], information, score)
+                total, inside = _add_point(views, n, state[i], basis[k], far, kept[i], information, score)
                 mean_square[i] = total / (2 * n - 3)
                 left[k, 0] += inside
             usual = median(mean_square[low:high].copy())
@@ -123,35 +123,27 @@ def add_windows(
     """
     xy, t_s, sigma, order, first = points
     views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
-    rows, kept = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL + 1, _N_OWN))
+    kept = np.empty((_N_ALL + 1, _N_OWN))
     for k in range(len(paths)):
         for i in range(first[k], first[k + 1]):
             if n_views[i] > 0:
                 list_views(xy, t_s, order, paths[k], 1.0 / sigma[i], i, views, limits)
-                _add_point(views, n_views[i], state[i], basis[k], _LIMIT, rows, kept, information[k], score[k])
+                _add_point(views, n_views[i], state[i], basis[k], _LIMIT, kept, information[k], score[k])
 
 
 @compiled
 def _add_point(
-    views: Floats,
-    n: int,
-    s: Floats,
-    basis: Floats,
-    limit: float,
-    rows: Floats,
-    kept: Floats,
-    information: Floats,
-    score: Floats,
+    views: Floats, n: int, s: Floats, basis: Floats, limit: float, kept: Floats, information: Floats, score: Floats
 ) -> tuple[float, float]:
-    """Add what the first n views of a point say of what it shares, once x, y, rho follow, and what these ``kept``.
+    """Add what the first n views of a point say of what it shares, once x, y, rho follow.
 
-    Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
+    Fills ``kept (12, 3)`` as `solve.eliminate` does. Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
 
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit`` lose
-    weight. No information on rho (2, 2) adds nothing.
+    weight. A point whose views leave rho open says nothing.
     """
-    rho, total, inside = s[2], 0.0, 0.0
+    rows, rho, total, inside = np.empty((_N_ALL + 1, 2 * n)), s[2], 0.0, 0.0
     # By an index without a sign: several views are worked at at a time.
     for k in range(np.uint64(n)):
         other, inverse, t, tz = k + np.uint64(n), views[point.INVERSE, k], views[point.TIME, k], views[point.PATH_Z, k]
