@@ -255,7 +255,7 @@ def test_nothing_to_see_is_no_obstacle():
 
 
 def test_paint_across_a_road_that_rises_is_no_obstacle(rng):
-    """A zebra crossing 35 m ahead where the grade has changed by 2 %: it lies 0.3 heights of the camera over the plane
-    of the road before it."""
-    paint = np.column_stack([np.linspace(-2.5, 2.5, 16), CAMERA_M - 0.4 + 0.02 * rng.normal(size=16), np.full(16, 35.0)])
+    """A zebra crossing 35 m ahead lies 0.4 m over the plane of the road before us."""
+    height_m = 0.4 + 0.02 * rng.normal(size=16)
+    paint = np.column_stack([np.linspace(-2.5, 2.5, 16), CAMERA_M - height_m, np.full(16, 35.0)])
     assert watched(np.concatenate([road(rng), paint]), frames=2 * FOUND_IN) == {}

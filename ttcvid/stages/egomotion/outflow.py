@@ -25,9 +25,9 @@ from ttcvid.stages.tracking.history import TrackHistory
 _STEPS, _LEAST_STEPS = 6, 3
 # What moves by more than this over them moves, px; and misses its line by less than this, or this part of its flow.
 _MOVES_PX, _ON_LINE_PX, _ON_LINE_PART = 1.0, 1.0, 0.15
-# What moves fills this share of the parts of the picture: 0.30 to 0.50 on a real drive behind a bonnet with reflections,
-# 0.00 to 0.09 before a resting camera over a street. One translation explains this share of that: a third is three times
-# what chance would explain, and other traffic may fill the rest (0.34 to 0.86 there).
+# What moves fills this share of the parts of the picture: 0.30 to 0.50 on a real drive behind a bonnet with
+# reflections, 0.00 to 0.09 before a resting camera over a street. One translation explains this share of that: three
+# times what chance would explain, and other traffic may fill the rest (0.34 to 0.86 there).
 _LEAST_MOVING, _LEAST_EXPLAINED = 0.2, 0.3
 # It lies on all sides: the mean of the unit vectors to its parts is no longer than this. On that drive 0.07 to 0.52,
 # over that street 0.71 to 1.00.

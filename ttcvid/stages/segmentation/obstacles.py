@@ -50,8 +50,8 @@ _BELOW_CAMERA = 0.15
 # Heights above the road, in camera heights: what ends below the first is driven over, what begins above the second is
 # driven under; so many tracks of an object lie above the first.
 _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
-# A road is no plane, and its horizon is not known exactly: at a distance a point surely stands if it also would with the
-# horizon this tangent higher, as where the grade changes by 1 % over 30 m.
+# A road is no plane, and its horizon is not known exactly: a point surely stands if it also would with the horizon this
+# tangent higher, as where the grade changes by 1 % over 30 m.
 _MOST_RISE = 0.008
 # Two tracks of what stands on the road were once below this height. A car far ahead on a bend that moves nearly as we
 # do looks near by its small sideways motion, and then seems to float at the height of the camera.
@@ -241,7 +241,7 @@ class _Depths:
             self.surely_stands = self.height > _LEAST_HEIGHT + _MOST_RISE * depth
 
     def are_beside(self, pairs: Ints) -> Bools:
-        """Which pairs (M, 2) are parts of one thing on the road: one of them surely stands, the other is near in metres.
+        """Which pairs (M, 2) are parts of one thing on the road: one of them surely stands, the other is near.
 
         Without this all that has one depth on both sides of a road would be one thing.
         """
