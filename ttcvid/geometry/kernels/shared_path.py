@@ -137,7 +137,8 @@ def _add_point(
 ) -> tuple[float, float]:
     """Add what the first n views of a point say of what it shares, once x, y, rho follow.
 
-    Fills ``kept (12, 3)`` as `solve.eliminate` does. Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
+    Fills ``kept (12, 3)`` as `solve.eliminate` does. Returns the sums of weighted squares, and of squares of which none
+    counts for more than the robust limit.
 
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit`` lose
