@@ -210,7 +210,9 @@ def picture_region(rays: Floats, side: float = REGION) -> Ints:
     cell = np.floor(rays[:, :2] / (side * np.maximum(rays[:, 2:], _LEAST_Z)))
     # A ray that is not known (NaN) has its place in the corner.
     column, row = np.fmin(np.fmax(cell, -_REGION_COUNT // 2), _REGION_COUNT // 2 - 1).astype(np.int64).T
-    return np.asarray(np.unique(row * _REGION_COUNT + column, return_inverse=True)[1], dtype=np.int64)
+    number = row * _REGION_COUNT + column
+    number -= number.min(initial=_REGION_COUNT**2)
+    return np.asarray(np.cumsum(np.bincount(number) > 0)[number] - 1)
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:

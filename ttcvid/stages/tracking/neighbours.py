@@ -25,12 +25,10 @@ def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bo
         is_wanted[others] = np.isfinite(near_px)
     wanted = np.flatnonzero(is_wanted)
     if len(wanted):
-        # Itself is among the nearest, but of points in one place not always the first.
         _, near = _tree(xy_px).query(xy_px[wanted], np.arange(1, count + 2), distance_upper_bound=radius_px)
-        near = np.where(near < len(xy_px), near, wanted[:, None])
-        is_other = near != wanted[:, None]
-        near = np.take_along_axis(near, np.argsort(~is_other, axis=1, kind="stable"), axis=1)
-        neighbours[wanted] = near[:, :count]
+        # Itself is the first of them; of points in one place another one may be, and takes its turn.
+        near = np.where(near == wanted[:, None], near[:, :1], near)[:, 1:]
+        neighbours[wanted] = np.where(near < len(xy_px), near, wanted[:, None])
     return neighbours
 
 
@@ -49,8 +47,8 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
     The others have numbers of their own. Parts are numbered by their first track.
     """
     first = np.arange(len(is_in))
-    _join(pairs[is_in[pairs].all(axis=1)], first)
-    return np.asarray(np.unique(first, return_inverse=True)[1], dtype=np.int64)
+    _join(pairs[is_in[pairs[:, 0]] & is_in[pairs[:, 1]]], first)
+    return np.asarray(np.cumsum(first == np.arange(len(first)))[first] - 1)
 
 
 def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, tolerance: Floats) -> Ints:
