@@ -16,6 +16,7 @@ from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.geometry.medians import median, quantile
 from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
 # Points of an object have inverse depths within this share of each other's and so many standard deviations.
@@ -118,59 +119,69 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     both = both[np.argsort(both[:, 0], kind="stable")]
     start, beside = np.searchsorted(both[:, 0], np.arange(len(index) + 1)), np.ascontiguousarray(both[:, 1])
     n_things = _surfaces(seen.rate_hz[index], tolerance, is_off, start, beside, label)
-    thing = np.full(len(key), -1)
-    contradicts, is_borne = np.zeros(n_things, dtype=bool), np.zeros(n_things, dtype=bool)
-    for number in range(n_things):
-        members = index[label == number]
-        upright = members[seen.is_off_road[members]]
-        x = seen.place[members, 0]
-        # The road at its depth continues beside it.
-        members = members[(x >= seen.place[upright, 0].min()) & (x <= seen.place[upright, 0].max())]
-        if len(members) < _LEAST_POINTS:
-            continue
-        if _lies_under(seen, members):
-            contradicts[number] = True
-            members = np.append(members, _above(seen, members, key, xy_px, link_px))
-        elif len(upright) >= _LEAST_POINTS and seen.road_hz[_foot(seen, upright)] > 0.0:
-            contradicts[number] = _hangs(seen, upright)
-            is_borne[number] = not contradicts[number] and not _is_high(seen, upright)
-        thing[members] = number
-    return Contacts(thing, contradicts, is_borne)
+    is_part = np.flatnonzero(label >= 0)
+    is_part = is_part[np.argsort(label[is_part], kind="stable")]
+    things = TrackSets(index[is_part], np.bincount(label[is_part], minlength=n_things))
+    upright, _ = things.where(is_off[is_part])
+    left, right = upright.boxes(seen.place)[things.set_of][:, ::2].T
+    x = seen.place[things.index, 0]
+    # The road at its depth continues beside it.
+    things, _ = things.where((x >= left) & (x <= right))
+    feet, upright_feet = _feet_of(things, seen), _feet_of(upright, seen)
+    is_large = things.lengths >= _LEAST_POINTS
+    lies_under = is_large & feet.lie_under
+    is_asked = is_large & ~lies_under & (upright.lengths >= _LEAST_POINTS) & (upright_feet.road_hz > 0.0)
+    thing, contradicts = np.full(len(key), -1), lies_under.copy()
+    thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
+    for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
+        contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
+    for number in np.flatnonzero(lies_under).tolist():
+        above = _above(seen, things.members(number), int(feet.track[number]), key, xy_px, link_px)
+        thing[above] = number
+    return Contacts(thing, contradicts, is_asked & ~upright_feet.are_high)
 
 
-def _foot(seen: OnGround, members: Ints) -> int:
-    """Index of the foot: the middle one of the lowest tracks of ``members (M,)``."""
-    lowest = members[np.argsort(-seen.place[members, 1], kind="stable")[:_FOOT]]
-    return int(lowest[len(lowest) // 2])
+@dataclass(frozen=True)
+class _Feet:
+    """Feet of K objects: the ``track (K,)`` of each, and the road's inverse depth there, ``road_hz (K,)``.
+
+    ``usual_hz, sigma_hz (K,)`` median inverse depth of each object and its standard deviation; ``slope_hz`` growth of
+    the road's inverse depth per tangent downwards. All in 1/s.
+    """
+
+    track: Ints
+    road_hz: Floats
+    usual_hz: Floats
+    sigma_hz: Floats
+    slope_hz: float
+
+    @property
+    def lie_under(self) -> Bools:
+        """Objects ``(K,)`` with a foot significantly under the road that are not part of our own car."""
+        is_own = (self.usual_hz < _KEEPS_DISTANCE * self.road_hz) & (self.road_hz > self.slope_hz / _OWN_FRONT)
+        return np.asarray(~is_own & (_UNDER_PART * self.road_hz - self.usual_hz > self._tolerance_hz(_UNDER_PART)))
+
+    @property
+    def are_high(self) -> Bools:
+        """Objects ``(K,)`` with a foot significantly over the road."""
+        return np.asarray(self.usual_hz - _HANGING_PART * self.road_hz > self._tolerance_hz(_HANGING_PART))
+
+    def _tolerance_hz(self, part: float) -> Floats:
+        """Tolerance ``(K,)`` of an object's inverse depth less that share of the road's at its foot, 1/s."""
+        return np.asarray(_FOOT_SIGMAS * np.hypot(self.sigma_hz, part * self.slope_hz * _HORIZON_SIGMA))
 
 
-def _lies_under(seen: OnGround, members: Ints) -> bool:
-    """Whether the foot of an object, tracks ``(M,)``, is significantly under the road, and not part of our own car."""
-    road_hz, usual_hz = seen.road_hz[_foot(seen, members)], _usual_hz(seen, members)
-    if usual_hz < _KEEPS_DISTANCE * road_hz and road_hz > seen.slope_hz / _OWN_FRONT:
-        return False
-    return bool(_UNDER_PART * road_hz - usual_hz > _FOOT_SIGMAS * _foot_sigma_hz(seen, members, _UNDER_PART))
+def _feet_of(things: TrackSets, seen: OnGround) -> _Feet:
+    """Feet of K objects: of each the middle one of its lowest tracks."""
+    lowest_first = np.lexsort((-seen.place[things.index, 1], things.set_of))
+    track = things.index[lowest_first[things.first + np.minimum(things.lengths, _FOOT) // 2]]
+    sigma_hz = things.medians(seen.sigma_hz[things.index]) * np.sqrt(0.5 * np.pi / things.lengths)
+    return _Feet(track, seen.road_hz[track], things.medians(seen.rate_hz[things.index]), sigma_hz, seen.slope_hz)
 
 
-def _is_high(seen: OnGround, members: Ints) -> bool:
-    """Whether the foot of an object, tracks ``(M,)``, is significantly over the road."""
-    limit_hz = _HANGING_PART * seen.road_hz[_foot(seen, members)]
-    return bool(_usual_hz(seen, members) - limit_hz > _FOOT_SIGMAS * _foot_sigma_hz(seen, members, _HANGING_PART))
-
-
-def _usual_hz(seen: OnGround, members: Ints) -> float:
-    return median(seen.rate_hz[members])
-
-
-def _foot_sigma_hz(seen: OnGround, members: Ints, part: float) -> float:
-    """Standard deviation of an object's inverse depth less that share of the road's at its foot, 1/s."""
-    rate_sigma_hz = median(seen.sigma_hz[members]) * np.sqrt(0.5 * np.pi / len(members))
-    return float(np.hypot(rate_sigma_hz, part * seen.slope_hz * _HORIZON_SIGMA))
-
-
-def _above(seen: OnGround, members: Ints, key: Ints, xy_px: Floats, link_px: float) -> Ints:
-    """Upper points of an object, tracks ``(M,)``, that look as far away as the background."""
-    (x, y), rate_hz, foot = seen.place.T, seen.rate_hz, _foot(seen, members)
+def _above(seen: OnGround, members: Ints, foot: int, key: Ints, xy_px: Floats, link_px: float) -> Ints:
+    """Upper points of an object, tracks ``(M,)`` with a ``foot``, that look as far away as the background."""
+    (x, y), rate_hz = seen.place.T, seen.rate_hz
     is_there = seen.known & seen.is_far & (rate_hz <= rate_hz[members].max()) & (key == key[foot]) & (y < y[foot])
     left, right = x[members].min(), x[members].max()
     is_over = np.maximum(left - x, x - right) <= _OVERHANG * (right - left)
@@ -188,14 +199,20 @@ def _above(seen: OnGround, members: Ints, key: Ints, xy_px: Floats, link_px: flo
     return above[:0] if goes_on else above
 
 
-def _hangs(seen: OnGround, members: Ints) -> bool:
-    """Whether an object, tracks ``(M,)``, is suspended: road is seen below it, or in our lane nothing that bears it."""
+def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
+    """Whether an object is suspended: road is seen below it, or in our lane nothing that bears it.
+
+    Parameters
+    ----------
+    members
+        ``(M,)`` tracks of an object whose ``foot``, one of them, is significantly over the road.
+    """
     rate_hz = seen.rate_hz[members]
     near_hz, far_hz = quantile(rate_hz, 0.95), quantile(rate_hz, 0.05)
     is_deep = seen.slope_hz * (near_hz - far_hz) > _MOST_LENGTH * near_hz * far_hz
-    if (is_deep and near_hz > _MOST_DEPTH_RATIO * far_hz) or not _is_high(seen, members):
+    if is_deep and near_hz > _MOST_DEPTH_RATIO * far_hz:
         return False
-    (x, y), foot = seen.place.T, _foot(seen, members)
+    x, y = seen.place.T
     top, low = y[members].min(), y[foot]
     bottom = members[y[members] >= low - _BOTTOM * (low - top)]
     is_below = seen.known & (x > x[bottom].min()) & (x < x[bottom].max()) & (y > y[bottom].max())

@@ -34,6 +34,10 @@ class TrackSets:
     def __len__(self) -> int:
         return len(self.lengths)
 
+    def members(self, number: int) -> Ints:
+        """The tracks of one set."""
+        return self.index[self.first[number] : self.first[number] + self.lengths[number]]
+
     @cached_property
     def set_of(self) -> Ints:
         """The set of each place: (M,), ascending."""
