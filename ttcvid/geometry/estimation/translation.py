@@ -48,7 +48,7 @@ class Translation:
     w of `estimation.moving_body`, with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the estimated
     noise in units of the assumed one; ``correlation`` the factor of the variance over that of independent errors;
     ``rate_hz (M,)`` is s of each track, ``residual (M,)`` its root mean square residual in sigmas of the estimated
-    noise; ``drift_sigma`` the drift of points normal to their lines, in sigmas of the assumed noise per s.
+    noise.
     """
 
     direction: Floats
@@ -60,7 +60,6 @@ class Translation:
     correlation: float
     rate_hz: Floats
     residual: Floats
-    drift_sigma: float
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ def fit_translation(
     unknowns = _converged(tracks, first_unknowns(tracks, start), rigid)
     if unknowns is None:
         return None
-    prior, drift_sigma = rigid, 0.0
+    prior = rigid
     for _ in range(_DRIFT_ROUNDS):
         drift_sigma = _drift_sigma(tracks, unknowns)
         if drift_sigma == 0.0:
@@ -128,7 +127,7 @@ def fit_translation(
         unknowns = _converged(tracks, unknowns, prior)
         if unknowns is None:
             return None
-    return _result(tracks, unknowns, prior, memory_s, drift_sigma)
+    return _result(tracks, unknowns, prior, memory_s)
 
 
 def _drift_sigma(tracks: BodyTracks, unknowns: Unknowns) -> float:
@@ -218,9 +217,7 @@ def _step(
     return step, np.einsum("mij,mj->mi", equations.own_inverse, own_side) - equations.gain @ step
 
 
-def _result(
-    tracks: BodyTracks, unknowns: Unknowns, prior: _Prior, memory_s: float, drift_sigma: float
-) -> Translation | None:
+def _result(tracks: BodyTracks, unknowns: Unknowns, prior: _Prior, memory_s: float) -> Translation | None:
     """Direction, its covariance and what goes with it at the minimum; None where that covariance is not finite."""
     residual = residuals(tracks, unknowns)
     equations = _equations(tracks, unknowns, residual, prior, 0.0)
@@ -243,7 +240,6 @@ def _result(
         correlation=correlation,
         rate_hz=unknowns.own[:, RATE],
         residual=np.sqrt(tracks.sums(np.sum(residual**2, axis=1)) / (2 * tracks.counts)) / equations.noise,
-        drift_sigma=drift_sigma,
     )
 
 

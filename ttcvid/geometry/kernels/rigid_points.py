@@ -22,7 +22,7 @@ N_EQUATIONS = 28
 # what the linearisation says.
 _SMALL_FALL = 0.1
 _OWN, _WITH_X, _WITH_Y, _INFO = path_point.OWN, path_point.WITH_X, path_point.WITH_Y, path_point.INFO
-_SCORE_X, _SCORE_Y, _SCORE, _CHI2 = path_point.SCORE_X, path_point.SCORE_Y, path_point.SCORE, path_point.CHI2
+_SCORE_X, _SCORE_Y, _CHI2 = path_point.SCORE_X, path_point.SCORE_Y, path_point.CHI2
 _X, _Y, _INVERSE = path_point.X, path_point.Y, path_point.INVERSE
 _PATH_X, _PATH_Y, _PATH_Z = path_point.PATH_X, path_point.PATH_Y, path_point.PATH_Z
 _N_ROWS, _N_SUMS, _LIMIT = path_point.N_ROWS, path_point.N_SUMS, path_point.ROBUST_SIGMAS**2
