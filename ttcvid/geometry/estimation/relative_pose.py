@@ -125,7 +125,8 @@ def _fitted(
             pull = prior.direction / prior.direction_sigma_rad**2
         precision = np.concatenate([np.full(2, of_direction), precision])
     n, k = len(rays_cam), len(precision)
-    fitted, residual, sense, score, information = (np.zeros(of) for of in ((3, 3), n, n, (n, k), (k, k)))
+    n_rows = 3 * n if direction is None else n
+    residual, sense, rows, information = (np.zeros(shape) for shape in (n, n, (k + 1, n_rows), (k, k)))
     fit_two_views(
         rays_prev,
         np.ascontiguousarray(rays_cam.T),
@@ -133,8 +134,11 @@ def _fitted(
         (prior.cam_R_prev, precision, pull),
         offset,
         np.empty(0) if direction is None else direction,
-        (fitted, residual, sense, score, information),
+        (residual, sense, rows, information),
     )
+    information += np.tril(information, -1).T
+    score = np.sum((rows[:-1] * rows[-1]).reshape(k, -1, n), axis=1).T
+    fitted = rotation_from_vector(offset) @ prior.cam_R_prev
     # What counts is how many points a fit explains, not how far others are; one that moves the wrong way costs as much
     # as any.
     cost = float(np.where(sense >= 0.0, np.minimum(residual * residual, _COST_CAP), _COST_CAP).sum())

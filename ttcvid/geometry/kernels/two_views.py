@@ -10,7 +10,7 @@ import numpy as np
 from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels.arrays import copy_rows
 from ttcvid.geometry.kernels.medians import median
-from ttcvid.geometry.kernels.normal_equations import add_equations, mirror
+from ttcvid.geometry.kernels.normal_equations import add_equations
 from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Floats
@@ -33,7 +33,7 @@ _LEAST_GAP = 1e-6
 
 @compiled_for(
     "(f8[:, ::1], f8[:, ::1], f8[::1], Tuple((f8[:, ::1], f8[::1], f8[::1])), f8[::1], f8[::1], "
-    "Tuple((f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])))"
+    "Tuple((f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])))"
 )
 def fit_two_views(
     rays_prev: Floats,
@@ -42,22 +42,23 @@ def fit_two_views(
     priors: tuple[Floats, Floats, Floats],
     offset: Floats,
     direction: Floats,
-    found: tuple[Floats, Floats, Floats, Floats, Floats],
+    found: tuple[Floats, Floats, Floats, Floats],
 ) -> None:
     """``offset (3,)`` and ``direction (3,)`` in and out; an empty direction: rotation alone, every point at infinity.
 
     ``rays_prev (N, 3)`` are of the first view, ``now (3, N)`` of the second; ``priors`` the rotation expected, the
     precision of each unknown, and for the direction the score that belongs to that, (3,). Fills ``found``: the
-    rotation, the ``residual (N,)``, signed where there is a direction, the ``sense (N,)`` of each point
-    (`_set_motion_rows`), ``score (N, U)`` and ``information (U, U)``, of two tangent coordinates of the direction,
-    where there is one, and the rotation vector.
+    ``residual (N,)``, signed where there is a direction, the ``sense (N,)`` of each point (`_set_motion_rows`), the
+    ``rows`` of `normal_equations.add_equations`, (U + 1, N), for a rotation alone (U + 1, 3 N), and the lower half of
+    ``information (U, U)``; the unknowns are two tangent coordinates of the direction, where there is one, and the
+    rotation vector.
     """
-    cam_R_prev, residual, sense, score, information = found
+    residual, sense, rows, information = found
     expected, precision, pull = priors
     n, n_unknowns, has_direction = len(sigma), len(information), len(direction) > 0
-    turned = np.empty((3, n))
+    turned, cam_R_prev = np.empty((3, n)), np.empty((3, 3))
     n_rows, first_turn = n if has_direction else 3 * n, n_unknowns - 3
-    rows, axes, basis = np.empty((n_unknowns + 1, n_rows)), np.empty((3, 3)), np.empty((3, 2))
+    axes, basis = np.empty((3, 3)), np.empty((3, 2))
     step, left = np.empty(n_unknowns), np.empty((n_unknowns, n_unknowns))
     for count in range(_MAX_STEPS):
         _turn(offset, expected, cam_R_prev, rays_prev, turned)
@@ -87,20 +88,13 @@ def fit_two_views(
             shorter = min(1.0, _LONGEST_STEP_RAD / max(length, _TINY))
             for j in range(3):
                 direction[j] += shorter * (basis[j, 0] * step[0] + basis[j, 1] * step[1])
-            length = np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+            length = np.sqrt(direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2])
             for j in range(3):
                 direction[j] /= length
         for j in range(3):
             offset[j] += step[first_turn + j]
         if is_last:
             break
-    for j in range(n_unknowns):
-        for i in range(n):
-            score[i, j] = 0.0
-            for k in range(i, n_rows, n):
-                score[i, j] += rows[j, k] * rows[n_unknowns, k]
-    mirror(information)
-    _turn(offset, expected, cam_R_prev, rays_prev, turned)
 
 
 @compiled
