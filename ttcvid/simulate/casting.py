@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.model import Floats, Ints
-from ttcvid.simulate.world import World, pose_of
+from ttcvid.simulate.world import Pose, World, poses_of
 
 NOTHING = -2
 GROUND = -1
@@ -23,8 +23,8 @@ RAYS_AT_ONCE = 256
 class FaceStack:
     """All faces in the camera of one picture: ``corner_m, along_u, along_v, normal (F, 3)``, ``size_m (F, 2)``.
 
-    ``actor (F,)``; ``ground_up`` (3,) and ``height_m`` describe the ground (None: there is none); ``to_body`` turns
-    a point in the camera into the axes of what it lies on.
+    ``actor (F,)``; ``ground_up`` (3,) and ``height_m`` describe the ground (None: there is none); ``poses`` are those
+    of all actors and the ground.
     """
 
     corner_m: Floats
@@ -35,7 +35,7 @@ class FaceStack:
     actor: Ints
     ground_up: Floats | None
     height_m: float
-    to_body: dict[int, tuple[Floats, Floats]]
+    poses: Pose
 
 
 @dataclass(frozen=True)
@@ -49,29 +49,20 @@ class Hit:
 
 def face_stack(world: World, frame: int) -> FaceStack:
     """The faces of a world in the camera of one picture."""
-    corner, along_u, along_v, size, numbers = [], [], [], [], []
-    cam_R_road = world.path.cam_R_road[frame]
-    to_body = {GROUND: (cam_R_road, -cam_R_road @ world.path.position_m[frame])}
-    for index, actor in enumerate(world.actors):
-        pose, faces = pose_of(world, actor, frame), actor.face_arrays
-        to_body[index] = (pose.cam_R_body, pose.position_m)
-        corner.append(faces.origin_m @ pose.cam_R_body.T + pose.position_m)
-        along_u.append(faces.along_u @ pose.cam_R_body.T)
-        along_v.append(faces.along_v @ pose.cam_R_body.T)
-        size.append(faces.size_m)
-        numbers.append(np.full(len(faces.size_m), index))
-    none = np.empty((0, 3))
-    u, v = np.concatenate([none, *along_u]), np.concatenate([none, *along_v])
+    poses, faces = poses_of(world, frame), world.faces
+    of_face = poses.take(faces.body)
+    along_u = np.einsum("fij,fj->fi", of_face.cam_R_body, faces.along_u)
+    along_v = np.einsum("fij,fj->fi", of_face.cam_R_body, faces.along_v)
     return FaceStack(
-        np.concatenate([none, *corner]),
-        u,
-        v,
-        np.cross(u, v),
-        np.concatenate([np.empty((0, 2)), *size]),
-        np.concatenate([np.empty(0, np.int64), *numbers]),
-        None if world.scene.ground.kind == "none" else cam_R_road[:, 2],
+        of_face.point_of(faces.origin_m),
+        along_u,
+        along_v,
+        np.cross(along_u, along_v),
+        faces.size_m,
+        faces.body,
+        None if world.scene.ground.kind == "none" else world.path.cam_R_road[frame, :, 2],
         float(world.path.position_m[frame, 2]),
-        to_body,
+        poses,
     )
 
 
@@ -80,11 +71,8 @@ def cast(stack: FaceStack, rays: Floats) -> Hit:
     blocks = [_nearest(stack, rays[start : start + RAYS_AT_ONCE]) for start in range(0, len(rays), RAYS_AT_ONCE)]
     depth = np.concatenate([np.empty(0), *(depth for depth, _ in blocks)])
     actor = np.concatenate([np.empty(0, np.int64), *(actor for _, actor in blocks)])
-    place = np.full((len(rays), 3), np.nan)
-    for index in np.unique(actor[actor != NOTHING]):
-        cam_R_body, origin = stack.to_body[int(index)]
-        on_it = actor == index
-        place[on_it] = (rays[on_it] * depth[on_it, None] - origin) @ cam_R_body
+    place, is_hit = np.full((len(rays), 3), np.nan), actor != NOTHING
+    place[is_hit] = stack.poses.take(actor[is_hit]).place_of(rays[is_hit] * depth[is_hit, None])
     return Hit(depth, actor, place)
 
 
@@ -114,9 +102,4 @@ def _nearest(stack: FaceStack, rays: Floats) -> tuple[Floats, Ints]:
 
 def points_in_camera(world: World, frame: int, actor: Ints, place_m: Floats) -> Floats:
     """Points ``(N, 3)`` given in the axes of their actors (GROUND: the road frame), in the camera of one picture."""
-    cam_R_road = world.path.cam_R_road[frame]
-    points: Floats = (place_m - world.path.position_m[frame]) @ cam_R_road.T
-    for index in np.unique(actor[actor != GROUND]):
-        pose = pose_of(world, world.actors[index], frame)
-        points[actor == index] = place_m[actor == index] @ pose.cam_R_body.T + pose.position_m
-    return points
+    return poses_of(world, frame).take(actor).point_of(place_m)

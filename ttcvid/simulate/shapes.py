@@ -5,11 +5,12 @@ Body axes: x ahead, y to the left, z up, origin at the centre of the base. A boa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.model import Floats
+from ttcvid.model import Floats, Ints
 from ttcvid.simulate.scene import Body, Vector
 
 DEFAULT_SIZE_M: dict[str, Vector] = {
@@ -65,21 +66,27 @@ class Face:
 
 @dataclass(frozen=True)
 class FaceArrays:
-    """The rectangles of a body: ``origin_m, along_u, along_v (F, 3)`` and ``size_m (F, 2)``, as `Face` has them."""
+    """The rectangles of several bodies: ``origin_m, along_u, along_v (F, 3)`` and ``size_m (F, 2)`` as in `Face`.
+
+    ``body (F,)`` is the place of each one's body among them.
+    """
 
     origin_m: Floats
     along_u: Floats
     along_v: Floats
     size_m: Floats
+    body: Ints
 
 
-def face_arrays(faces: list[Face]) -> FaceArrays:
-    """Faces as arrays."""
+def face_arrays(faces_of_bodies: Sequence[Sequence[Face]]) -> FaceArrays:
+    """The faces of bodies as arrays."""
+    faces = [face for faces in faces_of_bodies for face in faces]
     return FaceArrays(
         np.array([face.origin_m for face in faces], float).reshape(-1, 3),
         np.array([face.along_u for face in faces], float).reshape(-1, 3),
         np.array([face.along_v for face in faces], float).reshape(-1, 3),
         np.array([face.size_m for face in faces], float).reshape(-1, 2),
+        np.array([body for body, own in enumerate(faces_of_bodies) for _ in own], np.int64),
     )
 
 

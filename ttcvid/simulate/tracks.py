@@ -9,10 +9,10 @@ from numpy.random import Generator
 
 from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.simulate.casting import GROUND, NOTHING, FaceStack, cast, face_stack, points_in_camera
+from ttcvid.simulate.casting import NOTHING, FaceStack, cast, face_stack, points_in_camera
 from ttcvid.simulate.scene import Scene
 from ttcvid.simulate.truth import TrueTimes, true_times
-from ttcvid.simulate.world import STATIC_LABEL, World, build_world, pose_of
+from ttcvid.simulate.world import STATIC_LABEL, World, build_world, pose_of, poses_of
 
 HIDDEN_SHARE = 1e-6
 """A point is hidden where something lies in front of it by more than this share of its depth."""
@@ -164,12 +164,8 @@ def _born(
 
 def _observe(world: World, frame: int, alive: _Alive, options: TrackOptions, rng: Generator) -> SimulatedTracks:
     position = points_in_camera(world, frame, alive.actor, alive.place_m)
-    velocity = np.tile(-world.path.cam_R_road[frame] @ world.path.velocity_m_s[frame], (len(position), 1))
-    object_id = np.zeros(len(position), np.int64)
-    for index in np.unique(alive.actor[alive.actor != GROUND]):
-        actor, on_it = world.actors[index], alive.actor == index
-        velocity[on_it] = pose_of(world, actor, frame).velocity_of(position[on_it])
-        object_id[on_it] = actor.object_id
+    velocity = poses_of(world, frame).take(alive.actor).velocity_of(position)
+    object_id = np.array([*(actor.object_id for actor in world.actors), STATIC_LABEL], np.int64)[alive.actor]
     true_xy = pixels_from_rays(world.camera, position)
     n = len(position)
     is_outlier = rng.random(n) < options.outlier_fraction

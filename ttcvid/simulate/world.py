@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
-from ttcvid.model import Camera, Floats
+from ttcvid.model import Camera, Floats, Ints
 from ttcvid.simulate.poses import BodyPath, CameraPath, body_motion, body_path, camera_path
 from ttcvid.simulate.scene import Body, Scene, camera_of
 from ttcvid.simulate.shapes import Face, FaceArrays, Part, face_arrays, faces_of, parts_of
@@ -28,11 +28,6 @@ class Actor:
     faces: list[Face]
     path: BodyPath
 
-    @cached_property
-    def face_arrays(self) -> FaceArrays:
-        """Its faces in one."""
-        return face_arrays(self.faces)
-
 
 @dataclass(frozen=True)
 class World:
@@ -48,12 +43,25 @@ class World:
         """Number of pictures."""
         return len(self.path.t_s)
 
+    @cached_property
+    def faces(self) -> FaceArrays:
+        """The faces of all actors."""
+        return face_arrays([actor.faces for actor in self.actors])
+
+    @cached_property
+    def body_paths(self) -> BodyPath:
+        """Those of the A actors and, last, the ground, stacked: ``road_R_body (A + 1, N, 3, 3)``, the others alike."""
+        at_rest = np.zeros((self.n_frames, 3))
+        ground = BodyPath(np.tile(np.eye(3), (self.n_frames, 1, 1)), at_rest, at_rest, at_rest)
+        paths = [*(actor.path for actor in self.actors), ground]
+        return BodyPath(*(np.stack([getattr(path, field.name) for path in paths]) for field in fields(BodyPath)))
+
 
 @dataclass(frozen=True)
 class Pose:
     """An actor in the camera of one picture: ``cam_R_body (3, 3)``, position and relative velocity ``(3,)``.
 
-    ``turn_rad_s`` (3,) is the body's own rate of turning, in the camera's axes.
+    ``turn_rad_s`` (3,) is the body's own rate of turning, in the camera's axes. Several are stacked along a first axis.
     """
 
     cam_R_body: Floats
@@ -61,8 +69,20 @@ class Pose:
     velocity_m_s: Floats
     turn_rad_s: Floats
 
+    def take(self, index: Ints) -> Pose:
+        """Of stacked poses those of an index array."""
+        return Pose(*(getattr(self, field.name)[index] for field in fields(Pose)))
+
+    def point_of(self, place_m: Floats) -> Floats:
+        """Points ``(N, 3)`` in the camera, from their places in the axes of their bodies, of N stacked poses."""
+        return np.asarray(np.einsum("nij,nj->ni", self.cam_R_body, place_m) + self.position_m)
+
+    def place_of(self, point_m: Floats) -> Floats:
+        """The inverse of `point_of`."""
+        return np.asarray(np.einsum("nji,nj->ni", self.cam_R_body, point_m - self.position_m))
+
     def velocity_of(self, point_m: Floats) -> Floats:
-        """Relative velocity ``(N, 3)`` of points of the body at ``point_m (N, 3)`` in the camera."""
+        """Relative velocity ``(N, 3)`` of points of the bodies at ``point_m (N, 3)`` in the camera."""
         return self.velocity_m_s + np.cross(self.turn_rad_s, point_m - self.position_m)
 
 
@@ -93,6 +113,18 @@ def pose_of(world: World, actor: Actor, frame: int) -> Pose:
     turn = actor.path.turn_rad_s[frame]
     return Pose(
         cam_R_road @ actor.path.road_R_body[frame], cam_R_road @ position, cam_R_road @ velocity, cam_R_road @ turn
+    )
+
+
+def poses_of(world: World, frame: int) -> Pose:
+    """As `pose_of`, of all A actors and, last (index -1), of the ground: ``cam_R_body (A + 1, 3, 3)``."""
+    bodies, path = world.body_paths, world.path
+    road_R_cam = path.cam_R_road[frame].T
+    return Pose(
+        path.cam_R_road[frame] @ bodies.road_R_body[:, frame],
+        (bodies.position_m[:, frame] - path.position_m[frame]) @ road_R_cam,
+        (bodies.velocity_m_s[:, frame] - path.velocity_m_s[frame]) @ road_R_cam,
+        bodies.turn_rad_s[:, frame] @ road_R_cam,
     )
 
 
