@@ -13,7 +13,7 @@ from ttcvid.geometry.horizon.line import HorizonFit, band_px, fit_horizon, is_on
 from ttcvid.model import Camera, Floats
 from ttcvid.stages.horizon.straight_motion import TRACKS, Motion
 
-# Roll taken as zero still has this error, rad: a spirit level's.
+# Standard deviation of a roll assumed zero, rad: that of a spirit level.
 ROLL_ZERO_SIGMA_RAD = 1e-4
 # Part of a distribution below the upper border of its 95 % interval.
 _UPPER_95 = 0.975
@@ -109,7 +109,7 @@ def _picture_factors(motions: list[Motion], config: HorizonCalibrationConfig) ->
 
 
 def _judged(motion: Motion, is_used: bool, covariance: np.ndarray) -> Motion:
-    """A motion with what the fit made of it."""
+    """A motion with its status and covariance after the fit."""
     return replace(motion, status="used" if is_used else "off_horizon", covariance=covariance)
 
 
@@ -133,7 +133,7 @@ def _unusable(
     config: HorizonCalibrationConfig,
     counts: tuple[int, int],
 ) -> str:
-    """Why a fitted line is not to be believed, empty if it is; ``counts`` of the motions that agree, and of all."""
+    """Why a fitted line is rejected, empty if it is not; ``counts`` of the motions that agree, and of all."""
     n_used, n_all = counts
     roll_zero = config.roll_zero
     if n_used < (1 if roll_zero else config.min_motions):

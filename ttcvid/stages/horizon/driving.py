@@ -20,14 +20,14 @@ from ttcvid.model import SCENE_CLUSTER, Camera, Floats, FrameResult
 from ttcvid.stages.horizon.at_rest import ROLL_ZERO_SIGMA_RAD, HorizonResult
 from ttcvid.stages.horizon.straight_motion import Motion
 
-# Cameras in cars are mounted upright within this, rad; a drive that turns says more.
+# Prior standard deviation of the roll of a camera in a car, rad; a drive with turns determines it better.
 _ROLL_SIGMA_RAD = np.radians(2.0)
-# The roll is measured when the drive has brought its deviation below this part of what is believed beforehand.
+# The roll counts as measured if its standard deviation is below this share of the prior one.
 _MEASURED_PART = 0.5
-# Rotations are added up over this long, s: their errors stay small beside those of the directions.
+# Rotations are accumulated over this window, s: their errors stay small compared with those of the directions.
 _WINDOW_S = 4.0
-# Directions are averaged over this long, s, since their errors are correlated from frame to frame, and over so many
-# frames at least: half a frame more than that is never less.
+# Directions are averaged over this window, s, since their errors are correlated from frame to frame, and over at least
+# so many frames (half a frame is added against rounding).
 _BIN_S = 0.5
 _LEAST_FRAMES = 3
 
@@ -78,7 +78,7 @@ def driving_horizon(motions: list[Motion], camera: Camera, config: HorizonCalibr
     fit = fit_horizon(directions, covariances, floor_rad, roll_sigma_rad)
     if fit is None:
         return HorizonResult(None, tuple(motions), "the directions of own motion lie on no common line")
-    # What a car leans in the mean (load, camber, slope of the road) is common to the whole drive.
+    # The mean tilt of the car (load, camber, slope of the road) is a common error of the whole drive.
     fit = replace(fit, covariance=fit.covariance + floor_rad**2 * (np.eye(3) - np.outer(fit.normal, fit.normal)))
     labelled = tuple(
         replace(motion, status="used" if is_used else "off_horizon")
@@ -144,7 +144,7 @@ def _usual_step_s(window: list[OwnStep]) -> float:
 
 
 def _averaged(steps: list[OwnStep], turned: list[Floats], clip: int, number: int) -> Motion:
-    """Mean direction of neighbouring frames; its error is that of a single one, and how they scatter beside."""
+    """Median direction of neighbouring frames, with the covariance of a single one plus that of their scatter."""
     directions = normalize(np.array([R @ step.direction for R, step in zip(turned, steps, strict=True)]))
     mean = normalize(np.median(directions, axis=0))
     basis = tangent_basis(mean)

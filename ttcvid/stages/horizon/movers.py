@@ -13,13 +13,14 @@ from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.horizon.whole_tracks import Observations
 
-# Each quarter of a track brings it on by more than this part of the whole way, and aside by less than the other.
+# Each quarter of a track advances by more than the first share of its displacement, and deviates aside by less than the
+# second.
 _LEAST_QUARTER, _MOST_ASIDE = 0.06, 0.2
 # Motions are compared over this time, s.
 _STEP_S = 0.4
-# Two neighbours move alike when their steps differ by less than this part of the longer one, and this many px.
+# Two neighbours move alike if their steps differ by less than this share of the longer one plus this many px.
 _ALIKE_PART, _ALIKE_PX = 0.2, 0.7
-# They are one mover when they moved alike in this share of the time in which both were seen side by side.
+# They are one mover if they moved alike in this share of the time in which both were observed near each other.
 _ALIKE_SHARE = 0.75
 
 
@@ -33,8 +34,8 @@ class _Pairs:
 def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools:
     """Long tracks with a net motion at a steady pace and without detours: ``(M,)``.
 
-    A background point that a pedestrian passes is dragged along for a moment, and rests before and after; an arm swings
-    to and fro. So each quarter of the track has to advance.
+    A background point that a pedestrian passes drifts for a moment, and rests before and after; an arm swings to and
+    fro. So each quarter of the track has to advance.
     """
     starts, lengths = rows.starts, rows.lengths
     ends = starts + lengths - 1
@@ -86,8 +87,8 @@ def group_movers(rows: Observations, link_px: float) -> Ints:
 def _compared(t_s: Floats) -> list[tuple[int, int]]:
     """Which two frames are compared: twice a step, one with that nearest in time to a step later.
 
-    Times may be uneven, and frames left out: what is by more than half a step too early or too late is not compared,
-    unless frames are as rare as that.
+    Times may be uneven, and frames missing: a pair that is off by more than half a step is not compared, unless the
+    usual interval is longer.
 
     Parameters
     ----------

@@ -15,14 +15,14 @@ from ttcvid.stages.horizon.straight_motion import OUTLINE, Motion
 from ttcvid.stages.horizon.whole_tracks import Observations
 from ttcvid.stages.tracking.silhouettes import Silhouettes, extent_px
 
-# Top and bottom are looked for within this part of the mover's height to either side of its middle.
+# Top and bottom are searched within this share of the mover's height to either side of its middle.
 _WIDTH_PART = 0.12
 _NARROW_PX = 2.0
-# Where the border of a mover is seen may be off by this, px, all its life: half a pixel of blur, a contact shadow.
+# Constant error of the border of a mover, px: half a pixel of blur, a contact shadow.
 _BORDER_PX = 0.5
-# An outline that scatters by more than this part of its height is no rigid body's.
+# The outline of a rigid body scatters by less than this share of its height.
 _MOST_SCATTER = 0.03
-# So much of the outlines has to lie near their line.
+# Least share of the outlines near their line.
 _LEAST_SHARE = 0.5
 # So much of the variance along the way is that of a steady motion; what is hidden by and by does not go on steadily.
 _LEAST_STEADINESS = 0.9

@@ -111,7 +111,7 @@ def onto_horizon(direction: Floats, covariance: Floats, plane: HorizonPlane) -> 
     tangent_cov = basis.T @ covariance @ basis
     slope = basis.T @ plane.normal
     height = float(plane.normal @ direction)
-    # A direction that is known better than the horizon would not come down to it: the plane is taken at its word.
+    # The plane is taken as exact: a direction with a smaller covariance would not reach it otherwise.
     variance = float(slope @ tangent_cov @ slope) + 1e-18
     gain = tangent_cov @ slope / variance
     moved = normalize(direction - basis @ gain * height)
@@ -136,7 +136,7 @@ def horizon_offset_px(direction: Floats, plane: HorizonPlane, camera: Camera) ->
 
 
 def horizon_offset(direction: Floats, covariance: Floats, plane: HorizonPlane) -> HorizonOffset:
-    """The angle of a direction (3,) below the horizon, with the error that its ``covariance (3, 3)`` says."""
+    """Angle of a direction ``(3,)`` below the horizon, with the standard deviation by its ``covariance (3, 3)``."""
     ahead = direction if direction[2] > 0.0 else -direction
     below_rad = -float(np.arcsin(np.clip(float(plane.normal @ ahead), -1.0, 1.0)))
     sigma_rad = float(np.sqrt(max(float(plane.normal @ covariance @ plane.normal), 0.0)))

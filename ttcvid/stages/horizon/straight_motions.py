@@ -17,25 +17,25 @@ from ttcvid.stages.horizon.straight_motion import Motion
 from ttcvid.stages.horizon.whole_tracks import Observations
 from ttcvid.stages.tracking.silhouettes import Silhouettes
 
-# Noise of a coordinate that the fit starts with, px; it is estimated from the residuals.
+# Initial standard deviation of a coordinate, px; it is estimated from the residuals.
 _SIGMA_START_PX = 0.2
-# A free turn is looked for first: as good as no prior, rad/s.
+# Prior of the turn rate in the first fit, rad/s: nearly free.
 _FREE_TURN_RAD_S = 1.0
-# A track whose residuals are so many times the usual ones of its body is no part of it.
+# A track with residuals this many times the median of its body is an outlier.
 _FOREIGN_RESIDUAL = 3.0
 _MAX_ROUNDS = 5
-# Tracks left over are a mover of their own when they are at least this part of all.
+# Outliers are a mover of their own if they are at least this share of the tracks.
 _OTHERS_PART = 0.25
-# Such a mover is no noisier than the first by more than this factor.
+# Largest ratio of its noise to that of the first mover.
 _LEFTOVER_NOISE = 2.0
 # With more observations than this a body is thinned out frame by frame: neighbouring frames tell little that is new.
 _ENOUGH_OBSERVATIONS = 3000
 # Points that scatter about a body by more than this part of its size are not those of a rigid one: cars are found to
 # scatter by 0.1 to 0.5 %, people by 0.6 to 3 %.
 _LOOSE_PART = 0.005
-# An outline is followed with at least so many tracks on it.
+# Least number of tracks on an outline.
 _OUTLINE_TRACKS = 3
-# Turns are believed from so many standard deviations on.
+# Significance of a turn, standard deviations.
 _SURE_SIGMAS = 3.0
 
 
@@ -115,7 +115,7 @@ def _unless_loose(by_tracks: list[Motion], by_outline: list[Motion]) -> list[Mot
 
 
 def _unless_noisier(other: Motion, main: Motion) -> Motion:
-    """What is left of a mover, refused where it is noisier: then it is no mover but where one hides another."""
+    """The outliers of a mover as a mover, refused if noisier: then they are where one mover hides another."""
     is_leftover = other.noise_px > _LEFTOVER_NOISE * main.noise_px
     return replace(other, status="not_rigid") if is_leftover and other.status == "used" else other
 

@@ -10,16 +10,16 @@ import numpy as np
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import SCENE_CLUSTER, Floats, FrameResult, HorizonOffset
 
-# The clip is looked at in so many parts, each with at least so many frames that have an offset: own motion misled by a
-# bus before the camera for a second is no drift.
+# Number of parts of the clip that a drift is estimated from, and least number of frames with an offset in each: an
+# error of own motion for a second (a bus before the camera) is no drift.
 _PARTS, _LEAST_FRAMES = 4, 25
-# Errors of epipoles are correlated over about so many frames.
+# Correlation length of the errors of epipoles, frames.
 _FRAMES_TOGETHER = 10
-# An offset or a drift is believed from so many standard deviations on.
+# Significance of an offset or a drift, standard deviations.
 _SURE_SIGMAS = 4.0
-# A mover counts that was seen in so many frames.
+# Least number of frames of a mover that counts.
 _LEAST_MOVER_FRAMES = 10
-# No epipole is known better in a frame, rad.
+# Least standard deviation of an epipole of one frame, rad.
 _LEAST_SIGMA_RAD = 1e-4
 # Median of the absolute value of a standard normal variable.
 _MEDIAN_NORMAL = 0.6745

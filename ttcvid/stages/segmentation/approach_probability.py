@@ -131,13 +131,13 @@ def with_seen_motion(
 
 
 def braking_of(xy: Floats, since_s: Floats, focal_px: float, least_s: float) -> Closing | None:
-    """How the depth of a thing changes that may have begun to brake within what is seen; None with too few views.
+    """Change of the depth of an object that may have begun to brake within the views; None with too few views.
 
     Parameters
     ----------
-    xy, since_s : (L, M, 2) places of its tracks in the plane z = 1 of the present camera, the last view the present
-        one, and (L,) when that was.
-    least_s : how long ago it began, at the least.
+    xy : ``(L, M, 2)`` observations of its tracks in the plane z = 1 of the present camera; the last view is now.
+    since_s : ``(L,)`` times of the views, s, up to 0.
+    least_s : least time since the beginning, s.
     """
     depth, variance, radius = depths_over_time(xy)
     drift_hz = _drift_hz(radius * focal_px)
