@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ttcvid.stages.objects.joint_states import joint_states
-from ttcvid.stages.objects.states import SharedErrors, TrackStates
+from ttcvid.stages.objects.states import SharedErrors, TrackStates, nothing_shared
 from ttcvid.stages.tracking.groups import TrackSets
 
 N, N_SHARED = 40, 9
@@ -90,6 +90,40 @@ def test_tracks_without_a_rate_on_the_path_have_no_part_in_what_the_others_share
     for values in (off_path.shared.jacobian, off_path.shared.rate_variance):
         values[index] = np.nan
     assert relative_sigma(off_path) == expected
+
+
+def test_of_what_turns_the_near_end_is_told_by_its_whole_side_and_not_by_its_largest_errors():
+    rng, turn, count, noise = np.random.default_rng(93), np.array([0.0, -0.45, 0.0]), 60, 0.08 * RATE_HZ
+    off_hz, off_rad = [], []
+    for _ in range(40):
+        xy = rng.uniform([-0.2, -0.1], [0.2, 0.1], (count, 2))
+        rate_hz = RATE_HZ * (1.0 - xy[:, 0]) + noise * rng.normal(size=count)
+        shared = replace(
+            nothing_shared(count),
+            path_of=np.zeros(count, dtype=np.int64),
+            along=TO_US[None],
+            rate_hz=rate_hz,
+            rate_variance=np.full(count, noise**2),
+            turn_rad_s=turn[None],
+        )
+        states = TrackStates(
+            xy=xy,
+            abc_hz=rate_hz[:, None] * TO_US + np.cross(turn, np.column_stack([xy, np.ones(count)])),
+            cov=np.tile(noise**2 * np.outer(TO_US, TO_US) + 1e-9 * np.eye(3), (count, 1, 1)),
+            sigma_norm=np.full(count, 1e-4),
+            direction=np.tile(TO_US, (count, 1)),
+            status=np.zeros(count, dtype=np.int64),
+            shared=shared,
+        )
+        members = TrackSets.of([np.arange(count)])
+        joint = joint_states(members, TO_US[None], np.array([False]), states, FOCAL_PX * xy, 80.0)
+        x, y = joint.ref_px[0] / FOCAL_PX
+        there = RATE_HZ * (1.0 - x) * TO_US + np.cross(turn, [x, y, 1.0])
+        off_hz.append((joint.abc_hz[0] - there) @ TO_US)
+        off_rad.append(np.linalg.norm(np.cross(joint.abc_hz[0], there)) / there.dot(there))
+        assert x < -0.12
+    assert abs(np.mean(off_hz)) < 0.02 * RATE_HZ
+    assert np.median(off_rad) < 0.02
 
 
 def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_plain_formula_says():

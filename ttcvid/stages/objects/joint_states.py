@@ -18,9 +18,14 @@ _TRIMMED_VARIANCE = 1.35
 _LEAST_OF_SURFACE = 3
 # Standard deviation of the depths on the front of a car, as a share of its distance.
 _RELIEF = 0.025
-# An object that turns faster than the first, rad/s, has a velocity that varies with the place. Its turn determines
-# depths well: the smaller relief mixes in less of what is behind its nearest tracks.
-_TURNS_RAD_S, _TURNING_RELIEF = 0.05, 0.01
+# An object that turns faster than the first, rad/s, shows a side, with at least so many tracks.
+_TURNS_RAD_S, _LEAST_OF_SIDE = 0.05, 8
+# Prior of the slope of its rate over the rate: the tangent of up to 45 deg (standard deviation, per component).
+_SIDE_SLOPE = 0.5
+# Its near end is this share of its tracks, with those that are farther by no more than this share of the distance.
+_NEAR_PART, _NEAR_DEPTH = 0.1, 0.01
+# Inliers of a side are within so many standard deviations; iterations of the robust fit.
+_SIDE_SIGMAS, _SIDE_STEPS = 2.0, 5
 # Squared distance of the end of a line from its middle over the variance of its points.
 _END_VARIANCE = 3.0
 # Least variance of a rate, 1/s^2.
@@ -68,17 +73,24 @@ def joint_states(
     path = _paths_of(sets, shared)
     rate_hz, variance, by_shared = _rates(sets, direction[owner], states, shared)
     turns = (path >= 0) & (np.linalg.norm(shared.turn_rad_s, axis=1) > _TURNS_RAD_S)[path]
-    relief = np.where(turns, _TURNING_RELIEF, _RELIEF)[sets.set_of]
-    sigma_hz = np.sqrt(variance + (relief * rate_hz) ** 2)
+    sigma_hz = np.sqrt(variance + (_RELIEF * rate_hz) ** 2)
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_of_path(rate_hz, sigma_hz, by_shared, shared.cov[path], xy_px[sets.index], sets, needed, link_px)
+    above_hz = np.zeros(len(rate_hz))
+    for k in np.flatnonzero(turns & (sets.lengths >= _LEAST_OF_SIDE)):
+        own = slice(sets.first[k], sets.first[k] + sets.lengths[k])
+        side_hz, is_near = _near_end(states.xy[sets.index[own]], rate_hz[own], sigma_hz[own])
+        if is_near.any():
+            is_in[own], above_hz[own] = is_near, side_hz - rate_hz[own]
     has_surface = np.bincount(sets.set_of[is_in], minlength=len(sets)) > 0
     # An object that was found as one surface may have few tracks.
     takes_all = ~has_surface & is_one[owner] & (sets.lengths >= _LEAST_OF_SURFACE)
-    surfaces, left = sets.where(is_in | takes_all[sets.set_of])
+    is_in |= takes_all[sets.set_of]
+    surfaces, left = sets.where(is_in)
     weight = 1.0 / np.maximum(states.cov[surfaces.index, 2, 2], _TINY)
     weight /= surfaces.sums(weight)[surfaces.set_of]
     abc_hz = surfaces.sums(weight[:, None] * states.abc_hz[surfaces.index])
+    abc_hz += surfaces.sums(weight * above_hz[is_in])[:, None] * shared.along[path[left]]
     ref_px = surfaces.sums(weight[:, None] * xy_px[surfaces.index])
     cov, place_cov = _covariances(surfaces, weight, states)
     return JointStates(owner[left], ref_px, abc_hz, cov + place_cov, place_cov)
@@ -102,6 +114,30 @@ def _rates(
     own = np.einsum("mi,mij,mj->m", along, states.cov[index], along)
     variance = np.where(has_path, shared.rate_variance[index], own)
     return rate_hz, variance, np.where(has_path[:, None], shared.rate_jacobian[index], 0.0)
+
+
+def _near_end(xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bools]:
+    """Rates (M,), 1/s, of the visible side of a turning object, and which tracks are its near end (none: no side).
+
+    Inverse depths on a plane are linear in the image. A selection by the tracks' own rates would select the largest
+    errors.
+
+    Parameters
+    ----------
+    xy, rate_hz, sigma_hz : (M, 2), (M,), (M,) of its tracks: places in the plane z = 1, rates, standard deviations.
+    """
+    columns = np.column_stack([np.ones(len(xy)), xy - np.mean(xy, axis=0)])
+    side_hz = np.full(len(xy), float(np.median(rate_hz)))
+    belief = np.diag([0.0, 1.0, 1.0]) / (_SIDE_SLOPE * side_hz[0]) ** 2
+    for _ in range(_SIDE_STEPS):
+        off = (rate_hz - side_hz) / (_SIDE_SIGMAS * sigma_hz)
+        weighted = columns / (sigma_hz**2 * (1.0 + off**2))[:, None]
+        side_hz = columns @ np.linalg.solve(columns.T @ weighted + belief, weighted.T @ rate_hz)
+    is_on = np.abs(rate_hz - side_hz) < _SIDE_SIGMAS * sigma_hz
+    if np.count_nonzero(is_on) < _LEAST_OF_SIDE:
+        return side_hz, np.zeros(len(xy), dtype=bool)
+    nearest_hz = float(np.quantile(side_hz[is_on], 1.0 - _NEAR_PART))
+    return side_hz, is_on & (side_hz >= nearest_hz - _NEAR_DEPTH * abs(nearest_hz))
 
 
 def _covariances(surfaces: TrackSets, weight: Floats, states: TrackStates) -> tuple[Floats, Floats]:
