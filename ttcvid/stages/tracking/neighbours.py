@@ -46,9 +46,7 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
 
     The others have numbers of their own. Parts are numbered by their first track.
     """
-    first = np.arange(len(is_in))
-    _join(pairs[is_in[pairs[:, 0]] & is_in[pairs[:, 1]]], first)
-    return np.asarray(np.cumsum(first == np.arange(len(first)))[first] - 1)
+    return _parts(len(is_in), pairs[is_in[pairs[:, 0]] & is_in[pairs[:, 1]]])
 
 
 def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, tolerance: Floats) -> Ints:
@@ -64,7 +62,14 @@ def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, to
     pairs = linked_pairs(xy_px, radius_px)
     one, other = pairs.T
     is_one = (group[one] == group[other]) & (np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other])
-    return connected_parts(np.ones(len(xy_px), dtype=bool), pairs[is_one])
+    return _parts(len(xy_px), pairs[is_one])
+
+
+def _parts(n: int, pairs: Ints) -> Ints:
+    """Number of the part that each of N tracks belongs to, joined by ``pairs (M, 2)``: (N,)."""
+    first = np.arange(n)
+    _join(pairs, first)
+    return np.asarray(np.cumsum(first == np.arange(n))[first] - 1)
 
 
 @compiled_for("(i8[:, ::1], i8[::1])")
