@@ -121,12 +121,6 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.obstacles.find_obstacles": lambda *arguments, **_: _no_surfaces(arguments[4])},
         _stage("segmentation/obstacles"),
     ),
-    "surface_memory": Rule(
-        "a surface that turns out to move keeps its number",
-        "births",
-        {"stages.segmentation.surface_memory.number_of_taken": _none},
-        _stage("segmentation/surface_memory"),
-    ),
     "reinitialised": Rule(
         "movers that went astray are begun anew",
         "bodies",
@@ -156,12 +150,6 @@ RULES: dict[str, Rule] = {
             )
         },
         _stage("segmentation/merge_and_split"),
-    ),
-    "plain_gaps": Rule(
-        "parts with nothing between are neighbours",
-        "bodies",
-        {"stages.segmentation.plain_gaps.across_plain_gaps": _zeros(4)},
-        _stage("segmentation/plain_gaps"),
     ),
     "frozen": Rule(
         "what stays on its pixel is bonnet or text",

@@ -116,27 +116,6 @@ def test_parts_that_hang_together_no_more_are_two_movers():
     assert frames[8].keys_of(1)[0] in (frames[-1].keys_of(1)[0], frames[-1].keys_of(2)[0])
 
 
-def walker(rng, at_m, velocity_m_s):
-    """Somebody whose coat is plain below the collar: corners on the head and from the waist down, 0.4 m apart."""
-    x, y, z = at_m
-    head = box_of_points(rng, 12, (x, y - 0.45, z), (0.3, 0.3, 0.05))
-    legs = box_of_points(rng, 18, (x, y + 0.6, z), (0.5, 1.0, 0.05))
-    return Thing(np.concatenate([head, legs]), velocity_m_s)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_head_and_legs_of_somebody_in_a_plain_coat_are_one_mover(seed):
-    """Farther apart in the picture than neighbours are, and nothing else is seen between them."""
-    rng = np.random.default_rng(seed)
-    frames = bodies_of(
-        world(rng, STILL, N_FRAMES, walker(rng, (0.9, 0.0, 8.0), (-1.3, 0.0, -0.2))),
-        N_FRAMES,
-        camera_m_s=STILL,
-        platform=Platform.free,
-    )
-    assert_one_mover_each(frames, 1)
-
-
 @pytest.mark.parametrize("seed", range(2))
 def test_two_things_that_move_alike_are_two_where_the_street_is_seen_between_them(seed):
     rng = np.random.default_rng(seed)

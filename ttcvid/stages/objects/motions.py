@@ -23,7 +23,6 @@ from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.data_association import numbers_of
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation, find_bodies
 from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
-from ttcvid.stages.segmentation.surface_memory import without_numbers
 from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
@@ -87,14 +86,12 @@ def find_motions(
     if egomotion is not None:
         is_measured = not (camera.is_assumed or camera.is_found)
         error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
-        before = memory
         views = body_views(history, is_free, link_px, error_px)
         found, memory = find_bodies(
             history, views, egomotion, config.egomotion.platform, may_start, memory, config.bodies
         )
         history = without_displaced(replace(history, cam_R_past=found.scene.cam_R_past[0]), found.is_displaced)
         is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced
-        numbers = found.movers.cluster_id
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
         objects = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
@@ -103,7 +100,6 @@ def find_motions(
                 history,
                 found,
                 is_free,
-                without_numbers(before.growing, numbers),
                 memory,
                 link_px,
                 error_px,
@@ -116,7 +112,6 @@ def find_motions(
             egomotion,
             found,
             is_left,
-            without_numbers(before.obstacles, numbers),
             memory,
             link_px,
             config,

@@ -17,7 +17,6 @@ from ttcvid.stages.segmentation.expansion import find_growing
 from ttcvid.stages.segmentation.ground_plane import find_road
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation
 from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path
-from ttcvid.stages.segmentation.surface_memory import Obstacle
 from ttcvid.stages.tracking.history import TrackHistory
 
 # The direction of the scene's path, where that of the last step is not known.
@@ -29,7 +28,6 @@ def in_our_way(
     egomotion: Egomotion,
     found: Segmentation,
     is_free: Bools,
-    before: tuple[Obstacle, ...],
     memory: BodyMemory,
     link_px: float,
     config: PipelineConfig,
@@ -51,7 +49,7 @@ def in_our_way(
         in_scene,
     )
     public, obstacles, next_cluster_id = find_obstacles(
-        before,
+        memory.obstacles,
         seen,
         way,
         road,
@@ -86,7 +84,6 @@ def growing_things(
     history: TrackHistory,
     found: Segmentation,
     is_free: Bools,
-    before: tuple[Obstacle, ...],
     memory: BodyMemory,
     link_px: float,
     error_px: float,
@@ -94,7 +91,7 @@ def growing_things(
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
     public, growing, next_cluster_id = find_growing(
-        before,
+        memory.growing,
         history,
         found.misfit,
         found.usual_misfit,

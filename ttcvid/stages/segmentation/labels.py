@@ -26,7 +26,7 @@ from ttcvid.stages.segmentation.merge_and_split import merged, split
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.reinitialisation import reinitialised
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
-from ttcvid.stages.segmentation.surface_memory import Obstacle, number_of_taken, without_numbers
+from ttcvid.stages.segmentation.surface_memory import Obstacle
 from ttcvid.stages.tracking.groups import places_among
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -138,11 +138,11 @@ def find_bodies(
     stays = is_displaced & np.isin(belonged, np.append(SCENE_CLUSTER, movers.key))
     key = np.where(stays, belonged, key)
     movers = with_velocities(views, seen.scene, key, movers)
-    surfaces = memory.growing + memory.obstacles
-    movers, next_cluster_id = _named(movers, key, history.track_id, surfaces, memory.next_cluster_id, config)
+    movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
     memory = replace(memory, rate_hz=memory.rate_hz * seen.speed)
     tracks = _with_lost(history, memory, key, seen.rate_hz)
-    memory = BodyMemory(seen.scene, movers, *tracks, seen.road, next_key, next_cluster_id, frame=history.frame)
+    surfaces = memory.obstacles, memory.growing
+    memory = BodyMemory(seen.scene, movers, *tracks, seen.road, next_key, next_cluster_id, *surfaces, history.frame)
     found = Segmentation(key, movers, seen.scene, seen.fit, seen.misfit, seen.usual_misfit, is_displaced)
     return found, memory
 
@@ -295,30 +295,9 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usu
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 
-def _named(
-    movers: Movers,
-    key: Ints,
-    track_id: Ints,
-    surfaces: tuple[Obstacle, ...],
-    next_cluster_id: int,
-    config: BodiesConfig,
-) -> tuple[Movers, int]:
-    """Movers with public numbers once they are confirmed: that of the surface that their tracks were, or a new one.
-
-    Parameters
-    ----------
-    key, track_id : ``(N,)`` body and number of each track.
-    surfaces : obstacles and expanding surfaces up to the last frame.
-
-    Returns
-    -------
-    The movers and the next public number.
-    """
+def _named(movers: Movers, next_cluster_id: int, config: BodiesConfig) -> tuple[Movers, int]:
+    """Movers with public numbers once they are confirmed, and the next number."""
     asks = (movers.cluster_id == NO_CLUSTER) & (movers.n_found >= config.confirm_frames)
     cluster_id = movers.cluster_id.copy()
-    for place in np.flatnonzero(asks):
-        left = without_numbers(surfaces, cluster_id)
-        number = number_of_taken(left, track_id, np.flatnonzero(key == movers.key[place]))
-        cluster_id[place] = next_cluster_id if number is None else number
-        next_cluster_id += number is None
-    return replace(movers, cluster_id=cluster_id), next_cluster_id
+    cluster_id[asks] = next_cluster_id + np.arange(np.count_nonzero(asks))
+    return replace(movers, cluster_id=cluster_id), next_cluster_id + int(np.count_nonzero(asks))

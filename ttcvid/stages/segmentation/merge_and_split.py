@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import Delaunay, KDTree, QhullError
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, OwnFit, is_due, numbers_of
-from ttcvid.stages.segmentation.plain_gaps import across_plain_gaps
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_parts
 
 # Two bodies, or two parts of one, can be one if the ratio of their inverse depths is below the first factor, or if they
@@ -28,8 +27,11 @@ _LEAST_MISFIT = 1.0
 # Gauss-Newton steps for the joint trajectory, and largest number of tracks of each mover in its test.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
 _LEAST_TRACKS = 3
-# Views after which the label of a track tells its motion: new tracks start with the scene.
-_LEAST_VIEWS = 5
+# Parts of one thing with nothing between are apart by less than this part of the larger one: a thing shows more of
+# itself than it hides. Tracks seen in fewer views than this do not tell to which body they belong.
+_WIDEST_GAP, _LEAST_VIEWS = 0.75, 5
+# Rounding of a distance that is the radius itself.
+_ON_RIM = 1.0 - 1e-9
 _TINY_HZ = 1e-9
 
 
@@ -85,7 +87,7 @@ def merged(
     own_misfit : ``(N,)`` reduced chi-square of each track on its body, over ``usual_misfit``.
     """
     number = numbers_of(key, movers)
-    asked = _asked_neighbours(views, neighbours, number, movers)
+    asked = _asked_neighbours(neighbours, number, movers)
     if asked is None:
         return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
@@ -115,18 +117,27 @@ def merged(
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
-def _asked_neighbours(views: BodyViews, neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
-    """Indices of the larger and the smaller of P adjacent movers that are due, ``(P,)`` each; None without any."""
-    if len(movers) < 2:
+def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
+    """Indices of the larger and the smaller of P adjacent movers that are due, ``(P,)`` each; None without any.
+
+    Adjacent ones have neighbouring tracks, and the smaller one `_LEAST_TRACKS`.
+
+    Parameters
+    ----------
+    neighbours : ``(N, K)`` of each track.
+    number : ``(N,)`` index of the body of each track, as from `numbers_of`.
+    """
+    counts = np.bincount(number, minlength=len(movers) + 1)[1:]
+    beside = np.zeros((len(movers) + 1, len(movers) + 1), dtype=bool)
+    beside[number[:, None], number[neighbours]] = True
+    one, other = np.nonzero(np.triu((beside | beside.T)[1:, 1:], 1))
+    is_asked = is_due(np.minimum(movers.n_found[one], movers.n_found[other]))
+    is_asked &= np.minimum(counts[one], counts[other]) >= _LEAST_TRACKS
+    if not is_asked.any():
         return None
-    pairs = np.empty((len(movers) * (len(movers) - 1) // 2, 2), dtype=np.int64)
-    touch = np.empty(len(pairs), dtype=bool)
-    count = _list_pairs(number, neighbours, len(movers), pairs, touch)
-    large, small, touch = *pairs[:count].T, touch[:count]
-    is_asked = is_due(np.minimum(movers.n_found[large], movers.n_found[small]))
-    apart = np.flatnonzero(is_asked & ~touch)
-    is_asked[apart] = across_plain_gaps(views.xy_px, number, _told(views), number, 1 + large[apart], 1 + small[apart])
-    return (large[is_asked], small[is_asked]) if is_asked.any() else None
+    one, other = one[is_asked], other[is_asked]
+    is_larger = counts[one] >= counts[other]
+    return np.where(is_larger, one, other), np.where(is_larger, other, one)
 
 
 def _worth_trying(
@@ -149,32 +160,6 @@ def _worth_trying(
     limit = np.maximum(medians(own_misfit[own], both, len(large)), _LEAST_MISFIT)
     is_worth = off <= _WORTH_TRYING * limit
     return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
-
-
-@compiled_for("(i8[::1], i8[:, ::1], i8, i8[:, ::1], b1[::1])")
-def _list_pairs(number: Ints, neighbours: Ints, n_movers: int, pairs: Ints, touch: Bools) -> int:
-    """Fill ``pairs (P, 2)`` of movers, the larger one first, and whether they ``touch (P,)``; how many there are.
-
-    Those touch that have tracks beside each other: ``number (N,)`` as from `numbers_of`, ``neighbours (N, K)``. The
-    smaller one has `_LEAST_TRACKS`.
-    """
-    beside, counts, n_pairs = np.zeros((n_movers + 1, n_movers + 1), dtype=np.bool_), np.zeros(n_movers + 1), 0
-    for i in range(len(number)):
-        counts[number[i]] += 1
-        if number[i] > 0:
-            for k in range(neighbours.shape[1]):
-                beside[number[i], number[neighbours[i, k]]] = True
-    for one in range(1, n_movers + 1):
-        for other in range(one + 1, n_movers + 1):
-            if min(counts[one], counts[other]) >= _LEAST_TRACKS:
-                is_large = counts[one] >= counts[other]
-                pairs[n_pairs, 0], pairs[n_pairs, 1] = (
-                    (one if is_large else other) - 1,
-                    (other if is_large else one) - 1,
-                )
-                touch[n_pairs] = beside[one, other]
-                n_pairs += 1
-    return n_pairs
 
 
 def _joint(
@@ -250,9 +235,14 @@ def split(
     if len(counts) == np.count_nonzero(np.bincount(body)):
         # Every mover is connected.
         return key, movers, next_key
-    label = _across_gaps(views, number, own, label, rate_hz)
+    mover_of, part_of = np.empty(len(counts), dtype=np.int64), np.full(len(number), -1)
+    mover_of[label], part_of[own] = body, label
+    pairs, log_rate = _across_gaps(views, part_of), medians(np.log(rate_hz), label, len(counts))
+    is_one = np.abs(np.diff(log_rate[pairs], axis=1)[:, 0]) < np.log(_ONE_RATE)
+    is_one &= mover_of[pairs[:, 0]] == mover_of[pairs[:, 1]]
+    label = connected_parts(np.ones(len(counts), dtype=bool), pairs[is_one])[label]
     counts = np.bincount(label)
-    mover_of = np.empty(len(counts), dtype=np.int64)
+    mover_of = mover_of[: len(counts)]
     mover_of[label] = body
     by_size = np.lexsort((-counts, mover_of))
     is_largest = np.append(True, np.diff(mover_of[by_size]) > 0)
@@ -263,28 +253,28 @@ def split(
     return key, movers.with_new(next_key, movers.paths.take(parents), movers.rate_hz[parents]), next_key + len(parts)
 
 
-def _across_gaps(views: BodyViews, number: Ints, own: Ints, label: Ints, rate_hz: Floats) -> Ints:
-    """Labels ``(M,)`` of parts of movers after joining those at one depth with only a textureless gap between them.
+def _across_gaps(views: BodyViews, part: Ints) -> Ints:
+    """Pairs ``(P, 2)`` of parts with only a textureless gap between them; ``part (N,)`` of each track, -1 of none.
 
-    Parameters
-    ----------
-    number : ``(N,)`` index of the body of each track, as from `numbers_of`.
-    own, label, rate_hz : ``(M,)`` tracks, part and inverse depth of each.
+    Gabriel neighbours have no third track in the circle through them with its centre halfway. Tracks of few views do
+    not count.
     """
-    n_parts = int(label.max()) + 1
-    mover_of, part = np.empty(n_parts, dtype=np.int64), np.full(len(number), -1)
-    mover_of[label], part[own] = number[own], label
-    large = np.flatnonzero(np.bincount(label) >= _LEAST_TRACKS)
-    log_rate = np.log(medians(rate_hz, label, n_parts))
-    one, other = large[np.stack(np.triu_indices(len(large), 1))]
-    is_asked = (mover_of[one] == mover_of[other]) & (np.abs(log_rate[one] - log_rate[other]) < np.log(_ONE_RATE))
-    if not is_asked.any():
-        return label
-    one, other = one[is_asked], other[is_asked]
-    is_one = across_plain_gaps(views.xy_px, number, _told(views), part, one, other, views.link_px)
-    return connected_parts(np.ones(n_parts, dtype=bool), np.stack([one, other], axis=1)[is_one])[label]
-
-
-def _told(views: BodyViews) -> Bools:
-    """Whether tracks ``(N,)`` have enough views for their labels to count."""
-    return np.asarray(np.isfinite(views.rays[-_LEAST_VIEWS:, :, 0]).all(axis=0))
+    xy_px, is_told = views.xy_px, np.isfinite(views.rays[-_LEAST_VIEWS:, :, 0]).all(axis=0)
+    own_px = xy_px[part >= 0]
+    near = np.flatnonzero(is_told & ((xy_px >= own_px.min(axis=0)) & (xy_px <= own_px.max(axis=0))).all(axis=1))
+    try:
+        corners = near[Delaunay(xy_px[near]).simplices]
+    except (QhullError, ValueError):
+        # Fewer than three tracks, or all on one line.
+        return np.empty((0, 2), dtype=np.int64)
+    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    pairs = part[edges]
+    is_gap = (pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])
+    edges, pairs = edges[is_gap], pairs[is_gap]
+    length_px = np.zeros(part.max() + 1)
+    for one in np.unique(pairs):
+        length_px[one] = np.ptp(xy_px[part == one], axis=0).max()
+    gap_px = np.linalg.norm(xy_px[edges[:, 0]] - xy_px[edges[:, 1]], axis=1)
+    nearest_px, _ = KDTree(xy_px[near]).query(xy_px[edges].mean(axis=1))
+    is_empty = nearest_px > _ON_RIM * 0.5 * gap_px
+    return np.asarray(pairs[is_empty & (gap_px < _WIDEST_GAP * length_px[pairs].max(axis=1))])

@@ -14,12 +14,10 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit
-from ttcvid.geometry.kernels.medians import median
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
-from ttcvid.stages.tracking.neighbours import linked_pairs
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
 REACHED_WITHIN_S = 6.0
 """What we reach later than this is no obstacle yet, s: half as long again as a warning looks ahead."""
@@ -280,31 +278,15 @@ class _Depths:
 
 
 def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
-    """Tracks that hang together with a seed and have its depth, then the depth of them all."""
-    is_own = np.zeros(len(depths.log_rate), dtype=bool)
-    _spread(seed, depths.log_rate, depths.tolerance, pairs, is_own)
-    return np.flatnonzero(is_own)
-
-
-@compiled_for("(i8, f8[::1], f8[::1], i8[:, ::1], b1[::1])")
-def _spread(seed: int, log_rate: Floats, tolerance: Floats, pairs: Ints, is_own: Bools) -> None:
-    """Fill ``is_own (K,)``: along ``pairs (M, 2)`` to tracks like the seed, then to those like the median of all."""
-    centre = log_rate[seed]
+    """Tracks that hang together with a seed and have its depth, then the median depth of them all."""
+    centre, own = depths.log_rate[seed], np.empty(0, dtype=np.int64)
     for _ in range(2):
-        is_own[:] = False
-        is_own[seed] = True
-        grows = True
-        while grows:
-            grows = False
-            for m in range(len(pairs)):
-                i, j = pairs[m, 0], pairs[m, 1]
-                if is_own[i] == is_own[j]:
-                    continue
-                other = j if is_own[i] else i
-                if abs(log_rate[other] - centre) < tolerance[other]:
-                    is_own[other] = True
-                    grows = True
-        centre = median(log_rate[is_own])
+        is_alike = np.abs(depths.log_rate - centre) < depths.tolerance
+        is_alike[seed] = True
+        label = connected_parts(is_alike, pairs[is_alike[pairs].all(axis=1)])
+        own = np.flatnonzero(label == label[seed])
+        centre = np.median(depths.log_rate[own])
+    return own
 
 
 def _goes_on(surface: Ints, depths: _Depths, pairs: Ints) -> bool:

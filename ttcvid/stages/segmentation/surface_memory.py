@@ -12,8 +12,6 @@ from ttcvid.model import Bools, Ints
 
 # A surface that is missed stays an object for `forget_frames`, and can be re-identified for this many times as long.
 _REMEMBERED = 4
-# A mover is the surface with at least so many of its tracks, and most of the live ones.
-_LEAST_TAKEN = 3
 
 
 @dataclass(frozen=True)
@@ -63,8 +61,8 @@ def remembered(
                 replace(obstacle, track_id=track_id[left_over.pop(again)], n_found=obstacle.n_found + 1, n_missed=0)
             )
             continue
-        # Those that a mover has taken, too: it may be the same thing (`number_of_taken`), or lose them again. What is
-        # seen to be of another surface is no part of this one.
+        # Those that a mover has taken, too: it may lose them again. What is seen to be of another surface is no part of
+        # this one.
         left = track_id[~is_seen & np.isin(track_id, obstacle.track_id)]
         if obstacle.n_missed < _REMEMBERED * config.forget_frames and len(left):
             obstacles.append(replace(obstacle, track_id=left, n_missed=obstacle.n_missed + 1))
@@ -79,37 +77,6 @@ def remembered(
             if own.any():
                 public[obstacle.cluster_id] = np.flatnonzero(own)
     return public, tuple(obstacles), next_cluster_id
-
-
-def number_of_taken(surfaces: Sequence[Obstacle], track_id: Ints, members: Ints) -> int | None:
-    """Number of the public surface most of whose live tracks are ``members (M,)`` of a mover; None without one.
-
-    Of several, the one with most of them, at least three: a single one may be dragged along by what passes. An obstacle
-    may start to move, or turns out to move: it is the same object, with the same number. So is what heads straight at
-    us once it is near enough for its motion to show.
-
-    Parameters
-    ----------
-    surfaces
-        Of the last frame.
-    track_id
-        ``(N,)`` of all live tracks.
-    members
-        ``(M,)`` tracks of the mover.
-    """
-    is_member, number, most = np.zeros(len(track_id), dtype=bool), None, _LEAST_TAKEN - 1
-    is_member[members] = True
-    for surface in surfaces:
-        is_own = np.isin(track_id, surface.track_id)
-        n_taken = int(np.count_nonzero(is_own & is_member))
-        if surface.cluster_id is not None and n_taken > most and 2 * n_taken > np.count_nonzero(is_own):
-            number, most = surface.cluster_id, n_taken
-    return number
-
-
-def without_numbers(surfaces: Sequence[Obstacle], numbers: Ints) -> tuple[Obstacle, ...]:
-    """The surfaces whose numbers are not among those ``numbers (K,)``."""
-    return tuple(surface for surface in surfaces if surface.cluster_id not in numbers.tolist())
 
 
 def tracks_of(obstacles: Sequence[Obstacle]) -> Ints:
