@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.growth import growth_sums
 from ttcvid.geometry.rotation import skew, turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
@@ -117,52 +116,16 @@ def around_the_oddest(
     link_px
         Neighbours are nearer than this.
     """
-    around = np.empty(_MOST_AROUND, dtype=np.int64)
-    seed, n_around = _list_around(np.ascontiguousarray(xy_px), misfit, is_asked, may_be, _LINKS * link_px, around)
-    return seed, around[:n_around]
+    seed = int(np.argmax(np.where(is_asked, misfit, -np.inf)))
+    off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
+    around = np.flatnonzero(may_be & (off_px < _LINKS * link_px))
+    return seed, around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
 
 
 def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) -> Ints:
     """All tracks (M,) that `around_the_oddest` may find around those asked, and these, ascending."""
-    is_near = np.empty(len(xy_px), dtype=bool)
-    _mark_near(np.ascontiguousarray(xy_px), is_asked, may_be, _LINKS * link_px, is_near)
-    return np.flatnonzero(is_near)
-
-
-@compiled_for("(f8[:, ::1], b1[::1], b1[::1], f8, b1[::1])")
-def _mark_near(xy_px: Floats, is_asked: Bools, may_be: Bools, reach_px: float, is_near: Bools) -> None:
-    """Fill ``is_near (N,)``: tracks asked, and those that may be around one of them."""
-    for i in range(len(is_near)):
-        is_near[i] = is_asked[i]
-    for i in range(len(is_near)):
-        if is_asked[i]:
-            for j in range(len(is_near)):
-                x, y = xy_px[j, 0] - xy_px[i, 0], xy_px[j, 1] - xy_px[i, 1]
-                is_near[j] |= may_be[j] and x * x + y * y < reach_px * reach_px
-
-
-@compiled_for("(f8[:, ::1], f8[::1], b1[::1], b1[::1], f8, i8[::1])")
-def _list_around(
-    xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, reach_px: float, around: Ints
-) -> tuple[int, int]:
-    """Fill ``around (M,)`` with the nearest tracks within reach of the oddest; which that is, and how many they are."""
-    seed, n_around, off2 = -1, 0, np.empty(len(around))
-    for i in range(len(misfit)):
-        if is_asked[i] and (seed < 0 or misfit[i] > misfit[seed]):
-            seed = i
-    for i in range(len(misfit)):
-        x, y = xy_px[i, 0] - xy_px[seed, 0], xy_px[i, 1] - xy_px[seed, 1]
-        own2, place = x * x + y * y, n_around
-        if not (may_be[i] and own2 < reach_px * reach_px):
-            continue
-        n_around = min(n_around + 1, len(around))
-        while place > 0 and off2[place - 1] > own2:
-            if place < len(around):
-                around[place], off2[place] = around[place - 1], off2[place - 1]
-            place -= 1
-        if place < len(around):
-            around[place], off2[place] = i, own2
-    return seed, n_around
+    off_px = np.linalg.norm(xy_px[:, None] - xy_px[is_asked], axis=2)
+    return np.flatnonzero(is_asked | (may_be & (off_px < _LINKS * link_px).any(axis=1)))
 
 
 def _thing_around(

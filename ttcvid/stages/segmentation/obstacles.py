@@ -283,7 +283,7 @@ def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
     for _ in range(2):
         is_alike = np.abs(depths.log_rate - centre) < depths.tolerance
         is_alike[seed] = True
-        label = connected_parts(is_alike, pairs[is_alike[pairs].all(axis=1)])
+        label = connected_parts(is_alike, pairs)
         own = np.flatnonzero(label == label[seed])
         centre = np.median(depths.log_rate[own])
     return own
