@@ -14,7 +14,7 @@ from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, horizon_offset, horizon_offset_px, onto_horizon
 from ttcvid.stages.objects.clusters import ON_HORIZON, ClusterMotion
 from ttcvid.stages.segmentation.expansion import find_growing
-from ttcvid.stages.segmentation.ground_plane import find_road
+from ttcvid.stages.segmentation.ground_plane import find_road, road_points
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation
 from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path
 from ttcvid.stages.tracking.history import TrackHistory
@@ -39,7 +39,8 @@ def in_our_way(
     road = memory.road.plane
     if platform == Platform.free and way is not None:
         # We may well be on a road, or low over the ground.
-        road = find_road(found.scene_fit, in_scene, float(way.aim[1]))
+        now_s = float(history.t_s[-1])
+        road = find_road(road_points(found.scene_fit, in_scene, way.aim, history.track_id, now_s), way.aim)
     seen = StaticPoints(
         history.track_id,
         history.xy_px,
