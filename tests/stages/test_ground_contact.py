@@ -117,12 +117,6 @@ def test_what_goes_our_way_would_lie_under_the_road_from_its_bumper_to_its_roof(
     assert road_odd < 0.01
 
 
-def test_what_may_go_a_little_slower_than_we_do_neither_surely_stands_nor_surely_moves():
-    ahead = upright((0.2, 1.4), 20.0, (-0.9, 0.9))
-    odd, borne, _ = contacts_of(without_hidden(road(), ahead), ahead, apparent=(0.62,))
-    assert (odd[0], borne[0]) == (0.0, 0.0)
-
-
 def test_our_own_bonnet_would_lie_under_the_road_and_does_not_move():
     bonnet = upright((0.3, 0.6), 3.0, (-1.0, 1.0))
     odd, _, _ = contacts_of(road(), bonnet, apparent=(0.0,))

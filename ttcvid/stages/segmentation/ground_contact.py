@@ -56,7 +56,7 @@ class Contacts:
     ----------
     thing : ``(N,)`` object of each track, -1 without one.
     contradicts : ``(K,)`` the foot contradicts a static object.
-    is_borne : ``(K,)`` the foot is surely on the ground. Neither: it may be a little under it.
+    is_borne : ``(K,)`` the foot is on the ground.
     """
 
     thing: Ints
@@ -135,7 +135,7 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     for number in np.flatnonzero(lies_under).tolist():
         above = _above(seen, things.members(number), int(feet.track[number]), key, xy_px, link_px)
         thing[above] = number
-    return Contacts(thing, contradicts, is_asked & feet.reach_up & ~upright_feet.are_high)
+    return Contacts(thing, contradicts, is_asked & ~upright_feet.are_high)
 
 
 @dataclass(frozen=True)
@@ -157,11 +157,6 @@ class _Feet:
         """Objects ``(K,)`` with a foot significantly under the road that are not part of our own car."""
         is_own = (self.usual_hz < _KEEPS_DISTANCE * self.road_hz) & (self.road_hz > self.slope_hz / _OWN_FRONT)
         return np.asarray(~is_own & (_UNDER_PART * self.road_hz - self.usual_hz > self._tolerance_hz(_UNDER_PART)))
-
-    @property
-    def reach_up(self) -> Bools:
-        """Objects ``(K,)`` with a foot that is significantly not under the road."""
-        return np.asarray(self.usual_hz - _UNDER_PART * self.road_hz > self._tolerance_hz(_UNDER_PART))
 
     @property
     def are_high(self) -> Bools:
