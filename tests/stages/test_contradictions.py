@@ -1,5 +1,6 @@
-"""What contradicts the scene, by compiled loops, held against the plain formulas."""
+"""What contradicts the scene, held against the plain formulas."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from ttcvid.config import BodiesConfig
 from ttcvid.stages.segmentation import births, ground_plane, merge_and_split
+from ttcvid.stages.segmentation.data_association import Movers
 
 N, K = 80, 5
 
@@ -43,25 +45,29 @@ def test_movers_touch_where_a_track_of_one_is_beside_a_track_of_the_other():
     number, neighbours = rng.integers(0, 6, N), rng.integers(0, N, (N, 1))
     neighbours[rng.random(N) < 0.9, 0] = 0
     number[number == 5] = np.where(np.arange(np.count_nonzero(number == 5)) < 2, 5, 0)
-    counts, expected = np.bincount(number, minlength=6), {}
+    counts, expected = np.bincount(number, minlength=6), set()
     for one in range(1, 6):
         for other in range(one + 1, 6):
             if min(counts[one], counts[other]) >= 3:
                 large, small = (one, other) if counts[one] >= counts[other] else (other, one)
-                expected[large - 1, small - 1] = bool(np.any(number[neighbours[number == one]] == other))
-    pairs, touch = np.empty((10, 2), dtype=np.int64), np.empty(10, dtype=bool)
-    count = merge_and_split._list_pairs(number, neighbours, 5, pairs, touch)
-    found = [(int(large), int(small)) for large, small in pairs[:count]]
-    assert dict(zip(found, touch[:count].tolist(), strict=True)) == expected
-    assert 0 < sum(expected.values()) < count == len(expected)
+                one_sees_other = (number[neighbours[number == one]] == other).any()
+                if one_sees_other or (number[neighbours[number == other]] == one).any():
+                    expected.add((large - 1, small - 1))
+    due = Movers(np.arange(5), np.zeros(5), np.zeros(5, dtype=np.int64), *[None] * 5)
+    found = merge_and_split._asked_neighbours(neighbours, number, due)
+    assert set(zip(*(places.tolist() for places in found), strict=True)) == expected
+    assert 0 < len(expected) < 6
 
 
-def test_the_plane_of_a_road_is_that_of_its_points_whatever_else_lies_below_the_horizon():
+def test_the_plane_of_a_road_is_that_of_most_points_below_the_horizon():
     rng, road_hz = np.random.default_rng(2), np.array([0.02, 0.0, 1.0])
     place = rng.uniform((-0.6, 0.1), (0.6, 0.4), (N, 2))
     rate_hz = road_hz[0] + place @ road_hz[1:]
     rate_hz[: N // 3] *= 1.3
     start = np.array([0.0, 0.0, 1.05])
-    np.testing.assert_allclose(ground_plane._fitted_plane(place, rate_hz, np.ones(N), start), road_hz, atol=1e-12)
-    assert ground_plane._fitted_plane(place[-8:], rate_hz[-8:], np.ones(8), start) is None
-    assert ground_plane._fitted_plane(place, rate_hz, np.where(np.arange(N) < N // 3, 9.0, 1.0), start) is None
+    seen = ground_plane.RoadPoints(place, rate_hz, np.ones(N), np.arange(N), np.zeros(N))
+    np.testing.assert_allclose(ground_plane._fitted_plane(seen, start), road_hz, atol=1e-12)
+    few = ground_plane.RoadPoints(place[-8:], rate_hz[-8:], np.ones(8), np.arange(8), np.zeros(8))
+    assert ground_plane._fitted_plane(few, start) is None
+    others_weigh_more = replace(seen, weight=np.where(np.arange(N) < N // 3, 9.0, 1.0))
+    assert ground_plane._fitted_plane(others_weigh_more, start) is None
