@@ -115,21 +115,24 @@ def position_at(motion: Motion, t_s: Floats) -> Floats:
     """Position in the road frame in m at times ``(N,)``: ``(N, 3)``. Times just before 0 are allowed.
 
     The velocity is integrated piece by piece between the kinks of the speed by Gauss-Legendre quadrature, which
-    holds for every combination of the terms (a turn at changing speed has only a Fresnel-like closed form).
+    holds for every combination of the terms (a turn at changing speed has only a Fresnel-like closed form). On a
+    straight course it changes linearly between the kinks: one node is exact.
     """
     t_s = np.asarray(t_s, dtype=float)
     if not motion.is_moving:
         return np.tile(np.asarray(motion.start_m), (*t_s.shape, 1))
     total = np.zeros((*t_s.shape, 3))
+    is_straight = motion.yaw_rate_rad_s == 0 and motion.sideslip_rad == 0
+    nodes, weights = (np.zeros(1), np.array([2.0])) if is_straight else (_NODE, _WEIGHT)
     kinks = _kinks_s(motion, float(t_s.max(initial=0.0)))
     for start, end in pairwise(kinks):
-        n_panels = max(1, int(np.ceil((end - start) / PANEL_S)))
+        n_panels = 1 if is_straight else max(1, int(np.ceil((end - start) / PANEL_S)))
         within = np.minimum(t_s, end) if start == 0 else np.clip(t_s, start, end)
         half = (within - start) / (2 * n_panels)
         centres = 2 * np.arange(n_panels) + 1
-        at_s = start + half[..., None, None] * (centres[:, None] + _NODE)
+        at_s = start + half[..., None, None] * (centres[:, None] + nodes)
         velocity = _velocity_along(motion, at_s)
-        total += half[..., None] * np.einsum("...pnk,n->...k", velocity, _WEIGHT)
+        total += half[..., None] * np.einsum("...pnk,n->...k", velocity, weights)
     offset, _, _ = _lane_change_at(motion, t_s)
     return np.asarray(motion.start_m) + total + offset[..., None] * _left_of(motion)
 

@@ -60,10 +60,18 @@ def camera_path(scene: Scene, t_s: Floats) -> CameraPath:
 def body_path(body: Body, t_s: Floats) -> BodyPath:
     """A body at times ``(N,)``."""
     motion = body_motion(body)
+    spin = np.radians(body.spin_deg_s)
+    if len(t_s) > 1 and not (motion.is_moving or motion.yaw_rate_rad_s or motion.lane_change_m or spin.any()):
+        # Scenery, of which there is much: one time stands for all.
+        once = body_path(body, t_s[:1])
+        rotation, *others = (
+            np.broadcast_to(part, (len(t_s), *part.shape[1:]))
+            for part in (once.road_R_body, once.position_m, once.velocity_m_s, once.turn_rad_s)
+        )
+        return BodyPath(rotation, *others)
     pitch = np.full_like(t_s, np.radians(body.pitch_deg))
     roll = np.full_like(t_s, np.radians(body.bank_deg))
     rotation = _rotations(heading_at(motion, t_s), pitch, roll)
-    spin = np.radians(body.spin_deg_s)
     if spin.any():
         rotation = Rotation.from_rotvec(np.multiply.outer(t_s, spin)).as_matrix() @ rotation
     turn = spin + turn_rate_at(motion, t_s)[:, None] * np.array([0.0, 0.0, 1.0])

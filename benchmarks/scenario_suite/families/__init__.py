@@ -23,6 +23,7 @@ from scenario_suite.scenario import Family, Kind, NuisanceValue, Recording, Scen
 from scenario_suite.seeds import generator
 from ttcvid.simulate import STATIC_LABEL, Scene, build_world, encounters
 from ttcvid.simulate.shapes import distance_to_parts_m
+from ttcvid.simulate.world import World
 
 _MOST_DRAWS = 60
 _TOUCHING, _CLEAR = 0.9, 1.25
@@ -91,7 +92,10 @@ def _drawn(family: Family, rng: Generator, name: str, seed: int, *, collides: bo
         distance_m = nearest_m(scene)
         radius_m = scene.own_motion.radius_m
         is_right = distance_m < _TOUCHING * radius_m if collides else distance_m > _CLEAR * radius_m
-        if is_right and is_seen(scene) and clear_of_scenery_m(scene) > _SCENERY_M:
+        if not is_right:
+            continue
+        world = build_world(scene)
+        if is_seen(world) and clear_of_scenery_m(world) > _SCENERY_M:
             return scene, recording
     raise RuntimeError(f"{name}: no {'collision' if collides else 'near miss'} in {_MOST_DRAWS} draws: mend the family")
 
@@ -101,11 +105,10 @@ def nearest_m(scene: Scene) -> float:
     return min((encounter.min_distance_m for encounter in encounters(scene)), default=np.inf)
 
 
-def is_seen(scene: Scene) -> bool:
+def is_seen(world: World) -> bool:
     """Whether some object is before the camera long enough, what may hide it left out; true without objects."""
-    world = build_world(scene)
     objects = [actor for actor in world.actors if actor.object_id != STATIC_LABEL]
-    tangent = np.tan(np.radians((scene.camera.hfov_deg or 0.0) / 2))
+    tangent = np.tan(np.radians((world.scene.camera.hfov_deg or 0.0) / 2))
     shares = []
     for actor in objects:
         place = np.einsum("nij,nj->ni", world.path.cam_R_road, actor.path.position_m - world.path.position_m)
@@ -113,9 +116,8 @@ def is_seen(scene: Scene) -> bool:
     return not objects or max(shares) >= _SEEN_SHARE
 
 
-def clear_of_scenery_m(scene: Scene) -> float:
+def clear_of_scenery_m(world: World) -> float:
     """Distance of the camera from the nearest static body over all pictures; infinite without one."""
-    world = build_world(scene)
     nearest = np.inf
     for actor in world.actors:
         if actor.object_id == STATIC_LABEL:

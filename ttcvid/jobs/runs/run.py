@@ -115,8 +115,9 @@ class Run:
         except (OSError, pa.ArrowInvalid) as error:
             reason = " ".join(str(error).split())
             raise InputError(f"{path}: cannot be read as a table ({reason}): run 'ttcvid analyze' again") from None
+        dtypes = table.dtypes
         for column in TABLES[name]:
-            if column.name in table and isinstance(table[column.name].dtype, pd.CategoricalDtype):
+            if column.name in dtypes and isinstance(dtypes[column.name], pd.CategoricalDtype):
                 names = table[column.name].cat
                 unknown = [value for value in column.values if value not in names.categories]
                 table[column.name] = names.add_categories(unknown)

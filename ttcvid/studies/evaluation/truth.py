@@ -64,6 +64,9 @@ class Truth:
 def plain(table: pd.DataFrame) -> pd.DataFrame:
     """A table in ordinary types: null is NaN in floats and ``NO_CLUSTER`` in ``cluster_id``, names are strings."""
     columns: dict[str, object] = {}
+    # Without what is said of the columns: pandas would copy that with each of them.
+    table = table.copy(deep=False)
+    table.attrs = {}
     for name, column in table.items():
         if name == "cluster_id":
             columns[str(name)] = column.fillna(NO_CLUSTER).to_numpy(np.int64)
