@@ -1,34 +1,41 @@
 """Every special rule of the analysis on trial: what it earns over the scenario suite, and what it costs in lines.
 
-python benchmarks/ablation.py [--seeds 0-1] [--n 104] [--rendered 12] [--trials one-out,group-out,add-one] [--real]
+python benchmarks/ablation.py [--families CCRs,CPNA-25] [--seeds 0-1] [--n 104] [--rendered 12] [--real]
+                              [--trials one-out,group-out,add-one]
 python benchmarks/ablation.py --write-docs                  # docs/ablation.md
 
 Each scene is analysed with all rules, and again without one of them, without a group of them, without any, and with
-one alone. The rules are switched off in this program's own processes (`scenario_suite.rules`). What is complete below
---out is not done again; Ctrl-C, and it goes on where it was.
+one alone. The rules are switched off in this program's own processes (`scenario_suite.rules`). Where a rule never gives
+anything else than what stands in its place, the analysis would be the same, and is not made again. What is complete
+below --out is not done again; Ctrl-C, and it goes on where it was.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 # One thread of linear algebra in each process: set before numpy is loaded.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from real_clips.clips import CLIPS, DASHCAM, ClipTask, do_clip
+from real_clips.clips import ClipDone, ClipTask, do_clip
+from real_clips.trials import CUTS, cut_clips, shares_of, table_clips, units_of
+from real_clips.trials import FIGURES as REAL_FIGURES
 from report import REPOSITORY, Report
 from runs import data_folder, until_stopped
 from scenario_suite.families import FAMILIES, in_turn
-from scenario_suite.figures import SPREAD, Figures, draws_of
+from scenario_suite.figures import SPREAD, Figures, Share, draws_of
 from scenario_suite.page import badness, number
 from scenario_suite.rules import GROUPS, RULES
-from scenario_suite.running import Task, do, run_all
+from scenario_suite.running import Done, Task, do, run_all
 from scenario_suite.scoring import SceneScore, score
 
 from ttcvid.model import Floats
@@ -141,60 +148,130 @@ def tasks_of(arguments: argparse.Namespace, trial: Trial) -> list[Task]:
     told = [name for name, family in FAMILIES.items() if family.expected_status is None]
     names = in_turn(arguments.families or told)
     drawn = [(name, seed) for seed in arguments.seeds for name in names]
+    watched = trial.kind == "reference"
     return [
-        Task(name, seed, kind, out / kind, pictures / kind, without=trial.without)
+        Task(name, seed, kind, out / kind, pictures / kind, without=trial.without, is_watched=watched)
         for kind, n in (("tracks", arguments.n), ("video", arguments.rendered))
         for name, seed in [(name, seed) for name, seed in drawn if kind in FAMILIES[name].kinds][:n]
     ]
 
 
-def measured(arguments: argparse.Namespace, trials: Sequence[Trial]) -> Iterator[tuple[Trial, list[SceneScore]]]:
-    """The scores of each trial, all trials of a scene side by side in time."""
-    tasks = {trial: tasks_of(arguments, trial) for trial in trials}
-    # Scene by scene: what is stopped early has all trials of some scenes.
-    in_turn = [task for of_scene in zip(*tasks.values(), strict=True) for task in of_scene]
-    for count, done in enumerate(run_all(in_turn, arguments.jobs, do), 1):
+def clip_tasks_of(arguments: argparse.Namespace, trial: Trial) -> list[ClipTask]:
+    """The real tables and cuts of a trial. Of one rule alone the tables: nobody would use such an analysis."""
+    if not arguments.real:
+        return []
+    data, out = data_folder(), arguments.out / trial.folder / "real"
+    clips = table_clips(data) + ([] if trial.kind == "add-one" else cut_clips())
+    return [ClipTask(clip, data, out, trial.without, trial.kind == "reference") for clip in clips]
+
+
+T = TypeVar("T")
+D = TypeVar("D")
+
+
+def each_done(
+    trials: Sequence[Trial],
+    tasks_of: Callable[[Trial], list[T]],
+    run: Callable[[list[T]], Iterator[D]],
+    acting_of: Callable[[D], Collection[str]],
+    place_of: Callable[[T | D], tuple[Any, ...]],
+) -> dict[Trial, list[D]]:
+    """What each task of each trial has become; that of the trial beside it where no rule that differs acts there."""
+    by_place: dict[Trial, dict[tuple[Any, ...], D]] = {}
+    references = [trial for trial in trials if trial.kind == "reference"]
+    first = [(trial, task) for trial in references for task in tasks_of(trial)]
+    for trial, done in _run_all(first, run, place_of):
+        by_place.setdefault(trial, {})[place_of(done)] = done
+    beside = {trial.name: trial for trial in references}
+    wanted = []
+    for trial in trials:
+        if trial.kind == "reference":
+            continue
+        other = beside[trial.beside]
+        differing = set(trial.without) ^ set(other.without)
+        for task in tasks_of(trial):
+            known = by_place[other][place_of(task)]
+            if differing & set(acting_of(known)):
+                wanted.append((trial, task))
+            else:
+                by_place.setdefault(trial, {})[place_of(task)] = known
+    for trial, done in _run_all(wanted, run, place_of):
+        by_place.setdefault(trial, {})[place_of(done)] = done
+    return {trial: [by_place[trial][place_of(task)] for task in tasks_of(trial)] for trial in trials}
+
+
+def _run_all(
+    wanted: list[tuple[Trial, T]],
+    run: Callable[[list[T]], Iterator[D]],
+    place_of: Callable[[T | D], tuple[Any, ...]],
+) -> Iterator[tuple[Trial, D]]:
+    """Have tasks done; each with its trial."""
+    trial_of = {(task.out, place_of(task)): trial for trial, task in wanted}
+    for count, done in enumerate(run([task for _, task in wanted]), 1):
+        trial = trial_of[done.task.out, place_of(done)]
         if not done.is_old:
-            said = f"{done.task.out.parent.name} {done.task.family}:{done.task.seed}  {done.run['seconds']:.1f} s"
-            print(f"{count:5}/{len(in_turn)}  {said}", flush=True)
-    for trial, of_trial in tasks.items():
-        yield trial, [score(task.folder) for task in of_trial]
+            print(f"{count:5}/{len(wanted)}  {trial.folder}  {' '.join(map(str, place_of(done)))}", flush=True)
+        yield trial, done
 
 
-def report_trials(report: Report, scores: dict[Trial, list[SceneScore]]) -> None:
+def scene_place(one: Task | Done) -> tuple[str, int, str | None]:
+    """Which scene it is."""
+    task = one.task if isinstance(one, Done) else one
+    return task.family, task.seed, task.kind
+
+
+def clip_place(one: ClipTask | ClipDone) -> tuple[str]:
+    """Which clip it is."""
+    return ((one.task if isinstance(one, ClipDone) else one).clip.name,)
+
+
+def report_trials(
+    report: Report, scores: dict[Trial, list[SceneScore]], clips: dict[Trial, list[ClipDone]], acts: dict[Trial, str]
+) -> None:
     """A table for each kind of trial; only scenes with a result in all of the two trials that are compared count."""
-    of_name = {trial.name: kept for trial, kept in scores.items() if trial.kind == "reference"}
+    of_name = {trial.name: trial for trial in scores if trial.kind == "reference"}
     titles = {
         "reference": "All of them together",
         "one-out": "Without one rule",
         "group-out": "Without a group of rules",
         "add-one": "One rule alone",
     }
-    header = ["rule", "lines", "badness", *(name for _, name, _, _ in FIGURES), "families helped", "harmed"]
+    header = ["rule", "lines", "acts in", "badness", *(name for _, name, _, _ in FIGURES), "families helped", "harmed"]
     for kind, title in titles.items():
-        rows = []
-        for trial, own in scores.items():
+        rows, real_rows = [], []
+        for trial in scores:
             if trial.kind != kind or (kind == "reference" and trial.name == EVERY):
                 continue
-            other = of_name[trial.beside]
-            first, second = (own, other) if kind == "add-one" else (other, own)
+            # Which has the rules that the other one lacks.
+            with_it, without = (trial, of_name[trial.beside]) if kind == "add-one" else (of_name[trial.beside], trial)
             both = [
-                (a, b) for a, b in zip(first, second, strict=True) if not (a.facts["exit_code"] or b.facts["exit_code"])
+                (a, b)
+                for a, b in zip(scores[with_it], scores[without], strict=True)
+                if not (a.facts["exit_code"] or b.facts["exit_code"])
             ]
-            rows.append([trial.name, str(lines_of(trial)), *_cells([a for a, _ in both], [b for _, b in both])])
+            name = [trial.name, str(lines_of(trial)), acts[trial]]
+            rows.append([*name, *_cells([a for a, _ in both], [b for _, b in both])])
+            if clips:
+                real_rows.append([*name[:2], *_real_cells(clips[with_it], clips[without])])
         if rows:
             report.heading(title)
             report.table(header, rows)
+        if real_rows:
+            report.say("The same on real clips:")
+            report.table(["rule", "lines", *(name for _, name, _, _ in REAL_FIGURES)], real_rows)
     failed = [f"{trial.folder} {one.name}" for trial, own in scores.items() for one in own if one.facts["exit_code"]]
+    failed += [
+        f"{trial.folder} {one.task.clip.name}" for trial, own in clips.items() for one in own if one.error is not None
+    ]
     if failed:
-        report.say(f"Without a result, and left out of the two that are compared: {', '.join(failed)}.")
+        report.say(f"Without a result, and left out of the two that are compared: {', '.join(dict.fromkeys(failed))}.")
 
 
 def lines_of(trial: Trial) -> int:
     """Lines that the rules of a trial cost; a file that several rules stand in counts once."""
     names = (trial.name,) if trial.kind == "add-one" else trial.without
     files = {file: replace(RULES[name], files=(file,)).n_lines for name in names for file in RULES[name].files}
-    return sum(files.values())
+    return sum(files.values()) + sum(RULES[name].n_lines for name in names if not RULES[name].files)
 
 
 def _cells(with_it: list[SceneScore], without: list[SceneScore]) -> list[str]:
@@ -206,47 +283,73 @@ def _cells(with_it: list[SceneScore], without: list[SceneScore]) -> list[str]:
     return [shown(earned_badness(with_it, without)), *figures, str(helped), str(harmed)]
 
 
-def report_drives(report: Report, arguments: argparse.Namespace, trials: Sequence[Trial]) -> None:
-    """Warnings in the real drives without a collision, trial by trial: all of them are false.
-
-    Not with one rule alone: nobody would use such an analysis.
-    """
-    trials = [trial for trial in trials if trial.kind != "add-one"]
-    drives = [clip for clip in CLIPS if clip.name in DASHCAM and clip.setting == "vehicle"]
-    tasks = [
-        ClipTask(clip, data_folder(), arguments.out / trial.folder / "real", trial.without)
-        for trial in trials
-        for clip in drives
+def _real_cells(with_it: Sequence[ClipDone], without: Sequence[ClipDone]) -> list[str]:
+    """As `_cells`, of real clips: the bootstrap draws tables, frames with boxes and windows of a second."""
+    # Of one rule alone there are the tables only.
+    other = {clip_place(one): one for one in without}
+    first = {clip_place(one): one for one in with_it}
+    both = [
+        (first[place], other[place])
+        for place in first
+        if place in other and first[place].error is None and other[place].error is None
     ]
-    n_warnings = dict.fromkeys(tasks, 0)
-    for done in run_all(tasks, arguments.jobs, do_clip):
-        n_warnings[done.task] = -1 if done.error else len(done.run().events)
-    report.heading("Warnings in the real drives, all of them false")
-    rows = []
-    for k, trial in enumerate(trials):
-        own = [n_warnings[task] for task in tasks[k * len(drives) : (k + 1) * len(drives)]]
-        rows.append([trial.kind, trial.name, *("no result" if n < 0 else str(n) for n in own)])
-    report.table(["trial", "rule", *(clip.name for clip in drives)], rows)
+    one, two = (shares_of([unit for pair in both for unit in units_of(pair[k])]) for k in (0, 1))
+    return [
+        shown(earned_share(one[name], two[name], sign), scale) if name in one and name in two else "–"
+        for name, _, scale, sign in REAL_FIGURES
+    ]
+
+
+def earned_share(with_it: Share, without: Share, sign: float) -> Difference:
+    """A share with a rule less that without it, over the same units and the same draws of them."""
+    units = np.arange(len(with_it.whole))
+    draws = draws_of(len(units))
+    value = sign * (with_it.value(units)[0] - without.value(units)[0])
+    return _difference(value, sign * (with_it.drawn(units, draws) - without.drawn(units, draws)))
 
 
 def main() -> None:
     """Run the trials and print what each rule earns."""
     arguments = _arguments()
     trials = trials_of(arguments.trials)
-    scores = dict(measured(arguments, trials))
+    start_s = time.perf_counter()
+    done = each_done(
+        trials,
+        partial(tasks_of, arguments),
+        lambda tasks: run_all(tasks, arguments.jobs, do),
+        lambda one: one.run["acting"],
+        scene_place,
+    )
+    scores = {trial: [score(one.folder) for one in own] for trial, own in done.items()}
+    clips: dict[Trial, list[ClipDone]] = {}
+    if arguments.real:
+        clips = each_done(
+            trials,
+            partial(clip_tasks_of, arguments),
+            lambda tasks: run_all(tasks, arguments.jobs, do_clip),
+            lambda one: one.acting,
+            clip_place,
+        )
+    print(f"{time.perf_counter() - start_s:.0f} s")
     report = Report()
-    _explain(report, scores)
-    report_trials(report, scores)
+    _explain(report, scores, clips)
+    report_trials(report, scores, clips, {trial: _acts(trial, done) for trial in trials})
     report.heading("What the rules are")
     rows = [[name, rule.group, rule.title, " ".join(rule.files)] for name, rule in RULES.items()]
     report.table(["rule", "group", "what it is for", "files"], rows)
-    if arguments.real:
-        report_drives(report, arguments, trials)
     if arguments.write_docs:
         report.write_docs("ablation.md", "What each rule earns")
 
 
-def _explain(report: Report, scores: dict[Trial, list[SceneScore]]) -> None:
+def _acts(trial: Trial, done: dict[Trial, list[Done]]) -> str:
+    """In how many scenes one of the rules of a trial acts, of all."""
+    (beside,) = (other for other in done if other.kind == "reference" and other.name == trial.beside)
+    differing = set(trial.without) ^ set(beside.without)
+    acting = [bool(differing & set(one.run["acting"])) for one in done[beside]]
+    return f"{sum(acting)} of {len(acting)}"
+
+
+def _explain(report: Report, scores: dict[Trial, list[SceneScore]], clips: dict[Trial, list[ClipDone]]) -> None:
     first = next(iter(scores.values()))
     n_tables = sum(one.facts["kind"] == "tracks" for one in first)
     n_families = len({one.facts["family"] for one in first})
@@ -257,8 +360,20 @@ def _explain(report: Report, scores: dict[Trial, list[SceneScore]]) -> None:
         "(paired bootstrap), bold where they agree on the sign. Badness adds up share missed, median error of ttc_z, "
         "false objects a frame, wrong labels, a late or missing warning and false warnings, each up to 1 "
         f"([scenarios](scenarios.md)). A family is helped or harmed by more than {SAME_BADNESS:g} of it. "
+        "A rule acts in a scene if it gives there, once at least, something else than nothing; in the others the "
+        "analysis is the same without it. "
         "So few scenes say what a rule is for; they do not say that one without effect here has none anywhere."
     )
+    if clips:
+        real = next(iter(clips.values()))
+        cuts = [one for one in real if one.task.clip.setting != "tracks"]
+        names = ", ".join(f"{one.task.clip.name} {'-'.join(map(str, CUTS[one.task.clip.name]))}" for one in cuts)
+        report.say(
+            f"Real clips: {len(real) - len(cuts)} tables of KT3DMoSeg, with groups given by hand, and {len(cuts)} cuts "
+            f"(frames: {names}), of which boxes drawn by eye are counted and, since nothing collides, every warning is "
+            "a false one. Brackets: draws of tables, of frames with boxes, of windows of a second. Cuts are left out "
+            "where one rule is alone."
+        )
 
 
 def _arguments() -> argparse.Namespace:
@@ -268,7 +383,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--seeds", type=_seeds, default=range(2), help="A-B, both included")
     parser.add_argument("--n", type=int, default=104, help="tables of tracks, of each family in turn")
     parser.add_argument("--rendered", type=int, default=12, help="rendered scenes, of each family in turn")
-    parser.add_argument("--real", action="store_true", help="the real drives, too")
+    parser.add_argument("--real", action="store_true", help="real tables of tracks and cuts of clips, too")
     parser.add_argument("--jobs", type=int, default=2, help="processes side by side")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "out" / "ablation", help="where the folders belong")
     parser.add_argument("--pictures", type=Path, help="where truth is kept (default: pictures beside --out)")

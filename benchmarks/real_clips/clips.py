@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scenario_suite.drawing import read_json, write_json
-from scenario_suite.rules import switched_off
+from scenario_suite.drawing import code_digest, read_json, write_json
+from scenario_suite.rules import RULES_FILE, switched_off
 from scenario_suite.running import analyzed, code_of_analysis
 
 import ttcvid
@@ -46,12 +46,13 @@ CLIPS = (
 
 @dataclass(frozen=True)
 class ClipTask:
-    """A clip to be analysed below a folder, ``without`` the rules of these names."""
+    """A clip to be analysed below a folder, ``without`` the rules of these names; ``is_watched`` as of `Task`."""
 
     clip: Clip
     data: Path
     out: Path
     without: tuple[str, ...] = ()
+    is_watched: bool = False
 
     @property
     def folder(self) -> Path:
@@ -61,11 +62,13 @@ class ClipTask:
 
 @dataclass(frozen=True)
 class ClipDone:
-    """A finished analysis; ``error`` None where there is a result."""
+    """A finished analysis; ``error`` None where there is a result; rules ``acting`` where the task was watched."""
 
     task: ClipTask
     seconds: float
     error: str | None
+    is_old: bool
+    acting: tuple[str, ...]
 
     def run(self) -> ttcvid.Run:
         """Its tables."""
@@ -76,12 +79,17 @@ def do_clip(task: ClipTask) -> ClipDone:
     """Analyse a clip, unless that is done."""
     path = task.data / task.clip.path
     stamp = (path.stat().st_size, sorted(task.clip.options.items()), task.without, code_of_analysis())
+    if task.without or task.is_watched:
+        stamp += (task.is_watched, code_digest(RULES_FILE))
     key = hashlib.sha256(json.dumps(stamp).encode()).hexdigest()
     known = read_json(task.folder / "run.json")
-    if known.get("key") != key:
+    is_old = known.get("key") == key
+    if not is_old:
         (task.folder / "run.json").unlink(missing_ok=True)
         task.folder.mkdir(parents=True, exist_ok=True)
-        with switched_off(task.without):
+        acting: set[str] | None = set() if task.is_watched else None
+        with switched_off(task.without, acting):
             known = {"key": key, **analyzed(path, task.folder / "run", {"overlay": False, **task.clip.options})}
+        known["acting"] = sorted(acting or ())
         write_json(task.folder / "run.json", known)
-    return ClipDone(task, float(known["seconds"]), known["error"])
+    return ClipDone(task, float(known["seconds"]), known["error"], is_old, tuple(known.get("acting", ())))

@@ -1,16 +1,20 @@
 """The special rules of the analysis, each of which can be switched off for a trial: nothing in the package changes.
 
 A rule is switched off by putting something in place of its function, in every module that has imported it, that does
-what the analysis would do without it: finds nothing, changes nothing. What the analysis runs beside itself is a copy
-of this process, and goes without the rule as well.
+what the analysis would do without it: finds nothing, changes nothing.
+
+A rule acts in an analysis if, at least once, it gives something else than what stands in its place. Where it never
+does, the analysis is the same with it and without it, and need not be made twice.
 """
 
 from __future__ import annotations
 
+import inspect
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, is_dataclass
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -18,17 +22,20 @@ from typing import Any
 import numpy as np
 
 import ttcvid
+from ttcvid.stages.segmentation import surface_memory
 from ttcvid.stages.segmentation.ground_contact import Contacts
 from ttcvid.stages.tracking.static_overlays import FrozenMemory
 
 _PACKAGE = Path(ttcvid.__file__).parent
+RULES_FILE = Path(__file__)
 
 
 @dataclass(frozen=True)
 class Rule:
     """A rule: what it is for, the group that it belongs to, and what stands in place of which names without it.
 
-    ``instead`` has ``module.name`` below ``ttcvid`` and the value that is put there; ``files`` are what it costs.
+    ``instead`` has ``module.name`` below ``ttcvid`` and the value that is put there; ``files`` are what it costs, and
+    where it has none of its own its functions are.
     """
 
     title: str
@@ -38,8 +45,12 @@ class Rule:
 
     @property
     def n_lines(self) -> int:
-        """Lines of its files."""
-        return sum(len((_PACKAGE / file).read_text(encoding="utf-8").splitlines()) for file in self.files)
+        """Lines of its files, or of its functions."""
+        if self.files:
+            return sum(len((_PACKAGE / file).read_text(encoding="utf-8").splitlines()) for file in self.files)
+        return sum(
+            len(inspect.getsource(inspect.unwrap(getattr(*_home(place)))).splitlines()) for place in self.instead
+        )
 
 
 def _no_contacts(xy_px: Any, link_px: Any, fit: Any, key: Any, *_: Any) -> Contacts:
@@ -53,6 +64,17 @@ def _none_frozen(memory: Any, points: Any, **_: Any) -> tuple[Any, FrozenMemory]
 
 def _no_surfaces(next_cluster_id: int) -> tuple[dict[int, Any], tuple[Any, ...], int]:
     return {}, (), next_cluster_id
+
+
+_REMEMBERED = surface_memory.remembered
+
+
+def _seen_only(*arguments: Any) -> tuple[dict[int, Any], tuple[Any, ...], int]:
+    """Surfaces of which none is kept that is not found in this frame."""
+    public, memory, next_cluster_id = _REMEMBERED(*arguments)
+    seen = tuple(surface for surface in memory if surface.n_missed == 0)
+    numbers = {surface.cluster_id for surface in seen}
+    return {number: own for number, own in public.items() if number in numbers}, seen, next_cluster_id
 
 
 def _zeros(place: int) -> Callable[..., Any]:
@@ -120,6 +142,30 @@ RULES: dict[str, Rule] = {
         "births",
         {"stages.segmentation.obstacles.find_obstacles": lambda *arguments, **_: _no_surfaces(arguments[4])},
         _stage("segmentation/obstacles"),
+    ),
+    "surface_memory": Rule(
+        "a surface that is not found in a frame is kept",
+        "births",
+        {"stages.segmentation.surface_memory.remembered": _seen_only},
+        _stage("segmentation/surface_memory"),
+    ),
+    "shake": Rule(
+        "a camera's sway is not the movers'",
+        "births",
+        {"stages.segmentation.bodies.shake_of": lambda path, since_s: np.zeros_like(path)},
+        (),
+    ),
+    "nearer": Rule(
+        "what is nearer than the rest of an object is no part of it",
+        "bodies",
+        {"stages.segmentation.data_association.are_nearer": _zeros(0)},
+        (),
+    ),
+    "gaps": Rule(
+        "tracks go on after frames in which there were too few",
+        "bodies",
+        {"stages.update._before_gap": _none},
+        (),
     ),
     "reinitialised": Rule(
         "movers that went astray are begun anew",
@@ -205,24 +251,71 @@ GROUPS: dict[str, tuple[str, ...]] = {
 
 
 @contextmanager
-def switched_off(names: Sequence[str]) -> Iterator[None]:
-    """The analysis without some of its rules, until the block ends."""
+def switched_off(names: Sequence[str], acting: set[str] | None = None) -> Iterator[None]:
+    """The analysis without some of its rules, until the block ends.
+
+    Into ``acting`` go the names of rules that give something else, once at least, than without them; of those that
+    are switched off, which would.
+    """
     changed: list[tuple[Any, str, Any]] = []
     import_module("ttcvid.jobs.analyze.command")
     try:
-        for name in names:
-            for place, value in RULES[name].instead.items():
-                changed += _put(place, value)
+        for name, rule in RULES.items():
+            for place, without in rule.instead.items():
+                if acting is None and name in names:
+                    changed += _put(place, without)
+                elif acting is not None:
+                    former = getattr(*_home(place))
+                    one, other = (without, former) if name in names else (former, without)
+                    if callable(former):
+                        changed += _put(place, _beside(one, other, name, acting))
+                    else:
+                        acting.add(name)
+                        changed += _put(place, one)
         yield
     finally:
         for module, name, value in reversed(changed):
             setattr(module, name, value)
 
 
+def _beside(one: Callable[..., Any], other: Callable[..., Any], name: str, acting: set[str]) -> Callable[..., Any]:
+    """The function ``one``; ``name`` is ``acting`` as soon as ``other`` has another result."""
+
+    @wraps(one)
+    def watched(*arguments: Any, **named: Any) -> Any:
+        result = one(*arguments, **named)
+        if name not in acting and not _same(result, other(*arguments, **named)):
+            acting.add(name)
+        return result
+
+    return watched
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two results are equal in every number; NaN equals NaN."""
+    if one is other:
+        return True
+    if is_dataclass(one) and not isinstance(one, type):
+        return type(one) is type(other) and _same(astuple(one), astuple(other))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return list(one) == list(other) and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, np.ndarray | float) and isinstance(other, np.ndarray | float):
+        a, b = np.asarray(one), np.asarray(other)
+        return a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    return type(one) is type(other) and bool(one == other)
+
+
+def _home(place: str) -> tuple[Any, str]:
+    """The module in which a name stands, and the name."""
+    module_name, _, name = place.rpartition(".")
+    return import_module(f"ttcvid.{module_name}"), name
+
+
 def _put(place: str, value: Any) -> list[tuple[Any, str, Any]]:
     """Put a value where a name stands, and everywhere where that has been imported to; what was there."""
-    module_name, _, name = place.rpartition(".")
-    home = import_module(f"ttcvid.{module_name}")
+    home, name = _home(place)
     former = getattr(home, name)
     # A function is looked for by what it is; a number only where it is at home.
     holders = [home]

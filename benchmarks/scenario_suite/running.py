@@ -22,6 +22,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,9 +32,10 @@ import cv2
 import ttcvid
 from scenario_suite.drawing import GIVEN_CAMERA_NAME, code_digest, drawing_key, drawn, input_of, read_json, write_json
 from scenario_suite.families import scenario
-from scenario_suite.rules import switched_off
+from scenario_suite.rules import RULES_FILE, switched_off
 from scenario_suite.scenario import Kind, NuisanceValue, Scenario
 from scenario_suite.scoring import score
+from ttcvid.jobs.analyze import command
 
 T, R = TypeVar("T"), TypeVar("R")
 _PACKAGE = Path(ttcvid.__file__).parent
@@ -46,7 +48,8 @@ CRASHED = 70
 class Task:
     """A scenario to be done: where its folder of truth and its run belong, and further options of the analysis.
 
-    ``nuisances`` None: as drawn. ``without``: names of rules that are switched off.
+    ``nuisances`` None: as drawn. ``without``: names of rules that are switched off. ``is_watched``: ``run.json`` says,
+    as ``acting``, which rules act, or would if they were not switched off.
     """
 
     family: str
@@ -57,6 +60,7 @@ class Task:
     nuisances: dict[str, NuisanceValue] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     without: tuple[str, ...] = ()
+    is_watched: bool = False
 
     @property
     def folder(self) -> Path:
@@ -100,7 +104,7 @@ def do(task: Task) -> Done:
     start_s = time.perf_counter()
     truth = drawn(chosen, task.pictures / task.family / str(task.seed))
     drawing_s = time.perf_counter() - start_s
-    key = _run_key(chosen, task.options, task.without)
+    key = _run_key(chosen, task)
     known = read_json(folder / "run.json")
     if known.get("key") == key:
         score(folder)
@@ -109,8 +113,11 @@ def do(task: Task) -> Done:
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "scenario.json", chosen.described())
     _link(folder / "truth", truth)
-    with switched_off(task.without):
+    acting: set[str] | None = set() if task.is_watched else None
+    with switched_off(task.without, acting):
         run = {"key": key, **analyzed(input_of(truth), folder / "run", options_of(chosen, truth) | dict(task.options))}
+    if acting is not None:
+        run["acting"] = sorted(acting)
     write_json(folder / "run.json", run)
     score(folder)
     return Done(task, folder, False, drawing_s, run)
@@ -133,7 +140,8 @@ def analyzed(input_: Path, out: Path, options: Mapping[str, Any]) -> dict[str, A
     start_s = time.perf_counter()
     exit_code, error = 0, None
     try:
-        run = ttcvid.analyze(input_, out, **options)
+        with _in_one_process():
+            run = ttcvid.analyze(input_, out, **options)
         if run.manifest["state"] == "interrupted":
             raise KeyboardInterrupt
     except ttcvid.TtcvidError as failure:
@@ -144,11 +152,11 @@ def analyzed(input_: Path, out: Path, options: Mapping[str, Any]) -> dict[str, A
     return {"exit_code": exit_code, "seconds": round(time.perf_counter() - start_s, 3), "error": error}
 
 
-def _run_key(chosen: Scenario, options: Mapping[str, Any], without: tuple[str, ...]) -> str:
+def _run_key(chosen: Scenario, task: Task) -> str:
     """Changes with the drawn scenario, the options, the rules switched off and the code of the analysis."""
-    content = json.dumps(dict(options), sort_keys=True, default=str) + "".join(without)
-    if without:
-        content += code_digest(Path(__file__).with_name("rules.py"))
+    content = json.dumps(dict(task.options), sort_keys=True, default=str) + "".join(task.without)
+    if task.without or task.is_watched:
+        content += f"{task.is_watched}" + code_digest(RULES_FILE)
     return hashlib.sha256((drawing_key(chosen) + content + code_of_analysis()).encode()).hexdigest()
 
 
@@ -161,6 +169,22 @@ def _link(link: Path, target: Path) -> None:
     if link.is_symlink():
         link.unlink()
     link.symlink_to(target.absolute(), target_is_directory=True)
+
+
+@contextmanager
+def _in_one_process() -> Iterator[None]:
+    """The geometry worked out here and not beside: several scenes are under way, and the results are the same."""
+
+    @contextmanager
+    def here(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T], _: int) -> Iterator[Iterable[R]]:
+        yield function(items)
+
+    former = command.beside
+    command.beside = here
+    try:
+        yield
+    finally:
+        command.beside = former
 
 
 def _prepare() -> None:

@@ -1,14 +1,30 @@
 """Rules on trial: switched off inside the block and nowhere else, and what a rule earns over the same scenes."""
 
+import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from ablation import EVERY, NONE_OF_THEM, Difference, earned, earned_badness, families_changed, shown, trials_of
+from ablation import (
+    EVERY,
+    NONE_OF_THEM,
+    Difference,
+    each_done,
+    earned,
+    earned_badness,
+    earned_share,
+    families_changed,
+    scene_place,
+    shown,
+    trials_of,
+)
+from real_clips.trials import Unit, shares_of
 from scenario_suite.figures import Figures
 from scenario_suite.rules import GROUPS, RULES, switched_off
+from scenario_suite.running import Done, Task, do
 from scenario_suite.scoring import SceneScore
 
 from ttcvid.stages import update
@@ -49,6 +65,78 @@ def test_a_rule_is_off_inside_the_block_and_as_it_was_after_it():
     assert update.find_frozen is static_overlays.find_frozen
 
 
+@pytest.mark.parametrize("name", RULES)
+def test_a_rule_that_is_off_is_nowhere_in_the_package(name):
+    formers = [getattr(import_module(f"ttcvid.{home}"), short) for home, _, short in places([name])]
+    with switched_off([name]):
+        left = [
+            f"{key}.{attribute}"
+            for former in formers
+            if callable(former)
+            for key, module in list(sys.modules.items())
+            if key.startswith("ttcvid.")
+            for attribute, value in list(vars(module).items())
+            if value is former
+        ]
+        assert left == []
+        assert all(
+            getattr(import_module(f"ttcvid.{home}"), short) != former
+            for (home, _, short), former in zip(places([name]), formers, strict=True)
+        )
+
+
+def test_where_no_rule_acts_the_analysis_is_the_same_with_it_and_without_it(tmp_path):
+    def tables(name, without, is_watched=False):
+        task = Task("CCRb", 0, "tracks", tmp_path / name, tmp_path / "pictures", {}, without=without)
+        done = do(replace(task, is_watched=is_watched))
+        assert done.run["error"] is None
+        run = [pd.read_parquet(done.folder / "run" / f"{table}.parquet") for table in ("clusters", "collision_times")]
+        return run, set(done.run.get("acting", ()))
+
+    everything, acting = tables("all", (), True)
+    assert {"road", "nearer"} <= acting
+    idle = tuple(name for name in RULES if name not in acting)
+    assert idle
+    for one, other in zip(everything, tables("without_idle", idle)[0], strict=True):
+        pd.testing.assert_frame_equal(one, other)
+    nothing, would_act = tables("none", tuple(RULES), True)
+    assert not nothing[0].equals(everything[0])
+    for one, other in zip(nothing, tables("with_idle", tuple(would_act))[0], strict=True):
+        pd.testing.assert_frame_equal(one, other)
+
+
+def test_a_trial_in_which_no_rule_acts_that_differs_is_not_run():
+    trials = trials_of(("one-out", "add-one"))
+    asked = []
+
+    def run(tasks):
+        for task in tasks:
+            asked.append(task.without)
+            acting = ["road"] if task.without == () else ["fronts"]
+            yield Done(task, Path(), False, 0.0, {"acting": acting, "without": task.without})
+
+    def tasks_of(trial):
+        return [Task("CCRs", 0, "tracks", Path(trial.folder), Path(), without=trial.without)]
+
+    done = each_done(trials, tasks_of, run, lambda one: one.run["acting"], scene_place)
+    others = {name: tuple(other for other in RULES if other != name) for name in RULES}
+    assert asked == [(), tuple(RULES), ("road",), others["fronts"]]
+    for trial, (one,) in done.items():
+        if trial.kind == "one-out":
+            assert one.run["without"] == (("road",) if trial.name == "road" else ())
+        if trial.kind == "add-one":
+            assert one.run["without"] == (others["fronts"] if trial.name == "fronts" else tuple(RULES))
+
+
+def test_real_units_are_judged_with_the_same_draws():
+    with_it = shares_of([Unit("found", 2, 3), Unit("found", 1, 1), Unit("warnings", 0, 0.1)])
+    without = shares_of([Unit("found", 1, 3), Unit("found", 1, 1), Unit("warnings", 1, 0.1)])
+    assert earned_share(with_it["found"], without["found"], 1.0).value == pytest.approx(0.25)
+    assert earned_share(with_it["found"], without["found"], 1.0).lo == 0.0
+    assert earned_share(with_it["warnings"], without["warnings"], -1.0).value == pytest.approx(10.0)
+    assert earned_share(with_it["found"], with_it["found"], 1.0) == Difference(0.0, 0.0, 0.0)
+
+
 def test_every_rule_is_in_one_group_and_in_every_kind_of_trial():
     assert sorted(name for names in GROUPS.values() for name in names) == sorted(RULES)
     trials = trials_of(("one-out", "group-out", "add-one"))
@@ -58,7 +146,7 @@ def test_every_rule_is_in_one_group_and_in_every_kind_of_trial():
         if trial.kind == "add-one":
             assert set(RULES) - set(trial.without) == {trial.name}
             assert trial.beside == NONE_OF_THEM
-    assert all(rule.n_lines > 0 for rule in RULES.values() if rule.files)
+    assert all(rule.n_lines > 0 for rule in RULES.values())
 
 
 def test_a_rule_earns_what_is_found_with_it_and_not_without():
