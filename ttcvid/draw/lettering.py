@@ -9,7 +9,6 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ttcvid.draw.palette import Colour
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import ImageSize, Picture
 
 # A part of DejaVu Sans (Latin letters, signs, arrows); its licence stands beside it.
@@ -47,7 +46,7 @@ class Lettering:
 
     def draw(self, bgr: Picture, text: str, x: int, y: int, ink: Colour) -> None:
         """Write ``text`` with the upper left corner of its capitals at (x, y); what lies outside is cut off."""
-        _blend(bgr, self._cover_of(text), x, y, *ink)
+        _blend(bgr, self._cover_of(text), x, y, ink)
 
     def _cover(self, text: str) -> Picture:
         """How much of each pixel a text covers, 0 to 255, ``(height, width)``."""
@@ -63,15 +62,10 @@ class Lettering:
         return np.asarray(cover, dtype=np.uint8)
 
 
-@compiled_for("(u1[:, :, ::1], u1[:, ::1], i8, i8, i8, i8, i8)")
-def _blend(bgr: Picture, cover: Picture, x: int, y: int, blue: int, green: int, red: int) -> None:
+def _blend(bgr: Picture, cover: Picture, x: int, y: int, ink: Colour) -> None:
     """Lays a colour over a picture from (x, y) on, where it is covered, as far as that lies in the picture."""
-    height, width = bgr.shape[:2]
-    for row in range(max(-y, 0), min(cover.shape[0], height - y)):
-        for column in range(max(-x, 0), min(cover.shape[1], width - x)):
-            share = int(cover[row, column])
-            if share:
-                u, v = x + column, y + row
-                bgr[v, u, 0] = (bgr[v, u, 0] * (255 - share) + share * blue) // 255
-                bgr[v, u, 1] = (bgr[v, u, 1] * (255 - share) + share * green) // 255
-                bgr[v, u, 2] = (bgr[v, u, 2] * (255 - share) + share * red) // 255
+    cover = cover[max(-y, 0) :, max(-x, 0) :]
+    part = bgr[max(y, 0) :, max(x, 0) :][: cover.shape[0], : cover.shape[1]]
+    # A product of two bytes and a second that fills it up to 255 of them are 16 bits.
+    share = cover[: part.shape[0], : part.shape[1], None].astype(np.uint16)
+    part[:] = (part * (255 - share) + share * np.array(ink, dtype=np.uint16)) // np.uint16(255)

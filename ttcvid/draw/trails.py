@@ -86,12 +86,9 @@ def _draw_lines(
                             bgr[v, u, channel] = colour[i, channel]
 
 
-@compiled_for("(u1[:, :, ::1], i8[:, ::1], u1[:, ::1], i8)")
 def _fill_squares(bgr: Picture, corner: Ints, colour: Picture, side_px: int) -> None:
     """Fills squares from their upper left corners ``(N, 2)`` on, as far as they lie in the picture."""
-    height, width = bgr.shape[:2]
-    for i in range(len(corner)):
-        for y in range(max(corner[i, 1], 0), min(corner[i, 1] + side_px, height)):
-            for x in range(max(corner[i, 0], 0), min(corner[i, 0] + side_px, width)):
-                for channel in range(3):
-                    bgr[y, x, channel] = colour[i, channel]
+    across = np.arange(side_px)
+    x, y = np.broadcast_arrays(corner[:, 0, None, None] + across, corner[:, 1, None, None] + across[:, None])
+    is_inside = (x >= 0) & (x < bgr.shape[1]) & (y >= 0) & (y < bgr.shape[0])
+    bgr[y[is_inside], x[is_inside]] = np.broadcast_to(colour[:, None, None], (*x.shape, 3))[is_inside]
