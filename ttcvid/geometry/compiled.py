@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import sigutils
 
 from ttcvid.geometry.copies_on_disk import checked_cache, damaged_copies
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+ZERO = cast(int, np.int64(0))
+"""Of a literal 0 numba makes a type: what is called with it, or with a count that starts there, compiles once more."""
 
 # Whoever changes these removes the copies on disk (`make clean`, or what lies in NUMBA_CACHE_DIR): numba knows a copy
 # by its source file and the processor, not by what it was compiled with. An installation replaces all source files,

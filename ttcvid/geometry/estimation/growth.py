@@ -17,12 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
-# Sums of a track: information on a (and b), couplings of a and b with c, information on c, score of a, b, c, squared
-# residuals; then of s the couplings with a, b and c, the information and the score.
-_N_SUMS = 13
 # One over the time that the camera takes to where a thing is, is hardly more than this, 1/s: what is nearer than half a
 # second away was found before.
 _USUAL_S_HZ = 2.0
@@ -61,8 +57,8 @@ class GrowthSums:
         return cov @ [score_a, score_b, score_c, score_s], cov
 
     def misfits(self, unknowns: Floats) -> Floats:
-        """Chi-square over degrees of freedom of each track with (a, b, c, s): (M,)."""
-        a, b, c, s = unknowns.tolist()
+        """Chi-square over degrees of freedom of each track with (a, b, c, s) ``(4, ...)``: (..., M)."""
+        a, b, c, s = unknowns[..., None]
         aa, ac, bc, cc, score_a, score_b, score_c, square, as_, bs, cs, ss, score_s = self.sums
         towards = (
             (a * ac + b * bc - score_c) * c - a * score_a - b * score_b + (a * as_ + b * bs + c * cs - score_s) * s
@@ -80,8 +76,37 @@ class GrowthSums:
         ----------
         misfit : (M,) of the tracks on the scene's path; what misfits by more than the ``gate`` does not fit.
         """
-        fits = np.empty(len(misfit), dtype=bool)
-        return fits if _search(self.sums, self.freedom, misfit, gate, least_tracks, fits) else None
+        if len(misfit) < max(least_tracks, 2):
+            return None
+        limit = np.minimum(gate, np.maximum(misfit, _NOISE) + _NOT_WORSE)
+        each_fits, gain = self._explained(self.sums[:, :1] + self.sums[:, 1:], misfit, limit)
+        fits: Bools = each_fits[int(np.argmax(gain))]
+        for _ in range(_ROUNDS - 1):
+            if np.count_nonzero(fits) < least_tracks:
+                return None
+            all_fit, _ = self._explained(self.sums[:, fits].sum(axis=1, keepdims=True), misfit, limit)
+            fits = all_fit[0]
+        return fits if np.count_nonzero(fits) >= least_tracks else None
+
+    def _explained(self, total: Floats, misfit: Floats, limit: Floats) -> tuple[Bools, Floats]:
+        """Tracks ``(K, M)`` below their ``limit (M,)`` at what each of K sums ``total (13, K)`` says, if that nears.
+
+        And by how much their chi-square is less than on the scene's path, (K,).
+        """
+        aa, ac, bc, cc, score_a, score_b, score_c, _, as_, bs, cs, ss, score_s = total
+        # What is left for c and s where a and b follow them, times the information on these.
+        left_cc, left_cs = aa * cc - ac * ac - bc * bc, aa * cs - ac * as_ - bc * bs
+        left_ss = aa * (ss + 1.0 / _USUAL_S_HZ**2) - as_ * as_ - bs * bs
+        of_c, of_s = aa * score_c - ac * score_a - bc * score_b, aa * score_s - as_ * score_a - bs * score_b
+        rest = left_cc * left_ss - left_cs * left_cs
+        with np.errstate(divide="ignore", invalid="ignore"):
+            c, s = (left_ss * of_c - left_cs * of_s) / rest, (left_cc * of_s - left_cs * of_c) / rest
+            unknowns = np.array([(score_a - ac * c - as_ * s) / aa, (score_b - bc * c - bs * s) / aa, c, s])
+            is_nearer = (aa > 0.0) & (left_cc > 0.0) & (rest > 0.0) & (c < 0.0)
+        unknowns[:, ~is_nearer] = 0.0
+        off = self.misfits(unknowns)
+        fits = is_nearer[:, None] & (off < limit)
+        return fits, np.sum(np.where(fits, (misfit - off) * self.freedom, 0.0), axis=1)
 
 
 def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats) -> GrowthSums:
@@ -94,110 +119,21 @@ def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats) -
     sigma_norm : (M,) noise of a coordinate.
     sway : (L, 3) how far the scene lay off a straight way at its present velocity, in its units; 0 of a steady camera.
     """
-    sums, freedom = np.empty((_N_SUMS, xy.shape[1])), np.empty(xy.shape[1])
-    _add_up(np.ascontiguousarray(xy), since_s, sigma_norm, np.ascontiguousarray(sway), sums, freedom)
-    return GrowthSums(sums, freedom)
-
-
-@compiled_for("(f8[:, :, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[::1])")
-def _add_up(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats, sums: Floats, freedom: Floats) -> None:
-    """Fill ``sums (13, M)`` and ``freedom (M,)`` of `GrowthSums`; places are taken out as the means of their rows.
-
-    The rows are x = x0 + a t - c t x + s (sway_x - x sway_z), and the same with b for y.
-    """
-    n_views = len(since_s)
-    for m in range(xy.shape[1]):
-        n = mean_t = mean_x = mean_y = mean_tx = mean_ty = mean_ox = mean_oy = 0.0
-        for v in range(n_views):
-            t, x, y = since_s[v], xy[v, m, 0], xy[v, m, 1]
-            if np.isfinite(x):
-                n += 1.0
-                mean_t += t
-                mean_x += x
-                mean_y += y
-                mean_tx += t * x
-                mean_ty += t * y
-                mean_ox += sway[v, 0] - x * sway[v, 2]
-                mean_oy += sway[v, 1] - y * sway[v, 2]
-        part, weight = 1.0 / max(n, 1.0), 1.0 / (sigma_norm[m] * sigma_norm[m])
-        freedom[m] = max(2.0 * (n - 1.0), 1.0)
-        for j in range(_N_SUMS):
-            sums[j, m] = 0.0
-        for v in range(n_views):
-            t, x, y = since_s[v], xy[v, m, 0], xy[v, m, 1]
-            if np.isfinite(x):
-                by_x, by_y = mean_tx * part - t * x, mean_ty * part - t * y
-                off_x = sway[v, 0] - x * sway[v, 2] - mean_ox * part
-                off_y = sway[v, 1] - y * sway[v, 2] - mean_oy * part
-                t, x, y = t - mean_t * part, x - mean_x * part, y - mean_y * part
-                sums[0, m] += weight * t * t
-                sums[1, m] += weight * t * by_x
-                sums[2, m] += weight * t * by_y
-                sums[3, m] += weight * (by_x * by_x + by_y * by_y)
-                sums[4, m] += weight * t * x
-                sums[5, m] += weight * t * y
-                sums[6, m] += weight * (by_x * x + by_y * y)
-                sums[7, m] += weight * (x * x + y * y)
-                sums[8, m] += weight * t * off_x
-                sums[9, m] += weight * t * off_y
-                sums[10, m] += weight * (by_x * off_x + by_y * off_y)
-                sums[11, m] += weight * (off_x * off_x + off_y * off_y)
-                sums[12, m] += weight * (off_x * x + off_y * y)
-
-
-@compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8, i8, b1[::1])")
-def _search(sums: Floats, freedom: Floats, misfit: Floats, gate: float, least_tracks: int, fits: Bools) -> bool:
-    """Fill ``fits (M,)`` of `GrowthSums.sharing_a_velocity`; whether they are enough."""
-    n = len(misfit)
-    limit, tried, total, most = np.empty(n), np.empty(n, dtype=np.bool_), np.empty(_N_SUMS), -np.inf
-    fits[:] = False
-    for m in range(n):
-        limit[m] = min(gate, max(misfit[m], _NOISE) + _NOT_WORSE)
-    for other in range(1, n):
-        for j in range(_N_SUMS):
-            total[j] = sums[j, 0] + sums[j, other]
-        gain = _explained(sums, freedom, misfit, limit, total, tried)
-        if gain > most:
-            most = gain
-            for m in range(n):
-                fits[m] = tried[m]
-    for _ in range(_ROUNDS - 1):
-        if np.sum(fits) < least_tracks:
-            return False
-        total[:] = 0.0
-        for m in range(n):
-            for j in range(_N_SUMS):
-                total[j] += sums[j, m] if fits[m] else 0.0
-        _explained(sums, freedom, misfit, limit, total, fits)
-    return bool(np.sum(fits) >= least_tracks)
-
-
-@compiled
-def _explained(sums: Floats, freedom: Floats, misfit: Floats, limit: Floats, total: Floats, fits: Bools) -> float:
-    """Fill ``fits (M,)``: tracks below their ``limit (M,)`` at what the sums of some say, if that comes nearer.
-
-    Returns by how much their chi-square is less than on the scene's path. ``total (13,)`` are the sums of those that
-    say something; see `GrowthSums.unknowns` and `GrowthSums.misfits`.
-    """
-    info = total[0]
-    # What is left for c and s where a and b follow them, times the information on these.
-    cc = info * total[3] - total[1] * total[1] - total[2] * total[2]
-    cs = info * total[10] - total[1] * total[8] - total[2] * total[9]
-    ss = info * (total[11] + 1.0 / _USUAL_S_HZ**2) - total[8] * total[8] - total[9] * total[9]
-    of_c = info * total[6] - total[1] * total[4] - total[2] * total[5]
-    of_s = info * total[12] - total[8] * total[4] - total[9] * total[5]
-    rest = cc * ss - cs * cs
-    c, s = (ss * of_c - cs * of_s) / rest, (cc * of_s - cs * of_c) / rest
-    a = (total[4] - total[1] * c - total[8] * s) / info
-    b, gain = (total[5] - total[2] * c - total[9] * s) / info, 0.0
-    is_nearer = info > 0.0 and cc > 0.0 and rest > 0.0 and c < 0.0
-    across, deep, swayed = a * a + b * b, c * c, s * s
-    for m in range(np.uint64(len(fits))):
-        towards = (a * sums[1, m] + b * sums[2, m] - sums[6, m]) * c - a * sums[4, m] - b * sums[5, m]
-        towards += (a * sums[8, m] + b * sums[9, m] + c * sums[10, m] - sums[12, m]) * s
-        chi2 = sums[7, m] + 2.0 * towards + across * sums[0, m] + deep * sums[3, m] + swayed * sums[11, m]
-        off = max(chi2, 0.0) / freedom[m]
-        is_one = is_nearer and off < limit[m]
-        fits[m] = is_one
-        gain += (misfit[m] - off) * freedom[m] if is_one else 0.0
-    return gain
+    seen = np.isfinite(xy[..., 0])
+    n = np.sum(seen, axis=0)
+    x, y = np.where(seen, xy[..., 0], 0.0), np.where(seen, xy[..., 1], 0.0)
+    t = since_s[:, None] * seen
+    # x = x0 + a t - c t x + s (sway_x - x sway_z), and the same with b for y: the columns, their means taken out.
+    away_x, away_y, away = sway.T[:, :, None]
+    columns = np.stack([t, -t * x, -t * y, x, y, away_x - x * away, away_y - y * away]) * seen
+    columns -= columns.sum(axis=1, keepdims=True) / np.maximum(n, 1) * seen
+    by_track = np.ascontiguousarray(columns.transpose(2, 0, 1))
+    gram = (by_track @ by_track.transpose(0, 2, 1) / (sigma_norm * sigma_norm)[:, None, None]).transpose(1, 2, 0)
+    sums = np.stack(
+        [
+            *(gram[0, 0], gram[0, 1], gram[0, 2], gram[1, 1] + gram[2, 2]),
+            *(gram[0, 3], gram[0, 4], gram[1, 3] + gram[2, 4], gram[3, 3] + gram[4, 4]),
+            *(gram[0, 5], gram[0, 6], gram[1, 5] + gram[2, 6], gram[5, 5] + gram[6, 6], gram[3, 5] + gram[4, 6]),
+        ]
+    )
+    return GrowthSums(sums, np.maximum(2.0 * (n - 1.0), 1.0))

@@ -71,7 +71,14 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
         aq, au, bq, bu = _semi_axes(variance_q, variance_u, mixed)
         ellipse = (q, aq, bq), (u, au, bu)
         if not reaches_axis and aq * aq + au * au < _SMALL_PART * _SMALL_PART * square:
-            _look_uphill(ellipse, start)
+            # Where the extremes would be if the objectives were linear: their gradients at the centre are
+            # (u^2 - q^2, -2 q u) and (-2 q u, q^2 - u^2), over (q^2 + u^2)^2.
+            along, across = u * u - q * q, -2.0 * q * u
+            for high, by_q, by_u in ((_HIGH_Q, along, across), (_HIGH_U, across, -along)):
+                by_cos, by_sin = by_q * aq + by_u * au, by_q * bq + by_u * bu
+                inverse = 1.0 / (np.sqrt(by_cos * by_cos + by_sin * by_sin) + _TINY)
+                start[high, 0], start[high, 1] = by_cos * inverse, by_sin * inverse
+                start[high + 1, 0], start[high + 1, 1] = -by_cos * inverse, -by_sin * inverse
         else:
             _look_around(ellipse, start)
         for extreme in range(_N_EXTREMES):
@@ -108,19 +115,6 @@ def _semi_axes(variance_q: float, variance_u: float, mixed: float) -> tuple[floa
     cos, sin = (larger, other) if cos_twice >= 0.0 else (abs(other), np.copysign(larger, sin_twice))
     long, short = np.sqrt(CHI2_90_TWO * max(longer, 0.0)), np.sqrt(CHI2_90_TWO * max(shorter, 0.0))
     return long * cos, long * sin, -short * sin, short * cos
-
-
-@compiled
-def _look_uphill(ellipse: _Ellipse, start: Floats) -> None:
-    """Fill ``start (4, 2)``, cosine and sine of where the extremes would be if the objectives were linear."""
-    (q, aq, bq), (u, au, bu) = ellipse
-    # The gradients at the centre are (u^2 - q^2, -2 q u) and (-2 q u, q^2 - u^2), over (q^2 + u^2)^2.
-    along, across = u * u - q * q, -2.0 * q * u
-    for high, by_q, by_u in ((_HIGH_Q, along, across), (_HIGH_U, across, -along)):
-        by_cos, by_sin = by_q * aq + by_u * au, by_q * bq + by_u * bu
-        inverse = 1.0 / (np.sqrt(by_cos * by_cos + by_sin * by_sin) + _TINY)
-        start[high, 0], start[high, 1] = by_cos * inverse, by_sin * inverse
-        start[high + 1, 0], start[high + 1, 1] = -by_cos * inverse, -by_sin * inverse
 
 
 @compiled

@@ -12,7 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.kernels.turning_points import N_SHARED, fit_turning_points, set_trajectory
+from ttcvid.geometry.estimation.turning_points import (
+    TurningBeliefs,
+    TurningViews,
+    fit_turning_points,
+    trajectory,
+)
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats
 
@@ -65,9 +70,8 @@ class TurningBody:
 
     def path_turned_back(self, t_s: Floats) -> Floats:
         """Path ``(L, 3)`` of its points in views turned back by the turn; its derivative at time 0 is a unit vector."""
-        rotations, shift = np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 3))
-        set_trajectory(np.ascontiguousarray(t_s, dtype=np.float64), self.centre, self.shared, rotations, shift)
-        return np.asarray(np.einsum("lji,lj->li", rotations, shift) / self.rate_hz)
+        rotation, shift = trajectory(t_s, self.centre, self.shared)
+        return np.asarray(np.einsum("lji,lj->li", rotation, shift) / self.rate_hz)
 
     @property
     def rate_hz(self) -> float:
@@ -113,29 +117,25 @@ def fit_turning_body(
     """
     now = int(np.argmin(np.abs(t_s)))
     place = _places_now(xy, now)
-    centre = np.append(np.median(place, axis=0), 1.0)
-    # Data and beliefs of the descent.
-    t_s = np.ascontiguousarray(t_s, dtype=np.float64)
-    data = (np.ascontiguousarray(xy), t_s, np.ascontiguousarray(sigma_norm, dtype=np.float64), centre)
-
+    views = TurningViews(
+        np.ascontiguousarray(xy.transpose(0, 2, 1)), t_s, sigma_norm, np.append(np.median(place, axis=0), 1.0)
+    )
     own = np.column_stack([place, np.ones(len(place))])
     first, *others = _starts(xy, t_s, now)
-    found = [_fitted(data, own, first, bend_hz, turn_sigma_rad_s)]
+    found = [_fitted(views, own, first, bend_hz, turn_sigma_rad_s)]
     if may_do(found[0]):
-        found += [_fitted(data, own, start, bend_hz, turn_sigma_rad_s) for start in others]
+        found += [_fitted(views, own, start, bend_hz, turn_sigma_rad_s) for start in others]
     return _with_doubts(found)
 
 
-def _fitted(
-    data: tuple[Floats, Floats, Floats, Floats], own: Floats, start: Floats, bend_hz: float, turn_sigma_rad_s: float
-) -> TurningBody:
+def _fitted(views: TurningViews, own: Floats, start: Floats, bend_hz: float, turn_sigma_rad_s: float) -> TurningBody:
     """What the search comes to from a start (9,), the turn held there at first."""
-    own, shared, information, left = own.copy(), start.copy(), np.empty((N_SHARED, N_SHARED)), np.empty(2)
-    for mean, sigma, chi2 in ((start[6:], _HELD_RAD_S, _ROUGH_CHI2), (np.zeros(3), turn_sigma_rad_s, _FINE_CHI2)):
-        beliefs = np.array([sigma, bend_hz, _LEAST_SPEED_HZ, _RELIEF])
-        fit_turning_points(data, mean, beliefs, chi2, own, shared, information, left)
-    cov: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    return TurningBody(data[3], shared[:3], shared[3:6], shared[6:], cov, float(left[0]), float(left[1]))
+    held = TurningBeliefs(start[6:], _HELD_RAD_S, bend_hz, _LEAST_SPEED_HZ, _RELIEF)
+    rough = fit_turning_points(views, held, _ROUGH_CHI2, own, start)
+    free = replace(held, mean_turn_rad_s=np.zeros(3), turn_sigma_rad_s=turn_sigma_rad_s)
+    fit = fit_turning_points(views, free, _FINE_CHI2, rough.own, rough.shared)
+    cov: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
+    return TurningBody(views.centre, fit.shared[:3], fit.shared[3:6], fit.shared[6:], cov, fit.squares, fit.usual)
 
 
 def _starts(xy: Floats, t_s: Floats, now: int) -> list[Floats]:

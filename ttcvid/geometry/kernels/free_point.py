@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
-from ttcvid.geometry.kernels.arrays import ZERO, copy
-from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
+from ttcvid.geometry.compiled import ZERO, compiled, compiled_for
 from ttcvid.geometry.kernels.windows import window_descent
 from ttcvid.model import Floats, Ints
 
@@ -84,22 +82,17 @@ def fit_free_points(
         s[:], sums[:] = 0.0, 0.0
         _add(views, ZERO, m, s, np.inf, 1.0, sums)
         _solve(sums, s, belief, work[1])
-        copy(work[1], s)
+        for j in range(5):
+            s[j] = work[1][j]
         n_frames[i], chi2[i] = _descend(views, m, LEAST_FRAMES, belief, gates, s, sums, work)
         _store(sums, s, limits, n_frames[i] >= LEAST_FRAMES, i, state, cov, info_w)
-
-
-@compiled
-def _add_views(views: Floats, first: int, stop: int, s: Floats, sign: float, sums: Floats) -> None:
-    """Add the normal equations of a range of views, as `windows.descend` asks for."""
-    _add(views, first, stop, s, ROBUST_SIGMAS * ROBUST_SIGMAS, sign, sums)
 
 
 @compiled
 def _add(views: Floats, first: int, stop: int, s: Floats, limit: float, sign: float, sums: Floats) -> None:
     """Add to ``sums (14,)``. With h = 1 / (1 + c t), d x(t) / d(x, a, c) = (h, h t, -h t x(t)).
 
-    Residuals with a square above the ``limit`` lose weight; an infinite one stands for the linear equations
+    As `windows.window_descent` asks for. An infinite ``limit`` stands for the linear equations
     x + a t - x_i t c = x_i, with observed positions in the column of c.
     """
     is_linear = limit == np.inf
@@ -154,34 +147,23 @@ def _follow(sums: Floats, p: float, q: float) -> tuple[float, float]:
 
 
 @compiled
-def _solve_with(sums: Floats, prior: float, c: float, least: float, most: float, step: Floats) -> float:
-    """Gauss-Newton step ``(5,)`` of x, y, a, b, c with that of c from ``least`` to ``most``.
+def _solve(sums: Floats, s: Floats, belief: _Belief, step: Floats) -> float:
+    """Fill the Gauss-Newton step ``(5,)`` of x, y, a, b, c; that of c goes half of the way to its limits at most.
 
     Returns by how much chi-square falls. (x, a) and (y, b) meet in c alone.
     """
+    limits, c = belief[0], s[4]
     (x_c, a_c), (y_c, b_c) = _follow(sums, sums[_X_C], sums[_A_C]), _follow(sums, sums[_Y_C], sums[_B_C])
     x_0, a_0 = _follow(sums, sums[_SCORE_X], sums[_SCORE_A])
     y_0, b_0 = _follow(sums, sums[_SCORE_Y], sums[_SCORE_B])
     info = max(sums[_INFO] - sums[_X_C] * x_c - sums[_A_C] * a_c - sums[_Y_C] * y_c - sums[_B_C] * b_c, 0.0)
     score = sums[_SCORE_C] + sums[_X_C] * x_0 + sums[_A_C] * a_0 + sums[_Y_C] * y_0 + sums[_B_C] * b_0
-    dc = min(max((score - prior * c) / (info + prior), least), most)
+    dc = (score - limits[_PRIOR] * c) / (info + limits[_PRIOR])
+    dc = min(max(dc, -limits[_LONGEST], 0.5 * (limits[_LOW] - c)), limits[_LONGEST], 0.5 * (limits[_HIGH] - c))
     step[0], step[1], step[2], step[3], step[4] = x_0 + x_c * dc, y_0 + y_c * dc, a_0 + a_c * dc, b_0 + b_c * dc, dc
     fall: float = sums[_SCORE_X] * x_0 + sums[_SCORE_A] * a_0 + sums[_SCORE_Y] * y_0 + sums[_SCORE_B] * b_0
     fall += dc * (2.0 * score - info * dc)
     return fall
-
-
-@compiled
-def _limits_of_step(s: Floats, limits: Floats) -> tuple[float, float]:
-    """Between which the step of c has to be: half of the way to a limit of c at most."""
-    longest = limits[_LONGEST]
-    return max(-longest, 0.5 * (limits[_LOW] - s[4])), min(longest, 0.5 * (limits[_HIGH] - s[4]))
-
-
-@compiled
-def _solve(sums: Floats, s: Floats, belief: _Belief, step: Floats) -> float:
-    least, most = _limits_of_step(s, belief[0])
-    return _solve_with(sums, belief[0][_PRIOR], s[4], least, most, step)
 
 
 @compiled
@@ -200,15 +182,16 @@ def _solve_on_plane(sums: Floats, s: Floats, belief: _Belief, step: Floats) -> f
     reach, towards = np.empty(5), sums.copy()
     towards[_SCORE_X] = towards[_SCORE_Y] = 0.0
     towards[_SCORE_A], towards[_SCORE_B], towards[_SCORE_C] = normal[0], normal[1], by_c
-    _solve_with(towards, limits[_PRIOR], 0.0, -np.inf, np.inf, reach)
-    _solve_with(sums, limits[_PRIOR], c, -np.inf, np.inf, step)
+    anywhere = limits.copy()
+    anywhere[_LOW], anywhere[_HIGH], anywhere[_LONGEST] = -np.inf, np.inf, np.inf
+    _solve(towards, np.zeros(5), (anywhere, normal, cov), reach)
+    _solve(sums, s, (anywhere, normal, cov), step)
     off = normal[0] * s[2] + normal[1] * s[3] + by_c * c
     miss = off + normal[0] * step[2] + normal[1] * step[3] + by_c * step[4]
     part = miss / (variance + normal[0] * reach[2] + normal[1] * reach[3] + by_c * reach[4])
     for j in range(5):
         step[j] -= part * reach[j]
-    least, most = _limits_of_step(s, limits)
-    limit = min(max(step[4], least), most)
+    limit = min(max(step[4], -limits[_LONGEST], 0.5 * (limits[_LOW] - c)), limits[_LONGEST], 0.5 * (limits[_HIGH] - c))
     shorter = limit / step[4] if limit != step[4] else 1.0
     for j in range(5):
         step[j] *= shorter
@@ -218,7 +201,7 @@ def _solve_on_plane(sums: Floats, s: Floats, belief: _Belief, step: Floats) -> f
     return fall
 
 
-_descend = window_descent(_add_views, _solve, _solve_on_plane)
+_descend = window_descent(_add, _solve, _solve_on_plane)
 
 
 @compiled

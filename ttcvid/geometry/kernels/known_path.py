@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.compiled import ZERO, compiled, compiled_for
 from ttcvid.geometry.kernels import path_point
-from ttcvid.geometry.kernels.arrays import ZERO, copy
 from ttcvid.geometry.kernels.windows import window_descent
 from ttcvid.model import Floats, Ints
 
@@ -55,7 +54,7 @@ def fit_points_on_known_paths(
             continue
         has_start = len(start) > 0 and np.isfinite(start[i, 0] + start[i, 1])
         if has_start and limits[0] < start[i, 2] < limits[1]:
-            copy(start[i], s)
+            s[0], s[1], s[2] = start[i, 0], start[i, 1], start[i, 2]
         else:
             _start(views, m, limits, s)
         n_frames[i], chi2[i] = _descend(views, m, LEAST_FRAMES, limits, gates, s, sums, work)
@@ -63,7 +62,7 @@ def fit_points_on_known_paths(
         # Without information on the rate they stay NaN.
         if not info > 0.0:
             continue
-        copy(s, state[i])
+        state[i, 0], state[i, 1], state[i, 2] = s[0], s[1], s[2]
         along = (-sums[_WITH_X] / sums[_OWN], -sums[_WITH_Y] / sums[_OWN], 1.0)
         for j in range(3):
             for k in range(3):

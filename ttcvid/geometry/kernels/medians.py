@@ -14,20 +14,8 @@ def median(values: Floats) -> float:
     n = len(values)
     if n == 0:
         return np.nan
-    upper = at_rank(values, n // 2)
-    if n % 2 == 1:
-        return upper
-    lower = values[0]
-    for i in range(1, n // 2):
-        lower = max(lower, values[i])
-    middle: float = 0.5 * (lower + upper)
-    return middle
-
-
-@compiled
-def at_rank(values: Floats, place: int) -> float:
-    """The number at a place in order, put there: no smaller ones behind it, no larger ones before it (Hoare)."""
-    low, high = 0, len(values) - 1
+    # The upper middle one comes to its place: no smaller ones behind it, no larger ones before it (Hoare).
+    low, high, place = 0, n - 1, n // 2
     while low < high:
         pivot, i, j = values[(low + high) // 2], low, high
         while i <= j:
@@ -45,7 +33,13 @@ def at_rank(values: Floats, place: int) -> float:
             low = i
         else:
             break
-    return float(values[place])
+    if n % 2 == 1:
+        return float(values[place])
+    lower = values[0]
+    for i in range(1, place):
+        lower = max(lower, values[i])
+    middle: float = 0.5 * (lower + values[place])
+    return middle
 
 
 @compiled_for("(f8[::1], i8[::1], f8[::1])")

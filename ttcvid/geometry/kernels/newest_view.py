@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.geometry.compiled import ZERO, compiled, compiled_for
 from ttcvid.geometry.kernels import path_point
-from ttcvid.geometry.kernels.arrays import ZERO
 from ttcvid.model import Floats, Ints
 
 # A track goes straight on over so many views. On a parabola it then leaves their line by so many times as much as each
@@ -18,7 +17,7 @@ _OWN, _WITH_X, _WITH_Y = path_point.OWN, path_point.WITH_X, path_point.WITH_Y
 _SCORE_X, _SCORE_Y = path_point.SCORE_X, path_point.SCORE_Y
 _X, _Y, _INVERSE, _TIME = path_point.X, path_point.Y, path_point.INVERSE, path_point.TIME
 _PATH_X, _PATH_Y, _PATH_Z = path_point.PATH_X, path_point.PATH_Y, path_point.PATH_Z
-_N_ROWS, _N_SUMS = path_point.N_ROWS, path_point.N_SUMS
+_N_ROWS, _N_SUMS, _LIMIT = path_point.N_ROWS, path_point.N_SUMS, path_point.ROBUST_SIGMAS**2
 _add_views, _rate_equation, _list_turned = (
     path_point.add_views_by_length,
     path_point.rate_equation,
@@ -64,7 +63,7 @@ def predict_newest(
         s[1] = views[_Y, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_Y, k]
         for count in range(_N_STEPS + 1):
             sums[:] = 0.0
-            _add_views(views, ZERO, last, s, sums)
+            _add_views(views, ZERO, last, s, _LIMIT, sums)
             info, score = _rate_equation(sums)
             if count < _N_STEPS:
                 change = max(score / info, -s[2]) if info > 0.0 else 0.0

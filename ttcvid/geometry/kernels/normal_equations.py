@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_in_place
-from ttcvid.geometry.kernels.arrays import ZERO
+from ttcvid.geometry.compiled import ZERO, compiled, compiled_in_place
 from ttcvid.model import Floats
 
 
@@ -31,11 +30,3 @@ def add_equations(rows: Floats, stop: int, information: Floats, score: Floats) -
         for d in range(c + 1):
             information[c, d] += product(rows, c, d, ZERO, stop)
         score[c] += product(rows, c, n, ZERO, stop)
-
-
-@compiled
-def mirror(matrix: Floats) -> None:
-    """Fill the upper half with the lower one."""
-    for c in range(len(matrix)):
-        for d in range(c):
-            matrix[d, c] = matrix[c, d]

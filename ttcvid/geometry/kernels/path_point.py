@@ -28,24 +28,18 @@ N_SUMS = 8
 
 
 @compiled
-def add_views(views: Floats, first: int, stop: int, state: Floats, sign: float, sums: Floats) -> None:
+def add_views(views: Floats, first: int, stop: int, state: Floats, limit: float, sign: float, sums: Floats) -> None:
     """Add the normal equations of the views ``first ... stop - 1``, those far off with the weight 1 / r^2.
 
-    Chi-square of a residual grows no further there.
+    Chi-square of a residual grows no further beyond the ``limit``.
     """
-    _add(views, first, stop, state, ROBUST_SIGMAS * ROBUST_SIGMAS, False, sign, sums)
+    _add(views, first, stop, state, limit, False, sign, sums)
 
 
 @compiled
-def add_views_by_length(views: Floats, first: int, stop: int, state: Floats, sums: Floats) -> None:
+def add_views_by_length(views: Floats, first: int, stop: int, state: Floats, limit: float, sums: Floats) -> None:
     """The same, but residuals far off count by their length (Huber): chi-square grows with the misfit."""
-    _add(views, first, stop, state, ROBUST_SIGMAS * ROBUST_SIGMAS, True, 1.0, sums)
-
-
-@compiled
-def add_views_as_they_are(views: Floats, first: int, stop: int, state: Floats, sums: Floats) -> None:
-    """The same, by least squares."""
-    _add(views, first, stop, state, 1e300, False, 1.0, sums)
+    _add(views, first, stop, state, limit, True, 1.0, sums)
 
 
 @compiled_in_place

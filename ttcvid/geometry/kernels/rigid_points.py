@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.geometry.compiled import ZERO, compiled_for
 from ttcvid.geometry.kernels import path_point
-from ttcvid.geometry.kernels.arrays import ZERO
 from ttcvid.model import Floats, Ints
 
 LANES = 8
@@ -27,7 +26,7 @@ _X, _Y, _INVERSE = path_point.X, path_point.Y, path_point.INVERSE
 _PATH_X, _PATH_Y, _PATH_Z = path_point.PATH_X, path_point.PATH_Y, path_point.PATH_Z
 _N_ROWS, _N_SUMS, _LIMIT = path_point.N_ROWS, path_point.N_SUMS, path_point.ROBUST_SIGMAS**2
 _LEAST_DEPTH_RATIO = path_point.LEAST_DEPTH_RATIO
-_add_views, _add_views_as_they_are = path_point.add_views_by_length, path_point.add_views_as_they_are
+_add_views = path_point.add_views_by_length
 _rate_equation, _list_turned = path_point.rate_equation, path_point.list_turned
 
 
@@ -64,7 +63,7 @@ def fit_rigid_points(
         info, chi2 = 0.0, 0.0
         for count in range(n_steps + 1):
             sums[:] = 0.0
-            _add_views(views, ZERO, last + 1, s, sums)
+            _add_views(views, ZERO, last + 1, s, _LIMIT, sums)
             info, score = _rate_equation(sums)
             chi2 = sums[_CHI2]
             if count == n_steps:
@@ -162,7 +161,8 @@ def add_last_steps(
         for k in range(last + 1):
             views[_INVERSE, k] *= 1.0 if 1.0 + rho * views[_PATH_Z, k] >= _LEAST_DEPTH_RATIO else 0.0
         s[0], s[1], s[2], sums[:] = x0, y0, rho, 0.0
-        _add_views_as_they_are(views, ZERO, last + 1, s, sums)
+        # By least squares: nothing is far off.
+        _add_views(views, ZERO, last + 1, s, 1e300, sums)
         info, score = _rate_equation(sums)
         if not info > 0.0:
             continue

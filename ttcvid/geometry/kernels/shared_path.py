@@ -11,7 +11,6 @@ import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels import path_point as point
-from ttcvid.geometry.kernels.arrays import add, copy_rows
 from ttcvid.geometry.kernels.known_path import list_views
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.normal_equations import add_equations
@@ -85,10 +84,10 @@ def descend_together(
             misfit = max(1.0, np.sqrt(usual))
             _move(t_s, base[k], basis[k], offset[k], path, rotations)
             # What the belief says at an offset from it.
-            copy_rows(believed[k], information)
             left[k, 0], score[:] = 0.0, 0.0
             for c in range(N_LOCAL):
                 for d in range(N_LOCAL):
+                    information[c, d] = believed[k, c, d]
                     score[c] -= believed[k, c, d] * offset[k, d]
             for i in range(low, high):
                 _turn_views(xy, i, rotations, turned)
@@ -102,10 +101,12 @@ def descend_together(
             usual = median(mean_square[low:high].copy())
             left[k, 1] = usual
             fall = solve(information, score)
-            add(score, offset[k])
+            for c in range(N_LOCAL):
+                offset[k, c] += score[c]
             for i in range(low, high):
                 follow(kept[i], step)
-                add(step, state[i])
+                for c in range(_N_OWN):
+                    state[i, c] += step[c]
             if fall < _CONVERGED_CHI2 * misfit * misfit:
                 break
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.compiled import compiled, compiled_for
-from ttcvid.geometry.kernels.arrays import copy_rows
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.normal_equations import add_equations
 from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents
@@ -56,12 +55,21 @@ def fit_two_views(
     residual, sense, rows, information = found
     expected, precision, pull = priors
     n, n_unknowns, has_direction = len(sigma), len(information), len(direction) > 0
-    turned, cam_R_prev = np.empty((3, n)), np.empty((3, 3))
+    turned, turn, cam_R_prev = np.empty((3, n)), np.empty((3, 3)), np.empty((3, 3))
     n_rows, first_turn = n if has_direction else 3 * n, n_unknowns - 3
     axes, basis = np.empty((3, 3)), np.empty((3, 2))
     step, left = np.empty(n_unknowns), np.empty((n_unknowns, n_unknowns))
     for count in range(_MAX_STEPS):
-        _turn(offset, expected, cam_R_prev, rays_prev, turned)
+        fill_rotation(offset[0], offset[1], offset[2], turn)
+        for j in range(3):
+            for k in range(3):
+                cam_R_prev[j, k] = (
+                    turn[j, 0] * expected[0, k] + turn[j, 1] * expected[1, k] + turn[j, 2] * expected[2, k]
+                )
+        for i in range(n):
+            x, y, z = rays_prev[i, 0], rays_prev[i, 1], rays_prev[i, 2]
+            for j in range(3):
+                turned[j, i] = cam_R_prev[j, 0] * x + cam_R_prev[j, 1] * y + cam_R_prev[j, 2] * z
         if has_direction:
             fill_tangents(direction[0], direction[1], direction[2], basis)
             for j in range(3):
@@ -81,7 +89,9 @@ def fit_two_views(
                 step[j] -= precision[j] * offset[j - first_turn]
             else:
                 step[j] += basis[0, j] * pull[0] + basis[1, j] * pull[1] + basis[2, j] * pull[2]
-        copy_rows(information, left)
+        for j in range(n_unknowns):
+            for k in range(j + 1):
+                left[j, k] = information[j, k]
         is_last = solve(left, step) < _CONVERGED_CHI2 or count == _MAX_STEPS - 1
         if has_direction:
             length = np.sqrt(step[0] * step[0] + step[1] * step[1])
@@ -95,19 +105,6 @@ def fit_two_views(
             offset[j] += step[first_turn + j]
         if is_last:
             break
-
-
-@compiled
-def _turn(offset: Floats, expected: Floats, rotation: Floats, rays: Floats, turned: Floats) -> None:
-    """Fill ``rotation`` with ``expected`` turned by the ``offset``, and ``turned (3, N)`` with ``rays (N, 3)`` so."""
-    turn = np.empty((3, 3))
-    fill_rotation(offset[0], offset[1], offset[2], turn)
-    for j in range(3):
-        for k in range(3):
-            rotation[j, k] = turn[j, 0] * expected[0, k] + turn[j, 1] * expected[1, k] + turn[j, 2] * expected[2, k]
-    for i in range(len(rays)):
-        for j in range(3):
-            turned[j, i] = rotation[j, 0] * rays[i, 0] + rotation[j, 1] * rays[i, 1] + rotation[j, 2] * rays[i, 2]
 
 
 @compiled

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ttcvid.geometry.compiled import compiled_part
-from ttcvid.geometry.kernels.arrays import ZERO, copy
-from ttcvid.geometry.kernels.arrays import add as add_to
+from ttcvid.geometry.compiled import ZERO, compiled_part
+from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
 from ttcvid.model import Floats
 
 TAIL = 3
@@ -20,6 +19,7 @@ Where a velocity has changed they are the ones that do not fit, and in a long wi
 _MAX_STEPS, _CONVERGED_CHI2 = 8, 1e-2
 # The window is chosen anew in the first steps; then it only becomes shorter, so that the rest converges.
 _WINDOW_STEPS = 3
+_LIMIT = ROBUST_SIGMAS**2
 
 
 def window_descent(
@@ -29,8 +29,8 @@ def window_descent(
 
     Parameters
     ----------
-    add : ``add(views, first, stop, state, sign, sums)`` adds the normal equations of a range of views, or takes them
-        away again; the last of the ``sums`` is chi-square.
+    add : ``add(views, first, stop, state, limit, sign, sums)`` adds the normal equations of a range of views, or takes
+        them away again; squared residuals above the ``limit`` lose weight; the last of the ``sums`` is chi-square.
     solve : ``solve(sums, state, belief, step)`` fills the step and returns by how much chi-square falls;
         ``solve_last`` that which is taken, once the window is chosen.
     """
@@ -57,19 +57,21 @@ def window_descent(
         for count in range(_MAX_STEPS):
             n = n_views if count < _WINDOW_STEPS else n
             sums[:] = 0.0
-            add(views, ZERO, n, state, 1.0, sums)
+            add(views, ZERO, n, state, _LIMIT, 1.0, sums)
             while n > least:
                 left = sums[last] - solve(sums, state, belief, step)
                 if left <= window_gates[n]:
                     k = max(n - TAIL, least)
-                    copy(sums, near)
-                    add(views, k, n, state, -1.0, near)
+                    for j in range(last + 1):
+                        near[j] = sums[j]
+                    add(views, k, n, state, _LIMIT, -1.0, near)
                     if left - near[last] + solve(near, state, belief, step) <= tail_gates[n - k]:
                         break
                 n -= 1
-                add(views, n, n + 1, state, -1.0, sums)
+                add(views, n, n + 1, state, _LIMIT, -1.0, sums)
             fall = solve_last(sums, state, belief, step)
-            add_to(step, state)
+            for j in range(len(state)):
+                state[j] += step[j]
             chi2 = max(sums[last] - fall, 0.0)
             if fall < _CONVERGED_CHI2:
                 break

@@ -67,7 +67,7 @@ def compile_missing(on_compiled: OnCompiled = lambda n_done, n_total: None) -> b
 def load_compiled() -> None:
     """Load all compiled functions into this process, so that copies of it (forks) have them.
 
-    Nothing is done unless all of them are on disk: to compile those that nobody calls takes a minute.
+    Nothing is done unless all of them are on disk: to compile those that nobody calls takes half a minute.
     """
     done = _mark_that_all_is_done(_sources())
     if done is None or not done.exists():
@@ -88,7 +88,7 @@ def compilation_complaint() -> str | None:
     if has_place_on_disk():
         return None
     return (
-        "no folder to keep compiled code in: every run takes a minute longer; "
+        "no folder to keep compiled code in: every run takes half a minute longer; "
         "set NUMBA_CACHE_DIR to a folder that may be written to"
     )
 

@@ -91,64 +91,40 @@ def tracks_needed(n_tracks: Ints) -> Ints:
 
 @compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8, i8[::1], i8[::1], b1[::1])")
 def _find_each(rate: Floats, sigma: Floats, xy: Floats, link: float, lengths: Ints, needed: Ints, is_in: Bools) -> None:
-    """Fills ``is_in (M,)`` set by set."""
-    low = 0
+    """Fills ``is_in (M,)``, set by set, with the surface that the largest rate with enough support leads to."""
+    high, part = 0, np.empty(len(rate), dtype=np.int64)
     for k in range(len(lengths)):
-        high = low + lengths[k]
-        _find(rate[low:high], sigma[low:high], xy[low:high], link, needed[k], is_in[low:high])
-        low = high
+        low, high = high, high + lengths[k]
+        own, last, below, is_found = is_in[low:high], -1, np.inf, False
+        while not is_found:
+            # The next lower rate, in the order of rates and then of places. The first few lead to a surface: to sort
+            # all would take longer.
+            start = -1
+            for i in range(low, high):
+                is_next = last < 0 or rate[i] < rate[last] or (rate[i] == rate[last] and i > last)
+                if is_next and rate[i] <= below and (start < 0 or rate[i] > rate[start]):
+                    start = i
+            if start < 0:
+                own[:] = False
+                break
+            last = start
+            if _settle(rate[low:high], sigma[low:high], rate[start], needed[k], own):
+                is_found = _keep_largest_part(xy[low:high], link, own, part) >= needed[k]
+                below = rate[start] - _NEXT_START_SIGMAS * sigma[start]
 
 
 @compiled
-def _find(rate: Floats, sigma: Floats, xy: Floats, link: float, needed: int, is_in: Bools) -> None:
-    """Fills ``is_in (N,)`` with the surface that the largest rate with enough support leads to."""
-    start, below, part = -1, np.inf, np.empty(len(rate), dtype=np.int64)
-    while True:
-        start = _next_start(rate, start, below)
-        if start < 0:
-            break
-        if _support(rate, sigma, rate[start], is_in) < needed:
-            continue
-        _settle(rate, sigma, rate[start], is_in)
-        if _keep_largest_part(xy, link, is_in, part) >= needed:
-            return
-        below = rate[start] - _NEXT_START_SIGMAS * sigma[start]
-    is_in[:] = False
-
-
-@compiled
-def _next_start(rate: Floats, last: int, below: float) -> int:
-    """The largest rate up to ``below`` that comes after the last one, in the order of rates and then of places; or -1.
-
-    The first few lead to a surface: to sort all would take longer.
-    """
-    found = -1
-    for i in range(len(rate)):
-        is_next = last < 0 or rate[i] < rate[last] or (rate[i] == rate[last] and i > last)
-        if is_next and rate[i] <= below and (found < 0 or rate[i] > rate[found]):
-            found = i
-    return found
-
-
-@compiled
-def _support(rate: Floats, sigma: Floats, centre: float, is_in: Bools) -> int:
-    """Fills ``is_in`` with the tracks near a rate; how many there are."""
-    count = 0
-    for i in range(len(rate)):
-        is_in[i] = abs(rate[i] - centre) < _SURFACE_SIGMAS * sigma[i]
-        count += is_in[i]
-    return count
-
-
-@compiled
-def _settle(rate: Floats, sigma: Floats, centre: float, is_in: Bools) -> None:
-    """Mean-shift from a first rate to where it stays: ``is_in`` is the support there."""
+def _settle(rate: Floats, sigma: Floats, centre: float, needed: int, is_in: Bools) -> bool:
+    """Mean-shift from a first rate to where it stays: ``is_in`` is the support there. False with too few at first."""
     again, count = np.empty(len(rate), dtype=np.bool_), 0
-    for _ in range(_MAX_STEPS):
-        found = _support(rate, sigma, centre, again)
-        is_same = found == count
+    for step in range(_MAX_STEPS):
+        found, is_same = 0, step > 0
         for i in range(len(rate)):
+            again[i] = abs(rate[i] - centre) < _SURFACE_SIGMAS * sigma[i]
+            found += again[i]
             is_same &= again[i] == is_in[i]
+        if step == 0 and found < needed:
+            return False
         if found < count or is_same:
             break
         count, total, weights = found, 0.0, 0.0
@@ -159,6 +135,7 @@ def _settle(rate: Floats, sigma: Floats, centre: float, is_in: Bools) -> None:
                 total += weight * rate[i]
                 weights += weight
         centre = total / weights
+    return True
 
 
 @compiled

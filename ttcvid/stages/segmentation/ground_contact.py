@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 
 from ttcvid.geometry.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit
+from ttcvid.geometry.kernels.medians import median as compiled_median
 from ttcvid.geometry.medians import median, quantile
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.groups import TrackSets
@@ -236,7 +237,8 @@ def _surfaces(rate_hz: Floats, tolerance: Floats, is_seed: Bools, pairs: Ints, l
     for one, other in pairs:
         start[one + 1] += 1
         start[other + 1] += 1
-    start = np.cumsum(start)
+    for i in range(len(rate_hz)):
+        start[i + 1] += start[i]
     beside, end = np.empty(2 * len(pairs), dtype=np.int64), start.copy()
     for one, other in pairs:
         beside[end[one]], beside[end[other]] = other, one
@@ -261,7 +263,7 @@ def _surfaces(rate_hz: Floats, tolerance: Floats, is_seed: Bools, pairs: Ints, l
                         count += 1
             for place in range(count):
                 rates[place] = rate_hz[members[place]]
-            centre = np.median(rates[:count])
+            centre = compiled_median(rates[:count])
         if count < _LEAST_POINTS:
             # They may be part of another surface.
             for place in range(count):
