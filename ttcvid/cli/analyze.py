@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ttcvid.cli.analysis_options import analysis_options, as_text
-from ttcvid.cli.clip_options import configuration_options, message_options, output_option
+from ttcvid.cli.clip_options import Messages, configuration_options, message_options, output_option
 from ttcvid.cli.grouped import GroupedCommand
 from ttcvid.errors import UsageError
 
@@ -28,9 +28,7 @@ def analyze(
     /,
     inputs: tuple[str, ...],
     out: str | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
+    messages: Messages,
     config: str | None,
     settings: tuple[str, ...],
     **options: Any,
@@ -52,14 +50,14 @@ def analyze(
     from ttcvid.jobs.settings.configuration import configure_from_command_line
 
     input_ = _only_one(inputs)
-    log_to_stderr(quiet=quiet, verbose=verbose)
+    log_to_stderr(quiet=messages.quiet, verbose=messages.verbose)
     configuration = configure_from_command_line(
         {name: as_text(value) for name, value in options.items()}, settings, Path(config) if config else None
     )
-    compile_first(enabled=not quiet)
-    with progress_on_stderr(enabled=not quiet) as progress:
+    compile_first(enabled=not messages.quiet)
+    with progress_on_stderr(enabled=not messages.quiet) as progress:
         run = run_analysis(input_, Path(out) if out else None, configuration, arguments=ctx.obj, on_frame=progress)
-    click.echo(run.summary_json() if as_json else run.summary())
+    click.echo(run.summary_json() if messages.as_json else run.summary())
     ctx.exit(run.exit_code)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ttcvid.cli.analysis_options import analysis_options, as_text
-from ttcvid.cli.clip_options import configuration_options, message_options, output_option
+from ttcvid.cli.clip_options import Messages, configuration_options, message_options, output_option
 from ttcvid.cli.grouped import GroupedCommand, option_under
 
 _work_option = option_under("Work")
@@ -36,9 +36,7 @@ def batch(
     /,
     inputs: tuple[str, ...],
     out: str,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
+    messages: Messages,
     jobs: int | None,
     scheduler: str | None,
     config: str | None,
@@ -66,11 +64,11 @@ def batch(
     from ttcvid.jobs.batch.command import run_batch
     from ttcvid.jobs.settings.layers import layer_from_command_line
 
-    log_to_stderr(quiet=quiet, verbose=verbose)
-    compile_first(enabled=not quiet)
+    log_to_stderr(quiet=messages.quiet, verbose=messages.verbose)
+    compile_first(enabled=not messages.quiet)
     for_all = layer_from_command_line({name: as_text(value) for name, value in options.items()}, settings)
     try:
-        with batch_progress(enabled=not quiet) as (on_progress, on_failure):
+        with batch_progress(enabled=not messages.quiet) as (on_progress, on_failure):
             result = run_batch(
                 inputs,
                 Path(out),
@@ -84,5 +82,5 @@ def batch(
     except KeyboardInterrupt:
         click.echo("ttcvid: error: stopped at once: finished clips are kept, the same command goes on", err=True)
         ctx.exit(EXIT_INTERRUPTED)
-    click.echo(result.summary_json() if as_json else result.summary())
+    click.echo(result.summary_json() if messages.as_json else result.summary())
     ctx.exit(result.exit_code)

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from ttcvid.cli.clip_options import (
+    Messages,
     clip_options,
     configuration_options,
     message_options,
@@ -53,9 +54,7 @@ def calibrate_horizon(
     clips: tuple[str, ...],
     out: str,
     evidence: str | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
+    messages: Messages,
     config: str | None,
     settings: tuple[str, ...],
     **options: Any,
@@ -74,13 +73,13 @@ def calibrate_horizon(
     from ttcvid.jobs.calibrate_horizon.command import run_calibration
     from ttcvid.jobs.settings.configuration import configure_from_command_line
 
-    log_to_stderr(quiet=quiet, verbose=verbose)
+    log_to_stderr(quiet=messages.quiet, verbose=messages.verbose)
     texts = {name: str(value).lower() if isinstance(value, bool) else value for name, value in options.items()}
     configuration = configure_from_command_line(texts, settings, Path(config) if config else None)
-    compile_first(enabled=not quiet)
-    with progress_on_stderr(enabled=not quiet) as progress:
+    compile_first(enabled=not messages.quiet)
+    with progress_on_stderr(enabled=not messages.quiet) as progress:
         done = run_calibration(
             clips, Path(out), configuration, evidence=Path(evidence) if evidence else None, on_frame=progress
         )
-    click.echo(done.summary_json() if as_json else done.summary())
+    click.echo(done.summary_json() if messages.as_json else done.summary())
     ctx.exit(done.exit_code)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
 from typing import Any, TypeVar
 
 import click
@@ -41,13 +43,30 @@ def clip_options(camera_option: Option[Any]) -> Callable[[Command], Command]:
     )
 
 
-def message_options() -> Callable[[Command], Command]:
-    """What is said, and where."""
-    return in_order(
-        output_option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object."),
-        output_option("-q", "--quiet", is_flag=True, help="No progress and no warnings on stderr."),
-        output_option("-v", "--verbose", is_flag=True, help="Say on stderr what is being done."),
-    )
+@dataclass(frozen=True)
+class Messages:
+    """What a command says: its summary as JSON, no progress and no warnings, or more than those."""
+
+    as_json: bool
+    quiet: bool
+    verbose: bool
+
+
+def message_options() -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """What is said, and where: the command gets ``messages``."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def with_messages(*arguments: Any, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
+            command(*arguments, messages=Messages(as_json, quiet, verbose), **options)
+
+        return in_order(
+            output_option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object."),
+            output_option("-q", "--quiet", is_flag=True, help="No progress and no warnings on stderr."),
+            output_option("-v", "--verbose", is_flag=True, help="Say on stderr what is being done."),
+        )(with_messages)
+
+    return decorate
 
 
 def tracker_option() -> Callable[[Command], Command]:

@@ -42,10 +42,7 @@ DEFAULT_FRAME = "Frame of the map (default: the first in which something is to b
 @option_under(LIMITS)("--sideways-m-s2", metavar="A", help="Largest acceleration sideways.  [default: 3]")
 @option_under(LIMITS)("--turning-radius-m", metavar="M", help="Radius of our narrowest turn.  [default: 5.5]")
 @option_under(LIMITS)("--forward-m-s2", metavar="A", help="Largest acceleration forward.  [default: 0]")
-@click.pass_context
 def collision_map(
-    ctx: click.Context,
-    /,
     run: Path,
     out: Path | None,
     overwrite: bool,

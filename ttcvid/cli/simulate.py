@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -17,8 +18,17 @@ import click
 @click.option("--tracks", "as_tracks", is_flag=True, help="Point tracks with truth instead of pictures.")
 @click.option("--n-tracks", type=click.IntRange(min=1), default=400, show_default=True, help="Tracks alive at a time.")
 @click.option("--sigma-px", type=click.FloatRange(min=0), default=0.2, show_default=True, help="Noise of the tracks.")
-@click.option("--outliers", type=click.FloatRange(0, 1), default=0.0, show_default=True, help="Fraction of outliers.")
-@click.option("--deaths", type=click.FloatRange(0, 1), default=0.01, show_default=True, help="Deaths per frame.")
+@click.option(
+    "--outliers",
+    "outlier_fraction",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    show_default=True,
+    help="Fraction of outliers.",
+)
+@click.option(
+    "--deaths", "death_rate", type=click.FloatRange(0, 1), default=0.01, show_default=True, help="Deaths per frame."
+)
 @click.option("--births/--no-births", default=True, show_default=True, help="Whether tracks start after frame 0.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of the summary line.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary and no progress.")
@@ -29,14 +39,9 @@ def simulate(
     png: bool,
     seed: int | None,
     n_frames: int | None,
-    as_tracks: bool,
-    n_tracks: int,
-    sigma_px: float,
-    outliers: float,
-    deaths: float,
-    births: bool,
     as_json: bool,
     quiet: bool,
+    **tracks: Any,
 ) -> None:
     """Simulate SCENE (a YAML file) into a folder: clip, camera, horizon and the truth of every frame and object."""
     import json
@@ -46,13 +51,13 @@ def simulate(
     from ttcvid.jobs.simulate import simulate as run
     from ttcvid.simulate.tracks import TrackOptions
 
-    tracks = TrackOptions(n_tracks, 15, sigma_px, outliers, deaths, births) if as_tracks else None
+    are_asked = tracks.pop("as_tracks")
     with progress_on_stderr(enabled=not quiet) as progress:
         result = run(
             scene,
             out,
             png=png,
-            tracks=tracks,
+            tracks=TrackOptions(**tracks) if are_asked else None,
             seed=seed,
             n_frames=n_frames,
             overwrite=overwrite,
