@@ -27,7 +27,7 @@ FIRST_RUN_BAR_S = 30.0
 _EACH = """
 import sys, time
 sys.path.insert(0, "benchmarks")
-from ttcvid.geometry.compiled import entry_points
+from ttcvid.compiled import entry_points
 from ttcvid.jobs.processes.compilation import import_compiled
 import_compiled()
 for entry in entry_points():

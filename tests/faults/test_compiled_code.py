@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ttcvid.cli.main import main
-from ttcvid.geometry.copies_on_disk import damaged_copies
+from ttcvid.copies_on_disk import damaged_copies
 
 TIMES_TWO = """
-from ttcvid.geometry.compiled import compiled
+from ttcvid.compiled import compiled
 
 @compiled
 def scaled(x):
@@ -105,6 +105,6 @@ def test_doctor_names_a_damaged_copy(
 ) -> None:
     damaged = tmp_path / "median-1.py311-checked.nbi"
     damaged.write_bytes(b"")
-    monkeypatch.setattr("ttcvid.geometry.compiled._folders", lambda: [tmp_path])
+    monkeypatch.setattr("ttcvid.compiled._folders", lambda: [tmp_path])
     assert main(["doctor"]) == 1
     assert str(damaged) in capsys.readouterr().out

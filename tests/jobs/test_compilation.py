@@ -10,7 +10,7 @@ from ttcvid.geometry import compiled
 from ttcvid.jobs.processes import compilation
 
 MADE = """
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.compiled import compiled_for
 
 @compiled_for("(f8,)")
 def one(x):

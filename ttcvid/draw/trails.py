@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ttcvid.compiled import compiled_for
 from ttcvid.draw.palette import Colour, colours_of_tracks
-from ttcvid.geometry.compiled import compiled_for
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Picture, TrackRows
 from ttcvid.stages.tracking.groups import places_among
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.compiled import compiled_for
 from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents
 from ttcvid.model import Floats, Ints
 

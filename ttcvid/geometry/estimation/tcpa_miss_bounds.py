@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.compiled import compiled, compiled_for
 from ttcvid.model import Floats
 
 CHI2_90_TWO = 4.605170185988092

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import ZERO, compiled, compiled_for
+from ttcvid.compiled import ZERO, compiled, compiled_for
 from ttcvid.geometry.kernels.windows import window_descent
 from ttcvid.model import Floats, Ints
 

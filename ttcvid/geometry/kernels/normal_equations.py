@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import ZERO, compiled, compiled_in_place
+from ttcvid.compiled import ZERO, compiled, compiled_in_place
 from ttcvid.model import Floats
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_in_place
+from ttcvid.compiled import compiled, compiled_in_place
 from ttcvid.model import Floats
 
 ROBUST_SIGMAS = 3.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import ZERO, compiled_for
+from ttcvid.compiled import ZERO, compiled_for
 from ttcvid.geometry.kernels import path_point
 from ttcvid.model import Floats, Ints
 

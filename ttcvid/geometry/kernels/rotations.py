@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled
+from ttcvid.compiled import compiled
 from ttcvid.model import Floats
 
 # Below this 1 + y the tangent basis changes its formula: a cap of 2.6 deg about straight up, where no motion of

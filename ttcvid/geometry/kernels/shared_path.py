@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels import path_point as point
 from ttcvid.geometry.kernels.known_path import list_views
 from ttcvid.geometry.kernels.medians import median

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.compiled import compiled, compiled_for
 from ttcvid.model import Floats
 
 

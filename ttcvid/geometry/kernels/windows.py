@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ttcvid.geometry.compiled import ZERO, compiled_part
+from ttcvid.compiled import ZERO, compiled_part
 from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
 from ttcvid.model import Floats
 

@@ -21,8 +21,8 @@ from pathlib import Path
 import numba
 
 import ttcvid
+from ttcvid.compiled import damaged_on_disk, entry_points, has_place_on_disk
 from ttcvid.errors import TtcvidError
-from ttcvid.geometry.compiled import damaged_on_disk, entry_points, has_place_on_disk
 from ttcvid.posix import can_copy_process, usable_cores
 
 OnCompiled = Callable[[int, int], None]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.geometry.kernels.medians import median as compiled_median
 from ttcvid.geometry.medians import median, quantile

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.compiled import compiled_for
 from ttcvid.model import Ints, Picture
 
 # A descriptor of 61 bytes (AKAZE's 486 bits) fills eight words. The number is fixed so that the loop over the words

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from ttcvid.geometry.compiled import compiled_for
+from ttcvid.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
 

@@ -14,7 +14,7 @@ from numba.core import caching
 from numba.core.sigutils import normalize_signature
 
 import ttcvid
-from ttcvid.geometry.compiled import compiled, entry_points, has_place_on_disk
+from ttcvid.compiled import compiled, entry_points, has_place_on_disk
 from ttcvid.jobs.processes.compilation import import_compiled
 
 PACKAGE = Path(ttcvid.__file__).parent
@@ -36,7 +36,7 @@ def test_compiled_sums_that_hold_a_nan_are_not_finite():
 
 MADE = """
 import numpy as np
-from ttcvid.geometry.compiled import compiled, compiled_for
+from ttcvid.compiled import compiled, compiled_for
 
 @compiled
 def doubled(x):
@@ -54,7 +54,7 @@ ONE = 1.0
 """
 CALLER = """
 from made import ONE, doubled
-from ttcvid.geometry.compiled import compiled
+from ttcvid.compiled import compiled
 
 @compiled
 def other_sums(x):
@@ -114,7 +114,7 @@ ANALYSIS = """
 import sys
 from contextlib import nullcontext
 import ttcvid
-from ttcvid.geometry.compiled import entry_points
+from ttcvid.compiled import entry_points
 from ttcvid.jobs.analyze import command as job
 from ttcvid.simulate import TrackOptions
 # In this process, where the calls can be counted.

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numba.core import sigutils
 
-from ttcvid.geometry.copies_on_disk import checked_cache, damaged_copies
+from ttcvid.copies_on_disk import checked_cache, damaged_copies
 
 F = TypeVar("F", bound=Callable[..., Any])
 
