@@ -24,16 +24,11 @@ class OverlayPainter:
 
     Parameters
     ----------
-    camera
-        Projects epipoles, arrows and the horizon into the (distorted) picture.
-    image_size
-        Size of all pictures; letters and strokes follow it.
-    trail_frames
-        Length of the trails in frames.
-    is_smooth
-        Whether estimates use later frames too: said beside the clock.
-    told_platform
-        What carries the camera, decided from the clip: shown beside the clock; empty where it was given.
+    camera : Projects epipoles, arrows and the horizon into the (distorted) picture.
+    image_size : Size of all pictures; letters and strokes follow it.
+    trail_frames : Length of the trails in frames.
+    is_smooth : Whether estimates use later frames too: said beside the clock.
+    told_platform : What carries the camera, decided from the clip: shown beside the clock; empty where it was given.
     """
 
     def __init__(

@@ -46,15 +46,11 @@ def straightened(place: Floats, velocity: Floats, heading: Floats, speed: float,
 
     Parameters
     ----------
-    place, velocity
-        ``(3,)`` relative to the camera, in any one unit of length (velocity: per s), y down.
-    heading
-        ``(3,)`` unit vector of our direction of travel, in the plane of x and z.
-    speed
-        Our speed, in that unit per s.
-    turn_rad_s
-        Our turn rate, positive to the right. Where it is 0, and behind the centre, the coordinates are the camera's
-        own.
+    place, velocity : ``(3,)`` relative to the camera, in any one unit of length (velocity: per s), y down.
+    heading : ``(3,)`` unit vector of our direction of travel, in the plane of x and z.
+    speed : Our speed, in that unit per s.
+    turn_rad_s : Our turn rate, positive to the right. Where it is 0, and behind the centre, the coordinates are the
+        camera's own.
     """
     level = math.hypot(heading[0], heading[2])
     ahead_x, ahead_z = heading[0] / level, heading[2] / level

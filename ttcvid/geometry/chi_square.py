@@ -17,10 +17,8 @@ def chi2_quantile(probability: float, freedom: int | Ints) -> Floats:
 
     Parameters
     ----------
-    probability
-        In (0, 1).
-    freedom
-        Degrees of freedom, scalar or ``(...)``.
+    probability : In (0, 1).
+    freedom : Degrees of freedom, scalar or ``(...)``.
 
     Returns
     -------

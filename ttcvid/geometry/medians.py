@@ -23,10 +23,8 @@ def quantile(values: Floats, part: float) -> float:
 
     Parameters
     ----------
-    values
-        ``(N,)``, N > 0.
-    part
-        In [0, 1].
+    values : ``(N,)``, N > 0.
+    part : In [0, 1].
 
     >>> quantile(np.array([3.0, 1.0, 2.0, 5.0]), 0.25)
     1.75
@@ -42,12 +40,9 @@ def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
 
     Parameters
     ----------
-    values
-        ``(N,)``; NaN is left out.
-    group
-        ``(N,)`` group of each value, from 0.
-    n_groups
-        Number K of groups.
+    values : ``(N,)``; NaN is left out.
+    group : ``(N,)`` group of each value, from 0.
+    n_groups : Number K of groups.
 
     Returns
     -------

@@ -17,8 +17,7 @@ def cross(v: Floats, w: Floats) -> Floats:
 
     Parameters
     ----------
-    v, w
-        ``(..., 3)``, broadcast.
+    v, w : ``(..., 3)``, broadcast.
 
     Returns
     -------
@@ -64,8 +63,7 @@ def rotation_from_vector(rotvec_rad: Floats) -> Floats:
 
     Parameters
     ----------
-    rotvec_rad
-        ``(..., 3)`` in rad; exact for angles down to zero.
+    rotvec_rad : ``(..., 3)`` in rad; exact for angles down to zero.
 
     Returns
     -------
@@ -88,8 +86,7 @@ def vector_from_rotation(rotation: Floats) -> Floats:
 
     Parameters
     ----------
-    rotation
-        ``(..., 3, 3)`` proper rotations.
+    rotation : ``(..., 3, 3)`` proper rotations.
 
     Returns
     -------
@@ -109,10 +106,8 @@ def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
 
     Parameters
     ----------
-    rays
-        ``(L, N, 3)`` of any length.
-    rotations
-        ``(L, 3, 3)``, one per view.
+    rays : ``(L, N, 3)`` of any length.
+    rotations : ``(L, 3, 3)``, one per view.
 
     Returns
     -------
@@ -131,10 +126,8 @@ def each_turned_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation:
 
     Parameters
     ----------
-    rays, ray
-        ``(L, N, 3)``, and the index of each selected ray: ``(M,)``.
-    rotations, rotation
-        ``(K, L, 3, 3)``, and the index of the group that rotates it: ``(M,)``.
+    rays, ray : ``(L, N, 3)``, and the index of each selected ray: ``(M,)``.
+    rotations, rotation : ``(K, L, 3, 3)``, and the index of the group that rotates it: ``(M,)``.
 
     Returns
     -------
@@ -152,8 +145,7 @@ def tangent_basis(direction: Floats) -> Floats:
 
     Parameters
     ----------
-    direction
-        ``(..., 3)`` unit vectors.
+    direction : ``(..., 3)`` unit vectors.
 
     Returns
     -------

@@ -82,10 +82,8 @@ def evaluate(run: str | Path | Run, truth: str | Path) -> EvaluatedRun:
 
     Parameters
     ----------
-    run
-        The output folder of an analysis, or what ``ttcvid.analyze`` returned.
-    truth
-        The folder of ``ttcvid simulate``, or one with tables of the same names and columns; one table is enough.
+    run : The output folder of an analysis, or what ``ttcvid.analyze`` returned.
+    truth : The folder of ``ttcvid simulate``, or one with tables of the same names and columns; one table is enough.
 
     Returns
     -------

@@ -45,16 +45,11 @@ def export(
 
     Parameters
     ----------
-    run
-        The output folder of an analysis, or what ``ttcvid.analyze`` returned.
-    to
-        One of `FORMATS`.
-    out
-        A file, or for all tables as ``csv`` a folder; default in the working folder, named after the run.
-    table
-        Of ``csv``: this table alone.
-    overwrite
-        Replace what exists; of a folder, the files that have the names of tables.
+    run : The output folder of an analysis, or what ``ttcvid.analyze`` returned.
+    to : One of `FORMATS`.
+    out : A file, or for all tables as ``csv`` a folder; default in the working folder, named after the run.
+    table : Of ``csv``: this table alone.
+    overwrite : Replace what exists; of a folder, the files that have the names of tables.
 
     Returns
     -------

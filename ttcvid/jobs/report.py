@@ -27,10 +27,8 @@ def report(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
 
     Parameters
     ----------
-    runs
-        Output folders of analyses, or what ``ttcvid.analyze`` returned.
-    out
-        The page; without it the report of a single run is ``report.html`` in its folder, and its manifest lists it.
+    runs : Output folders of analyses, or what ``ttcvid.analyze`` returned.
+    out : The page; without it the report of a single run is ``report.html`` in its folder, and its manifest lists it.
         The page finds the videos where they are, as long as page and runs keep their places to each other.
 
     Returns

@@ -59,16 +59,11 @@ def sensitivity(
 
     Parameters
     ----------
-    config
-        A TOML file with the section ``[sensitivity]``; ``TTCVID_*`` variables and ``./ttcvid.toml`` count as well.
-    out
-        Output folder; default ``sensitivity`` in the working folder.
-    overwrite
-        Replace the result in a folder that exists.
-    progress
-        Called with (points done, points in all).
-    **options
-        The parameters of ``SensitivityConfig``, as ``focal_mm=12``; the rest is the paper's case.
+    config : A TOML file with the section ``[sensitivity]``; ``TTCVID_*`` variables and ``./ttcvid.toml`` count as well.
+    out : Output folder; default ``sensitivity`` in the working folder.
+    overwrite : Replace the result in a folder that exists.
+    progress : Called with (points done, points in all).
+    **options : The parameters of ``SensitivityConfig``, as ``focal_mm=12``; the rest is the paper's case.
 
     Returns
     -------

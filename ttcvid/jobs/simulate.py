@@ -79,22 +79,14 @@ def simulate(
 
     Parameters
     ----------
-    scene_path
-        The scene file.
-    out
-        The folder; default ``NAME_scene`` of the scene file's name, in the working directory.
-    png
-        Loss-free pictures in ``frames/`` with ``timestamps.txt`` instead of ``clip.mp4``.
-    tracks
-        Point tracks instead of pictures.
-    seed
-        Instead of the scene's own: other textures, noise and tracks, the same motion but for the jitter.
-    n_frames
-        Only the first pictures of the scene.
-    overwrite
-        Replace the folder of a former simulation.
-    progress
-        Called with (pictures done, pictures in all).
+    scene_path : The scene file.
+    out : The folder; default ``NAME_scene`` of the scene file's name, in the working directory.
+    png : Loss-free pictures in ``frames/`` with ``timestamps.txt`` instead of ``clip.mp4``.
+    tracks : Point tracks instead of pictures.
+    seed : Instead of the scene's own: other textures, noise and tracks, the same motion but for the jitter.
+    n_frames : Only the first pictures of the scene.
+    overwrite : Replace the folder of a former simulation.
+    progress : Called with (pictures done, pictures in all).
 
     Returns
     -------

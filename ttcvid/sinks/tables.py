@@ -34,17 +34,13 @@ class TableSink:
 
     Parameters
     ----------
-    folder
-        An existing folder, usually the temporary one of `ttcvid.sinks.folder.OutputFolder`.
-    metadata
-        File metadata of every table, beside the schema's version (how the run was made; nothing time-dependent).
-    nominal_dt_s
-        Median frame interval of the source in s: the unit of ``k_frames``.
+    folder : An existing folder, usually the temporary one of `ttcvid.sinks.folder.OutputFolder`.
+    metadata : File metadata of every table, beside the schema's version (how the run was made; nothing time-dependent).
+    nominal_dt_s : Median frame interval of the source in s: the unit of ``k_frames``.
 
     Raises
     ------
-    OutputError
-        Where a table cannot be written, from any method.
+    OutputError : Where a table cannot be written, from any method.
     """
 
     def __init__(self, folder: Path, metadata: dict[str, str], *, nominal_dt_s: float) -> None:

@@ -33,21 +33,15 @@ class OverlayVideo:
 
     Parameters
     ----------
-    path
-        Where to write; mp4 whatever the name.
-    image_size
-        Size of every picture.
-    nominal_dt_s
-        Usual frame interval in s: shows the last picture that long, and spaces the key frames.
-    preset, crf
-        x264's speed and quality (`ttcvid.config.OverlayConfig`).
-    threads
-        Encoder threads; one, because the analysis runs beside.
+    path : Where to write; mp4 whatever the name.
+    image_size : Size of every picture.
+    nominal_dt_s : Usual frame interval in s: shows the last picture that long, and spaces the key frames.
+    preset, crf : x264's speed and quality (`ttcvid.config.OverlayConfig`).
+    threads : Encoder threads; one, because the analysis runs beside.
 
     Raises
     ------
-    OutputError
-        From any method, where this installation cannot encode H.264 or the file cannot be written.
+    OutputError : From any method, where this installation cannot encode H.264 or the file cannot be written.
     """
 
     def __init__(

@@ -29,25 +29,19 @@ def open_source(
 
     Parameters
     ----------
-    input_
-        Path of a video or picture file, of a folder of pictures, of a ``.parquet`` or ``.csv`` track table, or a
+    input_ : Path of a video or picture file, of a folder of pictures, of a ``.parquet`` or ``.csv`` track table, or a
         pattern such as ``img_%06d.png`` or ``*.jpg``. What exists under that name goes before its reading as pattern.
-    selection
-        Which frames are wanted.
-    fps, timestamps
-        Frame rate in 1/s, or file with one time a line: required for pictures, instead of the container's times
-        for a video, refused for tables, which have their own.
-    image_size
-        Size of the pictures behind a track table; a video or picture of another size is refused.
-    max_image_mpx
-        Picture files that claim more pixels than this, in 10^6, are left out like those that cannot be read.
+    selection : Which frames are wanted.
+    fps, timestamps : Frame rate in 1/s, or file with one time a line: required for pictures, instead of the container's
+        times for a video, refused for tables, which have their own.
+    image_size : Size of the pictures behind a track table; a video or picture of another size is refused.
+    max_image_mpx : Picture files that claim more pixels than this, in 10^6, are left out like those that cannot be
+        read.
 
     Raises
     ------
-    InputError
-        The input cannot be read.
-    UsageError
-        An option is missing, or does not go with this input.
+    InputError : The input cannot be read.
+    UsageError : An option is missing, or does not go with this input.
     """
     # imported here: PyAV, OpenCV and pyarrow are slow to load, and one input needs one of them
     from ttcvid.sources.clock import Clock

@@ -45,12 +45,9 @@ def are_enough(n_after: int, after_s: float, max_frames: int) -> bool:
 
     Parameters
     ----------
-    n_after
-        Number of frames after it.
-    after_s
-        Time of the last of them, relative to it.
-    max_frames
-        Length of the window, in frames.
+    n_after : Number of frames after it.
+    after_s : Time of the last of them, relative to it.
+    max_frames : Length of the window, in frames.
     """
     half = max_frames // 2
     return n_after >= half and after_s >= (half - 0.5) / FULL_RATE_HZ
@@ -61,12 +58,9 @@ def seen_again(seen: Seen, later: Sequence[Seen], camera: Camera, config: Pipeli
 
     Parameters
     ----------
-    seen
-        The frame.
-    later
-        The next frames in order, each of which continues this one (`Seen.is_continued_by`).
-    camera, config
-        Intrinsics; parameters of all stages.
+    seen : The frame.
+    later : The next frames in order, each of which continues this one (`Seen.is_continued_by`).
+    camera, config : Intrinsics; parameters of all stages.
     """
     if not later or seen.egomotion is None:
         return seen

@@ -28,12 +28,9 @@ def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
 
     Parameters
     ----------
-    model
-        ``none``, ``plumb_bob``, ``rational`` or ``fisheye``.
-    coefficients
-        As many as the model has, in OpenCV's order.
-    xy
-        ``(N, 2)`` undistorted points.
+    model : ``none``, ``plumb_bob``, ``rational`` or ``fisheye``.
+    coefficients : As many as the model has, in OpenCV's order.
+    xy : ``(N, 2)`` undistorted points.
 
     Returns
     -------
@@ -76,8 +73,7 @@ def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> F
 
     Parameters
     ----------
-    model, coefficients, xy
-        As in `distort`.
+    model, coefficients, xy : As in `distort`.
 
     Returns
     -------
@@ -104,12 +100,9 @@ def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats,
 
     Parameters
     ----------
-    model, coefficients
-        As in `distort`.
-    xy_distorted
-        ``(N, 2)`` distorted points.
-    tolerance
-        The iteration ends where `distort` reproduces the point within this length on the plane z = 1.
+    model, coefficients : As in `distort`.
+    xy_distorted : ``(N, 2)`` distorted points.
+    tolerance : The iteration ends where `distort` reproduces the point within this length on the plane z = 1.
 
     Returns
     -------

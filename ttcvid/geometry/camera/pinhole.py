@@ -16,10 +16,8 @@ def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
 
     Parameters
     ----------
-    camera
-        Intrinsics and distortion.
-    xy_px
-        ``(N, 2)`` source pixels.
+    camera : Intrinsics and distortion.
+    xy_px : ``(N, 2)`` source pixels.
 
     Returns
     -------
@@ -54,10 +52,8 @@ def plane_per_px(camera: Camera, rays: Floats) -> Floats:
 
     Parameters
     ----------
-    camera
-        Intrinsics and distortion.
-    rays
-        ``(N, 3)`` of any length, camera frame.
+    camera : Intrinsics and distortion.
+    rays : ``(N, 3)`` of any length, camera frame.
 
     Returns
     -------
@@ -84,10 +80,8 @@ def pixels_from_rays(camera: Camera, rays: Floats) -> Floats:
 
     Parameters
     ----------
-    camera
-        Intrinsics and distortion.
-    rays
-        ``(N, 3)`` of any length, camera frame.
+    camera : Intrinsics and distortion.
+    rays : ``(N, 3)`` of any length, camera frame.
 
     Returns
     -------

@@ -40,14 +40,10 @@ def find_steps(height: Floats, t_s: Floats, size: Floats, weight: Floats) -> Wav
 
     Parameters
     ----------
-    height
-        ``(N,)`` height of the head, its trend removed.
-    t_s
-        ``(N,)`` ascending times.
-    size
-        ``(N,)`` height of the whole figure, in the same unit: the amplitude is proportional to it.
-    weight
-        ``(N,)`` 0 to 1, small for outliers.
+    height : ``(N,)`` height of the head, its trend removed.
+    t_s : ``(N,)`` ascending times.
+    size : ``(N,)`` height of the whole figure, in the same unit: the amplitude is proportional to it.
+    weight : ``(N,)`` 0 to 1, small for outliers.
 
     Returns
     -------

@@ -60,14 +60,10 @@ def fit_horizon(
 
     Parameters
     ----------
-    directions
-        ``(K, 3)`` unit vectors of either sign.
-    covariances
-        ``(K, 3, 3)`` in their tangent planes, rad^2.
-    floor_rad
-        Minimum scatter, even where the epipoles agree better.
-    roll_sigma_rad
-        Standard deviation of the prior of the camera's roll about zero; None: no prior.
+    directions : ``(K, 3)`` unit vectors of either sign.
+    covariances : ``(K, 3, 3)`` in their tangent planes, rad^2.
+    floor_rad : Minimum scatter, even where the epipoles agree better.
+    roll_sigma_rad : Standard deviation of the prior of the camera's roll about zero; None: no prior.
 
     Returns
     -------
@@ -114,10 +110,8 @@ def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, 
 
     Parameters
     ----------
-    directions, covariances, floor_rad
-        As in `fit_horizon`.
-    probability
-        Probability at which the epipoles count as different.
+    directions, covariances, floor_rad : As in `fit_horizon`.
+    probability : Probability at which the epipoles count as different.
     """
     if len(directions) < 2:
         return True
@@ -143,8 +137,7 @@ def widest_angle_rad(directions: Floats, covariances: Floats) -> float:
 
     Parameters
     ----------
-    directions, covariances
-        As in `fit_horizon`.
+    directions, covariances : As in `fit_horizon`.
 
     Returns
     -------
@@ -168,12 +161,9 @@ def band_px(camera: Camera, fit: HorizonFit, x_px: Floats) -> tuple[Floats, Floa
 
     Parameters
     ----------
-    camera
-        Intrinsics.
-    fit
-        The horizon.
-    x_px
-        ``(N,)`` columns.
+    camera : Intrinsics.
+    fit : The horizon.
+    x_px : ``(N,)`` columns.
 
     Returns
     -------

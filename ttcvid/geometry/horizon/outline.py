@@ -66,17 +66,13 @@ def fit_outline(
 
     Parameters
     ----------
-    outline
-        ``(N, 3)`` x, top and bottom in undistorted normalised coordinates.
-    t_s
-        ``(N,)`` ascending times.
-    block
-        ``(N,)`` ascending numbers; errors of different blocks are independent. The covariance is the jackknife's over
-        blocks.
-    n_independent
-        Number of independent outlines; the covariance is at least that of so many.
-    border_sigma
-        Constant error of the top and of the bottom, in the unit of ``outline``: where exactly the outline is seen.
+    outline : ``(N, 3)`` x, top and bottom in undistorted normalised coordinates.
+    t_s : ``(N,)`` ascending times.
+    block : ``(N,)`` ascending numbers; errors of different blocks are independent. The covariance is the jackknife's
+        over blocks.
+    n_independent : Number of independent outlines; the covariance is at least that of so many.
+    border_sigma : Constant error of the top and of the bottom, in the unit of ``outline``: where exactly the outline is
+        seen.
 
     Returns
     -------

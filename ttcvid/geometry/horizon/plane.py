@@ -21,10 +21,8 @@ def normal_from_horizon(camera: Camera, horizon: Horizon) -> Floats:
 
     Parameters
     ----------
-    camera
-        Intrinsics.
-    horizon
-        Heights of the line at the left and the right border.
+    camera : Intrinsics.
+    horizon : Heights of the line at the left and the right border.
 
     Returns
     -------
@@ -49,10 +47,8 @@ def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:
 
     Parameters
     ----------
-    camera
-        Intrinsics.
-    normal
-        ``(3,)`` of any length and either sign.
+    camera : Intrinsics.
+    normal : ``(3,)`` of any length and either sign.
 
     Returns
     -------
@@ -77,8 +73,7 @@ def pitch_roll_rad(normal: Floats) -> tuple[float, float]:
 
     Parameters
     ----------
-    normal
-        ``(3,)`` unit vector in the camera frame.
+    normal : ``(3,)`` unit vector in the camera frame.
 
     Returns
     -------

@@ -34,12 +34,9 @@ def angle_from_direction(rays: Floats, origin_dir: Floats, plane_normal: Floats)
 
     Parameters
     ----------
-    rays
-        ``(N, 3)`` of any length.
-    origin_dir
-        ``(3,)`` or ``(N, 3)``, where the angle is zero: the epipole ``-dir``.
-    plane_normal
-        ``(N, 3)``, normal to ``origin_dir``; the angle grows right-handed about it.
+    rays : ``(N, 3)`` of any length.
+    origin_dir : ``(3,)`` or ``(N, 3)``, where the angle is zero: the epipole ``-dir``.
+    plane_normal : ``(N, 3)``, normal to ``origin_dir``; the angle grows right-handed about it.
 
     Returns
     -------
@@ -61,10 +58,8 @@ def angles_from_epipoles(rays: Floats, direction: Floats) -> Floats:
 
     Parameters
     ----------
-    rays
-        ``(N, 3)`` of any length.
-    direction
-        ``(N, 3)`` dir = V / abs(V).
+    rays : ``(N, 3)`` of any length.
+    direction : ``(N, 3)`` dir = V / abs(V).
 
     Returns
     -------
@@ -88,10 +83,8 @@ def k_from_two_angles(alpha_rad: Floats, beta_rad: Floats, gap: float | Floats) 
 
     Parameters
     ----------
-    alpha_rad, beta_rad
-        ``(N,)`` angles from the epipole at the first and second view.
-    gap
-        Scalar or ``(N,)``, in frames or seconds: k is in the same unit.
+    alpha_rad, beta_rad : ``(N,)`` angles from the epipole at the first and second view.
+    gap : Scalar or ``(N,)``, in frames or seconds: k is in the same unit.
 
     Returns
     -------
@@ -127,12 +120,9 @@ def collision_point(rays: Floats, direction: Floats, tcpa_s: Floats, miss_s: Flo
 
     Parameters
     ----------
-    rays
-        ``(N, 3)`` of any length.
-    direction
-        ``(3,)`` or ``(N, 3)`` unit vector dir = V / abs(V).
-    tcpa_s, miss_s
-        ``(N,)``, the paper's k and H.
+    rays : ``(N, 3)`` of any length.
+    direction : ``(3,)`` or ``(N, 3)`` unit vector dir = V / abs(V).
+    tcpa_s, miss_s : ``(N,)``, the paper's k and H.
 
     Returns
     -------
@@ -155,8 +145,7 @@ def times_from_position_velocity(position: Floats, velocity: Floats) -> PointTim
 
     Parameters
     ----------
-    position, velocity
-        ``(N, 3)`` P and V in any one unit of length (V per s), camera frame.
+    position, velocity : ``(N, 3)`` P and V in any one unit of length (V per s), camera frame.
 
     Returns
     -------

@@ -42,8 +42,7 @@ def epipole_from_flow_lines(first_px: Floats, second_px: Floats) -> tuple[Floats
 
     Parameters
     ----------
-    first_px, second_px
-        ``(N, 2)`` undistorted, rotation removed. Points without flow or with NaN are left out.
+    first_px, second_px : ``(N, 2)`` undistorted, rotation removed. Points without flow or with NaN are left out.
 
     Returns
     -------
@@ -77,10 +76,8 @@ def epipole_maximum_likelihood(q: Floats, p: Floats, sigma_rad: Floats) -> tuple
 
     Parameters
     ----------
-    q, p
-        ``(N, 3)`` unit rays of the first and the second view; NaN rays are left out.
-    sigma_rad
-        ``(N,)`` standard deviation of a ray's direction per axis.
+    q, p : ``(N, 3)`` unit rays of the first and the second view; NaN rays are left out.
+    sigma_rad : ``(N,)`` standard deviation of a ray's direction per axis.
 
     Returns
     -------
@@ -115,10 +112,8 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
 
     Parameters
     ----------
-    one, other
-        ``(..., 3)`` unit vectors, broadcast.
-    covariance
-        ``(..., 3, 3)`` rad^2: the sum of both, in their tangent planes.
+    one, other : ``(..., 3)`` unit vectors, broadcast.
+    covariance : ``(..., 3, 3)`` rad^2: the sum of both, in their tangent planes.
 
     Returns
     -------

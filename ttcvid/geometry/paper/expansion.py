@@ -26,13 +26,10 @@ def expansion_rate(
 
     Parameters
     ----------
-    rays_first, rays_second
-        ``(..., m, 3)``: regions of m points each, rotation removed, any length, z > 0.
-    dt_s
-        Time between the views, scalar or ``(...)``.
-    weights
-        ``(..., m)`` relative inverse variances, 0 for absent points; None: equal. Points that are NaN or not in front
-        of the camera are absent by themselves.
+    rays_first, rays_second : ``(..., m, 3)``: regions of m points each, rotation removed, any length, z > 0.
+    dt_s : Time between the views, scalar or ``(...)``.
+    weights : ``(..., m)`` relative inverse variances, 0 for absent points; None: equal. Points that are NaN or not in
+        front of the camera are absent by themselves.
 
     Returns
     -------
@@ -68,12 +65,9 @@ def expansion_of_neighbourhood(
 
     Parameters
     ----------
-    rays_first, rays_second
-        ``(N, 3)`` as in `expansion_rate`.
-    neighbours
-        ``(Q, m)`` indices of the points of each neighbourhood; negative: absent.
-    dt_s
-        Time between the views, scalar or ``(Q,)``.
+    rays_first, rays_second : ``(N, 3)`` as in `expansion_rate`.
+    neighbours : ``(Q, m)`` indices of the points of each neighbourhood; negative: absent.
+    dt_s : Time between the views, scalar or ``(Q,)``.
 
     Returns
     -------

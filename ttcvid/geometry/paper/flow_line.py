@@ -24,10 +24,8 @@ def flow_line_distance_px(epipole_px: Floats, first_px: Floats, second_px: Float
 
     Parameters
     ----------
-    epipole_px
-        ``(2,)``.
-    first_px, second_px
-        ``(N, 2)`` undistorted.
+    epipole_px : ``(2,)``.
+    first_px, second_px : ``(N, 2)`` undistorted.
 
     Returns
     -------
@@ -48,8 +46,7 @@ def flow_normals(first_px: Floats, second_px: Floats) -> Floats:
 
     Parameters
     ----------
-    first_px, second_px
-        ``(N, 2)`` undistorted.
+    first_px, second_px : ``(N, 2)`` undistorted.
 
     Returns
     -------
@@ -71,12 +68,9 @@ def flow_line_chi2(directions: Floats, q: Floats, p: Floats, sigma_rad: Floats) 
 
     Parameters
     ----------
-    directions
-        ``(M, 3)`` or ``(3,)`` unit vectors.
-    q, p
-        ``(N, 3)`` unit rays of the first and the second view.
-    sigma_rad
-        ``(N,)`` standard deviation of a ray's direction per axis.
+    directions : ``(M, 3)`` or ``(3,)`` unit vectors.
+    q, p : ``(N, 3)`` unit rays of the first and the second view.
+    sigma_rad : ``(N,)`` standard deviation of a ray's direction per axis.
 
     Returns
     -------
@@ -115,8 +109,7 @@ def moves_towards(directions: Floats, q: Floats, p: Floats, sigma_rad: Floats) -
 
     Parameters
     ----------
-    directions, q, p, sigma_rad
-        As in `flow_line_chi2`.
+    directions, q, p, sigma_rad : As in `flow_line_chi2`.
 
     Returns
     -------

@@ -23,14 +23,11 @@ def planar_epipole(
 
     Parameters
     ----------
-    q, p
-        ``(N, 3)`` unit rays of the first and the second view.
-    horizon_normal
-        ``(3,)`` unit normal of the horizontal plane, either sign.
-    sigma_rad
-        ``(N,)`` standard deviation of a ray's direction per axis.
-    horizon_sigma_rad
-        Standard deviation of the normal's direction, one for all or ``(N,)`` towards each flow's direction.
+    q, p : ``(N, 3)`` unit rays of the first and the second view.
+    horizon_normal : ``(3,)`` unit normal of the horizontal plane, either sign.
+    sigma_rad : ``(N,)`` standard deviation of a ray's direction per axis.
+    horizon_sigma_rad : Standard deviation of the normal's direction, one for all or ``(N,)`` towards each flow's
+        direction.
 
     Returns
     -------

@@ -28,10 +28,8 @@ def epipole_offset_three_frames(
 
     Parameters
     ----------
-    A, B, C
-        ``(N,)`` tangents of the measured angles, oldest first.
-    gap_1, gap_2
-        Gaps d1 from A to B and d2 from B to C, in any one unit; scalar or ``(N,)``.
+    A, B, C : ``(N,)`` tangents of the measured angles, oldest first.
+    gap_1, gap_2 : Gaps d1 from A to B and d2 from B to C, in any one unit; scalar or ``(N,)``.
 
     Returns
     -------
@@ -59,12 +57,9 @@ def three_frame_direction(
 
     Parameters
     ----------
-    rays
-        ``(3, N, 3)`` oldest first, rotated into the last camera; any length.
-    gap_1, gap_2
-        Gaps from the first to the second and from the second to the third view; scalar or ``(N,)``.
-    sigma_rad
-        ``(N,)`` standard deviation of a ray's direction per axis.
+    rays : ``(3, N, 3)`` oldest first, rotated into the last camera; any length.
+    gap_1, gap_2 : Gaps from the first to the second and from the second to the third view; scalar or ``(N,)``.
+    sigma_rad : ``(N,)`` standard deviation of a ray's direction per axis.
 
     Returns
     -------

@@ -31,16 +31,11 @@ def state_from_direction(
 
     Parameters
     ----------
-    q, p
-        ``(N, 3)`` rays of the first view (rotated into the second camera) and of the second; any length, z > 0.
-    direction
-        ``(3,)`` or ``(N, 3)`` unit vectors e = dir.
-    gap_s
-        Time between the views in s, scalar or ``(N,)``.
-    sigma_norm
-        ``(N,)`` standard deviation of a point's x and y in normalised coordinates (z = 1), in both views.
-    direction_cov
-        ``(3, 3)`` or ``(N, 3, 3)`` rad^2 in the tangent plane of e; None: e is exact.
+    q, p : ``(N, 3)`` rays of the first view (rotated into the second camera) and of the second; any length, z > 0.
+    direction : ``(3,)`` or ``(N, 3)`` unit vectors e = dir.
+    gap_s : Time between the views in s, scalar or ``(N,)``.
+    sigma_norm : ``(N,)`` standard deviation of a point's x and y in normalised coordinates (z = 1), in both views.
+    direction_cov : ``(3, 3)`` or ``(N, 3, 3)`` rad^2 in the tangent plane of e; None: e is exact.
 
     Returns
     -------
@@ -113,12 +108,9 @@ def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple
 
     Parameters
     ----------
-    q, r
-        ``(N, 3)`` points of the two views on the plane z = 1.
-    e
-        ``(N, 3)`` unit vectors.
-    gap_s
-        ``(N,)`` time between the views.
+    q, r : ``(N, 3)`` points of the two views on the plane z = 1.
+    e : ``(N, 3)`` unit vectors.
+    gap_s : ``(N,)`` time between the views.
 
     Returns
     -------
@@ -141,13 +133,10 @@ def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, e_variance:
 
     Parameters
     ----------
-    q, r, e
-        ``(N, 3)`` rays of the two views, and unit vectors.
-    variance
-        ``(N,)`` rad^2, of a ray's direction.
-    e_variance
-        ``(N,)`` or ``(1,)`` rad^2, of e: the trace of its covariance. That is the variance along the worse axis where
-        the direction is uncertain along one axis only, and at most twice as much otherwise.
+    q, r, e : ``(N, 3)`` rays of the two views, and unit vectors.
+    variance : ``(N,)`` rad^2, of a ray's direction.
+    e_variance : ``(N,)`` or ``(1,)`` rad^2, of e: the trace of its covariance. That is the variance along the worse
+        axis where the direction is uncertain along one axis only, and at most twice as much otherwise.
 
     Returns
     -------

@@ -83,14 +83,10 @@ def analyze(
 
     Parameters
     ----------
-    input_
-        A video, a folder or pattern of pictures, or a table of point tracks.
-    out
-        Output folder; default ``INPUTSTEM_ttc`` in the working folder.
-    config
-        A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
-    **options
-        The options of ``ttcvid analyze`` with underscores (``focal_px=721``, ``platform="vehicle"``), and the
+    input_ : A video, a folder or pattern of pictures, or a table of point tracks.
+    out : Output folder; default ``INPUTSTEM_ttc`` in the working folder.
+    config : A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
+    **options : The options of ``ttcvid analyze`` with underscores (``focal_px=721``, ``platform="vehicle"``), and the
         parameters of stages as mappings (``tracking={"max_tracks": 800}``).
 
     Returns

@@ -148,19 +148,13 @@ def batch(
 
     Parameters
     ----------
-    inputs
-        Clips, folders, patterns, lists of clips (``.txt``) and tables of clips (``.csv``), see docs/batch.md.
-    out
-        Folder of the batch. What it holds already and is the same is kept; what was left undone is done.
-    jobs
-        Clips at a time, each in a process of its own; default 1. On a cluster, clips handed out at a time; default
+    inputs : Clips, folders, patterns, lists of clips (``.txt``) and tables of clips (``.csv``), see docs/batch.md.
+    out : Folder of the batch. What it holds already and is the same is kept; what was left undone is done.
+    jobs : Clips at a time, each in a process of its own; default 1. On a cluster, clips handed out at a time; default
         twice the threads of its workers.
-    scheduler
-        Address of the scheduler of a Dask cluster that does the work instead of this machine.
-    config
-        A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
-    **options
-        The options of `analyze` for all clips; those of a table of clips are stronger.
+    scheduler : Address of the scheduler of a Dask cluster that does the work instead of this machine.
+    config : A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
+    **options : The options of `analyze` for all clips; those of a table of clips are stronger.
 
     Returns
     -------

@@ -115,17 +115,12 @@ def calibrate_horizon(
 
     Parameters
     ----------
-    clips
-        One clip or several of the same camera in the same place: videos, folders of pictures, tables of tracks.
-    out
-        The horizon file, written alone.
-    evidence
-        A folder for what the horizon rests on: ``motions.parquet`` and ``horizon.png``.
-    config
-        A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
-    **options
-        The options of ``ttcvid calibrate-horizon`` with underscores (``moving=True``, ``focal_px=721``), and the
-        parameters of stages as mappings (``horizon_calibration={"min_motions": 4}``).
+    clips : One clip or several of the same camera in the same place: videos, folders of pictures, tables of tracks.
+    out : The horizon file, written alone.
+    evidence : A folder for what the horizon rests on: ``motions.parquet`` and ``horizon.png``.
+    config : A TOML configuration file. ``TTCVID_*`` variables and ``./ttcvid.toml`` count as on the command line.
+    **options : The options of ``ttcvid calibrate-horizon`` with underscores (``moving=True``, ``focal_px=721``), and
+        the parameters of stages as mappings (``horizon_calibration={"min_motions": 4}``).
 
     Returns
     -------

@@ -90,20 +90,15 @@ def collision_map(
 
     Parameters
     ----------
-    run
-        The output folder of an analysis, the folder of a simulation or a scene file (then its truth is used).
-    out
-        Output folder; default ``NAME_map`` in the working folder.
-    frame, time_s
-        The moment of the map; default: the first in which something is to be done, else the most dangerous one.
-    config
-        A TOML file with the section ``[collision_map]``; ``TTCVID_*`` variables and ``./ttcvid.toml`` count as well.
-    overwrite
-        Replace the result in a folder that exists.
-    progress
-        Called with (frames done, frames in all).
-    **options
-        The parameters of ``CollisionMapConfig``, as ``ego_speed="50km/h"``.
+    run : The output folder of an analysis, the folder of a simulation or a scene file (then its truth is used).
+    out : Output folder; default ``NAME_map`` in the working folder.
+    frame, time_s : The moment of the map; default: the first in which something is to be done, else the most dangerous
+        one.
+    config : A TOML file with the section ``[collision_map]``; ``TTCVID_*`` variables and ``./ttcvid.toml`` count as
+        well.
+    overwrite : Replace the result in a folder that exists.
+    progress : Called with (frames done, frames in all).
+    **options : The parameters of ``CollisionMapConfig``, as ``ego_speed="50km/h"``.
 
     Returns
     -------

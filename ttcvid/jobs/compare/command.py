@@ -26,12 +26,10 @@ def compare(
 
     Parameters
     ----------
-    baseline, run
-        Output folders of ``ttcvid analyze``, what ``ttcvid.analyze`` returned, or files that ``ttcvid regress`` wrote.
-    tolerance
-        A YAML file of tolerances, laid over the defaults.
-    warn_s
-        An object that certainly approaches and is nearer in time than this always counts, however few its tracks;
+    baseline, run : Output folders of ``ttcvid analyze``, what ``ttcvid.analyze`` returned, or files that ``ttcvid
+        regress`` wrote.
+    tolerance : A YAML file of tolerances, laid over the defaults.
+    warn_s : An object that certainly approaches and is nearer in time than this always counts, however few its tracks;
         default: that of the tolerances.
 
     Returns

@@ -61,10 +61,8 @@ class LocalWorker:
 
     Parameters
     ----------
-    is_fresh_each_call
-        Every call has a new process: what one leaves in memory is not measured in the next.
-    may_have_children
-        Whether the calls may begin processes of their own, to use more than about one core.
+    is_fresh_each_call : Every call has a new process: what one leaves in memory is not measured in the next.
+    may_have_children : Whether the calls may begin processes of their own, to use more than about one core.
     """
 
     def __init__(self, *, is_fresh_each_call: bool = False, may_have_children: bool = True) -> None:

@@ -115,20 +115,13 @@ def regress(
 
     Parameters
     ----------
-    suite
-        The YAML file of the suite.
-    update
-        Rewrite the baselines from these runs; each outcome lists what changed.
-    only
-        Names of clips; none: all.
-    jobs
-        Clips at a time, each in processes of its own.
-    out
-        Folder for runs, rendered scenes, details and the JUnit file; default ``SUITESTEM_regress``.
-    junit
-        The JUnit file; default ``junit.xml`` in ``out``.
-    on_clip
-        Called with the outcome of each clip, in the order of the suite.
+    suite : The YAML file of the suite.
+    update : Rewrite the baselines from these runs; each outcome lists what changed.
+    only : Names of clips; none: all.
+    jobs : Clips at a time, each in processes of its own.
+    out : Folder for runs, rendered scenes, details and the JUnit file; default ``SUITESTEM_regress``.
+    junit : The JUnit file; default ``junit.xml`` in ``out``.
+    on_clip : Called with the outcome of each clip, in the order of the suite.
 
     Returns
     -------

@@ -48,14 +48,10 @@ def calibrated_horizon(
 
     Parameters
     ----------
-    motions
-        Straight motions of all clips.
-    camera
-        Intrinsics.
-    config
-        Bounds and factors.
-    from_pictures
-        Whether the tracks were made from pictures, by us.
+    motions : Straight motions of all clips.
+    camera : Intrinsics.
+    config : Bounds and factors.
+    from_pictures : Whether the tracks were made from pictures, by us.
     """
     roll_zero = config.roll_zero
     usable = [motion for motion in motions if motion.status == "used"]

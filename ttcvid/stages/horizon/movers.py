@@ -57,10 +57,8 @@ def group_movers(rows: Observations, link_px: float) -> Ints:
 
     Parameters
     ----------
-    rows
-        Tracks that move.
-    link_px
-        Neighbours are nearer than this.
+    rows : Tracks that move.
+    link_px : Neighbours are nearer than this.
     """
     n_tracks = len(rows.starts)
     if n_tracks == 0:

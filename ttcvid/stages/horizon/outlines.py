@@ -46,16 +46,11 @@ def outline_motions(
 
     Parameters
     ----------
-    rows
-        Its tracks, source pixels.
-    silhouettes
-        Masks of what moves, by frame.
-    camera, config
-        Intrinsics; bounds and factors.
-    clip, mover
-        Numbers for the result.
-    may_bend
-        False where the points of a rigid body move straight: an outline that bends then changes its shape.
+    rows : Its tracks, source pixels.
+    silhouettes : Masks of what moves, by frame.
+    camera, config : Intrinsics; bounds and factors.
+    clip, mover : Numbers for the result.
+    may_bend : False where the points of a rigid body move straight: an outline that bends then changes its shape.
     """
     track_id = np.unique(rows.track_id)
     outline, frame, t_s = _outlines(rows, silhouettes, camera)

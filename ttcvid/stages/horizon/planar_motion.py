@@ -93,12 +93,9 @@ def onto_horizon(direction: Floats, covariance: Floats, plane: HorizonPlane) -> 
 
     Parameters
     ----------
-    direction
-        ``(3,)`` unit vector.
-    covariance
-        ``(3, 3)`` in its tangent plane, rad^2.
-    plane
-        The plane of motion.
+    direction : ``(3,)`` unit vector.
+    covariance : ``(3, 3)`` in its tangent plane, rad^2.
+    plane : The plane of motion.
 
     Returns
     -------

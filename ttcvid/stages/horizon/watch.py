@@ -38,10 +38,8 @@ def complaint_about_own_epipoles(offset_px: Floats, tolerance_px: float) -> str:
 
     Parameters
     ----------
-    offset_px
-        ``(N,)`` of the frames in order, positive below the horizon.
-    tolerance_px
-        Offsets that the calibration's own error explains.
+    offset_px : ``(N,)`` of the frames in order, positive below the horizon.
+    tolerance_px : Offsets that the calibration's own error explains.
     """
     parts = np.array_split(offset_px, _PARTS)
     if len(parts[-1]) < _LEAST_FRAMES:
@@ -101,14 +99,10 @@ def complaint_about_movers(
 
     Parameters
     ----------
-    movers
-        Offsets of each mover, over its life.
-    horizon_sigma_rad
-        Error of the calibration.
-    tolerance_rad
-        Offsets that no calibration is better than.
-    config
-        Factors of the calibration.
+    movers : Offsets of each mover, over its life.
+    horizon_sigma_rad : Error of the calibration.
+    tolerance_rad : Offsets that no calibration is better than.
+    config : Factors of the calibration.
     """
     seen = [mover for mover in movers if mover.n_frames >= _LEAST_MOVER_FRAMES]
     if len(seen) < config.min_motions:

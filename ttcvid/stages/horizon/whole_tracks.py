@@ -66,10 +66,8 @@ def recentred(rows: Observations, centres: Observations) -> Observations:
 
     Parameters
     ----------
-    rows
-        Observations of the tracks.
-    centres
-        Where the content lay for some of the observations, in ``xy_px``; NaN where it was not located.
+    rows : Observations of the tracks.
+    centres : Where the content lay for some of the observations, in ``xy_px``; NaN where it was not located.
     """
     centres = joined([centres.take(np.isfinite(centres.xy_px[:, 0]))])
     _, in_rows, in_centres = np.intersect1d(_key(rows), _key(centres), assume_unique=True, return_indices=True)

@@ -51,14 +51,10 @@ def find_frozen(
 
     Parameters
     ----------
-    memory
-        From the frame before.
-    points
-        Points of this frame.
-    scene_moves
-        Whether the camera translated or turned in the step before: only then does staying mean anything.
-    step_s
-        Time since the last frame.
+    memory : From the frame before.
+    points : Points of this frame.
+    scene_moves : Whether the camera translated or turned in the step before: only then does staying mean anything.
+    step_s : Time since the last frame.
     """
     counts = int(scene_moves) * min(1.0, step_s / _WHOLE_FRAME_S)
     anchor_px, place = points.xy_px.copy(), places_among(memory.track_id, points.track_id)

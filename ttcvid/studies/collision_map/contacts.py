@@ -91,15 +91,12 @@ def add_contacts(
 
     Parameters
     ----------
-    boxes
-        At the start of the stretch, places relative to the middle of our own outline.
-    own_half_m
-        ``(3,)`` half our width, height and length; with ``is_round`` the half-axes of an ellipsoid.
-    leg
-        The stretch.
-    time_s, probability
-        ``(N, C)``, changed in place: the earliest time from now at which a contact is possible (infinite: none), and
-        the probability of a contact in the likeliest stretch. Where the box is known exactly it is 0 or 1.
+    boxes : At the start of the stretch, places relative to the middle of our own outline.
+    own_half_m : ``(3,)`` half our width, height and length; with ``is_round`` the half-axes of an ellipsoid.
+    leg : The stretch.
+    time_s, probability : ``(N, C)``, changed in place: the earliest time from now at which a contact is possible
+        (infinite: none), and the probability of a contact in the likeliest stretch. Where the box is known exactly it
+        is 0 or 1.
     """
     duration_s = leg.end_s - leg.start_s
     factors = _variances(boxes.covariance)

@@ -22,28 +22,18 @@ class Hazards:
 
     Attributes
     ----------
-    position_m, velocity_m_s
-        ``(N, 3)`` centre P of each box and its velocity V relative to us, now.
-    half_size_m
-        ``(N, 3)`` half the box's width, height and length, along its own right, down and ahead.
-    yaw_rad
-        ``(N,)`` turn of the box about down, from ahead towards the right.
-    covariance
-        ``(N, 6, 6)`` of (P, V) in m and m/s; zeros: known exactly.
-    turn_rad_s
-        ``(N,)`` how fast its course over the ground turns to the right, and the box with it.
-    acceleration_m_s2
-        ``(N,)`` of its speed over the ground, which does not fall below zero.
-    object_index
-        ``(N,)`` ascending; which of ``names`` a box belongs to.
-    alternative
-        ``(N,)`` ascending within an object. Boxes of one alternative exist together; alternatives exclude each other.
-    weight
-        ``(N,)`` probability of the box's alternative; those of an object's alternatives add up to 1.
-    names
-        Of the objects, as pictures and tables show them.
-    cluster_ids
-        Of the objects; 0 is the static scene.
+    position_m, velocity_m_s : ``(N, 3)`` centre P of each box and its velocity V relative to us, now.
+    half_size_m : ``(N, 3)`` half the box's width, height and length, along its own right, down and ahead.
+    yaw_rad : ``(N,)`` turn of the box about down, from ahead towards the right.
+    covariance : ``(N, 6, 6)`` of (P, V) in m and m/s; zeros: known exactly.
+    turn_rad_s : ``(N,)`` how fast its course over the ground turns to the right, and the box with it.
+    acceleration_m_s2 : ``(N,)`` of its speed over the ground, which does not fall below zero.
+    object_index : ``(N,)`` ascending; which of ``names`` a box belongs to.
+    alternative : ``(N,)`` ascending within an object. Boxes of one alternative exist together; alternatives exclude
+        each other.
+    weight : ``(N,)`` probability of the box's alternative; those of an object's alternatives add up to 1.
+    names : Of the objects, as pictures and tables show them.
+    cluster_ids : Of the objects; 0 is the static scene.
     """
 
     position_m: Floats

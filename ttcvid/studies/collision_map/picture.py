@@ -57,10 +57,9 @@ def collision_map_figure(
 
     Parameters
     ----------
-    units
-        ``"km/h"``, or ``"own-speed"``: parts of own speed in percent.
-    families
-        Objects of unknown speed: name, and the probability ``(K, F, R)`` of hitting each if it had one of K speeds.
+    units : ``"km/h"``, or ``"own-speed"``: parts of own speed in percent.
+    families : Objects of unknown speed: name, and the probability ``(K, F, R)`` of hitting each if it had one of K
+        speeds.
     """
     scale = KM_H if units == "km/h" else 100.0 / own_speed_m_s
     label = "km/h" if units == "km/h" else "% of own speed"

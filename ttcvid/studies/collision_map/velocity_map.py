@@ -78,12 +78,10 @@ def map_of_changes(situation: Situation, forward_m_s: Floats, right_m_s: Floats,
 
     Parameters
     ----------
-    situation
-        What could be hit, our own outline and motion.
-    forward_m_s, right_m_s
-        ``(F,)`` and ``(R,)`` changes of own velocity, at once and for good; zero is the present velocity.
-    horizon_s
-        How far ahead collisions count.
+    situation : What could be hit, our own outline and motion.
+    forward_m_s, right_m_s : ``(F,)`` and ``(R,)`` changes of own velocity, at once and for good; zero is the present
+        velocity.
+    horizon_s : How far ahead collisions count.
 
     Source: the paper's section 3.3.
 

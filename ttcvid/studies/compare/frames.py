@@ -43,10 +43,8 @@ def join_frames(
 
     Parameters
     ----------
-    baseline, run
-        ``frame`` and ``t_s`` of all frames.
-    placed
-        Where the tracks of the baseline and of the run are, by frame; for the baseline, some frames are enough.
+    baseline, run : ``frame`` and ``t_s`` of all frames.
+    placed : Where the tracks of the baseline and of the run are, by frame; for the baseline, some frames are enough.
     """
     frames = baseline.frame.to_numpy(), run.frame.to_numpy()
     first, second = _by_time(baseline, run, tolerance)

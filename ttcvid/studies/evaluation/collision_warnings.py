@@ -41,16 +41,11 @@ def judge_warnings(
 
     Parameters
     ----------
-    events
-        The table of that name: ``start_s``.
-    event_object
-        ``(N,)`` true object that each warning is of, ``UNKNOWN_OBJECT`` for none.
-    encounters
-        ``truth_encounters``: ``object_id, is_collision, t_contact_s``.
-    first_seen_s
-        When each object is first in view.
-    end_s
-        Time of the last picture.
+    events : The table of that name: ``start_s``.
+    event_object : ``(N,)`` true object that each warning is of, ``UNKNOWN_OBJECT`` for none.
+    encounters : ``truth_encounters``: ``object_id, is_collision, t_contact_s``.
+    first_seen_s : When each object is first in view.
+    end_s : Time of the last picture.
 
     A warning is false unless its object does collide with us (in the clip or after it).
     """

@@ -37,12 +37,9 @@ def match_objects(truth: pd.DataFrame, found: pd.DataFrame, on_tracks: pd.DataFr
 
     Parameters
     ----------
-    truth
-        ``frame, object_id`` and a box, a row per frame and object.
-    found
-        ``frame, cluster_id, motion_id`` and a box.
-    on_tracks
-        ``frame, cluster_id, object_id, n`` as from `count_tracks`; None where the tracks' objects are unknown.
+    truth : ``frame, object_id`` and a box, a row per frame and object.
+    found : ``frame, cluster_id, motion_id`` and a box.
+    on_tracks : ``frame, cluster_id, object_id, n`` as from `count_tracks`; None where the tracks' objects are unknown.
     """
     left = truth[["frame", "object_id", *BOX]].reset_index(drop=True)
     right = found[["frame", "cluster_id", *BOX]].reset_index(drop=True)

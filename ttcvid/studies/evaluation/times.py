@@ -19,14 +19,10 @@ def judge_times(name: str, truth_s: Floats, found: pd.DataFrame, is_counted: Boo
 
     Parameters
     ----------
-    name
-        One of ``TIMES``.
-    truth_s
-        ``(N,)`` true times, NaN where there is none.
-    found
-        ``N`` rows with the columns ``{name}_s, {name}_lo_s, {name}_hi_s``, NaN where there is no estimate.
-    is_counted
-        ``(N,)`` rows to judge, among them those in which nothing was found.
+    name : One of ``TIMES``.
+    truth_s : ``(N,)`` true times, NaN where there is none.
+    found : ``N`` rows with the columns ``{name}_s, {name}_lo_s, {name}_hi_s``, NaN where there is no estimate.
+    is_counted : ``(N,)`` rows to judge, among them those in which nothing was found.
     """
     in_range = is_counted & (np.abs(truth_s) >= TIME_RANGE_S[0]) & (np.abs(truth_s) <= TIME_RANGE_S[1])
     true_s, rows = truth_s[in_range], found[in_range]
