@@ -137,7 +137,8 @@ def write_simulation(
     _write_calibration(world, folder)
     _write_table("truth_frames", frame_columns(world), scene, folder)
     _write_table("truth_encounters", encounter_columns(met), scene, folder)
-    (folder / MARKER_NAME).write_text(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True), sort_keys=False))
+    content = scene.model_dump(mode="json", exclude_none=True)
+    (folder / MARKER_NAME).write_text(yaml.dump(content, Dumper=_DUMPER, sort_keys=False))
     if tracks is not None:
         columns = track_columns(tracks_of(world, tracks))
         for name in ("tracks", "truth_tracks"):
@@ -149,6 +150,10 @@ def write_simulation(
     if not png:
         check_video(folder / input_name)
     return None
+
+
+_DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
+"""The same text, several times as fast where PyYAML was built with its library."""
 
 
 def _write_pictures(

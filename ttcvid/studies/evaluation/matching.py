@@ -120,19 +120,20 @@ def _best_of_frame(pairs: pd.DataFrame) -> pd.DataFrame:
 
 def _track_overlap(near: pd.DataFrame, on_tracks: pd.DataFrame) -> tuple[Floats, Floats]:
     """Of each pair: tracks in both over tracks in either, and the share of the cluster's tracks on the object."""
-    common = near[["frame", "cluster_id", "object_id"]].merge(
-        on_tracks, on=["frame", "cluster_id", "object_id"], how="left"
-    )
-    n_common = common.n.fillna(0).to_numpy(float)
-    n_cluster = _totals(near, on_tracks, "cluster_id")
-    n_object = _totals(near, on_tracks, "object_id")
+    n_common = _totals(near, on_tracks, ["frame", "cluster_id", "object_id"])
+    n_cluster = _totals(near, on_tracks, ["frame", "cluster_id"])
+    n_object = _totals(near, on_tracks, ["frame", "object_id"])
     either = np.maximum(n_cluster + n_object - n_common, 1.0)
     return n_common / either, n_common / np.maximum(n_cluster, 1.0)
 
 
-def _totals(near: pd.DataFrame, on_tracks: pd.DataFrame, name: str) -> Floats:
-    totals = on_tracks.groupby(["frame", name]).n.sum().reset_index()
-    return near[["frame", name]].merge(totals, on=["frame", name], how="left").n.fillna(0).to_numpy(float)
+def _totals(near: pd.DataFrame, on_tracks: pd.DataFrame, names: list[str]) -> Floats:
+    """How many of the tracks agree with each pair in some numbers."""
+    counted = on_tracks[names].to_numpy(np.int64)
+    _, row = np.unique(np.vstack([near[names].to_numpy(np.int64), counted]), axis=0, return_inverse=True)
+    row = row.reshape(-1)
+    totals = np.bincount(row[len(near) :], on_tracks.n.to_numpy(float), int(row.max(initial=-1)) + 1)
+    return np.asarray(totals[row[: len(near)]])
 
 
 def _common_area(first: Floats, second: Floats) -> Floats:

@@ -119,35 +119,35 @@ def objects_from_tracks(track_points: pd.DataFrame, frames: pd.DataFrame, names:
     places, position, velocity = (on_objects[columns].to_numpy(float) for columns in (POINT, POSITION, VELOCITY))
     # Slices of arrays: a data frame per object and picture would take most of the time of an evaluation.
     first = np.flatnonzero(np.r_[True, np.any(np.diff(keys, axis=0), axis=1)]) if len(keys) else np.empty(0, np.int64)
-    rows = [
-        {
-            "frame": (frame := int(keys[a, 0])),
-            "t_s": t_s[frame],
-            "object_id": (object_id := int(keys[a, 1])),
-            "name": names.get(object_id, f"object {object_id}"),
-            **_object_of_points(places[a:b], position[a:b], velocity[a:b]),
-        }
-        for a, b in zip(first, np.append(first, len(keys))[1:], strict=True)
-    ]
-    columns = ["frame", "t_s", "object_id", "name", *BOX, "is_counted", *DIRECTION, "tcpa_s", "miss_s", "ttc_z_s"]
-    return pd.DataFrame(rows, columns=[*columns, *POSITION, *VELOCITY])
+    ends = np.append(first, len(keys))[1:]
+    nearest = [_nearest_of(position[a:b], velocity[a:b]) for a, b in zip(first, ends, strict=True)]
+    centre, mean_velocity = (np.array([pair[k] for pair in nearest]).reshape(-1, 3) for k in (0, 1))
+    if len(first):
+        box = np.hstack([np.minimum.reduceat(places, first), np.maximum.reduceat(places, first)])
+    else:
+        box = np.empty((0, 4))
+    times = times_from_position_velocity(centre, mean_velocity)
+    frame, object_id = keys[first].T
+    columns: dict[str, object] = {
+        "frame": frame,
+        "t_s": [t_s[number] for number in frame.tolist()],
+        "object_id": object_id,
+        "name": [names.get(number, f"object {number}") for number in object_id.tolist()],
+        **dict(zip(BOX, box.T, strict=True)),
+        "is_counted": ends - first >= MIN_POINTS,
+        **dict(zip(DIRECTION, normalize(mean_velocity).T, strict=True)),
+        "tcpa_s": times.tcpa_s,
+        "miss_s": times.miss_s,
+        "ttc_z_s": times.ttc_z_s,
+        **dict(zip(POSITION, centre.T, strict=True)),
+        **dict(zip(VELOCITY, mean_velocity.T, strict=True)),
+    }
+    return pd.DataFrame(columns)
 
 
-def _object_of_points(places_px: Floats, position_m: Floats, velocity_m_s: Floats) -> dict[str, float | bool]:
+def _nearest_of(position_m: Floats, velocity_m_s: Floats) -> tuple[Floats, Floats]:
+    """Centre and mean velocity ``(3,)`` of the nearest surface of an object with points ``(N, 3)``."""
     inverse_depth = 1 / position_m[:, 2]
     near = inverse_depth >= np.quantile(inverse_depth, 1 - NEAREST_SHARE) * (1 - SURFACE_DEPTH)
     rays = position_m[near] / position_m[near, 2:]
-    centre = rays.mean(axis=0) / inverse_depth[near].mean()
-    mean_velocity = velocity_m_s[near].mean(axis=0)
-    times = times_from_position_velocity(centre[None], mean_velocity[None])
-    box = [*places_px.min(axis=0).tolist(), *places_px.max(axis=0).tolist()]
-    return {
-        **dict(zip(BOX, box, strict=True)),
-        "is_counted": len(places_px) >= MIN_POINTS,
-        **dict(zip(DIRECTION, normalize(mean_velocity[None])[0].tolist(), strict=True)),
-        "tcpa_s": float(times.tcpa_s[0]),
-        "miss_s": float(times.miss_s[0]),
-        "ttc_z_s": float(times.ttc_z_s[0]),
-        **dict(zip(POSITION, centre.tolist(), strict=True)),
-        **dict(zip(VELOCITY, mean_velocity.tolist(), strict=True)),
-    }
+    return rays.mean(axis=0) / inverse_depth[near].mean(), velocity_m_s[near].mean(axis=0)
