@@ -30,7 +30,7 @@ from scenario_suite.drawing import drawn, input_of
 from scenario_suite.families import FAMILIES, in_turn, scenario
 from scenario_suite.nuisances import NUISANCES
 from scenario_suite.page import write_page
-from scenario_suite.running import Task, do, options_of, run_all
+from scenario_suite.running import Task, Took, do, options_of, run_all
 from scenario_suite.scoring import score
 from scenario_suite.seeds import BUILDING_SEEDS, commit_hash, verdict_seeds
 
@@ -51,12 +51,12 @@ def main() -> None:
             print(f"{family.name:18} {family.group:14} {'/'.join(family.kinds):13} {family.title}")
         return
     tasks = _tasks(arguments)
-    _done(tasks, arguments)
+    took = _done(tasks, arguments)
     if arguments.write_docs:
-        _write_docs(tasks, arguments)
+        _write_docs(tasks, took, arguments)
 
 
-def _done(tasks: list[Task], arguments: argparse.Namespace) -> None:
+def _done(tasks: list[Task], arguments: argparse.Namespace) -> Took:
     """Have tasks done, and say a line of each."""
     start_s, n_old, n_failed = time.perf_counter(), 0, 0
     for number, done in enumerate(run_all(tasks, arguments.jobs, do), 1):
@@ -67,14 +67,15 @@ def _done(tasks: list[Task], arguments: argparse.Namespace) -> None:
     took_s = time.perf_counter() - start_s
     counts = f"{n_old} done before, {n_failed} without a result"
     print(f"{len(tasks)} scenarios in {took_s:.0f} s, {counts}: {arguments.out}")
+    return Took(len(tasks), n_old, took_s)
 
 
-def _write_docs(tasks: list[Task], arguments: argparse.Namespace) -> None:
+def _write_docs(tasks: list[Task], took: Took, arguments: argparse.Namespace) -> None:
     """The page, from the scenes asked for, as many tables of tracks as ``--tables``, and a sweep of cameras at rest."""
     as_tables = _beside(arguments, "tables", kind="tracks", n=arguments.tables)
     as_sweep = _beside(arguments, "sweep", families=MASTS, n=len(MASTS), sweep=SWEPT)
     tables, sweep = _tasks(as_tables), _tasks(as_sweep)
-    _done(tables, as_tables)
+    tables_took = _done(tables, as_tables)
     _done(sweep, as_sweep)
     scores, swept = ([score(task.folder) for task in some] for some in ([*tasks, *tables], sweep))
     report = Report()
@@ -83,6 +84,10 @@ def _write_docs(tasks: list[Task], arguments: argparse.Namespace) -> None:
     else:
         seeds = "those for building, which rules may have been fitted to"
     report.say(f"Seeds: {seeds}. Analysed by the code of commit {commit_hash('HEAD')[:12]}.")
+    report.say(
+        f"Drawn, analysed and judged by {arguments.jobs} processes: {took.said('scenes', 60, 15)}; "
+        f"{tables_took.said('tables of tracks', 1000, 10)}."
+    )
     if data_place().is_dir():
         real_out = arguments.out.with_name(f"{arguments.out.name}_real")
         report_clips(report, analyzed_clips(real_out, arguments.jobs))
@@ -193,7 +198,9 @@ def _show(name: str, kind: str | None, pictures: Path) -> None:
     for key, value in chosen.nuisances.items():
         print(f"  {key} = {value}")
     options = " ".join(
-        f"--{key.replace('_', '-')} {value}" for key, value in options_of(chosen, truth).items() if key != "overlay"
+        f"--{key.replace('_', '-')} {value}"
+        for key, value in options_of(chosen, truth).items()
+        if key not in ("overlay", "report")
     )
     print(f"open  {input_of(truth)}\nscene {truth / 'scene.yaml'}\nttcvid analyze {input_of(truth)} {options}")
 

@@ -79,6 +79,29 @@ class Done:
     run: Mapping[str, Any]
 
 
+@dataclass(frozen=True)
+class Took:
+    """How long ``n`` tasks took together, of which ``n_old`` were done before."""
+
+    n: int
+    n_old: int
+    seconds: float
+
+    def said(self, name: str, n_wanted: int, limit_min: float) -> str:
+        """In words, and what ``n_wanted`` take at this rate beside their limit.
+
+        >>> Took(120, 0, 90.0).said("tables", 1000, 10)
+        '120 tables in 1 min 30 s (1000 at this rate: 12.5 min, limit 10)'
+        >>> Took(3, 2, 4.0).said("scenes", 60, 15)
+        '3 scenes in 0 min 4 s, 2 of them done before'
+        """
+        text = f"{self.n} {name} in {int(self.seconds) // 60} min {int(self.seconds) % 60} s"
+        if self.n_old:
+            return f"{text}, {self.n_old} of them done before"
+        took_min = self.seconds * n_wanted / max(self.n, 1) / 60.0
+        return f"{text} ({n_wanted} at this rate: {took_min:.1f} min, limit {limit_min:g})"
+
+
 def run_all(tasks: Iterable[T], n_jobs: int, work: Callable[[T], R]) -> Iterator[R]:
     """Do ``work`` on tasks in ``n_jobs`` processes; results as they are finished.
 
@@ -125,7 +148,7 @@ def do(task: Task) -> Done:
 
 def options_of(chosen: Scenario, truth: Path) -> dict[str, Any]:
     """Options with which a scenario is analysed: what a user would know of the camera and of what carries it."""
-    options: dict[str, Any] = {"platform": chosen.platform, "overlay": False}
+    options: dict[str, Any] = {"platform": chosen.platform, "overlay": False, "report": chosen.kind == "video"}
     if chosen.camera_known:
         options["camera"] = str(truth / GIVEN_CAMERA_NAME)
     elif chosen.kind == "tracks":

@@ -9,11 +9,13 @@ import pytest
 from scenario_suite.drawing import drawing_key, drawn, read_json
 from scenario_suite.families import FAMILIES, nearest_m, scenario
 from scenario_suite.families.streets import OWN_RADIUS_M, mirrored
+from scenario_suite.figures import Figures
 from scenario_suite.nuisances import CLEAN_SHARE, NUISANCES, baselines, conditioned, drawn_nuisances
-from scenario_suite.running import Task, do
+from scenario_suite.running import Task, Took, do
+from scenario_suite.scoring import score
 from scenario_suite.seeds import BUILDING_SEEDS, generator, verdict_seeds
 
-from ttcvid.simulate import encounters
+from ttcvid.simulate import build_world, encounters
 
 CLEAN = {}
 """No nuisance: each at its baseline."""
@@ -36,7 +38,19 @@ def test_family_and_seed_determine_the_scene():
 def test_every_test_of_the_trade_is_a_family():
     expected = {
         *("CCRs", "CCRm", "CCRb", "CCRb-2023", "CMRs", "CMRb", "NHTSA-stopped", "NHTSA-braking", "NHTSA-slower"),
-        *("cut-in", "CCFhos", "CCFhol", "CCFtap", "CMFtap", "CCCscp", "CCCscp-hidden", "CMCscp", "CPNA-25", "CPFA-50"),
+        *(
+            "cut-in",
+            "CCFhos",
+            "CCFhol",
+            "CCFtap",
+            "CMFtap",
+            "CCCscp",
+            "CCCscp-hidden",
+            "CMCscp",
+            "CMCscp-hidden",
+            "CPNA-25",
+            "CPFA-50",
+        ),
         *("CPNCO-50", "CPLA-25", "CBNA-50", "CBNAO-50", "CBFA-50", "CBLA-50", "CPTA-50", "CBTA-50", "overtaken"),
         *("own-lanes", "lead-at-distance", "waiting", "roundabout", "bend", "empty-road", "mast-junction"),
         *("hand-held", "hovering", "hand-held-tracks", "air-head-on", "air-crossing", "air-converging"),
@@ -212,10 +226,103 @@ def test_recorded_objects_move_as_their_labels_say():
 
 
 def test_same_seeds_give_the_same_truth_and_the_same_figures(tmp_path):
-    folders = []
+    folders, figures = [], []
     for name in ("first", "again"):
-        done = do(Task("mast-crossing", 5, "tracks", tmp_path / name, tmp_path / f"{name}_pictures"))
-        folders.append(done.folder)
-    for table in ("truth/tracks", "truth/truth_tracks", "truth/truth_encounters", "run/clusters", "run/events"):
-        one, other = (pd.read_parquet(folder / f"{table}.parquet") for folder in folders)
-        pd.testing.assert_frame_equal(one, other)
+        done = [
+            do(Task(family, 5, "tracks", tmp_path / name, tmp_path / f"{name}_pictures"))
+            for family in ("mast-crossing", "CCRs")
+        ]
+        folders.append([one.folder for one in done])
+        figures.append(Figures([score(one.folder) for one in done]).over(np.ones(2, bool)))
+    for one_folder, other_folder in zip(*folders, strict=True):
+        for table in ("truth/tracks", "truth/truth_tracks", "truth/truth_encounters", "run/clusters", "run/events"):
+            one, other = (pd.read_parquet(folder / f"{table}.parquet") for folder in (one_folder, other_folder))
+            pd.testing.assert_frame_equal(one, other)
+    assert figures[0]["found"].n > 0
+    assert {name: repr(one) for name, one in figures[0].items()} == {
+        name: repr(one) for name, one in figures[1].items()
+    }
+
+
+def test_how_long_a_run_took_is_said_beside_its_limit():
+    assert Took(250, 0, 180.0).said("tables", 1000, 10) == (
+        "250 tables in 3 min 0 s (1000 at this rate: 12.0 min, limit 10)"
+    )
+    assert "at this rate" not in Took(250, 1, 180.0).said("tables", 1000, 10)
+
+
+def test_speeds_and_limits_of_the_trade_are_those_of_its_tests():
+    """Euro NCAP's and NHTSA's values, over many seeds: the drawn ones lie within them and reach out for their ends."""
+
+    def drawn_km_h(family, body=None, seeds=40):
+        values = []
+        for seed in range(seeds):
+            content = FAMILIES[family].draw(generator(family, seed, "scene"), seed % 2 == 0)
+            own = content["own_motion"]["speed_m_s"]
+            bodies = {one["name"]: one for one in content["bodies"]}
+            values.append(3.6 * (own if body is None else bodies[body].get("speed_m_s", 0.0)))
+        return min(values), max(values)
+
+    def spans(found, least, most):
+        return least - 1e-6 <= found[0] <= least + 0.2 * (most - least) and (
+            most - 0.2 * (most - least) <= found[1] <= most + 1e-6
+        )
+
+    assert spans(drawn_km_h("CCRs"), 10, 80)
+    assert spans(drawn_km_h("CMRs"), 10, 80)
+    assert spans(drawn_km_h("CCRm"), 30, 130)
+    assert spans(drawn_km_h("CCRm", "target"), 20, 70)
+    assert spans(drawn_km_h("CCRb"), 30, 130)
+    assert spans(drawn_km_h("CMRb"), 30, 130)
+    assert drawn_km_h("CCRb-2023") == pytest.approx((50, 50))
+    assert spans(drawn_km_h("CCFhos"), 30, 100)
+    assert spans(drawn_km_h("CCFhos", "oncoming 1"), 50, 100)
+    assert spans(drawn_km_h("CCFtap"), 10, 25)
+    assert spans(drawn_km_h("CCFtap", "oncoming"), 30, 80)
+    assert spans(drawn_km_h("CMFtap", "oncoming"), 30, 80)
+    for name in ("NHTSA-stopped", "NHTSA-braking", "NHTSA-slower"):
+        assert drawn_km_h(name) == pytest.approx((45 * 1.609344,) * 2, rel=1e-4)
+    assert drawn_km_h("NHTSA-slower", "target") == pytest.approx((20 * 1.609344,) * 2, rel=1e-4)
+    limits_s = {name: FAMILIES[name].warn_by_s for name in FAMILIES if name.startswith("NHTSA")}
+    assert limits_s == {"NHTSA-stopped": 2.1, "NHTSA-braking": 2.4, "NHTSA-slower": 2.0}
+
+
+def test_motorcycle_and_car_ahead_brake_as_the_trade_has_it():
+    for name in ("CCRb", "CMRb"):
+        one = first_collision(name)
+        target = body_of(one, "target")
+        gap_m = target.at_m[0] - target.size_m[0] / 2
+        assert gap_m / one.scene.own_motion.speed_m_s == pytest.approx(1.0, abs=1e-3)
+        assert target.acceleration_m_s2 == -4.0
+    drawn_gaps, drawn_brakes = set(), set()
+    for seed in range(24):
+        content = FAMILIES["CCRb-2023"].draw(generator("CCRb-2023", seed, "scene"), True)
+        (target,) = (body for body in content["bodies"] if body["name"] == "target")
+        drawn_gaps.add(round(target["at_m"][0] - target["size_m"][0] / 2, 3))
+        drawn_brakes.add(target["acceleration_m_s2"])
+    assert drawn_gaps == {12.0, 40.0}
+    assert drawn_brakes == {-2.0, -6.0}
+
+
+def test_lane_change_of_head_on_traffic_ends_one_and_a_half_seconds_before_the_contact():
+    one = first_collision("CCFhol")
+    other = body_of(one, "oncoming 1")
+    (met,) = [met for met in encounters(one.scene) if met.is_collision]
+    ends_s = other.lane_change_from_s + other.lane_change_duration_s
+    # Reached by its corner a little before or after its front is where we are.
+    assert met.t_contact_s - ends_s == pytest.approx(1.5, abs=0.1)
+
+
+@pytest.mark.slow
+def test_intruders_are_eight_to_eighty_pixels_wide(tmp_path):
+    widths = []
+    for family in ("air-head-on", "air-crossing", "air-converging", "air-overtaking"):
+        for seed in range(6):
+            one = scenario(family, seed, "tracks", CLEAN)
+            world = build_world(one.scene)
+            (intruder,) = (actor for actor in world.actors if actor.object_id)
+            away_m = np.linalg.norm(world.path.position_m - intruder.path.position_m, axis=1)
+            widths += (world.camera.fx_px * intruder.body.size_m[1] / away_m).tolist()
+    inside = [8.0 <= width <= 80.0 for width in widths]
+    assert np.mean(inside) > 0.75
+    assert min(widths) > 4.0

@@ -258,6 +258,10 @@ _WIDE = {
         partial(_crossing, kind="car", is_hidden=True, **_CROSSING_CAR),
     ),
     "CMCscp": ("car to motorcycle, crossing: 20-80 km/h", partial(_crossing, kind="motorcycle", **_CROSSING_CAR)),
+    "CMCscp-hidden": (
+        "car to motorcycle, crossing, from behind parked cars",
+        partial(_crossing, kind="motorcycle", is_hidden=True, **_CROSSING_CAR),
+    ),
 }
 
 
