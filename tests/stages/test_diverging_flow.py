@@ -1,6 +1,7 @@
 """New movers that keep their bearing: found by how they grow, and nothing that stands still is taken for one."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,7 +58,8 @@ def found_in(views, scene, fit, seeds=None, sway=None, *, few_are_enough=True):
     seeds = np.flatnonzero(fit.misfit > CONFIG.scene_gate) if seeds is None else seeds
     sway = np.zeros((len(TIMES_S), 3)) if sway is None else sway
     may_be = fit.n_views >= LEAST_VIEWS
-    return expanding_movers(views, scene, may_be, sway, seeds, fit.misfit, 1.0, CONFIG, few_are_enough=few_are_enough)
+    seen = SimpleNamespace(scene=scene, misfit=fit.misfit, usual_misfit=1.0, sway=sway)
+    return expanding_movers(views, seen, may_be, seeds, CONFIG, few_are_enough=few_are_enough)
 
 
 def new_in(views, scene, fit):

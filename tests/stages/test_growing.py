@@ -7,7 +7,7 @@ from relative_motion import FOCAL_PX, history_of
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
-from ttcvid.stages.segmentation.expansion import find_growing
+from ttcvid.stages.segmentation.expansion import OnScene, find_growing
 
 CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
 TIMES_S = 0.05 * np.arange(20.0)
@@ -46,9 +46,7 @@ def found_in(
         public, memory, next_id = find_growing(
             memory,
             history,
-            misfit,
-            1.0,
-            np.ones(n, dtype=bool) if may_be is None else may_be,
+            OnScene(misfit, 1.0, np.ones(n, dtype=bool) if may_be is None else may_be),
             ERROR_PX,
             LINK_PX,
             next_id,

@@ -13,7 +13,7 @@ from ttcvid.model import SCENE_CLUSTER, Bools, Camera, Floats, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, horizon_offset, horizon_offset_px, onto_horizon
 from ttcvid.stages.objects.clusters import ON_HORIZON, ClusterMotion
-from ttcvid.stages.segmentation.expansion import find_growing
+from ttcvid.stages.segmentation.expansion import OnScene, find_growing
 from ttcvid.stages.segmentation.ground_plane import find_road, road_points
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation
 from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path
@@ -91,16 +91,9 @@ def growing_things(
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
+    on_scene = OnScene(found.misfit, found.usual_misfit, (found.key == SCENE_CLUSTER) & is_free)
     public, growing, next_cluster_id = find_growing(
-        memory.growing,
-        history,
-        found.misfit,
-        found.usual_misfit,
-        (found.key == SCENE_CLUSTER) & is_free,
-        error_px,
-        link_px,
-        memory.next_cluster_id,
-        config.bodies,
+        memory.growing, history, on_scene, error_px, link_px, memory.next_cluster_id, config.bodies
     )
     motions = [
         ClusterMotion(

@@ -76,18 +76,9 @@ def new_movers(
     candidates = _candidates(neighbours, is_asked, misfit, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
-    members = expanding_movers(
-        views,
-        seen.scene,
-        may_spread,
-        seen.sway,
-        candidates,
-        seen.misfit,
-        seen.usual_misfit,
-        config,
-        # In the air an object straight at us is found as one surface, whose times few tracks determine.
-        few_are_enough=seen.platform != Platform.aircraft,
-    )
+    # In the air an object straight at us is found as one surface, whose times few tracks determine.
+    are_few_enough = seen.platform != Platform.aircraft
+    members = expanding_movers(views, seen, may_spread, candidates, config, few_are_enough=are_few_enough)
     nowhere = np.zeros_like(in_scene)
     things = _Things(members, tracks_needed(members, config), nowhere, np.zeros_like(views.edge))
     is_static = in_scene & (seen.misfit < config.scene_gate)

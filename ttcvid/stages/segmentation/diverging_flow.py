@@ -12,12 +12,12 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import GrowthSums, growth_sums
-from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.approach_probability import common_growth_hz
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.expansion import SIGMAS_999, around_any, around_the_oddest
+from ttcvid.stages.segmentation.scene import SeenScene
 
 # Minimum number of tracks for an expanding object. Fewer than for other movers, since three unknowns for all are
 # stronger evidence than similar flows; as many as support a surface.
@@ -52,16 +52,7 @@ def tracks_needed(things: list[tuple[Ints, Floats]], config: BodiesConfig) -> In
 
 
 def expanding_movers(
-    views: BodyViews,
-    scene: RigidPaths,
-    may_be: Bools,
-    sway: Floats,
-    seeds: Ints,
-    misfit: Floats,
-    usual_misfit: float,
-    config: BodiesConfig,
-    *,
-    few_are_enough: bool,
+    views: BodyViews, seen: SeenScene, may_be: Bools, seeds: Ints, config: BodiesConfig, *, few_are_enough: bool
 ) -> list[tuple[Ints, Floats]]:
     """Things that come nearer and spread, each with its tracks (M,) and its path (L, 3).
 
@@ -73,9 +64,7 @@ def expanding_movers(
     Parameters
     ----------
     may_be : (N,) tracks that things may be made of, each of `LEAST_VIEWS` at the least.
-    sway : (L, 3) how far the scene lay off a steady path, as in `bodies.shake_of`.
     seeds : those of the tracks that contradict the scene together.
-    misfit : (N,) of each track on the path of the scene, in units of ``usual_misfit``.
     few_are_enough : of what heads at us.
     """
     is_free, is_asked = may_be.copy(), np.zeros(len(may_be), dtype=bool)
@@ -85,14 +74,14 @@ def expanding_movers(
     # Most tracks are around several of those asked, and say the same each time.
     near, place = around_any(views.xy_px, is_asked, is_free, views.link_px), np.empty(len(may_be), dtype=np.int64)
     place[near] = np.arange(len(near))
-    xy = each_turned_into_plane(views.rays, near, scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
-    sums = growth_sums(xy, views.since_s, np.sqrt(usual_misfit) * views.sigma_norm[near], sway)
+    xy = each_turned_into_plane(views.rays, near, seen.scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
+    sums = growth_sums(xy, views.since_s, np.sqrt(seen.usual_misfit) * views.sigma_norm[near], seen.sway)
     for _ in range(_MOST_SEEDS):
         if len(things) == _MOST_THINGS or not np.count_nonzero(is_asked):
             break
-        seed, around = around_the_oddest(views.xy_px, misfit, is_asked, is_free, views.link_px)
+        seed, around = around_the_oddest(views.xy_px, seen.misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False
-        found = _thing_around(sums.of(place[around]), misfit[around], least, needed, config)
+        found = _thing_around(sums.of(place[around]), seen.misfit[around], least, needed, config)
         if found is None:
             continue
         thing = _Thing(around[found.is_in], found.unknowns)
@@ -104,10 +93,10 @@ def expanding_movers(
         if not found.is_few:
             things.append(thing)
             is_free[thing.members] = is_asked[thing.members] = False
-        elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, scene.path[0, 0]):
+        elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, seen.scene.path[0, 0]):
             small.append(thing)
     things = _with_small_ones(things, small, sums, place, config)
-    return [(thing.members, thing.path(views.since_s, sway)) for thing in things]
+    return [(thing.members, thing.path(views.since_s, seen.sway)) for thing in things]
 
 
 @dataclass(frozen=True)

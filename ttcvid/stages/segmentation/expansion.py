@@ -41,12 +41,19 @@ class Growing:
     direction_cov: Floats
 
 
+@dataclass(frozen=True)
+class OnScene:
+    """How the scene explains N tracks: ``misfit (N,)`` in units of ``usual_misfit``; ``may_be (N,)`` of no mover."""
+
+    misfit: Floats
+    usual_misfit: float
+    may_be: Bools
+
+
 def find_growing(
     before: tuple[Obstacle, ...],
     history: TrackHistory,
-    misfit: Floats,
-    usual_misfit: float,
-    may_be: Bools,
+    on_scene: OnScene,
     error_px: float,
     link_px: float,
     next_cluster_id: int,
@@ -58,13 +65,11 @@ def find_growing(
     Parameters
     ----------
     before : what the last frame remembered.
-    misfit : (N,) of each track on the scene's path, in units of ``usual_misfit``.
-    may_be : (N,) tracks that belong to no mover.
     error_px : error of a position that no track's noise knows of.
     """
     is_known = np.isin(history.track_id, tracks_of(before))
-    things = _things(history, misfit, usual_misfit, may_be, is_known, error_px, link_px, config)
-    is_free = may_be.copy()
+    things = _things(history, on_scene, is_known, error_px, link_px, config)
+    is_free = on_scene.may_be.copy()
     for thing in things:
         is_free[thing.members] = False
     public, memory, next_cluster_id = remembered(
@@ -77,17 +82,10 @@ def find_growing(
 
 
 def _things(
-    history: TrackHistory,
-    misfit: Floats,
-    usual_misfit: float,
-    may_be: Bools,
-    is_known: Bools,
-    error_px: float,
-    link_px: float,
-    config: BodiesConfig,
+    history: TrackHistory, on_scene: OnScene, is_known: Bools, error_px: float, link_px: float, config: BodiesConfig
 ) -> list[Growing]:
     """The things that grow around tracks that contradict the scene, or are known to be part of one."""
-    may_be = may_be & (history.n_frames >= LEAST_VIEWS)
+    misfit, may_be = on_scene.misfit, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
     is_asked = may_be & ((misfit > config.scene_gate) | is_known)
     things = list[Growing]()
     for _ in range(_MOST_THINGS):
@@ -95,7 +93,7 @@ def _things(
             break
         seed, around = around_the_oddest(history.xy_px, misfit, is_asked, may_be, link_px)
         is_asked[seed] = False
-        thing = _thing_around(history, around, misfit[around], usual_misfit, error_px, config)
+        thing = _thing_around(history, around, misfit[around], on_scene.usual_misfit, error_px, config)
         if thing is not None:
             things.append(thing)
             may_be[thing.members] = is_asked[thing.members] = False
