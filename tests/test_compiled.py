@@ -60,6 +60,14 @@ from ttcvid.compiled import compiled
 def other_sums(x):
     return doubled(x) + ONE
 """
+BY_MODULE = """
+import made
+from ttcvid.compiled import compiled
+
+@compiled
+def sums_by_module(x):
+    return made.doubled(x) + made.ONE
+"""
 
 
 @pytest.fixture
@@ -67,6 +75,7 @@ def called(tmp_path: Path) -> Callable[..., list[tuple[float, int]]]:
     """Values of functions of the module made here, and how many came from disk, in a copy of this process."""
     (tmp_path / "made.py").write_text(MADE)
     (tmp_path / "caller.py").write_text(CALLER)
+    (tmp_path / "by_module.py").write_text(BY_MODULE)
     return lambda *names, **options: in_copy(_called, tmp_path, names, options)
 
 
@@ -77,7 +86,7 @@ def _called(folder, names, options):
     if not options.get("has_place", True):
         # Numba asks each of these for a place; a folder that root may not write to is not to be had everywhere.
         caching.CacheImpl._locator_classes = []
-    modules = [importlib.import_module(name) for name in ("made", "caller")]
+    modules = [importlib.import_module(name) for name in ("made", "caller", "by_module")]
     assert has_place_on_disk() == options.get("has_place", True)
     if options.get("ahead"):
         for entry in entry_points():
@@ -90,7 +99,7 @@ def _called(folder, names, options):
     ]
 
 
-ARGUMENTS = {"doubled": 3.0, "sums": 3.0, "other_sums": 3.0, "total": np.arange(3.0)}
+ARGUMENTS = {"doubled": 3.0, "sums": 3.0, "other_sums": 3.0, "sums_by_module": 3.0, "total": np.arange(3.0)}
 
 
 @pytest.mark.parametrize("ahead", [False, True])
@@ -145,9 +154,12 @@ def test_a_function_that_calls_one_from_disk_can_be_compiled_and_found_there_its
     assert called("doubled", "sums") == [(6.0, 1), (7.0, 1)]
 
 
+@pytest.mark.parametrize("name", ["other_sums", "sums_by_module"])
 @pytest.mark.parametrize(("before", "after", "value"), [("2.0 *", "3.0 *", 10.0), ("ONE = 1.0", "ONE = 2.0", 8.0)])
-def test_a_function_is_compiled_anew_when_what_it_uses_of_another_file_changes(called, tmp_path, before, after, value):
-    assert called("other_sums") == [(7.0, 0)]
-    assert called("other_sums") == [(7.0, 1)]
+def test_a_function_is_compiled_anew_when_what_it_uses_of_another_file_changes(
+    called, tmp_path, name, before, after, value
+):
+    assert called(name) == [(7.0, 0)]
+    assert called(name) == [(7.0, 1)]
     (tmp_path / "made.py").write_text(MADE.replace(before, after))
-    assert called("other_sums") == [(value, 0)]
+    assert called(name) == [(value, 0)]

@@ -12,6 +12,7 @@ import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -95,6 +96,8 @@ def _uses_of(function: Any) -> set[str]:
         caller = left.pop()
         cells = (cell.cell_contents for cell in caller.__closure__ or ())
         names = {name: caller.__globals__.get(name) for name in caller.__code__.co_names}
+        for module in [value for value in names.values() if isinstance(value, ModuleType)]:
+            names |= {f"{module.__name__}.{name}": vars(module)[name] for name in names if name in vars(module)}
         for name, value in (*names.items(), *zip(caller.__code__.co_freevars, cells, strict=True)):
             callee = getattr(value, "py_func", None)
             if isinstance(value, bool | int | float | str | tuple | np.generic):
