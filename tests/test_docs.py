@@ -242,3 +242,12 @@ def test_version_of_the_changelog_is_that_of_the_package():
     newest = re.search(r"^## ([\d.]+)", (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert newest is not None
     assert newest[1] == ttcvid.__version__
+
+
+def test_each_column_leads_to_the_function_that_makes_it():
+    text = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (.*) \| \[(\w+)\]\((ttcvid/[\w/]+\.py)\) \|$", text, flags=re.MULTILINE)
+    for _, function, path in rows:
+        assert re.search(rf"^ *def {function}\(", (REPOSITORY / path).read_text(), flags=re.MULTILINE), (function, path)
+    named = {name for columns, *_ in rows for name in re.findall(r"`(\w+)`", columns)}
+    assert {column.name for table in TABLES.values() for column in table} - named == set()
