@@ -16,7 +16,7 @@ import psutil
 from report import REPOSITORY, Bar, Report
 from runs import TTCVID
 
-from ttcvid.jobs.batch.command import JOURNAL_NAME
+from ttcvid.jobs.batch.run_batch import JOURNAL_NAME
 from ttcvid.jobs.batch.table import ClipRow, read_rows
 from ttcvid.sinks.folder import PARTIAL_NAME
 

@@ -26,7 +26,7 @@ from runs import TTCVID, analyze_command, data_folder, shown, timed
 
 import ttcvid
 from ttcvid.config import CollisionMapConfig
-from ttcvid.jobs.collision_map.command import open_clip_of
+from ttcvid.jobs.collision_map.run_collision_map import open_clip_of
 from ttcvid.jobs.collision_map.true_hazards import level_axes, own_body_of, true_situation
 from ttcvid.simulate import Scene, World, build_world, encounters, load_scene
 from ttcvid.studies.collision_map.evasion import EvasionLimits, EvasionStatus, evade

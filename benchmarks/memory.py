@@ -18,7 +18,7 @@ import numpy as np
 from report import Bar, Report
 from runs import data_folder
 
-from ttcvid.jobs.analyze.command import run_analysis
+from ttcvid.jobs.analyze.run_analysis import run_analysis
 from ttcvid.jobs.processes.memory import PeakMemory, resident_mb
 from ttcvid.jobs.settings.configuration import configure_from_arguments
 

@@ -124,7 +124,7 @@ import sys
 from contextlib import nullcontext
 import ttcvid
 from ttcvid.compiled import entry_points
-from ttcvid.jobs.analyze import command as job
+from ttcvid.jobs.analyze import run_analysis as job
 from ttcvid.simulate import TrackOptions
 # In this process, where the calls can be counted.
 job.beside = lambda function, items, *_: nullcontext(function(items))

@@ -5,7 +5,7 @@ import pytest
 from ttcvid.calibration import read_camera
 from ttcvid.errors import TtcvidError
 from ttcvid.jobs.compare.baseline import read_baseline
-from ttcvid.jobs.compare.command import read_tolerance
+from ttcvid.jobs.compare.compare_runs import read_tolerance
 from ttcvid.jobs.regress.suite import read_suite
 from ttcvid.model import ImageSize
 from ttcvid.simulate import load_scene

@@ -24,15 +24,15 @@ if TYPE_CHECKING:
         UndeterminedError,
         UsageError,
     )
-    from ttcvid.jobs.analyze.command import analyze
-    from ttcvid.jobs.batch.command import batch
+    from ttcvid.jobs.analyze.run_analysis import analyze
     from ttcvid.jobs.batch.results import open_batch
-    from ttcvid.jobs.calibrate_horizon.command import calibrate_horizon
-    from ttcvid.jobs.collision_map.command import collision_map
-    from ttcvid.jobs.compare.command import compare
+    from ttcvid.jobs.batch.run_batch import batch
+    from ttcvid.jobs.calibrate_horizon.run_calibration import calibrate_horizon
+    from ttcvid.jobs.collision_map.run_collision_map import collision_map
+    from ttcvid.jobs.compare.compare_runs import compare
     from ttcvid.jobs.evaluate import evaluate
     from ttcvid.jobs.export import export
-    from ttcvid.jobs.regress.command import regress
+    from ttcvid.jobs.regress.run_suite import regress
     from ttcvid.jobs.report import report
     from ttcvid.jobs.runs.run import Run
     from ttcvid.jobs.sensitivity import sensitivity
@@ -70,15 +70,15 @@ _HOMES = {
     "TtcvidError": "ttcvid.errors",
     "UndeterminedError": "ttcvid.errors",
     "UsageError": "ttcvid.errors",
-    "analyze": "ttcvid.jobs.analyze.command",
-    "batch": "ttcvid.jobs.batch.command",
-    "calibrate_horizon": "ttcvid.jobs.calibrate_horizon.command",
-    "collision_map": "ttcvid.jobs.collision_map.command",
-    "compare": "ttcvid.jobs.compare.command",
+    "analyze": "ttcvid.jobs.analyze.run_analysis",
+    "batch": "ttcvid.jobs.batch.run_batch",
+    "calibrate_horizon": "ttcvid.jobs.calibrate_horizon.run_calibration",
+    "collision_map": "ttcvid.jobs.collision_map.run_collision_map",
+    "compare": "ttcvid.jobs.compare.compare_runs",
     "evaluate": "ttcvid.jobs.evaluate",
     "export": "ttcvid.jobs.export",
     "open_batch": "ttcvid.jobs.batch.results",
-    "regress": "ttcvid.jobs.regress.command",
+    "regress": "ttcvid.jobs.regress.run_suite",
     "report": "ttcvid.jobs.report",
     "sensitivity": "ttcvid.jobs.sensitivity",
     "simulate": "ttcvid.jobs.simulate",

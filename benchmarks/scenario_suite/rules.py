@@ -258,7 +258,7 @@ def switched_off(names: Sequence[str], acting: set[str] | None = None) -> Iterat
     are switched off, which would.
     """
     changed: list[tuple[Any, str, Any]] = []
-    import_module("ttcvid.jobs.analyze.command")
+    import_module("ttcvid.jobs.analyze.run_analysis")
     try:
         for name, rule in RULES.items():
             for place, without in rule.instead.items():

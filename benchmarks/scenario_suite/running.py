@@ -35,7 +35,7 @@ from scenario_suite.families import scenario
 from scenario_suite.rules import RULES_FILE, switched_off
 from scenario_suite.scenario import Kind, NuisanceValue, Scenario
 from scenario_suite.scoring import score
-from ttcvid.jobs.analyze import command
+from ttcvid.jobs.analyze import run_analysis
 
 T, R = TypeVar("T"), TypeVar("R")
 _PACKAGE = Path(ttcvid.__file__).parent
@@ -202,12 +202,12 @@ def _in_one_process() -> Iterator[None]:
     def here(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T], _: int) -> Iterator[Iterable[R]]:
         yield function(items)
 
-    former = command.beside
-    command.beside = here
+    former = run_analysis.beside
+    run_analysis.beside = here
     try:
         yield
     finally:
-        command.beside = former
+        run_analysis.beside = former
 
 
 def _prepare() -> None:

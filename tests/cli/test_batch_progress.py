@@ -6,7 +6,7 @@ import pytest
 
 from ttcvid.cli import batch_progress as module
 from ttcvid.cli.batch_progress import batch_progress, words_of
-from ttcvid.jobs.batch.command import Progress
+from ttcvid.jobs.batch.run_batch import Progress
 
 
 class Clock:
@@ -23,7 +23,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     monkeypatch.setattr(module, "time", clock)
-    monkeypatch.setattr("ttcvid.jobs.batch.command.time", clock)
+    monkeypatch.setattr("ttcvid.jobs.batch.run_batch.time", clock)
     return clock
 
 

@@ -180,7 +180,7 @@ def test_an_unexpected_error_is_one_line_too_and_never_exit_code_1(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("of\ntwo lines")
 
-    monkeypatch.setattr("ttcvid.jobs.analyze.command.analyze_frames", broken)
+    monkeypatch.setattr("ttcvid.jobs.analyze.run_analysis.analyze_frames", broken)
     fails_with(capsys, ["analyze", clip()], UsageError.exit_code, "ZeroDivisionError", "TTCVID_DEBUG=1")
     assert not Path("clip_ttc").exists()
     monkeypatch.setenv("TTCVID_DEBUG", "1")
@@ -195,5 +195,5 @@ def test_an_end_of_file_is_no_interruption_and_a_pipe_that_breaks_within_is_no_s
     def broken(*_: object, **__: object) -> None:
         raise error(32, "of a helper")
 
-    monkeypatch.setattr("ttcvid.jobs.analyze.command.analyze_frames", broken)
+    monkeypatch.setattr("ttcvid.jobs.analyze.run_analysis.analyze_frames", broken)
     fails_with(capsys, ["analyze", clip()], UsageError.exit_code, "an error in ttcvid itself")

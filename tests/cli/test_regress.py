@@ -40,7 +40,7 @@ bodies:
 def in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes of their own cost seconds each: only tests marked `slow` have them."""
     if "slow" not in request.keywords:
-        monkeypatch.setattr("ttcvid.jobs.regress.command.LocalWorker", lambda **_: WorkerHere())
+        monkeypatch.setattr("ttcvid.jobs.regress.run_suite.LocalWorker", lambda **_: WorkerHere())
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def baselines(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("suite")
     clips = [entry(clip, name="plain"), entry(clip, name="planar", horizon=str(clip / "horizon.yaml"))]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ttcvid.jobs.regress.command.LocalWorker", lambda **_: WorkerHere())
+        patch.setattr("ttcvid.jobs.regress.run_suite.LocalWorker", lambda **_: WorkerHere())
         assert main(["regress", str(written(folder, clips)), "--update", "-o", str(folder / "out")]) == 0
     return folder / "baselines"
 
@@ -164,8 +164,8 @@ def test_what_is_missing_is_compiled_before_the_first_clip(clip, ran, monkeypatc
     def counted(function, *arguments):
         calls.append(function.__name__)
 
-    monkeypatch.setattr("ttcvid.jobs.regress.command.LocalWorker", lambda **_: WorkerHere(counted))
-    monkeypatch.setattr("ttcvid.jobs.regress.command.compile_missing", lambda: calls.append("compile_missing"))
+    monkeypatch.setattr("ttcvid.jobs.regress.run_suite.LocalWorker", lambda **_: WorkerHere(counted))
+    monkeypatch.setattr("ttcvid.jobs.regress.run_suite.compile_missing", lambda: calls.append("compile_missing"))
     ran([{**entry(clip, expectations=["max_rss_mb: 2000"]), "baseline": False}])
     assert calls == ["compile_missing", "run_clip"]
 
@@ -319,7 +319,7 @@ def test_a_clip_whose_process_was_killed_is_checked_once_more(clip, baselines, r
             killed.append(function)
             raise WorkerLostError("ended from outside")
 
-    monkeypatch.setattr("ttcvid.jobs.regress.command.LocalWorker", lambda **_: WorkerHere(killed_once))
+    monkeypatch.setattr("ttcvid.jobs.regress.run_suite.LocalWorker", lambda **_: WorkerHere(killed_once))
     code, text = ran([entry(clip)], baselines=baselines)
     assert (code, len(killed)) == (0, 1), text
 

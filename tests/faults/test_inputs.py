@@ -24,7 +24,7 @@ from moving_clips import FPS, approach, write_approaching_tracks, write_clip, wr
 from ttcvid.calibration import read_mask
 from ttcvid.cli.main import main
 from ttcvid.errors import CalibrationError, InputError, UsageError
-from ttcvid.jobs.analyze.command import analyze
+from ttcvid.jobs.analyze.run_analysis import analyze
 from ttcvid.jobs.runs import provenance
 from ttcvid.jobs.runs.provenance import digest_in_background
 from ttcvid.jobs.runs.run import Run

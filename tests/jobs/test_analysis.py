@@ -53,8 +53,8 @@ def test_the_second_analysis_of_a_process_loads_the_compiled_code_for_all_that_f
     work_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[int] = []
-    monkeypatch.setattr("ttcvid.jobs.analyze.command._ANALYSES", count())
-    monkeypatch.setattr("ttcvid.jobs.analyze.command.load_compiled", lambda: calls.append(1))
+    monkeypatch.setattr("ttcvid.jobs.analyze.run_analysis._ANALYSES", count())
+    monkeypatch.setattr("ttcvid.jobs.analyze.run_analysis.load_compiled", lambda: calls.append(1))
     clip = write_clip(work_folder / "clip.mp4", approach(3))
     for n_calls in (0, 1, 1):
         ttcvid.analyze(clip, overlay=False, report=False, overwrite=True)

@@ -17,7 +17,7 @@ from workers_here import WorkerHere
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.errors import InputError, OutputError, UsageError
-from ttcvid.jobs.batch.command import JOURNAL_NAME, Batch
+from ttcvid.jobs.batch.run_batch import JOURNAL_NAME, Batch
 from ttcvid.jobs.batch.table import ClipRow, read_rows
 from ttcvid.jobs.processes.workers import WorkerLostError
 from ttcvid.schema import TABLE_NAMES
@@ -28,7 +28,7 @@ TRACKS = {"image_size": "192x128", "focal_px": 200, "overlay": False, "report": 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> WorkerHere:
     worker = WorkerHere()
-    monkeypatch.setattr("ttcvid.jobs.batch.command.LocalWorker", lambda **_: worker)
+    monkeypatch.setattr("ttcvid.jobs.batch.run_batch.LocalWorker", lambda **_: worker)
     return worker
 
 

@@ -10,8 +10,8 @@ import pytest
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.config import CollisionMapConfig
-from ttcvid.jobs.collision_map.command import advice_at, most_telling
 from ttcvid.jobs.collision_map.moments import Moment
+from ttcvid.jobs.collision_map.run_collision_map import advice_at, most_telling
 from ttcvid.schema import STUDY_TABLES
 from ttcvid.studies.collision_map.evasion import EvasionStatus
 from ttcvid.studies.collision_map.hazards import OwnBody, Situation, one_object

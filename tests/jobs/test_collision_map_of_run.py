@@ -10,7 +10,7 @@ import pytest
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.config import CollisionMapConfig
-from ttcvid.jobs.collision_map.command import open_clip_of
+from ttcvid.jobs.collision_map.run_collision_map import open_clip_of
 from ttcvid.simulate import TrackOptions
 
 SCENES = Path(__file__).parent.parent.parent / "sample_configs" / "scenes"

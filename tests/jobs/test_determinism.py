@@ -42,7 +42,7 @@ def expected(clip: Path, tracker: str, tmp_path_factory: pytest.TempPathFactory)
 @pytest.mark.parametrize("workers", [1, 3])
 def test_tables_do_not_depend_on_the_number_of_workers(clip, tracker, expected, workers, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "ttcvid.jobs.analyze.command.map_ahead", functools.partial(map_ahead, workers=workers, ahead=2 * workers)
+        "ttcvid.jobs.analyze.run_analysis.map_ahead", functools.partial(map_ahead, workers=workers, ahead=2 * workers)
     )
     run = ttcvid.analyze(clip, tmp_path / "run", tracker=tracker, focal_px=200, overlay=False)
     assert tables_of(run.folder) == expected

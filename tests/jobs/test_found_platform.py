@@ -10,7 +10,7 @@ import pytest
 import ttcvid
 from ttcvid.cli.main import main
 from ttcvid.jobs.batch.same_run import finished_run
-from ttcvid.jobs.compare.command import compare
+from ttcvid.jobs.compare.compare_runs import compare
 from ttcvid.jobs.settings.configuration import configure_from_arguments
 
 N_FRAMES = 60

@@ -46,7 +46,7 @@ def analyze(
     (TTCVID_FOCAL_PX); the command line is stronger than the environment, and that than --config.
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     from ttcvid.cli.progress import compile_first, log_to_stderr, progress_on_stderr
-    from ttcvid.jobs.analyze.command import run_analysis
+    from ttcvid.jobs.analyze.run_analysis import run_analysis
     from ttcvid.jobs.settings.configuration import configure_from_command_line
 
     input_ = _only_one(inputs)

@@ -61,7 +61,7 @@ def batch(
     from ttcvid.cli.batch_progress import batch_progress
     from ttcvid.cli.main import EXIT_INTERRUPTED
     from ttcvid.cli.progress import compile_first, log_to_stderr
-    from ttcvid.jobs.batch.command import run_batch
+    from ttcvid.jobs.batch.run_batch import run_batch
     from ttcvid.jobs.settings.layers import layer_from_command_line
 
     log_to_stderr(quiet=messages.quiet, verbose=messages.verbose)

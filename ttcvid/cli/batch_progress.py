@@ -15,7 +15,7 @@ from rich.progress import Progress as Bar
 from ttcvid.cli.progress import LINE_EVERY_S
 
 if TYPE_CHECKING:
-    from ttcvid.jobs.batch.command import OnFailure, OnProgress, Progress
+    from ttcvid.jobs.batch.run_batch import OnFailure, OnProgress, Progress
 
 
 @contextmanager

@@ -70,7 +70,7 @@ def calibrate_horizon(
       ttcvid analyze street.mp4 --camera calib.yaml --horizon horizon.yaml
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     from ttcvid.cli.progress import compile_first, log_to_stderr, progress_on_stderr
-    from ttcvid.jobs.calibrate_horizon.command import run_calibration
+    from ttcvid.jobs.calibrate_horizon.run_calibration import run_calibration
     from ttcvid.jobs.settings.configuration import configure_from_command_line
 
     log_to_stderr(quiet=messages.quiet, verbose=messages.verbose)

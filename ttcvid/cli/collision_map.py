@@ -71,7 +71,7 @@ def collision_map(
 
     from ttcvid.cli.progress import compile_first, progress_on_stderr
     from ttcvid.config import CollisionMapConfig
-    from ttcvid.jobs.collision_map.command import run_collision_map
+    from ttcvid.jobs.collision_map.run_collision_map import run_collision_map
     from ttcvid.jobs.settings.configuration import configure_study
 
     parameters = configure_study("collision_map", CollisionMapConfig, options, config, is_text=True)

@@ -53,8 +53,8 @@ def compare(
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
     import json
 
-    from ttcvid.jobs.compare.command import compare as compare_runs
-    from ttcvid.jobs.compare.command import write_junit
+    from ttcvid.jobs.compare.compare_runs import compare as compare_runs
+    from ttcvid.jobs.compare.compare_runs import write_junit
     from ttcvid.studies.compare.wording import comparison_as_json, comparison_cases, describe_comparison, verdict
     from ttcvid.studies.regression.junit import Suite
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from ttcvid.jobs.regress.command import ClipOutcome
+    from ttcvid.jobs.regress.run_suite import ClipOutcome
 
 MAX_DETAILS = 40
 
@@ -48,7 +48,7 @@ def regress(
     Exit codes: 0 all as expected (or skipped), 1 something changed, 2 suite or baseline cannot be used,
     3 a clip is missing or cannot be read.
     """  # noqa: D301  the \b is click's mark of lines to keep as they are
-    from ttcvid.jobs.regress.command import regress as run_suite
+    from ttcvid.jobs.regress.run_suite import regress as run_suite
 
     def tell(outcome: ClipOutcome) -> None:
         click.echo(outcome.line())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ttcvid.errors import OutputError
-from ttcvid.jobs.analyze.command import OnFrame, run_analysis
+from ttcvid.jobs.analyze.run_analysis import OnFrame, run_analysis
 from ttcvid.jobs.evaluate import EvaluatedRun, evaluate, write_page
 from ttcvid.jobs.runs.run import Run
 from ttcvid.jobs.settings.configuration import configure_from_arguments

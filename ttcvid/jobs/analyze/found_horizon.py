@@ -6,7 +6,7 @@ import logging
 from dataclasses import replace
 
 from ttcvid.errors import UndeterminedError
-from ttcvid.jobs.calibrate_horizon.command import horizon_from_fit, horizon_of, watch_clips
+from ttcvid.jobs.calibrate_horizon.run_calibration import horizon_from_fit, horizon_of, watch_clips
 from ttcvid.jobs.clip import Calibration
 from ttcvid.jobs.settings.configuration import Configuration
 

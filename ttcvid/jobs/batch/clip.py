@@ -54,7 +54,7 @@ def analyze_clip(task: BatchTask, on_news: OnFrames | None = None) -> BatchResul
     former = finished_run(task.folder, task.input, configuration)
     if former is not None:
         return BatchResult(row_of_run(task.clip, task.input, former), is_kept=True)
-    from ttcvid.jobs.analyze.command import run_analysis
+    from ttcvid.jobs.analyze.run_analysis import run_analysis
 
     told = _Told(on_news)
     arguments = ("batch", task.input)

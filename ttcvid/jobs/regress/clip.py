@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ttcvid.jobs.analyze.command import analyze
+from ttcvid.jobs.analyze.run_analysis import analyze
 from ttcvid.jobs.processes.memory import PeakMemory
 from ttcvid.jobs.runs.run import Run
 from ttcvid.model import Horizon, Platform
@@ -107,7 +107,7 @@ def _horizon(run: Run, task: ClipTask) -> tuple[float | None, str]:
     given = run.manifest["horizon"]
     if given is not None:
         return (given["y_left_px"] + given["y_right_px"]) / 2, ""
-    from ttcvid.jobs.calibrate_horizon.command import calibrate_horizon
+    from ttcvid.jobs.calibrate_horizon.run_calibration import calibrate_horizon
 
     options = {name: value for name, value in task.options.items() if name in CALIBRATION_OPTIONS}
     moving = task.options.get("platform", Platform.free) != Platform.static

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ttcvid.errors import NotComparableError, TtcvidError, UsageError, counted
 from ttcvid.jobs.compare.baseline import baseline_text, read_baseline, write_baseline
-from ttcvid.jobs.compare.command import write_junit
+from ttcvid.jobs.compare.compare_runs import write_junit
 from ttcvid.jobs.compare.result_tables import read_run
 from ttcvid.jobs.processes.compilation import compile_missing
 from ttcvid.jobs.processes.crew import Attempt, Call, Crew
