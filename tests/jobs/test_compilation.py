@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from copies_of_process import in_copy
 
-from ttcvid.geometry import compiled
+from ttcvid import compiled
 from ttcvid.jobs.processes import compilation
 
 MADE = """
