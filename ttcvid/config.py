@@ -145,13 +145,15 @@ class EventsConfig(StageConfig):
 
     max_ttc_s: PositiveFloat = Field(default=4.0, description="a warning starts below this time to closest approach")
     max_miss_widths: PositiveFloat = Field(
-        default=1.0, description="miss distance, in object widths, of a collision course"
+        default=1.0,
+        description="miss distance of a collision course, in object widths; on the road and of a camera at rest, in "
+        "what makes it touch us",
     )
-    confidence: Fraction = Field(default=0.95, description="probability of approach that a warning needs")
+    confidence: Fraction = Field(default=0.95, description="probability of a collision course that a warning needs")
     persistence_s: PositiveFloat = Field(
         default=0.25,
-        description="how long the condition has to hold before a warning starts, and to be gone before it ends; "
-        "shorter for an object that brakes with more than `confidence`",
+        description="time over which the log odds of a collision course add up to a warning; twice as long where they "
+        "are those of `confidence`, shorter where they are higher",
     )
 
 

@@ -28,29 +28,27 @@ def test_a_collision_course_is_warned_of_once_it_has_lasted():
     assert last.min_tcpa_s == pytest.approx(last.min_ttc_z_s)
 
 
-@pytest.mark.parametrize("first_frame", [0, 54, 131])
+@pytest.mark.parametrize("first_frame", [54, 131])
 @pytest.mark.parametrize("n_frames", [3, 4, 6])
-def test_how_long_a_condition_has_lasted_does_not_hang_on_rounding(first_frame, n_frames):
-    # The difference of two rounded times falls short of the persistence by its last bit now and then, or exceeds it.
+def test_what_is_gathered_does_not_hang_on_rounding(first_frame, n_frames):
     config = CONFIG.model_copy(update={"persistence_s": n_frames * FRAME_S})
-    rows = drive(*HIT, 2.0)
-    assert first_warned(watched(rows, config, first_frame=first_frame)[0]) == n_frames
-    # It stands until the condition has been gone for longer than that.
-    warned = [*rows[: n_frames + 1], *[HARMLESS] * n_frames]
-    assert watched(warned, config, first_frame=first_frame)[0][-1]
+    rows = drive(*HIT, 2.0) + [HARMLESS] * 10
+    at_first, later = (watched(rows, config, first_frame=number)[0] for number in (0, first_frame))
+    assert [len(events) for events in at_first] == [len(events) for events in later]
 
 
 def test_a_short_blip_is_not_warned_of():
     hit = drive(*HIT, 2.5)
-    for n_frames in (1, 3, 5):
+    for n_frames in (1, 2, 3):
         frames = [HARMLESS] * 5 + hit[5 : 5 + n_frames] + [HARMLESS] * 20
         assert first_warned(watched(frames)[0]) is None
 
 
-def test_blips_that_come_again_do_not_add_up():
+def test_frames_that_speak_against_it_count_as_much_as_those_that_speak_for_it():
     hit = drive(*HIT, 2.5)
-    frames = [row if i % 5 else HARMLESS for i, row in enumerate(hit)]
-    assert first_warned(watched(frames)[0]) is None
+    half, most = ([row if i % every else HARMLESS for i, row in enumerate(hit)] for every in (2, 5))
+    assert first_warned(watched(half)[0]) is None
+    assert first_warned(watched(most)[0]) > first_warned(watched(hit)[0])
 
 
 def warned_at_s(times_s, step_s):
@@ -69,8 +67,8 @@ def test_what_is_looked_at_seldom_is_warned_of_at_the_first_look_after_the_persi
     assert warned_at_s(times_s, step_s) == [t_s for t_s in times_s if t_s >= CONFIG.persistence_s]
 
 
-def test_what_was_not_looked_at_for_longer_than_usual_has_not_persisted():
-    assert warned_at_s([0.0, 0.1, 0.2, 0.6, 0.7, 0.8, 0.95, 1.0], 0.1) == [0.95, 1.0]
+def test_a_gap_longer_than_the_persistence_counts_for_nothing():
+    assert warned_at_s([0.0, 0.1, 0.2, 0.6, 0.7, 0.8, 0.95, 1.0], 0.1) == [0.7, 0.8, 0.95, 1.0]
 
 
 def test_a_warning_outlives_a_short_gap_and_keeps_its_number():
@@ -83,38 +81,38 @@ def test_a_warning_outlives_a_short_gap_and_keeps_its_number():
     assert active[23][0].end_frame == 23
 
 
-def test_a_warning_stands_on_what_is_a_little_beyond_the_threshold():
-    """Hysteresis: one and a half times the miss distance would not start a warning, but keeps one."""
-    beyond = row_of((1.25 * WIDTH_M, 0.0, 18.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
-    far_beyond = row_of((1.8 * WIDTH_M, 0.0, 18.0), (0.0, 0.0, -10.0), relative_sigma=0.005)
+def test_a_warning_starts_at_one_probability_and_ends_at_another():
+    """Even odds start none, and end none: a miss by just the limit, or by a little more than the limit of the time."""
+    even, beyond = (
+        row_of((widths * WIDTH_M, 0.0, 18.0), (0.0, 0.0, -10.0), relative_sigma=0.005) for widths in (1.0, 1.25)
+    )
     hit = drive(*HIT, 1.0)
-    assert first_warned(watched([beyond] * 30)[0]) is None
-    assert len(watched(hit + [beyond] * 30)[0][-1]) == 1
-    assert watched(hit + [far_beyond] * 30)[0][-1] == ()
+    assert first_warned(watched([even] * 30)[0]) is None
+    assert len(watched(hit + [even] * 30)[0][-1]) == 1
+    assert watched(hit + [beyond] * 30)[0][-1] == ()
     slower = row_of((0.0, 0.0, 46.0), (0.0, 0.0, -10.0))
     assert first_warned(watched([slower] * 30)[0]) is None
     assert len(watched(hit + [slower] * 30)[0][-1]) == 1
 
 
 @pytest.mark.parametrize(
-    ("after", "n_frames"), [(HARMLESS, 6), (None, 18), (WITHOUT_STATE, 18)], ids=["harmless", "hidden", "no value"]
+    ("after", "n_frames"), [(HARMLESS, 3), (None, 18), (WITHOUT_STATE, 18)], ids=["harmless", "hidden", "no value"]
 )
 def test_a_warning_ends_when_it_is_over_and_later_when_what_it_is_of_is_hidden(after, n_frames):
-    """After as long as it took to start, or three times as long."""
     hit = drive(*HIT, 1.0)
     active, _ = watched(hit + [after] * 30)
     n_after = sum(bool(events) for events in active[len(hit) :])
-    assert n_after in (n_frames - 1, n_frames)
+    assert n_after == n_frames
     last = [e for events in active for e in events][-1]
     assert last.end_frame == len(hit) - 1
     assert last.end_s == pytest.approx((len(hit) - 1) * FRAME_S)
 
 
-def test_a_frame_in_which_it_is_hidden_or_without_a_value_is_not_the_end_of_what_persists():
+def test_a_frame_in_which_it_is_hidden_or_without_a_value_is_not_the_end_of_what_is_gathered():
     hit = drive(*HIT, 1.0)
-    assert first_warned(watched([*hit[:3], None, *hit[4:]])[0]) == 6
+    assert first_warned(watched([*hit[:3], None, *hit[4:]])[0]) == 7
     assert first_warned(watched([*hit[:3], WITHOUT_STATE, *hit[4:]])[0]) == 7
-    assert first_warned(watched([*hit[:3], HARMLESS, *hit[4:]])[0]) == 10
+    assert first_warned(watched([*hit[:3], HARMLESS, *hit[4:]])[0]) > 7
 
 
 UNKNOWN = replace(drive(*HIT, 0.1)[0], motion_state=MotionState.unknown)
@@ -122,34 +120,32 @@ UNKNOWN = replace(drive(*HIT, 0.1)[0], motion_state=MotionState.unknown)
 
 
 @pytest.mark.parametrize("is_open", [UNKNOWN, WITHOUT_STATE], ids=["unknown", "no value"])
-def test_looks_at_which_it_is_open_where_a_thing_goes_stop_the_clock_for_a_while(is_open):
+def test_frames_in_which_it_is_open_where_a_thing_goes_count_for_nothing(is_open):
     hit = drive(*HIT, 2.5)
-    # 0.05 s before them, 0.25 s from the last of them on; anew it would be 0.3 s.
-    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) == 14
-    # Three times the persistence at the most.
-    assert first_warned(watched([*hit[:2], *[is_open] * 20, *hit[22:]])[0]) == 28
-    # Every look counts for the time since the look before.
+    # It is warned of after six frames that tell.
+    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) in (13, 14)
     by_turns = [row if frame % 2 == 0 else is_open for frame, row in enumerate(hit)]
     assert first_warned(watched(by_turns)[0]) == 12
-    # They say nothing by themselves, nor do two looks far apart; and what speaks against it is a gap all the same.
+    # Three times the persistence at the most: then all begins anew.
+    assert first_warned(watched([*hit[:2], *[is_open] * 20, *hit[22:]])[0]) in (27, 28)
+    # They say nothing by themselves, nor do two frames far apart.
     assert first_warned(watched([*hit[:2], *[is_open] * 8])[0]) is None
     assert first_warned(watched([hit[0], *[is_open] * 6, hit[7], *[is_open] * 6])[0]) is None
-    assert first_warned(watched([hit[0], *[is_open] * 4, hit[5], *[is_open] * 4, hit[10], *[is_open] * 9])[0]) is None
-    assert first_warned(watched([*hit[:2], *[is_open] * 4, HARMLESS, *[is_open] * 4, *hit[11:]])[0]) == 17
+    assert first_warned(watched([*hit[:2], *[is_open] * 4, HARMLESS, *[is_open] * 4, *hit[11:]])[0]) > 14
 
 
-def test_looks_at_which_it_is_open_stop_the_clock_of_what_gets_another_number_too():
+def test_frames_in_which_it_is_open_count_for_nothing_of_what_gets_another_number_too():
     before, after = drive(*HIT, 2.5), drive(*HIT, 2.5, cluster_id=5)
-    assert first_warned(watched([*before[:2], *[UNKNOWN] * 8, *after[10:]])[0]) == 14
+    assert first_warned(watched([*before[:2], *[UNKNOWN] * 8, *after[10:]])[0]) in (13, 14)
 
 
-def test_what_is_not_surely_going_to_miss_us_is_open():
-    """Its best estimate is a hit, by a little; nothing at 95 %."""
+def test_what_is_not_surely_going_to_hit_us_takes_longer():
+    """Its best estimate is a hit, or a miss, by a little."""
     hit, likely = drive(*HIT, 2.5), row_of((0.9 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
     likely_miss = row_of((1.1 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
     assert first_warned(watched([likely] * 30)[0]) is None
-    assert first_warned(watched([*hit[:3], likely, *hit[4:]])[0]) == 7
-    assert first_warned(watched([*hit[:3], likely_miss, *hit[4:]])[0]) == 10
+    assert first_warned(watched([*hit[:3], *[likely] * 3, *hit[6:]])[0]) > 7
+    assert first_warned(watched([*hit[:3], *[likely_miss] * 3, *hit[6:]])[0]) > 8
 
 
 def test_what_comes_out_behind_a_post_with_another_number_is_warned_of_at_once():
@@ -177,7 +173,7 @@ def test_both_numbers_are_watched_while_both_are_there():
     other = [None] * 8 + drive((0.1, 0.0, 26.0), (0.0, 0.0, -10.0), 0.6, cluster_id=5)
     frames = [tuple(row for row in pair if row is not None) for pair in zip(one, other, strict=True)]
     active, _ = watched(frames)
-    assert [e.cluster_id for e in active[13]] == [1]
+    assert [e.cluster_id for e in active[11]] == [1]
     assert [e.cluster_id for e in active[14]] == [1, 5]
 
 

@@ -50,8 +50,9 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
     tracks, clusters = _rows(seen, clip)
     config, step_s = clip.config.events, seen.history.step_s
     closing_of = partial(closing_of_cluster, history=seen.history, motions=seen.motions, least_s=config.persistence_s)
-    on_ground = clip.config.egomotion.platform == Platform.vehicle
-    view = Viewpoint(clip.camera, on_ground, seen.motions.bend, closing_of)
+    platform = clip.config.egomotion.platform
+    on_ground, at_rest = platform == Platform.vehicle, platform == Platform.static
+    view = Viewpoint(clip.camera, on_ground, at_rest, seen.motions.bend, closing_of)
     events, watch = update_events(memory.watch, frame.index, frame.t_s, clusters, view, config, step_s=step_s)
     nearest, since = nearest_object(memory.since, frame.t_s, clusters, clip.config)
     egomotion = seen.egomotion

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, straightened
@@ -21,44 +20,45 @@ from ttcvid.stages.segmentation.own_turn import OwnBend
 ClosingOf = Callable[[int], Closing | None]
 """From a ``cluster_id`` to how the depth of the object changes; None where that is not known."""
 
-# Hysteresis: an active warning goes on up to these multiples of the thresholds.
-_KEEP_TTC, _KEEP_MISS = 1.25, 1.5
-# Of an object's visible width its component across the direction of motion counts, 1.5 times for our own width, and
-# at least this share of the width: no object is a line.
+# The time to closest approach counts up to this multiple of its limit: evidence is gathered while that time runs down.
+_WATCHED_TTC = 1.5
+# Off the road an object's width counts by its component across the direction of motion, 1.5 times for our own width; at
+# least this share of it counts everywhere: no object is a line.
 _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
-# Braking is significant at 99 % (one side), beyond what the search for its beginning adds to the statistic
-# (`geometry.estimation.closing.fit_braking`); it is extrapolated for this long, s.
-_SIGMAS_99, _SIGMAS_OF_CHOICE, _LASTING_S = 2.326, 0.35, 1.0
-# The time left under braking has to be short by one standard deviation: braking may stop, so that this time need not
-# run down.
-_SOON_SIGMAS = 1.0
-# Half of our own width, without and with clearance, in heights of the camera above the road: alike for cars, vans and
-# lorries.
-_HALF_HEIGHTS, _ROOM_HEIGHTS = 0.6, 1.0
+# The search for the beginning of braking adds this to its statistic (`geometry.estimation.closing.fit_braking`);
+# braking is extrapolated for this long, s.
+_SIGMAS_OF_CHOICE, _LASTING_S = 0.35, 1.0
+# Half of our own width in heights of the camera above the road: 0.9 m of 1.3 m in cars, alike in vans and lorries.
+_HALF_HEIGHTS = 0.7
+# We reach as far before the lens as beside it, so that our part of the miss distance is whole up to 60 deg off our way.
+_FULL_UNTIL = 2.0
 # A smaller turn until the closest approach counts as straight, rad.
 _LEAST_TURN_RAD = 0.01
+# Even odds.
+_EVEN = 0.5
 # Divisors are at least this; a shorter miss vector, in units of depth, has no direction.
 _TINY = 1e-9
 
 
 @dataclass(frozen=True)
 class Course:
-    """The course of an object that may be on collision course.
+    """The course of an object, from one frame.
 
     Attributes
     ----------
-    is_sure : whether it is on collision course at the configured confidence; else that is open.
-    sigmas : by how many standard deviations, where it is sure.
+    probability : that it is a collision course: the object approaches, reaches us within `_WATCHED_TTC` times the limit
+        and passes nearer than the limit of the miss distance.
+    is_soon : whether it is reached within the limit itself.
     miss_widths : best estimate of the vector from the camera to the closest approach, camera frame, in widths of the
-        object; NaN where it is open.
+        object; NaN where it does not approach.
     """
 
-    is_sure: bool
-    sigmas: float = 0.0
+    probability: float
+    is_soon: bool = False
     miss_widths: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
 
-OPEN = Course(is_sure=False)
+NO_COURSE = Course(0.0)
 
 
 def unknown_closing(_: int) -> None:
@@ -73,79 +73,55 @@ class Viewpoint:
     ----------
     on_ground : we are a road vehicle. It has the usual width and reaches from the camera down to the road: an object
         that passes below the camera hits it, and a lorry need not pass at a distance of its length.
+    at_rest : the camera is mounted somewhere: it is a point, that only an object itself can hit.
     bend : our own turn; None: we go straight. Objects on our road turn with it.
     closing_of : how the depth of a cluster changes. It is slow, and called only where the result depends on it.
     """
 
     camera: Camera
     on_ground: bool = False
+    at_rest: bool = False
     bend: OwnBend | None = None
     closing_of: ClosingOf = unknown_closing
 
 
-def course_of(
-    row: ClusterRow, view: Viewpoint, config: EventsConfig, *, is_warned: bool = False, is_watched: bool = False
-) -> Course | None:
-    """Whether an object is on collision course; None where it is not, as far as is known.
+def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course | None:
+    """Whether an object is on collision course; None where that is open.
 
-    It is where it approaches, and its time of closest approach and its miss distance are below the limits, each at the
-    configured one-sided confidence. The miss distance is judged in widths of the object: a fixed ``miss_s`` would mean
-    6 m at 20 m/s and 0.6 m at 2 m/s. An object that brakes hard (`_brakes_sigmas`) counts by the time under braking.
-
-    Only for a braking object ``Course.sigmas`` may exceed the confidence asked for: its braking is seen over the whole
-    window. Any other state holds for one moment, in which a bus on a bend may head at us with great certainty.
-
-    Parameters
-    ----------
-    row : the object, with state and covariance.
-    is_warned : the object has an active warning: both limits are looser.
-    is_watched : the condition of the watch: only the limit of the time is looser.
+    The miss distance is judged in widths of the object: a fixed ``miss_s`` would mean 6 m at 20 m/s and 0.6 m at 2 m/s.
+    An object that brakes counts by the time under braking where that is more probably short (`_braking_probability`).
     """
-    cov = row.state_cov
-    if row.state_abc_hz is None or cov is None or row.motion_state == MotionState.unknown:
-        return OPEN
-    if row.motion_state not in APPROACHING or not row.times.tcpa_s[0] > 0.0:
+    abc_hz, cov = row.state_abc_hz, row.state_cov
+    if abc_hz is None or cov is None or row.motion_state == MotionState.unknown:
         return None
+    tcpa_s = float(row.times.tcpa_s[0])
+    if row.motion_state not in APPROACHING or not tcpa_s > 0.0:
+        return NO_COURSE
     is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road_hz is not None
-    if is_standing and view.on_ground and not is_road_found and not is_warned:
+    if is_standing and view.on_ground and not is_road_found:
         # Without a ground plane, a bridge, roadside trees or road markings look like a wall ahead.
-        return OPEN
-    asked = _sigmas_of(config.confidence)
-    max_miss_widths = config.max_miss_widths * (_KEEP_MISS if is_warned else 1.0)
-    *off_widths, sigma_widths = _miss_widths(row, row.state_abc_hz, cov, view).tolist()
-    at_best = math.hypot(*off_widths)
-    at_asked = at_best + asked * sigma_widths
-    if min(at_best, at_asked) > max_miss_widths:
         return None
-    is_sure = at_asked <= max_miss_widths and surety(row.state_abc_hz, cov) > config.confidence
-    if row.times.tcpa_s[0] <= config.max_ttc_s * (_KEEP_TTC if is_warned or is_watched else 1.0):
-        return Course(True, asked, tuple(off_widths)) if is_sure else OPEN
-    closing = view.closing_of(row.cluster_id) if is_sure else None
-    brakes_sigmas = _brakes_sigmas(closing, config.max_ttc_s * (_KEEP_TTC if is_warned else 1.0))
-    if brakes_sigmas is None:
-        return None
-    nearer_sigmas = -float(row.state_abc_hz[2]) / max(math.sqrt(cov[2, 2]), _TINY)
-    # The miss distance is this many standard deviations below its limit.
-    straight_sigmas = (max_miss_widths - at_best) / max(sigma_widths, _TINY)
-    return Course(True, max(min(nearer_sigmas, straight_sigmas, brakes_sigmas), asked), tuple(off_widths))
+    *off_widths, sigma_widths = _miss_widths(row, abc_hz, cov, view).tolist()
+    hits = float(ndtr((config.max_miss_widths - math.hypot(*off_widths)) / max(sigma_widths, _TINY)))
+    later_hz = 1.0 / tcpa_s - 1.0 / (_WATCHED_TTC * config.max_ttc_s)
+    in_time = float(ndtr(later_hz / max(math.sqrt(cov[2, 2]), _TINY)))
+    is_soon = tcpa_s <= config.max_ttc_s
+    if not is_soon and hits > _EVEN:
+        brakes = _braking_probability(view.closing_of(row.cluster_id), config.max_ttc_s)
+        in_time, is_soon = max(in_time, brakes), brakes > _EVEN
+    return Course(surety(abc_hz, cov) * hits * in_time, is_soon, tuple(off_widths))
 
 
-@lru_cache(maxsize=8)
-def _sigmas_of(confidence: float) -> float:
-    """Standard deviations of a one-sided confidence."""
-    return float(ndtri(confidence))
-
-
-def _brakes_sigmas(closing: Closing | None, max_ttc_s: float) -> float | None:
-    """Significance of an object's braking, if that makes its time shorter than ``max_ttc_s``; else None.
+def _braking_probability(closing: Closing | None, max_ttc_s: float) -> float:
+    """Probability that an object brakes and is reached within ``max_ttc_s`` by that; 0 where nothing is known.
 
     At constant velocity, an object that has just begun to brake seems to have much time left.
     """
     if closing is None:
-        return None
+        return 0.0
     sigmas = -closing.acceleration_hz2 / closing.acceleration_sigma_hz2 - _SIGMAS_OF_CHOICE
     left, left_sigma = closing.left_after(max_ttc_s, _LASTING_S)
-    return sigmas if sigmas > _SIGMAS_99 and left + _SOON_SIGMAS * left_sigma <= 0.0 else None
+    return float(ndtr(min(sigmas, -left / max(left_sigma, _TINY))))
 
 
 def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
@@ -170,31 +146,31 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, view: Viewpoint) 
     x_px = 0.5 * (x0_px + x1_px)
     outline_px = ((x_px, y_px), (x0_px, y_px), (x1_px, y_px), (x_px, top_px), (x_px, bottom_px))
     rays = rays_from_pixels(view.camera, np.array(outline_px))
-    straight_on = _missing(rays, abc_hz, cov, on_ground, view.camera)
+    straight_on = _missing(rays, abc_hz, cov, view)
     if bend is None or not on_ground or not abs(bend.turn_rad_s) * float(row.times.tcpa_s[0]) > _LEAST_TURN_RAD:
         return straight_on
     # Objects of the scene's motion stand still on the ground.
     speed_hz = float(np.linalg.norm(abc_hz)) if row.motion_id == SCENE_MOTION else bend.speed_hz(rays[4, :2])
     if speed_hz is None:
         return straight_on
-    along = _along_bend(rays, abc_hz, cov, bend, speed_hz, view.camera)
+    along = _along_bend(rays, abc_hz, cov, bend, speed_hz, view)
     unsure = BEND_ENDS * (along[:3] - straight_on[:3])
     along[3] = math.sqrt(along[3] ** 2 + float(unsure @ unsure))
     return along
 
 
-def _along_bend(rays: Floats, abc_hz: Floats, cov: Floats, bend: OwnBend, speed_hz: float, camera: Camera) -> Floats:
+def _along_bend(rays: Floats, abc_hz: Floats, cov: Floats, bend: OwnBend, speed_hz: float, view: Viewpoint) -> Floats:
     """As `_missing`, in coordinates along our bend; ``speed_hz`` is our speed over the depth of the object."""
     found = straightened(rays[0], abc_hz, bend.heading, speed_hz, bend.turn_rad_s)
     depth = float(found.place[2])
     if not depth > _TINY:
-        return _missing(rays, abc_hz, cov, True, camera)
+        return _missing(rays, abc_hz, cov, view)
     place = np.column_stack([found.place[0] + rays[:, 0] - rays[0, 0], rays[:, 1], np.full(len(rays), depth)]) / depth
     cov = found.jacobian @ cov @ found.jacobian.T / depth**2
-    return _missing(place, found.velocity / depth, cov, True, camera)
+    return _missing(place, found.velocity / depth, cov, view)
 
 
-def _missing(rays: Floats, abc_hz: Floats, cov: Floats, on_ground: bool, camera: Camera) -> Floats:
+def _missing(rays: Floats, abc_hz: Floats, cov: Floats, view: Viewpoint) -> Floats:
     """As `_miss_widths`, from the ``rays (5, 3)`` of its box: middle, left, right, top, bottom.
 
     The closest point within the height of the box counts: a pedestrian's feet pass below the camera by three times his
@@ -212,29 +188,32 @@ def _missing(rays: Floats, abc_hz: Floats, cov: Floats, on_ground: bool, camera:
         place[1] = min(max(nearest, min(top, place[1])), max(bottom, place[1]))
     ahead = float(way @ place)
     off = place - ahead * way
-    if on_ground and off[1] > 0.0 and down2 >= _TINY:
+    if view.on_ground and off[1] > 0.0 and down2 >= _TINY:
         # Our own body reaches from the camera down to the road.
         off -= down @ off / down2 * down
     miss = float(np.linalg.norm(off))
     sides = off[None] / miss if miss > _TINY else tangent_basis(way).T
     sigma = math.sqrt(max(float(np.max(np.einsum("si,ij,sj->s", sides, cov, sides))), 0.0))
-    width = _width(way, left, right, bottom, on_ground, camera)
+    width = _width(way, left, right, bottom, view)
     return np.append(off, abs(ahead) / speed * sigma) / width
 
 
-def _width(way: Floats, left: float, right: float, bottom: float, on_ground: bool, camera: Camera) -> float:
-    """Width of an object with direction of motion ``way (3,)``, in units of depth, with our own share of it."""
-    # Across the direction of motion, with our own share: a crossing bus shows its length.
+def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoint) -> float:
+    """Miss distance up to which an object with direction of motion ``way (3,)`` hits us, in units of depth.
+
+    That is half of its width and half of ours: on the road known by the height of the camera, elsewhere as wide as its
+    own, and none of a camera at rest. A width counts by its component across
+    the direction of motion: a crossing bus shows its length, and our front meets nobody while we stand.
+    """
     along, level = abs(float(way[2])), math.hypot(way[0], way[2])
-    across = min(_WITH_OURS * along / level + _LEAST_ACROSS, 1.0) if level > 0.0 else 1.0
+    ahead = along / level if level > 0.0 else 1.0
     seen = (right if math.isfinite(right) else math.inf) - (left if math.isfinite(left) else -math.inf)
-    width = across * max(seen, 1.0 / camera.fx_px)
+    seen = max(seen, 1.0 / view.camera.fx_px)
     # Height of the camera above the object's foot, in units of depth, for a horizontal motion.
-    height = bottom - way[1] / way[2] if on_ground and along >= _TINY else math.nan
+    height = bottom - way[1] / way[2] if view.on_ground and along >= _TINY else math.nan
+    half = 0.5 * min(ahead + _LEAST_ACROSS, 1.0) * seen
+    if view.at_rest:
+        return half
     if not math.isfinite(height):
-        return width
-    height = max(height, 0.0)
-    # A pedestrian is narrower than half of our car, whose front hits him: its width counts by its component across the
-    # relative motion, which is zero where we stand.
-    front = _HALF_HEIGHTS * height * along / level
-    return min(max(width, 0.5 * width + front), 0.5 * width + _ROOM_HEIGHTS * height)
+        return min(_WITH_OURS * ahead + _LEAST_ACROSS, 1.0) * seen
+    return half + _HALF_HEIGHTS * max(height, 0.0) * min(_FULL_UNTIL * ahead, 1.0)

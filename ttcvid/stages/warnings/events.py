@@ -1,24 +1,26 @@
-"""Warnings of objects on collision course: they start after a persistence and end with hysteresis."""
+"""Warnings of objects on collision course: the probability of one frame, filtered over frames by a two-state model."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
-from scipy.special import logit, ndtr, stdtrit
+from scipy.special import expit, logit, ndtr, stdtrit
 
 from ttcvid.config import EventsConfig
 from ttcvid.model import ClusterRow, Event, MotionState
 from ttcvid.stages.warnings.course import Course, Viewpoint, course_of, surety
 
-# A hidden object, or one whose course is open, is still there: its warning, or its watch, lasts this many times as long
-# as that of an object whose condition no longer holds.
+# A hidden object, or one whose course is open, is still there: it is forgotten after this many times the persistence.
 _HIDDEN = 3.0
+# Mean time after which a course that was none may have become one, and the opposite, s.
+_CHANGES_S = 1.0
 # An object is re-identified with a lost one if their boxes overlap by this share of the smaller one.
 _SAME_PLACE = 0.3
-# Up to an even chance there are no odds to add up.
+# A warning asks for at least this probability: below it nothing would have to be gathered.
+_LEAST_ASKED = 0.6
+# Even odds.
 _EVEN = 0.5
 # A step between frames this many times as long as the usual one is a gap.
 _STALLED = 1.5
@@ -27,38 +29,38 @@ _ROUNDING_S = 1e-3
 # A shorter miss vector has no direction, widths.
 _TINY = 1e-9
 # Probabilities are capped at this many standard deviations, 99.99 %: matching errors have heavier tails than a normal.
-_SIGMAS_BELIEVED = 3.719
+_LOG_ODDS_BELIEVED = float(logit(ndtr(3.719)))
+# Log odds grow to this many times those that a warning asks for: what ends has to be told in time.
+_HIGHEST = 1.6
 
 
 @dataclass(frozen=True)
 class WatchedObject:
-    """An object that meets the looser condition of a warning, and its warning.
+    """An object whose course has been known, and its warning.
 
     Attributes
     ----------
-    since_s, last_s : presentation times at which the condition began to hold and held last.
-    seen_s : when the object was last seen; after ``last_s`` its course is open.
+    log_odds : of a collision course, by all frames so far.
+    last_s : presentation time at which its course was known last.
     box_px : its box at ``last_s``: left, top, right, bottom.
-    near_s : for how long the condition of a warning has held, weighted by `_worth`; None where it does not hold.
-    recent : ``(t_s, tcpa_s, *miss_widths)`` of each frame of the last ``persistence_s``.
+    recent : ``(t_s, tcpa_s, *miss_widths)`` of each frame of the last ``persistence_s`` in which it was probable.
     event : its warning; None before it starts.
     """
 
-    since_s: float
-    seen_s: float
+    log_odds: float
     last_s: float
     box_px: tuple[float, float, float, float]
-    near_s: float | None = None
     recent: tuple[tuple[float, ...], ...] = ()
     event: Event | None = None
 
 
 @dataclass(frozen=True)
 class EventMemory:
-    """Objects under watch by ``cluster_id``, and the number of the next warning."""
+    """Objects under watch by ``cluster_id``, the number of the next warning, and the time of the last frame, s."""
 
     watched: dict[int, WatchedObject] = field(default_factory=dict)
     next_event_id: int = 1
+    t_s: float | None = None
 
 
 def update_events(
@@ -73,15 +75,13 @@ def update_events(
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and the memory for the next one.
 
-    A warning starts when an object meets the condition (`course_of`) and has either
-
-    - met it for ``persistence_s``, where time at a higher confidence counts more (`_worth`), or
-    - met the looser condition for ``persistence_s`` while its time ran down below the limit (`_has_run_down`).
-
-    Each frame counts for the time since the frame before. A frame in which the course is open, or the object has no
-    value, counts for nothing, but is no interruption. A warning ends when the object has not met the looser condition
-    for ``persistence_s``, or has been hidden or open for `_HIDDEN` times as long. A warned object that reappears under
-    another ``cluster_id`` is warned of at once.
+    An object is on collision course or not, and changes between the two now and then (`_CHANGES_S`). Log odds of the
+    probabilities of its frames (`course_of`) add up; errors of neighbouring frames are correlated, so that they count
+    per ``persistence_s`` and not per frame. At first it is none with a probability of ``confidence``. A warning starts
+    where the object is on collision course with this probability, soon by this frame, and does not turn away
+    (`_turns_away`); it ends where it is none with the same probability. A frame in which the course is open, or the
+    object has no value, counts for nothing. A warned object that reappears under another ``cluster_id`` is warned of
+    at once.
 
     Parameters
     ----------
@@ -90,107 +90,65 @@ def update_events(
     step_s : usual time between frames; where it exceeds the persistence, a single step is no gap.
     view : as in `course_of`.
     """
-    gone_s = _gone_s(config)
-    longest_step_s = max(gone_s, _STALLED * step_s)
+    since_s = 0.0 if memory.t_s is None else t_s - memory.t_s
+    # Frames without an analysis (dark, duplicate) tell nothing.
+    looked_s = since_s if since_s <= max(_gone_s(config), _STALLED * step_s) else 0.0
     rows = {row.cluster_id: row for row in clusters}
     watched: dict[int, WatchedObject] = {}
     next_event_id = memory.next_event_id
     # Lost objects first: an object of this frame may be one of them.
     for cluster_id in sorted(set(rows) | set(memory.watched), key=lambda number: (number in rows, number)):
-        before = memory.watched.get(cluster_id)
-        warned = before is not None and before.event is not None
-        row = rows.get(cluster_id)
-        if before is not None and not warned and t_s - before.seen_s > longest_step_s:
-            # Frames without an analysis (dark, duplicate) interrupt the persistence.
+        before, row = memory.watched.get(cluster_id), rows.get(cluster_id)
+        if before is not None and t_s - before.last_s > max(_HIDDEN * _gone_s(config), _STALLED * step_s):
             before = None
-        if row is None:
-            if before is not None and t_s - before.last_s <= _HIDDEN * gone_s:
+        course = None if row is None else course_of(row, view, config)
+        if row is None or course is None:
+            if before is not None:
                 watched[cluster_id] = before
-            continue
-        course = partial(course_of, row, view, config)
-        seen = course(is_warned=warned, is_watched=True)
-        if seen is None or not seen.is_sure:
-            left_s = gone_s * (float(warned) if seen is None else _HIDDEN)
-            if before is not None and t_s - before.last_s <= left_s:
-                watched[cluster_id] = before if seen is None else replace(before, seen_s=t_s)
             continue
         if before is None:
             lost_id = _lost_at(row.box_px, watched, rows)
-            before = None if lost_id is None else _under_new_number(watched.pop(lost_id), t_s, config)
-        if before is not None:
-            before = _paused(before, before.seen_s)
-            before = _paused(before, t_s) if t_s - before.last_s > longest_step_s else before
-        now = _watched(before, row, seen.miss_widths, t_s, config)
+            before = None if lost_id is None else replace(watched.pop(lost_id), event=None)
+        now = _watched(before, course, row, t_s, looked_s, config)
+        is_probable = course.probability > _EVEN
         if now.event is not None:
-            now = replace(now, event=_continued(now.event, row, frame, t_s))
-        else:
-            now = replace(now, near_s=_near_s(before, course(), t_s, config))
-            lasts = now.near_s is not None and (_lasts(now.near_s, config) or _has_run_down(now, t_s, config))
-            if lasts and not _turns_away(now, t_s, config):
-                now = replace(now, event=_started(next_event_id, row, frame, t_s))
-                next_event_id += 1
+            ends = now.log_odds <= -_asked(config)
+            event = _continued(now.event, row, frame, t_s) if is_probable else now.event
+            now = replace(now, event=None if ends else event)
+        elif is_probable and course.is_soon and now.log_odds >= _asked(config) and not _turns_away(now, t_s, config):
+            now = replace(now, event=_started(next_event_id, row, frame, t_s))
+            next_event_id += 1
         watched[cluster_id] = now
     active = tuple(one.event for _, one in sorted(watched.items()) if one.event is not None)
-    return active, EventMemory(watched, next_event_id)
+    return active, EventMemory(watched, next_event_id, t_s)
 
 
 def _watched(
-    before: WatchedObject | None, row: ClusterRow, miss_widths: tuple[float, ...], t_s: float, config: EventsConfig
+    before: WatchedObject | None,
+    course: Course,
+    row: ClusterRow,
+    t_s: float,
+    looked_s: float,
+    config: EventsConfig,
 ) -> WatchedObject:
     """The object with this frame added; its warning is not touched."""
-    known = (t_s, float(row.times.tcpa_s[0]), *miss_widths)
+    asked = _asked(config)
+    recent = () if before is None else tuple(one for one in before.recent if one[0] >= t_s - _gone_s(config))
+    if course.probability > _EVEN:
+        recent = (*recent, (t_s, float(row.times.tcpa_s[0]), *course.miss_widths))
     if before is None:
-        return WatchedObject(t_s, t_s, t_s, row.box_px, recent=(known,))
-    # After a gap, the last frame before it is kept.
-    first_s = min(t_s - _gone_s(config), before.recent[-1][0])
-    recent = (*(one for one in before.recent if one[0] >= first_s), known)
-    return replace(before, seen_s=t_s, last_s=t_s, box_px=row.box_px, recent=recent)
+        return WatchedObject(-asked, t_s, row.box_px, recent)
+    at_first = float(expit(-asked))
+    lasts = math.exp((before.last_s - t_s) / _CHANGES_S)
+    odds = float(logit(at_first + lasts * (float(expit(before.log_odds)) - at_first)))
+    told = float(np.clip(logit(course.probability), -_LOG_ODDS_BELIEVED, _LOG_ODDS_BELIEVED))
+    odds = float(np.clip(odds + told * looked_s / config.persistence_s, -asked, _HIGHEST * asked))
+    return replace(before, log_odds=odds, last_s=t_s, box_px=row.box_px, recent=recent)
 
 
-def _paused(one: WatchedObject, until_s: float) -> WatchedObject:
-    """The object with the time from ``last_s`` to ``until_s`` left out of its persistence."""
-    return replace(one, since_s=one.since_s + until_s - one.last_s, last_s=until_s)
-
-
-def _near_s(before: WatchedObject | None, course: Course | None, t_s: float, config: EventsConfig) -> float | None:
-    """For how long the condition of a warning has held, s, weighted by `_worth`; None where it does not hold."""
-    if course is None or not course.is_sure:
-        return None
-    if before is None or before.near_s is None:
-        return 0.0
-    return before.near_s + _worth(course.sigmas, config) * (t_s - before.last_s)
-
-
-def _under_new_number(lost: WatchedObject, t_s: float, config: EventsConfig) -> WatchedObject:
-    """A lost object re-identified under another ``cluster_id``: one with a warning gets its persistence for free."""
-    if lost.event is None:
-        return lost
-    warned_s = t_s - config.persistence_s
-    return replace(lost, since_s=min(lost.since_s, warned_s), near_s=config.persistence_s, event=None)
-
-
-def _lasts(lasted_s: float, config: EventsConfig) -> bool:
-    """Whether a duration reaches the persistence."""
-    return lasted_s >= config.persistence_s - _ROUNDING_S
-
-
-def _worth(sigmas: float, config: EventsConfig) -> float:
-    """Factor (at least 1) by which time counts towards the persistence, for a condition met by so many sigmas.
-
-    Log odds add up as in Wald's sequential test. Enough is the configured confidence during the persistence: errors of
-    neighbouring frames are correlated, so that odds count per time and not per frame.
-    """
-    asked, sure = config.confidence, float(ndtr(min(sigmas, _SIGMAS_BELIEVED)))
-    return float(max(logit(sure) / logit(asked), 1.0)) if asked > _EVEN else 1.0
-
-
-def _has_run_down(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
-    """Whether an object has met the looser condition for the persistence, and its recent times, run down, are short.
-
-    The median of the recent ``tcpa_s``, each less the time since, has to be within the limit: one of them may err.
-    """
-    left_s = [tcpa_s - (t_s - then_s) for then_s, tcpa_s, *_ in one.recent]
-    return _lasts(t_s - one.since_s, config) and float(np.median(left_s)) <= config.max_ttc_s
+def _asked(config: EventsConfig) -> float:
+    """Log odds that a warning starts at; those of none at its end."""
+    return float(logit(max(config.confidence, _LEAST_ASKED)))
 
 
 def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
