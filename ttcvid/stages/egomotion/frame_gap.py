@@ -9,17 +9,20 @@ import numpy as np
 
 from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.medians import median
-from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion.relative_pose import (
+    MOTION_PRIORS,
     Egomotion,
     EgomotionMemory,
+    SceneWindow,
     cost_of,
     estimate_egomotion,
     picture_region,
     region_side_of,
 )
 from ttcvid.stages.egomotion.scene_trajectory import with_scene_path
+from ttcvid.stages.egomotion.window_motion import LEAST_VIEWS, by_window
 from ttcvid.stages.tracking.history import TrackHistory, last_frame_only, with_egomotion
 from ttcvid.stages.tracking.noise import with_noise
 
@@ -52,7 +55,8 @@ def find_own_motion(
         ``(N,)`` tracks that are not frozen to their pixel.
     in_scene
         ``(N,)`` tracks of no known mover. They alone determine egomotion, unless a fit to all tracks explains all of
-        them better: the known movers may be wrong.
+        them better: the known movers may be wrong. By a window (`window_motion.by_window`) it is other parts of the
+        picture that may do so.
     memory
         Start of the search, from the frame before.
     config
@@ -67,13 +71,45 @@ def find_own_motion(
     egomotion : None where there are too few tracks; then the history keeps only the present frame.
     """
     parallax_rad = least_parallax_px / history.focal_px
-    step = _last_step(history, is_free, in_scene, memory, config, parallax_rad)
+    follows = in_scene if memory.window is None else in_scene & ~memory.window.leaves_out(history.track_id)
+    step = _last_step(history, is_free, follows, memory, config, parallax_rad)
     if step is None:
-        return None, last_frame_only(history), replace(memory, gap_frames=1)
+        return None, last_frame_only(history), replace(memory, gap_frames=1, window=None)
     egomotion, history, memory = _over_gap(history, step, config, parallax_rad, sigma_floor_px)
-    history = with_scene_path(history, step.tells, egomotion)
+    tells, belief = step.tells, MOTION_PRIORS[config.platform]
+    if _has_window(history, config):
+        egomotion = by_window(history, is_free, in_scene, tells, memory.window, egomotion, belief.rotation_sigma_rad)
+        memory = replace(memory, window=egomotion.window, rotation_rad=egomotion.rotation_rad)
+        if egomotion.window is not None:
+            history = _with_window(history, egomotion, egomotion.window)
+            tells = is_free & in_scene & ~egomotion.window.leaves_out(history.track_id)
+    history = with_scene_path(history, tells, egomotion)
     direction = memory.direction if egomotion.direction is None else egomotion.direction
     return egomotion, history, replace(memory, direction=direction)
+
+
+def _has_window(history: TrackHistory, config: EgomotionConfig) -> bool:
+    """Whether own motion is found by all views of a window: of a camera that may go anywhere.
+
+    Not where neighbouring tracks err together: over many views that looks like a translation (before a drone that
+    hovers the direction then is off by 56 deg, and claims 6).
+    """
+    return MOTION_PRIORS[config.platform].is_open and history.common_error_px == 0.0
+
+
+def _with_window(history: TrackHistory, egomotion: Egomotion, window: SceneWindow) -> TrackHistory:
+    """The history with the rotations and directions of all its steps as the window has them."""
+    cam_R_past, path = window.paths.cam_R_past[0], window.paths.path[0]
+    steps = np.einsum("lji,lj->li", cam_R_past[1:], np.diff(path, axis=0))
+    scene_direction = np.concatenate([np.full((1, 3), np.nan), normalize(steps)])
+    if egomotion.direction is None:
+        scene_direction[-1] = np.nan
+    return replace(
+        history,
+        cam_R_past=cam_R_past,
+        scene_direction=scene_direction,
+        rotation_sigma_rad=egomotion.rotation_sigma_rad,
+    )
 
 
 @dataclass(frozen=True)
@@ -108,6 +144,8 @@ def _last_step(
     if pair is None:
         return by_all
     by_scene = told_by(without_movers, pair)
+    if _has_window(history, config) and len(history.frame) >= LEAST_VIEWS:
+        return by_scene
     return min(by_scene, by_all, key=lambda step: cost_of(step.egomotion, *everything))
 
 

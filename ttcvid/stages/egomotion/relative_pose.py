@@ -15,9 +15,10 @@ from ttcvid.geometry.estimation.relative_pose import (
     fit_motion,
     fit_rotation,
 )
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
-from ttcvid.model import Camera, Floats, Ints, Platform
+from ttcvid.model import Bools, Camera, Floats, Ints, Platform
 
 # Yaw rates tried on the first pair of frames, where no previous rotation helps, rad.
 _FIRST_YAWS_RAD = np.radians([0.0, -1.0, 1.0, -2.5, 2.5])
@@ -69,6 +70,11 @@ class MotionPrior:
     direction_sigma_rad: float | None
     can_translate: bool = True
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the camera may go in any direction."""
+        return self.can_translate and self.direction_sigma_rad is None
+
 
 # A car turns its rate by at most 0.3-0.5 deg from frame to frame and moves within a few degrees of where its camera
 # looks; an aircraft also climbs and is blown sideways; a hand turns a camera faster than either. A camera on a
@@ -82,13 +88,29 @@ MOTION_PRIORS = {
 
 
 @dataclass(frozen=True)
+class SceneWindow:
+    """Relative trajectory ``paths`` of the scene over the views of the frames ``frame (L,)``, one body.
+
+    ``outside_id (K,)`` numbers the tracks that leave it, ascending.
+    """
+
+    frame: Ints
+    paths: RigidPaths
+    outside_id: Ints
+
+    def leaves_out(self, track_id: Ints) -> Bools:
+        """Which of N tracks leave the trajectory: (N,)."""
+        return np.isin(track_id, self.outside_id)
+
+
+@dataclass(frozen=True)
 class Egomotion:
     """Motion of the camera from an earlier frame ("prev") to this one, in the camera of this frame.
 
     ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2; ``direction
     (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does not translate
     measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2: the mean over the last ``gap_frames``.
-    ``residual (N,)`` in sigmas, of the points that determined it.
+    ``residual (N,)`` in sigmas, of the points that determined it. ``window`` of a camera that may go anywhere.
     """
 
     cam_R_prev: Floats
@@ -97,6 +119,7 @@ class Egomotion:
     direction_cov: Floats | None
     residual: Floats
     gap_frames: int = 1
+    window: SceneWindow | None = None
 
     @property
     def rotation_sigma_rad(self) -> float:
@@ -127,12 +150,13 @@ class Egomotion:
 class EgomotionMemory:
     """Start of the next search: the expected rotation vector (rad) and the last direction; None at first.
 
-    ``gap_frames`` is the gap that the last flow asks for.
+    ``gap_frames`` is the gap that the last flow asks for; ``window`` as in `Egomotion`.
     """
 
     rotation_rad: Floats | None = None
     direction: Floats | None = None
     gap_frames: int = 1
+    window: SceneWindow | None = None
 
 
 def estimate_egomotion(

@@ -113,6 +113,8 @@ def see_scene(
     if rests:
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     may_rest = is_free if can_translate else _steps_little(views, scene)
+    if egomotion.window is not None:
+        may_rest = may_rest & ~egomotion.window.leaves_out(history.track_id)
     usual = _usual_misfit(fit, (key == SCENE_CLUSTER) & is_free & may_rest)
     misfit = seen_misfit = fit.misfit / usual
     if not can_translate:
@@ -142,6 +144,8 @@ def _scene(
     labels: TrackLabels,
 ) -> RigidPaths:
     """The scene on its way, corrected by its tracks; ``region (N,)`` the part of the picture that each is in."""
+    if egomotion.window is not None:
+        return egomotion.window.paths
     if before is None:
         # Before the parallax shows well where it goes, a camera that can move is taken to move ahead, if roughly.
         seen = egomotion.direction

@@ -1,0 +1,92 @@
+"""Own motion of a camera that may go anywhere, by all views of a window, against exact truth."""
+
+import numpy as np
+import pytest
+from test_frame_gap import STEP_M, among_movers, found
+from two_views import FOCAL_PX, angle_deg, points_of_a_street
+
+from ttcvid.config import EgomotionConfig
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths
+from ttcvid.geometry.estimation.window_bundle import adjust_window
+from ttcvid.geometry.rotation import rotation_from_vector
+from ttcvid.model import Platform
+
+FREE = EgomotionConfig(platform=Platform.free)
+TIMES_S = np.arange(-19, 1) * 0.1
+
+
+def swaying(t_s):
+    """Half a metre a second, turning within a second: where the camera is, (L, 3)."""
+    return np.column_stack([0.25 * np.sin(2.0 * t_s), 0.2 * np.sin(2.5 * t_s + 1.0), 0.3 * t_s])
+
+
+def window(rng, sigma_px, n=80):
+    """Views of static points by a camera that sways and turns, and its true poses from the present one."""
+    rotation = rotation_from_vector(0.02 * rng.normal(size=(len(TIMES_S), 3)))
+    rotation[-1] = np.eye(3)
+    path = swaying(np.zeros(1)) - swaying(TIMES_S)
+    points = points_of_a_street(n, rng, (4.0, 20.0))
+    there = (points + path[:, None]) @ rotation
+    xy = there[..., :2] / there[..., 2:] + sigma_px / FOCAL_PX * rng.normal(size=(len(TIMES_S), n, 2))
+    point = np.column_stack([points[:, :2] / points[:, 2:], 1.0 / points[:, 2]])
+    return xy, RigidPaths(rotation[None], path[None]), point
+
+
+def disturbed(rng, paths, point):
+    """A start: steps off by a tenth of the way, rotations by 0.1 deg, depths by a third."""
+    path = paths.path * (1.0 + 0.1 * rng.normal(size=paths.path.shape))
+    off = np.radians(0.1) * rng.normal(size=(len(TIMES_S), 3))
+    off[-1] = 0.0
+    start = point * [1.0, 1.0, 1.0] * np.exp(0.3 * rng.normal(size=(len(point), 3)) * [0.0, 0.0, 1.0])
+    return RigidPaths(rotation_from_vector(off) @ paths.cam_R_past, path), start
+
+
+def adjusted(xy, start, sigma_px, n_steps=15):
+    n = xy.shape[1]
+    return adjust_window(xy, np.full(n, sigma_px / FOCAL_PX), np.arange(n), *start, n_steps)
+
+
+def test_poses_and_points_of_a_swaying_camera_are_exact_without_noise():
+    rng = np.random.default_rng(1)
+    xy, paths, point = window(rng, 0.0)
+    fit = adjusted(xy, disturbed(rng, paths, point), 0.01, 30)
+    assert angle_deg(fit.step, -paths.path[0, -2]) < 1e-4
+    np.testing.assert_allclose(fit.paths.cam_R_past, paths.cam_R_past, atol=1e-7)
+    scale = np.linalg.norm(fit.paths.path) / np.linalg.norm(paths.path)
+    np.testing.assert_allclose(fit.paths.path, scale * paths.path, atol=1e-5)
+
+
+def test_the_covariance_of_the_last_step_is_true():
+    chi2 = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        xy, paths, point = window(rng, 0.2)
+        fit = adjusted(xy, disturbed(rng, paths, point), 0.2)
+        off = fit.step / np.linalg.norm(fit.step) + paths.path[0, -2] / np.linalg.norm(paths.path[0, -2])
+        chi2.append(off @ np.linalg.pinv(fit.direction_cov, rcond=1e-6) @ off)
+    assert 1.3 < np.mean(chi2) < 2.9
+
+
+def test_a_path_past_points_behind_the_camera_is_turned_round():
+    rng = np.random.default_rng(2)
+    xy, paths, point = window(rng, 0.1)
+    fit = adjusted(xy, (RigidPaths(paths.cam_R_past, -paths.path), point * [1.0, 1.0, -1.0]), 0.1)
+    assert angle_deg(fit.step, -paths.path[0, -2]) < 3.0
+
+
+@pytest.mark.parametrize("n_of_each", [16, 24])
+def test_movers_that_hold_most_of_the_tracks_are_not_the_scene(n_of_each):
+    """They are not known. The scene holds most of the picture, and stays rigid over all views."""
+    off_deg = []
+    for seed in range(4):
+        motion, _ = in_patches(np.random.default_rng(seed), n_of_each)
+        steps, _ = found(motion, config=FREE)
+        off_deg += [angle_deg(step.direction, -STEP_M) for step in steps[6:] if step.direction is not None]
+    assert len(off_deg) > 20
+    assert np.median(off_deg) < 3.0
+    assert np.quantile(off_deg, 0.9) < 10.0
+
+
+def in_patches(rng, n_of_each):
+    """As `among_movers`, each of the movers in a small part of the picture."""
+    return among_movers(rng, n_static=45, n_of_each=n_of_each, n_frames=12, patch=0.12)
