@@ -37,6 +37,7 @@ from scenario_suite.page import badness, number
 from scenario_suite.rules import GROUPS, RULES
 from scenario_suite.running import Done, Task, do, run_all
 from scenario_suite.scoring import SceneScore, score
+from scenario_suite.seeds import commit_hash
 
 from ttcvid.model import Floats
 
@@ -332,6 +333,7 @@ def main() -> None:
         )
     print(f"{time.perf_counter() - start_s:.0f} s")
     report = Report()
+    report.say(f"Analysed by the code of commit {commit_hash('HEAD')[:12]}.")
     _explain(report, scores, clips)
     report_trials(report, scores, clips, {trial: _acts(trial, done) for trial in trials})
     report.heading("What the rules are")
