@@ -123,7 +123,7 @@ def test_brakes_are_told_earlier_by_when_they_began():
 def test_looking_for_when_it_began_makes_noise_as_sure_as_stated(noise_px):
     """Less than 0.35 standard deviations more, at 99 % and at 95 %."""
     rng = np.random.default_rng(8)
-    found = [braking_of(views(depths_m(2.0, 0.0), rng, noise_px=noise_px, drift_px=0.125)) for _ in range(600)]
+    found = [braking_of(views(depths_m(2.0, 0.0), rng, noise_px=noise_px, drift_px=0.125)) for _ in range(300)]
     sigmas = np.array([one.acceleration_hz2 / one.acceleration_sigma_hz2 for one in found])
     assert np.mean(sigmas < -(2.326 + 0.35)) < 0.02
     assert np.mean(sigmas < -(1.645 + 0.35)) < 0.07

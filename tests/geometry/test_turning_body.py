@@ -62,7 +62,7 @@ def test_each_point_has_its_own_velocity_on_the_path_turned_back(body):
 @pytest.mark.parametrize("body", [BUS, CAR])
 def test_a_turn_is_as_sure_as_it_says(body):
     errors = []
-    for seed in range(40):
+    for seed in range(24):
         xy, *_ = circling(*body, noise=SIGMA, seed=seed)
         found = fit_turning_body(xy, T_S, np.full(40, SIGMA), BEND_HZ, TURN_SIGMA_RAD_S)
         errors.append((found.turn_rad_s[1] - body[3]) / np.sqrt(found.cov[7, 7]))
@@ -81,7 +81,7 @@ def test_what_does_not_turn_is_not_said_to():
 
 def test_a_few_points_far_away_do_not_claim_to_know_the_turn():
     errors, sigmas = [], []
-    for seed in range(40):
+    for seed in range(24):
         xy, *_ = circling(np.array([5.0, 0.2, 40.0]), 6.0, -1.0, 0.3, LONG_M, SIGMA, n=6, seed=seed)
         found = fit_turning_body(xy, T_S, np.full(6, SIGMA), BEND_HZ, TURN_SIGMA_RAD_S)
         errors.append(found.turn_rad_s[1] - 0.3)
