@@ -68,7 +68,19 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
         # NaN is not outside either.
         if not (mahalanobis >= CHI2_90_TWO * determinant and square > 0.0):
             continue
-        aq, au, bq, bu = _semi_axes(variance_q, variance_u, mixed)
+        # Radial and transverse part, q and u, of the longer and of the shorter semi-axis.
+        half_difference = 0.5 * (variance_q - variance_u)
+        root = np.sqrt(half_difference * half_difference + mixed * mixed)
+        longer = 0.5 * (variance_q + variance_u) + root
+        shorter = determinant / longer if longer > 0.0 else 0.0
+        # Of twice the angle of the longer axis, these are cosine and sine.
+        cos_twice, sin_twice = (half_difference / root, mixed / root) if root > 0.0 else (1.0, 0.0)
+        # The larger one of the two by a root, so that no digits are lost.
+        larger = np.sqrt(0.5 * (1.0 + abs(cos_twice)))
+        other = 0.5 * sin_twice / larger
+        cos, sin = (larger, other) if cos_twice >= 0.0 else (abs(other), np.copysign(larger, sin_twice))
+        long, short = np.sqrt(CHI2_90_TWO * max(longer, 0.0)), np.sqrt(CHI2_90_TWO * max(shorter, 0.0))
+        aq, au, bq, bu = long * cos, long * sin, -short * sin, short * cos
         ellipse = (q, aq, bq), (u, au, bu)
         if not reaches_axis and aq * aq + au * au < _SMALL_PART * _SMALL_PART * square:
             # Where the extremes would be if the objectives were linear: their gradients at the centre are
@@ -98,23 +110,6 @@ def _range_of_each(rates: Floats, cov: Floats, bounds: Floats) -> None:
         bounds[0, i], bounds[1, i], bounds[3, i] = -found[_HIGH_Q], -found[_LOW_Q], found[_HIGH_U]
         if not reaches_axis:
             bounds[2, i] = found[_LOW_U]
-
-
-@compiled
-def _semi_axes(variance_q: float, variance_u: float, mixed: float) -> tuple[float, float, float, float]:
-    """Radial and transverse part, q and u, of the longer and of the shorter semi-axis of a 90 % ellipse."""
-    half_difference = 0.5 * (variance_q - variance_u)
-    root = np.sqrt(half_difference * half_difference + mixed * mixed)
-    longer = 0.5 * (variance_q + variance_u) + root
-    shorter = (variance_q * variance_u - mixed * mixed) / longer if longer > 0.0 else 0.0
-    # Of twice the angle of the longer axis, these are cosine and sine.
-    cos_twice, sin_twice = (half_difference / root, mixed / root) if root > 0.0 else (1.0, 0.0)
-    # The larger one of the two by a root, so that no digits are lost.
-    larger = np.sqrt(0.5 * (1.0 + abs(cos_twice)))
-    other = 0.5 * sin_twice / larger
-    cos, sin = (larger, other) if cos_twice >= 0.0 else (abs(other), np.copysign(larger, sin_twice))
-    long, short = np.sqrt(CHI2_90_TWO * max(longer, 0.0)), np.sqrt(CHI2_90_TWO * max(shorter, 0.0))
-    return long * cos, long * sin, -short * sin, short * cos
 
 
 @compiled

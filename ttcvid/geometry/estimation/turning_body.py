@@ -70,7 +70,7 @@ class TurningBody:
 
     def path_turned_back(self, t_s: Floats) -> Floats:
         """Path ``(L, 3)`` of its points in views turned back by the turn; its derivative at time 0 is a unit vector."""
-        rotation, shift = trajectory(t_s, self.centre, self.shared)
+        rotation, shift = trajectory(np.ascontiguousarray(t_s, dtype=np.float64), self.centre, self.shared)
         return np.asarray(np.einsum("lji,lj->li", rotation, shift) / self.rate_hz)
 
     @property
@@ -118,7 +118,10 @@ def fit_turning_body(
     now = int(np.argmin(np.abs(t_s)))
     place = _places_now(xy, now)
     views = TurningViews(
-        np.ascontiguousarray(xy.transpose(0, 2, 1)), t_s, sigma_norm, np.append(np.median(place, axis=0), 1.0)
+        np.ascontiguousarray(xy),
+        np.ascontiguousarray(t_s, dtype=np.float64),
+        np.ascontiguousarray(sigma_norm, dtype=np.float64),
+        np.append(np.median(place, axis=0), 1.0),
     )
     own = np.column_stack([place, np.ones(len(place))])
     first, *others = _starts(xy, t_s, now)

@@ -15,30 +15,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
-from ttcvid.geometry.rotation import rotation_from_vector, skew
+from ttcvid.geometry.kernels.turning_points import (
+    N_ALL,
+    N_OWN,
+    N_SHARED,
+    eliminate_points,
+    set_equations,
+    set_squares,
+    set_trajectory,
+)
+from ttcvid.geometry.medians import median
 from ttcvid.model import Floats
-
-N_SHARED = 9
-"""Unknowns that the points of a body share."""
 
 _MAX_STEPS = 25
 # Damping (Levenberg and Marquardt): a part of the diagonal, less after a good step, more after a bad one.
 _FIRST_DAMPING, _LEAST_DAMPING, _LESS, _MORE, _MOST_DAMPING = 1e-3, 1e-7, 0.2, 8.0, 1e4
-# Nothing comes nearer to the camera than this part of its present depth: a path folds over behind it.
-_LEAST_DEPTH = 0.05
-# Below this angle the series is more exact than the closed form, rad.
-_SMALL_RAD = 1e-2
-# Step of numerical derivatives by what is shared.
-_STEP = 1e-5
 # A velocity is known to this in any case, in depths a second: no system is without a solution.
 _FASTEST_HZ = 100.0
-# Unknowns of a point, and of it and the body together.
-_N_OWN, _N_ALL = 3, 3 + N_SHARED
 
 
 @dataclass(frozen=True)
 class TurningViews:
-    """Views of N points of a body: ``xy (L, 2, N)``, NaN where not seen, at ``t_s (L,)``.
+    """Views of N points of a body: ``xy (L, N, 2)``, NaN where not seen, at ``t_s (L,)``.
 
     ``sigma (N,)`` is their noise, ``centre (3,)`` the body's middle now, (x, y, 1).
     """
@@ -47,6 +45,11 @@ class TurningViews:
     t_s: Floats
     sigma: Floats
     centre: Floats
+
+    @property
+    def arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """All of it for the kernels."""
+        return self.xy, self.t_s, self.sigma, self.centre
 
 
 @dataclass(frozen=True)
@@ -105,14 +108,14 @@ def fit_turning_points(
         # Beliefs weigh as much beside views that err by more than they should.
         scale2 = max(1.0, at.usual)
         cost = _Cost(ROBUST_SIGMAS**2 * scale2, beliefs.mean, scale2 * beliefs.precision(at.shared), scale2 * loose)
-        equations, better = _equations(views, at, cost.far), None
+        equations, better = _Equations(views, at, cost.far, cost.loose), None
         while damping < _MOST_DAMPING and better is None:
-            system = _Reduced(equations, at.own, cost.loose, damping)
-            score = system.score - cost.precision * (at.shared - cost.mean)
-            information = system.information + np.diag((1.0 + damping) * cost.precision)
+            information, score, fall = equations.reduced(damping)
+            information += np.diag((1.0 + damping) * cost.precision)
+            score -= cost.precision * (at.shared - cost.mean)
             step = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
-            fall = system.fall + float(score @ step)
-            trial = _at(views, at.own + system.follow(step), at.shared + step)
+            fall += float(score @ step)
+            trial = _at(views, at.own + equations.follow(step), at.shared + step)
             if trial is not None and cost.of(trial) < cost.of(at):
                 better = trial
             else:
@@ -123,25 +126,22 @@ def fit_turning_points(
         if fall < converged_chi2 * scale2:
             break
     # What is told at the end counts beliefs as they are.
-    equations = _equations(views, at, ROBUST_SIGMAS**2 * max(1.0, at.usual))
-    information = _Reduced(equations, at.own, loose, 0.0).information + np.diag(beliefs.precision(at.shared))
+    information, *_ = _Equations(views, at, ROBUST_SIGMAS**2 * max(1.0, at.usual), loose).reduced(0.0)
+    information += np.diag(beliefs.precision(at.shared))
     return TurningFit(at.own, at.shared, information, float(np.sum(np.minimum(at.squares, ROBUST_SIGMAS**2))), at.usual)
 
 
 @dataclass(frozen=True)
 class _At:
-    """A place of the search: points ``own (N, 3)`` and ``shared (9,)``, with R (L, 3, 3), S (L, 3) and X (L, 3, N).
+    """A place of the search: points ``own (N, 3)`` and ``shared (9,)``, and the ``way``: R (L, 3, 3) and S (L, 3).
 
-    ``residual (L, 2, N)`` in sigmas, 0 where not seen; their ``squares (L, N)``; the points' median of these by the
-    degree of freedom, ``usual``.
+    ``squares (N, L)`` of the residuals in sigmas, 0 where not seen; the points' median of them by the degree of
+    freedom, ``usual``.
     """
 
     own: Floats
     shared: Floats
-    rotation: Floats
-    shift: Floats
-    place: Floats
-    residual: Floats
+    way: tuple[Floats, Floats]
     squares: Floats
     usual: float
 
@@ -170,97 +170,43 @@ def trajectory(t_s: Floats, centre: Floats, shared: Floats) -> tuple[Floats, Flo
 
     The body's middle is now at ``centre (3,)``.
     """
-    rotation, bent = _turns(t_s, shared[6:])
-    return rotation, _shift(t_s, centre, shared, rotation, bent)
-
-
-def _turns(t_s: Floats, turn: Floats) -> tuple[Floats, Floats]:
-    """R and G ``(..., L, 3, 3)`` at times ``(L,)`` of turns ``(..., 3)``."""
-    rotation = rotation_from_vector(t_s[:, None] * turn[..., None, :])
-    rate = np.sqrt(np.sum(turn**2, axis=-1))[..., None, None, None]
-    t = t_s[:, None, None]
-    angle = rate * t
-    is_small = np.abs(angle) < _SMALL_RAD
-    safe = np.where(is_small, 1.0, rate)
-    series = t**3 * (1.0 / 6.0 - angle**2 / 120.0), t**4 * (1.0 / 24.0 - angle**2 / 720.0)
-    once = np.where(is_small, series[0], (t - np.sin(angle) / safe) / safe**2)
-    twice = np.where(is_small, series[1], (0.5 * t**2 - 2.0 * (np.sin(0.5 * angle) / safe) ** 2) / safe**2)
-    cross = skew(turn)[..., None, :, :]
-    return rotation, 0.5 * t**2 * np.eye(3) + once * cross + twice * (cross @ cross)
-
-
-def _shift(t_s: Floats, centre: Floats, shared: Floats, rotation: Floats, bent: Floats) -> Floats:
-    """S ``(..., L, 3)`` of R and G ``(..., L, 3, 3)``."""
-    moved = centre + t_s[:, None] * shared[:3]
-    return np.asarray(moved - rotation @ centre + bent @ shared[3:6], dtype=np.float64)
+    way = np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 3))
+    set_trajectory(t_s, centre, shared, *way)
+    return way
 
 
 def _at(views: TurningViews, own: Floats, shared: Floats) -> _At | None:
     """What the views say of points ``own (N, 3)`` and what is shared; None with a point too near."""
-    rotation, shift = trajectory(views.t_s, views.centre, shared)
-    place = np.asarray(rotation @ _rays(own) + shift[..., None] * own[:, 2], dtype=np.float64)
-    is_seen = np.isfinite(views.xy)
-    if (is_seen[:, 0] & (place[:, 2] < _LEAST_DEPTH)).any():
+    way = trajectory(views.t_s, views.centre, shared)
+    squares, per_point = np.empty((len(own), len(views.t_s))), np.empty(len(own))
+    if not set_squares(views.arrays, way, own, squares, per_point):
         return None
-    residual = np.where(is_seen, (views.xy - place[:, :2] / place[:, 2:]) / views.sigma, 0.0)
-    squares = np.sum(residual**2, axis=1)
-    degrees = np.maximum(2 * np.sum(is_seen[:, 0], axis=0) - 3, 1)
-    usual = float(np.median(np.sum(squares, axis=0) / degrees))
-    return _At(own, shared, rotation, shift, place, residual, squares, usual)
+    return _At(own, shared, way, squares, median(per_point))
 
 
-def _rays(own: Floats) -> Floats:
-    """(x, y, 1) of points ``own (N, 3)``: (3, N)."""
-    return np.stack([own[:, 0], own[:, 1], np.ones(len(own))])
+class _Equations:
+    """Normal equations of each of N points and its body; ``far`` and ``loose`` as in `_Cost`."""
 
+    def __init__(self, views: TurningViews, at: _At, far: float, loose: float) -> None:
+        self._of_points = np.empty((len(at.own), N_ALL + 1, N_ALL))
+        self._kept = np.empty((len(at.own), N_ALL + 1, N_OWN))
+        scratch = np.empty_like(at.way[0]), np.empty_like(at.way[1])
+        set_equations(views.arrays, at.way, at.shared, at.own, far, loose, scratch, self._of_points)
 
-def _equations(views: TurningViews, at: _At, far: float) -> Floats:
-    """Normal equations ``(N, 13, 13)`` of each point and its body; last row and column: the score.
+    def reduced(self, damping: float) -> tuple[Floats, Floats, float]:
+        """Information ``(9, 9)`` and score ``(9,)`` once the points follow, and by how much they alone lower the cost.
 
-    Squared residuals above ``far`` lose weight. How R and S follow the turn is taken by differences.
-    """
-    t_s, kappa = views.t_s, at.own[:, 2]
-    n_views, n = len(t_s), len(at.own)
-    turned, bent = _turns(t_s, at.shared[6:] + _STEP * np.eye(4, 3, -1))
-    dragged = _shift(t_s, views.centre, at.shared, turned[1:], bent[1:])
-    # How X follows the unknowns.
-    moves = np.empty((_N_ALL, n_views, 3, n))
-    moves[0], moves[1], moves[2] = at.rotation[..., 0, None], at.rotation[..., 1, None], at.shift[..., None]
-    moves[3:6] = np.eye(3)[:, None, :, None] * t_s[:, None, None] * kappa
-    moves[6:9] = bent[0].transpose(2, 0, 1)[..., None] * kappa
-    moves[9:] = ((turned[1:] - at.rotation) @ _rays(at.own) + (dragged - at.shift)[..., None] * kappa) / _STEP
-    root = np.sqrt(far / np.maximum(at.squares, far))
-    depth = at.place[:, 2:]
-    weight = np.where(np.isfinite(views.xy[:, :1]), root[:, None] / (depth * views.sigma), 0.0)
-    rows = np.empty((_N_ALL + 1, n_views, 2, n))
-    rows[:_N_ALL] = weight * (moves[:, :, :2] - at.place[:, :2] / depth * moves[:, :, 2:])
-    rows[_N_ALL] = root[:, None] * at.residual
-    by_point = np.ascontiguousarray(rows.reshape(_N_ALL + 1, 2 * n_views, n).transpose(2, 0, 1))
-    return by_point @ by_point.transpose(0, 2, 1)
-
-
-class _Reduced:
-    """What N points say of their body, once each of them follows (Schur complement), with a damped diagonal.
-
-    ``information (9, 9)`` and ``score (9,)``; ``fall``: by how much the points alone lower chi-square. ``loose`` is the
-    information on kappa, about 1.
-    """
-
-    def __init__(self, equations: Floats, own: Floats, loose: float, damping: float) -> None:
-        system, score = equations[:, :_N_ALL, :_N_ALL].copy(), equations[:, :_N_ALL, _N_ALL].copy()
-        system[:, 2, 2] += loose
-        score[:, 2] -= loose * (own[:, 2] - 1.0)
-        system[:, np.arange(_N_ALL), np.arange(_N_ALL)] *= 1.0 + damping
-        coupling = system[:, :_N_OWN, _N_OWN:]
-        solved = np.linalg.solve(
-            system[:, :_N_OWN, :_N_OWN], np.concatenate([coupling, score[:, :_N_OWN, None]], axis=2)
-        )
-        self._coupling, self._alone = solved[:, :, :N_SHARED], solved[:, :, N_SHARED]
-        followed = np.einsum("nab,nac->bc", coupling, solved)
-        self.information: Floats = np.sum(system[:, _N_OWN:, _N_OWN:], axis=0) - followed[:, :N_SHARED]
-        self.score: Floats = np.sum(score[:, _N_OWN:], axis=0) - followed[:, N_SHARED]
-        self.fall = float(np.sum(score[:, :_N_OWN] * self._alone))
+        The diagonal of the equations is damped.
+        """
+        information, score = np.zeros((N_SHARED, N_SHARED)), np.zeros(N_SHARED)
+        fall = eliminate_points(self._of_points, damping, self._kept, information, score)
+        return information + np.tril(information, -1).T, score, fall
 
     def follow(self, step: Floats) -> Floats:
-        """Steps ``(N, 3)`` of the points for the ``step (9,)`` of what is shared."""
-        return np.asarray(self._alone - self._coupling @ step, dtype=np.float64)
+        """Steps ``(N, 3)`` of the points for the ``step (9,)`` of what is shared, after `reduced`."""
+        pivot = self._kept[:, range(N_OWN), range(N_OWN)]
+        part = self._kept / np.where(pivot > 0.0, pivot, np.inf)[:, None]
+        own = part[:, N_ALL] - np.einsum("nck,c->nk", part[:, N_OWN:N_ALL], step)
+        own[:, 1] -= part[:, 2, 1] * own[:, 2]
+        own[:, 0] -= part[:, 1, 0] * own[:, 1] + part[:, 2, 0] * own[:, 2]
+        return np.where(pivot[:, 2:] > 0.0, own, 0.0)

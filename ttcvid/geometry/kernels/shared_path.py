@@ -90,7 +90,11 @@ def descend_together(
                     information[c, d] = believed[k, c, d]
                     score[c] -= believed[k, c, d] * offset[k, d]
             for i in range(low, high):
-                _turn_views(xy, i, rotations, turned)
+                for m in range(len(t_s)):
+                    x, y, r = xy[m, i, 0], xy[m, i, 1], rotations[m]
+                    ahead = 1.0 / (r[2, 0] * x + r[2, 1] * y + r[2, 2])
+                    turned[m, 0, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2]) * ahead
+                    turned[m, 0, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2]) * ahead
                 n = list_views(turned, t_s, order, path, 1.0 / sigma[i], 0, views, limits)
                 if not limits[0] < state[i, 2] < limits[1]:
                     point.start(views, n, limits, state[i])
@@ -187,13 +191,3 @@ def _move(t_s: Floats, base: Floats, basis: Floats, offset: Floats, path: Floats
             path[k, j] = base[k, j] + t * (basis[j, 0] * offset[0] + basis[j, 1] * offset[1])
             for m in range(3):
                 path[k, j] += 0.5 * t * t * basis[j, m] * offset[2 + m]
-
-
-@compiled
-def _turn_views(xy: Floats, i: int, rotations: Floats, turned: Floats) -> None:
-    """Fill ``turned (L, 1, 2)`` with the views of point i, each turned by one of ``rotations (L, 3, 3)``."""
-    for k in range(len(xy)):
-        x, y = xy[k, i, 0], xy[k, i, 1]
-        ahead = 1.0 / (rotations[k, 2, 0] * x + rotations[k, 2, 1] * y + rotations[k, 2, 2])
-        turned[k, 0, 0] = (rotations[k, 0, 0] * x + rotations[k, 0, 1] * y + rotations[k, 0, 2]) * ahead
-        turned[k, 0, 1] = (rotations[k, 1, 0] * x + rotations[k, 1, 1] * y + rotations[k, 1, 2]) * ahead
