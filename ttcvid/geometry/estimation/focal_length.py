@@ -63,14 +63,10 @@ def fit_focal_length(views: Views, t_s: Floats, width_px: float, least_turn_rad:
 
     Parameters
     ----------
-    views
-        Positions of the points in the views.
-    t_s
-        ``(J,)`` times of the frames; the start assumes a constant speed.
-    width_px
-        Width of the picture.
-    least_turn_rad
-        Smallest turn of the camera that is used.
+    views : Positions of the points in the views.
+    t_s : ``(J,)`` times of the frames; the start assumes a constant speed.
+    width_px : Width of the picture.
+    least_turn_rad : Smallest turn of the camera that is used.
 
     Returns
     -------

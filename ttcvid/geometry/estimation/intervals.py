@@ -30,14 +30,10 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
 
     Parameters
     ----------
-    x, y
-        ``(N,)`` normalised image coordinates.
-    abc_hz
-        ``(N, 3)`` (a, b, c) = V / Z in 1/s.
-    cov
-        ``(N, 3, 3)`` covariance of (a, b, c) in 1/s^2.
-    sigma_norm
-        ``(N,)`` standard deviation of x and y, taken as independent of (a, b, c): their correlation is smaller
+    x, y : ``(N,)`` normalised image coordinates.
+    abc_hz : ``(N, 3)`` (a, b, c) = V / Z in 1/s.
+    cov : ``(N, 3, 3)`` covariance of (a, b, c) in 1/s^2.
+    sigma_norm : ``(N,)`` standard deviation of x and y, taken as independent of (a, b, c): their correlation is smaller
         than the rest by the length of the flow.
 
     Returns
@@ -79,8 +75,7 @@ def radial_and_transverse_rate(
 
     Parameters
     ----------
-    x, y, abc_hz, cov, sigma_norm
-        As in `collision_times_from_state`.
+    x, y, abc_hz, cov, sigma_norm : As in `collision_times_from_state`.
 
     Returns
     -------

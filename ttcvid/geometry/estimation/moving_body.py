@@ -104,10 +104,8 @@ def first_unknowns(tracks: BodyTracks, direction: Floats) -> Unknowns:
 
     Parameters
     ----------
-    tracks
-        The body's tracks.
-    direction
-        ``(3,)`` unit vector e.
+    tracks : The body's tracks.
+    direction : ``(3,)`` unit vector e.
     """
     dt, _ = tracks.times
     centre = tracks.sums(tracks.xy) / tracks.counts[:, None]

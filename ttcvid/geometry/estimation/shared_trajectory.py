@@ -204,10 +204,8 @@ def fit_paths(
 
     Parameters
     ----------
-    beliefs
-        Times and axes of ``base`` as in `fit_rates_on_paths`.
-    max_frames, gate_probability
-        As for `fit_rates_on_paths`.
+    beliefs : Times and axes of ``base`` as in `fit_rates_on_paths`.
+    max_frames, gate_probability : As for `fit_rates_on_paths`.
     """
     t_s, path_of, (n, count) = points.t_s, points.path_of, (len(points.path_of), len(beliefs.base))
     basis = np.concatenate([tangent_basis(beliefs.direction), beliefs.direction[:, :, None]], axis=2)

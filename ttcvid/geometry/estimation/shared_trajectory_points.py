@@ -64,10 +64,8 @@ def points_of_paths(
 
     Parameters
     ----------
-    xy, t_s, sigma_norm, path_of, max_frames
-        As for `fit_rates_on_paths`.
-    base
-        ``(K, L, 3)`` believed paths: a view at which its path is not known is none.
+    xy, t_s, sigma_norm, path_of, max_frames : As for `fit_rates_on_paths`.
+    base : ``(K, L, 3)`` believed paths: a view at which its path is not known is none.
     """
     of_path = np.flatnonzero(path_of >= 0)
     is_seen = np.isfinite(xy[..., 0]).take(of_path, axis=1) & np.isfinite(base[..., 2]).T[:, path_of[of_path]]

@@ -39,10 +39,8 @@ def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats,
 
     Parameters
     ----------
-    rates
-        ``(N, 2)`` q and u >= 0 in 1/s.
-    cov
-        ``(N, 2, 2)`` in 1/s^2; may be singular or zero.
+    rates : ``(N, 2)`` q and u >= 0 in 1/s.
+    cov : ``(N, 2, 2)`` in 1/s^2; may be singular or zero.
 
     Returns
     -------

@@ -71,17 +71,13 @@ def fit_rates_on_paths(
 
     Parameters
     ----------
-    xy, t_s, sigma_norm, max_frames, gate_probability
-        As for `fit_whole_tracks`.
-    paths
-        ``(K, L, 3)``: where K things were relative to the camera, less where they are at time 0, in the axes of the
+    xy, t_s, sigma_norm, max_frames, gate_probability : As for `fit_whole_tracks`.
+    paths : ``(K, L, 3)``: where K things were relative to the camera, less where they are at time 0, in the axes of the
         camera at time 0, at each of the L times; in s: its derivative at time 0 is the unit vector e = dir. For a
         thing that moves straight ahead this is `straight_path`; for the static scene seen from a turning car it is the
         sum of the steps, each along its own direction. NaN where not known: those views are not used.
-    start
-        ``(N, 3)`` x, y, rho to start from; NaN rows, or None: from the linear solve.
-    path_of
-        ``(N,)`` path of each point, `NO_PATH` for none.
+    start : ``(N, 3)`` x, y, rho to start from; NaN rows, or None: from the linear solve.
+    path_of : ``(N,)`` path of each point, `NO_PATH` for none.
 
     Source: DESIGN section 3 ("w_i = s_i e with one shared e").
 

@@ -64,21 +64,14 @@ def fit_whole_tracks(
 
     Parameters
     ----------
-    xy
-        ``(L, N, 2)`` derotated positions in the plane z = 1 of the camera at time 0; NaN where not observed.
-    t_s
-        ``(L,)`` times relative to the reference, in s: 0 and before, or on both sides; in any order.
-    sigma_norm
-        ``(N,)`` standard deviation of a coordinate of one observation.
-    max_frames
-        Most views of a window; None: all.
-    gate_probability
-        Probability with which a constant velocity keeps its whole window.
-    plane
-        Planar motion, as the Gaussian prior ``normal . w ~ N(0, w' covariance w)``: then two views suffice. It is
+    xy : ``(L, N, 2)`` derotated positions in the plane z = 1 of the camera at time 0; NaN where not observed.
+    t_s : ``(L,)`` times relative to the reference, in s: 0 and before, or on both sides; in any order.
+    sigma_norm : ``(N,)`` standard deviation of a coordinate of one observation.
+    max_frames : Most views of a window; None: all.
+    gate_probability : Probability with which a constant velocity keeps its whole window.
+    plane : Planar motion, as the Gaussian prior ``normal . w ~ N(0, w' covariance w)``: then two views suffice. It is
         part of ``cov`` and ``info_w`` then.
-    has_covariance
-        False leaves ``cov`` empty, for speed.
+    has_covariance : False leaves ``cov`` empty, for speed.
 
     Returns
     -------

@@ -39,17 +39,12 @@ def velocities_on_paths(
 
     Parameters
     ----------
-    rates, path_of
-        Of `fit_rates_on_paths`, with sensitivities, on views turned back by ``turn_rad_s``.
-    rate_variance
-        ``(N,)`` of the rates, by noise of the points' own, in 1/s^2.
-    direction, turn_rad_s
-        ``(K, 3)`` each: e = dir and the rotation rate of each path.
-    is_own_turn
-        ``(K,)`` True where the thing on the path turns: its points have the velocity turn x P beside. False: the
-        rotation is an error of the camera's, which is no motion.
-    shared_cov
-        ``(K, 9, 9)`` of the shared unknowns of `geometry.estimation.shared_trajectory`.
+    rates, path_of : Of `fit_rates_on_paths`, with sensitivities, on views turned back by ``turn_rad_s``.
+    rate_variance : ``(N,)`` of the rates, by noise of the points' own, in 1/s^2.
+    direction, turn_rad_s : ``(K, 3)`` each: e = dir and the rotation rate of each path.
+    is_own_turn : ``(K,)`` True where the thing on the path turns: its points have the velocity turn x P beside. False:
+        the rotation is an error of the camera's, which is no motion.
+    shared_cov : ``(K, 9, 9)`` of the shared unknowns of `geometry.estimation.shared_trajectory`.
     """
     n = len(path_of)
     found = PathVelocities(*(np.full(shape, np.nan) for shape in ((n, 3), n, (n, 3, 3), (n, 3, N_SHARED))))

@@ -100,14 +100,10 @@ def fit_translation(
 
     Parameters
     ----------
-    tracks
-        The body's tracks.
-    start
-        ``(3,)`` start direction, its sign along the motion.
-    speed_change_sigma_hz, turn_sigma_rad_s
-        Standard deviations of the priors of the nuisance parameters.
-    memory_s
-        Correlation time of errors: those farther apart are independent, nearer ones are used as they are found.
+    tracks : The body's tracks.
+    start : ``(3,)`` start direction, its sign along the motion.
+    speed_change_sigma_hz, turn_sigma_rad_s : Standard deviations of the priors of the nuisance parameters.
+    memory_s : Correlation time of errors: those farther apart are independent, nearer ones are used as they are found.
 
     Returns
     -------

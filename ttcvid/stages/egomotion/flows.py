@@ -47,12 +47,9 @@ def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: flo
 
     Parameters
     ----------
-    history
-        Views of the tracks.
-    max_gap_frames
-        Largest gap, in views of the history.
-    target_flow_px
-        Length of flow that ends the search.
+    history : Views of the tracks.
+    max_gap_frames : Largest gap, in views of the history.
+    target_flow_px : Length of flow that ends the search.
 
     Source: the paper's flexible baseline.
     """

@@ -57,10 +57,8 @@ def find_focal_length(frames: Iterable[SeenPoints], image_size: ImageSize) -> Fo
 
     Parameters
     ----------
-    frames
-        Points of consecutive frames.
-    image_size
-        Size of the pictures.
+    frames : Points of consecutive frames.
+    image_size : Size of the pictures.
 
     Returns
     -------

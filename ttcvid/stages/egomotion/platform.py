@@ -114,10 +114,9 @@ def told_platform(glances: Sequence[Glance], between: Sequence[float]) -> ToldPl
 
     Parameters
     ----------
-    glances
-        The samples.
-    between
-        The share of the picture's cells that are in the same place in one sample and in the next, where it is known.
+    glances : The samples.
+    between : The share of the picture's cells that are in the same place in one sample and in the next, where it is
+        known.
     """
     told, glances = partial(ToldPlatform, glances=tuple(glances)), list(glances)
     drives = [glance for glance in glances if glance.verdict == Verdict.drives]
@@ -157,12 +156,9 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
 
     Parameters
     ----------
-    stretch
-        Points of each frame.
-    times_s
-        Time of each frame.
-    camera
-        Intrinsics and distortion.
+    stretch : Points of each frame.
+    times_s : Time of each frame.
+    camera : Intrinsics and distortion.
     """
     stretch = _without_stuck(stretch, camera.image_size)
     before, now = _in_common(stretch[0], stretch[-1])

@@ -176,19 +176,13 @@ def estimate_egomotion(
 
     Parameters
     ----------
-    rays_prev, rays_cam
-        ``(N, 3)`` unit rays of the same points in the last and in this frame, each in its own camera.
-    sigma_rad
-        ``(N,)`` noise of one coordinate of a unit ray.
-    least_parallax_rad
-        Flow left after the rotation that does not count as translation, however small the noise: matching has common
-        errors where light or blur change.
-    memory
-        Start of the search.
-    platform
-        What carries the camera: the prior.
-    region_side
-        Of the cells of `picture_region` (`region_side_of`).
+    rays_prev, rays_cam : ``(N, 3)`` unit rays of the same points in the last and in this frame, each in its own camera.
+    sigma_rad : ``(N,)`` noise of one coordinate of a unit ray.
+    least_parallax_rad : Flow left after the rotation that does not count as translation, however small the noise:
+        matching has common errors where light or blur change.
+    memory : Start of the search.
+    platform : What carries the camera: the prior.
+    region_side : Of the cells of `picture_region` (`region_side_of`).
 
     Notes
     -----

@@ -42,12 +42,9 @@ def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) 
 
     Parameters
     ----------
-    before, now
-        Points of both frames.
-    t_s
-        Time of the later one.
-    size
-        Size of the pictures.
+    before, now : Points of both frames.
+    t_s : Time of the later one.
+    size : Size of the pictures.
     """
     _, i, j = np.intersect1d(before.track_id, now.track_id, assume_unique=True, return_indices=True)
     if len(i) < _LEAST_POINTS:

@@ -33,12 +33,9 @@ def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion)
 
     Parameters
     ----------
-    history
-        Views of all tracks.
-    is_free
-        ``(N,)`` tracks that are not frozen to their pixel.
-    egomotion
-        Of the last step. Without a direction there is no trajectory, and nothing changes.
+    history : Views of all tracks.
+    is_free : ``(N,)`` tracks that are not frozen to their pixel.
+    egomotion : Of the last step. Without a direction there is no trajectory, and nothing changes.
     """
     if egomotion.direction is None or egomotion.direction_cov is None:
         return history

@@ -67,16 +67,12 @@ def in_nearest_surface(
 
     Parameters
     ----------
-    rate_hz, sigma_hz
-        ``(M,)`` rates, speed over depth, and their standard deviations, 1/s, in the order of the groups.
-    xy_px
-        ``(M, 2)`` positions, px.
-    sets
-        The groups of tracks.
-    needed
-        ``(K,)`` tracks that a surface needs, see `tracks_needed`.
-    link_px
-        Tracks closer than this are connected.
+    rate_hz, sigma_hz : ``(M,)`` rates, speed over depth, and their standard deviations, 1/s, in the order of the
+        groups.
+    xy_px : ``(M, 2)`` positions, px.
+    sets : The groups of tracks.
+    needed : ``(K,)`` tracks that a surface needs, see `tracks_needed`.
+    link_px : Tracks closer than this are connected.
     """
     is_in = np.zeros(len(rate_hz), dtype=bool)
     _find_each(rate_hz, sigma_hz, np.ascontiguousarray(xy_px), link_px, sets.lengths, needed, is_in)

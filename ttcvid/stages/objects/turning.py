@@ -82,15 +82,12 @@ def straight_or_in_bend(
 
     Parameters
     ----------
-    views, since_s, sigma_norm, path_of
-        As ``xy, t_s, sigma_norm, path_of`` of `points_of_paths`.
-    beliefs
-        `believed_straight`.
-    found_cov
-        ``(K, 3, 3)`` covariances of the directions on straight courses, as for `PathFits.paths_from_found_directions`.
-    may_leave_directions
-        Whether an object in a bend is fitted as a turning body with a free direction. Otherwise (known horizon) it is
-        fitted as a straight one with the wider prior of the turn rate.
+    views, since_s, sigma_norm, path_of : As ``xy, t_s, sigma_norm, path_of`` of `points_of_paths`.
+    beliefs : `believed_straight`.
+    found_cov : ``(K, 3, 3)`` covariances of the directions on straight courses, as for
+        `PathFits.paths_from_found_directions`.
+    may_leave_directions : Whether an object in a bend is fitted as a turning body with a free direction. Otherwise
+        (known horizon) it is fitted as a straight one with the wider prior of the turn rate.
     """
     longest, probability = config.max_frames, config.window_probability
     points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
