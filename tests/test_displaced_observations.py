@@ -65,3 +65,22 @@ def test_a_track_that_has_found_another_thing_begins_anew_there():
     assert ids[11] == SCENE_CLUSTER
     assert ids[12:14] == [NO_CLUSTER, NO_CLUSTER]
     assert ids[-1] == SCENE_CLUSTER
+
+
+def test_most_of_many_displaced_observations_among_noisy_ones_belong_to_nothing():
+    """A fifth of all, up to 12 px off, at 1 px of noise: the more are found, the less it takes to be one."""
+    rng, frames, is_out, settled = np.random.default_rng(3), [], {}, 10
+    for frame in table([street()], driving(10.0), 22, sigma_px=1.0):
+        chosen = rng.random(len(frame.points.track_id)) < 0.2
+        xy_px = frame.points.xy_px + np.where(chosen[:, None], rng.uniform(-12.0, 12.0, frame.points.xy_px.shape), 0.0)
+        is_out[frame.index] = dict(zip(frame.points.track_id.tolist(), chosen.tolist(), strict=True))
+        frames.append(replace(frame, points=replace(frame.points, xy_px=xy_px)))
+    taken_in, left_out = [], []
+    for result in results_of(frames)[settled:]:
+        tracks = result.tracks
+        is_wrong = np.array([is_out[result.frame][number] for number in tracks.track_id.tolist()])
+        old = tracks.n_frames >= settled
+        taken_in.append(tracks.cluster_id[is_wrong & old] != NO_CLUSTER)
+        left_out.append(tracks.cluster_id[~is_wrong & old] == NO_CLUSTER)
+    assert np.mean(np.concatenate(taken_in)) < 0.5
+    assert np.mean(np.concatenate(left_out)) < 0.03

@@ -33,8 +33,11 @@ from ttcvid.stages.tracking.history import TrackHistory
 # Gauss-Newton steps a frame for a young mover (up to so many frames) and for an older one, and the least number of
 # tracks for them.
 _YOUNG_STEPS, _YOUNG_FRAMES, _OLD_STEPS, _LEAST_POINTS = 2, 5, 1, 3
-# Squared residual, in sigmas, beyond which an observation is displaced: noise alone does not reach it.
-_DISPLACED_CHI2 = 6.0**2
+# An observation is displaced where a uniform density over a square of this side explains it better than noise about its
+# prediction does: at one displaced one of so many, and as many more as are found in the frame.
+_STRAY_PX, _PRIOR_TRACKS = 24.0, 200.0
+# Bounds of the squared residual from which on it is: noise alone seldom reaches the first, and never the second.
+_LEAST_CHI2, _MOST_CHI2 = 3.0**2, 6.0**2
 # Rounds in which the median residual is found without displaced observations. Two residuals are alike within this
 # share of their length.
 _ROUNDS, _ALIKE = 3, 0.3
@@ -158,10 +161,14 @@ def _are_displaced(views: BodyViews, seen: SeenScene, movers: Movers, key: Ints,
     points = views.points(np.arange(len(key)), number)
     surprise = surprise_of_newest(points, seen.scene.joined(movers.paths), start_hz)
     is_displaced, is_known = np.zeros(len(key), dtype=bool), (surprise.chi2 > 0.0) & views.is_free
+    area = _STRAY_PX**2 / (2.0 * np.pi * (views.sigma_norm * views.focal_px) ** 2)
     for _ in range(_ROUNDS):
         tells = is_known & ~is_displaced
         usual = medians(surprise.chi2[tells], number[tells], len(movers) + 1) / _MEDIAN_CHI2_2
-        is_displaced = is_known & (surprise.chi2 > _DISPLACED_CHI2 * np.fmax(usual, 1.0)[number])
+        usual = np.fmax(usual, 1.0)[number]
+        odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + np.count_nonzero(tells))
+        limit = np.clip(2.0 * np.log(area / (usual * odds)), _LEAST_CHI2, _MOST_CHI2)
+        is_displaced = is_known & (surprise.chi2 > limit * usual)
     if not is_displaced.any():
         return is_displaced
     beside = views.neighbours(is_displaced, np.zeros_like(is_displaced))[is_displaced]
