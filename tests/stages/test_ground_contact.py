@@ -107,7 +107,7 @@ def far_points(x_m, height_m, depth_m=2000.0, n=400):
     return np.column_stack([np.linspace(*x_m, n), np.full(n, CAMERA_M - height_m), np.full(n, depth_m)])
 
 
-@pytest.mark.parametrize("apparent", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize("apparent", [0.0, 0.3, 0.5, 0.57])
 @pytest.mark.parametrize("top_m", [1.6, 3.5])
 def test_what_goes_our_way_would_lie_under_the_road_from_its_bumper_to_its_roof(apparent, top_m):
     ahead = rear(top_m)

@@ -27,9 +27,9 @@ _LEAST_POINTS, _FOOT = 4, 3
 # A point may be on the road if its inverse depth is within this share of the road's.
 _ON_ROAD = 0.2
 # A foot with less than the first share of the road's inverse depth is under the road, with more than the second over
-# it: a road is no plane, and is known to a quarter of its depth. Both at so many standard deviations, of the inverse
+# it: a road is no plane, and is known to a sixth of its depth. Both at so many standard deviations, of the inverse
 # depth and of the road's horizon (tangent).
-_UNDER_PART, _HANGING_PART, _FOOT_SIGMAS, _HORIZON_SIGMA = 0.75, 1.4, 3.0, 0.002
+_UNDER_PART, _HANGING_PART, _FOOT_SIGMAS, _HORIZON_SIGMA = 0.85, 1.4, 3.0, 0.002
 # An object with a closing speed below this share of our speed, and its foot less than so many camera heights ahead, is
 # part of our own car: bonnet, dashboard, or their reflection in the windscreen.
 _KEEPS_DISTANCE, _OWN_FRONT = 0.2, 3.0
