@@ -189,7 +189,8 @@ class _Equations:
 
     def __init__(self, views: TurningViews, at: _At, far: float, loose: float) -> None:
         self._of_points = np.empty((len(at.own), N_ALL + 1, N_ALL))
-        self._kept = np.empty((len(at.own), N_ALL + 1, N_OWN))
+        # Zeros: its upper triangle is never filled, and `follow` divides all of it.
+        self._kept = np.zeros((len(at.own), N_ALL + 1, N_OWN))
         scratch = np.empty_like(at.way[0]), np.empty_like(at.way[1])
         set_equations(views.arrays, at.way, at.shared, at.own, far, loose, scratch, self._of_points)
 
