@@ -70,7 +70,7 @@ def find_own_motion(
         return None, last_frame_only(history), replace(memory, gap_frames=1, window=None)
     egomotion, history, memory = _over_gap(history, step, config, parallax_rad, sigma_floor_px)
     tells, belief = step.tells, MOTION_PRIORS[config.platform]
-    if _has_window(history, config):
+    if _has_window(history, config) and egomotion.direction is not None:
         egomotion = by_window(history, is_free, in_scene, tells, memory.window, egomotion, belief.rotation_sigma_rad)
         memory = replace(memory, window=egomotion.window, rotation_rad=egomotion.rotation_rad)
         if egomotion.window is not None:
