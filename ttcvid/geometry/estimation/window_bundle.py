@@ -30,15 +30,13 @@ _N_POSE, _N_POINT = 6, 3
 
 @dataclass(frozen=True)
 class WindowFit:
-    """A body over L views: its ``paths`` (one body), and its last step ``step (3,)`` in the present camera's axes,
-    and its points as in `adjust_window`, ``point (N, 3)``.
+    """A body over L views: its ``paths`` (one body), and its last step ``step (3,)`` in the present camera's axes.
 
     ``direction_cov (3, 3)`` of the direction of that step, rad^2, and ``rotation_cov (3, 3)`` of the rotation in it.
     """
 
     paths: RigidPaths
     step: Floats
-    point: Floats
     direction_cov: Floats
     rotation_cov: Floats
 
@@ -202,7 +200,6 @@ def _fit(sigma: Floats, region: Ints, state: _State) -> WindowFit:
     return WindowFit(
         RigidPaths(back[None], path[None]),
         -path[-2],
-        state.point,
         np.asarray(more * across @ plain @ across.T),
         np.asarray(more * turn),
     )

@@ -52,8 +52,8 @@ def find_own_motion(
     history : Views of all tracks, the present one included.
     is_free : ``(N,)`` tracks that are not frozen to their pixel.
     in_scene : ``(N,)`` tracks of no known mover. They alone determine egomotion, unless a fit to all tracks explains
-        all of them better: the known movers may be wrong. By a window (`window_motion.by_window`) it is other parts of
-        the picture that may do so.
+        all of them better: the known movers may be wrong. Where a window decides (`window_motion.by_window`), the
+        parts of the picture are compared instead.
     memory : Start of the search, from the frame before.
     config : Priors.
     least_parallax_px : Flow of one step that does not count as translation, however small the noise.

@@ -22,7 +22,8 @@ from ttcvid.stages.tracking.history import TrackHistory
 
 # A track follows a path with a smaller reduced chi-square, and a step within so many sigmas.
 _GATE_MISFIT, _SIGMAS = 6.0, 3.0
-# So many of the residuals of a track are taken, and what they then are by noise (two degrees of freedom).
+# A track is judged by this quantile of its squared residuals over its value by noise (chi-square, two degrees
+# of freedom).
 _SHARE, _SHARE_CHI2 = 0.6, 1.83
 LEAST_VIEWS = 4
 """With fewer views than this a track follows any path."""
@@ -30,12 +31,12 @@ LEAST_VIEWS = 4
 _LEAST_TRACKS, _MOST_TRACKS = 12, 100
 # Steps of the adjustment where a path is carried on, and where it starts anew.
 _STEPS, _FIRST_STEPS = 6, 15
-# Where a path explains more of the parts of the picture than this with the known movers, and without, no other is
-# tried.
+# Shares of the parts of the picture: no other path is tried where this one and the known movers explain the first, and
+# this one alone the second.
 _EXPLAINED, _LEAST_EXPLAINED = 0.9, 0.5
 # Where it explains less than this, it may be that of a mover: its direction is not told.
 _LEAST_KNOWN = 0.6
-# Another path has to be cheaper by this part of the most that a part of the picture can cost.
+# Another path replaces this one if its cost is lower by this much; the cost is 1 where it explains nothing.
 _MARGIN = 0.05
 # Other paths start from two views so far apart, over which this share of the tracks is seen.
 _GAP_FRAMES, _LEAST_SEEN = 8, 0.6
@@ -136,9 +137,9 @@ def _points(tracks: _Tracks, index: Ints) -> Points:
 
 
 def _misfits(tracks: _Tracks, paths: RigidPaths) -> Floats:
-    """How badly each present track (M,) follows a path, 0 with too few views: a share of its squared residuals is less.
+    """How badly each present track (M,) follows a path: a quantile of its squared residuals, 1 by noise alone.
 
-    Over what noise leaves. Not their mean: of some tracks every third observation is displaced.
+    With too few views it is 0. The mean would not do: of some tracks every third observation is displaced.
     """
     history = tracks.history
     fit = fit_on_paths(_points(tracks, tracks.seen), paths)
