@@ -70,12 +70,14 @@ def find_own_motion(
         return None, last_frame_only(history), replace(memory, gap_frames=1, window=None)
     egomotion, history, memory = _over_gap(history, step, config, parallax_rad, sigma_floor_px)
     tells, belief = step.tells, MOTION_PRIORS[config.platform]
-    if _has_window(history, config) and egomotion.direction is not None:
-        egomotion = by_window(history, is_free, in_scene, tells, memory.window, egomotion, belief.rotation_sigma_rad)
-        memory = replace(memory, window=egomotion.window, rotation_rad=egomotion.rotation_rad)
-        if egomotion.window is not None:
-            history = _with_window(history, egomotion, egomotion.window)
-            tells = is_free & in_scene & ~egomotion.window.leaves_out(history.track_id)
+    if _has_window(history, config):
+        found = by_window(history, is_free, in_scene, tells, memory.window, egomotion, belief.rotation_sigma_rad)
+        memory = replace(memory, window=found.window)
+        # Without parallax the path has noise for a shape: it is only carried on, for when the camera moves again.
+        if found.window is not None and egomotion.direction is not None:
+            egomotion, memory = found, replace(memory, rotation_rad=found.rotation_rad)
+            history = _with_window(history, found, found.window)
+            tells = is_free & in_scene & ~found.window.leaves_out(history.track_id)
     history = with_scene_path(history, tells, egomotion)
     direction = memory.direction if egomotion.direction is None else egomotion.direction
     return egomotion, history, replace(memory, direction=direction)
