@@ -152,8 +152,8 @@ class EventsConfig(StageConfig):
     confidence: Fraction = Field(default=0.95, description="probability of a collision course that a warning needs")
     persistence_s: PositiveFloat = Field(
         default=0.25,
-        description="time over which the log odds of a collision course add up to a warning; twice as long where they "
-        "are those of `confidence`, shorter where they are higher",
+        description="time over which the log odds of a collision course add up: a warning takes a third longer where "
+        "all frames are sure of it, longer where they are not",
     )
 
 

@@ -14,14 +14,14 @@ from ttcvid.stages.warnings.events import EventMemory, restarted_events, update_
 
 def test_a_collision_course_is_warned_of_once_it_has_lasted():
     active, _ = watched(drive(*HIT, 2.5))
-    # 3 s away from the start: the condition holds at once, the warning stands 0.3 s later.
-    assert first_warned(active) == 6
-    (event,) = active[6]
-    assert (event.event_id, event.cluster_id, event.start_frame) == (1, 1, 6)
+    # 3 s away from the start: the condition holds at once, the warning stands 0.35 s later.
+    assert first_warned(active) == 7
+    (event,) = active[7]
+    assert (event.event_id, event.cluster_id, event.start_frame) == (1, 1, 7)
     assert event.confidence == pytest.approx(1.0)
-    assert event.start_s == pytest.approx(0.3)
+    assert event.start_s == pytest.approx(0.35)
     assert event.kind == "constant_bearing"
-    assert all(len(events) == 1 for events in active[6:])
+    assert all(len(events) == 1 for events in active[8:])
     last = active[-1][0]
     assert last.end_frame == len(active) - 1
     assert last.min_ttc_z_s == pytest.approx((30.0 - 10.0 * last.end_s) / 10.0)
@@ -68,7 +68,7 @@ def test_what_is_looked_at_seldom_is_warned_of_at_the_first_look_after_the_persi
 
 
 def test_a_gap_longer_than_the_persistence_counts_for_nothing():
-    assert warned_at_s([0.0, 0.1, 0.2, 0.6, 0.7, 0.8, 0.95, 1.0], 0.1) == [0.7, 0.8, 0.95, 1.0]
+    assert warned_at_s([0.0, 0.1, 0.2, 0.6, 0.7, 0.8, 0.95, 1.0], 0.1) == [0.8, 0.95, 1.0]
 
 
 def test_a_warning_outlives_a_short_gap_and_keeps_its_number():
@@ -76,7 +76,7 @@ def test_a_warning_outlives_a_short_gap_and_keeps_its_number():
     frames = [*hit[:20], HARMLESS, None, HARMLESS, *hit[23:]]
     active, _ = watched(frames)
     assert {e.event_id for events in active for e in events} == {1}
-    assert all(len(events) == 1 for events in active[6:])
+    assert all(len(events) == 1 for events in active[8:])
     assert active[22][0].end_frame == 19
     assert active[23][0].end_frame == 23
 
@@ -96,7 +96,7 @@ def test_a_warning_starts_at_one_probability_and_ends_at_another():
 
 
 @pytest.mark.parametrize(
-    ("after", "n_frames"), [(HARMLESS, 3), (None, 18), (WITHOUT_STATE, 18)], ids=["harmless", "hidden", "no value"]
+    ("after", "n_frames"), [(HARMLESS, 5), (None, 18), (WITHOUT_STATE, 18)], ids=["harmless", "hidden", "no value"]
 )
 def test_a_warning_ends_when_it_is_over_and_later_when_what_it_is_of_is_hidden(after, n_frames):
     hit = drive(*HIT, 1.0)
@@ -110,9 +110,9 @@ def test_a_warning_ends_when_it_is_over_and_later_when_what_it_is_of_is_hidden(a
 
 def test_a_frame_in_which_it_is_hidden_or_without_a_value_is_not_the_end_of_what_is_gathered():
     hit = drive(*HIT, 1.0)
-    assert first_warned(watched([*hit[:3], None, *hit[4:]])[0]) == 7
-    assert first_warned(watched([*hit[:3], WITHOUT_STATE, *hit[4:]])[0]) == 7
-    assert first_warned(watched([*hit[:3], HARMLESS, *hit[4:]])[0]) > 7
+    assert first_warned(watched([*hit[:3], None, *hit[4:]])[0]) == 8
+    assert first_warned(watched([*hit[:3], WITHOUT_STATE, *hit[4:]])[0]) == 8
+    assert first_warned(watched([*hit[:3], HARMLESS, *hit[4:]])[0]) > 8
 
 
 UNKNOWN = replace(drive(*HIT, 0.1)[0], motion_state=MotionState.unknown)
@@ -122,21 +122,21 @@ UNKNOWN = replace(drive(*HIT, 0.1)[0], motion_state=MotionState.unknown)
 @pytest.mark.parametrize("is_open", [UNKNOWN, WITHOUT_STATE], ids=["unknown", "no value"])
 def test_frames_in_which_it_is_open_where_a_thing_goes_count_for_nothing(is_open):
     hit = drive(*HIT, 2.5)
-    # It is warned of after six frames that tell.
-    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) in (13, 14)
+    # It is warned of after seven frames that tell.
+    assert first_warned(watched([*hit[:2], *[is_open] * 8, *hit[10:]])[0]) in (15, 16)
     by_turns = [row if frame % 2 == 0 else is_open for frame, row in enumerate(hit)]
-    assert first_warned(watched(by_turns)[0]) == 12
+    assert first_warned(watched(by_turns)[0]) in (16, 18)
     # Three times the persistence at the most: then all begins anew.
-    assert first_warned(watched([*hit[:2], *[is_open] * 20, *hit[22:]])[0]) in (27, 28)
+    assert first_warned(watched([*hit[:2], *[is_open] * 20, *hit[22:]])[0]) in (29, 30)
     # They say nothing by themselves, nor do two frames far apart.
     assert first_warned(watched([*hit[:2], *[is_open] * 8])[0]) is None
     assert first_warned(watched([hit[0], *[is_open] * 6, hit[7], *[is_open] * 6])[0]) is None
-    assert first_warned(watched([*hit[:2], *[is_open] * 4, HARMLESS, *[is_open] * 4, *hit[11:]])[0]) > 14
+    assert first_warned(watched([*hit[:2], *[is_open] * 4, HARMLESS, *[is_open] * 4, *hit[11:]])[0]) > 16
 
 
 def test_frames_in_which_it_is_open_count_for_nothing_of_what_gets_another_number_too():
     before, after = drive(*HIT, 2.5), drive(*HIT, 2.5, cluster_id=5)
-    assert first_warned(watched([*before[:2], *[UNKNOWN] * 8, *after[10:]])[0]) in (13, 14)
+    assert first_warned(watched([*before[:2], *[UNKNOWN] * 8, *after[10:]])[0]) in (15, 16)
 
 
 def test_what_is_not_surely_going_to_hit_us_takes_longer():
@@ -144,8 +144,8 @@ def test_what_is_not_surely_going_to_hit_us_takes_longer():
     hit, likely = drive(*HIT, 2.5), row_of((0.9 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
     likely_miss = row_of((1.1 * WIDTH_M, 0.0, 25.0), (0.0, 0.0, -10.0))
     assert first_warned(watched([likely] * 30)[0]) is None
-    assert first_warned(watched([*hit[:3], *[likely] * 3, *hit[6:]])[0]) > 7
-    assert first_warned(watched([*hit[:3], *[likely_miss] * 3, *hit[6:]])[0]) > 8
+    assert first_warned(watched([*hit[:3], *[likely] * 3, *hit[6:]])[0]) > 9
+    assert first_warned(watched([*hit[:3], *[likely_miss] * 3, *hit[6:]])[0]) > 9
 
 
 def test_what_comes_out_behind_a_post_with_another_number_is_warned_of_at_once():
@@ -165,7 +165,7 @@ def test_another_thing_that_appears_elsewhere_has_to_persist_by_itself():
     before, after = drive(*HIT, 1.0), drive((4.0, 0.0, 19.0), (-2.1, 0.0, -10.0), 0.5, cluster_id=5)
     active, _ = watched([*before, None, None, *after])
     assert [e.cluster_id for e in active[len(before) + 2]] == [1]
-    assert [e.cluster_id for e in active[len(before) + 2 + 6]] == [1, 5]
+    assert [e.cluster_id for e in active[len(before) + 2 + 7]] == [1, 5]
 
 
 def test_both_numbers_are_watched_while_both_are_there():
@@ -174,7 +174,7 @@ def test_both_numbers_are_watched_while_both_are_there():
     frames = [tuple(row for row in pair if row is not None) for pair in zip(one, other, strict=True)]
     active, _ = watched(frames)
     assert [e.cluster_id for e in active[11]] == [1]
-    assert [e.cluster_id for e in active[14]] == [1, 5]
+    assert [e.cluster_id for e in active[15]] == [1, 5]
 
 
 def test_a_second_approach_is_a_second_warning():

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import expit, logit, ndtr, stdtrit
+from scipy.special import expit, logit, stdtrit
 
 from ttcvid.config import EventsConfig
 from ttcvid.model import ClusterRow, Event, MotionState
@@ -15,7 +15,7 @@ from ttcvid.stages.warnings.course import Course, Viewpoint, course_of, surety
 # A hidden object, or one whose course is open, is still there: it is forgotten after this many times the persistence.
 _HIDDEN = 3.0
 # Mean time after which a course that was none may have become one, and the opposite, s.
-_CHANGES_S = 1.0
+_CHANGES_S = 2.0
 # An object is re-identified with a lost one if their boxes overlap by this share of the smaller one.
 _SAME_PLACE = 0.3
 # A warning asks for at least this probability: below it nothing would have to be gathered.
@@ -28,8 +28,6 @@ _STALLED = 1.5
 _ROUNDING_S = 1e-3
 # A shorter miss vector has no direction, widths.
 _TINY = 1e-9
-# Probabilities are capped at this many standard deviations, 99.99 %: matching errors have heavier tails than a normal.
-_LOG_ODDS_BELIEVED = float(logit(ndtr(3.719)))
 # Log odds grow to this many times those that a warning asks for: what ends has to be told in time.
 _HIGHEST = 1.6
 
@@ -77,7 +75,7 @@ def update_events(
 
     An object is on collision course or not, and changes between the two now and then (`_CHANGES_S`). Log odds of the
     probabilities of its frames (`course_of`) add up; errors of neighbouring frames are correlated, so that they count
-    per ``persistence_s`` and not per frame. At first it is none with a probability of ``confidence``. A warning starts
+    per ``persistence_s`` and not per frame, and that time is needed however sure the frames are. At first it is none with a probability of ``confidence``. A warning starts
     where the object is on collision course with this probability, soon by this frame, and does not turn away
     (`_turns_away`); it ends where it is none with the same probability. A frame in which the course is open, or the
     object has no value, counts for nothing. A warned object that reappears under another ``cluster_id`` is warned of
@@ -141,7 +139,8 @@ def _watched(
     at_first = float(expit(-asked))
     lasts = math.exp((before.last_s - t_s) / _CHANGES_S)
     odds = float(logit(at_first + lasts * (float(expit(before.log_odds)) - at_first)))
-    told = float(np.clip(logit(course.probability), -_LOG_ODDS_BELIEVED, _LOG_ODDS_BELIEVED))
+    # However sure its frames are, a warning takes the persistence: their errors are common to neighbouring frames.
+    told = float(np.clip(logit(course.probability), -2.0 * asked, 2.0 * asked))
     odds = float(np.clip(odds + told * looked_s / config.persistence_s, -asked, _HIGHEST * asked))
     return replace(before, log_odds=odds, last_s=t_s, box_px=row.box_px, recent=recent)
 
