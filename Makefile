@@ -30,7 +30,7 @@ test: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 faults: $(READY)
-	$(BIN)/python -m pytest -n 2 -m exhaustive tests/faults
+	$(BIN)/python -m pytest -n 2 -m exhaustive tests
 
 regress: $(READY)
 	$(BIN)/ttcvid regress sample_configs/regression.yaml --jobs 2 --out out/regress

@@ -7,7 +7,7 @@ from batch_stress import stress
 from report import Report
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_disturbed_batch_ends_as_one_that_nobody_disturbs(tmp_path: Path) -> None:
     report = Report()
     stress(report, tmp_path, n_clips=12)
