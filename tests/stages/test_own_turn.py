@@ -60,7 +60,7 @@ def test_by_straight_lines_who_is_slower_in_the_other_lane_would_be_warned_of():
 
 
 def test_the_side_that_a_lorry_shows_in_a_bend_follows_its_front():
-    rows = drive(1.0, -3.6, -9.0, length_m=10.0)
+    rows = drive(1.0, -3.6, -9.0, length_m=14.0)
     assert warned(rows, bend_to(1.0)) is None
     assert warned([replace(row, front_px=None) for row in rows], None) is not None
 
