@@ -35,9 +35,9 @@ from scenario_suite.scenario import Family, Values
 
 _VIEW_M = 80.0
 _WIDE_DEG, _WALKER_DEG = (70.0, 100.0), (50.0, 110.0)
-_CROSSING_DEG = (70.0, 110.0)
-_FASTER = 1.7
-"""We are so much faster than what crosses: it is seen 30 deg from our direction, or less."""
+_CROSSING_DEG, _AS_FAST_DEG = (70.0, 110.0), (100.0, 110.0)
+_FASTER, _NO_SLOWER = 1.7, 1.0
+"""We are so much faster than what crosses: it is seen 30 deg from our direction, or less; 45 deg of what is as fast."""
 _WHOLE_IMPACT = (0.1, 0.9)
 _MOST_PARKED = 14
 _CHILD_M = (0.1, 0.45, 1.15)
@@ -84,11 +84,12 @@ def _crossing(
     from_side: float | None = None,
     is_hidden: bool = False,
     size_m: tuple[float, float, float] | None = None,
+    faster: float = _FASTER,
 ) -> Values:
     """Somebody crosses our path: at our front when we are there, before or after, or stops at the kerb."""
     at_s, from_side = contact_s(rng), side(rng) if from_side is None else from_side
-    other = min(km_h(rng, *other_km_h), own_km_h[1] * KM_H / _FASTER)
-    own = max(km_h(rng, *own_km_h), _FASTER * other)
+    other = min(km_h(rng, *other_km_h), own_km_h[1] * KM_H / faster)
+    own = max(km_h(rng, *own_km_h), faster * other)
     is_vehicle = kind in ("car", "lorry", "motorcycle")
     length_m = SIZES_M["walker"][1] if kind == "walker" else SIZES_M[kind][0]
     course_deg = -from_side * float(rng.uniform(82.0, 98.0) if is_vehicle else 90.0)
@@ -129,7 +130,7 @@ def _crossing(
         duration_s=at_s - BEFORE_CONTACT_S,
         reach_m=own * at_s + _VIEW_M,
         gaps_m=gaps,
-        hfov_deg=float(rng.uniform(*_WIDE_DEG)) if other > 0.35 * own else None,
+        hfov_deg=float(rng.uniform(*(_WIDE_DEG if faster > 1.0 else _AS_FAST_DEG))) if other > 0.35 * own else None,
         side_road_m=meeting[0] if is_vehicle else None,
         setting=str(rng.choice(["town", "avenue"])) if is_hidden else None,
         shoulder_m=0.0 if is_hidden else None,
@@ -246,12 +247,14 @@ def _turning_drive(
 
 
 _G = "vehicle_other"
-_CROSSING_CAR = {"own_km_h": (20, 80), "other_km_h": (20, 80), "impact": _WHOLE_IMPACT}
+_CROSSING_CAR = {"own_km_h": (20, 80), "other_km_h": (20, 80), "impact": _WHOLE_IMPACT, "faster": _NO_SLOWER}
 _URBAN_KM_H = (12, 60)
 _CCFTAP, _CMFTAP = (partial(_turn_across, kind=kind) for kind in ("car", "motorcycle"))
-_WIDE = {
+_TURNING = {
     "CCFtap": ("car to car, we turn across: 10-25 km/h against 30-80", _CCFTAP),
     "CMFtap": ("car to motorcycle, we turn across: 10-25 km/h against 30-80", _CMFTAP),
+}
+_CROSSING = {
     "CCCscp": ("car to car, crossing: 20-80 km/h", partial(_crossing, kind="car", **_CROSSING_CAR)),
     "CCCscp-hidden": (
         "car to car, crossing, from behind parked cars",
@@ -282,7 +285,8 @@ def _ahead(name: str, title: str, kind: str, own: tuple[float, float], other: tu
 FAMILIES = (
     Family("CCFhos", _G, "car to car, head-on: 30-100 km/h towards 50-100", _head_on),
     Family("CCFhol", _G, "car to car, head-on: lane change that ends 1.5 s before contact", _head_on_lane_change),
-    *(Family(name, _G, title, draw, hfov_deg=_CROSSING_DEG) for name, (title, draw) in _WIDE.items()),
+    *(Family(name, _G, title, draw, hfov_deg=_CROSSING_DEG) for name, (title, draw) in _TURNING.items()),
+    *(Family(name, _G, title, draw, hfov_deg=_AS_FAST_DEG) for name, (title, draw) in _CROSSING.items()),
     _walker_or_rider("CPNA-25", "car to walker, nearside, 5 km/h", "walker", (5, 5), from_side=-1.0),
     _walker_or_rider("CPNA-75", "car to walker, nearside, 5 km/h", "walker", (5, 5), from_side=-1.0),
     _walker_or_rider("CPFA-50", "car to runner, farside, 8 km/h", "walker", (8, 8), from_side=1.0),

@@ -75,11 +75,11 @@ def update_events(
 
     An object is on collision course or not, and changes between the two now and then (`_CHANGES_S`). Log odds of the
     probabilities of its frames (`course_of`) add up; errors of neighbouring frames are correlated, so that they count
-    per ``persistence_s`` and not per frame, and that time is needed however sure the frames are. At first it is none with a probability of ``confidence``. A warning starts
-    where the object is on collision course with this probability, soon by this frame, and does not turn away
-    (`_turns_away`); it ends where it is none with the same probability. A frame in which the course is open, or the
-    object has no value, counts for nothing. A warned object that reappears under another ``cluster_id`` is warned of
-    at once.
+    per ``persistence_s`` and not per frame, and that time is needed however sure the frames are. At first it is none
+    with a probability of ``confidence``. A warning starts where the object is on collision course with this
+    probability, soon by this frame, and does not turn away (`_turns_away`); it ends where it is none with the same
+    probability. A frame in which the course is open, or the object has no value, counts for nothing. A warned object
+    that reappears under another ``cluster_id`` is warned of at once.
 
     Parameters
     ----------
