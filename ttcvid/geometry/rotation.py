@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.compiled import compiled_for
-from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents
+from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents, fill_vectors
 from ttcvid.model import Floats, Ints
 
 # Least z of a unit ray that still has a place in the plane z = 1: 87 deg from the axis.
@@ -97,7 +97,7 @@ def vector_from_rotation(rotation: Floats) -> Floats:
     """
     rotation = np.asarray(rotation, dtype=np.float64)
     vectors = np.empty(rotation.shape[:-1])
-    _vector_of_each(np.ascontiguousarray(rotation).reshape(-1, 3, 3), vectors.reshape(-1, 3))
+    fill_vectors(np.ascontiguousarray(rotation).reshape(-1, 3, 3), vectors.reshape(-1, 3))
     return vectors
 
 
@@ -191,32 +191,3 @@ def _turn_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints,
                 xy[place, m, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z) / depth
             else:
                 xy[place, m, 0] = xy[place, m, 1] = np.nan
-
-
-@compiled_for("(f8[:, :, ::1], f8[:, ::1])")
-def _vector_of_each(rotations: Floats, vectors: Floats) -> None:
-    """Fill ``vectors (N, 3)`` from ``rotations (N, 3, 3)``."""
-    q = np.empty(4)
-    for i in range(len(rotations)):
-        r = rotations[i]
-        diagonal = r[0, 0], r[1, 1], r[2, 2]
-        # The largest component of the quaternion, from its square, and the others from their products with it.
-        best, largest = 0, diagonal[0] + diagonal[1] + diagonal[2]
-        for j in range(3):
-            if diagonal[j] > largest:
-                best, largest = j + 1, diagonal[j]
-        if best == 0:
-            q[0] = 1.0 + largest
-            q[1], q[2], q[3] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-        else:
-            j = best - 1
-            k, m = (j + 1) % 3, (j + 2) % 3
-            q[0] = r[m, k] - r[k, m]
-            q[1 + j] = 1.0 + r[j, j] - r[k, k] - r[m, m]
-            q[1 + k], q[1 + m] = r[k, j] + r[j, k], r[m, j] + r[j, m]
-        if q[0] < 0.0:
-            q *= -1.0
-        sine = np.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-        scale = 2.0 * np.arctan2(sine, q[0]) / sine if sine > 0.0 else 2.0 / q[0]
-        for j in range(3):
-            vectors[i, j] = scale * q[1 + j]

@@ -7,24 +7,21 @@ a point at (x, y, 1) now was at (x + rho T_x, y + rho T_y, 1 + rho T_z), up to i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from ttcvid.geometry.kernels.newest_view import predict_newest
-from ttcvid.geometry.kernels.rigid_points import LANES, N_EQUATIONS, add_turns_and_shifts, fit_rigid_points
-from ttcvid.geometry.kernels.solve import solve_each
+from ttcvid.geometry.kernels.rigid_points import (
+    HALF_WEIGHT,
+    LANES,
+    LEAST_TYPICAL_MISFIT,
+    MOST_STEPS,
+    fit_rigid_points,
+    refine_ways,
+)
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
-
-# Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames.
-_N_STEPS = 2
-# Weight of a point falls to a half where its misfit is twice the typical one, which counts as this at the least. Not
-# single residuals: where a path is wrong, all of a view are large.
-_HALF_WEIGHT, _LEAST_TYPICAL_MISFIT = 2.0, 0.25
-# Paths shorter than this have no scale to keep.
-_NO_LENGTH = 1e-9
 
 
 @dataclass(frozen=True)
@@ -141,7 +138,7 @@ def fit_on_paths(
         ways_of(paths, points.rays.shape[2]),
         points.sigma_norm,
         (np.zeros(m) if rate_hz is None else rate_hz, least),
-        2 * _N_STEPS if rate_hz is None else _N_STEPS,
+        2 * MOST_STEPS if rate_hz is None else MOST_STEPS,
         (place, rate, sigma, misfit, n_views),
     )
     return PathFit(place, rate, sigma, misfit, n_views)
@@ -183,8 +180,8 @@ def weights_by_misfit(points: Points, fit: PathFit, weight: Floats, n_things: in
     """The ``weight`` (M,) of points, less with an unusual misfit, 0 without a rate; and which things have any, (K,)."""
     has_rate = np.isfinite(fit.rate_hz)
     of_used = np.where(has_rate & (weight > 0.0), fit.misfit, np.nan)
-    typical = np.maximum(medians(of_used, points.thing, n_things), _LEAST_TYPICAL_MISFIT)
-    return np.where(has_rate, weight / (1.0 + fit.misfit / (_HALF_WEIGHT * typical[points.thing])), 0.0), np.isfinite(
+    typical = np.maximum(medians(of_used, points.thing, n_things), LEAST_TYPICAL_MISFIT)
+    return np.where(has_rate, weight / (1.0 + fit.misfit / (HALF_WEIGHT * typical[points.thing])), 0.0), np.isfinite(
         typical
     )
 
@@ -212,64 +209,20 @@ def refined_paths(
     -------
     The paths, and the rate of each point, (M,).
     """
-    weight = np.ones(len(points.track)) if weight is None else weight
-    rate = np.zeros(len(points.track)) if rate_hz is None else rate_hz.copy()
-    is_left = np.ones(len(paths), dtype=np.bool_)
-    for step in range(int(n_steps.max(initial=0))):
-        is_left &= n_steps > step
-        of_left = np.flatnonzero(is_left[points.thing])
-        some = replace(points, track=points.track[of_left], thing=points.thing[of_left])
-        fit = fit_on_paths(some, paths, rate[of_left])
-        rate[of_left] = fit.rate_hz
-        weight_now, has_points = weights_by_misfit(some, fit, weight[of_left], len(paths))
-        is_left &= has_points
-        if is_left.any():
-            equations = _equations(some, paths, fit, weight_now)
-            paths = _where(is_left, _corrected(paths, equations, priors, points.since_s), paths)
-    return paths, rate
-
-
-def _equations(points: Points, paths: RigidPaths, fit: PathFit, weight: Floats) -> tuple[Floats, Floats]:
-    """Normal equations of a turn and a shift of each view: information ``(K, L, 6, 6)`` and score ``(K, L, 6)``."""
-    n_lanes, n_views = points.rays.shape[2], len(points.since_s)
-    sums = np.zeros((len(paths), N_EQUATIONS, n_lanes))
-    ways, of_point = ways_of(paths, n_lanes), (fit.place, fit.rate_hz, weight)
-    add_turns_and_shifts(points.rays, points.track, points.thing, ways, points.sigma_norm, of_point, sums)
-    row, column = np.tril_indices(7)
-    whole = np.empty((len(paths), n_views, 7, 7))
-    whole[..., row, column] = whole[..., column, row] = sums[..., n_lanes - n_views :].transpose(0, 2, 1)
-    return whole[..., :6, :6], whole[..., 6, :6]
-
-
-def _corrected(paths: RigidPaths, equations: tuple[Floats, Floats], priors: PathPriors, since_s: Floats) -> RigidPaths:
-    """The paths with past views turned and shifted by least squares with the priors; they keep their length."""
-    past, diagonal = slice(0, len(since_s) - 1), np.arange(6)
-    information, score = (part[:, past] for part in equations)
-    cam_R_past, path = paths.cam_R_past.copy(), paths.path.copy()
-    shift_sigma = priors.shift_sigma[past] * (np.linalg.norm(path[:, past], axis=2) + _NO_LENGTH)
-    turn_sigma = np.broadcast_to(priors.turn_sigma_rad[past], shift_sigma.shape)
-    precision = np.repeat(np.stack([turn_sigma, shift_sigma], axis=-1) ** -2.0, 3, axis=-1)
-    off = np.zeros((*shift_sigma.shape, 6))
-    if priors.cam_R_past is not None:
-        off[..., :3] = vector_from_rotation(priors.cam_R_past[past] @ cam_R_past[:, past].transpose(0, 1, 3, 2))
-    off[..., 3:] = path[:, past] - (since_s[past] / since_s[0])[:, None] * path[:, :1]
-    information[..., diagonal, diagonal] += precision
-    change = np.ascontiguousarray(score - precision * off)
-    solve_each(np.ascontiguousarray(information).reshape(-1, 6, 6), change.reshape(-1, 6))
-    turned = rotation_from_vector(-change[..., :3]) @ cam_R_past[:, past]
-    # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
-    cam_R_past[:, past] = turned @ (1.5 * np.eye(3) - 0.5 * turned.transpose(0, 1, 3, 2) @ turned)
-    path[:, past] += change[..., 3:]
-    before, after = (np.sqrt((each**2).sum(axis=2).max(axis=1)) for each in (paths.path, path))
-    has_scale = np.minimum(before, after) > _NO_LENGTH
-    scale = np.divide(before, after, out=np.ones(len(paths)), where=has_scale)
-    return RigidPaths(cam_R_past, path * scale[:, None, None])
-
-
-def _where(is_first: Bools, first: RigidPaths, second: RigidPaths) -> RigidPaths:
-    """The first paths of the things that ``is_first (K,)`` marks, the second of the others."""
-    if is_first.all():
-        return first
-    chosen = is_first[:, None, None]
-    rotations = np.where(chosen[..., None], first.cam_R_past, second.cam_R_past)
-    return RigidPaths(rotations, np.where(chosen, first.path, second.path))
+    m, (count, n_views) = len(points.track), paths.path.shape[:2]
+    weight = np.ones(m) if weight is None else weight
+    rate = np.zeros(m) if rate_hz is None else rate_hz.copy()
+    ways, expected = ways_of(paths, points.rays.shape[2]), priors.cam_R_past
+    refine_ways(
+        points.rays,
+        points.track,
+        points.thing,
+        ways,
+        points.sigma_norm,
+        n_steps,
+        (points.since_s, np.empty((0, 3, 3)) if expected is None else expected, priors.turn_sigma_rad, priors.shift_sigma),
+        (weight, rate),
+    )
+    by_view = ways[..., ways.shape[2] - n_views :].transpose(0, 2, 1)
+    rotations = np.ascontiguousarray(by_view[..., :9]).reshape(count, n_views, 3, 3)
+    return RigidPaths(rotations, np.ascontiguousarray(by_view[..., 9:])), rate

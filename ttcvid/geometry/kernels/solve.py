@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import compiled, compiled_for
+from ttcvid.compiled import compiled
 from ttcvid.model import Floats
 
 
@@ -69,10 +69,3 @@ def follow(kept: Floats, step: Floats) -> None:
         step[r] = 0.0 if is_open else kept[size, r] / kept[r, r]
         for i in range(r + 1, size):
             step[r] -= 0.0 if is_open else kept[i, r] / kept[r, r] * step[i]
-
-
-@compiled_for("(f8[:, :, ::1], f8[:, ::1])")
-def solve_each(matrices: Floats, rights: Floats) -> None:
-    """`solve` of M small systems, ``matrices (M, N, N)`` and ``rights (M, N)``: a tenth of the time of LAPACK's."""
-    for i in range(len(rights)):
-        solve(matrices[i], rights[i])
