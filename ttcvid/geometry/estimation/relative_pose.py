@@ -13,8 +13,6 @@ from ttcvid.model import Floats, Ints
 
 # Standard deviation of a direction that nothing is known of, rad.
 _OPEN_DIRECTION_RAD = 1.0
-# The most that a point costs: three sigmas squared, also where it moves the wrong way.
-_COST_CAP = 9.0
 
 
 @dataclass(frozen=True)
@@ -23,8 +21,9 @@ class TwoViewFit:
 
     ``cam_R_prev (3, 3)``; ``direction (3,)`` is ``dir`` of the static points, None for a rotation alone;
     ``residual (N,)`` in sigmas; ``cost`` the sum of capped squares with the prior's part; ``information (k, k)`` on the
-    unknowns and ``score (N, k)`` of each point, in 1/rad^2 and 1/rad: of two tangent coordinates of the direction
-    (along `tangent_basis`) where there is one, then of the rotation vector; ``region (N,)`` as in `fit_rotation`.
+    unknowns and ``rows (k + 1, N)`` of each point as of `two_views.fit_two_views`, in 1/rad^2 and 1/rad: of two tangent
+    coordinates of the direction (along `tangent_basis`) where there is one, then of the rotation vector, for a rotation
+    alone of three axes one after the other; ``region (N,)`` as in `fit_rotation`.
     ``sense (N,)`` is 1 for points that move along the direction by more than their noise, -1 for those that move
     against it (they would lie behind), else 0.
     """
@@ -34,7 +33,7 @@ class TwoViewFit:
     residual: Floats
     cost: float
     information: Floats
-    score: Floats
+    rows: Floats
     region: Ints
     sense: Floats
 
@@ -51,7 +50,8 @@ class TwoViewFit:
         k, n_used = len(covariance), np.count_nonzero(np.bincount(self.region))
         if n_used <= 2 * k:
             return covariance
-        sums = np.stack([np.bincount(self.region, column) for column in self.score.T])
+        scores = (self.rows[:-1] * self.rows[-1]).reshape(k, -1, len(self.region)).sum(axis=1)
+        sums = np.stack([np.bincount(self.region, score) for score in scores])
         half = np.linalg.cholesky(covariance).T @ sums
         ratio = float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k)
         return covariance * max(1.0, ratio)
@@ -115,19 +115,17 @@ def _fitted(
     direction: Floats | None,
 ) -> TwoViewFit:
     """The fit from a start, of which the ``direction`` is overwritten; None: rotation alone."""
-    offset = vector_from_rotation(cam_R_prev @ prior.cam_R_prev.T)
-    precision, pull = np.full(3, prior.rotation_sigma_rad**-2.0), np.zeros(3)
+    offset, n = vector_from_rotation(cam_R_prev @ prior.cam_R_prev.T), len(rays_cam)
+    k, n_rows = (3, 3 * n) if direction is None else (5, n)
+    precision, pull = np.full(k, prior.rotation_sigma_rad**-2.0), np.zeros(3)
     if direction is not None:
         # On a sphere a direction is never less certain than this, whatever the flow says.
-        of_direction = _OPEN_DIRECTION_RAD**-2.0
+        precision[:2] = _OPEN_DIRECTION_RAD**-2.0
         if prior.direction is not None:
-            of_direction += prior.direction_sigma_rad**-2.0
+            precision[:2] += prior.direction_sigma_rad**-2.0
             pull = prior.direction / prior.direction_sigma_rad**2
-        precision = np.concatenate([np.full(2, of_direction), precision])
-    n, k = len(rays_cam), len(precision)
-    n_rows = 3 * n if direction is None else n
-    residual, sense, rows, information = (np.zeros(shape) for shape in (n, n, (k + 1, n_rows), (k, k)))
-    fit_two_views(
+    residual, sense, rows, information = np.empty(n), np.zeros(n), np.empty((k + 1, n_rows)), np.empty((k, k))
+    cost = fit_two_views(
         rays_prev,
         np.ascontiguousarray(rays_cam.T),
         sigma_rad,
@@ -136,17 +134,8 @@ def _fitted(
         np.empty(0) if direction is None else direction,
         (residual, sense, rows, information),
     )
-    information += np.tril(information, -1).T
-    score = np.sum((rows[:-1] * rows[-1]).reshape(k, -1, n), axis=1).T
     fitted = rotation_from_vector(offset) @ prior.cam_R_prev
-    # What counts is how many points a fit explains, not how far others are; one that moves the wrong way costs as much
-    # as any.
-    cost = float(np.where(sense >= 0.0, np.minimum(residual * residual, _COST_CAP), _COST_CAP).sum())
-    cost += float(offset @ offset) / prior.rotation_sigma_rad**2
-    if direction is not None and prior.direction is not None:
-        # 2 (1 - cos) is the squared angle for small ones and stays finite for opposite directions.
-        cost += 2.0 * (1.0 - float(direction @ prior.direction)) / prior.direction_sigma_rad**2
-    return TwoViewFit(fitted, direction, residual, cost, information, score, region, sense)
+    return TwoViewFit(fitted, direction, residual, cost, information, rows, region, sense)
 
 
 def direction_from_flow(rays_prev: Floats, rays_cam: Floats, cam_R_prev: Floats) -> Floats:

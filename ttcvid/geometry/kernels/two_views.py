@@ -24,6 +24,8 @@ _LONGEST_STEP_RAD = 0.3
 # A static point moves towards dir; one that moves the other way by more sigmas than this does not belong to the scene
 # and keeps only so small a weight that the estimate stays defined.
 _SENSE_SIGMAS, _WRONG_WAY_WEIGHT = 3.0, 0.02
+# The most that a point costs, also where it moves the wrong way.
+_COST_CAP = _SENSE_SIGMAS**2
 # Squared lengths below this are a point on the epipole itself, rad^2.
 _TINY = 1e-14
 # The difference of two squared singular values is not taken for less than this part of their sum.
@@ -42,15 +44,17 @@ def fit_two_views(
     offset: Floats,
     direction: Floats,
     found: tuple[Floats, Floats, Floats, Floats],
-) -> None:
+) -> float:
     """``offset (3,)`` and ``direction (3,)`` in and out; an empty direction: rotation alone, every point at infinity.
 
     ``rays_prev (N, 3)`` are of the first view, ``now (3, N)`` of the second; ``priors`` the rotation expected, the
     precision of each unknown, and for the direction the score that belongs to that, (3,). Fills ``found``: the
     ``residual (N,)``, signed where there is a direction, the ``sense (N,)`` of each point (`_set_motion_rows`), the
-    ``rows`` of `normal_equations.add_equations`, (U + 1, N), for a rotation alone (U + 1, 3 N), and the lower half of
-    ``information (U, U)``; the unknowns are two tangent coordinates of the direction, where there is one, and the
-    rotation vector.
+    ``rows`` of `normal_equations.add_equations`, (U + 1, N), for a rotation alone (U + 1, 3 N), and ``information (U,
+    U)``; the unknowns are two tangent coordinates of the direction, where there is one, and the rotation vector.
+
+    Returns the cost: what counts is how many points a fit explains, not how far others are; one that moves the wrong
+    way costs as much as any.
     """
     residual, sense, rows, information = found
     expected, precision, pull = priors
@@ -105,6 +109,19 @@ def fit_two_views(
             offset[j] += step[first_turn + j]
         if is_last:
             break
+    for j in range(n_unknowns):
+        for k in range(j):
+            information[k, j] = information[j, k]
+    cost = 0.0
+    for i in range(n):
+        cost += min(residual[i] * residual[i], _COST_CAP) if sense[i] >= 0.0 else _COST_CAP
+    for j in range(3):
+        cost += precision[first_turn + j] * offset[j] * offset[j]
+    if has_direction:
+        # 2 (1 - cos) is the squared angle for small ones and stays finite for opposite directions.
+        cost += 2.0 * np.sqrt(pull[0] * pull[0] + pull[1] * pull[1] + pull[2] * pull[2])
+        cost -= 2.0 * (direction[0] * pull[0] + direction[1] * pull[1] + direction[2] * pull[2])
+    return float(cost)
 
 
 @compiled

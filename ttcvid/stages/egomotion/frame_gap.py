@@ -197,9 +197,11 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
     region = picture_region(rays, region_side_of(history.camera))
     # Of the same noise by their place: the same ones in whatever order they come.
     quietest = np.lexsort((rays[:, 1], rays[:, 0], sigma_rad[seen], region))
-    n_before = np.arange(len(seen)) - np.searchsorted(region[quietest], region[quietest])
-    spread = np.sort(seen[quietest[n_before < _MOST_IN_CELL]])
-    used = spread if len(spread) >= min_tracks else seen
+    per_region = np.bincount(region)
+    n_before = np.arange(len(seen)) - (np.cumsum(per_region) - per_region)[region[quietest]]
+    is_used = np.empty(len(seen), dtype=bool)
+    is_used[quietest] = n_before < _MOST_IN_CELL
+    used = seen[is_used] if np.count_nonzero(is_used) >= min_tracks else seen
     return before.take(used, axis=0), now.take(used, axis=0), sigma_rad.take(used)
 
 
