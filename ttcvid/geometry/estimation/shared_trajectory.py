@@ -13,7 +13,7 @@ from ttcvid.geometry.estimation.shared_trajectory_points import LEAST_VIEWS, Pat
 from ttcvid.geometry.estimation.track_on_trajectory import fit_rates_on_paths
 from ttcvid.geometry.kernels.shared_path import N_LOCAL, add_windows, descend_together, start_points
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.rotation import cross, rotation_from_vector, tangent_basis
+from ttcvid.geometry.rotation import cross, each_turned_into_plane, rotation_from_vector, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED = 9
@@ -228,16 +228,12 @@ def fit_paths(
 
 
 def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> Floats:
-    """Views ``(L, N, 2)`` without the rotation rates ``(K, 3)`` of their paths, about time 0."""
+    """Views ``(L, N, 2)`` without the rotation rates ``(K, 3)`` of their paths, about time 0; any without a path."""
     if not turn_rad_s.any():
         return xy
-    back = xy.copy()
-    for k in np.flatnonzero(turn_rad_s.any(axis=1)):
-        own = np.flatnonzero(path_of == k)
-        rotation = rotation_from_vector(-t_s[:, None] * turn_rad_s[k])
-        turned = xy[:, own] @ rotation[:, :, :2].transpose(0, 2, 1) + rotation[:, None, :, 2]
-        back[:, own] = turned[..., :2] / turned[..., 2:]
-    return back
+    rays = np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=2)
+    rotations = rotation_from_vector(-t_s[:, None] * turn_rad_s[:, None])
+    return each_turned_into_plane(rays, np.arange(len(path_of)), rotations, path_of)
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:

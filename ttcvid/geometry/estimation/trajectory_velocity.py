@@ -56,7 +56,11 @@ def velocities_on_paths(
     jacobian = e[:, :, None] * rates.by_shared[known][:, None]
     jacobian[:, :, :3] += rate_hz[:, None, None] * np.eye(3)
     jacobian[:, :, 6:] -= skew(turned)
-    cov = jacobian @ shared_cov[path] @ jacobian.transpose(0, 2, 1)
+    by_path = np.empty_like(jacobian)
+    for k in np.flatnonzero(np.bincount(path)):
+        own = path == k
+        by_path[own] = (jacobian[own].reshape(-1, N_SHARED) @ shared_cov[k]).reshape(-1, 3, N_SHARED)
+    cov = np.einsum("nij,nkj->nik", by_path, jacobian)
     cov += rate_variance[known, None, None] * e[:, :, None] * e[:, None]
     found.abc_hz[known] = rate_hz[:, None] * e + cross(turn_rad_s[path], turned)
     found.along_sigma_hz[known] = np.sqrt(np.einsum("ni,nij,nj->n", e, cov, e))

@@ -86,19 +86,21 @@ def _rates(
     # Absent points have index -1 and no weight; comparisons with NaN are False.
     is_ahead = (weights > 0.0) & (first[:, 2] > 0.0) & (second[:, 2] > 0.0)
     with np.errstate(all="ignore"):
-        places = np.concatenate([first[:, :2] / first[:, 2:], second[:, :2] / second[:, 2:]], axis=1)
-    is_there = (is_ahead & np.isfinite(places).all(axis=1))[regions] & (regions >= 0)
-    weight = np.where(is_there, weights[regions], 0.0)[..., None]
+        # Places in the plane z = 1 as complex numbers.
+        u, v = ((each[:, 0] + 1j * each[:, 1]) / each[:, 2] for each in (first, second))
+    is_there = (is_ahead & np.isfinite(u + v))[regions] & (regions >= 0)
+    weight = np.where(is_there, weights[regions], 0.0)
     total, count = weight.sum(axis=1), np.count_nonzero(is_there, axis=1)
-    offset = np.where(is_there[..., None], places[regions], 0.0)
-    offset -= quotient(np.sum(weight * offset, axis=1), total)[:, None]
     # With u, v the offsets from the centroids of the two views: scale^2 = sum w v^2 / sum w u^2, and the residuals
     # v - scale u have 2 m - 3 degrees of freedom.
-    u, v = offset[..., :2], offset[..., 2:]
-    uu, vv = (np.sum(weight * each**2, axis=(1, 2)) for each in (u, v))
-    has_extent = np.minimum(uu, vv) > LEAST_EXTENT**2 * total[:, 0]
+    u, v = (np.where(is_there, each[regions], 0.0) for each in (u, v))
+    rest = quotient(1.0, total)
+    u, v = (each - (np.sum(weight * each, axis=1) * rest)[:, None] for each in (u, v))
+    uu, vv = (np.sum(weight * (each.real**2 + each.imag**2), axis=1) for each in (u, v))
+    has_extent = np.minimum(uu, vv) > LEAST_EXTENT**2 * total
     ratio = np.sqrt(quotient(vv, np.where(has_extent, uu, np.nan)))
-    misfit = np.sum(weight * (v - ratio[:, None, None] * u) ** 2, axis=(1, 2))
+    left = v - ratio[:, None] * u
+    misfit = np.sum(weight * (left.real**2 + left.imag**2), axis=1)
     variance = misfit / (np.maximum(2 * count - 3, 1) * (1.0 + ratio**2)) * (quotient(1.0, uu) + quotient(1.0, vv))
     scale, dt_s = ratio.reshape(shape), np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
     return (scale - 1.0) / dt_s, scale * np.sqrt(variance.reshape(shape)) / dt_s
