@@ -82,7 +82,14 @@ def descend_together(
         usual = median(mean_square[low:high].copy())
         for _ in range(_MAX_STEPS):
             misfit = max(1.0, np.sqrt(usual))
-            _move(t_s, base[k], basis[k], offset[k], path, rotations)
+            # The path at the offset, and the rotations back to time 0.
+            for m in range(len(t_s)):
+                t = t_s[m]
+                fill_rotation(-t * offset[k, 5], -t * offset[k, 6], -t * offset[k, 7], rotations[m])
+                for j in range(3):
+                    path[m, j] = base[k, m, j] + t * (basis[k, j, 0] * offset[k, 0] + basis[k, j, 1] * offset[k, 1])
+                    for c in range(3):
+                        path[m, j] += 0.5 * t * t * basis[k, j, c] * offset[k, 2 + c]
             # What the belief says at an offset from it.
             left[k, 0], score[:] = 0.0, 0.0
             for c in range(N_LOCAL):
@@ -179,15 +186,3 @@ def _add_point(
     add_equations(rows, 2 * n, equations, equations[_N_ALL])
     eliminate(equations, kept, information, score)
     return total, inside
-
-
-@compiled
-def _move(t_s: Floats, base: Floats, basis: Floats, offset: Floats, path: Floats, rotations: Floats) -> None:
-    """Fill ``path (L, 3)``, at an ``offset (8,)`` from ``base (L, 3)``, and ``rotations (L, 3, 3)``, back to time 0."""
-    for k in range(len(t_s)):
-        t = t_s[k]
-        fill_rotation(-t * offset[5], -t * offset[6], -t * offset[7], rotations[k])
-        for j in range(3):
-            path[k, j] = base[k, j] + t * (basis[j, 0] * offset[0] + basis[j, 1] * offset[1])
-            for m in range(3):
-                path[k, j] += 0.5 * t * t * basis[j, m] * offset[2 + m]

@@ -80,7 +80,16 @@ def fit_two_views(
                 axes[0, j], axes[1, j], axes[2, j] = direction[j], basis[j, 0], basis[j, 1]
             _set_motion_rows(turned, now, sigma, axes, rows, residual, sense)
         else:
-            _set_rotation_rows(turned, now, sigma, rows, residual)
+            for i in range(n):
+                # The three components of a unit ray have two degrees of freedom: each counts half of a coordinate's
+                # information.
+                scale, square = np.sqrt(0.5) / sigma[i], 0.0
+                for a in range(3):
+                    b, c, k = (a + 1) % 3, (a + 2) % 3, a * n + i
+                    rows[a, k], rows[b, k], rows[c, k] = 0.0, scale * turned[c, i], -scale * turned[b, i]
+                    rows[3, k] = scale * (now[a, i] - turned[a, i])
+                    square += rows[3, k] * rows[3, k]
+                residual[i] = np.sqrt(square)
         _weigh(rows, residual, sense, has_direction)
         for j in range(n_unknowns):
             step[j] = 0.0
@@ -122,23 +131,6 @@ def fit_two_views(
         cost += 2.0 * np.sqrt(pull[0] * pull[0] + pull[1] * pull[1] + pull[2] * pull[2])
         cost -= 2.0 * (direction[0] * pull[0] + direction[1] * pull[1] + direction[2] * pull[2])
     return float(cost)
-
-
-@compiled
-def _set_rotation_rows(turned: Floats, now: Floats, sigma: Floats, rows: Floats, residual: Floats) -> None:
-    """Fill ``rows (4, 3 N)``, axis after axis, without weights, and ``residual (N,)``.
-
-    The three components of a unit ray have two degrees of freedom: each counts half of a coordinate's information.
-    """
-    n = len(sigma)
-    for i in range(n):
-        scale, square = np.sqrt(0.5) / sigma[i], 0.0
-        for a in range(3):
-            b, c, k = (a + 1) % 3, (a + 2) % 3, a * n + i
-            rows[a, k], rows[b, k], rows[c, k] = 0.0, scale * turned[c, i], -scale * turned[b, i]
-            rows[3, k] = scale * (now[a, i] - turned[a, i])
-            square += rows[3, k] * rows[3, k]
-        residual[i] = np.sqrt(square)
 
 
 @compiled

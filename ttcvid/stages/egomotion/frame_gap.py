@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ttcvid.compiled import compiled_for
 from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
-from ttcvid.model import Bools, Floats
+from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import (
     MOTION_PRIORS,
     Egomotion,
@@ -195,14 +196,34 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
         return None
     rays = now[seen]
     region = picture_region(rays, region_side_of(history.camera))
-    # Of the same noise by their place: the same ones in whatever order they come.
-    quietest = np.lexsort((rays[:, 1], rays[:, 0], sigma_rad[seen], region))
-    per_region = np.bincount(region)
-    n_before = np.arange(len(seen)) - (np.cumsum(per_region) - per_region)[region[quietest]]
-    is_used = np.empty(len(seen), dtype=bool)
-    is_used[quietest] = n_before < _MOST_IN_CELL
+    is_used = np.empty(len(seen), dtype=np.bool_)
+    _pick_quietest(region, sigma_rad[seen], rays, is_used)
     used = seen[is_used] if np.count_nonzero(is_used) >= min_tracks else seen
     return before.take(used, axis=0), now.take(used, axis=0), sigma_rad.take(used)
+
+
+@compiled_for("(i8[::1], f8[::1], f8[:, ::1], b1[::1])")
+def _pick_quietest(region: Ints, sigma_rad: Floats, rays: Floats, is_picked: Bools) -> None:
+    """Mark the quietest tracks of each part of the picture, ``is_picked (N,)``.
+
+    Of the same noise by their place: the same ones in whatever order they come.
+    """
+    start, by_region = np.zeros(region.max() + 2, dtype=np.int64), np.empty_like(region)
+    for i in range(len(region)):
+        start[region[i] + 1] += 1
+    for number in range(len(start) - 1):
+        start[number + 1] += start[number]
+    end = start.copy()
+    for i in range(len(region)):
+        by_region[end[region[i]]] = i
+        end[region[i]] += 1
+    for i in range(len(region)):
+        n_before, own = 0, (sigma_rad[i], rays[i, 0], rays[i, 1])
+        for place in range(start[region[i]], end[region[i]]):
+            j = by_region[place]
+            other = (sigma_rad[j], rays[j, 0], rays[j, 1])
+            n_before += 1 if other < own or (other == own and j < i) else 0
+        is_picked[i] = n_before < _MOST_IN_CELL
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:

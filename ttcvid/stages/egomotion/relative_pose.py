@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ttcvid.compiled import ZERO, compiled_for
 from ttcvid.geometry.estimation.relative_pose import (
     GaussianPrior,
     TwoViewFit,
@@ -225,12 +226,30 @@ def region_side_of(camera: Camera) -> float:
 
 def picture_region(rays: Floats, side: float = REGION) -> Ints:
     """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,), without gaps."""
-    cell = np.floor(rays[:, :2] / (side * np.maximum(rays[:, 2:], _LEAST_Z)))
-    # A ray that is not known (NaN) has its place in the corner.
-    column, row = np.fmin(np.fmax(cell, -_REGION_COUNT // 2), _REGION_COUNT // 2 - 1).astype(np.int64).T
-    number = row * _REGION_COUNT + column
-    number -= number.min(initial=_REGION_COUNT**2)
-    return np.asarray(np.cumsum(np.bincount(number) > 0)[number] - 1)
+    region = np.empty(len(rays), dtype=np.int64)
+    _number_regions(np.ascontiguousarray(rays), side, region)
+    return region
+
+
+@compiled_for("(f8[:, ::1], f8, i8[::1])")
+def _number_regions(rays: Floats, side: float, region: Ints) -> None:
+    """Fill ``region (N,)`` of `picture_region`."""
+    half, rank = _REGION_COUNT // 2, np.zeros(_REGION_COUNT * _REGION_COUNT, dtype=np.int32)
+    for i in range(len(rays)):
+        deep = side * (rays[i, 2] if rays[i, 2] > _LEAST_Z else _LEAST_Z)
+        region[i] = 0
+        for axis in range(2):
+            cell = np.floor(rays[i, 1 - axis] / deep)
+            # A ray that is not known (NaN) has its place in the corner.
+            cell = min(cell, half - 1.0) if cell > -half else -half
+            region[i] = region[i] * _REGION_COUNT + int(cell) + half
+        rank[region[i]] = 1
+    count = ZERO
+    for cell in range(len(rank)):
+        count += rank[cell]
+        rank[cell] = count
+    for i in range(len(rays)):
+        region[i] = rank[region[i]] - 1
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:
