@@ -197,29 +197,24 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
     rays = now[seen]
     region = picture_region(rays, region_side_of(history.camera))
     is_used = np.empty(len(seen), dtype=np.bool_)
-    _pick_quietest(region, sigma_rad[seen], rays, is_used)
+    start = np.append(0, np.cumsum(np.bincount(region)))
+    _pick_quietest(region, np.argsort(region), start, sigma_rad[seen], rays, is_used)
     used = seen[is_used] if np.count_nonzero(is_used) >= min_tracks else seen
     return before.take(used, axis=0), now.take(used, axis=0), sigma_rad.take(used)
 
 
-@compiled_for("(i8[::1], f8[::1], f8[:, ::1], b1[::1])")
-def _pick_quietest(region: Ints, sigma_rad: Floats, rays: Floats, is_picked: Bools) -> None:
+@compiled_for("(i8[::1], i8[::1], i8[::1], f8[::1], f8[:, ::1], b1[::1])")
+def _pick_quietest(
+    region: Ints, by_region: Ints, start: Ints, sigma_rad: Floats, rays: Floats, is_picked: Bools
+) -> None:
     """Mark the quietest tracks of each part of the picture, ``is_picked (N,)``.
 
-    Of the same noise by their place: the same ones in whatever order they come.
+    Of the same noise by their place: the same ones in whatever order they come. ``by_region (N,)`` lists the tracks
+    part by part, ``start`` where each part starts in it.
     """
-    start, by_region = np.zeros(region.max() + 2, dtype=np.int64), np.empty_like(region)
-    for i in range(len(region)):
-        start[region[i] + 1] += 1
-    for number in range(len(start) - 1):
-        start[number + 1] += start[number]
-    end = start.copy()
-    for i in range(len(region)):
-        by_region[end[region[i]]] = i
-        end[region[i]] += 1
     for i in range(len(region)):
         n_before, own = 0, (sigma_rad[i], rays[i, 0], rays[i, 1])
-        for place in range(start[region[i]], end[region[i]]):
+        for place in range(start[region[i]], start[region[i] + 1]):
             j = by_region[place]
             other = (sigma_rad[j], rays[j, 0], rays[j, 1])
             n_before += 1 if other < own or (other == own and j < i) else 0
