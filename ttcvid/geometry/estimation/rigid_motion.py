@@ -212,7 +212,8 @@ def refined_paths(
     m, (count, n_views) = len(points.track), paths.path.shape[:2]
     weight = np.ones(m) if weight is None else weight
     rate = np.zeros(m) if rate_hz is None else rate_hz.copy()
-    ways, expected = ways_of(paths, points.rays.shape[2]), priors.cam_R_past
+    ways = ways_of(paths, points.rays.shape[2])
+    expected = np.empty((0, 3, 3)) if priors.cam_R_past is None else priors.cam_R_past
     refine_ways(
         points.rays,
         points.track,
@@ -220,7 +221,7 @@ def refined_paths(
         ways,
         points.sigma_norm,
         n_steps,
-        (points.since_s, np.empty((0, 3, 3)) if expected is None else expected, priors.turn_sigma_rad, priors.shift_sigma),
+        (points.since_s, expected, priors.turn_sigma_rad, priors.shift_sigma),
         (weight, rate),
     )
     by_view = ways[..., ways.shape[2] - n_views :].transpose(0, 2, 1)
