@@ -171,27 +171,24 @@ def refine_ways(
             if not is_left[b]:
                 continue
             way, before, after = ways[b], 0.0, 0.0
-            first_x, first_y, first_z = way[9, since], way[10, since], way[11, since]
+            first = (way[9, since], way[10, since], way[11, since])
+            for k in range(len(expected)):
+                for i in range(3):
+                    for j in range(3):
+                        x, y, z = way[3 * j, since + k], way[3 * j + 1, since + k], way[3 * j + 2, since + k]
+                        past[k, i, j] = expected[k, i, 0] * x + expected[k, i, 1] * y + expected[k, i, 2] * z
             if len(expected) > 0:
-                for k in range(len(since_s)):
-                    for i in range(3):
-                        for j in range(3):
-                            past[k, i, j] = 0.0
-                            for c in range(3):
-                                past[k, i, j] += expected[k, i, c] * way[3 * j + c, since + k]
                 fill_vectors(past, off)
-            for view in range(since, n_views):
-                before = max(before, way[9, view] ** 2 + way[10, view] ** 2 + way[11, view] ** 2)
             for k in range(len(since_s) - 1):
                 view, part, place_of_sum = since + k, since_s[k] / since_s[0], 0
-                length = np.sqrt(way[9, view] ** 2 + way[10, view] ** 2 + way[11, view] ** 2)
+                square = way[9, view] ** 2 + way[10, view] ** 2 + way[11, view] ** 2
+                before, length = max(before, square), np.sqrt(square)
                 for c in range(6):
                     for d in range(c + 1):
                         information[c, d] = sums[b, place_of_sum, view]
                         place_of_sum += 1
                     change[c] = sums[b, 21 + c, view]
                 of_turn, of_shift = turn_sigma[k] ** -2.0, (shift_sigma[k] * (length + NO_LENGTH)) ** -2.0
-                first = (first_x, first_y, first_z)
                 for c in range(3):
                     information[c, c] += of_turn
                     information[3 + c, 3 + c] += of_shift
@@ -202,26 +199,21 @@ def refine_ways(
                 for i in range(3):
                     way[9 + i, view] += change[3 + i]
                     for j in range(3):
-                        turned[i, j] = 0.0
-                        for c in range(3):
-                            turned[i, j] += now[i, c] * way[3 * c + j, view]
+                        x, y, z = way[j, view], way[3 + j, view], way[6 + j, view]
+                        turned[i, j] = now[i, 0] * x + now[i, 1] * y + now[i, 2] * z
                 # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
                 for i in range(3):
                     for j in range(3):
-                        now[i, j] = 1.5 if i == j else 0.0
-                        for c in range(3):
-                            now[i, j] -= 0.5 * turned[c, i] * turned[c, j]
+                        square = turned[0, i] * turned[0, j] + turned[1, i] * turned[1, j] + turned[2, i] * turned[2, j]
+                        now[i, j] = (1.5 if i == j else 0.0) - 0.5 * square
                 for i in range(3):
                     for j in range(3):
-                        way[3 * i + j, view] = 0.0
-                        for c in range(3):
-                            way[3 * i + j, view] += turned[i, c] * now[c, j]
-            for view in range(since, n_views):
+                        x, y, z = turned[i, 0], turned[i, 1], turned[i, 2]
+                        way[3 * i + j, view] = x * now[0, j] + y * now[1, j] + z * now[2, j]
                 after = max(after, way[9, view] ** 2 + way[10, view] ** 2 + way[11, view] ** 2)
+            # The path keeps its length.
             if min(before, after) > NO_LENGTH * NO_LENGTH:
-                for view in range(since, n_views):
-                    for c in range(9, 12):
-                        way[c, view] *= np.sqrt(before / after)
+                way[9:] *= np.sqrt(before / after)
 
 
 @compiled_for(
