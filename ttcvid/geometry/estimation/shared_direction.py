@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ttcvid.geometry.medians import medians
-from ttcvid.geometry.rotation import cross, tangent_basis
+from ttcvid.compiled import compiled_for
+from ttcvid.geometry.kernels.medians import median
+from ttcvid.geometry.kernels.rotations import fill_tangents
+from ttcvid.geometry.rotation import cross
 from ttcvid.model import Floats, Ints
 
 # A point off by more sigmas than this loses weight (Cauchy).
@@ -20,42 +20,6 @@ _MAX_VOTE_SIGMAS = 3.0
 _LONGEST_STEP_RAD = 0.3
 # What keeps the normal matrix of points that say nothing from being singular, as a part of its trace.
 _RIDGE = 1e-12
-# The inverse of a symmetric 2 x 2 matrix is this, times it turned by 180 deg, over its determinant.
-_ADJUGATE_SIGNS = np.array([[1.0, -1.0], [-1.0, 1.0]])
-
-
-@dataclass(frozen=True)
-class _Points:
-    """M points that say something, those of each of K things side by side: ``first (K,)`` is the first of each.
-
-    ``w (M, 3)`` and ``info (M, 3, 3)`` as of `shared_directions`, ``thing (M,)`` from 0 to K - 1.
-    """
-
-    w: Floats
-    info: Floats
-    thing: Ints
-    first: Ints
-
-    def sums(self, values: Floats) -> Floats:
-        """Sums (K, ...) of ``values (M, ...)`` over the points of each thing."""
-        return np.asarray(np.add.reduceat(values, self.first, axis=0))
-
-
-@dataclass(frozen=True)
-class _Misfit:
-    """How M points fit the direction of their thing, and how that follows two tangent coordinates of it.
-
-    ``rate (M,)`` with its inverse standard deviation ``root_info (M,)``, ``chi2 (M,)``; ``off (M, 3)`` information
-    times residual; ``weighted (M,)`` the rate times the robust weight; ``by_tangent (M, 3, 2)`` the information that
-    is left of w where the rate follows, times each tangent.
-    """
-
-    rate: Floats
-    root_info: Floats
-    chi2: Floats
-    off: Floats
-    weighted: Floats
-    by_tangent: Floats
 
 
 def shared_directions(
@@ -92,91 +56,120 @@ def shared_directions(
     usable = usable[np.argsort(thing[usable], kind="stable")]
     if not len(usable):
         return direction, covariance, chi2
-    told, first, of_told, count = np.unique(thing[usable], return_index=True, return_inverse=True, return_counts=True)
-    points = _Points(velocity_hz[usable], info_w[usable], of_told, first)
+    told, first = np.unique(thing[usable], return_index=True)
+    w, info, of_each = velocity_hz[usable], info_w[usable], np.empty(len(usable))
     errors = np.zeros((len(usable), 3, 0)) if by_shared is None else by_shared[usable]
-    # Where points say nothing across the direction, what is divided by is zero, and the covariance is not finite.
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        e, basis, misfit, adjugate, determinant = _descend(points, _start(points, xy[usable]))
-        off = points.sums(np.minimum(misfit.chi2, _CAUCHY_SIGMAS**2))
-        widened = np.maximum(off / np.maximum(2 * count - 2, 1), 1.0) / determinant
-        mixed = points.sums(misfit.weighted[:, None, None] * (misfit.by_tangent.transpose(0, 2, 1) @ errors))
-        by_errors = basis @ adjugate @ mixed / determinant[:, None, None]
-        spread = widened[:, None, None] * (basis @ adjugate @ basis.transpose(0, 2, 1))
-        covariance[told] = spread + by_errors @ by_errors.transpose(0, 2, 1)
-    # The fit knows a line; in which sense the points move along it, they vote.
-    votes = points.sums(np.clip(misfit.rate * misfit.root_info, -_MAX_VOTE_SIGMAS, _MAX_VOTE_SIGMAS))
-    direction[told] = np.where(votes < 0.0, -1.0, 1.0)[:, None] * e
-    chi2[usable] = misfit.chi2
+    found, spread = np.empty((len(told), 3)), np.empty((len(told), 3, 3))
+    guesses = _guesses(xy[usable], w, info, first)
+    _fit_each((w, info, errors), np.append(first, len(usable)), guesses, found, spread, of_each)
+    direction[told], covariance[told], chi2[usable] = found, spread, of_each
     return direction, covariance, chi2
 
 
-def _descend(points: _Points, e: Floats) -> tuple[Floats, Floats, _Misfit, Floats, Floats]:
-    """Gauss-Newton from ``e (K, 3)``: where it ends, its tangents, the points there, and its normal matrices.
+def _guesses(xy: Floats, w: Floats, info: Floats, first: Ints) -> Floats:
+    """Two guesses for each thing, ``(K, 2, 3)``: where the lines meet along which its points move in the picture, and
+    the main axis of their velocities, each counted by how well it is known.
 
-    Of these (K, 2, 2), the inverse is adjugate over determinant.
+    Of single tracks the latter knows little: brakes are taken for depth, which turns the velocity of each point towards
+    its own ray, so that the descent ended in a minimum near the thing itself. The lines stay.
     """
-    is_converged = np.zeros(len(e), dtype=bool)
-    for step in range(_MAX_STEPS + 1):
-        basis = tangent_basis(e)
-        misfit = _misfit(points, e, basis)
-        towards = np.concatenate([misfit.rate[:, None, None] * misfit.by_tangent, misfit.off[..., None]], axis=2)
-        towards = basis[points.thing].transpose(0, 2, 1) @ towards
-        equations = points.sums(misfit.weighted[:, None, None] * towards)
-        normal, score = equations[..., :2], equations[..., 2]
-        normal[:, [0, 1], [0, 1]] += _RIDGE * (normal[:, 0, :1] + normal[:, 1, 1:] + 1e-300)
-        adjugate = normal[:, ::-1, ::-1] * _ADJUGATE_SIGNS
-        determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
-        if is_converged.all() or step == _MAX_STEPS:
-            break
-        change = (adjugate @ score[..., None])[..., 0] / determinant[:, None]
-        change[is_converged] = 0.0
-        is_converged |= np.sum(change * score, axis=1) < _CONVERGED_CHI2
-        length = np.sqrt(np.sum(change**2, axis=1, keepdims=True))
-        change *= np.minimum(_LONGEST_STEP_RAD / np.maximum(length, 1e-300), 1.0)
-        e = e + (basis @ change[..., None])[..., 0]
-        e /= np.sqrt(np.sum(e**2, axis=1, keepdims=True))
-    return e, basis, misfit, adjugate, determinant
+    # The line is normal to the ray of the point and to its velocity.
+    across = cross(np.column_stack([xy, np.ones(len(xy))]), w)
+    lines, spread = (
+        np.add.reduceat(weight[:, None, None] * v[:, :, None] * v[:, None], first, axis=0)
+        for v in (across, w)
+        for weight in [np.einsum("ni,nij,nj->n", v, info, v) / np.maximum(np.sum(v * v, axis=1), 1e-300)]
+    )
+    return np.stack([np.linalg.eigh(lines)[1][..., 0], np.linalg.eigh(spread)[1][..., 2]], axis=1)
 
 
-def _misfit(points: _Points, e: Floats, basis: Floats) -> _Misfit:
-    """The points with the directions ``e (K, 3)`` and tangents ``basis (K, 3, 2)`` of their things.
+@compiled_for(
+    "(Tuple((f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1])), i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8[::1])"
+)
+def _fit_each(
+    points: tuple[Floats, Floats, Floats], first: Ints, guesses: Floats, found: Floats, spread: Floats, chi2: Floats
+) -> None:
+    """Gauss-Newton from the better of two ``guesses (K, 2, 3)``, by the median misfit of each thing's points.
+
+    Fills ``found (K, 3)``, ``spread (K, 3, 3)`` and ``chi2 (M,)``, what `shared_directions` returns, for M ``points``,
+    w, info_w and by_shared, those of each thing side by side from ``first (K + 1,)``.
 
     The best rate of a point is ``s = e' info w / e' info e``. Its residual r = w - s e follows e by
     ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
     information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e).
     """
-    e, basis = e[points.thing], basis[points.thing]
-    pull = (points.info @ e[..., None])[..., 0]
-    info_rate = np.sum(pull * e, axis=1)
-    # Where a point says nothing of its rate, it says nothing.
-    is_told = info_rate > 0.0
-    inverse = np.divide(1.0, info_rate, out=np.zeros(len(e)), where=is_told)
-    rate = np.sum(pull * points.w, axis=1) * inverse
-    residual = points.w - rate[:, None] * e
-    off = (points.info @ residual[..., None])[..., 0]
-    chi2 = np.where(is_told, np.sum(residual * off, axis=1), 0.0)
-    by_tangent = points.info @ basis - pull[..., None] * (inverse[:, None, None] * (pull[:, None] @ basis))
-    weighted = rate / (1.0 + chi2 / _CAUCHY_SIGMAS**2)
-    return _Misfit(rate, np.sqrt(np.maximum(info_rate, 0.0)), chi2, off, weighted, by_tangent)
-
-
-def _start(points: _Points, xy: Floats) -> Floats:
-    """The better of two guesses for each thing, ``(K, 3)``, by the median misfit of its points.
-
-    The main axis of their velocities, each counted by how well it is known; and where the lines meet along which they
-    move in the picture. Of single tracks the former knows little: brakes are taken for depth, which turns the velocity
-    of each point towards its own ray, so that the descent ended in a minimum near the thing itself. The lines stay.
-    """
-    # The line is normal to the ray of the point and to its velocity.
-    across = cross(np.column_stack([xy, np.ones(len(xy))]), points.w)
-    lines, spread = (
-        points.sums(weight[:, None, None] * v[:, :, None] * v[:, None])
-        for v in (across, points.w)
-        for weight in [np.einsum("ni,nij,nj->n", v, points.info, v) / np.maximum(np.sum(v * v, axis=1), 1e-300)]
-    )
-    guesses = np.linalg.eigh(lines)[1][..., 0], np.linalg.eigh(spread)[1][..., 2]
-    by_lines, by_velocity = (
-        medians(_misfit(points, guess, tangent_basis(guess)).chi2, points.thing, len(points.first)) for guess in guesses
-    )
-    return np.where((by_velocity <= by_lines)[:, None], guesses[1], guesses[0])
+    w, info, errors = points
+    e, pull, usual, half = np.empty(3), np.empty(3), np.empty(2), np.empty((3, 2))
+    # Two tangents and the residual, and the information on them that is left where the rate follows.
+    n_columns = 3 + errors.shape[2]
+    columns, told, equations = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, n_columns))
+    for k in range(len(found)):
+        is_converged = False
+        for step in range(-2, _MAX_STEPS + 1):
+            if step <= 0:
+                start = step + 2 if step < 0 else int(usual[1] <= usual[0])
+                for a in range(3):
+                    e[a] = guesses[k, start, a]
+            fill_tangents(e[0], e[1], e[2], columns)
+            votes, off = 0.0, 0.0
+            for j in range(2):
+                for c in range(n_columns):
+                    equations[j, c] = 0.0
+            for i in range(first[k], first[k + 1]):
+                info_rate, rate = 0.0, 0.0
+                for a in range(3):
+                    pull[a] = info[i, a, 0] * e[0] + info[i, a, 1] * e[1] + info[i, a, 2] * e[2]
+                    info_rate += pull[a] * e[a]
+                    rate += pull[a] * w[i, a]
+                # Where a point says nothing of its rate, it says nothing.
+                is_told = info_rate > 0.0
+                inverse = 1.0 / info_rate if is_told else 0.0
+                rate *= inverse
+                for a in range(3):
+                    columns[a, 2] = w[i, a] - rate * e[a]
+                chi2[i] = 0.0
+                for a in range(3):
+                    for c in range(3):
+                        told[a, c] = 0.0
+                        for b in range(3):
+                            told[a, c] += (info[i, a, b] - inverse * pull[a] * pull[b]) * columns[b, c]
+                    chi2[i] += columns[a, 2] * told[a, 2] if is_told else 0.0
+                weighted = rate / (1.0 + chi2[i] / _CAUCHY_SIGMAS**2)
+                for a in range(3):
+                    for j in range(2):
+                        for c in range(3):
+                            equations[j, c] += weighted * (rate if c < 2 else 1.0) * columns[a, j] * told[a, c]
+                        for c in range(3, n_columns):
+                            equations[j, c] += weighted * told[a, j] * errors[i, a, c - 3]
+                votes += min(max(rate * np.sqrt(max(info_rate, 0.0)), -_MAX_VOTE_SIGMAS), _MAX_VOTE_SIGMAS)
+                off += min(chi2[i], _CAUCHY_SIGMAS**2)
+            if step < 0:
+                usual[step + 2] = median(chi2[first[k] : first[k + 1]])
+                continue
+            ridge = _RIDGE * (equations[0, 0] + equations[1, 1] + 1e-300)
+            n00, n01, n11 = equations[0, 0] + ridge, equations[0, 1], equations[1, 1] + ridge
+            determinant = n00 * n11 - n01 * n01
+            if is_converged or step == _MAX_STEPS:
+                break
+            one = (n11 * equations[0, 2] - n01 * equations[1, 2]) / determinant
+            other = (n00 * equations[1, 2] - n01 * equations[0, 2]) / determinant
+            is_converged = one * equations[0, 2] + other * equations[1, 2] < _CONVERGED_CHI2
+            part = min(_LONGEST_STEP_RAD / max(np.sqrt(one * one + other * other), 1e-300), 1.0)
+            for a in range(3):
+                e[a] += part * (columns[a, 0] * one + columns[a, 1] * other)
+            length = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+            for a in range(3):
+                e[a] /= length
+        # Where points say nothing across the direction, what is divided by is zero, and the covariance is not finite.
+        widened = max(off / max(2 * (first[k + 1] - first[k]) - 2, 1), 1.0)
+        for a in range(3):
+            # The fit knows a line; in which sense the points move along it, they vote.
+            found[k, a] = -e[a] if votes < 0.0 else e[a]
+            half[a, 0] = (columns[a, 0] * n11 - columns[a, 1] * n01) / determinant
+            half[a, 1] = (columns[a, 1] * n00 - columns[a, 0] * n01) / determinant
+        for a in range(3):
+            for b in range(3):
+                spread[k, a, b] = widened * (half[a, 0] * columns[b, 0] + half[a, 1] * columns[b, 1])
+                for c in range(3, n_columns):
+                    by_one = half[a, 0] * equations[0, c] + half[a, 1] * equations[1, c]
+                    spread[k, a, b] += by_one * (half[b, 0] * equations[0, c] + half[b, 1] * equations[1, c])
