@@ -5,33 +5,43 @@ A point at (x, y, 1) now, kappa times as near as the body's middle C, is seen at
     X(t) = R(t) (x, y, 1) + kappa S(t),    S(t) = (1 - R(t)) C + V t + G(t) A,    G(t) = int_0^t (t - s) R(s) ds,
 
 R(t) the rotation by omega t: the middle starts with V and has the acceleration A in axes that turn with the body, as on
-a circle. Lengths are in units of the middle's depth. `N_SHARED` unknowns in this order: V, A, omega.
+a circle. Lengths are in units of the middle's depth. What is shared, nine unknowns, in this order: V, A, omega.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from ttcvid.compiled import ZERO, compiled, compiled_for
+from ttcvid.geometry.kernels.medians import median
+from ttcvid.geometry.kernels.normal_equations import add_equations
 from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
-from ttcvid.geometry.kernels.turning_points import (
-    N_ALL,
-    N_OWN,
-    N_SHARED,
-    eliminate_points,
-    set_equations,
-    set_squares,
-    set_trajectory,
-)
-from ttcvid.geometry.medians import median
+from ttcvid.geometry.kernels.rotations import fill_rotation
+from ttcvid.geometry.kernels.solve import eliminate, follow, solve
 from ttcvid.model import Floats
 
+# Unknowns of a point, x, y, kappa, of the body, and of both.
+_N_OWN, _N_SHARED, _N_ALL = 3, 9, 12
 _MAX_STEPS = 25
 # Damping (Levenberg and Marquardt): a part of the diagonal, less after a good step, more after a bad one.
 _FIRST_DAMPING, _LEAST_DAMPING, _LESS, _MORE, _MOST_DAMPING = 1e-3, 1e-7, 0.2, 8.0, 1e4
 # A velocity is known to this in any case, in depths a second: no system is without a solution.
 _FASTEST_HZ = 100.0
+# Nothing comes nearer to the camera than this part of its present depth: a path folds over behind it.
+_LEAST_DEPTH = 0.05
+# Below this angle the series is more exact than the closed form, rad.
+_SMALL_RAD = 1e-2
+# Step of numerical derivatives by what is shared.
+_STEP = 1e-5
+
+_Views = tuple[Floats, Floats, Floats, Floats]
+"""The arrays of `TurningViews`."""
+_Beliefs = tuple[Floats, float, float, float, float]
+"""The fields of `TurningBeliefs`."""
+_Way = tuple[Floats, Floats]
+"""R (L, 3, 3) and S (L, 3) of each view."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +55,6 @@ class TurningViews:
     t_s: Floats
     sigma: Floats
     centre: Floats
-
-    @property
-    def arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """All of it for the kernels."""
-        return self.xy, self.t_s, self.sigma, self.centre
 
 
 @dataclass(frozen=True)
@@ -65,16 +70,6 @@ class TurningBeliefs:
     bend_hz: float
     least_speed_hz: float
     relief: float
-
-    def precision(self, shared: Floats) -> Floats:
-        """Information ``(9,)`` on what is shared."""
-        speed_hz = max(float(np.sqrt(np.sum(shared[:3] ** 2))), self.least_speed_hz)
-        return np.repeat([_FASTEST_HZ**-2, (self.bend_hz * speed_hz) ** -2, self.turn_sigma_rad_s**-2], 3)
-
-    @property
-    def mean(self) -> Floats:
-        """Mean ``(9,)`` of what is shared."""
-        return np.append(np.zeros(6), self.mean_turn_rad_s)
 
 
 @dataclass(frozen=True)
@@ -100,69 +95,10 @@ def fit_turning_points(
     The search ends when a step promises a smaller fall of chi-square than ``converged_chi2``. A start that brings a
     point too near is none: nothing changes, and its squares are infinite.
     """
-    at, loose = _at(views, own, shared), beliefs.relief**-2
-    if at is None:
-        return TurningFit(own, shared, np.eye(N_SHARED), np.inf, 1.0)
-    damping, fall = _FIRST_DAMPING, 0.0
-    for _ in range(_MAX_STEPS):
-        # Beliefs weigh as much beside views that err by more than they should.
-        scale2 = max(1.0, at.usual)
-        cost = _Cost(ROBUST_SIGMAS**2 * scale2, beliefs.mean, scale2 * beliefs.precision(at.shared), scale2 * loose)
-        equations, better = _Equations(views, at, cost.far, cost.loose), None
-        while damping < _MOST_DAMPING and better is None:
-            information, score, fall = equations.reduced(damping)
-            information += np.diag((1.0 + damping) * cost.precision)
-            score -= cost.precision * (at.shared - cost.mean)
-            step = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
-            fall += float(score @ step)
-            trial = _at(views, at.own + equations.follow(step), at.shared + step)
-            if trial is not None and cost.of(trial) < cost.of(at):
-                better = trial
-            else:
-                damping *= _MORE
-        if better is None:
-            break
-        at, damping = better, max(_LESS * damping, _LEAST_DAMPING)
-        if fall < converged_chi2 * scale2:
-            break
-    # What is told at the end counts beliefs as they are.
-    information, *_ = _Equations(views, at, ROBUST_SIGMAS**2 * max(1.0, at.usual), loose).reduced(0.0)
-    information += np.diag(beliefs.precision(at.shared))
-    return TurningFit(at.own, at.shared, information, float(np.sum(np.minimum(at.squares, ROBUST_SIGMAS**2))), at.usual)
-
-
-@dataclass(frozen=True)
-class _At:
-    """A place of the search: points ``own (N, 3)`` and ``shared (9,)``, and the ``way``: R (L, 3, 3) and S (L, 3).
-
-    ``squares (N, L)`` of the residuals in sigmas, 0 where not seen; the points' median of them by the degree of
-    freedom, ``usual``.
-    """
-
-    own: Floats
-    shared: Floats
-    way: tuple[Floats, Floats]
-    squares: Floats
-    usual: float
-
-
-@dataclass(frozen=True)
-class _Cost:
-    """Squared residuals, which grow as their logarithm beyond ``far``, and beliefs.
-
-    ``mean (9,)`` and ``precision (9,)`` of what is shared, and information on kappa, about 1, ``loose``.
-    """
-
-    far: float
-    mean: Floats
-    precision: Floats
-    loose: float
-
-    def of(self, at: _At) -> float:
-        """The cost of a place."""
-        beyond = np.log(np.maximum(at.squares / self.far, 1.0))
-        of_beliefs = self.loose * np.sum((at.own[:, 2] - 1.0) ** 2) + self.precision @ (at.shared - self.mean) ** 2
-        return float(np.sum(np.minimum(at.squares, self.far)) + self.far * np.sum(beyond) + of_beliefs)
+    own, shared, information = own.copy(), shared.copy(), np.eye(_N_SHARED)
+    of_views = views.xy, views.t_s, views.sigma, views.centre
+    squares, usual = _descend(of_views, astuple(beliefs), converged_chi2, own, shared, information)
+    return TurningFit(own, shared, information, squares, usual)
 
 
 def trajectory(t_s: Floats, centre: Floats, shared: Floats) -> tuple[Floats, Floats]:
@@ -171,43 +107,190 @@ def trajectory(t_s: Floats, centre: Floats, shared: Floats) -> tuple[Floats, Flo
     The body's middle is now at ``centre (3,)``.
     """
     way = np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 3))
-    set_trajectory(t_s, centre, shared, *way)
+    _set_trajectory(t_s, centre, shared, *way)
     return way
 
 
-def _at(views: TurningViews, own: Floats, shared: Floats) -> _At | None:
-    """What the views say of points ``own (N, 3)`` and what is shared; None with a point too near."""
-    way = trajectory(views.t_s, views.centre, shared)
-    squares, per_point = np.empty((len(own), len(views.t_s))), np.empty(len(own))
-    if not set_squares(views.arrays, way, own, squares, per_point):
-        return None
-    return _At(own, shared, way, squares, median(per_point))
+@compiled_for("(f8[::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1])")
+def _set_trajectory(t_s: Floats, centre: Floats, shared: Floats, rotations: Floats, shift: Floats) -> None:
+    """Fill R (L, 3, 3) and S (L, 3) for what is shared, with the middle now at ``centre (3,)``."""
+    ax, ay, az, x, y, z = shared[3], shared[4], shared[5], shared[6], shared[7], shared[8]
+    rate2, along = x * x + y * y + z * z, x * ax + y * ay + z * az
+    rate = np.sqrt(rate2)
+    for k in range(len(t_s)):
+        t = t_s[k]
+        fill_rotation(t * x, t * y, t * z, rotations[k])
+        # G is t^2 / 2, and these times omega x and (omega x)^2.
+        angle2, both = rate2 * t * t, t * t
+        if angle2 < _SMALL_RAD * _SMALL_RAD:
+            once, twice = both * t * (1.0 / 6.0 - angle2 / 120.0), both * both * (1.0 / 24.0 - angle2 / 720.0)
+        else:
+            sine = np.sin(0.5 * rate * t) / rate
+            once, twice = (t - np.sin(rate * t) / rate) / rate2, (0.5 * both - 2.0 * sine * sine) / rate2
+        half = 0.5 * both - twice * rate2
+        shift[k, 0] = half * ax + once * (y * az - z * ay) + twice * x * along
+        shift[k, 1] = half * ay + once * (z * ax - x * az) + twice * y * along
+        shift[k, 2] = half * az + once * (x * ay - y * ax) + twice * z * along
+        for j in range(3):
+            shift[k, j] += centre[j] + t * shared[j]
+            for m in range(3):
+                shift[k, j] -= rotations[k, j, m] * centre[m]
 
 
-class _Equations:
-    """Normal equations of each of N points and its body; ``far`` and ``loose`` as in `_Cost`."""
+@compiled_for(
+    "(Tuple((f8[:, :, ::1], f8[::1], f8[::1], f8[::1])), Tuple((f8[::1], f8, f8, f8, f8)), f8, f8[:, ::1], f8[::1], "
+    "f8[:, ::1])"
+)
+def _descend(
+    views: _Views, beliefs: _Beliefs, converged_chi2: float, own: Floats, shared: Floats, information: Floats
+) -> tuple[float, float]:
+    """Move ``own`` and ``shared`` to where they fit best; fill ``information``; return squares and what is usual.
 
-    def __init__(self, views: TurningViews, at: _At, far: float, loose: float) -> None:
-        self._of_points = np.empty((len(at.own), N_ALL + 1, N_ALL))
-        # Zeros: its upper triangle is never filled, and `follow` divides all of it.
-        self._kept = np.zeros((len(at.own), N_ALL + 1, N_OWN))
-        scratch = np.empty_like(at.way[0]), np.empty_like(at.way[1])
-        set_equations(views.arrays, at.way, at.shared, at.own, far, loose, scratch, self._of_points)
+    The cost of a place is its squared residuals, which grow as their logarithm beyond the robust limit, and beliefs.
+    """
+    xy, t_s, sigma, centre = views
+    mean_turn_rad_s, turn_sigma_rad_s, bend_hz, least_speed_hz, relief = beliefs
+    n_points, n_views, loose = len(own), len(t_s), relief**-2
+    way, other = (
+        (np.empty((n_views, 3, 3)), np.empty((n_views, 3))),
+        (np.empty((n_views, 3, 3)), np.empty((n_views, 3))),
+    )
+    r, shift = way
+    of_points, kept = np.empty((n_points, _N_ALL + 1, _N_ALL)), np.empty((n_points, _N_ALL + 1, _N_OWN))
+    equations, precision, mean, step = (
+        np.empty_like(of_points[0]),
+        np.zeros(_N_SHARED),
+        np.zeros(_N_SHARED),
+        np.empty(_N_ALL),
+    )
+    score, per_point, trial, moved = step[_N_OWN:], np.empty(n_points), own.copy(), shared.copy()
+    for c in range(3):
+        mean[6 + c] = mean_turn_rad_s[c]
+    n_steps, damping, cost, fall, scale2, squares, usual = ZERO, _FIRST_DAMPING, np.inf, np.inf, 1.0, np.inf, 1.0
+    while True:
+        _set_trajectory(t_s, centre, moved, r, shift)
+        far, trial_cost, trial_squares = ROBUST_SIGMAS**2 * scale2, 0.0, 0.0
+        for i in range(n_points):
+            n, inverse, per_point[i], x, y, kappa = 0, 1.0 / sigma[i], 0.0, trial[i, 0], trial[i, 1], trial[i, 2]
+            trial_cost += scale2 * loose * (kappa - 1.0) ** 2
+            for k in range(n_views):
+                if not np.isfinite(xy[k, i, 0]):
+                    continue
+                z = r[k, 2, 0] * x + r[k, 2, 1] * y + r[k, 2, 2] + kappa * shift[k, 2]
+                rx = (r[k, 0, 0] * x + r[k, 0, 1] * y + r[k, 0, 2] + kappa * shift[k, 0]) / z - xy[k, i, 0]
+                ry = (r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] + kappa * shift[k, 1]) / z - xy[k, i, 1]
+                square = (rx * rx + ry * ry) * inverse * inverse
+                trial_cost += np.inf if z < _LEAST_DEPTH else min(square, far) + far * np.log(max(square / far, 1.0))
+                trial_squares += min(square, ROBUST_SIGMAS**2)
+                per_point[i] += square
+                n += 1
+            per_point[i] /= max(2 * n - 3, 1)
+        for c in range(_N_SHARED):
+            trial_cost += scale2 * precision[c] * (moved[c] - mean[c]) ** 2
+        if trial_cost < cost:
+            is_done = fall < converged_chi2 * scale2 or n_steps == _MAX_STEPS
+            damping = damping if n_steps == 0 else max(_LESS * damping, _LEAST_DAMPING)
+            n_steps += 1
+            # Beliefs weigh as much beside views that err by more than they should.
+            squares, usual = trial_squares, median(per_point)
+            scale2 = max(1.0, usual)
+            for c in range(_N_SHARED):
+                shared[c] = moved[c]
+            speed2 = max(shared[0] ** 2 + shared[1] ** 2 + shared[2] ** 2, least_speed_hz**2)
+            for c in range(3):
+                precision[c], precision[3 + c] = _FASTEST_HZ**-2, 1.0 / (bend_hz * bend_hz * speed2)
+                precision[6 + c] = turn_sigma_rad_s**-2
+            cost = _set_equations(views, way, shared, trial, ROBUST_SIGMAS**2 * scale2, other, of_points)
+            for c in range(_N_SHARED):
+                cost += scale2 * precision[c] * (shared[c] - mean[c]) ** 2
+            for i in range(n_points):
+                cost += scale2 * loose * (trial[i, 2] - 1.0) ** 2
+                for c in range(_N_OWN):
+                    own[i, c] = trial[i, c]
+        elif n_steps == 0:
+            return squares, usual
+        else:
+            damping *= _MORE
+            is_done = damping >= _MOST_DAMPING
+        # What is told at the end counts beliefs as they are.
+        weight, damped, fall = (1.0, 1.0, 0.0) if is_done else (scale2, 1.0 + damping, 0.0)
+        for c in range(_N_SHARED):
+            for d in range(c):
+                information[c, d] = 0.0
+            information[c, c] = damped * weight * precision[c]
+            score[c] = weight * precision[c] * (mean[c] - shared[c])
+        for i in range(n_points):
+            for c in range(_N_ALL + 1):
+                for d in range(_N_ALL):
+                    equations[c, d] = of_points[i, c, d]
+            equations[2, 2] += weight * loose
+            equations[_N_ALL, 2] -= weight * loose * (own[i, 2] - 1.0)
+            for c in range(_N_ALL):
+                equations[c, c] *= damped
+            eliminate(equations, kept[i], information, score)
+            for c in range(_N_OWN):
+                fall += kept[i, _N_ALL, c] ** 2 / kept[i, c, c]
+        if is_done:
+            for c in range(_N_SHARED):
+                for d in range(c):
+                    information[d, c] = information[c, d]
+            return squares, usual
+        fall += solve(information, score)
+        for c in range(_N_SHARED):
+            moved[c] = shared[c] + score[c]
+        for i in range(n_points):
+            follow(kept[i], step)
+            for c in range(_N_OWN):
+                trial[i, c] = own[i, c] + step[c]
 
-    def reduced(self, damping: float) -> tuple[Floats, Floats, float]:
-        """Information ``(9, 9)`` and score ``(9,)`` once the points follow, and by how much they alone lower the cost.
 
-        The diagonal of the equations is damped.
-        """
-        information, score = np.zeros((N_SHARED, N_SHARED)), np.zeros(N_SHARED)
-        fall = eliminate_points(self._of_points, damping, self._kept, information, score)
-        return information + np.tril(information, -1).T, score, fall
+@compiled
+def _set_equations(
+    views: _Views, way: _Way, shared: Floats, own: Floats, far: float, other: _Way, of_points: Floats
+) -> float:
+    """Fill ``of_points (N, 13, 12)``: information, its lower half, of a point and its body, in the last row the score.
 
-    def follow(self, step: Floats) -> Floats:
-        """Steps ``(N, 3)`` of the points for the ``step (9,)`` of what is shared, after `reduced`."""
-        pivot = self._kept[:, range(N_OWN), range(N_OWN)]
-        part = self._kept / np.where(pivot > 0.0, pivot, np.inf)[:, None]
-        own = part[:, N_ALL] - np.einsum("nck,c->nk", part[:, N_OWN:N_ALL], step)
-        own[:, 1] -= part[:, 2, 1] * own[:, 2]
-        own[:, 0] -= part[:, 1, 0] * own[:, 1] + part[:, 2, 0] * own[:, 2]
-        return np.where(pivot[:, 2:] > 0.0, own, 0.0)
+    Squares beyond ``far`` lose weight; the sum of all, as they count, is returned. How R and S follow what is shared is
+    taken by differences, with a way that is no further use, ``other``.
+    """
+    xy, t_s, sigma, centre = views
+    r, shift = way
+    n_views = len(t_s)
+    rows, moves, moved = np.empty((_N_ALL + 1, 2 * n_views)), np.empty((_N_ALL, 3)), np.empty(_N_SHARED)
+    turned, dragged = np.empty((3, n_views, 3, 3)), np.empty((_N_SHARED, n_views, 3))
+    for j in range(_N_SHARED):
+        for c in range(_N_SHARED):
+            moved[c] = shared[c] + (_STEP if c == j else 0.0)
+        _set_trajectory(t_s, centre, moved, other[0], other[1])
+        for k in range(n_views):
+            for a in range(3):
+                dragged[j, k, a] = (other[1][k, a] - shift[k, a]) / _STEP
+                for b in range(3):
+                    turned[j % 3, k, a, b] = (other[0][k, a, b] - r[k, a, b]) / _STEP
+    of_points[:], cost = 0.0, 0.0
+    for i in range(len(own)):
+        n, inverse, x, y, kappa = 0, 1.0 / sigma[i], own[i, 0], own[i, 1], own[i, 2]
+        for k in range(n_views):
+            if not np.isfinite(xy[k, i, 0]):
+                continue
+            # How X follows the unknowns.
+            for a in range(3):
+                moves[0, a], moves[1, a], moves[2, a] = r[k, a, 0], r[k, a, 1], shift[k, a]
+                for j in range(_N_SHARED):
+                    moves[_N_OWN + j, a] = kappa * dragged[j, k, a]
+                for j in range(3):
+                    moves[9 + j, a] += turned[j, k, a, 0] * x + turned[j, k, a, 1] * y + turned[j, k, a, 2]
+            h = 1.0 / (r[k, 2, 0] * x + r[k, 2, 1] * y + r[k, 2, 2] + kappa * shift[k, 2])
+            u = (r[k, 0, 0] * x + r[k, 0, 1] * y + r[k, 0, 2] + kappa * shift[k, 0]) * h
+            v = (r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] + kappa * shift[k, 1]) * h
+            rx, ry = (xy[k, i, 0] - u) * inverse, (xy[k, i, 1] - v) * inverse
+            square = rx * rx + ry * ry
+            cost += min(square, far) + far * np.log(max(square / far, 1.0))
+            root = np.sqrt(far / max(square, far))
+            for j in range(_N_ALL):
+                rows[j, n] = root * h * inverse * (moves[j, 0] - u * moves[j, 2])
+                rows[j, n + 1] = root * h * inverse * (moves[j, 1] - v * moves[j, 2])
+            rows[_N_ALL, n], rows[_N_ALL, n + 1] = root * rx, root * ry
+            n += 2
+        add_equations(rows, n, of_points[i], of_points[i, _N_ALL])
+    return cost
