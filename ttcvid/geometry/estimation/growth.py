@@ -58,13 +58,10 @@ class GrowthSums:
 
     def misfits(self, unknowns: Floats) -> Floats:
         """Chi-square over degrees of freedom of each track with (a, b, c, s) ``(4, ...)``: (..., M)."""
-        a, b, c, s = unknowns[..., None]
-        aa, ac, bc, cc, score_a, score_b, score_c, square, as_, bs, cs, ss, score_s = self.sums
-        towards = (
-            (a * ac + b * bc - score_c) * c - a * score_a - b * score_b + (a * as_ + b * bs + c * cs - score_s) * s
-        )
-        chi2 = square + 2.0 * towards + (a * a + b * b) * aa + c * c * cc + s * s * ss
-        return np.asarray(np.maximum(chi2, 0.0) / self.freedom)
+        a, b, c, s = unknowns
+        by_path = [a * a + b * b, 2.0 * a * c, 2.0 * b * c, c * c, -2.0 * a, -2.0 * b, -2.0 * c, np.ones_like(a)]
+        by_sums = np.stack([*by_path, 2.0 * a * s, 2.0 * b * s, 2.0 * c * s, s * s, -2.0 * s], axis=-1)
+        return np.asarray(np.maximum(by_sums @ self.sums, 0.0) / self.freedom)
 
     def sharing_a_velocity(self, misfit: Floats, gate: float, least_tracks: int) -> Bools | None:
         """Which tracks (M,) one velocity explains that comes nearer; None where they are too few.

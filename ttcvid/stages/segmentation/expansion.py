@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import growth_sums
@@ -121,9 +122,11 @@ def around_the_oddest(
 
 
 def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) -> Ints:
-    """All tracks (M,) that `around_the_oddest` may find around those asked, and these, ascending."""
-    off_px = np.linalg.norm(xy_px[:, None] - xy_px[is_asked], axis=2)
-    return np.flatnonzero(is_asked | (may_be & (off_px < _LINKS * link_px).any(axis=1)))
+    """Tracks (M,), ascending, with all that `around_the_oddest` may find around those asked, which may be these, too."""
+    near = np.flatnonzero(may_be)
+    # A little farther: the tree rounds distances otherwise.
+    off_px, _ = KDTree(xy_px[is_asked]).query(xy_px[near], distance_upper_bound=1.001 * _LINKS * link_px)
+    return near[np.isfinite(off_px)]
 
 
 def _thing_around(

@@ -232,11 +232,13 @@ def split(
     tolerance = 0.5 * np.log(_ONE_RATE) + 2.0 * unsure
     label = linked_parts(views.xy_px[own], views.link_px, body, np.log(rate_hz), tolerance)
     counts = np.bincount(label)
-    if len(counts) == np.count_nonzero(np.bincount(body)):
-        # Every mover is connected.
-        return key, movers, next_key
     mover_of, part_of = np.empty(len(counts), dtype=np.int64), np.full(len(number), -1)
     mover_of[label], part_of[own] = body, label
+    largest = np.zeros(len(movers), dtype=np.int64)
+    np.maximum.at(largest, mover_of, counts)
+    if (np.bincount(body, minlength=len(movers)) - largest < config.min_tracks).all():
+        # What is not connected with the largest part is no mover, even all of it together.
+        return key, movers, next_key
     pairs, log_rate = _across_gaps(views, part_of), medians(np.log(rate_hz), label, len(counts))
     is_one = np.abs(np.diff(log_rate[pairs], axis=1)[:, 0]) < np.log(_ONE_RATE)
     is_one &= mover_of[pairs[:, 0]] == mover_of[pairs[:, 1]]
