@@ -122,7 +122,7 @@ def around_the_oddest(
 
 
 def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) -> Ints:
-    """Tracks (M,), ascending, with all that `around_the_oddest` may find around those asked, which may be these, too."""
+    """Tracks (M,), ascending, that `around_the_oddest` may find around those asked; some may be too far."""
     near = np.flatnonzero(may_be)
     # A little farther: the tree rounds distances otherwise.
     off_px, _ = KDTree(xy_px[is_asked]).query(xy_px[near], distance_upper_bound=1.001 * _LINKS * link_px)
