@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
 # One over the time that the camera takes to where a thing is, is hardly more than this, 1/s: what is nearer than half a
@@ -90,20 +91,49 @@ class GrowthSums:
 
         And by how much their chi-square is less than on the scene's path, (K,).
         """
-        aa, ac, bc, cc, score_a, score_b, score_c, _, as_, bs, cs, ss, score_s = total
+        fits, gain = np.zeros((total.shape[1], len(misfit)), dtype=bool), np.zeros(total.shape[1])
+        _explain(total, self.sums, self.freedom, misfit, limit, fits, gain)
+        return fits, gain
+
+
+@compiled_for("(f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], b1[:, ::1], f8[::1])")
+def _explain(
+    total: Floats, sums: Floats, freedom: Floats, misfit: Floats, limit: Floats, fits: Bools, gain: Floats
+) -> None:
+    """Fill ``fits (K, M)`` and ``gain (K,)``, zeros before, as `GrowthSums._explained` returns them."""
+    terms, chi2 = np.empty(len(sums)), np.empty(len(misfit))
+    for k in range(len(gain)):
+        aa, ac, bc, score_a, score_b, as_, bs = (
+            total[0, k],
+            total[1, k],
+            total[2, k],
+            total[4, k],
+            total[5, k],
+            total[8, k],
+            total[9, k],
+        )
         # What is left for c and s where a and b follow them, times the information on these.
-        left_cc, left_cs = aa * cc - ac * ac - bc * bc, aa * cs - ac * as_ - bc * bs
-        left_ss = aa * (ss + 1.0 / _USUAL_S_HZ**2) - as_ * as_ - bs * bs
-        of_c, of_s = aa * score_c - ac * score_a - bc * score_b, aa * score_s - as_ * score_a - bs * score_b
-        rest = left_cc * left_ss - left_cs * left_cs
-        with np.errstate(divide="ignore", invalid="ignore"):
-            c, s = (left_ss * of_c - left_cs * of_s) / rest, (left_cc * of_s - left_cs * of_c) / rest
-            unknowns = np.array([(score_a - ac * c - as_ * s) / aa, (score_b - bc * c - bs * s) / aa, c, s])
-            is_nearer = (aa > 0.0) & (left_cc > 0.0) & (rest > 0.0) & (c < 0.0)
-        unknowns[:, ~is_nearer] = 0.0
-        off = self.misfits(unknowns)
-        fits = is_nearer[:, None] & (off < limit)
-        return fits, np.sum(np.where(fits, (misfit - off) * self.freedom, 0.0), axis=1)
+        cc, cs = aa * total[3, k] - ac * ac - bc * bc, aa * total[10, k] - ac * as_ - bc * bs
+        ss = aa * (total[11, k] + 1.0 / _USUAL_S_HZ**2) - as_ * as_ - bs * bs
+        of_c, of_s = aa * total[6, k] - ac * score_a - bc * score_b, aa * total[12, k] - as_ * score_a - bs * score_b
+        rest = cc * ss - cs * cs
+        c, s = (ss * of_c - cs * of_s) / rest, (cc * of_s - cs * of_c) / rest
+        if not (aa > 0.0 and cc > 0.0 and rest > 0.0 and c < 0.0):
+            continue
+        a, b = (score_a - ac * c - as_ * s) / aa, (score_b - bc * c - bs * s) / aa
+        # As in `GrowthSums.misfits`.
+        terms[0], terms[1], terms[2], terms[3] = a * a + b * b, 2.0 * a * c, 2.0 * b * c, c * c
+        terms[4], terms[5], terms[6], terms[7] = -2.0 * a, -2.0 * b, -2.0 * c, 1.0
+        terms[8], terms[9], terms[10], terms[11], terms[12] = 2.0 * a * s, 2.0 * b * s, 2.0 * c * s, s * s, -2.0 * s
+        for i in range(len(misfit)):
+            chi2[i] = 0.0
+        for r in range(len(sums)):
+            for i in range(len(misfit)):
+                chi2[i] += terms[r] * sums[r, i]
+        for i in range(len(misfit)):
+            off = max(chi2[i], 0.0) / freedom[i]
+            fits[k, i] = off < limit[i]
+            gain[k] += (misfit[i] - off) * freedom[i] if fits[k, i] else 0.0
 
 
 def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats) -> GrowthSums:
