@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import Points
+from ttcvid.geometry.kernels.normal_equations import add_equations
 from ttcvid.geometry.kernels.path_point import LEAST_DEPTH_RATIO, LEAST_FORWARD, ROBUST_SIGMAS
+from ttcvid.geometry.kernels.solve import eliminate
 from ttcvid.model import Floats, Ints
 
 # Things are about so many times as deep as they are wide in the picture, root mean square of both: depths of their
@@ -28,47 +31,62 @@ def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_st
     start_hz : (K, 3) V / Z to start from.
     """
     n_views, velocity, info = len(points.since_s), start_hz.copy(), np.zeros((len(start_hz), 3, 3))
-    rays = points.rays[points.track][..., points.rays.shape[2] - n_views :]
+    rays = points.rays[points.track, :, points.rays.shape[2] - n_views :]
     is_used = rays[:, 2, -1] > LEAST_FORWARD
     rays, thing, sigma = rays[is_used], points.thing[is_used], points.sigma_norm[points.track[is_used]]
     turned = np.einsum("lij,mjl->mli", cam_R_past, rays)
     # Where a point was not seen it is NaN, and no comparison holds.
     is_seen = turned[..., 2] > LEAST_FORWARD
     seen = np.where(is_seen, turned[..., 2], np.nan)[..., None] ** -1.0 * turned[..., :2]
-    place = rays[:, :2, -1] / rays[:, 2:, -1]
-    precision = _depth_precisions(place, thing, len(start_hz))[thing]
+    place = np.ascontiguousarray(rays[:, :2, -1] / rays[:, 2:, -1])
+    precision = _depth_precisions(place, thing, len(start_hz))
     for _ in range(n_steps):
-        rows = _rows(place, seen, points.since_s, velocity[thing], sigma)
-        whole = rows.transpose(0, 2, 1) @ rows
-        whole[:, 2, 2] += precision
-        # What place and depth explain is taken away (Schur complement).
-        whole = whole[:, 3:, 3:] - whole[:, 3:, :3] @ np.linalg.solve(whole[:, :3, :3], whole[:, :3, 3:])
-        of_thing = np.zeros((len(velocity), 4, 4))
-        np.add.at(of_thing, thing, whole)
-        info, score = of_thing[:, :3, :3], of_thing[:, :3, 3:]
+        info, score = np.zeros_like(info), np.zeros_like(velocity)
+        _add_points((place, seen, sigma, thing), points.since_s, velocity, precision, info, score)
+        info += np.tril(info, -1).transpose(0, 2, 1)
         is_told = np.linalg.det(info) > 0.0
-        velocity[is_told] += np.linalg.solve(info[is_told], score[is_told])[..., 0]
+        velocity[is_told] += np.linalg.solve(info[is_told], score[is_told, :, None])[..., 0]
     return velocity, info
 
 
-def _rows(place: Floats, seen: Floats, t_s: Floats, velocity_hz: Floats, sigma: Floats) -> Floats:
-    """How M points in L views follow their place, relative depth and velocity, and what is left: ``(M, 2 L, 7)``.
+@compiled_for(
+    "(Tuple((f8[:, ::1], f8[:, :, ::1], f8[::1], i8[::1])), f8[::1], f8[:, ::1], f8[::1], f8[:, :, ::1], f8[:, ::1])"
+)
+def _add_points(
+    points: tuple[Floats, Floats, Floats, Ints],
+    t_s: Floats,
+    velocity_hz: Floats,
+    precision: Floats,
+    info: Floats,
+    score: Floats,
+) -> None:
+    """Add to ``info (K, 3, 3)``, its lower half, and ``score (K, 3)`` what points say of the velocity of their thing.
 
-    In sigmas, times the root of the weight; 0 where not ``seen (M, L, 2)``.
+    ``points``: place (M, 2), where each was seen in L views (M, L, 2), NaN where it was not, noise and thing (M,);
+    ``precision (K,)`` of their depths.
     """
-    t, along, ahead = t_s[:, None], velocity_hz[:, None, :2], velocity_hz[:, None, 2:]
-    h = 1.0 / np.maximum(1.0 + ahead * t, LEAST_DEPTH_RATIO)
-    was = (place[:, None] + along * t) * h
-    off = (seen - was) / sigma[:, None, None]
-    length = np.linalg.norm(off, axis=2)
-    root = np.sqrt(ROBUST_SIGMAS / np.maximum(length, ROBUST_SIGMAS)) / sigma[:, None]
-    rows = np.zeros((*seen.shape, 7))
-    rows[:, :, 0, 0] = rows[:, :, 1, 1] = h[..., 0]
-    rows[:, :, 0, 3] = rows[:, :, 1, 4] = (t * h)[..., 0]
-    rows[..., 2], rows[..., 5] = (along - was * ahead) * t * h, -was * t * h
-    rows[..., 6] = seen - was
-    rows = np.where(np.isnan(root)[..., None, None], 0.0, rows * root[..., None, None])
-    return rows.reshape(len(seen), 2 * len(t_s), 7)
+    place, seen, sigma, thing = points
+    rows, equations, kept = np.empty((7, 2 * len(t_s))), np.empty((7, 6)), np.empty((7, 3))
+    for i in range(len(thing)):
+        along_x, along_y, ahead = velocity_hz[thing[i], 0], velocity_hz[thing[i], 1], velocity_hz[thing[i], 2]
+        n = 0
+        for k in range(len(t_s)):
+            if np.isnan(seen[i, k, 0]):
+                continue
+            t, h = t_s[k], 1.0 / max(1.0 + ahead * t_s[k], LEAST_DEPTH_RATIO)
+            x, y = (place[i, 0] + along_x * t) * h, (place[i, 1] + along_y * t) * h
+            rx, ry = seen[i, k, 0] - x, seen[i, k, 1] - y
+            root = np.sqrt(ROBUST_SIGMAS / max(np.sqrt(rx * rx + ry * ry) / sigma[i], ROBUST_SIGMAS)) / sigma[i]
+            g, other = root * h, n + 1
+            rows[0, n], rows[0, other], rows[1, n], rows[1, other] = g, 0.0, 0.0, g
+            rows[2, n], rows[2, other] = (along_x - x * ahead) * t * g, (along_y - y * ahead) * t * g
+            rows[3, n], rows[3, other], rows[4, n], rows[4, other] = t * g, 0.0, 0.0, t * g
+            rows[5, n], rows[5, other], rows[6, n], rows[6, other] = -x * t * g, -y * t * g, root * rx, root * ry
+            n += 2
+        equations[:] = 0.0
+        add_equations(rows, n, equations, equations[6])
+        equations[2, 2] += precision[thing[i]]
+        eliminate(equations, kept, info[thing[i]], score[thing[i]])
 
 
 def _depth_precisions(place: Floats, thing: Ints, n_things: int) -> Floats:
