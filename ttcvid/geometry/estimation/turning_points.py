@@ -14,7 +14,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from ttcvid.compiled import ZERO, compiled, compiled_for
+from ttcvid.compiled import ZERO, compiled_for
 from ttcvid.geometry.kernels.medians import median
 from ttcvid.geometry.kernels.normal_equations import add_equations
 from ttcvid.geometry.kernels.path_point import ROBUST_SIGMAS
@@ -40,8 +40,6 @@ _Views = tuple[Floats, Floats, Floats, Floats]
 """The arrays of `TurningViews`."""
 _Beliefs = tuple[Floats, float, float, float, float]
 """The fields of `TurningBeliefs`."""
-_Way = tuple[Floats, Floats]
-"""R (L, 3, 3) and S (L, 3) of each view."""
 
 
 @dataclass(frozen=True)
@@ -147,27 +145,24 @@ def _descend(
     """Move ``own`` and ``shared`` to where they fit best; fill ``information``; return squares and what is usual.
 
     The cost of a place is its squared residuals, which grow as their logarithm beyond the robust limit, and beliefs.
+    How R and S follow what is shared is taken by differences.
     """
     xy, t_s, sigma, centre = views
     mean_turn_rad_s, turn_sigma_rad_s, bend_hz, least_speed_hz, relief = beliefs
     n_points, n_views, loose = len(own), len(t_s), relief**-2
-    way, other = (
-        (np.empty((n_views, 3, 3)), np.empty((n_views, 3))),
-        (np.empty((n_views, 3, 3)), np.empty((n_views, 3))),
-    )
-    r, shift = way
+    r, shift = np.empty((n_views, 3, 3)), np.empty((n_views, 3))
+    other_r, other_shift = np.empty((n_views, 3, 3)), np.empty((n_views, 3))
+    turned, dragged = np.empty((3, n_views, 3, 3)), np.empty((_N_SHARED, n_views, 3))
+    rows, moves, moved = np.empty((_N_ALL + 1, 2 * n_views)), np.empty((_N_ALL, 3)), shared.copy()
     of_points, kept = np.empty((n_points, _N_ALL + 1, _N_ALL)), np.empty((n_points, _N_ALL + 1, _N_OWN))
-    equations, precision, mean, step = (
-        np.empty_like(of_points[0]),
-        np.zeros(_N_SHARED),
-        np.zeros(_N_SHARED),
-        np.empty(_N_ALL),
-    )
-    score, per_point, trial, moved = step[_N_OWN:], np.empty(n_points), own.copy(), shared.copy()
+    equations, per_point, trial = np.empty((_N_ALL + 1, _N_ALL)), np.empty(n_points), own.copy()
+    precision, mean, step = np.zeros(_N_SHARED), np.zeros(_N_SHARED), np.empty(_N_ALL)
+    score = step[_N_OWN:]
     for c in range(3):
         mean[6 + c] = mean_turn_rad_s[c]
     n_steps, damping, cost, fall, scale2, squares, usual = ZERO, _FIRST_DAMPING, np.inf, np.inf, 1.0, np.inf, 1.0
     while True:
+        # The trial, its cost by the scale of the place that it starts from.
         _set_trajectory(t_s, centre, moved, r, shift)
         far, trial_cost, trial_squares = ROBUST_SIGMAS**2 * scale2, 0.0, 0.0
         for i in range(n_points):
@@ -192,27 +187,59 @@ def _descend(
             damping = damping if n_steps == 0 else max(_LESS * damping, _LEAST_DAMPING)
             n_steps += 1
             # Beliefs weigh as much beside views that err by more than they should.
-            squares, usual = trial_squares, median(per_point)
+            squares, usual, cost = trial_squares, median(per_point), 0.0
             scale2 = max(1.0, usual)
-            for c in range(_N_SHARED):
-                shared[c] = moved[c]
-            speed2 = max(shared[0] ** 2 + shared[1] ** 2 + shared[2] ** 2, least_speed_hz**2)
+            far = ROBUST_SIGMAS**2 * scale2
+            speed2 = max(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2, least_speed_hz**2)
             for c in range(3):
                 precision[c], precision[3 + c] = _FASTEST_HZ**-2, 1.0 / (bend_hz * bend_hz * speed2)
                 precision[6 + c] = turn_sigma_rad_s**-2
-            cost = _set_equations(views, way, shared, trial, ROBUST_SIGMAS**2 * scale2, other, of_points)
             for c in range(_N_SHARED):
+                shared[c] = moved[c]
                 cost += scale2 * precision[c] * (shared[c] - mean[c]) ** 2
+            for j in range(_N_SHARED):
+                moved[j] = shared[j] + _STEP
+                _set_trajectory(t_s, centre, moved, other_r, other_shift)
+                moved[j] = shared[j]
+                for k in range(n_views):
+                    for a in range(3):
+                        dragged[j, k, a] = (other_shift[k, a] - shift[k, a]) / _STEP
+                        for b in range(3):
+                            turned[j % 3, k, a, b] = (other_r[k, a, b] - r[k, a, b]) / _STEP
+            of_points[:] = 0.0
             for i in range(n_points):
-                cost += scale2 * loose * (trial[i, 2] - 1.0) ** 2
-                for c in range(_N_OWN):
-                    own[i, c] = trial[i, c]
+                n, inverse, x, y, kappa = 0, 1.0 / sigma[i], trial[i, 0], trial[i, 1], trial[i, 2]
+                own[i, 0], own[i, 1], own[i, 2] = x, y, kappa
+                cost += scale2 * loose * (kappa - 1.0) ** 2
+                for k in range(n_views):
+                    if not np.isfinite(xy[k, i, 0]):
+                        continue
+                    # How X follows the unknowns.
+                    for a in range(3):
+                        moves[0, a], moves[1, a], moves[2, a] = r[k, a, 0], r[k, a, 1], shift[k, a]
+                        for j in range(_N_SHARED):
+                            moves[_N_OWN + j, a] = kappa * dragged[j, k, a]
+                        for j in range(3):
+                            moves[9 + j, a] += turned[j, k, a, 0] * x + turned[j, k, a, 1] * y + turned[j, k, a, 2]
+                    h = 1.0 / (r[k, 2, 0] * x + r[k, 2, 1] * y + r[k, 2, 2] + kappa * shift[k, 2])
+                    u = (r[k, 0, 0] * x + r[k, 0, 1] * y + r[k, 0, 2] + kappa * shift[k, 0]) * h
+                    v = (r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] + kappa * shift[k, 1]) * h
+                    rx, ry = (xy[k, i, 0] - u) * inverse, (xy[k, i, 1] - v) * inverse
+                    square = rx * rx + ry * ry
+                    cost += min(square, far) + far * np.log(max(square / far, 1.0))
+                    root = np.sqrt(far / max(square, far))
+                    for j in range(_N_ALL):
+                        rows[j, n] = root * h * inverse * (moves[j, 0] - u * moves[j, 2])
+                        rows[j, n + 1] = root * h * inverse * (moves[j, 1] - v * moves[j, 2])
+                    rows[_N_ALL, n], rows[_N_ALL, n + 1] = root * rx, root * ry
+                    n += 2
+                add_equations(rows, n, of_points[i], of_points[i, _N_ALL])
         elif n_steps == 0:
             return squares, usual
         else:
             damping *= _MORE
             is_done = damping >= _MOST_DAMPING
-        # What is told at the end counts beliefs as they are.
+        # What is told at the end counts beliefs as they are, and nothing is damped.
         weight, damped, fall = (1.0, 1.0, 0.0) if is_done else (scale2, 1.0 + damping, 0.0)
         for c in range(_N_SHARED):
             for d in range(c):
@@ -242,55 +269,3 @@ def _descend(
             follow(kept[i], step)
             for c in range(_N_OWN):
                 trial[i, c] = own[i, c] + step[c]
-
-
-@compiled
-def _set_equations(
-    views: _Views, way: _Way, shared: Floats, own: Floats, far: float, other: _Way, of_points: Floats
-) -> float:
-    """Fill ``of_points (N, 13, 12)``: information, its lower half, of a point and its body, in the last row the score.
-
-    Squares beyond ``far`` lose weight; the sum of all, as they count, is returned. How R and S follow what is shared is
-    taken by differences, with a way that is no further use, ``other``.
-    """
-    xy, t_s, sigma, centre = views
-    r, shift = way
-    n_views = len(t_s)
-    rows, moves, moved = np.empty((_N_ALL + 1, 2 * n_views)), np.empty((_N_ALL, 3)), np.empty(_N_SHARED)
-    turned, dragged = np.empty((3, n_views, 3, 3)), np.empty((_N_SHARED, n_views, 3))
-    for j in range(_N_SHARED):
-        for c in range(_N_SHARED):
-            moved[c] = shared[c] + (_STEP if c == j else 0.0)
-        _set_trajectory(t_s, centre, moved, other[0], other[1])
-        for k in range(n_views):
-            for a in range(3):
-                dragged[j, k, a] = (other[1][k, a] - shift[k, a]) / _STEP
-                for b in range(3):
-                    turned[j % 3, k, a, b] = (other[0][k, a, b] - r[k, a, b]) / _STEP
-    of_points[:], cost = 0.0, 0.0
-    for i in range(len(own)):
-        n, inverse, x, y, kappa = 0, 1.0 / sigma[i], own[i, 0], own[i, 1], own[i, 2]
-        for k in range(n_views):
-            if not np.isfinite(xy[k, i, 0]):
-                continue
-            # How X follows the unknowns.
-            for a in range(3):
-                moves[0, a], moves[1, a], moves[2, a] = r[k, a, 0], r[k, a, 1], shift[k, a]
-                for j in range(_N_SHARED):
-                    moves[_N_OWN + j, a] = kappa * dragged[j, k, a]
-                for j in range(3):
-                    moves[9 + j, a] += turned[j, k, a, 0] * x + turned[j, k, a, 1] * y + turned[j, k, a, 2]
-            h = 1.0 / (r[k, 2, 0] * x + r[k, 2, 1] * y + r[k, 2, 2] + kappa * shift[k, 2])
-            u = (r[k, 0, 0] * x + r[k, 0, 1] * y + r[k, 0, 2] + kappa * shift[k, 0]) * h
-            v = (r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] + kappa * shift[k, 1]) * h
-            rx, ry = (xy[k, i, 0] - u) * inverse, (xy[k, i, 1] - v) * inverse
-            square = rx * rx + ry * ry
-            cost += min(square, far) + far * np.log(max(square / far, 1.0))
-            root = np.sqrt(far / max(square, far))
-            for j in range(_N_ALL):
-                rows[j, n] = root * h * inverse * (moves[j, 0] - u * moves[j, 2])
-                rows[j, n + 1] = root * h * inverse * (moves[j, 1] - v * moves[j, 2])
-            rows[_N_ALL, n], rows[_N_ALL, n + 1] = root * rx, root * ry
-            n += 2
-        add_equations(rows, n, of_points[i], of_points[i, _N_ALL])
-    return cost
