@@ -67,41 +67,42 @@ def expanding_movers(
     seeds : those of the tracks that contradict the scene together.
     few_are_enough : of what heads at us.
     """
-    is_free, is_asked = may_be.copy(), np.zeros(len(may_be), dtype=bool)
+    is_asked = np.zeros(len(may_be), dtype=bool)
     is_asked[seeds] = may_be[seeds]
     things, small, needed = list[_Thing](), list[_Thing](), least_tracks(config)
     least = min(_FEW_TRACKS, needed) if few_are_enough else needed
     # Most tracks are around several of those asked, and say the same each time.
-    near, place = around_any(views.xy_px, is_asked, is_free, views.link_px), np.empty(len(may_be), dtype=np.int64)
-    place[near] = np.arange(len(near))
+    near = around_any(views.xy_px, is_asked, may_be, views.link_px)
     xy = each_turned_into_plane(views.rays, near, seen.scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
     sums = growth_sums(xy, views.since_s, np.sqrt(seen.usual_misfit) * views.sigma_norm[near], seen.sway)
+    xy_px, misfit, is_asked = views.xy_px[near], seen.misfit[near], is_asked[near]
+    is_free = np.ones(len(near), dtype=bool)
     for _ in range(_MOST_SEEDS):
         if len(things) == _MOST_THINGS or not np.count_nonzero(is_asked):
             break
-        seed, around = around_the_oddest(views.xy_px, seen.misfit, is_asked, is_free, views.link_px)
+        seed, around = around_the_oddest(xy_px, misfit, is_asked, is_free, views.link_px)
         is_asked[seed] = False
-        found = _thing_around(sums.of(place[around]), seen.misfit[around], least, needed, config)
+        found = _thing_around(sums.of(around), misfit[around], least, needed, config)
         if found is None:
             continue
         thing = _Thing(around[found.is_in], found.unknowns)
-        own_xy = xy[:, place[thing.members]]
+        own_xy = xy[:, thing.members]
         seen_s = float(np.median(-views.since_s[np.argmax(np.isfinite(own_xy[:, :, 0]), axis=0)]))
         within_s = _SOON_S if found.is_few else _REACHED_WITHIN * seen_s
-        if not _grows(views.xy_px[thing.members], seen_s, found, 1.0 / within_s):
+        if not _grows(xy_px[thing.members], seen_s, found, 1.0 / within_s):
             continue
         if not found.is_few:
             things.append(thing)
             is_free[thing.members] = is_asked[thing.members] = False
         elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, seen.scene.path[0, 0]):
             small.append(thing)
-    things = _with_small_ones(things, small, sums, place, config)
-    return [(thing.members, thing.path(views.since_s, seen.sway)) for thing in things]
+    things = _with_small_ones(things, small, sums, config)
+    return [(near[thing.members], thing.path(views.since_s, seen.sway)) for thing in things]
 
 
 @dataclass(frozen=True)
 class _Thing:
-    """Tracks ``members (M,)`` that share ``unknowns (4,)`` of `GrowthSums`."""
+    """Tracks ``members (M,)`` of `GrowthSums` that share ``unknowns (4,)``."""
 
     members: Ints
     unknowns: Floats
@@ -125,16 +126,14 @@ class _Sharing:
     is_few: bool
 
 
-def _with_small_ones(
-    things: list[_Thing], small: list[_Thing], sums: GrowthSums, place: Ints, config: BodiesConfig
-) -> list[_Thing]:
-    """The things, and of those of few tracks the first that are no part of another; ``place (N,)`` of tracks in sums.
+def _with_small_ones(things: list[_Thing], small: list[_Thing], sums: GrowthSums, config: BodiesConfig) -> list[_Thing]:
+    """The things, and of those of few tracks the first that are no part of another.
 
     What is left over of a thing is none.
     """
     things = list(things)
     for thing in small:
-        own = sums.of(place[thing.members])
+        own = sums.of(thing.members)
         is_other = all(float(np.median(own.misfits(one.unknowns))) > config.scene_gate for one in things)
         is_free = not any(np.isin(thing.members, one.members).any() for one in things)
         if len(things) < _MOST_THINGS and is_free and is_other:

@@ -126,7 +126,7 @@ def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) ->
     near = np.flatnonzero(may_be)
     # A little farther: the tree rounds distances otherwise.
     off_px, _ = KDTree(xy_px[is_asked]).query(xy_px[near], distance_upper_bound=1.001 * _LINKS * link_px)
-    return near[np.isfinite(off_px)]
+    return np.asarray(near[np.isfinite(off_px)])
 
 
 def _thing_around(
