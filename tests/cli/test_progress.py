@@ -24,9 +24,21 @@ def test_without_a_terminal_a_line_says_every_10_s_how_far_it_is(capsys: pytest.
 def test_where_the_number_of_frames_is_unknown_no_time_is_promised(capsys: pytest.CaptureFixture[str]) -> None:
     now_s = 0.0
     lines = ProgressLines(clock=lambda: now_s)
+    lines(1, None)
     now_s = 10.0
-    lines(5, None)
-    assert capsys.readouterr().err == "ttcvid: 5 frames, 0.5 frames/s\n"
+    lines(6, None)
+    assert capsys.readouterr().err == "ttcvid: 6 frames, 0.5 frames/s\n"
+
+
+def test_what_comes_before_the_first_frame_is_no_part_of_the_rate(capsys: pytest.CaptureFixture[str]) -> None:
+    now_s = 0.0
+    lines = ProgressLines(clock=lambda: now_s)
+    now_s = 15.0
+    lines(1, 85)
+    assert capsys.readouterr().err == ""
+    now_s = 16.0
+    lines(5, 85)
+    assert capsys.readouterr().err == "ttcvid: 5 of 85 frames, 4.0 frames/s, 20 s left\n"
 
 
 def test_the_rate_is_that_of_the_clip_at_hand(capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,7 +49,7 @@ def test_the_rate_is_that_of_the_clip_at_hand(capsys: pytest.CaptureFixture[str]
     lines(1, 100)
     now_s = 14.0
     lines(10, 100)
-    assert capsys.readouterr().err == "ttcvid: 10 of 100 frames, 2.0 frames/s, 45 s left\n"
+    assert capsys.readouterr().err == "ttcvid: 10 of 100 frames, 1.8 frames/s, 50 s left\n"
 
 
 def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,6 +57,7 @@ def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pyt
     for enabled, n_lines in ((False, 0), (True, 1)):
         with progress_on_stderr(enabled=enabled) as progress:
             progress(1, 2)
+            progress(2, 2)
         assert len(capsys.readouterr().err.splitlines()) == n_lines
 
 

@@ -89,22 +89,23 @@ def _progress_bar(console: Console) -> Iterator[OnProgress]:
 class ProgressLines:
     """Says on stderr how far the work is, at most every 10 s; nothing of work that is shorter.
 
+    Frames/s count from the first frame on: what comes before it (opening, loading of compiled code) is done once.
     ``clock`` gives seconds that only grow.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._said_s = self._begun_s = clock()
-        self._n_done = 0
+        self._n_done = self._n_at_first = 0
 
     def __call__(self, n_done: int, n_total: int | None) -> None:
         """Take note of the frames that are done, of all that are expected (None: unknown)."""
         now_s = self._clock()
-        if n_done < self._n_done:  # other work has begun, such as the next clip
-            self._begun_s = now_s
-        if now_s - self._said_s >= LINE_EVERY_S and now_s > self._begun_s:
+        if self._n_done == 0 or n_done < self._n_done:  # work has begun, or other work, such as the next clip
+            self._begun_s, self._n_at_first = now_s, n_done
+        if now_s - self._said_s >= LINE_EVERY_S and n_done > self._n_at_first:
             self._said_s = now_s
-            rate_hz = n_done / (now_s - self._begun_s)
+            rate_hz = (n_done - self._n_at_first) / (now_s - self._begun_s)
             of_all = f" of {n_total}" if n_total is not None else ""
             left = f", {(n_total - n_done) / rate_hz:.0f} s left" if n_total is not None and rate_hz > 0 else ""
             print(f"ttcvid: {n_done}{of_all} frames, {rate_hz:.1f} frames/s{left}", file=sys.stderr)
