@@ -15,14 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttcvid.model import Picture
+from ttcvid.stages.tracking.changes import SAMPLED_PX, SMOOTH_PX, least_contrast, smoothed
 
-# Differences from the background below this are sensor noise or compression, grey levels; and so many times the usual.
-_LEAST_CONTRAST, _CONTRAST_SIGMAS = 5.0, 5.0
-_SIGMA_PER_MEDIAN = 1.4826
-# Every so many pixels of each axis are enough to know the usual difference.
-_SAMPLED_PX = 4
-# Smoothing before pictures are compared: for what moves at all, and for where exactly it ends.
-_SMOOTH_PX, _SHARP_PX = 1.0, 0.7
+# Smoothing before pictures are compared for where exactly a mover ends.
+_SHARP_PX = 0.7
 # What an outline encloses is closed up to this part of the picture's width: the inside of a plain coat.
 _ENCLOSED_PART = 0.04
 # Places darker than this, grey levels, tell nothing of the brightness of a picture.
@@ -67,11 +63,9 @@ def street_sample(before: Picture, now: Picture, after: Picture) -> StreetSample
     middle = _halved(now)
     small = [picture / _brightness(picture, middle) for picture in (_halved(before), middle, _halved(after))]
     change = np.maximum(np.abs(small[0] - small[1]), np.abs(small[2] - small[1]))
-    changes = (change > _threshold(change)).astype(np.uint8)
-    opened = cv2.morphologyEx(changes, cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
-    width = 2 * max(1, round(0.5 * _ENCLOSED_PART * middle.shape[1])) + 1
-    moves = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
-    return StreetSample(now, cv2.dilate(moves, np.ones((_CLOSED_PX, _CLOSED_PX), np.uint8)).astype(np.uint8))
+    opened = _cleaned(change > least_contrast(change), cv2.MORPH_OPEN, _OPENED_PX)
+    moves = _cleaned(opened, cv2.MORPH_CLOSE, 2 * max(1, round(0.5 * _ENCLOSED_PART * middle.shape[1])) + 1)
+    return StreetSample(now, _cleaned(moves, cv2.MORPH_DILATE, _CLOSED_PX))
 
 
 def background_of(samples: Sequence[StreetSample]) -> Background:
@@ -84,10 +78,10 @@ def background_of(samples: Sequence[StreetSample]) -> Background:
     pictures = [_levelled(sample.picture, first) for sample in samples]
     moves = [sample.moves for sample in samples]
     street = _median(pictures, moves)
-    smooth, sharp = _smoothed(street, _SMOOTH_PX), _smoothed(street, _SHARP_PX)
-    sampled = [_smoothed(picture, _SMOOTH_PX)[::_SAMPLED_PX, ::_SAMPLED_PX] for picture in pictures]
-    differences = np.abs(np.array(sampled) - smooth[::_SAMPLED_PX, ::_SAMPLED_PX])
-    return Background(smooth, sharp, _threshold(differences), int(np.median(street)))
+    smooth, sharp = smoothed(street, SMOOTH_PX), smoothed(street, _SHARP_PX)
+    sampled = [smoothed(picture, SMOOTH_PX)[::SAMPLED_PX, ::SAMPLED_PX] for picture in pictures]
+    differences = np.abs(np.array(sampled) - smooth[::SAMPLED_PX, ::SAMPLED_PX])
+    return Background(smooth, sharp, least_contrast(differences), int(np.median(street)))
 
 
 def _halved(picture: NDArray[np.generic]) -> NDArray[np.float32]:
@@ -119,19 +113,13 @@ def _median(pictures: Sequence[NDArray[np.generic]], moves: Sequence[Picture] | 
     return np.concatenate(strips)
 
 
-def _threshold(difference: NDArray[np.float32]) -> float:
-    """Absolute differences above this are more than noise: most of the picture rests."""
-    usual = float(np.median(difference))
-    return max(_LEAST_CONTRAST, _CONTRAST_SIGMAS * _SIGMA_PER_MEDIAN * usual)
-
-
 def _brightness(picture: Picture | NDArray[np.float32], street: NDArray[np.float32]) -> float:
     """How much brighter a picture is than the street in most places: an exposure that follows the traffic."""
-    sampled = street[::_SAMPLED_PX, ::_SAMPLED_PX]
+    sampled = street[::SAMPLED_PX, ::SAMPLED_PX]
     is_bright = sampled > _DARK
     if not is_bright.any():
         return 1.0
-    return float(np.median(picture[::_SAMPLED_PX, ::_SAMPLED_PX][is_bright] / sampled[is_bright]))
+    return float(np.median(picture[::SAMPLED_PX, ::SAMPLED_PX][is_bright] / sampled[is_bright]))
 
 
 def moving_part(grey: Picture, background: Background) -> tuple[Picture, Picture]:
@@ -144,20 +132,19 @@ def moving_part(grey: Picture, background: Background) -> tuple[Picture, Picture
     level = grey.astype(np.float32) / factor
     # Bright lamps follow an exposure in part only: anything between the two is the background.
     low, high = background.smooth * min(1.0, 1.0 / factor), background.smooth * max(1.0, 1.0 / factor)
-    smooth = _smoothed(level, _SMOOTH_PX)
-    differs = np.maximum(low - smooth, smooth - high) > background.contrast
-    whole = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((_CLOSED_PX, _CLOSED_PX), np.uint8))
-    square = np.ones((_BORDER_PX, _BORDER_PX), np.uint8)
-    contrast = np.abs(_smoothed(level, _SHARP_PX) - background.sharp)
-    is_inner = cv2.erode(whole, square) > 0
-    rough = (whole > 0) & (is_inner | (contrast > _BORDER_CONTRAST * cv2.dilate(contrast, square)))
-    part = cv2.morphologyEx(rough.astype(np.uint8), cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
-    part = cv2.morphologyEx(part, cv2.MORPH_CLOSE, np.ones((_CLOSED_PX, _CLOSED_PX), np.uint8))
-    share = _smoothed(part, _FADE_PX)
+    smooth = smoothed(level, SMOOTH_PX)
+    whole = _cleaned(np.maximum(low - smooth, smooth - high) > background.contrast, cv2.MORPH_CLOSE, _CLOSED_PX)
+    contrast = np.abs(smoothed(level, _SHARP_PX) - background.sharp)
+    highest = cv2.dilate(contrast, np.ones((_BORDER_PX, _BORDER_PX), np.uint8))
+    is_inner = _cleaned(whole, cv2.MORPH_ERODE, _BORDER_PX) > 0
+    rough = (whole > 0) & (is_inner | (contrast > _BORDER_CONTRAST * highest))
+    part = _cleaned(_cleaned(rough, cv2.MORPH_OPEN, _OPENED_PX), cv2.MORPH_CLOSE, _CLOSED_PX)
+    share = smoothed(part, _FADE_PX)
     cut_out = np.clip(share * level + (1.0 - share) * background.plain, 0, 255).astype(np.uint8)
-    whole = cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
-    return whole.astype(np.uint8), cut_out
+    return _cleaned(whole, cv2.MORPH_OPEN, _OPENED_PX), cut_out
 
 
-def _smoothed(picture: NDArray[np.generic], sigma_px: float) -> NDArray[np.float32]:
-    return np.asarray(cv2.GaussianBlur(picture.astype(np.float32), (0, 0), sigma_px), dtype=np.float32)
+def _cleaned(mask: NDArray[np.generic], operation: int, side_px: int) -> Picture:
+    """A mask opened or closed by a square."""
+    square = np.ones((side_px, side_px), np.uint8)
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), operation, square), dtype=np.uint8)
