@@ -192,6 +192,14 @@ class PointSet:
         """How far the windows were on edges, 0 where that is not known: (N, 2)."""
         return np.zeros_like(self.xy_px) if self.edge is None else self.edge
 
+    def take(self, points: Bools) -> PointSet:
+        """The points of a mask ``(N,)``."""
+        window_px, edge = (None if part is None else part[points] for part in (self.window_px, self.edge))
+        return PointSet(self.track_id[points], self.xy_px[points], window_px, edge, self.common_error_px)
+
+
+NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
 
 @dataclass(frozen=True)
 class Frame:

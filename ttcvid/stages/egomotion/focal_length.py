@@ -10,6 +10,7 @@ import numpy as np
 from ttcvid.geometry.estimation.bundle import Views
 from ttcvid.geometry.estimation.focal_length import FocalFit, fit_focal_length
 from ttcvid.model import Bools, Floats, ImageSize, Ints, PointSet
+from ttcvid.stages.tracking.groups import in_common
 
 # A frame is looked at when the picture has moved by this part of its width since the last one that was, or when so
 # many of its points are gone; so many of these make a window, and fewer than the least say nothing.
@@ -53,16 +54,9 @@ class SeenPoints:
 
 
 def find_focal_length(frames: Iterable[SeenPoints], image_size: ImageSize) -> FocalLength | None:
-    """Estimate the focal length from all frames together.
+    """Estimate the focal length from all frames of a clip together.
 
-    Parameters
-    ----------
-    frames : Points of consecutive frames.
-    image_size : Size of the pictures.
-
-    Returns
-    -------
-    None where the frames do not determine it: the camera hardly turns, or the points do not fit one static scene.
+    None where they do not determine it: the camera hardly turns, or the points do not fit one static scene.
     """
     fits: list[FocalFit] = []
     n_contradicting = 0
@@ -97,13 +91,12 @@ def _windows(frames: Iterable[SeenPoints], image_size: ImageSize) -> Iterator[li
 
 
 def _has_moved(one: PointSet, other: PointSet, image_size: ImageSize) -> bool:
-    _, before, now = np.intersect1d(one.track_id, other.track_id, assume_unique=True, return_indices=True)
-    if len(now) < _KEPT_POINTS * len(one.track_id):
+    before_px, now_px = in_common(one, other)
+    if len(now_px) < _KEPT_POINTS * len(one.track_id):
         return True
-    if len(now) == 0:
+    if not len(now_px):
         return len(other.track_id) > 0
-    moved_px = np.linalg.norm(other.xy_px[now] - one.xy_px[before], axis=1)
-    return bool(np.median(moved_px) > _STEP_PART * image_size.width_px)
+    return bool(np.median(np.linalg.norm(now_px - before_px, axis=1)) > _STEP_PART * image_size.width_px)
 
 
 def _fit(window: list[SeenPoints], image_size: ImageSize) -> FocalFit | None:
@@ -140,18 +133,14 @@ def _observed(window: list[SeenPoints], image_size: ImageSize) -> Floats:
 
 def _is_useful(xy_px: Floats) -> Bools:
     """Points (N,) that are seen often enough and do not stay on their pixel."""
-    is_seen = np.isfinite(xy_px[..., 0])
-    often = is_seen.sum(axis=0) >= _LEAST_VIEWS
-    lowest = np.where(is_seen[..., None], xy_px, np.inf).min(axis=0)
-    highest = np.where(is_seen[..., None], xy_px, -np.inf).max(axis=0)
-    return np.asarray(often & (np.max(highest - lowest, axis=1) > _STAYS_PX))
+    often = np.isfinite(xy_px[..., 0]).sum(axis=0) >= _LEAST_VIEWS
+    moved_px = np.max(np.nanmax(xy_px, axis=0) - np.nanmin(xy_px, axis=0), axis=1)
+    return np.asarray(often & (moved_px > _STAYS_PX))
 
 
 def _cell(xy_px: Floats, image_size: ImageSize) -> Ints:
     """Number of the cell of a grid over the picture in which each point (N,) is on the mean."""
-    is_seen = np.isfinite(xy_px[..., :1])
-    mean = np.where(is_seen, xy_px, 0.0).sum(axis=0) / np.maximum(is_seen.sum(axis=0), 1)
-    cell = np.floor(mean / (_CELL_PART * image_size.width_px)).astype(np.int64)
+    cell = np.floor(np.nanmean(xy_px, axis=0) / (_CELL_PART * image_size.width_px)).astype(np.int64)
     numbers: Ints = cell[:, 0] * 4096 + cell[:, 1]
     return numbers
 
@@ -160,13 +149,11 @@ def _spread(xy_px: Floats, image_size: ImageSize) -> Ints:
     """Points all over the picture, from each cell those that are seen longest: as many as are to be used."""
     cell = _cell(xy_px, image_size)
     n_views = np.isfinite(xy_px[..., 0]).sum(axis=0)
-    first = np.where(np.isfinite(xy_px), xy_px, np.inf).min(axis=0)
+    first = np.nanmin(xy_px, axis=0)
     order = np.lexsort((first[:, 1], first[:, 0], -n_views, cell))
-    is_first = np.diff(cell[order], prepend=-(2**40)) != 0
-    start = np.maximum.accumulate(np.where(is_first, np.arange(len(order)), 0))
     rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order)) - start
-    return np.sort(np.lexsort((np.arange(len(rank)), rank))[:_MOST_POINTS])
+    rank[order] = np.arange(len(order)) - np.searchsorted(cell[order], cell[order])
+    return np.sort(np.argsort(rank, kind="stable")[:_MOST_POINTS])
 
 
 def _together(fits: list[FocalFit], image_size: ImageSize) -> FocalLength | None:

@@ -28,6 +28,7 @@ from ttcvid.stages.egomotion.relative_pose import (
     region_side_of,
 )
 from ttcvid.stages.egomotion.rest import RESTING_SHARE, share_of_parts
+from ttcvid.stages.tracking.groups import in_common
 
 # A stretch tells something with so many points that are seen all through it, and from frame to frame.
 _LEAST_POINTS, _LEAST_STEP_POINTS = 40, 12
@@ -112,11 +113,8 @@ class ToldPlatform:
 def told_platform(glances: Sequence[Glance], between: Sequence[float]) -> ToldPlatform:
     """What carries the camera, from samples of its clip.
 
-    Parameters
-    ----------
-    glances : The samples.
-    between : The share of the picture's cells that are in the same place in one sample and in the next, where it is
-        known.
+    ``between`` are the shares of the picture's cells that are in the same place in one sample and in the next, where
+    they are known.
     """
     told, glances = partial(ToldPlatform, glances=tuple(glances)), list(glances)
     drives = [glance for glance in glances if glance.verdict == Verdict.drives]
@@ -149,25 +147,19 @@ def _wavers_rad(drives: Sequence[Glance]) -> float:
 
 
 def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Camera) -> Glance | None:
-    """What a sample of at least two frames shows; None with too few points.
+    """What a sample of at least two frames, their points and times, shows; None with too few points.
 
     The prior of a vehicle finds the direction ahead where there is one: among many movers or with few points, a search
     without it fails. Whether another direction explains more is tested afterwards.
-
-    Parameters
-    ----------
-    stretch : Points of each frame.
-    times_s : Time of each frame.
-    camera : Intrinsics and distortion.
     """
     stretch = _without_stuck(stretch, camera.image_size)
-    before, now = _in_common(stretch[0], stretch[-1])
+    before, now = in_common(stretch[0], stretch[-1])
     if len(before) < _LEAST_POINTS or not times_s[-1] > times_s[0]:
         return None
     memory = EgomotionMemory(np.zeros(3), FORWARD_DIR)
     cam_R_first = np.eye(3)
     for one, other in pairwise(stretch):
-        pair = _in_common(one, other)
+        pair = in_common(one, other)
         if len(pair[0]) < _LEAST_STEP_POINTS:
             return None
         step, memory = _egomotion(*pair, camera, memory, Platform.vehicle)
@@ -187,17 +179,10 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
 
 def share_in_place(one: PointSet, other: PointSet, size: ImageSize) -> float | None:
     """Share of the picture's cells that are in place in both frames; None with too few points in common."""
-    before, now = _in_common(one, other)
+    before, now = in_common(one, other)
     if len(before) < _LEAST_POINTS:
         return None
-    stays = np.linalg.norm(now - before, axis=1) < _STAYS_PX
-    return share_of_parts(now, stays.astype(float), size)
-
-
-def _in_common(one: PointSet, other: PointSet) -> tuple[Floats, Floats]:
-    """Pixels (M, 2) of the same points in two frames."""
-    _, i, j = np.intersect1d(one.track_id, other.track_id, assume_unique=True, return_indices=True)
-    return one.xy_px[i], other.xy_px[j]
+    return share_of_parts(now, np.linalg.norm(now - before, axis=1) < _STAYS_PX, size)
 
 
 def _without_stuck(stretch: Sequence[PointSet], size: ImageSize) -> Sequence[PointSet]:
@@ -208,10 +193,9 @@ def _without_stuck(stretch: Sequence[PointSet], size: ImageSize) -> Sequence[Poi
     is_stuck: Bools = moved_px < _STUCK_PX
     if is_stuck.all() or np.median(moved_px[~is_stuck]) < _MOVING_PX:
         return stretch
-    if share_of_parts(last.xy_px[j], is_stuck.astype(float), size) > _RESTING_GLANCES:
+    if share_of_parts(last.xy_px[j], is_stuck, size) > _RESTING_GLANCES:
         return stretch  # some movers before a camera that rests
-    kept = [np.isin(points.track_id, track_id[is_stuck], invert=True) for points in stretch]
-    return [PointSet(points.track_id[k], points.xy_px[k]) for points, k in zip(stretch, kept, strict=True)]
+    return [points.take(np.isin(points.track_id, track_id[is_stuck], invert=True)) for points in stretch]
 
 
 def _egomotion(
@@ -236,14 +220,14 @@ def _shares(before_px: Floats, now_px: Floats, camera: Camera, motion: Egomotion
     turned, now = _flow(before_px, now_px, camera, motion)
     moved_px = np.linalg.norm(normalize(now) - turned, axis=1) * camera.fx_px
     size = camera.image_size
-    still = share_of_parts(now_px, (moved_px < _STAYS_PX).astype(float), size)
+    still = share_of_parts(now_px, moved_px < _STAYS_PX, size)
     if motion.direction is None:
         return still, still
     normal = normalize(np.cross(turned, motion.direction))
     off_px = np.abs(np.sum(normal * normalize(now), axis=1)) * camera.fx_px
     rate, _ = _rates(turned, now, motion.direction)
     explained = (off_px < _EXPLAINED_PX) & ((rate > 0.0) | (moved_px < _EXPLAINED_PX))
-    return still, share_of_parts(now_px, explained.astype(float), size)
+    return still, share_of_parts(now_px, explained, size)
 
 
 def _rates(turned: Floats, now: Floats, direction: Floats) -> tuple[Floats, Floats]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
 
-from ttcvid.model import Floats, ImageSize, PointSet
+from ttcvid.model import Bools, Floats, ImageSize, PointSet
+from ttcvid.stages.tracking.groups import in_common
 
 # Parts of the picture along its longer side.
 _PARTS = 16
@@ -35,31 +35,23 @@ class Look:
 
 
 def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) -> Look | None:
-    """Compare the points of two frames; None with too few points in common.
+    """Compare the points of two frames, the later one at ``t_s``; None with too few points in common.
 
     Each cell of the picture has one vote, by the majority of its points, so that one lorry full of texture does not
     outvote the street.
-
-    Parameters
-    ----------
-    before, now : Points of both frames.
-    t_s : Time of the later one.
-    size : Size of the pictures.
     """
-    _, i, j = np.intersect1d(before.track_id, now.track_id, assume_unique=True, return_indices=True)
-    if len(i) < _LEAST_POINTS:
+    before_px, now_px = in_common(before, now)
+    if len(now_px) < _LEAST_POINTS:
         return None
-    moved_px = np.linalg.norm(now.xy_px[j] - before.xy_px[i], axis=1)
-    return Look(t_s, share_of_parts(now.xy_px[j], (moved_px < _STAYS_PX).astype(float), size))
+    return Look(t_s, share_of_parts(now_px, np.linalg.norm(now_px - before_px, axis=1) < _STAYS_PX, size))
 
 
-def share_of_parts(xy_px: Floats, stays: Floats, size: ImageSize) -> float:
-    """Share of the cells of a picture in which most points stay: ``xy_px (N, 2)``, ``stays (N,)`` 1 or 0."""
+def share_of_parts(xy_px: Floats, stays: Bools, size: ImageSize) -> float:
+    """Share of the cells of a picture in which most points ``xy_px (N, 2)`` stay: ``stays (N,)``."""
     side_px = size.longer_side_px / _PARTS
     cell = np.clip((xy_px / side_px).astype(np.int64), 0, _PARTS - 1)
-    still = coo_matrix((stays, cell.T), shape=(_PARTS, _PARTS)).toarray()
-    count = coo_matrix((np.ones(len(cell)), cell.T), shape=(_PARTS, _PARTS)).toarray()
-    return float(np.mean(still[count > 0] > 0.5 * count[count > 0]))
+    _, part = np.unique(cell[:, 1] * _PARTS + cell[:, 0], return_inverse=True)
+    return float(np.mean(np.bincount(part, stays) > 0.5 * np.bincount(part)))
 
 
 def complaint_about_motion(looks: list[Look]) -> str:

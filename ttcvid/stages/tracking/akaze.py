@@ -61,14 +61,13 @@ def follow_akaze(memory: AkazeMemory, features: Features, config: TrackingConfig
     memory : of this picture; features without a match start new tracks.
     survival : share of the former features that were matched (1 where there were none): low after a cut.
     """
-    n_former, n_now = len(memory.track_id), len(features.xy_px)
     former, now = _matches(memory.features.descriptors, features.descriptors, config.akaze_ratio)
-    track_id = np.full(n_now, -1, dtype=np.int64)
-    track_id[now] = memory.track_id[former]
-    is_new = track_id < 0
-    track_id[is_new] = memory.next_track_id + np.arange(np.count_nonzero(is_new))
-    survival = len(former) / n_former if n_former else 1.0
-    return AkazeMemory(features, track_id, memory.next_track_id + int(np.count_nonzero(is_new))), survival
+    is_new = np.isin(np.arange(len(features.xy_px)), now, invert=True)
+    n_new = int(np.count_nonzero(is_new))
+    track_id = np.empty(len(is_new), dtype=np.int64)
+    track_id[now], track_id[is_new] = memory.track_id[former], memory.next_track_id + np.arange(n_new)
+    survival = len(former) / len(memory.track_id) if len(memory.track_id) else 1.0
+    return AkazeMemory(features, track_id, memory.next_track_id + n_new), survival
 
 
 def points_of(memory: AkazeMemory) -> PointSet:
@@ -79,11 +78,9 @@ def points_of(memory: AkazeMemory) -> PointSet:
 
 def _matches(one: Picture, other: Picture, ratio: float) -> tuple[Ints, Ints]:
     """Mutual nearest neighbours that pass the ratio test: indices into ``one`` and into ``other``."""
-    nothing = np.empty(0, dtype=np.int64)
     if len(one) < 2 or len(other) < 2:
-        return nothing, nothing
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     found = nearest_descriptors(one, other)
-    index = np.arange(len(one))
-    is_mutual = found.nearest_back[found.nearest] == index
-    good = is_mutual & (found.distance_bits < ratio * found.second_bits)
-    return index[good], found.nearest[good]
+    is_mutual = found.nearest_back[found.nearest] == np.arange(len(one))
+    good = np.flatnonzero(is_mutual & (found.distance_bits < ratio * found.second_bits))
+    return good, found.nearest[good]

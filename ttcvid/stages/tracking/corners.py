@@ -31,12 +31,9 @@ _CLOSE_PART = 0.57
 
 
 def occupied_cells(xy_px: Floats, shape: tuple[int, int], cell_px: float) -> Bools:
-    """Grid cells of side ``cell_px`` that hold a point or touch the cell of one.
+    """Grid cells of side ``cell_px`` that hold one of ``xy_px (N, 2)`` or touch the cell of one.
 
-    Parameters
-    ----------
-    xy_px : (N, 2) points inside the picture, px.
-    shape : rows and columns of the picture.
+    The points lie inside the picture, of ``shape`` rows and columns.
     """
     rows, columns = int(shape[0] / cell_px) + 1, int(shape[1] / cell_px) + 1
     cells = np.zeros((rows, columns), dtype=np.uint8)
@@ -183,10 +180,7 @@ def _peaks(response: NDArray[Any], threshold: float, allowed: Picture | None) ->
 
 
 def _bare_cells(with_corner: tuple[Ints, Ints], taken: Bools) -> Bools:
-    """Cells (like ``taken``) around which fewer than half of the cells with a corner are taken.
-
-    ``with_corner`` are the rows and columns (N,) of the cells that have one.
-    """
+    """Cells (like ``taken``) around which fewer than half of those ``with_corner``, rows and columns, are taken."""
     corners = np.zeros(taken.shape, dtype=np.float32)
     corners[with_corner] = 1.0
     around = (_BARE_CELLS, _BARE_CELLS)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ttcvid.geometry.medians import medians
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Bools, Floats, Ints, PointSet
 
 
 @dataclass(frozen=True)
@@ -80,3 +80,9 @@ def places_among(known: Ints, track_id: Ints) -> Ints:
         return np.full(len(track_id), -1)
     place = np.minimum(np.searchsorted(known, track_id), len(known) - 1)
     return np.where(known[place] == track_id, place, -1)
+
+
+def in_common(one: PointSet, other: PointSet) -> tuple[Floats, Floats]:
+    """Pixels ``(M, 2)`` of the same points in two pictures."""
+    place = places_among(one.track_id, other.track_id)
+    return one.xy_px[place[place >= 0]], other.xy_px[place >= 0]

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from ttcvid.config import TrackingConfig
 from ttcvid.geometry.medians import median
-from ttcvid.model import Bools, Floats, Ints, Picture, PointSet
+from ttcvid.model import NO_POINTS, Bools, Floats, Ints, Picture, PointSet
 from ttcvid.stages.tracking.changes import changed_places
 from ttcvid.stages.tracking.content import window_contents
 from ttcvid.stages.tracking.corners import find_corners, find_corners_where
@@ -63,8 +63,8 @@ class KltMemory:
 
 def start_klt(grey: Picture, allowed: Picture | None, config: TrackingConfig, next_track_id: int = 0) -> KltMemory:
     """Fresh corners on a first picture (or the first one after a cut)."""
-    nothing = KltMemory(grey, PointSet(np.empty(0, np.int64), np.empty((0, 2))), np.empty((0, 2)), next_track_id, grey)
-    return _topped_up(nothing, grey, allowed, config, camera_rests=False)
+    nothing = KltMemory(grey, NO_POINTS, np.empty((0, 2)), next_track_id, grey)
+    return _topped_up(nothing, allowed, config, camera_rests=False)
 
 
 def follow_klt(
@@ -84,12 +84,10 @@ def follow_klt(
     if allowed is not None:
         found &= _is_allowed(allowed, window_px) & _is_allowed(allowed, xy_px)
     found &= ~_is_crowded(window_px, found)
-    n_before = len(found)
-    points = PointSet(memory.points.track_id[found], xy_px[found], window_px[found], memory.points.edges[found])
-    step = (window_px - before_px)[found]
-    survival = float(found.mean()) if n_before else 1.0
-    followed = KltMemory(grey, points, step, memory.next_track_id, memory.looked, memory.n_since + 1)
-    return _topped_up(followed, grey, allowed, config, camera_rests), survival
+    points = replace(memory.points, xy_px=xy_px, window_px=window_px).take(found)
+    step_px = (window_px - before_px)[found]
+    followed = replace(memory, grey=grey, points=points, step_px=step_px, n_since=memory.n_since + 1)
+    return _topped_up(followed, allowed, config, camera_rests), float(found.mean()) if len(found) else 1.0
 
 
 def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[Bools, Floats]:
@@ -183,11 +181,10 @@ def _follow(
 
 def _is_allowed(allowed: Picture, xy_px: Floats) -> Bools:
     """Where the mask lets points live: (N,); a point outside the picture is not allowed."""
-    column, row = np.rint(xy_px).astype(np.intp).T
-    inside = (column >= 0) & (row >= 0) & (column < allowed.shape[1]) & (row < allowed.shape[0])
-    answer = np.zeros(len(xy_px), dtype=bool)
-    answer[inside] = allowed[row[inside], column[inside]] > 0
-    return answer
+    inside = _is_inside(np.rint(xy_px), allowed)
+    column, row = np.rint(xy_px[inside]).astype(np.intp).T
+    inside[inside] = allowed[row, column] > 0
+    return inside
 
 
 def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
@@ -199,11 +196,9 @@ def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
     return crowded
 
 
-def _topped_up(
-    memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig, camera_rests: bool
-) -> KltMemory:
+def _topped_up(memory: KltMemory, allowed: Picture | None, config: TrackingConfig, camera_rests: bool) -> KltMemory:
     """Add corners once too many tracks have died, or at rest, where something new may be, once some pictures passed."""
-    windows_px, n_live = memory.points.windows_px, len(memory.points.track_id)
+    grey, windows_px, n_live = memory.grey, memory.points.windows_px, len(memory.points.track_id)
     step_px = memory.step_px[np.isfinite(memory.step_px[:, 0])]
     has_many = n_live >= _TOP_UP_BELOW * config.max_tracks * (_STREET_PART if camera_rests else 1.0)
     if has_many and not (memory.n_since >= _TOP_UP_AFTER and _stands_nearly(step_px)):
@@ -226,7 +221,7 @@ def _topped_up(
             close_share=config.close_share,
             only_new_places=has_many,
         )
-    return _with_new(memory, grey, allowed, new_px, config)
+    return _with_new(memory, allowed, new_px, config)
 
 
 def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> KltMemory:
@@ -237,23 +232,19 @@ def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> K
     surplus = stands[int(_STREET_PART * config.max_tracks) :]
     keeps = np.ones(len(memory.step_px), dtype=bool)
     keeps[surplus] = False
-    points = memory.points
-    left = PointSet(points.track_id[keeps], points.xy_px[keeps], points.windows_px[keeps], points.edges[keeps])
-    return replace(memory, points=left, step_px=memory.step_px[keeps])
+    return replace(memory, points=memory.points.take(keeps), step_px=memory.step_px[keeps])
 
 
-def _with_new(
-    memory: KltMemory, grey: Picture, allowed: Picture | None, new_px: Floats, config: TrackingConfig
-) -> KltMemory:
+def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config: TrackingConfig) -> KltMemory:
     """The tracks, and those that begin at corners ``new_px (M, 2)`` of the picture."""
-    points = memory.points
+    grey, points = memory.grey, memory.points
     offset_px, edge = window_contents(grey, new_px, config.window_px)
     content_px = new_px + np.nan_to_num(offset_px)
     is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
     content_px = np.where(is_visible[:, None], content_px, new_px)
     new_id = memory.next_track_id + np.arange(len(new_px), dtype=np.int64)
     return KltMemory(
-        grey=memory.grey,
+        grey=grey,
         points=PointSet(
             np.concatenate([points.track_id, new_id]),
             np.concatenate([points.xy_px, content_px]),

@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 
 from ttcvid.config import TrackingConfig
-from ttcvid.model import (
-    Frame,
-    FrameStatus,
-    Picture,
-    PointSet,
-)
+from ttcvid.model import NO_POINTS, Frame, FrameStatus, Picture, PointSet
 from ttcvid.stages.tracking.given_tracks import compare_table_points
 from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
 
@@ -25,7 +20,6 @@ MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
 # put together. (On an exact drive 80 % of 90 % intervals or more hold after a jump by up to half a second, and 53 %
 # after one by a second.)
 _GAP_S, _GAP_STEPS, _LAST_STEPS = 0.7, 10.0, 9
-NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 
 @dataclass(frozen=True)

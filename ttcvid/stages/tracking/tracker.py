@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ttcvid.config import TrackingConfig
 from ttcvid.geometry.medians import median
-from ttcvid.model import Floats, FrameStatus, Picture, PointSet
+from ttcvid.model import NO_POINTS, Floats, FrameStatus, Picture, PointSet
 from ttcvid.stages.tracking.akaze import AkazeMemory, Features, detect_features, follow_akaze, points_of, start_akaze
+from ttcvid.stages.tracking.groups import in_common
 from ttcvid.stages.tracking.klt import KltMemory, follow_klt, start_klt
 
 # Size of the thumbnail and bins of its histogram that stand for the look of a picture.
@@ -89,26 +89,26 @@ def follow_points(
     Returns
     -------
     points : none where the picture is ``dark`` or a ``duplicate`` of the last one, exactly or but for the effect of a
-    codec
-        (then the memory of the tracks stays as it was).
+        codec (then the memory of the tracks stays as it was).
     status : ``first``, ``cut`` (all tracks start again), ``dark``, ``duplicate`` or ``ok``.
     memory : for the next picture.
     """
     if int(prepared.thumbnail.max()) < _DARK_LEVEL:
-        return _no_points(), FrameStatus.dark, replace(memory, steps_px=None)
+        return NO_POINTS, FrameStatus.dark, replace(memory, steps_px=None)
     last = memory.prepared
     if last is None:
         points, started = _started(memory, prepared, allowed, config)
         return points, FrameStatus.first, started
     if np.array_equal(last.thumbnail, prepared.thumbnail) and np.array_equal(last.grey, prepared.grey):
-        return _no_points(), FrameStatus.duplicate, replace(memory, steps_px=None)
-    followed, survival, n_before = _followed(memory, prepared, allowed, config, camera_rests)
+        return NO_POINTS, FrameStatus.duplicate, replace(memory, steps_px=None)
+    followed, survival, n_before = _followed(memory, last, prepared, allowed, config, camera_rests)
     if _is_cut(survival, n_before, last.thumbnail, prepared.thumbnail):
         points, started = _started(memory, prepared, allowed, config)
         return points, FrameStatus.cut, started
-    steps_px = _steps_px(_points(memory), _points(followed))
+    before_px, now_px = in_common(_points(memory), _points(followed))
+    steps_px = np.linalg.norm(now_px - before_px, axis=1)
     if _stand_still(steps_px, memory):
-        return _no_points(), FrameStatus.duplicate, replace(memory, n_repeated=memory.n_repeated + 1)
+        return NO_POINTS, FrameStatus.duplicate, replace(memory, n_repeated=memory.n_repeated + 1)
     step_px = median(steps_px) if len(steps_px) >= _FEW_TRACKS else 0.0
     last_steps_px = _NO_STEPS if memory.steps_px is None else (memory.steps_px[1], step_px)
     return _points(followed), FrameStatus.ok, replace(followed, steps_px=last_steps_px)
@@ -127,6 +127,7 @@ def _started(
 
 def _followed(
     memory: TrackerMemory,
+    last: PreparedPicture,
     prepared: PreparedPicture,
     allowed: Picture | None,
     config: TrackingConfig,
@@ -139,24 +140,14 @@ def _followed(
     if memory.klt is None:
         raise ValueError("follow_points: the memory belongs to another tracker than the one configured")
     klt, survival = follow_klt(memory.klt, prepared.grey, allowed, config, camera_rests=camera_rests)
-    gain = 1.0 if memory.prepared is None else _exposure_gain(memory.prepared, prepared)
+    # What makes the picture as bright as the last one.
+    gain = float(last.thumbnail.mean()) / max(float(prepared.thumbnail.mean()), 1.0)
     if survival < _POOR_SURVIVAL and abs(gain - 1.0) > _LEAST_EXPOSURE_CHANGE:
         exposed = np.asarray(cv2.convertScaleAbs(prepared.grey, alpha=gain), dtype=np.uint8)
         again, survival_exposed = follow_klt(memory.klt, exposed, allowed, config, camera_rests=camera_rests)
         if survival_exposed > survival:
             klt, survival = replace(again, grey=prepared.grey), survival_exposed
     return TrackerMemory(prepared, klt), survival, len(memory.klt.points.track_id)
-
-
-def _steps_px(last: PointSet, now: PointSet) -> Floats:
-    """How far the tracks of both pictures have moved."""
-    if not len(last.track_id):
-        return np.empty(0)
-    order = np.argsort(last.track_id, kind="stable")
-    place = np.searchsorted(last.track_id, now.track_id, sorter=order)
-    before = order[np.minimum(place, len(order) - 1)]
-    way_px = (now.xy_px - last.xy_px[before])[last.track_id[before] == now.track_id]
-    return np.asarray(np.hypot(way_px[:, 0], way_px[:, 1]))
 
 
 def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
@@ -171,21 +162,12 @@ def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
     return bool(np.mean(steps_px < _STILL_PART * step_px) >= _STILL_SHARE)
 
 
-def _exposure_gain(last: PreparedPicture, now: PreparedPicture) -> float:
-    """What makes a picture as bright as the last one."""
-    return float(last.thumbnail.mean()) / max(float(now.thumbnail.mean()), 1.0)
-
-
 def _points(memory: TrackerMemory) -> PointSet:
     if memory.akaze is not None:
         points = points_of(memory.akaze)
     else:
-        points = _no_points() if memory.klt is None else memory.klt.points
+        points = NO_POINTS if memory.klt is None else memory.klt.points
     return replace(points, common_error_px=COMMON_ERROR_PX)
-
-
-def _no_points() -> PointSet:
-    return PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 
 def _next_track_id(memory: TrackerMemory) -> int:
@@ -202,9 +184,5 @@ def _is_cut(survival: float, n_before: int, last: Picture, now: Picture) -> bool
 
 def _moved(last: Picture, now: Picture) -> float:
     """Part of the histogram's mass that differs."""
-    return 0.5 * float(np.abs(_histogram(last) - _histogram(now)).sum())
-
-
-def _histogram(thumbnail: Picture) -> NDArray[np.float64]:
-    counts, _ = np.histogram(thumbnail, _BINS, (0, 256))
-    return counts / thumbnail.size
+    before, after = (np.histogram(thumbnail, _BINS, (0, 256))[0] / thumbnail.size for thumbnail in (last, now))
+    return 0.5 * float(np.abs(before - after).sum())
