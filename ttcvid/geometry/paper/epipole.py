@@ -23,13 +23,10 @@ INFINITY_COSINE = float(np.cos(np.radians(89.0)))
 _PARALLEL_RATIO = 1e-10
 # A direction less certain than this (rad) is unknown: the tangent plane is no model of the sphere beyond.
 MAX_DIRECTION_SIGMA_RAD = 0.5
-_MAX_ITERATIONS = 30
-# Gauss-Newton ends after a step shorter than this part of the standard deviation that it is heading for.
-_CONVERGED_SIGMAS = 1e-4
-# Fractions of a Gauss-Newton step that are tried in turn until one lowers the cost.
-_STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05, 0.01)
-# Determinant over squared trace below which a 2 x 2 matrix is singular; least divisor.
-_SINGULAR, _TINY = 1e-15, 1e-30
+# Determinant over squared trace below which a 2 x 2 matrix is singular.
+_SINGULAR = 1e-15
+# The descent ends where a step changes the direction or chi-square by less than this part of it.
+_CONVERGED = 1e-12
 # In the vote on the sign a track counts at most this many sigmas: one wild flow must not outvote the others.
 _MAX_VOTE_SIGMAS = 3.0
 
@@ -38,7 +35,7 @@ def epipole_from_flow_lines(first_px: Floats, second_px: Floats) -> tuple[Floats
     """Least-squares intersection of flow lines in the picture, by pseudo-inverse of their unit normals.
 
     Kept as the paper has it. Its unit normals are themselves noisy, which biases it towards the points (80 one-sided
-    lines, 0.3 px: 32 px in the tests); `epipole_maximum_likelihood` is what the stages use.
+    lines, 0.3 px: 32 px in the tests); `epipole_maximum_likelihood` has no such bias.
 
     Parameters
     ----------
@@ -160,63 +157,20 @@ def _has_motion(q: Floats, p: Floats, sigma_rad: Floats) -> bool:
     return bool(chi2 > freedom + SIGNIFICANCE_SIGMAS * np.sqrt(2.0 * freedom))
 
 
-def _descend(direction: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
+def _descend(start: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
     """Gauss-Newton from a start: the direction at the minimum and its covariance (infinite where undetermined)."""
-    normals, cosines = cross(p, q), np.einsum("ni,ni->n", p, q)
-    basis = tangent_basis(direction)
-    residual, jacobian = _residuals(direction, basis, q, p, normals, cosines, sigma_rad)
-    cost = float(residual @ residual)
-    for _ in range(_MAX_ITERATIONS):
-        tangent_cov = _inverse_2x2(jacobian.T @ jacobian)
-        if tangent_cov is None:
-            return direction, np.full((3, 3), np.inf)
-        cov = basis @ tangent_cov @ basis.T
-        step = -basis @ (tangent_cov @ (jacobian.T @ residual))
-        for fraction in _STEP_FRACTIONS:
-            trial = normalize(direction + fraction * step)
-            trial_basis = tangent_basis(trial)
-            trial_residual, jacobian = _residuals(trial, trial_basis, q, p, normals, cosines, sigma_rad)
-            trial_cost = float(trial_residual @ trial_residual)
-            if trial_cost < cost:
-                break
-        if not trial_cost < cost:
-            break
-        direction, basis, residual, cost = trial, trial_basis, trial_residual, trial_cost
-        if step @ step < _CONVERGED_SIGMAS**2 * np.trace(cov):
-            break
-    return direction, cov
+    from scipy.optimize import least_squares  # takes long to import, and no stage needs it
 
+    normals, basis = cross(p, q), tangent_basis(start)
 
-def _inverse_2x2(matrix: Floats) -> Floats | None:
-    """Inverse of a symmetric 2 x 2 matrix, None where it is singular to working precision."""
-    (a, b), (_, d) = matrix.tolist()
-    determinant = a * d - b * b
-    if not determinant > _SINGULAR * (a + d) ** 2:
-        return None
-    inverse: Floats = np.array([[d, -b], [-b, a]]) / determinant
-    return inverse
+    def signed_roots(tangent: Floats) -> Floats:
+        direction = normalize(start + basis @ tangent)
+        return np.asarray(np.sign(normals @ direction) * np.sqrt(flow_line_chi2(direction, q, p, sigma_rad)))
 
-
-def _residuals(
-    direction: Floats, basis: Floats, q: Floats, p: Floats, normals: Floats, cosines: Floats, sigma_rad: Floats
-) -> tuple[Floats, Floats]:
-    """Signed roots ``(N,)`` of `flow_line_chi2` and their derivatives ``(N, 2)`` by tangent coordinates.
-
-    ``basis (3, 2)`` is that of the tangents at ``direction (3,)``; ``normals (N, 3)`` are p x q and ``cosines (N,)``
-    p . q, which do not change during the descent.
-    """
-    p_along, q_along, triple = (v @ direction for v in (p, q, normals))
-    p_tangent, q_tangent, by_direction = (v @ basis for v in (p, q, normals))
-    half_difference = 0.5 * (q_along**2 - p_along**2)
-    mixed = cosines - p_along * q_along
-    root = np.maximum(np.sqrt(half_difference**2 + mixed**2), _TINY)
-    lambda_max = np.maximum(1.0 - 0.5 * (p_along**2 + q_along**2) + root, _TINY)
-    by_difference, by_mixed = half_difference / root, mixed / root
-    # d lambda_max = d root - p_along dp - q_along dq, gathered by the two tangents.
-    of_p = -(by_difference + 1.0) * p_along - by_mixed * q_along
-    of_q = (by_difference - 1.0) * q_along - by_mixed * p_along
-    d_lambda = of_p[:, None] * p_tangent + of_q[:, None] * q_tangent
-    scale = 1.0 / (np.sqrt(lambda_max) * sigma_rad)
-    residual = triple * scale
-    relative = 0.5 * residual / lambda_max
-    return residual, by_direction * scale[:, None] - relative[:, None] * d_lambda
+    found = least_squares(signed_roots, np.zeros(2), "3-point", ftol=_CONVERGED, xtol=_CONVERGED, gtol=_CONVERGED)
+    moved = start + basis @ found.x
+    direction, information = normalize(moved), found.jac.T @ found.jac
+    if not np.linalg.det(information) > _SINGULAR * np.trace(information) ** 2:
+        return direction, np.full((3, 3), np.inf)
+    by_tangent = (np.eye(3) - np.outer(direction, direction)) @ basis / np.linalg.norm(moved)
+    return direction, by_tangent @ np.linalg.inv(information) @ by_tangent.T
