@@ -13,16 +13,7 @@ from ttcvid.model import Floats, Ints
 
 
 def chi2_quantile(probability: float, freedom: int | Ints) -> Floats:
-    """Quantile of chi-square, the distribution of a sum of squared standard normal numbers.
-
-    Parameters
-    ----------
-    probability : In (0, 1).
-    freedom : Degrees of freedom, scalar or ``(...)``.
-
-    Returns
-    -------
-    ``(...)`` in the shape of ``freedom``.
+    """Quantile at a ``probability`` in (0, 1), in the shape of ``freedom``, the degrees of freedom.
 
     >>> chi2_quantile(0.95, np.array([1, 2])).round(3)
     array([3.841, 5.991])

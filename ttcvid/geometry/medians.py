@@ -19,12 +19,7 @@ def median(values: Floats) -> float:
 
 
 def quantile(values: Floats, part: float) -> float:
-    """Quantile of finite numbers, linearly interpolated.
-
-    Parameters
-    ----------
-    values : ``(N,)``, N > 0.
-    part : In [0, 1].
+    """Quantile of finite numbers ``(N,)``, N > 0, linearly interpolated; ``part`` in [0, 1].
 
     >>> quantile(np.array([3.0, 1.0, 2.0, 5.0]), 0.25)
     1.75
@@ -36,17 +31,9 @@ def quantile(values: Floats, part: float) -> float:
 
 
 def medians(values: Floats, group: Ints, n_groups: int) -> Floats:
-    """Median of the values of each group.
+    """Medians ``(K,)`` of the ``values (N,)`` that belong to each of K groups: ``group (N,)`` from 0.
 
-    Parameters
-    ----------
-    values : ``(N,)``; NaN is left out.
-    group : ``(N,)`` group of each value, from 0.
-    n_groups : Number K of groups.
-
-    Returns
-    -------
-    ``(K,)``; NaN for a group without values.
+    Values that are NaN are left out; NaN for a group without any.
 
     >>> medians(np.array([5.0, 1.0, 2.0, 4.0]), np.array([0, 0, 2, 0]), 3)
     array([ 4., nan,  2.])

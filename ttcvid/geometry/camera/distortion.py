@@ -20,7 +20,7 @@ _ROUNDING = 32.0 * np.finfo(np.float64).eps
 # The inverse starts from a table over the angle from the optical axis, 0.09 deg apart: near enough for Newton's
 # method to need two steps.
 _TABLE_ANGLE_RAD = np.linspace(0.0, np.pi / 2.0, 1001)
-_MAX_TABLE_RADIUS = np.tan(np.radians(89.5))
+_MAX_TABLE_ANGLE_RAD = np.radians(89.5)
 
 
 def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
@@ -65,19 +65,11 @@ def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
             x_d, y_d, *jacobian = _radial_tangential(k, x, y)
             is_valid = _is_before_fold(jacobian) & (x * x + y * y < _table(model, coefficients)[2] ** 2)
             places = np.stack([x_d, y_d], axis=1)
-    return _nan_where(~is_valid, places)
+    return np.where(is_valid[:, None], places, np.nan)
 
 
 def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
-    """Factor by which `distort` scales a small area at each point: the determinant of its Jacobian.
-
-    Parameters
-    ----------
-    model, coefficients, xy : As in `distort`.
-
-    Returns
-    -------
-    ``(N,)`` without unit.
+    """Factor ``(N,)`` by which `distort` scales a small area at each point: the determinant of its Jacobian.
 
     >>> distorted_area("fisheye", (0.0, 0.0, 0.0, 0.0), np.array([[0.0, 0.0], [np.sqrt(3.0), 0.0]])).round(4)
     array([1.    , 0.1511])
@@ -91,8 +83,7 @@ def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> F
         return j_xx * j_yy - j_xy * j_xy
     r = np.hypot(x, y)
     angle_d, slope = _fisheye_angle(coefficients, np.arctan(r))
-    area: Floats = np.divide(angle_d, r, out=np.ones_like(r), where=r > 0.0) * slope / (1.0 + r * r)
-    return area
+    return np.asarray(np.divide(angle_d, r, out=np.ones_like(r), where=r > 0.0) * slope / (1.0 + r * r))
 
 
 def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats, tolerance: float) -> Floats:
@@ -100,7 +91,7 @@ def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats,
 
     Parameters
     ----------
-    model, coefficients : As in `distort`.
+    model, coefficients : As in `distort`, with the same error.
     xy_distorted : ``(N, 2)`` distorted points.
     tolerance : The iteration ends where `distort` reproduces the point within this length on the plane z = 1.
 
@@ -108,11 +99,6 @@ def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats,
     -------
     ``(N, 2)`` undistorted points; NaN where the iteration does not converge: no undistorted point leads there, or it is
     at the fold, or 90 deg or more off the axis.
-
-    Raises
-    ------
-    ValueError
-        The model is unknown, or has another number of coefficients.
 
     >>> undistort("plumb_bob", (-0.2, 0.0, 0.0, 0.0, 0.0), np.array([[0.475, 0.0], [9.0, 0.0]]), 1e-13).round(12)
     array([[0.5, 0. ],
@@ -133,7 +119,7 @@ def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats,
             return xy_distorted * np.divide(np.tan(angle), r_d, out=np.ones_like(r_d), where=r_d > 0.0)[:, None]
         scale = np.divide(start, r_d, out=np.ones_like(r_d), where=r_d > 0.0)
         xy = _invert_radial_tangential(_eight(coefficients), xy_distorted, xy_distorted * scale[:, None], within)
-        return _nan_where(np.einsum("ni,ni->n", xy, xy) >= limit**2, xy)
+        return np.where(np.einsum("ni,ni->n", xy, xy)[:, None] < limit**2, xy, np.nan)
 
 
 def _check(model: str, coefficients: tuple[float, ...]) -> None:
@@ -149,11 +135,6 @@ def _check(model: str, coefficients: tuple[float, ...]) -> None:
 def _does_nothing(model: str, coefficients: tuple[float, ...]) -> bool:
     """Whether a model leaves every place alone; the equidistant one never does, even with all coefficients 0."""
     return model != "fisheye" and not any(coefficients)
-
-
-def _nan_where(mask: Bools, places: Floats) -> Floats:
-    places[mask] = np.nan
-    return places
 
 
 def _eight(coefficients: tuple[float, ...]) -> tuple[float, ...]:
@@ -184,8 +165,7 @@ def _radial_tangential(k: tuple[float, ...], x: Floats, y: Floats) -> tuple[Floa
 def _is_before_fold(jacobian: list[Floats]) -> Bools:
     """Whether the symmetric Jacobian (xx, xy, yy) is positive definite, as it is at the centre."""
     j_xx, j_xy, j_yy = jacobian
-    result: Bools = (j_xx > 0.0) & (j_xx * j_yy > j_xy * j_xy)
-    return result
+    return np.asarray((j_xx > 0.0) & (j_xx * j_yy > j_xy * j_xy))
 
 
 def _fisheye_angle(k: tuple[float, ...], angle: Floats) -> tuple[Floats, Floats]:
@@ -208,12 +188,10 @@ def _table(model: str, coefficients: tuple[float, ...]) -> tuple[Floats, Floats,
         distorted, slope = _fisheye_angle(coefficients, plain)
         bound = float(np.pi / 2.0)
     else:
-        plain = np.tan(_TABLE_ANGLE_RAD[:-1])
-        plain = plain[plain <= _MAX_TABLE_RADIUS]
-        k = list(_eight(coefficients))
-        k[2] = k[3] = 0.0
+        plain = np.tan(_TABLE_ANGLE_RAD[_TABLE_ANGLE_RAD <= _MAX_TABLE_ANGLE_RAD])
+        k1, k2, _, _, *others = _eight(coefficients)
         with np.errstate(all="ignore"):
-            distorted, _, slope, *_ = _radial_tangential(tuple(k), plain, np.zeros_like(plain))
+            distorted, _, slope, *_ = _radial_tangential((k1, k2, 0.0, 0.0, *others), plain, np.zeros_like(plain))
         bound = float(np.inf)
     folded = np.flatnonzero(~((slope > 0.0) & np.isfinite(distorted)))
     if len(folded):
@@ -225,8 +203,8 @@ def _table(model: str, coefficients: tuple[float, ...]) -> tuple[Floats, Floats,
 def _invert_fisheye(k: tuple[float, ...], wanted: Floats, start: Floats, within: Floats) -> Floats:
     """Angles whose distorted angle is the wanted one; NaN where Newton's method does not get there."""
     result = np.full_like(wanted, np.nan)
-    active, angle = np.flatnonzero(np.isfinite(wanted)), start
-    angle = angle[active]
+    active = np.flatnonzero(np.isfinite(wanted))
+    angle = start[active]
     for _ in range(_MAX_NEWTON_STEPS):
         angle_d, slope = _fisheye_angle(k, angle)
         miss = angle_d - wanted[active]

@@ -12,22 +12,10 @@ UNDISTORTION_TOLERANCE_PX = 5e-11
 
 
 def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
-    """Undistorted rays of distorted source pixels.
+    """Undistorted rays ``(N, 3)`` with z = 1, camera frame, of distorted source pixels ``(N, 2)``.
 
-    Parameters
-    ----------
-    camera : Intrinsics and distortion.
-    xy_px : ``(N, 2)`` source pixels.
-
-    Returns
-    -------
-    ``(N, 3)`` rays with z = 1, camera frame. NaN where no ray leads to the pixel: outside of what the lens model
-    reaches, and, since z = 1 cannot represent it, at 90 deg or more off the axis of a fisheye lens.
-
-    Raises
-    ------
-    ValueError
-        The camera's distortion model is unknown, or has another number of coefficients.
+    NaN where no ray leads to the pixel: outside of what the lens model reaches, and, since z = 1 cannot represent it,
+    at 90 deg or more off the axis of a fisheye lens. A lens model that is unknown is an error as in `undistort`.
 
     >>> from ttcvid.model import ImageSize
     >>> camera = Camera(fx_px=100.0, fy_px=50.0, cx_px=10.0, cy_px=20.0, image_size=ImageSize(640, 480))
@@ -38,26 +26,16 @@ def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
     xy_distorted = (np.asarray(xy_px, dtype=np.float64) - (camera.cx_px, camera.cy_px)) / (camera.fx_px, camera.fy_px)
     tolerance = UNDISTORTION_TOLERANCE_PX / max(camera.fx_px, camera.fy_px)
     xy = undistort(camera.distortion_model, camera.distortion, xy_distorted, tolerance)
-    rays = np.ones((len(xy), 3))
-    rays[:, :2] = xy
+    rays = np.column_stack([xy, np.ones(len(xy))])
     rays[~np.isfinite(xy).all(axis=1)] = np.nan
     return rays
 
 
 def plane_per_px(camera: Camera, rays: Floats) -> Floats:
-    """Length in the plane z = 1 that one pixel spans at each ray: the square root of the area of a pixel.
+    """Length ``(N,)`` in the plane z = 1 that a pixel spans at each of ``rays (N, 3)``: the square root of its area.
 
     Without distortion that is one over the focal length; a fisheye lens packs more into a pixel the farther off the
-    axis.
-
-    Parameters
-    ----------
-    camera : Intrinsics and distortion.
-    rays : ``(N, 3)`` of any length, camera frame.
-
-    Returns
-    -------
-    ``(N,)`` without unit; the value at the axis where a ray has none (NaN, z <= 0, where the lens model folds over).
+    axis. Where a ray has none (NaN, z <= 0, where the lens model folds over) it is the value at the axis.
 
     >>> from ttcvid.model import ImageSize
     >>> camera = Camera(100.0, 100.0, 320.0, 240.0, ImageSize(640, 480), "fisheye", (0.0, 0.0, 0.0, 0.0))
@@ -76,21 +54,10 @@ def plane_per_px(camera: Camera, rays: Floats) -> Floats:
 
 
 def pixels_from_rays(camera: Camera, rays: Floats) -> Floats:
-    """Distorted source pixels of rays or points.
+    """Distorted source pixels ``(N, 2)`` of rays or points ``(N, 3)`` in the camera frame.
 
-    Parameters
-    ----------
-    camera : Intrinsics and distortion.
-    rays : ``(N, 3)`` of any length, camera frame.
-
-    Returns
-    -------
-    ``(N, 2)`` px; NaN for z <= 0 (behind the camera or in its picture plane) and where the lens model folds over.
-
-    Raises
-    ------
-    ValueError
-        The camera's distortion model is unknown, or has another number of coefficients.
+    NaN for z <= 0 (behind the camera or in its picture plane) and where the lens model folds over. A lens model that
+    is unknown is an error as in `distort`.
 
     >>> from ttcvid.model import ImageSize
     >>> camera = Camera(fx_px=100.0, fy_px=50.0, cx_px=10.0, cy_px=20.0, image_size=ImageSize(640, 480))

@@ -91,13 +91,12 @@ def fit_horizon(
     if not smallest > 1e-9 * largest:
         return None
     basis = tangent_basis(normal)
-    variance = np.einsum("i,kij,j->k", normal, covariances, normal) + scatter_rad**2
     return HorizonFit(
         normal=normal,
         covariance=basis @ np.linalg.inv(information) @ basis.T,
         is_used=is_used,
         residual_rad=np.arcsin(np.clip(directions @ normal, -1, 1)),
-        sigma_rad=np.sqrt(variance),
+        sigma_rad=np.sqrt(_variance(normal, covariances, scatter_rad)),
         scatter_rad=scatter_rad,
         quantile=_NORMAL_95,
     )
@@ -106,16 +105,12 @@ def fit_horizon(
 def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, probability: float) -> bool:
     """Whether K epipoles may all be the same one (of either sign), through which no horizon is determined.
 
-    A chi-square test with two degrees of freedom for each motion but the first.
-
-    Parameters
-    ----------
-    directions, covariances, floor_rad : As in `fit_horizon`.
-    probability : Probability at which the epipoles count as different.
+    A chi-square test with two degrees of freedom for each motion but the first; at this ``probability`` the epipoles
+    count as different. The others as in `fit_horizon`.
     """
     if len(directions) < 2:
         return True
-    weight = np.array([_inverse(cov, floor_rad) for cov in covariances])
+    weight = np.linalg.inv(covariances + floor_rad**2 * np.eye(3))
     _, vectors = np.linalg.eigh(np.einsum("ki,kj->ij", directions, directions))
     common = vectors[:, -1]
     total = np.inf
@@ -131,17 +126,9 @@ def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, 
 
 
 def widest_angle_rad(directions: Floats, covariances: Floats) -> float:
-    """Largest angle between any two of K directions, of either sign, that is certain.
+    """Largest angle between any two of K directions, of either sign, that is certain; 0 where none is.
 
     An angle is certain as far as it exceeds three standard deviations, each direction's along its longest axis.
-
-    Parameters
-    ----------
-    directions, covariances : As in `fit_horizon`.
-
-    Returns
-    -------
-    rad; 0 where no angle is certain.
     """
     angle = np.arccos(np.clip(np.abs(directions @ directions.T), 0.0, 1.0))
     variance = np.linalg.norm(covariances, 2, axis=(1, 2))
@@ -152,23 +139,11 @@ def widest_angle_rad(directions: Floats, covariances: Floats) -> float:
 def pitch_roll_covariance_rad2(fit: HorizonFit) -> Floats:
     """Covariance ``(2, 2)`` of (pitch, roll), rad^2."""
     inverse = np.linalg.pinv(normal_by_pitch_roll(*pitch_roll_rad(fit.normal)))
-    result: Floats = inverse @ fit.covariance @ inverse.T
-    return result
+    return np.asarray(inverse @ fit.covariance @ inverse.T)
 
 
 def band_px(camera: Camera, fit: HorizonFit, x_px: Floats) -> tuple[Floats, Floats]:
-    """Height of the horizon at some columns of the undistorted picture, and half of its 95 % band.
-
-    Parameters
-    ----------
-    camera : Intrinsics.
-    fit : The horizon.
-    x_px : ``(N,)`` columns.
-
-    Returns
-    -------
-    y, half_width : ``(N,)`` px each.
-    """
+    """Height of the horizon at columns ``(N,)`` of the undistorted picture, and half of its 95 % band: (N,) px each."""
     x = (x_px - camera.cx_px) / camera.fx_px
     n = fit.normal
     rays = np.column_stack([x, -(n[0] * x + n[2]) / n[1], np.ones_like(x)])
@@ -177,17 +152,14 @@ def band_px(camera: Camera, fit: HorizonFit, x_px: Floats) -> tuple[Floats, Floa
     return rays[:, 1] * camera.fy_px + camera.cy_px, fit.quantile * np.sqrt(variance)
 
 
-def _inverse(covariance: Floats, floor_rad: float) -> Floats:
-    values, vectors = np.linalg.eigh(covariance)
-    inverse: Floats = vectors @ np.diag(1.0 / (np.maximum(values, 0.0) + floor_rad**2)) @ vectors.T
-    return inverse
-
-
 def _chi2(normal: Floats, directions: Floats, covariances: Floats, scatter_rad: float) -> Floats:
     """Squared distance of each epipole from the horizon, in its own variances: (K,)."""
-    variance = np.einsum("i,kij,j->k", normal, covariances, normal) + scatter_rad**2
-    result: Floats = (directions @ normal) ** 2 / variance
-    return result
+    return np.asarray((directions @ normal) ** 2 / _variance(normal, covariances, scatter_rad))
+
+
+def _variance(normal: Floats, covariances: Floats, scatter_rad: float) -> Floats:
+    """Of the distance of each epipole from the horizon: (K,) rad^2."""
+    return np.asarray(np.einsum("i,kij,j->k", normal, covariances, normal) + scatter_rad**2)
 
 
 def _starts(directions: Floats, covariances: Floats, roll_sigma_rad: float | None) -> Floats:
@@ -201,8 +173,7 @@ def _starts(directions: Floats, covariances: Floats, roll_sigma_rad: float | Non
         return np.empty((0, 3))
     normals = normalize(np.array(candidates))
     normals = normals[np.isfinite(normals).all(axis=1)]
-    upward: Floats = normals * np.where(normals @ UP < 0.0, -1.0, 1.0)[:, None]
-    return upward
+    return np.asarray(normals * np.where(normals @ UP < 0.0, -1.0, 1.0)[:, None])
 
 
 def _with_scatter(
@@ -225,8 +196,7 @@ def _descend(
     for _ in range(_MAX_ITERATIONS):
         basis = tangent_basis(normal)
         height = directions @ normal
-        variance = np.einsum("i,kij,j->k", normal, covariances, normal) + scatter_rad**2
-        root = np.sqrt(variance)
+        root = np.sqrt(_variance(normal, covariances, scatter_rad))
         by_variance = np.einsum("ia,kij,j->ka", basis, covariances, normal)
         jacobian = (directions @ basis) / root[:, None] - (height / root**3)[:, None] * by_variance
         residual = height / root

@@ -84,7 +84,7 @@ def fit_outline(
     if len(numbers) < 3:
         return None
     line = _line(outline, _start(outline))
-    wave = find_steps(_across(outline, line)[:, 1], t_s, outline[:, 2] - outline[:, 1], line.weight)
+    wave = find_steps(_across(outline, line.point, line.along)[:, 1], t_s, outline[:, 2] - outline[:, 1], line.weight)
     if wave is not None:
         line = _line(outline, (line.point, line.along), wave.terms)
     epipole = _epipole(line.point, line.along)
@@ -92,9 +92,7 @@ def fit_outline(
         return None
     basis = tangent_basis(epipole)
     left_out = np.array([_like(_without(outline, block == number, line, wave), epipole) for number in numbers])
-    change = (left_out - left_out.mean(axis=0)) @ basis
-    spread = (len(numbers) - 1) / len(numbers) * change.T @ change
-    spread = _at_least(spread, _formal(line, n_independent, basis))
+    spread = _at_least(_jackknife(left_out @ basis), _formal(line, n_independent, basis))
     for side in (1, 2):
         moved = line.point.copy()
         moved[side] += border_sigma
@@ -140,26 +138,22 @@ def _line(outline: Floats, start: tuple[Floats, Floats], terms: Floats | None = 
     point, along = start
     level, weight, noise = outline.copy(), np.ones(len(outline)), 0.0
     for _ in range(_ROUNDS):
-        offset = level - point
-        distance = np.linalg.norm(offset - (offset @ along)[:, None] * along, axis=1)
+        distance = np.linalg.norm(_across(level, point, along), axis=1)
         noise = float(np.median(distance)) / _MEDIAN_RAYLEIGH
         weight = 1.0 / (1.0 + (distance / max(_CAUCHY_SIGMAS * noise, _TINY)) ** 2)
         point = weight @ level / weight.sum()
         offset = level - point
         along = np.linalg.eigh((weight[:, None] * offset).T @ offset)[1][:, -1]
         if terms is not None:
-            offset = outline - point
-            across = (offset - (offset @ along)[:, None] * along)[:, 1:]
-            root = np.sqrt(weight)[:, None]
+            across, root = _across(outline, point, along)[:, 1:], np.sqrt(weight)[:, None]
             level[:, 1:] = outline[:, 1:] - terms @ np.linalg.lstsq(root * terms, root * across, rcond=None)[0]
     return _Line(point, along, level, weight, noise)
 
 
-def _across(outline: Floats, line: _Line) -> Floats:
+def _across(outline: Floats, point: Floats, along: Floats) -> Floats:
     """Distances ``(N, 3)`` from a line."""
-    offset = outline - line.point
-    distances: Floats = offset - (offset @ line.along)[:, None] * line.along
-    return distances
+    offset = outline - point
+    return np.asarray(offset - (offset @ along)[:, None] * along)
 
 
 def _epipole(point: Floats, along: Floats) -> Floats:
@@ -178,9 +172,10 @@ def _formal(line: _Line, n_independent: float, basis: Floats) -> Floats:
     epipole = _epipole(point, along)
     covariance = np.zeros((2, 2))
     for across in tangent_basis(along).T:
-        by_point = _like(_epipole(point + np.sqrt(of_point) * across, along), epipole) - epipole
-        by_along = _like(_epipole(point, normalize(along + np.sqrt(of_along) * across)), epipole) - epipole
-        for shift in (by_point @ basis, by_along @ basis):
+        by_point = _epipole(point + np.sqrt(of_point) * across, along)
+        by_along = _epipole(point, normalize(along + np.sqrt(of_along) * across))
+        for moved in (by_point, by_along):
+            shift = (_like(moved, epipole) - epipole) @ basis
             covariance += np.outer(shift, shift)
     return covariance
 
@@ -190,8 +185,13 @@ def _at_least(covariance: Floats, least: Floats) -> Floats:
     root = np.linalg.cholesky(least + _TINY * np.eye(2))
     inverse = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse @ covariance @ inverse.T)
-    larger: Floats = root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T
-    return larger
+    return np.asarray(root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T)
+
+
+def _jackknife(left_out: Floats) -> Floats:
+    """Covariance ``(k, k)`` of an estimate from those ``(B, k)`` without each of the blocks."""
+    change = left_out - left_out.mean(axis=0)
+    return np.asarray((len(change) - 1) / len(change) * change.T @ change)
 
 
 def _like(ray: Floats, other: Floats) -> Floats:
@@ -210,7 +210,6 @@ def _bend_sigmas(line: _Line, block: Ints) -> float:
         found: Floats = np.linalg.lstsq(design, across[rows] * np.sqrt(weight[rows])[:, None], rcond=None)[0][2]
         return found
 
-    numbers = np.unique(block)
-    left_out = np.array([square(block != number) for number in numbers])
-    error = np.sqrt((len(numbers) - 1) / len(numbers) * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    left_out = np.array([square(block != number) for number in np.unique(block)])
+    error = np.sqrt(np.diag(_jackknife(left_out)))
     return float(np.max(np.abs(square(block >= 0)) / np.maximum(error, _TINY)))

@@ -14,19 +14,10 @@ from ttcvid.model import Camera, Floats, Horizon
 
 
 def normal_from_horizon(camera: Camera, horizon: Horizon) -> Floats:
-    """Unit normal of the plane through the focal point and the horizon line, pointing up.
+    """Unit normal ``(3,)`` of the plane through the focal point and the horizon line, pointing up, camera frame.
 
     The line is in undistorted pixels, so only the camera matrix counts, not the distortion. When the camera turns, the
     normal turns with it: ``cam_R_prev @ normal``.
-
-    Parameters
-    ----------
-    camera : Intrinsics.
-    horizon : Heights of the line at the left and the right border.
-
-    Returns
-    -------
-    ``(3,)`` in the camera frame.
 
     >>> from ttcvid.model import ImageSize
     >>> size = ImageSize(641, 481)
@@ -34,26 +25,17 @@ def normal_from_horizon(camera: Camera, horizon: Horizon) -> Floats:
     >>> normal_from_horizon(camera, Horizon(240.0, 240.0, size, 0.005, "hand")) + 0.0
     array([ 0., -1.,  0.])
     """
-    right_px = horizon.image_size.width_px - 1.0
-    y_left = (horizon.y_left_px - camera.cy_px) / camera.fy_px
-    y_right = (horizon.y_right_px - camera.cy_px) / camera.fy_px
-    left_ray = np.array([(0.0 - camera.cx_px) / camera.fx_px, y_left, 1.0])
-    right_ray = np.array([(right_px - camera.cx_px) / camera.fx_px, y_right, 1.0])
+    x = (np.array([0.0, horizon.image_size.width_px - 1.0]) - camera.cx_px) / camera.fx_px
+    y = (np.array([horizon.y_left_px, horizon.y_right_px]) - camera.cy_px) / camera.fy_px
+    left_ray, right_ray = np.column_stack([x, y, np.ones(2)])
     return normalize(cross(right_ray, left_ray))
 
 
 def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:
-    """The horizon line ``normal . ray = 0`` in undistorted pixels.
+    """The horizon line ``normal . ray = 0``, of a normal ``(3,)`` of any length and either sign.
 
-    Parameters
-    ----------
-    camera : Intrinsics.
-    normal : ``(3,)`` of any length and either sign.
-
-    Returns
-    -------
-    ``(y_left, y_right)`` in px, at x = 0 and x = width - 1. NaN where the line has no y there: it is vertical in the
-    picture (the camera lies on its side), or at infinity (the camera looks straight up or down).
+    ``(y_left, y_right)`` in undistorted px, at x = 0 and x = width - 1. NaN where the line has no y there: it is
+    vertical in the picture (the camera lies on its side), or at infinity (the camera looks straight up or down).
 
     >>> from ttcvid.model import ImageSize
     >>> camera = Camera(fx_px=500.0, fy_px=500.0, cx_px=320.0, cy_px=240.0, image_size=ImageSize(641, 481))
@@ -69,15 +51,7 @@ def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:
 
 
 def pitch_roll_rad(normal: Floats) -> tuple[float, float]:
-    """Pitch (positive: looks down) and roll (positive: right side low), from the upward normal of the ground.
-
-    Parameters
-    ----------
-    normal : ``(3,)`` unit vector in the camera frame.
-
-    Returns
-    -------
-    ``(pitch, roll)`` in rad.
+    """Pitch (positive: looks down) and roll (positive: right side low), of the upward unit normal ``(3,)``.
 
     >>> pitch_roll_rad(np.array([0.0, -1.0, 0.0]))
     (-0.0, -0.0)
