@@ -46,12 +46,6 @@ def calibrated_horizon(
     and the pieces of one mover count as one. How much larger is known roughly only, so the band is that of Student's
     distribution with as many degrees of freedom as there are motions.
 
-    Parameters
-    ----------
-    motions : Straight motions of all clips.
-    camera : Intrinsics.
-    config : Bounds and factors.
-    from_pictures : Whether the tracks were made from pictures, by us.
     """
     roll_zero = config.roll_zero
     usable = [motion for motion in motions if motion.status == "used"]
@@ -76,9 +70,10 @@ def calibrated_horizon(
         return HorizonResult(None, refused, "the epipoles lie on no common line")
     if from_pictures:
         fit = replace(fit, quantile=float(stdtrit(fit.is_used.sum(), _UPPER_95)))
-    judged = iter(zip(fit.is_used.tolist(), covariances, strict=True))
-    labelled = tuple(_judged(motion, *next(judged)) if motion.status == "used" else motion for motion in motions)
-    agreeing = [motion for motion, is_used in zip(usable, fit.is_used.tolist(), strict=True) if is_used]
+    judged = with_verdict([replace(one, covariance=cov) for one, cov in zip(usable, covariances, strict=True)], fit)
+    remaining = iter(judged)
+    labelled = tuple(next(remaining) if motion.status == "used" else motion for motion in motions)
+    agreeing = [motion for motion in judged if motion.status == "used"]
     reason = _unusable(fit, directions, formal, camera, config, (_count(agreeing), n_usable))
     notes = ("roll taken as zero",) if roll_zero else ()
     return HorizonResult(None if reason else fit, labelled, reason, roll_zero, notes)
@@ -100,13 +95,13 @@ def _picture_factors(motions: list[Motion], config: HorizonCalibrationConfig) ->
     _, same, count = np.unique(who, axis=0, return_inverse=True, return_counts=True)
     of_tracks = config.picture_sigma_factor * np.array([motion.looseness for motion in motions])
     is_tracks = np.array([motion.evidence == TRACKS for motion in motions])
-    factors: Floats = np.where(is_tracks, of_tracks, config.outline_sigma_factor) ** 2 * count[same.ravel()]
-    return factors
+    return np.asarray(np.where(is_tracks, of_tracks, config.outline_sigma_factor) ** 2 * count[same.ravel()])
 
 
-def _judged(motion: Motion, is_used: bool, covariance: np.ndarray) -> Motion:
-    """A motion with its status and covariance after the fit."""
-    return replace(motion, status="used" if is_used else "off_horizon", covariance=covariance)
+def with_verdict(motions: list[Motion], fit: HorizonFit) -> tuple[Motion, ...]:
+    """Motions with their status after the fit of all of them."""
+    status = np.where(fit.is_used, "used", "off_horizon").tolist()
+    return tuple(replace(motion, status=said) for motion, said in zip(motions, status, strict=True))
 
 
 def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonCalibrationConfig) -> str:
@@ -140,9 +135,13 @@ def _unusable(
         reason = _too_alike(directions[fit.is_used], covariances[fit.is_used], config)
         if reason:
             return reason
-    width = camera.image_size.width_px
-    _, half_px = band_px(camera, fit, np.array([0.0, (width - 1) / 2, width - 1.0]))
+    return too_wide(fit, camera, config, "take a longer clip")
+
+
+def too_wide(fit: HorizonFit, camera: Camera, config: HorizonCalibrationConfig, remedy: str) -> str:
+    """Why the band of a fitted line is too wide to be of use, with the ``remedy``; empty if it is not."""
+    _, half_px = band_px(camera, fit, np.array([(camera.image_size.width_px - 1) / 2]))
     most_px = config.max_band_part * camera.image_size.height_px
-    if not half_px[1] <= most_px:
-        return f"the 95 % band is +-{half_px[1]:.0f} px at the centre, more than {most_px:.0f} px: take a longer clip"
-    return ""
+    if half_px[0] <= most_px:
+        return ""
+    return f"the 95 % band is +-{half_px[0]:.0f} px at the centre, more than {most_px:.0f} px: {remedy}"

@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.geometry.horizon.line import band_px, fit_horizon, pitch_roll_covariance_rad2
+from ttcvid.geometry.horizon.line import fit_horizon, pitch_roll_covariance_rad2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 from ttcvid.model import SCENE_CLUSTER, Camera, Floats, FrameResult
-from ttcvid.stages.horizon.at_rest import ROLL_ZERO_SIGMA_RAD, HorizonResult
+from ttcvid.stages.horizon.at_rest import ROLL_ZERO_SIGMA_RAD, HorizonResult, too_wide, with_verdict
 from ttcvid.stages.horizon.straight_motion import Motion
+from ttcvid.stages.horizon.whole_tracks import usual_step_s
 
 # Prior standard deviation of the roll of a camera in a car, rad; a drive with turns determines it better.
 _ROLL_SIGMA_RAD = np.radians(2.0)
@@ -80,19 +81,12 @@ def driving_horizon(motions: list[Motion], camera: Camera, config: HorizonCalibr
         return HorizonResult(None, tuple(motions), "the directions of own motion lie on no common line")
     # The mean tilt of the car (load, camber, slope of the road) is a common error of the whole drive.
     fit = replace(fit, covariance=fit.covariance + floor_rad**2 * (np.eye(3) - np.outer(fit.normal, fit.normal)))
-    labelled = tuple(
-        replace(motion, status="used" if is_used else "off_horizon")
-        for motion, is_used in zip(motions, fit.is_used, strict=True)
-    )
+    labelled = with_verdict(motions, fit)
     if 2 * int(fit.is_used.sum()) < len(motions):
         reason = f"only {fit.is_used.sum()} of {len(motions)} directions of own motion agree on a horizon"
         return HorizonResult(None, labelled, reason)
-    most_px = config.max_band_part * camera.image_size.height_px
-    _, half_px = band_px(camera, fit, np.array([(camera.image_size.width_px - 1) / 2]))
-    if not half_px[0] <= most_px:
-        reason = (
-            f"the 95 % band is +-{half_px[0]:.0f} px at the centre, more than {most_px:.0f} px: take a longer drive"
-        )
+    reason = too_wide(fit, camera, config, "take a longer drive")
+    if reason:
         return HorizonResult(None, labelled, reason)
     roll_found_rad = float(np.sqrt(pitch_roll_covariance_rad2(fit)[1, 1]))
     is_assumed = bool(config.roll_zero or roll_found_rad > _MEASURED_PART * _ROLL_SIGMA_RAD)
@@ -126,7 +120,7 @@ def _motions_of_window(window: list[OwnStep], clip: int, first_number: int) -> l
     mean_from_ref = np.mean([rotation.T for rotation in ref_R_cam], axis=0)
     to_mean = np.linalg.inv(mean_from_ref).T
     start_s = window[0].t_s
-    bin_s = max(_BIN_S, (_LEAST_FRAMES + 0.5) * _usual_step_s(window))
+    bin_s = max(_BIN_S, (_LEAST_FRAMES + 0.5) * usual_step_s([step.t_s for step in window]))
     bins: dict[int, list[int]] = {}
     for place, step in enumerate(window):
         if np.isfinite(step.direction[0]):
@@ -137,10 +131,6 @@ def _motions_of_window(window: list[OwnStep], clip: int, first_number: int) -> l
             turned = [to_mean @ ref_R_cam[place] for place in places]
             motions.append(_averaged([window[place] for place in places], turned, clip, first_number + len(motions)))
     return motions
-
-
-def _usual_step_s(window: list[OwnStep]) -> float:
-    return float(np.median(np.diff([step.t_s for step in window]))) if len(window) > 1 else 0.0
 
 
 def _averaged(steps: list[OwnStep], turned: list[Floats], clip: int, number: int) -> Motion:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -11,7 +9,7 @@ from scipy.spatial import KDTree
 
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.horizon.whole_tracks import Observations
+from ttcvid.stages.horizon.whole_tracks import Observations, usual_step_s
 
 # Each quarter of a track advances by more than the first share of its displacement, and deviates aside by less than the
 # second.
@@ -22,13 +20,6 @@ _STEP_S = 0.4
 _ALIKE_PART, _ALIKE_PX = 0.2, 0.7
 # They are one mover if they moved alike in this share of the time in which both were observed near each other.
 _ALIKE_SHARE = 0.75
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    one: Ints
-    other: Ints
-    is_alike: Bools
 
 
 def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools:
@@ -48,18 +39,12 @@ def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools
     onward = np.einsum("mqi,mi->mq", steps, way) / square
     aside = np.abs(steps[:, :, 0] * way[:, None, 1] - steps[:, :, 1] * way[:, None, 0]) / square
     is_steady = (onward.min(axis=1) > _LEAST_QUARTER) & (aside.max(axis=1) < _MOST_ASIDE)
-    moves: Bools = (lengths >= 4) & (seen_s >= config.min_track_s) & (moved_px >= config.min_path_px) & is_steady
-    return moves
+    is_long = (lengths >= 4) & (seen_s >= config.min_track_s) & (moved_px >= config.min_path_px)
+    return np.asarray(is_long & is_steady)
 
 
 def group_movers(rows: Observations, link_px: float) -> Ints:
-    """Number of the mover of each track: ``(M,)``, 0 .. (number of movers) - 1.
-
-    Parameters
-    ----------
-    rows : Tracks that move.
-    link_px : Neighbours are nearer than this.
-    """
+    """Number of the mover of each of the tracks that move: ``(M,)``, from 0. Neighbours are nearer than ``link_px``."""
     n_tracks = len(rows.starts)
     if n_tracks == 0:
         return np.empty(0, dtype=np.int64)
@@ -70,29 +55,21 @@ def group_movers(rows: Observations, link_px: float) -> Ints:
     pairs = [
         _neighbours(rows, number, at_frame[now], at_frame[later], link_px) for now, later in _compared(rows.t_s[first])
     ]
-    one, other, is_alike = (
-        np.concatenate([getattr(pair, name) for pair in pairs]) if pairs else np.empty(0, dtype=np.int64)
-        for name in ("one", "other", "is_alike")
-    )
+    one, other, is_alike = np.concatenate([np.empty((0, 3), dtype=np.int64), *pairs]).T
     key, place, times_near = np.unique(one * n_tracks + other, return_inverse=True, return_counts=True)
-    times_alike = np.bincount(place, is_alike, minlength=len(key)) if len(key) else np.empty(0)
+    times_alike = np.bincount(place, is_alike, minlength=len(key))
     linked = key[times_alike >= _ALIKE_SHARE * times_near]
     graph = coo_matrix((np.ones(len(linked)), (linked // n_tracks, linked % n_tracks)), shape=(n_tracks, n_tracks))
-    labels: Ints = connected_components(graph, directed=False)[1].astype(np.int64)
-    return labels
+    return np.asarray(connected_components(graph, directed=False)[1].astype(np.int64))
 
 
 def _compared(t_s: Floats) -> list[tuple[int, int]]:
-    """Which two frames are compared: twice a step, one with that nearest in time to a step later.
+    """Which two frames of times ``(T,)`` are compared: twice a step, one with that nearest in time to a step later.
 
     Times may be uneven, and frames missing: a pair that is off by more than half a step is not compared, unless the
     usual interval is longer.
-
-    Parameters
-    ----------
-    t_s : (T,) times of the frames, ascending.
     """
-    usual_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
+    usual_s = usual_step_s(t_s)
     compared, next_s = list[tuple[int, int]](), -np.inf
     for now in range(len(t_s) - 1):
         if t_s[now] < next_s:
@@ -105,21 +82,16 @@ def _compared(t_s: Floats) -> list[tuple[int, int]]:
     return compared
 
 
-def _neighbours(rows: Observations, number: Ints, now: Ints, later: Ints, link_px: float) -> _Pairs:
-    """Pairs of tracks that are near each other between two frames, and whether they move alike."""
+def _neighbours(rows: Observations, number: Ints, now: Ints, later: Ints, link_px: float) -> Ints:
+    """Pairs of tracks that are near each other between two frames, and whether they move alike: (P, 3)."""
     _, in_now, in_later = np.intersect1d(number[now], number[later], return_indices=True)
     track, here, there = number[now][in_now], rows.xy_px[now][in_now], rows.xy_px[later][in_later]
     flow: Floats = there - here
     length = np.linalg.norm(flow, axis=1)
-    pairs = (
-        KDTree(0.5 * (here + there)).query_pairs(link_px, output_type="ndarray")
-        if len(track) > 1
-        else np.empty((0, 2), int)
-    )
-    one, other = pairs.T
+    one, other = KDTree(0.5 * (here + there)).query_pairs(link_px, output_type="ndarray").T
     longer = np.maximum(length[one], length[other])
     differ = np.linalg.norm(flow[one] - flow[other], axis=1)
     seen = longer > 2.0 * _ALIKE_PX
     is_alike = differ < _ALIKE_PART * longer + _ALIKE_PX
     low, high = np.minimum(track[one], track[other]), np.maximum(track[one], track[other])
-    return _Pairs(low[seen], high[seen], is_alike[seen])
+    return np.asarray(np.column_stack([low, high, is_alike])[seen])

@@ -11,7 +11,7 @@ from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.horizon.outline import fit_outline
 from ttcvid.model import Camera, Floats, Ints
-from ttcvid.stages.horizon.straight_motion import OUTLINE, Motion
+from ttcvid.stages.horizon.straight_motion import OUTLINE, Motion, certainty
 from ttcvid.stages.horizon.whole_tracks import Observations
 from ttcvid.stages.tracking.silhouettes import Silhouettes, extent_px
 
@@ -42,19 +42,13 @@ def outline_motions(
     *,
     may_bend: bool,
 ) -> list[Motion]:
-    """The motions of one mover from its outlines: one, or two or more where its path bends.
+    """The motions of one mover, of these tracks in source pixels, from its outlines: two or more where its path bends.
 
-    Parameters
-    ----------
-    rows : Its tracks, source pixels.
-    silhouettes : Masks of what moves, by frame.
-    camera, config : Intrinsics; bounds and factors.
-    clip, mover : Numbers for the result.
-    may_bend : False where the points of a rigid body move straight: an outline that bends then changes its shape.
+    It does not where it may not (``may_bend``), since the points of a rigid body move straight: an outline that bends
+    then changes its shape. ``clip`` and ``mover`` are numbers for the result.
     """
-    track_id = np.unique(rows.track_id)
-    outline, frame, t_s = _outlines(rows, silhouettes, camera)
-    return _motions_of(outline, frame, t_s, camera, config, (clip, mover, track_id), may_bend)
+    who = clip, mover, np.unique(rows.track_id)
+    return _motions_of(*_outlines(rows, silhouettes, camera), camera, config, who, may_bend)
 
 
 def _outlines(rows: Observations, silhouettes: Silhouettes, camera: Camera) -> tuple[Floats, Ints, Floats]:
@@ -112,8 +106,7 @@ def _motions_of(
             for part in (half, ~half)
             for m in _motions_of(outline[part], frame[part], t_s[part], camera, config, who, may_bend)
         ]
-    sigma_rad = float(np.sqrt(np.linalg.norm(fit.covariance, 2)))
-    status = "uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used"
+    status = certainty(fit.covariance, config)
     noise_px = fit.noise * camera.fy_px
     if noise_px > _MOST_SCATTER * height_px or fit.share < _LEAST_SHARE or fit.steadiness < _LEAST_STEADINESS:
         status = "not_rigid"

@@ -72,10 +72,8 @@ def followed_plane(
 ) -> HorizonPlane | None:
     """The plane in the camera of this frame; None without a calibrated one.
 
-    Parameters
-    ----------
-    plane : in the camera of the frame before; None: there was none.
-    cam_R_prev : (3, 3) rotation since then; None: unknown.
+    ``plane`` is that in the camera of the frame before, None where there was none; ``cam_R_prev (3, 3)`` the rotation
+    since then, None where it is unknown.
     """
     if plane is None or calibrated is None:
         return calibrated
@@ -89,18 +87,8 @@ def onto_horizon(direction: Floats, covariance: Floats, plane: HorizonPlane) -> 
     """Move a direction onto the horizon along its covariance.
 
     The paper's correction of the epipole before times are computed; here it is the conditional mean given ``n . dir =
-    0`` within the horizon's own error, so that a well-known epipole moves little.
-
-    Parameters
-    ----------
-    direction : ``(3,)`` unit vector.
-    covariance : ``(3, 3)`` in its tangent plane, rad^2.
-    plane : The plane of motion.
-
-    Returns
-    -------
-    direction : ``(3,)``.
-    covariance : ``(3, 3)`` that is left, rad^2.
+    0`` within the horizon's own error, so that a well-known epipole moves little. A unit vector ``(3,)`` and its
+    covariance ``(3, 3)`` in the tangent plane, rad^2, in and out.
 
     Source: the paper's section 2.1, "Planar Motion".
     """

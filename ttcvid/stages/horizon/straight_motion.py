@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import Floats, Ints
 
 TRACKS, OUTLINE = "tracks", "outline"
@@ -37,3 +38,9 @@ class Motion:
     correlation: float = np.nan
     looseness: float = 1.0
     evidence: str = TRACKS
+
+
+def certainty(covariance: Floats, config: HorizonCalibrationConfig) -> str:
+    """Status of a motion whose direction has this ``covariance (3, 3)`` in rad^2: ``used`` or ``uncertain``."""
+    sigma_rad = float(np.sqrt(np.linalg.norm(covariance, 2)))
+    return "uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used"

@@ -10,10 +10,10 @@ from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.estimation.moving_body import BodyTracks, direction_from_lines
 from ttcvid.geometry.estimation.translation import Translation, fit_translation
-from ttcvid.model import Bools, Camera, Ints
+from ttcvid.model import Camera, Ints
 from ttcvid.stages.horizon.movers import group_movers, moving_tracks
 from ttcvid.stages.horizon.outlines import outline_motions
-from ttcvid.stages.horizon.straight_motion import Motion
+from ttcvid.stages.horizon.straight_motion import Motion, certainty
 from ttcvid.stages.horizon.whole_tracks import Observations
 from ttcvid.stages.tracking.silhouettes import Silhouettes
 
@@ -46,13 +46,9 @@ def find_motions(
     clip: int = 0,
     silhouettes: Silhouettes | None = None,
 ) -> list[Motion]:
-    """The motions of all movers of a clip with a resting camera.
+    """The motions of all movers of a clip with a resting camera, from all its tracks.
 
-    Parameters
-    ----------
-    rows : all tracks of the clip.
-    clip : number of the clip, for the results.
-    silhouettes : outlines of what moves, where there are pictures.
+    ``clip`` is a number for the results; ``silhouettes`` are the outlines of what moves, where there are pictures.
     """
     rays = rays_from_pixels(camera, rows.xy_px)
     is_seen = np.isfinite(rays[:, 0])
@@ -131,7 +127,8 @@ def _pieces(rows: Observations, count: int, config: HorizonCalibrationConfig) ->
 def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfig, clip: int, mover: int) -> Motion:
     """The tracks of a mover as one translating body, less the tracks that do not go with the others."""
     tracks, track_id = _body(rows, focal_px)
-    nothing = _bare(rows, clip, mover, "not_rigid", track_id)
+    span, no_direction = (int(rows.frame.min()), int(rows.frame.max())), (np.full(3, np.nan), np.full((3, 3), np.nan))
+    nothing = Motion(clip, mover, "not_rigid", track_id, *span, float(np.ptp(rows.t_s)), *no_direction)
     free: Translation | None = None
     for _ in range(_MAX_ROUNDS):
         if tracks.n_tracks < config.min_tracks:
@@ -155,24 +152,15 @@ def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfi
     straight = fit_translation(tracks, free.direction, config.speed_change_hz, turn_sigma, config.error_memory_s)
     if straight is None:
         return nothing
-    sigma_rad = float(np.sqrt(np.linalg.norm(straight.covariance, 2)))
     noise_px, size_px = straight.noise * _SIGMA_START_PX, _size(tracks) * focal_px
     return replace(
         found,
-        status="uncertain" if sigma_rad > np.radians(config.max_sigma_deg) else "used",
+        status=certainty(straight.covariance, config),
         direction=straight.direction,
         covariance=straight.covariance,
         noise_px=noise_px,
         looseness=max(1.0, noise_px / max(config.rigid_noise_px, _LOOSE_PART * size_px)),
         correlation=straight.correlation,
-    )
-
-
-def _bare(rows: Observations, clip: int, mover: int, status: str, track_id: Ints) -> Motion:
-    frames, seen_s = rows.frame, float(np.ptp(rows.t_s))
-    nothing = np.full(3, np.nan)
-    return Motion(
-        clip, mover, status, track_id, int(frames.min()), int(frames.max()), seen_s, nothing, np.full((3, 3), np.nan)
     )
 
 
@@ -187,14 +175,9 @@ def _size(tracks: BodyTracks) -> float:
 
 def _body(rows: Observations, focal_px: float) -> tuple[BodyTracks, Ints]:
     """The rows as tracks of one body, thinned out where there are very many, and the number of each track."""
-    rows = rows.take(_thinned(rows.frame))
+    step = int(np.ceil(len(rows.frame) / _ENOUGH_OBSERVATIONS))
+    rows = rows.take(np.isin(rows.frame, np.unique(rows.frame)[::step]))
     rows = rows.take_tracks(rows.lengths >= 3)
     number = np.repeat(np.arange(len(rows.starts)), rows.lengths)
     body = BodyTracks(number, rows.t_s, rows.xy_px / focal_px, _SIGMA_START_PX / focal_px)
     return body, rows.track_id[rows.starts]
-
-
-def _thinned(frame: Ints) -> Bools:
-    step = int(np.ceil(len(frame) / _ENOUGH_OBSERVATIONS))
-    frames = np.unique(frame)
-    return np.isin(frame, frames[::step])

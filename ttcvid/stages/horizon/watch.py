@@ -36,10 +36,8 @@ def own_offset_px(result: FrameResult) -> float | None:
 def complaint_about_own_epipoles(offset_px: Floats, tolerance_px: float) -> str:
     """Why own epipoles of a clip do not fit the calibration, as a sentence; empty where they do.
 
-    Parameters
-    ----------
-    offset_px : ``(N,)`` of the frames in order, positive below the horizon.
-    tolerance_px : Offsets that the calibration's own error explains.
+    ``offset_px (N,)`` of the frames in order, positive below the horizon; offsets within ``tolerance_px`` are explained
+    by the calibration's own error.
     """
     parts = np.array_split(offset_px, _PARTS)
     if len(parts[-1]) < _LEAST_FRAMES:
@@ -95,14 +93,8 @@ def complaint_about_movers(
     The errors are those of a calibration: the tracks of a mover have common errors all its life (limbs, clothes, a
     gait), so that each mover has one vote, whatever its number of frames, with a larger error than its tracks say.
     Scatter between movers beyond that may be common too (pedestrians: on tud_stadtmitte all of 18 lie below the true
-    horizon, by 0.4 to 9 deg): their mean is then no better than one of them.
-
-    Parameters
-    ----------
-    movers : Offsets of each mover, over its life.
-    horizon_sigma_rad : Error of the calibration.
-    tolerance_rad : Offsets that no calibration is better than.
-    config : Factors of the calibration.
+    horizon, by 0.4 to 9 deg): their mean is then no better than one of them. Besides ``horizon_sigma_rad``, the error
+    of the calibration, offsets within ``tolerance_rad`` are those that no calibration is better than.
     """
     seen = [mover for mover in movers if mover.n_frames >= _LEAST_MOVER_FRAMES]
     if len(seen) < config.min_motions:

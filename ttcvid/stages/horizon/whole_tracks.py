@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.model import Bools, Floats, Ints, PointSet
+from ttcvid.model import NO_POINTS, Bools, Floats, Ints, PointSet
 
 # An ended track that stays within this of its start, px, is of no use.
 _STAYS_PX = 3.0
@@ -33,13 +34,18 @@ class Observations:
         """Number of rows of each track: (M,)."""
         return np.diff(np.append(self.starts, len(self.frame)))
 
-    def take(self, rows: Bools) -> Observations:
-        """The rows of a mask ``(N,)``."""
+    def take(self, rows: Bools | Ints) -> Observations:
+        """The rows of a mask ``(N,)``, or of their numbers."""
         return Observations(self.track_id[rows], self.frame[rows], self.t_s[rows], self.xy_px[rows])
 
     def take_tracks(self, tracks: Bools) -> Observations:
         """All rows of the tracks of a mask ``(M,)``."""
         return self.take(np.repeat(tracks, self.lengths))
+
+
+def usual_step_s(t_s: Sequence[float] | Floats) -> float:
+    """Median step between ascending times; 0 with a single one."""
+    return float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
 
 
 def observations_of(points: PointSet, frame: int, t_s: float) -> Observations:
@@ -50,24 +56,18 @@ def observations_of(points: PointSet, frame: int, t_s: float) -> Observations:
 
 def joined(parts: list[Observations]) -> Observations:
     """All rows of several parts of one clip, sorted."""
-    if not parts:
-        nothing = np.empty(0, dtype=np.int64)
-        return Observations(nothing, nothing, np.empty(0), np.empty((0, 2)))
-    track_id, frame = (np.concatenate([getattr(part, name) for part in parts]) for name in ("track_id", "frame"))
-    t_s, xy_px = np.concatenate([part.t_s for part in parts]), np.concatenate([part.xy_px for part in parts])
-    order = np.lexsort((frame, track_id))
-    return Observations(track_id[order], frame[order], t_s[order], xy_px[order])
+    columns = [
+        (part.track_id, part.frame, part.t_s, part.xy_px) for part in [observations_of(NO_POINTS, 0, 0.0), *parts]
+    ]
+    rows = Observations(*map(np.concatenate, zip(*columns, strict=True)))
+    return rows.take(np.lexsort((rows.frame, rows.track_id)))
 
 
 def recentred(rows: Observations, centres: Observations) -> Observations:
     """Move tracks to where the content of their windows lies; a track whose content was never located is left out.
 
     A track follows the same content all its life, so one offset holds for all of it: the median of those found.
-
-    Parameters
-    ----------
-    rows : Observations of the tracks.
-    centres : Where the content lay for some of the observations, in ``xy_px``; NaN where it was not located.
+    ``centres`` are where the content lay for some of the observations, NaN where it was not located.
     """
     centres = joined([centres.take(np.isfinite(centres.xy_px[:, 0]))])
     _, in_rows, in_centres = np.intersect1d(_key(rows), _key(centres), assume_unique=True, return_indices=True)
@@ -81,8 +81,7 @@ def recentred(rows: Observations, centres: Observations) -> Observations:
 
 def _key(rows: Observations) -> Ints:
     """One number for each (track, frame), ascending as the rows are."""
-    key: Ints = (rows.track_id << _FRAME_BITS) + rows.frame
-    return key
+    return np.asarray((rows.track_id << _FRAME_BITS) + rows.frame)
 
 
 def without_ended_at_rest(rows: Observations, frame: int) -> Observations:
