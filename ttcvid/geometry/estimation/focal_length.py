@@ -59,18 +59,8 @@ def fit_focal_length(views: Views, t_s: Floats, width_px: float, least_turn_rad:
     """Focal length that makes all views of a static scene consistent, by bundle adjustment.
 
     Principal point and radial distortion are unknowns within narrow priors: not to estimate them, but because their
-    possible values make the focal length uncertain.
-
-    Parameters
-    ----------
-    views : Positions of the points in the views.
-    t_s : ``(J,)`` times of the frames; the start assumes a constant speed.
-    width_px : Width of the picture.
-    least_turn_rad : Smallest turn of the camera that is used.
-
-    Returns
-    -------
-    None where the camera turns by less than ``least_turn_rad`` at the first trial focal length, or no start converges.
+    possible values make the focal length uncertain. The start assumes a constant speed over the times ``t_s (J,)`` of
+    the frames. None where the camera turns by less than ``least_turn_rad`` at the first trial focal length.
     """
     mean = np.array([np.log(width_px), 0.0, 0.0, 0.0])
     sigma = np.array([_LOG_FOCAL_SIGMA, _CENTRE_SIGMA * width_px, _CENTRE_SIGMA * width_px, _DISTORTION_SIGMA])
@@ -90,8 +80,14 @@ def fit_focal_length(views: Views, t_s: Floats, width_px: float, least_turn_rad:
     only_turning = adjust_bundle(views, turning, spread_px, mean, sigma, _LAST_STEPS, can_move=False)
     if _explains_enough(only_turning, fit, views):
         fit = only_turning
-    lens_chi2 = float(np.sum((fit.bundle.shared[1:] / sigma[1:]) ** 2))
-    return _result(fit, spread_px, lens_chi2)
+    return FocalFit(
+        log_focal=float(fit.bundle.shared[0]),
+        sigma=fit.log_focal_sigma,
+        spread_px=fit.spread * spread_px,
+        behind=float(np.mean(fit.behind)),
+        lens_chi2=float(np.sum((fit.bundle.shared[1:] / sigma[1:]) ** 2)),
+        turned_rad=_turned_rad(fit.bundle),
+    )
 
 
 def _explains_enough(turning: BundleFit, moving: BundleFit, views: Views) -> bool:
@@ -112,17 +108,6 @@ def _turned_rad(bundle: Bundle) -> float:
     That one tells nothing: it turns the picture, whatever the focal length.
     """
     return float(np.linalg.norm(np.ptp(vector_from_rotation(bundle.rotation)[:, :2], axis=0)))
-
-
-def _result(fit: BundleFit, sigma_px: float, lens_chi2: float) -> FocalFit:
-    return FocalFit(
-        log_focal=float(fit.bundle.shared[0]),
-        sigma=fit.log_focal_sigma,
-        spread_px=fit.spread * sigma_px,
-        behind=float(np.mean(fit.behind)),
-        lens_chi2=lens_chi2,
-        turned_rad=_turned_rad(fit.bundle),
-    )
 
 
 def _start(views: Views, t_s: Floats, focal_px: float) -> Bundle:

@@ -2,8 +2,8 @@
 
 ttc_z is made on eta = 1 / ttc_z, which is near-Gaussian where the time is not. tcpa and miss are not monotone in
 the state: with ``V / abs(P) = q r + u t`` (radial rate q, transverse rate u >= 0) they are the two components of the
-inversion of the point (q, u) in the unit circle, ``(-q, u) / (q^2 + u^2)``, and their intervals are the range of
-that over the 90 % ellipse of (q, u). Both are harmonic, so that their extremes lie on the ellipse itself.
+inversion of the point (q, u) in the unit circle, and their intervals are the range of that over the 90 % ellipse of
+(q, u) (`tcpa_miss_bounds`).
 """
 
 from __future__ import annotations
@@ -71,16 +71,9 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
 def radial_and_transverse_rate(
     x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats
 ) -> tuple[Floats, Floats]:
-    """Radial rate q and transverse rate u of each point, with their covariance: ``V / abs(P) = q r + u t``, u >= 0.
+    """Radial rate q and transverse rate u of each point: ``V / abs(P) = q r + u t``, u >= 0; any t where u = 0.
 
-    Parameters
-    ----------
-    x, y, abc_hz, cov, sigma_norm : As in `collision_times_from_state`.
-
-    Returns
-    -------
-    rates : ``(N, 2)`` q and u in 1/s; where u = 0, any t normal to r.
-    cov : ``(N, 2, 2)`` in 1/s^2.
+    Of what `collision_times_from_state` takes: q and u ``(N, 2)`` in 1/s with their covariance ``(N, 2, 2)``.
     """
     # With P the ray (x, y, 1): q = r.V / abs(P) and u = t.V / abs(P), so that dq = (r.dV + (u t - q r).dP) / abs(P)
     # and du = (t.dV - (u r + q t).dP) / abs(P).

@@ -100,13 +100,7 @@ def direction_from_lines(tracks: BodyTracks) -> Floats:
 
 
 def first_unknowns(tracks: BodyTracks, direction: Floats) -> Unknowns:
-    """Start of the search: points at the means of their tracks, rates by least squares on the straight path, no drift.
-
-    Parameters
-    ----------
-    tracks : The body's tracks.
-    direction : ``(3,)`` unit vector e.
-    """
+    """Start of the search: points at the means of their tracks, rates by least squares on straight paths, no drift."""
     dt, _ = tracks.times
     centre = tracks.sums(tracks.xy) / tracks.counts[:, None]
     towards = direction[:2] - centre * direction[2]
@@ -120,17 +114,13 @@ def residuals(tracks: BodyTracks, unknowns: Unknowns) -> Floats:
     point, _ = _points(tracks, unknowns)
     depth = np.maximum(point[:, 2:], _LEAST_DEPTH)
     drifted = unknowns.own[tracks.track, DRIFT, None] * across_lines(tracks, unknowns)
-    result: Floats = (tracks.xy - point[:, :2] / depth) / tracks.sigma - drifted
-    return result
+    return np.asarray((tracks.xy - point[:, :2] / depth) / tracks.sigma - drifted)
 
 
 def linearised(tracks: BodyTracks, unknowns: Unknowns) -> tuple[Floats, Floats]:
-    """Derivatives of the predicted positions, in sigmas, and the basis of the direction's tangent plane.
+    """Derivatives ``(N, 2, 8)`` of the predicted positions, in sigmas, by own and shared unknowns.
 
-    Returns
-    -------
-    jacobian : (N, 2, 8) by own and shared unknowns.
-    basis : (3, 2).
+    And the basis ``(3, 2)`` of the direction's tangent plane.
     """
     dt, dq = tracks.times
     point, by_rate = _points(tracks, unknowns)
@@ -173,5 +163,4 @@ def across_lines(tracks: BodyTracks, unknowns: Unknowns) -> Floats:
     """Displacement of each observation by a unit drift of its point normal to its line, in sigmas: ``(N, 2)``."""
     towards = unknowns.direction[:2] - unknowns.own[:, :2] * unknowns.direction[2]
     across = np.nan_to_num(normalize(np.column_stack([-towards[:, 1], towards[:, 0]])))
-    result: Floats = across[tracks.track] * tracks.times[0][:, None]
-    return result
+    return np.asarray(across[tracks.track] * tracks.times[0][:, None])

@@ -37,15 +37,9 @@ _HIGH_Q, _LOW_Q, _HIGH_U, _LOW_U = range(_N_EXTREMES)
 def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Range of ``-q / (q^2 + u^2)`` and ``u / (q^2 + u^2)`` over the 90 % ellipse of (q, u), cut at u >= 0.
 
-    Parameters
-    ----------
-    rates : ``(N, 2)`` q and u >= 0 in 1/s.
-    cov : ``(N, 2, 2)`` in 1/s^2; may be singular or zero.
-
-    Returns
-    -------
-    Lower and upper bound of the first, then of the second, each ``(N,)`` in s. NaN where infinite: an ellipse with
-    the origin inside has no bounds of the first and no upper bound of the second.
+    Of ``rates (N, 2)``, q and u >= 0 in 1/s, with ``cov (N, 2, 2)``, which may be singular or zero: lower and upper
+    bound of the first, then of the second, each ``(N,)`` in s. NaN where infinite: an ellipse with the origin inside
+    has no bounds of the first and no upper bound of the second.
     """
     bounds = np.full((4, len(rates)), np.nan)
     _range_of_each(np.ascontiguousarray(rates), np.ascontiguousarray(cov), bounds)

@@ -74,10 +74,12 @@ class _Prior:
 class _Equations:
     """Normal equations of one linearisation, the own unknowns eliminated.
 
-    ``own_inverse, gain (M, 4, 4)``: a step of the shared unknowns changes the own by ``-gain @ step``.
+    ``own, shared (N, 2, 4)`` are the derivatives of the predicted positions by the unknowns. ``own_inverse, gain (M, 4,
+    4)``: a step of the shared unknowns changes the own by ``-gain @ step``.
     """
 
-    jacobian: Floats
+    own: Floats
+    shared: Floats
     basis: Floats
     weight: Floats
     noise: float
@@ -93,7 +95,7 @@ def fit_translation(
     turn_sigma_rad_s: float,
     memory_s: float,
 ) -> Translation | None:
-    """Maximum likelihood estimate of the direction of a body.
+    """Maximum likelihood estimate of the direction of a body; None where the search does not converge.
 
     Gauss-Newton on the reprojection error with Cauchy weights; the unknowns of each point are eliminated. The drift of
     points is estimated from the scatter of their lines about a first direction found without drift.
@@ -104,10 +106,6 @@ def fit_translation(
     start : ``(3,)`` start direction, its sign along the motion.
     speed_change_sigma_hz, turn_sigma_rad_s : Standard deviations of the priors of the nuisance parameters.
     memory_s : Correlation time of errors: those farther apart are independent, nearer ones are used as they are found.
-
-    Returns
-    -------
-    None where the search does not converge.
     """
     shared = 1.0 / np.array([np.inf, np.inf, speed_change_sigma_hz, turn_sigma_rad_s]) ** 2
     rigid = _Prior(shared, 1.0 / _TINY)
@@ -132,17 +130,20 @@ def _drift_sigma(tracks: BodyTracks, unknowns: Unknowns) -> float:
     own[:, DRIFT] = 0.0
     unknowns = replace(unknowns, own=own)
     residual, across = residuals(tracks, unknowns), across_lines(tracks, unknowns)
-    size = np.linalg.norm(residual, axis=1)
-    noise = max(float(np.median(size)) / _MEDIAN_RAYLEIGH, _LEAST_NOISE)
     lever = np.maximum(tracks.sums(np.sum(across**2, axis=1)), _TINY)
     drift = tracks.sums(np.sum(across * residual, axis=1)) / lever
-    by_noise = noise**2 / lever
+    by_noise = _noise(np.linalg.norm(residual, axis=1)) ** 2 / lever
     # The direction has followed two of the drifts.
     few = tracks.n_tracks / max(tracks.n_tracks - 2.0, 0.5)
     excess = few * float(np.median(drift**2)) / _MEDIAN_CHI2_1 - float(np.median(by_noise))
     towards = unknowns.direction[:2] - unknowns.own[:, :2] * unknowns.direction[2]
     speed = np.abs(unknowns.own[:, RATE]) * np.linalg.norm(towards, axis=1) / tracks.sigma
     return float(min(np.sqrt(max(excess, 0.0)), _MOST_DRIFT * np.median(speed)))
+
+
+def _noise(size: Floats) -> float:
+    """Noise of a coordinate by the lengths ``(N,)`` of the residuals."""
+    return max(float(np.median(size)) / _MEDIAN_RAYLEIGH, _LEAST_NOISE)
 
 
 def _converged(tracks: BodyTracks, unknowns: Unknowns, prior: _Prior) -> Unknowns | None:
@@ -176,7 +177,7 @@ def _cost(tracks: BodyTracks, unknowns: Unknowns, noise: float, prior: _Prior) -
 def _equations(tracks: BodyTracks, unknowns: Unknowns, residual: Floats, prior: _Prior, damping: float) -> _Equations:
     jacobian, basis = linearised(tracks, unknowns)
     size = np.linalg.norm(residual, axis=1)
-    noise = max(float(np.median(size)) / _MEDIAN_RAYLEIGH, _LEAST_NOISE)
+    noise = _noise(size)
     weight = 1.0 / (1.0 + (size / (noise * _CAUCHY_SIGMAS)) ** 2) / noise**2
     own, shared = jacobian[:, :, :N_OWN], jacobian[:, :, N_OWN:]
     block = tracks.sums(np.einsum("nki,nkj,n->nij", own, own, weight))
@@ -188,7 +189,7 @@ def _equations(tracks: BodyTracks, unknowns: Unknowns, residual: Floats, prior: 
     own_inverse = np.asarray(np.linalg.inv(block), dtype=np.float64)
     gain = own_inverse @ mixed
     information = np.einsum("nki,nkj,n->ij", shared, shared, weight) - np.einsum("mij,mik->jk", mixed, gain)
-    return _Equations(jacobian, basis, weight, noise, own_inverse, gain, information)
+    return _Equations(own, shared, basis, weight, noise, own_inverse, gain, information)
 
 
 def _step(
@@ -200,10 +201,9 @@ def _step(
     damping: float,
 ) -> tuple[Floats, Floats]:
     """Gauss-Newton step of the shared ``(4,)`` and own ``(M, 4)`` unknowns."""
-    own, shared = equations.jacobian[:, :, :N_OWN], equations.jacobian[:, :, N_OWN:]
-    own_side = tracks.sums(np.einsum("nki,nk,n->ni", own, residual, equations.weight))
+    own_side = tracks.sums(np.einsum("nki,nk,n->ni", equations.own, residual, equations.weight))
     own_side[:, DRIFT] -= prior.drift * unknowns.own[:, DRIFT]
-    side = np.einsum("nki,nk,n->i", shared, residual, equations.weight)
+    side = np.einsum("nki,nk,n->i", equations.shared, residual, equations.weight)
     side -= np.einsum("mik,mi->k", equations.gain, own_side)
     side[2:] -= prior.shared[2:] * unknowns.change
     matrix = equations.information + np.diag(prior.shared)
@@ -217,9 +217,8 @@ def _result(tracks: BodyTracks, unknowns: Unknowns, prior: _Prior, memory_s: flo
     """Direction, its covariance and what goes with it at the minimum; None where that covariance is not finite."""
     residual = residuals(tracks, unknowns)
     equations = _equations(tracks, unknowns, residual, prior, 0.0)
-    own, shared = equations.jacobian[:, :, :N_OWN], equations.jacobian[:, :, N_OWN:]
     # Derivative of each observation by the shared unknowns once the own ones have followed.
-    free = shared - np.einsum("nki,nij->nkj", own, equations.gain[tracks.track])
+    free = equations.shared - np.einsum("nki,nij->nkj", equations.own, equations.gain[tracks.track])
     scores = np.einsum("nki,nk,n->ni", free, residual, equations.weight)
     spread, correlation = _inflated(tracks, scores, equations.information, memory_s)
     posterior = np.linalg.inv(equations.information + np.diag(prior.shared) + _TINY * np.eye(N_SHARED))

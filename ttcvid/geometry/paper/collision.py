@@ -49,21 +49,13 @@ def angle_from_direction(rays: Floats, origin_dir: Floats, plane_normal: Floats)
     """
     along = np.einsum("...i,...i->...", rays, origin_dir)
     across = np.einsum("...i,...i->...", cross(origin_dir, rays), normalize(plane_normal))
-    angle: Floats = np.arctan2(across, along)
-    return angle
+    return np.asarray(np.arctan2(across, along))
 
 
 def angles_from_epipoles(rays: Floats, direction: Floats) -> Floats:
     """Angle between each ray and the epipole of its own motion: alpha = angle(P, -dir), without a sign.
 
-    Parameters
-    ----------
-    rays : ``(N, 3)`` of any length.
-    direction : ``(N, 3)`` dir = V / abs(V).
-
-    Returns
-    -------
-    ``(N,)`` rad in [0, pi]; NaN where an input is NaN.
+    Of ``rays (N, 3)`` of any length and ``direction (N, 3)``: (N,) rad in [0, pi]; NaN where an input is NaN.
 
     Source: DESIGN section 2, "Epipole".
 
@@ -134,23 +126,15 @@ def collision_point(rays: Floats, direction: Floats, tcpa_s: Floats, miss_s: Flo
     array([[2., 0., 4.]])
     """
     across = rays - np.einsum("...i,...i->...", rays, direction)[..., None] * direction
-    v_h = normalize(across)
-    v_h = np.where((across == 0.0).all(axis=-1, keepdims=True), 0.0, v_h)
-    point: Floats = -tcpa_s[..., None] * direction + miss_s[..., None] * v_h
-    return point
+    v_h = np.where((across == 0.0).all(axis=-1, keepdims=True), 0.0, normalize(across))
+    return np.asarray(-tcpa_s[..., None] * direction + miss_s[..., None] * v_h)
 
 
 def times_from_position_velocity(position: Floats, velocity: Floats) -> PointTimes:
-    """The three times of points with known position and relative velocity.
+    """The three times of points with known position and relative velocity: P and V ``(N, 3)`` in the camera frame.
 
-    Parameters
-    ----------
-    position, velocity : ``(N, 3)`` P and V in any one unit of length (V per s), camera frame.
-
-    Returns
-    -------
-    `PointTimes`: ``tcpa = -P.V / V^2``, ``miss = abs(P x V) / V^2``, ``ttc_z = -Z / Vz``. NaN where V (for ttc_z: Vz)
-    is zero.
+    ``tcpa = -P.V / V^2``, ``miss = abs(P x V) / V^2``, ``ttc_z = -Z / Vz``, in any one unit of length (V per s). NaN
+    where V (for ttc_z: Vz) is zero.
 
     Source: the paper's k and H, (2) and (3); DESIGN equation 4 and section 2.
 

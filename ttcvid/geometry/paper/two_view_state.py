@@ -102,20 +102,10 @@ def state_from_direction(
 
 
 def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Rate of each point along a known direction, as in `state_from_direction`, with its derivatives.
+    """Rate s ``(N,)`` of each point along a known direction, as in `state_from_direction`, in 1/s.
 
-    ``s = (q x r).m / (m.m gap)`` with ``m = q x e``.
-
-    Parameters
-    ----------
-    q, r : ``(N, 3)`` points of the two views on the plane z = 1.
-    e : ``(N, 3)`` unit vectors.
-    gap_s : ``(N,)`` time between the views.
-
-    Returns
-    -------
-    s : ``(N,)`` in 1/s.
-    by_q, by_r, by_e : ``(N, 3)`` derivatives of s.
+    ``s = (q x r).m / (m.m gap)`` with ``m = q x e``, for points q and r ``(N, 3)`` of the two views on the plane z = 1;
+    with its derivatives ``(N, 3)`` by q, r and e.
     """
     m, flow = cross(q, e), cross(q, r)
     square = _square_sum(m)
@@ -129,18 +119,11 @@ def rate_from_direction(q: Floats, r: Floats, e: Floats, gap_s: Floats) -> tuple
 
 
 def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, e_variance: Floats) -> Bools:
-    """Whether both rays of a point lie within noise of the line along e.
+    """Whether both rays ``(N, 3)`` of a point, in the two views, lie within noise of the line along e: (N,).
 
-    Parameters
-    ----------
-    q, r, e : ``(N, 3)`` rays of the two views, and unit vectors.
-    variance : ``(N,)`` rad^2, of a ray's direction.
-    e_variance : ``(N,)`` or ``(1,)`` rad^2, of e: the trace of its covariance. That is the variance along the worse
-        axis where the direction is uncertain along one axis only, and at most twice as much otherwise.
-
-    Returns
-    -------
-    ``(N,)``.
+    ``variance (N,)`` is that of a ray's direction, rad^2; ``e_variance``, ``(N,)`` or ``(1,)``, the trace of the
+    covariance of e: the variance along the worse axis where the direction is uncertain along one axis only, and at most
+    twice as much otherwise.
     """
     # abs(ray x e) over abs(ray) is the sine of their angle. What is not known is no sign of being off.
     sine2 = [quotient(_square_sum(cross(rays, e)), _square_sum(rays)) for rays in (q, r)]
@@ -155,5 +138,4 @@ def _to_unit_depth(rays: Floats) -> Floats:
 
 def _square_sum(v: Floats) -> Floats:
     """Squared lengths ``(N,)``."""
-    result: Floats = np.einsum("ni,ni->n", v, v)
-    return result
+    return np.asarray(np.einsum("ni,ni->n", v, v))
