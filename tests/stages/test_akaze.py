@@ -5,7 +5,7 @@ import pytest
 from wave_pictures import HEIGHT, WIDTH, Warp, wave_picture
 
 from ttcvid.config import TrackingConfig
-from ttcvid.stages.tracking.akaze import Features, detect_features, follow_akaze, points_of, start_akaze
+from ttcvid.stages.tracking.akaze import Features, detect_features, follow_akaze, start_akaze
 
 CONFIG = TrackingConfig(tracker="akaze", max_tracks=300, akaze_threshold=1e-4)
 
@@ -57,7 +57,7 @@ def test_tracks_are_chained_over_many_pictures_of_a_moving_texture():
     for index, warp in enumerate(warps):
         found = detect_features(wave_picture(warp), None, CONFIG)
         memory = start_akaze(found) if memory is None else follow_akaze(memory, found, CONFIG)[0]
-        points = points_of(memory)
+        points = memory.points
         assert (np.diff(points.track_id) > 0).all()
         for track_id, xy_px in zip(points.track_id.tolist(), points.xy_px, strict=True):
             paths.setdefault(track_id, []).append((index, xy_px))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ttcvid.model import FrameStatus, PointSet
-from ttcvid.stages.tracking.given_tracks import compare_table_points
+from ttcvid.stages.tracking.tracked_frames import compare_table_points
 
 
 def points(ids, shift_px=0.0):

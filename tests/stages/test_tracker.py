@@ -8,6 +8,7 @@ from wave_pictures import HEIGHT, WIDTH, Warp, wave_picture
 
 from ttcvid.config import TrackingConfig
 from ttcvid.model import FrameStatus
+from ttcvid.stages.tracking.klt import KltMemory
 from ttcvid.stages.tracking.tracker import TrackerMemory, follow_points, prepare_picture
 
 KLT = TrackingConfig(max_tracks=150)
@@ -206,4 +207,4 @@ def test_a_memory_of_the_other_tracker_is_refused():
     other = prepare_picture(wave_picture(Warp(scale=1.01)), None, AKAZE)
     points, _, after = follow_points(memory, other, None, KLT)
     assert len(points.track_id) > 0
-    assert after.klt is not None
+    assert isinstance(after.tracks, KltMemory)

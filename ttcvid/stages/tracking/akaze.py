@@ -31,6 +31,12 @@ class AkazeMemory:
     track_id: Ints
     next_track_id: int
 
+    @property
+    def points(self) -> PointSet:
+        """All features of the picture as points, ascending in their track."""
+        order = np.argsort(self.track_id, kind="stable")
+        return PointSet(self.track_id[order], self.features.xy_px[order])
+
 
 def detect_features(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> Features:
     """The strongest ``max_tracks`` AKAZE features where the mask allows them.
@@ -68,12 +74,6 @@ def follow_akaze(memory: AkazeMemory, features: Features, config: TrackingConfig
     track_id[now], track_id[is_new] = memory.track_id[former], memory.next_track_id + np.arange(n_new)
     survival = len(former) / len(memory.track_id) if len(memory.track_id) else 1.0
     return AkazeMemory(features, track_id, memory.next_track_id + n_new), survival
-
-
-def points_of(memory: AkazeMemory) -> PointSet:
-    """All features of the picture as points, ascending in their track."""
-    order = np.argsort(memory.track_id, kind="stable")
-    return PointSet(memory.track_id[order], memory.features.xy_px[order])
 
 
 def _matches(one: Picture, other: Picture, ratio: float) -> tuple[Ints, Ints]:

@@ -65,9 +65,8 @@ def find_corners(
     ----------
     grey : (H, W) uint8.
     allowed : (H, W) uint8, 0 where nothing is to be looked at, or None.
-    xy_taken_px : (N, 2) points already there, px.
-    n_wanted : most corners to return.
-    min_distance_px : grid cell, px.
+    xy_taken_px : (N, 2) points already there.
+    min_distance_px : side of the grid's cells.
     quality : least response relative to the 99.9th percentile of the picture.
     close_share : part of ``n_wanted`` that may stand at 0.57 of the distance, 0..1.
     only_new_places : corners where few of those around are followed, and no others: where most have their tracks,
@@ -109,16 +108,8 @@ def find_corners_where(
 ) -> Floats:
     """Strongest corners at certain places that keep their distance from each other and from the points already there.
 
-    However weak beside those of the whole picture; at the least distance first, then closer: at 0.57 of it.
-
-    Parameters
-    ----------
-    where : (H, W) uint8, 0 where no corner is wanted.
-    xy_taken_px, n_wanted, min_distance_px : as of `find_corners`.
-
-    Returns
-    -------
-    (M, 2) float64 corners, px, in order of choice, M <= n_wanted.
+    However weak beside those of the whole picture; at the least distance first, then closer: at 0.57 of it. None
+    stands where ``where (H, W)`` uint8 is 0; the rest, and the result in order of choice, is as in `find_corners`.
     """
     if n_wanted <= 0:
         return np.empty((0, 2))

@@ -92,10 +92,10 @@ def follow_klt(
 
 def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[Bools, Floats]:
     """Windows forward from a constant-step guess, then back from where they ended: (N,) found, (N, 2) px."""
-    n = len(memory.points.track_id)
+    windows_px = memory.points.windows_px
+    n = len(windows_px)
     if n == 0:
         return np.zeros(0, dtype=bool), np.empty((0, 2))
-    windows_px = memory.points.windows_px
     before = windows_px.astype(np.float32)
     guess = (windows_px + np.nan_to_num(memory.step_px)).astype(np.float32)
     found, there = np.zeros(n, dtype=bool), guess.copy()
@@ -242,16 +242,12 @@ def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config
     content_px = new_px + np.nan_to_num(offset_px)
     is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
     content_px = np.where(is_visible[:, None], content_px, new_px)
-    new_id = memory.next_track_id + np.arange(len(new_px), dtype=np.int64)
-    return KltMemory(
-        grey=grey,
-        points=PointSet(
-            np.concatenate([points.track_id, new_id]),
-            np.concatenate([points.xy_px, content_px]),
-            np.concatenate([points.windows_px, new_px]),
-            np.concatenate([points.edges, edge]),
-        ),
-        step_px=np.concatenate([memory.step_px, np.full_like(new_px, np.nan)]),
-        next_track_id=memory.next_track_id + len(new_px),
-        looked=grey,
+    next_track_id = memory.next_track_id + len(new_px)
+    joined = PointSet(
+        np.concatenate([points.track_id, np.arange(memory.next_track_id, next_track_id)]),
+        np.concatenate([points.xy_px, content_px]),
+        np.concatenate([points.windows_px, new_px]),
+        np.concatenate([points.edges, edge]),
     )
+    step_px = np.concatenate([memory.step_px, np.full_like(new_px, np.nan)])
+    return KltMemory(grey, joined, step_px, next_track_id, looked=grey)

@@ -11,7 +11,6 @@ import numpy as np
 
 from ttcvid.config import TrackingConfig
 from ttcvid.model import NO_POINTS, Frame, FrameStatus, Picture, PointSet
-from ttcvid.stages.tracking.given_tracks import compare_table_points
 from ttcvid.stages.tracking.tracker import PreparedPicture, TrackerMemory, follow_points, prepare_picture
 
 MapAhead = Callable[[Callable[[Frame], Any], Iterable[Frame]], Iterator[Any]]
@@ -54,6 +53,20 @@ class _Clock:
         """Whether there was a gap since it was asked for last."""
         is_gap, self.is_gap = self.is_gap, False
         return is_gap
+
+
+def compare_table_points(last: PointSet | None, points: PointSet) -> FrameStatus:
+    """Status of a frame of a track table: ``first``, ``cut`` (no track goes on), ``duplicate`` or ``ok``.
+
+    A frame is a duplicate when it has the same tracks in exactly the same places.
+    """
+    if last is None:
+        return FrameStatus.first
+    if not len(last.track_id) or not len(points.track_id):
+        return FrameStatus.ok
+    if np.array_equal(last.track_id, points.track_id) and np.array_equal(last.xy_px, points.xy_px):
+        return FrameStatus.duplicate
+    return FrameStatus.ok if np.isin(points.track_id, last.track_id).any() else FrameStatus.cut
 
 
 def track_frames(

@@ -10,7 +10,7 @@ import numpy as np
 from ttcvid.config import TrackingConfig
 from ttcvid.geometry.medians import median
 from ttcvid.model import NO_POINTS, Floats, FrameStatus, Picture, PointSet
-from ttcvid.stages.tracking.akaze import AkazeMemory, Features, detect_features, follow_akaze, points_of, start_akaze
+from ttcvid.stages.tracking.akaze import AkazeMemory, Features, detect_features, follow_akaze, start_akaze
 from ttcvid.stages.tracking.groups import in_common
 from ttcvid.stages.tracking.klt import KltMemory, follow_klt, start_klt
 
@@ -61,8 +61,7 @@ class TrackerMemory:
     """
 
     prepared: PreparedPicture | None = None
-    klt: KltMemory | None = None
-    akaze: AkazeMemory | None = None
+    tracks: KltMemory | AkazeMemory | None = None
     steps_px: tuple[float, float] | None = _NO_STEPS
     n_repeated: int = 0
 
@@ -117,9 +116,9 @@ def follow_points(
 def _started(
     memory: TrackerMemory, prepared: PreparedPicture, allowed: Picture | None, config: TrackingConfig
 ) -> tuple[PointSet, TrackerMemory]:
-    first_id = _next_track_id(memory)
+    first_id = 0 if memory.tracks is None else memory.tracks.next_track_id
     if prepared.features is not None:
-        started = TrackerMemory(prepared, None, start_akaze(prepared.features, first_id))
+        started = TrackerMemory(prepared, start_akaze(prepared.features, first_id))
     else:
         started = TrackerMemory(prepared, start_klt(prepared.grey, allowed, config, first_id))
     return _points(started), started
@@ -134,20 +133,21 @@ def _followed(
     camera_rests: bool,
 ) -> tuple[TrackerMemory, float, int]:
     """The memory after following, the part of the tracks that survived, and how many there were."""
-    if memory.akaze is not None and prepared.features is not None:
-        akaze, survival = follow_akaze(memory.akaze, prepared.features, config)
-        return TrackerMemory(prepared, None, akaze), survival, len(memory.akaze.track_id)
-    if memory.klt is None:
+    former = memory.tracks
+    if isinstance(former, AkazeMemory) and prepared.features is not None:
+        akaze, survival = follow_akaze(former, prepared.features, config)
+        return TrackerMemory(prepared, akaze), survival, len(former.track_id)
+    if not isinstance(former, KltMemory):
         raise ValueError("follow_points: the memory belongs to another tracker than the one configured")
-    klt, survival = follow_klt(memory.klt, prepared.grey, allowed, config, camera_rests=camera_rests)
+    klt, survival = follow_klt(former, prepared.grey, allowed, config, camera_rests=camera_rests)
     # What makes the picture as bright as the last one.
     gain = float(last.thumbnail.mean()) / max(float(prepared.thumbnail.mean()), 1.0)
     if survival < _POOR_SURVIVAL and abs(gain - 1.0) > _LEAST_EXPOSURE_CHANGE:
         exposed = np.asarray(cv2.convertScaleAbs(prepared.grey, alpha=gain), dtype=np.uint8)
-        again, survival_exposed = follow_klt(memory.klt, exposed, allowed, config, camera_rests=camera_rests)
+        again, survival_exposed = follow_klt(former, exposed, allowed, config, camera_rests=camera_rests)
         if survival_exposed > survival:
             klt, survival = replace(again, grey=prepared.grey), survival_exposed
-    return TrackerMemory(prepared, klt), survival, len(memory.klt.points.track_id)
+    return TrackerMemory(prepared, klt), survival, len(former.points.track_id)
 
 
 def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
@@ -163,17 +163,8 @@ def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
 
 
 def _points(memory: TrackerMemory) -> PointSet:
-    if memory.akaze is not None:
-        points = points_of(memory.akaze)
-    else:
-        points = NO_POINTS if memory.klt is None else memory.klt.points
+    points = NO_POINTS if memory.tracks is None else memory.tracks.points
     return replace(points, common_error_px=COMMON_ERROR_PX)
-
-
-def _next_track_id(memory: TrackerMemory) -> int:
-    if memory.akaze is not None:
-        return memory.akaze.next_track_id
-    return 0 if memory.klt is None else memory.klt.next_track_id
 
 
 def _is_cut(survival: float, n_before: int, last: Picture, now: Picture) -> bool:
