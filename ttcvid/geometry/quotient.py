@@ -14,5 +14,4 @@ def quotient(numerator: Floats | float, denominator: Floats | float) -> Floats:
     array([0.25,  nan])
     """
     denominator = np.asarray(denominator, dtype=np.float64)
-    result: Floats = np.asarray(numerator / np.where(denominator == 0.0, np.nan, denominator))
-    return result
+    return np.asarray(numerator / np.where(denominator == 0.0, np.nan, denominator))

@@ -34,16 +34,16 @@ _N_EXTREMES = 4
 _HIGH_Q, _LOW_Q, _HIGH_U, _LOW_U = range(_N_EXTREMES)
 
 
-def inversion_range(rates: Floats, cov: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def inversion_range(rates: Floats, cov: Floats) -> Floats:
     """Range of ``-q / (q^2 + u^2)`` and ``u / (q^2 + u^2)`` over the 90 % ellipse of (q, u), cut at u >= 0.
 
     Of ``rates (N, 2)``, q and u >= 0 in 1/s, with ``cov (N, 2, 2)``, which may be singular or zero: lower and upper
-    bound of the first, then of the second, each ``(N,)`` in s. NaN where infinite: an ellipse with the origin inside
+    bound of the first, then of the second, ``(4, N)`` in s. NaN where infinite: an ellipse with the origin inside
     has no bounds of the first and no upper bound of the second.
     """
     bounds = np.full((4, len(rates)), np.nan)
     _range_of_each(np.ascontiguousarray(rates), np.ascontiguousarray(cov), bounds)
-    return bounds[0], bounds[1], bounds[2], bounds[3]
+    return bounds
 
 
 @compiled_for("(f8[:, ::1], f8[:, :, ::1], f8[:, ::1])")

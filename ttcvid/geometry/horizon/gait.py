@@ -33,7 +33,7 @@ class Wave:
 
 
 def find_steps(height: Floats, t_s: Floats, size: Floats, weight: Floats) -> Wave | None:
-    """The frequency of steps in the height of a head.
+    """The frequency of steps in the height of a head; None where no steps are significant.
 
     An F test of the best frequency against the other frequencies around it, so that scatter that is correlated from
     picture to picture causes few false detections; corrected for the number of frequencies that the duration resolves.
@@ -44,10 +44,6 @@ def find_steps(height: Floats, t_s: Floats, size: Floats, weight: Floats) -> Wav
     t_s : ``(N,)`` ascending times.
     size : ``(N,)`` height of the whole figure, in the same unit: the amplitude is proportional to it.
     weight : ``(N,)`` 0 to 1, small for outliers.
-
-    Returns
-    -------
-    None where no steps are significant.
     """
     window_s = float(np.ptp(t_s))
     if window_s <= 0 or float(np.median(np.diff(t_s))) * _BACKGROUND_HZ[1] * _LEAST_PICTURES > 1.0:
@@ -63,8 +59,10 @@ def find_steps(height: Floats, t_s: Floats, size: Floats, weight: Floats) -> Wav
     others_hz = others_hz[np.abs(others_hz - steps_hz) * window_s >= 1.0]
     if steps_hz * window_s < _LEAST_STEPS or len(others_hz) < _LEAST_OTHERS:
         return None
-    of_wave = float(np.sum(_left(level, root * height) ** 2) - np.sum(left[best] ** 2))
-    of_others = float(np.mean([_power(left[best], root[:, None] * _terms(hz, t_s, size)) for hz in others_hz]))
+    unexplained = float(np.sum(left[best] ** 2))
+    of_wave = float(np.sum(_left(level, root * height) ** 2)) - unexplained
+    by_others = [_left(root[:, None] * _terms(hz, t_s, size), left[best]) for hz in others_hz]
+    of_others = unexplained - float(np.mean([np.sum(one**2) for one in by_others]))
     n_told_apart = max(1.0, (_FASTEST_HZ - _SLOWEST_HZ) * window_s)
     chance = float(fdtrc(2, 2 * len(others_hz), of_wave / of_others)) if of_others > 0.0 else 0.0
     return Wave(steps_hz, _terms(steps_hz, t_s, size)) if chance * n_told_apart < _CHANCE and of_wave > 0.0 else None
@@ -77,10 +75,4 @@ def _terms(steps_hz: float, t_s: Floats, size: Floats) -> Floats:
 
 def _left(terms: Floats, height: Floats) -> Floats:
     """What the best combination of the terms leaves."""
-    left: Floats = height - terms @ np.linalg.lstsq(terms, height, rcond=None)[0]
-    return left
-
-
-def _power(height: Floats, terms: Floats) -> float:
-    """Sum of squares that the terms explain."""
-    return float(np.sum(height**2) - np.sum(_left(terms, height) ** 2))
+    return np.asarray(height - terms @ np.linalg.lstsq(terms, height, rcond=None)[0])

@@ -52,7 +52,7 @@ class HorizonFit:
 def fit_horizon(
     directions: Floats, covariances: Floats, floor_rad: float, roll_sigma_rad: float | None = None
 ) -> HorizonFit | None:
-    """The great circle nearest to K epipoles, each weighted by its own covariance.
+    """The great circle nearest to K epipoles, each weighted by its own covariance; None where they determine none.
 
     The best pair of epipoles by truncated cost starts a Gauss-Newton search on the sum of ``(n.e)^2 / (n'Cn + s^2)``
     over the motions that agree; s, the scatter that their covariances do not explain, is at least ``floor_rad`` and
@@ -64,10 +64,6 @@ def fit_horizon(
     covariances : ``(K, 3, 3)`` in their tangent planes, rad^2.
     floor_rad : Minimum scatter, even where the epipoles agree better.
     roll_sigma_rad : Standard deviation of the prior of the camera's roll about zero; None: no prior.
-
-    Returns
-    -------
-    None where the epipoles do not determine a horizon.
 
     Source: the scatter s as in Paule and Mandel, 1982.
     """
@@ -118,9 +114,9 @@ def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, 
         basis = tangent_basis(common)
         signed = directions * np.where(directions @ common < 0, -1.0, 1.0)[:, None]
         offset = signed - common
-        inner = np.einsum("ia,kij,jb->kab", basis, weight, basis)
-        total = float(np.einsum("ki,kij,kj->", offset, weight, offset))
-        step = np.linalg.solve(inner.sum(axis=0), np.einsum("ia,kij,kj->a", basis, weight, offset))
+        pull = np.einsum("kij,kj->ki", weight, offset)
+        total = float(np.sum(offset * pull))
+        step = np.linalg.solve(basis.T @ weight.sum(axis=0) @ basis, basis.T @ pull.sum(axis=0))
         common = normalize(common + basis @ step)
     return total < float(chi2_quantile(probability, 2 * (len(directions) - 1)))
 

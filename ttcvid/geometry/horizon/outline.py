@@ -64,6 +64,8 @@ def fit_outline(
 ) -> OutlineFit | None:
     """Fit the line of (x, top, bottom), robust against outlines that merge where objects occlude each other.
 
+    None where there are fewer than three blocks, or no line.
+
     Parameters
     ----------
     outline : ``(N, 3)`` x, top and bottom in undistorted normalised coordinates.
@@ -73,10 +75,6 @@ def fit_outline(
     n_independent : Number of independent outlines; the covariance is at least that of so many.
     border_sigma : Constant error of the top and of the bottom, in the unit of ``outline``: where exactly the outline is
         seen.
-
-    Returns
-    -------
-    None where there are fewer than three blocks, or no line.
 
     Source: jackknife as in Efron and Stein, Annals of Statistics, 1981.
     """

@@ -146,8 +146,7 @@ def _eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats) -> Floats:
     candidates = np.concatenate([vectors[:, :, 0], vectors[:, :, 1], mean_flow[None]])
     # By the logarithm, so that some flows of another motion do not choose.
     cost = np.log1p(flow_line_chi2(candidates, q, p, sigma_rad)).sum(axis=-1)
-    best: Floats = candidates[np.argmin(cost)]
-    return best
+    return np.asarray(candidates[np.argmin(cost)])
 
 
 def _has_motion(q: Floats, p: Floats, sigma_rad: Floats) -> bool:

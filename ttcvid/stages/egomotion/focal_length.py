@@ -102,8 +102,7 @@ def _has_moved(one: PointSet, other: PointSet, image_size: ImageSize) -> bool:
 def _fit(window: list[SeenPoints], image_size: ImageSize) -> FocalFit | None:
     """The focal length by one window; None with few points, or where the camera turns too little for it."""
     xy_px = _observed(window, image_size)
-    is_used = _is_useful(xy_px)
-    xy_px = xy_px[:, is_used]
+    xy_px = xy_px[:, _is_useful(xy_px)]
     xy_px = xy_px[:, _spread(xy_px, image_size)]
     cells, region = np.unique(_cell(xy_px, image_size), return_inverse=True)
     if xy_px.shape[1] < _LEAST_POINTS or len(cells) < _LEAST_CELLS:
@@ -141,8 +140,7 @@ def _is_useful(xy_px: Floats) -> Bools:
 def _cell(xy_px: Floats, image_size: ImageSize) -> Ints:
     """Number of the cell of a grid over the picture in which each point (N,) is on the mean."""
     cell = np.floor(np.nanmean(xy_px, axis=0) / (_CELL_PART * image_size.width_px)).astype(np.int64)
-    numbers: Ints = cell[:, 0] * 4096 + cell[:, 1]
-    return numbers
+    return np.asarray(cell[:, 0] * 4096 + cell[:, 1])
 
 
 def _spread(xy_px: Floats, image_size: ImageSize) -> Ints:

@@ -74,7 +74,10 @@ def calibrated_horizon(
     remaining = iter(judged)
     labelled = tuple(next(remaining) if motion.status == "used" else motion for motion in motions)
     agreeing = [motion for motion in judged if motion.status == "used"]
-    reason = _unusable(fit, directions, formal, camera, config, (_count(agreeing), n_usable))
+    reason = _disagreement(_count(agreeing), n_usable, least)
+    if not reason and not roll_zero:
+        reason = _too_alike(directions[fit.is_used], formal[fit.is_used], config)
+    reason = reason or too_wide(fit, camera, config, "take a longer clip")
     notes = ("roll taken as zero",) if roll_zero else ()
     return HorizonResult(None if reason else fit, labelled, reason, roll_zero, notes)
 
@@ -116,26 +119,13 @@ def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonC
     return ""
 
 
-def _unusable(
-    fit: HorizonFit,
-    directions: np.ndarray,
-    covariances: np.ndarray,
-    camera: Camera,
-    config: HorizonCalibrationConfig,
-    counts: tuple[int, int],
-) -> str:
-    """Why a fitted line is rejected, empty if it is not; ``counts`` of the motions that agree, and of all."""
-    n_used, n_all = counts
-    roll_zero = config.roll_zero
-    if n_used < (1 if roll_zero else config.min_motions):
+def _disagreement(n_used: int, n_all: int, least: int) -> str:
+    """Why too few of the motions agree on a line, empty if enough do."""
+    if n_used < least:
         return f"only {n_used} of {n_all} motions agree on a horizon"
     if 2 * n_used < n_all:
         return f"only {n_used} of {n_all} motions agree on a horizon: do they move on one level ground?"
-    if not roll_zero:
-        reason = _too_alike(directions[fit.is_used], covariances[fit.is_used], config)
-        if reason:
-            return reason
-    return too_wide(fit, camera, config, "take a longer clip")
+    return ""
 
 
 def too_wide(fit: HorizonFit, camera: Camera, config: HorizonCalibrationConfig, remedy: str) -> str:

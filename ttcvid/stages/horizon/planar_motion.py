@@ -15,7 +15,7 @@ from ttcvid.geometry.horizon.plane import horizon_px, normal_by_pitch_roll, norm
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE
 from ttcvid.geometry.paper.planar import planar_epipole
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
-from ttcvid.model import Camera, Floats, Horizon, HorizonOffset, Ints, Status
+from ttcvid.model import Camera, Floats, Horizon, HorizonOffset, Ints
 from ttcvid.stages.egomotion.flows import Flows
 
 # Time in which the horizon returns to where it was calibrated, s: a car's springs swing at 1 to 2 Hz and a braking car
@@ -129,17 +129,7 @@ def horizon_offset(direction: Floats, covariance: Floats, plane: HorizonPlane) -
 
 
 def planar_directions(flows: Flows, plane: HorizonPlane) -> tuple[Floats, Floats, Ints]:
-    """Direction of every track by itself, where its flow line meets the horizon (the paper's planar case).
-
-    Returns
-    -------
-    direction : (N, 3), NaN where there is none.
-    covariance : (N, 3, 3) rad^2.
-    status : (N,) why there is none.
-    """
+    """`planar_epipole` of every track by itself, where its flow line meets the horizon (the paper's planar case)."""
     along = normalize(cross(cross(flows.first, flows.second), plane.normal))
     sigma_rad = plane.sigma_rad(np.nan_to_num(along))  # where there is no direction, planar_epipole says why
-    direction, covariance, status = planar_epipole(flows.first, flows.second, plane.normal, flows.sigma_rad, sigma_rad)
-    has_none = ~np.isin(status, [Status.ok, Status.epipole_at_infinity])
-    direction = np.where(has_none[:, None], np.nan, direction)
-    return direction, np.where(has_none[:, None, None], np.nan, covariance), status
+    return planar_epipole(flows.first, flows.second, plane.normal, flows.sigma_rad, sigma_rad)
