@@ -164,7 +164,7 @@ def _scene(
             path = _without_unseen_return(history, carried.path[0])[None]
         scene = RigidPaths(history.cam_R_past[None], path)
     used = np.flatnonzero(views.is_free)
-    used = used[:: max(1, -(-len(used) // _ENOUGH_TRACKS))]
+    used = np.ascontiguousarray(used[:: max(1, -(-len(used) // _ENOUGH_TRACKS))])
     weight = _balance(region[used])
     in_scene = labels.key[used] == SCENE_CLUSTER
     return refined_scene(scene, views.points(used), weight, in_scene, labels.rate_hz[used], _SCENE_STEPS)
