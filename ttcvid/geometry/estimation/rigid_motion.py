@@ -213,7 +213,7 @@ def refined_paths(
     weight = np.ones(m) if weight is None else weight
     rate = np.zeros(m) if rate_hz is None else rate_hz.copy()
     ways = ways_of(paths, points.rays.shape[2])
-    expected = np.empty((0, 3, 3)) if priors.cam_R_past is None else priors.cam_R_past
+    expected = np.empty((0, 3, 3)) if priors.cam_R_past is None else np.ascontiguousarray(priors.cam_R_past)
     refine_ways(
         points.rays,
         points.track,
