@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
+from scipy.special import chdtri, gammaln, logsumexp
 
-from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.paper.epipole import SIGNIFICANCE_SIGMAS, epipole_maximum_likelihood
 from ttcvid.geometry.paper.flow_line import flow_line_chi2, moves_towards
 from ttcvid.geometry.quotient import quotient
@@ -170,7 +169,7 @@ def _fitted(flows: _Flows, members: Ints) -> EpipoleGroup | None:
 
 def _is_significant(flows: _Flows, among: Ints, group: EpipoleGroup) -> bool:
     """Whether chance would hardly bring as many flows together; that their rates agree is not even counted."""
-    chance = float(np.mean(chance_of_sharing(_length_sigmas(flows, among), float(chi2_quantile(_GATE_PROBABILITY, 1)))))
+    chance = float(np.mean(chance_of_sharing(_length_sigmas(flows, among), float(chdtri(1, 1.0 - _GATE_PROBABILITY)))))
     n_tests = 0.5 * len(among) * (len(among) - 1)
     return log_false_alarms(n_tests, len(among), len(group.members), chance) < _LOG_FALSE_ALARMS
 
@@ -206,7 +205,7 @@ def _agree(
     flows: _Flows, index: Ints, directions: Floats, middle_hz: Floats, probability: float = _GATE_PROBABILITY
 ) -> Bools:
     """Which of the flows ``index`` share each of M directions at a rate like ``middle_hz (M,)``: (M, N)."""
-    gate_chi2 = float(chi2_quantile(probability, 1))
+    gate_chi2 = float(chdtri(1, 1.0 - probability))
     shares = shares_direction(directions, flows.q[index], flows.p[index], flows.sigma_rad[index], gate_chi2)
     return np.asarray(shares & (np.abs(_rate_offset(flows, index, directions, middle_hz)) < 1.0))
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 from ttcvid.stages.objects.turning import STRAIGHT_TURN_RAD_S, straight_or_in_bend
@@ -138,7 +138,7 @@ def test_what_is_said_of_a_direction_holds_for_what_turns_as_well(turn_rad_s):
         found = fitted(xy, direction=found_before, found_rad=float(np.radians(0.05)))
         across = tangent_basis(normalize(velocity_m_s)[None])[0]
         off, cov = across.T @ found.direction[0], across.T @ found.direction_cov[0] @ across
-        holds.append(off @ np.linalg.solve(cov, off) < chi2_quantile(0.9, 2))
+        holds.append(off @ np.linalg.solve(cov, off) < chdtri(2, 0.1))
     assert np.mean(holds) >= 0.35
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.special import chdtri
 
-from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.kernels.free_point import fit_free_points
 from ttcvid.geometry.kernels.windows import TAIL
 from ttcvid.model import Floats, Ints
@@ -116,7 +116,7 @@ def window_gates(max_frames: int, n_unknowns: int, probability: float) -> Floats
     """Chi-square ``(max_frames + 1,)`` inside which so many views are kept; infinite without a degree of freedom."""
     dof = 2 * np.arange(max_frames + 1) - n_unknowns
     gates = np.full(max_frames + 1, np.inf)
-    gates[dof > 0] = chi2_quantile(probability, dof[dof > 0])
+    gates[dof > 0] = chdtri(dof[dof > 0], 1.0 - probability)
     return gates
 
 

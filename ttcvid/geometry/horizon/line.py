@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.special import chdtri
 
-from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.horizon.plane import normal_by_pitch_roll, pitch_roll_rad
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Bools, Camera, Floats
@@ -118,7 +118,7 @@ def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, 
         total = float(np.sum(offset * pull))
         step = np.linalg.solve(basis.T @ weight.sum(axis=0) @ basis, basis.T @ pull.sum(axis=0))
         common = normalize(common + basis @ step)
-    return total < float(chi2_quantile(probability, 2 * (len(directions) - 1)))
+    return total < float(chdtri(2 * (len(directions) - 1), 1.0 - probability))
 
 
 def widest_angle_rad(directions: Floats, covariances: Floats) -> float:

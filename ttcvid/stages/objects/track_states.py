@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtri
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.estimation.shared_trajectory import SharedPaths, joined_paths, turned_back
 from ttcvid.geometry.estimation.track_on_trajectory import NO_PATH, PathRates, fit_rates_on_paths
 from ttcvid.geometry.estimation.track_state import MotionPlane, WholeTracks, fit_whole_tracks, window_gates
@@ -26,7 +26,7 @@ from ttcvid.stages.tracking.history import TrackHistory
 # A rate within this many of its standard deviations may be zero; below minus this, the point moves against its group.
 _RATE_SIGMAS = 2.0
 # The whole velocity may be zero inside 95 % of a 3-D Gaussian.
-_NO_MOTION_CHI2 = float(chi2_quantile(0.95, 3))
+_NO_MOTION_CHI2 = float(chdtri(3, 0.05))
 # Acceleration does not last: by this part of itself it is another one now than over the views. Brakes come and go.
 _ACCELERATION_CHANGE = 0.5
 # Information below this part of its own diagonal is rounding.
@@ -61,35 +61,23 @@ def _paths(
 ) -> tuple[SharedPaths, Ints, Bools]:
     """Path of every cluster that has a direction, the path (N,) of each track, and which paths (K,) are objects'."""
     scene = [motion for motion in motions.clusters if motion.cluster_id == SCENE_CLUSTER]
-    objects = [motion for motion in motions.clusters if motion.cluster_id != SCENE_CLUSTER]
-    objects = [motion for motion in objects if motion.direction is not None]
+    objects = [one for one in motions.clusters if one.cluster_id != SCENE_CLUSTER and one.direction is not None]
     path_of = np.full(history.n_tracks, NO_PATH, dtype=np.int64)
     parts: list[SharedPaths] = []
     if scene and scene[0].direction is not None and scene[0].direction_cov is not None:
         parts.append(scene_path(history, scene[0].direction, scene[0].direction_cov))
         path_of[scene[0].members] = 0
-    first = len(parts)
+    first, count = len(parts), len(objects)
     for number, motion in enumerate(objects):
         path_of[motion.members] = first + number
-    count = len(objects)
     direction = np.reshape([motion.direction for motion in objects], (count, 3))
     cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))
     beliefs = believed_straight(history.since_s, direction, cov, None if plane is None else plane.normal)
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
     is_object = np.arange(first + count) >= first
-    parts.append(
-        straight_or_in_bend(
-            views,
-            history.since_s,
-            history.sigma_norm,
-            beliefs,
-            of_objects,
-            config,
-            cov,
-            may_leave_directions=plane is None,
-        )
-    )
-    return joined_paths(parts), path_of, is_object
+    seen = views, history.since_s, history.sigma_norm
+    of_all = straight_or_in_bend(*seen, beliefs, of_objects, config, cov, may_leave_directions=plane is None)
+    return joined_paths([*parts, of_all]), path_of, is_object
 
 
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
@@ -97,12 +85,11 @@ def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     changed = [motion for motion in motions.clusters if motion.window_s < history.reach_s]
     if not changed:
         return history.xy
-    place = np.arange(len(history.t_s))
-    is_within = np.ones((len(place), history.n_tracks), dtype=bool)
+    xy = history.xy.copy()
     for motion in changed:
         views = history.views_within(motion.window_s)
-        is_within[:, motion.members] = ((place >= views.start) & (place < views.stop))[:, None]
-    return np.where(is_within[..., None], history.xy, np.nan)
+        xy[: views.start, motion.members] = xy[views.stop :, motion.members] = np.nan
+    return xy
 
 
 def _on_paths(

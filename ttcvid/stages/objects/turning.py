@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtri
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.chi_square import chi2_quantile
 from ttcvid.geometry.estimation.shared_trajectory import (
     PathBeliefs,
     SharedPaths,
@@ -30,10 +30,10 @@ _OBJECT_BEND_HZ = 0.2
 # Prior of the turn rate in a bend, some deg/s. On a known horizon, which a free turning body could leave, it is chosen
 # if it lowers the squared residuals significantly (chi-square, three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
-_BEND_CHI2 = float(chi2_quantile(0.999, 3))
+_BEND_CHI2 = float(chdtri(3, 0.001))
 # Below this statistic (90 %) no turn is visible and the direction of straight tracks is kept; under a turn that lags by
 # many times its standard deviation.
-_STRAIGHT_CHI2 = float(chi2_quantile(0.9, 3))
+_STRAIGHT_CHI2 = float(chdtri(3, 0.1))
 # Least gain for a second fit and for a turning body: the first order overestimates the gain, and a turning body follows
 # the errors that neighbours share.
 _SURE_CHI2 = 2.5 * _BEND_CHI2
@@ -49,13 +49,10 @@ _MOST_POINTS = 50
 
 
 def believed_straight(since_s: Floats, direction: Floats, found_cov: Floats, normal: Floats | None) -> PathBeliefs:
-    """Priors of the trajectories of K objects on straight courses.
+    """Priors of the trajectories of K objects on straight courses, by their ``direction (K, 3)`` of motion.
 
-    Parameters
-    ----------
-    since_s : ``(L,)`` times of the views, s, up to 0.
-    direction, found_cov : ``(K, 3)`` directions of motion and their covariances ``(K, 3, 3)``, rad^2.
-    normal : ``(3,)`` of the plane that the directions lie in (the horizon); None: any direction.
+    ``found_cov (K, 3, 3)`` is its covariance, rad^2, ``since_s (L,)`` the times of the views, s, ``normal (3,)`` of the
+    plane that the directions lie in (the horizon); None: any direction.
     """
     if normal is None:
         across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
@@ -83,7 +80,6 @@ def straight_or_in_bend(
     Parameters
     ----------
     views, since_s, sigma_norm, path_of : As ``xy, t_s, sigma_norm, path_of`` of `points_of_paths`.
-    beliefs : `believed_straight`.
     found_cov : ``(K, 3, 3)`` covariances of the directions on straight courses, as for
         `PathFits.paths_from_found_directions`.
     may_leave_directions : Whether an object in a bend is fitted as a turning body with a free direction. Otherwise
@@ -133,23 +129,15 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
 
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
     """The trajectory of a turning body as `SharedPaths` of K = 1."""
-    return SharedPaths(
-        body.path_turned_back(t_s)[None],
-        body.start[None],
-        np.concatenate([np.zeros(6), body.turn_rad_s])[None],
-        body.path_cov[None],
-        body.direction_cov[None],
-        np.array([body.squares]),
-        np.array([body.usual]),
-    )
+    offset, covs = np.concatenate([np.zeros(6), body.turn_rad_s])[None], (body.path_cov[None], body.direction_cov[None])
+    quality = np.array([body.squares]), np.array([body.usual])
+    return SharedPaths(body.path_turned_back(t_s)[None], body.start[None], offset, *covs, *quality)
 
 
 def _turns_by_views(paths: SharedPaths, sigma_rad_s: float) -> tuple[Floats, Floats]:
     """Turns that the views alone would show, to first order: the belief in none taken out.
 
-    Returns
-    -------
-    their chi-square (K,) and, where they are believed as those of tight bends are, how large they are (K,), rad/s.
+    Their chi-square (K,) and, where they are believed as those of tight bends are, how large they are (K,), rad/s.
     """
     # Views may say nothing of a turn about some axis.
     believed, least, tight = 1.0 / sigma_rad_s**2, _LEAST_TURN_PART / sigma_rad_s**2, 1.0 / TURN_SIGMA_RAD_S**2
