@@ -1,4 +1,4 @@
-"""Medians and quantiles of short arrays, for which numpy has too much overhead."""
+"""Medians of short arrays, for which numpy has too much overhead."""
 
 from __future__ import annotations
 
@@ -16,18 +16,6 @@ def median(values: Floats) -> float:
     """
     ordered, n = np.sort(values), len(values)
     return 0.5 * float(ordered[(n - 1) // 2] + ordered[n // 2]) if n else np.nan
-
-
-def quantile(values: Floats, part: float) -> float:
-    """Quantile of finite numbers ``(N,)``, N > 0, linearly interpolated; ``part`` in [0, 1].
-
-    >>> quantile(np.array([3.0, 1.0, 2.0, 5.0]), 0.25)
-    1.75
-    """
-    ordered, place = np.sort(values), part * (len(values) - 1)
-    below = max(min(int(place), len(values) - 2), 0)
-    above = ordered[min(below + 1, len(values) - 1)]
-    return float(ordered[below] + (place - below) * (above - ordered[below]))
 
 
 def medians(values: Floats, group: Ints, n_groups: int) -> Floats:

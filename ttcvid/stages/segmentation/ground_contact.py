@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from ttcvid.compiled import compiled_for
 from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.geometry.kernels.medians import median as compiled_median
-from ttcvid.geometry.medians import median, quantile
+from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
@@ -24,8 +24,8 @@ from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 _ONE_THING, _SIGMAS = 0.12, 2.0
 # Least number of points of an object; its foot is the middle one of so many lowest points, of which one may be wrong.
 _LEAST_POINTS, _FOOT = 4, 3
-# A point may be on the road if its inverse depth is within this share of the road's.
-_ON_ROAD = 0.2
+ON_ROAD = 0.2
+"""A point may be on the road if its inverse depth is within this share of the road's."""
 # A foot with less than the first share of the road's inverse depth is under the road, with more than the second over
 # it: a road is no plane, and is known to a sixth of its depth. Both at so many standard deviations, of the inverse
 # depth and of the road's horizon (tangent).
@@ -89,7 +89,7 @@ class OnGround:
     @property
     def is_off_road(self) -> Bools:
         """Whether points ``(N,)`` are known not to be on the road."""
-        return np.asarray(self.known & ~(np.abs(self.rate_hz - self.road_hz) < _ON_ROAD * self.road_hz))
+        return np.asarray(self.known & ~(np.abs(self.rate_hz - self.road_hz) < ON_ROAD * self.road_hz))
 
     @property
     def is_far(self) -> Bools:
@@ -104,12 +104,9 @@ def on_ground(fit: PathFit, road: Floats, known: Bools, aim_x: float) -> OnGroun
 
 
 def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> Contacts:
-    """Objects and their ground contacts.
+    """Objects and their ground contacts, by observations ``xy_px (N, 2)`` of bodies ``key (N,)``.
 
-    Parameters
-    ----------
-    xy_px, link_px : ``(N, 2)`` observations; points of an object are connected by distances below ``link_px``.
-    key : ``(N,)`` body of each track.
+    Points of an object are connected by distances below ``link_px``.
     """
     index = np.flatnonzero(seen.known & ~seen.is_far)
     pairs = linked_pairs(xy_px[index], link_px)
@@ -200,13 +197,10 @@ def _above(seen: OnGround, members: Ints, foot: int, key: Ints, xy_px: Floats, l
 def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
     """Whether an object is suspended: road is seen below it, or in our lane nothing that bears it.
 
-    Parameters
-    ----------
-    members
-        ``(M,)`` tracks of an object whose ``foot``, one of them, is significantly over the road.
+    The ``foot``, one of its tracks ``members (M,)``, is significantly over the road.
     """
     rate_hz = seen.rate_hz[members]
-    near_hz, far_hz = quantile(rate_hz, 0.95), quantile(rate_hz, 0.05)
+    far_hz, near_hz = np.quantile(rate_hz, [0.05, 0.95])
     is_deep = seen.slope_hz * (near_hz - far_hz) > _MOST_LENGTH * near_hz * far_hz
     if is_deep and near_hz > _MOST_DEPTH_RATIO * far_hz:
         return False
@@ -214,7 +208,7 @@ def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
     top, low = y[members].min(), y[foot]
     bottom = members[y[members] >= low - _BOTTOM * (low - top)]
     is_below = seen.known & (x > x[bottom].min()) & (x < x[bottom].max()) & (y > y[bottom].max())
-    is_road = np.abs(seen.rate_hz - seen.road_hz) < _ON_ROAD * seen.road_hz
+    is_road = np.abs(seen.rate_hz - seen.road_hz) < ON_ROAD * seen.road_hz
     if np.count_nonzero(is_below & is_road & (seen.rate_hz * _FARTHER < far_hz)) >= _SEEN_THROUGH:
         return True
     usual_hz, middle = median(rate_hz), median(x[members])

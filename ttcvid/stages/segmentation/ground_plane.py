@@ -14,7 +14,7 @@ from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import picture_region
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.ground_contact import Contacts, find_contacts, on_ground
+from ttcvid.stages.segmentation.ground_contact import ON_ROAD, Contacts, find_contacts, on_ground
 from ttcvid.stages.tracking.groups import places_among
 
 # Our direction of travel is parallel to the ground plane: its horizon is within twice this standard deviation (tangent)
@@ -38,8 +38,6 @@ _SEEN_FOR_S, _MOST_SEEN = 1.0, 500
 # Prior standard deviation of the roll between camera and road, rad.
 _ROLL_SIGMA = 0.1
 _LEAST_VIEWS = 4
-# A point is on the road if its inverse depth is within this share of the road's.
-_ON_ROAD = 0.2
 # Evidence decays by the first factor per frame, by the second while an object is not observed against the ground plane
 # (a road without texture). Above the last value a track contradicts the static scene.
 _FORGETTING, _NOTHING_SAID, _ENOUGH = 0.8, 0.97, 0.5
@@ -101,17 +99,13 @@ def gathered_evidence(
 ) -> RoadMemory:
     """The memory with the ground plane and the evidence of this frame.
 
-    Parameters
-    ----------
-    fit : of all N tracks on the trajectory of the scene.
-    key : ``(N,)`` body of each track.
-    in_scene : ``(N,)`` tracks that may be points of the ground plane.
-    aim : ``(2,)`` our direction of travel in the plane z = 1.
+    ``fit`` of all N tracks on the trajectory of the scene, ``key (N,)`` their bodies, ``in_scene (N,)`` those that may
+    be points of the ground plane; ``aim (2,)`` our direction of travel in the plane z = 1.
     """
-    evidence = np.zeros(len(track_id))
     place = places_among(memory.track_id, track_id)
     is_known = place >= 0
-    evidence[is_known] = memory.evidence[place[is_known]]
+    # `place` -1, of a new track, picks the last one.
+    evidence = np.append(memory.evidence, 0.0)[place]
     now_s = float(views.t_s[-1])
     seen = memory.seen.and_now(road_points(fit, in_scene, aim, track_id, now_s), now_s)
     road = find_road(seen, aim)
@@ -216,10 +210,6 @@ def on_road(fit: PathFit, memory: RoadMemory) -> Bools:
     """Whether points ``(N,)`` have the inverse depth of the ground plane; none without a plane."""
     if memory.plane is None:
         return np.zeros(len(fit.rate_hz), dtype=bool)
-    return np.asarray(np.abs(fit.rate_hz / _rate_of_road(fit, memory.plane) - 1.0) < _ON_ROAD)
-
-
-def _rate_of_road(fit: PathFit, road: Floats) -> Floats:
-    """Inverse depth of the ground plane at each point, 1/s: ``(N,)``, NaN at the horizon and above."""
-    rate = road[0] + fit.place @ road[1:]
-    return np.where(rate > LEAST_BELOW * road[2], rate, np.nan)
+    road_hz = memory.plane[0] + fit.place @ memory.plane[1:]
+    is_below = road_hz > LEAST_BELOW * memory.plane[2]
+    return np.asarray(is_below & (np.abs(fit.rate_hz - road_hz) < ON_ROAD * road_hz))

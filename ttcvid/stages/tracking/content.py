@@ -11,8 +11,8 @@ from ttcvid.model import Floats, Picture
 _LEAST_CORNER = 1e-3
 
 
-def content_offsets(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
-    """From points to the content that windows about them follow: ``(N, 2)`` px, NaN where a window holds no corner.
+def window_contents(grey: Picture, xy_px: Floats, window_px: int) -> tuple[Floats, Floats]:
+    """From points to the content that windows about them follow, and how far these are on edges.
 
     A Lucas-Kanade step is ``H^-1 sum(g g' d)`` over the window, with gradients g, ``H = sum(g g')`` and the
     displacement d of each pixel. Where d is a shift and an expansion about any point, that is d at
@@ -25,15 +25,12 @@ def content_offsets(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
     xy_px : (N, 2) points.
     window_px : side of the windows, odd. What lies beyond the border is as its last pixels are.
 
-    Source: the normal equations of Lucas and Kanade (1981); the point is that of Foerstner and Guelch (1987).
-    """
-    return window_contents(grey, xy_px, window_px)[0]
+    Returns
+    -------
+    Offsets ``(N, 2)`` px, NaN where a window holds no corner; edges ``(N, 2)`` as in `PointSet`, 0 on a plain surface.
 
-
-def window_contents(grey: Picture, xy_px: Floats, window_px: int) -> tuple[Floats, Floats]:
-    """`content_offsets (N, 2)`, and how far the windows are on edges, (N, 2) as in `PointSet`: 0 on a plain surface.
-
-    Source: the length of the latter is the coherence of Bigun and Granlund (1987).
+    Source: the normal equations of Lucas and Kanade (1981); the point is that of Foerstner and Guelch (1987), the
+    length of an edge the coherence of Bigun and Granlund (1987).
     """
     if not len(xy_px):
         return np.empty((0, 2)), np.empty((0, 2))
