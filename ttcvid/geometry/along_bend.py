@@ -42,27 +42,22 @@ def straightened(place: Floats, velocity: Floats, heading: Floats, speed: float,
     With R = speed / turn rate, positive to the right, the point (B, A) to our right and ahead has the angle phi of (R -
     B, A) about the centre and its distance r from it: it lies R - r to the side and R phi along the road. What stands
     still, what follows the road on a circle about the same centre, and what crosses it at a right angle has a constant
-    velocity there.
+    velocity there. Where our turn rate is 0, and behind the centre, the coordinates are the camera's own.
 
-    Parameters
-    ----------
-    place, velocity : ``(3,)`` relative to the camera, in any one unit of length (velocity: per s), y down.
-    heading : ``(3,)`` unit vector of our direction of travel, in the plane of x and z.
-    speed : Our speed, in that unit per s.
-    turn_rad_s : Our turn rate, positive to the right. Where it is 0, and behind the centre, the coordinates are the
-        camera's own.
+    ``place, velocity (3,)`` are relative to the camera, in any one unit of length (velocity and ``speed``: per s), y
+    down; ``heading (3,)`` is a unit vector in the plane of x and z.
     """
     level = math.hypot(heading[0], heading[2])
     ahead_x, ahead_z = heading[0] / level, heading[2] / level
     level_frame = np.array([[ahead_z, 0.0, -ahead_x], [0.0, 1.0, 0.0], [ahead_x, 0.0, ahead_z]])
     (right, down, ahead), relative = level_frame @ place, level_frame @ velocity
-    side = math.copysign(1.0, turn_rad_s)
+    own_axes = Straightened(level_frame @ place, relative, level_frame)
     if not ahead > 0.0 or abs(turn_rad_s) * ahead <= _LEAST_PART * speed:
-        return Straightened(level_frame @ place, relative, level_frame)
-    radius = speed / turn_rad_s
+        return own_axes
+    radius, side = speed / turn_rad_s, math.copysign(1.0, turn_rad_s)
     from_centre = side * (radius - right)
     if not from_centre > 0.0:
-        return Straightened(level_frame @ place, relative, level_frame)
+        return own_axes
     distance = math.hypot(from_centre, ahead)
     across = (2.0 * radius * right - right * right - ahead * ahead) / (radius + side * distance)
     along = side * radius * math.atan2(ahead, from_centre)

@@ -13,15 +13,7 @@ _LEAST_FORWARD = 0.05
 
 
 def cross(v: Floats, w: Floats) -> Floats:
-    """Cross products, five times as fast as `numpy.cross` on short arrays.
-
-    Parameters
-    ----------
-    v, w : ``(..., 3)``, broadcast.
-
-    Returns
-    -------
-    ``(..., 3)``.
+    """Cross products of ``v, w (..., 3)``, broadcast; five times as fast as `numpy.cross` on short arrays.
 
     >>> cross(np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     array([0., 0., 1.])
@@ -59,15 +51,9 @@ def skew(v: Floats) -> Floats:
 
 
 def rotation_from_vector(rotvec_rad: Floats) -> Floats:
-    """Rotation matrices of rotation vectors (axis times angle), by Rodrigues' formula.
+    """Rotation matrices ``(..., 3, 3)`` of rotation vectors ``(..., 3)``, axis times angle, by Rodrigues' formula.
 
-    Parameters
-    ----------
-    rotvec_rad : ``(..., 3)`` in rad; exact for angles down to zero.
-
-    Returns
-    -------
-    ``(..., 3, 3)``; NaN where a component is not finite.
+    Exact for angles down to zero; NaN where a component is not finite.
 
     >>> rotation_from_vector(np.array([0.0, 0.0, np.pi / 2])).round(12) @ np.array([1.0, 0.0, 0.0])
     array([0., 1., 0.])
@@ -79,18 +65,10 @@ def rotation_from_vector(rotvec_rad: Floats) -> Floats:
 
 
 def vector_from_rotation(rotation: Floats) -> Floats:
-    """Rotation vectors of rotation matrices: the inverse of `rotation_from_vector`, angle in [0, pi].
+    """Rotation vectors ``(..., 3)``, rad, of proper rotations ``(..., 3, 3)``, with angles in [0, pi]; NaN of NaN.
 
     Goes through the unit quaternion, taken from the best-conditioned row of ``4 q q'`` (Shepperd), so that tiny
     angles and half turns are both exact.
-
-    Parameters
-    ----------
-    rotation : ``(..., 3, 3)`` proper rotations.
-
-    Returns
-    -------
-    ``(..., 3)`` in rad; NaN where the matrix holds NaN.
 
     >>> vector_from_rotation(np.eye(3))
     array([0., 0., 0.])
@@ -102,17 +80,9 @@ def vector_from_rotation(rotation: Floats) -> Floats:
 
 
 def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
-    """Rotate rays and project them onto the plane z = 1.
+    """Rays ``(L, N, 3)``, turned by one of ``rotations (L, 3, 3)`` per view, on the plane z = 1: ``(L, N, 2)``.
 
-    Parameters
-    ----------
-    rays : ``(L, N, 3)`` of any length.
-    rotations : ``(L, 3, 3)``, one per view.
-
-    Returns
-    -------
-    ``(L, N, 2)``; NaN where a ray is NaN or does not point clearly forward after the rotation (z of the unit ray below
-    0.05).
+    NaN where a ray is NaN or does not point clearly forward after the rotation (z of the unit ray below 0.05).
 
     >>> turned_into_plane(np.array([[[0.6, 0.0, 0.8]]]), np.eye(3)[None])
     array([[[0.75, 0.  ]]])
@@ -122,35 +92,20 @@ def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
 
 
 def each_turned_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints) -> Floats:
-    """As `turned_into_plane`, for M selected rays, each with its own of several groups of rotations.
+    """As `turned_into_plane`, of the rays of index ``ray (M,)``, each by its own group of rotations: ``(L, M, 2)``.
 
-    Parameters
-    ----------
-    rays, ray : ``(L, N, 3)``, and the index of each selected ray: ``(M,)``.
-    rotations, rotation : ``(K, L, 3, 3)``, and the index of the group that rotates it: ``(M,)``.
-
-    Returns
-    -------
-    ``(L, M, 2)``.
+    ``rotation (M,)`` is the index of its group among ``rotations (K, L, 3, 3)``.
     """
     xy = np.empty((len(rays), len(ray), 2))
-    _turn_into_plane(
-        np.ascontiguousarray(rays), np.ascontiguousarray(ray), np.ascontiguousarray(rotations), rotation, xy
-    )
+    rays, rotations = np.ascontiguousarray(rays), np.ascontiguousarray(rotations)
+    _turn_into_plane(rays, np.ascontiguousarray(ray), rotations, rotation, xy)
     return xy
 
 
 def tangent_basis(direction: Floats) -> Floats:
-    """Two orthonormal columns normal to each unit vector; with the vector itself as third they are right-handed.
+    """Two orthonormal columns ``(..., 3, 2)`` normal to each unit vector ``(..., 3)``, right-handed with it as third.
 
-    Parameters
-    ----------
-    direction : ``(..., 3)`` unit vectors.
-
-    Returns
-    -------
-    ``(..., 3, 2)``, a smooth function of the direction except across the border of a cap of 2.6 deg about
-    straight up (0, -1, 0). NaN in gives NaN out.
+    A smooth function of the direction except across the border of a cap of 2.6 deg about straight up (0, -1, 0).
 
     Source: Duff et al., *Building an Orthonormal Basis, Revisited*, JCGT 2017, with y as the pole.
 

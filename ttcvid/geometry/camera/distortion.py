@@ -24,22 +24,12 @@ _MAX_TABLE_ANGLE_RAD = np.radians(89.5)
 
 
 def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
-    """Apply a lens model to points of the plane z = 1.
-
-    Parameters
-    ----------
-    model : ``none``, ``plumb_bob``, ``rational`` or ``fisheye``.
-    coefficients : As many as the model has, in OpenCV's order.
-    xy : ``(N, 2)`` undistorted points.
-
-    Returns
-    -------
-    ``(N, 2)`` distorted points; NaN beyond the fold of the lens model.
+    """Apply a lens model to points ``xy (N, 2)`` of the plane z = 1; NaN beyond its fold.
 
     Raises
     ------
     ValueError
-        The model is unknown, or has another number of coefficients.
+        The ``model`` is none of `COEFFICIENT_COUNTS`, or has another number of ``coefficients``.
 
     Source: OpenCV, modules calib3d (pinhole and rational model) and fisheye (Kannala and Brandt, 2006).
 
@@ -57,12 +47,10 @@ def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
             r = np.hypot(x, y)
             angle = np.arctan(r)
             angle_d, slope = _fisheye_angle(coefficients, angle)
-            scale = np.divide(angle_d, r, out=np.ones_like(r), where=r > 0.0)
             is_valid = (slope > 0.0) & (angle < _table(model, coefficients)[2])
-            places = xy * scale[:, None]
+            places = xy * _ratio(angle_d, r)[:, None]
         else:
-            k = _eight(coefficients)
-            x_d, y_d, *jacobian = _radial_tangential(k, x, y)
+            x_d, y_d, *jacobian = _radial_tangential(_eight(coefficients), x, y)
             is_valid = _is_before_fold(jacobian) & (x * x + y * y < _table(model, coefficients)[2] ** 2)
             places = np.stack([x_d, y_d], axis=1)
     return np.where(is_valid[:, None], places, np.nan)
@@ -83,22 +71,14 @@ def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> F
         return j_xx * j_yy - j_xy * j_xy
     r = np.hypot(x, y)
     angle_d, slope = _fisheye_angle(coefficients, np.arctan(r))
-    return np.asarray(np.divide(angle_d, r, out=np.ones_like(r), where=r > 0.0) * slope / (1.0 + r * r))
+    return np.asarray(_ratio(angle_d, r) * slope / (1.0 + r * r))
 
 
 def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats, tolerance: float) -> Floats:
-    """Invert a lens model on the plane z = 1, by Newton's method.
+    """The inverse of `distort`, with the same error, by Newton's method: undistorted points ``(N, 2)``.
 
-    Parameters
-    ----------
-    model, coefficients : As in `distort`, with the same error.
-    xy_distorted : ``(N, 2)`` distorted points.
-    tolerance : The iteration ends where `distort` reproduces the point within this length on the plane z = 1.
-
-    Returns
-    -------
-    ``(N, 2)`` undistorted points; NaN where the iteration does not converge: no undistorted point leads there, or it is
-    at the fold, or 90 deg or more off the axis.
+    The iteration ends where `distort` reproduces a point within ``tolerance`` on the plane z = 1. NaN where it does not
+    converge: no undistorted point leads there, or it is at the fold, or 90 deg or more off the axis.
 
     >>> undistort("plumb_bob", (-0.2, 0.0, 0.0, 0.0, 0.0), np.array([[0.475, 0.0], [9.0, 0.0]]), 1e-13).round(12)
     array([[0.5, 0. ],
@@ -116,9 +96,9 @@ def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats,
         if model == "fisheye":
             angle = _invert_fisheye(coefficients, r_d, start, within)
             angle[angle >= limit] = np.nan
-            return xy_distorted * np.divide(np.tan(angle), r_d, out=np.ones_like(r_d), where=r_d > 0.0)[:, None]
-        scale = np.divide(start, r_d, out=np.ones_like(r_d), where=r_d > 0.0)
-        xy = _invert_radial_tangential(_eight(coefficients), xy_distorted, xy_distorted * scale[:, None], within)
+            return xy_distorted * _ratio(np.tan(angle), r_d)[:, None]
+        start_xy = xy_distorted * _ratio(start, r_d)[:, None]
+        xy = _invert_radial_tangential(_eight(coefficients), xy_distorted, start_xy, within)
         return np.where(np.einsum("ni,ni->n", xy, xy)[:, None] < limit**2, xy, np.nan)
 
 
@@ -135,6 +115,11 @@ def _check(model: str, coefficients: tuple[float, ...]) -> None:
 def _does_nothing(model: str, coefficients: tuple[float, ...]) -> bool:
     """Whether a model leaves every place alone; the equidistant one never does, even with all coefficients 0."""
     return model != "fisheye" and not any(coefficients)
+
+
+def _ratio(radius: Floats, other: Floats) -> Floats:
+    """A radius over another one at the same points ``(N,)``, 1 at the centre."""
+    return np.asarray(np.divide(radius, other, out=np.ones_like(other), where=other > 0.0))
 
 
 def _eight(coefficients: tuple[float, ...]) -> tuple[float, ...]:

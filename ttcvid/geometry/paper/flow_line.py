@@ -20,42 +20,24 @@ def flow_line_distance_px(epipole_px: Floats, first_px: Floats, second_px: Float
     """Distance of an epipole from flow lines in the picture: the paper's test, a fixed epsilon in px.
 
     A true inlier's line misses its epipole by about sqrt2 sigma k, so a fixed epsilon fits one k only;
-    `flow_line_chi2` does not have this flaw.
-
-    Parameters
-    ----------
-    epipole_px : ``(2,)``.
-    first_px, second_px : ``(N, 2)`` undistorted.
-
-    Returns
-    -------
-    ``(N,)`` px; NaN where there is no flow.
+    `flow_line_chi2` does not have this flaw. Undistorted positions ``epipole_px (2,)``, ``first_px, second_px (N, 2)``
+    give ``(N,)`` px; NaN where there is no flow.
 
     Source: the paper's (5), DESIGN equation 6.
 
     >>> flow_line_distance_px(np.array([0.0, 5.0]), np.array([[10.0, 2.0]]), np.array([[12.0, 2.0]]))
     array([3.])
     """
-    offset = np.einsum("ni,ni->n", flow_normals(first_px, second_px), epipole_px - first_px)
-    distance: Floats = np.abs(offset)
-    return distance
+    return np.asarray(np.abs(np.einsum("ni,ni->n", flow_normals(first_px, second_px), epipole_px - first_px)))
 
 
 def flow_normals(first_px: Floats, second_px: Floats) -> Floats:
-    """Unit normals of flow lines in the picture: (-t_y, t_x) / abs(t) with t the flow.
+    """Unit normals ``(N, 2)`` of flow lines in the picture: (-t_y, t_x) / abs(t) with t the flow; NaN without one.
 
-    Parameters
-    ----------
-    first_px, second_px : ``(N, 2)`` undistorted.
-
-    Returns
-    -------
-    ``(N, 2)``; NaN where there is no flow.
+    ``first_px, second_px (N, 2)`` undistorted.
     """
-    flow = second_px - first_px
-    normal = np.stack([-flow[:, 1], flow[:, 0]], axis=1)
-    length = np.hypot(flow[:, 0], flow[:, 1])[:, None]
-    return quotient(normal, length)
+    x, y = (second_px - first_px).T
+    return quotient(np.stack([-y, x], axis=1), np.hypot(x, y)[:, None])
 
 
 def flow_line_chi2(directions: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> Floats:
@@ -102,18 +84,11 @@ def flow_line_chi2(directions: Floats, q: Floats, p: Floats, sigma_rad: Floats) 
 
 
 def moves_towards(directions: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> Floats:
-    """How surely each point moves towards each direction: signed, in sigmas.
+    """How surely each point moves towards each direction: signed, in sigmas; arguments as in `flow_line_chi2`.
 
     The component of the flow along the great circle through its middle and the direction, positive towards the
-    direction, over the sqrt2 sigma of a difference of two positions.
-
-    Parameters
-    ----------
-    directions, q, p, sigma_rad : As in `flow_line_chi2`.
-
-    Returns
-    -------
-    ``(M, N)`` or ``(N,)``; 0 for a point on the direction itself.
+    direction, over the sqrt2 sigma of a difference of two positions: ``(M, N)`` or ``(N,)``, 0 for a point on the
+    direction itself.
 
     Source: DESIGN section 3 ("the sign of the direction is tested separately").
 
