@@ -13,7 +13,6 @@ from ttcvid.stages.objects.clusters import with_times
 from ttcvid.stages.segmentation.approach_probability import (
     CommonViews,
     braking_of,
-    radii_px,
     with_common_errors,
     with_seen_motion,
 )
@@ -46,7 +45,7 @@ def row_seen(abc_hz, sigma_hz, moved_m, at_m=AHEAD_M, size_m=1.8, noise_px=0.05,
     )
     views, tracks = CommonViews(first, now, GAP_S), np.arange(N)
     members, growth = TrackSets.of([tracks]), views.expansions([tracks])
-    radius_px = radii_px(pixels_from_rays(camera, now), now, members, np.array([True]))
+    radius_px = members.radii(pixels_from_rays(camera, now), np.array([True]))
     rows = with_common_errors([row], members, radius_px, np.full(N, age_s), GAP_S, COMMON_ERROR_PX, camera)
     (row,) = with_seen_motion(with_times(rows, camera), radius_px, growth, GAP_S, camera)
     return row
@@ -87,7 +86,7 @@ def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
     members, age_s = TrackSets.of([np.arange(N)]), np.full(N, 2.0)
 
     def cov_of(rays):
-        radius_px = radii_px(pixels_from_rays(CAMERA, rays), rays, members, np.array([True]))
+        radius_px = members.radii(pixels_from_rays(CAMERA, rays), np.array([True]))
         return with_common_errors([row], members, radius_px, age_s, GAP_S, COMMON_ERROR_PX, CAMERA)[0].state_cov
 
     without_one, unseen = now.copy(), np.full_like(now, np.nan)

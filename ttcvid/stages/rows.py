@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.estimation.closing import Closing
-from ttcvid.model import (
-    SCENE_CLUSTER,
-    Camera,
-    ClusterRow,
-    CollisionTimes,
-    Floats,
-    TrackRows,
-)
+from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, CollisionTimes, Floats, TrackRows
 from ttcvid.stages.egomotion.flows import select_flows
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ranked, rows_of, with_epipole_pixels, with_times
@@ -26,7 +21,6 @@ from ttcvid.stages.objects.track_states import multi_frame_states
 from ttcvid.stages.segmentation.approach_probability import (
     CommonViews,
     braking_of_tracks,
-    radii_px,
     with_common_errors,
     with_seen_motion,
 )
@@ -43,10 +37,10 @@ def track_rows(
     elif config.estimator == "three-frame":
         states = three_frame_states(history, select_flows(history, config.max_gap_frames, config.target_flow_px))
     else:
-        own = track_directions(history, motions, plane, config)
-        states = two_frame_states(own.flows, own.direction, own.covariance)
-        asks = own.flows.has_flow & ~np.isfinite(own.direction[:, 0])
-        states = states.with_status(np.where(asks, own.status, states.status))
+        flows, direction, covariance, why = track_directions(history, motions, plane, config)
+        states = two_frame_states(flows, direction, covariance)
+        asks = flows.has_flow & ~np.isfinite(direction[:, 0])
+        states = replace(states, status=np.where(asks, why, states.status))
     states = states.without(~motions.is_free, motions.no_direction_status)
     states = with_expansions(states, history, motions)
     rows = TrackRows(
@@ -66,7 +60,8 @@ def cluster_rows(
 ) -> tuple[ClusterRow, ...]:
     """Rows of the scene and of all objects, ascending in ``cluster_id``."""
     members = TrackSets.of([motion.members for motion in motions.clusters])
-    views = _common_views(history)
+    past = history.now - min(EXPANSION_FRAMES, history.n_past)
+    views = CommonViews(history.derotated(past), history.rays[history.now], -float(history.since_s[past]))
     # The scene's picture expands differently at each depth.
     is_object = np.array([motion.cluster_id != SCENE_CLUSTER for motion in motions.clusters], dtype=bool)
     nothing = np.empty(0, dtype=np.int64)
@@ -74,7 +69,9 @@ def cluster_rows(
         [motion.members if asked else nothing for motion, asked in zip(motions.clusters, is_object, strict=True)]
     )
     rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, growth[0])
-    radius_px = radii_px(history.xy_px, views.now, members, is_object)
+    # Without a ray, outside of the lens model, a point has no part in the size.
+    xy_px = np.where(np.isfinite(views.now[:, :1]), history.xy_px, np.nan)
+    radius_px = members.radii(xy_px, is_object)
     rows = with_common_errors(rows, members, radius_px, _age_s(history), views.gap_s, history.common_error_px, camera)
     rows = with_times(with_epipole_pixels(rows, camera), camera)
     return tuple(ranked(with_seen_motion(rows, radius_px, growth, views.gap_s, camera)))
@@ -90,12 +87,6 @@ def no_tracks() -> TrackRows:
     """The rows of a frame without tracks."""
     nothing = np.empty(0, dtype=np.int64)
     return TrackRows(nothing, nothing, np.empty((0, 2)), nothing, np.empty(0), CollisionTimes.missing(0), nothing)
-
-
-def _common_views(history: TrackHistory) -> CommonViews:
-    """All tracks a common gap ago and now."""
-    past = history.now - min(EXPANSION_FRAMES, history.n_past)
-    return CommonViews(history.derotated(past), history.rays[history.now], -float(history.since_s[past]))
 
 
 def _age_s(history: TrackHistory) -> Floats:

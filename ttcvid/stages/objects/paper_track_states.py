@@ -23,16 +23,11 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     """States from two views and the epipole of each track's cluster (the paper's (2) and (3)).
 
     The covariance holds the error of the rotation over the gap: it moves the first view, ds = (q x ds/dq) . omega.
-
-    Parameters
-    ----------
-    direction : (N, 3), NaN where a track has none.
-    direction_cov : (N, 3, 3) rad^2.
+    ``direction (N, 3)`` is NaN where a track has none, ``direction_cov (N, 3, 3)`` in rad^2.
     """
     sigma_norm = _sigma_norm(flows)
-    state, cov, status = state_from_direction(
-        flows.first, flows.second, direction, flows.gap_s, sigma_norm, direction_cov
-    )
+    views = flows.first, flows.second
+    state, cov, status = state_from_direction(*views, direction, flows.gap_s, sigma_norm, direction_cov)
     q, r = flows.first / flows.first[:, 2:], flows.second / flows.second[:, 2:]
     rate_hz, by_q, by_r, by_e = rate_from_direction(q, r, direction, flows.gap_s)
     by_rotation = cross(q, by_q)
@@ -49,17 +44,8 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     shared_cov[:, :3, :3], shared_cov[:, 6:, 6:] = direction_cov[first], np.eye(3)
     rate_jacobian = np.sum(direction[:, :, None] * jacobian, axis=1)
     path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
-    shared = SharedErrors(
-        path_of,
-        direction[first],
-        rate_hz,
-        own,
-        jacobian,
-        rate_jacobian,
-        shared_cov,
-        np.zeros((len(first), 3)),
-    )
-    return replace(states, shared=shared)
+    by_shared, no_turns = (jacobian, rate_jacobian, shared_cov), np.zeros((len(first), 3))
+    return replace(states, shared=SharedErrors(path_of, direction[first], rate_hz, own, *by_shared, no_turns))
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:
@@ -75,9 +61,8 @@ def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:
 
     def solve(views: Floats) -> tuple[Floats, Floats, Ints]:
         direction, _, status = three_frame_direction(views, gap_1, gap_2, flows.sigma_rad)
-        state, _, two_status = state_from_direction(
-            views[0], views[2], direction, gap_1 + gap_2, _sigma_norm(flows), None
-        )
+        ends = views[0], views[2]
+        state, _, two_status = state_from_direction(*ends, direction, gap_1 + gap_2, _sigma_norm(flows), None)
         return state[:, 2:], direction, np.where(np.isfinite(direction[:, 0]), two_status, status)
 
     abc_hz, direction, status = solve(rays)
@@ -107,13 +92,11 @@ def _states(flows: Flows, abc_hz: Floats, cov: Floats, direction: Floats, status
 
 def _sigma_norm(flows: Flows) -> Floats:
     """Noise of normalised coordinates: the angle's, divided by cos^1.5 as in `TrackHistory.sigma_rad`."""
-    sigma: Floats = flows.sigma_rad / np.clip(flows.second[:, 2], 0.1, 1.0) ** 1.5
-    return sigma
+    return np.asarray(flows.sigma_rad / np.clip(flows.second[:, 2], 0.1, 1.0) ** 1.5)
 
 
 def _rays_at(history: TrackHistory, entry: Ints) -> Floats:
     """Derotated ray of each track at its own entry of the history: (N, 3), NaN before its first."""
-    column = np.arange(history.n_tracks)
     place = np.maximum(entry, 0)
-    rays = np.einsum("nij,nj->ni", history.cam_R_past[place], history.rays[place, column])
+    rays = np.einsum("nij,nj->ni", history.cam_R_past[place], history.rays[place, np.arange(history.n_tracks)])
     return np.where((entry >= 0)[:, None], rays, np.nan)

@@ -40,16 +40,9 @@ class SharedErrors:
 
 def nothing_shared(n: int) -> SharedErrors:
     """Of N tracks of which each has a direction of its own."""
-    return SharedErrors(
-        np.full(n, -1),
-        np.zeros((1, 3)),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros((n, 3, N_SHARED)),
-        np.zeros((n, N_SHARED)),
-        np.zeros((1, N_SHARED, N_SHARED)),
-        np.zeros((1, 3)),
-    )
+    jacobians = np.zeros((n, 3, N_SHARED)), np.zeros((n, N_SHARED))
+    none, cov = np.zeros((1, 3)), np.zeros((1, N_SHARED, N_SHARED))
+    return SharedErrors(np.full(n, -1), none, np.zeros(n), np.zeros(n), *jacobians, cov, none)
 
 
 @dataclass(frozen=True)
@@ -77,10 +70,6 @@ class TrackStates:
     def alpha_rad(self) -> Floats:
         """Angle between the ray and ``-dir``: (N,) in [0, pi], NaN where there is no direction."""
         return angles_from_epipoles(np.column_stack([self.xy, np.ones(len(self.xy))]), self.direction)
-
-    def with_status(self, status: Ints) -> TrackStates:
-        """The same states with other reasons."""
-        return replace(self, status=status)
 
     def without(self, index: Bools, status: Ints) -> TrackStates:
         """No result for the tracks of ``index (N,)``, for the reason ``status (N,)``."""

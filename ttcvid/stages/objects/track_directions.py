@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
@@ -15,23 +13,13 @@ from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.tracking.history import TrackHistory
 
 
-@dataclass(frozen=True)
-class TrackDirections:
-    """``direction (N, 3)`` with ``covariance (N, 3, 3)`` is ``dir`` of each track over its flow, NaN where it has none.
-
-    ``status (N,)`` says why it has none.
-    """
-
-    flows: Flows
-    direction: Floats
-    covariance: Floats
-    status: Ints
-
-
 def track_directions(
     history: TrackHistory, motions: FrameMotions, plane: HorizonPlane | None, config: CollisionTimesConfig
-) -> TrackDirections:
-    """Each track's direction: its cluster's, or with a horizon its own."""
+) -> tuple[Flows, Floats, Floats, Ints]:
+    """Each track's flow, and its ``dir`` over that: its cluster's, or with a horizon its own.
+
+    Of the directions ``(N, 3)``, NaN where there is none, also the covariances ``(N, 3, 3)``, and why there is none.
+    """
     flows, clusters = select_flows(history, config.max_gap_frames, config.target_flow_px), motions.clusters
     along_scene, n = scene_directions(history, flows), history.n_tracks
     direction, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
@@ -57,4 +45,4 @@ def track_directions(
     is_followed = (plane is None) & np.isfinite(ways[:, 0]) & (ids == SCENE_CLUSTER)
     in_scene = is_followed[place]
     direction[in_scene] = along_scene[in_scene]
-    return TrackDirections(flows, direction, covariance, status)
+    return flows, direction, covariance, status

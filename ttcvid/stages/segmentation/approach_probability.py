@@ -16,13 +16,13 @@ import numpy as np
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking
 from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
-from ttcvid.model import APPROACHING, Bools, Camera, ClusterRow, Floats, Ints, MotionState
+from ttcvid.model import APPROACHING, Camera, ClusterRow, Floats, Ints, MotionState
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
-# Approach and recession are significant at 99.9 % (one side): 99 % of frames with ten objects have no false one.
-_SIGMAS_999 = 3.090
+SIGMAS_999 = 3.090
+"""Approach and recession are significant at 99.9 % (one side): 99 % of frames with ten objects have no false one."""
 # Expansion is contradicted, or significant, at 95 % (one side).
 _SIGMAS_95 = 1.645
 # The common error of tracks (`COMMON_ERROR_PX`) is that of a drift over at most this time, s.
@@ -61,12 +61,8 @@ def with_common_errors(
 ) -> list[ClusterRow]:
     """The K rows with the common error of the tracks of an object added to the covariance of its state.
 
-    Parameters
-    ----------
-    members, radius_px : tracks of the rows, and ``(K,)`` their `radii_px`.
-    age_s : ``(N,)`` age of each track.
-    gap_s : gap of `CommonViews`.
-    error_px : `PointSet.common_error_px`.
+    ``members, radius_px (K,)`` are tracks of the rows and their `TrackSets.radii`, ``age_s (N,)`` the age of each
+    track, ``gap_s`` that of `CommonViews`, ``error_px`` the `PointSet.common_error_px`.
     """
     stated = [k for k, row in enumerate(rows) if row.state_cov is not None]
     if not stated:
@@ -89,12 +85,8 @@ def common_growth_hz(
 ) -> Floats:
     """Standard deviation ``(K,)`` of the expansion of objects by the common matching error of their tracks, 1/s.
 
-    Parameters
-    ----------
-    radius_px : ``(K,)`` root mean square distance of the tracks of each object from their centre.
-    seen_s : ``(K,)`` age of the tracks.
-    least_s : least time that the expansion is measured over.
-    error_px : common matching error at the outline.
+    Their `TrackSets.radii` are ``radius_px (K,)``, and they are ``seen_s (K,)`` old; the expansion is measured over
+    ``least_s`` at least, with an error of ``error_px`` at the outline.
     """
     looked_s = np.maximum(np.minimum(seen_s, _DRIFT_S), least_s)
     return np.asarray(error_px / (np.maximum(radius_px, _LEAST_RADIUS_PX) * looked_s))
@@ -105,11 +97,8 @@ def with_seen_motion(
 ) -> list[ClusterRow]:
     """The K rows; an approach or recession that is not significant, or that the expansion contradicts, is unknown.
 
-    Parameters
-    ----------
-    radius_px : ``(K,)`` `radii_px` of the tracks of the rows.
-    growth : expansions of the rows and their standard deviations, ``(K,)`` each (`CommonViews.expansions`).
-    gap_s : time over which the expansions are measured.
+    ``growth`` are `CommonViews.expansions` of their tracks, over the time ``gap_s``; ``radius_px (K,)`` their
+    `TrackSets.radii`.
     """
     asked = [k for k, row in enumerate(rows) if row.motion_state in {*APPROACHING, MotionState.receding}]
     if not asked:
@@ -140,7 +129,8 @@ def braking_of(xy: Floats, since_s: Floats, focal_px: float, least_s: float) -> 
     least_s : least time since the beginning, s.
     """
     depth, variance, radius = depths_over_time(xy)
-    drift_hz = _drift_hz(radius * focal_px)
+    # Variance of the log size by the common matching error, gained per second.
+    drift_hz = (COMMON_ERROR_PX / max(radius * focal_px, _LEAST_RADIUS_PX)) ** 2 / _DRIFT_S
     found = fit_braking(depth, variance, since_s, _WALKING_PART**2 * drift_hz, least_s)
     if found is None:
         return None
@@ -150,22 +140,12 @@ def braking_of(xy: Floats, since_s: Floats, focal_px: float, least_s: float) -> 
 
 def braking_of_tracks(history: TrackHistory, members: Ints, least_s: float) -> Closing | None:
     """As `braking_of`, for some of the tracks, ``members (M,)``."""
-    return braking_of(*_views(history, members), history.focal_px, least_s)
-
-
-def _views(history: TrackHistory, members: Ints) -> tuple[Floats, Floats]:
-    """Derotated observations ``(L, M, 2)`` of some tracks in the plane z = 1, and their times ``(L,)`` up to 0, s."""
     past = slice(0, history.n_past + 1)
-    return history.xy[past].take(members, axis=1), history.since_s[past]
-
-
-def _drift_hz(radius_px: float) -> float:
-    """Variance of the log size of an object by the common matching error, gained per second, 1/s."""
-    return (COMMON_ERROR_PX / max(radius_px, _LEAST_RADIUS_PX)) ** 2 / _DRIFT_S
+    return braking_of(history.xy[past].take(members, axis=1), history.since_s[past], history.focal_px, least_s)
 
 
 def _seen_state(state: MotionState, nearer_hz: float, sigma_hz: float, *, is_contradicted: bool) -> MotionState:
-    if abs(nearer_hz) < _SIGMAS_999 * sigma_hz:
+    if abs(nearer_hz) < SIGMAS_999 * sigma_hz:
         return MotionState.no_relative_motion if state == MotionState.constant_bearing else MotionState.unknown
     return MotionState.unknown if is_contradicted else state
 
@@ -175,14 +155,6 @@ def _radial_rates(rays: Floats, abc_hz: Floats, cov: Floats) -> tuple[list[float
     along = rays / np.einsum("ki,ki->k", rays, rays)[:, None]
     variance = np.einsum("ki,kij,kj->k", along, cov, along)
     return (-np.einsum("ki,ki->k", along, abc_hz)).tolist(), np.sqrt(variance).tolist()
-
-
-def radii_px(xy_px: Floats, rays: Floats, members: TrackSets, is_asked: Bools) -> Floats:
-    """Root mean square distance ``(K,)`` of the tracks of each set from their centre, px; 0 if empty or not asked.
-
-    Points ``xy_px (N, 2)`` without a ray (``rays (N, 3)`` not finite: outside of the lens model) are left out.
-    """
-    return members.radii(np.where(np.isfinite(rays[:, :1]), xy_px, np.nan), is_asked)
 
 
 def _is_contradicted(

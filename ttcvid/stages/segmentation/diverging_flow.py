@@ -14,9 +14,9 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import GrowthSums, growth_sums
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.segmentation.approach_probability import common_growth_hz
+from ttcvid.stages.segmentation.approach_probability import SIGMAS_999, common_growth_hz
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.expansion import SIGMAS_999, around_any, around_the_oddest
+from ttcvid.stages.segmentation.expansion import around_any, around_the_oddest
 from ttcvid.stages.segmentation.scene import SeenScene
 
 # Minimum number of tracks for an expanding object. Fewer than for other movers, since three unknowns for all are

@@ -16,15 +16,13 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import growth_sums
 from ttcvid.geometry.rotation import skew, turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.segmentation.approach_probability import common_growth_hz
+from ttcvid.stages.segmentation.approach_probability import SIGMAS_999, common_growth_hz
 from ttcvid.stages.segmentation.obstacles import REACHED_WITHIN_S
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
 from ttcvid.stages.tracking.history import TrackHistory
 
 LEAST_VIEWS = 6
 """Views that a track needs: with fewer, one V / Z explains any."""
-SIGMAS_999 = 3.090
-"""A thing grows at 99.9 % (one side)."""
 # Minimum number of tracks for an expanding object: as many as for an obstacle, fewer than for a mover. A common
 # velocity, which no two objects of the scene have, is stronger evidence than their number.
 _LEAST_TRACKS = 4
@@ -60,13 +58,9 @@ def find_growing(
     next_cluster_id: int,
     config: BodiesConfig,
 ) -> tuple[dict[int, Growing], tuple[Obstacle, ...], int]:
-    """The public things that grow by their numbers, those that are seen to in this frame; what to remember; the next
-    number.
+    """The public things that are seen to grow in this frame, by their numbers; what to remember; the next number.
 
-    Parameters
-    ----------
-    before : what the last frame remembered.
-    error_px : error of a position that no track's noise knows of.
+    ``before`` is what the last frame remembered, ``error_px`` the error of a position that no track's noise knows of.
     """
     is_known = np.isin(history.track_id, tracks_of(before))
     things = _things(history, on_scene, is_known, error_px, link_px, config)
@@ -106,14 +100,8 @@ def around_the_oddest(
 ) -> tuple[int, Ints]:
     """Of the tracks that are asked, the one that the scene explains worst, and the nearest around it, nearest first.
 
-    Parameters
-    ----------
-    xy_px, misfit
-        ``(N, 2)`` positions and ``(N,)`` reduced chi-squares on the scene's trajectory.
-    is_asked, may_be
-        ``(N,)`` tracks that may be the one, and may be around it.
-    link_px
-        Neighbours are nearer than this.
+    At ``xy_px (N, 2)``, with reduced chi-squares ``misfit (N,)`` on the scene's trajectory; ``may_be (N,)`` those that
+    may be around it, within some ``link_px``.
     """
     seed = int(np.argmax(np.where(is_asked, misfit, -np.inf)))
     off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
@@ -139,15 +127,14 @@ def _thing_around(
     xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
     sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
     # An aircraft flies straight on.
-    sway = np.zeros((len(xy), 3))
-    sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm, sway)
+    straight_on = np.zeros((len(xy), 3))
+    sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm, straight_on)
     fits = sums.sharing_a_velocity(misfit, config.scene_gate, _LEAST_TRACKS)
     if fits is None:
         return None
     unknowns, cov = sums.unknowns(fits)
     own, velocity_hz, cov = sums.misfits(unknowns), unknowns[:3], cov[:3, :3]
-    contradicts = misfit[0] > config.scene_gate
-    if not fits[0] or (contradicts and not own[0] < misfit[0] / config.gain):
+    if not fits[0] or (misfit[0] > config.scene_gate and not own[0] < misfit[0] / config.gain):
         return None
     cov = max(float(own[fits].mean()), 1.0) * cov + _common_cov(history, around[fits], xy[:, fits])
     if not -velocity_hz[2] > max(SIGMAS_999 * float(np.sqrt(cov[2, 2])), 1.0 / REACHED_WITHIN_S):

@@ -101,21 +101,10 @@ class StaticPoints:
         return self.link_px / self.focal_px
 
 
-@dataclass(frozen=True)
-class _Ground:
-    """Whether we drive on it, and its plane as from `ground_plane.find_road`, where that is known."""
-
-    is_driven_on: bool
-    road: Floats | None
-
-
 def own_path(path: Floats, since_s: Floats) -> OwnPath | None:
-    """Where we go, by where the scene came from; None where we do not move ahead.
+    """Where we go, by the ``path (L, 3)`` of the scene at the times ``since_s (L,)``; None where we do not move ahead.
 
-    Parameters
-    ----------
-    path : (L, 3) where the scene was relative to the camera, less where it is now, oldest first, in s of a mean speed.
-    since_s : (L,) times relative to the present view, s.
+    The path is where the scene was relative to the camera, less where it is now, oldest first, in s of a mean speed.
     """
     middle = len(path) // 2
     if middle < 1 or not path[0].any():
@@ -127,9 +116,8 @@ def own_path(path: Floats, since_s: Floats) -> OwnPath | None:
     if -since_s[0] >= _LEAST_TURN_S:
         turn_hz = float((late[0] / late[2] - early[0] / early[2]) / (-0.5 * since_s[0]))
     length, aim = math.sqrt(late @ late), np.array([late[0] / late[2], path[0, 1] / path[0, 2]])
-    return OwnPath(
-        aim, turn_hz, length / float(-since_s[middle]), float(late[2]) / length, float(-0.5 * since_s[middle])
-    )
+    took_s = float(-since_s[middle])
+    return OwnPath(aim, turn_hz, length / took_s, float(late[2]) / length, 0.5 * took_s)
 
 
 def find_obstacles(
@@ -146,7 +134,6 @@ def find_obstacles(
 
     Parameters
     ----------
-    before : what the last frame remembered.
     way : None where we do not move ahead: nothing is in our way, but what was is known again for a while.
     road : plane of the road, as from `ground_plane.find_road`, or None.
     on_ground : whether we drive.
@@ -156,14 +143,16 @@ def find_obstacles(
     if way is not None:
         is_known = np.isin(track_id, tracks_of(before))
         confirmed = tracks_of([obstacle for obstacle in before if obstacle.cluster_id is not None])
-        surfaces = _surfaces(points, is_known, np.isin(track_id, confirmed), way, _Ground(on_ground, road))
+        surfaces = _surfaces(points, is_known, np.isin(track_id, confirmed), way, road, on_ground=on_ground)
     is_free = points.in_scene.copy()
     for surface in surfaces:
         is_free[surface] = False
     return remembered(before, track_id, surfaces, is_free, next_cluster_id, config)
 
 
-def _surfaces(points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: OwnPath, ground: _Ground) -> list[Ints]:
+def _surfaces(
+    points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: OwnPath, road: Floats | None, *, on_ground: bool
+) -> list[Ints]:
     """Upright surfaces that our way leads through, tracks (M,) of each.
 
     ``is_known, is_confirmed (N,)`` are tracks of obstacles found before, and of those that are public by now.
@@ -174,11 +163,11 @@ def _surfaces(points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: O
     index, off = index[off < _FOLLOWED], off[off < _FOLLOWED]
     if len(index) < _LEAST_TRACKS or not off.min() < _LOOK:
         return []
-    depths = _Depths(points.fit.take(index), ground)
+    depths = _Depths(points.fit.take(index), road, on_ground=on_ground)
     asked = depths.stands & (off < _LOOK)
     if not asked.any():
         return []
-    pairs = linked_pairs(points.xy_px[index], (_LINKS if ground.road is None else 1.0) * points.link_px)
+    pairs = linked_pairs(points.xy_px[index], (_LINKS if road is None else 1.0) * points.link_px)
     pairs = pairs[depths.are_beside(pairs)]
     found, is_taken = list[Ints](), np.zeros(len(index), dtype=bool)
     for _ in range(_MOST_SURFACES):
@@ -186,8 +175,7 @@ def _surfaces(points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: O
             break
         seed = int(np.argmin(np.where(asked, off, np.inf)))
         whole = _surface_of(seed, depths, pairs)
-        asked[whole] = False
-        asked[seed] = False
+        asked[whole] = asked[seed] = False
         surface = depths.without_road_beside(whole[~is_taken[whole]], _OFF_LINK * points.link)
         if len(surface) < _LEAST_TRACKS or not depths.can_be_hit(surface, way):
             continue
@@ -223,8 +211,8 @@ class _Depths:
     ``stands (K,)`` tracks that do not lie on it, ``surely_stands (K,)`` also if the road rises.
     """
 
-    def __init__(self, fit: PathFit, ground: _Ground) -> None:
-        self.ground, road = ground, ground.road
+    def __init__(self, fit: PathFit, road: Floats | None, *, on_ground: bool) -> None:
+        self.road, self.on_ground = road, on_ground
         self.place = fit.place
         self.log_rate = np.log(fit.rate_hz)
         self.tolerance = _ONE_SURFACE + _SURFACE_SIGMAS * fit.rate_sigma_hz / fit.rate_hz
@@ -243,10 +231,9 @@ class _Depths:
 
         Without this all that has one depth on both sides of a road would be one thing.
         """
-        road = self.ground.road
-        if road is None:
+        if self.road is None:
             return np.ones(len(pairs), dtype=bool)
-        camera_height = np.exp(self.log_rate[pairs].min(axis=1)) / road[2]
+        camera_height = np.exp(self.log_rate[pairs].min(axis=1)) / self.road[2]
         apart = np.linalg.norm(self.place[pairs[:, 0]] - self.place[pairs[:, 1]], axis=1)
         return np.asarray(self.surely_stands[pairs].any(axis=1) & (apart < _BESIDE * camera_height))
 
@@ -256,12 +243,11 @@ class _Depths:
         if not len(upright):
             return surface[:0]
         x = self.place[surface, 0]
-        near: Ints = surface[(x > upright.min() - reach) & (x < upright.max() + reach)]
-        return near
+        return np.asarray(surface[(x > upright.min() - reach) & (x < upright.max() + reach)])
 
     def can_be_hit(self, surface: Ints, way: OwnPath) -> bool:
         """Whether a thing is neither driven over nor driven under."""
-        if self.ground.is_driven_on:
+        if self.on_ground:
             top, bottom = self.place[surface, 1].min(), self.place[surface, 1].max()
             if bottom - way.aim[1] < _BELOW_CAMERA * (bottom - top):
                 return False
@@ -272,7 +258,7 @@ class _Depths:
 
     def reaches_down(self, surface: Ints) -> bool:
         """Whether two tracks of a thing, of which one may be an error, are as low as what stands on the road."""
-        if self.height is None or not self.ground.is_driven_on:
+        if self.height is None or not self.on_ground:
             return True
         return bool(np.sort(self.height[surface])[1] < _MOST_FOOT)
 
@@ -299,7 +285,7 @@ def _goes_on(surface: Ints, depths: _Depths, pairs: Ints) -> bool:
     crosses = is_own[pairs[:, 0]] != is_own[pairs[:, 1]]
     beside = np.unique(np.where(is_own[pairs[crosses, 0]], pairs[crosses, 1], pairs[crosses, 0]))
     is_ground = ~depths.stands[beside]
-    if depths.height is None and not depths.ground.is_driven_on:
+    if depths.height is None and not depths.on_ground:
         is_ground = depths.place[beside, 1] > depths.place[surface, 1].max()
     beside = beside[~is_ground]
     nearer = depths.log_rate[beside] > np.median(depths.log_rate[surface]) + depths.tolerance[beside]
@@ -315,12 +301,12 @@ def _is_in_the_way(depths: _Depths, surface: Ints, way: OwnPath, link: float) ->
     """
     rate_hz = np.exp(np.median(depths.log_rate[surface]))
     straight_on, aim = way.aim_at(np.append(0.0, way.reached_s(rate_hz[None])))
-    road, goes_on = depths.ground.road, 0.0
+    road, goes_on = depths.road, 0.0
     if road is not None and BEND_ENDS * abs(aim[0] - straight_on[0]) < rate_hz / road[2]:
         goes_on = (1.0 - BEND_ENDS) * share_of_bend(way.turn_hz)
     aims = np.stack([straight_on + goes_on * (aim - straight_on), aim])
     place = depths.place[surface[depths.stands[surface]]]
-    if depths.ground.is_driven_on and depths.height is not None:
+    if depths.on_ground and depths.height is not None:
         place, aims = place[:, :1], aims[:, :1]
     gap = np.maximum(np.maximum(place.min(axis=0) - aims, aims - place.max(axis=0)), 0.0)
     is_covered = np.all(gap <= _OFF_LINK * link, axis=1)
