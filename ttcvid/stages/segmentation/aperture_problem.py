@@ -26,16 +26,11 @@ def may_slip(edge: Floats, xy: Floats, path: Floats, sigma_norm: Floats, gate: f
 
     Parameters
     ----------
-    edge
-        ``(M, 2)`` as in `PointSet`.
-    xy
-        ``(L, M, 2)`` positions in the plane z = 1 of the present camera, in at least three views, NaN in others.
-    path
-        ``(L, 3)`` of the scene, as in `RigidPaths`.
-    sigma_norm
-        ``(M,)`` standard deviation of one coordinate of a position.
-    gate
-        Reduced chi-square below which a depth explains a track.
+    edge : ``(M, 2)`` as in `PointSet`.
+    xy : ``(L, M, 2)`` positions in the plane z = 1 of the present camera, in at least three views, NaN in others.
+    path : ``(L, 3)`` of the scene, as in `RigidPaths`.
+    sigma_norm : ``(M,)`` standard deviation of one coordinate of a position.
+    gate : reduced chi-square below which a depth explains a track.
     """
     angle = 0.5 * np.arctan2(edge[:, 1], edge[:, 0])
     across = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

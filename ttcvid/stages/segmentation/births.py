@@ -99,13 +99,7 @@ def _explained(
 ) -> tuple[list[Ints], RigidPaths, Floats]:
     """Those of K proposals that a trajectory of their own explains significantly better than the scene.
 
-    Parameters
-    ----------
-    is_static : ``(N,)`` tracks that the scene explains.
-
-    Returns
-    -------
-    Of each of J births the tracks explained better, trajectory and median inverse depth ``(J,)``, 1/s.
+    Returned as by `new_movers`, with the tracks explained better; ``is_static (N,)`` tracks that the scene explains.
     """
     scene, misfit, usual_misfit, is_along = seen.scene, seen.misfit, seen.usual_misfit, things.is_along
     if not things.members:
@@ -157,12 +151,9 @@ def _candidates(neighbours: Ints, is_asked: Bools, misfit: Floats, config: Bodie
 def _alike_things(
     views: BodyViews, scene: RigidPaths, candidates: Ints, is_along: Bools, config: BodiesConfig
 ) -> list[tuple[Ints, Floats]]:
-    """Connected tracks of similar flow: tracks ``(M,)`` and straight trajectory ``(L, 3)`` of each.
+    """Connected tracks of similar flow among ``candidates (C,)``: tracks ``(M,)`` and straight path ``(L, 3)`` of each.
 
-    Parameters
-    ----------
-    candidates : ``(C,)`` indices of tracks.
-    is_along : ``(N,)`` tracks that move along our own direction.
+    ``is_along (N,)`` tracks that move along our own direction.
     """
     if len(candidates) < config.min_tracks:
         return []
@@ -176,11 +167,8 @@ def _alike_things(
     tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
     places, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
     directions, _, _ = shared_directions(places, velocity_hz, tracks.info_w, thing, len(numbers))
-    is_told = np.isfinite(directions[:, 0])
-    return [
-        (candidates[thing == number], straight_path(directions[number], views.since_s))
-        for number in np.flatnonzero(is_told)
-    ]
+    told = np.flatnonzero(np.isfinite(directions[:, 0]))
+    return [(candidates[thing == number], straight_path(directions[number], views.since_s)) for number in told]
 
 
 def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:

@@ -137,18 +137,13 @@ def mean_step(path: Floats, points: Points) -> Floats:
 def refined_movers(
     movers: RigidPaths, scene: RigidPaths, points: Points, n_steps: Ints, start_hz: Floats | None = None
 ) -> tuple[RigidPaths, Floats]:
-    """The turns and paths of movers by their own points; beside the scene's views theirs may turn a little.
+    """The turns and paths of movers by their own points, and the median rate of these, (K,); 0 without any.
 
-    Parameters
-    ----------
-    n_steps : (K,) of each mover.
-    start_hz : (M,) rates to start from; None or NaN: none.
-
-    Returns
-    -------
-    The movers, and the median rate of the points of each, (K,); 0 without any.
+    Beside the scene's views theirs may turn a little. ``n_steps (K,)`` of each mover, ``start_hz (M,)`` rates to start
+    from; None or NaN: none.
     """
-    priors = PathPriors(scene.cam_R_past[0], turn_sigma_rad(points.since_s), _shift_sigma(points.since_s))
+    shift_sigma = _SHIFT_FLOOR - SHIFT_RATE_HZ * points.since_s
+    priors = PathPriors(scene.cam_R_past[0], turn_sigma_rad(points.since_s), shift_sigma)
     movers, rate_hz = refined_paths(points, movers, priors, n_steps, rate_hz=start_hz)
     usual_hz = medians(rate_hz, points.thing, len(movers))
     return movers, np.where(np.isnan(usual_hz), 0.0, usual_hz)
@@ -157,10 +152,6 @@ def refined_movers(
 def turn_sigma_rad(since_s: Floats) -> Floats:
     """How far a mover may have turned beside the scene since each view (L,)."""
     return np.asarray(_TURN_RATE_RAD_S * np.maximum(-since_s, _LEAST_TIME_S))
-
-
-def _shift_sigma(since_s: Floats) -> Floats:
-    return _SHIFT_FLOOR - SHIFT_RATE_HZ * since_s
 
 
 def _own_shift_sigma(since_s: Floats, path: Floats) -> Floats:

@@ -25,10 +25,9 @@ _AT_LEAST = 1.5
 class BodyViews:
     """N tracks over L views.
 
-    ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as
-    `views_by_track`; ``sigma_norm (N,)``; ``xy_px (N, 2)``
-    now; ``edge (N, 2)`` as in `PointSet`; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their pixel; ``link_px``
-    the distance within which two tracks are neighbours.
+    ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as `views_by_track`;
+    ``sigma_norm (N,)``; ``xy_px (N, 2)`` now; ``edge (N, 2)`` as in `PointSet`; ``t_s (L,)``; ``is_free (N,)`` tracks
+    not frozen to their pixel; ``link_px`` the distance within which two tracks are neighbours.
     """
 
     rays: Floats
@@ -73,9 +72,7 @@ def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFi
 def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_error_px: float) -> BodyViews:
     """The tracks of the history as bodies are found in them.
 
-    Parameters
-    ----------
-    model_error_px : error of a position that no track's noise knows of: lens, shutter, focal length.
+    ``model_error_px`` is the error of a position that no track's noise knows of: lens, shutter, focal length.
     """
     sigma_norm = np.maximum(history.sigma_px, model_error_px) * history.plane_per_px
     return BodyViews(

@@ -116,10 +116,9 @@ class OwnFit:
     rate_hz: Floats
     rate_sigma_hz: Floats
 
-    def without_rates(self, index: Ints | Bools) -> OwnFit:
-        """The same without the inverse depths of some tracks, whose body has got another trajectory."""
-        rate_hz, sigma_hz = self.rate_hz.copy(), self.rate_sigma_hz.copy()
-        rate_hz[index], sigma_hz[index] = np.nan, np.nan
+    def without_rates(self, changes: Bools) -> OwnFit:
+        """The same without the inverse depths of tracks ``changes (N,)``, whose body has got another trajectory."""
+        rate_hz, sigma_hz = (np.where(changes, np.nan, known) for known in (self.rate_hz, self.rate_sigma_hz))
         return OwnFit(self.misfit, rate_hz, sigma_hz)
 
 
@@ -227,12 +226,8 @@ def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_
     """Whether tracks ``(M,)`` are significantly nearer than the other tracks of an object, too near to be part of it.
 
     The trajectory of a car ahead in our direction is that of the scene up to its speed: it explains the road before the
-    car as well as the scene does, at another depth.
-
-    Parameters
-    ----------
-    rate_hz, sigma_hz : ``(M,)`` inverse depth of each track on the trajectory of object ``thing (M,)``, 1/s.
-    is_own : ``(M,)`` whether the track belongs to it now.
+    car as well as the scene does, at another depth. ``rate_hz, sigma_hz (M,)`` inverse depth of each track on the
+    trajectory of object ``thing (M,)``, 1/s; ``is_own (M,)`` whether it belongs to that now.
     """
     is_own = is_own & np.isfinite(rate_hz)
     usual_hz = medians(rate_hz[is_own], thing[is_own], n_things)[thing]
@@ -251,13 +246,9 @@ def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Ints:
 def _costs(misfits: Floats, votes: Ints, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
     """Cost of each body for each track: ``(N, B)``, the scene first.
 
-    Before a camera at rest the trajectory of the scene is exact: no label is rewarded, chi-squares are not capped. A
-    swinging leg fits its body badly, and the scene worse.
-
-    Parameters
-    ----------
-    misfits, votes : ``(N, B)`` reduced chi-square over the usual one, and number of neighbours.
-    number, n_views : ``(N,)`` former body, and number of views.
+    By ``misfits, votes (N, B)``, reduced chi-square over the usual one and number of neighbours, and ``number, n_views
+    (N,)``, former body and number of views. Before a camera at rest the trajectory of the scene is exact: no label is
+    rewarded, chi-squares are not capped. A swinging leg fits its body badly, and the scene worse.
     """
     heard = votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1, keepdims=True), 1))
     if camera_rests:

@@ -114,12 +114,7 @@ def find_bodies(
 ) -> tuple[Segmentation, BodyMemory]:
     """Segmentation of a frame, and the memory for the next one.
 
-    Parameters
-    ----------
-    history, views : the N tracks, and their views as from `body_views`.
-    egomotion : of the last step.
-    platform : carrier of the camera.
-    may_start : ``(N,)`` whether a track may be part of a birth.
+    ``views`` are those of the N tracks as from `body_views`; ``may_start (N,)`` tracks may be part of a birth.
     """
     memory = _over_views(memory, history.frame)
     labels = _carried_labels(memory, history.track_id)
@@ -174,9 +169,8 @@ def _are_displaced(views: BodyViews, seen: SeenScene, movers: Movers, key: Ints,
     beside = views.neighbours(is_displaced, np.zeros_like(is_displaced))[is_displaced]
     off = surprise.off[is_displaced]
     apart = np.linalg.norm(surprise.off[beside] - off[:, None], axis=2)
-    is_alike = (apart < _ALIKE * np.linalg.norm(off, axis=1)[:, None]) & (
-        beside != np.flatnonzero(is_displaced)[:, None]
-    )
+    is_alike = apart < _ALIKE * np.linalg.norm(off, axis=1)[:, None]
+    is_alike &= beside != np.flatnonzero(is_displaced)[:, None]
     is_displaced[is_displaced] = ~is_alike.any(axis=1)
     return is_displaced
 
@@ -203,12 +197,7 @@ def _divided(
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, seen.scene, key, movers, neighbours, own.misfit, seen.usual_misfit)
     # Tracks that return to the scene may be part of a birth.
-    has_changed = key != before
-    if has_changed.any():
-        is_touched = np.zeros(key.max() + 1, dtype=bool)
-        is_touched[key[has_changed]] = True
-        own = own.without_rates(is_touched[key])
-    return key, movers, own
+    return key, movers, own.without_rates(np.isin(key, key[key != before]))
 
 
 def _with_new(
@@ -271,11 +260,9 @@ def _over_views(memory: BodyMemory, frame: Ints) -> BodyMemory:
 
 def _carried_labels(memory: BodyMemory, track_id: Ints) -> TrackLabels:
     """Body and inverse depth of each track in the last frame; new tracks belong to the scene, with NaN."""
-    key, rate_hz = np.full(len(track_id), SCENE_CLUSTER), np.full(len(track_id), np.nan)
+    # -1, of a new track, picks the last one.
     place = places_among(memory.track_id, track_id)
-    is_known = place >= 0
-    key[is_known], rate_hz[is_known] = memory.track_key[place[is_known]], memory.rate_hz[place[is_known]]
-    return TrackLabels(key, rate_hz)
+    return TrackLabels(np.append(memory.track_key, SCENE_CLUSTER)[place], np.append(memory.rate_hz, np.nan)[place])
 
 
 def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Floats) -> tuple[Ints, Ints, Floats]:

@@ -43,20 +43,10 @@ class LastKnownPositions:
         return LastKnownPositions(self.centre @ cam_R_prev.T - step, self.extent, self.n_tracks, self.seen_s)
 
     def seen_again(self, number: Ints, xy: Floats, rate_hz: Floats, now_s: float, least: int) -> LastKnownPositions:
-        """Updated by the tracks of this frame, at ``xy (N, 2)`` in the plane z = 1.
+        """Updated by the tracks of this frame, at ``xy (N, 2)`` in the plane z = 1; movers of fewer than ``least`` not.
 
-        Parameters
-        ----------
-        number
-            ``(N,)`` 0 for a track of the scene, else 1 + index of its mover.
-        xy
-            ``(N, 2)`` in the plane z = 1.
-        rate_hz
-            ``(K,)`` median inverse depth (times speed) of the tracks of each mover.
-        now_s
-            Time of the frame.
-        least
-            Movers with fewer tracks are not updated.
+        ``number (N,)`` is 0 for a track of the scene, else 1 + index of its mover; ``rate_hz (K,)`` the median inverse
+        depth (times speed) of the tracks of each mover.
         """
         own = np.flatnonzero((number > 0) & np.isfinite(xy[:, 0]))
         mover, (x, y), n_movers = number[own] - 1, xy[own].T, len(rate_hz)

@@ -18,31 +18,18 @@ _LEAST_RATE_HZ = 0.01
 def stepped_movers(
     movers: RigidPaths, scene: RigidPaths, points: Points, n_steps: Ints, rate_hz: Floats
 ) -> tuple[RigidPaths, Floats]:
-    """Movers of the last frame, carried on, as their points show them now.
+    """Movers of the last frame, carried on, as their points show them now; their ``rate_hz (K,)`` before, and now.
 
     First the last step, by all points at once: nothing else is new, and it takes no turns of points and views, in which
-    the points go along with a step that is wrong. Then all views, in turn.
-
-    Parameters
-    ----------
-    n_steps : (K,) of refinement of each mover, after that.
-    rate_hz : (K,) usual rate of each.
-
-    Returns
-    -------
-    The movers, and the median rate of the points of each, (K,); 0 without any.
+    the points go along with a step that is wrong. Then all views, in turn (`refined_movers`).
     """
     if len(points.since_s) < 2:
         return refined_movers(movers, scene, points, n_steps)
     fit = fit_on_paths(points, movers, rate_hz[points.thing])
     middle = _middles(points, fit, len(movers))
     turned = vector_from_rotation(scene.cam_R_past[:, -2] @ movers.cam_R_past[:, -2].transpose(0, 2, 1))
-    priors = StepPriors(
-        mean_step(_ways_of_middles(movers, scene, middle), points),
-        turned,
-        float(turn_sigma_rad(points.since_s)[-2]),
-        middle,
-    )
+    length = mean_step(_ways_of_middles(movers, scene, middle), points)
+    priors = StepPriors(length, turned, float(turn_sigma_rad(points.since_s)[-2]), middle)
     stepped = with_newest_steps(points, movers, fit, np.ones(len(points.track)), priors)
     return refined_movers(stepped, scene, points, n_steps, fit.rate_hz)
 
@@ -58,5 +45,4 @@ def _middles(points: Points, fit: PathFit, count: int) -> Floats:
 def _ways_of_middles(movers: RigidPaths, scene: RigidPaths, middle: Floats) -> Floats:
     """Where ``middle (K, 3)`` of each mover was, less where it is now, in the axes of the scene: (K, L, 3)."""
     turn = movers.cam_R_past @ scene.cam_R_past.transpose(0, 1, 3, 2)
-    way = np.einsum("klji,klj->kli", turn, middle[:, None] + movers.path) - middle[:, None]
-    return np.asarray(way)
+    return np.asarray(np.einsum("klji,klj->kli", turn, middle[:, None] + movers.path) - middle[:, None])

@@ -62,10 +62,6 @@ class _Joint:
     rate_hz: Floats
     is_one: Bools
 
-    def take(self, index: Ints) -> _Joint:
-        """The pairs that an index array picks."""
-        return _Joint(self.paths.take(index), self.rate_hz[index], self.is_one[index])
-
 
 def merged(
     views: BodyViews,
@@ -98,34 +94,29 @@ def merged(
     key, paths, rate_hz = key.copy(), movers.paths.take(np.arange(len(movers))), movers.rate_hz.copy()
     is_gone, is_changed = np.zeros(len(movers), dtype=bool), np.zeros(len(movers), dtype=bool)
     for place in range(len(pairs.large)):
-        joint, pair = every.take(np.array([place])), pairs.take(np.array([place]))
-        both = [int(pair.large[0]), int(pair.small[0])]
+        joint, at, both = every, place, [int(pairs.large[place]), int(pairs.small[place])]
         if is_gone[both].any():
             continue
         if is_changed[both].any():
             # One of the two has just been merged with a third.
             movers = replace(movers, paths=paths, rate_hz=rate_hz)
-            joint = _joint(views, scene, tracks_of, movers, pair, usual_misfit)
-        if not joint.is_one[0]:
+            joint, at = _joint(views, scene, tracks_of, movers, pairs.take(np.array([place])), usual_misfit), 0
+        if not joint.is_one[at]:
             continue
         younger, older = sorted(both, key=lambda mover: (movers.n_found[mover], -mover))
         key[tracks_of[younger]] = movers.key[older]
         tracks_of[older] = np.flatnonzero(key == movers.key[older])
         is_gone[younger], is_changed[older] = True, True
-        paths.cam_R_past[older], paths.path[older] = joint.paths.cam_R_past[0], joint.paths.path[0]
-        rate_hz[older] = joint.rate_hz[0]
+        paths.cam_R_past[older], paths.path[older] = joint.paths.cam_R_past[at], joint.paths.path[at]
+        rate_hz[older] = joint.rate_hz[at]
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
 def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
     """Indices of the larger and the smaller of P adjacent movers that are due, ``(P,)`` each; None without any.
 
-    Adjacent ones have neighbouring tracks, and the smaller one `_LEAST_TRACKS`.
-
-    Parameters
-    ----------
-    neighbours : ``(N, K)`` of each track.
-    number : ``(N,)`` index of the body of each track, as from `numbers_of`.
+    Adjacent ones have neighbouring tracks, and the smaller one `_LEAST_TRACKS`. ``neighbours (N, K)`` of each track,
+    ``number (N,)`` as from `numbers_of`.
     """
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
     beside = np.zeros((len(movers) + 1, len(movers) + 1), dtype=bool)

@@ -40,19 +40,12 @@ def reidentified(
 
     Parameters
     ----------
-    views, scene
-        The tracks of the frame, and the static scene.
-    key, movers
-        Body of each track ``(N,)``, and the known movers.
-    found, paths, rate_hz
-        Tracks, trajectory and median rate of each new one.
-    usual_misfit
-        Median reduced chi-square of tracks on the scene's trajectory.
+    key, movers : body of each track ``(N,)``, and the known movers.
+    found, paths, rate_hz : tracks, trajectory and median rate of each new one.
 
     Returns
     -------
-    key, movers : with the re-identified ones.
-    is_known : ``(J,)``.
+    Both with the re-identified ones, and which of the new ones these are, ``(J,)``.
     """
     key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
     # One or two tracks may be left at the rim of what hides the others.
@@ -110,5 +103,4 @@ def _moved_unseen(views: BodyViews, hidden: Movers) -> Floats:
     where, step = hidden.where, hidden.paths.path[:, -2]
     place = where.centre[:, :2] / where.centre[:, 2:]
     last = np.linalg.norm(step[:, :2] - place * step[:, 2:], axis=1) / where.centre[:, 2]
-    moved: Floats = last * (views.t_s[-1] - where.seen_s) / (views.t_s[-1] - views.t_s[-2])
-    return moved
+    return np.asarray(last * (views.t_s[-1] - where.seen_s) / (views.t_s[-1] - views.t_s[-2]))

@@ -39,24 +39,8 @@ def reinitialised(
     other way with near and far exchanged (Necker's reversal); which it was shows when it is near. A steady turn and a
     steady acceleration, nine unknowns, are estimated from the views alone.
 
-    Parameters
-    ----------
-    movers
-        The movers.
-    rate_hz
-        ``(K,)`` median inverse depth (times speed) of each.
-    is_asked
-        ``(K,)`` movers that may be re-initialised.
-    scene
-        The static scene.
-    points
-        Points of the movers.
-    usual_misfit
-        Median reduced chi-square of tracks on the scene's trajectory.
-
-    Returns
-    -------
-    The movers, and the median rate ``(K,)`` of each.
+    ``rate_hz (K,)`` is the median inverse depth (times speed) of each mover, also returned; ``is_asked (K,)`` movers
+    may be re-initialised; ``usual_misfit`` is the median reduced chi-square of tracks on the scene's trajectory.
     """
     own = np.flatnonzero(is_asked[points.thing])
     if not len(own):

@@ -91,13 +91,7 @@ def see_scene(
     labels: TrackLabels,
     config: BodiesConfig,
 ) -> SeenScene:
-    """The scene, corrected by its tracks.
-
-    Parameters
-    ----------
-    before, road_before : the scene and the road of the last frame.
-    labels : those that the tracks had.
-    """
+    """The scene, corrected by its tracks: from that of the last frame, ``before``, and the ``labels`` they had then."""
     is_free, key, can_translate = views.is_free, labels.key, platform != Platform.static
     region = picture_region(history.rays[-1], _CELLS * region_side_of(history.camera))
     if len(history.t_s) < 2:
@@ -157,15 +151,15 @@ def _scene(
         if egomotion.direction is not None:
             dt_s = views.t_s[-1] - views.t_s[-2]
             step = -egomotion.direction * dt_s * max(recent_speed(before.path[0], views.t_s[:-1]), _LEAST_SPEED)
-        carried = carried_forward(before, egomotion.cam_R_prev, views.t_s, step)
-        # Own motion has corrected the rotations of the last frames by its own means: those are taken over.
-        path = carried.path
+        path = carried_forward(before, egomotion.cam_R_prev, views.t_s, step).path
         if egomotion.direction is not None:
-            path = _without_unseen_return(history, carried.path[0])[None]
+            path = _without_unseen_return(history, path[0])[None]
+        # Own motion has corrected the rotations of the last frames by its own means: those are taken over.
         scene = RigidPaths(history.cam_R_past[None], path)
     used = np.flatnonzero(views.is_free)
     used = np.ascontiguousarray(used[:: max(1, -(-len(used) // _ENOUGH_TRACKS))])
-    weight = _balance(region[used])
+    # By how many share a part of the picture: one textured lorry is not the world.
+    weight = 1.0 / np.sqrt(np.bincount(region[used])[region[used]])
     in_scene = labels.key[used] == SCENE_CLUSTER
     return refined_scene(scene, views.points(used), weight, in_scene, labels.rate_hz[used], _SCENE_STEPS)
 
@@ -190,14 +184,8 @@ def _moves_past(fit: PathFit, region: Ints, is_free: Bools) -> bool:
     if not len(known):
         return False
     moves = fit.rate_hz[known] > _MOVES_SIGMAS * fit.rate_sigma_hz[known]
-    here = region[known]
-    per_region = np.bincount(here)
-    return bool(np.mean(np.bincount(here, moves)[per_region > 0] > 0.5 * per_region[per_region > 0]) > 0.5)
-
-
-def _balance(region: Ints) -> Floats:
-    """Weight of each track by how many share its part of the picture: one textured lorry is not the world."""
-    return np.asarray(1.0 / np.sqrt(np.bincount(region)[region]))
+    _, here = np.unique(region[known], return_inverse=True)
+    return bool(np.mean(np.bincount(here, moves) > 0.5 * np.bincount(here)) > 0.5)
 
 
 def _steps_little(views: BodyViews, scene: RigidPaths) -> Bools:

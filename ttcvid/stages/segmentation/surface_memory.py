@@ -36,18 +36,10 @@ def remembered(
 
     Parameters
     ----------
-    before
-        From the last frame.
-    track_id
-        Of all live tracks.
-    surfaces
-        Tracks ``(M,)`` of each surface found in this frame.
-    is_free
-        ``(N,)`` tracks that a surface which is not found in this frame may keep.
-    next_cluster_id
-        The next free number.
-    config
-        Frames until a surface becomes public.
+    before : what the last frame remembered.
+    track_id : ``(N,)`` of all live tracks.
+    surfaces : tracks ``(M,)`` of each surface found in this frame.
+    is_free : ``(N,)`` tracks that a surface which is not found in this frame may keep.
     """
     left_over = list(surfaces)
     is_seen = np.zeros(len(track_id), dtype=bool)
@@ -57,9 +49,8 @@ def remembered(
     for obstacle in before:
         again = _again(obstacle, track_id, left_over)
         if again is not None:
-            obstacles.append(
-                replace(obstacle, track_id=track_id[left_over.pop(again)], n_found=obstacle.n_found + 1, n_missed=0)
-            )
+            found = track_id[left_over.pop(again)]
+            obstacles.append(replace(obstacle, track_id=found, n_found=obstacle.n_found + 1, n_missed=0))
             continue
         # Those that a mover has taken, too: it may lose them again. What is seen to be of another surface is no part of
         # this one.

@@ -35,27 +35,21 @@ class Velocities:
         return Velocities(np.concatenate([self.v_hz, new.v_hz]), np.concatenate([self.info, new.info]))
 
     def carried_forward(self, cam_R_prev: Floats, centre: Floats, dt_s: float) -> Velocities:
-        """As the next camera sees them: V is the same, the depth another.
+        """As the next camera, turned by ``cam_R_prev (3, 3)``, sees them: V is the same, the depth another.
 
-        Parameters
-        ----------
-        cam_R_prev : (3, 3) rotation from the last camera to this one.
-        centre : (K, 3) where they were; NaN: not known.
+        ``centre (K, 3)`` where they were; NaN: not known.
         """
         place = centre / centre[:, 2:]
         ratio = (place + dt_s * self.v_hz) @ cam_R_prev[2]
         ratio = np.where(ratio > _LEAST_DEPTH_RATIO, ratio, 1.0)
-        return Velocities(
-            self.v_hz @ cam_R_prev.T / ratio[:, None],
-            cam_R_prev @ self.info @ cam_R_prev.T * (ratio**2)[:, None, None],
-        )
+        info = cam_R_prev @ self.info @ cam_R_prev.T * (ratio**2)[:, None, None]
+        return Velocities(self.v_hz @ cam_R_prev.T / ratio[:, None], info)
 
     def seen_again(self, points: Points, cam_R_past: Floats, is_seen: Bools, n_steps: int) -> Velocities:
         """With what the points of those that are seen, ``is_seen (K,)``, show; ``cam_R_past (L, 3, 3)``."""
         v_hz, info = recent_velocities(points, cam_R_past, self.v_hz, n_steps)
-        return Velocities(
-            np.where(is_seen[:, None], v_hz, self.v_hz), np.where(is_seen[:, None, None], info, self.info)
-        )
+        v_hz = np.where(is_seen[:, None], v_hz, self.v_hz)
+        return Velocities(v_hz, np.where(is_seen[:, None, None], info, self.info))
 
 
 def recent_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int) -> tuple[Floats, Floats]:
