@@ -7,15 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from ttcvid.model import (
-    ClusterRow,
-    Event,
-    FrameResult,
-    FrameStatus,
-    Platform,
-    TrackRows,
-)
-from ttcvid.stages.horizon.planar_motion import HorizonPlane
+from ttcvid.model import ClusterRow, FrameResult, FrameStatus, Platform, TrackRows
 from ttcvid.stages.objects.reached_first import Since, nearest_object
 from ttcvid.stages.rows import closing_of_cluster, cluster_rows, no_tracks, track_rows
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
@@ -43,8 +35,12 @@ class RowMemory:
 def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameResult, RowMemory]:
     """The rows of a frame and its warnings: states, times, events."""
     frame, seen = item.frame, item.seen
+    line_px = None if item.plane is None else item.plane.line_px
     if seen is None:
-        return _empty_result(item, standing_events(memory.watch, frame.t_s, clip.config.events)), memory
+        # It gives no number, only a reason: what was warned of before stands.
+        events = standing_events(memory.watch, frame.t_s, clip.config.events)
+        nothing = FrameResult(frame.index, frame.t_s, item.dt_s, item.status, no_tracks(), ())
+        return replace(nothing, horizon_px=line_px, events=events), memory
     if item.status == FrameStatus.cut:
         memory = RowMemory(restarted_events(memory.watch))
     tracks, clusters = _rows(seen, clip)
@@ -66,7 +62,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         rotation_rad=None if egomotion is None else egomotion.rotation_rad,
         rotation_sigma_rad=None if egomotion is None else egomotion.rotation_sigma_rad,
         nearest=nearest,
-        horizon_px=_line_px(item.plane),
+        horizon_px=line_px,
         events=events,
     )
     return result, RowMemory(watch, since)
@@ -116,15 +112,3 @@ def _rows(seen: Seen, clip: Clip) -> tuple[TrackRows, tuple[ClusterRow, ...]]:
     """Rows of tracks and clusters."""
     states, tracks = track_rows(seen.history, seen.motions, clip.config.collision_times, seen.plane)
     return tracks, cluster_rows(seen.history, seen.motions, states, clip.camera)
-
-
-def _empty_result(item: SeenFrame, events: tuple[Event, ...]) -> FrameResult:
-    """A frame that gives no number, only a reason: what was warned of before stands."""
-    frame, line_px = item.frame, _line_px(item.plane)
-    return FrameResult(
-        frame.index, frame.t_s, item.dt_s, item.status, no_tracks(), (), horizon_px=line_px, events=events
-    )
-
-
-def _line_px(plane: HorizonPlane | None) -> tuple[float, float] | None:
-    return None if plane is None else plane.line_px

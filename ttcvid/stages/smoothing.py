@@ -41,26 +41,18 @@ class Seen:
 
 
 def are_enough(n_after: int, after_s: float, max_frames: int) -> bool:
-    """Whether a frame has enough frames after it to be estimated again: half of a window.
+    """Whether ``n_after`` frames, the last ``after_s`` later, are enough to estimate a frame again: half of a window.
 
-    Parameters
-    ----------
-    n_after : Number of frames after it.
-    after_s : Time of the last of them, relative to it.
-    max_frames : Length of the window, in frames.
+    The window has ``max_frames``.
     """
     half = max_frames // 2
     return n_after >= half and after_s >= (half - 0.5) / FULL_RATE_HZ
 
 
 def seen_again(seen: Seen, later: Sequence[Seen], camera: Camera, config: PipelineConfig) -> Seen:
-    """The same frame with the views of later ones, and what follows from them for its clusters.
+    """The same frame with the views of the ``later`` ones, and what follows from them for its clusters.
 
-    Parameters
-    ----------
-    seen : The frame.
-    later : The next frames in order, each of which continues this one (`Seen.is_continued_by`).
-    camera, config : Intrinsics; parameters of all stages.
+    Those are the next ones in order, each of which continues this one (`Seen.is_continued_by`).
     """
     if not later or seen.egomotion is None:
         return seen
@@ -165,14 +157,14 @@ def _with_known_objects(seen: Seen, later: Sequence[Seen], min_tracks: int) -> F
 
 def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> FrameMotions:
     """The clusters with the directions that the views on both sides show."""
-    surfaces = [motion for motion in seen.motions.clusters if motion.is_one_surface]
-    movers = [m for m in seen.motions.clusters if m.cluster_id != SCENE_CLUSTER and not m.is_one_surface]
-    members = {m.cluster_id: m.members for m in movers}
-    scene = [
-        scene_motion(motion.members, seen.egomotion, seen.plane, camera)
-        for motion in seen.motions.clusters
-        if motion.cluster_id == SCENE_CLUSTER
-    ]
+    scene, surfaces, members = list[ClusterMotion](), list[ClusterMotion](), dict[int, Ints]()
+    for motion in seen.motions.clusters:
+        if motion.cluster_id == SCENE_CLUSTER:
+            scene.append(scene_motion(motion.members, seen.egomotion, seen.plane, camera))
+        elif motion.is_one_surface:
+            surfaces.append(motion)
+        else:
+            members[motion.cluster_id] = motion.members
     objects = motions_of(members, seen.history, seen.plane, camera, config)
     status = seen.motions.no_direction_status.copy()
     for motion in objects:

@@ -9,14 +9,7 @@ import numpy as np
 from ttcvid.config import PipelineConfig
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
-from ttcvid.model import (
-    Bools,
-    Camera,
-    Frame,
-    FrameStatus,
-    Platform,
-    PointSet,
-)
+from ttcvid.model import Bools, Camera, Frame, FrameStatus, Platform, PointSet
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
 from ttcvid.stages.egomotion.outflow import flows_out
 from ttcvid.stages.egomotion.relative_pose import Egomotion, EgomotionMemory
@@ -102,9 +95,8 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
         dt_s = float(history.t_s[-1] - history.t_s[-2])
     if status == FrameStatus.ok:
         status = _motion_status(egomotion, clip.config.egomotion.platform)
-    plane = followed_plane(
-        memory.plane, clip.plane, None if egomotion is None else egomotion.cam_R_prev, dt_s, clip.camera
-    )
+    turn = None if egomotion is None else egomotion.cam_R_prev
+    plane = followed_plane(memory.plane, clip.plane, turn, dt_s, clip.camera)
     motions, history, bodies = find_motions(
         history, egomotion, ~is_frozen, ~frozen.is_suspect, memory.bodies, plane, clip.camera, clip.config
     )
@@ -129,15 +121,9 @@ def _own_motion(
         if before is None:
             continue
         history = _with_points(frame, points, before, clip)
-        found = find_own_motion(
-            history,
-            is_free,
-            in_scene(memory.bodies, history.track_id),
-            memory.egomotion,
-            clip.config.egomotion,
-            LEAST_PARALLAX_PX,
-            clip.config.tracking.sigma_floor_px,
-        )
+        tracks = history, is_free, in_scene(memory.bodies, history.track_id)
+        own, least_noise_px = clip.config.egomotion, clip.config.tracking.sigma_floor_px
+        found = find_own_motion(*tracks, memory.egomotion, own, LEAST_PARALLAX_PX, least_noise_px)
         if found[0] is not None:
             break
     return found
@@ -188,10 +174,7 @@ def _shows_frozen_pixels(egomotion: Egomotion | None, history: TrackHistory, cli
     """
     if egomotion is None:
         return False
-    own = clip.config.egomotion
-    if egomotion.direction is not None or own.platform == Platform.static:
-        moves = egomotion.direction is not None
-    else:
-        moves = flows_out(history, LEAST_PARALLAX_PX, own.min_tracks, own.platform)
-    turned_px = float(np.linalg.norm(egomotion.rotation_rad)) * clip.camera.fx_px
-    return moves or turned_px > _TURNING_PX
+    own, turned_px = clip.config.egomotion, float(np.linalg.norm(egomotion.rotation_rad)) * clip.camera.fx_px
+    if egomotion.direction is not None or turned_px > _TURNING_PX:
+        return True
+    return own.platform != Platform.static and flows_out(history, LEAST_PARALLAX_PX, own.min_tracks, own.platform)

@@ -88,38 +88,25 @@ def rows_of(
 ) -> list[ClusterRow]:
     """Rows of K clusters; those of objects have the state of their nearest surface, and no times yet (`with_times`).
 
-    The scene has no state: it has many depths.
-
-    Parameters
-    ----------
-    motions, members : the clusters and their tracks.
-    states, xy_px, link_px : of all tracks, as for `joint_states`.
-    expansion_hz : ``(K,)`` expansion of each, NaN where unknown.
+    The scene has no state: it has many depths. ``states, xy_px, link_px`` are of all tracks, as for `joint_states`,
+    ``expansion_hz (K,)`` of each cluster, NaN where unknown.
     """
     believed, believed_cov = _directions(motions)
-    is_scene = np.array([_is_scene(motion) for motion in motions], dtype=bool)
+    is_scene = np.array([motion.cluster_id == SCENE_CLUSTER for motion in motions], dtype=bool)
     is_static = np.array([motion.is_static for motion in motions], dtype=bool)
     is_one = np.array([motion.is_one_surface for motion in motions], dtype=bool)
     joint = joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_one, states, xy_px, link_px)
     stated: dict[int, dict[str, Any]] = {}
     fronts = front_boxes(members, joint, states, xy_px).tolist()
-    for place, ref_px, front_px, abc_hz, cov in zip(
-        joint.owner.tolist(),
-        joint.ref_px.tolist(),
-        fronts,
-        joint.abc_hz,
-        joint.cov,
-        strict=True,
-    ):
+    for k, place in enumerate(joint.owner.tolist()):
         stated[place] = {
             "status": motions[place].status,
-            "ref_px": tuple(ref_px),
-            "front_px": tuple(front_px),
-            "state_abc_hz": abc_hz,
-            "state_cov": cov,
+            "ref_px": tuple(joint.ref_px[k].tolist()),
+            "front_px": tuple(fronts[k]),
+            "state_abc_hz": joint.abc_hz[k],
+            "state_cov": joint.cov[k],
         }
-    turned = _directions_of_states(motions, joint, believed, believed_cov)
-    for place, direction, cov, status in turned:
+    for place, direction, cov, status in _directions_of_states(motions, joint, believed, believed_cov):
         believed[place], believed_cov[place] = direction, cov
         stated[place].update(direction=direction, direction_cov=cov, epipole_status=status)
     facts = zip(
@@ -136,10 +123,6 @@ def rows_of(
     ]
 
 
-def _is_scene(motion: ClusterMotion) -> bool:
-    return motion.cluster_id == SCENE_CLUSTER
-
-
 def _row(
     motion: ClusterMotion,
     box_px: list[float],
@@ -154,7 +137,7 @@ def _row(
     An object without a state has the status ``no_parallax``, or ``not_rigid`` if its tracks have values that disagree.
     """
     status, motion_state = motion.status, MotionState.unknown
-    if _is_scene(motion):
+    if motion.cluster_id == SCENE_CLUSTER:
         motion_state = MotionState.no_relative_motion if status == Status.no_parallax else motion_state
     elif status in _OPEN:
         status = Status.not_rigid if has_values else Status.no_parallax
@@ -178,15 +161,10 @@ def _row(
 
 
 def motion_ids(is_ours: Bools, direction: Floats, direction_cov: Floats) -> list[int]:
-    """``motion_id`` of K clusters: 0 for the scene and standing obstacles, movers from 1.
+    """``motion_id`` of K clusters: 0 for the scene and standing obstacles, ``is_ours (K,)``, movers from 1.
 
-    Movers share a number if their directions are equal within small errors. A mover never has 0, even along our own
-    direction: users take the closing speed of what stands still for their own speed.
-
-    Parameters
-    ----------
-    is_ours : ``(K,)`` the scene and standing obstacles.
-    direction, direction_cov : ``(K, 3)`` and ``(K, 3, 3)``, NaN where unknown.
+    Movers share a number if their ``direction (K, 3)``, NaN where unknown, is equal within small errors. A mover never
+    has 0, even along our own direction: users take the closing speed of what stands still for their own speed.
     """
     movers = np.flatnonzero(~is_ours)
     is_same = _have_same_direction(direction[movers], direction_cov[movers]) if len(movers) > 1 else np.ones((1, 1))

@@ -27,8 +27,6 @@ def with_expansions(states: TrackStates, history: TrackHistory, motions: FrameMo
     stays = (states.status == int(Status.no_parallax)) & (motions.cluster_id > SCENE_CLUSTER)
     asks = is_at_epipole | stays
     gap = min(EXPANSION_FRAMES, history.n_past)
-    if gap < 1 or not asks.any():
-        return states
     neighbours = neighbours_in_cluster(
         history.xy_px, motions.cluster_id, np.flatnonzero(asks), EXPANSION_NEIGHBOURS, motions.link_px
     )
@@ -42,11 +40,8 @@ def with_constant_bearing(
 
     The expansion gives c = V_z / Z, the point's own flow, however small, the sideways part of V.
 
-    Parameters
-    ----------
-    neighbours : (N, m) indices of tracks of the same cluster around each track, negative: absent.
-    gap_frames : steps of the history over which the expansion is measured.
-    may_expand : (N,) tracks that are asked (at the epipole, or without parallax).
+    The expansion of ``neighbours (N, m)``, tracks of the same cluster around each track (negative: absent), is measured
+    over ``gap_frames``; ``may_expand (N,)`` tracks are asked (at the epipole, or without parallax).
     """
     asked = np.flatnonzero(may_expand)
     if not len(asked) or gap_frames < 1:
@@ -89,8 +84,8 @@ def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> 
     off = np.where(is_there[..., None], xy - (np.sum(xy, axis=1) / count[:, None])[:, None], 0.0)
     sigma = np.max(np.where(is_there, states.sigma_norm[neighbours], 0.0), axis=1)
     size = np.sqrt(np.sum(off**2, axis=(1, 2)))
-    noise_hz: Floats = np.divide(np.sqrt(2.0) * sigma, size * gap_s, out=np.full(len(size), np.inf), where=size > 0.0)
-    return noise_hz
+    unknown = np.full(len(size), np.inf)
+    return np.asarray(np.divide(np.sqrt(2.0) * sigma, size * gap_s, out=unknown, where=size > 0.0))
 
 
 def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:

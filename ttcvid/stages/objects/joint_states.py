@@ -62,10 +62,8 @@ def joint_states(
 
     Parameters
     ----------
-    members : tracks of the objects.
-    direction : ``(N, 3)`` their ``dir``, NaN where there is none.
+    members, direction : tracks of the objects, and ``(N, 3)`` their ``dir``, NaN where there is none.
     is_one : ``(N,)`` found as one surface, and so may have few tracks.
-    states, xy_px, link_px : of all tracks, as for `in_nearest_of_path`.
     """
     shared = nothing_shared(len(states.xy)) if states.shared is None else states.shared
     has_direction = np.isfinite(direction[:, 0])
@@ -83,7 +81,6 @@ def joint_states(
         if is_near.any():
             is_in[own], above_hz[own] = is_near, side_hz - rate_hz[own]
     has_surface = np.bincount(sets.set_of[is_in], minlength=len(sets)) > 0
-    # An object that was found as one surface may have few tracks.
     takes_all = ~has_surface & is_one[owner] & (sets.lengths >= _LEAST_OF_SURFACE)
     is_in |= takes_all[sets.set_of]
     surfaces, left = sets.where(is_in)
@@ -120,11 +117,8 @@ def _near_end(xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bo
     """Rates (M,), 1/s, of the visible side of a turning object, and which tracks are its near end (none: no side).
 
     Inverse depths on a plane are linear in the image. A selection by the tracks' own rates would select the largest
-    errors.
-
-    Parameters
-    ----------
-    xy, rate_hz, sigma_hz : (M, 2), (M,), (M,) of its tracks: places in the plane z = 1, rates, standard deviations.
+    errors. ``xy (M, 2)`` are its tracks' places in the plane z = 1, ``rate_hz, sigma_hz (M,)`` rates and standard
+    deviations.
     """
     columns = np.column_stack([np.ones(len(xy)), xy - np.mean(xy, axis=0)])
     side_hz = np.full(len(xy), float(np.median(rate_hz)))

@@ -70,14 +70,9 @@ def find_motions(
 ) -> tuple[FrameMotions, TrackHistory, BodyMemory]:
     """Which tracks move with the scene, which in bodies of their own, and in what direction.
 
-    Parameters
-    ----------
-    is_free : (N,) tracks that are not frozen to their pixel.
-    may_start : (N,) tracks that do not look like becoming frozen, either: a new mover may start from them.
-
-    Returns
-    -------
-    motions, the history with the past rotations as the scene's tracks correct them, and the memory.
+    Tracks ``is_free (N,)`` are not frozen to their pixel; those of ``may_start (N,)`` do not look like becoming so,
+    either: a new mover may start from them. The history comes back with the past rotations as the scene's tracks
+    correct them.
     """
     times = config.collision_times
     link_px = _LINK_PART * camera.image_size.longer_side_px
@@ -96,26 +91,10 @@ def find_motions(
         objects = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:
-            surfaces, memory = growing_things(
-                history,
-                found,
-                is_free,
-                memory,
-                link_px,
-                error_px,
-                config,
-            )
+            surfaces, memory = growing_things(history, found, is_free, memory, link_px, error_px, config)
         is_left = is_free.copy()
         is_left[np.concatenate([np.empty(0, dtype=np.int64), *(one.members for one in surfaces)])] = False
-        obstacles, memory = in_our_way(
-            history,
-            egomotion,
-            found,
-            is_left,
-            memory,
-            link_px,
-            config,
-        )
+        obstacles, memory = in_our_way(history, egomotion, found, is_left, memory, link_px, config)
         surfaces = [on_plane(one, plane, camera) for one in [*surfaces, *obstacles]]
         if config.egomotion.platform == Platform.vehicle:
             bend = own_bend(history, egomotion.direction, road_hz(memory, found, history))
@@ -178,19 +157,14 @@ def motions_of(
     if not members:
         return []
     thing = np.repeat(np.arange(len(members)), [len(index) for index in members.values()])
-    window_s, direction, covariance = _directions(
-        history, np.concatenate(list(members.values())), thing, len(members), config
-    )
+    tracks = np.concatenate(list(members.values()))
+    window_s, direction, covariance = _directions(history, tracks, thing, len(members), config)
     variance, motions = np.trace(covariance, axis1=1, axis2=2), []
     for number, (cluster_id, index) in enumerate(members.items()):
         motion = ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks")
         if variance[number] < MAX_DIRECTION_SIGMA_RAD**2:
-            found = replace(
-                motion,
-                direction=direction[number],
-                direction_cov=covariance[number],
-                window_s=float(window_s[number]),
-            )
+            way, cov = direction[number], covariance[number]
+            found = replace(motion, direction=way, direction_cov=cov, window_s=float(window_s[number]))
             motion = on_plane(found, plane, camera)
         motions.append(motion)
     return motions
@@ -212,9 +186,7 @@ def _directions(
 ) -> tuple[Floats, Floats, Floats]:
     """How far back each of K things is looked at, s, its direction and covariance: (K,), (K, 3), (K, 3, 3).
 
-    Parameters
-    ----------
-    members, thing : (M,) tracks, and which thing each belongs to.
+    ``members, thing (M,)`` are tracks, and which thing each belongs to.
     """
     tracks = _whole_tracks(history, members, config.object_window_s, config)
     direction, covariance = _shared_directions(history, tracks, thing, n_things)

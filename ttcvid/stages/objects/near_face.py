@@ -29,11 +29,8 @@ def front_boxes(members: TrackSets, joint: JointStates, states: TrackStates, xy_
     The whole of what has too few such tracks to show sides: its nearest part may lie where it has none.
 
     All points of a thing share its velocity, so that the rates speed / Z of its tracks tell how deep each lies; so they
-    do the errors of their path, which make no track nearer than another.
-
-    Parameters
-    ----------
-    members : tracks of the N objects, ``joint.owner (K,)`` among them.
+    do the errors of their path, which make no track nearer than another. ``members`` are the tracks of all objects,
+    ``joint.owner (K,)`` among them.
     """
     has_surface = np.zeros(len(members), dtype=bool)
     has_surface[joint.owner] = True

@@ -37,9 +37,7 @@ def in_nearest_of_path(
     A thing that keeps its bearing goes along a line that meets the picture among its tracks. If the line is a little
     off, rates are too large on one side of it and too small on the other, by far more than by the tracks' own noise.
 
-    Parameters
-    ----------
-    by_shared, shared_cov : (M, n), what one of n errors does to each rate, and (K, n, n), the covariance of these.
+    ``by_shared (M, n)`` is what one of n errors does to each rate, ``shared_cov (K, n, n)`` the covariance of these.
     """
     is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, needed, link_px)
     is_bare = np.bincount(sets.set_of, is_in, len(sets)) == 0.0
@@ -67,10 +65,8 @@ def in_nearest_surface(
 
     Parameters
     ----------
-    rate_hz, sigma_hz : ``(M,)`` rates, speed over depth, and their standard deviations, 1/s, in the order of the
-        groups.
-    xy_px : ``(M, 2)`` positions, px.
-    sets : The groups of tracks.
+    rate_hz, sigma_hz, xy_px : ``(M,), (M,), (M, 2)`` rates, speed over depth, and their standard deviations, 1/s, and
+        positions, in the order of the groups.
     needed : ``(K,)`` tracks that a surface needs, see `tracks_needed`.
     link_px : Tracks closer than this are connected.
     """

@@ -24,8 +24,7 @@ def nearest_object(
 ) -> tuple[ClusterRow | None, Since]:
     """The object with the smallest time to depth zero among credible approaches, and what to remember.
 
-    Such an object approaches by its whole interval, has done so in each frame of ``events.persistence_s``, and has at
-    least ``bodies.min_tracks`` tracks.
+    They last for ``events.persistence_s``, and have ``bodies.min_tracks`` tracks.
     """
     surely = [row for row in clusters if approaches(row)]
     now = {row.cluster_id: since.get(row.cluster_id, t_s) for row in surely}

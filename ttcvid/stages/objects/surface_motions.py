@@ -41,22 +41,10 @@ def in_our_way(
         # We may well be on a road, or low over the ground.
         now_s = float(history.t_s[-1])
         road = find_road(road_points(found.scene_fit, in_scene, way.aim, history.track_id, now_s), way.aim)
-    seen = StaticPoints(
-        history.track_id,
-        history.xy_px,
-        history.focal_px,
-        link_px,
-        found.scene_fit,
-        in_scene,
-    )
+    seen = StaticPoints(history.track_id, history.xy_px, history.focal_px, link_px, found.scene_fit, in_scene)
+    before, number, on_ground = memory.obstacles, memory.next_cluster_id, platform == Platform.vehicle
     public, obstacles, next_cluster_id = find_obstacles(
-        memory.obstacles,
-        seen,
-        way,
-        road,
-        memory.next_cluster_id,
-        config.bodies,
-        on_ground=platform == Platform.vehicle,
+        before, seen, way, road, number, config.bodies, on_ground=on_ground
     )
     memory = replace(memory, obstacles=obstacles, next_cluster_id=next_cluster_id)
     if way is None:
