@@ -64,10 +64,10 @@ def find_focal_length(frames: Iterable[SeenPoints], image_size: ImageSize) -> Fo
         fit = _fit(window, image_size)
         if fit is None:
             continue
-        if not _is_of_one_scene(fit, image_size):
+        if _is_of_one_scene(fit, image_size):
+            fits.append(fit)
+        else:
             n_contradicting += 1
-            continue
-        fits.append(fit)
         if len(fits) == _ENOUGH_WINDOWS:
             break
     return None if n_contradicting > len(fits) else _together(fits, image_size)

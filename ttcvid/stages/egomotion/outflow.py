@@ -13,12 +13,7 @@ import numpy as np
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import Bools, Floats, Platform
 from ttcvid.stages.egomotion.frame_gap import paired_rays
-from ttcvid.stages.egomotion.relative_pose import (
-    EgomotionMemory,
-    estimate_egomotion,
-    picture_region,
-    region_side_of,
-)
+from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion, picture_region, region_side_of
 from ttcvid.stages.tracking.history import TrackHistory
 
 # So many steps are looked back, s: less than a pixel in 0.2 s at 30 frames/s is no flow to speak of.
@@ -37,12 +32,8 @@ _MOST_ONE_SIDED = 0.6
 def flows_out(history: TrackHistory, least_parallax_px: float, min_tracks: int, platform: Platform) -> bool:
     """Whether what does not stay on its pixel flows out of one point ahead, to all sides of it.
 
-    Parameters
-    ----------
-    history : views of all tracks, frozen ones too.
-    least_parallax_px : flow of one step that does not count as translation.
-    min_tracks : that a motion of the camera is found from.
-    platform : what carries the camera.
+    Frozen tracks are asked, too. A flow of one step of ``least_parallax_px`` does not count as translation;
+    ``min_tracks`` are needed for a motion of the camera.
     """
     gap = min(_STEPS, len(history.frame) - 1)
     if gap < _LEAST_STEPS:

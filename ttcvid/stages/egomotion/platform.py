@@ -135,15 +135,11 @@ def told_platform(glances: Sequence[Glance], between: Sequence[float]) -> ToldPl
     ground = f"the ground goes by with {fastest_hz:.2g} camera heights a second"
     if fastest_hz < _LEAST_GROUND_HZ:
         return told(Platform.free, f"{ahead}, but {ground}: far above it")
-    if fastest_hz < _WALKING_HZ and _wavers_rad(drives) > _STRAIGHT_RAD:
+    ways = np.array([glance.travel for glance in drives])
+    wavers_rad = np.median(np.arccos(np.clip(ways @ normalize(ways.mean(axis=0)), -1.0, 1.0)))
+    if fastest_hz < _WALKING_HZ and wavers_rad > _STRAIGHT_RAD:
         return told(Platform.free, f"{ahead}, but {ground}, and the way wavers")
     return told(Platform.vehicle, f"{ahead}, {ground}")
-
-
-def _wavers_rad(drives: Sequence[Glance]) -> float:
-    """Median angle between the ways of travel and their mean."""
-    ways = np.array([glance.travel for glance in drives])
-    return float(np.median(np.arccos(np.clip(ways @ normalize(ways.mean(axis=0)), -1.0, 1.0))))
 
 
 def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Camera) -> Glance | None:

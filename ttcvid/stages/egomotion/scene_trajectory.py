@@ -31,11 +31,7 @@ def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion)
     rate. All tracks share them. (The epipole stays that of two views, which follows a swinging direction more closely:
     0.07 against 0.13 deg. So do the steps: the next frame's trajectory has to be fitted to views, not to itself.)
 
-    Parameters
-    ----------
-    history : Views of all tracks.
-    is_free : ``(N,)`` tracks that are not frozen to their pixel.
-    egomotion : Of the last step. Without a direction there is no trajectory, and nothing changes.
+    Nothing changes without a direction of the last step, ``egomotion``. ``is_free (N,)`` tracks not frozen to a pixel.
     """
     if egomotion.direction is None or egomotion.direction_cov is None:
         return history
@@ -69,7 +65,5 @@ def _follows(history: TrackHistory, direction: Floats) -> Bools:
 def _belief(history: TrackHistory, direction: Floats, direction_cov: Floats) -> PathBeliefs:
     across = np.eye(3) - np.outer(direction, direction)
     cov = direction_cov + _BELIEF_FLOOR_RAD**2 * across
-    sigma_rad_s = history.rotation_rate_sigma_rad_s
-    return PathBeliefs(
-        history.scene_steps[None], direction[None], cov[None], _OWN_ALONG_HZ, _OWN_ACROSS_HZ, sigma_rad_s
-    )
+    steps, turn_rad_s = history.scene_steps, history.rotation_rate_sigma_rad_s
+    return PathBeliefs(steps[None], direction[None], cov[None], _OWN_ALONG_HZ, _OWN_ACROSS_HZ, turn_rad_s)

@@ -144,8 +144,7 @@ def _misfits(tracks: _Tracks, paths: RigidPaths) -> Floats:
     history = tracks.history
     fit = fit_on_paths(_points(tracks, tracks.seen), paths)
     ray = np.column_stack([fit.place, np.ones(len(fit.place))])
-    there = ray + fit.rate_hz[:, None] * paths.path[0][:, None]
-    there = there @ paths.cam_R_past[0]
+    there = (ray + fit.rate_hz[:, None] * paths.path[0][:, None]) @ paths.cam_R_past[0]
     rays = history.rays[:, tracks.seen]
     with np.errstate(divide="ignore", invalid="ignore"):
         off = (there[..., :2] / there[..., 2:] - rays[..., :2] / rays[..., 2:]) / history.sigma_norm[tracks.seen, None]
@@ -177,13 +176,13 @@ def _adjusted(tracks: _Tracks, paths: RigidPaths, tells: Bools, n_steps: int) ->
     longest = used[np.lexsort((-n_views[used], tracks.region[used]))]
     place = np.arange(len(longest)) - np.searchsorted(tracks.region[longest], tracks.region[longest])
     used = tracks.seen[longest[np.argsort(place, kind="stable")[:_MOST_TRACKS]]]
-    region = tracks.region[np.searchsorted(tracks.seen, used)]
     fit = fit_on_paths(_points(tracks, used), paths)
     is_fit = np.isfinite(fit.rate_hz)
-    used, region = used[is_fit], region[is_fit]
+    used = used[is_fit]
     if len(used) < _LEAST_TRACKS:
         return None
     xy = history.rays[:, used, :2] / history.rays[:, used, 2:]
+    region = tracks.region[np.searchsorted(tracks.seen, used)]
     point = np.column_stack([fit.place[is_fit], fit.rate_hz[is_fit]])
     found = adjust_window(xy, history.sigma_norm[used], region, paths, point, n_steps)
     length = float(np.sqrt((found.paths.path**2).sum(axis=2).max()))

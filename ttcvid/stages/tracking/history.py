@@ -158,8 +158,7 @@ class TrackHistory:
     @cached_property
     def since_s(self) -> Floats:
         """Times relative to the present frame, ``(L,)`` s: up to 0, but for later views."""
-        since: Floats = self.t_s - self.t_s[self.now]
-        return since
+        return np.asarray(self.t_s - self.t_s[self.now])
 
     @property
     def scene_steps(self) -> Floats:
@@ -214,10 +213,7 @@ def extended(
 ) -> TrackHistory:
     """The history with one more frame; tracks that are not among ``points`` end, at most ``max_frames`` views are kept.
 
-    Parameters
-    ----------
-    rays : (N, 3) unit rays of ``points``.
-    may_come_back : whether a track may be missing for some frames: it ends when no view of it is left.
+    ``rays (N, 3)`` are the unit rays of the points. A track that ``may_come_back`` ends when no view of it is left.
     """
     if history.lost is not None:
         history = _with_lost(history, history.lost)
@@ -341,10 +337,7 @@ def with_egomotion(
 ) -> TrackHistory:
     """Carry all past rotations over the step from the last frame to the present one, and note the scene's direction.
 
-    Parameters
-    ----------
-    cam_R_prev : (3, 3) rotation of the step, with the error ``rotation_sigma_rad`` per axis.
-    direction : (3,) ``dir`` of the scene in the step, or None.
+    ``cam_R_prev (3, 3)`` rotates the step, ``direction (3,)`` is ``dir`` of the scene in it, or None.
     """
     cam_R_past = np.concatenate([cam_R_prev @ history.cam_R_past[:-1], np.eye(3)[None]])
     newest = np.full(3, np.nan) if direction is None else direction

@@ -47,12 +47,10 @@ class FrozenMemory:
 def find_frozen(
     memory: FrozenMemory, points: PointSet, *, scene_moves: bool, step_s: float = np.inf
 ) -> tuple[Bools, FrozenMemory]:
-    """Which of the points ``(N,)`` are frozen.
+    """Which of the points ``(N,)`` of this frame are frozen, and the memory for the next one.
 
     Parameters
     ----------
-    memory : From the frame before.
-    points : Points of this frame.
     scene_moves : Whether the camera translated or turned in the step before: only then does staying mean anything.
     step_s : Time since the last frame.
     """

@@ -128,8 +128,7 @@ def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
     """Probability that the depth of an object decreases, by its state ``(3,)`` and covariance (3, 3); 0 without."""
     if abc_hz is None or cov is None:
         return 0.0
-    sigma_hz = max(math.sqrt(cov[2, 2]), _TINY)
-    return float(ndtr(-float(abc_hz[2]) / sigma_hz))
+    return float(ndtr(-float(abc_hz[2]) / max(math.sqrt(cov[2, 2]), _TINY)))
 
 
 def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, view: Viewpoint) -> Floats:
@@ -202,8 +201,8 @@ def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoin
     """Miss distance up to which an object with direction of motion ``way (3,)`` hits us, in units of depth.
 
     That is half of its width and half of ours: on the road known by the height of the camera, elsewhere as wide as its
-    own, and none of a camera at rest. A width counts by its component across
-    the direction of motion: a crossing bus shows its length, and our front meets nobody while we stand.
+    own, and none of a camera at rest. A width counts by its component across the direction of motion: a crossing bus
+    shows its length, and our front meets nobody while we stand.
     """
     along, level = abs(float(way[2])), math.hypot(way[0], way[2])
     ahead = along / level if level > 0.0 else 1.0

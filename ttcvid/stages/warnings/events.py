@@ -81,12 +81,7 @@ def update_events(
     probability. A frame in which the course is open, or the object has no value, counts for nothing. A warned object
     that reappears under another ``cluster_id`` is warned of at once.
 
-    Parameters
-    ----------
-    frame, t_s : index and presentation time of the frame.
-    clusters : rows of the frame.
-    step_s : usual time between frames; where it exceeds the persistence, a single step is no gap.
-    view : as in `course_of`.
+    Where ``step_s``, the usual time between frames, exceeds the persistence, a single step is no gap.
     """
     since_s = 0.0 if memory.t_s is None else t_s - memory.t_s
     # Frames without an analysis (dark, duplicate) tell nothing.
@@ -122,12 +117,7 @@ def update_events(
 
 
 def _watched(
-    before: WatchedObject | None,
-    course: Course,
-    row: ClusterRow,
-    t_s: float,
-    looked_s: float,
-    config: EventsConfig,
+    before: WatchedObject | None, course: Course, row: ClusterRow, t_s: float, looked_s: float, config: EventsConfig
 ) -> WatchedObject:
     """The object with this frame added; its warning is not touched."""
     asked = _asked(config)
@@ -179,10 +169,8 @@ def _lost_at(
     box_px: tuple[float, float, float, float], watched: dict[int, WatchedObject], rows: dict[int, ClusterRow]
 ) -> int | None:
     """``cluster_id`` of a watched object that is lost and whose last box overlaps this one; None: there is none."""
-    for cluster_id, one in watched.items():
-        if cluster_id not in rows and _common_part(box_px, one.box_px) > _SAME_PLACE:
-            return cluster_id
-    return None
+    lost = (number for number in watched if number not in rows)
+    return next((number for number in lost if _common_part(box_px, watched[number].box_px) > _SAME_PLACE), None)
 
 
 def _common_part(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> float:
@@ -211,19 +199,8 @@ def restarted_events(memory: EventMemory) -> EventMemory:
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
     kind = "constant_bearing" if row.motion_state == MotionState.constant_bearing else "collision_course"
-    event = Event(
-        event_id,
-        kind,
-        row.cluster_id,
-        frame,
-        frame,
-        t_s,
-        t_s,
-        None,
-        None,
-        None,
-        surety(row.state_abc_hz, row.state_cov),
-    )
+    sure = surety(row.state_abc_hz, row.state_cov)
+    event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, sure)
     return _continued(event, row, frame, t_s)
 
 
