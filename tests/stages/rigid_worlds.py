@@ -162,6 +162,6 @@ def bodies_of(
         every = np.ones(len(shown), dtype=bool)
         views = body_views(history, every, LINK_PX, MODEL_ERROR_PX)
         found, memory = find_bodies(history, views, egomotion, platform, every, memory, BodiesConfig())
-        history = replace(history, cam_R_past=found.scene.cam_R_past[0])
+        history = replace(history, cam_R_past=found.seen.scene.cam_R_past[0])
         frames.append(Frame(t_s, found, memory, names[shown], numbers[shown]))
     return frames

@@ -85,9 +85,9 @@ def find_motions(
         found, memory = find_bodies(
             history, views, egomotion, config.egomotion.platform, may_start, memory, config.bodies
         )
-        history = without_displaced(replace(history, cam_R_past=found.scene.cam_R_past[0]), found.is_displaced)
+        history = without_displaced(replace(history, cam_R_past=found.seen.scene.cam_R_past[0]), found.is_displaced)
         is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced
-        in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < _LOST_MISFIT)
+        in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.misfit < _LOST_MISFIT)
         objects = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:
@@ -101,7 +101,7 @@ def find_motions(
         objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
         for surface in surfaces:
             in_scene[surface.members] = False
-        egomotion = _with_direction_of_last_step(egomotion, found.scene, history.since_s)
+        egomotion = _with_direction_of_last_step(egomotion, found.seen.scene, history.since_s)
     scene = scene_motion(np.flatnonzero(in_scene), egomotion, plane, camera)
     clusters = tuple(([scene] if len(scene.members) else []) + objects)
     motions = replace(_assigned(clusters, is_free, is_displaced, link_px), bend=bend)

@@ -33,15 +33,15 @@ def in_our_way(
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What of the scene stands in our way, as objects that move as the scene does; and the memory with them."""
-    way = own_path(found.scene.path[0], history.since_s)
-    in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.misfit < config.bodies.scene_gate)
+    way = own_path(found.seen.scene.path[0], history.since_s)
+    in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.misfit < config.bodies.scene_gate)
     platform = config.egomotion.platform
     road = memory.road.plane
     if platform == Platform.free and way is not None:
         # We may well be on a road, or low over the ground.
         now_s = float(history.t_s[-1])
-        road = find_road(road_points(found.scene_fit, in_scene, way.aim, history.track_id, now_s), way.aim)
-    seen = StaticPoints(history.track_id, history.xy_px, history.focal_px, link_px, found.scene_fit, in_scene)
+        road = find_road(road_points(found.seen.fit, in_scene, way.aim, history.track_id, now_s), way.aim)
+    seen = StaticPoints(history.track_id, history.xy_px, history.focal_px, link_px, found.seen.fit, in_scene)
     before, number, on_ground = memory.obstacles, memory.next_cluster_id, platform == Platform.vehicle
     public, obstacles, next_cluster_id = find_obstacles(
         before, seen, way, road, number, config.bodies, on_ground=on_ground
@@ -65,7 +65,7 @@ def in_our_way(
 
 def road_hz(memory: BodyMemory, found: Segmentation, history: TrackHistory) -> Floats | None:
     """Our present speed over the depth of the road that is seen at (x, y), as p0 + p1 x + p2 y: (3,); None: no road."""
-    way = own_path(found.scene.path[0], history.since_s)
+    way = own_path(found.seen.scene.path[0], history.since_s)
     return None if way is None or memory.road.plane is None else way.speed * memory.road.plane
 
 
@@ -79,7 +79,7 @@ def growing_things(
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
-    on_scene = OnScene(found.misfit, found.usual_misfit, (found.key == SCENE_CLUSTER) & is_free)
+    on_scene = OnScene(found.seen.misfit, found.seen.usual_misfit, (found.key == SCENE_CLUSTER) & is_free)
     public, growing, next_cluster_id = find_growing(
         memory.growing, history, on_scene, error_px, link_px, memory.next_cluster_id, config.bodies
     )

@@ -105,15 +105,12 @@ def with_seen_motion(
         return rows
     rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in asked]))
     abc_hz, cov = np.array([rows[k].state_abc_hz for k in asked]), np.array([rows[k].state_cov for k in asked])
-    nearer = zip(*_radial_rates(rays, abc_hz, cov), strict=True)
-    grows = np.column_stack(growth).tolist()
+    nearer_hz, sigma_hz = _radial_rates(rays, abc_hz, cov)
+    grows, said = np.column_stack(growth).tolist(), np.column_stack([-abc_hz[:, 2], np.sqrt(cov[:, 2, 2])]).tolist()
     seen = list(rows)
-    for k, (nearer_hz, sigma_hz), c_hz, c_variance in zip(
-        asked, nearer, abc_hz[:, 2].tolist(), cov[:, 2, 2].tolist(), strict=True
-    ):
-        said = (-c_hz, math.sqrt(c_variance))
-        is_contradicted = _is_contradicted(rows[k].motion_state, gap_s, grows[k], said, float(radius_px[k]))
-        state = _seen_state(rows[k].motion_state, nearer_hz, sigma_hz, is_contradicted=is_contradicted)
+    for i, k in enumerate(asked):
+        is_contradicted = _is_contradicted(rows[k].motion_state, gap_s, grows[k], said[i], float(radius_px[k]))
+        state = _seen_state(rows[k].motion_state, nearer_hz[i], sigma_hz[i], is_contradicted=is_contradicted)
         if state != rows[k].motion_state:
             seen[k] = rows[k].changed(motion_state=state)
     return seen
@@ -158,7 +155,7 @@ def _radial_rates(rays: Floats, abc_hz: Floats, cov: Floats) -> tuple[list[float
 
 
 def _is_contradicted(
-    state: MotionState, gap_s: float, grows: Sequence[float], said: tuple[float, float], radius_px: float
+    state: MotionState, gap_s: float, grows: Sequence[float], said: Sequence[float], radius_px: float
 ) -> bool:
     """Whether an object that is said to approach (recede) expands (shrinks) significantly less than that.
 

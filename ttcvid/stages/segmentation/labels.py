@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, surprise_of_newest
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths, surprise_of_newest
 from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import Egomotion
@@ -82,19 +82,13 @@ class Segmentation:
     Attributes
     ----------
     key : ``(N,)`` body of each track; 0 the scene.
-    movers, scene : the bodies.
-    scene_fit : fit of each track on the trajectory of the scene.
-    misfit : ``(N,)`` reduced chi-square of each track on the trajectory of the scene, over ``usual_misfit``.
-    usual_misfit : median reduced chi-square of the scene's tracks.
+    movers, seen : the bodies; the scene, and how it explains each track.
     is_displaced : ``(N,)`` tracks whose present observation is displaced: no body explains it.
     """
 
     key: Ints
     movers: Movers
-    scene: RigidPaths
-    scene_fit: PathFit
-    misfit: Floats
-    usual_misfit: float
+    seen: SeenScene
     is_displaced: Bools
 
 
@@ -141,8 +135,7 @@ def find_bodies(
     tracks = _with_lost(history, memory, key, seen.rate_hz)
     surfaces = memory.obstacles, memory.growing
     memory = BodyMemory(seen.scene, movers, *tracks, seen.road, next_key, next_cluster_id, *surfaces, history.frame)
-    found = Segmentation(key, movers, seen.scene, seen.fit, seen.misfit, seen.usual_misfit, is_displaced)
-    return found, memory
+    return Segmentation(key, movers, seen, is_displaced), memory
 
 
 def _are_displaced(views: BodyViews, seen: SeenScene, movers: Movers, key: Ints, rate_hz: Floats) -> Bools:

@@ -36,12 +36,9 @@ class OwnBend:
 
 
 def own_bend(history: TrackHistory, direction: Floats | None, road_hz: Floats | None) -> OwnBend | None:
-    """The bend that we drive along; None where we do not drive ahead, or that has not been seen for long enough.
+    """The bend that we drive along, by ``dir`` of the scene, ``direction (3,)``, and ``road_hz`` as of `OwnBend`.
 
-    Parameters
-    ----------
-    direction : (3,) ``dir`` of the scene.
-    road_hz : as of `OwnBend`.
+    None where we do not drive ahead, or that has not been seen for long enough.
     """
     if direction is None or not direction[2] < 0.0:
         return None
