@@ -14,9 +14,8 @@ from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ranked, rows_of, with_epipole_pixels, with_times
 from ttcvid.stages.objects.constant_bearing import EXPANSION_FRAMES, with_expansions
 from ttcvid.stages.objects.motions import FrameMotions
-from ttcvid.stages.objects.paper_track_states import three_frame_states, two_frame_states
+from ttcvid.stages.objects.paper_track_states import three_frame_states, track_directions, two_frame_states
 from ttcvid.stages.objects.states import TrackStates
-from ttcvid.stages.objects.track_directions import track_directions
 from ttcvid.stages.objects.track_states import multi_frame_states
 from ttcvid.stages.segmentation.approach_probability import (
     CommonViews,
