@@ -53,7 +53,7 @@ def test_movers_touch_where_a_track_of_one_is_beside_a_track_of_the_other():
                 one_sees_other = (number[neighbours[number == one]] == other).any()
                 if one_sees_other or (number[neighbours[number == other]] == one).any():
                     expected.add((large - 1, small - 1))
-    due = Movers(np.arange(5), np.zeros(5), np.zeros(5, dtype=np.int64), *[None] * 5)
+    due = Movers(np.arange(5), np.zeros(5), np.zeros(5, dtype=np.int64), *[None] * 4)
     found = merge_and_split._asked_neighbours(neighbours, number, due)
     assert set(zip(*(places.tolist() for places in found), strict=True)) == expected
     assert 0 < len(expected) < 6

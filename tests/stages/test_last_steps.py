@@ -17,8 +17,7 @@ from watched_things import (
     usual_misfit,
 )
 
-from ttcvid.stages.segmentation.bodies import carried_forward, refined_movers
-from ttcvid.stages.segmentation.last_steps import stepped_movers
+from ttcvid.stages.segmentation.bodies import carried_forward, refined_movers, stepped_movers
 
 ONE_STEP = np.array([1])
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.geometry.estimation.pose_update import StepPriors, with_newest_steps
-from ttcvid.geometry.estimation.rigid_motion import PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
+from ttcvid.geometry.estimation.rigid_motion import PathFit, PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
 from ttcvid.geometry.medians import medians
+from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
 
 # Own rotation is known from own motion; a frame corrects it by about this much, rad.
@@ -21,6 +22,8 @@ _STEADY_VIEWS = 5
 # A velocity changes evenly for so long, s: a hand sways with periods of 2 to 5 s. Three terms leave scatter with four
 # views; times may have been rounded.
 _EVEN_S, _LEAST_EVEN, _ROUNDING_S = 0.4, 4, 1e-3
+# What moves by less than this of its distance a second is as far away as that, for its middle.
+_LEAST_RATE_HZ = 0.01
 # A turn prior needs some width at the present view too.
 _LEAST_TIME_S = 1e-3
 # Paths shorter than this have no scale to keep.
@@ -122,13 +125,13 @@ def refined_scene(
     # Each part of the picture has the same say in the last step: a bus that is not known as a mover yet may fill half.
     unmoved = replace(points, track=points.track[in_scene], thing=points.thing[in_scene])
     fit = fit_on_paths(unmoved, scene, rate_hz[in_scene])
-    scene = with_newest_steps(unmoved, scene, fit, weight[in_scene] ** 2, StepPriors(mean_step(scene.path, points)))
+    scene = with_newest_steps(unmoved, scene, fit, weight[in_scene] ** 2, StepPriors(_mean_step(scene.path, points)))
     turn_sigma = np.full(len(points.since_s), _SCENE_TURN_RAD)
     priors = PathPriors(None, turn_sigma, _own_shift_sigma(points.since_s, scene.path[0]))
     return refined_paths(points, scene, priors, np.array([n_steps]), weight, rate_hz)[0]
 
 
-def mean_step(path: Floats, points: Points) -> Floats:
+def _mean_step(path: Floats, points: Points) -> Floats:
     """Mean length of the steps of each ``path (K, L, 3)``, over the last one's time: (K,); 0 with a single view."""
     length = np.sqrt((path * path).sum(axis=2).max(axis=1))
     return np.asarray(length * (points.since_s[-2] / points.since_s[0] if len(points.since_s) > 1 else 0.0))
@@ -143,13 +146,46 @@ def refined_movers(
     from; None or NaN: none.
     """
     shift_sigma = _SHIFT_FLOOR - SHIFT_RATE_HZ * points.since_s
-    priors = PathPriors(scene.cam_R_past[0], turn_sigma_rad(points.since_s), shift_sigma)
+    priors = PathPriors(scene.cam_R_past[0], _turn_sigma_rad(points.since_s), shift_sigma)
     movers, rate_hz = refined_paths(points, movers, priors, n_steps, rate_hz=start_hz)
     usual_hz = medians(rate_hz, points.thing, len(movers))
     return movers, np.where(np.isnan(usual_hz), 0.0, usual_hz)
 
 
-def turn_sigma_rad(since_s: Floats) -> Floats:
+def stepped_movers(
+    movers: RigidPaths, scene: RigidPaths, points: Points, n_steps: Ints, rate_hz: Floats
+) -> tuple[RigidPaths, Floats]:
+    """Movers of the last frame, carried on, as their points show them now; their ``rate_hz (K,)`` before, and now.
+
+    First the last step, by all points at once: nothing else is new, and it takes no turns of points and views, in which
+    the points go along with a step that is wrong. Then all views, in turn (`refined_movers`).
+    """
+    if len(points.since_s) < 2:
+        return refined_movers(movers, scene, points, n_steps)
+    fit = fit_on_paths(points, movers, rate_hz[points.thing])
+    middle = _middles(points, fit, len(movers))
+    turned = vector_from_rotation(scene.cam_R_past[:, -2] @ movers.cam_R_past[:, -2].transpose(0, 2, 1))
+    length = _mean_step(_ways_of_middles(movers, scene, middle), points)
+    priors = StepPriors(length, turned, float(_turn_sigma_rad(points.since_s)[-2]), middle)
+    stepped = with_newest_steps(points, movers, fit, np.ones(len(points.track)), priors)
+    return refined_movers(stepped, scene, points, n_steps, fit.rate_hz)
+
+
+def _middles(points: Points, fit: PathFit, count: int) -> Floats:
+    """Where the middle of the points of each thing is now, (K, 3), by medians; 0 of one without any."""
+    x, y = (medians(fit.place[:, axis], points.thing, count) for axis in (0, 1))
+    depth = 1.0 / np.maximum(medians(fit.rate_hz, points.thing, count), _LEAST_RATE_HZ)
+    middle = np.stack([x * depth, y * depth, depth], axis=1)
+    return np.where(np.isnan(middle), 0.0, middle)
+
+
+def _ways_of_middles(movers: RigidPaths, scene: RigidPaths, middle: Floats) -> Floats:
+    """Where ``middle (K, 3)`` of each mover was, less where it is now, in the axes of the scene: (K, L, 3)."""
+    turn = movers.cam_R_past @ scene.cam_R_past.transpose(0, 1, 3, 2)
+    return np.asarray(np.einsum("klji,klj->kli", turn, middle[:, None] + movers.path) - middle[:, None])
+
+
+def _turn_sigma_rad(since_s: Floats) -> Floats:
     """How far a mover may have turned beside the scene since each view (L,)."""
     return np.asarray(_TURN_RATE_RAD_S * np.maximum(-since_s, _LEAST_TIME_S))
 

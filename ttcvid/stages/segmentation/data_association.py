@@ -11,9 +11,8 @@ from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, are_held, fit_on_movers
-from ttcvid.stages.segmentation.last_known_position import LastKnownPositions, nowhere
+from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
-from ttcvid.stages.segmentation.velocities import Velocities, unknown_velocities
 
 # The cost of a label is ln(1 + reduced chi-square), capped at this chi-square. Rewards: agreement of all neighbours,
 # the former label, and the static scene, which most tracks belong to.
@@ -43,7 +42,7 @@ class Movers:
     n_found, n_missed : ``(K,)`` frames in which it was found, and frames without since the last of them.
     rate_hz : ``(K,)`` median inverse depth of its tracks (speed over depth), 1/s.
     paths : relative trajectories.
-    where, velocity : last known positions and velocities.
+    last : last known positions and velocities.
     """
 
     key: Ints
@@ -52,8 +51,7 @@ class Movers:
     n_missed: Ints
     rate_hz: Floats
     paths: RigidPaths
-    where: LastKnownPositions
-    velocity: Velocities
+    last: LastKnown
 
     def __len__(self) -> int:
         return len(self.key)
@@ -67,8 +65,7 @@ class Movers:
             self.n_missed[index],
             self.rate_hz[index],
             self.paths.take(index),
-            self.where.take(index),
-            self.velocity.take(index),
+            self.last.take(index),
         )
 
     def with_new(self, next_key: int, paths: RigidPaths, rate_hz: Floats) -> Movers:
@@ -83,8 +80,7 @@ class Movers:
             np.append(self.n_missed, np.zeros(count, dtype=np.int64)),
             np.append(self.rate_hz, rate_hz),
             self.paths.joined(paths),
-            self.where.with_new(count),
-            self.velocity.with_new(count),
+            self.last.with_new(count),
         )
 
     def found_again(self, mover: int, paths: RigidPaths, rate_hz: Floats, place: int) -> Movers:
@@ -130,7 +126,7 @@ def unknown_fit(misfit: Floats) -> OwnFit:
 def no_movers(n_views: int) -> Movers:
     """Zero movers, with trajectories over ``n_views`` views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
-    return Movers(none, none, none, none, np.empty(0), paths, nowhere(0), unknown_velocities(0))
+    return Movers(none, none, none, none, np.empty(0), paths, nothing_known(0))
 
 
 def is_due(n_found: Ints) -> Bools:
@@ -270,12 +266,12 @@ def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> t
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
     is_found = counts >= least
     is_held = is_found | (movers.n_missed < config.forget_frames)
-    is_hidden = (movers.cluster_id != NO_CLUSTER) & (is_held | (now_s - movers.where.seen_s <= _KNOWN_AGAIN_S))
+    is_hidden = (movers.cluster_id != NO_CLUSTER) & (is_held | (now_s - movers.last.seen_s <= _KNOWN_AGAIN_S))
     movers = replace(
         movers,
         n_found=movers.n_found + is_found,
         n_missed=np.where(is_found, 0, movers.n_missed + 1),
-        where=movers.where.seen_again(number, views.xy, movers.rate_hz, now_s, least),
+        last=movers.last.with_positions(number, views.xy, movers.rate_hz, now_s, least),
     )
     is_kept = (is_held & (counts > 0)) | is_hidden
     if not is_held.all():

@@ -17,11 +17,10 @@ from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.segmentation.births import new_movers
-from ttcvid.stages.segmentation.bodies import carried_forward
+from ttcvid.stages.segmentation.bodies import carried_forward, stepped_movers
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers, OwnFit, assigned, is_due, kept, no_movers, numbers_of
 from ttcvid.stages.segmentation.ground_plane import RoadMemory
-from ttcvid.stages.segmentation.last_steps import stepped_movers
 from ttcvid.stages.segmentation.merge_and_split import merged, split
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.reinitialisation import reinitialised
@@ -174,9 +173,8 @@ def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) 
         return no_movers(len(views.t_s))
     before, cam_R_prev = memory.movers, egomotion.cam_R_prev
     paths = carried_forward(before.paths, cam_R_prev, views.t_s)
-    where = before.where.carried_forward(cam_R_prev, paths.path[:, -2])
-    velocity = before.velocity.carried_forward(cam_R_prev, before.where.centre, views.t_s[-1] - views.t_s[-2])
-    return replace(before, paths=paths, where=where, velocity=velocity)
+    last = before.last.carried_forward(cam_R_prev, paths.path[:, -2], views.t_s[-1] - views.t_s[-2])
+    return replace(before, paths=paths, last=last)
 
 
 def _divided(

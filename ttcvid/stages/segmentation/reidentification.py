@@ -12,7 +12,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers, numbers_of
-from ttcvid.stages.segmentation.velocities import recent_velocities
+from ttcvid.stages.segmentation.last_known import recent_velocities
 
 # A re-identified mover lies within this many of its extents of its predicted position.
 _WITHIN_EXTENTS = 2.5
@@ -49,7 +49,7 @@ def reidentified(
     """
     key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
     # One or two tracks may be left at the rim of what hides the others.
-    hidden = np.flatnonzero((movers.n_missed > 0) & (movers.where.centre[:, 2] > 0.0))
+    hidden = np.flatnonzero((movers.n_missed > 0) & (movers.last.centre[:, 2] > 0.0))
     for place, members in enumerate(found):
         if not len(hidden):
             break
@@ -71,7 +71,7 @@ def with_velocities(views: BodyViews, scene: RigidPaths, key: Ints, movers: Move
     if not len(track):
         return movers
     points = views.points(track, number[track] - 1)
-    return replace(movers, velocity=movers.velocity.seen_again(points, scene.cam_R_past[0], is_found, _STEPS))
+    return replace(movers, last=movers.last.with_velocities(points, scene.cam_R_past[0], is_found, _STEPS))
 
 
 def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: Movers, usual_misfit: float) -> Floats:
@@ -79,15 +79,15 @@ def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: 
 
     In units of what is unsure: of both by their tracks, and by how velocities change while a thing is not seen.
     """
-    centre, chi2 = hidden.where.centre, np.full(len(hidden), np.inf)
+    centre, chi2 = hidden.last.centre, np.full(len(hidden), np.inf)
     away = np.linalg.norm(np.mean(views.xy[members], axis=0) - centre[:, :2] / centre[:, 2:], axis=1)
-    limit = _WITHIN_EXTENTS * hidden.where.extent / centre[:, 2] + views.link_px / views.focal_px
+    limit = _WITHIN_EXTENTS * hidden.last.extent / centre[:, 2] + views.link_px / views.focal_px
     limit += _UNSURE_PART * _moved_unseen(views, hidden)
-    unseen_s = views.t_s[-1] - hidden.where.seen_s
+    unseen_s = views.t_s[-1] - hidden.last.seen_s
     for mover in np.flatnonzero(away < limit):
-        before = hidden.velocity.v_hz[mover]
+        before = hidden.last.v_hz[mover]
         now, info = recent_velocities(views.points(members), scene.cam_R_past[0], before[None], _FIRST_STEPS)
-        cov = _covariance(hidden.velocity.info[mover], usual_misfit) + _covariance(info[0], usual_misfit)
+        cov = _covariance(hidden.last.info[mover], usual_misfit) + _covariance(info[0], usual_misfit)
         cov += (SHIFT_RATE_HZ * unseen_s[mover]) ** 2 * (before @ before) * np.eye(3)
         chi2[mover] = (now[0] - before) @ np.linalg.solve(cov, now[0] - before)
     return chi2
@@ -100,7 +100,7 @@ def _covariance(info: Floats, usual_misfit: float) -> Floats:
 
 def _moved_unseen(views: BodyViews, hidden: Movers) -> Floats:
     """How far hidden movers have gone in the plane z = 1 since they were seen, by their motion now: (K,)."""
-    where, step = hidden.where, hidden.paths.path[:, -2]
-    place = where.centre[:, :2] / where.centre[:, 2:]
-    last = np.linalg.norm(step[:, :2] - place * step[:, 2:], axis=1) / where.centre[:, 2]
-    return np.asarray(last * (views.t_s[-1] - where.seen_s) / (views.t_s[-1] - views.t_s[-2]))
+    last, step = hidden.last, hidden.paths.path[:, -2]
+    place = last.centre[:, :2] / last.centre[:, 2:]
+    moved = np.linalg.norm(step[:, :2] - place * step[:, 2:], axis=1) / last.centre[:, 2]
+    return np.asarray(moved * (views.t_s[-1] - last.seen_s) / (views.t_s[-1] - views.t_s[-2]))
