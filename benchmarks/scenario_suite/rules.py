@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import ttcvid
-from ttcvid.stages.segmentation import surface_memory
+from ttcvid.stages.segmentation import expansion, obstacles, surface_memory
 from ttcvid.stages.segmentation.ground_contact import Contacts
 from ttcvid.stages.tracking.static_overlays import FrozenMemory
 
@@ -62,8 +62,10 @@ def _none_frozen(memory: Any, points: Any, **_: Any) -> tuple[Any, FrozenMemory]
     return np.zeros(n, dtype=bool), FrozenMemory(points.track_id, points.xy_px, np.zeros(n))
 
 
-def _no_surfaces(next_cluster_id: int) -> tuple[dict[int, Any], tuple[Any, ...], int]:
-    return {}, (), next_cluster_id
+def _no_surfaces_of(function: Callable[..., Any]) -> Callable[..., tuple[dict[int, Any], tuple[Any, ...], int]]:
+    """In place of a function that finds surfaces: none, and the next number as it was given."""
+    place = list(inspect.signature(function).parameters).index("next_cluster_id")
+    return lambda *arguments, **_: ({}, (), arguments[place])
 
 
 _REMEMBERED = surface_memory.remembered
@@ -134,13 +136,13 @@ RULES: dict[str, Rule] = {
     "growing": Rule(
         "what comes straight at us and grows",
         "births",
-        {"stages.segmentation.expansion.find_growing": lambda *arguments: _no_surfaces(arguments[7])},
+        {"stages.segmentation.expansion.find_growing": _no_surfaces_of(expansion.find_growing)},
         _stage("segmentation/expansion"),
     ),
     "obstacles": Rule(
         "what stands in our way",
         "births",
-        {"stages.segmentation.obstacles.find_obstacles": lambda *arguments, **_: _no_surfaces(arguments[4])},
+        {"stages.segmentation.obstacles.find_obstacles": _no_surfaces_of(obstacles.find_obstacles)},
         _stage("segmentation/obstacles"),
     ),
     "surface_memory": Rule(

@@ -1,5 +1,6 @@
 """Rules on trial: switched off inside the block and nowhere else, and what a rule earns over the same scenes."""
 
+import inspect
 import sys
 from dataclasses import replace
 from importlib import import_module
@@ -63,6 +64,15 @@ def test_a_rule_is_off_inside_the_block_and_as_it_was_after_it():
     assert off.__exit__(KeyError, KeyError(), None) is not True
     assert all(getattr(import_module(f"ttcvid.{a}"), b) is former for (a, _, b), former in before.items())
     assert update.find_frozen is static_overlays.find_frozen
+
+
+@pytest.mark.parametrize("name", ["growing", "obstacles"])
+def test_without_surfaces_the_next_number_is_the_one_that_was_given(name):
+    ((home, _, short),) = places([name])
+    function = getattr(import_module(f"ttcvid.{home}"), short)
+    given = {one: 7 if one == "next_cluster_id" else None for one in inspect.signature(function).parameters}
+    with switched_off([name]):
+        assert getattr(import_module(f"ttcvid.{home}"), short)(*given.values()) == ({}, (), 7)
 
 
 @pytest.mark.parametrize("name", RULES)
