@@ -28,9 +28,8 @@ def truth() -> Bundle:
 
 def views_of(bundle: Bundle) -> Views:
     frame, point = (index.ravel() for index in np.meshgrid(np.arange(N_FRAMES), np.arange(N_POINTS), indexing="ij"))
-    empty = Views(np.zeros((len(frame), 2)), frame, point, np.arange(N_POINTS) % 10)
-    residual = _cost(empty, bundle, 1.0)[1]
-    return replace(empty, xy_px=residual)
+    xy_px = _cost(np.zeros((N_FRAMES, N_POINTS, 2)), bundle, 1.0)[1].reshape(-1, 2)
+    return Views(xy_px, frame, point, np.arange(N_POINTS) % 10)
 
 
 def moved(bundle: Bundle, step: np.ndarray, point_step: np.ndarray) -> Bundle:
@@ -49,10 +48,9 @@ def test_gradient_is_that_of_the_robust_cost(truth):
     """Half of the cost's slope, along every unknown of the frames and of a few points, one of them behind."""
     rng = np.random.default_rng(2)
     views = views_of(truth)
-    views = replace(views, xy_px=views.xy_px + rng.normal(0.0, 2.0, views.xy_px.shape))
+    xy_px = (views.xy_px + rng.normal(0.0, 2.0, views.xy_px.shape)).reshape(N_FRAMES, N_POINTS, 2)
     bundle = replace(truth, inverse=np.where(np.arange(N_POINTS) == 3, -0.01, truth.inverse))
-    residual = _cost(views, bundle, 1.0)[1]
-    equations = _equations(views, bundle, 1.0, residual, bundle.shared, FREE)
+    equations = _equations(bundle, 1.0, _cost(xy_px, bundle, 1.0)[1], bundle.shared, FREE)
     n_pose = N_POSE * N_FRAMES + N_SHARED
     for place in range(n_pose + 3 * 6):
         step, point_step = np.zeros(n_pose), np.zeros((N_POINTS, 3))
@@ -65,13 +63,14 @@ def test_gradient_is_that_of_the_robust_cost(truth):
         # The focal length also sets what counts as behind: held here.
         if place == n_pose - N_SHARED:
             continue
-        ahead, behind = (_cost(views, moved(bundle, s * step, s * point_step), 1.0)[0] for s in (1.0, -1.0))
+        ahead, behind = (_cost(xy_px, moved(bundle, s * step, s * point_step), 1.0)[0] for s in (1.0, -1.0))
         assert -0.25 * (ahead - behind) / (scale * STEP) == pytest.approx(downhill, rel=1e-4, abs=1e-3)
 
 
 def test_score_of_the_points_adds_up_to_the_gradient(truth):
     views = views_of(replace(truth, shared=truth.shared + 0.01))
-    equations = _equations(views, truth, 1.0, _cost(views, truth, 1.0)[1], truth.shared, FREE)
+    xy_px = views.xy_px.reshape(N_FRAMES, N_POINTS, 2)
+    equations = _equations(truth, 1.0, _cost(xy_px, truth, 1.0)[1], truth.shared, FREE)
     np.testing.assert_allclose(equations.score.sum(axis=0), equations.pose_gradient, rtol=1e-9, atol=1e-9)
 
 

@@ -21,6 +21,7 @@ from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED, N_POSE = 4, 6
 """Numbers of the unknowns that all frames share, and of those of a frame."""
+_N_VIEW, _N_POINT = N_POSE + N_SHARED, 3
 
 # Geman and McClure's cost: that of an outlier is limited to so many sigmas squared.
 _CAP = 16.0
@@ -78,28 +79,6 @@ class Bundle:
 
 
 @dataclass(frozen=True)
-class BundleFit:
-    """``cost`` in sigmas squared of ``sigma_px``; ``residual (M, 2)`` likewise, inf for what lies behind a camera.
-
-    ``log_focal_sigma`` is the standard deviation of log f with everything else unknown, from the scatter between parts
-    of the picture and never below what independent noise gives; ``behind (N,)`` marks points that are significantly
-    behind all cameras, which cannot be.
-    """
-
-    bundle: Bundle
-    cost: float
-    residual: Floats
-    log_focal_sigma: float
-    behind: Bools
-
-    @property
-    def spread(self) -> float:
-        """Robust standard deviation of a coordinate, in sigmas."""
-        length = np.hypot(self.residual[:, 0], self.residual[:, 1])
-        return float(np.median(length)) / _MEDIAN_RAYLEIGH
-
-
-@dataclass(frozen=True)
 class _Equations:
     """Gauss-Newton's equations: ``pose_hessian (K, K)``, ``pose_gradient (K,)``, downhill, of what frames hold.
 
@@ -113,6 +92,58 @@ class _Equations:
     point_hessian: Floats
     point_gradient: Floats
     score: Floats
+
+
+@dataclass(frozen=True)
+class BundleFit:
+    """``cost`` in sigmas squared; ``residual (J, N, 2)`` likewise, NaN where not observed, inf behind a camera.
+
+    ``equations`` are those at the end, of which the unknowns that ``is_free (K,)`` marks were searched; ``region (N,)``
+    as of the views.
+    """
+
+    bundle: Bundle
+    cost: float
+    residual: Floats
+    equations: _Equations
+    is_free: Bools
+    region: Ints
+
+    @property
+    def spread(self) -> float:
+        """Robust standard deviation of a coordinate, in sigmas."""
+        length = np.hypot(self.residual[..., 0], self.residual[..., 1])
+        return float(np.nanmedian(length)) / _MEDIAN_RAYLEIGH
+
+    @property
+    def behind(self) -> Bools:
+        """Points (N,) that are behind all cameras by more than three sigmas, which cannot be."""
+        variance = _reduced(self.equations, 0.0)[2][:, 2, 2]
+        return np.asarray(self.bundle.inverse < -3.0 * np.sqrt(variance))
+
+    @property
+    def log_focal_sigma(self) -> float:
+        """Standard deviation of log f with everything else unknown, infinite where it is held.
+
+        The scores of log f, freed of what all other unknowns explain of them, are summed within a part of the picture
+        before they are squared (a cluster-robust "sandwich"): neighbouring points err together, and a track errs the
+        same way for long. Never below what independent noise gives.
+        """
+        n_regions = len(np.unique(self.region))
+        if not self.is_free[-N_SHARED] or n_regions < 2:
+            return np.inf
+        matrix, carried, _ = _reduced(self.equations, 0.0)
+        scores = self.equations.score - np.einsum("kna,na->nk", carried, self.equations.point_gradient)
+        focal = len(matrix) - N_SHARED
+        others = np.flatnonzero(self.is_free & (np.arange(len(matrix)) != focal))
+        # The scale stays undetermined: the shortest of all solutions.
+        explained = np.linalg.lstsq(matrix[np.ix_(others, others)], matrix[others, focal], rcond=_TINIEST)[0]
+        information = float(matrix[focal, focal] - explained @ matrix[others, focal])
+        if not information > 0.0:
+            return np.inf
+        sums = np.bincount(self.region, scores[:, focal] - scores[:, others] @ explained)
+        sandwich = float(np.sum(sums**2)) * n_regions / (n_regions - 1) / information**2
+        return float(np.sqrt(max(sandwich, 1.0 / information)))
 
 
 def adjust_bundle(
@@ -132,9 +163,12 @@ def adjust_bundle(
     sigma_px : noise of a coordinate.
     shared_mean, shared_sigma : (4,) Gaussian prior of `Bundle.shared`; a sigma of zero holds the value.
     can_move : False for a camera that only turns; ``start`` then has neither translations nor inverse distances.
+
+    Source: Triggs et al., "Bundle adjustment: a modern synthesis", 2000; the points are eliminated (Schur complement).
     """
-    bundle = _scaled(start)
-    reference = views.n_frames // 2
+    xy_px = np.full((views.n_frames, views.n_points, 2), np.nan)
+    xy_px[views.frame, views.point] = views.xy_px
+    bundle, reference = _scaled(start), views.n_frames // 2
     is_free = np.ones(N_POSE * views.n_frames + N_SHARED, dtype=bool)
     is_free[N_POSE * reference : N_POSE * (reference + 1)] = False
     is_free[:-N_SHARED].reshape(-1, N_POSE)[:, 3:] &= can_move
@@ -142,13 +176,13 @@ def adjust_bundle(
     precision = np.divide(1.0, shared_sigma**2, out=np.zeros(N_SHARED), where=shared_sigma > 0.0)
 
     def cost_of(candidate: Bundle) -> tuple[float, Floats]:
-        cost, residual = _cost(views, candidate, sigma_px)
+        cost, residual = _cost(xy_px, candidate, sigma_px)
         return cost + float(precision @ (candidate.shared - shared_mean) ** 2), residual
 
     cost, residual = cost_of(bundle)
-    damping, is_done = _DAMPING, False
+    equations = _equations(bundle, sigma_px, residual, shared_mean, precision)
+    damping = _DAMPING
     for _ in range(n_steps):
-        equations = _equations(views, bundle, sigma_px, residual, shared_mean, precision)
         while True:
             candidate = _stepped(bundle, equations, damping, is_free)
             lower = cost_of(candidate)[0]
@@ -161,100 +195,106 @@ def adjust_bundle(
         bundle = _scaled(candidate)
         cost, residual = cost_of(bundle)
         damping = max(damping * _LESS, _TINY)
+        equations = _equations(bundle, sigma_px, residual, shared_mean, precision)
         if is_done:
             break
-    equations = _equations(views, bundle, sigma_px, residual, shared_mean, precision)
-    log_focal_sigma, behind = _uncertainty(views, bundle, equations, is_free)
-    return BundleFit(bundle, cost, residual, log_focal_sigma, behind)
+    return BundleFit(bundle, cost, residual, equations, is_free, views.region)
 
 
-def _cost(views: Views, bundle: Bundle, sigma_px: float) -> tuple[float, Floats]:
-    """Robust cost of all observations and of negative distances; residuals (M, 2), inf where unseen."""
-    seen = np.einsum("mab,mb->ma", bundle.rotation[views.frame], bundle.ray[views.point])
-    seen += bundle.inverse[views.point, None] * bundle.translation[views.frame]
-    is_ahead = seen[:, 2] >= _LEAST_DEPTH
-    x = seen[:, :2] / np.where(is_ahead, seen[:, 2], 1.0)[:, None]
-    bend = np.exp(bundle.shared[0]) * (1.0 + bundle.shared[3] * np.sum(x * x, axis=1))
-    residual = (bend[:, None] * x + bundle.shared[1:3] - views.xy_px) / sigma_px
-    residual[~is_ahead] = np.inf
-    squares = np.append(np.sum(residual[is_ahead] ** 2, axis=1), _behind(bundle) ** 2)
-    return float(np.sum(squares / (1.0 + squares / _CAP)) + _CAP * np.count_nonzero(~is_ahead)), residual
+def _seen(bundle: Bundle) -> tuple[Floats, Floats]:
+    """The points' rays in the axes of each frame, and where they are seen from it: (J, N, 3) each."""
+    turned = bundle.ray @ bundle.rotation.transpose(0, 2, 1)
+    return turned, turned + bundle.inverse[:, None] * bundle.translation[:, None]
 
 
-def _behind(bundle: Bundle) -> Floats:
-    """By how many sigmas each distance is negative, (N,); 0 if it is not."""
-    return np.asarray(np.minimum(bundle.inverse / _inverse_sigma(bundle), 0.0))
+def _cost(xy_px: Floats, bundle: Bundle, sigma_px: float) -> tuple[float, Floats]:
+    """Robust cost of all observations ``xy_px (J, N, 2)`` and of negative distances; `BundleFit.residual`."""
+    seen = _seen(bundle)[1]
+    is_ahead = seen[..., 2] >= _LEAST_DEPTH
+    x = seen[..., :2] / np.where(is_ahead, seen[..., 2], 1.0)[..., None]
+    bend = np.exp(bundle.shared[0]) * (1.0 + bundle.shared[3] * np.sum(x * x, axis=2))
+    residual = (bend[..., None] * x + bundle.shared[1:3] - xy_px) / sigma_px
+    is_missed = np.isfinite(xy_px[..., 0]) & ~is_ahead
+    residual[is_missed] = np.inf
+    square = np.sum(residual**2, axis=2)
+    squares = np.append(square[np.isfinite(square)], _behind(bundle)[0] ** 2)
+    return float(np.sum(squares / (1.0 + squares / _CAP)) + _CAP * np.count_nonzero(is_missed)), residual
 
 
-def _inverse_sigma(bundle: Bundle) -> float:
-    """The translations are of length one: what displaces a point by some px."""
-    return _BEHIND_PX / float(np.exp(bundle.shared[0]))
+def _behind(bundle: Bundle) -> tuple[Floats, float]:
+    """By how many sigmas each distance is negative, (N,), 0 if not; and that sigma, the translations being one long."""
+    sigma = _BEHIND_PX / float(np.exp(bundle.shared[0]))
+    return np.asarray(np.minimum(bundle.inverse / sigma, 0.0)), sigma
 
 
-def _equations(
-    views: Views, bundle: Bundle, sigma_px: float, residual: Floats, shared_mean: Floats, precision: Floats
-) -> _Equations:
+def _equations(bundle: Bundle, sigma_px: float, residual: Floats, shared_mean: Floats, precision: Floats) -> _Equations:
     """The normal equations of all unknowns at a bundle and the robust weights, with the prior of the shared ones."""
-    n, k = views.n_points, N_POSE * views.n_frames + N_SHARED
-    found = _Equations(
-        np.zeros((k, k)), np.zeros(k), np.zeros((k, n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, k))
-    )
-    shared, is_seen, basis = np.arange(k - N_SHARED, k), np.isfinite(residual[:, 0]), tangent_basis(bundle.ray)
-    for frame in range(views.n_frames):
-        # A point is seen once in a frame.
-        of_frame = np.flatnonzero((views.frame == frame) & is_seen)
-        point, left = views.point[of_frame], residual[of_frame]
-        by_pose, by_point = _derivatives(bundle, frame, point, basis[point], sigma_px)
-        weight = (1.0 + np.sum(left**2, axis=1) / _CAP) ** -2.0
-        place = np.append(np.arange(N_POSE * frame, N_POSE * (frame + 1)), shared)
-        pose, own, pull = weight[:, None, None] * by_pose, weight[:, None, None] * by_point, weight[:, None] * left
-        score = -(pull[:, None] @ by_pose)[:, 0]
-        found.score[np.ix_(point, place)] += score
-        found.pose_gradient[place] += score.sum(axis=0)
-        found.pose_hessian[np.ix_(place, place)] += pose.reshape(-1, len(place)).T @ by_pose.reshape(-1, len(place))
-        found.mixed[np.ix_(place, point)] += (pose.transpose(0, 2, 1) @ by_point).transpose(1, 0, 2)
-        found.point_gradient[point] -= (pull[:, None] @ by_point)[:, 0]
-        found.point_hessian[point] += own.transpose(0, 2, 1) @ by_point
-    behind, sigma = _behind(bundle), _inverse_sigma(bundle)
-    weight = np.where(behind < 0.0, (1.0 + behind**2 / _CAP) ** -2.0, 0.0) / sigma
-    found.point_hessian[:, 2, 2] += weight / sigma
-    found.point_gradient[:, 2] -= weight * behind
-    found.pose_hessian[shared, shared] += precision
-    found.pose_gradient[shared] -= precision * (bundle.shared - shared_mean)
-    return found
+    n_frames, n = residual.shape[:2]
+    is_seen = np.isfinite(residual[..., 0])
+    left = np.where(is_seen[..., None], residual, 0.0)
+    rows = _derivatives(bundle, sigma_px, is_seen)
+    rows[..., -1] = -left
+    rows *= (is_seen / (1.0 + np.sum(left**2, axis=2) / _CAP))[..., None, None]
+    by_frame, by_point = rows[..., :_N_VIEW], rows[..., _N_VIEW:]
+    flat = by_frame.reshape(n_frames, -1, _N_VIEW)
+    held = flat.transpose(0, 2, 1) @ flat
+    both = by_frame.transpose(0, 1, 3, 2) @ by_point
+    own = by_point.transpose(1, 0, 2, 3).reshape(n, -1, _N_POINT + 1)
+    of_points = own[..., :_N_POINT].transpose(0, 2, 1) @ own
+    n_poses, place = N_POSE * n_frames, np.arange(N_POSE * n_frames).reshape(n_frames, N_POSE)
+    hessian = np.zeros((n_poses + N_SHARED, n_poses + N_SHARED))
+    hessian[place[:, :, None], place[:, None]] = held[:, :N_POSE, :N_POSE]
+    hessian[:n_poses, n_poses:] = held[:, :N_POSE, N_POSE:].reshape(n_poses, N_SHARED)
+    hessian[n_poses:, :n_poses] = hessian[:n_poses, n_poses:].T
+    hessian[n_poses:, n_poses:] = held[:, N_POSE:, N_POSE:].sum(axis=0) + np.diag(precision)
+    mixed = np.empty((n_poses + N_SHARED, n, _N_POINT + 1))
+    mixed[:n_poses] = both[:, :, :N_POSE].transpose(0, 2, 1, 3).reshape(n_poses, n, -1)
+    mixed[n_poses:] = both[:, :, N_POSE:].sum(axis=0).transpose(1, 0, 2)
+    gradient = mixed[..., _N_POINT].sum(axis=1)
+    gradient[n_poses:] -= precision * (bundle.shared - shared_mean)
+    behind, behind_sigma = _behind(bundle)
+    weight = np.where(behind < 0.0, (1.0 + behind**2 / _CAP) ** -2.0, 0.0) / behind_sigma
+    of_points[:, 2, 2] += weight / behind_sigma
+    of_points[:, 2, 3] -= weight * behind
+    coupling = np.ascontiguousarray(mixed[..., :_N_POINT])
+    return _Equations(hessian, gradient, coupling, of_points[..., :3], of_points[..., 3], mixed[..., _N_POINT].T)
 
 
-def _derivatives(bundle: Bundle, frame: int, point: Ints, basis: Floats, sigma_px: float) -> tuple[Floats, Floats]:
-    """How the m points of a frame move in the picture, in sigmas: by frame and shared ``(m, 2, 10)``, by own unknowns.
+def _derivatives(bundle: Bundle, sigma_px: float, is_seen: Bools) -> Floats:
+    """How points move in the picture, in sigmas, by the unknowns of the frame, by the shared ones and by their own.
 
-    The latter ``(m, 2, 3)``, along ``basis (m, 3, 2)``.
+    ``(J, N, 2, 10 + 3 + 1)``, the own ones along the tangents of their rays; the last column is left empty. Where not
+    seen, anything finite.
     """
-    rotation, translation = bundle.rotation[frame], bundle.translation[frame]
-    inverse, focal = bundle.inverse[point], float(np.exp(bundle.shared[0]))
-    turned = bundle.ray[point] @ rotation.T
-    seen = turned + inverse[:, None] * translation
-    x = seen[:, :2] / seen[:, 2:]
-    square = np.sum(x * x, axis=1)
-    bend = 1.0 + bundle.shared[3] * square
-    by_seen, by_pose = np.empty((len(point), 2, 3)), np.zeros((len(point), 2, N_POSE + N_SHARED))
-    by_seen[..., :2] = bend[:, None, None] * np.eye(2) + 2.0 * bundle.shared[3] * x[:, :, None] * x[:, None]
-    by_seen[..., :2] *= (focal / (seen[:, 2] * sigma_px))[:, None, None]
-    by_seen[..., 2] = -np.einsum("mab,mb->ma", by_seen[..., :2], x)
-    by_pose[..., :3] = cross(turned[:, None], by_seen)
-    by_pose[..., 3:6] = by_seen * inverse[:, None, None]
-    by_pose[..., 6], by_pose[..., 9] = (focal * x * each[:, None] / sigma_px for each in (bend, square))
-    by_pose[:, 0, 7] = by_pose[:, 1, 8] = 1.0 / sigma_px
-    return by_pose, np.concatenate([by_seen @ (rotation @ basis), (by_seen @ translation)[..., None]], axis=2)
+    focal, distortion = float(np.exp(bundle.shared[0])), bundle.shared[3]
+    turned, seen = _seen(bundle)
+    depth = np.where(is_seen, seen[..., 2], 1.0)
+    x = seen[..., :2] / depth[..., None]
+    square, scale = np.sum(x * x, axis=2), focal / (sigma_px * depth)
+    bend = 1.0 + distortion * square
+    by_seen, rows = np.empty((*x.shape, 3)), np.zeros((*x.shape, _N_VIEW + _N_POINT + 1))
+    by_seen[..., :2] = (2.0 * distortion * scale[..., None] * x)[..., None] * x[..., None, :]
+    by_seen[..., 0, 0] += bend * scale
+    by_seen[..., 1, 1] += bend * scale
+    by_seen[..., 2] = -(scale * (bend + 2.0 * distortion * square))[..., None] * x
+    rows[..., :3] = cross(turned[:, :, None], by_seen)
+    rows[..., 3:6] = by_seen * bundle.inverse[:, None, None]
+    rows[..., 6], rows[..., 9] = (focal / sigma_px * each[..., None] * x for each in (bend, square))
+    rows[..., 0, 7] = rows[..., 1, 8] = 1.0 / sigma_px
+    columns = np.concatenate([bundle.rotation, bundle.translation[..., None]], axis=2)
+    moves = (by_seen.reshape(len(x), -1, 3) @ columns).reshape(*x.shape, 4)
+    rows[..., 10:12], rows[..., 12] = moves[..., :3] @ tangent_basis(bundle.ray), moves[..., 3]
+    return rows
 
 
 def _reduced(equations: _Equations, damping: float) -> tuple[Floats, Floats, Floats]:
     """The Schur complement (K, K) of the points, ``mixed`` times their inverse (K, N, 3), and that inverse."""
-    diagonal = np.arange(3)
+    diagonal = np.arange(_N_POINT)
     hessian = equations.point_hessian.copy()
     hessian[:, diagonal, diagonal] *= 1.0 + damping + _TINY
     hessian[:, diagonal, diagonal] += _TINY
     inverse: Floats = np.linalg.inv(hessian).astype(np.float64)
-    carried = np.einsum("kna,nab->knb", equations.mixed, inverse)
+    carried = np.ascontiguousarray((equations.mixed.transpose(1, 0, 2) @ inverse).transpose(1, 0, 2))
     n_unknowns = len(carried)
     schur: Floats = equations.pose_hessian - carried.reshape(n_unknowns, -1) @ equations.mixed.reshape(n_unknowns, -1).T
     return schur, carried, inverse
@@ -263,16 +303,16 @@ def _reduced(equations: _Equations, damping: float) -> tuple[Floats, Floats, Flo
 def _stepped(bundle: Bundle, equations: _Equations, damping: float, is_free: Bools) -> Bundle:
     """The bundle after one damped (Levenberg-Marquardt) step; poses and shared unknowns that are not free stay."""
     schur, carried, inverse = _reduced(equations, damping)
-    gradient = equations.pose_gradient - np.einsum("kna,na->k", carried, equations.point_gradient)
+    gradient = equations.pose_gradient - carried.reshape(len(schur), -1) @ equations.point_gradient.ravel()
     damped = schur + np.diag(damping * np.diag(equations.pose_hessian) + _TINY)
     step = np.zeros(len(gradient))
     step[is_free] = np.linalg.solve(damped[np.ix_(is_free, is_free)], gradient[is_free])
-    towards = equations.point_gradient - np.einsum("kna,k->na", equations.mixed, step)
-    by_point = np.einsum("nab,nb->na", inverse, towards)
+    towards = equations.point_gradient - (step @ equations.mixed.reshape(len(step), -1)).reshape(-1, _N_POINT)
+    by_point = (inverse @ towards[..., None])[..., 0]
     by_frame = step[:-N_SHARED].reshape(-1, N_POSE)
     by_shared = step[-N_SHARED:]
     by_shared[0] = np.clip(by_shared[0], -_LONGEST_STEP, _LONGEST_STEP)
-    turned = np.einsum("nab,nb->na", tangent_basis(bundle.ray), by_point[:, :2])
+    turned = (tangent_basis(bundle.ray) @ by_point[:, :2, None])[..., 0]
     return Bundle(
         rotation_from_vector(by_frame[:, :3]) @ bundle.rotation,
         bundle.translation + by_frame[:, 3:],
@@ -288,29 +328,3 @@ def _scaled(bundle: Bundle) -> Bundle:
     if length < _TINY:
         return bundle
     return replace(bundle, translation=bundle.translation / length, inverse=bundle.inverse * length)
-
-
-def _uncertainty(views: Views, bundle: Bundle, equations: _Equations, is_free: Bools) -> tuple[float, Bools]:
-    """Standard deviation of log f, and the points that are behind by more than three sigmas.
-
-    The scores of log f, freed of what all other unknowns explain of them, are summed within a part of the picture
-    before they are squared (a cluster-robust "sandwich"): neighbouring points err together, and a track errs the same
-    way for long.
-    """
-    schur, carried, inverse = _reduced(equations, 0.0)
-    behind = np.asarray(bundle.inverse < -3.0 * np.sqrt(inverse[:, 2, 2]))
-    focal = len(schur) - N_SHARED
-    others = np.flatnonzero(is_free & (np.arange(len(schur)) != focal))
-    # The scale stays undetermined: the shortest of all solutions.
-    explained = np.linalg.lstsq(schur[np.ix_(others, others)], schur[others, focal], rcond=_TINIEST)[0]
-    information = float(schur[focal, focal] - explained @ schur[others, focal])
-    if not (is_free[focal] and information > 0.0):
-        return np.inf, behind
-    scores = equations.score - np.einsum("kna,na->nk", carried, equations.point_gradient)
-    scores = scores[:, focal] - scores[:, others] @ explained
-    sums = np.bincount(views.region, scores)
-    n_regions = len(np.unique(views.region))
-    if n_regions < 2:
-        return np.inf, behind
-    sandwich = float(np.sum(sums**2)) * n_regions / (n_regions - 1) / information**2
-    return float(np.sqrt(max(sandwich, 1.0 / information))), behind
