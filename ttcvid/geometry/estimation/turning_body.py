@@ -12,12 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.estimation.turning_points import (
-    TurningBeliefs,
-    TurningViews,
-    fit_turning_points,
-    trajectory,
-)
+from ttcvid.geometry.estimation.turning_points import Views, fit_turning_points, trajectory
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats
 
@@ -114,7 +109,7 @@ def fit_turning_body(
     """
     now = int(np.argmin(np.abs(t_s)))
     place = _places_now(xy, now)
-    views = TurningViews(
+    views = (
         np.ascontiguousarray(xy),
         np.ascontiguousarray(t_s, dtype=np.float64),
         np.ascontiguousarray(sigma_norm, dtype=np.float64),
@@ -128,14 +123,14 @@ def fit_turning_body(
     return _with_doubts(found)
 
 
-def _fitted(views: TurningViews, own: Floats, start: Floats, bend_hz: float, turn_sigma_rad_s: float) -> TurningBody:
+def _fitted(views: Views, own: Floats, start: Floats, bend_hz: float, turn_sigma_rad_s: float) -> TurningBody:
     """What the search comes to from a start (9,), the turn held there at first."""
-    held = TurningBeliefs(start[6:], _HELD_RAD_S, bend_hz, _LEAST_SPEED_HZ, _RELIEF)
-    rough = fit_turning_points(views, held, _ROUGH_CHI2, own, start)
-    free = replace(held, mean_turn_rad_s=np.zeros(3), turn_sigma_rad_s=turn_sigma_rad_s)
-    fit = fit_turning_points(views, free, _FINE_CHI2, rough.own, rough.shared)
-    cov: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
-    return TurningBody(views.centre, fit.shared[:3], fit.shared[3:6], fit.shared[6:], cov, fit.squares, fit.usual)
+    own, shared, information, others = own.copy(), start.copy(), np.eye(9), (bend_hz, _LEAST_SPEED_HZ, _RELIEF)
+    fit_turning_points(views, (start[6:], _HELD_RAD_S, *others), _ROUGH_CHI2, own, shared, information)
+    free = np.zeros(3), turn_sigma_rad_s, *others
+    squares, usual = fit_turning_points(views, free, _FINE_CHI2, own, shared, information)
+    cov: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    return TurningBody(views[3], shared[:3], shared[3:6], shared[6:], cov, squares, usual)
 
 
 def _starts(xy: Floats, t_s: Floats, now: int) -> list[Floats]:

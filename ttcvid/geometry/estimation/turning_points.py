@@ -10,8 +10,6 @@ a circle. Lengths are in units of the middle's depth. What is shared, nine unkno
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
-
 import numpy as np
 
 from ttcvid.compiled import ZERO, compiled_for
@@ -36,67 +34,14 @@ _SMALL_RAD = 1e-2
 # Step of numerical derivatives by what is shared.
 _STEP = 1e-5
 
-_Views = tuple[Floats, Floats, Floats, Floats]
-"""The arrays of `TurningViews`."""
-_Beliefs = tuple[Floats, float, float, float, float]
-"""The fields of `TurningBeliefs`."""
-
-
-@dataclass(frozen=True)
-class TurningViews:
-    """Views of N points of a body: ``xy (L, N, 2)``, NaN where not seen, at ``t_s (L,)``.
-
-    ``sigma (N,)`` is their noise, ``centre (3,)`` the body's middle now, (x, y, 1).
-    """
-
-    xy: Floats
-    t_s: Floats
-    sigma: Floats
-    centre: Floats
-
-
-@dataclass(frozen=True)
-class TurningBeliefs:
-    """What is believed of a turning body before its views are seen: means and standard deviations.
-
-    ``mean_turn_rad_s (3,)`` with ``turn_sigma_rad_s``; acceleration over the speed, ``bend_hz``, of which the speed is
-    taken as ``least_speed_hz`` at least; ``relief`` of kappa about 1.
-    """
-
-    mean_turn_rad_s: Floats
-    turn_sigma_rad_s: float
-    bend_hz: float
-    least_speed_hz: float
-    relief: float
-
-
-@dataclass(frozen=True)
-class TurningFit:
-    """Where the descent ends: ``own (N, 3)``, x, y, kappa, and ``shared (9,)``, V, A, omega.
-
-    ``information (9, 9)`` on what is shared, once the points follow; ``squares`` of the residuals in sigmas, none
-    counted for more than the robust limit, and the points' median of them by the degree of freedom, ``usual``.
-    """
-
-    own: Floats
-    shared: Floats
-    information: Floats
-    squares: float
-    usual: float
-
-
-def fit_turning_points(
-    views: TurningViews, beliefs: TurningBeliefs, converged_chi2: float, own: Floats, shared: Floats
-) -> TurningFit:
-    """Points and body where they fit best, from where they start, ``own (N, 3)`` and ``shared (9,)``.
-
-    The search ends when a step promises a smaller fall of chi-square than ``converged_chi2``. A start that brings a
-    point too near is none: nothing changes, and its squares are infinite.
-    """
-    own, shared, information = own.copy(), shared.copy(), np.eye(_N_SHARED)
-    of_views = views.xy, views.t_s, views.sigma, views.centre
-    squares, usual = _descend(of_views, astuple(beliefs), converged_chi2, own, shared, information)
-    return TurningFit(own, shared, information, squares, usual)
+Views = tuple[Floats, Floats, Floats, Floats]
+"""Of N points of a body: ``xy (L, N, 2)``, NaN where not seen, at ``t_s (L,)``; their noise ``sigma (N,)``; the body's
+middle now, ``centre (3,)`` = (x, y, 1).
+"""
+Beliefs = tuple[Floats, float, float, float, float]
+"""Of a body before it is seen: turn ``(3,)`` in rad/s and its standard deviation, that of the acceleration over the
+speed in 1/s, which is taken as so much at least, in 1/s, and that of kappa about 1.
+"""
 
 
 def trajectory(t_s: Floats, centre: Floats, shared: Floats) -> tuple[Floats, Floats]:
@@ -139,10 +84,15 @@ def _set_trajectory(t_s: Floats, centre: Floats, shared: Floats, rotations: Floa
     "(Tuple((f8[:, :, ::1], f8[::1], f8[::1], f8[::1])), Tuple((f8[::1], f8, f8, f8, f8)), f8, f8[:, ::1], f8[::1], "
     "f8[:, ::1])"
 )
-def _descend(
-    views: _Views, beliefs: _Beliefs, converged_chi2: float, own: Floats, shared: Floats, information: Floats
+def fit_turning_points(
+    views: Views, beliefs: Beliefs, converged_chi2: float, own: Floats, shared: Floats, information: Floats
 ) -> tuple[float, float]:
-    """Move ``own`` and ``shared`` to where they fit best; fill ``information``; return squares and what is usual.
+    """Move points and body, ``own (N, 3)`` (x, y, kappa) and ``shared (9,)``, to where they fit best.
+
+    Fills ``information (9, 9)`` on what is shared, once the points follow. Returns the squares of the residuals in
+    sigmas, none counted for more than the robust limit, and the points' median of them by the degree of freedom. The
+    search ends when a step promises a smaller fall of chi-square than ``converged_chi2``. A start that brings a point
+    too near is none: nothing changes, and its squares are infinite.
 
     The cost of a place is its squared residuals, which grow as their logarithm beyond the robust limit, and beliefs.
     How R and S follow what is shared is taken by differences.
