@@ -23,7 +23,7 @@ class TwoViewFit:
     ``residual (N,)`` in sigmas; ``cost`` the sum of capped squares with the prior's part; ``information (k, k)`` on the
     unknowns and ``rows (k + 1, N)`` of each point as of `two_views.fit_two_views`, in 1/rad^2 and 1/rad: of two tangent
     coordinates of the direction (along `tangent_basis`) where there is one, then of the rotation vector, for a rotation
-    alone of three axes one after the other; ``region (N,)`` as in `fit_rotation`.
+    alone of three axes one after the other; ``region (N,)`` as in `fit_motion`.
     ``sense (N,)`` is 1 for points that move along the direction by more than their noise, -1 for those that move
     against it (they would lie behind), else 0.
     """
@@ -75,16 +75,8 @@ class GaussianPrior:
 def fit_rotation(
     rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats, region: Ints, prior: GaussianPrior, cam_R_prev: Floats
 ) -> TwoViewFit:
-    """Rotation alone: every point at infinity, two residuals a point.
-
-    Parameters
-    ----------
-    rays_prev, rays_cam : (N, 3) unit rays of the same points, each in its own camera.
-    sigma_rad : (N,) noise of one coordinate of a unit ray.
-    region : (N,) number of the part of the picture a point lies in; errors within one part are taken as common.
-    cam_R_prev : (3, 3) start.
-    """
-    return _fitted(rays_prev, rays_cam, sigma_rad, region, prior, cam_R_prev, None)
+    """Rotation alone: every point at infinity, two residuals a point. Parameters as for `fit_motion`."""
+    return fit_motion(rays_prev, rays_cam, sigma_rad, region, prior, cam_R_prev, None)
 
 
 def fit_motion(
@@ -94,27 +86,22 @@ def fit_motion(
     region: Ints,
     prior: GaussianPrior,
     cam_R_prev: Floats,
-    direction: Floats,
+    direction: Floats | None,
 ) -> TwoViewFit:
     """Rotation and direction: a point moves in the plane of its ray and the direction, by an unknown amount.
 
     The residual of a point is the least distance of its two rays from a common plane through the direction, the
     square root of lambda_min(B'(pp' + qq')B) / sigma^2: chi-square with one degree of freedom, also close to the
-    epipole. Parameters as for `fit_rotation`; ``direction (3,)`` is the start.
+    epipole.
+
+    Parameters
+    ----------
+    rays_prev, rays_cam : (N, 3) unit rays of the same points, each in its own camera.
+    sigma_rad : (N,) noise of one coordinate of a unit ray.
+    region : (N,) number of the part of the picture a point lies in; errors within one part are taken as common.
+    cam_R_prev, direction : (3, 3) and (3,) start; no direction: rotation alone.
     """
-    return _fitted(rays_prev, rays_cam, sigma_rad, region, prior, cam_R_prev, direction.copy())
-
-
-def _fitted(
-    rays_prev: Floats,
-    rays_cam: Floats,
-    sigma_rad: Floats,
-    region: Ints,
-    prior: GaussianPrior,
-    cam_R_prev: Floats,
-    direction: Floats | None,
-) -> TwoViewFit:
-    """The fit from a start, of which the ``direction`` is overwritten; None: rotation alone."""
+    direction = None if direction is None else direction.copy()
     offset, n = vector_from_rotation(cam_R_prev @ prior.cam_R_prev.T), len(rays_cam)
     k, n_rows = (3, 3 * n) if direction is None else (5, n)
     precision, pull = np.full(k, prior.rotation_sigma_rad**-2.0), np.zeros(3)

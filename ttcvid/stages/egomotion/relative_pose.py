@@ -312,31 +312,23 @@ def _fit_from_starts(
             flow_direction = direction_from_flow(rays_prev, rays_cam, rotation)
             fits += [fit_motion(*observed, rotation, start) for start in (last, flow_direction)]
     best = _best(fits)
-    if prior.direction is None and _share_explained(best) < _MOST_INLIERS:
+    explains = (np.abs(best.residual) < _INLIER_SIGMAS) & (best.sense >= 0.0)
+    if prior.direction is None and np.mean(explains) < _MOST_INLIERS:
         best = _best([best, *(fit_motion(*observed, turning_R, start) for start in _ACROSS)])
     if best.sense.sum() < 0.0 and best.direction is not None:
         best = _best([best, fit_motion(*observed, best.cam_R_prev, -best.direction)])
     return best
 
 
-def _share_explained(fit: TwoViewFit) -> float:
-    """Part of the points that move along the direction of a fit, and the right way."""
-    return float(np.mean((np.abs(fit.residual) < _INLIER_SIGMAS) & (fit.sense >= 0.0)))
-
-
 def _is_translation(
-    turning: TwoViewFit,
-    moving: TwoViewFit,
-    region: Ints,
-    sigma_rad: Floats,
-    least_parallax_rad: float,
+    turning: TwoViewFit, moving: TwoViewFit, region: Ints, sigma_rad: Floats, least_parallax_rad: float
 ) -> bool:
     """Whether the flow speaks of translation: by GRIC, and not by a few movers before a resting camera.
 
     With the camera at rest the flow of the movers alone also meets somewhere, and one lorry can hold 40 % of all
     points: translation has to be seen in half of the parts of the picture.
     """
-    if _gric(turning, 2, 3) <= _gric(moving, 3, 5):
+    if _criterion(turning.residual**2, 2, 3) <= _criterion(moving.residual**2, 3, 5):
         return False
     flow_rad = turning.residual * np.sqrt(2.0) * sigma_rad
     is_still = (turning.residual < _STILL_SIGMAS) | (flow_rad < least_parallax_rad)
@@ -356,10 +348,6 @@ def _result(fit: TwoViewFit) -> Egomotion:
 
 def _best(fits: list[TwoViewFit]) -> TwoViewFit:
     return min(fits, key=lambda fit: fit.cost)
-
-
-def _gric(fit: TwoViewFit, dimension: int, n_parameters: int) -> float:
-    return _criterion(fit.residual * fit.residual, dimension, n_parameters)
 
 
 def _criterion(squares: Floats, dimension: int, n_parameters: int) -> float:
