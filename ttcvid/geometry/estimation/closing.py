@@ -138,12 +138,7 @@ def fit_braking(depth: Floats, variance: Floats, since_s: Floats, drift_hz: floa
     steady = np.linalg.qr(rows[:, :2])[0]
     left = rows[:, 2:] - steady @ (steady.T @ rows[:, 2:])
     gain = (left[:, :-1].T @ left[:, -1]) ** 2 / np.maximum(np.sum(left[:, :-1] ** 2, axis=0), _TINY)
-    return _solved(rows[:, [0, 1, 2 + int(np.argmax(gain)), -1]])
-
-
-def _solved(rows: Floats) -> Closing:
-    """The motion of which ``rows (L, 4)`` tell: the depth, and what makes it, of each view."""
-    columns, depths = rows[:, :3], rows[:, 3]
+    columns, depths = rows[:, [0, 1, 2 + int(np.argmax(gain))]], rows[:, -1]
     cov = np.linalg.inv(columns.T @ columns)
     found = cov @ (columns.T @ depths)
     left = depths - columns @ found

@@ -19,6 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ttcvid.geometry.estimation.relative_pose import direction_from_flow
 from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
@@ -92,11 +93,8 @@ class Unknowns:
 def direction_from_lines(tracks: BodyTracks) -> Floats:
     """A start direction ``(3,)``: where the planes of the tracks' first and last rays meet, along the motion."""
     rays = np.column_stack([tracks.xy, np.ones(len(tracks.xy))])
-    q, p = normalize(rays[tracks.starts]), normalize(rays[tracks.starts + tracks.counts - 1])
-    normals = np.cross(q, p)
-    _, vectors = np.linalg.eigh(normals.T @ normals)
-    direction: Floats = vectors[:, 0]
-    return direction if direction @ (p - q).sum(axis=0) >= 0 else -direction
+    last = tracks.starts + tracks.counts - 1
+    return direction_from_flow(normalize(rays[tracks.starts]), normalize(rays[last]), np.eye(3))
 
 
 def first_unknowns(tracks: BodyTracks, direction: Floats) -> Unknowns:
