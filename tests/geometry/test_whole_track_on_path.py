@@ -40,7 +40,7 @@ def test_a_straight_path_gives_the_exact_rate_from_views_on_one_side_and_on_both
     paths = np.stack([straight_path(e, t_s) for e in normalize(velocity)])
     found = fit_rates_on_paths(rays[..., :2] / rays[..., 2:], t_s, np.full(n, 1e-7), paths, np.arange(n))
     np.testing.assert_allclose(found.rate_hz, np.linalg.norm(velocity, axis=1) / position[:, 2], rtol=1e-9)
-    np.testing.assert_allclose(found.xy, position[:, :2] / position[:, 2:], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.state[:, :2], position[:, :2] / position[:, 2:], rtol=1e-9, atol=1e-12)
     assert (found.n_frames == len(t_s)).all()
 
 
@@ -56,7 +56,7 @@ def test_covariance_is_that_of_noisy_draws():
     position = np.array([[5.0, -1.5, 25.0]])
     xy = np.repeat(seen(position, path), n, axis=1) + SIGMA * rng.normal(size=(len(T_S), n, 2))
     found = fit_rates_on_paths(xy, T_S, np.full(n, SIGMA), path[None], np.zeros(n, np.int64))
-    error = np.column_stack([found.xy, found.rate_hz]) - [0.2, -0.06, SPEED_M_S / 25.0]
+    error = np.column_stack([found.state[:, :2], found.rate_hz]) - [0.2, -0.06, SPEED_M_S / 25.0]
     scale = np.sqrt(np.diag(found.cov[0]))
     np.testing.assert_allclose(np.cov((error / scale).T), found.cov[0] / np.outer(scale, scale), atol=0.08)
     assert np.mean(found.chi2) == pytest.approx(found.dof[0], rel=0.04)

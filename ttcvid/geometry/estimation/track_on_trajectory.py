@@ -39,11 +39,6 @@ class PathRates:
     n_frames: Ints
 
     @property
-    def xy(self) -> Floats:
-        """Places (N, 2)."""
-        return self.state[:, :2]
-
-    @property
     def rate_hz(self) -> Floats:
         """Rates (N,)."""
         return np.ascontiguousarray(self.state[:, 2])

@@ -253,9 +253,7 @@ def _number_regions(rays: Floats, side: float, region: Ints) -> None:
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:
-    expected = np.zeros(3)
-    if memory.rotation_rad is not None and belief.can_translate:
-        expected = memory.rotation_rad
+    expected = memory.rotation_rad if memory.rotation_rad is not None and belief.can_translate else np.zeros(3)
     if belief.direction_sigma_rad is None:
         return GaussianPrior(expected, belief.rotation_sigma_rad)
     return GaussianPrior(expected, belief.rotation_sigma_rad, FORWARD_DIR, belief.direction_sigma_rad)
