@@ -118,7 +118,7 @@ RULES: dict[str, Rule] = {
     "slip_on_road": Rule(
         "the last step's slip on the road is noise",
         "slips",
-        {"stages.segmentation.births._without_slip": lambda views, on_road, misfit: misfit},
+        {"stages.segmentation.births._without_slip": lambda views, on_road, redchi: redchi},
         (),
     ),
     "occlusions": Rule(

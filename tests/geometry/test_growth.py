@@ -20,8 +20,8 @@ def seen(rng, velocity_m_s=VELOCITY_M_S, n=N_POINTS, sigma=0.0, size_m=(11.0, 3.
     return moved[:, :, :2] / moved[:, :, 2:] + sigma * rng.normal(size=(len(SINCE_S), n, 2))
 
 
-def fitted(xy, members=None, sway=STEADY):
-    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA), sway)
+def fitted(xy, members=None, shake=STEADY):
+    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA), shake)
     return sums, *sums.unknowns(np.ones(xy.shape[1], dtype=bool) if members is None else members)
 
 
@@ -30,31 +30,31 @@ def test_the_velocity_over_the_depth_is_exact_without_noise(velocity_m_s):
     sums, unknowns, _ = fitted(seen(np.random.default_rng(1), velocity_m_s))
     np.testing.assert_allclose(unknowns[:3], np.asarray(velocity_m_s) / CENTRE_M[2], rtol=1e-9, atol=1e-12)
     assert unknowns[3] == 0.0
-    assert sums.misfits(unknowns).max() < 1e-6
+    assert sums.redchi_of(unknowns).max() < 1e-6
 
 
-SWAY_M = np.outer(np.sin(4.0 * SINCE_S) - 4.0 * SINCE_S, [1.2, -0.3, 0.2])
+SHAKE_M = np.outer(np.sin(4.0 * SINCE_S) - 4.0 * SINCE_S, [1.2, -0.3, 0.2])
 
 
 def test_before_a_camera_that_sways_the_velocity_is_as_exact_and_its_depth_is_told():
     """In units of 3 m, the way that it goes in a second: the scene has no other."""
-    sums, unknowns, cov = fitted(seen(np.random.default_rng(1), sway_m=SWAY_M), sway=SWAY_M / 3.0)
+    sums, unknowns, cov = fitted(seen(np.random.default_rng(1), sway_m=SHAKE_M), shake=SHAKE_M / 3.0)
     np.testing.assert_allclose(unknowns[:3], VELOCITY_M_S / CENTRE_M[2], rtol=2e-4)
     # What is taken to be known of the depth beforehand pulls it to zero by a thousandth of its noise.
     assert unknowns[3] == pytest.approx(3.0 / CENTRE_M[2], rel=2e-3)
     assert np.sqrt(cov[3, 3]) < 0.2 * unknowns[3]
-    assert sums.misfits(unknowns).max() < 1e-4
+    assert sums.redchi_of(unknowns).max() < 1e-4
     # Taken for steady, it sees the thing go elsewhere, and its tracks fit nothing.
-    steady, straight, _ = fitted(seen(np.random.default_rng(1), sway_m=SWAY_M))
+    steady, straight, _ = fitted(seen(np.random.default_rng(1), sway_m=SHAKE_M))
     assert np.abs(straight[:3] * CENTRE_M[2] - VELOCITY_M_S).max() > 0.5
-    assert steady.misfits(straight).min() > 10.0
+    assert steady.redchi_of(straight).min() > 10.0
 
 
 def test_the_tracks_of_a_thing_are_found_before_a_camera_that_sways():
     rng = np.random.default_rng(4)
-    things = [seen(rng, v, sigma=SIGMA, sway_m=SWAY_M) for v in (VELOCITY_M_S, (10.0, 0.0, -30.0))]
+    things = [seen(rng, v, sigma=SIGMA, sway_m=SHAKE_M) for v in (VELOCITY_M_S, (10.0, 0.0, -30.0))]
     xy = np.concatenate(things, axis=1)
-    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA), SWAY_M / 3.0)
+    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA), SHAKE_M / 3.0)
     fits = sums.sharing_a_velocity(np.full(xy.shape[1], 100.0), gate=10.0, least_tracks=N_POINTS)
     np.testing.assert_array_equal(fits, np.arange(2 * N_POINTS) < N_POINTS)
 
@@ -69,16 +69,16 @@ def test_views_that_are_missing_change_nothing():
 def test_a_velocity_is_as_sure_as_it_says_and_its_tracks_fit_it():
     """Of what has hardly come nearer while it was seen: of what has, older views would have to count less."""
     velocity_m_s = VELOCITY_M_S / 5.0
-    chi2, misfits = [], []
+    chi2, redchi_of = [], []
     for seed in range(400):
         sums, unknowns, cov = fitted(seen(np.random.default_rng(seed), velocity_m_s, sigma=SIGMA))
         off = unknowns[:3] - velocity_m_s / CENTRE_M[2]
         chi2.append(off @ np.linalg.solve(cov[:3, :3], off))
-        misfits.append(sums.misfits(unknowns))
+        redchi_of.append(sums.redchi_of(unknowns))
     # Three degrees of freedom; those of the places are taken out, those of the velocity are shared.
     assert 2.4 < np.mean(chi2) < 3.8
     assert np.mean(np.array(chi2) < 11.3) > 0.97
-    assert 0.85 < np.mean(misfits) < 1.05
+    assert 0.85 < np.mean(redchi_of) < 1.05
 
 
 def test_each_set_has_its_own_velocity_and_a_track_of_another_thing_does_not_fit_it():
@@ -89,9 +89,9 @@ def test_each_set_has_its_own_velocity_and_a_track_of_another_thing_does_not_fit
     for members, velocity_m_s in ((is_first, VELOCITY_M_S), (~is_first, other_m_s)):
         sums, unknowns, _ = fitted(xy, members)
         np.testing.assert_allclose(unknowns[:3] * CENTRE_M[2], velocity_m_s, rtol=1e-9, atol=1e-9)
-        misfits = sums.misfits(unknowns)
-        assert misfits[members].max() < 1e-6
-        assert misfits[~members].min() > 50.0
+        redchi_of = sums.redchi_of(unknowns)
+        assert redchi_of[members].max() < 1e-6
+        assert redchi_of[~members].min() > 50.0
 
 
 def test_the_tracks_of_the_first_are_found_among_those_of_another_thing():

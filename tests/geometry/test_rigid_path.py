@@ -78,7 +78,7 @@ def test_places_and_rates_are_exact_without_noise(path):
     fit = converged(seen(position, path), path)
     np.testing.assert_allclose(fit.place, position[:, :2] / position[:, 2:], atol=1e-9)
     np.testing.assert_allclose(fit.rate_hz, SPEED_M_S / position[:, 2], rtol=1e-9)
-    np.testing.assert_allclose(fit.misfit, 0.0, atol=1e-9)
+    np.testing.assert_allclose(fit.redchi, 0.0, atol=1e-9)
     assert (fit.n_views == len(T_S)).all()
 
 
@@ -89,23 +89,23 @@ def test_one_fit_from_nothing_is_near_enough_for_the_next_frame():
 
 
 def test_errors_of_rates_are_as_large_as_is_said_and_the_misfit_of_what_moves_along_is_one():
-    rng, pulls, misfits = np.random.default_rng(3), [], []
+    rng, pulls, redchi_of = np.random.default_rng(3), [], []
     position = points(50, rng)
     for _ in range(60):
         fit = converged(seen(position, BENT, SIGMA, rng), BENT)
         pulls.append((fit.rate_hz - SPEED_M_S / position[:, 2]) / fit.rate_sigma_hz)
-        misfits.append(fit.misfit)
+        redchi_of.append(fit.redchi)
     # 3000 squares of normal variables: their mean is 1 within 0.026, 1 sigma.
     assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=0.11)
     assert np.mean(pulls) == pytest.approx(0.0, abs=0.08)
-    assert np.mean(misfits) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(redchi_of) == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_point_that_moves_otherwise_has_a_large_misfit():
     rng = np.random.default_rng(4)
     position = points(30, rng)
     across = straight_path(normalize(np.array([1.0, 0.0, -1.0])), T_S)
-    assert fit_on_path(seen(position, across, SIGMA, rng), STRAIGHT, sigmas(30)).misfit.min() > 5.0
+    assert fit_on_path(seen(position, across, SIGMA, rng), STRAIGHT, sigmas(30)).redchi.min() > 5.0
 
 
 def test_a_wild_view_hardly_moves_the_rate_and_does_not_count_by_its_square():
@@ -114,7 +114,7 @@ def test_a_wild_view_hardly_moves_the_rate_and_does_not_count_by_its_square():
     xy[4] += 100.0 * SIGMA
     fit = converged(xy, STRAIGHT)
     assert (np.abs(fit.rate_hz - SPEED_M_S / position[:, 2]) < 2.0 * fit.rate_sigma_hz).all()
-    assert (fit.misfit < 2.0 * 3.0 * np.sqrt(2.0) * 100.0 / (2 * len(T_S) - 3)).all()
+    assert (fit.redchi < 2.0 * 3.0 * np.sqrt(2.0) * 100.0 / (2 * len(T_S) - 3)).all()
 
 
 def test_views_that_are_missing_do_not_matter():
@@ -134,7 +134,7 @@ def test_a_point_seen_once_or_not_now_has_no_result_and_no_misfit():
     fit = fit_on_path(xy, STRAIGHT, sigmas(3))
     for values in (fit.place[:, 0], fit.rate_hz, fit.rate_sigma_hz):
         np.testing.assert_array_equal(np.isnan(values), [True, True, False])
-    np.testing.assert_array_equal(fit.misfit[:2], 0.0)
+    np.testing.assert_array_equal(fit.redchi[:2], 0.0)
     assert fit.n_views[0] == 1
 
 
@@ -153,7 +153,7 @@ def test_a_thing_that_rests_beside_us_has_no_rate_and_that_is_said():
     fit = fit_on_path(xy, np.zeros_like(STRAIGHT), sigmas(2))
     assert np.isinf(fit.rate_sigma_hz).all()
     np.testing.assert_allclose(fit.place, xy[-1])
-    np.testing.assert_allclose(fit.misfit, 0.0, atol=1e-12)
+    np.testing.assert_allclose(fit.redchi, 0.0, atol=1e-12)
 
 
 def test_nothing_lies_behind_the_camera():

@@ -43,7 +43,7 @@ def test_exact_views_of_a_body_on_a_circle_give_its_turn(body):
     # The beliefs of the fit pull a little: with so little noise they do not count.
     found = fit_turning_body(xy, T_S, np.full(40, 1e-8), BEND_HZ, TURN_SIGMA_RAD_S)
     np.testing.assert_allclose(found.turn_rad_s, [0.0, body[3], 0.0], atol=1e-5)
-    assert found.usual < 1e-3
+    assert found.median_chi2 < 1e-3
 
 
 @pytest.mark.parametrize("body", [BUS, CAR])
@@ -116,7 +116,7 @@ def test_noise_that_is_taken_for_too_small_is_left_to_who_asks():
     """``usual`` says by how much; who weighs by it must not find it in the covariance already."""
     xy, *_ = circling(*BUS, noise=SIGMA)
     right, small = (fit_turning_body(xy, T_S, np.full(40, s), BEND_HZ, TURN_SIGMA_RAD_S) for s in (SIGMA, 0.5 * SIGMA))
-    assert small.usual == pytest.approx(4.0 * right.usual, rel=0.1)
+    assert small.median_chi2 == pytest.approx(4.0 * right.median_chi2, rel=0.1)
     assert np.sqrt(small.cov[7, 7] / right.cov[7, 7]) == pytest.approx(0.5, rel=0.15)
 
 

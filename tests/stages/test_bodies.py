@@ -44,8 +44,8 @@ def of_one_body(rays):
     return Points(views_by_track(rays), np.full(n, SIGMA), T_S, np.arange(n), np.zeros(n, dtype=np.int64))
 
 
-def median_misfit(one, rays):
-    return np.median(fit_on_paths(of_one_body(rays), one).misfit)
+def median_redchi(one, rays):
+    return np.median(fit_on_paths(of_one_body(rays), one).redchi)
 
 
 def points(n, rng):
@@ -95,11 +95,11 @@ def test_wrong_rotations_of_the_scene_are_drawn_towards_the_right_ones():
     off_rad = 5e-4 * rng.normal(size=(len(T_S), 3))
     off_rad[-1] = 0.0
     after = replace(scene, cam_R_past=rotation_from_vector(off_rad) @ scene.cam_R_past)
-    misfit = [median_misfit(b, rays) for b in (scene, after)]
+    redchi = [median_redchi(b, rays) for b in (scene, after)]
     for _ in range(10):
         after = refined_scene(after, of_one_body(rays), np.ones(200), np.ones(200, bool), np.full(200, np.nan), 2)
-    assert misfit[1] > 2.0 * misfit[0]
-    assert median_misfit(after, rays) < 1.1 * misfit[0]
+    assert redchi[1] > 2.0 * redchi[0]
+    assert median_redchi(after, rays) < 1.1 * redchi[0]
     rotations = after.cam_R_past[0] @ np.swapaxes(after.cam_R_past[0], 1, 2)
     np.testing.assert_allclose(rotations, np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12)
     assert np.linalg.norm(after.path[0, 0]) == pytest.approx(np.linalg.norm(scene.path[0, 0]), rel=1e-2)
@@ -121,7 +121,7 @@ def test_movers_among_the_tracks_do_not_turn_the_scene():
     after = scene
     for _ in range(10):
         after = refined_scene(after, of_one_body(rays), np.ones(200), np.ones(200, bool), np.full(200, np.nan), 2)
-    assert median_misfit(after, rays[:, 60:]) < 1.3
+    assert median_redchi(after, rays[:, 60:]) < 1.3
 
 
 @pytest.mark.parametrize("bend_hz", [(0.0, 0.0, 1.5), (0.3, 0.0, 0.0)])
@@ -131,10 +131,10 @@ def test_a_mover_that_brakes_or_swerves_gets_a_path_that_explains_it(bend_hz):
     mover = body()
     bent = mover.path[0] + 0.5 * T_S[:, None] ** 2 * np.array(bend_hz)
     rays = rays_of(position, bent, scene.cam_R_past[0], SIGMA, rng)
-    before = median_misfit(mover, rays)
+    before = median_redchi(mover, rays)
     after, rate_hz = refined_movers(mover, scene, of_one_body(rays), np.array([100]))
     assert before > 2.0
-    assert median_misfit(after, rays) < 1.3
+    assert median_redchi(after, rays) < 1.3
     # The path keeps its length, and so rates are in units of the speed that it had.
     scale = np.linalg.norm(bent[0]) / np.linalg.norm(mover.path[0, 0])
     assert rate_hz[0] == pytest.approx(scale * np.median(SPEED_M_S / position[:, 2]), rel=0.1)

@@ -19,15 +19,15 @@ def test_candidates_are_those_whose_neighbourhood_has_a_large_median_misfit(seed
     neighbours = rng.integers(0, N, (N, K))
     neighbours[rng.random((N, K)) < 0.3] = -1
     neighbours = np.where(neighbours < 0, np.arange(N)[:, None], neighbours)
-    is_asked, misfit = rng.random(N) < 0.8, config.scene_gate * np.exp(rng.normal(0.3, 1.5, N))
-    misfit[rng.random(N) < 0.1] = 0.0
+    is_asked, redchi = rng.random(N) < 0.8, config.scene_gate * np.exp(rng.normal(0.3, 1.5, N))
+    redchi[rng.random(N) < 0.1] = 0.0
     expected = []
-    for i in np.flatnonzero(is_asked & (misfit > config.scene_gate)):
-        around = [misfit[i], *(misfit[j] for j in neighbours[i] if j != i and is_asked[j])]
+    for i in np.flatnonzero(is_asked & (redchi > config.scene_gate)):
+        around = [redchi[i], *(redchi[j] for j in neighbours[i] if j != i and is_asked[j])]
         together = np.median(np.log(np.maximum(around, 0.1)))
         if len(around) >= 3 and together > 0.6 * np.log(config.scene_gate):
             expected.append(i)
-    found = births._candidates(neighbours, is_asked, misfit, config)
+    found = births._candidates(neighbours, is_asked, redchi, config)
     np.testing.assert_array_equal(found, expected)
 
 

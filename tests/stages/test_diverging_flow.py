@@ -54,19 +54,19 @@ def street_with(thing_m, velocity_m_s, rng):
     return np.concatenate([thing_m, scene]), np.concatenate(velocities)
 
 
-def found_in(views, scene, fit, seeds=None, sway=None, *, few_are_enough=True):
-    seeds = np.flatnonzero(fit.misfit > CONFIG.scene_gate) if seeds is None else seeds
-    sway = np.zeros((len(TIMES_S), 3)) if sway is None else sway
+def found_in(views, scene, fit, seeds=None, shake=None, *, few_are_enough=True):
+    seeds = np.flatnonzero(fit.redchi > CONFIG.scene_gate) if seeds is None else seeds
+    shake = np.zeros((len(TIMES_S), 3)) if shake is None else shake
     may_be = fit.n_views >= LEAST_VIEWS
-    seen = SimpleNamespace(scene=scene, misfit=fit.misfit, usual_misfit=1.0, sway=sway)
+    seen = SimpleNamespace(scene=scene, redchi=fit.redchi, median_redchi=1.0, shake=shake)
     return expanding_movers(views, seen, may_be, seeds, CONFIG, few_are_enough=few_are_enough)
 
 
 def new_in(views, scene, fit):
-    nowhere, misfit = np.zeros(len(fit.misfit), dtype=bool), fit.misfit
-    sway, of_scene = np.zeros((len(TIMES_S), 3)), (fit.rate_hz, fit, misfit, misfit, 1.0)
-    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), False, Platform.free, False, sway)
-    members, paths, _ = new_movers(views, seen, ~nowhere, views.neighbours(misfit > CONFIG.scene_gate, nowhere), CONFIG)
+    nowhere, redchi = np.zeros(len(fit.redchi), dtype=bool), fit.redchi
+    shake, of_scene = np.zeros((len(TIMES_S), 3)), (fit.rate_hz, fit, redchi, redchi, 1.0)
+    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), False, Platform.free, False, shake)
+    members, paths, _ = new_movers(views, seen, ~nowhere, views.neighbours(redchi > CONFIG.scene_gate, nowhere), CONFIG)
     return members, paths
 
 
@@ -105,7 +105,7 @@ def test_it_is_found_though_tracks_all_over_the_street_contradict_the_scene_wors
     velocity[: len(sliding)] += rng.uniform(-4.0, 4.0, (len(sliding), 3))
     where, velocity = np.concatenate([thing, where]), np.concatenate([np.tile(TO_US_M_S, (8, 1)), velocity])
     views, scene, fit = views_and_fit(where, velocity, rng)
-    assert np.count_nonzero(fit.misfit[8:16] > fit.misfit[:8].max()) > 5
+    assert np.count_nonzero(fit.redchi[8:16] > fit.redchi[:8].max()) > 5
     ((members, _),) = found_in(views, scene, fit)
     assert np.count_nonzero(members < 8) >= least_tracks(CONFIG)
 
@@ -127,7 +127,7 @@ def test_what_stands_still_is_none_though_it_errs_three_times_as_much_as_is_said
     views = replace(views, sigma_norm=views.sigma_norm / 3.0)
     fit = fit_on_paths(views.points(every), scene)
     # Enough tracks contradict the scene for a thing to be looked for.
-    assert np.count_nonzero(fit.misfit > CONFIG.gain) > least_tracks(CONFIG)
+    assert np.count_nonzero(fit.redchi > CONFIG.gain) > least_tracks(CONFIG)
     assert found_in(views, scene, fit, every) == []
 
 
@@ -187,7 +187,7 @@ def test_few_tracks_that_slide_alike_along_what_stands_beside_the_road_are_none(
     posts_m = [[side * rng.uniform(4.0, 7.0), 0.0, depth] for side in (-1.0, 1.0) for depth in (12.0, 16.0, 20.0)]
     views, scene, fit = views_and_fit(*street_of_posts_that_slide(posts_m, rng), rng)
     n_sliding = 4 * len(posts_m)
-    assert np.count_nonzero(fit.misfit[:n_sliding] > CONFIG.scene_gate) > n_sliding / 2
+    assert np.count_nonzero(fit.redchi[:n_sliding] > CONFIG.scene_gate) > n_sliding / 2
     assert found_in(views, scene, fit) == []
 
 

@@ -25,7 +25,7 @@ def fields(rng, n=120):
 
 
 def found_in(
-    position_m, velocity_m_s, may_be=None, frames=CONFIG.confirm_frames, sigma_px=SIGMA_PX, seed=1, least_misfit=0.0
+    position_m, velocity_m_s, may_be=None, frames=CONFIG.confirm_frames, sigma_px=SIGMA_PX, seed=1, least_redchi=0.0
 ):
     """Public things after some frames that look alike, and how well the scene's path explains each track."""
     history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=np.random.default_rng(seed))
@@ -40,19 +40,19 @@ def found_in(
     scene = RigidPaths(
         np.repeat(np.eye(3)[None, None], len(since_s), axis=1), straight_path(SCENE_M_S / OWN_M_S, since_s)[None]
     )
-    misfit = np.maximum(fit_on_paths(points, scene).misfit, least_misfit)
+    redchi = np.maximum(fit_on_paths(points, scene).redchi, least_redchi)
     memory, next_id, public = (), 1, {}
     for _ in range(frames):
         public, memory, next_id = find_growing(
             memory,
             history,
-            OnScene(misfit, 1.0, np.ones(n, dtype=bool) if may_be is None else may_be),
+            OnScene(redchi, 1.0, np.ones(n, dtype=bool) if may_be is None else may_be),
             ERROR_PX,
             LINK_PX,
             next_id,
             CONFIG,
         )
-    return public, misfit
+    return public, redchi
 
 
 def encounter(position_m, velocity_m_s, rng, aircraft_m=AIRCRAFT_M):
@@ -74,7 +74,7 @@ def test_an_aircraft_at_constant_bearing_is_found_with_its_direction(rng, relati
     relative_m_s = np.asarray(relative_m_s)
     where, velocity = encounter(-2.8 * relative_m_s, relative_m_s, rng)
     assert found_in(where, velocity, frames=CONFIG.confirm_frames - 1)[0] == {}
-    public, misfit = found_in(where, velocity)
+    public, redchi = found_in(where, velocity)
     (thing,) = public.values()
     assert list(public) == [1]
     np.testing.assert_array_equal(thing.members, np.arange(4))
@@ -82,7 +82,7 @@ def test_an_aircraft_at_constant_bearing_is_found_with_its_direction(rng, relati
     assert np.linalg.norm(off) < 3.0 * np.sqrt(np.trace(thing.direction_cov))
     assert np.linalg.norm(off) < np.radians(2.0)
     # Most of its tracks by themselves do not contradict the scene.
-    assert np.sort(misfit[:4])[0] < CONFIG.scene_gate
+    assert np.sort(redchi[:4])[0] < CONFIG.scene_gate
 
 
 def test_fields_alone_are_no_thing(rng):
@@ -90,7 +90,7 @@ def test_fields_alone_are_no_thing(rng):
         ground = fields(np.random.default_rng(seed), 400)
         assert found_in(ground, SCENE_M_S, seed=seed)[0] == {}
         # Not even if the scene did not explain them.
-        assert found_in(ground, SCENE_M_S, seed=seed, least_misfit=2.0 * CONFIG.scene_gate)[0] == {}
+        assert found_in(ground, SCENE_M_S, seed=seed, least_redchi=2.0 * CONFIG.scene_gate)[0] == {}
 
 
 def test_what_goes_away_is_none(rng):

@@ -13,11 +13,11 @@ from watched_things import (
     braking,
     coming_near,
     converged,
+    median_redchi,
     rays_of,
     seen,
     true_path,
     turning,
-    usual_misfit,
 )
 
 from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths
@@ -47,7 +47,7 @@ def test_what_turned_the_other_way_is_begun_anew():
     points, _, wrong, rate_hz = turning_box(np.random.default_rng(2))
     more, _ = refined_movers(wrong, SCENE, points, np.array([12]))
     anew, anew_hz = reinitialised(wrong, rate_hz, ALL, SCENE, points, 1.0)
-    assert usual_misfit(points, anew) < 0.5 * min(usual_misfit(points, wrong), usual_misfit(points, more))
+    assert median_redchi(points, anew) < 0.5 * min(median_redchi(points, wrong), median_redchi(points, more))
     assert anew_hz[0] == pytest.approx(np.median(converged(points, anew).rate_hz), rel=0.05)
 
 
@@ -59,8 +59,8 @@ def test_a_bus_that_was_followed_without_its_turn_is_found_turning():
     # As many steps as it would have had as an old mover, and more.
     still, rate_hz = refined_movers(still, SCENE, points, np.array([50]))
     anew, _ = reinitialised(still, rate_hz, ALL, SCENE, points, 1.0)
-    assert usual_misfit(points, still) > 5.0 * usual_misfit(points, truth)
-    assert usual_misfit(points, anew) < 1.2 * usual_misfit(points, truth)
+    assert median_redchi(points, still) > 5.0 * median_redchi(points, truth)
+    assert median_redchi(points, anew) < 1.2 * median_redchi(points, truth)
     off = vector_from_rotation(anew.cam_R_past[:, 0] @ truth.cam_R_past[0, 0].T)
     assert np.degrees(np.linalg.norm(off)) < 1.0
 
@@ -75,7 +75,7 @@ def way_of_middle(motion):
 def test_what_explains_its_points_as_usual_or_is_not_asked_stays_as_it_is():
     points, truth, wrong, rate_hz = turning_box(np.random.default_rng(3))
     few = replace(points, track=points.track[:7], thing=points.thing[:7])
-    for is_seen, paths, is_asked, usual in (
+    for is_seen, paths, is_asked, median_chi2 in (
         (points, truth, True, 1.5),
         # Not clearly better.
         (points, truth, True, 0.5),
@@ -83,7 +83,7 @@ def test_what_explains_its_points_as_usual_or_is_not_asked_stays_as_it_is():
         (points, wrong, False, 1.0),
         (few, wrong, True, 1.0),
     ):
-        after, after_hz = reinitialised(paths, rate_hz, np.array([is_asked]), SCENE, is_seen, usual)
+        after, after_hz = reinitialised(paths, rate_hz, np.array([is_asked]), SCENE, is_seen, median_chi2)
         np.testing.assert_array_equal(after.path, paths.path)
         np.testing.assert_array_equal(after.cam_R_past, paths.cam_R_past)
         np.testing.assert_array_equal(after_hz, rate_hz)
@@ -94,7 +94,7 @@ def test_what_does_not_turn_is_not_said_to():
     points, wrong = seen(rays_of(braking, box(rng), rng), N_FRAMES - 1), true_path(coming_near, N_FRAMES - 1)
     rate_hz = np.array([np.median(converged(points, wrong).rate_hz)])
     anew, _ = reinitialised(wrong, rate_hz, ALL, SCENE, points, 1.0)
-    assert usual_misfit(points, anew) < 1.2
+    assert median_redchi(points, anew) < 1.2
     assert np.degrees(np.linalg.norm(vector_from_rotation(anew.cam_R_past[:, 0]))) < 0.5
 
 

@@ -52,7 +52,7 @@ def test_without_movers_everything_is_the_scene():
     rng = np.random.default_rng(1)
     frames = bodies_of(world(rng, AHEAD, N_FRAMES), N_FRAMES)
     assert all(not frame.mover_keys for frame in frames)
-    assert max(np.median(frame.found.seen.misfit) for frame in frames) < 1.5
+    assert max(np.median(frame.found.seen.redchi) for frame in frames) < 1.5
 
 
 @given(seed=st.integers(0, 2**32 - 1), sigma_px=st.sampled_from([0.05, 0.2, 0.5]))
@@ -78,7 +78,7 @@ def test_we_brake_to_a_stop_and_nothing_becomes_a_mover(seed, stop_s):
     things = [*world(rng, AHEAD, 1, n=150, depth_m=(15.0 + way_m, 90.0)), road(120, 5.0 + way_m, 40.0 + way_m, 0), *new]
     frames = bodies_of(things, n_frames, AHEAD, stop_s=stop_s, seed=seed)
     assert all(not frame.mover_keys for frame in frames)
-    assert max(np.median(frame.found.seen.misfit) for frame in frames) < 2.0
+    assert max(np.median(frame.found.seen.redchi) for frame in frames) < 2.0
 
 
 @pytest.mark.parametrize("yaw_rad_s", [0.15, -0.3])
@@ -137,7 +137,7 @@ def test_a_crowd_before_a_camera_on_a_mast_is_not_the_noise_of_the_street():
     passing = car(rng, (5.0, -2.0, 25.0), (-5.0, 0.0, 0.0))
     things = world(rng, STILL, N_FRAMES, passing, n=60)
     frames = bodies_of([*things, *crowd], N_FRAMES, camera_m_s=STILL, platform=Platform.static)
-    assert max(frame.found.seen.usual_misfit for frame in frames) < 2.0
+    assert max(frame.found.seen.median_redchi for frame in frames) < 2.0
     assert min(frame.keys_of(1)[1] for frame in frames[NAMED_FRAMES:] if frame.keys_of(1)[0]) > 0.9
     assert all(frame.keys_of(1)[0] for frame in frames[NAMED_FRAMES:])
 
@@ -273,19 +273,19 @@ def test_a_car_that_a_post_hides_for_some_frames_keeps_its_key_and_number(n_hidd
 
 
 def test_the_path_of_a_car_ahead_that_brakes_keeps_up_with_its_tracks(monkeypatch):
-    misfits, really = [], labels.stepped_movers
+    redchi_of, really = [], labels.stepped_movers
 
     def noted(movers, scene, points, n_steps, rate_hz):
         paths, now_hz = really(movers, scene, points, n_steps, rate_hz)
-        misfits.append(np.median(fit_on_paths(points, paths, now_hz[points.thing]).misfit))
+        redchi_of.append(np.median(fit_on_paths(points, paths, now_hz[points.thing]).redchi))
         return paths, now_hz
 
     monkeypatch.setattr(labels, "stepped_movers", noted)
     rng = np.random.default_rng(1)
     ahead = car(rng, (0.5, 0.5, 22.0), AHEAD, acceleration_m_s2=(0.0, 0.0, -5.0))
     bodies_of(world(rng, AHEAD, 24, ahead), 24, camera_m_s=AHEAD)
-    assert len(misfits) > 12
-    assert max(misfits[6:]) < 1.3
+    assert len(redchi_of) > 12
+    assert max(redchi_of[6:]) < 1.3
 
 
 def test_what_comes_out_elsewhere_or_moves_otherwise_is_another_thing():

@@ -79,8 +79,8 @@ def test_a_lead_car_that_begins_to_brake_is_released_at_once():
 
 
 def test_what_sways_by_a_pixel_is_not_frozen():
-    sways, _, _ = watch(40, lambda frame: TEXT_PX + np.array([0.6 * np.sin(frame / 2), 0.0]))
-    assert not sways.any()
+    shakes, _, _ = watch(40, lambda frame: TEXT_PX + np.array([0.6 * np.sin(frame / 2), 0.0]))
+    assert not shakes.any()
 
 
 def test_what_creeps_is_not_frozen():

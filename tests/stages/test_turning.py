@@ -78,7 +78,7 @@ def test_what_is_left_of_the_views_is_their_noise():
     found = fitted(views(np.array([2.0, 0.0, 25.0]), np.array([1.0, 0.7, 0.5]), np.zeros(3), SIGMA_NORM, n=40))
     n_left = 40 * (2 * len(T_S) - 3)
     assert 0.9 * n_left < found.squares[0] < 1.1 * n_left
-    assert 0.8 < found.usual[0] < 1.1
+    assert 0.8 < found.median_chi2[0] < 1.1
 
 
 def views_on_a_circle(middle_m, velocity_m_s, own_m_s, turn_rad_s, half_size_m, noise, n=60, seed=3):
@@ -112,7 +112,7 @@ def views_of_a_car_ahead(turn_rad_s, seed):
 def test_what_drives_round_a_tight_bend_is_found_on_its_circle():
     found = fitted(views_of_a_tight_bend(-0.45))
     np.testing.assert_allclose(found.turn_rad_s[0], [0.0, -0.45, 0.0], atol=0.02)
-    assert found.usual[0] < 1.2
+    assert found.median_chi2[0] < 1.2
 
 
 def test_a_car_ahead_in_a_bend_turns_as_fast_as_it_does():

@@ -65,5 +65,5 @@ def converged(points, paths):
     return fit_on_paths(points, paths, fit.rate_hz)
 
 
-def usual_misfit(points, paths):
-    return np.median(converged(points, paths).misfit)
+def median_redchi(points, paths):
+    return np.median(converged(points, paths).redchi)

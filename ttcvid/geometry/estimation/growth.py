@@ -57,14 +57,14 @@ class GrowthSums:
         cov = np.linalg.inv(info)
         return cov @ [score_a, score_b, score_c, score_s], cov
 
-    def misfits(self, unknowns: Floats) -> Floats:
+    def redchi_of(self, unknowns: Floats) -> Floats:
         """Chi-square over degrees of freedom of each track with (a, b, c, s) ``(4, ...)``: (..., M)."""
         a, b, c, s = unknowns
         by_path = [a * a + b * b, 2.0 * a * c, 2.0 * b * c, c * c, -2.0 * a, -2.0 * b, -2.0 * c, np.ones_like(a)]
         by_sums = np.stack([*by_path, 2.0 * a * s, 2.0 * b * s, 2.0 * c * s, s * s, -2.0 * s], axis=-1)
         return np.asarray(np.maximum(by_sums @ self.sums, 0.0) / self.freedom)
 
-    def sharing_a_velocity(self, misfit: Floats, gate: float, least_tracks: int) -> Bools | None:
+    def sharing_a_velocity(self, redchi: Floats, gate: float, least_tracks: int) -> Bools | None:
         """Which tracks (M,) one velocity explains that comes nearer; None where they are too few.
 
         What the first track says with each of the others is tried, and what explains most better than the scene is
@@ -72,36 +72,36 @@ class GrowthSums:
 
         Parameters
         ----------
-        misfit : (M,) of the tracks on the scene's path; what misfits by more than the ``gate`` does not fit.
+        redchi : (M,) of the tracks on the scene's path; what misfits by more than the ``gate`` does not fit.
         """
-        if len(misfit) < max(least_tracks, 2):
+        if len(redchi) < max(least_tracks, 2):
             return None
-        limit = np.minimum(gate, np.maximum(misfit, _NOISE) + _NOT_WORSE)
-        each_fits, gain = self._explained(self.sums[:, :1] + self.sums[:, 1:], misfit, limit)
+        limit = np.minimum(gate, np.maximum(redchi, _NOISE) + _NOT_WORSE)
+        each_fits, gain = self._explained(self.sums[:, :1] + self.sums[:, 1:], redchi, limit)
         fits: Bools = each_fits[int(np.argmax(gain))]
         for _ in range(_ROUNDS - 1):
             if np.count_nonzero(fits) < least_tracks:
                 return None
-            all_fit, _ = self._explained(self.sums[:, fits].sum(axis=1, keepdims=True), misfit, limit)
+            all_fit, _ = self._explained(self.sums[:, fits].sum(axis=1, keepdims=True), redchi, limit)
             fits = all_fit[0]
         return fits if np.count_nonzero(fits) >= least_tracks else None
 
-    def _explained(self, total: Floats, misfit: Floats, limit: Floats) -> tuple[Bools, Floats]:
+    def _explained(self, total: Floats, redchi: Floats, limit: Floats) -> tuple[Bools, Floats]:
         """Tracks ``(K, M)`` below their ``limit (M,)`` at what each of K sums ``total (13, K)`` says, if that nears.
 
         And by how much their chi-square is less than on the scene's path, (K,).
         """
-        fits, gain = np.zeros((total.shape[1], len(misfit)), dtype=bool), np.zeros(total.shape[1])
-        _explain(total, self.sums, self.freedom, misfit, limit, fits, gain)
+        fits, gain = np.zeros((total.shape[1], len(redchi)), dtype=bool), np.zeros(total.shape[1])
+        _explain(total, self.sums, self.freedom, redchi, limit, fits, gain)
         return fits, gain
 
 
 @compiled_for("(f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], b1[:, ::1], f8[::1])")
 def _explain(
-    total: Floats, sums: Floats, freedom: Floats, misfit: Floats, limit: Floats, fits: Bools, gain: Floats
+    total: Floats, sums: Floats, freedom: Floats, redchi: Floats, limit: Floats, fits: Bools, gain: Floats
 ) -> None:
     """Fill ``fits (K, M)`` and ``gain (K,)``, zeros before, as `GrowthSums._explained` returns them."""
-    terms, chi2 = np.empty(len(sums)), np.empty(len(misfit))
+    terms, chi2 = np.empty(len(sums)), np.empty(len(redchi))
     for k in range(len(gain)):
         aa, ac, bc, score_a, score_b, as_, bs = (
             total[0, k],
@@ -121,22 +121,22 @@ def _explain(
         if not (aa > 0.0 and cc > 0.0 and rest > 0.0 and c < 0.0):
             continue
         a, b = (score_a - ac * c - as_ * s) / aa, (score_b - bc * c - bs * s) / aa
-        # As in `GrowthSums.misfits`.
+        # As in `GrowthSums.redchi_of`.
         terms[0], terms[1], terms[2], terms[3] = a * a + b * b, 2.0 * a * c, 2.0 * b * c, c * c
         terms[4], terms[5], terms[6], terms[7] = -2.0 * a, -2.0 * b, -2.0 * c, 1.0
         terms[8], terms[9], terms[10], terms[11], terms[12] = 2.0 * a * s, 2.0 * b * s, 2.0 * c * s, s * s, -2.0 * s
-        for i in range(len(misfit)):
+        for i in range(len(redchi)):
             chi2[i] = 0.0
         for r in range(len(sums)):
-            for i in range(len(misfit)):
+            for i in range(len(redchi)):
                 chi2[i] += terms[r] * sums[r, i]
-        for i in range(len(misfit)):
+        for i in range(len(redchi)):
             off = max(chi2[i], 0.0) / freedom[i]
             fits[k, i] = off < limit[i]
-            gain[k] += (misfit[i] - off) * freedom[i] if fits[k, i] else 0.0
+            gain[k] += (redchi[i] - off) * freedom[i] if fits[k, i] else 0.0
 
 
-def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats) -> GrowthSums:
+def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, shake: Floats) -> GrowthSums:
     """What each track says.
 
     Parameters
@@ -144,12 +144,12 @@ def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, sway: Floats) -
     xy : (L, M, 2) places in the plane z = 1 of the present camera, without its rotation, NaN where not seen.
     since_s : (L,) times relative to the present view.
     sigma_norm : (M,) noise of a coordinate.
-    sway : (L, 3) how far the scene lay off a straight way at its present velocity, in its units; 0 of a steady camera.
+    shake : (L, 3) how far the scene lay off a straight way at its present velocity, in its units; 0 of a steady camera.
     """
     is_seen = np.isfinite(xy[..., 0])
     # As numbers: numpy multiplies by truth values ten times as slowly.
     place, seen = np.where(is_seen, np.ascontiguousarray(xy.transpose(2, 0, 1)), 0.0), is_seen.astype(np.float64)
-    n, t, away = np.sum(seen, axis=0), since_s[:, None] * seen, sway.T[:, :, None]
+    n, t, away = np.sum(seen, axis=0), since_s[:, None] * seen, shake.T[:, :, None]
     # x = x0 + a t - c t x + s (sway_x - x sway_z), and the same with b for y: the columns, their means taken out.
     a, c, s, square = (
         column - np.sum(column, axis=-2, keepdims=True) / np.maximum(n, 1.0) * seen

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, ways_of, weights_by_misfit
+from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, ways_of, weights_by_redchi
 from ttcvid.geometry.kernels.rigid_points import add_last_steps
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.model import Floats
@@ -52,7 +52,7 @@ def with_newest_steps(
     unknowns x, y, rho of each point are eliminated (Schur complement).
     """
     count, n_lanes = len(paths), points.rays.shape[2]
-    weight, has_points = weights_by_misfit(points, fit, weight, count)
+    weight, has_points = weights_by_redchi(points, fit, weight, count)
     if len(points.since_s) < _LEAST_VIEWS or not has_points.any():
         return paths
     middle, equations = np.zeros((count, 3)) if priors.middle is None else priors.middle, np.zeros((count, 7, 6))

@@ -15,7 +15,7 @@ from ttcvid.geometry.kernels.newest_view import predict_newest
 from ttcvid.geometry.kernels.rigid_points import (
     HALF_WEIGHT,
     LANES,
-    LEAST_TYPICAL_MISFIT,
+    LEAST_TYPICAL_REDCHI,
     MOST_STEPS,
     fit_rigid_points,
     refine_ways,
@@ -72,14 +72,14 @@ class PathFit:
     """M points, each on the path of its thing.
 
     ``place (M, 2)`` now, in the plane z = 1; ``rate_hz (M,)`` rho with its standard deviation ``rate_sigma_hz (M,)``;
-    ``misfit (M,)`` robust chi-square over its degrees of freedom, about 1 for a point that moves along the path;
+    ``redchi (M,)`` robust chi-square over its degrees of freedom, about 1 for a point that moves along the path;
     ``n_views (M,)``. NaN (misfit: 0) with fewer than two views.
     """
 
     place: Floats
     rate_hz: Floats
     rate_sigma_hz: Floats
-    misfit: Floats
+    redchi: Floats
     n_views: Ints
 
     def take(self, index: Ints) -> PathFit:
@@ -128,7 +128,7 @@ def fit_on_paths(
     Source: DESIGN section 3 (w_i = s_i e).
     """
     m = len(points.track)
-    place, rate, sigma, misfit = np.empty((m, 2)), np.empty(m), np.empty(m), np.empty(m)
+    place, rate, sigma, redchi = np.empty((m, 2)), np.empty(m), np.empty(m), np.empty(m)
     n_views = np.empty(m, dtype=np.int64)
     least = least_rate_hz if isinstance(least_rate_hz, np.ndarray) else np.full(m, least_rate_hz)
     fit_rigid_points(
@@ -139,9 +139,9 @@ def fit_on_paths(
         points.sigma_norm,
         (np.zeros(m) if rate_hz is None else rate_hz, least),
         2 * MOST_STEPS if rate_hz is None else MOST_STEPS,
-        (place, rate, sigma, misfit, n_views),
+        (place, rate, sigma, redchi, n_views),
     )
-    return PathFit(place, rate, sigma, misfit, n_views)
+    return PathFit(place, rate, sigma, redchi, n_views)
 
 
 @dataclass(frozen=True)
@@ -176,12 +176,12 @@ def ways_of(paths: RigidPaths, n_views: int) -> Floats:
     return ways
 
 
-def weights_by_misfit(points: Points, fit: PathFit, weight: Floats, n_things: int) -> tuple[Floats, Bools]:
+def weights_by_redchi(points: Points, fit: PathFit, weight: Floats, n_things: int) -> tuple[Floats, Bools]:
     """The ``weight`` (M,) of points, less with an unusual misfit, 0 without a rate; and which things have any, (K,)."""
     has_rate = np.isfinite(fit.rate_hz)
-    of_used = np.where(has_rate & (weight > 0.0), fit.misfit, np.nan)
-    typical = np.maximum(medians(of_used, points.thing, n_things), LEAST_TYPICAL_MISFIT)
-    return np.where(has_rate, weight / (1.0 + fit.misfit / (HALF_WEIGHT * typical[points.thing])), 0.0), np.isfinite(
+    of_used = np.where(has_rate & (weight > 0.0), fit.redchi, np.nan)
+    typical = np.maximum(medians(of_used, points.thing, n_things), LEAST_TYPICAL_REDCHI)
+    return np.where(has_rate, weight / (1.0 + fit.redchi / (HALF_WEIGHT * typical[points.thing])), 0.0), np.isfinite(
         typical
     )
 

@@ -99,7 +99,7 @@ def _fit_each(
     information on two tangents b, c is s^2 (b' info c - (b' info e)(c' info e) / e' info e).
     """
     w, info, errors = points
-    e, pull, usual, half = np.empty(3), np.empty(3), np.empty(2), np.empty((3, 2))
+    e, pull, median_chi2, half = np.empty(3), np.empty(3), np.empty(2), np.empty((3, 2))
     # Two tangents and the residual, and the information on them that is left where the rate follows.
     n_columns = 3 + errors.shape[2]
     columns, told, equations = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, n_columns))
@@ -107,7 +107,7 @@ def _fit_each(
         is_converged = False
         for step in range(-2, _MAX_STEPS + 1):
             if step <= 0:
-                start = step + 2 if step < 0 else int(usual[1] <= usual[0])
+                start = step + 2 if step < 0 else int(median_chi2[1] <= median_chi2[0])
                 for a in range(3):
                     e[a] = guesses[k, start, a]
             fill_tangents(e[0], e[1], e[2], columns)
@@ -144,7 +144,7 @@ def _fit_each(
                 votes += min(max(rate * np.sqrt(max(info_rate, 0.0)), -_MAX_VOTE_SIGMAS), _MAX_VOTE_SIGMAS)
                 off += min(chi2[i], _CAUCHY_SIGMAS**2)
             if step < 0:
-                usual[step + 2] = median(chi2[first[k] : first[k + 1]])
+                median_chi2[step + 2] = median(chi2[first[k] : first[k + 1]])
                 continue
             ridge = _RIDGE * (equations[0, 0] + equations[1, 1] + 1e-300)
             n00, n01, n11 = equations[0, 0] + ridge, equations[0, 1], equations[1, 1] + ridge

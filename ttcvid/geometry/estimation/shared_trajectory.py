@@ -67,8 +67,8 @@ class SharedPaths:
 
     ``offset (K, 9)`` the shared unknowns, from the belief on, with ``cov (K, 9, 9)``. ``direction_cov (K, 3, 3)`` in
     rad^2 is that of the middle of what turns itself. What is left in all views: the ``squares (K,)`` of the residuals
-    in sigmas, each no larger than a robust fit counts it, and what is ``usual (K,)`` by the degree of freedom; 0 where
-    nothing was fitted.
+    in sigmas, each no larger than a robust fit counts it, and the ``median_chi2 (K,)`` by the degree of freedom; 0
+    where nothing was fitted.
     """
 
     path: Floats
@@ -77,7 +77,7 @@ class SharedPaths:
     cov: Floats
     direction_cov: Floats
     squares: Floats
-    usual: Floats
+    median_chi2: Floats
 
     @property
     def turn_rad_s(self) -> Floats:

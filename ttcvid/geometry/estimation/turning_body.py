@@ -40,7 +40,7 @@ class TurningBody:
 
     ``velocity_hz, acceleration_hz2 (3,)`` of the middle at time 0, the latter turning with the body; ``turn_rad_s
     (3,)``; ``cov (9, 9)`` of the three of them in this order, by the noise as given. ``squares`` of the residuals in
-    sigmas, each no larger than a robust fit counts it, and what is ``usual`` of them by the degree of freedom.
+    sigmas, each no larger than a robust fit counts it, and what is ``median_chi2`` of them by the degree of freedom.
     """
 
     centre: Floats
@@ -49,7 +49,7 @@ class TurningBody:
     turn_rad_s: Floats
     cov: Floats
     squares: float
-    usual: float
+    median_chi2: float
 
     @property
     def shared(self) -> Floats:
@@ -128,9 +128,9 @@ def _fitted(views: Views, own: Floats, start: Floats, bend_hz: float, turn_sigma
     own, shared, information, others = own.copy(), start.copy(), np.eye(9), (bend_hz, _LEAST_SPEED_HZ, _RELIEF)
     fit_turning_points(views, (start[6:], _HELD_RAD_S, *others), _ROUGH_CHI2, own, shared, information)
     free = np.zeros(3), turn_sigma_rad_s, *others
-    squares, usual = fit_turning_points(views, free, _FINE_CHI2, own, shared, information)
+    squares, median_chi2 = fit_turning_points(views, free, _FINE_CHI2, own, shared, information)
     cov: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    return TurningBody(views[3], shared[:3], shared[3:6], shared[6:], cov, squares, usual)
+    return TurningBody(views[3], shared[:3], shared[3:6], shared[6:], cov, squares, median_chi2)
 
 
 def _starts(xy: Floats, t_s: Floats, now: int) -> list[Floats]:
@@ -159,7 +159,7 @@ def _with_doubts(found: list[TurningBody]) -> TurningBody:
         apart = np.array([body.shared - end.shared for end in ends])
         if all(np.einsum("ki,ki->k", apart, np.linalg.solve(best.cov, apart.T).T) > _SAME_END_CHI2):
             ends.append(body)
-    worse = np.array([body.squares - best.squares for body in ends]) / max(1.0, best.usual)
+    worse = np.array([body.squares - best.squares for body in ends]) / max(1.0, best.median_chi2)
     share = np.exp(-0.5 * worse)
     apart = np.array([body.shared - best.shared for body in ends])
     cov = best.cov + np.einsum("k,ki,kj->ij", share / np.sum(share), apart, apart)

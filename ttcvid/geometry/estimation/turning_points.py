@@ -110,7 +110,7 @@ def fit_turning_points(
     score = step[_N_OWN:]
     for c in range(3):
         mean[6 + c] = mean_turn_rad_s[c]
-    n_steps, damping, cost, fall, scale2, squares, usual = ZERO, _FIRST_DAMPING, np.inf, np.inf, 1.0, np.inf, 1.0
+    n_steps, damping, cost, fall, scale2, squares, median_chi2 = ZERO, _FIRST_DAMPING, np.inf, np.inf, 1.0, np.inf, 1.0
     while True:
         # The trial, its cost by the scale of the place that it starts from.
         _set_trajectory(t_s, centre, moved, r, shift)
@@ -137,8 +137,8 @@ def fit_turning_points(
             damping = damping if n_steps == 0 else max(_LESS * damping, _LEAST_DAMPING)
             n_steps += 1
             # Beliefs weigh as much beside views that err by more than they should.
-            squares, usual, cost = trial_squares, median(per_point), 0.0
-            scale2 = max(1.0, usual)
+            squares, median_chi2, cost = trial_squares, median(per_point), 0.0
+            scale2 = max(1.0, median_chi2)
             far = ROBUST_SIGMAS**2 * scale2
             speed2 = max(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2, least_speed_hz**2)
             for c in range(3):
@@ -185,7 +185,7 @@ def fit_turning_points(
                     n += 2
                 add_equations(rows, n, of_points[i], of_points[i, _N_ALL])
         elif n_steps == 0:
-            return squares, usual
+            return squares, median_chi2
         else:
             damping *= _MORE
             is_done = damping >= _MOST_DAMPING
@@ -211,7 +211,7 @@ def fit_turning_points(
             for c in range(_N_SHARED):
                 for d in range(c):
                     information[d, c] = information[c, d]
-            return squares, usual
+            return squares, median_chi2
         fall += solve(information, score)
         for c in range(_N_SHARED):
             moved[c] = shared[c] + score[c]

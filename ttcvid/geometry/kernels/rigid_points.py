@@ -19,7 +19,7 @@ LANES = 8
 """M is a multiple of this, as fits the processor's registers."""
 MOST_STEPS = 2
 """Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames."""
-HALF_WEIGHT, LEAST_TYPICAL_MISFIT = 2.0, 0.25
+HALF_WEIGHT, LEAST_TYPICAL_REDCHI = 2.0, 0.25
 """Weight of a point falls to a half where its misfit is so many times the typical one, which counts as that at least.
 
 Not single residuals: where a path is wrong, all of a view are large.
@@ -59,7 +59,7 @@ def fit_rigid_points(
     It starts where the point is seen now, in the last view, and with so few steps a point that does not fit stays near
     there. No views at all if it is not seen now.
     """
-    place, rate, rate_sigma, misfit, n_views = found
+    place, rate, rate_sigma, redchi, n_views = found
     start, least = rates
     views, sums, s = np.empty((_N_ROWS, rays.shape[2])), np.empty(_N_SUMS), np.empty(3)
     last = rays.shape[2] - 1
@@ -67,7 +67,7 @@ def fit_rigid_points(
         n = _list_turned(rays, track[m], ways, body[m], 1.0 / sigma[track[m]], views)
         n_views[m] = n if views[_INVERSE, last] > 0.0 else 0
         if n_views[m] < 2:
-            place[m], rate[m], rate_sigma[m], misfit[m] = np.nan, np.nan, np.nan, 0.0
+            place[m], rate[m], rate_sigma[m], redchi[m] = np.nan, np.nan, np.nan, 0.0
             continue
         s[0], s[1], s[2] = views[_X, last], views[_Y, last], max(start[m] if np.isfinite(start[m]) else 0.0, least[m])
         info, chi2 = 0.0, 0.0
@@ -88,7 +88,7 @@ def fit_rigid_points(
                 chi2 = max(chi2 - fall, 0.0)
                 break
         place[m, 0], place[m, 1], rate[m], rate_sigma[m] = s[0], s[1], s[2], 1.0 / np.sqrt(info)
-        misfit[m] = chi2 / (2 * n - 3 if n > 2 else 1)
+        redchi[m] = chi2 / (2 * n - 3 if n > 2 else 1)
 
 
 @compiled_for(
@@ -118,9 +118,9 @@ def refine_ways(
     weight, rate = of_points
     count, n_views, n, since = len(ways), rays.shape[2], len(track), rays.shape[2] - len(since_s)
     views, rows, sums = np.empty((_N_ROWS, n_views)), np.empty((7, 2 * n_views)), np.empty((count, 28, n_views))
-    place, some_rate, rate_sigma, misfit = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
+    place, some_rate, rate_sigma, redchi = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
     some_track, some_body, seen, some = np.empty_like(track), np.empty_like(track), np.empty_like(track), track.copy()
-    start, used_misfit, typical, least = np.empty(n), np.empty(n), np.empty(count), np.zeros(n)
+    start, used_redchi, typical, least = np.empty(n), np.empty(n), np.empty(count), np.zeros(n)
     now, turned, information, change = np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 6)), np.empty(6)
     past, off = np.empty((len(since_s), 3, 3)), np.zeros((len(since_s), 3))
     is_left = np.ones(count, dtype=np.bool_)
@@ -130,20 +130,20 @@ def refine_ways(
             if is_left[body[m]] and n_steps[body[m]] > step:
                 some[n_some], some_track[n_some], some_body[n_some], start[n_some] = m, track[m], body[m], rate[m]
                 n_some += 1
-        found = place[:n_some], some_rate[:n_some], rate_sigma[:n_some], misfit[:n_some], seen[:n_some]
+        found = place[:n_some], some_rate[:n_some], rate_sigma[:n_some], redchi[:n_some], seen[:n_some]
         starts = start[:n_some], least[:n_some]
         fit_rigid_points(rays, some_track[:n_some], some_body[:n_some], ways, sigma, starts, MOST_STEPS, found)
         for j in range(n_some):
             rate[some[j]] = some_rate[j]
             is_used = np.isfinite(some_rate[j]) and weight[some[j]] > 0.0
-            used_misfit[j] = misfit[j] if is_used else np.nan
-        fill_medians(used_misfit[:n_some], some_body[:n_some], typical)
+            used_redchi[j] = redchi[j] if is_used else np.nan
+        fill_medians(used_redchi[:n_some], some_body[:n_some], typical)
         sums[:] = 0.0
         for j in range(n_some):
-            if np.isnan(used_misfit[j]):
+            if np.isnan(used_redchi[j]):
                 continue
             b, x0, y0, rho = some_body[j], place[j, 0], place[j, 1], some_rate[j]
-            share = weight[some[j]] / (1.0 + misfit[j] / (HALF_WEIGHT * max(typical[b], LEAST_TYPICAL_MISFIT)))
+            share = weight[some[j]] / (1.0 + redchi[j] / (HALF_WEIGHT * max(typical[b], LEAST_TYPICAL_REDCHI)))
             _list_turned(rays, some_track[j], ways, b, 1.0 / sigma[some_track[j]], views)
             for k in range(np.uint64(n_views)):
                 tx, ty, tz = views[_PATH_X, k], views[_PATH_Y, k], views[_PATH_Z, k]

@@ -21,7 +21,7 @@ from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, Egomotion, SceneW
 from ttcvid.stages.tracking.history import TrackHistory
 
 # A track follows a path with a smaller reduced chi-square, and a step within so many sigmas.
-_GATE_MISFIT, _SIGMAS = 6.0, 3.0
+_GATE_REDCHI, _SIGMAS = 6.0, 3.0
 # A track is judged by this quantile of its squared residuals over its value by noise (chi-square, two degrees
 # of freedom).
 _SHARE, _SHARE_CHI2 = 0.6, 1.83
@@ -101,17 +101,17 @@ def by_window(
     if paths is None:
         paths = _straight(history, history.cam_R_past, FORWARD_DIR if step.direction is None else step.direction)
     fit = _adjusted(tracks, paths, tells, _STEPS if before is not None else _FIRST_STEPS)
-    misfit = _misfits(tracks, paths if fit is None else fit.paths)
-    if fit is None or not _explains(tracks, misfit):
+    redchi = _redchis(tracks, paths if fit is None else fit.paths)
+    if fit is None or not _explains(tracks, redchi):
         other = _other(tracks, tells, turn_sigma_rad)
         if other is not None:
-            misfit_of_other = _misfits(tracks, other.paths)
-            if fit is None or _cost(tracks, misfit_of_other) < _cost(tracks, misfit) - _MARGIN:
-                fit, misfit = other, misfit_of_other
+            redchi_of_other = _redchis(tracks, other.paths)
+            if fit is None or _cost(tracks, redchi_of_other) < _cost(tracks, redchi) - _MARGIN:
+                fit, redchi = other, redchi_of_other
     if fit is None:
         return step
-    outside[seen] = misfit > _GATE_MISFIT
-    is_scene = _share(tracks, misfit) >= _LEAST_KNOWN
+    outside[seen] = redchi > _GATE_REDCHI
+    is_scene = _share(tracks, redchi) >= _LEAST_KNOWN
     return _result(history, fit, step, outside, is_scene)
 
 
@@ -136,7 +136,7 @@ def _points(tracks: _Tracks, index: Ints) -> Points:
     return Points(tracks.by_track, history.sigma_norm, history.since_s, index, np.zeros(len(index), dtype=np.int64))
 
 
-def _misfits(tracks: _Tracks, paths: RigidPaths) -> Floats:
+def _redchis(tracks: _Tracks, paths: RigidPaths) -> Floats:
     """How badly each present track (M,) follows a path: a quantile of its squared residuals, 1 by noise alone.
 
     With too few views it is 0. The mean would not do: of some tracks every third observation is displaced.
@@ -154,18 +154,18 @@ def _misfits(tracks: _Tracks, paths: RigidPaths) -> Floats:
     return np.where(n_views >= LEAST_VIEWS, square[at, np.arange(len(at))] / _SHARE_CHI2, 0.0)
 
 
-def _cost(tracks: _Tracks, misfit: Floats) -> float:
-    return tracks.per_part(np.minimum(misfit / _GATE_MISFIT, 1.0))
+def _cost(tracks: _Tracks, redchi: Floats) -> float:
+    return tracks.per_part(np.minimum(redchi / _GATE_REDCHI, 1.0))
 
 
-def _explains(tracks: _Tracks, misfit: Floats) -> bool:
+def _explains(tracks: _Tracks, redchi: Floats) -> bool:
     """Whether a path explains the picture but for known movers, which do not fill most of it."""
-    return _share(tracks, misfit) >= _EXPLAINED and tracks.per_part(misfit < _GATE_MISFIT) >= _LEAST_EXPLAINED
+    return _share(tracks, redchi) >= _EXPLAINED and tracks.per_part(redchi < _GATE_REDCHI) >= _LEAST_EXPLAINED
 
 
-def _share(tracks: _Tracks, misfit: Floats) -> float:
+def _share(tracks: _Tracks, redchi: Floats) -> float:
     """Share of the parts of the picture that follow a path, or belong to known movers."""
-    return tracks.per_part((misfit < _GATE_MISFIT) | ~tracks.in_scene[tracks.seen])
+    return tracks.per_part((redchi < _GATE_REDCHI) | ~tracks.in_scene[tracks.seen])
 
 
 def _adjusted(tracks: _Tracks, paths: RigidPaths, tells: Bools, n_steps: int) -> WindowFit | None:

@@ -69,15 +69,15 @@ def _compared(t_s: Floats) -> list[tuple[int, int]]:
     Times may be uneven, and frames missing: a pair that is off by more than half a step is not compared, unless the
     usual interval is longer.
     """
-    usual_s = usual_step_s(t_s)
+    median_s = usual_step_s(t_s)
     compared, next_s = list[tuple[int, int]](), -np.inf
     for now in range(len(t_s) - 1):
         if t_s[now] < next_s:
             continue
-        next_s = t_s[now] + 0.5 * (_STEP_S - usual_s)
+        next_s = t_s[now] + 0.5 * (_STEP_S - median_s)
         late_s = np.abs(t_s[now + 1 :] - t_s[now] - _STEP_S)
         nearest = int(np.argmin(late_s))
-        if late_s[nearest] <= max(0.5 * _STEP_S, usual_s):
+        if late_s[nearest] <= max(0.5 * _STEP_S, median_s):
             compared.append((now, now + 1 + nearest))
     return compared
 

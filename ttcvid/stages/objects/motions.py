@@ -37,7 +37,7 @@ _STAYING_PX, _STAYING_VIEWS, _TURNED_PX = 0.5, 10, 5.0
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
 _SURE_PART = 0.008
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
-_LOST_MISFIT = 50.0
+_LOST_REDCHI = 50.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def find_motions(
         )
         history = without_displaced(replace(history, cam_R_past=found.seen.scene.cam_R_past[0]), found.is_displaced)
         is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced
-        in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.misfit < _LOST_MISFIT)
+        in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.redchi < _LOST_REDCHI)
         objects = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:

@@ -34,7 +34,7 @@ def in_our_way(
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What of the scene stands in our way, as objects that move as the scene does; and the memory with them."""
     way = own_path(found.seen.scene.path[0], history.since_s)
-    in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.misfit < config.bodies.scene_gate)
+    in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.redchi < config.bodies.scene_gate)
     platform = config.egomotion.platform
     road = memory.road.plane
     if platform == Platform.free and way is not None:
@@ -79,7 +79,7 @@ def growing_things(
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
-    on_scene = OnScene(found.seen.misfit, found.seen.usual_misfit, (found.key == SCENE_CLUSTER) & is_free)
+    on_scene = OnScene(found.seen.redchi, found.seen.median_redchi, (found.key == SCENE_CLUSTER) & is_free)
     public, growing, next_cluster_id = find_growing(
         memory.growing, history, on_scene, error_px, link_px, memory.next_cluster_id, config.bodies
     )

@@ -113,14 +113,14 @@ def _on_paths(
         config.max_frames,
         config.window_probability,
     )
-    misfit = _misfit(path_of, rates, len(paths.direction))
-    shared_cov = paths.cov * misfit[:, None, None]
+    redchi = _redchi(path_of, rates, len(paths.direction))
+    shared_cov = paths.cov * redchi[:, None, None]
     bend = _ACCELERATION_CHANGE * paths.offset[:, 3:6]
     shared_cov[:, 3:6, 3:6] += bend[:, :, None] * bend[:, None, :]
     own_cov = paths.direction_cov
-    direction_variance = misfit * (own_cov[:, 0, 0] + own_cov[:, 1, 1] + own_cov[:, 2, 2])
+    direction_variance = redchi * (own_cov[:, 0, 0] + own_cov[:, 1, 1] + own_cov[:, 2, 2])
     # `NO_PATH` picks the last one.
-    rate_variance = rates.cov[:, 2, 2] * np.append(misfit, 1.0)[path_of]
+    rate_variance = rates.cov[:, 2, 2] * np.append(redchi, 1.0)[path_of]
     found = velocities_on_paths(rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov)
     errors = (rates.rate_hz, rate_variance, found.jacobian, rates.by_shared)
     shared = SharedErrors(path_of, paths.direction, *errors, shared_cov, turn_rad_s)
@@ -159,7 +159,7 @@ def _are_at_epipole(history: TrackHistory, e: Floats, e_variance: Floats) -> Boo
     return is_at_epipole(then, now, e, history.sigma_norm**2, e_variance)
 
 
-def _misfit(path_of: Ints, rates: PathRates, count: int) -> Floats:
+def _redchi(path_of: Ints, rates: PathRates, count: int) -> Floats:
     """By how much the variances (K,) of paths have to be larger (Birge's ratio): their tracks fit worse than noise."""
     on_path = path_of != NO_PATH
     chi2, dof = (np.bincount(path_of[on_path], each[on_path], count) for each in (rates.chi2, rates.dof))

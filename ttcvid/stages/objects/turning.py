@@ -90,20 +90,20 @@ def straight_or_in_bend(
     fits = fit_paths(points, beliefs, longest, probability)
     straight = fits.paths()
     chi2, by_views_rad_s = _turns_by_views(straight, beliefs.turn_sigma_rad_s)
-    is_rejected, of_noise = straight.usual > _REJECTED, np.maximum(straight.usual, 1.0)
+    is_rejected, of_noise = straight.median_chi2 > _REJECTED, np.maximum(straight.median_chi2, 1.0)
     chosen, is_straight = straight, np.ones(len(chi2), dtype=bool)
     if may_leave_directions:
         is_doubted = (chi2 > _BEND_CHI2 * of_noise) | is_rejected
         has_points = np.diff(points.first) >= _LEAST_POINTS
         for k in np.flatnonzero(is_doubted & (by_views_rad_s > _ASKED_TURN_RAD_S) & has_points):
             body = _turning_body(points, int(k), beliefs, float(straight.squares[k]))
-            if straight.squares[k] - body.squares > _SURE_CHI2 * max(body.usual, 1.0):
+            if straight.squares[k] - body.squares > _SURE_CHI2 * max(body.median_chi2, 1.0):
                 chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
                 is_straight[k] = False
     elif (may_turn := (chi2 > _SURE_CHI2 * of_noise) | is_rejected).any():
         in_bend = fit_shared_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
         gain = straight.squares[may_turn] - in_bend.squares
-        bends = gain > _BEND_CHI2 * np.maximum(in_bend.usual, 1.0)
+        bends = gain > _BEND_CHI2 * np.maximum(in_bend.median_chi2, 1.0)
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
         is_straight[may_turn] = ~bends
     is_straight &= chi2 <= _STRAIGHT_CHI2 * of_noise
@@ -122,7 +122,7 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
     noise = points.sigma_norm[own]
 
     def beats(body: TurningBody) -> bool:
-        return body.squares + _BEND_CHI2 * max(1.0, body.usual) <= to_beat
+        return body.squares + _BEND_CHI2 * max(1.0, body.median_chi2) <= to_beat
 
     return fit_turning_body(points.xy[:, own], points.t_s, noise, bend_hz, TURN_SIGMA_RAD_S, beats)
 
@@ -130,7 +130,7 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
     """The trajectory of a turning body as `SharedPaths` of K = 1."""
     offset, covs = np.concatenate([np.zeros(6), body.turn_rad_s])[None], (body.path_cov[None], body.direction_cov[None])
-    quality = np.array([body.squares]), np.array([body.usual])
+    quality = np.array([body.squares]), np.array([body.median_chi2])
     return SharedPaths(body.path_turned_back(t_s)[None], body.start[None], offset, *covs, *quality)
 
 

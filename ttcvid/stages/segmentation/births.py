@@ -36,7 +36,7 @@ _FIRST_STEPS = 3
 # Slip of a tracker's square window on a road that scales and shears, as a share of the flow of a frame.
 _SLIP = 0.02
 # Reduced chi-squares are at least this where their logarithm is taken.
-_NO_MISFIT = 0.1
+_NO_REDCHI = 0.1
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ def new_movers(
     Of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
     is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
-    misfit = _without_slip(views, on_road(seen.fit, seen.road), seen.misfit)
-    candidates = _candidates(neighbours, is_asked, misfit, config)
+    redchi = _without_slip(views, on_road(seen.fit, seen.road), seen.redchi)
+    candidates = _candidates(neighbours, is_asked, redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
     # In the air an object straight at us is found as one surface, whose times few tracks determine.
@@ -81,11 +81,11 @@ def new_movers(
     members = expanding_movers(views, seen, may_spread, candidates, config, few_are_enough=are_few_enough)
     nowhere = np.zeros_like(in_scene)
     things = _Things(members, tracks_needed(members, config), nowhere, np.zeros_like(views.edge))
-    is_static = in_scene & (seen.misfit < config.scene_gate)
+    is_static = in_scene & (seen.redchi < config.scene_gate)
     spread, paths, rate_hz = _explained(views, seen, things, is_static, neighbours, config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)
-    is_along = (seen.misfit > config.scene_gate) & (seen.seen_misfit < config.scene_gate)
+    is_along = (seen.redchi > config.scene_gate) & (seen.seen_redchi < config.scene_gate)
     members = _alike_things(views, seen.scene, candidates, is_along, config)
     # Without camera translation all surfaces have the same flow, and no window slips.
     edge = views.edge if seen.moves_past else np.zeros_like(views.edge)
@@ -101,7 +101,7 @@ def _explained(
 
     Returned as by `new_movers`, with the tracks explained better; ``is_static (N,)`` tracks that the scene explains.
     """
-    scene, misfit, usual_misfit, is_along = seen.scene, seen.misfit, seen.usual_misfit, things.is_along
+    scene, redchi, median_redchi, is_along = seen.scene, seen.redchi, seen.median_redchi, things.is_along
     if not things.members:
         return [], scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
     track = np.concatenate([members for members, _ in things.members])
@@ -112,38 +112,38 @@ def _explained(
     ways[np.bincount(thing, is_along[track]) > 0.0] = scene.path[0]
     starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
-    misfit_by_own = fit_on_movers(points, paths, rate_hz).misfit / usual_misfit
-    is_better = misfit_by_own < misfit[track] / config.gain
+    redchi_by_own = fit_on_movers(points, paths, rate_hz).redchi / median_redchi
+    is_better = redchi_by_own < redchi[track] / config.gain
     is_found = np.bincount(thing, is_better) > 0.5 * np.bincount(thing)
     if is_found.any():
         xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
         may_slide = between_surfaces(scene, seen.fit, is_static, track, neighbours[track], xy) & ~is_along[track]
         # Corners that slide along two outlines are nearly rigid: a rigid body has to fit better still.
-        is_sure = is_better & (~may_slide | (misfit_by_own < misfit[track] / config.gain**2))
-        gate = config.scene_gate * usual_misfit
+        is_sure = is_better & (~may_slide | (redchi_by_own < redchi[track] / config.gain**2))
+        gate = config.scene_gate * median_redchi
         slips = may_slip(things.edge[track], xy, scene.path[0], views.sigma_norm[track], gate)
         is_found &= np.bincount(thing, is_sure & (~slips | is_along[track])) >= things.needed
     found = np.flatnonzero(is_found)
     return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 
 
-def _without_slip(views: BodyViews, on_road: Bools, misfit: Floats) -> Floats:
+def _without_slip(views: BodyViews, on_road: Bools, redchi: Floats) -> Floats:
     """Reduced chi-squares ``(N,)``; those of tracks on the road with the slip of their window added to their noise."""
     if len(views.rays) < 2:
-        return misfit
+        return redchi
     moved = views.rays[-1] - views.rays[-2]
     noise2, slip2 = views.sigma_norm**2, _SLIP**2 * (moved * moved).sum(axis=1)
     # NaN: not observed before.
-    return np.where(on_road & (slip2 > 0.0), misfit * (noise2 / (noise2 + slip2)), misfit)
+    return np.where(on_road & (slip2 > 0.0), redchi * (noise2 / (noise2 + slip2)), redchi)
 
 
-def _candidates(neighbours: Ints, is_asked: Bools, misfit: Floats, config: BodiesConfig) -> Ints:
+def _candidates(neighbours: Ints, is_asked: Bools, redchi: Floats, config: BodiesConfig) -> Ints:
     """Indices ``(M,)`` of tracks that contradict the scene, in a neighbourhood that contradicts it."""
-    index = np.flatnonzero(is_asked & (misfit > config.scene_gate))
+    index = np.flatnonzero(is_asked & (redchi > config.scene_gate))
     around = np.column_stack([index, neighbours[index]])
     is_known = is_asked[around]
     is_known[:, 1:] &= neighbours[index] != index[:, None]
-    middle = row_medians(np.log(np.maximum(misfit[around], _NO_MISFIT)), is_known)
+    middle = row_medians(np.log(np.maximum(redchi[around], _NO_REDCHI)), is_known)
     is_candidate = middle > _TOGETHER * np.log(config.scene_gate)
     return np.asarray(index[is_candidate & (is_known.sum(axis=1) >= _LEAST_AROUND)])
 

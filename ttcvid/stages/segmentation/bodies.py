@@ -148,8 +148,8 @@ def refined_movers(
     shift_sigma = _SHIFT_FLOOR - SHIFT_RATE_HZ * points.since_s
     priors = PathPriors(scene.cam_R_past[0], _turn_sigma_rad(points.since_s), shift_sigma)
     movers, rate_hz = refined_paths(points, movers, priors, n_steps, rate_hz=start_hz)
-    usual_hz = medians(rate_hz, points.thing, len(movers))
-    return movers, np.where(np.isnan(usual_hz), 0.0, usual_hz)
+    median_hz = medians(rate_hz, points.thing, len(movers))
+    return movers, np.where(np.isnan(median_hz), 0.0, median_hz)
 
 
 def stepped_movers(

@@ -65,8 +65,8 @@ class BodyViews:
 
 def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:
     """The points on the paths of movers, their rates not far below what is usual on each: ``rate_hz (K,)``."""
-    usual_hz = rate_hz[points.thing]
-    return fit_on_paths(points, movers, usual_hz, LEAST_RATE * usual_hz)
+    median_hz = rate_hz[points.thing]
+    return fit_on_paths(points, movers, median_hz, LEAST_RATE * median_hz)
 
 
 def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_error_px: float) -> BodyViews:

@@ -16,7 +16,7 @@ from ttcvid.stages.segmentation.scene import SeenScene
 
 # The cost of a label is ln(1 + reduced chi-square), capped at this chi-square. Rewards: agreement of all neighbours,
 # the former label, and the static scene, which most tracks belong to.
-_WORST_MISFIT, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
+_WORST_REDCHI, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
 # The rewards of the former label and of the scene hold for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A track whose reduced chi-square under the scene is below the first (over the usual one) is not associated with a
@@ -104,23 +104,23 @@ class OwnFit:
 
     Attributes
     ----------
-    misfit : ``(N,)`` reduced chi-square over the median one of the scene.
+    redchi : ``(N,)`` reduced chi-square over the median one of the scene.
     rate_hz, rate_sigma_hz : ``(N,)`` inverse depth of tracks of movers and its standard deviation, 1/s; NaN: unknown.
     """
 
-    misfit: Floats
+    redchi: Floats
     rate_hz: Floats
     rate_sigma_hz: Floats
 
     def without_rates(self, changes: Bools) -> OwnFit:
         """The same without the inverse depths of tracks ``changes (N,)``, whose body has got another trajectory."""
         rate_hz, sigma_hz = (np.where(changes, np.nan, known) for known in (self.rate_hz, self.rate_sigma_hz))
-        return OwnFit(self.misfit, rate_hz, sigma_hz)
+        return OwnFit(self.redchi, rate_hz, sigma_hz)
 
 
-def unknown_fit(misfit: Floats) -> OwnFit:
-    """A fit without inverse depths; ``misfit (N,)``."""
-    return OwnFit(misfit, np.full(len(misfit), np.nan), np.full(len(misfit), np.nan))
+def unknown_fit(redchi: Floats) -> OwnFit:
+    """A fit without inverse depths; ``redchi (N,)``."""
+    return OwnFit(redchi, np.full(len(redchi), np.nan), np.full(len(redchi), np.nan))
 
 
 def no_movers(n_views: int) -> Movers:
@@ -155,37 +155,37 @@ def assigned(
     Key ``(N,)`` of the body of each track; the movers, those along our direction on the trajectory of the scene; and
     the fit of each track on its body.
     """
-    misfit, scene_fit = seen.misfit, seen.fit
+    redchi, scene_fit = seen.redchi, seen.fit
     if not len(movers):
-        return key, movers, unknown_fit(misfit)
+        return key, movers, unknown_fit(redchi)
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = _votes(number, neighbours, n_bodies)
     # As one array, so that both are contiguous: other types would compile the fit of points a second time.
     track, mover = np.array(np.nonzero((votes[:, 1:] > 0) | (number[:, None] == np.arange(1, n_bodies))))
     points = views.points(track, mover)
     fit = fit_on_movers(points, movers.paths, movers.rate_hz)
-    off, rate_hz, sigma_hz = fit.misfit / seen.usual_misfit, fit.rate_hz, fit.rate_sigma_hz
+    off, rate_hz, sigma_hz = fit.redchi / seen.median_redchi, fit.rate_hz, fit.rate_sigma_hz
     is_held = are_held(fit, points, movers.rate_hz)
     is_own = number[track] == mover + 1
     if not seen.rests:
         # All former tracks of a mover count: those that its own trajectory no longer explains say most.
-        is_along = _most_of(is_own & (seen.seen_misfit[track] < off), is_own, mover, len(movers))
+        is_along = _most_of(is_own & (seen.seen_redchi[track] < off), is_own, mover, len(movers))
         movers = _on_path_of(seen, movers, number, is_along)
         along = is_along[mover]
         most_hz = scene_fit.rate_hz + _RATE_SIGMAS * scene_fit.rate_sigma_hz
         is_far = most_hz[track] < LEAST_RATE * movers.rate_hz[mover]
-        off = np.where(along, np.where(is_far, np.inf, seen.seen_misfit[track]), off)
+        off = np.where(along, np.where(is_far, np.inf, seen.seen_redchi[track]), off)
         rate_hz = np.where(along, scene_fit.rate_hz[track], rate_hz)
         sigma_hz = np.where(along, scene_fit.rate_sigma_hz[track], sigma_hz)
         is_held &= ~along
-    is_other = misfit[track] < _SCENE_EXPLAINS
+    is_other = redchi[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
-    is_still = _most_of(is_own & (misfit[track] < _AS_STILL), is_own, mover, len(movers))
+    is_still = _most_of(is_own & (redchi[track] < _AS_STILL), is_own, mover, len(movers))
     # Infinite: combinations that are not tried, or excluded.
-    misfits = np.full((len(key), n_bodies), np.inf)
-    misfits[:, 0], misfits[track, 1 + mover] = misfit, np.where(is_other | is_still[mover], np.inf, off)
-    best = np.argmin(_costs(misfits, votes, number, scene_fit.n_views, seen.camera_rests), axis=1)
-    own = unknown_fit(np.take_along_axis(misfits, best[:, None], axis=1)[:, 0])
+    redchis = np.full((len(key), n_bodies), np.inf)
+    redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_still[mover], np.inf, off)
+    best = np.argmin(_costs(redchis, votes, number, scene_fit.n_views, seen.camera_rests), axis=1)
+    own = unknown_fit(np.take_along_axis(redchis, best[:, None], axis=1)[:, 0])
     is_best = best[track] == 1 + mover
     moves = track[is_best]
     own.rate_hz[moves] = np.where(is_held, np.nan, rate_hz)[is_best]
@@ -226,9 +226,9 @@ def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_
     trajectory of object ``thing (M,)``, 1/s; ``is_own (M,)`` whether it belongs to that now.
     """
     is_own = is_own & np.isfinite(rate_hz)
-    usual_hz = medians(rate_hz[is_own], thing[is_own], n_things)[thing]
+    median_hz = medians(rate_hz[is_own], thing[is_own], n_things)[thing]
     # False without an inverse depth (NaN) of the track or of the object.
-    return np.asarray(rate_hz - usual_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(usual_hz))
+    return np.asarray(rate_hz - median_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(median_hz))
 
 
 def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Ints:
@@ -239,17 +239,17 @@ def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Ints:
     return np.asarray(votes.reshape(len(number), n_bodies))
 
 
-def _costs(misfits: Floats, votes: Ints, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
+def _costs(redchis: Floats, votes: Ints, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
     """Cost of each body for each track: ``(N, B)``, the scene first.
 
-    By ``misfits, votes (N, B)``, reduced chi-square over the usual one and number of neighbours, and ``number, n_views
+    By ``redchis, votes (N, B)``, reduced chi-square over the median one and number of neighbours, and ``number, n_views
     (N,)``, former body and number of views. Before a camera at rest the trajectory of the scene is exact: no label is
     rewarded, chi-squares are not capped. A swinging leg fits its body badly, and the scene worse.
     """
     heard = votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1, keepdims=True), 1))
     if camera_rests:
-        return np.asarray(np.log1p(misfits) - heard)
-    costs = np.where(np.isinf(misfits), np.inf, np.log1p(np.minimum(misfits, _WORST_MISFIT)) - heard)
+        return np.asarray(np.log1p(redchis) - heard)
+    costs = np.where(np.isinf(redchis), np.inf, np.log1p(np.minimum(redchis, _WORST_REDCHI)) - heard)
     costs[n_views > _SCENE_VIEWS, 0] -= _SCENE_WEIGHT
     old = np.flatnonzero(n_views > _HABIT_VIEWS)
     costs[old, number[old]] -= _HABIT_WEIGHT

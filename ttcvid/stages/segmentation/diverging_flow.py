@@ -74,15 +74,15 @@ def expanding_movers(
     # Most tracks are around several of those asked, and say the same each time.
     near = around_any(views.xy_px, is_asked, may_be, views.link_px)
     xy = each_turned_into_plane(views.rays, near, seen.scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
-    sums = growth_sums(xy, views.since_s, np.sqrt(seen.usual_misfit) * views.sigma_norm[near], seen.sway)
-    xy_px, misfit, is_asked = views.xy_px[near], seen.misfit[near], is_asked[near]
+    sums = growth_sums(xy, views.since_s, np.sqrt(seen.median_redchi) * views.sigma_norm[near], seen.shake)
+    xy_px, redchi, is_asked = views.xy_px[near], seen.redchi[near], is_asked[near]
     is_free = np.ones(len(near), dtype=bool)
     for _ in range(_MOST_SEEDS):
         if len(things) == _MOST_THINGS or not np.count_nonzero(is_asked):
             break
-        seed, around = around_the_oddest(xy_px, misfit, is_asked, is_free, views.link_px)
+        seed, around = around_the_oddest(xy_px, redchi, is_asked, is_free, views.link_px)
         is_asked[seed] = False
-        found = _thing_around(sums.of(around), misfit[around], least, needed, config)
+        found = _thing_around(sums.of(around), redchi[around], least, needed, config)
         if found is None:
             continue
         thing = _Thing(around[found.is_in], found.unknowns)
@@ -97,7 +97,7 @@ def expanding_movers(
         elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, seen.scene.path[0, 0]):
             small.append(thing)
     things = _with_small_ones(things, small, sums, config)
-    return [(near[thing.members], thing.path(views.since_s, seen.sway)) for thing in things]
+    return [(near[thing.members], thing.path(views.since_s, seen.shake)) for thing in things]
 
 
 @dataclass(frozen=True)
@@ -107,9 +107,9 @@ class _Thing:
     members: Ints
     unknowns: Floats
 
-    def path(self, since_s: Floats, sway: Floats) -> Floats:
+    def path(self, since_s: Floats, shake: Floats) -> Floats:
         """Where it was at the times ``since_s (L,)``, less where it is, in s of its speed: (L, 3)."""
-        way = since_s[:, None] * self.unknowns[:3] + self.unknowns[3] * sway
+        way = since_s[:, None] * self.unknowns[:3] + self.unknowns[3] * shake
         return np.asarray(way / np.linalg.norm(self.unknowns[:3]))
 
 
@@ -134,43 +134,43 @@ def _with_small_ones(things: list[_Thing], small: list[_Thing], sums: GrowthSums
     things = list(things)
     for thing in small:
         own = sums.of(thing.members)
-        is_other = all(float(np.median(own.misfits(one.unknowns))) > config.scene_gate for one in things)
+        is_other = all(float(np.median(own.redchi_of(one.unknowns))) > config.scene_gate for one in things)
         is_free = not any(np.isin(thing.members, one.members).any() for one in things)
         if len(things) < _MOST_THINGS and is_free and is_other:
             things.append(thing)
     return things
 
 
-def _thing_around(sums: GrowthSums, misfit: Floats, least: int, needed: int, config: BodiesConfig) -> _Sharing | None:
+def _thing_around(sums: GrowthSums, redchi: Floats, least: int, needed: int, config: BodiesConfig) -> _Sharing | None:
     """Which of some tracks (M,), so many at the ``least``, are a thing with the first; None: too few.
 
     Of fewer than ``needed`` those that contradict the scene one by one.
     """
-    n_odd = np.count_nonzero(misfit > config.gain)
+    n_odd = np.count_nonzero(redchi > config.gain)
     if n_odd < least:
         return None
-    fits = sums.sharing_a_velocity(misfit, config.scene_gate, least)
+    fits = sums.sharing_a_velocity(redchi, config.scene_gate, least)
     if fits is None:
         return None
     unknowns, cov = sums.unknowns(fits)
-    own = sums.misfits(unknowns)
-    is_better = np.maximum(own[fits], _NOISE).sum() < misfit[fits].sum() / config.gain
-    if not (fits[0] and own[0] < misfit[0] / config.gain and is_better):
+    own = sums.redchi_of(unknowns)
+    is_better = np.maximum(own[fits], _NOISE).sum() < redchi[fits].sum() / config.gain
+    if not (fits[0] and own[0] < redchi[0] / config.gain and is_better):
         return None
     if min(n_odd, np.count_nonzero(fits)) < needed:
-        return _odd_ones(sums, fits, misfit, config)
+        return _odd_ones(sums, fits, redchi, config)
     return _shared_by(fits, unknowns, cov, own, is_few=False)
 
 
-def _odd_ones(sums: GrowthSums, fits: Bools, misfit: Floats, config: BodiesConfig) -> _Sharing | None:
+def _odd_ones(sums: GrowthSums, fits: Bools, redchi: Floats, config: BodiesConfig) -> _Sharing | None:
     """Those of the tracks ``fits (M,)`` that contradict the scene one by one; None where they are too few."""
-    fits = fits & (misfit > config.scene_gate)
+    fits = fits & (redchi > config.scene_gate)
     for _ in range(_ROUNDS):
         if np.count_nonzero(fits) < _FEW_TRACKS:
             return None
         unknowns, cov = sums.unknowns(fits)
-        own = sums.misfits(unknowns)
-        stays = fits & (own < misfit / config.gain)
+        own = sums.redchi_of(unknowns)
+        stays = fits & (own < redchi / config.gain)
         if np.array_equal(stays, fits):
             return _shared_by(fits, unknowns, cov, own, is_few=True)
         fits = stays

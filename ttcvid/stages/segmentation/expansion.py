@@ -42,10 +42,10 @@ class Growing:
 
 @dataclass(frozen=True)
 class OnScene:
-    """How the scene explains N tracks: ``misfit (N,)`` in units of ``usual_misfit``; ``may_be (N,)`` of no mover."""
+    """How the scene explains N tracks: ``redchi (N,)`` in units of ``median_redchi``; ``may_be (N,)`` of no mover."""
 
-    misfit: Floats
-    usual_misfit: float
+    redchi: Floats
+    median_redchi: float
     may_be: Bools
 
 
@@ -80,15 +80,15 @@ def _things(
     history: TrackHistory, on_scene: OnScene, is_known: Bools, error_px: float, link_px: float, config: BodiesConfig
 ) -> list[Growing]:
     """The things that grow around tracks that contradict the scene, or are known to be part of one."""
-    misfit, may_be = on_scene.misfit, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
-    is_asked = may_be & ((misfit > config.scene_gate) | is_known)
+    redchi, may_be = on_scene.redchi, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
+    is_asked = may_be & ((redchi > config.scene_gate) | is_known)
     things = list[Growing]()
     for _ in range(_MOST_THINGS):
         if not is_asked.any():
             break
-        seed, around = around_the_oddest(history.xy_px, misfit, is_asked, may_be, link_px)
+        seed, around = around_the_oddest(history.xy_px, redchi, is_asked, may_be, link_px)
         is_asked[seed] = False
-        thing = _thing_around(history, around, misfit[around], on_scene.usual_misfit, error_px, config)
+        thing = _thing_around(history, around, redchi[around], on_scene.median_redchi, error_px, config)
         if thing is not None:
             things.append(thing)
             may_be[thing.members] = is_asked[thing.members] = False
@@ -96,14 +96,14 @@ def _things(
 
 
 def around_the_oddest(
-    xy_px: Floats, misfit: Floats, is_asked: Bools, may_be: Bools, link_px: float
+    xy_px: Floats, redchi: Floats, is_asked: Bools, may_be: Bools, link_px: float
 ) -> tuple[int, Ints]:
     """Of the tracks that are asked, the one that the scene explains worst, and the nearest around it, nearest first.
 
-    At ``xy_px (N, 2)``, with reduced chi-squares ``misfit (N,)`` on the scene's trajectory; ``may_be (N,)`` those that
+    At ``xy_px (N, 2)``, with reduced chi-squares ``redchi (N,)`` on the scene's trajectory; ``may_be (N,)`` those that
     may be around it, within some ``link_px``.
     """
-    seed = int(np.argmax(np.where(is_asked, misfit, -np.inf)))
+    seed = int(np.argmax(np.where(is_asked, redchi, -np.inf)))
     off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
     around = np.flatnonzero(may_be & (off_px < _LINKS * link_px))
     return seed, around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
@@ -118,7 +118,7 @@ def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) ->
 
 
 def _thing_around(
-    history: TrackHistory, around: Ints, misfit: Floats, usual_misfit: float, error_px: float, config: BodiesConfig
+    history: TrackHistory, around: Ints, redchi: Floats, median_redchi: float, error_px: float, config: BodiesConfig
 ) -> Growing | None:
     """The thing that the first of some tracks (M,) is a part of; None where they show none that comes at us."""
     if len(around) < _LEAST_TRACKS:
@@ -128,13 +128,13 @@ def _thing_around(
     sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
     # An aircraft flies straight on.
     straight_on = np.zeros((len(xy), 3))
-    sums = growth_sums(xy, history.since_s[past], np.sqrt(usual_misfit) * sigma_norm, straight_on)
-    fits = sums.sharing_a_velocity(misfit, config.scene_gate, _LEAST_TRACKS)
+    sums = growth_sums(xy, history.since_s[past], np.sqrt(median_redchi) * sigma_norm, straight_on)
+    fits = sums.sharing_a_velocity(redchi, config.scene_gate, _LEAST_TRACKS)
     if fits is None:
         return None
     unknowns, cov = sums.unknowns(fits)
-    own, velocity_hz, cov = sums.misfits(unknowns), unknowns[:3], cov[:3, :3]
-    if not fits[0] or (misfit[0] > config.scene_gate and not own[0] < misfit[0] / config.gain):
+    own, velocity_hz, cov = sums.redchi_of(unknowns), unknowns[:3], cov[:3, :3]
+    if not fits[0] or (redchi[0] > config.scene_gate and not own[0] < redchi[0] / config.gain):
         return None
     cov = max(float(own[fits].mean()), 1.0) * cov + _common_cov(history, around[fits], xy[:, fits])
     if not -velocity_hz[2] > max(SIGMAS_999 * float(np.sqrt(cov[2, 2])), 1.0 / REACHED_WITHIN_S):

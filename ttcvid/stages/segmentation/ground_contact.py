@@ -140,26 +140,26 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
 class _Feet:
     """Feet of K objects: the ``track (K,)`` of each, and the road's inverse depth there, ``road_hz (K,)``.
 
-    ``usual_hz, sigma_hz (K,)`` median inverse depth of each object and its standard deviation; ``slope_hz`` growth of
+    ``median_hz, sigma_hz (K,)`` median inverse depth of each object and its standard deviation; ``slope_hz`` growth of
     the road's inverse depth per tangent downwards. All in 1/s.
     """
 
     track: Ints
     road_hz: Floats
-    usual_hz: Floats
+    median_hz: Floats
     sigma_hz: Floats
     slope_hz: float
 
     @property
     def lie_under(self) -> Bools:
         """Objects ``(K,)`` with a foot significantly under the road that are not part of our own car."""
-        is_own = (self.usual_hz < _KEEPS_DISTANCE * self.road_hz) & (self.road_hz > self.slope_hz / _OWN_FRONT)
-        return np.asarray(~is_own & (_UNDER_PART * self.road_hz - self.usual_hz > self._tolerance_hz(_UNDER_PART)))
+        is_own = (self.median_hz < _KEEPS_DISTANCE * self.road_hz) & (self.road_hz > self.slope_hz / _OWN_FRONT)
+        return np.asarray(~is_own & (_UNDER_PART * self.road_hz - self.median_hz > self._tolerance_hz(_UNDER_PART)))
 
     @property
     def are_high(self) -> Bools:
         """Objects ``(K,)`` with a foot significantly over the road."""
-        return np.asarray(self.usual_hz - _HANGING_PART * self.road_hz > self._tolerance_hz(_HANGING_PART))
+        return np.asarray(self.median_hz - _HANGING_PART * self.road_hz > self._tolerance_hz(_HANGING_PART))
 
     def _tolerance_hz(self, part: float) -> Floats:
         """Tolerance ``(K,)`` of an object's inverse depth less that share of the road's at its foot, 1/s."""
@@ -211,9 +211,9 @@ def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
     is_road = np.abs(seen.rate_hz - seen.road_hz) < ON_ROAD * seen.road_hz
     if np.count_nonzero(is_below & is_road & (seen.rate_hz * _FARTHER < far_hz)) >= _SEEN_THROUGH:
         return True
-    usual_hz, middle = median(rate_hz), median(x[members])
-    down = (usual_hz - seen.road_hz[foot]) / seen.slope_hz
-    is_aside = abs(middle - seen.aim_x) * seen.slope_hz > _OWN_LANE * usual_hz
+    median_hz, middle = median(rate_hz), median(x[members])
+    down = (median_hz - seen.road_hz[foot]) / seen.slope_hz
+    is_aside = abs(middle - seen.aim_x) * seen.slope_hz > _OWN_LANE * median_hz
     # A nearer object may bear it, or hide its foot.
     bears = is_below & (y < low + down) & ~is_road & (seen.rate_hz * _FARTHER > far_hz)
     return bool(down * len(members) > _MISSING * (low - top) and not is_aside and not bears.any())

@@ -117,11 +117,11 @@ def find_bodies(
     key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
     seen = see_scene(history, egomotion, platform, memory.scene, memory.road, views, labels, config)
 
-    movers = _refined(movers, seen.scene, views, key, seen.usual_misfit)
+    movers = _refined(movers, seen.scene, views, key, seen.median_redchi)
     is_displaced = _are_displaced(views, seen, movers, key, rate_hz)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     # Tracks of the scene that fit it and are far from movers keep their label.
-    neighbours = views.neighbours(views.is_free & (seen.misfit > config.scene_gate), key != SCENE_CLUSTER)
+    neighbours = views.neighbours(views.is_free & (seen.redchi > config.scene_gate), key != SCENE_CLUSTER)
     key, movers, own = _divided(views, seen, key, movers, neighbours, config)
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     key, movers, next_key = split(views, key, movers, own, next_key, config)
@@ -151,11 +151,11 @@ def _are_displaced(views: BodyViews, seen: SeenScene, movers: Movers, key: Ints,
     area = _STRAY_PX**2 / (2.0 * np.pi * (views.sigma_norm * views.focal_px) ** 2)
     for _ in range(_ROUNDS):
         tells = is_known & ~is_displaced
-        usual = medians(surprise.chi2[tells], number[tells], len(movers) + 1) / _MEDIAN_CHI2_2
-        usual = np.fmax(usual, 1.0)[number]
+        median_chi2 = medians(surprise.chi2[tells], number[tells], len(movers) + 1) / _MEDIAN_CHI2_2
+        median_chi2 = np.fmax(median_chi2, 1.0)[number]
         odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + np.count_nonzero(tells))
-        limit = np.clip(2.0 * np.log(area / (usual * odds)), _LEAST_CHI2, _MOST_CHI2)
-        is_displaced = is_known & (surprise.chi2 > limit * usual)
+        limit = np.clip(2.0 * np.log(area / (median_chi2 * odds)), _LEAST_CHI2, _MOST_CHI2)
+        is_displaced = is_known & (surprise.chi2 > limit * median_chi2)
     if not is_displaced.any():
         return is_displaced
     beside = views.neighbours(is_displaced, np.zeros_like(is_displaced))[is_displaced]
@@ -186,7 +186,7 @@ def _divided(
     key, movers, own = assigned(views, seen, key, movers, neighbours)
     before = key
     key, movers = kept(views, key, movers, config)
-    key, movers = merged(views, seen.scene, key, movers, neighbours, own.misfit, seen.usual_misfit)
+    key, movers = merged(views, seen.scene, key, movers, neighbours, own.redchi, seen.median_redchi)
     # Tracks that return to the scene may be part of a birth.
     return key, movers, own.without_rates(np.isin(key, key[key != before]))
 
@@ -211,7 +211,7 @@ def _with_new(
         found = [members for members, is_mover in zip(found, is_one, strict=True) if is_mover]
         paths, found_hz = paths.take(is_one), found_hz[is_one]
     if found and len(movers):
-        key, movers, is_known = reidentified(views, seen.scene, key, movers, found, paths, found_hz, seen.usual_misfit)
+        key, movers, is_known = reidentified(views, seen.scene, key, movers, found, paths, found_hz, seen.median_redchi)
         found = [members for members, known in zip(found, is_known, strict=True) if not known]
         paths, found_hz = paths.take(~is_known), found_hz[~is_known]
     for count, members in enumerate(found):
@@ -266,7 +266,7 @@ def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Fl
     return track_id[order], np.concatenate([key, lost.key])[order], np.concatenate([rate_hz, lost.rate_hz])[order]
 
 
-def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usual_misfit: float) -> Movers:
+def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, median_redchi: float) -> Movers:
     """Movers with trajectories refined by the tracks of their last labels."""
     number = numbers_of(key, movers)
     has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
@@ -276,7 +276,7 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, usu
     steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
     points = views.points(track, number[track] - 1)
     paths, rate_hz = stepped_movers(movers.paths, scene, points, steps * has_points, movers.rate_hz)
-    paths, rate_hz = reinitialised(paths, rate_hz, is_due(movers.n_found), scene, points, usual_misfit)
+    paths, rate_hz = reinitialised(paths, rate_hz, is_due(movers.n_found), scene, points, median_redchi)
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 

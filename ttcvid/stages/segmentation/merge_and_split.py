@@ -22,8 +22,8 @@ _ONE_RATE, _BESIDE_RATE, _KNOWN_PART = 1.5, 1.2, 0.25
 # Two movers are merged if one trajectory raises their reduced chi-square (at least 1) by at most the first factor. That
 # is tried if the trajectory of the larger fits the smaller within the second: that of one half of a turning bus leaves
 # the other up to 30 times as far off before refinement.
-_MERGED_MISFIT, _WORTH_TRYING = 2.0, 32.0
-_LEAST_MISFIT = 1.0
+_MERGED_REDCHI, _WORTH_TRYING = 2.0, 32.0
+_LEAST_REDCHI = 1.0
 # Gauss-Newton steps for the joint trajectory, and largest number of tracks of each mover in its test.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
 _LEAST_TRACKS = 3
@@ -69,8 +69,8 @@ def merged(
     key: Ints,
     movers: Movers,
     neighbours: Ints,
-    own_misfit: Floats,
-    usual_misfit: float,
+    own_redchi: Floats,
+    median_redchi: float,
 ) -> tuple[Ints, Movers]:
     """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
 
@@ -80,17 +80,17 @@ def merged(
     ----------
     key : ``(N,)`` body of each track.
     neighbours : ``(N, K)`` neighbours of tracks that belong to a mover.
-    own_misfit : ``(N,)`` reduced chi-square of each track on its body, over ``usual_misfit``.
+    own_misfit : ``(N,)`` reduced chi-square of each track on its body, over ``median_redchi``.
     """
     number = numbers_of(key, movers)
     asked = _asked_neighbours(neighbours, number, movers)
     if asked is None:
         return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
-    pairs = _worth_trying(views, tracks_of, movers, *asked, own_misfit, usual_misfit)
+    pairs = _worth_trying(views, tracks_of, movers, *asked, own_redchi, median_redchi)
     if pairs is None:
         return key, movers
-    every = _joint(views, scene, tracks_of, movers, pairs, usual_misfit)
+    every = _joint(views, scene, tracks_of, movers, pairs, median_redchi)
     key, paths, rate_hz = key.copy(), movers.paths.take(np.arange(len(movers))), movers.rate_hz.copy()
     is_gone, is_changed = np.zeros(len(movers), dtype=bool), np.zeros(len(movers), dtype=bool)
     for place in range(len(pairs.large)):
@@ -100,7 +100,7 @@ def merged(
         if is_changed[both].any():
             # One of the two has just been merged with a third.
             movers = replace(movers, paths=paths, rate_hz=rate_hz)
-            joint, at = _joint(views, scene, tracks_of, movers, pairs.take(np.array([place])), usual_misfit), 0
+            joint, at = _joint(views, scene, tracks_of, movers, pairs.take(np.array([place])), median_redchi), 0
         if not joint.is_one[at]:
             continue
         younger, older = sorted(both, key=lambda mover: (movers.n_found[mover], -mover))
@@ -137,24 +137,24 @@ def _worth_trying(
     movers: Movers,
     large: Ints,
     small: Ints,
-    own_misfit: Floats,
-    usual_misfit: float,
+    own_redchi: Floats,
+    median_redchi: float,
 ) -> _Pairs | None:
     """Adjacent movers, of indices ``large, small (P,)``, whose merge is worth trying; None without any."""
     counts = np.array([len(tracks) for tracks in tracks_of], dtype=np.int64)
     few = np.repeat(np.arange(len(large)), counts[small])
     points = views.points(np.concatenate([tracks_of[place] for place in small]), few)
     fit = fit_on_movers(points, movers.paths.take(large), movers.rate_hz[large])
-    off = medians(fit.misfit, few, len(large)) / usual_misfit
+    off = medians(fit.redchi, few, len(large)) / median_redchi
     both = np.repeat(np.arange(len(large)), counts[large] + counts[small])
     own = np.concatenate([tracks_of[place] for pair in zip(large, small, strict=True) for place in pair])
-    limit = np.maximum(medians(own_misfit[own], both, len(large)), _LEAST_MISFIT)
+    limit = np.maximum(medians(own_redchi[own], both, len(large)), _LEAST_REDCHI)
     is_worth = off <= _WORTH_TRYING * limit
     return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
 
 
 def _joint(
-    views: BodyViews, scene: RigidPaths, tracks_of: list[Ints], movers: Movers, pairs: _Pairs, usual_misfit: float
+    views: BodyViews, scene: RigidPaths, tracks_of: list[Ints], movers: Movers, pairs: _Pairs, median_redchi: float
 ) -> _Joint:
     """Joint trajectory of each pair, and whether it is one mover."""
     of_pairs = [tracks_of[place] for pair in zip(pairs.large, pairs.small, strict=True) for place in pair]
@@ -169,7 +169,7 @@ def _joint(
     # A new track has no inverse depth yet.
     known = np.isfinite(fit.rate_hz)
     one, other = medians(fit.rate_hz[known], part[known], len(parts)).reshape(-1, 2).T
-    is_one = medians(fit.misfit, points.thing, n_pairs) < _MERGED_MISFIT * usual_misfit * pairs.limit
+    is_one = medians(fit.redchi, points.thing, n_pairs) < _MERGED_REDCHI * median_redchi * pairs.limit
     is_one_rate = np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
     for pair in np.flatnonzero(is_one & ~is_one_rate):
         is_one[pair] = _hang_together(views, joint.take(np.array([pair])), *of_pairs[2 * pair : 2 * pair + 2])

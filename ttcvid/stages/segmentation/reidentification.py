@@ -34,7 +34,7 @@ def reidentified(
     found: Sequence[Ints],
     paths: RigidPaths,
     rate_hz: Floats,
-    usual_misfit: float,
+    median_redchi: float,
 ) -> tuple[Ints, Movers, Bools]:
     """Which of J new movers are hidden ones: they lie at the predicted position of a hidden one, and move as it did.
 
@@ -53,7 +53,7 @@ def reidentified(
     for place, members in enumerate(found):
         if not len(hidden):
             break
-        as_hidden = _chi2_as_hidden(views, scene, members, movers.take(hidden), usual_misfit)
+        as_hidden = _chi2_as_hidden(views, scene, members, movers.take(hidden), median_redchi)
         best = int(np.argmin(as_hidden))
         if not as_hidden[best] <= _SAME_VELOCITY:
             continue
@@ -74,7 +74,7 @@ def with_velocities(views: BodyViews, scene: RigidPaths, key: Ints, movers: Move
     return replace(movers, last=movers.last.with_velocities(points, scene.cam_R_past[0], is_found, _STEPS))
 
 
-def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: Movers, usual_misfit: float) -> Floats:
+def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: Movers, median_redchi: float) -> Floats:
     """How much the velocity of some tracks differs from those of hidden movers: (K,), infinite where these are not.
 
     In units of what is unsure: of both by their tracks, and by how velocities change while a thing is not seen.
@@ -87,15 +87,15 @@ def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: 
     for mover in np.flatnonzero(away < limit):
         before = hidden.last.v_hz[mover]
         now, info = recent_velocities(views.points(members), scene.cam_R_past[0], before[None], _FIRST_STEPS)
-        cov = _covariance(hidden.last.info[mover], usual_misfit) + _covariance(info[0], usual_misfit)
+        cov = _covariance(hidden.last.info[mover], median_redchi) + _covariance(info[0], median_redchi)
         cov += (SHIFT_RATE_HZ * unseen_s[mover]) ** 2 * (before @ before) * np.eye(3)
         chi2[mover] = (now[0] - before) @ np.linalg.solve(cov, now[0] - before)
     return chi2
 
 
-def _covariance(info: Floats, usual_misfit: float) -> Floats:
+def _covariance(info: Floats, median_redchi: float) -> Floats:
     """The covariance (3, 3) of a velocity."""
-    return np.asarray(np.linalg.inv(info / usual_misfit + np.eye(3) / _MOST_UNSURE_HZ**2))
+    return np.asarray(np.linalg.inv(info / median_redchi + np.eye(3) / _MOST_UNSURE_HZ**2))
 
 
 def _moved_unseen(views: BodyViews, hidden: Movers) -> Floats:

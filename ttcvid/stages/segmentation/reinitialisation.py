@@ -29,7 +29,7 @@ _BEND_HZ = float(np.hypot(SHIFT_RATE_HZ, TURN_SIGMA_RAD_S))
 
 
 def reinitialised(
-    movers: RigidPaths, rate_hz: Floats, is_asked: Bools, scene: RigidPaths, points: Points, usual_misfit: float
+    movers: RigidPaths, rate_hz: Floats, is_asked: Bools, scene: RigidPaths, points: Points, median_redchi: float
 ) -> tuple[RigidPaths, Floats]:
     """Re-initialise movers that explain their points badly as steadily turning bodies, where that explains them better.
 
@@ -40,25 +40,25 @@ def reinitialised(
     steady acceleration, nine unknowns, are estimated from the views alone.
 
     ``rate_hz (K,)`` is the median inverse depth (times speed) of each mover, also returned; ``is_asked (K,)`` movers
-    may be re-initialised; ``usual_misfit`` is the median reduced chi-square of tracks on the scene's trajectory.
+    may be re-initialised; ``median_redchi`` is the median reduced chi-square of tracks on the scene's trajectory.
     """
     own = np.flatnonzero(is_asked[points.thing])
     if not len(own):
         return movers, rate_hz
     points = replace(points, track=points.track[own], thing=points.thing[own])
     fit = fit_on_paths(points, movers, rate_hz[points.thing])
-    misfit = medians(fit.misfit, points.thing, len(movers))
+    redchi = medians(fit.redchi, points.thing, len(movers))
     is_known = fit.n_views >= _LEAST_VIEWS
     n_known = np.bincount(points.thing, is_known, len(movers))
     cam_R_past, path, rate_hz = movers.cam_R_past.copy(), movers.path.copy(), rate_hz.copy()
     # NaN, without points, is not worse.
-    for mover in np.flatnonzero((misfit > _BADLY * usual_misfit) & (n_known >= _LEAST_POINTS)):
+    for mover in np.flatnonzero((redchi > _BADLY * median_redchi) & (n_known >= _LEAST_POINTS)):
         is_own = points.thing == mover
-        worst = _NO_BODY * float(misfit[mover])
+        worst = _NO_BODY * float(redchi[mover])
         anew, anew_hz = _turning_steadily(points, points.track[is_own & is_known], scene, worst)
         of_one = replace(points, track=points.track[is_own], thing=np.zeros(np.count_nonzero(is_own), dtype=np.int64))
         anew_fit = fit_on_paths(of_one, anew, np.full(len(of_one.track), anew_hz))
-        if median(anew_fit.misfit) < misfit[mover] / _CLEARLY:
+        if median(anew_fit.redchi) < redchi[mover] / _CLEARLY:
             cam_R_past[mover], path[mover] = anew.cam_R_past[0], anew.path[0]
             rate_hz[mover] = medians(anew_fit.rate_hz, of_one.thing, 1)[0]
     return RigidPaths(cam_R_past, path), rate_hz
@@ -74,7 +74,9 @@ def _turning_steadily(points: Points, track: Ints, scene: RigidPaths, worst: flo
     rays = points.rays[track, :, -len(since_s) :].transpose(2, 0, 1)[some]
     xy = turned_into_plane(rays, scene.cam_R_past[0, some])
     noise = points.sigma_norm[track]
-    body = fit_turning_body(xy, since_s[some], noise, _BEND_HZ, TURN_SIGMA_RAD_S, lambda found: found.usual < worst)
+    body = fit_turning_body(
+        xy, since_s[some], noise, _BEND_HZ, TURN_SIGMA_RAD_S, lambda found: found.median_chi2 < worst
+    )
     turned_back = rotation_from_vector(-since_s[:, None] * body.turn_rad_s)
     path = RigidPaths((turned_back @ scene.cam_R_past[0])[None], body.path_turned_back(since_s)[None])
     # What stops just now has hardly a speed at the present view: its mean speed is the unit, as of all movers.

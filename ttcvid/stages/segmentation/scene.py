@@ -28,14 +28,14 @@ _LEAST_SPEED = 0.1
 _MOVES_SIGMAS = 3.0
 # A single pair of frames tells the direction to some degrees: within 20 deg of ahead it is ahead.
 _AHEAD_COSINE = float(np.cos(np.radians(20.0)))
-# The usual misfit is that of tracks with more views than this.
+# The median reduced chi-square is that of tracks with more views than this.
 _USUAL_VIEWS = 3
 # A mover stays one, however well the scene explains it, while the road contradicts its tracks by this on the average.
 _MOVER_EVIDENCE = 0.25
 # A track with less evidence of its own than this is no part of such a mover, unless it is too young to have any.
 _LEAST_EVIDENCE = 0.1
 # Misfits under 1 (in units of the scene's median) are noise.
-_LEAST_MISFIT = 1.0
+_LEAST_REDCHI = 1.0
 _LEAST_MEASURED = 10
 # What steps farther than this before a camera on a mast is not the street, px.
 _STILL_STEP_PX = 1.0
@@ -48,9 +48,9 @@ class SeenScene:
     """The scene of a frame, and how it explains the N tracks.
 
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
-    each: of a scene that ``rests``, without motion. ``misfit (N,)``, in units of what is usual, ``usual_misfit``, with
-    what the ``road`` contradicts raised above ``seen_misfit (N,)``; ``platform`` what carries the camera;
-    ``moves_past``: whether the camera is seen to move past the scene. ``sway (L, 3)`` how far it lay off a steady path,
+    each: of a scene that ``rests``, without motion. ``redchi (N,)``, in units of what is usual, ``median_redchi``, with
+    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera;
+    ``moves_past``: the camera is seen to move past the scene. ``shake (L, 3)`` how far it was off a steady path,
     0 before a camera that does not sway.
     """
 
@@ -58,14 +58,14 @@ class SeenScene:
     speed: float
     rate_hz: Floats
     fit: PathFit
-    misfit: Floats
-    seen_misfit: Floats
-    usual_misfit: float
+    redchi: Floats
+    seen_redchi: Floats
+    median_redchi: float
     road: RoadMemory
     rests: bool
     platform: Platform
     moves_past: bool
-    sway: Floats
+    shake: Floats
 
     @property
     def camera_rests(self) -> bool:
@@ -109,23 +109,25 @@ def see_scene(
     may_rest = is_free if can_translate else _steps_little(views, scene)
     if egomotion.window is not None:
         may_rest = may_rest & ~egomotion.window.leaves_out(history.track_id)
-    usual = _usual_misfit(fit, (key == SCENE_CLUSTER) & is_free & may_rest)
-    misfit = seen_misfit = fit.misfit / usual
+    median_redchi = _median_redchi(fit, (key == SCENE_CLUSTER) & is_free & may_rest)
+    redchi = seen_redchi = fit.redchi / median_redchi
     if not can_translate:
-        misfit = seen_misfit = _with_stopped(misfit, views, scene)
+        redchi = seen_redchi = _with_stopped(redchi, views, scene)
     road = RoadMemory()
     if platform == Platform.vehicle and scene.path[0, 0, 2] > 0.0:
-        in_scene = (key == SCENE_CLUSTER) & is_free & (misfit < config.scene_gate)
+        in_scene = (key == SCENE_CLUSTER) & is_free & (redchi < config.scene_gate)
         aim = scene.path[0, 0, :2] / scene.path[0, 0, 2]
         # What moves as the scene does belongs together by its depth alone, whatever was taken for a part of it.
-        alike = np.where(misfit < config.scene_gate, SCENE_CLUSTER, key)
+        alike = np.where(redchi < config.scene_gate, SCENE_CLUSTER, key)
         road_before = road_before.in_units(speed)
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
-        misfit = _with_contradictions(misfit, road, on_road(fit, road), key, fit.n_views, config)
+        redchi = _with_contradictions(redchi, road, on_road(fit, road), key, fit.n_views, config)
     # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
-    sways = platform == Platform.free and not rests
-    sway = shake_of(scene.path[0], views.since_s) if sways else np.zeros_like(scene.path[0])
-    return SeenScene(scene, speed, rate_hz, fit, misfit, seen_misfit, usual, road, rests, platform, moves_past, sway)
+    shakes = platform == Platform.free and not rests
+    shake = shake_of(scene.path[0], views.since_s) if shakes else np.zeros_like(scene.path[0])
+    return SeenScene(
+        scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, rests, platform, moves_past, shake
+    )
 
 
 def _scene(
@@ -196,14 +198,14 @@ def _steps_little(views: BodyViews, scene: RigidPaths) -> Bools:
     return np.asarray(np.einsum("ni,ni->n", step, step) < (_STILL_STEP_PX / views.focal_px) ** 2)
 
 
-def _with_stopped(misfit: Floats, views: BodyViews, scene: RigidPaths) -> Floats:
+def _with_stopped(redchi: Floats, views: BodyViews, scene: RigidPaths) -> Floats:
     """Misfits (N,), before a camera at rest those of tracks that have stopped by their last views alone.
 
     Over these they have moved by no more than their noise, and would have, had they gone on as before: what moved on
     has left them behind, or has stopped.
     """
     if len(views.rays) <= _STOPPED_VIEWS:
-        return misfit
+        return redchi
     xy = turned_into_plane(views.rays, scene.cam_R_past[0])
     first = np.argmax(np.isfinite(xy[:, :, 0]), axis=0)
     way, last_way = xy[-1] - xy[first, np.arange(len(first))], xy[-1] - xy[-_STOPPED_VIEWS]
@@ -213,17 +215,17 @@ def _with_stopped(misfit: Floats, views: BodyViews, scene: RigidPaths) -> Floats
     moved, missing = ((one * one).sum(axis=1) / variance for one in (last_way, last_way - part[:, None] * way))
     limit = 0.5 * _MOVES_SIGMAS**2
     # Without a view so long ago (NaN) nothing has stopped.
-    return np.where((moved < limit) & (missing > limit), np.minimum(misfit, moved), misfit)
+    return np.where((moved < limit) & (missing > limit), np.minimum(redchi, moved), redchi)
 
 
-def _usual_misfit(fit: PathFit, in_scene: Bools) -> float:
-    """Median misfit of the scene's tracks: what the model does not know of, beyond their noise."""
-    measured = fit.misfit[in_scene & (fit.n_views > _USUAL_VIEWS)]
-    return max(median(measured), _LEAST_MISFIT) if len(measured) > _LEAST_MEASURED else _LEAST_MISFIT
+def _median_redchi(fit: PathFit, in_scene: Bools) -> float:
+    """Median reduced chi-square of the scene's tracks: what the model does not know of, beyond their noise."""
+    measured = fit.redchi[in_scene & (fit.n_views > _USUAL_VIEWS)]
+    return max(median(measured), _LEAST_REDCHI) if len(measured) > _LEAST_MEASURED else _LEAST_REDCHI
 
 
 def _with_contradictions(
-    misfit: Floats, road: RoadMemory, is_road: Bools, key: Ints, n_views: Ints, config: BodiesConfig
+    redchi: Floats, road: RoadMemory, is_road: Bools, key: Ints, n_views: Ints, config: BodiesConfig
 ) -> Floats:
     """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers.
 
@@ -233,4 +235,4 @@ def _with_contradictions(
     may_be_part = (road.evidence > _LEAST_EVIDENCE) | (n_views <= _USUAL_VIEWS)
     of_mover = np.bincount(key, road.evidence) > _MOVER_EVIDENCE * np.bincount(key)
     is_odd = road.contradicts() | (may_be_part & (key != SCENE_CLUSTER) & of_mover[key])
-    return np.where(is_odd & ~is_road, np.maximum(misfit, 2.0 * config.scene_gate), misfit)
+    return np.where(is_odd & ~is_road, np.maximum(redchi, 2.0 * config.scene_gate), redchi)

@@ -44,8 +44,8 @@ class _Clock:
         if not step_s > 0.0:
             return False
         if np.isfinite(step_s):
-            usual_s = float(np.median(self.steps_s)) if self.steps_s else np.inf
-            self.is_gap |= step_s > max(_GAP_S, _GAP_STEPS * usual_s)
+            median_s = float(np.median(self.steps_s)) if self.steps_s else np.inf
+            self.is_gap |= step_s > max(_GAP_S, _GAP_STEPS * median_s)
             self.steps_s.append(step_s)
         return True
 

@@ -109,7 +109,7 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     if not is_soon and hits > _EVEN:
         brakes = _braking_probability(view.closing_of(row.cluster_id), config.max_ttc_s)
         in_time, is_soon = max(in_time, brakes), brakes > _EVEN
-    return Course(surety(abc_hz, cov) * hits * in_time, is_soon, tuple(off_widths))
+    return Course(approach_probability(abc_hz, cov) * hits * in_time, is_soon, tuple(off_widths))
 
 
 def _braking_probability(closing: Closing | None, max_ttc_s: float) -> float:
@@ -124,7 +124,7 @@ def _braking_probability(closing: Closing | None, max_ttc_s: float) -> float:
     return float(ndtr(min(sigmas, -left / max(left_sigma, _TINY))))
 
 
-def surety(abc_hz: Floats | None, cov: Floats | None) -> float:
+def approach_probability(abc_hz: Floats | None, cov: Floats | None) -> float:
     """Probability that the depth of an object decreases, by its state ``(3,)`` and covariance (3, 3); 0 without."""
     if abc_hz is None or cov is None:
         return 0.0

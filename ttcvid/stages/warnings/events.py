@@ -10,7 +10,7 @@ from scipy.special import expit, logit, stdtrit
 
 from ttcvid.config import EventsConfig
 from ttcvid.model import ClusterRow, Event, MotionState
-from ttcvid.stages.warnings.course import Course, Viewpoint, course_of, surety
+from ttcvid.stages.warnings.course import Course, Viewpoint, approach_probability, course_of
 
 # A hidden object, or one whose course is open, is still there: it is forgotten after this many times the persistence.
 _HIDDEN = 3.0
@@ -199,7 +199,7 @@ def restarted_events(memory: EventMemory) -> EventMemory:
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
     kind = "constant_bearing" if row.motion_state == MotionState.constant_bearing else "collision_course"
-    sure = surety(row.state_abc_hz, row.state_cov)
+    sure = approach_probability(row.state_abc_hz, row.state_cov)
     event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, sure)
     return _continued(event, row, frame, t_s)
 
@@ -215,5 +215,5 @@ def _continued(event: Event, row: ClusterRow, frame: int, t_s: float) -> Event:
         min_ttc_z_s=min(ahead) if ahead else None,
         min_tcpa_s=tcpa_s if is_nearer else event.min_tcpa_s,
         miss_s=float(row.times.miss_s[0]) if is_nearer else event.miss_s,
-        confidence=surety(row.state_abc_hz, row.state_cov) if is_nearer else event.confidence,
+        confidence=approach_probability(row.state_abc_hz, row.state_cov) if is_nearer else event.confidence,
     )
