@@ -1,19 +1,18 @@
-"""Bundle adjustment of a rigid scene: how the camera turned and moved, where the points are, and the camera's lens.
+"""Bundle adjustment of a static scene whose camera has an unknown focal length.
 
-Own motion from two views knows next to nothing of the focal length when it goes along the optical axis, which is what
-cars do; over many frames the depths of the points have to agree as well. Of a camera that is known (the lens held, at
-f = 1 for places in the plane z = 1) all views together tell the direction of each short step.
+Everything at once by maximum likelihood: how the camera turned and moved from frame to frame, where the points are, and
+the focal length that makes all views agree. Own motion from two views knows next to nothing of the focal length when
+it goes along the optical axis, which is what cars do; over many frames the depths of the points have to agree as well.
 
 A point is a unit ray and an inverse distance in the axes of one frame; frame j sees it along R_j ray + inverse t_j. The
 lens is u = f x (1 + k |x|^2) + c with x the point in the plane z = 1. The unknowns that frames hold come as
-``K = 6 J + S``: each frame's rotation vector and translation, then those of log f, c and k that are not held, which all
-share; those of a point are two tangent coordinates of its ray and the inverse distance.
+``K = 6 J + 4``: each frame's rotation vector and translation, then log f, c and k, which all share; those of a point
+are two tangent coordinates of its ray and the inverse distance.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector, tan
 from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED, N_POSE = 4, 6
-"""Numbers of the unknowns that all frames may share, and of those of a frame."""
-_N_POINT = 3
+"""Numbers of the unknowns that all frames share, and of those of a frame."""
+_N_VIEW, _N_POINT = N_POSE + N_SHARED, 3
 
 # Geman and McClure's cost: that of an outlier is limited to so many sigmas squared.
 _CAP = 16.0
@@ -30,6 +29,8 @@ _CAP = 16.0
 _LEAST_DEPTH = 1e-3
 # Levenberg and Marquardt's damping: at first, its change after a good and after a bad step, and where it gives up.
 _DAMPING, _LESS, _MORE, _MOST_DAMPING = 1e-3, 0.125, 6.0, 1e6
+# A step that lowers the cost by less than this part is the last one.
+_CONVERGED = 1e-6
 # Longest step of log f.
 _LONGEST_STEP = 0.2
 # Added to what the observations do not tell: the scale, a point seen in one direction only.
@@ -82,7 +83,7 @@ class _Equations:
     """Gauss-Newton's equations: ``pose_hessian (K, K)``, ``pose_gradient (K,)``, downhill, of what frames hold.
 
     ``mixed (K, N, 3)`` couples it with the points, of which ``point_hessian (N, 3, 3)`` and ``point_gradient (N, 3)``
-    are; ``score (N, K)`` is the part of each point in the pose gradient; ``shared (S,)`` are the shared unknowns.
+    are; ``score (N, K)`` is the part of each point in the pose gradient.
     """
 
     pose_hessian: Floats
@@ -91,7 +92,6 @@ class _Equations:
     point_hessian: Floats
     point_gradient: Floats
     score: Floats
-    shared: Ints
 
 
 @dataclass(frozen=True)
@@ -121,16 +121,6 @@ class BundleFit:
         variance = _reduced(self.equations, 0.0)[2][:, 2, 2]
         return np.asarray(self.bundle.inverse < -3.0 * np.sqrt(variance))
 
-    @cached_property
-    def information(self) -> tuple[Floats, Floats]:
-        """What the views say of the U free unknowns of the frames where the points follow: information (U, U).
-
-        And the part of each point in their score, (N, U).
-        """
-        schur, carried, _ = _reduced(self.equations, 0.0)
-        score = self.equations.score - np.einsum("kna,na->nk", carried, self.equations.point_gradient)
-        return schur[np.ix_(self.is_free, self.is_free)], score[:, self.is_free]
-
     @property
     def log_focal_sigma(self) -> float:
         """Standard deviation of log f with everything else unknown, infinite where it is held.
@@ -140,11 +130,12 @@ class BundleFit:
         same way for long. Never below what independent noise gives.
         """
         n_regions = len(np.unique(self.region))
-        if 0 not in self.equations.shared or n_regions < 2:
+        if not self.is_free[-N_SHARED] or n_regions < 2:
             return np.inf
-        matrix, scores = self.information
-        focal = len(matrix) - len(self.equations.shared)
-        others = np.delete(np.arange(len(matrix)), focal)
+        matrix, carried, _ = _reduced(self.equations, 0.0)
+        scores = self.equations.score - np.einsum("kna,na->nk", carried, self.equations.point_gradient)
+        focal = len(matrix) - N_SHARED
+        others = np.flatnonzero(self.is_free & (np.arange(len(matrix)) != focal))
         # The scale stays undetermined: the shortest of all solutions.
         explained = np.linalg.lstsq(matrix[np.ix_(others, others)], matrix[others, focal], rcond=_TINIEST)[0]
         information = float(matrix[focal, focal] - explained @ matrix[others, focal])
@@ -158,44 +149,39 @@ class BundleFit:
 def adjust_bundle(
     views: Views,
     start: Bundle,
-    sigma_px: float | Floats,
-    prior: tuple[Floats, Floats],
+    sigma_px: float,
+    shared_mean: Floats,
+    shared_sigma: Floats,
     n_steps: int,
     *,
     can_move: bool = True,
-    reference: int | None = None,
-    converged: float = 1e-6,
 ) -> BundleFit:
     """Robust Gauss-Newton with Levenberg-Marquardt damping from ``start``.
 
     Parameters
     ----------
-    sigma_px : noise of a coordinate, one for all points or (N,).
-    prior : mean and standard deviation ``(4,)`` of `Bundle.shared`; where that is zero, the value is held.
+    sigma_px : noise of a coordinate.
+    shared_mean, shared_sigma : (4,) Gaussian prior of `Bundle.shared`; a sigma of zero holds the value.
     can_move : False for a camera that only turns; ``start`` then has neither translations nor inverse distances.
-    reference : frame in whose axes the points are, which keeps its place; None: the one in the middle.
-    converged : a step that lowers the cost by less than this part is the last one.
 
     Source: Triggs et al., "Bundle adjustment: a modern synthesis", 2000; the points are eliminated (Schur complement).
     """
     xy_px = np.full((views.n_frames, views.n_points, 2), np.nan)
     xy_px[views.frame, views.point] = views.xy_px
-    bundle, sigma = _scaled(start), np.reshape(sigma_px, (-1, 1))
-    reference = views.n_frames // 2 if reference is None else reference
-    shared = np.flatnonzero(prior[1] > 0.0)
-    mean, precision = prior[0][shared], prior[1][shared] ** -2.0
-    is_pose_free = np.ones((views.n_frames, N_POSE), dtype=bool)
-    is_pose_free[:, 3:] = can_move
-    is_pose_free[reference] = False
-    is_free = np.append(is_pose_free.ravel(), np.ones(len(shared), dtype=bool))
+    bundle, reference = _scaled(start), views.n_frames // 2
+    is_free = np.ones(N_POSE * views.n_frames + N_SHARED, dtype=bool)
+    is_free[N_POSE * reference : N_POSE * (reference + 1)] = False
+    is_free[:-N_SHARED].reshape(-1, N_POSE)[:, 3:] &= can_move
+    is_free[-N_SHARED:] = shared_sigma > 0.0
+    precision = np.divide(1.0, shared_sigma**2, out=np.zeros(N_SHARED), where=shared_sigma > 0.0)
 
     def cost_of(candidate: Bundle) -> tuple[float, Floats]:
-        cost, residual = _cost(xy_px, candidate, sigma)
-        return cost + float(precision @ (candidate.shared[shared] - mean) ** 2), residual
+        cost, residual = _cost(xy_px, candidate, sigma_px)
+        return cost + float(precision @ (candidate.shared - shared_mean) ** 2), residual
 
     cost, residual = cost_of(bundle)
-    equations = _equations(bundle, sigma, residual, shared, mean, precision)
-    damping, is_done = _DAMPING, False
+    equations = _equations(bundle, sigma_px, residual, shared_mean, precision)
+    damping = _DAMPING
     for _ in range(n_steps):
         while True:
             candidate = _stepped(bundle, equations, damping, is_free)
@@ -205,11 +191,11 @@ def adjust_bundle(
             damping *= _MORE
         if not lower < cost:
             break
-        is_done = cost - lower < converged * cost
+        is_done = cost - lower < _CONVERGED * cost
         bundle = _scaled(candidate)
         cost, residual = cost_of(bundle)
         damping = max(damping * _LESS, _TINY)
-        equations = _equations(bundle, sigma, residual, shared, mean, precision)
+        equations = _equations(bundle, sigma_px, residual, shared_mean, precision)
         if is_done:
             break
     return BundleFit(bundle, cost, residual, equations, is_free, views.region)
@@ -221,103 +207,83 @@ def _seen(bundle: Bundle) -> tuple[Floats, Floats]:
     return turned, turned + bundle.inverse[:, None] * bundle.translation[:, None]
 
 
-def _square(vectors: Floats) -> Floats:
-    """Squared lengths (J, N)."""
-    return np.asarray(np.einsum("jna,jna->jn", vectors, vectors))
-
-
-def _cost(xy_px: Floats, bundle: Bundle, sigma: Floats) -> tuple[float, Floats]:
-    """Robust cost of all observations ``xy_px (J, N, 2)`` and of negative distances; `BundleFit.residual`.
-
-    ``sigma`` is (N, 1), or (1, 1) for all points.
-    """
+def _cost(xy_px: Floats, bundle: Bundle, sigma_px: float) -> tuple[float, Floats]:
+    """Robust cost of all observations ``xy_px (J, N, 2)`` and of negative distances; `BundleFit.residual`."""
     seen = _seen(bundle)[1]
     is_ahead = seen[..., 2] >= _LEAST_DEPTH
     x = seen[..., :2] / np.where(is_ahead, seen[..., 2], 1.0)[..., None]
-    bend = np.exp(bundle.shared[0]) * (1.0 + bundle.shared[3] * _square(x))
-    residual = (bend[..., None] * x + bundle.shared[1:3] - xy_px) / sigma
+    bend = np.exp(bundle.shared[0]) * (1.0 + bundle.shared[3] * np.sum(x * x, axis=2))
+    residual = (bend[..., None] * x + bundle.shared[1:3] - xy_px) / sigma_px
     is_missed = np.isfinite(xy_px[..., 0]) & ~is_ahead
     residual[is_missed] = np.inf
-    square = _square(residual)
-    squares = np.append(square[np.isfinite(square)], _behind(bundle) ** 2)
+    square = np.sum(residual**2, axis=2)
+    squares = np.append(square[np.isfinite(square)], _behind(bundle)[0] ** 2)
     return float(np.sum(squares / (1.0 + squares / _CAP)) + _CAP * np.count_nonzero(is_missed)), residual
 
 
-def _behind(bundle: Bundle) -> Floats:
-    """By how many sigmas each distance is negative, (N,); 0 if it is not."""
-    return np.asarray(np.minimum(bundle.inverse / _inverse_sigma(bundle), 0.0))
+def _behind(bundle: Bundle) -> tuple[Floats, float]:
+    """By how many sigmas each distance is negative, (N,), 0 if not; and that sigma, the translations being one long."""
+    sigma = _BEHIND_PX / float(np.exp(bundle.shared[0]))
+    return np.asarray(np.minimum(bundle.inverse / sigma, 0.0)), sigma
 
 
-def _inverse_sigma(bundle: Bundle) -> float:
-    """The translations are of length one: what displaces a point by some px."""
-    return _BEHIND_PX / float(np.exp(bundle.shared[0]))
-
-
-def _equations(
-    bundle: Bundle, sigma: Floats, residual: Floats, shared: Ints, mean: Floats, precision: Floats
-) -> _Equations:
-    """The normal equations of all unknowns at a bundle and the robust weights.
-
-    With the prior, ``mean, precision (S,)``, of those of the ``shared`` that are not held, (S,).
-    """
-    (n_frames, n), n_view = residual.shape[:2], N_POSE + len(shared)
+def _equations(bundle: Bundle, sigma_px: float, residual: Floats, shared_mean: Floats, precision: Floats) -> _Equations:
+    """The normal equations of all unknowns at a bundle and the robust weights, with the prior of the shared ones."""
+    n_frames, n = residual.shape[:2]
     is_seen = np.isfinite(residual[..., 0])
     left = np.where(is_seen[..., None], residual, 0.0)
-    rows = _derivatives(bundle, sigma, is_seen, shared)
+    rows = _derivatives(bundle, sigma_px, is_seen)
     rows[..., -1] = -left
-    rows *= (is_seen / (1.0 + _square(left) / _CAP))[..., None, None]
-    by_frame, by_point = rows[..., :n_view], rows[..., n_view:]
-    flat = by_frame.reshape(n_frames, -1, n_view)
+    rows *= (is_seen / (1.0 + np.sum(left**2, axis=2) / _CAP))[..., None, None]
+    by_frame, by_point = rows[..., :_N_VIEW], rows[..., _N_VIEW:]
+    flat = by_frame.reshape(n_frames, -1, _N_VIEW)
     held = flat.transpose(0, 2, 1) @ flat
     both = by_frame.transpose(0, 1, 3, 2) @ by_point
     own = by_point.transpose(1, 0, 2, 3).reshape(n, -1, _N_POINT + 1)
     of_points = own[..., :_N_POINT].transpose(0, 2, 1) @ own
     n_poses, place = N_POSE * n_frames, np.arange(N_POSE * n_frames).reshape(n_frames, N_POSE)
-    hessian = np.zeros((n_poses + len(shared), n_poses + len(shared)))
+    hessian = np.zeros((n_poses + N_SHARED, n_poses + N_SHARED))
     hessian[place[:, :, None], place[:, None]] = held[:, :N_POSE, :N_POSE]
-    hessian[:n_poses, n_poses:] = held[:, :N_POSE, N_POSE:].reshape(n_poses, -1)
+    hessian[:n_poses, n_poses:] = held[:, :N_POSE, N_POSE:].reshape(n_poses, N_SHARED)
     hessian[n_poses:, :n_poses] = hessian[:n_poses, n_poses:].T
     hessian[n_poses:, n_poses:] = held[:, N_POSE:, N_POSE:].sum(axis=0) + np.diag(precision)
-    mixed = np.empty((n_poses + len(shared), n, _N_POINT + 1))
+    mixed = np.empty((n_poses + N_SHARED, n, _N_POINT + 1))
     mixed[:n_poses] = both[:, :, :N_POSE].transpose(0, 2, 1, 3).reshape(n_poses, n, -1)
     mixed[n_poses:] = both[:, :, N_POSE:].sum(axis=0).transpose(1, 0, 2)
     gradient = mixed[..., _N_POINT].sum(axis=1)
-    gradient[n_poses:] -= precision * (bundle.shared[shared] - mean)
-    behind, behind_sigma = _behind(bundle), _inverse_sigma(bundle)
+    gradient[n_poses:] -= precision * (bundle.shared - shared_mean)
+    behind, behind_sigma = _behind(bundle)
     weight = np.where(behind < 0.0, (1.0 + behind**2 / _CAP) ** -2.0, 0.0) / behind_sigma
     of_points[:, 2, 2] += weight / behind_sigma
     of_points[:, 2, 3] -= weight * behind
     coupling = np.ascontiguousarray(mixed[..., :_N_POINT])
-    return _Equations(
-        hessian, gradient, coupling, of_points[..., :3], of_points[..., 3], mixed[..., _N_POINT].T, shared
-    )
+    return _Equations(hessian, gradient, coupling, of_points[..., :3], of_points[..., 3], mixed[..., _N_POINT].T)
 
 
-def _derivatives(bundle: Bundle, sigma: Floats, is_seen: Bools, shared: Ints) -> Floats:
+def _derivatives(bundle: Bundle, sigma_px: float, is_seen: Bools) -> Floats:
     """How points move in the picture, in sigmas, by the unknowns of the frame, by the shared ones and by their own.
 
-    ``(J, N, 2, 6 + S + 3 + 1)``, the own ones along the tangents of their rays; the last column is left empty. Where
-    not seen, anything finite.
+    ``(J, N, 2, 10 + 3 + 1)``, the own ones along the tangents of their rays; the last column is left empty. Where not
+    seen, anything finite.
     """
     focal, distortion = float(np.exp(bundle.shared[0])), bundle.shared[3]
     turned, seen = _seen(bundle)
     depth = np.where(is_seen, seen[..., 2], 1.0)
-    x, unit = seen[..., :2] / depth[..., None], 1.0 / sigma
-    square, scale = _square(x), focal * unit[..., 0] / depth
+    x = seen[..., :2] / depth[..., None]
+    square, scale = np.sum(x * x, axis=2), focal / (sigma_px * depth)
     bend = 1.0 + distortion * square
-    by_seen, rows = np.empty((*x.shape, 3)), np.empty((*x.shape, N_POSE + len(shared) + _N_POINT + 1))
+    by_seen, rows = np.empty((*x.shape, 3)), np.zeros((*x.shape, _N_VIEW + _N_POINT + 1))
     by_seen[..., :2] = (2.0 * distortion * scale[..., None] * x)[..., None] * x[..., None, :]
     by_seen[..., 0, 0] += bend * scale
     by_seen[..., 1, 1] += bend * scale
     by_seen[..., 2] = -(scale * (bend + 2.0 * distortion * square))[..., None] * x
     rows[..., :3] = cross(turned[:, :, None], by_seen)
     rows[..., 3:6] = by_seen * bundle.inverse[:, None, None]
-    for place, number in enumerate(shared, N_POSE):
-        by_lens = [bend[..., None] * focal * x, [1.0, 0.0], [0.0, 1.0], square[..., None] * focal * x][number]
-        rows[..., place] = unit * by_lens
+    rows[..., 6], rows[..., 9] = (focal / sigma_px * each[..., None] * x for each in (bend, square))
+    rows[..., 0, 7] = rows[..., 1, 8] = 1.0 / sigma_px
     columns = np.concatenate([bundle.rotation, bundle.translation[..., None]], axis=2)
     moves = (by_seen.reshape(len(x), -1, 3) @ columns).reshape(*x.shape, 4)
-    rows[..., -4:-2], rows[..., -2] = moves[..., :3] @ tangent_basis(bundle.ray), moves[..., 3]
+    rows[..., 10:12], rows[..., 12] = moves[..., :3] @ tangent_basis(bundle.ray), moves[..., 3]
     return rows
 
 
@@ -343,9 +309,9 @@ def _stepped(bundle: Bundle, equations: _Equations, damping: float, is_free: Boo
     step[is_free] = np.linalg.solve(damped[np.ix_(is_free, is_free)], gradient[is_free])
     towards = equations.point_gradient - (step @ equations.mixed.reshape(len(step), -1)).reshape(-1, _N_POINT)
     by_point = (inverse @ towards[..., None])[..., 0]
-    by_frame, by_shared = step[: N_POSE * len(bundle.rotation)].reshape(-1, N_POSE), np.zeros(N_SHARED)
-    by_shared[equations.shared] = step[by_frame.size :]
-    by_shared[0] = min(max(by_shared[0], -_LONGEST_STEP), _LONGEST_STEP)
+    by_frame = step[:-N_SHARED].reshape(-1, N_POSE)
+    by_shared = step[-N_SHARED:]
+    by_shared[0] = np.clip(by_shared[0], -_LONGEST_STEP, _LONGEST_STEP)
     turned = (tangent_basis(bundle.ray) @ by_point[:, :2, None])[..., 0]
     return Bundle(
         rotation_from_vector(by_frame[:, :3]) @ bundle.rotation,

@@ -68,16 +68,16 @@ def fit_focal_length(views: Views, t_s: Floats, width_px: float, least_turn_rad:
     fits = []
     for start in _STARTS:
         bundle = _start(views, t_s, start * width_px)
-        held = adjust_bundle(views, bundle, _COARSE_PX, (mean, np.zeros(4)), _HELD_STEPS)
+        held = adjust_bundle(views, bundle, _COARSE_PX, mean, np.zeros(4), _HELD_STEPS)
         if start == _STARTS[0] and _turned_rad(held.bundle) < least_turn_rad:
             return None
-        fits.append(adjust_bundle(views, held.bundle, _COARSE_PX, (mean, only_focal), _FREE_STEPS))
+        fits.append(adjust_bundle(views, held.bundle, _COARSE_PX, mean, only_focal, _FREE_STEPS))
     fit, spread_px = min(fits, key=lambda one: one.cost), _COARSE_PX
     for _ in range(2):
         spread_px = max(_LEAST_PX, _FITTED * fit.spread * spread_px)
-        fit = adjust_bundle(views, fit.bundle, spread_px, (mean, sigma), _LAST_STEPS)
+        fit = adjust_bundle(views, fit.bundle, spread_px, mean, sigma, _LAST_STEPS)
     turning = replace(fit.bundle, translation=np.zeros((views.n_frames, 3)), inverse=np.zeros(views.n_points))
-    only_turning = adjust_bundle(views, turning, spread_px, (mean, sigma), _LAST_STEPS, can_move=False)
+    only_turning = adjust_bundle(views, turning, spread_px, mean, sigma, _LAST_STEPS, can_move=False)
     if _explains_enough(only_turning, fit, views):
         fit = only_turning
     return FocalFit(

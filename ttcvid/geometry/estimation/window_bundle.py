@@ -1,4 +1,4 @@
-"""Bundle adjustment of a rigid body over a window of views of a known camera: every view's rotation and place.
+"""Bundle adjustment of a rigid body over a window of views: every view's rotation and place, and every point.
 
 Two views tell the direction of a short step badly, and a mean over longer gaps is not that of the last step of a camera
 that sways. All views together give each step its own direction, with its own covariance.
@@ -10,14 +10,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.estimation.bundle import N_POSE, N_SHARED, Bundle, BundleFit, Views, adjust_bundle
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
-from ttcvid.geometry.rotation import skew, tangent_basis
-from ttcvid.model import Floats, Ints
+from ttcvid.geometry.rotation import cross, rotation_from_vector, skew, tangent_basis
+from ttcvid.model import Bools, Floats, Ints
 
-# A step of the search that lowers the cost by less than this part is the last one: noise makes more.
+# Geman and McClure's cost: that of an outlier is limited to so many sigmas squared.
+_CAP = 16.0
+# Levenberg and Marquardt's damping: at first, its change after a good and after a bad step.
+_DAMPING, _LESS, _MORE = 1e-6, 0.1, 100.0
+# A step that lowers the cost by less than this part is the last one.
 _CONVERGED = 1e-3
+# A point nearer to the picture plane, or behind it, is not seen there.
+_LEAST_DEPTH = 1e-3
+# Added to what the observations do not tell.
 _TINY = 1e-9
+# Numbers of the unknowns of a view and of a point.
+_N_POSE, _N_POINT = 6, 3
 
 
 @dataclass(frozen=True)
@@ -33,10 +41,28 @@ class WindowFit:
     rotation_cov: Floats
 
 
+@dataclass(frozen=True)
+class _State:
+    """Poses that take a point of the present camera to each view, points (x, y, inverse depth), and their residuals.
+
+    ``rotation (L, 3, 3)``, ``place (L, 3)``, ``point (N, 3)``; ``turned (L, N, 3)`` rays of the points in each view,
+    ``depth (L, N)`` over that of the present, ``off (L, N, 2)`` in sigmas, 0 where not ``seen``.
+    """
+
+    rotation: Floats
+    place: Floats
+    point: Floats
+    turned: Floats
+    depth: Floats
+    off: Floats
+    seen: Bools
+    cost: float
+
+
 def adjust_window(
     xy: Floats, sigma_norm: Floats, region: Ints, paths: RigidPaths, point: Floats, n_steps: int
 ) -> WindowFit:
-    """All views and points by robust least squares from a start; the length of the path is any.
+    """Robust least squares with Levenberg-Marquardt damping from a start; the length of the path is kept.
 
     Parameters
     ----------
@@ -45,49 +71,132 @@ def adjust_window(
     paths : of the body over these views, a start.
     point : (N, 3) present place in the plane z = 1 and inverse depth of each point, a start.
     n_steps : at most so many steps.
+
+    Source: Triggs et al., "Bundle adjustment: a modern synthesis", 2000; the points are eliminated (Schur complement).
     """
-    frame, index = np.nonzero(np.isfinite(xy[..., 0]))
     rotation = paths.cam_R_past[0].transpose(0, 2, 1)
-    place = (rotation @ paths.path[0][..., None])[..., 0]
+    place = np.einsum("lij,lj->li", rotation, paths.path[0])
+    state, damping = _state(xy, sigma_norm, rotation, place, point), _DAMPING
+    for _ in range(n_steps):
+        found = _stepped(xy, sigma_norm, state, damping)
+        if not found.cost < state.cost:
+            damping *= _MORE
+            continue
+        is_done = state.cost - found.cost < _CONVERGED * state.cost
+        state, damping = found, damping * _LESS
+        if is_done:
+            break
+    # The other way past points behind the camera looks the same: most of them lie ahead.
+    if float(np.sign(state.point[:, 2]).sum()) < 0.0:
+        state = _state(xy, sigma_norm, state.rotation, -state.place, state.point * [1.0, 1.0, -1.0])
+    return _fit(sigma_norm, region, state)
+
+
+def _state(xy: Floats, sigma: Floats, rotation: Floats, place: Floats, point: Floats) -> _State:
     ray = np.column_stack([point[:, :2], np.ones(len(point))])
-    length, known = np.linalg.norm(ray, axis=1), np.zeros(N_SHARED)
-    start = Bundle(rotation, place, ray / length[:, None], point[:, 2] / length, known)
-    views, present = Views(xy[frame, index], frame, index, region), len(xy) - 1
-    fit = adjust_bundle(views, start, sigma_norm, (known, known), n_steps, reference=present, converged=_CONVERGED)
-    return _with_covariances(fit)
+    turned = ray @ rotation.transpose(0, 2, 1)
+    there = turned + point[:, 2:] * place[:, None]
+    is_observed = np.isfinite(xy[..., 0])
+    seen = is_observed & (there[..., 2] > _LEAST_DEPTH)
+    depth = np.where(seen, there[..., 2], 1.0)
+    off = np.where(seen[..., None], (there[..., :2] / depth[..., None] - xy) / sigma[:, None], 0.0)
+    square = (off * off).sum(axis=2)
+    cost = float((square / (1.0 + square / _CAP) + _CAP * (is_observed & ~seen)).sum())
+    return _State(rotation, place, point, turned, depth, off, seen, cost)
 
 
-def _with_covariances(fit: BundleFit) -> WindowFit:
+def _equations(sigma: Floats, state: _State) -> tuple[Floats, Floats, Floats]:
+    """Information of each view ``(L - 1, 6, 6)``, that and score of each point ``(N, 3, 4)``, and what couples them
+    beside each point's part in the scores of the views, ``(L - 1, N, 6, 4)``.
+    """
+    n_views, n = state.depth.shape
+    there = state.turned + state.point[:, 2:] * state.place[:, None]
+    square = (state.off * state.off).sum(axis=2)
+    root = state.seen / (1.0 + square / _CAP)
+    by_there = np.zeros((n_views, n, 2, 3))
+    scale = root / (state.depth * sigma)
+    by_there[..., 0, 0] = by_there[..., 1, 1] = scale
+    by_there[..., 2] = -(scale / state.depth)[..., None] * there[..., :2]
+    rows = np.empty((n_views, n, 2, _N_POSE + _N_POINT + 1))
+    rows[..., :3] = cross(state.turned[:, :, None], by_there)
+    rows[..., 3:6] = state.point[:, 2, None, None] * by_there
+    columns = np.concatenate([state.rotation[:, :, :2], state.place[:, :, None]], axis=2)
+    rows[..., 6:9] = (by_there.reshape(n_views, -1, 3) @ columns).reshape(n_views, n, 2, 3)
+    rows[..., 9] = -root[..., None] * state.off
+    of_point = rows.transpose(1, 0, 2, 3).reshape(n, -1, 10)[..., 6:]
+    by_point = of_point[..., :3].transpose(0, 2, 1) @ of_point
+    poses = rows[:-1, ..., :6].reshape(n_views - 1, -1, 6)
+    by_pose = poses.transpose(0, 2, 1) @ poses
+    mixed = rows[:-1, ..., :6].transpose(0, 1, 3, 2) @ rows[:-1, ..., 6:]
+    return by_pose, by_point, mixed
+
+
+def _reduced(sigma: Floats, state: _State, damping: float) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Information (K, K) of the views without the points, and each point's part in their score (N, K); inverse
+    information (N, 3, 3), score (N, 3) and coupling (N, K, 3) of the points.
+    """
+    by_pose, by_point, mixed = _equations(sigma, state)
+    n_past, n = mixed.shape[:2]
+    size, diagonal = _N_POSE * n_past, np.arange(_N_POINT)
+    of_points = by_point[..., :3].copy()
+    of_points[:, diagonal, diagonal] *= 1.0 + damping
+    of_points[:, diagonal, diagonal] += _TINY + _TINY * np.trace(of_points, axis1=1, axis2=2)[:, None]
+    inverse: Floats = np.linalg.inv(of_points).astype(np.float64)
+    of_each = mixed.transpose(1, 0, 2, 3).reshape(n, size, _N_POINT + 1)
+    coupling = of_each[..., :3]
+    carried = coupling @ inverse
+    flat, flat_carried = (each.transpose(1, 0, 2).reshape(size, -1) for each in (coupling, carried))
+    information = -flat_carried @ flat.T
+    blocks = information.reshape(n_past, _N_POSE, n_past, _N_POSE)
+    blocks[np.arange(n_past), :, np.arange(n_past)] += by_pose
+    score = of_each[..., 3] - (carried @ by_point[..., 3:])[..., 0]
+    # The scale is free: the path keeps its length.
+    scale = np.zeros((n_past, _N_POSE))
+    scale[:, 3:] = state.place[:-1] / max(float(np.linalg.norm(state.place)), _TINY)
+    most = float(information.diagonal().max())
+    information += most * np.outer(scale, scale)
+    every = np.arange(size)
+    information[every, every] += damping * np.abs(information.diagonal()) + _TINY * most
+    return information, score, inverse, by_point[..., 3], coupling
+
+
+def _stepped(xy: Floats, sigma: Floats, state: _State, damping: float) -> _State:
+    """The state after one damped step."""
+    information, score, inverse, of_points, coupling = _reduced(sigma, state, damping)
+    change = np.asarray(np.linalg.solve(information, score.sum(axis=0)), dtype=np.float64)
+    towards = of_points - np.einsum("nka,k->na", coupling, change)
+    point = state.point + (inverse @ towards[..., None])[..., 0]
+    by_view = change.reshape(-1, _N_POSE)
+    rotation, place = state.rotation.copy(), state.place.copy()
+    rotation[:-1] = rotation_from_vector(by_view[:, :3]) @ rotation[:-1]
+    place[:-1] += by_view[:, 3:]
+    return _state(xy, sigma, rotation, place, point)
+
+
+def _fit(sigma: Floats, region: Ints, state: _State) -> WindowFit:
     """The fit with the covariance of its last step.
 
     Points of one part of the picture err together, and a track errs the same way for long: the influences of a part's
     points on the direction are summed before they are squared (a cluster-robust "sandwich"), and the covariance is no
     smaller than they say. Six unknowns of a view are fitted to the parts.
     """
-    place, back = fit.bundle.translation, fit.bundle.rotation.transpose(0, 2, 1)
-    path = (back @ place[..., None])[..., 0]
-    information, score = fit.information
-    # The scale is free: the path keeps its length.
-    scale = np.zeros((len(place) - 1, N_POSE))
-    scale[:, 3:] = place[:-1] / max(float(np.linalg.norm(place)), _TINY)
-    most = float(information.diagonal().max())
-    information = information + most * (np.outer(scale, scale) + _TINY * np.eye(len(information)))
-    of_step = np.linalg.inv(information)[:, -N_POSE:]
-    cov = of_step[-N_POSE:]
+    information, score, *_ = _reduced(sigma, state, 0.0)
+    of_step = np.linalg.inv(information)[:, -_N_POSE:]
+    cov = of_step[-_N_POSE:]
+    back = state.rotation.transpose(0, 2, 1)
+    path = np.einsum("lij,lj->li", back, state.place)
     length = max(float(np.linalg.norm(path[-2])), _TINY)
     across = tangent_basis(path[-2] / length)
-    by_step = across.T @ back[-2] @ np.concatenate([skew(place[-2]), np.eye(3)], axis=1) / length
+    by_step = across.T @ back[-2] @ np.concatenate([skew(state.place[-2]), np.eye(3)], axis=1) / length
     influence = score @ of_step @ by_step.T
-    parts = np.stack([np.bincount(fit.region, column) for column in influence.T])
-    n_parts = np.count_nonzero(np.bincount(fit.region))
+    parts = np.stack([np.bincount(region, column) for column in influence.T])
+    n_parts = np.count_nonzero(np.bincount(region))
     plain = by_step @ cov @ by_step.T
     more = 1.0
-    if n_parts > 2 * N_POSE:
-        together = parts @ parts.T * n_parts / (n_parts - N_POSE)
+    if n_parts > 2 * _N_POSE:
+        together = parts @ parts.T * n_parts / (n_parts - _N_POSE)
         more = max(1.0, 0.5 * float(np.trace(np.linalg.solve(plain, together))))
     turn = back[-2] @ cov[:3, :3] @ back[-2].T
-    # The other way past points behind the camera looks the same: most of them lie ahead.
-    path = -path if float(np.sign(fit.bundle.inverse).sum()) < 0.0 else path
     return WindowFit(
         RigidPaths(back[None], path[None]),
         -path[-2],
