@@ -16,7 +16,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 help:
 	@echo "make demo   render a roundabout with known truth, analyse and evaluate it"
 	@echo "make test   run all tests"
-	@echo "make faults kill, damage and starve every command at many drawn moments and places"
+	@echo "make faults kill, damage and starve every command at many drawn moments and places, and disturb a batch"
 	@echo "make regress  analyse simulated clips, hold them against their baselines"
 	@echo "make lint   style, types and the direction of imports"
 	@echo "make docs   the documentation as a searchable site: open site/index.html"

@@ -152,7 +152,7 @@ class EventsConfig(StageConfig):
     confidence: Fraction = Field(default=0.95, description="probability of a collision course that a warning needs")
     persistence_s: PositiveFloat = Field(
         default=0.25,
-        description="time over which the log odds of a collision course add up: a warning takes a third longer where "
+        description="time over which the log odds of a collision course add up: a warning takes a tenth longer where "
         "all frames are sure of it, longer where they are not",
     )
 

@@ -103,7 +103,7 @@ class ProgressLines:
         now_s = self._clock()
         if self._n_done == 0 or n_done < self._n_done:  # work has begun, or other work, such as the next clip
             self._begun_s, self._n_at_first = now_s, n_done
-        if now_s - self._said_s >= LINE_EVERY_S and n_done > self._n_at_first:
+        if now_s - self._said_s >= LINE_EVERY_S and n_done > self._n_at_first and now_s > self._begun_s:
             self._said_s = now_s
             rate_hz = (n_done - self._n_at_first) / (now_s - self._begun_s)
             of_all = f" of {n_total}" if n_total is not None else ""

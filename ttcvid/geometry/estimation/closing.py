@@ -105,8 +105,8 @@ def depths_over_time(xy: Floats) -> tuple[Floats, Floats, float]:
     is_told = (np.sum(is_seen, axis=1) >= 3) & (uu > 0.0) & (vv > 0.0) & (count > 2.0)
     is_told[-1] = False
     # Weighted points tell a size as well as so many equal ones would.
-    redchi = np.sum(w * w * square, axis=1)
-    point_variance = quotient(redchi * count, squares * (2.0 * count - 3.0) * (1.0 + scale * scale))
+    off = np.sum(w * w * square, axis=1)
+    point_variance = quotient(off * count, squares * (2.0 * count - 3.0) * (1.0 + scale * scale))
     of_size = scale * scale * point_variance * quotient(total, count) * (quotient(1.0, uu) + quotient(1.0, vv))
     depth, variance = np.where(is_told, scale, np.nan), np.where(is_told, of_size, np.nan)
     depth[-1], variance[-1] = 1.0, np.fmin.reduce(variance)

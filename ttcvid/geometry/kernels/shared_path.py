@@ -81,7 +81,7 @@ def descend_together(
             continue
         median_chi2 = median(mean_square[low:high].copy())
         for _ in range(_MAX_STEPS):
-            redchi = max(1.0, np.sqrt(median_chi2))
+            noise = max(1.0, np.sqrt(median_chi2))
             # The path at the offset, and the rotations back to time 0.
             for m in range(len(t_s)):
                 t = t_s[m]
@@ -105,7 +105,7 @@ def descend_together(
                 n = list_views(turned, t_s, order, path, 1.0 / sigma[i], 0, views, limits)
                 if not limits[0] < state[i, 2] < limits[1]:
                     point.start(views, n, limits, state[i])
-                far = _LIMIT * redchi * redchi
+                far = _LIMIT * noise * noise
                 total, inside = _add_point(views, n, state[i], basis[k], far, kept[i], information, score)
                 mean_square[i] = total / (2 * n - 3)
                 left[k, 0] += inside
@@ -118,7 +118,7 @@ def descend_together(
                 follow(kept[i], step)
                 for c in range(_N_OWN):
                     state[i, c] += step[c]
-            if fall < _CONVERGED_CHI2 * redchi * redchi:
+            if fall < _CONVERGED_CHI2 * noise * noise:
                 break
 
 

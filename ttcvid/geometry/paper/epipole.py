@@ -68,8 +68,8 @@ def epipole_from_flow_lines(first_px: Floats, second_px: Floats) -> tuple[Floats
 def epipole_maximum_likelihood(q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats, Floats, Status]:
     """Direction of motion shared by N flows, by maximum likelihood on the unit sphere.
 
-    Minimises the sum of `flow_line_chi2` by Gauss-Newton in the tangent plane. Unlike least squares on unit normals
-    of flow lines, it is not pulled towards the points when they lie on one side.
+    Minimises the sum of `flow_line_chi2` by scipy's `least_squares` in the tangent plane. Unlike least squares on unit
+    normals of flow lines, it is not pulled towards the points when they lie on one side.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _has_motion(q: Floats, p: Floats, sigma_rad: Floats) -> bool:
 
 
 def _descend(start: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
-    """Gauss-Newton from a start: the direction at the minimum and its covariance (infinite where undetermined)."""
+    """Least squares from a start: the direction at the minimum and its covariance (infinite where undetermined)."""
     from scipy.optimize import least_squares  # takes long to import, and no stage needs it
 
     normals, basis = cross(p, q), tangent_basis(start)

@@ -100,7 +100,7 @@ def _rates(
     has_extent = np.minimum(uu, vv) > LEAST_EXTENT**2 * total
     ratio = np.sqrt(quotient(vv, np.where(has_extent, uu, np.nan)))
     left = v - ratio[:, None] * u
-    redchi = np.sum(weight * (left.real**2 + left.imag**2), axis=1)
-    variance = redchi / (np.maximum(2 * count - 3, 1) * (1.0 + ratio**2)) * (quotient(1.0, uu) + quotient(1.0, vv))
+    squares = np.sum(weight * (left.real**2 + left.imag**2), axis=1)
+    variance = squares / (np.maximum(2 * count - 3, 1) * (1.0 + ratio**2)) * (quotient(1.0, uu) + quotient(1.0, vv))
     scale, dt_s = ratio.reshape(shape), np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
     return (scale - 1.0) / dt_s, scale * np.sqrt(variance.reshape(shape)) / dt_s

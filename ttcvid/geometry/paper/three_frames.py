@@ -111,8 +111,8 @@ def _best_great_circle(rays: Floats) -> tuple[Floats, Floats, Floats]:
     xx, yy, xy = (dx * dx).sum(axis=0), (dy * dy).sum(axis=0), (dx * dy).sum(axis=0)
     turn = 0.5 * np.arctan2(2.0 * xy, xx - yy)
     line = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    redchi = -line[:, 1] * dx + line[:, 0] * dy
+    off = -line[:, 1] * dx + line[:, 0] * dy
     reference = normalize(mean + np.einsum("nij,nj->ni", basis, centre))
     along = np.einsum("nij,nj->ni", basis, line)
     along = normalize(along - np.einsum("ni,ni->n", along, reference)[:, None] * reference)
-    return reference, along, (redchi * redchi).sum(axis=0)
+    return reference, along, (off * off).sum(axis=0)

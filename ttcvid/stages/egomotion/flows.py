@@ -45,7 +45,7 @@ class Flows:
 def select_flows(history: TrackHistory, max_gap_frames: int, target_flow_px: float) -> Flows:
     """Flow of each track over the smallest gap with ``target_flow_px`` of it, else over the largest available gap.
 
-    That is ``max_gap_frames`` views of the history at most.
+    That is ``max_gap_frames`` views of the history at most. Source: the paper's flexible baseline.
     """
     n = history.n_tracks
     first, gap_frames, square = np.full((n, 3), np.nan), np.zeros(n, dtype=np.int64), np.zeros(n)

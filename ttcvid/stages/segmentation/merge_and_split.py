@@ -80,7 +80,7 @@ def merged(
     ----------
     key : ``(N,)`` body of each track.
     neighbours : ``(N, K)`` neighbours of tracks that belong to a mover.
-    own_misfit : ``(N,)`` reduced chi-square of each track on its body, over ``median_redchi``.
+    own_redchi : ``(N,)`` reduced chi-square of each track on its body, over ``median_redchi``.
     """
     number = numbers_of(key, movers)
     asked = _asked_neighbours(neighbours, number, movers)

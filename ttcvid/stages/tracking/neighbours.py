@@ -22,7 +22,7 @@ def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bo
     neighbours = np.repeat(np.arange(len(xy_px))[:, None], count, axis=1)
     if len(xy_px) and (is_asked.any() or is_beside.any()):
         # Cells as wide as the radius; where points lie far outside the picture, those at the border are wider.
-        cell = np.minimum((xy_px - xy_px.min(axis=0)) / radius_px, _MOST_CELLS - 1).astype(np.int64)
+        cell = np.minimum((xy_px - xy_px.min(axis=0)) / radius_px, _MOST_CELLS - 1).astype(np.int64, order="C")
         n_rows = int(cell[:, 1].max()) + 1
         number = cell[:, 0] * n_rows + cell[:, 1]
         start = np.append(0, np.cumsum(np.bincount(number, minlength=(int(cell[:, 0].max()) + 1) * n_rows)))

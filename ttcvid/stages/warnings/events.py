@@ -14,8 +14,9 @@ from ttcvid.stages.warnings.course import Course, Viewpoint, approach_probabilit
 
 # A hidden object, or one whose course is open, is still there: it is forgotten after this many times the persistence.
 _HIDDEN = 3.0
-# Mean time after which a course that was none may have become one, and the opposite, s.
-_CHANGES_S = 2.0
+# Probability that a course changes within a persistence, over that of a wrong warning (one less the confidence), and
+# the most that it may be: more would keep what is surely on collision course from ever being warned of.
+_CHANGES, _MOST_CHANGES = 2.5, 0.25
 # An object is re-identified with a lost one if their boxes overlap by this share of the smaller one.
 _SAME_PLACE = 0.3
 # A warning asks for at least this probability: below it nothing would have to be gathered.
@@ -73,7 +74,7 @@ def update_events(
 ) -> tuple[tuple[Event, ...], EventMemory]:
     """Warnings active in this frame, and the memory for the next one.
 
-    An object is on collision course or not, and changes between the two now and then (`_CHANGES_S`). Log odds of the
+    An object is on collision course or not, and changes between the two now and then (`_CHANGES`). Log odds of the
     probabilities of its frames (`course_of`) add up; errors of neighbouring frames are correlated, so that they count
     per ``persistence_s`` and not per frame, and that time is needed however sure the frames are. At first it is none
     with a probability of ``confidence``. A warning starts where the object is on collision course with this
@@ -127,7 +128,8 @@ def _watched(
     if before is None:
         return WatchedObject(-asked, t_s, row.box_px, recent)
     at_first = float(expit(-asked))
-    lasts = math.exp((before.last_s - t_s) / _CHANGES_S)
+    changes = min(_CHANGES * at_first, _MOST_CHANGES) / config.persistence_s
+    lasts = math.exp(changes * (before.last_s - t_s))
     odds = float(logit(at_first + lasts * (float(expit(before.log_odds)) - at_first)))
     # However sure its frames are, a warning takes the persistence: their errors are common to neighbouring frames.
     told = float(np.clip(logit(course.probability), -2.0 * asked, 2.0 * asked))
