@@ -80,7 +80,7 @@ def estimate(case: str, tracks: Tracks) -> Estimates:
         direction = tracks.rate / np.linalg.norm(tracks.rate, axis=1, keepdims=True)
         paths = np.stack([straight_path(e, tracks.t_s) for e in direction])
         found = fit_rates_on_paths(tracks.xy, tracks.t_s, tracks.sigma_norm, paths, np.arange(n))
-        xy, rate = found.xy, found.rate_hz[:, None] * direction
+        xy, rate = found.state[:, :2], found.rate_hz[:, None] * direction
         cov = found.cov[:, 2, 2, None, None] * np.einsum("ni,nj->nij", direction, direction)
     else:
         plane = PLANE if case == "planar" else None

@@ -288,7 +288,7 @@ def test_each_of_several_things_gets_what_it_would_get_alone():
     for number, path in enumerate(paths):
         own = thing == number
         alone = fit_on_path(xy[:, own], path, sigmas(own.sum()), None, least[own])
-        for name in ("place", "rate_hz", "rate_sigma_hz", "misfit", "n_views"):
+        for name in ("place", "rate_hz", "rate_sigma_hz", "redchi", "n_views"):
             np.testing.assert_array_equal(getattr(fit, name)[own], getattr(alone, name))
         by_own = refined(xy[:, own], path, *priors, weight[own], n_steps[number])
         np.testing.assert_array_equal(-vector_from_rotation(after.cam_R_past[number]), by_own.turn_rad)
