@@ -7,7 +7,7 @@ a point at (x, y, 1) now was at (x + rho T_x, y + rho T_y, 1 + rho T_z), up to i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -17,11 +17,17 @@ from ttcvid.geometry.kernels.rigid_points import (
     LANES,
     LEAST_TYPICAL_REDCHI,
     MOST_STEPS,
+    add_by_view,
     fit_rigid_points,
-    refine_ways,
 )
 from ttcvid.geometry.medians import medians
+from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
+
+# Paths shorter than this have no scale to keep.
+_NO_LENGTH = 1e-9
+# Of the lower triangle of a matrix (6, 6), row by row.
+_ROW, _COLUMN = np.tril_indices(6)
 
 
 @dataclass(frozen=True)
@@ -209,21 +215,51 @@ def refined_paths(
     -------
     The paths, and the rate of each point, (M,).
     """
-    m, (count, n_views) = len(points.track), paths.path.shape[:2]
-    weight = np.ones(m) if weight is None else weight
-    rate = np.zeros(m) if rate_hz is None else rate_hz.copy()
-    ways = ways_of(paths, points.rays.shape[2])
-    expected = np.empty((0, 3, 3)) if priors.cam_R_past is None else np.ascontiguousarray(priors.cam_R_past)
-    refine_ways(
-        points.rays,
-        points.track,
-        points.thing,
-        ways,
-        points.sigma_norm,
-        n_steps,
-        (points.since_s, expected, priors.turn_sigma_rad, priors.shift_sigma),
-        (weight, rate),
-    )
-    by_view = ways[..., ways.shape[2] - n_views :].transpose(0, 2, 1)
-    rotations = np.ascontiguousarray(by_view[..., :9]).reshape(count, n_views, 3, 3)
-    return RigidPaths(rotations, np.ascontiguousarray(by_view[..., 9:])), rate
+    weight = np.ones(len(points.track)) if weight is None else weight
+    rate = np.zeros(len(points.track)) if rate_hz is None else rate_hz.copy()
+    is_left, n_lanes = np.ones(len(paths), dtype=bool), points.rays.shape[2]
+    past = slice(n_lanes - len(points.since_s), n_lanes - 1)
+    for step in range(n_steps.max(initial=0)):
+        is_left &= n_steps > step
+        some = np.flatnonzero(is_left[points.thing])
+        members = replace(points, track=points.track[some], thing=points.thing[some])
+        fit = fit_on_paths(members, paths, rate[some])
+        rate[some] = fit.rate_hz
+        used, has_points = weights_by_redchi(members, fit, weight[some], len(paths))
+        is_left &= has_points
+        if not is_left.any():
+            break
+        sums, of_points = np.zeros((len(paths), 28, n_lanes)), (fit.place, fit.rate_hz, used)
+        ways = ways_of(paths, n_lanes)
+        add_by_view(points.rays, members.track, members.thing, ways, points.sigma_norm, of_points, sums)
+        paths = _with_views_corrected(paths, sums[..., past], is_left, priors, points.since_s)
+    return paths, rate
+
+
+def _with_views_corrected(
+    paths: RigidPaths, sums: Floats, is_left: Bools, priors: PathPriors, since_s: Floats
+) -> RigidPaths:
+    """The paths of some of K things, each past view turned and shifted by its ``sums (K, 28, L - 1)``."""
+    by_view = sums[is_left].transpose(0, 2, 1)
+    past, path = paths.cam_R_past[is_left, :-1], paths.path[is_left, :-1]
+    length = np.sqrt((path * path).sum(axis=2))
+    information, score = np.empty((*length.shape, 6, 6)), by_view[..., 21:27].copy()
+    information[..., _ROW, _COLUMN] = information[..., _COLUMN, _ROW] = by_view[..., :21]
+    of_turn, of_shift = priors.turn_sigma_rad[:-1] ** -2.0, (priors.shift_sigma[:-1] * (length + _NO_LENGTH)) ** -2.0
+    information[..., [0, 1, 2], [0, 1, 2]] += of_turn[:, None]
+    information[..., [3, 4, 5], [3, 4, 5]] += of_shift[..., None]
+    if priors.cam_R_past is not None:
+        score[..., :3] -= of_turn[:, None] * vector_from_rotation(priors.cam_R_past[:-1] @ past.swapaxes(2, 3))
+    straight = (since_s[:-1] / since_s[0])[:, None] * path[:, :1]
+    score[..., 3:] -= of_shift[..., None] * (path - straight)
+    change = np.linalg.solve(information, score[..., None])[..., 0]
+    past = rotation_from_vector(-change[..., :3]) @ past
+    # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
+    past = past @ (1.5 * np.eye(3) - 0.5 * past.swapaxes(2, 3) @ past)
+    path = path + change[..., 3:]
+    before, after = length.max(axis=1, initial=0.0), np.sqrt((path * path).sum(axis=2).max(axis=1, initial=0.0))
+    is_long = np.minimum(before, after) > _NO_LENGTH
+    path *= np.where(is_long, before / np.where(is_long, after, 1.0), 1.0)[:, None, None]
+    corrected = RigidPaths(paths.cam_R_past.copy(), paths.path.copy())
+    corrected.cam_R_past[is_left, :-1], corrected.path[is_left, :-1] = past, path
+    return corrected

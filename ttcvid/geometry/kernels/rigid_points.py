@@ -10,9 +10,6 @@ import numpy as np
 
 from ttcvid.compiled import ZERO, compiled_for
 from ttcvid.geometry.kernels import path_point
-from ttcvid.geometry.kernels.medians import fill_medians
-from ttcvid.geometry.kernels.rotations import fill_rotation, fill_vectors
-from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Floats, Ints
 
 LANES = 8
@@ -24,8 +21,6 @@ HALF_WEIGHT, LEAST_TYPICAL_REDCHI = 2.0, 0.25
 
 Not single residuals: where a path is wrong, all of a view are large.
 """
-NO_LENGTH = 1e-9
-"""Paths shorter than this have no scale to keep."""
 
 # Gauss-Newton on a point ends after a step that lowers chi-square by less than this: the step is taken, its fall is
 # what the linearisation says.
@@ -92,128 +87,52 @@ def fit_rigid_points(
 
 
 @compiled_for(
-    "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], i8[::1], "
-    "Tuple((f8[::1], f8[:, :, ::1], f8[::1], f8[::1])), Tuple((f8[::1], f8[::1])))"
+    "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], Tuple((f8[:, ::1], f8[::1], f8[::1])), f8[:, :, ::1])"
 )
-def refine_ways(
+def add_by_view(
     rays: Floats,
     track: Ints,
     body: Ints,
     ways: Floats,
     sigma: Floats,
-    n_steps: Ints,
-    priors: tuple[Floats, Floats, Floats, Floats],
-    of_points: tuple[Floats, Floats],
+    points: tuple[Floats, Floats, Floats],
+    sums: Floats,
 ) -> None:
-    """Correct ``ways (K, 12, M)`` by the points of their bodies, as `rigid_motion.refined_paths` says.
+    """Add to ``sums (K, 28, M)`` what points say of each view: the lower triangle of J' J, with the residuals last.
 
-    ``priors`` are the times of the L views, the rotations expected ``(L, 3, 3)``, or none, and standard deviations of
-    turns and shifts ``(L,)``; ``of_points`` the weight and, in and out, the rate of each point.
-
-    A point seen at p = (x, y, 1) moves in the picture by B (omega x p + g s) when the view turns by omega and the body
-    shifts by s, with B = [[1, 0, -x], [0, 1, -y]] and g = rho / (1 + rho T_z). Residuals far off lose weight as Cauchy
+    ``points`` are places (N, 2), rates and weights, 0 of points that say nothing. A point seen at p = (x, y, 1) moves
+    in the picture by B (omega x p + g s) when the view turns by omega and the body shifts by s, with
+    B = [[1, 0, -x], [0, 1, -y]] and g = rho / (1 + rho T_z): the columns of J. Residuals far off lose weight as Cauchy
     has it, which lets go of outliers.
     """
-    since_s, expected, turn_sigma, shift_sigma = priors
-    weight, rate = of_points
-    count, n_views, n, since = len(ways), rays.shape[2], len(track), rays.shape[2] - len(since_s)
-    views, rows, sums = np.empty((_N_ROWS, n_views)), np.empty((7, 2 * n_views)), np.empty((count, 28, n_views))
-    place, some_rate, rate_sigma, redchi = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
-    some_track, some_body, seen, some = np.empty_like(track), np.empty_like(track), np.empty_like(track), track.copy()
-    start, used_redchi, typical, least = np.empty(n), np.empty(n), np.empty(count), np.zeros(n)
-    now, turned, information, change = np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 6)), np.empty(6)
-    past, off = np.empty((len(since_s), 3, 3)), np.zeros((len(since_s), 3))
-    is_left = np.ones(count, dtype=np.bool_)
-    for step in range(n_steps.max() if count else 0):
-        n_some = ZERO
-        for m in range(n):
-            if is_left[body[m]] and n_steps[body[m]] > step:
-                some[n_some], some_track[n_some], some_body[n_some], start[n_some] = m, track[m], body[m], rate[m]
-                n_some += 1
-        found = place[:n_some], some_rate[:n_some], rate_sigma[:n_some], redchi[:n_some], seen[:n_some]
-        starts = start[:n_some], least[:n_some]
-        fit_rigid_points(rays, some_track[:n_some], some_body[:n_some], ways, sigma, starts, MOST_STEPS, found)
-        for j in range(n_some):
-            rate[some[j]] = some_rate[j]
-            is_used = np.isfinite(some_rate[j]) and weight[some[j]] > 0.0
-            used_redchi[j] = redchi[j] if is_used else np.nan
-        fill_medians(used_redchi[:n_some], some_body[:n_some], typical)
-        sums[:] = 0.0
-        for j in range(n_some):
-            if np.isnan(used_redchi[j]):
-                continue
-            b, x0, y0, rho = some_body[j], place[j, 0], place[j, 1], some_rate[j]
-            share = weight[some[j]] / (1.0 + redchi[j] / (HALF_WEIGHT * max(typical[b], LEAST_TYPICAL_REDCHI)))
-            _list_turned(rays, some_track[j], ways, b, 1.0 / sigma[some_track[j]], views)
-            for k in range(np.uint64(n_views)):
-                tx, ty, tz = views[_PATH_X, k], views[_PATH_Y, k], views[_PATH_Z, k]
-                depth = 1.0 + rho * tz
-                is_near, inverse = depth < _LEAST_DEPTH_RATIO, views[_INVERSE, k]
-                h = 1.0 / (1.0 if is_near else depth)
-                x, y = (x0 + rho * tx) * h, (y0 + rho * ty) * h
-                rx, ry = (views[_X, k] - x) * inverse, (views[_Y, k] - y) * inverse
-                root = 0.0 if is_near else np.sqrt(share / (1.0 + (rx * rx + ry * ry) * (1.0 / _LIMIT)))
-                w, g, other = root * inverse, root * inverse * rho * h, k + np.uint64(n_views)
-                rows[0, k], rows[1, k], rows[2, k] = -w * x * y, w * (1.0 + x * x), -w * y
-                rows[0, other], rows[1, other], rows[2, other] = -w * (1.0 + y * y), w * x * y, w * x
-                rows[3, k], rows[4, k], rows[5, k], rows[6, k] = g, 0.0, -g * x, root * rx
-                rows[3, other], rows[4, other], rows[5, other], rows[6, other] = 0.0, g, -g * y, root * ry
-            place_of_sum = 0
-            for c in range(7):
-                for d in range(c + 1):
-                    for k in range(np.uint64(n_views)):
-                        other = k + np.uint64(n_views)
-                        sums[b, place_of_sum, k] += rows[c, k] * rows[d, k] + rows[c, other] * rows[d, other]
-                    place_of_sum += 1
-        for b in range(count):
-            # A body without points keeps its motion, and one whose steps are done.
-            is_left[b] = is_left[b] and n_steps[b] > step and np.isfinite(typical[b])
-            if not is_left[b]:
-                continue
-            way, before, after = ways[b], 0.0, 0.0
-            first = (way[9, since], way[10, since], way[11, since])
-            for k in range(len(expected)):
-                for i in range(3):
-                    for j in range(3):
-                        x, y, z = way[3 * j, since + k], way[3 * j + 1, since + k], way[3 * j + 2, since + k]
-                        past[k, i, j] = expected[k, i, 0] * x + expected[k, i, 1] * y + expected[k, i, 2] * z
-            if len(expected) > 0:
-                fill_vectors(past, off)
-            for k in range(len(since_s) - 1):
-                view, part, place_of_sum = since + k, since_s[k] / since_s[0], 0
-                square = way[9, view] ** 2 + way[10, view] ** 2 + way[11, view] ** 2
-                before, length = max(before, square), np.sqrt(square)
-                for c in range(6):
-                    for d in range(c + 1):
-                        information[c, d] = sums[b, place_of_sum, view]
-                        place_of_sum += 1
-                    change[c] = sums[b, 21 + c, view]
-                of_turn, of_shift = turn_sigma[k] ** -2.0, (shift_sigma[k] * (length + NO_LENGTH)) ** -2.0
-                for c in range(3):
-                    information[c, c] += of_turn
-                    information[3 + c, 3 + c] += of_shift
-                    change[c] -= of_turn * off[k, c]
-                    change[3 + c] -= of_shift * (way[9 + c, view] - part * first[c])
-                solve(information, change)
-                fill_rotation(-change[0], -change[1], -change[2], now)
-                for i in range(3):
-                    way[9 + i, view] += change[3 + i]
-                    for j in range(3):
-                        x, y, z = way[j, view], way[3 + j, view], way[6 + j, view]
-                        turned[i, j] = now[i, 0] * x + now[i, 1] * y + now[i, 2] * z
-                # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
-                for i in range(3):
-                    for j in range(3):
-                        square = turned[0, i] * turned[0, j] + turned[1, i] * turned[1, j] + turned[2, i] * turned[2, j]
-                        now[i, j] = (1.5 if i == j else 0.0) - 0.5 * square
-                for i in range(3):
-                    for j in range(3):
-                        x, y, z = turned[i, 0], turned[i, 1], turned[i, 2]
-                        way[3 * i + j, view] = x * now[0, j] + y * now[1, j] + z * now[2, j]
-                after = max(after, way[9, view] ** 2 + way[10, view] ** 2 + way[11, view] ** 2)
-            # The path keeps its length.
-            if min(before, after) > NO_LENGTH * NO_LENGTH:
-                way[9:] *= np.sqrt(before / after)
+    place, rate, weight = points
+    n_views = rays.shape[2]
+    views, rows = np.empty((_N_ROWS, n_views)), np.empty((7, 2 * n_views))
+    for m in range(len(track)):
+        if not weight[m] > 0.0:
+            continue
+        b, x0, y0, rho = body[m], place[m, 0], place[m, 1], rate[m]
+        _list_turned(rays, track[m], ways, b, 1.0 / sigma[track[m]], views)
+        for k in range(np.uint64(n_views)):
+            tx, ty, tz = views[_PATH_X, k], views[_PATH_Y, k], views[_PATH_Z, k]
+            depth = 1.0 + rho * tz
+            is_near, inverse = depth < _LEAST_DEPTH_RATIO, views[_INVERSE, k]
+            h = 1.0 / (1.0 if is_near else depth)
+            x, y = (x0 + rho * tx) * h, (y0 + rho * ty) * h
+            rx, ry = (views[_X, k] - x) * inverse, (views[_Y, k] - y) * inverse
+            root = 0.0 if is_near else np.sqrt(weight[m] / (1.0 + (rx * rx + ry * ry) * (1.0 / _LIMIT)))
+            w, g, other = root * inverse, root * inverse * rho * h, k + np.uint64(n_views)
+            rows[0, k], rows[1, k], rows[2, k] = -w * x * y, w * (1.0 + x * x), -w * y
+            rows[0, other], rows[1, other], rows[2, other] = -w * (1.0 + y * y), w * x * y, w * x
+            rows[3, k], rows[4, k], rows[5, k], rows[6, k] = g, 0.0, -g * x, root * rx
+            rows[3, other], rows[4, other], rows[5, other], rows[6, other] = 0.0, g, -g * y, root * ry
+        place_of_sum = 0
+        for c in range(7):
+            for d in range(c + 1):
+                for k in range(np.uint64(n_views)):
+                    other = k + np.uint64(n_views)
+                    sums[b, place_of_sum, k] += rows[c, k] * rows[d, k] + rows[c, other] * rows[d, other]
+                place_of_sum += 1
 
 
 @compiled_for(
