@@ -252,7 +252,7 @@ def _with_views_corrected(
         score[..., :3] -= of_turn[:, None] * vector_from_rotation(priors.cam_R_past[:-1] @ past.swapaxes(2, 3))
     straight = (since_s[:-1] / since_s[0])[:, None] * path[:, :1]
     score[..., 3:] -= of_shift[..., None] * (path - straight)
-    change: Floats = np.linalg.solve(information, score[..., None])[..., 0]
+    change = np.asarray(np.linalg.solve(information, score[..., None])[..., 0], dtype=np.float64)
     past = rotation_from_vector(-change[..., :3]) @ past
     # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
     past = past @ (1.5 * np.eye(3) - 0.5 * past.swapaxes(2, 3) @ past)
