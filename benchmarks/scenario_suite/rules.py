@@ -115,18 +115,6 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.aperture_problem.may_slip": _zeros(0)},
         _stage("segmentation/aperture_problem"),
     ),
-    "slip_on_road": Rule(
-        "the last step's slip on the road is noise",
-        "slips",
-        {"stages.segmentation.births._without_slip": lambda views, on_road, redchi: redchi},
-        (),
-    ),
-    "occlusions": Rule(
-        "corners of two surfaces make no mover",
-        "slips",
-        {"stages.segmentation.occlusions.between_surfaces": _zeros(3)},
-        _stage("segmentation/occlusions"),
-    ),
     "spreading": Rule(
         "new movers that keep their bearing and spread",
         "births",
@@ -150,12 +138,6 @@ RULES: dict[str, Rule] = {
         "births",
         {"stages.segmentation.surface_memory.remembered": _seen_only},
         _stage("segmentation/surface_memory"),
-    ),
-    "shake": Rule(
-        "a camera's sway is not the movers'",
-        "births",
-        {"stages.segmentation.bodies.shake_of": lambda path, since_s: np.zeros_like(path)},
-        (),
     ),
     "nearer": Rule(
         "what is nearer than the rest of an object is no part of it",

@@ -54,18 +54,17 @@ def street_with(thing_m, velocity_m_s, rng):
     return np.concatenate([thing_m, scene]), np.concatenate(velocities)
 
 
-def found_in(views, scene, fit, seeds=None, shake=None, *, few_are_enough=True):
+def found_in(views, scene, fit, seeds=None, *, few_are_enough=True):
     seeds = np.flatnonzero(fit.redchi > CONFIG.scene_gate) if seeds is None else seeds
-    shake = np.zeros((len(TIMES_S), 3)) if shake is None else shake
     may_be = fit.n_views >= LEAST_VIEWS
-    seen = SimpleNamespace(scene=scene, redchi=fit.redchi, median_redchi=1.0, shake=shake)
+    seen = SimpleNamespace(scene=scene, redchi=fit.redchi, median_redchi=1.0)
     return expanding_movers(views, seen, may_be, seeds, CONFIG, few_are_enough=few_are_enough)
 
 
 def new_in(views, scene, fit):
     nowhere, redchi = np.zeros(len(fit.redchi), dtype=bool), fit.redchi
-    shake, of_scene = np.zeros((len(TIMES_S), 3)), (fit.rate_hz, fit, redchi, redchi, 1.0)
-    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), False, Platform.free, False, shake)
+    of_scene = fit.rate_hz, fit, redchi, redchi, 1.0
+    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), False, Platform.free, False)
     members, paths, _ = new_movers(views, seen, ~nowhere, views.neighbours(redchi > CONFIG.scene_gate, nowhere), CONFIG)
     return members, paths
 

@@ -1,14 +1,10 @@
-"""The velocity over the depth of a small thing, from how its picture moves and grows: four unknowns for all tracks.
+"""The velocity over the depth of a small thing, from how its picture moves and grows: three unknowns for all tracks.
 
 A point at (x, y) now, in the plane z = 1, of a thing that moves by (a, b, c) = V / Z and is small against its distance,
 was at ((x + a t) / (1 + c t), (y + b t) / (1 + c t)). Multiplied out, that is linear in the place and in (a, b, c).
 What a track says of them is a sum: any set of tracks is fitted by adding up. (A noisy place in the column of c pulls c
 to zero: here by the square of the noise over that of the thing's size. Views of when the thing was smaller count as
 much as the present one: where c t is 0.3, their noise is 1.3 times as large as it is taken to be.)
-
-The thing goes straight on, the camera may not: one that is held by hand or hovers sways. How far it was off a straight
-way is known from the scene, in units of the scene; times s, one over the depth of the thing in these units, it adds to
-the ways of all its tracks. So s is the fourth unknown, and told only where the camera sways.
 """
 
 from __future__ import annotations
@@ -20,9 +16,6 @@ import numpy as np
 from ttcvid.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
-# One over the time that the camera takes to where a thing is, is hardly more than this, 1/s: what is nearer than half a
-# second away was found before.
-_USUAL_S_HZ = 2.0
 # A track fits a velocity that explains it worse than the scene by no more than this, in units of what is usual; misfits
 # below the first are noise.
 _NOISE, _NOT_WORSE = 1.0, 1.0
@@ -32,12 +25,12 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class GrowthSums:
-    """What each of M tracks says of the unknowns (a, b, c, s) of its thing, its place taken out.
+    """What each of M tracks says of the unknowns (a, b, c) of its thing, its place taken out.
 
-    Its squared residuals, in units of its variance, are quadratic in them: ``sums (13, M)`` are the information on a
+    Its squared residuals, in units of its variance, are quadratic in them: ``sums (8, M)`` are the information on a
     (that on b is the same, and the two do not meet), the couplings of a and b with c, the information on c, the score
-    of a, b, c, the squared residuals where all are 0, the couplings of s with a, b, c, the information on it and its
-    score. ``freedom (M,)`` degrees of freedom of each by itself: its velocity is that of others, too.
+    of a, b, c, the squared residuals where all are 0. ``freedom (M,)`` degrees of freedom of each by itself: its
+    velocity is that of others, too.
     """
 
     sums: Floats
@@ -48,21 +41,18 @@ class GrowthSums:
         return GrowthSums(self.sums.take(track, axis=1), self.freedom.take(track))
 
     def unknowns(self, members: Bools) -> tuple[Floats, Floats]:
-        """(a, b, c, s) of the tracks that a mask (M,) picks, 1/s, and their covariance (4, 4); NaN: none."""
-        aa, ac, bc, cc, score_a, score_b, score_c, _, as_, bs, cs, ss, score_s = self.sums[:, members].sum(axis=1)
-        ss += 1.0 / _USUAL_S_HZ**2
-        info = np.array([[aa, 0.0, ac, as_], [0.0, aa, bc, bs], [ac, bc, cc, cs], [as_, bs, cs, ss]])
-        if not (aa > 0.0 and aa * cc > ac * ac + bc * bc and np.linalg.det(info) > 0.0):
-            return np.full(4, np.nan), np.full((4, 4), np.nan)
-        cov = np.linalg.inv(info)
-        return cov @ [score_a, score_b, score_c, score_s], cov
+        """(a, b, c) of the tracks that a mask (M,) picks, 1/s, and their covariance (3, 3); NaN: none."""
+        aa, ac, bc, cc, score_a, score_b, score_c, _ = self.sums[:, members].sum(axis=1)
+        if not (aa > 0.0 and aa * cc > ac * ac + bc * bc):
+            return np.full(3, np.nan), np.full((3, 3), np.nan)
+        cov = np.linalg.inv(np.array([[aa, 0.0, ac], [0.0, aa, bc], [ac, bc, cc]]))
+        return cov @ [score_a, score_b, score_c], cov
 
     def redchi_of(self, unknowns: Floats) -> Floats:
-        """Chi-square over degrees of freedom of each track with (a, b, c, s) ``(4, ...)``: (..., M)."""
-        a, b, c, s = unknowns
-        by_path = [a * a + b * b, 2.0 * a * c, 2.0 * b * c, c * c, -2.0 * a, -2.0 * b, -2.0 * c, np.ones_like(a)]
-        by_sums = np.stack([*by_path, 2.0 * a * s, 2.0 * b * s, 2.0 * c * s, s * s, -2.0 * s], axis=-1)
-        return np.asarray(np.maximum(by_sums @ self.sums, 0.0) / self.freedom)
+        """Chi-square over degrees of freedom of each track with (a, b, c) ``(3, ...)``: (..., M)."""
+        a, b, c = unknowns
+        by_sums = [a * a + b * b, 2.0 * a * c, 2.0 * b * c, c * c, -2.0 * a, -2.0 * b, -2.0 * c, np.ones_like(a)]
+        return np.asarray(np.maximum(np.stack(by_sums, axis=-1) @ self.sums, 0.0) / self.freedom)
 
     def sharing_a_velocity(self, redchi: Floats, gate: float, least_tracks: int) -> Bools | None:
         """Which tracks (M,) one velocity explains that comes nearer; None where they are too few.
@@ -87,7 +77,7 @@ class GrowthSums:
         return fits if np.count_nonzero(fits) >= least_tracks else None
 
     def _explained(self, total: Floats, redchi: Floats, limit: Floats) -> tuple[Bools, Floats]:
-        """Tracks ``(K, M)`` below their ``limit (M,)`` at what each of K sums ``total (13, K)`` says, if that nears.
+        """Tracks ``(K, M)`` below their ``limit (M,)`` at what each of K sums ``total (8, K)`` says, if that nears.
 
         And by how much their chi-square is less than on the scene's path, (K,).
         """
@@ -103,28 +93,16 @@ def _explain(
     """Fill ``fits (K, M)`` and ``gain (K,)``, zeros before, as `GrowthSums._explained` returns them."""
     terms, chi2 = np.empty(len(sums)), np.empty(len(redchi))
     for k in range(len(gain)):
-        aa, ac, bc, score_a, score_b, as_, bs = (
-            total[0, k],
-            total[1, k],
-            total[2, k],
-            total[4, k],
-            total[5, k],
-            total[8, k],
-            total[9, k],
-        )
-        # What is left for c and s where a and b follow them, times the information on these.
-        cc, cs = aa * total[3, k] - ac * ac - bc * bc, aa * total[10, k] - ac * as_ - bc * bs
-        ss = aa * (total[11, k] + 1.0 / _USUAL_S_HZ**2) - as_ * as_ - bs * bs
-        of_c, of_s = aa * total[6, k] - ac * score_a - bc * score_b, aa * total[12, k] - as_ * score_a - bs * score_b
-        rest = cc * ss - cs * cs
-        c, s = (ss * of_c - cs * of_s) / rest, (cc * of_s - cs * of_c) / rest
-        if not (aa > 0.0 and cc > 0.0 and rest > 0.0 and c < 0.0):
+        aa, ac, bc, score_a, score_b = total[0, k], total[1, k], total[2, k], total[4, k], total[5, k]
+        # What is left for c where a and b follow it, times the information on these.
+        cc = aa * total[3, k] - ac * ac - bc * bc
+        c = (aa * total[6, k] - ac * score_a - bc * score_b) / cc
+        if not (aa > 0.0 and cc > 0.0 and c < 0.0):
             continue
-        a, b = (score_a - ac * c - as_ * s) / aa, (score_b - bc * c - bs * s) / aa
+        a, b = (score_a - ac * c) / aa, (score_b - bc * c) / aa
         # As in `GrowthSums.redchi_of`.
         terms[0], terms[1], terms[2], terms[3] = a * a + b * b, 2.0 * a * c, 2.0 * b * c, c * c
         terms[4], terms[5], terms[6], terms[7] = -2.0 * a, -2.0 * b, -2.0 * c, 1.0
-        terms[8], terms[9], terms[10], terms[11], terms[12] = 2.0 * a * s, 2.0 * b * s, 2.0 * c * s, s * s, -2.0 * s
         for i in range(len(redchi)):
             chi2[i] = 0.0
         for r in range(len(sums)):
@@ -136,7 +114,7 @@ def _explain(
             gain[k] += (redchi[i] - off) * freedom[i] if fits[k, i] else 0.0
 
 
-def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, shake: Floats) -> GrowthSums:
+def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats) -> GrowthSums:
     """What each track says.
 
     Parameters
@@ -144,19 +122,16 @@ def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats, shake: Floats) 
     xy : (L, M, 2) places in the plane z = 1 of the present camera, without its rotation, NaN where not seen.
     since_s : (L,) times relative to the present view.
     sigma_norm : (M,) noise of a coordinate.
-    shake : (L, 3) how far the scene lay off a straight way at its present velocity, in its units; 0 of a steady camera.
     """
     is_seen = np.isfinite(xy[..., 0])
     # As numbers: numpy multiplies by truth values ten times as slowly.
     place, seen = np.where(is_seen, np.ascontiguousarray(xy.transpose(2, 0, 1)), 0.0), is_seen.astype(np.float64)
-    n, t, away = np.sum(seen, axis=0), since_s[:, None] * seen, shake.T[:, :, None]
-    # x = x0 + a t - c t x + s (sway_x - x sway_z), and the same with b for y: the columns, their means taken out.
-    a, c, s, square = (
-        column - np.sum(column, axis=-2, keepdims=True) / np.maximum(n, 1.0) * seen
-        for column in (t, -t * place, (away[:2] - place * away[2]) * seen, place)
+    n, t = np.sum(seen, axis=0), since_s[:, None] * seen
+    # x = x0 + a t - c t x, and the same with b for y: the columns, their means taken out.
+    a, c, square = (
+        column - np.sum(column, axis=-2, keepdims=True) / np.maximum(n, 1.0) * seen for column in (t, -t * place, place)
     )
-    aa, with_c, score_ab, with_s = (np.sum(a * each, axis=-2) for each in (a, c, square, s))
-    pairs = (c, c), (c, square), (square, square), (c, s), (s, s), (s, square)
-    cc, score_c, squares, cs, ss, score_s = (np.sum(one * other, axis=(0, 1)) for one, other in pairs)
-    sums = np.vstack([aa, with_c, cc, score_ab, score_c, squares, with_s, cs, ss, score_s])
+    aa, with_c, score_ab = (np.sum(a * each, axis=-2) for each in (a, c, square))
+    cc, score_c, squares = (np.sum(one * other, axis=(0, 1)) for one, other in ((c, c), (c, square), (square, square)))
+    sums = np.vstack([aa, with_c, cc, score_ab, score_c, squares])
     return GrowthSums(sums / (sigma_norm * sigma_norm), np.maximum(2.0 * (n - 1.0), 1.0))

@@ -19,8 +19,6 @@ from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.segmentation.diverging_flow import expanding_movers, tracks_needed
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
-from ttcvid.stages.segmentation.ground_plane import on_road
-from ttcvid.stages.segmentation.occlusions import between_surfaces
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
@@ -33,8 +31,6 @@ _TOGETHER, _LEAST_AROUND = 0.6, 3
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
 # Gauss-Newton steps for a new trajectory.
 _FIRST_STEPS = 3
-# Slip of a tracker's square window on a road that scales and shears, as a share of the flow of a frame.
-_SLIP = 0.02
 # Reduced chi-squares are at least this where their logarithm is taken.
 _NO_REDCHI = 0.1
 
@@ -72,8 +68,7 @@ def new_movers(
     Of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
     is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
-    redchi = _without_slip(views, on_road(seen.fit, seen.road), seen.redchi)
-    candidates = _candidates(neighbours, is_asked, redchi, config)
+    candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
     # In the air an object straight at us is found as one surface, whose times few tracks determine.
@@ -81,8 +76,7 @@ def new_movers(
     members = expanding_movers(views, seen, may_spread, candidates, config, few_are_enough=are_few_enough)
     nowhere = np.zeros_like(in_scene)
     things = _Things(members, tracks_needed(members, config), nowhere, np.zeros_like(views.edge))
-    is_static = in_scene & (seen.redchi < config.scene_gate)
-    spread, paths, rate_hz = _explained(views, seen, things, is_static, neighbours, config)
+    spread, paths, rate_hz = _explained(views, seen, things, config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)
     is_along = (seen.redchi > config.scene_gate) & (seen.seen_redchi < config.scene_gate)
@@ -90,16 +84,16 @@ def new_movers(
     # Without camera translation all surfaces have the same flow, and no window slips.
     edge = views.edge if seen.moves_past else np.zeros_like(views.edge)
     things = _Things(members, np.full(len(members), config.min_tracks), is_along, edge)
-    alike, alike_paths, alike_hz = _explained(views, seen, things, is_static, neighbours, config)
+    alike, alike_paths, alike_hz = _explained(views, seen, things, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
 
 def _explained(
-    views: BodyViews, seen: SeenScene, things: _Things, is_static: Bools, neighbours: Ints, config: BodiesConfig
+    views: BodyViews, seen: SeenScene, things: _Things, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
     """Those of K proposals that a trajectory of their own explains significantly better than the scene.
 
-    Returned as by `new_movers`, with the tracks explained better; ``is_static (N,)`` tracks that the scene explains.
+    Returned as by `new_movers`, with the tracks explained better.
     """
     scene, redchi, median_redchi, is_along = seen.scene, seen.redchi, seen.median_redchi, things.is_along
     if not things.members:
@@ -117,24 +111,11 @@ def _explained(
     is_found = np.bincount(thing, is_better) > 0.5 * np.bincount(thing)
     if is_found.any():
         xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
-        may_slide = between_surfaces(scene, seen.fit, is_static, track, neighbours[track], xy) & ~is_along[track]
-        # Corners that slide along two outlines are nearly rigid: a rigid body has to fit better still.
-        is_sure = is_better & (~may_slide | (redchi_by_own < redchi[track] / config.gain**2))
         gate = config.scene_gate * median_redchi
         slips = may_slip(things.edge[track], xy, scene.path[0], views.sigma_norm[track], gate)
-        is_found &= np.bincount(thing, is_sure & (~slips | is_along[track])) >= things.needed
+        is_found &= np.bincount(thing, is_better & (~slips | is_along[track])) >= things.needed
     found = np.flatnonzero(is_found)
     return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
-
-
-def _without_slip(views: BodyViews, on_road: Bools, redchi: Floats) -> Floats:
-    """Reduced chi-squares ``(N,)``; those of tracks on the road with the slip of their window added to their noise."""
-    if len(views.rays) < 2:
-        return redchi
-    moved = views.rays[-1] - views.rays[-2]
-    noise2, slip2 = views.sigma_norm**2, _SLIP**2 * (moved * moved).sum(axis=1)
-    # NaN: not observed before.
-    return np.where(on_road & (slip2 > 0.0), redchi * (noise2 / (noise2 + slip2)), redchi)
 
 
 def _candidates(neighbours: Ints, is_asked: Bools, redchi: Floats, config: BodiesConfig) -> Ints:

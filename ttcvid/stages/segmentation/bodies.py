@@ -63,19 +63,6 @@ def recent_speed(path: Floats, t_s: Floats) -> float:
     return float(np.linalg.norm(path[back]) / (t_s[-1] - t_s[back]))
 
 
-def shake_of(path: Floats, since_s: Floats) -> Floats:
-    """How far views of a body's ``path (L, 3)`` lie off one on which it keeps its present velocity: (L, 3).
-
-    That is the mean velocity of the last few views, and half of what it has changed by since those before them.
-    """
-    if len(path) <= 2 * _STEADY_VIEWS:
-        return np.zeros_like(path)
-    middle, first = -1 - _STEADY_VIEWS, -1 - 2 * _STEADY_VIEWS
-    late_hz = path[middle] / since_s[middle]
-    early_hz = (path[first] - path[middle]) / (since_s[first] - since_s[middle])
-    return np.asarray(path - since_s[:, None] * (late_hz + 0.5 * (late_hz - early_hz)))
-
-
 def direction_of_last_step(path: Floats, since_s: Floats) -> tuple[Floats, Floats] | None:
     """Direction of a body's last step and its covariance in the tangent plane, rad^2; None with too few views.
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import GrowthSums, growth_sums
+from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.approach_probability import SIGMAS_999, common_growth_hz
@@ -74,7 +75,7 @@ def expanding_movers(
     # Most tracks are around several of those asked, and say the same each time.
     near = around_any(views.xy_px, is_asked, may_be, views.link_px)
     xy = each_turned_into_plane(views.rays, near, seen.scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
-    sums = growth_sums(xy, views.since_s, np.sqrt(seen.median_redchi) * views.sigma_norm[near], seen.shake)
+    sums = growth_sums(xy, views.since_s, np.sqrt(seen.median_redchi) * views.sigma_norm[near])
     xy_px, redchi, is_asked = views.xy_px[near], seen.redchi[near], is_asked[near]
     is_free = np.ones(len(near), dtype=bool)
     for _ in range(_MOST_SEEDS):
@@ -97,25 +98,24 @@ def expanding_movers(
         elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, seen.scene.path[0, 0]):
             small.append(thing)
     things = _with_small_ones(things, small, sums, config)
-    return [(near[thing.members], thing.path(views.since_s, seen.shake)) for thing in things]
+    return [(near[thing.members], thing.path(views.since_s)) for thing in things]
 
 
 @dataclass(frozen=True)
 class _Thing:
-    """Tracks ``members (M,)`` of `GrowthSums` that share ``unknowns (4,)``."""
+    """Tracks ``members (M,)`` of `GrowthSums` that share ``unknowns (3,)``."""
 
     members: Ints
     unknowns: Floats
 
-    def path(self, since_s: Floats, shake: Floats) -> Floats:
+    def path(self, since_s: Floats) -> Floats:
         """Where it was at the times ``since_s (L,)``, less where it is, in s of its speed: (L, 3)."""
-        way = since_s[:, None] * self.unknowns[:3] + self.unknowns[3] * shake
-        return np.asarray(way / np.linalg.norm(self.unknowns[:3]))
+        return straight_path(self.unknowns / np.linalg.norm(self.unknowns), since_s)
 
 
 @dataclass(frozen=True)
 class _Sharing:
-    """Which of some tracks (M,) share ``unknowns (4,)`` of `GrowthSums`, and the standard deviation of c, 1/s.
+    """Which of some tracks (M,) share ``unknowns (3,)`` of `GrowthSums`, and the standard deviation of c, 1/s.
 
     ``is_few``: fewer than a thing needs that does not head at us.
     """

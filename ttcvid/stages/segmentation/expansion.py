@@ -126,14 +126,12 @@ def _thing_around(
     past = slice(0, history.n_past + 1)
     xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
     sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
-    # An aircraft flies straight on.
-    straight_on = np.zeros((len(xy), 3))
-    sums = growth_sums(xy, history.since_s[past], np.sqrt(median_redchi) * sigma_norm, straight_on)
+    sums = growth_sums(xy, history.since_s[past], np.sqrt(median_redchi) * sigma_norm)
     fits = sums.sharing_a_velocity(redchi, config.scene_gate, _LEAST_TRACKS)
     if fits is None:
         return None
-    unknowns, cov = sums.unknowns(fits)
-    own, velocity_hz, cov = sums.redchi_of(unknowns), unknowns[:3], cov[:3, :3]
+    velocity_hz, cov = sums.unknowns(fits)
+    own = sums.redchi_of(velocity_hz)
     if not fits[0] or (redchi[0] > config.scene_gate and not own[0] < redchi[0] / config.gain):
         return None
     cov = max(float(own[fits].mean()), 1.0) * cov + _common_cov(history, around[fits], xy[:, fits])

@@ -13,7 +13,7 @@ from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, Egomotion, picture_region, region_side_of
-from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, shake_of, with_unit_speed
+from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.tracking.history import TrackHistory
@@ -50,8 +50,7 @@ class SeenScene:
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
     each: of a scene that ``rests``, without motion. ``redchi (N,)``, in units of what is usual, ``median_redchi``, with
     what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera;
-    ``moves_past``: the camera is seen to move past the scene. ``shake (L, 3)`` how far it was off a steady path,
-    0 before a camera that does not sway.
+    ``moves_past``: the camera is seen to move past the scene.
     """
 
     scene: RigidPaths
@@ -65,7 +64,6 @@ class SeenScene:
     rests: bool
     platform: Platform
     moves_past: bool
-    shake: Floats
 
     @property
     def camera_rests(self) -> bool:
@@ -122,12 +120,7 @@ def see_scene(
         road_before = road_before.in_units(speed)
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
         redchi = _with_contradictions(redchi, road, on_road(fit, road), key, fit.n_views, config)
-    # In a hand or on a drone a camera sways. On the road what is before us goes round the same bend as we do.
-    shakes = platform == Platform.free and not rests
-    shake = shake_of(scene.path[0], views.since_s) if shakes else np.zeros_like(scene.path[0])
-    return SeenScene(
-        scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, rests, platform, moves_past, shake
-    )
+    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, rests, platform, moves_past)
 
 
 def _scene(
