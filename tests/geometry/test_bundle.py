@@ -5,7 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttcvid.geometry.estimation.bundle import N_POSE, N_SHARED, Bundle, Views, _cost, _equations, adjust_bundle
+from ttcvid.geometry.estimation.bundle import (
+    N_POSE,
+    N_SHARED,
+    Bundle,
+    Views,
+    _behind,
+    _capped,
+    _cost,
+    _equations,
+    adjust_bundle,
+)
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 
 N_FRAMES, N_POINTS = 6, 40
@@ -28,8 +38,12 @@ def truth() -> Bundle:
 
 def views_of(bundle: Bundle) -> Views:
     frame, point = (index.ravel() for index in np.meshgrid(np.arange(N_FRAMES), np.arange(N_POINTS), indexing="ij"))
-    xy_px = _cost(np.zeros((N_FRAMES, N_POINTS, 2)), bundle, 1.0)[1].reshape(-1, 2)
+    xy_px = _cost(np.zeros((N_FRAMES, 2, N_POINTS)), bundle, 1.0)[1].transpose(0, 2, 1).reshape(-1, 2)
     return Views(xy_px, frame, point, np.arange(N_POINTS) % 10)
+
+
+def whole_cost(xy_px: np.ndarray, bundle: Bundle) -> float:
+    return _cost(xy_px, bundle, 1.0)[0] + _capped(_behind(bundle)[0] ** 2).sum()
 
 
 def moved(bundle: Bundle, step: np.ndarray, point_step: np.ndarray) -> Bundle:
@@ -48,7 +62,7 @@ def test_gradient_is_that_of_the_robust_cost(truth):
     """Half of the cost's slope, along every unknown of the frames and of a few points, one of them behind."""
     rng = np.random.default_rng(2)
     views = views_of(truth)
-    xy_px = (views.xy_px + rng.normal(0.0, 2.0, views.xy_px.shape)).reshape(N_FRAMES, N_POINTS, 2)
+    xy_px = (views.xy_px + rng.normal(0.0, 2.0, views.xy_px.shape)).reshape(N_FRAMES, N_POINTS, 2).transpose(0, 2, 1)
     bundle = replace(truth, inverse=np.where(np.arange(N_POINTS) == 3, -0.01, truth.inverse))
     equations = _equations(bundle, 1.0, _cost(xy_px, bundle, 1.0)[1], bundle.shared, FREE)
     n_pose = N_POSE * N_FRAMES + N_SHARED
@@ -59,19 +73,19 @@ def test_gradient_is_that_of_the_robust_cost(truth):
             step[place], downhill = scale * STEP, equations.pose_gradient[place]
         else:
             n, axis = divmod(place - n_pose, 3)
-            point_step[n, axis], downhill = STEP, equations.point_gradient[n, axis]
+            point_step[n, axis], downhill = STEP, equations.point_gradient[axis, n]
         # The focal length also sets what counts as behind: held here.
         if place == n_pose - N_SHARED:
             continue
-        ahead, behind = (_cost(xy_px, moved(bundle, s * step, s * point_step), 1.0)[0] for s in (1.0, -1.0))
+        ahead, behind = (whole_cost(xy_px, moved(bundle, s * step, s * point_step)) for s in (1.0, -1.0))
         assert -0.25 * (ahead - behind) / (scale * STEP) == pytest.approx(downhill, rel=1e-4, abs=1e-3)
 
 
 def test_score_of_the_points_adds_up_to_the_gradient(truth):
     views = views_of(replace(truth, shared=truth.shared + 0.01))
-    xy_px = views.xy_px.reshape(N_FRAMES, N_POINTS, 2)
+    xy_px = views.xy_px.reshape(N_FRAMES, N_POINTS, 2).transpose(0, 2, 1)
     equations = _equations(truth, 1.0, _cost(xy_px, truth, 1.0)[1], truth.shared, FREE)
-    np.testing.assert_allclose(equations.score.sum(axis=0), equations.pose_gradient, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(equations.score.sum(axis=1), equations.pose_gradient, rtol=1e-9, atol=1e-9)
 
 
 def test_exact_views_give_back_focal_length_centre_and_distortion(truth):

@@ -12,11 +12,13 @@ are two tangent coordinates of its ray and the inverse distance.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.geometry.rotation import cross, normalize, rotation_from_vector, tangent_basis
+from ttcvid.geometry.estimation.schur import EliminatedPoints, cross_of_rows, eliminated
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED, N_POSE = 4, 6
@@ -82,8 +84,8 @@ class Bundle:
 class _Equations:
     """Gauss-Newton's equations: ``pose_hessian (K, K)``, ``pose_gradient (K,)``, downhill, of what frames hold.
 
-    ``mixed (K, N, 3)`` couples it with the points, of which ``point_hessian (N, 3, 3)`` and ``point_gradient (N, 3)``
-    are; ``score (N, K)`` is the part of each point in the pose gradient.
+    ``mixed (K, 3, N)`` couples it with the points, of which ``point_hessian (3, 3, N)`` and ``point_gradient (3, N)``
+    are; ``score (K, N)`` is the part of each point in the pose gradient.
     """
 
     pose_hessian: Floats
@@ -93,33 +95,39 @@ class _Equations:
     point_gradient: Floats
     score: Floats
 
+    def without_points(self, damping: float) -> EliminatedPoints:
+        """The points eliminated."""
+        diagonal, hessian = np.arange(_N_POINT), self.point_hessian.copy()
+        hessian[diagonal, diagonal] *= 1.0 + damping + _TINY
+        hessian[diagonal, diagonal] += _TINY
+        return eliminated(hessian, self.point_gradient, self.mixed)
+
 
 @dataclass(frozen=True)
 class BundleFit:
-    """``cost`` in sigmas squared; ``residual (J, N, 2)`` likewise, NaN where not observed, inf behind a camera.
+    """``cost`` in sigmas squared; ``residual (J, 2, N)`` likewise, NaN where not observed, inf behind a camera.
 
-    ``equations`` are those at the end, of which the unknowns that ``is_free (K,)`` marks were searched; ``region (N,)``
-    as of the views.
+    ``equations`` gives those at the end, of which the unknowns that ``is_free (K,)`` marks were searched; ``region
+    (N,)`` as of the views.
     """
 
     bundle: Bundle
     cost: float
     residual: Floats
-    equations: _Equations
+    equations: Callable[[], _Equations]
     is_free: Bools
     region: Ints
 
     @property
     def spread(self) -> float:
         """Robust standard deviation of a coordinate, in sigmas."""
-        length = np.hypot(self.residual[..., 0], self.residual[..., 1])
+        length = np.hypot(self.residual[:, 0], self.residual[:, 1])
         return float(np.nanmedian(length)) / _MEDIAN_RAYLEIGH
 
     @property
     def behind(self) -> Bools:
         """Points (N,) that are behind all cameras by more than three sigmas, which cannot be."""
-        variance = _reduced(self.equations, 0.0)[2][:, 2, 2]
-        return np.asarray(self.bundle.inverse < -3.0 * np.sqrt(variance))
+        return np.asarray(self.bundle.inverse < -3.0 / self.equations().without_points(0.0).root[2, 2])
 
     @property
     def log_focal_sigma(self) -> float:
@@ -132,8 +140,9 @@ class BundleFit:
         n_regions = len(np.unique(self.region))
         if not self.is_free[-N_SHARED] or n_regions < 2:
             return np.inf
-        matrix, carried, _ = _reduced(self.equations, 0.0)
-        scores = self.equations.score - np.einsum("kna,na->nk", carried, self.equations.point_gradient)
+        equations = self.equations()
+        points = equations.without_points(0.0)
+        matrix, scores = equations.pose_hessian - points.information, equations.score - points.scores
         focal = len(matrix) - N_SHARED
         others = np.flatnonzero(self.is_free & (np.arange(len(matrix)) != focal))
         # The scale stays undetermined: the shortest of all solutions.
@@ -141,7 +150,7 @@ class BundleFit:
         information = float(matrix[focal, focal] - explained @ matrix[others, focal])
         if not information > 0.0:
             return np.inf
-        sums = np.bincount(self.region, scores[:, focal] - scores[:, others] @ explained)
+        sums = np.bincount(self.region, scores[focal] - explained @ scores[others])
         sandwich = float(np.sum(sums**2)) * n_regions / (n_regions - 1) / information**2
         return float(np.sqrt(max(sandwich, 1.0 / information)))
 
@@ -166,8 +175,8 @@ def adjust_bundle(
 
     Source: Triggs et al., "Bundle adjustment: a modern synthesis", 2000; the points are eliminated (Schur complement).
     """
-    xy_px = np.full((views.n_frames, views.n_points, 2), np.nan)
-    xy_px[views.frame, views.point] = views.xy_px
+    xy_px = np.full((views.n_frames, 2, views.n_points), np.nan)
+    xy_px[views.frame, :, views.point] = views.xy_px
     bundle, reference = _scaled(start), views.n_frames // 2
     is_free = np.ones(N_POSE * views.n_frames + N_SHARED, dtype=bool)
     is_free[N_POSE * reference : N_POSE * (reference + 1)] = False
@@ -175,50 +184,59 @@ def adjust_bundle(
     is_free[-N_SHARED:] = shared_sigma > 0.0
     precision = np.divide(1.0, shared_sigma**2, out=np.zeros(N_SHARED), where=shared_sigma > 0.0)
 
-    def cost_of(candidate: Bundle) -> tuple[float, Floats]:
-        cost, residual = _cost(xy_px, candidate, sigma_px)
-        return cost + float(precision @ (candidate.shared - shared_mean) ** 2), residual
+    def cost_of(candidate: Bundle) -> float:
+        prior = float(precision @ (candidate.shared - shared_mean) ** 2)
+        return prior + float(_capped(_behind(candidate)[0] ** 2).sum())
 
-    cost, residual = cost_of(bundle)
-    equations = _equations(bundle, sigma_px, residual, shared_mean, precision)
-    damping = _DAMPING
+    def equations() -> _Equations:
+        return _equations(bundle, sigma_px, residual, shared_mean, precision)
+
+    seen_cost, residual = _cost(xy_px, bundle, sigma_px)
+    cost, damping = seen_cost + cost_of(bundle), _DAMPING
     for _ in range(n_steps):
+        around = equations()
         while True:
-            candidate = _stepped(bundle, equations, damping, is_free)
-            lower = cost_of(candidate)[0]
+            candidate = _stepped(bundle, around, damping, is_free)
+            seen_cost, found = _cost(xy_px, candidate, sigma_px)
+            lower = seen_cost + cost_of(candidate)
             if lower < cost or damping > _MOST_DAMPING:
                 break
             damping *= _MORE
         if not lower < cost:
             break
         is_done = cost - lower < _CONVERGED * cost
-        bundle = _scaled(candidate)
-        cost, residual = cost_of(bundle)
+        # Scaled, the same points are seen at the same places.
+        bundle, residual = _scaled(candidate), found
+        cost = seen_cost + cost_of(bundle)
         damping = max(damping * _LESS, _TINY)
-        equations = _equations(bundle, sigma_px, residual, shared_mean, precision)
         if is_done:
             break
     return BundleFit(bundle, cost, residual, equations, is_free, views.region)
 
 
 def _seen(bundle: Bundle) -> tuple[Floats, Floats]:
-    """The points' rays in the axes of each frame, and where they are seen from it: (J, N, 3) each."""
-    turned = bundle.ray @ bundle.rotation.transpose(0, 2, 1)
-    return turned, turned + bundle.inverse[:, None] * bundle.translation[:, None]
+    """The points' rays in the axes of each frame, and where they are seen from it: (J, 3, N) each."""
+    turned = bundle.rotation @ bundle.ray.T
+    return turned, turned + bundle.inverse * bundle.translation[..., None]
 
 
 def _cost(xy_px: Floats, bundle: Bundle, sigma_px: float) -> tuple[float, Floats]:
-    """Robust cost of all observations ``xy_px (J, N, 2)`` and of negative distances; `BundleFit.residual`."""
+    """Robust cost of all observations ``xy_px (J, 2, N)``; `BundleFit.residual`."""
     seen = _seen(bundle)[1]
-    is_ahead = seen[..., 2] >= _LEAST_DEPTH
-    x = seen[..., :2] / np.where(is_ahead, seen[..., 2], 1.0)[..., None]
-    bend = np.exp(bundle.shared[0]) * (1.0 + bundle.shared[3] * np.sum(x * x, axis=2))
-    residual = (bend[..., None] * x + bundle.shared[1:3] - xy_px) / sigma_px
-    is_missed = np.isfinite(xy_px[..., 0]) & ~is_ahead
-    residual[is_missed] = np.inf
-    square = np.sum(residual**2, axis=2)
-    squares = np.append(square[np.isfinite(square)], _behind(bundle)[0] ** 2)
-    return float(np.sum(squares / (1.0 + squares / _CAP)) + _CAP * np.count_nonzero(is_missed)), residual
+    is_ahead = seen[:, 2] >= _LEAST_DEPTH
+    x = seen[:, :2] / np.where(is_ahead, seen[:, 2], 1.0)[:, None]
+    bend = np.exp(bundle.shared[0]) * (1.0 + bundle.shared[3] * (x * x).sum(axis=1))
+    residual = (bend[:, None] * x + bundle.shared[1:3, None] - xy_px) / sigma_px
+    square, is_observed = (residual * residual).sum(axis=1), np.isfinite(xy_px[:, 0])
+    is_missed = is_observed & ~is_ahead
+    residual.transpose(0, 2, 1)[is_missed] = np.inf
+    cost = float(_capped(square[is_observed & is_ahead]).sum())
+    return cost + _CAP * np.count_nonzero(is_missed), residual
+
+
+def _capped(square: Floats) -> Floats:
+    """Geman and McClure's cost of squared residuals in sigmas."""
+    return square / (1.0 + square / _CAP)
 
 
 def _behind(bundle: Bundle) -> tuple[Floats, float]:
@@ -229,95 +247,82 @@ def _behind(bundle: Bundle) -> tuple[Floats, float]:
 
 def _equations(bundle: Bundle, sigma_px: float, residual: Floats, shared_mean: Floats, precision: Floats) -> _Equations:
     """The normal equations of all unknowns at a bundle and the robust weights, with the prior of the shared ones."""
-    n_frames, n = residual.shape[:2]
-    is_seen = np.isfinite(residual[..., 0])
-    left = np.where(is_seen[..., None], residual, 0.0)
+    n_frames, _, n = residual.shape
+    is_seen = np.isfinite(residual[:, 0])
+    left = np.where(is_seen[:, None], residual, 0.0)
     rows = _derivatives(bundle, sigma_px, is_seen)
-    rows[..., -1] = -left
-    rows *= (is_seen / (1.0 + np.sum(left**2, axis=2) / _CAP))[..., None, None]
-    by_frame, by_point = rows[..., :_N_VIEW], rows[..., _N_VIEW:]
-    flat = by_frame.reshape(n_frames, -1, _N_VIEW)
-    held = flat.transpose(0, 2, 1) @ flat
-    both = by_frame.transpose(0, 1, 3, 2) @ by_point
-    own = by_point.transpose(1, 0, 2, 3).reshape(n, -1, _N_POINT + 1)
-    of_points = own[..., :_N_POINT].transpose(0, 2, 1) @ own
+    rows[:, -1] = -left
+    rows *= (is_seen / (1.0 + (left * left).sum(axis=1) / _CAP))[:, None, None]
+    by_pose, by_shared, by_point = rows[:, :N_POSE], rows[:, N_POSE:_N_VIEW], rows[:, _N_VIEW:]
+    flat = rows[:, :_N_VIEW].reshape(n_frames, _N_VIEW, -1)
+    held = flat @ flat.transpose(0, 2, 1)
+    of_points = np.einsum("jacn,jbcn->abn", by_point[:, :_N_POINT], by_point)
     n_poses, place = N_POSE * n_frames, np.arange(N_POSE * n_frames).reshape(n_frames, N_POSE)
     hessian = np.zeros((n_poses + N_SHARED, n_poses + N_SHARED))
     hessian[place[:, :, None], place[:, None]] = held[:, :N_POSE, :N_POSE]
     hessian[:n_poses, n_poses:] = held[:, :N_POSE, N_POSE:].reshape(n_poses, N_SHARED)
     hessian[n_poses:, :n_poses] = hessian[:n_poses, n_poses:].T
     hessian[n_poses:, n_poses:] = held[:, N_POSE:, N_POSE:].sum(axis=0) + np.diag(precision)
-    mixed = np.empty((n_poses + N_SHARED, n, _N_POINT + 1))
-    mixed[:n_poses] = both[:, :, :N_POSE].transpose(0, 2, 1, 3).reshape(n_poses, n, -1)
-    mixed[n_poses:] = both[:, :, N_POSE:].sum(axis=0).transpose(1, 0, 2)
-    gradient = mixed[..., _N_POINT].sum(axis=1)
+    both = np.empty((n_poses + N_SHARED, _N_POINT + 1, n))
+    np.einsum("jacn,jbcn->jabn", by_pose, by_point, out=both[:n_poses].reshape(n_frames, N_POSE, _N_POINT + 1, n))
+    np.einsum("jacn,jbcn->abn", by_shared, by_point, out=both[n_poses:])
+    mixed, score = np.ascontiguousarray(both[:, :_N_POINT]), both[:, _N_POINT]
+    gradient = score.sum(axis=1)
     gradient[n_poses:] -= precision * (bundle.shared - shared_mean)
     behind, behind_sigma = _behind(bundle)
     weight = np.where(behind < 0.0, (1.0 + behind**2 / _CAP) ** -2.0, 0.0) / behind_sigma
-    of_points[:, 2, 2] += weight / behind_sigma
-    of_points[:, 2, 3] -= weight * behind
-    coupling = np.ascontiguousarray(mixed[..., :_N_POINT])
-    return _Equations(hessian, gradient, coupling, of_points[..., :3], of_points[..., 3], mixed[..., _N_POINT].T)
+    of_points[2, 2] += weight / behind_sigma
+    of_points[2, 3] -= weight * behind
+    return _Equations(hessian, gradient, mixed, of_points[:, :_N_POINT], of_points[:, _N_POINT], score)
 
 
 def _derivatives(bundle: Bundle, sigma_px: float, is_seen: Bools) -> Floats:
     """How points move in the picture, in sigmas, by the unknowns of the frame, by the shared ones and by their own.
 
-    ``(J, N, 2, 10 + 3 + 1)``, the own ones along the tangents of their rays; the last column is left empty. Where not
+    ``(J, 10 + 3 + 1, 2, N)``, the own ones along the tangents of their rays; the last row is left empty. Where not
     seen, anything finite.
     """
     focal, distortion = float(np.exp(bundle.shared[0])), bundle.shared[3]
     turned, seen = _seen(bundle)
-    depth = np.where(is_seen, seen[..., 2], 1.0)
-    x = seen[..., :2] / depth[..., None]
-    square, scale = np.sum(x * x, axis=2), focal / (sigma_px * depth)
+    depth = np.where(is_seen, seen[:, 2], 1.0)
+    x = seen[:, :2] / depth[:, None]
+    square, scale = (x * x).sum(axis=1), focal / (sigma_px * depth)
     bend = 1.0 + distortion * square
-    by_seen, rows = np.empty((*x.shape, 3)), np.zeros((*x.shape, _N_VIEW + _N_POINT + 1))
-    by_seen[..., :2] = (2.0 * distortion * scale[..., None] * x)[..., None] * x[..., None, :]
-    by_seen[..., 0, 0] += bend * scale
-    by_seen[..., 1, 1] += bend * scale
-    by_seen[..., 2] = -(scale * (bend + 2.0 * distortion * square))[..., None] * x
-    rows[..., :3] = cross(turned[:, :, None], by_seen)
-    rows[..., 3:6] = by_seen * bundle.inverse[:, None, None]
-    rows[..., 6], rows[..., 9] = (focal / sigma_px * each[..., None] * x for each in (bend, square))
-    rows[..., 0, 7] = rows[..., 1, 8] = 1.0 / sigma_px
+    by_seen, rows = np.empty((len(x), 3, *x.shape[1:])), np.zeros((len(x), _N_VIEW + _N_POINT + 1, *x.shape[1:]))
+    by_seen[:, :2] = x[:, :, None] * (2.0 * distortion * scale[:, None] * x)[:, None]
+    by_seen[:, 0, 0] += bend * scale
+    by_seen[:, 1, 1] += bend * scale
+    by_seen[:, 2] = -(scale * (bend + 2.0 * distortion * square))[:, None] * x
+    rows[:, :3] = cross_of_rows(turned[:, :, None], by_seen)
+    rows[:, 3:6] = by_seen * bundle.inverse
+    rows[:, 6], rows[:, 9] = (focal / sigma_px * each[:, None] * x for each in (bend, square))
+    rows[:, 7, 0] = rows[:, 8, 1] = 1.0 / sigma_px
     columns = np.concatenate([bundle.rotation, bundle.translation[..., None]], axis=2)
-    moves = (by_seen.reshape(len(x), -1, 3) @ columns).reshape(*x.shape, 4)
-    rows[..., 10:12], rows[..., 12] = moves[..., :3] @ tangent_basis(bundle.ray), moves[..., 3]
+    moves = (columns.transpose(0, 2, 1) @ by_seen.reshape(len(x), 3, -1)).reshape(len(x), 4, *x.shape[1:])
+    tangents = np.ascontiguousarray(tangent_basis(bundle.ray).transpose(1, 2, 0))
+    rows[:, 10:12] = np.einsum("jbcn,ban->jacn", moves[:, :3], tangents)
+    rows[:, 12] = moves[:, 3]
     return rows
-
-
-def _reduced(equations: _Equations, damping: float) -> tuple[Floats, Floats, Floats]:
-    """The Schur complement (K, K) of the points, ``mixed`` times their inverse (K, N, 3), and that inverse."""
-    diagonal = np.arange(_N_POINT)
-    hessian = equations.point_hessian.copy()
-    hessian[:, diagonal, diagonal] *= 1.0 + damping + _TINY
-    hessian[:, diagonal, diagonal] += _TINY
-    inverse: Floats = np.linalg.inv(hessian).astype(np.float64)
-    carried = np.ascontiguousarray((equations.mixed.transpose(1, 0, 2) @ inverse).transpose(1, 0, 2))
-    n_unknowns = len(carried)
-    schur: Floats = equations.pose_hessian - carried.reshape(n_unknowns, -1) @ equations.mixed.reshape(n_unknowns, -1).T
-    return schur, carried, inverse
 
 
 def _stepped(bundle: Bundle, equations: _Equations, damping: float, is_free: Bools) -> Bundle:
     """The bundle after one damped (Levenberg-Marquardt) step; poses and shared unknowns that are not free stay."""
-    schur, carried, inverse = _reduced(equations, damping)
-    gradient = equations.pose_gradient - carried.reshape(len(schur), -1) @ equations.point_gradient.ravel()
-    damped = schur + np.diag(damping * np.diag(equations.pose_hessian) + _TINY)
+    points = equations.without_points(damping)
+    gradient = equations.pose_gradient - points.pull
+    damped = equations.pose_hessian - points.information
+    damped += np.diag(damping * np.diag(equations.pose_hessian) + _TINY)
     step = np.zeros(len(gradient))
     step[is_free] = np.linalg.solve(damped[np.ix_(is_free, is_free)], gradient[is_free])
-    towards = equations.point_gradient - (step @ equations.mixed.reshape(len(step), -1)).reshape(-1, _N_POINT)
-    by_point = (inverse @ towards[..., None])[..., 0]
+    by_point = points.steps(step)
     by_frame = step[:-N_SHARED].reshape(-1, N_POSE)
     by_shared = step[-N_SHARED:]
     by_shared[0] = np.clip(by_shared[0], -_LONGEST_STEP, _LONGEST_STEP)
-    turned = (tangent_basis(bundle.ray) @ by_point[:, :2, None])[..., 0]
+    turned = np.einsum("nab,bn->na", tangent_basis(bundle.ray), by_point[:2])
     return Bundle(
         rotation_from_vector(by_frame[:, :3]) @ bundle.rotation,
         bundle.translation + by_frame[:, 3:],
         normalize(bundle.ray + turned),
-        bundle.inverse + by_point[:, 2],
+        bundle.inverse + by_point[2],
         bundle.shared + by_shared,
     )
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
-from ttcvid.geometry.rotation import cross, rotation_from_vector, skew, tangent_basis
+from ttcvid.geometry.estimation.schur import EliminatedPoints, cross_of_rows, eliminated
+from ttcvid.geometry.rotation import rotation_from_vector, skew, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
 # Geman and McClure's cost: that of an outlier is limited to so many sigmas squared.
@@ -45,8 +46,8 @@ class WindowFit:
 class _State:
     """Poses that take a point of the present camera to each view, points (x, y, inverse depth), and their residuals.
 
-    ``rotation (L, 3, 3)``, ``place (L, 3)``, ``point (N, 3)``; ``turned (L, N, 3)`` rays of the points in each view,
-    ``depth (L, N)`` over that of the present, ``off (L, N, 2)`` in sigmas, 0 where not ``seen``.
+    ``rotation (L, 3, 3)``, ``place (L, 3)``, ``point (3, N)``; ``turned (L, 3, N)`` rays of the points in each view,
+    ``depth (L, N)`` over that of the present, ``off (L, 2, N)`` in sigmas, 0 where not ``seen``.
     """
 
     rotation: Floats
@@ -76,7 +77,8 @@ def adjust_window(
     """
     rotation = paths.cam_R_past[0].transpose(0, 2, 1)
     place = np.einsum("lij,lj->li", rotation, paths.path[0])
-    state, damping = _state(xy, sigma_norm, rotation, place, point), _DAMPING
+    xy = np.ascontiguousarray(xy.transpose(0, 2, 1))
+    state, damping = _state(xy, sigma_norm, rotation, place, point.T), _DAMPING
     for _ in range(n_steps):
         found = _stepped(xy, sigma_norm, state, damping)
         if not found.cost < state.cost:
@@ -87,69 +89,59 @@ def adjust_window(
         if is_done:
             break
     # The other way past points behind the camera looks the same: most of them lie ahead.
-    if float(np.sign(state.point[:, 2]).sum()) < 0.0:
-        state = _state(xy, sigma_norm, state.rotation, -state.place, state.point * [1.0, 1.0, -1.0])
+    if float(np.sign(state.point[2]).sum()) < 0.0:
+        state = _state(xy, sigma_norm, state.rotation, -state.place, state.point * [[1.0], [1.0], [-1.0]])
     return _fit(sigma_norm, region, state)
 
 
 def _state(xy: Floats, sigma: Floats, rotation: Floats, place: Floats, point: Floats) -> _State:
-    ray = np.column_stack([point[:, :2], np.ones(len(point))])
-    turned = ray @ rotation.transpose(0, 2, 1)
-    there = turned + point[:, 2:] * place[:, None]
-    is_observed = np.isfinite(xy[..., 0])
-    seen = is_observed & (there[..., 2] > _LEAST_DEPTH)
-    depth = np.where(seen, there[..., 2], 1.0)
-    off = np.where(seen[..., None], (there[..., :2] / depth[..., None] - xy) / sigma[:, None], 0.0)
-    square = (off * off).sum(axis=2)
+    turned = rotation @ np.vstack([point[:2], np.ones((1, len(sigma)))])
+    there = turned + point[2] * place[..., None]
+    is_observed = np.isfinite(xy[:, 0])
+    seen = is_observed & (there[:, 2] > _LEAST_DEPTH)
+    depth = np.where(seen, there[:, 2], 1.0)
+    off = np.where(seen[:, None], (there[:, :2] / depth[:, None] - xy) / sigma, 0.0)
+    square = (off * off).sum(axis=1)
     cost = float((square / (1.0 + square / _CAP) + _CAP * (is_observed & ~seen)).sum())
     return _State(rotation, place, point, turned, depth, off, seen, cost)
 
 
 def _equations(sigma: Floats, state: _State) -> tuple[Floats, Floats, Floats]:
-    """Information of each view ``(L - 1, 6, 6)``, that and score of each point ``(N, 3, 4)``, and what couples them
-    beside each point's part in the scores of the views, ``(L - 1, N, 6, 4)``.
+    """Information of each view ``(L - 1, 6, 6)``, that and score of each point ``(3, 4, N)``, and what couples them
+    beside each point's part in the scores of the views, ``(L - 1, 6, 4, N)``.
     """
     n_views, n = state.depth.shape
-    there = state.turned + state.point[:, 2:] * state.place[:, None]
-    square = (state.off * state.off).sum(axis=2)
-    root = state.seen / (1.0 + square / _CAP)
-    by_there = np.zeros((n_views, n, 2, 3))
+    turned, there = state.turned, state.turned + state.point[2] * state.place[..., None]
+    root = state.seen / (1.0 + (state.off * state.off).sum(axis=1) / _CAP)
+    by_there = np.zeros((n_views, 3, 2, n))
     scale = root / (state.depth * sigma)
-    by_there[..., 0, 0] = by_there[..., 1, 1] = scale
-    by_there[..., 2] = -(scale / state.depth)[..., None] * there[..., :2]
-    rows = np.empty((n_views, n, 2, _N_POSE + _N_POINT + 1))
-    rows[..., :3] = cross(state.turned[:, :, None], by_there)
-    rows[..., 3:6] = state.point[:, 2, None, None] * by_there
+    by_there[:, 0, 0] = by_there[:, 1, 1] = scale
+    by_there[:, 2] = -(scale / state.depth)[:, None] * there[:, :2]
+    rows = np.empty((n_views, _N_POSE + _N_POINT + 1, 2, n))
+    rows[:, :3] = cross_of_rows(turned[:, :, None], by_there)
+    rows[:, 3:6] = state.point[2] * by_there
     columns = np.concatenate([state.rotation[:, :, :2], state.place[:, :, None]], axis=2)
-    rows[..., 6:9] = (by_there.reshape(n_views, -1, 3) @ columns).reshape(n_views, n, 2, 3)
-    rows[..., 9] = -root[..., None] * state.off
-    of_point = rows.transpose(1, 0, 2, 3).reshape(n, -1, 10)[..., 6:]
-    by_point = of_point[..., :3].transpose(0, 2, 1) @ of_point
-    poses = rows[:-1, ..., :6].reshape(n_views - 1, -1, 6)
-    by_pose = poses.transpose(0, 2, 1) @ poses
-    mixed = rows[:-1, ..., :6].transpose(0, 1, 3, 2) @ rows[:-1, ..., 6:]
-    return by_pose, by_point, mixed
+    rows[:, 6:9] = (columns.transpose(0, 2, 1) @ by_there.reshape(n_views, 3, -1)).reshape(n_views, 3, 2, n)
+    rows[:, 9] = -root[:, None] * state.off
+    by_point = np.einsum("lacn,lbcn->abn", rows[:, 6:9], rows[:, 6:])
+    poses = rows[:-1, :6].reshape(n_views - 1, _N_POSE, -1)
+    mixed = np.einsum("lacn,lbcn->labn", rows[:-1, :6], rows[:-1, 6:])
+    return poses @ poses.transpose(0, 2, 1), by_point, mixed
 
 
-def _reduced(sigma: Floats, state: _State, damping: float) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Information (K, K) of the views without the points, and each point's part in their score (N, K); inverse
-    information (N, 3, 3), score (N, 3) and coupling (N, K, 3) of the points.
-    """
+def _reduced(sigma: Floats, state: _State, damping: float) -> tuple[Floats, Floats, EliminatedPoints]:
+    """Information (K, K) of the views without the points, each point's part in their score (K, N), and the points."""
     by_pose, by_point, mixed = _equations(sigma, state)
-    n_past, n = mixed.shape[:2]
+    n_past, n = len(mixed), mixed.shape[-1]
     size, diagonal = _N_POSE * n_past, np.arange(_N_POINT)
-    of_points = by_point[..., :3].copy()
-    of_points[:, diagonal, diagonal] *= 1.0 + damping
-    of_points[:, diagonal, diagonal] += _TINY + _TINY * np.trace(of_points, axis1=1, axis2=2)[:, None]
-    inverse: Floats = np.linalg.inv(of_points).astype(np.float64)
-    of_each = mixed.transpose(1, 0, 2, 3).reshape(n, size, _N_POINT + 1)
-    coupling = of_each[..., :3]
-    carried = coupling @ inverse
-    flat, flat_carried = (each.transpose(1, 0, 2).reshape(size, -1) for each in (coupling, carried))
-    information = -flat_carried @ flat.T
+    of_points = by_point[:, :_N_POINT].copy()
+    of_points[diagonal, diagonal] *= 1.0 + damping
+    of_points[diagonal, diagonal] += _TINY + _TINY * np.trace(of_points)
+    of_each = mixed.reshape(size, _N_POINT + 1, n)
+    points = eliminated(of_points, by_point[:, _N_POINT], of_each[:, :_N_POINT])
+    information = -points.information
     blocks = information.reshape(n_past, _N_POSE, n_past, _N_POSE)
     blocks[np.arange(n_past), :, np.arange(n_past)] += by_pose
-    score = of_each[..., 3] - (carried @ by_point[..., 3:])[..., 0]
     # The scale is free: the path keeps its length.
     scale = np.zeros((n_past, _N_POSE))
     scale[:, 3:] = state.place[:-1] / max(float(np.linalg.norm(state.place)), _TINY)
@@ -157,20 +149,18 @@ def _reduced(sigma: Floats, state: _State, damping: float) -> tuple[Floats, Floa
     information += most * np.outer(scale, scale)
     every = np.arange(size)
     information[every, every] += damping * np.abs(information.diagonal()) + _TINY * most
-    return information, score, inverse, by_point[..., 3], coupling
+    return information, of_each[:, _N_POINT] - points.scores, points
 
 
 def _stepped(xy: Floats, sigma: Floats, state: _State, damping: float) -> _State:
     """The state after one damped step."""
-    information, score, inverse, of_points, coupling = _reduced(sigma, state, damping)
-    change = np.asarray(np.linalg.solve(information, score.sum(axis=0)), dtype=np.float64)
-    towards = of_points - np.einsum("nka,k->na", coupling, change)
-    point = state.point + (inverse @ towards[..., None])[..., 0]
+    information, score, points = _reduced(sigma, state, damping)
+    change = np.asarray(np.linalg.solve(information, score.sum(axis=1)), dtype=np.float64)
     by_view = change.reshape(-1, _N_POSE)
     rotation, place = state.rotation.copy(), state.place.copy()
     rotation[:-1] = rotation_from_vector(by_view[:, :3]) @ rotation[:-1]
     place[:-1] += by_view[:, 3:]
-    return _state(xy, sigma, rotation, place, point)
+    return _state(xy, sigma, rotation, place, state.point + points.steps(change))
 
 
 def _fit(sigma: Floats, region: Ints, state: _State) -> WindowFit:
@@ -180,7 +170,7 @@ def _fit(sigma: Floats, region: Ints, state: _State) -> WindowFit:
     points on the direction are summed before they are squared (a cluster-robust "sandwich"), and the covariance is no
     smaller than they say. Six unknowns of a view are fitted to the parts.
     """
-    information, score, *_ = _reduced(sigma, state, 0.0)
+    information, score, _ = _reduced(sigma, state, 0.0)
     of_step = np.linalg.inv(information)[:, -_N_POSE:]
     cov = of_step[-_N_POSE:]
     back = state.rotation.transpose(0, 2, 1)
@@ -188,8 +178,7 @@ def _fit(sigma: Floats, region: Ints, state: _State) -> WindowFit:
     length = max(float(np.linalg.norm(path[-2])), _TINY)
     across = tangent_basis(path[-2] / length)
     by_step = across.T @ back[-2] @ np.concatenate([skew(state.place[-2]), np.eye(3)], axis=1) / length
-    influence = score @ of_step @ by_step.T
-    parts = np.stack([np.bincount(region, column) for column in influence.T])
+    parts = np.stack([np.bincount(region, influence) for influence in by_step @ of_step.T @ score])
     n_parts = np.count_nonzero(np.bincount(region))
     plain = by_step @ cov @ by_step.T
     more = 1.0
