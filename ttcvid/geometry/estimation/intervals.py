@@ -78,15 +78,15 @@ def radial_and_transverse_rate(
     # With P the ray (x, y, 1): q = r.V / abs(P) and u = t.V / abs(P), so that dq = (r.dV + (u t - q r).dP) / abs(P)
     # and du = (t.dV - (u r + q t).dP) / abs(P).
     inverse = 1.0 / np.sqrt(x * x + y * y + 1.0)
-    r, v = np.stack([x * inverse, y * inverse, inverse]), abc_hz.T * inverse
+    r, v = np.array([x * inverse, y * inverse, inverse]), abc_hz.T * inverse
     q = np.einsum("in,in->n", r, v)
     across = v - q * r
     u = np.sqrt(np.einsum("in,in->n", across, across))
     # Any normal of r where nothing goes across: it is never along y alone.
-    aside = np.stack([r[2], np.zeros(len(x)), -r[0]]) / np.sqrt(r[0] ** 2 + r[2] ** 2)
+    aside = np.array([r[2], np.zeros(len(x)), -r[0]]) / np.sqrt(r[0] ** 2 + r[2] ** 2)
     t = np.where(u > 0.0, quotient(across, u), aside)
-    by_ray = np.stack([u * t - q * r, -u * r - q * t])[:, :2] * (inverse * sigma_norm)
-    by_velocity = np.stack([r, t]) * inverse
+    by_ray = np.array([u * t - q * r, -u * r - q * t])[:, :2] * (inverse * sigma_norm)
+    by_velocity = np.array([r, t]) * inverse
     rates_cov = np.einsum("min,ijn,kjn->mkn", by_velocity, np.ascontiguousarray(cov.transpose(1, 2, 0)), by_velocity)
     rates_cov += np.einsum("min,kin->mkn", by_ray, by_ray)
-    return np.stack([q, u], axis=1), rates_cov.transpose(2, 0, 1)
+    return np.array([q, u]).T, rates_cov.transpose(2, 0, 1)

@@ -51,7 +51,8 @@ class TwoViewFit:
         if n_used <= 2 * k:
             return covariance
         scores = (self.rows[:-1] * self.rows[-1]).reshape(k, -1, len(self.region)).sum(axis=1)
-        sums = np.stack([np.bincount(self.region, score) for score in scores])
+        cell = self.region + (self.region.max() + 1) * np.arange(k)[:, None]
+        sums = np.bincount(cell.ravel(), scores.ravel()).reshape(k, -1)
         half = np.linalg.cholesky(covariance).T @ sums
         ratio = float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k)
         return covariance * max(1.0, ratio)

@@ -166,20 +166,23 @@ def _with_doubts(found: list[TurningBody]) -> TurningBody:
     return replace(best, cov=cov)
 
 
-def _normalized(centre: Floats, shared: Floats) -> tuple[Floats, float]:
-    """What points share as in `shared_trajectory`, (9,), of a body's ``shared (9,)`` and the length of the first.
+def _normalized(centre: Floats, shared: Floats) -> tuple[Floats, Floats]:
+    """What points share as in `shared_trajectory`, (..., 9), of a body's ``shared (..., 9)``, and the length of the
+    first.
 
     First and second derivative at time 0 of the path in views turned back, V - omega x C and so on, both over the
     length of the first; and the turn.
     """
-    velocity, acceleration, turn = shared[:3], shared[3:6], shared[6:]
-    start = velocity - cross(turn, centre)
-    length = float(np.sqrt(start @ start))
-    bend = acceleration - cross(turn, cross(turn, centre) + 2.0 * start)
-    return np.concatenate([start / length, bend / length, turn]), length
+    velocity, acceleration, turn = shared[..., :3], shared[..., 3:6], shared[..., 6:]
+    across = cross(turn, centre)
+    start = velocity - across
+    length = np.linalg.norm(start, axis=-1, keepdims=True)
+    bend = acceleration - cross(turn, across + 2.0 * start)
+    return np.concatenate([start / length, bend / length, turn], axis=-1), length[..., 0]
 
 
 def _slopes(centre: Floats, shared: Floats) -> Floats:
     """Derivatives (9, 9) of `_normalized`, by central differences."""
-    ends = [(_normalized(centre, shared + off)[0], _normalized(centre, shared - off)[0]) for off in _STEP * np.eye(9)]
-    return np.column_stack([(after - before) / (2.0 * _STEP) for after, before in ends])
+    off = _STEP * np.eye(9)
+    after, before = _normalized(centre, shared + np.stack([off, -off]))[0]
+    return np.asarray((after - before).T / (2.0 * _STEP))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.estimation.shared_trajectory import SharedPaths, joined_paths, turned_back
+from ttcvid.geometry.estimation.shared_trajectory import SharedPaths, believed_paths, joined_paths, turned_back
 from ttcvid.geometry.estimation.track_on_trajectory import NO_PATH, PathRates, fit_rates_on_paths
 from ttcvid.geometry.estimation.track_state import MotionPlane, WholeTracks, fit_whole_tracks, window_gates
 from ttcvid.geometry.estimation.trajectory_velocity import PathVelocities, velocities_on_paths
@@ -76,7 +76,9 @@ def _paths(
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
     is_object = np.arange(first + count) >= first
     seen = views, history.since_s, history.sigma_norm
-    of_all = straight_or_in_bend(*seen, beliefs, of_objects, config, cov, may_leave_directions=plane is None)
+    of_all = believed_paths(beliefs)
+    if objects:
+        of_all = straight_or_in_bend(*seen, beliefs, of_objects, config, cov, may_leave_directions=plane is None)
     return joined_paths([*parts, of_all]), path_of, is_object
 
 
@@ -139,15 +141,10 @@ def _on_paths(
 def _status_on_path(rates: PathRates, found: PathVelocities) -> Ints:
     """Status (N,) by the rates: along its path, how sure it is that a track moves at all, and forwards."""
     speed_hz = np.linalg.norm(found.abc_hz, axis=1)
-    return np.select(
-        [
-            np.abs(rates.rate_hz) < _RATE_SIGMAS * found.along_sigma_hz,
-            rates.rate_hz < 0.0,
-            np.abs(found.abc_hz[:, 2]) < INFINITY_COSINE * speed_hz,
-        ],
-        [Status.no_parallax, Status.not_rigid, Status.epipole_at_infinity],
-        default=Status.ok,
-    )
+    status = np.where(np.abs(found.abc_hz[:, 2]) < INFINITY_COSINE * speed_hz, Status.epipole_at_infinity, Status.ok)
+    status[rates.rate_hz < 0.0] = Status.not_rigid
+    status[np.abs(rates.rate_hz) < _RATE_SIGMAS * found.along_sigma_hz] = Status.no_parallax
+    return status
 
 
 def _are_at_epipole(history: TrackHistory, e: Floats, e_variance: Floats) -> Bools:

@@ -107,6 +107,8 @@ def straight_or_in_bend(
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
         is_straight[may_turn] = ~bends
     is_straight &= chi2 <= _STRAIGHT_CHI2 * of_noise
+    if not is_straight.any():
+        return chosen
     steady = fits.paths_from_found_directions(found_cov, straight)
     return chosen_paths(chosen, steady, np.arange(len(is_straight)), is_straight)
 

@@ -150,7 +150,7 @@ def find_road(seen: RoadPoints, aim: Floats) -> Floats | None:
     The inverse depth of a plane is affine in the image. The densest interval of inverse depths over some horizons about
     our direction of travel, ``aim (2,)`` in the plane z = 1, is the start of a least-squares fit.
     """
-    if len(np.unique(seen.track_id)) < _LEAST_TRACKS:
+    if len({*seen.track_id.tolist()}) < _LEAST_TRACKS:
         return None
     horizon_y = np.linspace(-_HORIZON_OFF, _HORIZON_OFF, _N_HORIZONS)
     below = seen.place[:, 1] - horizon_y[:, None]
@@ -179,7 +179,7 @@ def _fitted_plane(seen: RoadPoints, road: Floats) -> Floats | None:
     predicted = columns @ road
     is_on_road = np.abs(seen.rate_hz - predicted) < 1.5 * _ROAD_SPREAD * predicted
     below = seen.weight[predicted > LEAST_BELOW * road[2]].sum()
-    n_tracks, on_road = len(np.unique(seen.track_id[is_on_road])), seen.weight[is_on_road].sum()
+    n_tracks, on_road = len({*seen.track_id[is_on_road].tolist()}), seen.weight[is_on_road].sum()
     if n_tracks < _LEAST_TRACKS or on_road < _LEAST_SHARE * below:
         return None
     columns = columns[is_on_road] / predicted[is_on_road, None]
@@ -195,9 +195,10 @@ def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
     that of points too far below it, which would lie under the road.
     """
     is_point = np.isfinite(log_slope)
-    before = np.pad(np.cumsum(np.where(is_point, weight, 0.0), axis=1), ((0, 0), (1, 0)))
-    support = np.zeros(log_slope.shape)
-    for row in range(len(log_slope)):
+    n_rows, n = log_slope.shape
+    before, support = np.zeros((n_rows, n + 1)), np.zeros((n_rows, n))
+    np.cumsum(np.where(is_point, weight, 0.0), axis=1, out=before[:, 1:])
+    for row in range(n_rows):
         start = log_slope[row, is_point[row]]
         end = np.searchsorted(start, start + 2.0 * _ROAD_SPREAD)
         under = np.searchsorted(start, start + _ROAD_SPREAD + np.log(_UNDER_PART))

@@ -126,8 +126,9 @@ def find_bodies(
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     key, movers, next_key = split(views, key, movers, own, next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
-    stays = is_displaced & np.isin(belonged, np.append(SCENE_CLUSTER, movers.key))
-    key = np.where(stays, belonged, key)
+    if is_displaced.any():
+        stays = is_displaced & np.isin(belonged, np.append(SCENE_CLUSTER, movers.key))
+        key = np.where(stays, belonged, key)
     movers = with_velocities(views, seen.scene, key, movers)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
     memory = replace(memory, rate_hz=memory.rate_hz * seen.speed)

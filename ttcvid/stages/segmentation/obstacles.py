@@ -15,6 +15,7 @@ import numpy as np
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
 from ttcvid.geometry.estimation.rigid_motion import PathFit
+from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
@@ -271,7 +272,7 @@ def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
         is_alike[seed] = True
         label = connected_parts(is_alike, pairs)
         own = np.flatnonzero(label == label[seed])
-        centre = np.median(depths.log_rate[own])
+        centre = median(depths.log_rate[own])
     return own
 
 

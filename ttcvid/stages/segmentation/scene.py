@@ -179,8 +179,8 @@ def _moves_past(fit: PathFit, region: Ints, is_free: Bools) -> bool:
     if not len(known):
         return False
     moves = fit.rate_hz[known] > _MOVES_SIGMAS * fit.rate_sigma_hz[known]
-    _, here = np.unique(region[known], return_inverse=True)
-    return bool(np.mean(np.bincount(here, moves) > 0.5 * np.bincount(here)) > 0.5)
+    n_known, n_moving = np.bincount(region[known]), np.bincount(region[known], moves)
+    return bool(2 * np.count_nonzero(n_moving > 0.5 * n_known) > np.count_nonzero(n_known))
 
 
 def _steps_little(views: BodyViews, scene: RigidPaths) -> Bools:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ class _Clock:
         if not step_s > 0.0:
             return False
         if np.isfinite(step_s):
-            median_s = float(np.median(self.steps_s)) if self.steps_s else np.inf
+            median_s = median(self.steps_s) if self.steps_s else np.inf
             self.is_gap |= step_s > max(_GAP_S, _GAP_STEPS * median_s)
             self.steps_s.append(step_s)
         return True
