@@ -70,6 +70,8 @@ def expanding_movers(
     """
     is_asked = np.zeros(len(may_be), dtype=bool)
     is_asked[seeds] = may_be[seeds]
+    if not is_asked.any():
+        return []
     things, small, needed = list[_Thing](), list[_Thing](), least_tracks(config)
     least = min(_FEW_TRACKS, needed) if few_are_enough else needed
     # Most tracks are around several of those asked, and say the same each time.

@@ -275,7 +275,7 @@ def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:
 
 def _lost_tracks(history: TrackHistory, track_id: Ints, kept: Floats) -> LostTracks | None:
     """The tracks of a history that are not among those of the next frame but have been seen in its ``kept`` views."""
-    gone = np.flatnonzero(~np.isin(history.track_id, track_id, assume_unique=True))
+    gone = np.flatnonzero(places_among(track_id, history.track_id) < 0)
     gone = gone[np.isfinite(kept[:, gone, 0]).any(axis=0)]
     if not len(gone):
         return None

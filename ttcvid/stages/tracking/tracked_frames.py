@@ -67,7 +67,8 @@ def compare_table_points(last: PointSet | None, points: PointSet) -> FrameStatus
         return FrameStatus.ok
     if np.array_equal(last.track_id, points.track_id) and np.array_equal(last.xy_px, points.xy_px):
         return FrameStatus.duplicate
-    return FrameStatus.ok if np.isin(points.track_id, last.track_id).any() else FrameStatus.cut
+    goes_on = not {*points.track_id.tolist()}.isdisjoint(last.track_id.tolist())
+    return FrameStatus.ok if goes_on else FrameStatus.cut
 
 
 def track_frames(
