@@ -71,7 +71,7 @@ class TurningBody:
     @property
     def rate_hz(self) -> float:
         """The length of that path's derivative at time 0 before it is made a unit vector, in depths a second."""
-        return _normalized(self.centre, self.shared)[1]
+        return float(_normalized(self.centre, self.shared)[1])
 
     @property
     def start(self) -> Floats:

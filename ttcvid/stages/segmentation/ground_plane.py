@@ -161,21 +161,21 @@ def find_road(seen: RoadPoints, aim: Floats) -> Floats | None:
         return None
     slope = float(np.exp(log_slope_there + _ROAD_SPREAD))
     road: Floats | None = np.array([-slope * horizon_y[densest], 0.0, slope])
-    columns = np.column_stack([np.ones(len(seen.place)), seen.place])
     for _ in range(2):
-        road = None if road is None else _fitted_plane(seen, columns, road)
+        road = None if road is None else _fitted_plane(seen, road)
     # A low wall may fit, but its inverse depth hardly changes downwards, so that its horizon is far above.
     if road is None or road[2] <= 0.0 or abs(road[0]) > _HORIZON_OFF * road[2]:
         return None
     return np.array([road[0] - road[1:] @ aim, road[1], road[2]])
 
 
-def _fitted_plane(seen: RoadPoints, columns: Floats, road: Floats) -> Floats | None:
+def _fitted_plane(seen: RoadPoints, road: Floats) -> Floats | None:
     """Least-squares plane ``(3,)`` of the points on ``road (3,)``, with a prior on the roll; None with too few of them.
 
-    ``columns (M, 3)`` are 1, x, y of each. Residuals are relative to the inverse depth of ``road``. Too few: by number of tracks, or by their share of the
+    Residuals are relative to the inverse depth of ``road``. Too few: by number of tracks, or by their share of the
     weight of all points below the horizon.
     """
+    columns = np.column_stack([np.ones(len(seen.place)), seen.place])
     predicted = columns @ road
     is_on_road = np.abs(seen.rate_hz - predicted) < 1.5 * _ROAD_SPREAD * predicted
     below = seen.weight[predicted > LEAST_BELOW * road[2]].sum()
