@@ -63,7 +63,7 @@ def test_corner_followed_by_klt_lies_on_its_true_path(clip):
         alive &= good
         true_xy = np.full((len(xy), 2), np.nan)
         seen = hit.actor != NOTHING
-        points = points_in_camera(world, first + step, hit.actor[seen], hit.place_m[seen])
+        points = points_in_camera(face_stack(world, first + step), hit.actor[seen], hit.place_m[seen])
         true_xy[seen] = pixels_from_rays(world.camera, points)
         error = np.hypot(*(xy - true_xy).T)[alive & kept & np.isfinite(true_xy[:, 0])]
         assert len(error) > 300
@@ -78,7 +78,7 @@ def test_picture_warped_by_the_exact_motion_is_the_next_picture(clip):
     hit = cast(face_stack(world, first + 1), rays_from_pixels(world.camera, pixels))
     seen = hit.actor != NOTHING
     source = np.full((len(pixels), 2), -100.0)
-    source[seen] = pixels_from_rays(world.camera, points_in_camera(world, first, hit.actor[seen], hit.place_m[seen]))
+    source[seen] = pixels_from_rays(world.camera, points_in_camera(face_stack(world, first), hit.actor[seen], hit.place_m[seen]))
     source = np.nan_to_num(source, nan=-100.0).reshape(*rows.shape, 2).astype(np.float32)
     warped = cv2.remap(before, source, None, cv2.INTER_CUBIC)
     after = np.ascontiguousarray(after[WINDOW])

@@ -217,7 +217,7 @@ def _write_calibration(world: World, folder: Path) -> None:
     size = [camera.image_size.width_px, camera.image_size.height_px]
     write_camera(folder / "camera.yaml", camera)
     horizon = {"image_size": size, "horizon": {"y_left_px": left, "y_right_px": right}}
-    (folder / "horizon.yaml").write_text(yaml.safe_dump(horizon, sort_keys=False))
+    (folder / "horizon.yaml").write_text(yaml.dump(horizon, Dumper=_DUMPER, sort_keys=False))
 
 
 def _write_table(name: str, columns: dict[str, Any], scene: Scene, folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -61,14 +62,12 @@ def body_path(body: Body, t_s: Floats) -> BodyPath:
     """A body at times ``(N,)``."""
     motion = body_motion(body)
     spin = np.radians(body.spin_deg_s)
-    if len(t_s) > 1 and not (motion.is_moving or motion.yaw_rate_rad_s or motion.lane_change_m or spin.any()):
+    if not (motion.is_moving or motion.yaw_rate_rad_s or motion.lane_change_m or spin.any()):
         # Scenery, of which there is much: one time stands for all.
-        once = body_path(body, t_s[:1])
-        rotation, *others = (
-            np.broadcast_to(part, (len(t_s), *part.shape[1:]))
-            for part in (once.road_R_body, once.position_m, once.velocity_m_s, once.turn_rad_s)
-        )
-        return BodyPath(rotation, *others)
+        rotation = _resting_rotation(motion.course_rad + motion.facing_rad, body.pitch_deg, body.bank_deg)
+        at_rest = np.zeros((len(t_s), 3))
+        position = np.broadcast_to(motion.start_m, (len(t_s), 3))
+        return BodyPath(np.broadcast_to(rotation, (len(t_s), 3, 3)), position, at_rest, at_rest)
     pitch = np.full_like(t_s, np.radians(body.pitch_deg))
     roll = np.full_like(t_s, np.radians(body.bank_deg))
     rotation = _rotations(heading_at(motion, t_s), pitch, roll)
@@ -160,6 +159,12 @@ def mean_horizon_px(scene: Scene) -> tuple[float, float]:
     road_R_cam = _rotations(np.zeros(1), pitch, roll) @ ROAD_FROM_MOUNT
     left, right = horizon_lines_px(camera_of(scene), np.swapaxes(road_R_cam, 1, 2))[0]
     return float(left), float(right)
+
+
+@lru_cache(maxsize=1024)
+def _resting_rotation(yaw_rad: float, pitch_deg: float, roll_deg: float) -> Floats:
+    """Rotation matrix ``(3, 3)`` of a body at rest, kept: the same scene is made ready several times."""
+    return _rotations(np.array([yaw_rad]), np.radians([pitch_deg]), np.radians([roll_deg]))[0]
 
 
 def _rotations(yaw_rad: Floats, pitch_rad: Floats, roll_rad: Floats) -> Floats:

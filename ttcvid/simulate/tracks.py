@@ -12,7 +12,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.simulate.casting import NOTHING, FaceStack, cast, face_stack, points_in_camera
 from ttcvid.simulate.scene import Scene
 from ttcvid.simulate.truth import TrueTimes, true_times
-from ttcvid.simulate.world import STATIC_LABEL, World, build_world, pose_of, poses_of
+from ttcvid.simulate.world import STATIC_LABEL, World, build_world
 
 HIDDEN_SHARE = 1e-6
 """A point is hidden where something lies in front of it by more than this share of its depth."""
@@ -79,21 +79,21 @@ def tracks_of(world: World, options: TrackOptions | None = None, seed: int | Non
     """Tracks of a world; ``seed`` as in `simulate_tracks`."""
     chosen = options or TrackOptions()
     alive = _Alive(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)))
-    next_id, rows = 0, []
+    next_id, rows = 0, list[dict[str, np.ndarray]]()
     for frame in range(world.n_frames):
         rng = np.random.default_rng([world.scene.seed if seed is None else seed, 6, frame])
         stack = face_stack(world, frame)
         alive = alive.keep(rng.random(len(alive.track_id)) >= chosen.death_rate)
-        alive = alive.keep(_is_visible(world, stack, frame, alive))
+        alive = alive.keep(_is_visible(world, stack, alive))
         if chosen.births or frame == 0:
-            alive, next_id = _with_births(world, stack, frame, alive, next_id, chosen, rng)
-        rows.append(_observe(world, frame, alive, chosen, rng))
+            alive, next_id = _with_births(world, stack, alive, next_id, chosen, rng)
+        rows.append(_observe(world, stack, frame, alive, chosen, rng))
     return _joined(rows)
 
 
-def _is_visible(world: World, stack: FaceStack, frame: int, alive: _Alive) -> Bools:
+def _is_visible(world: World, stack: FaceStack, alive: _Alive) -> Bools:
     """Whether points are inside the picture and nothing lies in front of them."""
-    point = points_in_camera(world, frame, alive.actor, alive.place_m)
+    point = points_in_camera(stack, alive.actor, alive.place_m)
     xy = pixels_from_rays(world.camera, point)
     size = world.camera.image_size
     with np.errstate(invalid="ignore"):
@@ -106,34 +106,32 @@ def _is_visible(world: World, stack: FaceStack, frame: int, alive: _Alive) -> Bo
 
 
 def _with_births(
-    world: World, stack: FaceStack, frame: int, alive: _Alive, next_id: int, options: TrackOptions, rng: Generator
+    world: World, stack: FaceStack, alive: _Alive, next_id: int, options: TrackOptions, rng: Generator
 ) -> tuple[_Alive, int]:
     """Fill up the points alive: first the objects that have few, then the whole picture at random."""
     size = np.array([world.camera.image_size.width_px - 1, world.camera.image_size.height_px - 1])
-    for box in _boxes_of_poor_objects(world, frame, alive, options.min_per_object):
+    for box in _boxes_of_poor_objects(world, stack, alive, options.min_per_object):
         actor, low, high = box
         wanted = options.min_per_object - int((alive.actor == actor).sum())
         low, high = np.maximum(low, 0), np.minimum(high, size)
         if np.all(high > low):
             xy = rng.uniform(low, high, (4 * wanted, 2))
-            alive, next_id = _born(world, stack, frame, alive, next_id, xy, (actor, wanted))
+            alive, next_id = _born(world, stack, alive, next_id, xy, (actor, wanted))
     missing = options.n_tracks - len(alive.track_id)
     if missing > 0:
-        alive, next_id = _born(world, stack, frame, alive, next_id, rng.uniform(0, size, (missing, 2)), None)
+        alive, next_id = _born(world, stack, alive, next_id, rng.uniform(0, size, (missing, 2)), None)
     return alive, next_id
 
 
 def _boxes_of_poor_objects(
-    world: World, frame: int, alive: _Alive, min_per_object: int
+    world: World, stack: FaceStack, alive: _Alive, min_per_object: int
 ) -> list[tuple[int, Floats, Floats]]:
     """Actor index and the box in the picture of each object in front that has too few points."""
     boxes = []
     for index, actor in enumerate(world.actors):
         if actor.object_id == STATIC_LABEL or (alive.actor == index).sum() >= min_per_object:
             continue
-        corners = np.concatenate([face.corners_m for face in actor.faces])
-        pose = pose_of(world, actor, frame)
-        points = corners @ pose.cam_R_body.T + pose.position_m
+        points = actor.corners_m @ stack.poses.cam_R_body[index].T + stack.poses.position_m[index]
         if np.all(points[:, 2] > 0.5):
             xy = pixels_from_rays(world.camera, points)
             boxes.append((index, xy.min(axis=0), xy.max(axis=0)))
@@ -143,7 +141,6 @@ def _boxes_of_poor_objects(
 def _born(
     world: World,
     stack: FaceStack,
-    frame: int,
     alive: _Alive,
     next_id: int,
     xy_px: Floats,
@@ -162,31 +159,31 @@ def _born(
     return joined, next_id + len(taken)
 
 
-def _observe(world: World, frame: int, alive: _Alive, options: TrackOptions, rng: Generator) -> SimulatedTracks:
-    position = points_in_camera(world, frame, alive.actor, alive.place_m)
-    velocity = poses_of(world, frame).take(alive.actor).velocity_of(position)
-    object_id = np.array([*(actor.object_id for actor in world.actors), STATIC_LABEL], np.int64)[alive.actor]
+def _observe(
+    world: World, stack: FaceStack, frame: int, alive: _Alive, options: TrackOptions, rng: Generator
+) -> dict[str, np.ndarray]:
+    """What `SimulatedTracks` has of one picture, its times left out."""
+    poses = stack.poses.take(alive.actor)
+    position = poses.point_of(alive.place_m)
     true_xy = pixels_from_rays(world.camera, position)
     n = len(position)
     is_outlier = rng.random(n) < options.outlier_fraction
     noise = options.sigma_px * rng.standard_normal((n, 2))
     noise[is_outlier] = rng.uniform(-OUTLIER_PX, OUTLIER_PX, (int(is_outlier.sum()), 2))
-    return SimulatedTracks(
-        np.full(n, frame),
-        np.full(n, world.path.t_s[frame]),
-        alive.track_id,
-        object_id,
-        is_outlier,
-        true_xy + noise,
-        true_xy,
-        position,
-        velocity,
-        true_times(position, velocity),
-    )
+    return {
+        "frame": np.full(n, frame),
+        "t_s": np.full(n, world.path.t_s[frame]),
+        "track_id": alive.track_id,
+        "object_id": world.object_ids[alive.actor],
+        "is_outlier": is_outlier,
+        "xy_px": true_xy + noise,
+        "true_xy_px": true_xy,
+        "position_m": position,
+        "velocity_m_s": poses.velocity_of(position),
+    }
 
 
-def _joined(rows: list[SimulatedTracks]) -> SimulatedTracks:
+def _joined(rows: list[dict[str, np.ndarray]]) -> SimulatedTracks:
     """All frames in one."""
-    names = ("frame", "t_s", "track_id", "object_id", "is_outlier", "xy_px", "true_xy_px", "position_m", "velocity_m_s")
-    arrays = {name: np.concatenate([getattr(row, name) for row in rows]) for name in names}
+    arrays = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     return SimulatedTracks(**arrays, times=true_times(arrays["position_m"], arrays["velocity_m_s"]))

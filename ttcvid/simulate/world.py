@@ -28,6 +28,11 @@ class Actor:
     faces: list[Face]
     path: BodyPath
 
+    @cached_property
+    def corners_m(self) -> Floats:
+        """The corners ``(4 F, 3)`` of its F faces, in its own axes."""
+        return np.concatenate([face.corners_m for face in self.faces])
+
 
 @dataclass(frozen=True)
 class World:
@@ -42,6 +47,11 @@ class World:
     def n_frames(self) -> int:
         """Number of pictures."""
         return len(self.path.t_s)
+
+    @cached_property
+    def object_ids(self) -> Ints:
+        """Those of the A actors and, last, the ground: ``(A + 1,)``."""
+        return np.array([*(actor.object_id for actor in self.actors), STATIC_LABEL], np.int64)
 
     @cached_property
     def faces(self) -> FaceArrays:
