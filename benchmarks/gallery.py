@@ -26,6 +26,7 @@ from runs import analyze_command, data_folder, shown, timed
 
 from ttcvid import Run
 from ttcvid.draw import OverlayPainter
+from ttcvid.jobs.evaluate import read_run_tables
 from ttcvid.jobs.runs.manifest import camera_of
 from ttcvid.model import (
     ClusterRow,
@@ -37,7 +38,6 @@ from ttcvid.model import (
     Status,
     TrackRows,
 )
-from ttcvid.studies.evaluation.truth import plain
 
 DRAWINGS = REPOSITORY / "docs" / "gallery"
 TRAIL_FRAMES = 8
@@ -127,14 +127,15 @@ class _Tables:
     """The tables of a run, frame by frame, as the painter takes them; warnings stand while their condition holds."""
 
     def __init__(self, run: Run) -> None:
-        self._frames = plain(run.frames).set_index("frame")
-        self._tracks = dict(list(plain(run.collision_times).groupby("frame")))
-        clusters = plain(run.clusters).merge(
-            plain(run.epipoles)[["frame", "cluster_id", *_EPIPOLE]].rename(columns=_EPIPOLE_NAMES),
+        tables = read_run_tables(run)
+        self._frames = tables.frames.set_index("frame")
+        self._tracks = dict(list(tables.collision_times.groupby("frame")))
+        clusters = tables.clusters.merge(
+            tables.epipoles[["frame", "cluster_id", *_EPIPOLE]].rename(columns=_EPIPOLE_NAMES),
             on=["frame", "cluster_id"],
         )
         self._clusters = dict(list(clusters.groupby("frame")))
-        self._events = plain(run.events).to_dict("records")
+        self._events = tables.events.to_dict("records")
 
     def frame_result(self, frame: int) -> FrameResult:
         """One frame."""

@@ -34,7 +34,7 @@ from scenario_suite.drawing import GIVEN_CAMERA_NAME, code_digest, drawing_key, 
 from scenario_suite.families import scenario
 from scenario_suite.rules import RULES_FILE, switched_off
 from scenario_suite.scenario import Kind, NuisanceValue, Scenario
-from scenario_suite.scoring import score
+from scenario_suite.scoring import keep_score
 from ttcvid.jobs.analyze import run_analysis
 
 T, R = TypeVar("T"), TypeVar("R")
@@ -130,7 +130,7 @@ def do(task: Task) -> Done:
     key = _run_key(chosen, task)
     known = read_json(folder / "run.json")
     if known.get("key") == key:
-        score(folder)
+        keep_score(folder)
         return Done(task, folder, True, drawing_s, known)
     (folder / "run.json").unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
@@ -142,7 +142,7 @@ def do(task: Task) -> Done:
     if acting is not None:
         run["acting"] = sorted(acting)
     write_json(folder / "run.json", run)
-    score(folder)
+    keep_score(folder)
     return Done(task, folder, False, drawing_s, run)
 
 

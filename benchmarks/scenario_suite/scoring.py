@@ -21,7 +21,17 @@ from ttcvid.model import Bools, Floats
 from ttcvid.studies.evaluation.directions import angle_deg
 from ttcvid.studies.evaluation.evaluate import Evaluation, judge_run
 from ttcvid.studies.evaluation.times import TIME_RANGE_S, TIMES, is_within, relative_error_of_eta
-from ttcvid.studies.evaluation.truth import BOX, DIRECTION, POSITION, VELOCITY, RunTables, Truth
+from ttcvid.studies.evaluation.truth import (
+    BOX,
+    DIRECTION,
+    OBSERVATION,
+    POSITION,
+    VELOCITY,
+    RunTables,
+    Truth,
+    columns_of,
+    rows_of,
+)
 
 LEAST_SIZE_PX = 24.0
 """An object has to be found where it is larger than this: the geometric mean of its visible box's sides."""
@@ -61,6 +71,13 @@ class SceneScore:
 
 def score(folder: Path) -> SceneScore:
     """The score of a finished scene, made unless it is there."""
+    place = keep_score(folder)
+    tables = (pd.read_parquet(place / f"{name}.parquet") for name in ("object_frames", "frames"))
+    return SceneScore(read_json(place / "facts.json"), *tables, folder)
+
+
+def keep_score(folder: Path) -> Path:
+    """The folder of the score of a finished scene, made unless it is there."""
     run, place = read_json(folder / "run.json"), folder / "score"
     key = hashlib.sha256((str(run["key"]) + _judging_code()).encode()).hexdigest()
     known = read_json(place / "facts.json")
@@ -72,8 +89,7 @@ def score(folder: Path) -> SceneScore:
         made.object_frames.to_parquet(place / "object_frames.parquet")
         made.frames.to_parquet(place / "frames.parquet")
         write_json(place / "facts.json", {"key": key, **made.facts})
-    tables = (pd.read_parquet(place / f"{name}.parquet") for name in ("object_frames", "frames"))
-    return SceneScore(read_json(place / "facts.json"), *tables, folder)
+    return place
 
 
 def _judging_code() -> str:
@@ -91,8 +107,7 @@ def _scored(folder: Path, facts: dict[str, Any]) -> SceneScore:
     rows = evaluation.joined
     if len(rows):
         rows = judged_rows(rows, wanted(rows, truth, float(facts["true_focal_px"]), sigma_px))
-    status = tables.frames[["frame", "status"]]
-    by_frame = evaluation.by_frame.merge(status.astype({"status": str}), on="frame")
+    by_frame = evaluation.by_frame.assign(status=tables.frames.status.astype(str))
     by_frame.loc[~by_frame.is_epipole_judged, "epipole_deg"] = np.nan
     return SceneScore(facts | _sums(evaluation, truth, tables), rows, by_frame, folder)
 
@@ -106,7 +121,7 @@ def wanted(rows: pd.DataFrame, truth: Truth, focal_px: float, sigma_px: float) -
     assert truth.frames is not None
     assert truth.encounters is not None
     own = own_velocity_m_s(truth.frames).loc[rows.frame.to_numpy()].to_numpy(float)
-    place, over_ground = rows[POSITION].to_numpy(float), rows[VELOCITY].to_numpy(float) + own
+    place, over_ground = columns_of(rows, POSITION), columns_of(rows, VELOCITY) + own
     seen_for_s = (rows.t_s - rows.groupby("object_id").t_s.transform("min")).to_numpy(float)
     growth_px_s = 0.5 * size_px(rows) * np.abs(over_ground[:, 2]) / np.maximum(place[:, 2], _LEAST_DEPTH_M)
     flow_px_s = np.hypot(focal_px * _image_flow_hz(place, over_ground), growth_px_s)
@@ -121,7 +136,7 @@ def wanted(rows: pd.DataFrame, truth: Truth, focal_px: float, sigma_px: float) -
 
 def size_px(rows: pd.DataFrame) -> Floats:
     """Geometric mean ``(N,)`` of the sides of the true box."""
-    x0, y0, x1, y1 = rows[BOX].to_numpy(float).T
+    x0, y0, x1, y1 = columns_of(rows, BOX).T
     return np.asarray(np.sqrt(np.maximum(x1 - x0, 0.0) * np.maximum(y1 - y0, 0.0)))
 
 
@@ -141,16 +156,17 @@ def _image_flow_hz(place: Floats, velocity: Floats) -> Floats:
 
 def judged_rows(rows: pd.DataFrame, is_wanted: Bools) -> pd.DataFrame:
     """The object-frames of a scene, as ``SceneScore`` has them."""
+    sides_px = size_px(rows)
     columns: dict[str, Any] = {
         "frame": rows.frame,
         "object_id": rows.object_id,
         "is_wanted": is_wanted,
-        "is_due": is_wanted & (size_px(rows) > LEAST_SIZE_PX),
+        "is_due": is_wanted & (sides_px > LEAST_SIZE_PX),
         "is_found": rows.is_found.astype(bool),
-        "size_px": size_px(rows),
-        "distance_m": np.linalg.norm(rows[POSITION].to_numpy(float), axis=1),
+        "size_px": sides_px,
+        "distance_m": np.linalg.norm(columns_of(rows, POSITION), axis=1),
         "direction_deg": angle_deg(
-            rows[DIRECTION].to_numpy(float), rows[[f"{axis}_found" for axis in DIRECTION]].to_numpy(float)
+            columns_of(rows, DIRECTION), columns_of(rows, [f"{axis}_found" for axis in DIRECTION])
         ),
     }
     for name in TIMES:
@@ -171,8 +187,7 @@ def _sums(evaluation: Evaluation, truth: Truth, tables: RunTables) -> dict[str, 
     n_tracks, n_outliers = metrics["tracks.n"] or 0.0, 0.0
     if truth.track_points is not None:
         points = truth.track_points[truth.track_points.is_outlier.astype(bool)]
-        both = tables.collision_times[["frame", "track_id"]].merge(points[["frame", "track_id"]])
-        n_outliers = float(len(both))
+        n_outliers = float(np.sum(rows_of(points, tables.collision_times, OBSERVATION) >= 0))
     assert truth.encounters is not None
     hits = set(truth.encounters.object_id[truth.encounters.is_collision.astype(bool)].astype(int))
     warnings = [

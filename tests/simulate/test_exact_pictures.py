@@ -78,7 +78,9 @@ def test_picture_warped_by_the_exact_motion_is_the_next_picture(clip):
     hit = cast(face_stack(world, first + 1), rays_from_pixels(world.camera, pixels))
     seen = hit.actor != NOTHING
     source = np.full((len(pixels), 2), -100.0)
-    source[seen] = pixels_from_rays(world.camera, points_in_camera(face_stack(world, first), hit.actor[seen], hit.place_m[seen]))
+    source[seen] = pixels_from_rays(
+        world.camera, points_in_camera(face_stack(world, first), hit.actor[seen], hit.place_m[seen])
+    )
     source = np.nan_to_num(source, nan=-100.0).reshape(*rows.shape, 2).astype(np.float32)
     warped = cv2.remap(before, source, None, cv2.INTER_CUBIC)
     after = np.ascontiguousarray(after[WINDOW])

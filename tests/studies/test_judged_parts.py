@@ -4,13 +4,20 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ttcvid.errors import UsageError
 from ttcvid.geometry.rotation import rotation_from_vector
-from ttcvid.studies.evaluation.directions import angle_deg, judge_directions, judge_rotation, true_scene_directions
+from ttcvid.studies.evaluation.directions import (
+    angle_deg,
+    judge_directions,
+    rotation_errors_deg,
+    summary_of,
+    true_scene_directions,
+)
 from ttcvid.studies.evaluation.grouping import judge_grouping
 from ttcvid.studies.evaluation.matching import best_one_to_one, count_tracks, intersection_over_union, match_objects
 from ttcvid.studies.evaluation.metrics import METRICS, check_from_text, markdown_of_metrics
@@ -103,7 +110,7 @@ def rotations(*vectors: list[float]) -> pd.DataFrame:
 def test_the_error_of_a_rotation_is_the_angle_of_the_difference() -> None:
     truth = rotations([NAN] * 3, [0.0, 0.1, 0.0], [0.0, 0.1, 0.0])
     found = rotations([NAN] * 3, [0.0, 0.1, 0.02], [NAN] * 3)
-    numbers = judge_rotation(truth, found)
+    numbers = summary_of(rotation_errors_deg(truth, found).rotation_deg.to_numpy(float))
     left_over = rotation_from_vector(np.array([0.0, 0.1, 0.02])) @ rotation_from_vector(np.array([0.0, -0.1, 0.0]))
     assert numbers["median"] == pytest.approx(np.degrees(np.arccos((np.trace(left_over) - 1) / 2)), rel=1e-6)
     assert numbers["share"] == 0.5
@@ -154,14 +161,14 @@ def test_where_the_truth_leaves_pictures_out_what_lies_on_the_way_is_not_judged(
         every = true_scene_directions(full, run.frame.to_numpy())
         assert every.frame.tolist() == [2, 4, 6]
         pd.testing.assert_frame_equal(true, every.drop(index=1).reset_index(drop=True))
-        numbers = judge_rotation(truth, run)
+        numbers = summary_of(rotation_errors_deg(truth, run).rotation_deg.to_numpy(float))
         assert (numbers["n"], numbers["share"]) == (2, 1.0)
         assert numbers["p90"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_truth_without_rows_judges_no_motion_of_the_camera() -> None:
     truth, run = ways((0, 0, 0)).iloc[:0], rotations(*[[0.0, 0.2, 0.0]] * 3)
-    assert judge_rotation(truth, run)["n"] == 0
+    assert summary_of(rotation_errors_deg(truth, run).rotation_deg.to_numpy(float))["n"] == 0
     assert true_scene_directions(truth, run.frame.to_numpy()).empty
 
 
@@ -258,13 +265,13 @@ def test_an_object_of_tracks_has_the_times_of_its_nearest_points() -> None:
 
 
 def test_tables_of_a_run_become_plain() -> None:
-    table = pd.DataFrame(
+    table = pa.table(
         {
-            "cluster_id": pd.array([1, None], pd.Int32Dtype()),
-            "t_s": pd.array([0.5, None], pd.Float64Dtype()),
-            "status": pd.Categorical(["ok", "cut"]),
-            "urgency_rank": pd.array([1, None], pd.Int32Dtype()),
-            "frame": pd.array([1, 2], pd.Int32Dtype()),
+            "cluster_id": pa.array([1, None], pa.int32()),
+            "t_s": pa.array([0.5, None]),
+            "status": pa.array(["ok", "cut"]).dictionary_encode(),
+            "urgency_rank": pa.array([1, None], pa.int32()),
+            "frame": pa.array([1, 2], pa.int32()),
         }
     )
     result = plain(table)

@@ -27,6 +27,7 @@ from ttcvid.studies.evaluation.metrics import METRICS
 from ttcvid.studies.evaluation.truth import (
     BOX,
     DIRECTION,
+    OBSERVATION,
     POINT,
     POSITION,
     ROTATION,
@@ -37,6 +38,7 @@ from ttcvid.studies.evaluation.truth import (
     object_at,
     objects_from_tracks,
     plain,
+    rows_of,
     with_counted,
 )
 from ttcvid.studies.evaluation.wording import describe_object, describe_value
@@ -127,7 +129,8 @@ def _curve(heading: str, rows: pd.DataFrame) -> Curve:
 def read_run_tables(run: Run) -> RunTables:
     """The tables of a run in ordinary types."""
     names = ("frames", "clusters", "epipoles", "collision_times", "events")
-    return RunTables(**{name: plain(getattr(run, name)) for name in names})
+    remedy = "run 'ttcvid analyze' again"
+    return RunTables(**{name: _read_plain(run.folder / f"{name}.parquet", remedy) for name in names})
 
 
 def read_truth(folder: Path, run: RunTables) -> Truth:
@@ -159,28 +162,34 @@ def _read_table(folder: Path, name: str) -> pd.DataFrame | None:
     path = folder / f"{name}.parquet"
     if not path.exists():
         return None
-    try:
-        with open_plain(path) as file:
-            table = pq.read_table(file).to_pandas()
-    except (OSError, pa.ArrowInvalid) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: cannot be read as a table ({reason}): simulate the scene again") from None
+    table = _read_plain(path, "simulate the scene again")
     missing = [column for column in REQUIRED_COLUMNS[name] if column not in table]
     if missing:
         raise InputError(f"{path}: column {missing[0]!r} is missing: expected {', '.join(REQUIRED_COLUMNS[name])}")
-    return plain(table)
+    return table
+
+
+def _read_plain(path: Path, remedy: str) -> pd.DataFrame:
+    """A table in ordinary types; InputError, which says the ``remedy``, where it cannot be read."""
+    try:
+        with open_plain(path) as file:
+            return plain(pq.read_table(file))
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: cannot be read as a table ({reason}): {remedy}") from None
 
 
 def _check_clock(path: Path, truth: pd.DataFrame, frames: pd.DataFrame) -> None:
-    both = frames[["frame", "t_s"]].merge(truth[["frame", "t_s"]], on="frame", suffixes=("", "_true"))
-    if both.empty:
+    _, row, true_row = np.intersect1d(frames.frame, truth.frame, return_indices=True)
+    if not len(row):
         raise InputError(f"{path}: has no frame in common with the run: give the truth of the clip that was analysed")
     step_s = float(np.median(np.diff(frames.t_s))) if len(frames) > 1 else np.inf
-    worst = both.iloc[int((both.t_s - both.t_s_true).abs().to_numpy().argmax())]
-    if abs(worst.t_s - worst.t_s_true) > MAX_CLOCK_DIFFERENCE * step_s:
+    t_s, true_s = frames.t_s.to_numpy()[row], truth.t_s.to_numpy()[true_row]
+    worst = int(np.abs(t_s - true_s).argmax())
+    if abs(t_s[worst] - true_s[worst]) > MAX_CLOCK_DIFFERENCE * step_s:
         raise InputError(
-            f"{path}: frame {worst.frame:.0f} is at t_s = {worst.t_s_true:.3f} s, but at {worst.t_s:.3f} s in the run: "
-            "give the truth of the clip that was analysed"
+            f"{path}: frame {frames.frame.iloc[row[worst]]} is at t_s = {true_s[worst]:.3f} s, but at "
+            f"{t_s[worst]:.3f} s in the run: give the truth of the clip that was analysed"
         )
 
 
@@ -219,10 +228,8 @@ def _names(encounters: pd.DataFrame | None) -> dict[int, str]:
 
 
 def _objects_of_points(tracks: pd.DataFrame, points: pd.DataFrame) -> Ints:
-    rows = tracks[["frame", "track_id"]].merge(
-        points[["frame", "track_id", "object_id"]], on=["frame", "track_id"], how="left"
-    )
-    return rows.object_id.fillna(UNKNOWN_OBJECT).to_numpy(np.int64)
+    row = rows_of(tracks, points, OBSERVATION)
+    return np.where(row >= 0, np.append(points.object_id.to_numpy(np.int64), UNKNOWN_OBJECT)[row], UNKNOWN_OBJECT)
 
 
 def _objects_of_labels(tracks: pd.DataFrame, folder: Path) -> Ints | None:

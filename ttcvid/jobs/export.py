@@ -21,7 +21,6 @@ from ttcvid.export.mot import write_mot
 from ttcvid.export.rerun_recording import write_rerun
 from ttcvid.jobs.runs.manifest import camera_of
 from ttcvid.jobs.runs.run import Run
-from ttcvid.model import NO_CLUSTER
 from ttcvid.plain_files import open_plain
 from ttcvid.schema import TABLE_NAMES
 from ttcvid.sinks.failures import output_errors
@@ -131,17 +130,15 @@ def _arrow_table(run: Run, name: str) -> pa.Table:
 def _read(run: Run, name: str) -> ExportedRun:
     return ExportedRun(
         name=name,
-        tables={table: _ordinary(getattr(run, table)) for table in TABLE_NAMES},
+        tables={table: _ordinary(_arrow_table(run, table)) for table in TABLE_NAMES},
         camera=camera_of(run.manifest["camera"]),
         nominal_dt_s=float(run.manifest["input"]["nominal_dt_s"]),
         video=run.overlay,
     )
 
 
-def _ordinary(table: pd.DataFrame) -> pd.DataFrame:
+def _ordinary(columns: pa.Table) -> pd.DataFrame:
     """Ordinary numbers, and whole ones where a number names something."""
-    table = plain(table)
-    if "cluster_id" in table:
-        table = table.assign(cluster_id=table.cluster_id.fillna(NO_CLUSTER).astype("int64"))
+    table = plain(columns)
     numbers = [column for column in ("frame", "start_frame", "end_frame") if column in table]
     return table.astype(dict.fromkeys(numbers, "int64"))

@@ -23,8 +23,8 @@ RAYS_AT_ONCE = 256
 class FaceStack:
     """The faces that turn their outside to the camera of one picture and reach before it.
 
-    ``corner_m, along_u, along_v, normal (F, 3)``, ``size_m (F, 2)``, ``actor (F,)``; ``ground_up`` (3,) and ``height_m`` describe the ground (None: there is none); ``poses`` are those
-    of all actors and the ground.
+    ``corner_m, along_u, along_v, normal (F, 3)``, ``size_m (F, 2)``, ``actor (F,)``; ``ground_up`` (3,) and
+    ``height_m`` describe the ground (None: there is none); ``poses`` are those of all actors and the ground.
     """
 
     corner_m: Floats

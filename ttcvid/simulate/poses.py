@@ -164,7 +164,7 @@ def mean_horizon_px(scene: Scene) -> tuple[float, float]:
 @lru_cache(maxsize=1024)
 def _resting_rotation(yaw_rad: float, pitch_deg: float, roll_deg: float) -> Floats:
     """Rotation matrix ``(3, 3)`` of a body at rest, kept: the same scene is made ready several times."""
-    return _rotations(np.array([yaw_rad]), np.radians([pitch_deg]), np.radians([roll_deg]))[0]
+    return np.asarray(_rotations(np.array([yaw_rad]), np.radians([pitch_deg]), np.radians([roll_deg]))[0])
 
 
 def _rotations(yaw_rad: Floats, pitch_rad: Floats, roll_rad: Floats) -> Floats:

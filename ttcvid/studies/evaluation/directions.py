@@ -8,7 +8,7 @@ import pandas as pd
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.studies.evaluation.times import Numbers, quantile
-from ttcvid.studies.evaluation.truth import DIRECTION, ROTATION, VELOCITY
+from ttcvid.studies.evaluation.truth import DIRECTION, ROTATION, VELOCITY, columns_of
 
 
 def angle_deg(first: Floats, second: Floats) -> Floats:
@@ -27,11 +27,6 @@ def judge_directions(truth: Floats, found: Floats, is_counted: Bools) -> Numbers
     return summary_of(angle_deg(truth[is_counted], found[is_counted]))
 
 
-def judge_rotation(truth: pd.DataFrame, found: pd.DataFrame) -> Numbers:
-    """Summary of `rotation_errors_deg`."""
-    return summary_of(rotation_errors_deg(truth, found).rotation_deg.to_numpy(float))
-
-
 def rotation_errors_deg(truth: pd.DataFrame, found: pd.DataFrame) -> pd.DataFrame:
     """Angle between true and found rotation since the previous analysed frame: ``frame, rotation_deg``, NaN: not found.
 
@@ -39,12 +34,12 @@ def rotation_errors_deg(truth: pd.DataFrame, found: pd.DataFrame) -> pd.DataFram
     the truth does, nothing is judged. ``found`` has a row per analysed frame, ascending; the first of them has no
     rotation to judge.
     """
-    per_picture = rotation_from_vector(np.nan_to_num(truth[ROTATION].to_numpy(float)))
+    per_picture = rotation_from_vector(np.nan_to_num(columns_of(truth, ROTATION)))
     frames, first, end = _pictures_between(truth, found.frame.to_numpy())
     if not len(frames):
         return pd.DataFrame({"frame": frames, "rotation_deg": np.empty(0)})
     true = np.stack([_product(per_picture[a:b]) for a, b in zip(first, end, strict=True)])
-    estimate = rotation_from_vector(found.set_index("frame").loc[frames, ROTATION].to_numpy(float))
+    estimate = rotation_from_vector(columns_of(found, ROTATION)[np.searchsorted(found.frame, frames)])
     left_over = estimate @ np.swapaxes(true, 1, 2)
     is_known = np.isfinite(left_over).all(axis=(1, 2))
     error = np.full(len(left_over), np.nan)
@@ -61,9 +56,9 @@ def true_scene_directions(truth: pd.DataFrame, frames: Ints) -> pd.DataFrame:
     does not know the whole way.
     """
     analysed, first, end = _pictures_between(truth, frames)
-    per_picture = rotation_from_vector(np.nan_to_num(truth[ROTATION].to_numpy(float)))
+    per_picture = rotation_from_vector(np.nan_to_num(columns_of(truth, ROTATION)))
     has_speed = set(VELOCITY) <= set(truth)
-    velocity = -truth[VELOCITY].to_numpy(float) if has_speed else truth[DIRECTION].to_numpy(float)
+    velocity = -columns_of(truth, VELOCITY) if has_speed else columns_of(truth, DIRECTION)
     # A row without one before it, or after a gap, is as long as pictures are.
     step_s = np.diff(truth.t_s) / np.diff(truth.frame)
     way = np.nan_to_num(velocity) * np.concatenate([step_s[:1] if len(step_s) else [1.0], step_s])[: len(truth), None]

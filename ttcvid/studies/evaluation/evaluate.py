@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ttcvid.model import SCENE_CLUSTER, Bools, Ints
+from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.studies.evaluation.collision_warnings import WarningsJudged, judge_warnings, object_of_events
 from ttcvid.studies.evaluation.directions import (
     angle_deg,
     judge_directions,
-    judge_rotation,
     rotation_errors_deg,
     summary_of,
     true_scene_directions,
@@ -22,7 +22,18 @@ from ttcvid.studies.evaluation.grouping import judge_grouping, share_in_bodies
 from ttcvid.studies.evaluation.matching import Matches, best_one_to_one, count_tracks, match_objects
 from ttcvid.studies.evaluation.metrics import METRICS, Value
 from ttcvid.studies.evaluation.times import TIMES, Numbers, judge_times
-from ttcvid.studies.evaluation.truth import BOX, DIRECTION, POSITION, UNKNOWN_OBJECT, VELOCITY, RunTables, Truth
+from ttcvid.studies.evaluation.truth import (
+    BOX,
+    DIRECTION,
+    OBSERVATION,
+    POSITION,
+    UNKNOWN_OBJECT,
+    VELOCITY,
+    RunTables,
+    Truth,
+    columns_of,
+    rows_of,
+)
 
 FOUND_SHARE = 0.5
 """An object is found if it is matched in this share of the frames in which it counts."""
@@ -83,15 +94,16 @@ def judge_run(run: RunTables, truth: Truth) -> Evaluation:
     joined = pd.DataFrame()
     by_frame = run.frames[["frame"]].assign(rotation_deg=np.nan, epipole_deg=np.nan, is_epipole_judged=False, n_false=0)
     if truth.frames is not None:
-        by_frame = _own_motion_errors(run, truth.frames)
-        numbers["rotation"] = judge_rotation(truth.frames, run.frames)
+        rotation = rotation_errors_deg(truth.frames, run.frames)
+        by_frame = _own_motion_errors(run, truth.frames, rotation)
+        numbers["rotation"] = summary_of(rotation.rotation_deg.to_numpy(float))
         numbers["epipole_scene"] = summary_of(by_frame.epipole_deg[by_frame.is_epipole_judged].to_numpy(float))
+    # The true point of each track row, -1 where there is none.
+    point = None if truth.track_points is None else rows_of(run.collision_times, truth.track_points, OBSERVATION)
     if truth.track_object is not None:
-        object_of_track = _without_displaced(run, truth, _counted_only(run, truth, truth.track_object))
-        numbers["tracks"] = judge_grouping(object_of_track, run.collision_times.cluster_id.to_numpy())
-        numbers["tracks"] |= _outliers(run, truth.track_points)
-    if truth.track_points is not None:
-        numbers |= _track_times(run, truth.track_points)
+        numbers["tracks"] = _tracks(run, truth, _counted_only(run, truth, truth.track_object), point)
+    if truth.track_points is not None and point is not None:
+        numbers |= _track_times(run, truth.track_points, point)
     if truth.objects is not None:
         true_objects = truth.objects[truth.objects.frame.isin(run.frames.frame)].reset_index(drop=True)
         found = _objects_found(run)
@@ -120,8 +132,9 @@ def _clip(run: RunTables) -> Numbers:
 def _objects_found(run: RunTables) -> pd.DataFrame:
     """The objects of a run with their directions."""
     objects = run.clusters[run.clusters.role == "object"]
-    directions = run.epipoles[["frame", "cluster_id", *DIRECTION]]
-    return objects.merge(directions, on=["frame", "cluster_id"], how="left").reset_index(drop=True)
+    row = rows_of(objects, run.epipoles, ("frame", "cluster_id"))
+    directions = _rows_or_nan(columns_of(run.epipoles, DIRECTION), row)
+    return objects.reset_index(drop=True).assign(**dict(zip(DIRECTION, directions.T, strict=True)))
 
 
 def _tracks_on_objects(run: RunTables, truth: Truth) -> pd.DataFrame | None:
@@ -135,21 +148,19 @@ def _counted_only(run: RunTables, truth: Truth, track_object: Ints) -> Ints:
     """The object of each track, unknown where the object does not count in that frame."""
     if truth.objects is None:
         return track_object
-    ignored = truth.objects.loc[~truth.objects.is_counted, ["frame", "object_id"]].assign(is_ignored=True)
-    rows = pd.DataFrame({"frame": run.collision_times.frame, "object_id": track_object})
-    is_ignored = rows.merge(ignored, on=["frame", "object_id"], how="left").is_ignored.notna().to_numpy()
+    tracks = pd.DataFrame({"frame": run.collision_times.frame, "object_id": track_object})
+    is_ignored = rows_of(tracks, truth.objects[~truth.objects.is_counted], ("frame", "object_id")) >= 0
     return np.where(is_ignored, UNKNOWN_OBJECT, track_object)
 
 
-def _without_displaced(run: RunTables, truth: Truth, track_object: Ints) -> Ints:
-    """The object of each track, unknown where the observation is a displaced one: that lies on nothing."""
-    points = truth.track_points
-    if points is None or "is_outlier" not in points:
-        return track_object
-    rows = run.collision_times[["frame", "track_id"]].merge(
-        points[["frame", "track_id", "is_outlier"]], on=["frame", "track_id"], how="left"
-    )
-    return np.where(rows.is_outlier.eq(True), UNKNOWN_OBJECT, track_object)
+def _tracks(run: RunTables, truth: Truth, object_of_track: Ints, point: Ints | None) -> Numbers:
+    """How tracks are grouped; a displaced observation lies on nothing, whatever its object."""
+    cluster_id, points = run.collision_times.cluster_id.to_numpy(), truth.track_points
+    if point is None or points is None or "is_outlier" not in points:
+        return judge_grouping(object_of_track, cluster_id)
+    is_displaced = np.append(points.is_outlier.to_numpy(bool), False)[point]
+    grouping = judge_grouping(np.where(is_displaced, UNKNOWN_OBJECT, object_of_track), cluster_id)
+    return grouping | {"outliers_in": share_in_bodies(cluster_id, is_displaced)}
 
 
 def _join(truth: pd.DataFrame, found: pd.DataFrame, matches: Matches) -> pd.DataFrame:
@@ -157,11 +168,17 @@ def _join(truth: pd.DataFrame, found: pd.DataFrame, matches: Matches) -> pd.Data
     columns = ["cluster_id", *_TIME_COLUMNS, *DIRECTION]
     partner = np.full(len(truth), -1)
     partner[matches.pairs.truth_row] = matches.pairs.found_row
-    beside = found[columns].astype(float).reindex(partner)
-    beside = beside.set_axis([f"{name}_found" for name in columns], axis=1).set_axis(truth.index, axis=0)
+    beside = _rows_or_nan(columns_of(found, columns), partner)
     kept = ["frame", "t_s", "object_id", "name", "is_counted", *BOX, *(f"{name}_s" for name in TIMES), *DIRECTION]
     kept += [*POSITION, *VELOCITY]
-    return pd.concat([truth.reindex(columns=kept), beside.assign(is_found=partner >= 0)], axis=1)
+    values: dict[str, Any] = {name: truth.get(name, np.nan) for name in kept}
+    values |= {f"{name}_found": column for name, column in zip(columns, beside.T, strict=True)}
+    return pd.DataFrame(values | {"is_found": partner >= 0}, index=truth.index)
+
+
+def _rows_or_nan(values: Floats, row: Ints) -> Floats:
+    """Rows ``row (N,)`` of ``values (M, K)``, NaN for -1."""
+    return np.vstack([values, np.full(values.shape[1], np.nan)])[row]
 
 
 def _times_and_directions(joined: pd.DataFrame) -> dict[str, Numbers]:
@@ -169,46 +186,51 @@ def _times_and_directions(joined: pd.DataFrame) -> dict[str, Numbers]:
     found = _found_times(joined)
     numbers = {name: judge_times(name, joined[f"{name}_s"].to_numpy(float), found, is_counted) for name in TIMES}
     numbers["epipole_objects"] = judge_directions(
-        joined[DIRECTION].to_numpy(float),
-        joined[[f"{axis}_found" for axis in DIRECTION]].to_numpy(float),
+        columns_of(joined, DIRECTION),
+        columns_of(joined, [f"{axis}_found" for axis in DIRECTION]),
         is_counted & joined.is_found.to_numpy(bool),
     )
     return numbers
 
 
-def _found_times(joined: pd.DataFrame) -> pd.DataFrame:
-    return joined[[f"{name}_found" for name in _TIME_COLUMNS]].set_axis(_TIME_COLUMNS, axis=1)
+def _found_times(joined: pd.DataFrame) -> dict[str, Floats]:
+    return {name: joined[f"{name}_found"].to_numpy(float) for name in _TIME_COLUMNS}
 
 
-def _track_times(run: RunTables, points: pd.DataFrame) -> dict[str, Numbers]:
-    """The times of tracks against those of the true points, over all rows that have a truth."""
-    true_names = [f"{name}_s" for name in TIMES]
-    true = points[["frame", "track_id", *true_names]].rename(columns={name: f"true_{name}" for name in true_names})
-    rows = run.collision_times.merge(true, on=["frame", "track_id"])
-    all_rows = np.ones(len(rows), bool)
+def _track_times(run: RunTables, points: pd.DataFrame, point: Ints) -> dict[str, Numbers]:
+    """The times of tracks against those of the true points ``point (N,)``, over all rows that have a truth."""
+    is_true = point >= 0
+    found = {name: run.collision_times[name].to_numpy(float)[is_true] for name in _TIME_COLUMNS}
+    all_rows = np.ones(int(is_true.sum()), bool)
     return {
-        f"track_{name}": judge_times(name, rows[f"true_{name}_s"].to_numpy(float), rows, all_rows) for name in TIMES
+        f"track_{name}": judge_times(name, points[f"{name}_s"].to_numpy(float)[point[is_true]], found, all_rows)
+        for name in TIMES
     }
 
 
-def _outliers(run: RunTables, points: pd.DataFrame | None) -> Numbers:
-    if points is None or "is_outlier" not in points:
-        return {}
-    rows = run.collision_times.merge(points[["frame", "track_id", "is_outlier"]], on=["frame", "track_id"])
-    return {"outliers_in": share_in_bodies(rows.cluster_id.to_numpy(), rows.is_outlier.to_numpy(bool))}
-
-
-def _own_motion_errors(run: RunTables, frames: pd.DataFrame) -> pd.DataFrame:
+def _own_motion_errors(run: RunTables, frames: pd.DataFrame, rotation: pd.DataFrame) -> pd.DataFrame:
     """Errors of rotation and direction of each frame of a run, as in ``Evaluation.by_frame``."""
-    scene = run.epipoles.loc[run.epipoles.cluster_id == SCENE_CLUSTER, ["frame", *DIRECTION]]
-    true = true_scene_directions(frames, run.frames.frame.to_numpy())
-    both = true.merge(scene, on="frame", how="left", suffixes=("", "_found"))
-    found = both[[f"{axis}_found" for axis in DIRECTION]].to_numpy(float)
-    both["epipole_deg"] = angle_deg(both[DIRECTION].to_numpy(float), found)
-    both["is_epipole_judged"] = np.isfinite(both[DIRECTION].to_numpy(float)).all(axis=1)
-    errors = run.frames[["frame"]].merge(rotation_errors_deg(frames, run.frames), on="frame", how="left")
-    errors = errors.merge(both[["frame", "epipole_deg", "is_epipole_judged"]], on="frame", how="left")
-    return errors.assign(is_epipole_judged=errors.is_epipole_judged.eq(True), n_false=0)
+    frame = run.frames.frame.to_numpy()
+    true = true_scene_directions(frames, frame)
+    scene = run.epipoles[run.epipoles.cluster_id == SCENE_CLUSTER]
+    direction, found = (_at_frames(frame, one.frame.to_numpy(), columns_of(one, DIRECTION)) for one in (true, scene))
+    return pd.DataFrame(
+        {
+            "frame": frame,
+            "rotation_deg": _at_frames(frame, rotation.frame.to_numpy(), columns_of(rotation, ["rotation_deg"]))[:, 0],
+            "epipole_deg": angle_deg(direction, found),
+            "is_epipole_judged": np.isfinite(direction).all(axis=1),
+            "n_false": 0,
+        }
+    )
+
+
+def _at_frames(frame: Ints, own: Ints, values: Floats) -> Floats:
+    """Values ``(M, K)`` of frames ``own (M,)`` at those of a run ``(N,)``: ``(N, K)``, NaN where there are none."""
+    _, here, there = np.intersect1d(frame, own, return_indices=True)
+    result = np.full((len(frame), values.shape[1]), np.nan)
+    result[here] = values[there]
+    return result
 
 
 def _objects(
@@ -255,18 +277,21 @@ def _warnings(
 def _sights(objects: pd.DataFrame, run: RunTables, track_object: Ints | None) -> dict[int, Sight]:
     """What there was to see of each true object, in the frames in which it counts."""
     counted = objects[objects.is_counted.astype(bool)]
-    sides_px = pd.concat([counted.x1_px - counted.x0_px, counted.y1_px - counted.y0_px], axis=1).max(axis=1)
-    longest_px = {int(str(number)): side for number, side in sides_px.groupby(counted.object_id).max().items()}
+    number = counted.object_id.to_numpy()
+    x0, y0, x1, y1 = columns_of(counted, BOX).T
+    side_px = np.fmax(x1 - x0, y1 - y0)
+    longest_px = {int(one): _finite(float(np.fmax.reduce(side_px[number == one]))) for one in np.unique(number)}
     if track_object is None:
-        return {number: Sight(_finite(side_px), None, None) for number, side_px in longest_px.items()}
-    tracks = run.collision_times[["frame", "cluster_id"]].assign(object_id=track_object)
-    tracks = tracks.merge(counted[["frame", "object_id"]], on=["frame", "object_id"])
-    most = tracks.groupby(["object_id", "frame"]).size().groupby("object_id").max()
-    of_scene = (tracks.cluster_id == SCENE_CLUSTER).groupby(tracks.object_id).mean()
-    return {
-        number: Sight(_finite(side_px), int(most.get(number, 0)), _finite(of_scene.get(number)))
-        for number, side_px in longest_px.items()
-    }
+        return {one: Sight(longest, None, None) for one, longest in longest_px.items()}
+    tracks = pd.DataFrame({"frame": run.collision_times.frame, "object_id": track_object})
+    on_object = np.where(rows_of(tracks, counted, ("frame", "object_id")) >= 0, track_object, UNKNOWN_OBJECT)
+    frame, is_scene = tracks.frame.to_numpy(), run.collision_times.cluster_id.to_numpy() == SCENE_CLUSTER
+    sights = {}
+    for one, longest in longest_px.items():
+        own = on_object == one
+        most = int(np.unique(frame[own], return_counts=True)[1].max(initial=0))
+        sights[one] = Sight(longest, most, _finite(_share(is_scene[own])))
+    return sights
 
 
 def _each_object(

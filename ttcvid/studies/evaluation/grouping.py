@@ -21,7 +21,8 @@ def judge_grouping(track_object: Ints, cluster_id: Ints) -> Numbers:
     on_object, in_object = track_object != SCENE_CLUSTER, cluster_id > SCENE_CLUSTER
     both = on_object & in_object
     object_of = best_one_to_one(cluster_id[both], track_object[both]) | {SCENE_CLUSTER: SCENE_CLUSTER}
-    meant = np.array([object_of.get(int(c), UNKNOWN_OBJECT) for c in cluster_id], dtype=np.int64)
+    clusters, place = np.unique(cluster_id, return_inverse=True)
+    meant = np.array([object_of.get(int(c), UNKNOWN_OBJECT) for c in clusters], dtype=np.int64)[place]
     is_right = meant == track_object
     return {
         "n": float(len(is_right)),

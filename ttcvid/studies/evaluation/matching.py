@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
 from ttcvid.model import Floats, Ints
-from ttcvid.studies.evaluation.truth import BOX, UNKNOWN_OBJECT
+from ttcvid.studies.evaluation.truth import BOX, UNKNOWN_OBJECT, columns_of, row_codes
 
 MIN_OVERLAP = 0.3
 """Intersection over union, of boxes or of sets of tracks, from which on two are taken for the same object."""
@@ -41,12 +41,19 @@ def match_objects(truth: pd.DataFrame, found: pd.DataFrame, on_tracks: pd.DataFr
     found : ``frame, cluster_id, motion_id`` and a box.
     on_tracks : ``frame, cluster_id, object_id, n`` as from `count_tracks`; None where the tracks' objects are unknown.
     """
-    left = truth[["frame", "object_id", *BOX]].reset_index(drop=True)
-    right = found[["frame", "cluster_id", *BOX]].reset_index(drop=True)
-    left, right = left.rename_axis("truth_row").reset_index(), right.rename_axis("found_row").reset_index()
-    near = left.merge(right, on="frame", suffixes=("", "_found"))
-    boxes = near[BOX].to_numpy(float), near[[f"{side}_found" for side in BOX]].to_numpy(float)
-    near["overlap"], near["inside"] = intersection_over_union(*boxes), share_inside(*boxes)
+    truth_row, found_row = _rows_of_same_frame(truth.frame.to_numpy(), found.frame.to_numpy())
+    boxes = columns_of(truth, BOX)[truth_row], columns_of(found, BOX)[found_row]
+    near = pd.DataFrame(
+        {
+            "frame": truth.frame.to_numpy()[truth_row],
+            "object_id": truth.object_id.to_numpy()[truth_row],
+            "cluster_id": found.cluster_id.to_numpy()[found_row],
+            "truth_row": truth_row,
+            "found_row": found_row,
+            "overlap": intersection_over_union(*boxes),
+            "inside": share_inside(*boxes),
+        }
+    )
     if on_tracks is not None:
         overlap, inside = _track_overlap(near, on_tracks)
         near["overlap"] = np.fmax(near.overlap, overlap)
@@ -57,14 +64,23 @@ def match_objects(truth: pd.DataFrame, found: pd.DataFrame, on_tracks: pd.DataFr
     pieces = near[near.inside >= MIN_INSIDE].sort_values("inside")
     for name, rows in (("double", pieces), ("match", pairs)):
         owner[rows.found_row], verdict[rows.found_row] = rows.object_id, name
-    return Matches(pairs[["frame", "object_id", "cluster_id", "truth_row", "found_row"]], verdict, owner)
+    return Matches(pairs.drop(columns=["overlap", "inside"]), verdict, owner)
+
+
+def _rows_of_same_frame(first: Ints, second: Ints) -> tuple[Ints, Ints]:
+    """All pairs of a row of ``first (N,)`` and one of ``second (M,)`` that are of the same frame, in that order."""
+    order = np.argsort(second, kind="stable")
+    start, end = (np.searchsorted(second, first, side, sorter=order) for side in ("left", "right"))
+    n = end - start
+    within = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n)
+    return np.repeat(np.arange(len(first)), n), order[np.repeat(start, n) + within]
 
 
 def count_tracks(frame: Ints, cluster_id: Ints, track_object: Ints) -> pd.DataFrame:
     """Tracks per frame, cluster and true object: ``frame, cluster_id, object_id, n``; unknown ones are left out."""
-    rows = pd.DataFrame({"frame": frame, "cluster_id": cluster_id, "object_id": track_object})
-    rows = rows[rows.object_id != UNKNOWN_OBJECT]
-    return rows.groupby(["frame", "cluster_id", "object_id"]).size().rename("n").reset_index()
+    rows = np.column_stack([frame, cluster_id, track_object])[track_object != UNKNOWN_OBJECT]
+    _, first, n = np.unique(row_codes(rows), return_index=True, return_counts=True)
+    return pd.DataFrame(rows[first], columns=["frame", "cluster_id", "object_id"]).assign(n=n)
 
 
 def best_one_to_one(first: Ints, second: Ints, weight: Ints | None = None) -> dict[int, int]:
@@ -129,9 +145,8 @@ def _track_overlap(near: pd.DataFrame, on_tracks: pd.DataFrame) -> tuple[Floats,
 
 def _totals(near: pd.DataFrame, on_tracks: pd.DataFrame, names: list[str]) -> Floats:
     """How many of the tracks agree with each pair in some numbers."""
-    counted = on_tracks[names].to_numpy(np.int64)
-    _, row = np.unique(np.vstack([near[names].to_numpy(np.int64), counted]), axis=0, return_inverse=True)
-    row = row.reshape(-1)
+    numbers = [np.column_stack([table[name].to_numpy(np.int64) for name in names]) for table in (near, on_tracks)]
+    _, row = np.unique(row_codes(np.vstack(numbers)), return_inverse=True)
     totals = np.bincount(row[len(near) :], on_tracks.n.to_numpy(float), int(row.max(initial=-1)) + 1)
     return np.asarray(totals[row[: len(near)]])
 

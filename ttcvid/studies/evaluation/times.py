@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
-import pandas as pd
 
 from ttcvid.model import Bools, Floats
 
@@ -14,23 +16,21 @@ TIME_RANGE_S = (0.1, 20.0)
 Numbers = dict[str, float]
 
 
-def judge_times(name: str, truth_s: Floats, found: pd.DataFrame, is_counted: Bools) -> Numbers:
+def judge_times(name: str, truth_s: Floats, found: Mapping[str, Any], is_counted: Bools) -> Numbers:
     """How good one of the times is.
 
     Parameters
     ----------
     name : One of ``TIMES``.
     truth_s : ``(N,)`` true times, NaN where there is none.
-    found : ``N`` rows with the columns ``{name}_s, {name}_lo_s, {name}_hi_s``, NaN where there is no estimate.
+    found : Columns ``{name}_s, {name}_lo_s, {name}_hi_s (N,)``, NaN where there is no estimate.
     is_counted : ``(N,)`` rows to judge, among them those in which nothing was found.
     """
     in_range = is_counted & (np.abs(truth_s) >= TIME_RANGE_S[0]) & (np.abs(truth_s) <= TIME_RANGE_S[1])
-    true_s, rows = truth_s[in_range], found[in_range]
-    value_s = rows[f"{name}_s"].to_numpy(float)
-    has_value = np.isfinite(value_s)
-    true_s, value_s, rows = true_s[has_value], value_s[has_value], rows[has_value]
+    found_s = np.column_stack([np.asarray(found[f"{name}{end}_s"], float) for end in ("", "_lo", "_hi")])
+    has_value = np.isfinite(found_s[in_range, 0])
+    true_s, (value_s, lo_s, hi_s) = truth_s[in_range][has_value], found_s[in_range][has_value].T
     error = relative_error_of_eta(true_s, value_s)
-    lo_s, hi_s = rows[f"{name}_lo_s"].to_numpy(float), rows[f"{name}_hi_s"].to_numpy(float)
     numbers = {
         "n": float(len(true_s)),
         "share": _mean(has_value),
@@ -41,7 +41,7 @@ def judge_times(name: str, truth_s: Floats, found: pd.DataFrame, is_counted: Boo
         "half_width": quantile(relative_half_width(name, value_s, lo_s, hi_s), 0.5),
     }
     if name == "miss":
-        numbers["abs_median_s"] = _absolute_error_s(truth_s[is_counted], found[is_counted])
+        numbers["abs_median_s"] = _absolute_error_s(truth_s[is_counted], found_s[is_counted, 0])
     else:
         numbers["wrong_sign"] = _mean(value_s * true_s < 0)
     return numbers
@@ -86,8 +86,8 @@ def quantile(values: Floats, share: float) -> float:
     return float(np.median(values)) if share == 0.5 else float(np.quantile(values, share, method="inverted_cdf"))
 
 
-def _absolute_error_s(truth_s: Floats, found: pd.DataFrame) -> float:
-    error_s = np.abs(found.miss_s.to_numpy(float) - truth_s)
+def _absolute_error_s(truth_s: Floats, found_s: Floats) -> float:
+    error_s = np.abs(found_s - truth_s)
     return quantile(error_s[np.isfinite(error_s)], 0.5)
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from ttcvid.geometry.paper.collision import times_from_position_velocity
 from ttcvid.geometry.rotation import normalize
@@ -17,6 +20,7 @@ ROTATION = ["rot_x_rad", "rot_y_rad", "rot_z_rad"]
 POINT = ["x_true_px", "y_true_px"]
 POSITION = ["x_m", "y_m", "z_m"]
 VELOCITY = ["vx_m_s", "vy_m_s", "vz_m_s"]
+OBSERVATION = ["frame", "track_id"]
 
 MIN_VISIBLE_PX2 = 100.0
 MIN_VISIBLE_FRACTION = 0.25
@@ -61,23 +65,48 @@ class Truth:
     has_all_objects: bool = True
 
 
-def plain(table: pd.DataFrame) -> pd.DataFrame:
+def plain(table: pa.Table) -> pd.DataFrame:
     """A table in ordinary types: null is NaN in floats and ``NO_CLUSTER`` in ``cluster_id``, names are strings."""
-    columns: dict[str, object] = {}
-    # Without what is said of the columns: pandas would copy that with each of them.
-    table = table.copy(deep=False)
-    table.attrs = {}
-    for name, column in table.items():
+    columns: dict[str, Any] = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
         if name == "cluster_id":
-            columns[str(name)] = column.fillna(NO_CLUSTER).to_numpy(np.int64)
-        elif pd.api.types.is_bool_dtype(column.dtype):
-            columns[str(name)] = column.to_numpy(bool)
-        elif pd.api.types.is_numeric_dtype(column.dtype):
-            is_whole = pd.api.types.is_integer_dtype(column.dtype) and not column.hasnans
-            columns[str(name)] = column.to_numpy(np.int64) if is_whole else column.to_numpy(float, na_value=np.nan)
+            columns[name] = column.fill_null(pa.scalar(NO_CLUSTER, column.type)).to_numpy().astype(np.int64)
+        elif pa.types.is_boolean(column.type):
+            columns[name] = column.to_numpy().astype(bool)
+        elif pa.types.is_integer(column.type) and not column.null_count:
+            columns[name] = column.to_numpy().astype(np.int64)
+        elif pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+            columns[name] = column.to_numpy().astype(float)
         else:
-            columns[str(name)] = column.astype(object).to_numpy()
+            columns[name] = column.cast(pa.string()).to_numpy()
     return pd.DataFrame(columns)
+
+
+def columns_of(table: pd.DataFrame, names: Sequence[str]) -> Floats:
+    """Columns of numbers ``(N, len(names))``, one by one: pandas takes several times as long to pick several."""
+    return np.column_stack([table[name].to_numpy(float) for name in names])
+
+
+def row_codes(numbers: Ints) -> Ints:
+    """One whole number ``(N,)`` for each row of ``numbers (N, K)``, in their order; equal for equal rows."""
+    if not len(numbers):
+        return np.empty(0, np.int64)
+    lowest = numbers.min(axis=0)
+    span = numbers.max(axis=0) - lowest + 1
+    return np.asarray((numbers - lowest) @ np.append(np.cumprod(span[:0:-1])[::-1], 1))
+
+
+def rows_of(keys: pd.DataFrame, table: pd.DataFrame, names: Sequence[str]) -> Ints:
+    """The row of a table whose whole numbers ``names`` are those of each of N keys: ``(N,)``, -1 where there is none.
+
+    No two rows of the table have the same.
+    """
+    own, wanted = (np.column_stack([one[name].to_numpy(np.int64) for name in names]) for one in (table, keys))
+    code = row_codes(np.vstack([own, wanted]))
+    order = np.argsort(code[: len(own)], kind="stable")
+    place = np.searchsorted(code[: len(own)], code[len(own) :], sorter=order)
+    row = np.append(order, -1)[place]
+    return np.where(code[row] == code[len(own) :], row, -1) if len(own) else row
 
 
 def with_counted(objects: pd.DataFrame) -> pd.DataFrame:
@@ -112,11 +141,11 @@ def objects_from_tracks(track_points: pd.DataFrame, frames: pd.DataFrame, names:
     ``track_points`` has the columns of ``truth_tracks``, ``frames`` those of ``truth_frames``.
     """
     t_s = dict(zip(frames.frame, frames.t_s, strict=True))
-    on_objects = track_points[track_points.object_id != SCENE_CLUSTER].sort_values(
-        ["frame", "object_id"], kind="stable"
-    )
-    keys = on_objects[["frame", "object_id"]].to_numpy(np.int64)
-    places, position, velocity = (on_objects[columns].to_numpy(float) for columns in (POINT, POSITION, VELOCITY))
+    frame, object_id = track_points.frame.to_numpy(np.int64), track_points.object_id.to_numpy(np.int64)
+    order = np.lexsort((object_id, frame))
+    on_objects = track_points.take(order[object_id[order] != SCENE_CLUSTER])
+    keys = np.column_stack([on_objects.frame, on_objects.object_id])
+    places, position, velocity = (columns_of(on_objects, names) for names in (POINT, POSITION, VELOCITY))
     # Slices of arrays: a data frame per object and picture would take most of the time of an evaluation.
     first = np.flatnonzero(np.r_[True, np.any(np.diff(keys, axis=0), axis=1)]) if len(keys) else np.empty(0, np.int64)
     ends = np.append(first, len(keys))[1:]
