@@ -14,7 +14,7 @@ import ttcvid
 
 SCENE = Path(__file__).parents[1] / "sample_configs/scenes/demo.yaml"
 SIZE_PX = [560, 316]
-N_FRAMES = 28
+N_FRAMES = 24
 DROPPED = 17
 
 

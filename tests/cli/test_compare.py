@@ -134,7 +134,7 @@ def test_worst_rows_are_printed_with_frame_time_and_both_values(baseline, compar
 
     code, text = compared(changed_copy(baseline, tmp_path / "run", "frames", change))
     assert code == 1
-    assert "DIFFERENT frames.rot_y_rad (4 of 27 rows outside the tolerance" in text
+    assert f"DIFFERENT frames.rot_y_rad (4 of {N_FRAMES - 1} rows outside the tolerance" in text
     (line,) = (line for line in text.splitlines() if "frame 5 (0.250 s)" in line)
     before = ttcvid.Run.open(baseline).frames.rot_y_rad[5]
     assert f"{before:.6g} -> 0.25 rad" in line

@@ -26,14 +26,14 @@ ATTACKS = {
     ],
     "simulate": ["{scene}", "--png", "--frames", "6", "-o", "{out}/scene", "--overwrite"],
     "evaluate": ["{run}", "{clip}", "--html", "{out}/page.html"],
-    "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "3", "--trials", "100"],
+    "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "2", "--trials", "50"],
     "collision-map": ["{run}", "-o", "{out}/map", "--overwrite", "--n-cells", "11", "--frame", "10", "--ego-speed=10"],
     "compare": ["{run}", "{other}", "--junit", "{out}/junit.xml"],
     "batch": ["{tracks}", "--image-size", "192x128", "-o", "{out}/batch", "--no-overlay"],
     "report": ["{run}", "-o", "{out}/page.html"],
     "export": ["{run}", "--to", "csv", "-o", "{out}/csv", "--overwrite"],
     "regress": ["{suite}", "-o", "{out}/runs", "--junit", "{out}/junit.xml"],
-    "demo": ["--frames", "4", "-o", "{out}/demo", "--overwrite"],
+    "demo": ["--frames", "2", "-o", "{out}/demo", "--overwrite"],
 }
 """Arguments of each command; all that it writes goes below {out}."""
 

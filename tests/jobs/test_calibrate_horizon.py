@@ -114,7 +114,7 @@ def test_title_and_labels_of_the_picture_are_whole(resting, tmp_path, monkeypatc
 
 @pytest.mark.slow
 def test_rendered_pictures_give_the_line_within_its_band(request, tmp_path):
-    ttcvid.simulate(request.config.rootpath / SCENES / "resting_six_movers.yaml", tmp_path / "scene")
+    ttcvid.simulate(request.config.rootpath / SCENES / "resting_six_movers.yaml", tmp_path / "scene", n_frames=60)
     done = calibrated(tmp_path / "scene", tmp_path / "horizon.yaml", clip="clip.mp4")
     content = yaml.safe_load((tmp_path / "horizon.yaml").read_text())
     error_px = np.array([done.horizon.y_left_px, done.horizon.y_right_px]) - true_line(tmp_path / "scene")

@@ -16,7 +16,7 @@ from ttcvid.jobs.processes.side_by_side import map_ahead
 from ttcvid.schema import TABLE_NAMES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-N_FRAMES = 20
+N_FRAMES = 14
 
 
 @pytest.fixture(scope="module")

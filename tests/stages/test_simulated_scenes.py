@@ -143,6 +143,6 @@ def seen_through_an_unknown_lens(width_px):
     return [result for _, result in analyze_frames(frames, camera, PipelineConfig())]
 
 
-@pytest.mark.parametrize("width_px", [960, 1920, 3840])
+@pytest.mark.parametrize("width_px", [960, pytest.param(1920, marks=pytest.mark.exhaustive), 3840])
 def test_a_lens_that_nobody_measured_makes_no_movers_however_many_pixels_it_serves(width_px):
     assert not [row for r in seen_through_an_unknown_lens(width_px) for row in r.clusters if row.role == "object"]

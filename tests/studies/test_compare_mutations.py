@@ -32,7 +32,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Results]:
         ("table", "lead_car_brakes", "vehicle", {}),
     ):
         points = ttcvid.simulate(
-            SCENE.with_name(f"{scene}.yaml"), folder / name, tracks=TrackOptions(n_tracks=300), **sees
+            SCENE.with_name(f"{scene}.yaml"), folder / name, tracks=TrackOptions(n_tracks=150), **sees
         )
         table = points.folder / "tracks.parquet"
         run = ttcvid.analyze(
