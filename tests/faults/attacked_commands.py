@@ -26,7 +26,7 @@ ATTACKS = {
     ],
     "simulate": ["{scene}", "--png", "--frames", "6", "-o", "{out}/scene", "--overwrite"],
     "evaluate": ["{run}", "{clip}", "--html", "{out}/page.html"],
-    "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "2", "--trials", "50"],
+    "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "3", "--trials", "100"],
     "collision-map": ["{run}", "-o", "{out}/map", "--overwrite", "--n-cells", "11", "--frame", "10", "--ego-speed=10"],
     "compare": ["{run}", "{other}", "--junit", "{out}/junit.xml"],
     "batch": ["{tracks}", "--image-size", "192x128", "-o", "{out}/batch", "--no-overlay"],
