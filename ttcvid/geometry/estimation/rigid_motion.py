@@ -154,23 +154,24 @@ def fit_on_paths(
 class Surprise:
     """How far M points are now from where they were to be expected.
 
-    ``off (M, 2)`` of where the path of its thing leads each, in the plane z = 1; ``chi2 (M,)``, with two degrees of
-    freedom, of that or of where its own course over the last views leads, whichever is nearer: what is on neither has
-    nothing to do with the earlier views. 0 where these say nothing.
+    ``off (M, 2)`` of where the path of its thing leads each, in the plane z = 1; ``chi2 (M,)`` of that, with two degrees
+    of freedom, ``line_chi2 (M,)`` of where its own course over the last views leads; ``past_redchi (M,)`` reduced
+    chi-square of the earlier views on the path. 0 where these say nothing.
     """
 
     off: Floats
     chi2: Floats
+    line_chi2: Floats
+    past_redchi: Floats
 
 
 def surprise_of_newest(points: Points, paths: RigidPaths, rate_hz: Floats) -> Surprise:
     """How far the points are now from where their earlier views lead; ``rate_hz (M,)`` to start from, NaN: none."""
-    off, chi2 = np.empty((len(points.track), 2)), np.empty(len(points.track))
+    m = len(points.track)
+    found = np.empty((m, 2)), np.empty(m), np.empty(m), np.empty(m)
     ways = ways_of(paths, points.rays.shape[2])
-    predict_newest(
-        points.rays, points.track, points.thing, ways, points.sigma_norm, points.since_s, rate_hz, (off, chi2)
-    )
-    return Surprise(off, chi2)
+    predict_newest(points.rays, points.track, points.thing, ways, points.sigma_norm, points.since_s, rate_hz, found)
+    return Surprise(*found)
 
 
 def ways_of(paths: RigidPaths, n_views: int) -> Floats:

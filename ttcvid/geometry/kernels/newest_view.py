@@ -28,7 +28,8 @@ _add_views, _rate_equation, _list_turned = (
 
 
 @compiled_for(
-    "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], f8[::1], f8[::1], Tuple((f8[:, ::1], f8[::1])))"
+    "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], f8[::1], f8[::1], "
+    "Tuple((f8[:, ::1], f8[::1], f8[::1], f8[::1])))"
 )
 def predict_newest(
     rays: Floats,
@@ -38,20 +39,20 @@ def predict_newest(
     sigma: Floats,
     since_s: Floats,
     start: Floats,
-    found: tuple[Floats, Floats],
+    found: tuple[Floats, Floats, Floats, Floats],
 ) -> None:
-    """Fill ``found``, ``off (M, 2)`` and ``chi2 (M,)`` of `rigid_motion.Surprise`, point by point.
+    """Fill ``found``, the fields of `rigid_motion.Surprise`, point by point.
 
     Arguments as of `rigid_points.fit_rigid_points`; ``start (M,)`` are rates to start from.
     """
-    off, chi2 = found
+    off, chi2, line_chi2, past_redchi = found
     views, sums, s = np.empty((_N_ROWS, rays.shape[2])), np.empty(_N_SUMS), np.empty(3)
     last, before = rays.shape[2] - 1, rays.shape[2] - len(since_s)
     for k in range(rays.shape[2]):
         views[_TIME, k] = since_s[k - before] if k >= before else 0.0
     for m in range(len(track)):
         n = _list_turned(rays, track[m], ways, body[m], 1.0 / sigma[track[m]], views)
-        off[m, 0], off[m, 1], chi2[m] = 0.0, 0.0, 0.0
+        off[m, 0], off[m, 1], chi2[m], line_chi2[m], past_redchi[m] = 0.0, 0.0, 0.0, 0.0, 0.0
         # With fewer than three earlier views nothing tells how straight the point went.
         if n < 4 or not views[_INVERSE, last] > 0.0:
             continue
@@ -78,7 +79,9 @@ def predict_newest(
         variance = 1.0 / (views[_INVERSE, last] * views[_INVERSE, last]) + 1.0 / own
         along, known = along_x * rx + along_y * ry, variance * max(info, 0.0) + along_x * along_x + along_y * along_y
         off_path = (rx * rx + ry * ry - (along * along / known if known > 0.0 else 0.0)) / variance
-        off[m, 0], off[m, 1], chi2[m] = rx, ry, min(off_path, _off_line(views, last))
+        off[m, 0], off[m, 1], chi2[m], line_chi2[m] = rx, ry, off_path, _off_line(views, last)
+        # One view is the last, and three unknowns are fitted to the others.
+        past_redchi[m] = sums[path_point.CHI2] / (2 * n - 5)
 
 
 @compiled

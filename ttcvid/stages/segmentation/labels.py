@@ -118,7 +118,7 @@ def find_bodies(
     seen = see_scene(history, egomotion, platform, memory.scene, memory.road, views, labels, config)
 
     movers = _refined(movers, seen.scene, views, key, seen.median_redchi)
-    is_displaced = _are_displaced(views, seen, movers, key, rate_hz)
+    is_displaced = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     # Tracks of the scene that fit it and are far from movers keep their label.
     neighbours = views.neighbours(views.is_free & (seen.redchi > config.scene_gate), key != SCENE_CLUSTER)
@@ -138,25 +138,30 @@ def find_bodies(
     return Segmentation(key, movers, seen, is_displaced), memory
 
 
-def _are_displaced(views: BodyViews, seen: SeenScene, movers: Movers, key: Ints, rate_hz: Floats) -> Bools:
+def _are_displaced(
+    views: BodyViews, seen: SeenScene, movers: Movers, labels: TrackLabels, config: BodiesConfig
+) -> Bools:
     """Whether the present observation of tracks ``(N,)`` is displaced: off the prediction of their body and their own.
 
     Residuals are judged against the median of their body: if most are large, its last step is wrong. A residual that a
     neighbour shares is none of a single observation: it may belong to a mover not found yet.
     """
-    number = numbers_of(key, movers)
-    start_hz = np.where(number == 0, rate_hz * seen.speed, np.append(0.0, movers.rate_hz)[number])
+    key, number = labels.key, numbers_of(labels.key, movers)
+    start_hz = np.where(number == 0, labels.rate_hz * seen.speed, np.append(0.0, movers.rate_hz)[number])
     points = views.points(np.arange(len(key)), number)
     surprise = surprise_of_newest(points, seen.scene.joined(movers.paths), start_hz)
-    is_displaced, is_known = np.zeros(len(key), dtype=bool), (surprise.chi2 > 0.0) & views.is_free
+    # What follows the path of its body goes on along it; what never did, along its own course.
+    is_on_path = surprise.past_redchi < config.scene_gate * seen.median_redchi
+    chi2 = np.where(is_on_path, surprise.chi2, np.minimum(surprise.chi2, surprise.line_chi2))
+    is_displaced, is_known = np.zeros(len(key), dtype=bool), (chi2 > 0.0) & views.is_free
     area = _STRAY_PX**2 / (2.0 * np.pi * (views.sigma_norm * views.focal_px) ** 2)
     for _ in range(_ROUNDS):
         tells = is_known & ~is_displaced
-        median_chi2 = medians(surprise.chi2[tells], number[tells], len(movers) + 1) / _MEDIAN_CHI2_2
+        median_chi2 = medians(chi2[tells], number[tells], len(movers) + 1) / _MEDIAN_CHI2_2
         median_chi2 = np.fmax(median_chi2, 1.0)[number]
         odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + np.count_nonzero(tells))
         limit = np.clip(2.0 * np.log(area / (median_chi2 * odds)), _LEAST_CHI2, _MOST_CHI2)
-        is_displaced = is_known & (surprise.chi2 > limit * median_chi2)
+        is_displaced = is_known & (chi2 > limit * median_chi2)
     if not is_displaced.any():
         return is_displaced
     beside = views.neighbours(is_displaced, np.zeros_like(is_displaced))[is_displaced]
