@@ -27,7 +27,7 @@ def shared_direction(velocity_hz, info, by_shared=None):
     """The direction of one thing that all points belong to."""
     thing = np.zeros(len(velocity_hz), dtype=np.int64)
     places = np.zeros((len(thing), 2))
-    direction, covariance, chi2 = shared_directions(places, velocity_hz, info, thing, 1, by_shared)
+    direction, covariance, chi2, _ = shared_directions(places, velocity_hz, info, thing, 1, by_shared)
     return direction[0], covariance[0], chi2
 
 
@@ -132,7 +132,7 @@ def test_each_of_several_things_gets_what_it_would_get_alone():
     rng = np.random.default_rng(8)
     thing, info, by_shared = rng.integers(0, 3, 30), informations(30, rng), rng.normal(size=(30, 3, 2))
     velocity_hz = noisy(normalize(rng.normal(size=(3, 3)))[thing], info, rng)
-    directions, covariances, chi2 = shared_directions(np.zeros((30, 2)), velocity_hz, info, thing, 4, by_shared)
+    directions, covariances, chi2, _ = shared_directions(np.zeros((30, 2)), velocity_hz, info, thing, 4, by_shared)
     for number in range(3):
         own = thing == number
         found, covariance, own_chi2 = shared_direction(velocity_hz[own], info[own], by_shared[own])
@@ -205,5 +205,5 @@ def test_what_changes_its_speed_does_not_seem_to_come_from_where_it_is(change_hz
     rng, thing = np.random.default_rng(11), np.zeros(40, dtype=np.int64)
     for _ in range(20):
         truth, tracks = tracks_of_a_car_ahead(change_hz, rng)
-        found, _, _ = shared_directions(tracks.state[:, :2], tracks.state[:, 2:], tracks.info_w, thing, 1)
+        found, *_ = shared_directions(tracks.state[:, :2], tracks.state[:, 2:], tracks.info_w, thing, 1)
         assert np.rad2deg(np.linalg.norm(off(found[0], truth))) < 1.5

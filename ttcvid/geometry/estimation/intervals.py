@@ -33,8 +33,8 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     x, y : ``(N,)`` normalised image coordinates.
     abc_hz : ``(N, 3)`` (a, b, c) = V / Z in 1/s.
     cov : ``(N, 3, 3)`` covariance of (a, b, c) in 1/s^2.
-    sigma_norm : ``(N,)`` standard deviation of x and y, taken as independent of (a, b, c): their correlation is smaller
-        than the rest by the length of the flow.
+    sigma_norm : ``(N,)``, or of each coordinate ``(2, N)``: standard deviation of x and y, taken as independent of
+        (a, b, c): their correlation is smaller than the rest by the length of the flow.
 
     Returns
     -------

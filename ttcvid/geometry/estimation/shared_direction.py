@@ -24,7 +24,7 @@ _RIDGE = 1e-12
 
 def shared_directions(
     xy: Floats, velocity_hz: Floats, info_w: Floats, thing: Ints, n_things: int, by_shared: Floats | None = None
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Maximum-likelihood ``dir`` of K things whose points move alike, each at its own rate: w_i = s_i e.
 
     Minimises ``sum rho(min_s (w_i - s e)' info_i (w_i - s e))`` over the sphere, Cauchy's rho; chi-square with two
@@ -42,6 +42,7 @@ def shared_directions(
     direction : (K, 3) unit vectors, NaN where no point says anything.
     covariance : (K, 3, 3) in the tangent plane of each, rad^2.
     chi2 : (N,) of each point.
+    by_errors : (K, 3, E) what one standard deviation of each error does to the direction, part of its covariance.
 
     Source: DESIGN section 3 (w_i = s_i e with one shared e).
 
@@ -49,21 +50,22 @@ def shared_directions(
     >>> shared_directions(xy, w, np.broadcast_to(np.eye(3) * 1e4, (2, 3, 3)), np.array([0, 0]), 1)[0].round(9) + 0.0
     array([[ 0.,  0., -1.]])
     """
-    direction, covariance = np.full((n_things, 3), np.nan), np.full((n_things, 3, 3), np.nan)
-    chi2 = np.zeros(len(velocity_hz))
+    n_errors = 0 if by_shared is None else by_shared.shape[2]
+    direction, told_of = np.full((n_things, 3), np.nan), np.full((n_things, 3, 3 + n_errors), np.nan)
+    covariance, by_errors, chi2 = told_of[..., :3], told_of[..., 3:], np.zeros(len(velocity_hz))
     is_usable = np.isfinite(velocity_hz).all(axis=1) & (np.trace(info_w, axis1=1, axis2=2) > 0.0)
     usable = np.flatnonzero(is_usable)
     usable = usable[np.argsort(thing[usable], kind="stable")]
     if not len(usable):
-        return direction, covariance, chi2
+        return direction, covariance, chi2, by_errors
     told, first = np.unique(thing[usable], return_index=True)
     w, info, of_each = velocity_hz[usable], info_w[usable], np.empty(len(usable))
     errors = np.zeros((len(usable), 3, 0)) if by_shared is None else by_shared[usable]
-    found, spread = np.empty((len(told), 3)), np.empty((len(told), 3, 3))
+    found, spread = np.empty((len(told), 3)), np.empty((len(told), 3, 3 + n_errors))
     guesses = _guesses(xy[usable], w, info, first)
     _fit_each((w, info, errors), np.append(first, len(usable)), guesses, found, spread, of_each)
-    direction[told], covariance[told], chi2[usable] = found, spread, of_each
-    return direction, covariance, chi2
+    direction[told], told_of[told], chi2[usable] = found, spread, of_each
+    return direction, covariance, chi2, by_errors
 
 
 def _guesses(xy: Floats, w: Floats, info: Floats, first: Ints) -> Floats:
@@ -91,8 +93,9 @@ def _fit_each(
 ) -> None:
     """Gauss-Newton from the better of two ``guesses (K, 2, 3)``, by the median misfit of each thing's points.
 
-    Fills ``found (K, 3)``, ``spread (K, 3, 3)`` and ``chi2 (M,)``, what `shared_directions` returns, for M ``points``,
-    w, info_w and by_shared, those of each thing side by side from ``first (K + 1,)``.
+    Fills ``found (K, 3)``, ``spread (K, 3, 3 + E)``, covariance and by_errors, and ``chi2 (M,)`` of
+    `shared_directions`, for M ``points``, w, info_w and by_shared, those of each thing side by side from
+    ``first (K + 1,)``.
 
     The best rate of a point is ``s = e' info w / e' info e``. Its residual r = w - s e follows e by
     ``-s (I - e e' info / e' info e)``: with info e r = 0, the score along a tangent b is s b' info r, and the
@@ -168,8 +171,10 @@ def _fit_each(
             half[a, 0] = (columns[a, 0] * n11 - columns[a, 1] * n01) / determinant
             half[a, 1] = (columns[a, 1] * n00 - columns[a, 0] * n01) / determinant
         for a in range(3):
+            for c in range(3, n_columns):
+                spread[k, a, c] = half[a, 0] * equations[0, c] + half[a, 1] * equations[1, c]
+        for a in range(3):
             for b in range(3):
                 spread[k, a, b] = widened * (half[a, 0] * columns[b, 0] + half[a, 1] * columns[b, 1])
                 for c in range(3, n_columns):
-                    by_one = half[a, 0] * equations[0, c] + half[a, 1] * equations[1, c]
-                    spread[k, a, b] += by_one * (half[b, 0] * equations[0, c] + half[b, 1] * equations[1, c])
+                    spread[k, a, b] += spread[k, a, c] * spread[k, b, c]

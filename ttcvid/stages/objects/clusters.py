@@ -102,6 +102,7 @@ def rows_of(
         stated[place] = {
             "status": motions[place].status,
             "ref_px": tuple(joint.ref_px[k].tolist()),
+            "ref_sigma": tuple(joint.ref_sigma[k].tolist()),
             "front_px": tuple(fronts[k]),
             "state_abc_hz": joint.abc_hz[k],
             "state_cov": joint.cov[k],
@@ -217,10 +218,10 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     xy = rays_from_pixels(camera, np.array([rows[place].ref_px for place in stated]))[:, :2]
     abc_hz = np.array([rows[place].state_abc_hz for place in stated])
     cov = np.array([rows[place].state_cov for place in stated])
-    # The reference point is defined by the tracks, and has no error.
-    sigma_norm = np.full(len(stated), _EXACT)
-    times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
-    rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, sigma_norm)
+    # The centroid of the surface is known by its tracks; as a point that is looked at, it has no error.
+    ref_sigma = np.transpose([rows[place].ref_sigma for place in stated])
+    times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, ref_sigma)
+    rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, np.full(len(stated), _EXACT))
     sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
     rows = list(rows)
     for i, (place, rate, sigma) in enumerate(zip(stated, rates.tolist(), sigmas.tolist(), strict=True)):

@@ -18,6 +18,10 @@ _TRIMMED_VARIANCE = 1.35
 _LEAST_OF_SURFACE = 3
 # Standard deviation of the depths on the front of a car, as a share of its distance.
 _RELIEF = 0.025
+# What is nearer than the surface by so many standard deviations is so not by chance.
+_NEARER_SIGMAS = 3.0
+# Noise alone scatters the tracks of a surface by no more than this, times its variance.
+_NOISE_SCATTER = 2.0
 # An object that turns faster than the first, rad/s, shows a side, with at least so many tracks.
 _TURNS_RAD_S, _LEAST_OF_SIDE = 0.05, 8
 # Prior of the slope of its rate over the rate: the tangent of up to 45 deg (standard deviation, per component).
@@ -39,13 +43,14 @@ class JointStates:
     Attributes
     ----------
     owner : ``(K,)`` index of the object.
-    ref_px : ``(K, 2)`` centroid.
+    ref_px, ref_sigma : ``(K, 2)`` centroid, and its standard error in the plane z = 1: few points of it are tracked.
     abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.
     place_cov : ``(K, 3, 3)`` part of ``cov`` that is due to the unknown place of the nearest point.
     """
 
     owner: Ints
     ref_px: Floats
+    ref_sigma: Floats
     abc_hz: Floats
     cov: Floats
     place_cov: Floats
@@ -87,10 +92,36 @@ def joint_states(
     weight = 1.0 / np.maximum(states.cov[surfaces.index, 2, 2], _TINY)
     weight /= surfaces.sums(weight)[surfaces.set_of]
     abc_hz = surfaces.sums(weight[:, None] * states.abc_hz[surfaces.index])
-    abc_hz += surfaces.sums(weight * above_hz[is_in])[:, None] * shared.along[path[left]]
+    way = np.where((path >= 0)[:, None], shared.along[path], direction[owner])[left]
+    abc_hz += surfaces.sums(weight * above_hz[is_in])[:, None] * way
     ref_px = surfaces.sums(weight[:, None] * xy_px[surfaces.index])
-    cov, place_cov = _covariances(surfaces, weight, states)
-    return JointStates(owner[left], ref_px, abc_hz, cov + place_cov, place_cov)
+    ref = surfaces.sums(weight[:, None] * states.xy[surfaces.index])
+    off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
+    cov, place_cov = _covariances(surfaces, weight, off_ref, states)
+    relief = _relief(sets, rate_hz + above_hz, variance, is_in, weight, needed)[left]
+    place_cov += relief[:, None, None] * way[:, :, None] * way[:, None, :]
+    ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
+    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov + place_cov, place_cov)
+
+
+def _relief(sets: TrackSets, rate_hz: Floats, variance: Floats, is_in: Bools, weight: Floats, needed: Ints) -> Floats:
+    """Variance ``(K,)`` of the rate of the nearest point about that of the surface, 1/s^2, beyond the tracks' noise.
+
+    The surface has its relief, and nearer tracks, too few for a surface of their own, may be the nearest part.
+
+    Parameters
+    ----------
+    rate_hz, variance : ``(M,)`` of the tracks, by their own noise.
+    is_in, weight : ``(M,)`` which of them are in the surface, and what these count in its mean.
+    needed : ``(K,)`` tracks that a surface needs.
+    """
+    share, set_of, count = np.zeros(len(rate_hz)), sets.set_of, len(sets)
+    share[is_in] = weight
+    off = rate_hz - np.bincount(set_of, share * rate_hz, count)[set_of]
+    is_nearer = ~is_in & (off > _NEARER_SIGMAS * np.sqrt(variance))
+    share[is_nearer] = 1.0 / np.maximum(needed, np.bincount(set_of, is_nearer, count))[set_of[is_nearer]]
+    excess = off**2 - _NOISE_SCATTER * variance
+    return np.maximum(np.bincount(set_of, share * excess, count), 0.0)
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
@@ -134,12 +165,13 @@ def _near_end(xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bo
     return side_hz, is_on & (side_hz >= nearest_hz - _NEAR_DEPTH * abs(nearest_hz))
 
 
-def _covariances(surfaces: TrackSets, weight: Floats, states: TrackStates) -> tuple[Floats, Floats]:
+def _covariances(surfaces: TrackSets, weight: Floats, off_ref: Floats, states: TrackStates) -> tuple[Floats, Floats]:
     """Covariances ``(K, 3, 3)`` of the weighted means of (a, b, c), by noise and by place, 1/s^2.
 
     Own noise averages out, shared errors do not. Tracks of a surface share the errors of one trajectory; those timed by
     expansion share them with the tracks in whose neighbourhoods they are; tracks with directions of their own (three
     frames) share none. The velocity of a turning object varies with the place, and the nearest may be either end.
+    ``off_ref (M, 2)`` are the places of the tracks about their mean.
     """
     index, set_of, shared = surfaces.index, surfaces.set_of, states.shared
     squared_cov = (weight**2)[:, None, None] * states.cov[index]
@@ -158,9 +190,7 @@ def _covariances(surfaces: TrackSets, weight: Floats, states: TrackStates) -> tu
     together = np.minimum(surfaces.sums(off_weight) ** 2 / np.maximum(squares, _TINY), EXPANSION_NEIGHBOURS)
     cov = together[:, None, None] * surfaces.sums(np.where(is_off[:, None, None], squared_cov, 0.0))
     cov += np.where(has_path[:, None, None], on_path, 0.0)
-    xy = states.xy[index]
-    offset = np.zeros((len(index), 3))
-    offset[:, :2] = xy - surfaces.sums(weight[:, None] * xy)[set_of]
+    offset = np.column_stack([off_ref, np.zeros(len(index))])
     by_place = cross(np.where(has_path[:, None], shared.turn_rad_s[path], 0.0)[set_of], offset)
     place = (_END_VARIANCE * weight)[:, None, None] * by_place[:, :, None] * by_place[:, None, :]
     return cov, surfaces.sums(place)

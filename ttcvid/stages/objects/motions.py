@@ -18,6 +18,7 @@ from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_hz
+from ttcvid.stages.objects.turning import OBJECT_BEND_HZ
 from ttcvid.stages.segmentation.bodies import direction_of_last_step
 from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.data_association import numbers_of
@@ -159,10 +160,10 @@ def motions_of(
     thing = np.repeat(np.arange(len(members)), [len(index) for index in members.values()])
     tracks = np.concatenate(list(members.values()))
     window_s, direction, covariance = _directions(history, tracks, thing, len(members), config)
-    variance, motions = np.trace(covariance, axis1=1, axis2=2), []
+    motions = []
     for number, (cluster_id, index) in enumerate(members.items()):
         motion = ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks")
-        if variance[number] < MAX_DIRECTION_SIGMA_RAD**2:
+        if np.isfinite(direction[number, 0]):
             way, cov = direction[number], covariance[number]
             found = replace(motion, direction=way, direction_cov=cov, window_s=float(window_s[number]))
             motion = on_plane(found, plane, camera)
@@ -214,10 +215,20 @@ def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config:
 
 
 def _shared_directions(history: TrackHistory, tracks: WholeTracks, thing: Ints, n_things: int) -> tuple[Floats, Floats]:
-    """The direction of each thing and its covariance, with the rotation that may be left in all of its tracks."""
+    """The direction of each thing and its covariance, with what errs in all of its tracks alike.
+
+    That is a rotation left in them, and a change of speed: the path ``x + u t - u (c - q / 2) t^2`` shows at the rate q
+    what a constant velocity takes for depth. How a thing changes its speed its path will tell (`turning`): a direction
+    that is uncertain otherwise is NaN.
+    """
     xy, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
-    by_rotation = history.rotation_rate_sigma_rad_s * skew(np.column_stack([xy, np.ones(len(xy))]))
-    direction, covariance, _ = shared_directions(xy, velocity_hz, tracks.info_w, thing, n_things, by_rotation)
+    rays = np.column_stack([xy, np.ones(len(xy))])
+    by_rotation = history.rotation_rate_sigma_rad_s * skew(rays)
+    by_speed = 0.5 * OBJECT_BEND_HZ * rays[:, :, None]
+    errors = np.concatenate([by_rotation, by_speed], axis=2)
+    direction, covariance, _, by_errors = shared_directions(xy, velocity_hz, tracks.info_w, thing, n_things, errors)
+    variance = np.trace(covariance, axis1=1, axis2=2) - np.sum(by_errors[..., -1] ** 2, axis=1)
+    direction[~(variance < MAX_DIRECTION_SIGMA_RAD**2)] = np.nan
     return direction, covariance
 
 

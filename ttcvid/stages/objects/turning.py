@@ -26,7 +26,7 @@ for a turn, and bias the velocity."""
 # square of this angle, so that curved trajectories can be found.
 _SEARCH_FACTOR, _SEARCH_FLOOR_RAD = 9.0, float(np.radians(1.0))
 # Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
-_OBJECT_BEND_HZ = 0.2
+OBJECT_BEND_HZ = 0.2
 # Prior of the turn rate in a bend, some deg/s. On a known horizon, which a free turning body could leave, it is chosen
 # if it lowers the squared residuals significantly (chi-square, three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
@@ -61,7 +61,7 @@ def believed_straight(since_s: Floats, direction: Floats, found_cov: Floats, nor
         across = along_horizon[:, :, None] * along_horizon[:, None, :]
     base = since_s[None, :, None] * direction[:, None, :]
     cov = _SEARCH_FACTOR * found_cov + _SEARCH_FLOOR_RAD**2 * across
-    return PathBeliefs(base, direction, cov, _OBJECT_BEND_HZ, _OBJECT_BEND_HZ, STRAIGHT_TURN_RAD_S, turns_itself=True)
+    return PathBeliefs(base, direction, cov, OBJECT_BEND_HZ, OBJECT_BEND_HZ, STRAIGHT_TURN_RAD_S, turns_itself=True)
 
 
 def straight_or_in_bend(

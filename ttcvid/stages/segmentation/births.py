@@ -147,7 +147,7 @@ def _alike_things(
     numbers, thing = np.unique(label[is_one], return_inverse=True)
     tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
     places, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
-    directions, _, _ = shared_directions(places, velocity_hz, tracks.info_w, thing, len(numbers))
+    directions, *_ = shared_directions(places, velocity_hz, tracks.info_w, thing, len(numbers))
     told = np.flatnonzero(np.isfinite(directions[:, 0]))
     return [(candidates[thing == number], straight_path(directions[number], views.since_s)) for number in told]
 
