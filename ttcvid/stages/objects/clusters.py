@@ -104,6 +104,7 @@ def rows_of(
             "ref_px": tuple(joint.ref_px[k].tolist()),
             "ref_sigma": tuple(joint.ref_sigma[k].tolist()),
             "front_px": tuple(fronts[k]),
+            "relief": float(joint.relief[k]),
             "state_abc_hz": joint.abc_hz[k],
             "state_cov": joint.cov[k],
         }
@@ -220,7 +221,10 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     cov = np.array([rows[place].state_cov for place in stated])
     # The centroid of the surface is known by its tracks; as a point that is looked at, it has no error.
     ref_sigma = np.transpose([rows[place].ref_sigma for place in stated])
-    times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, ref_sigma)
+    # How near the nearest point is does not change in which direction it goes.
+    of_relief_hz = np.array([rows[place].relief for place in stated])[:, None] * abc_hz
+    with_relief = cov + of_relief_hz[:, :, None] * of_relief_hz[:, None, :]
+    times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, with_relief, ref_sigma)
     rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, np.full(len(stated), _EXACT))
     sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
     rows = list(rows)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, tracks_needed
+from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, in_nearest_surface, tracks_needed
 from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
 from ttcvid.stages.tracking.groups import TrackSets
 
@@ -18,8 +18,6 @@ _TRIMMED_VARIANCE = 1.35
 _LEAST_OF_SURFACE = 3
 # Standard deviation of the depths on the front of a car, as a share of its distance.
 _RELIEF = 0.025
-# What is nearer than the surface by so many standard deviations is so not by chance.
-_NEARER_SIGMAS = 3.0
 # Noise alone scatters the tracks of a surface by no more than this, times its variance.
 _NOISE_SCATTER = 2.0
 # An object that turns faster than the first, rad/s, shows a side, with at least so many tracks.
@@ -44,6 +42,7 @@ class JointStates:
     ----------
     owner : ``(K,)`` index of the object.
     ref_px, ref_sigma : ``(K, 2)`` centroid, and its standard error in the plane z = 1: few points of it are tracked.
+    relief : ``(K,)`` standard deviation of the inverse depth of the nearest point about that of the surface, over this.
     abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.
     place_cov : ``(K, 3, 3)`` part of ``cov`` that is due to the unknown place of the nearest point.
     """
@@ -51,6 +50,7 @@ class JointStates:
     owner: Ints
     ref_px: Floats
     ref_sigma: Floats
+    relief: Floats
     abc_hz: Floats
     cov: Floats
     place_cov: Floats
@@ -98,30 +98,34 @@ def joint_states(
     ref = surfaces.sums(weight[:, None] * states.xy[surfaces.index])
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
     cov, place_cov = _covariances(surfaces, weight, off_ref, states)
-    relief = _relief(sets, rate_hz + above_hz, variance, is_in, weight, needed)[left]
-    place_cov += relief[:, None, None] * way[:, :, None] * way[:, None, :]
+    few = np.minimum(needed, _LEAST_OF_SURFACE)
+    is_nearer = ~is_in & in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, few, link_px)
+    relief_hz = _relief(sets, rate_hz + above_hz, variance, is_in, weight, is_nearer)[left]
+    relief = relief_hz / np.maximum(np.linalg.norm(abc_hz, axis=1), _TINY)
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
-    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov + place_cov, place_cov)
+    return JointStates(owner[left], ref_px, ref_sigma, relief, abc_hz, cov + place_cov, place_cov)
 
 
-def _relief(sets: TrackSets, rate_hz: Floats, variance: Floats, is_in: Bools, weight: Floats, needed: Ints) -> Floats:
-    """Variance ``(K,)`` of the rate of the nearest point about that of the surface, 1/s^2, beyond the tracks' noise.
+def _relief(
+    sets: TrackSets, rate_hz: Floats, variance: Floats, is_in: Bools, weight: Floats, is_nearer: Bools
+) -> Floats:
+    """Standard deviation ``(K,)`` of the rate of the nearest point about that of the surface, 1/s, beyond noise.
 
-    The surface has its relief, and nearer tracks, too few for a surface of their own, may be the nearest part.
+    The surface has its relief, and nearer tracks, too few for a surface of their own, may as well be the nearest part.
 
     Parameters
     ----------
     rate_hz, variance : ``(M,)`` of the tracks, by their own noise.
     is_in, weight : ``(M,)`` which of them are in the surface, and what these count in its mean.
-    needed : ``(K,)`` tracks that a surface needs.
+    is_nearer : ``(M,)`` those that may be the nearest part.
     """
     share, set_of, count = np.zeros(len(rate_hz)), sets.set_of, len(sets)
     share[is_in] = weight
     off = rate_hz - np.bincount(set_of, share * rate_hz, count)[set_of]
-    is_nearer = ~is_in & (off > _NEARER_SIGMAS * np.sqrt(variance))
-    share[is_nearer] = 1.0 / np.maximum(needed, np.bincount(set_of, is_nearer, count))[set_of[is_nearer]]
+    is_nearer = is_nearer & (off > 0.0)
+    share[is_nearer] = 0.5 / np.bincount(set_of, is_nearer, count)[set_of[is_nearer]]
     excess = off**2 - _NOISE_SCATTER * variance
-    return np.maximum(np.bincount(set_of, share * excess, count), 0.0)
+    return np.sqrt(np.maximum(np.bincount(set_of, share * excess, count), 0.0))
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
