@@ -166,20 +166,8 @@ RULES: dict[str, Rule] = {
     "merged": Rule(
         "movers that are one become one",
         "bodies",
-        {"stages.segmentation.merge_and_split.merged": lambda views, scene, key, movers, *_: (key, movers)},
-        _stage("segmentation/merge_and_split"),
-    ),
-    "split": Rule(
-        "movers that are several become several",
-        "bodies",
-        {
-            "stages.segmentation.merge_and_split.split": lambda views, key, movers, own, next_key, config: (
-                key,
-                movers,
-                next_key,
-            )
-        },
-        _stage("segmentation/merge_and_split"),
+        {"stages.segmentation.merges.merged": lambda views, scene, key, movers, *_: (key, movers)},
+        _stage("segmentation/merges"),
     ),
     "frozen": Rule(
         "what stays on its pixel is bonnet or text",

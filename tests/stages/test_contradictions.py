@@ -1,13 +1,12 @@
 """What contradicts the scene, held against the plain formulas."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ttcvid.config import BodiesConfig
-from ttcvid.stages.segmentation import births, ground_plane, merge_and_split
+from ttcvid.stages.segmentation import births, ground_plane, merges
 from ttcvid.stages.segmentation.data_association import Movers
 
 N, K = 80, 5
@@ -31,15 +30,6 @@ def test_candidates_are_those_whose_neighbourhood_has_a_large_median_misfit(seed
     np.testing.assert_array_equal(found, expected)
 
 
-def test_a_track_on_a_road_is_given_the_slip_of_its_window_and_one_not_seen_before_is_not():
-    rays = np.zeros((2, 4, 3))
-    rays[1, :, 0], rays[0, 3] = 0.05, np.nan
-    seen = SimpleNamespace(rays=rays, sigma_norm=np.array([0.001, 0.001, 10.0, 0.001]))
-    found = births._without_slip(seen, np.array([True, False, True, True]), np.full(4, 8.0))
-    # 2 % of 0.05 are as much as its noise; beside more noise they are nothing.
-    np.testing.assert_allclose(found, [4.0, 8.0, 8.0, 8.0], rtol=1e-6)
-
-
 def test_movers_touch_where_a_track_of_one_is_beside_a_track_of_the_other():
     rng = np.random.default_rng(1)
     number, neighbours = rng.integers(0, 6, N), rng.integers(0, N, (N, 1))
@@ -54,7 +44,7 @@ def test_movers_touch_where_a_track_of_one_is_beside_a_track_of_the_other():
                 if one_sees_other or (number[neighbours[number == other]] == one).any():
                     expected.add((large - 1, small - 1))
     due = Movers(np.arange(5), np.zeros(5), np.zeros(5, dtype=np.int64), *[None] * 4)
-    found = merge_and_split._asked_neighbours(neighbours, number, due)
+    found = merges._asked_neighbours(neighbours, number, due)
     assert set(zip(*(places.tolist() for places in found), strict=True)) == expected
     assert 0 < len(expected) < 6
 

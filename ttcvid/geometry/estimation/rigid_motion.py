@@ -154,9 +154,9 @@ def fit_on_paths(
 class Surprise:
     """How far M points are now from where they were to be expected.
 
-    ``off (M, 2)`` of where the path of its thing leads each, in the plane z = 1; ``chi2 (M,)`` of that, with two degrees
-    of freedom, ``line_chi2 (M,)`` of where its own course over the last views leads; ``past_redchi (M,)`` reduced
-    chi-square of the earlier views on the path. 0 where these say nothing.
+    ``off (M, 2)`` of where the path of its thing leads each, in the plane z = 1; ``chi2 (M,)`` of that, with two
+    degrees of freedom, ``line_chi2 (M,)`` of where its own course over the last views leads; ``past_redchi (M,)``
+    reduced chi-square of the earlier views on the path. 0 where these say nothing.
     """
 
     off: Floats

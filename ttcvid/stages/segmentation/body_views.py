@@ -17,8 +17,6 @@ _N_NEIGHBOURS = 8
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
 LEAST_RATE = 0.4
-# A rate up to so many times the least one may have been held there on the way, in one of the few steps of a fit.
-_AT_LEAST = 1.5
 
 
 @dataclass(frozen=True)
@@ -86,8 +84,3 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
         is_free,
         link_px,
     )
-
-
-def are_held(fit: PathFit, points: Points, rate_hz: Floats) -> Bools:
-    """Which of the points of `fit_on_movers` (M,) may be held up by the least rate that they may have."""
-    return np.asarray(fit.rate_hz <= _AT_LEAST * LEAST_RATE * rate_hz[points.thing])

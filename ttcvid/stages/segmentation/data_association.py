@@ -10,7 +10,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
-from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, are_held, fit_on_movers
+from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, fit_on_movers
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
@@ -98,31 +98,6 @@ class Movers:
         )
 
 
-@dataclass(frozen=True)
-class OwnFit:
-    """Fits of N tracks on the trajectories of their own bodies.
-
-    Attributes
-    ----------
-    redchi : ``(N,)`` reduced chi-square over the median one of the scene.
-    rate_hz, rate_sigma_hz : ``(N,)`` inverse depth of tracks of movers and its standard deviation, 1/s; NaN: unknown.
-    """
-
-    redchi: Floats
-    rate_hz: Floats
-    rate_sigma_hz: Floats
-
-    def without_rates(self, changes: Bools) -> OwnFit:
-        """The same without the inverse depths of tracks ``changes (N,)``, whose body has got another trajectory."""
-        rate_hz, sigma_hz = (np.where(changes, np.nan, known) for known in (self.rate_hz, self.rate_sigma_hz))
-        return OwnFit(self.redchi, rate_hz, sigma_hz)
-
-
-def unknown_fit(redchi: Floats) -> OwnFit:
-    """A fit without inverse depths; ``redchi (N,)``."""
-    return OwnFit(redchi, np.full(len(redchi), np.nan), np.full(len(redchi), np.nan))
-
-
 def no_movers(n_views: int) -> Movers:
     """Zero movers, with trajectories over ``n_views`` views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
@@ -141,7 +116,7 @@ def numbers_of(key: Ints, movers: Movers) -> Ints:
 
 def assigned(
     views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints
-) -> tuple[Ints, Movers, OwnFit]:
+) -> tuple[Ints, Movers, Floats]:
     """Labels of least cost over the scene, a track's former body and those of its neighbours.
 
     Parameters
@@ -153,11 +128,11 @@ def assigned(
     Returns
     -------
     Key ``(N,)`` of the body of each track; the movers, those along our direction on the trajectory of the scene; and
-    the fit of each track on its body.
+    the reduced chi-square of each track on its body, over the median one of the scene.
     """
     redchi, scene_fit = seen.redchi, seen.fit
     if not len(movers):
-        return key, movers, unknown_fit(redchi)
+        return key, movers, redchi
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = _votes(number, neighbours, n_bodies)
     # As one array, so that both are contiguous: other types would compile the fit of points a second time.
@@ -165,7 +140,6 @@ def assigned(
     points = views.points(track, mover)
     fit = fit_on_movers(points, movers.paths, movers.rate_hz)
     off, rate_hz, sigma_hz = fit.redchi / seen.median_redchi, fit.rate_hz, fit.rate_sigma_hz
-    is_held = are_held(fit, points, movers.rate_hz)
     is_own = number[track] == mover + 1
     if not seen.rests:
         # All former tracks of a mover count: those that its own trajectory no longer explains say most.
@@ -177,7 +151,6 @@ def assigned(
         off = np.where(along, np.where(is_far, np.inf, seen.seen_redchi[track]), off)
         rate_hz = np.where(along, scene_fit.rate_hz[track], rate_hz)
         sigma_hz = np.where(along, scene_fit.rate_sigma_hz[track], sigma_hz)
-        is_held &= ~along
     is_other = redchi[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
     is_still = _most_of(is_own & (redchi[track] < _AS_STILL), is_own, mover, len(movers))
@@ -185,12 +158,8 @@ def assigned(
     redchis = np.full((len(key), n_bodies), np.inf)
     redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_still[mover], np.inf, off)
     best = np.argmin(_costs(redchis, votes, number, scene_fit.n_views, seen.camera_rests), axis=1)
-    own = unknown_fit(np.take_along_axis(redchis, best[:, None], axis=1)[:, 0])
-    is_best = best[track] == 1 + mover
-    moves = track[is_best]
-    own.rate_hz[moves] = np.where(is_held, np.nan, rate_hz)[is_best]
-    own.rate_sigma_hz[moves] = sigma_hz[is_best]
-    return np.append(SCENE_CLUSTER, movers.key)[best], movers, own
+    own_redchi = np.take_along_axis(redchis, best[:, None], axis=1)[:, 0]
+    return np.append(SCENE_CLUSTER, movers.key)[best], movers, own_redchi
 
 
 def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:

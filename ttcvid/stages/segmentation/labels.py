@@ -19,9 +19,9 @@ from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.bodies import carried_forward, stepped_movers
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.data_association import Movers, OwnFit, assigned, is_due, kept, no_movers, numbers_of
+from ttcvid.stages.segmentation.data_association import Movers, assigned, is_due, kept, no_movers, numbers_of
 from ttcvid.stages.segmentation.ground_plane import RoadMemory
-from ttcvid.stages.segmentation.merge_and_split import merged, split
+from ttcvid.stages.segmentation.merges import merged
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.reinitialisation import reinitialised
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
@@ -122,9 +122,8 @@ def find_bodies(
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     # Tracks of the scene that fit it and are far from movers keep their label.
     neighbours = views.neighbours(views.is_free & (seen.redchi > config.scene_gate), key != SCENE_CLUSTER)
-    key, movers, own = _divided(views, seen, key, movers, neighbours, config)
+    key, movers = _divided(views, seen, key, movers, neighbours, config)
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
-    key, movers, next_key = split(views, key, movers, own, next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     if is_displaced.any():
         stays = is_displaced & np.isin(belonged, np.append(SCENE_CLUSTER, movers.key))
@@ -185,16 +184,11 @@ def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) 
 
 def _divided(
     views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
-) -> tuple[Ints, Movers, OwnFit]:
-    """Labels ``key (N,)`` over the scene and known movers after merging, the movers kept, and the fits of tracks on
-    their own bodies.
-    """
-    key, movers, own = assigned(views, seen, key, movers, neighbours)
-    before = key
+) -> tuple[Ints, Movers]:
+    """Labels ``key (N,)`` over the scene and known movers after merging, and the movers kept."""
+    key, movers, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
-    key, movers = merged(views, seen.scene, key, movers, neighbours, own.redchi, seen.median_redchi)
-    # Tracks that return to the scene may be part of a birth.
-    return key, movers, own.without_rates(np.isin(key, key[key != before]))
+    return merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
 
 
 def _with_new(

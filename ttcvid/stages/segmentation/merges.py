@@ -1,20 +1,18 @@
-"""Merges and splits of movers."""
+"""Merges of movers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import Delaunay, KDTree, QhullError
 
-from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
-from ttcvid.stages.segmentation.data_association import Movers, OwnFit, is_due, numbers_of
-from ttcvid.stages.tracking.neighbours import connected_parts, linked_parts
+from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
+from ttcvid.stages.tracking.neighbours import linked_parts
 
 # Two bodies, or two parts of one, can be one if the ratio of their inverse depths is below the first factor, or if they
 # are connected by neighbouring tracks with ratios below the second, each known to a fourth of that.
@@ -27,12 +25,6 @@ _LEAST_REDCHI = 1.0
 # Gauss-Newton steps for the joint trajectory, and largest number of tracks of each mover in its test.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
 _LEAST_TRACKS = 3
-# Parts of one thing with nothing between are apart by less than this part of the larger one: a thing shows more of
-# itself than it hides. Tracks seen in fewer views than this do not tell to which body they belong.
-_WIDEST_GAP, _LEAST_VIEWS = 0.75, 5
-# Rounding of a distance that is the radius itself.
-_ON_RIM = 1.0 - 1e-9
-_TINY_HZ = 1e-9
 
 
 @dataclass(frozen=True)
@@ -191,83 +183,3 @@ def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -
     label = linked_parts(views.xy_px[both[is_known]], views.link_px, nothing, np.log(rate_hz), tolerance)
     n_one, n_other = np.bincount(label[~is_other], minlength=1), np.bincount(label[is_other], minlength=1)
     return bool(n_one.argmax() == n_other.argmax() and 2 * n_one.max() > len(one) and 2 * n_other.max() > len(other))
-
-
-def split(
-    views: BodyViews, key: Ints, movers: Movers, own_fit: OwnFit, next_key: int, config: BodiesConfig
-) -> tuple[Ints, Movers, int]:
-    """Labels, movers and next key after splits of movers into parts that are not connected in image and depth.
-
-    Parts with only a gap without texture between them stay one mover. The largest part keeps the key.
-
-    Parameters
-    ----------
-    key : ``(N,)`` body of each track.
-    own_fit : fit of each track on its mover; unknown inverse depths are fitted here.
-    next_key : first free key.
-    """
-    number = numbers_of(key, movers)
-    counts = np.bincount(number, minlength=len(movers) + 1)[1:]
-    own = np.flatnonzero(np.append(False, counts >= 2 * config.min_tracks)[number])
-    if not len(own):
-        return key, movers, next_key
-    body, key = number[own] - 1, key.copy()
-    rate_hz, sigma_hz = own_fit.rate_hz[own], own_fit.rate_sigma_hz[own]
-    unknown = np.flatnonzero(np.isnan(rate_hz))
-    if len(unknown):
-        fit = fit_on_paths(views.points(own[unknown], body[unknown]), movers.paths, movers.rate_hz[body[unknown]])
-        rate_hz[unknown], sigma_hz[unknown] = fit.rate_hz, fit.rate_sigma_hz
-    # An unknown inverse depth (NaN) matches any.
-    rate_hz = np.fmax(rate_hz, _TINY_HZ)
-    unsure = np.fmin(sigma_hz / rate_hz, np.inf)
-    tolerance = 0.5 * np.log(_ONE_RATE) + 2.0 * unsure
-    label = linked_parts(views.xy_px[own], views.link_px, body, np.log(rate_hz), tolerance)
-    counts = np.bincount(label)
-    mover_of, part_of = np.empty(len(counts), dtype=np.int64), np.full(len(number), -1)
-    mover_of[label], part_of[own] = body, label
-    largest = np.zeros(len(movers), dtype=np.int64)
-    np.maximum.at(largest, mover_of, counts)
-    if (np.bincount(body, minlength=len(movers)) - largest < config.min_tracks).all():
-        # What is not connected with the largest part is no mover, even all of it together.
-        return key, movers, next_key
-    pairs, log_rate = _across_gaps(views, part_of), medians(np.log(rate_hz), label, len(counts))
-    is_one = np.abs(np.diff(log_rate[pairs], axis=1)[:, 0]) < np.log(_ONE_RATE)
-    is_one &= mover_of[pairs[:, 0]] == mover_of[pairs[:, 1]]
-    label = connected_parts(np.ones(len(counts), dtype=bool), pairs[is_one])[label]
-    counts = np.bincount(label)
-    mover_of = mover_of[: len(counts)]
-    mover_of[label] = body
-    by_size = np.lexsort((-counts, mover_of))
-    is_largest = np.append(True, np.diff(mover_of[by_size]) > 0)
-    parts = by_size[~is_largest & (counts[by_size] >= config.min_tracks)]
-    for count, part in enumerate(parts.tolist()):
-        key[own[label == part]] = next_key + count
-    parents = mover_of[parts]
-    return key, movers.with_new(next_key, movers.paths.take(parents), movers.rate_hz[parents]), next_key + len(parts)
-
-
-def _across_gaps(views: BodyViews, part: Ints) -> Ints:
-    """Pairs ``(P, 2)`` of parts with only a textureless gap between them; ``part (N,)`` of each track, -1 of none.
-
-    Gabriel neighbours have no third track in the circle through them with its centre halfway. Tracks of few views do
-    not count.
-    """
-    xy_px, is_told = views.xy_px, np.isfinite(views.rays[-_LEAST_VIEWS:, :, 0]).all(axis=0)
-    own_px = xy_px[part >= 0]
-    near = np.flatnonzero(is_told & ((xy_px >= own_px.min(axis=0)) & (xy_px <= own_px.max(axis=0))).all(axis=1))
-    try:
-        corners = near[Delaunay(xy_px[near]).simplices]
-    except (QhullError, ValueError):
-        # Fewer than three tracks, or all on one line.
-        return np.empty((0, 2), dtype=np.int64)
-    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    pairs = part[edges]
-    is_gap = (pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])
-    edges, pairs = edges[is_gap], pairs[is_gap]
-    length_px = np.zeros(part.max() + 1)
-    for one in np.unique(pairs):
-        length_px[one] = np.ptp(xy_px[part == one], axis=0).max()
-    gap_px = np.linalg.norm(xy_px[edges[:, 0]] - xy_px[edges[:, 1]], axis=1)
-    nearest_px, _ = KDTree(xy_px[near]).query(xy_px[edges].mean(axis=1))
-    is_empty = nearest_px > _ON_RIM * 0.5 * gap_px
-    return np.asarray(pairs[is_empty & (gap_px < _WIDEST_GAP * length_px[pairs].max(axis=1))])
