@@ -194,14 +194,14 @@ RULES: dict[str, Rule] = {
     "common_errors": Rule(
         "approach has to exceed the tracker's common error",
         "amendments",
-        {"stages.segmentation.approach_probability.with_common_errors": _first},
-        _stage("segmentation/approach_probability"),
+        {"stages.segmentation.common_errors.with_common_errors": _first},
+        _stage("segmentation/common_errors"),
     ),
     "seen_motion": Rule(
         "approach has to agree with the picture's growth",
         "amendments",
-        {"stages.segmentation.approach_probability.with_seen_motion": _first},
-        _stage("segmentation/approach_probability"),
+        {"stages.segmentation.common_errors.with_seen_motion": _first},
+        _stage("segmentation/common_errors"),
     ),
     "own_bend": Rule(
         "our own bend in the course",
@@ -212,7 +212,7 @@ RULES: dict[str, Rule] = {
     "braking": Rule(
         "the size of what may have begun to brake",
         "warnings",
-        {"stages.segmentation.approach_probability.braking_of_tracks": _none},
+        {"stages.segmentation.common_errors.braking_of_tracks": _none},
         ("geometry/estimation/closing.py",),
     ),
 }

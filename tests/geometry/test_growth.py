@@ -29,15 +29,6 @@ def test_the_velocity_over_the_depth_is_exact_without_noise(velocity_m_s):
     assert sums.redchi_of(unknowns).max() < 1e-6
 
 
-def test_the_tracks_of_a_thing_are_found():
-    rng = np.random.default_rng(4)
-    things = [seen(rng, v, sigma=SIGMA) for v in (VELOCITY_M_S, (10.0, 0.0, -30.0))]
-    xy = np.concatenate(things, axis=1)
-    sums = growth_sums(xy, SINCE_S, np.full(xy.shape[1], SIGMA))
-    fits = sums.sharing_a_velocity(np.full(xy.shape[1], 100.0), gate=10.0, least_tracks=N_POINTS)
-    np.testing.assert_array_equal(fits, np.arange(2 * N_POINTS) < N_POINTS)
-
-
 def test_views_that_are_missing_change_nothing():
     xy = seen(np.random.default_rng(2))
     xy[:7, 0], xy[3, 2], xy[12, 3] = np.nan, np.nan, np.nan

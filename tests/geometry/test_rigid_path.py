@@ -11,6 +11,7 @@ from ttcvid.geometry.estimation.rigid_motion import (
     RigidPaths,
     fit_on_paths,
     refined_paths,
+    surprise_of_newest,
     views_by_track,
 )
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
@@ -304,3 +305,27 @@ def test_a_thing_that_has_turned_is_expected_where_it_was_said_to_be():
     priors = PathPriors(EYES, np.full(len(T_S), 1e-3), NO_PRIOR)
     after, _ = refined_paths(every, paths, priors, np.array([2]))
     np.testing.assert_allclose(after.cam_R_past[0], EYES, atol=1e-9)
+
+
+def test_a_point_off_the_path_that_it_followed_is_told_from_one_that_goes_its_own_way():
+    rng = np.random.default_rng(12)
+    position = points(300, rng)
+    on_path = seen(position, STRAIGHT, SIGMA, rng)
+    displaced = on_path.copy()
+    displaced[-1] += 30.0 * SIGMA
+    other = seen(position, straight_path(normalize(np.array([1.0, 0.0, -0.2])), T_S), SIGMA, rng)
+    rate_hz = SPEED_M_S / position[:, 2]
+    calm, far, stray = (
+        surprise_of_newest(points_of(xy, sigmas(300)), not_turned(STRAIGHT[None]), rate_hz)
+        for xy in (on_path, displaced, other)
+    )
+    # The last view has no part in how well the earlier ones fit.
+    np.testing.assert_array_equal(calm.past_redchi, far.past_redchi)
+    assert 0.85 < calm.past_redchi.mean() < 1.15
+    assert 1.5 < calm.chi2.mean() < 2.5
+    assert np.median(far.chi2) > 300.0
+    assert np.median(stray.past_redchi) > 100.0
+    assert np.median(stray.line_chi2) < 2.5 < 100.0 < np.median(stray.chi2)
+    few = surprise_of_newest(points_of(on_path[-3:], sigmas(300)), not_turned(STRAIGHT[None, -3:]), rate_hz)
+    assert not few.chi2.any()
+    assert not few.past_redchi.any()

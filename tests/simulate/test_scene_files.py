@@ -3,11 +3,13 @@
 import copy
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from ttcvid.errors import InputError, UsageError
-from ttcvid.simulate import encounters, load_scene
+from ttcvid.simulate import Scene, build_world, encounters, load_scene
+from ttcvid.simulate.encounters import LOOK_AHEAD_S, STEP_S, encounters_in
 
 SCENES = Path(__file__).resolve().parents[2] / "sample_configs" / "scenes"
 CAR = {"name": "car", "kind": "car", "at_m": [15, 0, 0]}
@@ -106,3 +108,21 @@ def test_every_shipped_scene_is_tested_above():
     marks = test_shipped_scenes_are_valid_and_collide_as_described.pytestmark
     tested = {name for name, _ in marks[0].args[1]}
     assert {path.stem for path in SCENES.glob("*.yaml")} == tested
+
+
+@pytest.mark.parametrize("turning", [{"yaw_rate_deg_s": 120.0, "speed_m_s": 0.5}, {"spin_deg_s": [0.0, 0.0, 300.0]}])
+def test_who_touches_whom_is_found_as_on_the_whole_fine_grid(turning):
+    """Also of a lorry that turns so fast that its corners sweep over the camera between two times of the coarse one."""
+    bodies = [{"name": "lorry", "kind": "lorry", "at_m": [4.0, 4.5, 0.0], **turning}]
+    bodies.append({"name": "car", "kind": "car", "at_m": [30.0, 1.0, 0.0], "speed_m_s": 9.0, "heading_deg": 180.0})
+    scene = Scene.model_validate(content(bodies=bodies))
+    times_s = scene.camera.frame_times_s()
+    fine_s = np.arange(times_s[0], times_s[-1] + LOOK_AHEAD_S, STEP_S)
+    for found, expected in zip(encounters(scene), encounters_in(build_world(scene, fine_s)), strict=True):
+        assert (found.name, found.is_collision) == (expected.name, expected.is_collision)
+        np.testing.assert_allclose(
+            [found.t_min_s, found.min_distance_m, found.t_contact_s],
+            [expected.t_min_s, expected.min_distance_m, expected.t_contact_s],
+            atol=1e-9,
+        )
+    assert encounters(Scene.model_validate(content(bodies=[]))) == []

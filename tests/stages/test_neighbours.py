@@ -88,8 +88,8 @@ def test_points_far_outside_the_picture_cost_no_memory_and_change_nothing():
     np.testing.assert_array_equal(neighbours_of_all(xy, 6, 60.0), expected)
     pairs = linked_pairs(xy, 30.0)
     assert set(map(tuple, pairs.tolist())) == KDTree(xy).query_pairs(30.0)
-    one_group, same = np.zeros(len(xy), dtype=int), np.zeros(len(xy))
-    parts = linked_parts(xy, 30.0, one_group, same, same + 1.0)
+    same = np.zeros(len(xy))
+    parts = linked_parts(xy, 30.0, same, same + 1.0)
     np.testing.assert_array_equal(parts, connected_parts(np.ones(len(xy), dtype=bool), pairs))
 
 
@@ -131,11 +131,11 @@ def test_parts_do_not_depend_on_the_order_of_the_pairs(graph, seed):
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 60))
-def test_linked_parts_are_those_that_near_pairs_of_one_group_and_like_values_join(seed, n):
+def test_linked_parts_are_those_that_near_pairs_of_like_values_join(seed, n):
     rng = np.random.default_rng(seed)
-    xy, group, value = rng.uniform(0.0, 100.0, (n, 2)), rng.integers(0, 2, n), rng.uniform(0.0, 1.0, n)
+    xy, value = rng.uniform(0.0, 100.0, (n, 2)), rng.uniform(0.0, 1.0, n)
     tolerance = rng.choice([0.0, 0.2, np.inf], n)
     one, other = linked_pairs(xy, 25.0).T
-    is_alike = (group[one] == group[other]) & (np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other])
+    is_alike = np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other]
     expected = connected_parts(np.ones(n, dtype=bool), np.column_stack([one, other])[is_alike])
-    np.testing.assert_array_equal(linked_parts(xy, 25.0, group, value, tolerance), expected)
+    np.testing.assert_array_equal(linked_parts(xy, 25.0, value, tolerance), expected)

@@ -129,6 +129,18 @@ def test_the_scene_comes_first_and_objects_have_times_motion_and_rank(frame):
     np.testing.assert_allclose(car.box_px, [*xy_px.min(axis=0), *xy_px.max(axis=0)])
 
 
+def test_the_pixel_of_a_point_without_a_ray_has_no_part_in_the_size_of_its_object(frame):
+    history, motions, *_ = frame
+    unseen = np.arange(STATIC, STATIC + CAR // 2)
+    rays, far_px = history.rays.copy(), history.xy_px.copy()
+    rays[-1, unseen], far_px[unseen] = np.nan, far_px[unseen] + 2000.0 * np.arange(len(unseen))[:, None]
+    history = replace(history, rays=rays, common_error_px=0.3)
+    states, _ = track_rows(history, motions, TWO_FRAME)
+    both = history, replace(history, xy_px=far_px)
+    near, far = (cluster_rows(one, motions, states, CAMERA)[1] for one in both)
+    np.testing.assert_array_equal(near.state_cov, far.state_cov)
+
+
 def test_objects_are_seen_where_the_camera_rests(frame):
     history, _, position_m, velocity = frame
     cluster = np.repeat([0, 4, NO_CLUSTER], [STATIC, CAR, LOOSE])

@@ -17,7 +17,7 @@ from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.paper_track_states import three_frame_states, track_directions, two_frame_states
 from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.objects.track_states import multi_frame_states
-from ttcvid.stages.segmentation.approach_probability import (
+from ttcvid.stages.segmentation.common_errors import (
     CommonViews,
     braking_of_tracks,
     with_common_errors,

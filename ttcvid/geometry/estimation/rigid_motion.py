@@ -13,10 +13,7 @@ import numpy as np
 
 from ttcvid.geometry.kernels.newest_view import predict_newest
 from ttcvid.geometry.kernels.rigid_points import (
-    HALF_WEIGHT,
     LANES,
-    LEAST_TYPICAL_REDCHI,
-    MOST_STEPS,
     add_by_view,
     fit_rigid_points,
 )
@@ -24,6 +21,11 @@ from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
 
+# Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames.
+_MOST_STEPS = 2
+# Weight of a point falls to a half where its misfit is so many times the typical one, which counts as that at least.
+# Not single residuals: where a path is wrong, all of a view are large.
+_HALF_WEIGHT, _LEAST_TYPICAL_REDCHI = 2.0, 0.25
 # Paths shorter than this have no scale to keep.
 _NO_LENGTH = 1e-9
 # Of the lower triangle of a matrix (6, 6), row by row.
@@ -144,7 +146,7 @@ def fit_on_paths(
         ways_of(paths, points.rays.shape[2]),
         points.sigma_norm,
         (np.zeros(m) if rate_hz is None else rate_hz, least),
-        2 * MOST_STEPS if rate_hz is None else MOST_STEPS,
+        2 * _MOST_STEPS if rate_hz is None else _MOST_STEPS,
         (place, rate, sigma, redchi, n_views),
     )
     return PathFit(place, rate, sigma, redchi, n_views)
@@ -187,8 +189,8 @@ def weights_by_redchi(points: Points, fit: PathFit, weight: Floats, n_things: in
     """The ``weight`` (M,) of points, less with an unusual misfit, 0 without a rate; and which things have any, (K,)."""
     has_rate = np.isfinite(fit.rate_hz)
     of_used = np.where(has_rate & (weight > 0.0), fit.redchi, np.nan)
-    typical = np.maximum(medians(of_used, points.thing, n_things), LEAST_TYPICAL_REDCHI)
-    return np.where(has_rate, weight / (1.0 + fit.redchi / (HALF_WEIGHT * typical[points.thing])), 0.0), np.isfinite(
+    typical = np.maximum(medians(of_used, points.thing, n_things), _LEAST_TYPICAL_REDCHI)
+    return np.where(has_rate, weight / (1.0 + fit.redchi / (_HALF_WEIGHT * typical[points.thing])), 0.0), np.isfinite(
         typical
     )
 

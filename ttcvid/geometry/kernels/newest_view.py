@@ -1,4 +1,4 @@
-"""Whether the newest view of a point is where its earlier views lead: by the path of its body, by its own course."""
+"""Whether the newest view of a point is where the earlier ones lead: by the path of its body, and by its own course."""
 
 from __future__ import annotations
 

@@ -14,13 +14,6 @@ from ttcvid.model import Floats, Ints
 
 LANES = 8
 """M is a multiple of this, as fits the processor's registers."""
-MOST_STEPS = 2
-"""Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames."""
-HALF_WEIGHT, LEAST_TYPICAL_REDCHI = 2.0, 0.25
-"""Weight of a point falls to a half where its misfit is so many times the typical one, which counts as that at least.
-
-Not single residuals: where a path is wrong, all of a view are large.
-"""
 
 # Gauss-Newton on a point ends after a step that lowers chi-square by less than this: the step is taken, its fall is
 # what the linearisation says.

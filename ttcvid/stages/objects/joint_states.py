@@ -30,8 +30,8 @@ _NEAR_PART, _NEAR_DEPTH = 0.1, 0.01
 _SIDE_SIGMAS, _SIDE_STEPS = 2.0, 5
 # Squared distance of the end of a line from its middle over the variance of its points.
 _END_VARIANCE = 3.0
-# Least variance of a rate, 1/s^2.
-_TINY = 1e-24
+# Least variance of a rate, 1/s^2, and least rate, 1/s.
+_TINY, _NO_RATE_HZ = 1e-24, 1e-12
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,12 @@ def joint_states(
     sigma_hz = np.sqrt(variance + (_RELIEF * rate_hz) ** 2)
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_of_path(rate_hz, sigma_hz, by_shared, shared.cov[path], xy_px[sets.index], sets, needed, link_px)
-    above_hz = np.zeros(len(rate_hz))
+    above_hz, is_side = np.zeros(len(rate_hz)), np.zeros(len(sets), dtype=bool)
     for k in np.flatnonzero(turns & (sets.lengths >= _LEAST_OF_SIDE)):
         own = slice(sets.first[k], sets.first[k] + sets.lengths[k])
         side_hz, is_near = _near_end(states.xy[sets.index[own]], rate_hz[own], sigma_hz[own])
         if is_near.any():
-            is_in[own], above_hz[own] = is_near, side_hz - rate_hz[own]
+            is_in[own], above_hz[own], is_side[k] = is_near, side_hz - rate_hz[own], True
     has_surface = np.bincount(sets.set_of[is_in], minlength=len(sets)) > 0
     takes_all = ~has_surface & is_one[owner] & (sets.lengths >= _LEAST_OF_SURFACE)
     is_in |= takes_all[sets.set_of]
@@ -98,10 +98,11 @@ def joint_states(
     ref = surfaces.sums(weight[:, None] * states.xy[surfaces.index])
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
     cov, place_cov = _covariances(surfaces, weight, off_ref, states)
-    few = np.minimum(needed, _LEAST_OF_SURFACE)
+    few = np.full(len(sets), _LEAST_OF_SURFACE)
     is_nearer = ~is_in & in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, few, link_px)
-    relief_hz = _relief(sets, rate_hz + above_hz, variance, is_in, weight, is_nearer)[left]
-    relief = relief_hz / np.maximum(np.linalg.norm(abc_hz, axis=1), _TINY)
+    # The near end of a side is that of a fitted plane: its relief is in the fit.
+    relief_hz = np.where(is_side, 0.0, _relief(sets, rate_hz, variance, is_in, weight, is_nearer))[left]
+    relief = relief_hz / np.maximum(np.linalg.norm(abc_hz, axis=1), _NO_RATE_HZ)
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
     return JointStates(owner[left], ref_px, ref_sigma, relief, abc_hz, cov + place_cov, place_cov)
 
@@ -124,7 +125,7 @@ def _relief(
     off = rate_hz - np.bincount(set_of, share * rate_hz, count)[set_of]
     is_nearer = is_nearer & (off > 0.0)
     share[is_nearer] = 0.5 / np.bincount(set_of, is_nearer, count)[set_of[is_nearer]]
-    excess = off**2 - _NOISE_SCATTER * variance
+    excess = np.where(share > 0.0, off**2 - _NOISE_SCATTER * variance, 0.0)
     return np.sqrt(np.maximum(np.bincount(set_of, share * excess, count), 0.0))
 
 

@@ -27,7 +27,7 @@ _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
 _AS_STILL = 1.0
 # A hidden mover can be re-identified for this long, s: later its motion may have changed.
 _KNOWN_AGAIN_S = 1.0
-# Proposals of merges, splits and re-initialisations are tried in the first frames of a mover, then every fourth frame.
+# Proposals of merges and re-initialisations are tried in the first frames of a mover, then every fourth frame.
 _YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 
 

@@ -15,8 +15,8 @@ from ttcvid.geometry.estimation.growth import GrowthSums, growth_sums
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.segmentation.approach_probability import SIGMAS_999, common_growth_hz
 from ttcvid.stages.segmentation.body_views import BodyViews
+from ttcvid.stages.segmentation.common_errors import SIGMAS_999, common_growth_hz
 from ttcvid.stages.segmentation.expansion import around_any, around_the_oddest
 from ttcvid.stages.segmentation.scene import SeenScene
 

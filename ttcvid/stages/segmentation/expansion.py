@@ -16,7 +16,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import growth_sums
 from ttcvid.geometry.rotation import skew, turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.segmentation.approach_probability import SIGMAS_999, common_growth_hz
+from ttcvid.stages.segmentation.common_errors import SIGMAS_999, common_growth_hz
 from ttcvid.stages.segmentation.obstacles import REACHED_WITHIN_S
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
 from ttcvid.stages.tracking.history import TrackHistory

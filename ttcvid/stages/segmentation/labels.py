@@ -140,7 +140,9 @@ def find_bodies(
 def _are_displaced(
     views: BodyViews, seen: SeenScene, movers: Movers, labels: TrackLabels, config: BodiesConfig
 ) -> Bools:
-    """Whether the present observation of tracks ``(N,)`` is displaced: off the prediction of their body and their own.
+    """Whether the present observation of tracks ``(N,)`` is displaced: off the path of their body.
+
+    Where the earlier observations do not follow that path, also off their own course.
 
     Residuals are judged against the median of their body: if most are large, its last step is wrong. A residual that a
     neighbour shares is none of a single observation: it may belong to a mover not found yet.

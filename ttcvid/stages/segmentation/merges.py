@@ -66,7 +66,7 @@ def merged(
 ) -> tuple[Ints, Movers]:
     """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
 
-    Movers are adjacent if they have neighbouring tracks, or only a gap without texture between them.
+    Movers are adjacent if they have neighbouring tracks.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -
     if not is_known.any():
         return False
     rate_hz, is_other = fit.rate_hz[is_known], np.flatnonzero(is_known) >= len(one)
-    nothing, tolerance = np.zeros_like(both[is_known]), np.full(len(rate_hz), 0.5 * np.log(_BESIDE_RATE))
-    label = linked_parts(views.xy_px[both[is_known]], views.link_px, nothing, np.log(rate_hz), tolerance)
+    tolerance = np.full(len(rate_hz), 0.5 * np.log(_BESIDE_RATE))
+    label = linked_parts(views.xy_px[both[is_known]], views.link_px, np.log(rate_hz), tolerance)
     n_one, n_other = np.bincount(label[~is_other], minlength=1), np.bincount(label[is_other], minlength=1)
     return bool(n_one.argmax() == n_other.argmax() and 2 * n_one.max() > len(one) and 2 * n_other.max() > len(other))

@@ -104,19 +104,19 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
     return _parts(len(is_in), pairs[is_in[pairs[:, 0]] & is_in[pairs[:, 1]]])
 
 
-def linked_parts(xy_px: Floats, radius_px: float, group: Ints, value: Floats, tolerance: Floats) -> Ints:
+def linked_parts(xy_px: Floats, radius_px: float, value: Floats, tolerance: Floats) -> Ints:
     """Number of the part that each point belongs to, (N,), numbered by their first point.
 
-    Two points are connected when they lie closer than a radius, are of one group, and their values differ by less than
-    the sum of their tolerances.
+    Two points are connected when they lie closer than a radius and their values differ by less than the sum of their
+    tolerances.
 
     Parameters
     ----------
-    xy_px : (N, 2); ``group, value, tolerance (N,)``.
+    xy_px : (N, 2); ``value, tolerance (N,)``.
     """
     pairs = linked_pairs(xy_px, radius_px)
     one, other = pairs.T
-    is_one = (group[one] == group[other]) & (np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other])
+    is_one = np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other]
     return _parts(len(xy_px), pairs[is_one])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -91,6 +92,9 @@ def row_codes(numbers: Ints) -> Ints:
     """One whole number ``(N,)`` for each row of ``numbers (N, K)``, in their order; equal for equal rows."""
     if not len(numbers):
         return np.empty(0, np.int64)
+    if math.prod(int(column.max()) - int(column.min()) + 1 for column in numbers.T) >= 2**62:
+        # Numbers as large as hashes: by their ranks.
+        numbers = np.column_stack([np.unique(column, return_inverse=True)[1] for column in numbers.T])
     lowest = numbers.min(axis=0)
     span = numbers.max(axis=0) - lowest + 1
     return np.asarray((numbers - lowest) @ np.append(np.cumprod(span[:0:-1])[::-1], 1))

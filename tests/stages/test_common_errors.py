@@ -10,7 +10,7 @@ from ttcvid.geometry.camera.pinhole import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.objects.clusters import with_times
-from ttcvid.stages.segmentation.approach_probability import (
+from ttcvid.stages.segmentation.common_errors import (
     CommonViews,
     braking_of,
     with_common_errors,
