@@ -50,16 +50,3 @@ def test_a_long_lorry_beside_us_is_one_though_its_cab_is_twice_as_far_away(seed)
     for frame in frames[12:]:
         assert len({frame.keys_of(number)[0] for number in (1, 2, 3)}) == 1
         assert min(frame.keys_of(number)[1] for number in (1, 2, 3)) > 0.9
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_two_that_drive_alike_one_behind_the_other_are_two(seed):
-    rng = np.random.default_rng(seed)
-    velocity, size = (0.0, 0.0, 12.0), (1.8, 1.6, 1.0)
-    near, far = (
-        car(rng, (2.6, 0.0, 9.0), velocity, 40, size),
-        car(rng, (3.2, -0.4, 18.0), velocity, 40, (2.5, 3.0, 1.0)),
-    )
-    frames = bodies_of(world(rng, SLOWLY, 24, near, far), 24, camera_m_s=SLOWLY)
-    assert frames[-1].keys_of(1)[0] != frames[-1].keys_of(2)[0]
-    assert 0 not in (frames[-1].keys_of(1)[0], frames[-1].keys_of(2)[0])

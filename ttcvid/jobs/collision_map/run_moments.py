@@ -17,13 +17,14 @@ from ttcvid.geometry.estimation.intervals import REGION_90_SIGMAS
 from ttcvid.geometry.horizon.plane import normal_from_horizon
 from ttcvid.jobs.collision_map.ego_speed import ego_speed_m_s
 from ttcvid.jobs.collision_map.moments import Clip, Moment, own_body
+from ttcvid.jobs.evaluate import read_run_tables
 from ttcvid.jobs.runs.manifest import camera_of
 from ttcvid.jobs.runs.run import Run
 from ttcvid.model import SCENE_CLUSTER, Floats, Horizon, ImageSize, Ints, Status
 from ttcvid.studies.collision_map.evasion import EvasionStatus
 from ttcvid.studies.collision_map.hazards import OwnBody
 from ttcvid.studies.collision_map.run_hazards import Scale, SeenFrame, SeenObjects, situation_of
-from ttcvid.studies.evaluation.truth import DIRECTION, ROTATION, plain
+from ttcvid.studies.evaluation.truth import DIRECTION, ROTATION
 
 _TURN_WINDOW_S, _LEAST_TURN_RAD_S = 0.5, math.radians(1.0)
 """Own turning is the median over this time; slower than this it is none."""
@@ -49,9 +50,8 @@ def run_clip(run: Run, config: CollisionMapConfig) -> Clip:
         raise UsageError(
             f"{run.folder}: a run has no metres: give --ego-speed or --camera-height-m, or both for the best map"
         )
-    frames, clusters, points, epipoles = (
-        plain(getattr(run, name)) for name in ("frames", "clusters", "collision_times", "epipoles")
-    )
+    tables = read_run_tables(run)
+    frames, clusters, points, epipoles = tables.frames, tables.clusters, tables.collision_times, tables.epipoles
     t_s = frames.t_s.to_numpy(float)
     speeds = None
     if config.ego_speed is not None:
