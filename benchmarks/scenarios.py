@@ -58,16 +58,17 @@ def main() -> None:
 
 def _done(tasks: list[Task], arguments: argparse.Namespace) -> Took:
     """Have tasks done, and say a line of each."""
-    start_s, n_old, n_failed = time.perf_counter(), 0, 0
+    start_s, n_old, n_failed, n_drawn = time.perf_counter(), 0, 0, 0
     for number, done in enumerate(run_all(tasks, arguments.jobs, do), 1):
         n_old, n_failed = n_old + done.is_old, n_failed + bool(done.run["exit_code"])
+        n_drawn += done.drawing_s == 0.0
         said = "done before" if done.is_old else f"drawn {done.drawing_s:.1f} s, analysed {done.run['seconds']:.1f} s"
         error = f"  exit code {done.run['exit_code']}: {done.run['error']}" if done.run["exit_code"] else ""
         print(f"{number:4}/{len(tasks)} {done.task.family}:{done.task.seed}  {said}{error}", flush=True)
     took_s = time.perf_counter() - start_s
     counts = f"{n_old} done before, {n_failed} without a result"
     print(f"{len(tasks)} scenarios in {took_s:.0f} s, {counts}: {arguments.out}")
-    return Took(len(tasks), n_old, took_s)
+    return Took(len(tasks), n_old, took_s, n_drawn)
 
 
 def _write_docs(tasks: list[Task], took: Took, arguments: argparse.Namespace) -> None:

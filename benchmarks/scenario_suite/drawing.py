@@ -29,13 +29,18 @@ _SIMULATOR = Path(__file__).resolve().parents[2] / "ttcvid" / "simulate"
 
 def drawn(scenario: Scenario, folder: Path) -> Path:
     """The truth of a scenario in a folder of its own, drawn unless it is there and whole."""
-    marker, key = folder / "drawn.json", drawing_key(scenario)
-    if read_json(marker).get("key") != key:
+    marker = folder / "drawn.json"
+    if not is_drawn(scenario, folder):
         marker.unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         _draw(scenario, folder)
-        write_json(marker, {"key": key})
+        write_json(marker, {"key": drawing_key(scenario)})
     return folder / "truth"
+
+
+def is_drawn(scenario: Scenario, folder: Path) -> bool:
+    """Whether the truth of a scenario is in its folder and whole."""
+    return bool(read_json(folder / "drawn.json").get("key") == drawing_key(scenario))
 
 
 def drawing_key(scenario: Scenario) -> str:

@@ -30,7 +30,16 @@ from typing import Any, TypeVar
 import cv2
 
 import ttcvid
-from scenario_suite.drawing import GIVEN_CAMERA_NAME, code_digest, drawing_key, drawn, input_of, read_json, write_json
+from scenario_suite.drawing import (
+    GIVEN_CAMERA_NAME,
+    code_digest,
+    drawing_key,
+    drawn,
+    input_of,
+    is_drawn,
+    read_json,
+    write_json,
+)
 from scenario_suite.families import scenario
 from scenario_suite.rules import RULES_FILE, switched_off
 from scenario_suite.scenario import Kind, NuisanceValue, Scenario
@@ -70,7 +79,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Done:
-    """A finished task: its folder, whether it was done before, and what its run said."""
+    """A finished task: its folder, whether it was done before, and what its run said; ``drawing_s`` 0: drawn before."""
 
     task: Task
     folder: Path
@@ -81,11 +90,12 @@ class Done:
 
 @dataclass(frozen=True)
 class Took:
-    """How long ``n`` tasks took together, of which ``n_old`` were done before."""
+    """How long ``n`` tasks took together, of which ``n_old`` were done before, and ``n_drawn`` at least drawn."""
 
     n: int
     n_old: int
     seconds: float
+    n_drawn: int = 0
 
     def said(self, name: str, n_wanted: int, limit_min: float) -> str:
         """In words, and what ``n_wanted`` take at this rate beside their limit.
@@ -94,11 +104,15 @@ class Took:
         '120 tables in 1 min 30 s (1000 at this rate: 12.5 min, limit 10)'
         >>> Took(3, 2, 4.0).said("scenes", 60, 15)
         '3 scenes in 0 min 4 s, 2 of them done before'
+        >>> Took(60, 0, 180.0, n_drawn=60).said("scenes", 60, 15)
+        '60 scenes in 3 min 0 s, 60 of them drawn before (60 at this rate: 3.0 min, limit 15)'
         """
         text = f"{self.n} {name} in {int(self.seconds) // 60} min {int(self.seconds) % 60} s"
         if self.n_old:
             return f"{text}, {self.n_old} of them done before"
         took_min = self.seconds * n_wanted / max(self.n, 1) / 60.0
+        if self.n_drawn:
+            text += f", {self.n_drawn} of them drawn before"
         return f"{text} ({n_wanted} at this rate: {took_min:.1f} min, limit {limit_min:g})"
 
 
@@ -124,9 +138,10 @@ def do(task: Task) -> Done:
     """Draw, analyse and score one scenario, unless that is done."""
     chosen = scenario(task.family, task.seed, task.kind, task.nuisances)
     folder = task.folder
-    start_s = time.perf_counter()
-    truth = drawn(chosen, task.pictures / task.family / str(task.seed))
-    drawing_s = time.perf_counter() - start_s
+    pictures = task.pictures / task.family / str(task.seed)
+    start_s, was_drawn = time.perf_counter(), is_drawn(chosen, pictures)
+    truth = drawn(chosen, pictures)
+    drawing_s = 0.0 if was_drawn else time.perf_counter() - start_s
     key = _run_key(chosen, task)
     known = read_json(folder / "run.json")
     if known.get("key") == key:
