@@ -207,3 +207,16 @@ def test_what_changes_its_speed_does_not_seem_to_come_from_where_it_is(change_hz
         truth, tracks = tracks_of_a_car_ahead(change_hz, rng)
         found, *_ = shared_directions(tracks.state[:, :2], tracks.state[:, 2:], tracks.info_w, thing, 1)
         assert np.rad2deg(np.linalg.norm(off(found[0], truth))) < 1.5
+
+
+def test_what_an_error_of_all_points_does_to_the_direction_is_part_of_its_covariance():
+    rng, n = np.random.default_rng(31), 40
+    velocity_hz = rng.uniform(0.1, 2.0, (n, 1)) * normalize(np.array(DIRECTIONS[0]))
+    info, by_shared = informations(n, rng), 0.01 * rng.normal(size=(n, 3, 2))
+    thing, places = np.zeros(n, dtype=np.int64), np.zeros((n, 2))
+    _, alone, _, nothing = shared_directions(places, velocity_hz, info, thing, 1)
+    _, covariance, _, by_errors = shared_directions(places, velocity_hz, info, thing, 1, by_shared)
+    assert nothing.shape == (1, 3, 0)
+    added = by_errors[0] @ by_errors[0].T
+    assert np.trace(added) > 0.0
+    np.testing.assert_allclose(covariance[0], alone[0] + added, rtol=1e-9, atol=1e-15)

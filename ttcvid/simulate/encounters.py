@@ -53,12 +53,9 @@ def _may_matter(coarse: World, n: int) -> Bools:
     """At which of ``n`` times some object may be nearest or touch, by every `_COARSE`-th of them."""
     may_matter = np.zeros(len(coarse.path.t_s), dtype=bool)
     for actor in coarse.actors:
-        corner_m = np.linalg.norm(np.reshape([face.corners_m for face in actor.faces], (-1, 3)), axis=1).max(
-            initial=0.0
-        )
-        turning_m_s = corner_m * np.linalg.norm(actor.path.turn_rad_s, axis=1).max()
+        corner_m, turn_rad_s = (np.linalg.norm(v, axis=1).max() for v in (actor.corners_m, actor.path.turn_rad_s))
         speed_m_s = np.linalg.norm(actor.path.velocity_m_s - coarse.path.velocity_m_s, axis=1).max()
-        reached_m = _COARSE * STEP_S * (speed_m_s + turning_m_s + _SPEED_MARGIN_M_S)
+        reached_m = _COARSE * STEP_S * (speed_m_s + corner_m * turn_rad_s + _SPEED_MARGIN_M_S)
         distance = _distance_m(coarse, actor)
         may_matter |= distance - reached_m <= max(float(distance.min()), coarse.scene.own_motion.radius_m)
     # The times after each that is looked at, and those before it.

@@ -184,7 +184,7 @@ def adjust_bundle(
     is_free[-N_SHARED:] = shared_sigma > 0.0
     precision = np.divide(1.0, shared_sigma**2, out=np.zeros(N_SHARED), where=shared_sigma > 0.0)
 
-    def cost_of(candidate: Bundle) -> float:
+    def prior_cost(candidate: Bundle) -> float:
         prior = float(precision @ (candidate.shared - shared_mean) ** 2)
         return prior + float(_capped(_behind(candidate)[0] ** 2).sum())
 
@@ -192,13 +192,13 @@ def adjust_bundle(
         return _equations(bundle, sigma_px, residual, shared_mean, precision)
 
     seen_cost, residual = _cost(xy_px, bundle, sigma_px)
-    cost, damping = seen_cost + cost_of(bundle), _DAMPING
+    cost, damping = seen_cost + prior_cost(bundle), _DAMPING
     for _ in range(n_steps):
         around = equations()
         while True:
             candidate = _stepped(bundle, around, damping, is_free)
             seen_cost, found = _cost(xy_px, candidate, sigma_px)
-            lower = seen_cost + cost_of(candidate)
+            lower = seen_cost + prior_cost(candidate)
             if lower < cost or damping > _MOST_DAMPING:
                 break
             damping *= _MORE
@@ -207,7 +207,7 @@ def adjust_bundle(
         is_done = cost - lower < _CONVERGED * cost
         # Scaled, the same points are seen at the same places.
         bundle, residual = _scaled(candidate), found
-        cost = seen_cost + cost_of(bundle)
+        cost = seen_cost + prior_cost(bundle)
         damping = max(damping * _LESS, _TINY)
         if is_done:
             break

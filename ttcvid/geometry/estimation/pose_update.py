@@ -6,15 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, ways_of, weights_by_redchi
+from ttcvid.geometry.estimation.rigid_motion import NO_LENGTH, PathFit, Points, RigidPaths, ways_of, weights_by_redchi
 from ttcvid.geometry.kernels.rigid_points import add_last_steps
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.model import Floats
 
 # The last step is its own length where there were two before it.
 _LEAST_VIEWS = 3
-# Steps shorter than this have no scale.
-_NO_LENGTH = 1e-9
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ def with_newest_steps(
     ways, of_point = ways_of(paths, n_lanes), (fit.place, fit.rate_hz, weight)
     add_last_steps(points.rays, points.track, points.thing, ways, points.sigma_norm, of_point, middle, equations)
     information, score = equations[:, :6], equations[:, 6]
-    precision = np.maximum(priors.shift_sigma, _NO_LENGTH)[:, None] ** -2.0
+    precision = np.maximum(priors.shift_sigma, NO_LENGTH)[:, None] ** -2.0
     information[:, [3, 4, 5], [3, 4, 5]] += precision
     path, cam_R_past = paths.path.copy(), paths.cam_R_past
     if priors.turned_rad is None:

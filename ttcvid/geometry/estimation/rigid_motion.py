@@ -26,8 +26,8 @@ _MOST_STEPS = 2
 # Weight of a point falls to a half where its misfit is so many times the typical one, which counts as that at least.
 # Not single residuals: where a path is wrong, all of a view are large.
 _HALF_WEIGHT, _LEAST_TYPICAL_REDCHI = 2.0, 0.25
-# Paths shorter than this have no scale to keep.
-_NO_LENGTH = 1e-9
+NO_LENGTH = 1e-9
+"""Paths shorter than this have no scale."""
 # Of the lower triangle of a matrix (6, 6), row by row.
 _ROW, _COLUMN = np.tril_indices(6)
 
@@ -135,6 +135,13 @@ def fit_on_paths(
 
     Source: DESIGN section 3 (w_i = s_i e).
     """
+    return _fit_on_ways(points, ways_of(paths, points.rays.shape[2]), rate_hz, least_rate_hz)
+
+
+def _fit_on_ways(
+    points: Points, ways: Floats, rate_hz: Floats | None = None, least_rate_hz: float | Floats = 0.0
+) -> PathFit:
+    """As `fit_on_paths`, with the ``ways (K, 12, M)`` of `ways_of`."""
     m = len(points.track)
     place, rate, sigma, redchi = np.empty((m, 2)), np.empty(m), np.empty(m), np.empty(m)
     n_views = np.empty(m, dtype=np.int64)
@@ -143,7 +150,7 @@ def fit_on_paths(
         points.rays,
         points.track,
         points.thing,
-        ways_of(paths, points.rays.shape[2]),
+        ways,
         points.sigma_norm,
         (np.zeros(m) if rate_hz is None else rate_hz, least),
         2 * _MOST_STEPS if rate_hz is None else _MOST_STEPS,
@@ -226,14 +233,14 @@ def refined_paths(
         is_left &= n_steps > step
         some = np.flatnonzero(is_left[points.thing])
         members = replace(points, track=points.track[some], thing=points.thing[some])
-        fit = fit_on_paths(members, paths, rate[some])
+        ways = ways_of(paths, n_lanes)
+        fit = _fit_on_ways(members, ways, rate[some])
         rate[some] = fit.rate_hz
         used, has_points = weights_by_redchi(members, fit, weight[some], len(paths))
         is_left &= has_points
         if not is_left.any():
             break
         sums, of_points = np.zeros((len(paths), 28, n_lanes)), (fit.place, fit.rate_hz, used)
-        ways = ways_of(paths, n_lanes)
         add_by_view(points.rays, members.track, members.thing, ways, points.sigma_norm, of_points, sums)
         paths = _with_views_corrected(paths, sums[..., past], is_left, priors, points.since_s)
     return paths, rate
@@ -248,7 +255,7 @@ def _with_views_corrected(
     length = np.sqrt((path * path).sum(axis=2))
     information, score = np.empty((*length.shape, 6, 6)), by_view[..., 21:27].copy()
     information[..., _ROW, _COLUMN] = information[..., _COLUMN, _ROW] = by_view[..., :21]
-    of_turn, of_shift = priors.turn_sigma_rad[:-1] ** -2.0, (priors.shift_sigma[:-1] * (length + _NO_LENGTH)) ** -2.0
+    of_turn, of_shift = priors.turn_sigma_rad[:-1] ** -2.0, (priors.shift_sigma[:-1] * (length + NO_LENGTH)) ** -2.0
     information[..., [0, 1, 2], [0, 1, 2]] += of_turn[:, None]
     information[..., [3, 4, 5], [3, 4, 5]] += of_shift[..., None]
     if priors.cam_R_past is not None:
@@ -261,7 +268,7 @@ def _with_views_corrected(
     past = past @ (1.5 * np.eye(3) - 0.5 * past.swapaxes(2, 3) @ past)
     path = path + change[..., 3:]
     before, after = length.max(axis=1, initial=0.0), np.sqrt((path * path).sum(axis=2).max(axis=1, initial=0.0))
-    is_long = np.minimum(before, after) > _NO_LENGTH
+    is_long = np.minimum(before, after) > NO_LENGTH
     path *= np.where(is_long, before / np.where(is_long, after, 1.0), 1.0)[:, None, None]
     corrected = RigidPaths(paths.cam_R_past.copy(), paths.path.copy())
     corrected.cam_R_past[is_left, :-1], corrected.path[is_left, :-1] = past, path

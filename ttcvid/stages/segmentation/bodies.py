@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.geometry.estimation.pose_update import StepPriors, with_newest_steps
-from ttcvid.geometry.estimation.rigid_motion import PathFit, PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
+from ttcvid.geometry.estimation.rigid_motion import (
+    NO_LENGTH,
+    PathFit,
+    PathPriors,
+    Points,
+    RigidPaths,
+    fit_on_paths,
+    refined_paths,
+)
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
@@ -26,8 +34,6 @@ _EVEN_S, _LEAST_EVEN, _ROUNDING_S = 0.4, 4, 1e-3
 _LEAST_RATE_HZ = 0.01
 # A turn prior needs some width at the present view too.
 _LEAST_TIME_S = 1e-3
-# Paths shorter than this have no scale to keep.
-_NO_LENGTH = 1e-9
 
 
 def carried_forward(bodies: RigidPaths, cam_R_prev: Floats, t_s: Floats, step: Floats | None = None) -> RigidPaths:
@@ -79,7 +85,7 @@ def direction_of_last_step(path: Floats, since_s: Floats) -> tuple[Floats, Float
     slope = np.array([0.0, 1.0, since_s[-2]])
     velocity = slope @ terms
     speed = float(np.linalg.norm(velocity))
-    if not speed > _NO_LENGTH:
+    if not speed > NO_LENGTH:
         return None
     direction, left = velocity / speed, path[-n_views:] - powers @ terms
     variance = float((left * left).sum()) / (3.0 * (n_views - 3)) * float(slope @ inverse @ slope) / speed**2
@@ -89,7 +95,7 @@ def direction_of_last_step(path: Floats, since_s: Floats) -> tuple[Floats, Float
 def with_unit_speed(scene: RigidPaths, since_s: Floats) -> tuple[RigidPaths, float]:
     """The same body in units in which its mean speed over the views is 1, and by what its rates grow with that."""
     length = float(np.sqrt(np.einsum("li,li->l", scene.path[0], scene.path[0]).max()))
-    if length < _NO_LENGTH:
+    if length < NO_LENGTH:
         return scene, 1.0
     speed = length / max(-since_s[0], _LEAST_TIME_S)
     return RigidPaths(scene.cam_R_past, scene.path / speed), speed
@@ -184,5 +190,5 @@ def _own_shift_sigma(since_s: Floats, path: Floats) -> Floats:
     it. A part of their own length would hold on to it the more tightly the slower we are.
     """
     part, length = since_s / min(since_s[0], -_LEAST_TIME_S), np.sqrt((path * path).sum(axis=1))
-    usual = np.maximum(part * length[0], length) + _NO_LENGTH
-    return np.asarray((_SHIFT_FLOOR + 1.0 - part) * usual / (length + _NO_LENGTH))
+    usual = np.maximum(part * length[0], length) + NO_LENGTH
+    return np.asarray((_SHIFT_FLOOR + 1.0 - part) * usual / (length + NO_LENGTH))
