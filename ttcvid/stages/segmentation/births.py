@@ -16,8 +16,8 @@ from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats, Ints, Platform
 from ttcvid.stages.segmentation.aperture_problem import may_slip
 from ttcvid.stages.segmentation.bodies import refined_movers
-from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
-from ttcvid.stages.segmentation.diverging_flow import expanding_movers, tracks_needed
+from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
+from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, tracks_needed
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
@@ -91,9 +91,9 @@ def new_movers(
 def _explained(
     views: BodyViews, seen: SeenScene, things: _Things, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
-    """Those of K proposals that a trajectory of their own explains significantly better than the scene.
+    """Those of K proposals that cost less on a trajectory of their own than on the scene's, all tracks together.
 
-    Returned as by `new_movers`, with the tracks explained better.
+    Returned as by `new_movers`, with the tracks that are explained significantly better.
     """
     scene, redchi, median_redchi, is_along = seen.scene, seen.redchi, seen.median_redchi, things.is_along
     if not things.members:
@@ -108,7 +108,8 @@ def _explained(
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
     redchi_by_own = fit_on_movers(points, paths, rate_hz).redchi / median_redchi
     is_better = redchi_by_own < redchi[track] / config.gain
-    is_found = np.bincount(thing, is_better) > 0.5 * np.bincount(thing)
+    saved = cost_of(redchi[track]) - cost_of(redchi_by_own)
+    is_found = np.bincount(thing, saved) > cost_of_birth(things.needed, config)
     if is_found.any():
         xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
         gate = config.scene_gate * median_redchi

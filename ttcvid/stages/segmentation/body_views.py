@@ -17,6 +17,8 @@ _N_NEIGHBOURS = 8
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
 LEAST_RATE = 0.4
+# Above this reduced chi-square all tracks are equally wrong.
+_WORST_REDCHI = 50.0
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,14 @@ class BodyViews:
         """These tracks as points of bodies: ``track, thing (M,)``; None: all of one body."""
         thing = np.zeros(len(track), dtype=np.int64) if thing is None else thing
         return Points(self.rays_by_track, self.sigma_norm, self.since_s, track, thing)
+
+
+def cost_of(redchi: Floats) -> Floats:
+    """What a track costs on a body that leaves it this reduced chi-square, over the usual one: minus log likelihood.
+
+    That of two Cauchy residuals, whatever its number of views: what a tracker errs by is alike in neighbouring frames.
+    """
+    return np.asarray(np.log1p(np.minimum(redchi, _WORST_REDCHI)))
 
 
 def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:

@@ -10,13 +10,12 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
-from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, fit_on_movers
+from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
-# The cost of a label is ln(1 + reduced chi-square), capped at this chi-square. Rewards: agreement of all neighbours,
-# the former label, and the static scene, which most tracks belong to.
-_WORST_REDCHI, _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 50.0, 1.0, 0.3, 0.4
+# Rewards of a label: agreement of all neighbours, the former label, and the static scene, which most tracks belong to.
+_NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 1.0, 0.3, 0.4
 # The rewards of the former label and of the scene hold for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A track whose reduced chi-square under the scene is below the first (over the usual one) is not associated with a
@@ -218,7 +217,7 @@ def _costs(redchis: Floats, votes: Ints, number: Ints, n_views: Ints, camera_res
     heard = votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1, keepdims=True), 1))
     if camera_rests:
         return np.asarray(np.log1p(redchis) - heard)
-    costs = np.where(np.isinf(redchis), np.inf, np.log1p(np.minimum(redchis, _WORST_REDCHI)) - heard)
+    costs = np.where(np.isinf(redchis), np.inf, cost_of(redchis) - heard)
     costs[n_views > _SCENE_VIEWS, 0] -= _SCENE_WEIGHT
     old = np.flatnonzero(n_views > _HABIT_VIEWS)
     costs[old, number[old]] -= _HABIT_WEIGHT

@@ -15,7 +15,7 @@ from ttcvid.geometry.estimation.growth import GrowthSums, growth_sums
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.segmentation.body_views import BodyViews
+from ttcvid.stages.segmentation.body_views import BodyViews, cost_of
 from ttcvid.stages.segmentation.common_errors import SIGMAS_999, common_growth_hz
 from ttcvid.stages.segmentation.expansion import around_any, around_the_oddest
 from ttcvid.stages.segmentation.scene import SeenScene
@@ -34,8 +34,6 @@ _ROUNDS = 3
 # of posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same ones in each
 # frame.
 _MOST_THINGS, _MOST_SEEDS = 3, 12
-# A reduced chi-square below this is noise.
-_NOISE = 1.0
 # What arrives later than this multiple of its observed span has hardly expanded: similar flows determine its
 # direction better.
 _REACHED_WITHIN = 6.0
@@ -44,6 +42,11 @@ _REACHED_WITHIN = 6.0
 def least_tracks(config: BodiesConfig) -> int:
     """Minimum number of tracks for an expanding object."""
     return min(config.min_tracks, _ENOUGH_TRACKS)
+
+
+def cost_of_birth(needed: Ints | int, config: BodiesConfig) -> Floats:
+    """What its tracks have to save together, by `cost_of`, for a new thing: as ``needed`` do, each by the ``gain``."""
+    return np.asarray(needed * np.log(config.gain))
 
 
 def tracks_needed(things: list[tuple[Ints, Floats]], config: BodiesConfig) -> Ints:
@@ -57,10 +60,9 @@ def expanding_movers(
 ) -> list[tuple[Ints, Floats]]:
     """Things that come nearer and spread, each with its tracks (M,) and its path (L, 3).
 
-    The tracks of each are `least_tracks`, and explained better than by the scene, all together and that one around
-    which it was looked for, by `BodiesConfig.gain`; as many misfit the scene by so much. (What a linear fit makes of
-    each track is too crude to ask more of all: `new_movers` does, of a refined path.) Of what heads at us, soon, a few
-    may be enough, if each contradicts the scene and is explained better by so much.
+    The tracks of each are `least_tracks`, and cost less than in the scene, all together, by `cost_of_birth`. (What a
+    linear fit makes of each track is crude: `new_movers` asks the same of a refined path.) Of what heads at us, soon, a
+    few may be enough, if each contradicts the scene and is explained better by `BodiesConfig.gain`.
 
     Parameters
     ----------
@@ -146,20 +148,15 @@ def _with_small_ones(things: list[_Thing], small: list[_Thing], sums: GrowthSums
 def _thing_around(sums: GrowthSums, redchi: Floats, least: int, needed: int, config: BodiesConfig) -> _Sharing | None:
     """Which of some tracks (M,), so many at the ``least``, are a thing with the first; None: too few.
 
-    Of fewer than ``needed`` those that contradict the scene one by one.
+    Of a thing that saves too little, or has fewer than ``needed``, those that contradict the scene one by one.
     """
-    n_odd = np.count_nonzero(redchi > config.gain)
-    if n_odd < least:
-        return None
     fits = sums.sharing_a_velocity(redchi, config.scene_gate, least)
-    if fits is None:
+    if fits is None or not fits[0]:
         return None
     unknowns, cov = sums.unknowns(fits)
     own = sums.redchi_of(unknowns)
-    is_better = np.maximum(own[fits], _NOISE).sum() < redchi[fits].sum() / config.gain
-    if not (fits[0] and own[0] < redchi[0] / config.gain and is_better):
-        return None
-    if min(n_odd, np.count_nonzero(fits)) < needed:
+    saved = float((cost_of(redchi) - cost_of(own))[fits].sum())
+    if np.count_nonzero(fits) < needed or saved < cost_of_birth(needed, config):
         return _odd_ones(sums, fits, redchi, config)
     return _shared_by(fits, unknowns, cov, own, is_few=False)
 
