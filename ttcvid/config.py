@@ -93,7 +93,9 @@ class BodiesConfig(StageConfig):
         "contradicts the scene",
     )
     gain: PositiveFloat = Field(
-        default=4.0, description="ratio by which a new mover's own motion has to reduce the chi-square of its tracks"
+        default=4.0,
+        description="ratio by which a new mover's own motion has to reduce the chi-square of as many tracks as it "
+        "needs; all its tracks together have to save as much",
     )
     confirm_frames: int = Field(
         default=3,
