@@ -20,16 +20,11 @@ DROPPED = 17
 
 def simulated(folder: Path) -> Path:
     """The clip: small pictures with their times, camera and horizon."""
-    small = small_scene(folder.with_suffix(".yaml"))
-    return ttcvid.simulate(small, folder, png=True, n_frames=N_FRAMES).folder
-
-
-def small_scene(path: Path) -> Path:
-    """The scene file of the clip."""
     scene = yaml.safe_load(SCENE.read_text())
     scene["camera"]["image_size"] = SIZE_PX
-    path.write_text(yaml.safe_dump(scene))
-    return path
+    file = folder.with_suffix(".yaml")
+    file.write_text(yaml.safe_dump(scene))
+    return ttcvid.simulate(file, folder, png=True, n_frames=N_FRAMES).folder
 
 
 def analyzed(clip: Path, out: Path, pictures: Path | None = None, **options: Any) -> Path:

@@ -1,9 +1,12 @@
 """What all tests share: the place of the real clips, compiled code, and a quiet, single-threaded numerics library."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from compared_runs import analyzed, simulated
+from filelock import FileLock
 from hypothesis import settings
 
 from ttcvid.jobs.processes.compilation import compile_missing
@@ -31,3 +34,33 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real clips not found in {folder}: set TTCVID_DATA to their folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def made_once(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """A place filled by ``make(place)`` for all workers of the session, by whoever asks first; nobody changes it."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if hasattr(request.config, "workerinput") else base) / "made_once"
+    folder.mkdir(exist_ok=True)
+
+    def filled(name: str, make: Callable[[Path], object]) -> Path:
+        is_made = folder / f"{name}.made"
+        with FileLock(folder / f"{name}.lock"):
+            if not is_made.exists():
+                make(folder / name)
+                is_made.touch()
+        return folder / name
+
+    return filled
+
+
+@pytest.fixture(scope="session")
+def small_clip(made_once: Callable[..., Path]) -> Path:
+    """Pictures of a simulated drive with their times, camera and horizon."""
+    return made_once("small_clip", simulated)
+
+
+@pytest.fixture(scope="session")
+def small_run(made_once: Callable[..., Path], small_clip: Path) -> Path:
+    """The folder of a run over the small clip."""
+    return made_once("small_run", lambda folder: analyzed(small_clip, folder))

@@ -30,14 +30,14 @@ from ttcvid.schema import VERSION_KEY
 EXACT = "columns: {'*': {}}\nparts: {'*': {max_share: 0, typical: 0}}\n"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def clip(small_clip: Path) -> Path:
     return small_clip
 
 
-@pytest.fixture(scope="module")
-def baseline(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return analyzed(clip, tmp_path_factory.mktemp("baseline") / "run")
+@pytest.fixture
+def baseline(small_run: Path) -> Path:
+    return small_run
 
 
 @pytest.fixture
@@ -68,13 +68,17 @@ def test_another_seed_is_named_and_passes(clip, compared, tmp_path):
     assert "changed: configuration.analyze.seed: 0 -> 3" in text
 
 
-def test_a_frame_dropped_from_the_clip_is_named_by_its_time(clip, compared, tmp_path):
+def test_a_frame_dropped_from_the_clip_or_added_is_named_by_its_time(clip, baseline, compared, tmp_path):
     pictures, times = without_a_frame(clip, tmp_path / "dropped")
-    code, text = compared(analyzed(clip, tmp_path / "run", pictures, timestamps=times))
+    shorter = analyzed(clip, tmp_path / "run", pictures, timestamps=times)
+    code, text = compared(shorter)
     assert code == 1
     assert f"DIFFERENT frames: frame {DROPPED} ({DROPPED / 20:.3f} s) is missing" in text
     assert "changed: input.sha256" in text
     assert f"{N_FRAMES - 1} joined of {N_FRAMES} and {N_FRAMES - 1}" in text
+    code, text = compared(baseline, beside=shorter)
+    assert code == 1
+    assert f"DIFFERENT frames: frame {DROPPED} ({DROPPED / 20:.3f} s) is additional" in text
 
 
 def test_a_frame_dropped_from_a_clip_without_times_of_its_own_is_named_by_the_pictures(clip, compared, tmp_path):
@@ -84,14 +88,6 @@ def test_a_frame_dropped_from_a_clip_without_times_of_its_own_is_named_by_the_pi
     assert "joined by what they show" in text
     assert f"DIFFERENT frames: frame {DROPPED} ({DROPPED / 20:.3f} s) is missing" in text
     assert "frames.t_s" in text
-
-
-def test_additional_frames_are_named(clip, baseline, compared, tmp_path):
-    pictures, times = without_a_frame(clip, tmp_path / "dropped")
-    shorter = analyzed(clip, tmp_path / "run", pictures, timestamps=times)
-    code, text = compared(baseline, beside=shorter)
-    assert code == 1
-    assert f"DIFFERENT frames: frame {DROPPED} ({DROPPED / 20:.3f} s) is additional" in text
 
 
 def test_a_focal_length_off_by_2_percent_is_named(clip, compared, tmp_path):

@@ -3,14 +3,13 @@
 from pathlib import Path
 
 import pytest
-from compared_runs import analyzed
 
 import ttcvid
 
 
 @pytest.fixture(scope="module")
-def run(small_clip: Path, tmp_path_factory: pytest.TempPathFactory) -> ttcvid.Run:
-    return ttcvid.Run.open(analyzed(small_clip, tmp_path_factory.mktemp("summary") / "run"))
+def run(small_run: Path) -> ttcvid.Run:
+    return ttcvid.Run.open(small_run)
 
 
 def test_the_summary_names_the_object_the_interval_and_the_frame_of_the_smallest_time(run):

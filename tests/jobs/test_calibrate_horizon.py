@@ -54,6 +54,13 @@ def one_way(tmp_path_factory):
     return path.parent / "scene"
 
 
+@pytest.fixture(scope="module")
+def found(resting, tmp_path_factory):
+    """What the tracks before the resting camera tell, and a folder with the file and its evidence."""
+    folder = tmp_path_factory.mktemp("found") / "new"
+    return calibrated(resting, folder / "horizon.yaml", evidence=folder / "look"), folder
+
+
 def calibrated(folder, out, clip="tracks.parquet", **options):
     return ttcvid.calibrate_horizon(folder / clip, out, camera=folder / "camera.yaml", **options)
 
@@ -63,15 +70,14 @@ def true_line(folder):
     return np.array([line["y_left_px"], line["y_right_px"]])
 
 
-def test_the_truth_is_in_the_band_and_the_files_say_what_they_are_made_of(resting, tmp_path):
-    out = tmp_path / "new" / "horizon.yaml"
-    look = tmp_path / "look"
-    done = calibrated(resting, out, evidence=look)
+def test_the_truth_is_in_the_band_and_the_files_say_what_they_are_made_of(resting, found):
+    done, folder = found
+    out, look = folder / "horizon.yaml", folder / "look"
     assert done.exit_code == 0
     content = yaml.safe_load(out.read_text())
     band_px = [content["band_95_px"][side] for side in ("left", "right")]
-    found = np.array([content["horizon"]["y_left_px"], content["horizon"]["y_right_px"]])
-    assert (np.abs(found - true_line(resting)) < np.maximum(2.0 * np.array(band_px), 1.0)).all()
+    line = np.array([content["horizon"]["y_left_px"], content["horizon"]["y_right_px"]])
+    assert (np.abs(line - true_line(resting)) < np.maximum(2.0 * np.array(band_px), 1.0)).all()
     assert content["image_size"] == [640, 360]
     assert content["pitch_deg"] == pytest.approx(6.0, abs=0.2)
     assert content["roll_deg"] == pytest.approx(0.0, abs=0.3)
@@ -90,17 +96,17 @@ def test_the_truth_is_in_the_band_and_the_files_say_what_they_are_made_of(restin
     assert sorted(path.name for path in look.iterdir()) == ["horizon.png", "motions.parquet"]
 
 
-def test_the_file_is_written_alone_so_that_several_stand_in_one_folder(resting, tmp_path):
+def test_the_file_is_written_alone_so_that_several_stand_in_one_folder(one_way, tmp_path):
     for name in ("one.yaml", "other.yaml"):
-        done = calibrated(resting, tmp_path / name)
+        done = calibrated(one_way, tmp_path / name, roll_zero=True)
         assert done.files == (tmp_path / name,)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.yaml", "other.yaml"]
 
 
-def test_title_and_labels_of_the_picture_are_whole(resting, tmp_path, monkeypatch):
+def test_title_and_labels_of_the_picture_are_whole(found, tmp_path, monkeypatch):
     figures = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
-    done = calibrated(resting, tmp_path / "folder" / "horizon.yaml")
+    done, _ = found
     title = f"{done.summary()}; {'a note that is told beside it; ' * 5}"
     write_horizon_picture(tmp_path / "horizon.png", done.camera, done.result.fit, (), joined([]), None, title)
     (figure,) = figures
@@ -114,7 +120,10 @@ def test_title_and_labels_of_the_picture_are_whole(resting, tmp_path, monkeypatc
 
 @pytest.mark.slow
 def test_rendered_pictures_give_the_line_within_its_band(request, tmp_path):
-    ttcvid.simulate(request.config.rootpath / SCENES / "resting_six_movers.yaml", tmp_path / "scene", n_frames=60)
+    scene = yaml.safe_load((request.config.rootpath / SCENES / "resting_six_movers.yaml").read_text())
+    scene["camera"]["fps"] = 10
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    ttcvid.simulate(tmp_path / "scene.yaml", tmp_path / "scene", n_frames=24)
     done = calibrated(tmp_path / "scene", tmp_path / "horizon.yaml", clip="clip.mp4")
     content = yaml.safe_load((tmp_path / "horizon.yaml").read_text())
     error_px = np.array([done.horizon.y_left_px, done.horizon.y_right_px]) - true_line(tmp_path / "scene")
@@ -122,11 +131,10 @@ def test_rendered_pictures_give_the_line_within_its_band(request, tmp_path):
     assert abs(error_px.mean()) < content["band_95_px"]["centre"] < 10.0
 
 
-def test_two_runs_write_the_same_bytes(resting, tmp_path):
-    for name in ("one", "other"):
-        calibrated(resting, tmp_path / name / "horizon.yaml", evidence=tmp_path / name)
-    for name in ("horizon.yaml", "motions.parquet"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
+def test_two_runs_write_the_same_bytes(resting, found, tmp_path):
+    calibrated(resting, tmp_path / "horizon.yaml", evidence=tmp_path / "look")
+    for name in ("horizon.yaml", "look/motions.parquet"):
+        assert (tmp_path / name).read_bytes() == (found[1] / name).read_bytes()
 
 
 def test_motions_in_one_direction_are_undetermined_and_leave_no_file(one_way, tmp_path, capsys):
@@ -143,8 +151,8 @@ def test_motions_in_one_direction_are_undetermined_and_leave_no_file(one_way, tm
 def test_with_roll_zero_one_direction_is_enough_and_the_file_says_so(one_way, tmp_path):
     done = calibrated(one_way, tmp_path / "horizon.yaml", roll_zero=True)
     assert yaml.safe_load((tmp_path / "horizon.yaml").read_text())["roll_zero"] is True
-    found = np.array([done.horizon.y_left_px, done.horizon.y_right_px])
-    np.testing.assert_allclose(found, true_line(one_way), atol=6.0)
+    line = np.array([done.horizon.y_left_px, done.horizon.y_right_px])
+    np.testing.assert_allclose(line, true_line(one_way), atol=6.0)
 
 
 def test_several_clips_of_one_camera_count_together(resting, one_way, tmp_path):
@@ -180,15 +188,15 @@ def test_analyze_finds_the_horizon_by_itself(resting, one_way, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-def test_a_horizon_of_the_clip_itself_fits_it_and_one_that_is_off_is_told(resting, tmp_path):
-    calibrated(resting, tmp_path / "horizon.yaml")
-    content = yaml.safe_load((tmp_path / "horizon.yaml").read_text())
+def test_a_horizon_of_the_clip_itself_fits_it_and_one_that_is_off_is_told(resting, found, tmp_path):
+    content = yaml.safe_load((found[1] / "horizon.yaml").read_text())
     content["horizon"] |= {side: content["horizon"][side] - 60 for side in ("y_left_px", "y_right_px")}
     (tmp_path / "off.yaml").write_text(yaml.safe_dump(content))
     complaints = []
-    for name in ("horizon", "off"):
-        options = {"platform": "static", "overlay": False, "report": False, "horizon": tmp_path / f"{name}.yaml"}
-        run = ttcvid.analyze(resting / "tracks.parquet", tmp_path / name, camera=resting / "camera.yaml", **options)
+    for horizon in (found[1] / "horizon.yaml", tmp_path / "off.yaml"):
+        options = {"platform": "static", "overlay": False, "report": False, "horizon": horizon, "end": 40}
+        out, camera = tmp_path / horizon.stem, resting / "camera.yaml"
+        run = ttcvid.analyze(resting / "tracks.parquet", out, camera=camera, **options)
         complaints.append([warning for warning in run.manifest["warnings"] if "the horizon" in warning])
     assert complaints[0] == []
     (complaint,) = complaints[1]

@@ -3,10 +3,12 @@
 A drive (pictures), a resting camera, and a table of points that ends in a warning.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
-from compared_runs import SCENE, analyzed, simulated
+from compared_runs import SCENE
 
 import ttcvid
 from ttcvid.jobs.compare.result_tables import read_run
@@ -23,10 +25,9 @@ OF_CLUSTERS = ("clusters", "epipoles", "collision_times")
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Results]:
+def runs(small_run: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Results]:
     folder = tmp_path_factory.mktemp("runs")
-    drive = analyzed(simulated(folder / "drive"), folder / "drive_run")
-    found = {"drive": read_run(drive)}
+    found = {"drive": read_run(small_run)}
     for name, scene, platform, sees in (
         ("resting", "resting_six_movers", "static", {"n_frames": 50}),
         ("table", "lead_car_brakes", "vehicle", {}),
