@@ -38,7 +38,7 @@ def clips(tmp_path: Path) -> Path:
     folder = tmp_path / "clips"
     folder.mkdir()
     for number in range(4):
-        write_approaching_tracks(folder / f"clip{number}.csv", n=8 + number)
+        write_approaching_tracks(folder / f"clip{number}.csv", n=3 + number, n_tracks=20)
     return folder
 
 
@@ -63,7 +63,7 @@ def test_every_clip_has_a_folder_and_a_row(clips: Path, tmp_path: Path) -> None:
     rows = read_rows(tmp_path / "out")
     assert rows == result.rows
     assert [(row.clip, row.state, row.n_frames) for row in rows] == [
-        (f"clip{number}", "complete", 8 + number) for number in range(4)
+        (f"clip{number}", "complete", 3 + number) for number in range(4)
     ]
     run = ttcvid.Run.open(tmp_path / "out/clip3")
     assert rows[3].input_sha256 == run.manifest["input"]["sha256"]
@@ -89,7 +89,7 @@ def test_the_same_batch_again_does_nothing_and_leaves_the_same_tables(clips: Pat
 
 
 def change_input(clips: Path, out: Path) -> dict[str, Any]:
-    write_approaching_tracks(clips / "clip1.csv", n=9, n_tracks=41)
+    write_approaching_tracks(clips / "clip1.csv", n=4, n_tracks=21)
     return {}
 
 
@@ -118,20 +118,16 @@ def lose_the_manifest(clips: Path, out: Path) -> dict[str, Any]:
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("change", "n_kept"),
-    [(change_input, 3), (change_setting, 0), (change_version, 3), (lose_a_table, 3), (lose_the_manifest, 3)],
-)
-def test_what_is_no_longer_the_same_is_done_again(
-    change: Callable[[Path, Path], dict[str, Any]], n_kept: int, clips: Path, tmp_path: Path
-) -> None:
+def test_what_is_no_longer_the_same_is_done_again(clips: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     analyzed(clips, out)
-    options = change(clips, out)
-    again = analyzed(clips, out, **options)
-    assert again.n_kept == n_kept
-    assert all((out / row.clip / "events.parquet").exists() for row in again.rows)
-    assert analyzed(clips, out, **options).n_kept == 4
+    changes: dict[Callable[[Path, Path], dict[str, Any]], int] = {change_input: 3, change_version: 3, lose_a_table: 3}
+    for change, n_kept in (changes | {lose_the_manifest: 3, change_setting: 0}).items():
+        options = change(clips, out)
+        again = analyzed(clips, out, **options)
+        assert again.n_kept == n_kept, change.__name__
+        assert all((out / row.clip / "events.parquet").exists() for row in again.rows)
+        assert analyzed(clips, out, **options).n_kept == 4, change.__name__
 
 
 @pytest.mark.usefixtures("here")
@@ -297,19 +293,21 @@ def test_without_a_scheduler_at_the_address_nothing_begins(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("here")
 def test_a_cluster_of_two_workers_makes_the_same_tables_byte_for_byte(clips: Path, tmp_path: Path) -> None:
     from distributed import LocalCluster
 
-    (clips / "clip0.csv").unlink()
+    for name in ("clip0", "clip3"):
+        (clips / f"{name}.csv").unlink()
     (clips / "clip2.csv").write_text("no table")
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
         there = analyzed(clips, tmp_path / "there", scheduler=cluster.scheduler_address)
         again = analyzed(clips, tmp_path / "there", scheduler=cluster.scheduler_address)
     here = analyzed(clips, tmp_path / "here")
-    assert [row.state for row in there.rows] == ["complete", "failed", "complete"]
+    assert [row.state for row in there.rows] == ["complete", "failed"]
     assert there.rows == here.rows
     assert tables(tmp_path / "there") == tables(tmp_path / "here")
-    assert again.n_kept == 2
+    assert again.n_kept == 1
     tries = [json.loads(line) for line in (tmp_path / "there" / JOURNAL_NAME).read_text().splitlines()]
     assert len({line["worker"] for line in tries if line["clip"] == "clip2"}) == 2, "failed, and again elsewhere"
 

@@ -16,7 +16,8 @@ from ttcvid.jobs.processes.side_by_side import map_ahead
 from ttcvid.schema import TABLE_NAMES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-N_FRAMES = 14
+N_FRAMES = 10
+TRACKERS = ("klt", "akaze")
 
 
 @pytest.fixture(scope="module")
@@ -28,26 +29,26 @@ def tables_of(folder: Path) -> dict[str, bytes]:
     return {name: (folder / f"{name}.parquet").read_bytes() for name in TABLE_NAMES}
 
 
-@pytest.fixture(scope="module", params=["klt", "akaze"])
-def tracker(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
 @pytest.fixture(scope="module")
-def expected(clip: Path, tracker: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    out = tmp_path_factory.mktemp("expected") / "run"
-    return tables_of(ttcvid.analyze(clip, out, tracker=tracker, focal_px=200, overlay=False).folder)
+def expected(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, bytes]]:
+    """Tables by tracker."""
+    out = tmp_path_factory.mktemp("expected")
+    options = {"focal_px": 200, "overlay": False}
+    return {name: tables_of(ttcvid.analyze(clip, out / name, tracker=name, **options).folder) for name in TRACKERS}
 
 
+@pytest.mark.parametrize("tracker", TRACKERS)
 @pytest.mark.parametrize("workers", [1, 3])
 def test_tables_do_not_depend_on_the_number_of_workers(clip, tracker, expected, workers, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "ttcvid.jobs.analyze.run_analysis.map_ahead", functools.partial(map_ahead, workers=workers, ahead=2 * workers)
     )
     run = ttcvid.analyze(clip, tmp_path / "run", tracker=tracker, focal_px=200, overlay=False)
-    assert tables_of(run.folder) == expected
+    assert run.overlay is None
+    assert tables_of(run.folder) == expected[tracker]
 
 
+@pytest.mark.parametrize("tracker", TRACKERS)
 def test_tables_do_not_depend_on_the_overlay_or_the_threads_of_opencv(clip, tracker, expected, tmp_path):
     before = cv2.getNumThreads()
     cv2.setNumThreads(2)
@@ -55,20 +56,19 @@ def test_tables_do_not_depend_on_the_overlay_or_the_threads_of_opencv(clip, trac
         run = ttcvid.analyze(clip, tmp_path / "run", tracker=tracker, focal_px=200, overlay=True)
     finally:
         cv2.setNumThreads(before)
-    assert tables_of(run.folder) == expected
+    assert tables_of(run.folder) == expected[tracker]
 
 
 @pytest.mark.slow
-def test_tables_do_not_depend_on_threads_hashes_or_place_of_the_process(clip, tracker, expected, tmp_path):
+def test_tables_do_not_depend_on_threads_hashes_or_place_of_the_process(clip, expected, tmp_path):
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
     environment = {**os.environ, **dict.fromkeys(threads, "2"), "PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo"}
     environment["PYTHONPATH"] = str(REPOSITORY)
-    command = "import sys; from ttcvid.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    words = ["analyze", str(clip), "--tracker", tracker, "--focal-px", "200", "--no-overlay", "-q", "-o", "elsewhere"]
-    subprocess.run(
-        [sys.executable, "-c", command, *words], cwd=tmp_path, env=environment, check=True, capture_output=True
-    )
-    assert tables_of(tmp_path / "elsewhere") == expected
+    words = ["analyze", str(clip), "--focal-px", "200", "--no-overlay", "-q"]
+    calls = [[*words, "--tracker", tracker, "-o", tracker] for tracker in TRACKERS]
+    command = f"from ttcvid.cli.main import main\nfor words in {calls!r}: assert main(words) == 0"
+    subprocess.run([sys.executable, "-c", command], cwd=tmp_path, env=environment, check=True, capture_output=True)
+    assert {tracker: tables_of(tmp_path / tracker) for tracker in TRACKERS} == expected
 
 
 def test_a_start_in_frames_and_in_seconds_gives_the_same_tables(clip, tmp_path):
