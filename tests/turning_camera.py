@@ -44,11 +44,11 @@ def seen_points(
     focal_px: float,
     *,
     sigma_px: float = 0.0,
-    n_frames: int = 40,
+    n_frames: int = 24,
     rate_hz: float = 20.0,
     movers: float = 0.0,
     seed: int = 0,
-    n_points: int = 6000,
+    n_points: int = 4000,
 ) -> list[SeenPoints]:
     """What a tracker would see: points within the picture and less than 80 m ahead, a third of them on the ground.
 

@@ -23,7 +23,7 @@ def work_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def write_tracks(path: Path, drive: Drive) -> Path:
-    seen = seen_points(drive, FOCAL_PX, sigma_px=0.1, n_frames=24)
+    seen = seen_points(drive, FOCAL_PX, sigma_px=0.1)
     rows = [
         pd.DataFrame(
             {

@@ -7,17 +7,6 @@ CENTRE_PX = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
 N_WAVES = 80
 
 
-def wave_texture(xy_px: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Grey values (...,) of the texture at places (..., 2): waves of 6 to 160 px, the longer the stronger."""
-    rng = np.random.default_rng(seed)
-    length_px = 6 * (160 / 6) ** rng.random(N_WAVES)
-    angle, phase = rng.uniform(0, 2 * np.pi, (2, N_WAVES))
-    strength = np.sqrt(length_px)
-    wave = 2 * np.pi / length_px * np.stack([np.cos(angle), np.sin(angle)])
-    grey = np.cos(xy_px @ wave + phase) @ strength
-    return 128 + 40 * grey / np.sqrt(0.5 * np.sum(strength**2))
-
-
 class Warp:
     """An affine map about the picture's centre: texture place to picture place, and back."""
 
@@ -34,6 +23,17 @@ class Warp:
 
 
 def wave_picture(warp: Warp | None = None, seed: int = 0) -> np.ndarray:
-    """The texture as a camera sees it through a warp: (HEIGHT, WIDTH) uint8."""
-    pixels = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1).astype(float)
-    return np.clip(np.rint(wave_texture((warp or Warp()).to_texture(pixels), seed)), 0, 255).astype(np.uint8)
+    """The texture as a camera sees it through a warp: (HEIGHT, WIDTH) uint8.
+
+    The texture is a sum of waves of 6 to 160 px, the longer the stronger. Seen through an affine map, each is a wave
+    along the columns times one along the rows.
+    """
+    rng = np.random.default_rng(seed)
+    length_px = 6 * (160 / 6) ** rng.random(N_WAVES)
+    angle, phase = rng.uniform(0, 2 * np.pi, (2, N_WAVES))
+    strength = np.sqrt(length_px)
+    wave = 2 * np.pi / length_px * np.stack([np.cos(angle), np.sin(angle)])
+    corner, right, below = (warp or Warp()).to_texture(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])) @ wave
+    down = strength * np.exp(1j * (corner + phase + np.arange(HEIGHT)[:, None] * (below - corner)))
+    grey = (down @ np.exp(1j * np.arange(WIDTH)[:, None] * (right - corner)).T).real
+    return np.clip(np.rint(128 + 40 * grey / np.sqrt(0.5 * np.sum(strength**2))), 0, 255).astype(np.uint8)
