@@ -16,6 +16,7 @@ SCENE = Path(__file__).parents[1] / "sample_configs/scenes/demo.yaml"
 SIZE_PX = [560, 316]
 N_FRAMES = 24
 DROPPED = 17
+FEW_TRACKS = {"tracking": {"max_tracks": 300}}
 
 
 def simulated(folder: Path) -> Path:
@@ -29,7 +30,7 @@ def simulated(folder: Path) -> Path:
 
 def analyzed(clip: Path, out: Path, pictures: Path | None = None, **options: Any) -> Path:
     """The folder of a run over the clip's pictures, with its camera and times where nothing else is said."""
-    options = {"camera": clip / "camera.yaml", "platform": "vehicle", "overlay": False} | options
+    options = {"camera": clip / "camera.yaml", "platform": "vehicle", "overlay": False, **FEW_TRACKS} | options
     options |= {} if "fps" in options else {"timestamps": options.get("timestamps", clip / "timestamps.txt")}
     return ttcvid.analyze(pictures or clip / "frames", out, **options).folder
 

@@ -18,7 +18,7 @@ CAUSAL = VEHICLE.model_copy(update={"collision_times": CollisionTimesConfig(max_
 @cache
 def long_runs(name):
     """The causal results, and those from both sides."""
-    frames, camera = table(name, 30)
+    frames, camera = table(name, 24)
     return results_of(frames, camera, CAUSAL), results_of(frames, camera, SMOOTH)
 
 
@@ -34,7 +34,7 @@ def test_smoothing_takes_nothing_back_that_was_found_out_on_the_way(name):
         np.testing.assert_array_equal(one.tracks.cluster_id[in_object], other.tracks.cluster_id[in_object])
         assert {row.cluster_id for row in one.clusters} <= {row.cluster_id for row in other.clusters}
     assert_same(causal[-1:], smooth[-1:])
-    middle = slice(8, 20)
+    middle = slice(8, 16)
     changed = [
         not np.array_equal(one.tracks.times.ttc_z_s, other.tracks.times.ttc_z_s, equal_nan=True)
         for one, other in zip(causal[middle], smooth[middle], strict=True)
@@ -57,7 +57,7 @@ def test_objects_are_known_half_a_window_before_they_are_found():
 
 
 def test_smoothed_warnings_are_those_of_the_causal_analysis():
-    frames, camera = table("crossing_collision", 60, n_tracks=200, min_per_object=30)
+    frames, camera = table("crossing_collision", 48, n_tracks=150, min_per_object=30)
     causal, smooth = results_of(frames, camera, CAUSAL), results_of(frames, camera, SMOOTH)
     assert any(result.events for result in causal)
     assert [result.events for result in causal] == [result.events for result in smooth]
@@ -91,7 +91,7 @@ def test_smoothed_results_do_not_look_over_a_cut():
 
 
 def test_frames_without_numbers_keep_their_place_among_smoothed_ones():
-    frames, camera = table("crossing_collision", 30)
+    frames, camera = table("crossing_collision", 24)
     bad = replace(frames[5], index=99, t_s=frames[5].t_s)
     results = results_of([*frames[:6], bad, *frames[6:]], camera, SMOOTH)
     assert [result.frame for result in results[:8]] == [0, 1, 2, 3, 4, 5, 99, 6]

@@ -34,12 +34,11 @@ def drifting(t_s):
 def test_direction_of_the_scene_is_that_of_the_last_step_where_flow_is_short(fps):
     """A step moves the picture by a pixel: two views are compared over some frames, in which the camera turns off."""
     off_deg = []
-    for seed in range(2):
-        still = street(n=300, depth_m=(6.0, 40.0), travel_m=0.0, seed=seed + 10)
-        results = results_of(table([still], drifting, n_frames=int(3.0 * fps), fps=fps, seed=seed), FREE)
-        for result in results[int(fps) :]:
-            step = drifting(result.t_s - 1.0 / fps) - drifting(result.t_s)
-            told = next(row.direction for row in result.clusters if row.cluster_id == 0)
-            off_deg.append(np.degrees(np.arccos(told @ step / np.linalg.norm(step))))
+    still = street(n=300, depth_m=(6.0, 40.0), travel_m=0.0, seed=10)
+    results = results_of(table([still], drifting, n_frames=int(3.0 * fps), fps=fps), FREE)
+    for result in results[int(fps) :]:
+        step = drifting(result.t_s - 1.0 / fps) - drifting(result.t_s)
+        told = next(row.direction for row in result.clusters if row.cluster_id == 0)
+        off_deg.append(np.degrees(np.arccos(told @ step / np.linalg.norm(step))))
     assert np.median(off_deg) < 2.2
     assert np.quantile(off_deg, 0.9) < 4.0

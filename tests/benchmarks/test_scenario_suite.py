@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -172,15 +173,15 @@ def test_mirrored_twice_is_the_scene_itself():
 
 
 def test_what_is_complete_is_not_done_again_and_another_estimator_gets_the_same_pictures(tmp_path):
-    task = Task("CCRs", 0, "tracks", tmp_path / "out", tmp_path / "pictures", CLEAN)
+    task = Task("CCFtap", 0, "tracks", tmp_path / "out", tmp_path / "pictures", CLEAN)
     first = do(task)
     assert not first.is_old
     assert (first.run["exit_code"], first.run["error"]) == (0, None)
-    folder = tmp_path / "out" / "CCRs" / "0"
+    folder = tmp_path / "out" / "CCFtap" / "0"
     assert {path.name for path in folder.iterdir()} == {"scenario.json", "truth", "run", "run.json", "score"}
     assert (folder / "run" / "clusters.parquet").exists()
     said = read_json(folder / "scenario.json")
-    assert (said["name"], said["kind"], said["nuisances"]) == ("CCRs:0", "tracks", baselines("tracks"))
+    assert (said["name"], said["kind"], said["nuisances"]) == ("CCFtap:0", "tracks", baselines("tracks"))
     drawn_at = (folder / "truth" / "tracks.parquet").stat().st_mtime_ns
     assert do(task).is_old
     other = do(replace(task, out=tmp_path / "smooth", options={"smooth": True}))
@@ -254,10 +255,14 @@ def test_how_long_a_run_took_is_said_beside_its_limit():
 def test_speeds_and_limits_of_the_trade_are_those_of_its_tests():
     """Euro NCAP's and NHTSA's values, over many seeds: the drawn ones lie within them and reach out for their ends."""
 
-    def drawn_km_h(family, body=None, seeds=40):
+    @cache
+    def contents(family):
+        draw = FAMILIES[family].draw
+        return [draw(generator(family, seed, "scene"), seed % 2 == 0) for seed in range(30)]
+
+    def drawn_km_h(family, body=None):
         values = []
-        for seed in range(seeds):
-            content = FAMILIES[family].draw(generator(family, seed, "scene"), seed % 2 == 0)
+        for content in contents(family):
             own = content["own_motion"]["speed_m_s"]
             bodies = {one["name"]: one for one in content["bodies"]}
             values.append(3.6 * (own if body is None else bodies[body].get("speed_m_s", 0.0)))

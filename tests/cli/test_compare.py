@@ -35,9 +35,9 @@ def clip(small_clip: Path) -> Path:
     return small_clip
 
 
-@pytest.fixture
-def baseline(small_run: Path) -> Path:
-    return small_run
+@pytest.fixture(scope="module")
+def baseline(small_clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return analyzed(small_clip, tmp_path_factory.mktemp("baseline") / "run")
 
 
 @pytest.fixture

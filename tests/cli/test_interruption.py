@@ -1,7 +1,6 @@
 """Stopped by Ctrl-C, killed hard, or out of space: what is left tells what it is."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import av
 import pytest
+from copies_of_process import CommandInCopy
 from moving_clips import approach, swaying, write_clip
 
 from ttcvid.cli.main import main
@@ -26,23 +26,17 @@ def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_clip(tmp_path_factory.mktemp("long") / "long.mp4", period * (N_LONG // 60), key_every=30)
 
 
-def start(clip: Path, out: Path, *arguments: str, **options: object) -> subprocess.Popen[str]:
-    command = Path(sys.executable).with_name("ttcvid")
-    return subprocess.Popen(
-        [command, "analyze", str(clip), "-o", str(out), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,  # type: ignore[call-overload]
-    )
+def start(clip: Path, out: Path, **limits: int) -> CommandInCopy:
+    options = ["-o", out, "--set=overlay.crf=0", "--set=overlay.preset=ultrafast"]
+    return CommandInCopy(out.parent, "analyze", clip, *options, **limits)
 
 
-def wait_until_it_writes(process: subprocess.Popen[str], out: Path) -> None:
+def wait_until_it_writes(process: CommandInCopy, out: Path) -> None:
     """Until the overlay has its first bytes: frames have gone through by then."""
     overlay = out / ".ttcvid-partial" / "overlay.mp4"
     end_s = time.monotonic() + DEADLINE_S
     while not (overlay.exists() and overlay.stat().st_size > 0):
-        assert process.poll() is None, process.stderr and process.stderr.read()
+        assert process.is_running(), process.ended(0)
         assert time.monotonic() < end_s
         time.sleep(0.005)
 
@@ -58,8 +52,8 @@ def test_ctrl_c_keeps_what_is_done(number: signal.Signals, long_clip: Path, tmp_
     process = start(long_clip, out)
     wait_until_it_writes(process, out)
     process.send_signal(number)
-    stdout, stderr = process.communicate(timeout=DEADLINE_S)
-    assert process.returncode == 130, stderr
+    exit_code, stdout, stderr = process.ended(DEADLINE_S)
+    assert exit_code == 130, stderr
     assert "interrupted" in stdout
     assert "Traceback" not in stderr
     run = Run.open(out)
@@ -103,8 +97,8 @@ def test_killed_hard_leaves_nothing_that_passes_for_a_result(delay_s: float, lon
     process = start(long_clip, out)
     wait_until_it_writes(process, out)
     time.sleep(delay_s)
-    process.kill()
-    process.communicate(timeout=DEADLINE_S)
+    process.send_signal(signal.SIGKILL)
+    assert process.ended(DEADLINE_S)[0] == -signal.SIGKILL
     assert not list(out.glob("*.parquet"))
     with pytest.raises(InputError, match=r"no finished run"):
         Run.open(out)
@@ -117,17 +111,10 @@ def test_killed_hard_leaves_nothing_that_passes_for_a_result(delay_s: float, lon
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     """Stands for a full disk: no file may grow over 10 kB."""
     out = tmp_path / "out"
-    limit = 10_000
-    process = start(
-        write_clip(tmp_path / "clip.mp4", swaying(60)),
-        out,
-        "-q",
-        "--set=overlay.crf=0",
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
-    )
-    stdout, stderr = process.communicate(timeout=DEADLINE_S)
+    process = start(write_clip(tmp_path / "clip.mp4", swaying(30)), out, largest_file_bytes=10_000)
+    exit_code, stdout, stderr = process.ended(DEADLINE_S)
     errors = [line for line in stderr.splitlines() if "warning" not in line]
-    assert process.returncode == 2
+    assert exit_code == 2
     assert stdout == ""
     assert len(errors) == 1
     assert "cannot be written" in errors[0]

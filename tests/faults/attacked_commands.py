@@ -24,7 +24,7 @@ ATTACKS = {
         "{options}",
         *("--moving", "-o", "{out}/horizon.yaml", "--evidence", "{out}/evidence", "--overwrite"),
     ],
-    "simulate": ["{scene}", "--png", "--frames", "6", "-o", "{out}/scene", "--overwrite"],
+    "simulate": ["{scene}", "--png", "--frames", "3", "-o", "{out}/scene", "--overwrite"],
     "evaluate": ["{run}", "{clip}", "--html", "{out}/page.html"],
     "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "3", "--trials", "100"],
     "collision-map": ["{run}", "-o", "{out}/map", "--overwrite", "--n-cells", "11", "--frame", "10", "--ego-speed=10"],

@@ -12,6 +12,8 @@ from ttcvid.cli.commands import COMMANDS
 
 COMMANDS_THAT_WRITE_NOTHING = {"doctor"}
 N_MOMENTS, N_ALL_MOMENTS = 2, 30
+ONLY_WITH_ALL = {"demo", "regress"}
+"""Simulation, analysis and evaluation in a row; and tests/cli/test_regress.py kills a regression."""
 
 
 def hidden(folder: Path) -> set[Path]:
@@ -44,7 +46,7 @@ def kill_at_moments(command: str, n_moments: int, attacker: Attacker, sound: Sou
     assert_sound(out)
 
 
-@pytest.mark.parametrize("command", ATTACKS)
+@pytest.mark.parametrize("command", sorted(set(ATTACKS) - ONLY_WITH_ALL))
 def test_killed_at_some_moments(command: str, attacker: Attacker, sound: SoundInputs, tmp_path: Path) -> None:
     kill_at_moments(command, N_MOMENTS, attacker, sound, tmp_path)
 

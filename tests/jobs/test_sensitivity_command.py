@@ -15,7 +15,7 @@ SAMPLE = Path(__file__).parent.parent.parent / "sample_configs" / "sensitivity.t
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("studies") / "study"
-    assert main(["sensitivity", str(SAMPLE), "-o", str(out), "-q"]) == 0
+    assert main(["sensitivity", str(SAMPLE), "--trials", "100", "-o", str(out), "-q"]) == 0
     return out
 
 

@@ -1,5 +1,7 @@
 """Shutter, lens and sensor: what each does to a picture, and that the truth does not change by it."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,10 +17,17 @@ QUIET = {"noise_grey": 0}
 NOTHING = {"kind": "none"}
 
 
-def pictures_of(bodies=(), ground=NOTHING, own_motion=None, **picture) -> list:
-    content = {"name": "test", "camera": LENS, "ground": ground, "bodies": list(bodies)}
+def pictures_of(bodies=(), ground=NOTHING, own_motion=None, n_frames=3, **picture) -> list:
+    camera = LENS | {"n_frames": n_frames}
+    content = {"name": "test", "camera": camera, "ground": ground, "bodies": list(bodies)}
     content |= {"own_motion": own_motion or {}, "picture": QUIET | picture}
     return list(render_frames(Scene.model_validate(content)))
+
+
+@cache
+def square(**picture) -> np.ndarray:
+    """A picture of a paved square."""
+    return pictures_of(ground={"kind": "square"}, n_frames=1, **picture)[0].bgr
 
 
 def edges_px(rendered, row: int) -> np.ndarray:
@@ -29,9 +38,7 @@ def edges_px(rendered, row: int) -> np.ndarray:
 
 
 def test_what_rests_is_not_blurred_by_the_exposure():
-    square = {"kind": "square"}
-    sharp, exposed = (pictures_of(ground=square, exposure_s=seconds)[0] for seconds in (0.0, 0.04))
-    np.testing.assert_array_equal(sharp.bgr, exposed.bgr)
+    np.testing.assert_array_equal(square(), square(exposure_s=0.04))
 
 
 def test_what_moves_is_drawn_out_by_its_path_within_the_exposure_and_its_truth_stays():
@@ -53,9 +60,7 @@ def test_rows_are_read_one_after_the_other_about_the_time_of_the_frame():
 
 
 def test_rolling_shutter_leaves_a_resting_scene_as_it_is():
-    square = {"kind": "square"}
-    still, rolling = (pictures_of(ground=square, readout_s=seconds)[0].bgr for seconds in (0.0, 0.03))
-    assert (still != rolling).mean() < 1e-3
+    assert (square() != square(readout_s=0.03)).mean() < 1e-3
 
 
 def test_repeated_frame_shows_the_picture_before_it_at_its_own_time_with_the_truth_of_that_time():
@@ -80,12 +85,10 @@ def test_gain_steps_hold_from_their_times_on():
 
 
 def test_contrast_and_texture_scale_the_differences_of_grey():
-    square = {"kind": "square"}
     ground = (slice(120, 180), slice(None), 1)
-    spread = [pictures_of(ground=square, **change)[0].bgr[ground].std() for change in ({}, {"contrast": 0.5})]
-    assert spread[1] / spread[0] == pytest.approx(0.5, abs=0.03)
-    flat = pictures_of(ground=square, texture=0.0)[0].bgr[ground]
-    assert flat.std() < 0.3 * pictures_of(ground=square)[0].bgr[ground].std()
+    spread = square()[ground].std()
+    assert square(contrast=0.5)[ground].std() / spread == pytest.approx(0.5, abs=0.03)
+    assert square(texture=0.0)[ground].std() < 0.3 * spread
 
 
 def test_spots_rest_in_the_picture_while_the_scene_moves():

@@ -24,7 +24,7 @@ FRAME_RATE_HZ = 9.6525
 RANSAC_PX = (1.0, 2.0)
 
 
-@pytest.fixture(scope="module", params=["klt", "akaze"])
+@pytest.fixture(scope="module", params=["klt", pytest.param("akaze", marks=pytest.mark.exhaustive)])
 def motions(request, data_dir):
     """Of each step, ours and the essential matrix's over the same tracks: yaw, angle from forward; in deg."""
     folder = data_dir / "kitti_sfnd_ttc"
