@@ -152,9 +152,8 @@ def test_the_page_of_the_same_scenes_is_the_same_and_a_score_is_made_once(tmp_pa
 def test_a_run_that_is_stopped_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     words = ["benchmarks/scenarios.py", "--families", "CCFtap,CMFtap", "--kind", "tracks", "--seeds", "0-2"]
     words += ["--jobs", "1", "--out", str(tmp_path / "out")]
-    process = subprocess.Popen(
-        [sys.executable, *words], cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([sys.executable, *words], cwd=REPOSITORY, start_new_session=True, **streams)
     assert process.stdout is not None
     first = process.stdout.readline()
     assert first.startswith("   1/6 CCFtap:0  drawn")
