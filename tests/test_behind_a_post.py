@@ -17,31 +17,19 @@ POST_M = 1.5
 
 def scene():
     """A car crosses 30 m ahead, 20 pictures a second; for five of them none of it is seen."""
+    film = {"fps": 20, "n_frames": 60}
+    speed_and_colour = {"speed_m_s": 8, "colour_rgb": [180, 40, 40]}
     house = {"kind": "house", "size_m": [12, 9, 7.5]}
     return Scene.model_validate(
         {
             "name": "post",
             "description": "a car crosses behind a post",
             "seed": 3,
-            "camera": {
-                "image_size": [640, 360],
-                "hfov_deg": 80,
-                "height_m": 1.4,
-                "pitch_deg": 2,
-                "fps": 20,
-                "n_frames": 60,
-            },
+            "camera": {"image_size": [640, 360], "hfov_deg": 80, "height_m": 1.4, "pitch_deg": 2, **film},
             "own_motion": {"speed_m_s": 2},
             "ground": {"kind": "street", "road_width_m": 8, "road_offset_m": 2},
             "bodies": [
-                {
-                    "name": "car",
-                    "kind": "car",
-                    "at_m": [30, -14.4, 0],
-                    "heading_deg": 90,
-                    "speed_m_s": 8,
-                    "colour_rgb": [180, 40, 40],
-                },
+                {"name": "car", "kind": "car", "at_m": [30, -14.4, 0], "heading_deg": 90, **speed_and_colour},
                 {"name": "post", "kind": "box", "at_m": [10, 0, 0], "size_m": [0.4, POST_M, 3.5]},
                 {"name": "left house", "at_m": [45, 15, 0], **house},
                 {"name": "right house", "at_m": [45, -14, 0], **house},

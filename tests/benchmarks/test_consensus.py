@@ -4,13 +4,7 @@ from math import comb, log
 
 import numpy as np
 import pytest
-from consensus import (
-    chance_of_sharing,
-    directions_of_pairs,
-    epipoles_by_ransac,
-    log_false_alarms,
-    shares_direction,
-)
+from consensus import chance_of_sharing, directions_of_pairs, epipoles_by_ransac, log_false_alarms, shares_direction
 from hypothesis import given
 from hypothesis import strategies as st
 from moving_points import jitter, views
@@ -125,10 +119,7 @@ def brute_force_log_false_alarms(n_tests, n_members, n_inliers, chance):
 
 
 @given(
-    n_tests=st.integers(1, 2000),
-    n_members=st.integers(3, 60),
-    part=st.floats(0.0, 1.0),
-    chance=st.floats(0.001, 0.5),
+    n_tests=st.integers(1, 2000), n_members=st.integers(3, 60), part=st.floats(0.0, 1.0), chance=st.floats(0.001, 0.5)
 )
 def test_log_false_alarms_is_the_binomial_tail(n_tests, n_members, part, chance):
     n_inliers = 2 + round(part * (n_members - 2))

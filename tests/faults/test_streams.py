@@ -14,28 +14,14 @@ from ttcvid.cli.main import main
 @pytest.fixture
 def command(tmp_path: Path) -> list[str]:
     tracks = write_approaching_tracks(tmp_path / "tracks.csv", n=5, n_tracks=20)
-    return [
-        str(PROGRAM),
-        "analyze",
-        str(tracks),
-        "--image-size",
-        "192x128",
-        "--no-overlay",
-        "--no-report",
-        "-o",
-        str(tmp_path / "out"),
-    ]
+    options = ["--image-size", "192x128", "--no-overlay", "--no-report", "-o", str(tmp_path / "out")]
+    return [str(PROGRAM), "analyze", str(tracks), *options]
 
 
 def in_shell(command: list[str], streams: str) -> subprocess.CompletedProcess[str]:
     line = f'"$0" "$@" {streams}'
-    return subprocess.run(
-        ["bash", "-o", "pipefail", "-c", line, *command],
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_S,
-        check=False,
-    )
+    words = ["bash", "-o", "pipefail", "-c", line, *command]
+    return subprocess.run(words, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
 
 
 @pytest.mark.parametrize("streams", ["2>/dev/full", "2> >(exec 0<&-)", "| true"])

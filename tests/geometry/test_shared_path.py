@@ -104,13 +104,7 @@ def test_covariance_of_rates_holds_what_the_path_does_not_say():
         found = fitted(xy, belief(believed, 0.02, 0.1))
         rates = fit_rates_on_paths(xy, T_S, np.full(30, SIGMA), found.path, number)
         velocities = velocities_on_paths(
-            rates,
-            rates.cov[:, 2, 2],
-            number,
-            found.direction,
-            np.zeros((1, 3)),
-            np.array([False]),
-            found.cov,
+            rates, rates.cov[:, 2, 2], number, found.direction, np.zeros((1, 3)), np.array([False]), found.cov
         )
         mean = velocities.jacobian.mean(axis=0)
         own = np.mean(rates.cov[:, 2, 2]) / 30 * np.outer(found.direction[0], found.direction[0])
@@ -128,13 +122,7 @@ def test_the_velocity_of_a_turning_thing_is_that_of_its_points():
     paths = straight_path(DIRECTION, T_S)[None]
     rates = fit_rates_on_paths(back, T_S, np.full(40, 1e-6), paths, number)
     found = velocities_on_paths(
-        rates,
-        rates.cov[:, 2, 2],
-        number,
-        DIRECTION[None],
-        turn[None],
-        np.array([True]),
-        np.zeros((1, 9, 9)),
+        rates, rates.cov[:, 2, 2], number, DIRECTION[None], turn[None], np.array([True]), np.zeros((1, 9, 9))
     )
     velocity = SPEED_M_S * DIRECTION + np.cross(turn, position)
     np.testing.assert_allclose(found.abc_hz, velocity / position[:, 2:], rtol=1e-6, atol=1e-9)
@@ -205,13 +193,7 @@ def states_of(xy, found, sigma):
         turned_back(xy, T_S, found.turn_rad_s, number), T_S, np.full(len(number), sigma), found.path, number
     )
     return velocities_on_paths(
-        rates,
-        rates.cov[:, 2, 2],
-        number,
-        found.direction,
-        found.turn_rad_s,
-        np.array([True]),
-        found.cov,
+        rates, rates.cov[:, 2, 2], number, found.direction, found.turn_rad_s, np.array([True]), found.cov
     ).abc_hz
 
 

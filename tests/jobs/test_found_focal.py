@@ -24,17 +24,10 @@ def work_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def write_tracks(path: Path, drive: Drive) -> Path:
     seen = seen_points(drive, FOCAL_PX, sigma_px=0.1)
+    tables = [pd.DataFrame(one.points.xy_px, columns=["x_px", "y_px"]) for one in seen]
     rows = [
-        pd.DataFrame(
-            {
-                "frame": frame,
-                "t_s": one.t_s,
-                "track_id": one.points.track_id,
-                "x_px": one.points.xy_px[:, 0],
-                "y_px": one.points.xy_px[:, 1],
-            }
-        )
-        for frame, one in enumerate(seen)
+        table.assign(frame=frame, t_s=one.t_s, track_id=one.points.track_id)
+        for frame, (table, one) in enumerate(zip(tables, seen, strict=True))
     ]
     pd.concat(rows).to_parquet(path)
     return path

@@ -5,17 +5,7 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
-from source_clips import (
-    FPS,
-    HEIGHT,
-    WIDTH,
-    N,
-    cut,
-    damage,
-    one_line_error,
-    read,
-    write_video,
-)
+from source_clips import FPS, HEIGHT, WIDTH, N, cut, damage, one_line_error, read, write_video
 
 from ttcvid.errors import InputError
 from ttcvid.sources import Selection

@@ -41,7 +41,7 @@ def test_a_camera_that_does_not_turn_tells_nothing(drive, movers):
 def test_a_few_points_are_not_enough():
     few = [
         replace(seen, points=PointSet(seen.points.track_id[::20], seen.points.xy_px[::20]))
-        for seen in seen_points(PAN, 600.0)
+        for seen in seen_points(PAN, 600.0, n_frames=40, n_points=6000)
     ]
     assert find_focal_length(few, SIZE) is None
 
