@@ -29,6 +29,8 @@ _LEAST_VIEWS = 3
 _TOGETHER, _LEAST_AROUND = 0.6, 3
 # Flows of two tracks are alike if they differ by less than this share of their mean plus this, px over the window.
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
+# Most tracks.
+_MOST = 0.5
 # Gauss-Newton steps for a new trajectory.
 _FIRST_STEPS = 3
 # Reduced chi-squares are at least this where their logarithm is taken.
@@ -43,12 +45,14 @@ class _Things:
     ----------
     members : tracks ``(M,)`` and trajectory ``(L, 3)`` of each.
     needed : ``(K,)`` least number of tracks that it has to explain significantly better than the scene.
+    least_part : least part of its tracks that it has to.
     is_along : ``(N,)`` tracks that contradict the scene by their depth alone.
     edge : ``(N, 2)`` as in `PointSet`: how far each window is on an edge, along which it may slip (aperture problem).
     """
 
     members: list[tuple[Ints, Floats]]
     needed: Ints
+    least_part: float
     is_along: Bools
     edge: Floats
 
@@ -75,7 +79,7 @@ def new_movers(
     are_few_enough = seen.platform != Platform.aircraft
     members = expanding_movers(views, seen, may_spread, candidates, config, few_are_enough=are_few_enough)
     nowhere = np.zeros_like(in_scene)
-    things = _Things(members, tracks_needed(members, config), nowhere, np.zeros_like(views.edge))
+    things = _Things(members, tracks_needed(members, config), 0.0, nowhere, np.zeros_like(views.edge))
     spread, paths, rate_hz = _explained(views, seen, things, config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)
@@ -83,7 +87,8 @@ def new_movers(
     members = _alike_things(views, seen.scene, candidates, is_along, config)
     # Without camera translation all surfaces have the same flow, and no window slips.
     edge = views.edge if seen.moves_past else np.zeros_like(views.edge)
-    things = _Things(members, np.full(len(members), config.min_tracks), is_along, edge)
+    # What just moves alike contradicts the scene track by track, at constant bearing only what is at its edges does.
+    things = _Things(members, np.full(len(members), config.min_tracks), _MOST, is_along, edge)
     alike, alike_paths, alike_hz = _explained(views, seen, things, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
@@ -110,6 +115,7 @@ def _explained(
     is_better = redchi_by_own < redchi[track] / config.gain
     saved = cost_of(redchi[track]) - cost_of(redchi_by_own)
     is_found = np.bincount(thing, saved) > cost_of_birth(things.needed, config)
+    is_found &= np.bincount(thing, is_better) > things.least_part * np.bincount(thing)
     if is_found.any():
         xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
         gate = config.scene_gate * median_redchi
