@@ -45,7 +45,7 @@ class _Things:
     ----------
     members : tracks ``(M,)`` and trajectory ``(L, 3)`` of each.
     needed : ``(K,)`` least number of tracks that it has to explain significantly better than the scene.
-    least_part : least part of its tracks that it has to.
+    least_part : least part of its tracks that it has to explain so.
     is_along : ``(N,)`` tracks that contradict the scene by their depth alone.
     edge : ``(N, 2)`` as in `PointSet`: how far each window is on an edge, along which it may slip (aperture problem).
     """

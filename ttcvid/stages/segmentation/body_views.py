@@ -66,7 +66,7 @@ class BodyViews:
 def cost_of(redchi: Floats) -> Floats:
     """What a track costs on a body that leaves it this reduced chi-square, over the usual one: minus log likelihood.
 
-    That of two Cauchy residuals, whatever its number of views: what a tracker errs by is alike in neighbouring frames.
+    That of one Cauchy residual, whatever its number of views: a tracker's errors are alike in neighbouring frames.
     """
     return np.asarray(np.log1p(np.minimum(redchi, _WORST_REDCHI)))
 

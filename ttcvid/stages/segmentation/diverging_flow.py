@@ -45,7 +45,9 @@ def least_tracks(config: BodiesConfig) -> int:
 
 
 def cost_of_birth(needed: Ints | int, config: BodiesConfig) -> Floats:
-    """What its tracks have to save together, by `cost_of`, for a new thing: as ``needed`` do, each by the ``gain``."""
+    """What the tracks of a new thing have to save together, by `cost_of`: about as much as ``needed`` tracks with a
+    large chi-square do that it explains better by the ``gain``.
+    """
     return np.asarray(needed * np.log(config.gain))
 
 
