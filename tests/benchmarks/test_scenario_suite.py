@@ -187,6 +187,7 @@ def test_analysis_is_told_the_focal_length_with_its_error(tmp_path):
 
 
 @pytest.mark.data
+@pytest.mark.usefixtures("data_dir")
 def test_recorded_objects_move_as_their_labels_say():
     from scenario_suite.families.recorded import label_folder, recorded_world, trajectories_of
 
