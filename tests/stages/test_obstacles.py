@@ -159,6 +159,30 @@ def test_a_lorry_is_still_there_when_its_low_tracks_are_lost(rng):
     assert list(public) == [1]
 
 
+@pytest.mark.parametrize("aside_m", [-1.5, 1.5])
+def test_a_stopped_car_that_half_of_our_front_would_hit_is_one(rng, aside_m):
+    """It is 1.8 m wide, and so are we: we would meet over 0.3 m."""
+    assert watched(np.concatenate([road(rng), rear_of_car(rng, aside_m, 25.0)])) != {}
+
+
+def test_a_stopped_car_is_found_by_tracks_that_tell_its_depth_only_together(rng):
+    """Near our heading the noise of the picture is a large part of a track's flow."""
+    car, way = rear_of_car(rng, 0.0, 32.0, n=16), own_path(driven(), SINCE_S)
+    n_found = 0
+    for _ in range(20):
+        points = points_of(np.concatenate([road(rng), car]), rng)
+        own, fit = np.arange(150, 166), points.fit
+        sigma_hz = fit.rate_sigma_hz.copy()
+        sigma_hz[own] = 0.4 * SPEED_M_S / 32.0
+        rate_hz = np.maximum(fit.rate_hz + np.where(sigma_hz > 0.1, sigma_hz, 0.0) * rng.normal(size=166), 0.0)
+        seen = replace(points, fit=replace(fit, rate_hz=rate_hz, rate_sigma_hz=sigma_hz))
+        memory, next_id, public = (), 1, {}
+        for _ in range(FOUND_IN):
+            public, memory, next_id = find_obstacles(memory, seen, way, ROAD_PLANE, next_id, CONFIG, on_ground=True)
+        n_found += any(np.isin(members, own).sum() > 8 for members in public.values())
+    assert n_found >= 16
+
+
 @pytest.mark.parametrize("aside_m", [-2.8, 2.8])
 def test_a_parked_car_at_the_roadside_is_none(rng, aside_m):
     assert watched(np.concatenate([road(rng), rear_of_car(rng, aside_m, 25.0)])) == {}

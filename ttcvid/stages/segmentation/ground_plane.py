@@ -23,6 +23,8 @@ _HORIZON_SIGMA, _N_HORIZONS = 0.01, 5
 _HORIZON_OFF = 2.0 * _HORIZON_SIGMA
 LEAST_BELOW = 0.03
 """Least distance below the horizon (tangent) of points that determine the ground plane, and that it gives speed for."""
+OWN_HALF_WIDTH = 0.7
+"""Half of our own width in heights of the camera above the road: 0.9 m of 1.3 m in cars, alike in vans and lorries."""
 # Largest relative standard deviation of an inverse depth that counts.
 _KNOWN_PART = 0.1
 # Inverse depths of road points agree within this natural logarithm; a point with less than this share of the road's

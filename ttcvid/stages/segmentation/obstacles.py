@@ -8,24 +8,27 @@ object that shares the scene's motion.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
 from ttcvid.geometry.estimation.rigid_motion import PathFit
-from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.segmentation.ground_plane import OWN_HALF_WIDTH
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
 REACHED_WITHIN_S = 6.0
 """What we reach later than this is no obstacle yet, s: half as long again as a warning looks ahead."""
-# A track counts from so many views on, with a rate known to this part.
-_LEAST_VIEWS, _KNOWN_PART = 4, 0.2
-# Tracks of one surface have rates within this part of its median (natural logarithm), and two sigmas of their own.
+# A track counts from so many views on, with an inverse depth known to this part of that of its surface; a surface whose
+# own is known to the second part. Near our heading no single track tells much, those of a surface together do.
+_LEAST_VIEWS, _TOLD_PART, _KNOWN_PART = 4, 0.6, 0.15
+# Tracks of one surface have inverse depths within this part of its own, and so many of their standard deviations.
 _ONE_SURFACE, _SURFACE_SIGMAS = 0.12, 2.0
+# A surface is followed so often, with the depth of what was found before.
+_ROUNDS = 3
 # A surface that continues in nearer tracks beside it, more than so many and more than this part of its own, is a
 # slope or a wall along our way.
 _LEAST_GOES_ON, _GOES_ON = 2.0, 0.25
@@ -159,157 +162,211 @@ def _surfaces(
     ``is_known, is_confirmed (N,)`` are tracks of obstacles found before, and of those that are public by now.
     """
     index = _within_reach(points, way)
-    place, rate_hz = points.fit.place[index], points.fit.rate_hz[index]
-    off = np.linalg.norm(place - way.aim_at(way.reached_s(rate_hz)), axis=1)
-    index, off = index[off < _FOLLOWED], off[off < _FOLLOWED]
+    depths = _Depths(points.fit.take(index), road, on_ground=on_ground)
+    off = np.linalg.norm(depths.place - way.aim_at(way.reached_s(depths.rate_hz)), axis=1)
     if len(index) < _LEAST_TRACKS or not off.min() < _LOOK:
         return []
-    depths = _Depths(points.fit.take(index), road, on_ground=on_ground)
-    asked = depths.stands & (off < _LOOK)
+    is_told = depths.sigma_hz < _TOLD_PART * depths.rate_hz
+    asked = is_told & depths.stand(slice(None), depths.rate_hz) & (off < _LOOK)
     if not asked.any():
         return []
     pairs = linked_pairs(points.xy_px[index], (_LINKS if road is None else 1.0) * points.link_px)
-    pairs = pairs[depths.are_beside(pairs)]
-    found, is_taken = list[Ints](), np.zeros(len(index), dtype=bool)
+    found, is_taken = list[_Surface](), np.zeros(len(index), dtype=bool)
     for _ in range(_MOST_SURFACES):
         if not asked.any():
             break
         seed = int(np.argmin(np.where(asked, off, np.inf)))
         whole = _surface_of(seed, depths, pairs)
-        asked[whole] = asked[seed] = False
-        surface = depths.without_road_beside(whole[~is_taken[whole]], _OFF_LINK * points.link)
-        if len(surface) < _LEAST_TRACKS or not depths.can_be_hit(surface, way):
+        asked[whole.members] = asked[seed] = False
+        surface = depths.without_road_beside(whole.without(is_taken), _OFF_LINK * points.link)
+        if not (surface.is_known and way.reached_s(surface.rate_hz) < REACHED_WITHIN_S):
             continue
-        is_again = is_known[index[surface]].mean() > 0.5
+        if not depths.can_be_hit(surface, way):
+            continue
+        is_again = is_known[index[surface.members]].mean() > 0.5
         if not is_again and _goes_on(surface, depths, pairs):
             continue
-        has_come = is_confirmed[index[surface]].mean() > 0.5
+        has_come = is_confirmed[index[surface.members]].mean() > 0.5
         if not (has_come or depths.reaches_down(surface)):
             continue
         link = points.link * (_KEPT if is_again else 1.0)
         if _is_in_the_way(depths, surface, way, link):
-            is_taken[surface] = True
-            # Near our way tracks tell depths worst: what was found from one of them may be a part of this.
-            is_part = [2 * np.count_nonzero(np.isin(part, whole)) > len(part) for part in found]
-            surface = np.concatenate([surface, *(part for part, joins in zip(found, is_part, strict=True) if joins)])
-            found = [part for part, joins in zip(found, is_part, strict=True) if not joins]
-            found.append(np.sort(surface))
-    return [index[surface] for surface in found]
+            is_taken[surface.members] = True
+            found = _with_surface(found, surface, whole)
+    return [index[np.sort(surface.members)] for surface in found]
 
 
 def _within_reach(points: StaticPoints, way: OwnPath) -> Ints:
-    """Tracks of the scene whose depth is known, and reached soon."""
+    """Tracks of the scene that may be reached soon, near enough to our heading."""
     fit = points.fit
-    is_rated = points.in_scene & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < _KNOWN_PART * fit.rate_hz)
-    rated = np.flatnonzero(is_rated)
-    return rated[way.reached_s(fit.rate_hz[rated]) < REACHED_WITHIN_S]
+    seen = np.flatnonzero(points.in_scene & (fit.n_views >= _LEAST_VIEWS) & np.isfinite(fit.rate_sigma_hz))
+    nearest_hz = fit.rate_hz[seen] + _SURFACE_SIGMAS * fit.rate_sigma_hz[seen]
+    off = np.linalg.norm(fit.place[seen] - way.aim_at(way.reached_s(fit.rate_hz[seen])), axis=1)
+    return np.asarray(seen[(way.reached_s(nearest_hz) < REACHED_WITHIN_S) & (off < _FOLLOWED)])
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Tracks ``members (M,)`` of one depth: their common inverse depth, 1/s, and its standard deviation."""
+
+    members: Ints
+    rate_hz: Floats
+    sigma_hz: float
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it has enough tracks, which together determine its depth."""
+        return len(self.members) >= _LEAST_TRACKS and self.sigma_hz < _KNOWN_PART * float(self.rate_hz)
+
+    def has_depth_of(self, other: _Surface) -> bool:
+        """Whether both may have one depth."""
+        sigma_hz = np.hypot(self.sigma_hz, other.sigma_hz)
+        return bool(abs(self.rate_hz - other.rate_hz) < _ONE_SURFACE * self.rate_hz + _SURFACE_SIGMAS * sigma_hz)
+
+    def without(self, is_taken: Bools) -> _Surface:
+        """Without tracks of another surface."""
+        return replace(self, members=self.members[~is_taken[self.members]])
 
 
 class _Depths:
-    """Depths of K tracks: ``log_rate (K,)`` with the ``tolerance (K,)`` within which another depth is the same one.
+    """Places and inverse depths of K tracks, each with its standard deviation.
 
-    ``height (K,)`` over the road in heights of the camera, if the road goes on to their depth (None: there is no road);
-    ``stands (K,)`` tracks that do not lie on it, ``surely_stands (K,)`` also if the road rises.
+    The ``road`` goes on to the depth of each (None: there is none).
     """
 
     def __init__(self, fit: PathFit, road: Floats | None, *, on_ground: bool) -> None:
         self.road, self.on_ground = road, on_ground
-        self.place = fit.place
-        self.log_rate = np.log(fit.rate_hz)
-        self.tolerance = _ONE_SURFACE + _SURFACE_SIGMAS * fit.rate_sigma_hz / fit.rate_hz
-        self.height: Floats | None = None
-        self.stands = self.surely_stands = np.ones(len(fit.rate_hz), dtype=bool)
-        if road is not None:
-            x, y = fit.place.T
-            horizon = -(road[0] + road[1] * x) / road[2]
-            depth = road[2] / fit.rate_hz  # in heights of the camera
-            self.height = 1.0 - (y - horizon) * depth
-            self.stands = self.height > _LEAST_HEIGHT
-            self.surely_stands = self.height > _LEAST_HEIGHT + _MOST_RISE * depth
+        self.place, self.rate_hz, self.sigma_hz = fit.place, fit.rate_hz, fit.rate_sigma_hz
+        x, y = fit.place.T
+        self.below = None if road is None else y + (road[0] + road[1] * x) / road[2]
 
-    def are_beside(self, pairs: Ints) -> Bools:
-        """Which pairs (M, 2) are parts of one thing on the road: one of them surely stands, the other is near.
+    def heights(self, index: Ints | slice, rate_hz: Floats) -> Floats:
+        """Heights over the road in heights of the camera, at inverse depths ``rate_hz``."""
+        assert self.road is not None and self.below is not None
+        return np.asarray(1.0 - self.below[index] * self.road[2] / np.maximum(rate_hz, _TINY_HZ))
+
+    def stand(self, index: Ints | slice, rate_hz: Floats, *, surely: bool = False) -> Bools:
+        """Which tracks do not lie on the road, at inverse depths ``rate_hz``; ``surely`` also where the road rises."""
+        if self.road is None:
+            return np.ones(len(self.place[index]), dtype=bool)
+        rise = _MOST_RISE * self.road[2] / np.maximum(rate_hz, _TINY_HZ) if surely else 0.0
+        return np.asarray(self.heights(index, rate_hz) > _LEAST_HEIGHT + rise)
+
+    def are_beside(self, pairs: Ints, rate_hz: Floats) -> Bools:
+        """Which pairs (M, 2) are parts of one thing of that depth: one of them surely stands, the other is near.
 
         Without this all that has one depth on both sides of a road would be one thing.
         """
         if self.road is None:
             return np.ones(len(pairs), dtype=bool)
-        camera_height = np.exp(self.log_rate[pairs].min(axis=1)) / self.road[2]
+        stands = self.stand(slice(None), rate_hz, surely=True)
         apart = np.linalg.norm(self.place[pairs[:, 0]] - self.place[pairs[:, 1]], axis=1)
-        return np.asarray(self.surely_stands[pairs].any(axis=1) & (apart < _BESIDE * camera_height))
+        return np.asarray(stands[pairs].any(axis=1) & (apart < _BESIDE * rate_hz / self.road[2]))
 
-    def without_road_beside(self, surface: Ints, reach: float) -> Ints:
+    def without_road_beside(self, surface: _Surface, reach: float) -> _Surface:
         """A surface without the points of the road that lie beside what stands there."""
-        upright = self.place[surface[self.stands[surface]], 0]
+        members = surface.members
+        upright = self.place[members[self.stand(members, surface.rate_hz)], 0]
         if not len(upright):
-            return surface[:0]
-        x = self.place[surface, 0]
-        return np.asarray(surface[(x > upright.min() - reach) & (x < upright.max() + reach)])
+            return replace(surface, members=members[:0])
+        x = self.place[members, 0]
+        return replace(surface, members=members[(x > upright.min() - reach) & (x < upright.max() + reach)])
 
-    def can_be_hit(self, surface: Ints, way: OwnPath) -> bool:
+    def can_be_hit(self, surface: _Surface, way: OwnPath) -> bool:
         """Whether a thing is neither driven over nor driven under."""
         if self.on_ground:
-            top, bottom = self.place[surface, 1].min(), self.place[surface, 1].max()
+            top, bottom = self.place[surface.members, 1].min(), self.place[surface.members, 1].max()
             if bottom - way.aim[1] < _BELOW_CAMERA * (bottom - top):
                 return False
-        if self.height is None:
+        if self.road is None:
             return True
-        is_low_enough = self.height[surface].min() < _MOST_HEIGHT
-        return bool(is_low_enough and np.count_nonzero(self.stands[surface]) >= _LEAST_STANDING)
+        is_low_enough = self.heights(surface.members, surface.rate_hz).min() < _MOST_HEIGHT
+        n_standing = np.count_nonzero(self.stand(surface.members, surface.rate_hz))
+        return bool(is_low_enough and n_standing >= _LEAST_STANDING)
 
-    def reaches_down(self, surface: Ints) -> bool:
+    def reaches_down(self, surface: _Surface) -> bool:
         """Whether two tracks of a thing, of which one may be an error, are as low as what stands on the road."""
-        if self.height is None or not self.on_ground:
+        if self.road is None or not self.on_ground:
             return True
-        return bool(np.sort(self.height[surface])[1] < _MOST_FOOT)
+        return bool(np.sort(self.heights(surface.members, surface.rate_hz))[1] < _MOST_FOOT)
 
 
-def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> Ints:
-    """Tracks that hang together with a seed and have its depth, then the median depth of them all."""
-    centre, own = depths.log_rate[seed], np.empty(0, dtype=np.int64)
-    for _ in range(2):
-        is_alike = np.abs(depths.log_rate - centre) < depths.tolerance
+def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> _Surface:
+    """Tracks that hang together with a seed and have its depth, then the depth of them all."""
+    rate_hz, sigma_hz, own = depths.rate_hz[seed], np.inf, np.array([seed])
+    for _ in range(_ROUNDS):
+        is_alike = _are_at(depths, rate_hz)
         is_alike[seed] = True
-        label = connected_parts(is_alike, pairs)
+        label = connected_parts(is_alike, pairs[depths.are_beside(pairs, rate_hz)])
         own = np.flatnonzero(label == label[seed])
-        centre = median(depths.log_rate[own])
-    return own
+        upright = own[depths.stand(own, rate_hz)]
+        if not len(upright):
+            return _Surface(own, rate_hz, np.inf)
+        # Parts of a surface lie before and behind its middle: those known best must not decide alone.
+        weight = 1.0 / (depths.sigma_hz[upright] ** 2 + (_ONE_SURFACE * rate_hz) ** 2)
+        rate_hz, sigma_hz = weight @ depths.rate_hz[upright] / weight.sum(), float(1.0 / np.sqrt(weight.sum()))
+    return _Surface(own, rate_hz, sigma_hz)
 
 
-def _goes_on(surface: Ints, depths: _Depths, pairs: Ints) -> bool:
+def _with_surface(found: list[_Surface], surface: _Surface, whole: _Surface) -> list[_Surface]:
+    """The surfaces in our way with another one, and with their parts joined.
+
+    Our way leads through them all: those of its depth are parts of it, and those whose tracks may mostly have its depth
+    (near our way tracks tell depths worst). ``whole`` is the surface with the tracks that others have.
+    """
+    is_part = [
+        other.has_depth_of(surface) or 2 * np.isin(other.members, whole.members).sum() > len(other.members)
+        for other in found
+    ]
+    parts = (other.members for other, joins in zip(found, is_part, strict=True) if joins)
+    others = (other for other, joins in zip(found, is_part, strict=True) if not joins)
+    return [*others, replace(surface, members=np.concatenate([surface.members, *parts]))]
+
+
+def _are_at(depths: _Depths, rate_hz: Floats) -> Bools:
+    """Which tracks may have an inverse depth, and tell depths at all."""
+    apart = np.abs(depths.rate_hz - rate_hz)
+    is_told = depths.sigma_hz < _TOLD_PART * rate_hz
+    return np.asarray(is_told & (apart < _ONE_SURFACE * rate_hz + _SURFACE_SIGMAS * depths.sigma_hz))
+
+
+def _goes_on(surface: _Surface, depths: _Depths, pairs: Ints) -> bool:
     """Whether what stands beside a surface is nearer: then it is a part of something that leads up to us.
 
     The ground before it is nearer, too, and lies below its foot.
     """
-    is_own = np.zeros(len(depths.log_rate), dtype=bool)
-    is_own[surface] = True
+    is_own = np.zeros(len(depths.rate_hz), dtype=bool)
+    is_own[surface.members] = True
+    pairs = pairs[depths.are_beside(pairs, surface.rate_hz)]
     crosses = is_own[pairs[:, 0]] != is_own[pairs[:, 1]]
     beside = np.unique(np.where(is_own[pairs[crosses, 0]], pairs[crosses, 1], pairs[crosses, 0]))
-    is_ground = ~depths.stands[beside]
-    if depths.height is None and not depths.on_ground:
-        is_ground = depths.place[beside, 1] > depths.place[surface, 1].max()
+    is_ground = ~depths.stand(beside, depths.rate_hz[beside])
+    if depths.road is None and not depths.on_ground:
+        is_ground = depths.place[beside, 1] > depths.place[surface.members, 1].max()
     beside = beside[~is_ground]
-    nearer = depths.log_rate[beside] > np.median(depths.log_rate[surface]) + depths.tolerance[beside]
-    return bool(np.count_nonzero(nearer) > max(_LEAST_GOES_ON, _GOES_ON * len(surface)))
+    farthest_hz = depths.rate_hz[beside] - _SURFACE_SIGMAS * depths.sigma_hz[beside]
+    n_nearer = np.count_nonzero(farthest_hz > (1.0 + _ONE_SURFACE) * surface.rate_hz)
+    return bool(n_nearer > max(_LEAST_GOES_ON, _GOES_ON * len(surface.members)))
 
 
-def _is_in_the_way(depths: _Depths, surface: Ints, way: OwnPath, link: float) -> bool:
+def _is_in_the_way(depths: _Depths, surface: _Surface, way: OwnPath, link: float) -> bool:
     """Whether the box of a surface covers, or nearly covers, the place where we cross it, and has tracks near there.
 
     Going on to turn as we do, and going on straight: nobody knows how long a bend is. While one that ends before, as it
     well may, leads to the same place but for the height of the camera, half a lane, it only has to cover that. What
-    stands on the road that we drive on, and can be hit, only has to be there sideways.
+    stands on the road that we drive on, and can be hit, only has to be there sideways, within half of our width.
     """
-    rate_hz = np.exp(np.median(depths.log_rate[surface]))
-    straight_on, aim = way.aim_at(np.append(0.0, way.reached_s(rate_hz[None])))
+    rate_hz = surface.rate_hz
+    straight_on, aim = way.aim_at(np.append(0.0, way.reached_s(rate_hz)))
     road, goes_on = depths.road, 0.0
     if road is not None and BEND_ENDS * abs(aim[0] - straight_on[0]) < rate_hz / road[2]:
         goes_on = (1.0 - BEND_ENDS) * share_of_bend(way.turn_hz)
     aims = np.stack([straight_on + goes_on * (aim - straight_on), aim])
-    place = depths.place[surface[depths.stands[surface]]]
-    if depths.on_ground and depths.height is not None:
-        place, aims = place[:, :1], aims[:, :1]
+    place = depths.place[surface.members[depths.stand(surface.members, rate_hz)]]
+    half_width = 0.0
+    if depths.on_ground and road is not None:
+        place, aims, half_width = place[:, :1], aims[:, :1], OWN_HALF_WIDTH * rate_hz / road[2]
     gap = np.maximum(np.maximum(place.min(axis=0) - aims, aims - place.max(axis=0)), 0.0)
-    is_covered = np.all(gap <= _OFF_LINK * link, axis=1)
-    is_near = np.linalg.norm(place[:, None] - aims, axis=2).min(axis=0) <= _LINKS * link
+    is_covered = np.all(gap <= max(_OFF_LINK * link, half_width), axis=1)
+    is_near = np.linalg.norm(place[:, None] - aims, axis=2).min(axis=0) <= max(_LINKS * link, half_width)
     return bool(np.all(is_covered & is_near))

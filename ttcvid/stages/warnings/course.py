@@ -15,6 +15,7 @@ from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, MotionState
+from ttcvid.stages.segmentation.ground_plane import OWN_HALF_WIDTH
 from ttcvid.stages.segmentation.own_turn import OwnBend
 
 ClosingOf = Callable[[int], Closing | None]
@@ -28,8 +29,6 @@ _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
 # The search for the beginning of braking adds this to its statistic (`geometry.estimation.closing.fit_braking`);
 # braking is extrapolated for this long, s.
 _SIGMAS_OF_CHOICE, _LASTING_S = 0.35, 1.0
-# Half of our own width in heights of the camera above the road: 0.9 m of 1.3 m in cars, alike in vans and lorries.
-_HALF_HEIGHTS = 0.7
 # We reach as far before the lens as beside it, so that our part of the miss distance is whole up to 60 deg off our way.
 _FULL_UNTIL = 2.0
 # A smaller turn until the closest approach counts as straight, rad.
@@ -215,4 +214,4 @@ def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoin
         return half
     if not math.isfinite(height):
         return min(_WITH_OURS * ahead + _LEAST_ACROSS, 1.0) * seen
-    return half + _HALF_HEIGHTS * max(height, 0.0) * min(_FULL_UNTIL * ahead, 1.0)
+    return half + OWN_HALF_WIDTH * max(height, 0.0) * min(_FULL_UNTIL * ahead, 1.0)
