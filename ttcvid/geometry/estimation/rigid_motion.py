@@ -165,22 +165,26 @@ class Surprise:
 
     ``off (M, 2)`` of where the path of its thing leads each, in the plane z = 1; ``chi2 (M,)`` of that, with two
     degrees of freedom, ``line_chi2 (M,)`` of where its own course over the last views leads; ``past_redchi (M,)``
-    reduced chi-square of the earlier views on the path. 0 where these say nothing.
+    reduced chi-square of the earlier views on the path. 0 where these say nothing. ``is_past_off (M, L)`` views that
+    are displaced, the last one not: most others lie on the path, later ones among them.
     """
 
     off: Floats
     chi2: Floats
     line_chi2: Floats
     past_redchi: Floats
+    is_past_off: Bools
 
 
 def surprise_of_newest(points: Points, paths: RigidPaths, rate_hz: Floats) -> Surprise:
     """How far the points are now from where their earlier views lead; ``rate_hz (M,)`` to start from, NaN: none."""
     m = len(points.track)
-    found = np.empty((m, 2)), np.empty(m), np.empty(m), np.empty(m)
-    ways = ways_of(paths, points.rays.shape[2])
+    n_lanes = points.rays.shape[2]
+    found = np.empty((m, 2)), np.empty(m), np.empty(m), np.empty(m), np.zeros((m, n_lanes), dtype=bool)
+    ways = ways_of(paths, n_lanes)
     predict_newest(points.rays, points.track, points.thing, ways, points.sigma_norm, points.since_s, rate_hz, found)
-    return Surprise(*found)
+    *of_newest, is_past_off = found
+    return Surprise(*of_newest, is_past_off[:, n_lanes - len(points.since_s) :])
 
 
 def ways_of(paths: RigidPaths, n_views: int) -> Floats:

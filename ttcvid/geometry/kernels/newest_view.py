@@ -1,4 +1,7 @@
-"""Whether the newest view of a point is where the earlier ones lead: by the path of its body, and by its own course."""
+"""Which views of a point are displaced: the newest, if it is not where the earlier ones lead, and single earlier ones.
+
+By the path of its body, and the newest also by its own course.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +9,31 @@ import numpy as np
 
 from ttcvid.compiled import ZERO, compiled, compiled_for
 from ttcvid.geometry.kernels import path_point
-from ttcvid.model import Floats, Ints
+from ttcvid.model import Bools, Floats, Ints
 
 # A track goes straight on over so many views. On a parabola it then leaves their line by so many times as much as each
 # of them is off the middle of its neighbours.
 _STRAIGHT_VIEWS, _BEND = 4, 5.0
 # Noise bends three views by less than so many times its variance in 19 cases of 20 (1.5 in each of two coordinates).
 _NOT_BENT = 9.0
-# Gauss-Newton steps on a point from its last rate.
-_N_STEPS = 4
+# Gauss-Newton steps on a point from its last rate, and further ones that let go of views far off.
+_N_STEPS, _N_MORE_STEPS = 4, 2
+# An earlier view is displaced if it is off by more than the second, squared, while later ones are within the first, as
+# so many views and this part of all are.
+_IN, _OFF, _LEAST_IN, _LEAST_PART_IN = 3.0**2, 6.0**2, 4, 0.5
 _OWN, _WITH_X, _WITH_Y = path_point.OWN, path_point.WITH_X, path_point.WITH_Y
 _SCORE_X, _SCORE_Y = path_point.SCORE_X, path_point.SCORE_Y
 _X, _Y, _INVERSE, _TIME = path_point.X, path_point.Y, path_point.INVERSE, path_point.TIME
 _PATH_X, _PATH_Y, _PATH_Z = path_point.PATH_X, path_point.PATH_Y, path_point.PATH_Z
 _N_ROWS, _N_SUMS, _LIMIT = path_point.N_ROWS, path_point.N_SUMS, path_point.ROBUST_SIGMAS**2
-_add_views, _rate_equation, _list_turned = (
-    path_point.add_views_by_length,
-    path_point.rate_equation,
-    path_point.list_turned,
-)
+_add_views, _add_views_near = path_point.add_views_by_length, path_point.add_views
+_rate_equation, _list_turned = path_point.rate_equation, path_point.list_turned
+_LEAST_DEPTH_RATIO = path_point.LEAST_DEPTH_RATIO
 
 
 @compiled_for(
     "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], f8[::1], f8[::1], "
-    "Tuple((f8[:, ::1], f8[::1], f8[::1], f8[::1])))"
+    "Tuple((f8[:, ::1], f8[::1], f8[::1], f8[::1], b1[:, ::1])))"
 )
 def predict_newest(
     rays: Floats,
@@ -39,20 +43,21 @@ def predict_newest(
     sigma: Floats,
     since_s: Floats,
     start: Floats,
-    found: tuple[Floats, Floats, Floats, Floats],
+    found: tuple[Floats, Floats, Floats, Floats, Bools],
 ) -> None:
     """Fill ``found``, the fields of `rigid_motion.Surprise`, point by point.
 
     Arguments as of `rigid_points.fit_rigid_points`; ``start (M,)`` are rates to start from.
     """
-    off, chi2, line_chi2, past_redchi = found
+    off, chi2, line_chi2, past_redchi, is_past_off = found
     views, sums, s = np.empty((_N_ROWS, rays.shape[2])), np.empty(_N_SUMS), np.empty(3)
+    near, near_sums = np.empty(3), np.empty(_N_SUMS)
     last, before = rays.shape[2] - 1, rays.shape[2] - len(since_s)
     for k in range(rays.shape[2]):
         views[_TIME, k] = since_s[k - before] if k >= before else 0.0
     for m in range(len(track)):
         n = _list_turned(rays, track[m], ways, body[m], 1.0 / sigma[track[m]], views)
-        off[m, 0], off[m, 1], chi2[m], line_chi2[m], past_redchi[m] = 0.0, 0.0, 0.0, 0.0, 0.0
+        off[m, 0], off[m, 1], chi2[m], line_chi2[m], past_redchi[m], is_past_off[m] = 0.0, 0.0, 0.0, 0.0, 0.0, False
         # With fewer than three earlier views nothing tells how straight the point went.
         if n < 4 or not views[_INVERSE, last] > 0.0:
             continue
@@ -67,12 +72,20 @@ def predict_newest(
         for count in range(_N_STEPS + 1):
             sums[:] = 0.0
             _add_views(views, ZERO, last, s, _LIMIT, sums)
-            info, score = _rate_equation(sums)
             if count < _N_STEPS:
-                change = max(score / info, -s[2]) if info > 0.0 else 0.0
-                s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
-                s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
-                s[2] += change
+                _step(sums, s)
+        # One view is the last, and three unknowns are fitted to the others.
+        past_redchi[m] = sums[path_point.CHI2] / (2 * n - 5)
+        near[:] = s
+        for _ in range(_N_MORE_STEPS + 1):
+            near_sums[:] = 0.0
+            _add_views_near(views, ZERO, last, near, _LIMIT, 1.0, near_sums)
+            if near_sums[_OWN] > 0.0:
+                _step(near_sums, near)
+        if _count_in(views, near) >= max(float(_LEAST_IN), _LEAST_PART_IN * (n - 1)):
+            s[:], sums[:] = near, near_sums
+            _mark_off(views, s, is_past_off[m])
+        info, _ = _rate_equation(sums)
         # The place is known to 1 / own, and along (x, y) as rho is.
         rx, ry = views[_X, last] - s[0], views[_Y, last] - s[1]
         own, along_x, along_y = sums[_OWN], sums[_WITH_X] / sums[_OWN], sums[_WITH_Y] / sums[_OWN]
@@ -80,8 +93,49 @@ def predict_newest(
         along, known = along_x * rx + along_y * ry, variance * max(info, 0.0) + along_x * along_x + along_y * along_y
         off_path = (rx * rx + ry * ry - (along * along / known if known > 0.0 else 0.0)) / variance
         off[m, 0], off[m, 1], chi2[m], line_chi2[m] = rx, ry, off_path, _off_line(views, last)
-        # One view is the last, and three unknowns are fitted to the others.
-        past_redchi[m] = sums[path_point.CHI2] / (2 * n - 5)
+
+
+@compiled
+def _step(sums: Floats, s: Floats) -> None:
+    """Move the state of a point by a Gauss-Newton step; its rate stays positive."""
+    info, score = _rate_equation(sums)
+    change = max(score / info, -s[2]) if info > 0.0 else 0.0
+    s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
+    s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
+    s[2] += change
+
+
+@compiled
+def _count_in(views: Floats, s: Floats) -> int:
+    """In how many views before the last the point is where its body leads."""
+    n_in = 0
+    for k in range(views.shape[1] - 1):
+        n_in += 1 if views[_INVERSE, k] > 0.0 and _square_at(views, k, s) < _IN else 0
+    return n_in
+
+
+@compiled
+def _mark_off(views: Floats, s: Floats, is_off: Bools) -> None:
+    """Mark those views that are displaced: later ones are again where most are.
+
+    Nothing is said of the last, and of what has left the path of its body for good.
+    """
+    last, is_back = views.shape[1] - 1, False
+    for back in range(last + 1):
+        k = last - back
+        if not views[_INVERSE, k] > 0.0:
+            continue
+        square = _square_at(views, k, s)
+        is_off[k] = is_back and square > _OFF
+        is_back = is_back or square < _IN
+
+
+@compiled
+def _square_at(views: Floats, k: int, s: Floats) -> float:
+    """Squared residual of view k, in variances."""
+    h = 1.0 / max(1.0 + s[2] * views[_PATH_Z, k], _LEAST_DEPTH_RATIO)
+    rx, ry = views[_X, k] - (s[0] + s[2] * views[_PATH_X, k]) * h, views[_Y, k] - (s[1] + s[2] * views[_PATH_Y, k]) * h
+    return float((rx * rx + ry * ry) * views[_INVERSE, k] ** 2)
 
 
 @compiled

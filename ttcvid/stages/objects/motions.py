@@ -86,7 +86,8 @@ def find_motions(
         found, memory = find_bodies(
             history, views, egomotion, config.egomotion.platform, may_start, memory, config.bodies
         )
-        history = without_displaced(replace(history, cam_R_past=found.seen.scene.cam_R_past[0]), found.is_displaced)
+        history = replace(history, cam_R_past=found.seen.scene.cam_R_past[0])
+        history = without_displaced(history, found.is_displaced, found.is_past_off)
         is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.redchi < _LOST_REDCHI)
         objects = _object_motions(history, found, is_free, plane, camera, times)

@@ -83,12 +83,14 @@ class Segmentation:
     key : ``(N,)`` body of each track; 0 the scene.
     movers, seen : the bodies; the scene, and how it explains each track.
     is_displaced : ``(N,)`` tracks whose present observation is displaced: no body explains it.
+    is_past_off : ``(L, N)`` earlier observations that are.
     """
 
     key: Ints
     movers: Movers
     seen: SeenScene
     is_displaced: Bools
+    is_past_off: Bools
 
 
 def in_scene(memory: BodyMemory, track_id: Ints) -> Bools:
@@ -118,7 +120,7 @@ def find_bodies(
     seen = see_scene(history, egomotion, platform, memory.scene, memory.road, views, labels, config)
 
     movers = _refined(movers, seen.scene, views, key, seen.median_redchi)
-    is_displaced = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), config)
+    is_displaced, is_past_off = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     # Tracks of the scene that fit it and are far from movers keep their label.
     neighbours = views.neighbours(views.is_free & (seen.redchi > config.scene_gate), key != SCENE_CLUSTER)
@@ -134,13 +136,13 @@ def find_bodies(
     tracks = _with_lost(history, memory, key, seen.rate_hz)
     surfaces = memory.obstacles, memory.growing
     memory = BodyMemory(seen.scene, movers, *tracks, seen.road, next_key, next_cluster_id, *surfaces, history.frame)
-    return Segmentation(key, movers, seen, is_displaced), memory
+    return Segmentation(key, movers, seen, is_displaced, is_past_off), memory
 
 
 def _are_displaced(
     views: BodyViews, seen: SeenScene, movers: Movers, labels: TrackLabels, config: BodiesConfig
-) -> Bools:
-    """Whether the present observation of tracks ``(N,)`` is displaced: off the path of their body.
+) -> tuple[Bools, Bools]:
+    """Whether the present observation of tracks ``(N,)`` is displaced, off the path of their body; earlier ones (L, N).
 
     Where the earlier observations do not follow that path, also off their own course.
 
@@ -163,15 +165,16 @@ def _are_displaced(
         odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + np.count_nonzero(tells))
         limit = np.clip(2.0 * np.log(area / (median_chi2 * odds)), _LEAST_CHI2, _MOST_CHI2)
         is_displaced = is_known & (chi2 > limit * median_chi2)
+    is_past_off = surprise.is_past_off.T
     if not is_displaced.any():
-        return is_displaced
+        return is_displaced, is_past_off
     beside = views.neighbours(is_displaced, np.zeros_like(is_displaced))[is_displaced]
     off = surprise.off[is_displaced]
     apart = np.linalg.norm(surprise.off[beside] - off[:, None], axis=2)
     is_alike = apart < _ALIKE * np.linalg.norm(off, axis=1)[:, None]
     is_alike &= beside != np.flatnonzero(is_displaced)[:, None]
     is_displaced[is_displaced] = ~is_alike.any(axis=1)
-    return is_displaced
+    return is_displaced, is_past_off
 
 
 def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) -> Movers:

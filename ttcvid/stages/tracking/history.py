@@ -316,17 +316,18 @@ def last_frame_only(history: TrackHistory) -> TrackHistory:
     )
 
 
-def without_displaced(history: TrackHistory, is_displaced: Bools) -> TrackHistory:
-    """The history without the present observation of the tracks ``is_displaced (N,)``.
+def without_displaced(history: TrackHistory, is_displaced: Bools, is_past_off: Bools) -> TrackHistory:
+    """The history without the present observation of the tracks ``is_displaced (N,)``, and ``is_past_off (L, N)``.
 
     What has strayed for longer is not displaced, but has found another thing: its track begins anew, with this one.
     """
-    if not is_displaced.any():
+    if not (is_displaced.any() or is_past_off.any()):
         return history
     rays, now = history.rays.copy(), len(history.rays) - 1
     has_strayed = is_displaced & np.isnan(rays[max(now - _STRAYING_VIEWS, 0) : now, :, 0]).all(axis=0)
     rays[-1, is_displaced & ~has_strayed] = np.nan
     rays[:-1, has_strayed] = np.nan
+    rays[is_past_off] = np.nan
     # It has made its track look noisy: nothing but its peers tells of that now.
     noise_sum = np.where(is_displaced, history.noise_weight, history.noise_sum)
     return replace(history, rays=rays, noise_sum=noise_sum)
