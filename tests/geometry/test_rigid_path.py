@@ -329,3 +329,32 @@ def test_a_point_off_the_path_that_it_followed_is_told_from_one_that_goes_its_ow
     few = surprise_of_newest(points_of(on_path[-3:], sigmas(300)), not_turned(STRAIGHT[None, -3:]), rate_hz)
     assert not few.chi2.any()
     assert not few.past_redchi.any()
+
+
+def test_displaced_views_are_marked_where_later_ones_are_on_the_path_again():
+    rng = np.random.default_rng(4)
+    position = points(200, rng)
+    xy = seen(position, STRAIGHT, SIGMA, rng)
+    # Three views of twelve, none of them the last: 10 px in any direction.
+    is_wrong = np.zeros(xy.shape[:2], dtype=bool)
+    for track in range(200):
+        is_wrong[rng.choice(len(T_S) - 1, 3, replace=False), track] = True
+    angle = rng.uniform(0.0, 2.0 * np.pi, xy.shape[:2])
+    displaced = xy + np.where(is_wrong, 10.0 / 720.0, 0.0)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    rate_hz = SPEED_M_S / position[:, 2]
+    marked = surprise_of_newest(points_of(displaced, sigmas(200)), not_turned(STRAIGHT[None]), rate_hz).is_past_off.T
+    assert np.mean(marked[is_wrong]) > 0.9
+    assert np.mean(marked[~is_wrong]) < 0.01
+
+
+def test_hardly_a_view_of_what_has_left_the_path_for_good_is_displaced():
+    """It stood with the scene, and has begun to move in the last five views. Some paths cross its own once more."""
+    rng = np.random.default_rng(5)
+    position = points(200, rng)
+    xy = seen(position, STRAIGHT, SIGMA, rng)
+    begun_s = np.maximum(T_S - T_S[-5], 0.0)
+    xy[..., 0] += 40.0 / 720.0 * begun_s[:, None]
+    marked = surprise_of_newest(
+        points_of(xy, sigmas(200)), not_turned(STRAIGHT[None]), SPEED_M_S / position[:, 2]
+    ).is_past_off
+    assert np.mean(marked) < 0.02

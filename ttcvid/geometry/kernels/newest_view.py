@@ -16,8 +16,8 @@ from ttcvid.model import Bools, Floats, Ints
 _STRAIGHT_VIEWS, _BEND = 4, 5.0
 # Noise bends three views by less than so many times its variance in 19 cases of 20 (1.5 in each of two coordinates).
 _NOT_BENT = 9.0
-# Gauss-Newton steps on a point from its last rate, and further ones that let go of views far off.
-_N_STEPS, _N_MORE_STEPS = 4, 2
+# Gauss-Newton steps on a point from its last rate; with further ones, that let go of views far off.
+_N_STEPS, _N_ALL_STEPS = 4, 7
 # An earlier view is displaced if it is off by more than the second, squared, while later ones are within the first, as
 # so many views and this part of all are.
 _IN, _OFF, _LEAST_IN, _LEAST_PART_IN = 3.0**2, 6.0**2, 4, 0.5
@@ -51,7 +51,7 @@ def predict_newest(
     """
     off, chi2, line_chi2, past_redchi, is_past_off = found
     views, sums, s = np.empty((_N_ROWS, rays.shape[2])), np.empty(_N_SUMS), np.empty(3)
-    near, near_sums = np.empty(3), np.empty(_N_SUMS)
+    of_all, sums_of_all, square = np.empty(3), np.empty(_N_SUMS), np.empty(rays.shape[2])
     last, before = rays.shape[2] - 1, rays.shape[2] - len(since_s)
     for k in range(rays.shape[2]):
         views[_TIME, k] = since_s[k - before] if k >= before else 0.0
@@ -69,22 +69,24 @@ def predict_newest(
         s[2] = start[m] if start[m] > 0.0 else 0.0
         s[0] = views[_X, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_X, k]
         s[1] = views[_Y, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_Y, k]
-        for count in range(_N_STEPS + 1):
+        for count in range(_N_ALL_STEPS + 1):
             sums[:] = 0.0
-            _add_views(views, ZERO, last, s, _LIMIT, sums)
-            if count < _N_STEPS:
-                _step(sums, s)
-        # One view is the last, and three unknowns are fitted to the others.
-        past_redchi[m] = sums[path_point.CHI2] / (2 * n - 5)
-        near[:] = s
-        for _ in range(_N_MORE_STEPS + 1):
-            near_sums[:] = 0.0
-            _add_views_near(views, ZERO, last, near, _LIMIT, 1.0, near_sums)
-            if near_sums[_OWN] > 0.0:
-                _step(near_sums, near)
-        if _count_in(views, near) >= max(float(_LEAST_IN), _LEAST_PART_IN * (n - 1)):
-            s[:], sums[:] = near, near_sums
-            _mark_off(views, s, is_past_off[m])
+            if count <= _N_STEPS:
+                _add_views(views, ZERO, last, s, _LIMIT, sums)
+            else:
+                _add_views_near(views, ZERO, last, s, _LIMIT, 1.0, sums)
+            if count == _N_STEPS:
+                # One view is the last, and three unknowns are fitted to the others.
+                past_redchi[m] = sums[path_point.CHI2] / (2 * n - 5)
+                of_all[:], sums_of_all[:] = s, sums
+            if count < _N_ALL_STEPS:
+                info, score = _rate_equation(sums)
+                change = max(score / info, -s[2]) if info > 0.0 else 0.0
+                s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
+                s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
+                s[2] += change
+        if not _most_are_in(views, s, square, is_past_off[m]):
+            s[:], sums[:] = of_all, sums_of_all
         info, _ = _rate_equation(sums)
         # The place is known to 1 / own, and along (x, y) as rho is.
         rx, ry = views[_X, last] - s[0], views[_Y, last] - s[1]
@@ -96,46 +98,30 @@ def predict_newest(
 
 
 @compiled
-def _step(sums: Floats, s: Floats) -> None:
-    """Move the state of a point by a Gauss-Newton step; its rate stays positive."""
-    info, score = _rate_equation(sums)
-    change = max(score / info, -s[2]) if info > 0.0 else 0.0
-    s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
-    s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
-    s[2] += change
+def _most_are_in(views: Floats, s: Floats, square: Floats, is_off: Bools) -> bool:
+    """Whether most views before the last are where the body leads; those are marked that are far off before such ones.
 
-
-@compiled
-def _count_in(views: Floats, s: Floats) -> int:
-    """In how many views before the last the point is where its body leads."""
-    n_in = 0
-    for k in range(views.shape[1] - 1):
-        n_in += 1 if views[_INVERSE, k] > 0.0 and _square_at(views, k, s) < _IN else 0
-    return n_in
-
-
-@compiled
-def _mark_off(views: Floats, s: Floats, is_off: Bools) -> None:
-    """Mark those views that are displaced: later ones are again where most are.
-
-    Nothing is said of the last, and of what has left the path of its body for good.
+    Nothing is said of the last, nor of a point that has left the path of its body for good. ``square`` is room for the
+    squared residuals.
     """
-    last, is_back = views.shape[1] - 1, False
-    for back in range(last + 1):
+    last, n, n_in, is_back = views.shape[1] - 1, 0, 0, False
+    for k in range(last + 1):
+        h = 1.0 / max(1.0 + s[2] * views[_PATH_Z, k], _LEAST_DEPTH_RATIO)
+        rx, ry = (
+            views[_X, k] - (s[0] + s[2] * views[_PATH_X, k]) * h,
+            views[_Y, k] - (s[1] + s[2] * views[_PATH_Y, k]) * h,
+        )
+        square[k] = (rx * rx + ry * ry) * views[_INVERSE, k] * views[_INVERSE, k]
+        if k < last and views[_INVERSE, k] > 0.0:
+            n += 1
+            n_in += 1 if square[k] < _IN else 0
+    is_most = n_in >= max(float(_LEAST_IN), _LEAST_PART_IN * n)
+    for back in range(last + 1 if is_most else 0):
         k = last - back
-        if not views[_INVERSE, k] > 0.0:
-            continue
-        square = _square_at(views, k, s)
-        is_off[k] = is_back and square > _OFF
-        is_back = is_back or square < _IN
-
-
-@compiled
-def _square_at(views: Floats, k: int, s: Floats) -> float:
-    """Squared residual of view k, in variances."""
-    h = 1.0 / max(1.0 + s[2] * views[_PATH_Z, k], _LEAST_DEPTH_RATIO)
-    rx, ry = views[_X, k] - (s[0] + s[2] * views[_PATH_X, k]) * h, views[_Y, k] - (s[1] + s[2] * views[_PATH_Y, k]) * h
-    return float((rx * rx + ry * ry) * views[_INVERSE, k] ** 2)
+        if views[_INVERSE, k] > 0.0:
+            is_off[k] = is_back and square[k] > _OFF
+            is_back = is_back or square[k] < _IN
+    return is_most
 
 
 @compiled

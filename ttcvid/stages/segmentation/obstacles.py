@@ -242,7 +242,8 @@ class _Depths:
 
     def heights(self, index: Ints | slice, rate_hz: Floats) -> Floats:
         """Heights over the road in heights of the camera, at inverse depths ``rate_hz``."""
-        assert self.road is not None and self.below is not None
+        assert self.road is not None
+        assert self.below is not None
         return np.asarray(1.0 - self.below[index] * self.road[2] / np.maximum(rate_hz, _TINY_HZ))
 
     def stand(self, index: Ints | slice, rate_hz: Floats, *, surely: bool = False) -> Bools:
