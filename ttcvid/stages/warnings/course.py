@@ -31,6 +31,9 @@ _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
 _SIGMAS_OF_CHOICE, _LASTING_S = 0.35, 1.0
 # We reach as far before the lens as beside it, so that our part of the miss distance is whole up to 60 deg off our way.
 _FULL_UNTIL = 2.0
+# A driver steers by about this acceleration, heights of the camera / s^2 (0.2 m/s^2): what stands before us at a turn
+# of the road is not hit, and nobody knows so 4 s ahead. Whoever drives before us follows the road as we do.
+_STEERING_HZ2 = 0.15
 # A smaller turn until the closest approach counts as straight, rad.
 _LEAST_TURN_RAD = 0.01
 # Even odds.
@@ -101,7 +104,9 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
         # Without a ground plane, a bridge, roadside trees or road markings look like a wall ahead.
         return None
     *off_widths, sigma_widths = _miss_widths(row, abc_hz, cov, view).tolist()
-    hits = float(ndtr((config.max_miss_widths - math.hypot(*off_widths)) / max(sigma_widths, _TINY)))
+    miss_widths, sigma_widths = math.hypot(*off_widths), max(sigma_widths, _TINY)
+    sides = (config.max_miss_widths - miss_widths, -config.max_miss_widths - miss_widths)
+    hits = float(ndtr(sides[0] / sigma_widths) - ndtr(sides[1] / sigma_widths))
     later_hz = 1.0 / tcpa_s - 1.0 / (_WATCHED_TTC * config.max_ttc_s)
     in_time = float(ndtr(later_hz / max(math.sqrt(cov[2, 2]), _TINY)))
     is_soon = tcpa_s <= config.max_ttc_s
@@ -138,38 +143,44 @@ def _miss_widths(row: ClusterRow, abc_hz: Floats, cov: Floats, view: Viewpoint) 
     face counts: the rest follows it.
     """
     assert row.ref_px is not None
-    bend, on_ground = view.bend, view.on_ground
+    bend, on_ground, tcpa_s = view.bend, view.on_ground, float(row.times.tcpa_s[0])
+    is_standing = row.motion_id == SCENE_MOTION
     box_px = row.front_px if on_ground and row.front_px is not None else row.box_px
     (x0_px, top_px, x1_px, bottom_px), y_px = box_px, row.ref_px[1]
     x_px = 0.5 * (x0_px + x1_px)
     outline_px = ((x_px, y_px), (x0_px, y_px), (x1_px, y_px), (x_px, top_px), (x_px, bottom_px))
     rays = rays_from_pixels(view.camera, np.array(outline_px))
-    straight_on = _missing(rays, abc_hz, cov, view)
-    if bend is None or not on_ground or not abs(bend.turn_rad_s) * float(row.times.tcpa_s[0]) > _LEAST_TURN_RAD:
+    steered = 0.5 * _STEERING_HZ2 * tcpa_s**2 if on_ground and is_standing else 0.0
+    straight_on = _missing(rays, abc_hz, cov, view, steered)
+    if bend is None or not on_ground or not abs(bend.turn_rad_s) * tcpa_s > _LEAST_TURN_RAD:
         return straight_on
     # Objects of the scene's motion stand still on the ground.
-    speed_hz = float(np.linalg.norm(abc_hz)) if row.motion_id == SCENE_MOTION else bend.speed_hz(rays[4, :2])
+    speed_hz = float(np.linalg.norm(abc_hz)) if is_standing else bend.speed_hz(rays[4, :2])
     if speed_hz is None:
         return straight_on
-    along = _along_bend(rays, abc_hz, cov, bend, speed_hz, view)
+    along = _along_bend(rays, abc_hz, cov, bend, speed_hz, view, steered)
     unsure = BEND_ENDS * (along[:3] - straight_on[:3])
     along[3] = math.sqrt(along[3] ** 2 + float(unsure @ unsure))
     return along
 
 
-def _along_bend(rays: Floats, abc_hz: Floats, cov: Floats, bend: OwnBend, speed_hz: float, view: Viewpoint) -> Floats:
+def _along_bend(
+    rays: Floats, abc_hz: Floats, cov: Floats, bend: OwnBend, speed_hz: float, view: Viewpoint, steered: float
+) -> Floats:
     """As `_missing`, in coordinates along our bend; ``speed_hz`` is our speed over the depth of the object."""
     found = straightened(rays[0], abc_hz, bend.heading, speed_hz, bend.turn_rad_s)
     depth = float(found.place[2])
     if not depth > _TINY:
-        return _missing(rays, abc_hz, cov, view)
+        return _missing(rays, abc_hz, cov, view, steered)
     place = np.column_stack([found.place[0] + rays[:, 0] - rays[0, 0], rays[:, 1], np.full(len(rays), depth)]) / depth
     cov = found.jacobian @ cov @ found.jacobian.T / depth**2
-    return _missing(place, found.velocity / depth, cov, view)
+    return _missing(place, found.velocity / depth, cov, view, steered)
 
 
-def _missing(rays: Floats, abc_hz: Floats, cov: Floats, view: Viewpoint) -> Floats:
+def _missing(rays: Floats, abc_hz: Floats, cov: Floats, view: Viewpoint, steered: float) -> Floats:
     """As `_miss_widths`, from the ``rays (5, 3)`` of its box: middle, left, right, top, bottom.
+
+    ``steered`` is how far we may get aside by steering, as a standard deviation in heights of the camera.
 
     The closest point within the height of the box counts: a pedestrian's feet pass below the camera by three times his
     width. A side at 90 deg or more off the axis (fisheye) does not meet the plane z = 1: it is infinitely far.
@@ -193,7 +204,8 @@ def _missing(rays: Floats, abc_hz: Floats, cov: Floats, view: Viewpoint) -> Floa
     sides = off[None] / miss if miss > _TINY else tangent_basis(way).T
     sigma = math.sqrt(max(float(np.max(np.einsum("si,ij,sj->s", sides, cov, sides))), 0.0))
     width = _width(way, left, right, bottom, view)
-    return np.append(off, abs(ahead) / speed * sigma) / width
+    aside = steered * max(_height_of_camera(way, bottom), 0.0) if steered > 0.0 else 0.0
+    return np.append(off, math.hypot(abs(ahead) / speed * sigma, aside)) / width
 
 
 def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoint) -> float:
@@ -207,11 +219,15 @@ def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoin
     ahead = along / level if level > 0.0 else 1.0
     seen = (right if math.isfinite(right) else math.inf) - (left if math.isfinite(left) else -math.inf)
     seen = max(seen, 1.0 / view.camera.fx_px)
-    # Height of the camera above the object's foot, in units of depth, for a horizontal motion.
-    height = bottom - way[1] / way[2] if view.on_ground and along >= _TINY else math.nan
+    height = _height_of_camera(way, bottom) if view.on_ground and along >= _TINY else math.nan
     half = 0.5 * min(ahead + _LEAST_ACROSS, 1.0) * seen
     if view.at_rest:
         return half
     if not math.isfinite(height):
         return min(_WITH_OURS * ahead + _LEAST_ACROSS, 1.0) * seen
     return half + OWN_HALF_WIDTH * max(height, 0.0) * min(_FULL_UNTIL * ahead, 1.0)
+
+
+def _height_of_camera(way: Floats, bottom: float) -> float:
+    """Height of the camera above the foot of an object at ``bottom``, in units of its depth, for a horizontal motion."""
+    return bottom - float(way[1]) / float(way[2])
