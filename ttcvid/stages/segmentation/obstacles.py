@@ -37,8 +37,6 @@ _LEAST_GOES_ON, _GOES_ON = 2.0, 0.25
 _LINKS = 2.0
 # On a road they are at most this many camera heights apart.
 _BESIDE = 1.5
-# Difference of chi-square that takes a thing out of our way.
-_MUCH_BETTER = 9.0
 # The box of the tracks may miss the aim by `_OFF_LINK` link lengths, since tracks do not reach the rim; by `_KEPT`
 # times that for a known obstacle.
 _OFF_LINK, _KEPT = 0.33, 1.5
@@ -186,7 +184,7 @@ def _surfaces(
         if not depths.can_be_hit(surface, way):
             continue
         is_again = is_known[index[surface.members]].mean() > 0.5
-        if _is_along_our_way(surface, depths, way, is_again) or (not is_again and _goes_on(surface, depths, pairs)):
+        if not is_again and _goes_on(surface, depths, pairs):
             continue
         has_come = is_confirmed[index[surface.members]].mean() > 0.5
         if not (has_come or depths.reaches_down(surface)):
@@ -331,20 +329,6 @@ def _are_at(depths: _Depths, rate_hz: Floats) -> Bools:
     apart = np.abs(depths.rate_hz - rate_hz)
     is_told = depths.sigma_hz < _TOLD_PART * rate_hz
     return np.asarray(is_told & (apart < _ONE_SURFACE * rate_hz + _SURFACE_SIGMAS * depths.sigma_hz))
-
-
-def _is_along_our_way(surface: _Surface, depths: _Depths, way: OwnPath, is_again: bool) -> bool:
-    """Whether a wall or a fence along our way explains the tracks of a surface better than one depth does.
-
-    What lies in a plane along our way, at one side of it, has inverse depths in proportion to how far beside our heading
-    it is seen. What was in our way before has to be explained much better so.
-    """
-    upright = surface.members[depths.stand(surface.members, surface.rate_hz)]
-    rate_hz, beside = depths.rate_hz[upright], depths.place[upright, 0] - way.aim_at(way.reached_s(surface.rate_hz))[0, 0]
-    weight = 1.0 / (depths.sigma_hz[upright] ** 2 + (_ONE_SURFACE * surface.rate_hz) ** 2)
-    slope = (weight * beside) @ rate_hz / max((weight * beside) @ beside, _TINY_HZ)
-    of_wall, of_depth = (weight @ (rate_hz - by) ** 2 for by in (slope * beside, surface.rate_hz))
-    return bool(of_wall + (_MUCH_BETTER if is_again else 0.0) < of_depth)
 
 
 def _goes_on(surface: _Surface, depths: _Depths, pairs: Ints) -> bool:

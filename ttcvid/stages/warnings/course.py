@@ -229,5 +229,5 @@ def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoin
 
 
 def _height_of_camera(way: Floats, bottom: float) -> float:
-    """Height of the camera above the foot of an object at ``bottom``, in units of its depth, for a horizontal motion."""
+    """Height of the camera above the foot of an object at ``bottom``, in units of its depth; it moves on the level."""
     return bottom - float(way[1]) / float(way[2])
