@@ -23,7 +23,10 @@ from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 # Points of an object have inverse depths within this share of each other's and so many standard deviations.
 _ONE_THING, _SIGMAS = 0.12, 2.0
 # Least number of points of an object; its foot is the middle one of so many lowest points, of which one may be wrong.
-_LEAST_POINTS, _FOOT = 4, 3
+# Where so many of its points lie under the road, it does.
+_LEAST_POINTS, _FOOT, _LEAST_UNDER = 4, 3, 2
+# What lies under the road reaches at most so many camera heights aside of its points there.
+_BESIDE = 0.5
 ON_ROAD = 0.2
 """A point may be on the road if its inverse depth is within this share of the road's."""
 # A foot with less than the first share of the road's inverse depth is under the road, with more than the second over
@@ -124,15 +127,21 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     things, _ = things.where((x >= left) & (x <= right))
     feet, upright_feet = _feet_of(things, seen), _feet_of(upright, seen)
     is_large = things.lengths >= _LEAST_POINTS
-    lies_under = is_large & feet.lie_under
+    is_under = feet.reach_under(things, seen)
+    lies_under = is_large & (np.bincount(things.set_of, is_under, n_things) >= _LEAST_UNDER)
     is_asked = is_large & ~lies_under & (upright.lengths >= _LEAST_POINTS) & (upright_feet.road_hz > 0.0)
     thing, contradicts = np.full(len(key), -1), lies_under.copy()
     thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
     for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
         contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
     for number in np.flatnonzero(lies_under).tolist():
-        above = _above(seen, things.members(number), int(feet.track[number]), key, xy_px, link_px)
-        thing[above] = number
+        members = things.members(number)
+        thing[members] = -1
+        under = things.index[is_under & (things.set_of == number)]
+        beside = _BESIDE * float(feet.median_hz[number]) / seen.slope_hz
+        members = members[_is_over(seen.place[members, 0], seen.place[under, 0], beside)]
+        above = _above(seen, members, int(under[np.argmin(seen.place[under, 1])]), key, xy_px, link_px)
+        thing[members] = thing[above] = number
     return Contacts(thing, contradicts, is_asked & ~upright_feet.are_high)
 
 
@@ -150,11 +159,14 @@ class _Feet:
     sigma_hz: Floats
     slope_hz: float
 
-    @property
-    def lie_under(self) -> Bools:
-        """Objects ``(K,)`` with a foot significantly under the road that are not part of our own car."""
+    def reach_under(self, things: TrackSets, seen: OnGround) -> Bools:
+        """Tracks ``(M,)`` of the K ``things`` that lie significantly under the road, at the depth of their thing.
+
+        None of what is part of our own car.
+        """
         is_own = (self.median_hz < _KEEPS_DISTANCE * self.road_hz) & (self.road_hz > self.slope_hz / _OWN_FRONT)
-        return np.asarray(~is_own & (_UNDER_PART * self.road_hz - self.median_hz > self._tolerance_hz(_UNDER_PART)))
+        least_hz = np.where(is_own, np.inf, self.median_hz + self._tolerance_hz(_UNDER_PART))
+        return np.asarray(_UNDER_PART * seen.road_hz[things.index] > least_hz[things.set_of])
 
     @property
     def are_high(self) -> Bools:
@@ -174,12 +186,20 @@ def _feet_of(things: TrackSets, seen: OnGround) -> _Feet:
     return _Feet(track, seen.road_hz[track], things.medians(seen.rate_hz[things.index]), sigma_hz, seen.slope_hz)
 
 
+def _is_over(x: Floats, below_x: Floats, beside: float = 0.0) -> Bools:
+    """Which places ``x (M,)`` are over other ones, but for mirrors, or less than ``beside`` aside.
+
+    A car ahead may have the static depth of the houses behind it, which stand on the road beside it.
+    """
+    left, right = below_x.min(), below_x.max()
+    return np.asarray(np.maximum(left - x, x - right) <= max(_OVERHANG * (right - left), beside))
+
+
 def _above(seen: OnGround, members: Ints, foot: int, key: Ints, xy_px: Floats, link_px: float) -> Ints:
     """Upper points of an object, tracks ``(M,)`` with a ``foot``, that look as far away as the background."""
     (x, y), rate_hz = seen.place.T, seen.rate_hz
     is_there = seen.known & seen.is_far & (rate_hz <= rate_hz[members].max()) & (key == key[foot]) & (y < y[foot])
-    left, right = x[members].min(), x[members].max()
-    is_over = np.maximum(left - x, x - right) <= _OVERHANG * (right - left)
+    is_over = _is_over(x, x[members])
     above = np.flatnonzero(is_there & is_over)
     if not len(above):
         return above
