@@ -129,6 +129,16 @@ def test_houses_far_behind_it_would_not():
     assert odd[1] == 0.0
 
 
+def test_a_wall_that_has_the_static_depth_of_a_car_ahead_stays_where_it_stands():
+    """The car, at 20 m with half of our speed, looks as far away as the wall across the road, at 40 m."""
+    car_ahead, wall = rear(), upright((0.0, 3.0), 40.0, (-12.0, 12.0), n=40)
+    odd, _, road_odd = contacts_of(without_hidden(road(), car_ahead), car_ahead, wall, apparent=(0.5, 1.0))
+    assert odd[0] == 1.0
+    # But for what is seen of it over the roof of the car, and within half a camera's height beside.
+    assert odd[1] < 0.25
+    assert road_odd < 0.01
+
+
 def test_a_ridge_at_the_horizon_that_goes_on_to_the_sides_would_not_and_nothing_is_said_of_the_roof():
     ahead, ridge = rear(), far_points((-600.0, 600.0), 41.4)
     odd, _, _ = contacts_of(without_hidden(road(), ahead), ahead, ridge, apparent=(0.0, 0.0))
