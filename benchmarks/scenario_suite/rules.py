@@ -191,12 +191,6 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.common_errors.with_common_errors": _first},
         _stage("segmentation/common_errors"),
     ),
-    "seen_motion": Rule(
-        "approach has to agree with the picture's growth",
-        "amendments",
-        {"stages.segmentation.common_errors.with_seen_motion": _first},
-        _stage("segmentation/common_errors"),
-    ),
     "own_bend": Rule(
         "our own bend in the course",
         "warnings",
