@@ -190,7 +190,7 @@ def _divided(
     views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
 ) -> tuple[Ints, Movers]:
     """Labels ``key (N,)`` over the scene and known movers after merging, and the movers kept."""
-    key, movers, own_redchi = assigned(views, seen, key, movers, neighbours)
+    key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
     return merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
 
