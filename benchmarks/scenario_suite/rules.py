@@ -151,12 +151,6 @@ RULES: dict[str, Rule] = {
         {"stages.update._before_gap": _none},
         (),
     ),
-    "reinitialised": Rule(
-        "movers that went astray are begun anew",
-        "bodies",
-        {"stages.segmentation.reinitialisation.reinitialised": lambda movers, rate_hz, *_: (movers, rate_hz)},
-        _stage("segmentation/reinitialisation"),
-    ),
     "reidentified": Rule(
         "hidden movers are known again",
         "bodies",
@@ -195,12 +189,6 @@ RULES: dict[str, Rule] = {
         "approach has to exceed the tracker's common error",
         "amendments",
         {"stages.segmentation.common_errors.with_common_errors": _first},
-        _stage("segmentation/common_errors"),
-    ),
-    "seen_motion": Rule(
-        "approach has to agree with the picture's growth",
-        "amendments",
-        {"stages.segmentation.common_errors.with_seen_motion": _first},
         _stage("segmentation/common_errors"),
     ),
     "own_bend": Rule(

@@ -279,11 +279,11 @@ def test_motion_is_not_seen_in_noise_more_often_than_stated():
     trials, sigma_hz = 4000, 0.02
     rows = [stated(sigma_hz * rng.normal(size=3), sigma_hz**2, k, (0.2, 0.1), is_timed=False) for k in range(trials)]
     found = [row.motion_state for row in with_times(rows, CAMERA)]
-    # One side of 95 % each for nearer and farther, 95 % of a length of two components for across.
+    # One side of 99.9 % each for nearer and farther, 95 % of a length of two components for across.
     nearer = sum(s in (MotionState.approaching, MotionState.constant_bearing) for s in found) / trials
-    assert nearer == pytest.approx(0.05, abs=0.016)
-    assert found.count(MotionState.receding) / trials == pytest.approx(0.05, abs=0.016)
-    assert found.count(MotionState.no_relative_motion) / trials == pytest.approx(0.90 * 0.95, abs=0.03)
+    assert nearer == pytest.approx(0.001, abs=0.002)
+    assert found.count(MotionState.receding) / trials == pytest.approx(0.001, abs=0.002)
+    assert found.count(MotionState.no_relative_motion) / trials == pytest.approx(0.95, abs=0.015)
 
 
 def test_constant_bearing_is_seen_as_such_and_as_an_approach_in_95_of_100():

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.estimation.closing import Closing
-from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, CollisionTimes, Floats, TrackRows
+from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
+from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, CollisionTimes, Floats, Ints, TrackRows
 from ttcvid.stages.egomotion.flows import select_flows
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ranked, rows_of, with_epipole_pixels, with_times
@@ -17,12 +19,7 @@ from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.paper_track_states import three_frame_states, track_directions, two_frame_states
 from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.objects.track_states import multi_frame_states
-from ttcvid.stages.segmentation.common_errors import (
-    CommonViews,
-    braking_of_tracks,
-    with_common_errors,
-    with_seen_motion,
-)
+from ttcvid.stages.segmentation.common_errors import braking_of_tracks, with_common_errors
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -60,20 +57,18 @@ def cluster_rows(
     """Rows of the scene and of all objects, ascending in ``cluster_id``."""
     members = TrackSets.of([motion.members for motion in motions.clusters])
     past = history.now - min(EXPANSION_FRAMES, history.n_past)
-    views = CommonViews(history.derotated(past), history.rays[history.now], -float(history.since_s[past]))
+    gap_s = -float(history.since_s[past])
     # The scene's picture expands differently at each depth.
     is_object = np.array([motion.cluster_id != SCENE_CLUSTER for motion in motions.clusters], dtype=bool)
     nothing = np.empty(0, dtype=np.int64)
-    growth = views.expansions(
-        [motion.members if asked else nothing for motion, asked in zip(motions.clusters, is_object, strict=True)]
-    )
-    rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, growth[0])
+    objects = [motion.members if motion.cluster_id != SCENE_CLUSTER else nothing for motion in motions.clusters]
+    expansion_hz = _expansions(history, objects, past)
+    rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, expansion_hz)
     # Without a ray, outside of the lens model, a point has no part in the size.
-    xy_px = np.where(np.isfinite(views.now[:, :1]), history.xy_px, np.nan)
+    xy_px = np.where(np.isfinite(history.rays[history.now, :, :1]), history.xy_px, np.nan)
     radius_px = members.radii(xy_px, is_object)
-    rows = with_common_errors(rows, members, radius_px, _age_s(history), views.gap_s, history.common_error_px, camera)
-    rows = with_times(with_epipole_pixels(rows, camera), camera)
-    return tuple(ranked(with_seen_motion(rows, radius_px, growth, views.gap_s, camera)))
+    rows = with_common_errors(rows, members, radius_px, _age_s(history), gap_s, history.common_error_px, camera)
+    return tuple(ranked(with_times(with_epipole_pixels(rows, camera), camera)))
 
 
 def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMotions, least_s: float) -> Closing | None:
@@ -86,6 +81,15 @@ def no_tracks() -> TrackRows:
     """The rows of a frame without tracks."""
     nothing = np.empty(0, dtype=np.int64)
     return TrackRows(nothing, nothing, np.empty((0, 2)), nothing, np.empty(0), CollisionTimes.missing(0), nothing)
+
+
+def _expansions(history: TrackHistory, members: Sequence[Ints], past: int) -> Floats:
+    """Expansion of each of K sets of tracks since the view ``past``: ``(K,)``, 1/s; NaN where unknown."""
+    padded = np.full((len(members), max((len(index) for index in members), default=0)), -1, dtype=np.int64)
+    for row, index in zip(padded, members, strict=True):
+        row[: len(index)] = index
+    gap_s = -float(history.since_s[past])
+    return expansion_of_neighbourhood(history.derotated(past), history.rays[history.now], padded, gap_s)[0]
 
 
 def _age_s(history: TrackHistory) -> Floats:

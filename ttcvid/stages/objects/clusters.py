@@ -29,11 +29,10 @@ from ttcvid.model import (
 from ttcvid.stages.objects.joint_states import JointStates, joint_states
 from ttcvid.stages.objects.near_face import front_boxes
 from ttcvid.stages.objects.states import TrackStates
+from ttcvid.stages.segmentation.common_errors import SIGMAS_999
 from ttcvid.stages.tracking.groups import TrackSets
 
-# Approach, recession and transverse motion are significant at 95 % (one side).
-_SIGMAS_95 = 1.645
-# The same for the transverse rate, a length of two components, in sigmas (95 % of a 2-D Gaussian).
+# Transverse motion is significant at 95 %: of a rate with two components, in sigmas (2-D Gaussian).
 _SIGMAS_95_OF_TWO = 2.45
 # Two directions are equal if their difference is inside 99 % of a 2-D Gaussian.
 _SAME_DIRECTION_CHI2 = 9.21
@@ -255,12 +254,12 @@ def _with_near_ends(times: CollisionTimes, with_relief: CollisionTimes) -> Colli
 
 
 def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionState:
-    """Motion state by tests of the radial rate q (negative: approaching) and the transverse rate u at 95 %, 1/s."""
+    """Motion state by tests of the radial rate q (negative: nearer) at 99.9 % and the transverse u at 95 %, in 1/s."""
     (q, u), (q_sigma, u_sigma) = rates, sigmas
     moves_across = u > _SIGMAS_95_OF_TWO * u_sigma
-    if q < -_SIGMAS_95 * q_sigma:
+    if q < -SIGMAS_999 * q_sigma:
         return MotionState.approaching if moves_across else MotionState.constant_bearing
-    if q > _SIGMAS_95 * q_sigma:
+    if q > SIGMAS_999 * q_sigma:
         return MotionState.receding
     return MotionState.unknown if moves_across else MotionState.no_relative_motion
 

@@ -32,9 +32,6 @@ _LINK_PART = 0.05
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
-# A track that has moved by less than this over so many views, while the camera turned by so much, has stayed on its
-# pixel though the scene did not, px: ten times as much is no noise.
-_STAYING_PX, _STAYING_VIEWS, _TURNED_PX = 0.5, 10, 5.0
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
 _SURE_PART = 0.008
 # A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
@@ -137,10 +134,8 @@ def _object_motions(
     """The movers that have a public number, each with the direction that the whole tracks of its points share."""
     own_id = np.append(NO_CLUSTER, found.movers.cluster_id)[numbers_of(found.key, found.movers)]
     own_id[own_id < 0] = SCENE_CLUSTER
-    # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is. Before a camera that
-    # turns that shows sooner, and whatever the noise; before one that does not, a car ahead that keeps its distance
-    # stays as well.
-    is_text = np.bincount(own_id, ~is_free | _stay_while_we_turn(history)) > 0.5 * np.bincount(own_id)
+    # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is.
+    is_text = np.bincount(own_id, ~is_free) > 0.5 * np.bincount(own_id)
     members = np.flatnonzero((own_id > 0) & is_free & ~is_text[own_id])
     ids = own_id[members]
     public = np.flatnonzero(np.bincount(ids))
@@ -170,17 +165,6 @@ def motions_of(
             motion = on_plane(found, plane, camera)
         motions.append(motion)
     return motions
-
-
-def _stay_while_we_turn(history: TrackHistory) -> Bools:
-    """Tracks (N,) that have stayed on their pixels for long though the camera turned."""
-    rays, n = history.rays, history.n_tracks
-    first = np.isfinite(rays[..., 0]).argmax(axis=0)
-    then = rays[first, np.arange(n)]
-    moved_px = history.focal_px * np.linalg.norm(rays[-1] - then, axis=1)
-    turned = np.einsum("nij,nj->ni", history.cam_R_past[first], then) - then
-    has_turned = history.focal_px * np.linalg.norm(turned, axis=1) > _TURNED_PX
-    return np.asarray((len(rays) - first >= _STAYING_VIEWS) & (moved_px < _STAYING_PX) & has_turned)
 
 
 def _directions(

@@ -16,7 +16,7 @@ from ttcvid.stages.tracking.neighbours import nearest_neighbours
 _N_NEIGHBOURS = 8
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
-LEAST_RATE = 0.4
+_LEAST_RATE = 0.4
 # Above this reduced chi-square all tracks are equally wrong.
 _WORST_REDCHI = 50.0
 
@@ -74,7 +74,7 @@ def cost_of(redchi: Floats) -> Floats:
 def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:
     """The points on the paths of movers, their rates not far below what is usual on each: ``rate_hz (K,)``."""
     median_hz = rate_hz[points.thing]
-    return fit_on_paths(points, movers, median_hz, LEAST_RATE * median_hz)
+    return fit_on_paths(points, movers, median_hz, _LEAST_RATE * median_hz)
 
 
 def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_error_px: float) -> BodyViews:

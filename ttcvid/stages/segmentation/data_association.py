@@ -10,7 +10,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
-from ttcvid.stages.segmentation.body_views import LEAST_RATE, BodyViews, cost_of, fit_on_movers
+from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
@@ -26,8 +26,6 @@ _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
 _AS_STILL = 1.0
 # A hidden mover can be re-identified for this long, s: later its motion may have changed.
 _KNOWN_AGAIN_S = 1.0
-# Proposals of merges and re-initialisations are tried in the first frames of a mover, then every fourth frame.
-_YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 
 
 @dataclass(frozen=True)
@@ -103,62 +101,44 @@ def no_movers(n_views: int) -> Movers:
     return Movers(none, none, none, none, np.empty(0), paths, nothing_known(0))
 
 
-def is_due(n_found: Ints) -> Bools:
-    """Whether proposals are tried for movers in this frame: ``(K,)``, by the number of frames ``n_found (K,)``."""
-    return np.asarray((n_found <= _YOUNG_FRAMES) | (n_found % _DUE_FRAMES == 0))
-
-
 def numbers_of(key: Ints, movers: Movers) -> Ints:
     """Index of the body of each track: ``(N,)``, 0 the scene, else 1 + index of its mover."""
     return np.searchsorted(movers.key, key, side="right")
 
 
-def assigned(
-    views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints
-) -> tuple[Ints, Movers, Floats]:
+def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints) -> tuple[Ints, Floats]:
     """Labels of least cost over the scene, a track's former body and those of its neighbours.
 
     Parameters
     ----------
-    seen : the scene. Unless it rests, movers along our own direction share its trajectory.
     key : ``(N,)`` former body of each track.
     neighbours : ``(N, K)`` neighbours of tracks that belong to a mover or are beside one; of others, themselves.
 
     Returns
     -------
-    Key ``(N,)`` of the body of each track; the movers, those along our direction on the trajectory of the scene; and
-    the reduced chi-square of each track on its body, over the median one of the scene.
+    Key ``(N,)`` of the body of each track, and the reduced chi-square of each track on its body, over the median one of
+    the scene.
     """
-    redchi, scene_fit = seen.redchi, seen.fit
+    redchi = seen.redchi
     if not len(movers):
-        return key, movers, redchi
+        return key, redchi
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = _votes(number, neighbours, n_bodies)
     # As one array, so that both are contiguous: other types would compile the fit of points a second time.
     track, mover = np.array(np.nonzero((votes[:, 1:] > 0) | (number[:, None] == np.arange(1, n_bodies))))
     points = views.points(track, mover)
     fit = fit_on_movers(points, movers.paths, movers.rate_hz)
-    off, rate_hz, sigma_hz = fit.redchi / seen.median_redchi, fit.rate_hz, fit.rate_sigma_hz
+    off = fit.redchi / seen.median_redchi
     is_own = number[track] == mover + 1
-    if not seen.rests:
-        # All former tracks of a mover count: those that its own trajectory no longer explains say most.
-        is_along = _most_of(is_own & (seen.seen_redchi[track] < off), is_own, mover, len(movers))
-        movers = _on_path_of(seen, movers, number, is_along)
-        along = is_along[mover]
-        most_hz = scene_fit.rate_hz + _RATE_SIGMAS * scene_fit.rate_sigma_hz
-        is_far = most_hz[track] < LEAST_RATE * movers.rate_hz[mover]
-        off = np.where(along, np.where(is_far, np.inf, seen.seen_redchi[track]), off)
-        rate_hz = np.where(along, scene_fit.rate_hz[track], rate_hz)
-        sigma_hz = np.where(along, scene_fit.rate_sigma_hz[track], sigma_hz)
     is_other = redchi[track] < _SCENE_EXPLAINS
-    is_other &= are_nearer(rate_hz, sigma_hz, mover, is_own, len(movers))
+    is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, is_own, len(movers))
     is_still = _most_of(is_own & (redchi[track] < _AS_STILL), is_own, mover, len(movers))
     # Infinite: combinations that are not tried, or excluded.
     redchis = np.full((len(key), n_bodies), np.inf)
     redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_still[mover], np.inf, off)
-    best = np.argmin(_costs(redchis, votes, number, scene_fit.n_views, seen.camera_rests), axis=1)
+    best = np.argmin(_costs(redchis, votes, number, seen.fit.n_views, seen.camera_rests), axis=1)
     own_redchi = np.take_along_axis(redchis, best[:, None], axis=1)[:, 0]
-    return np.append(SCENE_CLUSTER, movers.key)[best], movers, own_redchi
+    return np.append(SCENE_CLUSTER, movers.key)[best], own_redchi
 
 
 def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
@@ -167,23 +147,6 @@ def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
     ``mover (M,)`` is the mover that each track is tried for.
     """
     return np.asarray(np.bincount(mover, is_one, n_movers) > 0.5 * np.bincount(mover, is_own, n_movers))
-
-
-def _on_path_of(seen: SeenScene, movers: Movers, number: Ints, is_along: Bools) -> Movers:
-    """The movers, those of ``is_along (K,)`` with the trajectory of the scene; ``number (N,)`` body of each track.
-
-    A mover along our own direction has the scene's trajectory up to its speed. Only its expansion would determine a
-    trajectory of its own, and one refinement step a frame lags behind.
-    """
-    if not is_along.any():
-        return movers
-    track = np.flatnonzero(np.append(False, is_along)[number] & (seen.fit.rate_sigma_hz > 0.0))
-    rate_hz = medians(seen.fit.rate_hz[track], number[track] - 1, len(movers))
-    paths = RigidPaths(
-        np.where(is_along[:, None, None, None], seen.scene.cam_R_past, movers.paths.cam_R_past),
-        np.where(is_along[:, None, None], seen.scene.path, movers.paths.path),
-    )
-    return replace(movers, paths=paths, rate_hz=np.where(np.isfinite(rate_hz), rate_hz, movers.rate_hz))
 
 
 def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_things: int) -> Bools:

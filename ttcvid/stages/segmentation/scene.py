@@ -48,7 +48,7 @@ class SeenScene:
     """The scene of a frame, and how it explains the N tracks.
 
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
-    each: of a scene that ``rests``, without motion. ``redchi (N,)``, in units of what is usual, ``median_redchi``, with
+    each: of a scene at rest, without motion. ``redchi (N,)``, in units of what is usual, ``median_redchi``, with
     what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera;
     ``moves_past``: the camera is seen to move past the scene.
     """
@@ -61,7 +61,6 @@ class SeenScene:
     seen_redchi: Floats
     median_redchi: float
     road: RoadMemory
-    rests: bool
     platform: Platform
     moves_past: bool
 
@@ -101,8 +100,7 @@ def see_scene(
     rate_hz = fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
     moves_past = _moves_past(fit, region, is_free)
-    rests = not is_sure and not moves_past
-    if rests:
+    if not is_sure and not moves_past:
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     may_rest = is_free if can_translate else _steps_little(views, scene)
     if egomotion.window is not None:
@@ -120,7 +118,7 @@ def see_scene(
         road_before = road_before.in_units(speed)
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
         redchi = _with_contradictions(redchi, road, on_road(fit, road), key, fit.n_views, config)
-    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, rests, platform, moves_past)
+    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform, moves_past)
 
 
 def _scene(
