@@ -180,11 +180,18 @@ def surprise_of_newest(points: Points, paths: RigidPaths, rate_hz: Floats) -> Su
     """How far the points are now from where their earlier views lead; ``rate_hz (M,)`` to start from, NaN: none."""
     m = len(points.track)
     n_lanes = points.rays.shape[2]
-    found = np.empty((m, 2)), np.empty(m), np.empty(m), np.empty(m), np.zeros((m, n_lanes), dtype=bool)
-    ways = ways_of(paths, n_lanes)
-    predict_newest(points.rays, points.track, points.thing, ways, points.sigma_norm, points.since_s, rate_hz, found)
-    *of_newest, is_past_off = found
-    return Surprise(*of_newest, is_past_off[:, n_lanes - len(points.since_s) :])
+    found = Surprise(np.empty((m, 2)), *np.empty((3, m)), np.zeros((m, n_lanes), dtype=bool))
+    predict_newest(
+        points.rays,
+        points.track,
+        points.thing,
+        ways_of(paths, n_lanes),
+        points.sigma_norm,
+        points.since_s,
+        rate_hz,
+        (found.off, found.chi2, found.line_chi2, found.past_redchi, found.is_past_off),
+    )
+    return replace(found, is_past_off=found.is_past_off[:, n_lanes - len(points.since_s) :])
 
 
 def ways_of(paths: RigidPaths, n_views: int) -> Floats:
