@@ -180,7 +180,8 @@ def surprise_of_newest(points: Points, paths: RigidPaths, rate_hz: Floats) -> Su
     """How far the points are now from where their earlier views lead; ``rate_hz (M,)`` to start from, NaN: none."""
     m = len(points.track)
     n_lanes = points.rays.shape[2]
-    found = Surprise(np.empty((m, 2)), *np.empty((3, m)), np.zeros((m, n_lanes), dtype=bool))
+    chi2, line_chi2, past_redchi = np.empty((3, m))
+    found = Surprise(np.empty((m, 2)), chi2, line_chi2, past_redchi, np.zeros((m, n_lanes), dtype=bool))
     predict_newest(
         points.rays,
         points.track,
