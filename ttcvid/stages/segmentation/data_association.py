@@ -26,6 +26,8 @@ _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
 _AS_STILL = 1.0
 # A hidden mover can be re-identified for this long, s: later its motion may have changed.
 _KNOWN_AGAIN_S = 1.0
+# Proposals of merges and re-initialisations are tried in the first frames of a mover, then every fourth frame.
+_YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,11 @@ def no_movers(n_views: int) -> Movers:
     """Zero movers, with trajectories over ``n_views`` views."""
     none, paths = np.empty(0, dtype=np.int64), RigidPaths(np.empty((0, n_views, 3, 3)), np.empty((0, n_views, 3)))
     return Movers(none, none, none, none, np.empty(0), paths, nothing_known(0))
+
+
+def is_due(n_found: Ints) -> Bools:
+    """Whether proposals are tried for movers in this frame: ``(K,)``, by the number of frames ``n_found (K,)``."""
+    return np.asarray((n_found <= _YOUNG_FRAMES) | (n_found % _DUE_FRAMES == 0))
 
 
 def numbers_of(key: Ints, movers: Movers) -> Ints:

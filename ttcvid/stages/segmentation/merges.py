@@ -11,7 +11,7 @@ from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
-from ttcvid.stages.segmentation.data_association import Movers, numbers_of
+from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
 from ttcvid.stages.tracking.neighbours import linked_parts
 
 # Two bodies, or two parts of one, can be one if the ratio of their inverse depths is below the first factor, or if they
@@ -22,8 +22,6 @@ _ONE_RATE, _BESIDE_RATE, _KNOWN_PART = 1.5, 1.2, 0.25
 # the other up to 30 times as far off before refinement.
 _MERGED_REDCHI, _WORTH_TRYING = 2.0, 32.0
 _LEAST_REDCHI = 1.0
-# Merges are tried in the first frames of a mover, then every fourth frame.
-_YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 # Gauss-Newton steps for the joint trajectory, and largest number of tracks of each mover in its test.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
 _LEAST_TRACKS = 3
@@ -116,8 +114,7 @@ def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[I
     beside = np.zeros((len(movers) + 1, len(movers) + 1), dtype=bool)
     beside[number[:, None], number[neighbours]] = True
     one, other = np.nonzero(np.triu((beside | beside.T)[1:, 1:], 1))
-    n_found = np.minimum(movers.n_found[one], movers.n_found[other])
-    is_asked = (n_found <= _YOUNG_FRAMES) | (n_found % _DUE_FRAMES == 0)
+    is_asked = is_due(np.minimum(movers.n_found[one], movers.n_found[other]))
     is_asked &= np.minimum(counts[one], counts[other]) >= _LEAST_TRACKS
     if not is_asked.any():
         return None
