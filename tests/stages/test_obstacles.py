@@ -172,8 +172,9 @@ def test_a_stopped_car_is_found_by_tracks_that_tell_its_depth_only_together(rng)
     for _ in range(20):
         points = points_of(np.concatenate([road(rng), car]), rng)
         own, fit = np.arange(150, 166), points.fit
-        sigma_hz = fit.rate_sigma_hz.copy()
-        sigma_hz[own] = 0.4 * SPEED_M_S / 32.0
+        sigma_hz, off = fit.rate_sigma_hz.copy(), np.linalg.norm(fit.place[own], axis=1)
+        # The corners tell it to a fifth, the middle tells nothing.
+        sigma_hz[own] = 0.2 * SPEED_M_S / 32.0 * off.max() / off
         rate_hz = np.maximum(fit.rate_hz + np.where(sigma_hz > 0.1, sigma_hz, 0.0) * rng.normal(size=166), 0.0)
         seen = replace(points, fit=replace(fit, rate_hz=rate_hz, rate_sigma_hz=sigma_hz))
         memory, next_id, public = (), 1, {}

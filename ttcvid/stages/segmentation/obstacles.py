@@ -25,10 +25,13 @@ REACHED_WITHIN_S = 6.0
 # A track counts from so many views on, with an inverse depth known to this part of that of its surface; a surface whose
 # own is known to the second part. Near our heading no single track tells much, those of a surface together do.
 _LEAST_VIEWS, _TOLD_PART, _KNOWN_PART = 4, 0.6, 0.15
+# Only what is known to this part puts a surface into our way. Without a road, on which things have a size, nothing else
+# counts at all.
+_WELL_TOLD = 0.25
 # Tracks of one surface have inverse depths within this part of its own, and so many of their standard deviations.
 _ONE_SURFACE, _SURFACE_SIGMAS = 0.12, 2.0
 # A surface is followed so often, with the depth of what was found before.
-_ROUNDS = 3
+_ROUNDS = 2
 # A surface that continues in nearer tracks beside it, more than so many and more than this part of its own, is a
 # slope or a wall along our way.
 _LEAST_GOES_ON, _GOES_ON = 2.0, 0.25
@@ -166,8 +169,7 @@ def _surfaces(
     off = np.linalg.norm(depths.place - way.aim_at(way.reached_s(depths.rate_hz)), axis=1)
     if len(index) < _LEAST_TRACKS or not off.min() < _LOOK:
         return []
-    is_told = depths.sigma_hz < _TOLD_PART * depths.rate_hz
-    asked = is_told & depths.stand(slice(None), depths.rate_hz) & (off < _LOOK)
+    asked = depths.are_told(depths.rate_hz) & depths.stand(slice(None), depths.rate_hz) & (off < _LOOK)
     if not asked.any():
         return []
     pairs = linked_pairs(points.xy_px[index], (_LINKS if road is None else 1.0) * points.link_px)
@@ -241,17 +243,26 @@ class _Depths:
         self.below = None if road is None else y + (road[0] + road[1] * x) / road[2]
 
     def heights(self, index: Ints | slice, rate_hz: Floats) -> Floats:
-        """Heights over the road in heights of the camera, at inverse depths ``rate_hz``."""
+        """Heights over the road, in heights of the camera, of tracks on a surface of inverse depth ``rate_hz``.
+
+        That of a track that tells its own depth well is its own: else the road a little farther would seem to stand.
+        """
         assert self.road is not None
         assert self.below is not None
+        own, of_surface = self.sigma_hz[index] ** -2.0, np.maximum(_ONE_SURFACE * rate_hz, _TINY_HZ) ** -2.0
+        rate_hz = (own * self.rate_hz[index] + of_surface * rate_hz) / (own + of_surface)
         return np.asarray(1.0 - self.below[index] * self.road[2] / np.maximum(rate_hz, _TINY_HZ))
 
     def stand(self, index: Ints | slice, rate_hz: Floats, *, surely: bool = False) -> Bools:
-        """Which tracks do not lie on the road, at inverse depths ``rate_hz``; ``surely`` also where the road rises."""
+        """Which tracks do not lie on the road, on a surface of that depth; ``surely`` also where the road rises."""
         if self.road is None:
             return np.ones(len(self.place[index]), dtype=bool)
         rise = _MOST_RISE * self.road[2] / np.maximum(rate_hz, _TINY_HZ) if surely else 0.0
         return np.asarray(self.heights(index, rate_hz) > _LEAST_HEIGHT + rise)
+
+    def are_told(self, rate_hz: Floats) -> Bools:
+        """Which tracks say anything of a depth; without a road, on which a thing has a size, more."""
+        return np.asarray(self.sigma_hz < (_WELL_TOLD if self.road is None else _TOLD_PART) * rate_hz)
 
     def are_beside(self, pairs: Ints, rate_hz: Floats) -> Bools:
         """Which pairs (M, 2) are parts of one thing of that depth: one of them surely stands, the other is near.
@@ -327,8 +338,7 @@ def _with_surface(found: list[_Surface], surface: _Surface, whole: _Surface) -> 
 def _are_at(depths: _Depths, rate_hz: Floats) -> Bools:
     """Which tracks may have an inverse depth, and tell depths at all."""
     apart = np.abs(depths.rate_hz - rate_hz)
-    is_told = depths.sigma_hz < _TOLD_PART * rate_hz
-    return np.asarray(is_told & (apart < _ONE_SURFACE * rate_hz + _SURFACE_SIGMAS * depths.sigma_hz))
+    return np.asarray(depths.are_told(rate_hz) & (apart < _ONE_SURFACE * rate_hz + _SURFACE_SIGMAS * depths.sigma_hz))
 
 
 def _goes_on(surface: _Surface, depths: _Depths, pairs: Ints) -> bool:
@@ -363,7 +373,11 @@ def _is_in_the_way(depths: _Depths, surface: _Surface, way: OwnPath, link: float
     if road is not None and BEND_ENDS * abs(aim[0] - straight_on[0]) < rate_hz / road[2]:
         goes_on = (1.0 - BEND_ENDS) * share_of_bend(way.turn_hz)
     aims = np.stack([straight_on + goes_on * (aim - straight_on), aim])
-    place = depths.place[surface.members[depths.stand(surface.members, rate_hz)]]
+    own_hz, sigma_hz = depths.rate_hz[surface.members], depths.sigma_hz[surface.members]
+    tells = depths.stand(surface.members, rate_hz) & (sigma_hz < _WELL_TOLD * np.minimum(own_hz, rate_hz))
+    place = depths.place[surface.members[tells]]
+    if not len(place):
+        return False
     half_width = 0.0
     if depths.on_ground and road is not None:
         place, aims, half_width = place[:, :1], aims[:, :1], OWN_HALF_WIDTH * rate_hz / road[2]
