@@ -395,3 +395,14 @@ def test_what_stands_far_ahead_may_be_steered_past_and_what_drives_before_us_fol
     assert far == pytest.approx(2.0 * ndtr(both_m / sigma_m) - 1.0, abs=0.03)
     assert near > 0.99
     assert is_course(car_ahead(0.0, 38.0), on_ground=True, bend=bend)
+
+
+@pytest.mark.parametrize("box_px", [(400.0, 100.0, 500.0, np.nan)])
+@pytest.mark.parametrize("velocity_m_s", [(0.0, 0.0, -10.0), (-10.0, 0.0, 0.0)])
+def test_a_foot_that_is_not_seen_and_what_does_not_come_nearer_have_a_probability(box_px, velocity_m_s):
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=np.array([0.0, 0.0, 8.0]))
+    row = row_of((3.0, 0.0, 20.0), velocity_m_s, relative_sigma=0.005)
+    for box in (box_px, row.box_px):
+        known = replace(row, motion_id=SCENE_MOTION, motion_state=MotionState.approaching, box_px=box)
+        course = course_of(known, Viewpoint(CAMERA, on_ground=True, bend=bend), CONFIG)
+        assert 0.0 <= course.probability <= 1.0

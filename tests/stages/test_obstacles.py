@@ -161,7 +161,7 @@ def test_a_lorry_is_still_there_when_its_low_tracks_are_lost(rng):
 
 @pytest.mark.parametrize("aside_m", [-1.5, 1.5])
 def test_a_stopped_car_that_half_of_our_front_would_hit_is_one(rng, aside_m):
-    """It is 1.8 m wide, and so are we: we would meet over 0.3 m."""
+    """It is 1.8 m wide, we are 1.96 m: we would meet over 0.4 m."""
     assert watched(np.concatenate([road(rng), rear_of_car(rng, aside_m, 25.0)])) != {}
 
 

@@ -16,10 +16,11 @@ from ttcvid.model import Bools, Floats, Ints
 _STRAIGHT_VIEWS, _BEND = 4, 5.0
 # Noise bends three views by less than so many times its variance in 19 cases of 20 (1.5 in each of two coordinates).
 _NOT_BENT = 9.0
-# Gauss-Newton steps on a point from its last rate; with further ones, that let go of views far off.
+# Gauss-Newton steps on a point from its last rate, and with further ones, which let go of views far off
+# (but for the first).
 _N_STEPS, _N_ALL_STEPS = 4, 7
-# An earlier view is displaced if it is off by more than the second, squared, while later ones are within the first, as
-# so many views and this part of all are.
+# An earlier view is displaced if its squared residual exceeds the second and that of a later view is within the first.
+# So many views, and this part of all, have to be within the first.
 _IN, _OFF, _LEAST_IN, _LEAST_PART_IN = 3.0**2, 6.0**2, 4, 0.5
 _OWN, _WITH_X, _WITH_Y = path_point.OWN, path_point.WITH_X, path_point.WITH_Y
 _SCORE_X, _SCORE_Y = path_point.SCORE_X, path_point.SCORE_Y

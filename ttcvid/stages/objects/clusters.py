@@ -32,7 +32,7 @@ from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.segmentation.common_errors import SIGMAS_999
 from ttcvid.stages.tracking.groups import TrackSets
 
-# Transverse motion is significant at 95 %: of a rate with two components, in sigmas (2-D Gaussian).
+# Transverse motion is significant at 95 %. Its rate has two components: 95 % of a 2-D Gaussian, in sigmas.
 _SIGMAS_95_OF_TWO = 2.45
 # Two directions are equal if their difference is inside 99 % of a 2-D Gaussian.
 _SAME_DIRECTION_CHI2 = 9.21

@@ -134,6 +134,7 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
     for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
         contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
+    # A car ahead may have the static depth of the houses behind it, which stand on the road beside it.
     for number in np.flatnonzero(lies_under).tolist():
         members = things.members(number)
         thing[members] = -1
@@ -187,10 +188,7 @@ def _feet_of(things: TrackSets, seen: OnGround) -> _Feet:
 
 
 def _is_over(x: Floats, below_x: Floats, beside: float = 0.0) -> Bools:
-    """Which places ``x (M,)`` are over other ones, but for mirrors, or less than ``beside`` aside.
-
-    A car ahead may have the static depth of the houses behind it, which stand on the road beside it.
-    """
+    """Which ``x (M,)`` are within the span of ``below_x (K,)``, but for mirrors, or at most ``beside`` aside of it."""
     left, right = below_x.min(), below_x.max()
     return np.asarray(np.maximum(left - x, x - right) <= max(_OVERHANG * (right - left), beside))
 

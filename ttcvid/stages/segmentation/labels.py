@@ -83,7 +83,7 @@ class Segmentation:
     key : ``(N,)`` body of each track; 0 the scene.
     movers, seen : the bodies; the scene, and how it explains each track.
     is_displaced : ``(N,)`` tracks whose present observation is displaced: no body explains it.
-    is_past_off : ``(L, N)`` earlier observations that are.
+    is_past_off : ``(L, N)`` earlier observations that are displaced.
     """
 
     key: Ints
@@ -142,9 +142,10 @@ def find_bodies(
 def _are_displaced(
     views: BodyViews, seen: SeenScene, movers: Movers, labels: TrackLabels, config: BodiesConfig
 ) -> tuple[Bools, Bools]:
-    """Whether the present observation of tracks ``(N,)`` is displaced, off the path of their body; earlier ones (L, N).
+    """Whether the present observation of tracks ``(N,)`` is displaced, off the path of their body; and earlier ones.
 
-    Where the earlier observations do not follow that path, also off their own course.
+    Earlier ones, ``(L, N)``, are displaced where later ones are on that path again; none if most of a body are, in a
+    view. Of the present one: where the earlier observations do not follow that path, also off their own course.
 
     Residuals are judged against the median of their body: if most are large, its last step is wrong. A residual that a
     neighbour shares is none of a single observation: it may belong to a mover not found yet.
@@ -165,7 +166,10 @@ def _are_displaced(
         odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + np.count_nonzero(tells))
         limit = np.clip(2.0 * np.log(area / (median_chi2 * odds)), _LEAST_CHI2, _MOST_CHI2)
         is_displaced = is_known & (chi2 > limit * median_chi2)
-    is_past_off = surprise.is_past_off.T
+    is_past_off = surprise.is_past_off.T & views.is_free
+    size = np.bincount(number)
+    for of_view in is_past_off:
+        of_view &= (2 * np.bincount(number, of_view) < size)[number]
     if not is_displaced.any():
         return is_displaced, is_past_off
     beside = views.neighbours(is_displaced, np.zeros_like(is_displaced))[is_displaced]

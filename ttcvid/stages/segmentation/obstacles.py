@@ -164,12 +164,14 @@ def _surfaces(
 
     ``is_known, is_confirmed (N,)`` are tracks of obstacles found before, and of those that are public by now.
     """
-    index = _within_reach(points, way)
+    index, off = _within_reach(points, way)
     depths = _Depths(points.fit.take(index), road, on_ground=on_ground)
-    off = np.linalg.norm(depths.place - way.aim_at(way.reached_s(depths.rate_hz)), axis=1)
-    if len(index) < _LEAST_TRACKS or not off.min() < _LOOK:
+    is_ahead = off < _LOOK
+    if on_ground and road is not None:
+        is_ahead |= off < OWN_HALF_WIDTH * depths.rate_hz / road[2]
+    if len(index) < _LEAST_TRACKS or not is_ahead.any():
         return []
-    asked = depths.are_told(depths.rate_hz) & depths.stand(slice(None), depths.rate_hz) & (off < _LOOK)
+    asked = depths.are_told(depths.rate_hz) & depths.stand(slice(None), depths.rate_hz) & is_ahead
     if not asked.any():
         return []
     pairs = linked_pairs(points.xy_px[index], (_LINKS if road is None else 1.0) * points.link_px)
@@ -180,7 +182,8 @@ def _surfaces(
         seed = int(np.argmin(np.where(asked, off, np.inf)))
         whole = _surface_of(seed, depths, pairs)
         asked[whole.members] = asked[seed] = False
-        surface = depths.without_road_beside(whole.without(is_taken), _OFF_LINK * points.link)
+        own = depths.without_road_beside(whole.without(is_taken), _OFF_LINK * points.link)
+        surface = _surface_at(depths, own.members, whole.rate_hz)
         if not (surface.is_known and way.reached_s(surface.rate_hz) < REACHED_WITHIN_S):
             continue
         if not depths.can_be_hit(surface, way):
@@ -198,13 +201,16 @@ def _surfaces(
     return [index[np.sort(surface.members)] for surface in found]
 
 
-def _within_reach(points: StaticPoints, way: OwnPath) -> Ints:
-    """Tracks of the scene that may be reached soon, near enough to our heading."""
+def _within_reach(points: StaticPoints, way: OwnPath) -> tuple[Ints, Floats]:
+    """Tracks of the scene (M,) that may be reached soon, near enough to our heading, and how far off it each is."""
     fit = points.fit
     seen = np.flatnonzero(points.in_scene & (fit.n_views >= _LEAST_VIEWS) & np.isfinite(fit.rate_sigma_hz))
     nearest_hz = fit.rate_hz[seen] + _SURFACE_SIGMAS * fit.rate_sigma_hz[seen]
-    off = np.linalg.norm(fit.place[seen] - way.aim_at(way.reached_s(fit.rate_hz[seen])), axis=1)
-    return np.asarray(seen[(way.reached_s(nearest_hz) < REACHED_WITHIN_S) & (off < _FOLLOWED)])
+    # What looks farther by its noise is looked for where we are by then.
+    reached_s = np.minimum(way.reached_s(fit.rate_hz[seen]), REACHED_WITHIN_S)
+    off = np.linalg.norm(fit.place[seen] - way.aim_at(reached_s), axis=1)
+    is_near = (way.reached_s(nearest_hz) < REACHED_WITHIN_S) & (off < _FOLLOWED)
+    return seen[is_near], off[is_near]
 
 
 @dataclass(frozen=True)
@@ -305,19 +311,24 @@ class _Depths:
 
 def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> _Surface:
     """Tracks that hang together with a seed and have its depth, then the depth of them all."""
-    rate_hz, sigma_hz, own = depths.rate_hz[seed], np.inf, np.array([seed])
+    surface = _Surface(np.array([seed]), depths.rate_hz[seed], np.inf)
     for _ in range(_ROUNDS):
-        is_alike = _are_at(depths, rate_hz)
+        is_alike = _are_at(depths, surface.rate_hz)
         is_alike[seed] = True
-        label = connected_parts(is_alike, pairs[depths.are_beside(pairs, rate_hz)])
-        own = np.flatnonzero(label == label[seed])
-        upright = own[depths.stand(own, rate_hz)]
-        if not len(upright):
-            return _Surface(own, rate_hz, np.inf)
-        # Parts of a surface lie before and behind its middle: those known best must not decide alone.
-        weight = 1.0 / (depths.sigma_hz[upright] ** 2 + (_ONE_SURFACE * rate_hz) ** 2)
-        rate_hz, sigma_hz = weight @ depths.rate_hz[upright] / weight.sum(), float(1.0 / np.sqrt(weight.sum()))
-    return _Surface(own, rate_hz, sigma_hz)
+        label = connected_parts(is_alike, pairs[depths.are_beside(pairs, surface.rate_hz)])
+        surface = _surface_at(depths, np.flatnonzero(label == label[seed]), surface.rate_hz)
+    return surface
+
+
+def _surface_at(depths: _Depths, members: Ints, rate_hz: Floats) -> _Surface:
+    """Tracks ``(M,)`` of about the inverse depth ``rate_hz``, with the mean of those that stand; not known without."""
+    upright = members[depths.stand(members, rate_hz)]
+    if not len(upright):
+        return _Surface(members, rate_hz, np.inf)
+    # Parts of a surface lie before and behind its middle: those known best must not decide alone.
+    weight = 1.0 / (depths.sigma_hz[upright] ** 2 + (_ONE_SURFACE * rate_hz) ** 2)
+    mean_hz = weight @ depths.rate_hz[upright] / weight.sum()
+    return _Surface(members, mean_hz, float(1.0 / np.sqrt(weight.sum())))
 
 
 def _with_surface(found: list[_Surface], surface: _Surface, whole: _Surface) -> list[_Surface]:

@@ -317,7 +317,7 @@ def last_frame_only(history: TrackHistory) -> TrackHistory:
 
 
 def without_displaced(history: TrackHistory, is_displaced: Bools, is_past_off: Bools) -> TrackHistory:
-    """The history without the present observation of the tracks ``is_displaced (N,)``, and ``is_past_off (L, N)``.
+    """The history without the present observation of ``is_displaced (N,)`` and the earlier ones ``is_past_off (L, N)``.
 
     What has strayed for longer is not displaced, but has found another thing: its track begins anew, with this one.
     """
@@ -328,7 +328,7 @@ def without_displaced(history: TrackHistory, is_displaced: Bools, is_past_off: B
     rays[-1, is_displaced & ~has_strayed] = np.nan
     rays[:-1, has_strayed] = np.nan
     rays[is_past_off] = np.nan
-    # It has made its track look noisy: nothing but its peers tells of that now.
+    # The present one has made its track look noisy: nothing but its peers tells of that now.
     noise_sum = np.where(is_displaced, history.noise_weight, history.noise_sum)
     return replace(history, rays=rays, noise_sum=noise_sum)
 

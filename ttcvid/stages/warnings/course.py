@@ -31,8 +31,8 @@ _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
 _SIGMAS_OF_CHOICE, _LASTING_S = 0.35, 1.0
 # We reach as far before the lens as beside it, so that our part of the miss distance is whole up to 60 deg off our way.
 _FULL_UNTIL = 2.0
-# A driver steers by about this acceleration, heights of the camera / s^2 (0.2 m/s^2): what stands before us at a turn
-# of the road is not hit, and nobody knows so 4 s ahead. Whoever drives before us follows the road as we do.
+# A driver steers by about this acceleration, heights of the camera / s^2 (0.2 m/s^2): four seconds ahead nobody knows
+# whether the road turns before what stands there. Whoever drives before us follows the road as we do.
 _STEERING_HZ2 = 0.15
 # A smaller turn until the closest approach counts as straight, rad.
 _LEAST_TURN_RAD = 0.01
@@ -204,7 +204,8 @@ def _missing(rays: Floats, abc_hz: Floats, cov: Floats, view: Viewpoint, steered
     sides = off[None] / miss if miss > _TINY else tangent_basis(way).T
     sigma = math.sqrt(max(float(np.max(np.einsum("si,ij,sj->s", sides, cov, sides))), 0.0))
     width = _width(way, left, right, bottom, view)
-    aside = steered * max(_height_of_camera(way, bottom), 0.0) if steered > 0.0 else 0.0
+    height = _height_of_camera(way, bottom)
+    aside = steered * height if math.isfinite(height) and height > 0.0 else 0.0
     return np.append(off, math.hypot(abs(ahead) / speed * sigma, aside)) / width
 
 
@@ -219,7 +220,7 @@ def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoin
     ahead = along / level if level > 0.0 else 1.0
     seen = (right if math.isfinite(right) else math.inf) - (left if math.isfinite(left) else -math.inf)
     seen = max(seen, 1.0 / view.camera.fx_px)
-    height = _height_of_camera(way, bottom) if view.on_ground and along >= _TINY else math.nan
+    height = _height_of_camera(way, bottom) if view.on_ground else math.nan
     half = 0.5 * min(ahead + _LEAST_ACROSS, 1.0) * seen
     if view.at_rest:
         return half
@@ -229,5 +230,8 @@ def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoin
 
 
 def _height_of_camera(way: Floats, bottom: float) -> float:
-    """Height of the camera above the foot of an object at ``bottom``, in units of its depth; it moves on the level."""
-    return bottom - float(way[1]) / float(way[2])
+    """Height of the camera above the foot of an object at ``bottom``, in units of its depth; it moves on the level.
+
+    NaN where it does not come nearer.
+    """
+    return bottom - float(way[1]) / float(way[2]) if abs(way[2]) >= _TINY else math.nan
