@@ -86,7 +86,22 @@ def predict_newest(
                 s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
                 s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
                 s[2] += change
-        if not _most_are_in(views, s, square, is_past_off[m]):
+        n_in = 0
+        for k in range(last + 1):
+            h = 1.0 / max(1.0 + s[2] * views[_PATH_Z, k], _LEAST_DEPTH_RATIO)
+            rx = (views[_X, k] - (s[0] + s[2] * views[_PATH_X, k]) * h) * views[_INVERSE, k]
+            ry = (views[_Y, k] - (s[1] + s[2] * views[_PATH_Y, k]) * h) * views[_INVERSE, k]
+            square[k] = rx * rx + ry * ry
+            n_in += 1 if k < last and views[_INVERSE, k] > 0.0 and square[k] < _IN else 0
+        if n_in >= max(float(_LEAST_IN), _LEAST_PART_IN * (n - 1)):
+            # Nothing is said of the last view, nor of a point that has left the path of its body for good.
+            is_back = False
+            for back in range(last + 1):
+                k = last - back
+                if views[_INVERSE, k] > 0.0:
+                    is_past_off[m, k] = is_back and square[k] > _OFF
+                    is_back = is_back or square[k] < _IN
+        else:
             s[:], sums[:] = of_all, sums_of_all
         info, _ = _rate_equation(sums)
         # The place is known to 1 / own, and along (x, y) as rho is.
@@ -96,33 +111,6 @@ def predict_newest(
         along, known = along_x * rx + along_y * ry, variance * max(info, 0.0) + along_x * along_x + along_y * along_y
         off_path = (rx * rx + ry * ry - (along * along / known if known > 0.0 else 0.0)) / variance
         off[m, 0], off[m, 1], chi2[m], line_chi2[m] = rx, ry, off_path, _off_line(views, last)
-
-
-@compiled
-def _most_are_in(views: Floats, s: Floats, square: Floats, is_off: Bools) -> bool:
-    """Whether most views before the last are where the body leads; those are marked that are far off before such ones.
-
-    Nothing is said of the last, nor of a point that has left the path of its body for good. ``square`` is room for the
-    squared residuals.
-    """
-    last, n, n_in, is_back = views.shape[1] - 1, 0, 0, False
-    for k in range(last + 1):
-        h = 1.0 / max(1.0 + s[2] * views[_PATH_Z, k], _LEAST_DEPTH_RATIO)
-        rx, ry = (
-            views[_X, k] - (s[0] + s[2] * views[_PATH_X, k]) * h,
-            views[_Y, k] - (s[1] + s[2] * views[_PATH_Y, k]) * h,
-        )
-        square[k] = (rx * rx + ry * ry) * views[_INVERSE, k] * views[_INVERSE, k]
-        if k < last and views[_INVERSE, k] > 0.0:
-            n += 1
-            n_in += 1 if square[k] < _IN else 0
-    is_most = n_in >= max(float(_LEAST_IN), _LEAST_PART_IN * n)
-    for back in range(last + 1 if is_most else 0):
-        k = last - back
-        if views[_INVERSE, k] > 0.0:
-            is_off[k] = is_back and square[k] > _OFF
-            is_back = is_back or square[k] < _IN
-    return is_most
 
 
 @compiled
