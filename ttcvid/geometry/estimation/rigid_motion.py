@@ -178,20 +178,11 @@ class Surprise:
 
 def surprise_of_newest(points: Points, paths: RigidPaths, rate_hz: Floats) -> Surprise:
     """How far the points are now from where their earlier views lead; ``rate_hz (M,)`` to start from, NaN: none."""
-    m = len(points.track)
-    n_lanes = points.rays.shape[2]
+    m, n_lanes = len(points.track), points.rays.shape[2]
     chi2, line_chi2, past_redchi = np.empty((3, m))
     found = Surprise(np.empty((m, 2)), chi2, line_chi2, past_redchi, np.zeros((m, n_lanes), dtype=bool))
-    predict_newest(
-        points.rays,
-        points.track,
-        points.thing,
-        ways_of(paths, n_lanes),
-        points.sigma_norm,
-        points.since_s,
-        rate_hz,
-        (found.off, found.chi2, found.line_chi2, found.past_redchi, found.is_past_off),
-    )
+    ways, filled = ways_of(paths, n_lanes), (found.off, chi2, line_chi2, past_redchi, found.is_past_off)
+    predict_newest(points.rays, points.track, points.thing, ways, points.sigma_norm, points.since_s, rate_hz, filled)
     return replace(found, is_past_off=found.is_past_off[:, n_lanes - len(points.since_s) :])
 
 

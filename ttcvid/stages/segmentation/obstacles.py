@@ -182,7 +182,8 @@ def _surfaces(
         seed = int(np.argmin(np.where(asked, off, np.inf)))
         whole = _surface_of(seed, depths, pairs)
         asked[whole.members] = asked[seed] = False
-        own = depths.without_road_beside(whole.without(is_taken), _OFF_LINK * points.link)
+        own = replace(whole, members=whole.members[~is_taken[whole.members]])
+        own = depths.without_road_beside(own, _OFF_LINK * points.link)
         surface = _surface_at(depths, own.members, whole.rate_hz)
         if not (surface.is_known and way.reached_s(surface.rate_hz) < REACHED_WITHIN_S):
             continue
@@ -230,10 +231,6 @@ class _Surface:
         """Whether both may have one depth."""
         sigma_hz = np.hypot(self.sigma_hz, other.sigma_hz)
         return bool(abs(self.rate_hz - other.rate_hz) < _ONE_SURFACE * self.rate_hz + _SURFACE_SIGMAS * sigma_hz)
-
-    def without(self, is_taken: Bools) -> _Surface:
-        """Without tracks of another surface."""
-        return replace(self, members=self.members[~is_taken[self.members]])
 
 
 class _Depths:
