@@ -61,8 +61,8 @@ def cluster_rows(
     # The scene's picture expands differently at each depth.
     is_object = np.array([motion.cluster_id != SCENE_CLUSTER for motion in motions.clusters], dtype=bool)
     nothing = np.empty(0, dtype=np.int64)
-    objects = [motion.members if motion.cluster_id != SCENE_CLUSTER else nothing for motion in motions.clusters]
-    expansion_hz = _expansions(history, objects, past)
+    objects = [motion.members if asked else nothing for motion, asked in zip(motions.clusters, is_object, strict=True)]
+    expansion_hz = _expansions(history, objects, past, gap_s)
     rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, expansion_hz)
     # Without a ray, outside of the lens model, a point has no part in the size.
     xy_px = np.where(np.isfinite(history.rays[history.now, :, :1]), history.xy_px, np.nan)
@@ -83,12 +83,11 @@ def no_tracks() -> TrackRows:
     return TrackRows(nothing, nothing, np.empty((0, 2)), nothing, np.empty(0), CollisionTimes.missing(0), nothing)
 
 
-def _expansions(history: TrackHistory, members: Sequence[Ints], past: int) -> Floats:
-    """Expansion of each of K sets of tracks since the view ``past``: ``(K,)``, 1/s; NaN where unknown."""
+def _expansions(history: TrackHistory, members: Sequence[Ints], past: int, gap_s: float) -> Floats:
+    """Expansion of each of K sets of tracks since the view ``past``, ``gap_s`` ago, ``(K,)`` in 1/s; NaN: unknown."""
     padded = np.full((len(members), max((len(index) for index in members), default=0)), -1, dtype=np.int64)
     for row, index in zip(padded, members, strict=True):
         row[: len(index)] = index
-    gap_s = -float(history.since_s[past])
     return expansion_of_neighbourhood(history.derotated(past), history.rays[history.now], padded, gap_s)[0]
 
 

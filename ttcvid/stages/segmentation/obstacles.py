@@ -182,9 +182,9 @@ def _surfaces(
         seed = int(np.argmin(np.where(asked, off, np.inf)))
         whole = _surface_of(seed, depths, pairs)
         asked[whole.members] = asked[seed] = False
-        own = replace(whole, members=whole.members[~is_taken[whole.members]])
-        own = depths.without_road_beside(own, _OFF_LINK * points.link)
-        surface = _surface_at(depths, own.members, whole.rate_hz)
+        left = whole.members[~is_taken[whole.members]]
+        left = depths.without_road_beside(left, whole.rate_hz, _OFF_LINK * points.link)
+        surface = _surface_at(depths, left, whole.rate_hz)
         if not (surface.is_known and way.reached_s(surface.rate_hz) < REACHED_WITHIN_S):
             continue
         if not depths.can_be_hit(surface, way):
@@ -278,14 +278,13 @@ class _Depths:
         apart = np.linalg.norm(self.place[pairs[:, 0]] - self.place[pairs[:, 1]], axis=1)
         return np.asarray(stands[pairs].any(axis=1) & (apart < _BESIDE * rate_hz / self.road[2]))
 
-    def without_road_beside(self, surface: _Surface, reach: float) -> _Surface:
+    def without_road_beside(self, members: Ints, rate_hz: Floats, reach: float) -> Ints:
         """A surface without the points of the road that lie beside what stands there."""
-        members = surface.members
-        upright = self.place[members[self.stand(members, surface.rate_hz)], 0]
+        upright = self.place[members[self.stand(members, rate_hz)], 0]
         if not len(upright):
-            return replace(surface, members=members[:0])
+            return members[:0]
         x = self.place[members, 0]
-        return replace(surface, members=members[(x > upright.min() - reach) & (x < upright.max() + reach)])
+        return np.asarray(members[(x > upright.min() - reach) & (x < upright.max() + reach)])
 
     def can_be_hit(self, surface: _Surface, way: OwnPath) -> bool:
         """Whether a thing is neither driven over nor driven under."""

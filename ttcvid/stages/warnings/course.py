@@ -232,6 +232,6 @@ def _width(way: Floats, left: float, right: float, bottom: float, view: Viewpoin
 def _height_of_camera(way: Floats, bottom: float) -> float:
     """Height of the camera above the foot of an object at ``bottom``, in units of its depth; it moves on the level.
 
-    NaN where it does not come nearer.
+    NaN where its depth does not change.
     """
     return bottom - float(way[1]) / float(way[2]) if abs(way[2]) >= _TINY else math.nan
