@@ -111,6 +111,18 @@ def test_movers_in_a_third_of_the_picture_do_not_make_a_resting_camera_travel(mo
             assert turn_error_deg(egomotion, views) < 0.02
 
 
+def test_a_car_that_waits_does_not_go_sideways_with_the_traffic_that_fills_most_of_its_picture():
+    """Three of five points cross: a camera that goes the other way would explain every one, the rest far away."""
+    crossing = [((0.1, 0.75), (-0.8, 0, 0))]
+    for memory in (FIRST, replace(LAST, rotation_rad=np.zeros(3))):
+        for seed in range(6):
+            views = two_views(np.random.default_rng(seed), 250, (0, 0, 0), (0, 0, 0), movers=crossing)
+            assert views.is_mover.mean() > 0.5
+            egomotion = estimate(views, memory)
+            assert egomotion.direction is None
+            assert turn_error_deg(egomotion, views) < 0.02
+
+
 def test_a_camera_that_travels_does_not_rest():
     for seed in range(10):
         views = two_views(np.random.default_rng(seed), 300, travel_m=(0, 0, 0.1))

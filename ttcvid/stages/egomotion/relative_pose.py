@@ -17,6 +17,7 @@ from ttcvid.geometry.estimation.relative_pose import (
     fit_rotation,
 )
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
+from ttcvid.geometry.kernels.two_views import QUARTILE_NORMAL, QUARTILE_RAYLEIGH
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.model import Bools, Camera, Floats, Ints, Platform
@@ -33,9 +34,10 @@ _MOST_INLIERS, _WAYS_ACROSS = 0.9, 16
 # A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
 # most of its points are. With more than this share of the parts still, there is no translation to speak of.
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
-# Median of the absolute value of a standard normal variable, and of the length of two.
-_MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
-# A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
+# Median and lower quartile of the absolute value of a standard normal variable, and of the length of two.
+_NORMAL, _RAYLEIGH = (0.6745, QUARTILE_NORMAL), (1.1774, QUARTILE_RAYLEIGH)
+# A camera on a mast shakes by less than so many standard deviations, and a vehicle goes no farther off ahead or back;
+# fewer points than this do not tell how a mast shakes.
 _FARTHEST_SIGMAS, _LEAST_STILL = 4.0, 6
 # Number of the cells of `picture_region` along one axis, and the least z of a ray that still has a cell of its own.
 _REGION_COUNT, _LEAST_Z = 200, 0.05
@@ -75,6 +77,13 @@ class MotionPrior:
     def is_open(self) -> bool:
         """Whether the camera may go in any direction."""
         return self.can_translate and self.direction_sigma_rad is None
+
+    def excludes(self, direction: Floats) -> bool:
+        """Whether it cannot go in a direction ``(3,)``: a car that waits does not drift with the traffic before it."""
+        if self.direction_sigma_rad is None:
+            return False
+        least = math.cos(min(_FARTHEST_SIGMAS * self.direction_sigma_rad, 0.5 * math.pi))
+        return abs(float(direction @ FORWARD_DIR)) < least * float(np.linalg.norm(direction))
 
 
 # A car turns its rate by at most 0.3-0.5 deg from frame to frame and moves within a few degrees of where its camera
@@ -131,13 +140,13 @@ class Egomotion:
     def residual_spread(self) -> float:
         """Robust standard deviation of the scene's residuals in sigmas: 1 where the noise is what was assumed.
 
-        Movers are cut off at three times the spread, and the cut is allowed for.
+        Movers are cut off at three times the spread, at first at that of the better half: they may be the most.
         """
         size = np.sort(np.abs(self.residual))
-        middle, n = _MEDIAN_NORMAL if self.direction is not None else _MEDIAN_RAYLEIGH, len(size)
-        spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
-        for _ in range(3):
-            n = int(np.searchsorted(size, _INLIER_SIGMAS * spread, side="right"))
+        middle, quartile = _NORMAL if self.direction is not None else _RAYLEIGH
+        spread = size[(len(size) - 1) // 4] / quartile
+        for _ in range(4):
+            n = int(np.searchsorted(size, max(_INLIER_SIGMAS * spread, size[0]), side="right"))
             spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
         return float(spread)
 
@@ -199,7 +208,9 @@ def estimate_egomotion(
         at_rest = _shaking(observed, turning)
         return at_rest, replace(memory, rotation_rad=at_rest.rotation_rad)
     moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
-    found = _result(moving if _is_translation(turning, moving, region, sigma_rad, least_parallax_rad) else turning)
+    may_move = moving.direction is not None and not belief.excludes(moving.direction)
+    may_move = may_move and _is_translation(turning, moving, region, sigma_rad, least_parallax_rad)
+    found = _result(moving if may_move else turning)
     direction = memory.direction if found.direction is None else found.direction
     return found, replace(memory, rotation_rad=found.rotation_rad, direction=direction)
 
@@ -282,7 +293,7 @@ def _shaking(observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turni
     if np.count_nonzero(stays) < _LEAST_STILL:
         # Only movers: the noise is not observed either.
         cov = prior.rotation_sigma_rad**2 * np.eye(3)
-        return Egomotion(prior.cam_R_prev, cov, None, None, np.array([_MEDIAN_RAYLEIGH]))
+        return Egomotion(prior.cam_R_prev, cov, None, None, np.array([_RAYLEIGH[0]]))
     still = (rays_prev[stays], rays_cam[stays], sigma_rad[stays], region[stays], prior)
     return _result(fit_rotation(*still, prior.cam_R_prev))
 

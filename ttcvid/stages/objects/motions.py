@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -27,7 +28,9 @@ from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
 from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
-_LINK_PART = 0.05
+# Where few tracks are given they lie farther apart: random points hang together from 1.2 times their spacing on
+# (percolation of discs).
+_LINK_PART, _SPARSE_LINK = 0.05, 1.2
 # Error of a position that no track's noise knows of: what lens and shutter leave with a calibrated camera, px, and what
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
@@ -56,6 +59,13 @@ class FrameMotions:
     bend: OwnBend | None = None
 
 
+def _link_px(camera: Camera, n_tracks: int) -> float:
+    """Distance within which two of ``n_tracks`` in a picture are neighbours."""
+    width_px, height_px = camera.image_size.width_px, camera.image_size.height_px
+    spacing_px = math.sqrt(width_px * height_px / max(n_tracks, 1))
+    return max(_LINK_PART * camera.image_size.longer_side_px, _SPARSE_LINK * spacing_px)
+
+
 def find_motions(
     history: TrackHistory,
     egomotion: Egomotion | None,
@@ -73,7 +83,7 @@ def find_motions(
     correct them.
     """
     times = config.collision_times
-    link_px = _LINK_PART * camera.image_size.longer_side_px
+    link_px = _link_px(camera, history.n_tracks)
     in_scene, objects, bend = is_free, list[ClusterMotion](), None
     is_displaced = np.zeros(history.n_tracks, dtype=bool)
     if egomotion is not None:

@@ -12,7 +12,7 @@ from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, Egomotion, picture_region, region_side_of
+from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, MOTION_PRIORS, Egomotion, picture_region, region_side_of
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
@@ -99,7 +99,7 @@ def see_scene(
     fit = fit_on_paths(every, scene, labels.rate_hz * speed)
     rate_hz = fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
-    moves_past = _moves_past(fit, region, is_free)
+    moves_past = _moves_past(fit, region, is_free) and not MOTION_PRIORS[platform].excludes(scene.path[0, 0])
     if not is_sure and not moves_past:
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     may_rest = is_free if can_translate else _steps_little(views, scene)
