@@ -139,6 +139,17 @@ def test_a_wall_that_has_the_static_depth_of_a_car_ahead_stays_where_it_stands()
     assert road_odd < 0.05
 
 
+def test_a_tree_with_the_static_depth_of_a_cyclist_beside_it_stays_though_one_of_its_points_is_wrong():
+    """At 12 m he looks 20 m away, as the tree does: a point under its foot, an error, would make it a part of him."""
+    cyclist = upright((0.2, 1.7), 12.0, (1.2, 1.7), n=6)
+    tree = upright((0.1, 5.0), 20.0, (3.7, 6.5), n=14)
+    error = np.array([[5.4, CAMERA_M + 0.6, 20.0]])
+    things = cyclist, np.concatenate([tree, error])
+    odd, _, _ = contacts_of(without_hidden(road(), cyclist), *things, apparent=(0.6, 1.0))
+    assert odd[0] == 1.0
+    assert odd[1] < 0.05
+
+
 def test_a_ridge_at_the_horizon_that_goes_on_to_the_sides_would_not_and_nothing_is_said_of_the_roof():
     ahead, ridge = rear(), far_points((-600.0, 600.0), 41.4)
     odd, _, _ = contacts_of(without_hidden(road(), ahead), ahead, ridge, apparent=(0.0, 0.0))
