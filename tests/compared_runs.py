@@ -16,13 +16,16 @@ SCENE = Path(__file__).parents[1] / "sample_configs/scenes/demo.yaml"
 SIZE_PX = [560, 316]
 N_FRAMES = 24
 DROPPED = 17
-FEW_TRACKS = {"tracking": {"max_tracks": 300}}
+FEW_TRACKS = {"tracking": {"max_tracks": 300}, "report": False}
+LEFT_OUT = ("right tree", "left post", "far left house", "far right house", "side road", "field house")
+"""Whose faces take longer to paint than all pictures to draw."""
 
 
 def simulated(folder: Path) -> Path:
     """The clip: small pictures with their times, camera and horizon."""
     scene = yaml.safe_load(SCENE.read_text())
     scene["camera"]["image_size"] = SIZE_PX
+    scene["bodies"] = [body for body in scene["bodies"] if body["name"] not in LEFT_OUT]
     file = folder.with_suffix(".yaml")
     file.write_text(yaml.safe_dump(scene))
     return ttcvid.simulate(file, folder, png=True, n_frames=N_FRAMES).folder

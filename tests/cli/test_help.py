@@ -58,8 +58,8 @@ def test_the_package_runs_as_the_program_does() -> None:
     command = [sys.executable, "-m", "ttcvid"]
     done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("ttcvid")
-    failed = subprocess.run([*command, "analyze", "no-such-clip.mp4"], capture_output=True, text=True, check=False)
-    assert failed.returncode == 3
+    failed = subprocess.run([*command, "analyse"], capture_output=True, text=True, check=False)
+    assert failed.returncode == 2
     assert failed.stderr.count("\n") == 1
 
 

@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from av.stream import Disposition
+from copies_of_process import CommandInCopy
 from moving_clips import FPS, approach, write_approaching_tracks, write_clip, write_frames
 
 from ttcvid.calibration import read_mask
@@ -85,9 +86,9 @@ def test_a_name_that_is_not_utf8_is_a_name_like_any_other(
 def test_the_summary_prints_a_name_as_it_is(tmp_path: Path) -> None:
     table, _ = tracks(tmp_path)
     arguments = [str(table), "--image-size", "192x128", "--no-overlay", "-q", "-o", f"{NOT_UTF8}_ttc"]
-    command = [sys.executable, "-m", "ttcvid", "analyze", *arguments]
-    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, check=True, timeout=60).stdout
-    assert printed.startswith(b"caf\xe9_ttc: complete, 12 frames")
+    exit_code, printed, _ = CommandInCopy(tmp_path, "analyze", *arguments).ended(60.0)
+    assert exit_code == 0
+    assert os.fsencode(printed).startswith(b"caf\xe9_ttc: complete, 12 frames")
 
 
 @pytest.mark.parametrize("error", [UnicodeEncodeError("utf-8", "x", 0, 1, "no"), MemoryError(), InputError("gone")])
