@@ -28,12 +28,16 @@ POSIX_NAMES = {
     ("signal", "SIGKILL"),
     ("sys", "platform"),
 }
+WORDS = POSIX_MODULES | {name for _, name in POSIX_NAMES} | {"/proc"}
+"""A file without any of these needs no parsing."""
 
 
 def posix_only(path: Path) -> set[str]:
     """What a file uses of modules and names that not every system has."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    found, text = set[str](), path.read_text(encoding="utf-8")
+    if not any(word in text for word in WORDS):
+        return found
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names} & POSIX_MODULES
         elif isinstance(node, ast.ImportFrom) and node.module in POSIX_MODULES:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class SoundInputs:
-    """A folder with a scene, its pictures with truth, two runs over them, a suite of them, and a table of tracks."""
+    """A folder with two scenes, the pictures of one with truth, two runs over them, a suite of them, and tracks."""
 
     folder: Path
 
@@ -24,9 +24,9 @@ ATTACKS = {
         "{options}",
         *("--moving", "-o", "{out}/horizon.yaml", "--evidence", "{out}/evidence", "--overwrite"),
     ],
-    "simulate": ["{scene}", "--png", "--frames", "3", "-o", "{out}/scene", "--overwrite"],
+    "simulate": ["{bare_scene}", "--png", "--frames", "3", "-o", "{out}/scene", "--overwrite"],
     "evaluate": ["{run}", "{clip}", "--html", "{out}/page.html"],
-    "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "3", "--trials", "100"],
+    "sensitivity": ["-o", "{out}/sensitivity", "--overwrite", "--steps", "3", "--trials", "100", "--frames", "5"],
     "collision-map": ["{run}", "-o", "{out}/map", "--overwrite", "--n-cells", "11", "--frame", "10", "--ego-speed=10"],
     "compare": ["{run}", "{other}", "--junit", "{out}/junit.xml"],
     "batch": ["{tracks}", "--image-size", "192x128", "-o", "{out}/batch", "--no-overlay"],
@@ -40,7 +40,7 @@ ATTACKS = {
 
 def arguments_of(command: str, sound: SoundInputs, out: Path) -> list[str]:
     places = {name: str(sound.folder / name) for name in ("clip", "run", "other")}
-    places |= {"scene": str(sound.folder / "scene.yaml"), "out": str(out)}
+    places |= {"bare_scene": str(sound.folder / "bare_scene.yaml"), "out": str(out)}
     places |= {"tracks": str(sound.folder / "tracks.csv"), "suite": str(sound.folder / "suite.yaml")}
     given = [command]
     for argument in ATTACKS[command]:

@@ -48,7 +48,7 @@ def test_configuration_of_the_file_counts_and_the_command_line_is_stronger(study
 
 @pytest.mark.usefixtures("no_pictures")
 def test_summary_is_one_line_or_one_json_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    words = ["sensitivity", "--steps", "2", "--trials", "100", "-o", str(tmp_path / "a")]
+    words = ["sensitivity", "--steps", "2", "--trials", "100", "--frames", "5", "-o", str(tmp_path / "a")]
     assert main(words) == 0
     said = capsys.readouterr().out
     assert said.count("\n") == 1
