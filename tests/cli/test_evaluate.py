@@ -11,6 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import yaml
 from perfect_runs import manifest_of_run, perfect_run, write_run
 
 import ttcvid
@@ -50,7 +51,10 @@ def of_tracks(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def of_pictures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A simulation of pictures, and a perfect run with a track on every sixth pixel."""
     folder = tmp_path_factory.mktemp("pictures")
-    truth_folder = simulate(SCENE, folder / "truth", png=True, n_frames=2).folder
+    content = yaml.safe_load(SCENE.read_text())
+    content["bodies"] = [body for body in content["bodies"] if body["kind"] == "car"]
+    (folder / "cars.yaml").write_text(yaml.safe_dump(content))
+    truth_folder = simulate(folder / "cars.yaml", folder / "truth", png=True, n_frames=2).folder
     frames = pq.read_table(truth_folder / "truth_frames.parquet").to_pandas()
     x, y = np.meshgrid(np.arange(3, 640, 6.0), np.arange(3, 360, 6.0))
     of_frame = pd.DataFrame({"x_px": x.ravel(), "y_px": y.ravel(), "track_id": np.arange(x.size)})

@@ -37,7 +37,12 @@ def runs(small_run: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
         )
         table = points.folder / "tracks.parquet"
         run = ttcvid.analyze(
-            table, folder / f"{name}_run", camera=points.folder / "camera.yaml", platform=platform, overlay=False
+            table,
+            folder / f"{name}_run",
+            camera=points.folder / "camera.yaml",
+            platform=platform,
+            overlay=False,
+            report=False,
         )
         found[name] = read_run(run)
     return found
