@@ -14,7 +14,6 @@ import scenarios
 from report import REPOSITORY, Report
 from scenario_suite.figures import Figures, Percentile, Rate, Share, at_most
 from scenario_suite.page import label_of, number, shown, write_page
-from scenario_suite.running import Task, do
 from scenario_suite.scoring import SceneScore, judged_rows, own_velocity_m_s, score, size_px, wanted
 
 from ttcvid.studies.evaluation.truth import BOX, DIRECTION, POSITION, VELOCITY, Truth
@@ -130,10 +129,9 @@ def test_values_of_nuisances_are_told_in_few_words():
     assert [number(value) for value in (0.0, 0.00012, 0.5, 12.34)] == ["0", "0.0001", "0.50", "12"]
 
 
-def test_the_page_of_the_same_scenes_is_the_same_and_a_score_is_made_once(tmp_path):
+def test_the_page_of_the_same_scenes_is_the_same_and_a_score_is_made_once(done_scenes, tmp_path):
     scores = []
-    for family in ("mast-crossing", "CCRs"):
-        folder = do(Task(family, 2, "tracks", tmp_path / "out", tmp_path / "pictures", {})).folder
+    for folder in done_scenes:
         made_at = (folder / "score" / "facts.json").stat().st_mtime_ns
         scores.append(score(folder))
         assert (folder / "score" / "facts.json").stat().st_mtime_ns == made_at
@@ -166,6 +164,7 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(tmp_path, monkeypatch, capsy
         time.sleep(0.1)
     assert _is_gone(process.pid)
     monkeypatch.setattr(sys, "argv", [*words, "--n", "1"])
+    monkeypatch.setattr(scenarios, "run_all", lambda tasks, n_jobs, work: map(work, tasks))
     scenarios.main()
     assert "1 done before, 0 without a result" in capsys.readouterr().out
 

@@ -212,16 +212,16 @@ def test_recorded_objects_move_as_their_labels_say():
         assert np.median(off_m) < 0.3
 
 
-def test_same_seeds_give_the_same_truth_and_the_same_figures(tmp_path):
-    folders, figures = [], []
-    for name in ("first", "again"):
-        done = [
-            do(Task(family, 5, "tracks", tmp_path / name, tmp_path / f"{name}_pictures"))
-            for family in ("mast-crossing", "CCRs")
-        ]
-        folders.append([one.folder for one in done])
-        figures.append(Figures([score(one.folder) for one in done]).over(np.ones(2, bool)))
-    for one_folder, other_folder in zip(*folders, strict=True):
+def test_same_seeds_give_the_same_truth_and_the_same_figures(done_scenes, tmp_path):
+    tasks = [
+        Task(folder.parent.name, int(folder.name), "tracks", tmp_path / "out", tmp_path / "pictures")
+        for folder in done_scenes
+    ]
+    again = [do(task).folder for task in tasks]
+    figures = [
+        Figures([score(folder) for folder in folders]).over(np.ones(2, bool)) for folders in (done_scenes, again)
+    ]
+    for one_folder, other_folder in zip(done_scenes, again, strict=True):
         for table in ("truth/tracks", "truth/truth_tracks", "truth/truth_encounters", "run/clusters", "run/events"):
             one, other = (pd.read_parquet(folder / f"{table}.parquet") for folder in (one_folder, other_folder))
             pd.testing.assert_frame_equal(one, other)
