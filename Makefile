@@ -25,9 +25,10 @@ help:
 demo: $(READY)
 	$(BIN)/ttcvid demo --out out/demo --overwrite
 
-# Files, not tests, are shared out: what the tests of a file have in common is made once.
+# Files, not tests, are shared out: what the tests of a file have in common is made once. Tests with asserts that explain
+# themselves take long to compile, which each worker would do anew where Python is told to write no bytecode.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist loadfile
 
 faults: $(READY)
 	$(BIN)/python -m pytest -n 2 -m exhaustive tests

@@ -244,7 +244,7 @@ def test_speeds_and_limits_of_the_trade_are_those_of_its_tests():
     @cache
     def contents(family):
         draw = FAMILIES[family].draw
-        return [draw(generator(family, seed, "scene"), seed % 2 == 0) for seed in range(30)]
+        return [draw(generator(family, seed, "scene"), seed % 2 == 0) for seed in range(20)]
 
     def drawn_km_h(family, body=None):
         values = []

@@ -149,7 +149,7 @@ def test_what_write_camera_writes_is_read_back_exactly(model, fx, ratio, cx, cy)
         assert read_camera(path, SIZE) == replace(camera, origin=str(path))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(st.sampled_from(CASES), st.data())
 def test_damaged_files_give_one_line_and_never_crash(case, data):
     write, model = case

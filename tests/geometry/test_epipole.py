@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_points import jitter, moving_points, views
 
@@ -74,6 +74,7 @@ def test_maximum_likelihood_is_unbiased_where_unit_normals_are_not():
     assert (rmse_px > 0.7 * bound_px).all()
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 10**6), st.sampled_from(VELOCITIES))
 def test_order_of_tracks_and_mirroring(seed, velocity):
     rng = np.random.default_rng(seed)

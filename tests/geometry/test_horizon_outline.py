@@ -48,10 +48,10 @@ def test_outlines_that_run_into_others_are_left_aside():
 
 
 def test_the_covariance_is_as_large_as_the_error():
-    """Distance from the horizon in its standard deviations, over 25 noisy walks: about one."""
+    """Distance from the horizon in its standard deviations, over 14 noisy walks: about one."""
     rng = np.random.default_rng(5)
     ratio = []
-    for _ in range(25):
+    for _ in range(14):
         outline, t_s = outlines((1.2, 0, rng.choice([-0.8, 0.8])))
         fit = fitted(outline + rng.normal(0, 1.5 / F_PX, outline.shape), t_s)
         ratio.append(fit.direction[1] / np.sqrt(fit.covariance[1, 1]))
@@ -95,7 +95,7 @@ def test_a_head_that_bobs_with_the_steps_costs_little():
 def test_the_covariance_of_those_who_bob_is_as_large_as_the_error():
     rng = np.random.default_rng(6)
     ratio, error = [], []
-    for _ in range(30):
+    for _ in range(15):
         outline, t_s = outlines((1.2, 0, rng.choice([-0.8, 0.8])))
         fit = fitted(bobbing(outline, t_s, rng, steps_hz=rng.uniform(1.5, 2.2)), t_s)
         ratio.append(fit.direction[1] / np.sqrt(fit.covariance[1, 1]))

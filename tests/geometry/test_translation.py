@@ -56,7 +56,7 @@ def test_errors_that_hang_together_make_the_direction_less_certain(options):
     rigid, _ = body_tracks(np.random.default_rng(4), 1.0)
     loose, _ = body_tracks(rng, 1.0, **options)
     assert fitted(loose).covariance[1, 1] > 2.0 * fitted(rigid).covariance[1, 1]
-    assert np.sqrt(np.mean(heights_in_sigmas(25, **options) ** 2)) < 2.2
+    assert np.sqrt(np.mean(heights_in_sigmas(16, **options) ** 2)) < 2.2
 
 
 def test_a_turn_is_found():

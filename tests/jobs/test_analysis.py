@@ -157,12 +157,12 @@ def test_a_track_table_is_drawn_on_black(work_folder: Path) -> None:
 
 def test_start_end_and_stride_keep_the_source_frame_numbers(work_folder: Path) -> None:
     clip = write_clip(work_folder / "clip.mp4", swaying(12))
-    run = ttcvid.analyze(clip, start=2, end="1.0s", stride=2, overlay=False)
+    run = ttcvid.analyze(clip, start=2, end="1.0s", stride=2, overlay=False, report=False)
     assert run.frames.frame.tolist() == [2, 4, 6, 8]
 
 
 def test_nulls_of_whole_numbers_stay_na(work_folder: Path) -> None:
-    run = ttcvid.analyze(write_clip(work_folder / "clip.mp4", approach(3)), overlay=False)
+    run = ttcvid.analyze(write_clip(work_folder / "clip.mp4", approach(3)), overlay=False, report=False)
     assert run.collision_times.cluster_id.dtype == pd.Int32Dtype()
     scene = run.clusters[run.clusters.role == "scene"]
     assert len(scene) == 3
@@ -182,7 +182,7 @@ def test_estimates_of_both_sides_are_said_to_be_so_everywhere(work_folder: Path)
     clip = write_clip(work_folder / "clip.mp4", approach(22))
     assert main(["analyze", str(clip), "--focal-px", "200", "--smooth", "-q"]) == 0
     smooth = ttcvid.Run.open("clip_ttc")
-    causal = ttcvid.analyze(clip, "causal", focal_px=200, overlay=False)
+    causal = ttcvid.analyze(clip, "causal", focal_px=200, overlay=False, report=False)
     assert_whole(smooth, 22)
     for run, word in ((smooth, "smooth"), (causal, "causal")):
         assert run.manifest["configuration"]["collision_times"]["smooth"]["value"] is (word == "smooth")
@@ -201,7 +201,7 @@ def test_estimates_of_both_sides_are_said_to_be_so_everywhere(work_folder: Path)
 @pytest.mark.parametrize("estimator", ["multi-frame", "three-frame", "two-frame"])
 def test_all_methods_of_a_clip_run(tracker: str, estimator: str, work_folder: Path) -> None:
     clip = write_clip(work_folder / "clip.mp4", approach(8))
-    run = ttcvid.analyze(clip, tracker=tracker, estimator=estimator, overlay=False)
+    run = ttcvid.analyze(clip, tracker=tracker, estimator=estimator, overlay=False, report=False)
     assert run.state == "complete"
     metadata = pq.read_schema(run.folder / "frames.parquet").metadata
     assert (metadata[b"tracker"], metadata[b"estimator"]) == (tracker.encode(), estimator.encode())

@@ -177,7 +177,7 @@ def test_a_driving_camera_does_not_rest_and_moving_tells_its_horizon(driving, tm
 
 
 def test_analyze_finds_the_horizon_by_itself(resting, one_way, tmp_path):
-    options = {"platform": "static", "overlay": False, "horizon": "auto"}
+    options = {"platform": "static", "overlay": False, "report": False, "horizon": "auto"}
     run = ttcvid.analyze(resting / "tracks.parquet", tmp_path / "run", camera=resting / "camera.yaml", **options)
     horizon = run.manifest["horizon"]
     assert horizon["origin"].startswith("auto: ")

@@ -22,7 +22,12 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("street")
     tracks = TrackOptions(n_tracks=500, sigma_px=0.1)
     scene = ttcvid.simulate(SCENES / "parked_street.yaml", folder / "scene", tracks=tracks, n_frames=N_FRAMES)
-    options = {"camera": scene.folder / "camera.yaml", "horizon": scene.folder / "horizon.yaml", "overlay": False}
+    options = {
+        "camera": scene.folder / "camera.yaml",
+        "horizon": scene.folder / "horizon.yaml",
+        "overlay": False,
+        "report": False,
+    }
     return ttcvid.analyze(scene.input, folder / "run", platform="vehicle", **options).folder
 
 

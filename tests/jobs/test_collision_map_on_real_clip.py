@@ -14,7 +14,7 @@ N_FRAMES = 34
 def evasion(data_dir, tmp_path_factory):
     folder, clip = tmp_path_factory.mktemp("creeping"), data_dir / "kitti_sfnd_ttc"
     options = {"camera": clip / "calib.txt", "fps": 9.6525, "end": f"{N_FRAMES}", "platform": "vehicle"}
-    run = ttcvid.analyze(clip / "image_02", folder / "run", overlay=False, **options)
+    run = ttcvid.analyze(clip / "image_02", folder / "run", overlay=False, report=False, **options)
     ttcvid.collision_map(run.folder, folder / "map", camera_height_m=1.65)
     return pd.read_parquet(folder / "map" / "evasion.parquet")
 

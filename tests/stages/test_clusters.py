@@ -88,7 +88,7 @@ def test_a_row_is_exact_without_noise():
 def test_covariance_of_the_joint_state_is_what_repetition_shows(velocity):
     """Own noise averages out over the tracks, the error of the common epipole does not."""
     rng = np.random.default_rng(72)
-    velocity, trials = np.array(velocity), 250
+    velocity, trials = np.array(velocity), 150
     position_m = box_of_points(rng, 25, (3.0, 0.5, 15.0), PLATE_M)
     errors, covariances = [], []
     for _ in range(trials):
@@ -106,7 +106,7 @@ def test_noise_of_the_surfaces_own_tracks_is_not_understated():
     """Only tracks near the surface's rate are averaged: cutting tails off makes the mean less sure than its count."""
     rng = np.random.default_rng(81)
     velocity, square = np.array([0.0, 0.0, -6.0]), []
-    for _ in range(400):
+    for _ in range(250):
         row = row_of(box_of_points(rng, 30, (3.0, 0.5, 15.0), PLATE_M), velocity, 0.3, rng=rng)
         square.append((row.state_abc_hz[2] + 0.4) ** 2 / row.state_cov[2, 2])
     assert 0.75 < np.mean(square) < 1.2
@@ -114,7 +114,7 @@ def test_noise_of_the_surfaces_own_tracks_is_not_understated():
 
 def test_times_of_an_object_hold_the_truth_in_nine_of_ten():
     rng = np.random.default_rng(73)
-    velocity, trials = np.array([-3.0, 0.5, -6.0]), 300
+    velocity, trials = np.array([-3.0, 0.5, -6.0]), 200
     position_m = box_of_points(rng, 25, (3.0, 0.5, 15.0), PLATE_M)
     held = np.zeros(3)
     for _ in range(trials):

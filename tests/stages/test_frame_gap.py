@@ -178,7 +178,7 @@ def direction_errors_deg(motion, in_scene):
 @pytest.mark.parametrize("sigma_px", [0.0, 0.2])
 def test_known_movers_do_not_turn_the_direction_though_most_tracks_are_theirs(sigma_px):
     known, unknown = [], []
-    for seed in range(5):
+    for seed in range(3):
         motion, is_static = among_movers(np.random.default_rng(seed), n_static=40, n_of_each=16, sigma_px=sigma_px)
         known += direction_errors_deg(motion, is_static)
         unknown += direction_errors_deg(motion, None)
@@ -188,6 +188,6 @@ def test_known_movers_do_not_turn_the_direction_though_most_tracks_are_theirs(si
 
 def test_where_the_scene_is_taken_for_movers_all_tracks_tell_of_own_motion():
     """A way back: what is known of movers may be wrong."""
-    for seed in range(5):
+    for seed in range(3):
         motion, is_static = among_movers(np.random.default_rng(seed), n_static=120, n_of_each=10)
         assert np.median(direction_errors_deg(motion, ~is_static)) < 3.0
