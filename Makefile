@@ -25,10 +25,11 @@ help:
 demo: $(READY)
 	$(BIN)/ttcvid demo --out out/demo --overwrite
 
-# Files, not tests, are shared out: what the tests of a file have in common is made once. Tests with asserts that explain
+# Files, not tests, are shared out: what the tests of a file have in common is made once. Those with slow tests come
+# first (tests/conftest.py), so that no worker waits long for the other at the end. Tests with asserts that explain
 # themselves take long to compile, which each worker would do anew where Python is told to write no bytecode.
 test: $(READY)
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist loadfile
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 faults: $(READY)
 	$(BIN)/python -m pytest -n 2 -m exhaustive tests

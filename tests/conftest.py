@@ -24,6 +24,13 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         compile_missing()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first: those that are left at the end take a moment each."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 

@@ -20,6 +20,7 @@ from ttcvid.stages.horizon.whole_tracks import joined
 
 SCENES = "sample_configs/scenes"
 SIZE = ImageSize(640, 360)
+N_DRIVEN = 32
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +242,7 @@ def test_a_clip_in_which_nothing_moves_is_undetermined(tmp_path):
 def test_the_row_of_the_epipole_of_a_real_drive(data_dir, tmp_path):
     clip = data_dir / "kitti_odom_straight50"
     done = ttcvid.calibrate_horizon(
-        clip / "image_0", tmp_path / "horizon.yaml", camera=clip / "calib.txt", fps=10.0, moving=True
+        clip / "image_0", tmp_path / "horizon.yaml", camera=clip / "calib.txt", fps=10.0, moving=True, end=N_DRIVEN
     )
-    truth = pd.read_csv(clip / "foe_truth.csv", comment="#")
+    truth = pd.read_csv(clip / "foe_truth.csv", comment="#")[:N_DRIVEN]
     assert 0.5 * (done.horizon.y_left_px + done.horizon.y_right_px) == pytest.approx(truth.foe_v.median(), abs=8.0)

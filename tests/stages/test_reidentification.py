@@ -14,7 +14,7 @@ CAMERA_M_S, CAR_M_S, DEPTH_M, ASIDE_M = (0.0, 0.0, 8.0), (-3.0, 0.0, 0.0), 45.0,
 N_POINTS, N_AFTER = 8, 10
 REMEMBERED = 8
 """Frames in which a thing that is hidden is still known."""
-FIRST_SEED, SAME_SCENES, OTHER_SCENES, ALL_SCENES = 10, 6, 4, 30
+FIRST_SEED, SAME_SCENES, OTHER_SCENES, ALL_SCENES = 10, 4, 3, 30
 
 
 def keys(seed, n_seen, n_hidden, sigma_px, other_m_s=None):
