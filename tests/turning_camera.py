@@ -44,7 +44,7 @@ def seen_points(
     focal_px: float,
     *,
     sigma_px: float = 0.0,
-    n_frames: int = 24,
+    n_frames: int = 18,
     rate_hz: float = 20.0,
     movers: float = 0.0,
     seed: int = 0,

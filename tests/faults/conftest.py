@@ -1,7 +1,7 @@
 """What attacks share: one process that runs all commands, and small inputs that were sound before."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -50,8 +50,12 @@ def attacker() -> Iterator[Attacker]:
 
 
 @pytest.fixture(scope="session")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> SoundInputs:
-    folder = tmp_path_factory.mktemp("sound")
+def sound(made_once: Callable[..., Path]) -> SoundInputs:
+    return SoundInputs(made_once("sound", write_sound_inputs))
+
+
+def write_sound_inputs(folder: Path) -> None:
+    folder.mkdir()
     (folder / "scene.yaml").write_text(SCENE)
     (folder / "bare_scene.yaml").write_text(BARE_SCENE)
     clip = ttcvid.simulate(folder / "scene.yaml", folder / "clip", png=True).folder
@@ -62,4 +66,3 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> SoundInputs:
     suite = {"name": "small", "clip": str(clip / "frames"), "options": calibration, "baseline": False}
     (folder / "suite.yaml").write_text(yaml.safe_dump({"clips": [suite | {"expectations": ["events: none"]}]}))
     write_approaching_tracks(folder / "tracks.csv", n=5, n_tracks=20)
-    return SoundInputs(folder)
