@@ -129,8 +129,9 @@ from ttcvid.simulate import TrackOptions
 # In this process, where the calls can be counted.
 job.beside = lambda function, items, *_: nullcontext(function(items))
 scene, out = sys.argv[1:]
-ttcvid.simulate(scene, out + "/scene", tracks=TrackOptions(n_tracks=400), n_frames=16)
-ttcvid.analyze(out + "/scene/tracks.parquet", out + "/run", camera=out + "/scene/camera.yaml", platform="vehicle")
+ttcvid.simulate(scene, out + "/scene", tracks=TrackOptions(n_tracks=400), n_frames=10)
+ttcvid.analyze(out + "/scene/tracks.parquet", out + "/run", camera=out + "/scene/camera.yaml", platform="vehicle",
+    overlay=False, report=False)
 used = [entry for entry in entry_points() if entry.function.signatures]
 more = [entry.signature for entry in used if len(entry.function.signatures) > 1]
 print(len(used) / len(entry_points()), *more, sep="\\n")

@@ -287,7 +287,9 @@ def test_python_gives_the_outcomes(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "jobs"), [(signal.SIGTERM, 2), (signal.SIGKILL, 1)])
+@pytest.mark.parametrize(
+    ("number", "jobs"), [(signal.SIGTERM, 2), pytest.param(signal.SIGKILL, 1, marks=pytest.mark.exhaustive)]
+)
 def test_it_stops_at_once_and_its_processes_end_with_it(number, jobs, tmp_path):
     video = write_clip(tmp_path / "long.mp4", approach(30) * 20)
     clips = [{"name": name, "clip": str(video), "options": {"focal_px": 200}} for name in ("one", "two", "three")]
