@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.estimation.rigid_motion import NO_LENGTH, PathFit, Points, RigidPaths, ways_of, weights_by_redchi
-from ttcvid.geometry.kernels.rigid_points import add_last_steps
+from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, ways_of, weights_by_redchi
+from ttcvid.geometry.kernels.rigid_points import NO_LENGTH, add_last_steps
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.model import Floats
 

@@ -12,13 +12,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ttcvid.geometry.kernels.newest_view import predict_newest
-from ttcvid.geometry.kernels.rigid_points import (
-    LANES,
-    add_by_view,
-    fit_rigid_points,
-)
+from ttcvid.geometry.kernels.rigid_points import LANES, correct_ways, fit_rigid_points
 from ttcvid.geometry.medians import medians
-from ttcvid.geometry.rotation import rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
 
 # Gauss-Newton steps on a point from its last rate, at most: the path changes little between two frames.
@@ -26,10 +21,6 @@ _MOST_STEPS = 2
 # Weight of a point falls to a half where its misfit is so many times the typical one, which counts as that at least.
 # Not single residuals: where a path is wrong, all of a view are large.
 _HALF_WEIGHT, _LEAST_TYPICAL_REDCHI = 2.0, 0.25
-NO_LENGTH = 1e-9
-"""Paths shorter than this have no scale."""
-# Of the lower triangle of a matrix (6, 6), row by row.
-_ROW, _COLUMN = np.tril_indices(6)
 
 
 @dataclass(frozen=True)
@@ -230,49 +221,25 @@ def refined_paths(
     """
     weight = np.ones(len(points.track)) if weight is None else weight
     rate = np.zeros(len(points.track)) if rate_hz is None else rate_hz.copy()
-    is_left, n_lanes = np.ones(len(paths), dtype=bool), points.rays.shape[2]
-    past = slice(n_lanes - len(points.since_s), n_lanes - 1)
+    is_left, ways = np.ones(len(paths), dtype=bool), ways_of(paths, points.rays.shape[2])
+    expected = np.empty((0, 3, 3)) if priors.cam_R_past is None else priors.cam_R_past
+    of_views = points.since_s, expected, priors.turn_sigma_rad**-2.0, priors.shift_sigma**-2.0
     for step in range(n_steps.max(initial=0)):
         is_left &= n_steps > step
         some = np.flatnonzero(is_left[points.thing])
         members = replace(points, track=points.track[some], thing=points.thing[some])
-        ways = ways_of(paths, n_lanes)
         fit = _fit_on_ways(members, ways, rate[some])
         rate[some] = fit.rate_hz
         used, has_points = weights_by_redchi(members, fit, weight[some], len(paths))
         is_left &= has_points
         if not is_left.any():
             break
-        sums, of_points = np.zeros((len(paths), 28, n_lanes)), (fit.place, fit.rate_hz, used)
-        add_by_view(points.rays, members.track, members.thing, ways, points.sigma_norm, of_points, sums)
-        paths = _with_views_corrected(paths, sums[..., past], is_left, priors, points.since_s)
-    return paths, rate
+        of_points = fit.place, fit.rate_hz, used
+        correct_ways(points.rays, members.track, members.thing, ways, points.sigma_norm, of_points, is_left, of_views)
+    return _paths_of(ways, len(points.since_s)), rate
 
 
-def _with_views_corrected(
-    paths: RigidPaths, sums: Floats, is_left: Bools, priors: PathPriors, since_s: Floats
-) -> RigidPaths:
-    """The paths of some of K things, each past view turned and shifted by its ``sums (K, 28, L - 1)``."""
-    by_view = sums[is_left].transpose(0, 2, 1)
-    past, path = paths.cam_R_past[is_left, :-1], paths.path[is_left, :-1]
-    length = np.sqrt((path * path).sum(axis=2))
-    information, score = np.empty((*length.shape, 6, 6)), by_view[..., 21:27].copy()
-    information[..., _ROW, _COLUMN] = information[..., _COLUMN, _ROW] = by_view[..., :21]
-    of_turn, of_shift = priors.turn_sigma_rad[:-1] ** -2.0, (priors.shift_sigma[:-1] * (length + NO_LENGTH)) ** -2.0
-    information[..., [0, 1, 2], [0, 1, 2]] += of_turn[:, None]
-    information[..., [3, 4, 5], [3, 4, 5]] += of_shift[..., None]
-    if priors.cam_R_past is not None:
-        score[..., :3] -= of_turn[:, None] * vector_from_rotation(priors.cam_R_past[:-1] @ past.swapaxes(2, 3))
-    straight = (since_s[:-1] / since_s[0])[:, None] * path[:, :1]
-    score[..., 3:] -= of_shift[..., None] * (path - straight)
-    change = np.asarray(np.linalg.solve(information, score[..., None])[..., 0], dtype=np.float64)
-    past = rotation_from_vector(-change[..., :3]) @ past
-    # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
-    past = past @ (1.5 * np.eye(3) - 0.5 * past.swapaxes(2, 3) @ past)
-    path = path + change[..., 3:]
-    before, after = length.max(axis=1, initial=0.0), np.sqrt((path * path).sum(axis=2).max(axis=1, initial=0.0))
-    is_long = np.minimum(before, after) > NO_LENGTH
-    path *= np.where(is_long, before / np.where(is_long, after, 1.0), 1.0)[:, None, None]
-    corrected = RigidPaths(paths.cam_R_past.copy(), paths.path.copy())
-    corrected.cam_R_past[is_left, :-1], corrected.path[is_left, :-1] = past, path
-    return corrected
+def _paths_of(ways: Floats, n_views: int) -> RigidPaths:
+    """The paths over the last ``n_views`` of the views of `ways_of`."""
+    by_view = ways[..., ways.shape[2] - n_views :].transpose(0, 2, 1)
+    return RigidPaths(by_view[..., :9].reshape(len(ways), n_views, 3, 3), np.ascontiguousarray(by_view[..., 9:]))

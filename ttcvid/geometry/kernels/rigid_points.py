@@ -10,10 +10,14 @@ import numpy as np
 
 from ttcvid.compiled import ZERO, compiled_for
 from ttcvid.geometry.kernels import path_point
-from ttcvid.model import Floats, Ints
+from ttcvid.geometry.kernels.rotations import fill_rotation, fill_vectors
+from ttcvid.geometry.kernels.solve import solve
+from ttcvid.model import Bools, Floats, Ints
 
 LANES = 8
 """M is a multiple of this, as fits the processor's registers."""
+NO_LENGTH = 1e-9
+"""Paths shorter than this have no scale."""
 
 # Gauss-Newton on a point ends after a step that lowers chi-square by less than this: the step is taken, its fall is
 # what the linearisation says.
@@ -80,27 +84,33 @@ def fit_rigid_points(
 
 
 @compiled_for(
-    "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], Tuple((f8[:, ::1], f8[::1], f8[::1])), f8[:, :, ::1])"
+    "(f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f8[::1], Tuple((f8[:, ::1], f8[::1], f8[::1])), b1[::1], "
+    "Tuple((f8[::1], f8[:, :, ::1], f8[::1], f8[::1])))"
 )
-def add_by_view(
+def correct_ways(
     rays: Floats,
     track: Ints,
     body: Ints,
     ways: Floats,
     sigma: Floats,
     points: tuple[Floats, Floats, Floats],
-    sums: Floats,
+    is_asked: Bools,
+    priors: tuple[Floats, Floats, Floats, Floats],
 ) -> None:
-    """Add to ``sums (K, 28, M)`` what points say of each view: the lower triangle of J' J, with the residuals last.
+    """Turn and shift each past view of the bodies that are asked, ``is_asked (K,)``, as their points show it, in place.
 
-    ``points`` are places (N, 2), rates and weights, 0 of points that say nothing. A point seen at p = (x, y, 1) moves
-    in the picture by B (omega x p + g s) when the view turns by omega and the body shifts by s, with
-    B = [[1, 0, -x], [0, 1, -y]] and g = rho / (1 + rho T_z): the columns of J. Residuals far off lose weight as Cauchy
-    has it, which lets go of outliers.
+    ``points`` are places (N, 2), rates and weights, 0 of points that say nothing; ``priors`` times of the views (L,),
+    rotations expected (L, 3, 3), without any those that the views have, and precisions (L,) of turns and of shifts over
+    the length of the path.
+
+    A point seen at p = (x, y, 1) moves in the picture by B (omega x p + g s) when the view turns by omega and the body
+    shifts by s, with B = [[1, 0, -x], [0, 1, -y]] and g = rho / (1 + rho T_z): the columns of J. Residuals far off lose
+    weight as Cauchy has it, which lets go of outliers. The sums of a view are the lower triangle of J' J, with the
+    residuals last.
     """
     place, rate, weight = points
     n_views = rays.shape[2]
-    views, rows = np.empty((_N_ROWS, n_views)), np.empty((7, 2 * n_views))
+    views, rows, sums = np.empty((_N_ROWS, n_views)), np.empty((7, 2 * n_views)), np.zeros((len(ways), 28, n_views))
     for m in range(len(track)):
         if not weight[m] > 0.0:
             continue
@@ -126,6 +136,60 @@ def add_by_view(
                     other = k + np.uint64(n_views)
                     sums[b, place_of_sum, k] += rows[c, k] * rows[d, k] + rows[c, other] * rows[d, other]
                 place_of_sum += 1
+    since_s, expected, turn_precision, shift_precision = priors
+    matrix, change, turn = np.empty((6, 6)), np.empty(6), np.empty((3, 3))
+    off, off_rad, before = np.empty((1, 3, 3)), np.empty((1, 3)), np.empty((4, 3))
+    first = n_views - len(since_s)
+    for b in range(len(ways)):
+        if not is_asked[b]:
+            continue
+        way, longest, longest_now = ways[b], 0.0, 0.0
+        oldest = way[9, first], way[10, first], way[11, first]
+        for k in range(first, n_views - 1):
+            view, place_of_sum = k - first, 0
+            for j in range(3):
+                for c in range(4):
+                    before[c, j] = way[3 * c + j, k]
+            length = np.sqrt(before[3, 0] ** 2 + before[3, 1] ** 2 + before[3, 2] ** 2)
+            longest = max(longest, length)
+            of_shift = shift_precision[view] / (length + NO_LENGTH) ** 2
+            for c in range(6):
+                for d in range(c + 1):
+                    matrix[c, d] = sums[b, place_of_sum, k]
+                    place_of_sum += 1
+                matrix[c, c] += turn_precision[view] if c < 3 else of_shift
+            for j in range(6):
+                change[j] = sums[b, place_of_sum + j, k]
+            for j in range(3):
+                change[3 + j] -= of_shift * (before[3, j] - since_s[view] / since_s[0] * oldest[j])
+            if len(expected) > 0:
+                for i in range(3):
+                    for j in range(3):
+                        off[0, i, j] = 0.0
+                        for c in range(3):
+                            off[0, i, j] += expected[view, i, c] * before[j, c]
+                fill_vectors(off, off_rad)
+                for j in range(3):
+                    change[j] -= turn_precision[view] * off_rad[0, j]
+            solve(matrix, change)
+            fill_rotation(-change[0], -change[1], -change[2], turn)
+            for i in range(3):
+                for j in range(3):
+                    off[0, i, j] = turn[i, 0] * before[0, j] + turn[i, 1] * before[1, j] + turn[i, 2] * before[2, j]
+            # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
+            for i in range(3):
+                for j in range(3):
+                    way[3 * i + j, k] = 1.5 * off[0, i, j]
+                    for c in range(3):
+                        for d in range(3):
+                            way[3 * i + j, k] -= 0.5 * off[0, i, c] * off[0, d, c] * off[0, d, j]
+            for j in range(3):
+                way[9 + j, k] += change[3 + j]
+            longest_now = max(longest_now, np.sqrt(way[9, k] ** 2 + way[10, k] ** 2 + way[11, k] ** 2))
+        if min(longest, longest_now) > NO_LENGTH:
+            for j in range(9, 12):
+                for k in range(first, n_views - 1):
+                    way[j, k] *= longest / longest_now
 
 
 @compiled_for(

@@ -8,7 +8,6 @@ import numpy as np
 
 from ttcvid.geometry.estimation.pose_update import StepPriors, with_newest_steps
 from ttcvid.geometry.estimation.rigid_motion import (
-    NO_LENGTH,
     PathFit,
     PathPriors,
     Points,
@@ -16,6 +15,7 @@ from ttcvid.geometry.estimation.rigid_motion import (
     fit_on_paths,
     refined_paths,
 )
+from ttcvid.geometry.kernels.rigid_points import NO_LENGTH
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
