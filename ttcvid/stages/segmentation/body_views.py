@@ -50,12 +50,9 @@ class BodyViews:
         """Places now in the plane z = 1: (N, 2)."""
         return np.asarray(self.rays[-1, :, :2] / self.rays[-1, :, 2:])
 
-    def neighbours(self, is_asked: Bools, is_beside: Bools) -> Ints:
-        """The nearest tracks within ``link_px``, the track itself standing in for missing ones: (N, K).
-
-        Of tracks ``is_asked (N,)``, and of those that have one ``is_beside (N,)`` so near; of others perhaps none.
-        """
-        return nearest_neighbours(self.xy_px, _N_NEIGHBOURS, self.link_px, is_asked, is_beside)
+    def neighbours(self, is_asked: Bools) -> Ints:
+        """The nearest tracks within ``link_px`` of those asked, (N,); the track itself for missing ones: (N, K)."""
+        return nearest_neighbours(self.xy_px, _N_NEIGHBOURS, self.link_px, is_asked)
 
     def points(self, track: Ints, thing: Ints | None = None) -> Points:
         """These tracks as points of bodies: ``track, thing (M,)``; None: all of one body."""

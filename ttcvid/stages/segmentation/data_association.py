@@ -119,7 +119,7 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     Parameters
     ----------
     key : ``(N,)`` former body of each track.
-    neighbours : ``(N, K)`` neighbours of tracks that belong to a mover or are beside one; of others, themselves.
+    neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
 
     Returns
     -------

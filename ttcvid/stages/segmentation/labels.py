@@ -122,8 +122,7 @@ def find_bodies(
     movers = _refined(movers, seen.scene, views, key, seen.median_redchi)
     is_displaced, is_past_off = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
-    # Tracks of the scene that fit it and are far from movers keep their label.
-    neighbours = views.neighbours(views.is_free & (seen.redchi > config.scene_gate), key != SCENE_CLUSTER)
+    neighbours = views.neighbours(np.ones_like(is_displaced))
     key, movers = _divided(views, seen, key, movers, neighbours, config)
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
@@ -172,7 +171,7 @@ def _are_displaced(
         of_view &= (2 * np.bincount(number, of_view) < size)[number]
     if not is_displaced.any():
         return is_displaced, is_past_off
-    beside = views.neighbours(is_displaced, np.zeros_like(is_displaced))[is_displaced]
+    beside = views.neighbours(is_displaced)[is_displaced]
     off = surprise.off[is_displaced]
     apart = np.linalg.norm(surprise.off[beside] - off[:, None], axis=2)
     is_alike = apart < _ALIKE * np.linalg.norm(off, axis=1)[:, None]

@@ -7,68 +7,61 @@ import numpy as np
 from ttcvid.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
-_MOST_CELLS = 100
+# The radius reaches over so many cells; the most of them along one axis.
+_REACH, _MOST_CELLS = 4, 400
 
 
-def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bools, is_beside: Bools) -> Ints:
-    """Points' nearest others closer than a radius: (N, count), the point itself standing in for missing ones.
+def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bools) -> Ints:
+    """Nearest others closer than a radius, in any order, of the points asked, ``is_asked (N,)``: (N, count).
 
-    Parameters
-    ----------
-    xy_px : (N, 2). Nearer ones first.
-    is_asked, is_beside : (N,) points whose neighbours are asked for, and points to which others are: what neither is
-        asked for nor has one of these within the radius gets no neighbours.
+    The point itself stands in for missing ones. ``xy_px (N, 2)``.
     """
     neighbours = np.repeat(np.arange(len(xy_px))[:, None], count, axis=1)
-    if len(xy_px) and (is_asked.any() or is_beside.any()):
-        # Cells as wide as the radius; where points lie far outside the picture, those at the border are wider.
-        cell = np.minimum((xy_px - xy_px.min(axis=0)) / radius_px, _MOST_CELLS - 1).astype(np.int64, order="C")
+    if is_asked.any():
+        # Where points lie far outside the picture, the cells at the border are wider.
+        side_px = radius_px / _REACH
+        cell = np.minimum((xy_px - xy_px.min(axis=0)) / side_px, _MOST_CELLS - 1).astype(np.int64, order="C")
         n_rows = int(cell[:, 1].max()) + 1
         number = cell[:, 0] * n_rows + cell[:, 1]
         start = np.append(0, np.cumsum(np.bincount(number, minlength=(int(cell[:, 0].max()) + 1) * n_rows)))
         cells = cell, np.argsort(number, kind="stable"), start, n_rows
-        _fill_nearest(np.ascontiguousarray(xy_px), cells, radius_px, is_asked | is_beside, is_beside, neighbours)
+        _fill_nearest(np.ascontiguousarray(xy_px), cells, side_px, is_asked, neighbours)
     return neighbours
 
 
-@compiled_for("(f8[:, ::1], Tuple((i8[:, ::1], i8[::1], i8[::1], i8)), f8, b1[::1], b1[::1], i8[:, ::1])")
+@compiled_for("(f8[:, ::1], Tuple((i8[:, ::1], i8[::1], i8[::1], i8)), f8, b1[::1], i8[:, ::1])")
 def _fill_nearest(
-    xy_px: Floats,
-    cells: tuple[Ints, Ints, Ints, int],
-    radius_px: float,
-    is_wanted: Bools,
-    is_beside: Bools,
-    neighbours: Ints,
+    xy_px: Floats, cells: tuple[Ints, Ints, Ints, int], side_px: float, is_asked: Bools, neighbours: Ints
 ) -> None:
-    """Fill ``neighbours (N, count)``, itself of each point, of `nearest_neighbours`: a tree takes four times as long.
+    """Fill ``neighbours (N, count)``, itself of each point, of `nearest_neighbours`: a tree takes ten times as long.
 
-    ``cells`` are column and row of each point ``(N, 2)``, the points cell by cell, column after column, where each cell
-    starts among these, and the number of rows. Those that have one beside become wanted first.
+    ``cells``, ``side_px`` wide: column and row of each point ``(N, 2)``, the points cell by cell, column after column,
+    where each cell starts among these, and the number of rows.
     """
     cell, by_cell, start, n_rows = cells
     (n, count), n_columns = neighbours.shape, (len(start) - 1) // n_rows
     squares = np.empty(count)
-    for is_marking in (True, False):
-        for i in range(n):
-            if not (is_beside[i] if is_marking else is_wanted[i]):
-                continue
-            found, farthest = 0, radius_px * radius_px
-            first_row, last_row = max(cell[i, 1] - 1, 0), min(cell[i, 1] + 1, n_rows - 1)
-            for column in range(max(cell[i, 0] - 1, 0), min(cell[i, 0] + 2, n_columns)):
+    for i in range(n):
+        # Most points have enough neighbours within half of the radius. What is not looked at is farther than that.
+        reach, farthest = _REACH // 2, np.inf
+        while is_asked[i] and reach <= _REACH and not farthest <= (reach // 2 * side_px) ** 2:
+            found, worst, farthest = 0, 0, (_REACH * side_px) ** 2
+            first_row, last_row = max(cell[i, 1] - reach, 0), min(cell[i, 1] + reach, n_rows - 1)
+            for column in range(max(cell[i, 0] - reach, 0), min(cell[i, 0] + reach + 1, n_columns)):
                 for place in range(start[column * n_rows + first_row], start[column * n_rows + last_row + 1]):
                     j = by_cell[place]
                     square = (xy_px[j, 0] - xy_px[i, 0]) ** 2 + (xy_px[j, 1] - xy_px[i, 1]) ** 2
                     if not square < farthest or j == i:
                         continue
-                    if is_marking:
-                        is_wanted[j] = True
-                        continue
-                    at = min(found, count - 1)
-                    while at > 0 and squares[at - 1] > square:
-                        squares[at], neighbours[i, at] = squares[at - 1], neighbours[i, at - 1]
-                        at -= 1
+                    # Once there are enough, each replaces the farthest one.
+                    at = found if found < count else worst
                     squares[at], neighbours[i, at], found = square, j, min(found + 1, count)
-                    farthest = squares[count - 1] if found == count else farthest
+                    if found == count:
+                        farthest = 0.0
+                        for k in range(count):
+                            worst = k if squares[k] > farthest else worst
+                            farthest = max(squares[k], farthest)
+            reach *= 2
 
 
 def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
