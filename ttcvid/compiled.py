@@ -99,8 +99,11 @@ def compiled_for(signature: str) -> Callable[[F], F]:
 
 
 def compiled_in_place(function: F) -> F:
-    """The same, put in where it is called: only so can a loop that calls it work at several items side by side."""
-    return _compiled(function, forceinline=True)
+    """The same, put in where it is called: only so can a loop that calls it work at several items side by side.
+
+    It is kept on disk with what calls it, and not by itself.
+    """
+    return cast(F, numba.njit(**_OPTIONS, forceinline=True)(function))
 
 
 def compiled_part(function: F) -> F:
@@ -129,8 +132,8 @@ def _folders() -> list[Path]:
     return sorted(path for path in paths if path.is_dir())
 
 
-def _compiled(function: F, **more: Any) -> F:
-    done = numba.njit(**_OPTIONS, **more)(function)
+def _compiled(function: F) -> F:
+    done = numba.njit(**_OPTIONS)(function)
     try:
         done._cache = checked_cache(function)
     except RuntimeError as error:
