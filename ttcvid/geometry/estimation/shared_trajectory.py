@@ -229,11 +229,15 @@ def fit_paths(
 
 def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> Floats:
     """Views ``(L, N, 2)`` without the rotation rates ``(K, 3)`` of their paths, about time 0; any without a path."""
-    if not turn_rad_s.any():
+    turning = np.flatnonzero(turn_rad_s.any(axis=1))
+    if not len(turning):
         return xy
-    rays = np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=2)
+    turns = np.flatnonzero(np.isin(path_of, turning))
+    back, rays = xy.copy(), np.ones((len(t_s), len(turns), 3))
+    rays[..., :2] = xy.take(turns, axis=1)
     rotations = rotation_from_vector(-t_s[:, None] * turn_rad_s[:, None])
-    return each_turned_into_plane(rays, np.arange(len(path_of)), rotations, path_of)
+    back[:, turns] = each_turned_into_plane(rays, np.arange(len(turns)), rotations, path_of[turns])
+    return back
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
