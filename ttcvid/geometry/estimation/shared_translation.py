@@ -30,19 +30,15 @@ def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_st
     cam_R_past : (L, 3, 3) turns a ray of each view into the present camera.
     start_hz : (K, 3) V / Z to start from.
     """
-    n_views, velocity, info = len(points.since_s), start_hz.copy(), np.zeros((len(start_hz), 3, 3))
-    rays = points.rays[points.track, :, points.rays.shape[2] - n_views :]
-    is_used = rays[:, 2, -1] > LEAST_FORWARD
-    rays, thing, sigma = rays[is_used], points.thing[is_used], points.sigma_norm[points.track[is_used]]
-    turned = np.einsum("lij,mjl->mli", cam_R_past, rays)
-    # Where a point was not seen it is NaN, and no comparison holds.
-    is_seen = turned[..., 2] > LEAST_FORWARD
-    seen = np.where(is_seen, turned[..., 2], np.nan)[..., None] ** -1.0 * turned[..., :2]
-    place = np.ascontiguousarray(rays[:, :2, -1] / rays[:, 2:, -1])
-    precision = _depth_precisions(place, thing, len(start_hz))
+    velocity, info = start_hz.copy(), np.zeros((len(start_hz), 3, 3))
+    last = points.rays[points.track, :, -1]
+    is_used = last[:, 2] > LEAST_FORWARD
+    track, thing, place = points.track[is_used], points.thing[is_used], last[is_used, :2] / last[is_used, 2:]
+    precision, rotations = _depth_precisions(place, thing, len(start_hz)), np.ascontiguousarray(cam_R_past)
     for _ in range(n_steps):
         info, score = np.zeros_like(info), np.zeros_like(velocity)
-        _add_points((place, seen, sigma, thing), points.since_s, velocity, precision, info, score)
+        of_points = points.rays, points.sigma_norm, track, thing, place
+        _add_points(of_points, rotations, points.since_s, velocity, precision, info, score)
         info += np.tril(info, -1).transpose(0, 2, 1)
         is_told = np.linalg.det(info) > 0.0
         velocity[is_told] += np.linalg.solve(info[is_told], score[is_told, :, None])[..., 0]
@@ -50,10 +46,12 @@ def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_st
 
 
 @compiled_for(
-    "(Tuple((f8[:, ::1], f8[:, :, ::1], f8[::1], i8[::1])), f8[::1], f8[:, ::1], f8[::1], f8[:, :, ::1], f8[:, ::1])"
+    "(Tuple((f8[:, :, ::1], f8[::1], i8[::1], i8[::1], f8[:, ::1])), f8[:, :, ::1], f8[::1], f8[:, ::1], f8[::1], "
+    "f8[:, :, ::1], f8[:, ::1])"
 )
 def _add_points(
-    points: tuple[Floats, Floats, Floats, Ints],
+    points: tuple[Floats, Floats, Ints, Ints, Floats],
+    rotations: Floats,
     t_s: Floats,
     velocity_hz: Floats,
     precision: Floats,
@@ -62,21 +60,25 @@ def _add_points(
 ) -> None:
     """Add to ``info (K, 3, 3)``, its lower half, and ``score (K, 3)`` what points say of the velocity of their thing.
 
-    ``points``: place (M, 2), where each was seen in L views (M, L, 2), NaN where it was not, noise and thing (M,);
-    ``precision (K,)`` of their depths.
+    ``points``: rays and noise of tracks as in `rigid_motion.Points`, track, thing (M,) and place (M, 2) of each;
+    ``rotations (L, 3, 3)`` of the last L views, ``precision (K,)`` of depths.
     """
-    place, seen, sigma, thing = points
+    rays, sigmas, track, thing, place = points
     rows, equations, kept = np.empty((7, 2 * len(t_s))), np.empty((7, 6)), np.empty((7, 3))
     for i in range(len(thing)):
         along_x, along_y, ahead = velocity_hz[thing[i], 0], velocity_hz[thing[i], 1], velocity_hz[thing[i], 2]
-        n = 0
+        n, m, first, sigma = 0, track[i], rays.shape[2] - len(t_s), sigmas[track[i]]
         for k in range(len(t_s)):
-            if np.isnan(seen[i, k, 0]):
+            p, q, r = rays[m, 0, first + k], rays[m, 1, first + k], rays[m, 2, first + k]
+            deep = rotations[k, 2, 0] * p + rotations[k, 2, 1] * q + rotations[k, 2, 2] * r
+            # Where it was not seen it is NaN, and no comparison holds.
+            if not deep > LEAST_FORWARD:
                 continue
             t, h = t_s[k], 1.0 / max(1.0 + ahead * t_s[k], LEAST_DEPTH_RATIO)
             x, y = (place[i, 0] + along_x * t) * h, (place[i, 1] + along_y * t) * h
-            rx, ry = seen[i, k, 0] - x, seen[i, k, 1] - y
-            root = np.sqrt(ROBUST_SIGMAS / max(np.sqrt(rx * rx + ry * ry) / sigma[i], ROBUST_SIGMAS)) / sigma[i]
+            rx = (rotations[k, 0, 0] * p + rotations[k, 0, 1] * q + rotations[k, 0, 2] * r) / deep - x
+            ry = (rotations[k, 1, 0] * p + rotations[k, 1, 1] * q + rotations[k, 1, 2] * r) / deep - y
+            root = np.sqrt(ROBUST_SIGMAS / max(np.sqrt(rx * rx + ry * ry) / sigma, ROBUST_SIGMAS)) / sigma
             g, other = root * h, n + 1
             rows[0, n], rows[0, other], rows[1, n], rows[1, other] = g, 0.0, 0.0, g
             rows[2, n], rows[2, other] = (along_x - x * ahead) * t * g, (along_y - y * ahead) * t * g
