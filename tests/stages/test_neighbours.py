@@ -28,7 +28,7 @@ def squares_of(xy):
 
 
 def neighbours_of_all(xy, count, radius):
-    return nearest_neighbours(xy, count, radius, np.ones(len(xy), dtype=bool))
+    return nearest_neighbours(xy, count, radius, np.ones(len(xy), dtype=bool), np.zeros(len(xy), dtype=np.int64))
 
 
 @given(xy=places(), radius=RADII, count=st.integers(1, 9))
@@ -60,7 +60,8 @@ def test_neighbours_are_those_of_a_tree(seed, n):
 @settings(max_examples=150)
 def test_neighbours_of_those_asked_are_as_if_all_were(xy, radius, part):
     is_asked = np.random.default_rng(len(xy)).random(len(xy)) < part
-    found, of_all = nearest_neighbours(xy, 6, radius, is_asked), neighbours_of_all(xy, 6, radius)
+    alike = np.zeros(len(xy), dtype=np.int64)
+    found, of_all = nearest_neighbours(xy, 6, radius, is_asked, alike), neighbours_of_all(xy, 6, radius)
     np.testing.assert_array_equal(found, np.where(is_asked[:, None], of_all, np.arange(len(xy))[:, None]))
 
 

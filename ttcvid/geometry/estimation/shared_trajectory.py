@@ -229,10 +229,9 @@ def fit_paths(
 
 def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> Floats:
     """Views ``(L, N, 2)`` without the rotation rates ``(K, 3)`` of their paths, about time 0; any without a path."""
-    turning = np.flatnonzero(turn_rad_s.any(axis=1))
-    if not len(turning):
+    turns = np.flatnonzero((turn_rad_s[path_of] != 0.0).any(axis=1) & (path_of >= 0)) if turn_rad_s.any() else ()
+    if not len(turns):
         return xy
-    turns = np.flatnonzero(np.isin(path_of, turning))
     back, rays = xy.copy(), np.ones((len(t_s), len(turns), 3))
     rays[..., :2] = xy.take(turns, axis=1)
     rotations = rotation_from_vector(-t_s[:, None] * turn_rad_s[:, None])

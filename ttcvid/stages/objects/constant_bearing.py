@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
 from ttcvid.geometry.rotation import normalize
@@ -13,6 +12,7 @@ from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, TrackStates
 from ttcvid.stages.tracking.history import TrackHistory
+from ttcvid.stages.tracking.neighbours import nearest_neighbours
 
 EXPANSION_FRAMES = 5
 """Expansions are measured over so many steps of the history, where there are as many."""
@@ -91,12 +91,9 @@ def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> 
 def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:
     """The nearest tracks of the same cluster around each of the ``asked`` tracks, itself the first.
 
-    Returns ``(N, count)`` tracks within the radius, nearest first, -1 where absent and for tracks not asked.
+    Returns ``(N, count)`` tracks within the radius, -1 where absent and for tracks not asked.
     """
-    found = np.full((len(xy_px), count), -1, dtype=np.int64)
-    for number in np.unique(cluster[asked]):
-        members, own = np.flatnonzero(cluster == number), asked[cluster[asked] == number]
-        _, place = cKDTree(xy_px[members]).query(xy_px[own], k=np.arange(1, count + 1), distance_upper_bound=radius_px)
-        # One that is absent has the place behind the last member.
-        found[own] = np.append(members, -1)[place]
-    return found
+    itself, is_asked = np.arange(len(xy_px))[:, None], np.zeros(len(xy_px), dtype=bool)
+    is_asked[asked] = True
+    others = nearest_neighbours(xy_px, count - 1, radius_px, is_asked, cluster)
+    return np.hstack([np.where(is_asked[:, None], itself, -1), np.where(others == itself, -1, others)])

@@ -169,15 +169,15 @@ def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_
     return np.asarray(rate_hz - median_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(median_hz))
 
 
-def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Ints:
+def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Floats:
     """Number of the neighbours ``(N, K)`` of each track in each body: ``(N, B)``."""
-    track, beside = np.nonzero(neighbours != np.arange(len(number))[:, None])
-    of_body = number[neighbours[track, beside]]
-    votes = np.bincount(track * n_bodies + of_body, minlength=len(number) * n_bodies)
+    track = np.arange(len(number))[:, None]
+    place, is_other = track * n_bodies + number[neighbours], neighbours != track
+    votes = np.bincount(place.ravel(), is_other.ravel(), len(number) * n_bodies)
     return np.asarray(votes.reshape(len(number), n_bodies))
 
 
-def _costs(redchis: Floats, votes: Ints, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
+def _costs(redchis: Floats, votes: Floats, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
     """Cost of each body for each track: ``(N, B)``, the scene first.
 
     By ``redchis, votes (N, B)``, reduced chi-square over the median one and number of neighbours, and ``number, n_views

@@ -104,7 +104,7 @@ def around_the_oddest(
     may be around it, within some ``link_px``.
     """
     seed = int(np.argmax(np.where(is_asked, redchi, -np.inf)))
-    off_px = np.linalg.norm(xy_px - xy_px[seed], axis=1)
+    off_px = np.hypot(xy_px[:, 0] - xy_px[seed, 0], xy_px[:, 1] - xy_px[seed, 1])
     around = np.flatnonzero(may_be & (off_px < _LINKS * link_px))
     return seed, around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
 

@@ -127,7 +127,8 @@ def find_bodies(
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     if is_displaced.any():
-        stays = is_displaced & np.isin(belonged, np.append(SCENE_CLUSTER, movers.key))
+        known = np.append(SCENE_CLUSTER, movers.key)
+        stays = is_displaced & (known[numbers_of(belonged, movers)] == belonged)
         key = np.where(stays, belonged, key)
     movers = with_velocities(views, seen.scene, key, movers)
     movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)

@@ -11,10 +11,10 @@ from ttcvid.model import Bools, Floats, Ints
 _REACH, _MOST_CELLS = 4, 400
 
 
-def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bools) -> Ints:
-    """Nearest others closer than a radius, in any order, of the points asked, ``is_asked (N,)``: (N, count).
+def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bools, kind: Ints) -> Ints:
+    """Nearest others of the same ``kind (N,)`` closer than a radius, in any order, of the points asked: (N, count).
 
-    The point itself stands in for missing ones. ``xy_px (N, 2)``.
+    The point itself stands in for missing ones. ``xy_px (N, 2)``, ``is_asked (N,)``.
     """
     neighbours = np.repeat(np.arange(len(xy_px))[:, None], count, axis=1)
     if is_asked.any():
@@ -25,13 +25,13 @@ def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bo
         number = cell[:, 0] * n_rows + cell[:, 1]
         start = np.append(0, np.cumsum(np.bincount(number, minlength=(int(cell[:, 0].max()) + 1) * n_rows)))
         cells = cell, np.argsort(number, kind="stable"), start, n_rows
-        _fill_nearest(np.ascontiguousarray(xy_px), cells, side_px, is_asked, neighbours)
+        _fill_nearest(np.ascontiguousarray(xy_px), cells, side_px, is_asked, kind, neighbours)
     return neighbours
 
 
-@compiled_for("(f8[:, ::1], Tuple((i8[:, ::1], i8[::1], i8[::1], i8)), f8, b1[::1], i8[:, ::1])")
+@compiled_for("(f8[:, ::1], Tuple((i8[:, ::1], i8[::1], i8[::1], i8)), f8, b1[::1], i8[::1], i8[:, ::1])")
 def _fill_nearest(
-    xy_px: Floats, cells: tuple[Ints, Ints, Ints, int], side_px: float, is_asked: Bools, neighbours: Ints
+    xy_px: Floats, cells: tuple[Ints, Ints, Ints, int], side_px: float, is_asked: Bools, kind: Ints, neighbours: Ints
 ) -> None:
     """Fill ``neighbours (N, count)``, itself of each point, of `nearest_neighbours`: a tree takes ten times as long.
 
@@ -51,7 +51,7 @@ def _fill_nearest(
                 for place in range(start[column * n_rows + first_row], start[column * n_rows + last_row + 1]):
                     j = by_cell[place]
                     square = (xy_px[j, 0] - xy_px[i, 0]) ** 2 + (xy_px[j, 1] - xy_px[i, 1]) ** 2
-                    if not square < farthest or j == i:
+                    if not square < farthest or j == i or kind[j] != kind[i]:
                         continue
                     # Once there are enough, each replaces the farthest one.
                     at = found if found < count else worst
