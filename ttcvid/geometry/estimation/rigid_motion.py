@@ -242,4 +242,7 @@ def refined_paths(
 def _paths_of(ways: Floats, n_views: int) -> RigidPaths:
     """The paths over the last ``n_views`` of the views of `ways_of`."""
     by_view = ways[..., ways.shape[2] - n_views :].transpose(0, 2, 1)
-    return RigidPaths(by_view[..., :9].reshape(len(ways), n_views, 3, 3), np.ascontiguousarray(by_view[..., 9:]))
+    turned = by_view[..., :9].reshape(len(ways), n_views, 3, 3)
+    # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
+    turned = turned @ (1.5 * np.eye(3) - 0.5 * turned.swapaxes(2, 3) @ turned)
+    return RigidPaths(turned, np.ascontiguousarray(by_view[..., 9:]))

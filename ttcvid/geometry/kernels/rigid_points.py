@@ -173,17 +173,11 @@ def correct_ways(
                     change[j] -= turn_precision[view] * off_rad[0, j]
             solve(matrix, change)
             fill_rotation(-change[0], -change[1], -change[2], turn)
-            for i in range(3):
-                for j in range(3):
-                    off[0, i, j] = turn[i, 0] * before[0, j] + turn[i, 1] * before[1, j] + turn[i, 2] * before[2, j]
-            # One step of Newton's towards the nearest rotation: products that go on for ever cease to be some.
-            for i in range(3):
-                for j in range(3):
-                    way[3 * i + j, k] = 1.5 * off[0, i, j]
-                    for c in range(3):
-                        for d in range(3):
-                            way[3 * i + j, k] -= 0.5 * off[0, i, c] * off[0, d, c] * off[0, d, j]
             for j in range(3):
+                for i in range(3):
+                    way[3 * i + j, k] = (
+                        turn[i, 0] * before[0, j] + turn[i, 1] * before[1, j] + turn[i, 2] * before[2, j]
+                    )
                 way[9 + j, k] += change[3 + j]
             longest_now = max(longest_now, np.sqrt(way[9, k] ** 2 + way[10, k] ** 2 + way[11, k] ** 2))
         if min(longest, longest_now) > NO_LENGTH:
