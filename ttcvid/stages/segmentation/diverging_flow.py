@@ -17,7 +17,7 @@ from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of
 from ttcvid.stages.segmentation.common_errors import SIGMAS_999, common_growth_hz
-from ttcvid.stages.segmentation.expansion import around_any, around_the_oddest
+from ttcvid.stages.segmentation.expansion import around_the_oddest
 from ttcvid.stages.segmentation.scene import SeenScene
 
 # Minimum number of tracks for an expanding object. Fewer than for other movers, since three unknowns for all are
@@ -79,7 +79,7 @@ def expanding_movers(
     things, small, needed = list[_Thing](), list[_Thing](), least_tracks(config)
     least = min(_FEW_TRACKS, needed) if few_are_enough else needed
     # Most tracks are around several of those asked, and say the same each time.
-    near = around_any(views.xy_px, is_asked, may_be, views.link_px)
+    near = np.flatnonzero(may_be)
     xy = each_turned_into_plane(views.rays, near, seen.scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
     sums = growth_sums(xy, views.since_s, np.sqrt(seen.median_redchi) * views.sigma_norm[near])
     xy_px, redchi, is_asked = views.xy_px[near], seen.redchi[near], is_asked[near]

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import growth_sums
@@ -107,14 +106,6 @@ def around_the_oddest(
     off_px = np.hypot(xy_px[:, 0] - xy_px[seed, 0], xy_px[:, 1] - xy_px[seed, 1])
     around = np.flatnonzero(may_be & (off_px < _LINKS * link_px))
     return seed, around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
-
-
-def around_any(xy_px: Floats, is_asked: Bools, may_be: Bools, link_px: float) -> Ints:
-    """Tracks (M,), ascending, that `around_the_oddest` may find around those asked; some may be too far."""
-    near = np.flatnonzero(may_be)
-    # A little farther: the tree rounds distances otherwise.
-    off_px, _ = KDTree(xy_px[is_asked]).query(xy_px[near], distance_upper_bound=1.001 * _LINKS * link_px)
-    return np.asarray(near[np.isfinite(off_px)])
 
 
 def _thing_around(
