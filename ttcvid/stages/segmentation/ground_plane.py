@@ -28,9 +28,8 @@ OWN_HALF_WIDTH = 0.7
 # Largest relative standard deviation of an inverse depth that counts.
 _KNOWN_PART = 0.1
 # Inverse depths of road points agree within this natural logarithm; a point with less than this share of the road's
-# inverse depth would lie under it, and counts against it. With less than the last share it hardly moves: it sticks to
-# its pixel (blocks that a codec copies, dirt), and counts for nothing.
-_ROAD_SPREAD, _UNDER_PART, _STICKS_PART = 0.08, 0.75, 0.2
+# inverse depth would lie under it, and counts against it.
+_ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
 # Points are weighted to equal totals per square of this side (tangent, 3 deg).
 _CELL = 0.05
 # Least number of tracks on a ground plane, and their least share of the weight of all below the horizon.
@@ -181,8 +180,7 @@ def _fitted_plane(seen: RoadPoints, road: Floats) -> Floats | None:
     columns = np.column_stack([np.ones(len(seen.place)), seen.place])
     predicted = columns @ road
     is_on_road = np.abs(seen.rate_hz - predicted) < 1.5 * _ROAD_SPREAD * predicted
-    moves = (predicted > LEAST_BELOW * road[2]) & (seen.rate_hz > _STICKS_PART * predicted)
-    below = seen.weight[moves].sum()
+    below = seen.weight[predicted > LEAST_BELOW * road[2]].sum()
     n_tracks, on_road = len({*seen.track_id[is_on_road].tolist()}), seen.weight[is_on_road].sum()
     if n_tracks < _LEAST_TRACKS or on_road < _LEAST_SHARE * below:
         return None
@@ -196,7 +194,7 @@ def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
     """Row of ``log_slope (H, N)`` with the densest interval of 2 `_ROAD_SPREAD`, and its start; -1 without any.
 
     Rows are ascending, infinite where there is no point. Support is the ``weight (H, N)`` within the interval, less
-    that of points that move and are too far below it, which would lie under the road.
+    that of points too far below it, which would lie under the road.
     """
     is_point = np.isfinite(log_slope)
     n_rows, n = log_slope.shape
@@ -205,11 +203,8 @@ def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
     for row in range(n_rows):
         start = log_slope[row, is_point[row]]
         end = np.searchsorted(start, start + 2.0 * _ROAD_SPREAD)
-        stuck, under = (
-            np.searchsorted(start, start + _ROAD_SPREAD + np.log(part)) for part in (_STICKS_PART, _UNDER_PART)
-        )
-        counts = before[row, end] - before[row, : len(start)] - (before[row, under] - before[row, stuck])
-        support[row, : len(start)] = counts
+        under = np.searchsorted(start, start + _ROAD_SPREAD + np.log(_UNDER_PART))
+        support[row, : len(start)] = before[row, end] - before[row, : len(start)] - before[row, under]
     best, place = np.unravel_index(np.argmax(support), support.shape)
     return (int(best), float(log_slope[best, place])) if support[best, place] > 0.0 else (-1, 0.0)
 
