@@ -229,14 +229,11 @@ def fit_paths(
 
 def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> Floats:
     """Views ``(L, N, 2)`` without the rotation rates ``(K, 3)`` of their paths, about time 0; any without a path."""
-    turns = np.flatnonzero((turn_rad_s[path_of] != 0.0).any(axis=1) & (path_of >= 0)) if turn_rad_s.any() else ()
-    if not len(turns):
+    if not turn_rad_s.any():
         return xy
-    back, rays = xy.copy(), np.ones((len(t_s), len(turns), 3))
-    rays[..., :2] = xy.take(turns, axis=1)
+    rays = np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=2)
     rotations = rotation_from_vector(-t_s[:, None] * turn_rad_s[:, None])
-    back[:, turns] = each_turned_into_plane(rays, np.arange(len(turns)), rotations, path_of[turns])
-    return back
+    return each_turned_into_plane(rays, np.arange(len(path_of)), rotations, path_of)
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:

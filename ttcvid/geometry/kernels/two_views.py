@@ -14,9 +14,8 @@ from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Floats
 
+# Lower quartile of the absolute value of a standard normal variable, and of the length of two.
 QUARTILE_NORMAL, QUARTILE_RAYLEIGH = 0.3186, 0.7585
-"""Lower quartile of the absolute value of a standard normal variable, and of the length of two."""
-
 # Geman and McClure's weight falls to a quarter at so many sigmas and on towards zero: a lorry of two fifths of all
 # points, which Cauchy's weight lets pull for ever, is let go.
 _REDESCENT = 4.0
@@ -94,7 +93,7 @@ def fit_two_views(
                     square += rows[3, k] * rows[3, k]
                 residual[i] = np.sqrt(square)
         # The scale of the weights is at least 1, in sigmas: a poor start sees far, a good one trusts the noise it was
-        # told. It is half of the spread, by the better half: most of the points may be on movers.
+        # told. It is half of the spread that the lower quartile shows: movers may hold most points.
         for i in range(n):
             root[i] = abs(residual[i])
         lower_quartile = median(root[root <= median(root)])

@@ -125,7 +125,7 @@ def is_at_epipole(q: Floats, r: Floats, e: Floats, variance: Floats, e_variance:
     covariance of e: the variance along the worse axis where the direction is uncertain along one axis only, and at most
     twice as much otherwise.
     """
-    # Of the sine of their angle. What is not known is no sign of being off.
+    # Squared sine of the angle between ray and e. What is not known is no sign of being off.
     sine2 = [1.0 - np.einsum("ni,ni->n", rays, e) ** 2 / _square_sum(rays) for rays in (q, r)]
     farther = np.fmax(np.fmax(*sine2), 0.0)
     return np.asarray(farther < SIGNIFICANCE_SIGMAS**2 * (variance + e_variance))

@@ -34,11 +34,12 @@ _MOST_INLIERS, _WAYS_ACROSS = 0.9, 16
 # A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
 # most of its points are. With more than this share of the parts still, there is no translation to speak of.
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
-# Median and lower quartile of the absolute value of a standard normal variable, and of the length of two.
-_NORMAL, _RAYLEIGH = (0.6745, QUARTILE_NORMAL), (1.1774, QUARTILE_RAYLEIGH)
-# A camera on a mast shakes by less than so many standard deviations, and a vehicle goes no farther off ahead or back;
-# fewer points than this do not tell how a mast shakes.
+# Median of the absolute value of a standard normal variable, and of the length of two.
+_MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
+# A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
 _FARTHEST_SIGMAS, _LEAST_STILL = 4.0, 6
+# A vehicle does not go farther off its camera's axis, ahead or back, than so many standard deviations: 60 deg.
+_MOST_OFF_AXIS_SIGMAS = 4.0
 # Number of the cells of `picture_region` along one axis, and the least z of a ray that still has a cell of its own.
 _REGION_COUNT, _LEAST_Z = 200, 0.05
 
@@ -80,10 +81,10 @@ class MotionPrior:
 
     def excludes(self, direction: Floats) -> bool:
         """Whether it cannot go in a direction ``(3,)``: a car that waits does not drift with the traffic before it."""
-        if self.direction_sigma_rad is None:
+        most_rad = math.inf if self.direction_sigma_rad is None else _MOST_OFF_AXIS_SIGMAS * self.direction_sigma_rad
+        if not most_rad < 0.5 * math.pi:
             return False
-        least = math.cos(min(_FARTHEST_SIGMAS * self.direction_sigma_rad, 0.5 * math.pi))
-        return abs(float(direction @ FORWARD_DIR)) < least * float(np.linalg.norm(direction))
+        return abs(float(direction @ FORWARD_DIR)) < math.cos(most_rad) * float(np.linalg.norm(direction))
 
 
 # A car turns its rate by at most 0.3-0.5 deg from frame to frame and moves within a few degrees of where its camera
@@ -140,13 +141,16 @@ class Egomotion:
     def residual_spread(self) -> float:
         """Robust standard deviation of the scene's residuals in sigmas: 1 where the noise is what was assumed.
 
-        Movers are cut off at three times the spread, at first at that of the better half: they may be the most.
+        Residuals over three times the spread are cut off as movers; these may be the most, hence the lower quartile.
         """
         size = np.sort(np.abs(self.residual))
-        middle, quartile = _NORMAL if self.direction is not None else _RAYLEIGH
-        spread = size[(len(size) - 1) // 4] / quartile
-        for _ in range(4):
-            n = int(np.searchsorted(size, max(_INLIER_SIGMAS * spread, size[0]), side="right"))
+        moves, n = self.direction is not None, len(size)
+        middle = _MEDIAN_NORMAL if moves else _MEDIAN_RAYLEIGH
+        spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
+        if spread > _INLIER_SIGMAS:
+            spread = size[n // 4] / (QUARTILE_NORMAL if moves else QUARTILE_RAYLEIGH)
+        for _ in range(3):
+            n = int(np.searchsorted(size, _INLIER_SIGMAS * spread, side="right"))
             spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
         return float(spread)
 
@@ -293,7 +297,7 @@ def _shaking(observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turni
     if np.count_nonzero(stays) < _LEAST_STILL:
         # Only movers: the noise is not observed either.
         cov = prior.rotation_sigma_rad**2 * np.eye(3)
-        return Egomotion(prior.cam_R_prev, cov, None, None, np.array([_RAYLEIGH[0]]))
+        return Egomotion(prior.cam_R_prev, cov, None, None, np.array([_MEDIAN_RAYLEIGH]))
     still = (rays_prev[stays], rays_cam[stays], sigma_rad[stays], region[stays], prior)
     return _result(fit_rotation(*still, prior.cam_R_prev))
 

@@ -14,7 +14,7 @@ from ttcvid.geometry.estimation.shared_direction import shared_directions
 from ttcvid.geometry.estimation.track_state import WholeTracks, fit_whole_tracks
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import skew
-from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Ints, Platform, Status
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, ImageSize, Ints, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ClusterMotion
@@ -29,8 +29,8 @@ from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
 # Where few tracks are given they lie farther apart: random points hang together from 1.2 times their spacing on
-# (percolation of discs).
-_LINK_PART, _SPARSE_LINK = 0.05, 1.2
+# (percolation of discs, sqrt(4.51 / pi)). Nothing is a neighbour beyond so many times the first distance.
+_LINK_PART, _SPARSE_LINK, _MOST_LINK = 0.05, 1.2, 2.0
 # Error of a position that no track's noise knows of: what lens and shutter leave with a calibrated camera, px, and what
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
@@ -59,11 +59,11 @@ class FrameMotions:
     bend: OwnBend | None = None
 
 
-def _link_px(camera: Camera, n_tracks: int) -> float:
-    """Distance within which two of ``n_tracks`` in a picture are neighbours."""
-    width_px, height_px = camera.image_size.width_px, camera.image_size.height_px
-    spacing_px = math.sqrt(width_px * height_px / max(n_tracks, 1))
-    return max(_LINK_PART * camera.image_size.longer_side_px, _SPARSE_LINK * spacing_px)
+def _link_px(size: ImageSize, n_tracks: int) -> float:
+    """Distance within which two of ``n_tracks`` spread over a picture are neighbours."""
+    spacing_px = math.sqrt(size.width_px * size.height_px / max(n_tracks, 1))
+    least_px = _LINK_PART * size.longer_side_px
+    return float(np.clip(_SPARSE_LINK * spacing_px, least_px, _MOST_LINK * least_px))
 
 
 def find_motions(
@@ -83,7 +83,7 @@ def find_motions(
     correct them.
     """
     times = config.collision_times
-    link_px = _link_px(camera, history.n_tracks)
+    link_px = _link_px(camera.image_size, int(is_free.sum()))
     in_scene, objects, bend = is_free, list[ClusterMotion](), None
     is_displaced = np.zeros(history.n_tracks, dtype=bool)
     if egomotion is not None:

@@ -82,9 +82,8 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     shared_cov = np.zeros((len(first), N_SHARED, N_SHARED))
     shared_cov[:, :3, :3], shared_cov[:, 6:, 6:] = direction_cov[first], np.eye(3)
     path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
-    no_turns = np.zeros((len(first), 3))
-    shared = SharedErrors(path_of, direction[first], rate_hz, own, jacobian, shared_cov, no_turns)
-    return replace(states, shared=shared)
+    errors = rate_hz, own, jacobian, shared_cov, np.zeros((len(first), 3))
+    return replace(states, shared=SharedErrors(path_of, direction[first], *errors))
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:

@@ -65,7 +65,7 @@ def new_movers(
     Parameters
     ----------
     in_scene : ``(N,)`` tracks of the scene that may be part of a birth.
-    neighbours : ``(N, K)`` neighbours of tracks that contradict the scene.
+    neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
 
     Returns
     -------

@@ -52,9 +52,8 @@ class BodyViews:
 
     def neighbours(self, is_asked: Bools) -> Ints:
         """The nearest tracks within ``link_px`` of those asked, (N,); the track itself for missing ones: (N, K)."""
-        return nearest_neighbours(
-            self.xy_px, _N_NEIGHBOURS, self.link_px, is_asked, np.zeros(len(is_asked), dtype=np.int64)
-        )
+        alike = np.zeros(len(is_asked), dtype=np.int64)
+        return nearest_neighbours(self.xy_px, _N_NEIGHBOURS, self.link_px, is_asked, alike)
 
     def points(self, track: Ints, thing: Ints | None = None) -> Points:
         """These tracks as points of bodies: ``track, thing (M,)``; None: all of one body."""

@@ -25,9 +25,9 @@ _ONE_THING, _SIGMAS = 0.12, 2.0
 # Least number of points of an object; its foot is the middle one of so many lowest points, of which one may be wrong.
 # Where so many of its points lie under the road, it does.
 _LEAST_POINTS, _FOOT, _LEAST_UNDER = 4, 3, 2
-# What lies under the road reaches at most so many camera heights aside of its points there, of which neighbours are
-# nearer than the second.
-_BESIDE, _WIDTH = 0.4, 1.0
+# How far a thing reaches beyond its points under the road; a point there with no other one so near is taken for wrong.
+# Both in camera heights: 0.5 m and 1.3 m.
+_BESIDE, _NOT_ALONE = 0.4, 1.0
 ON_ROAD = 0.2
 """A point may be on the road if its inverse depth is within this share of the road's."""
 # A foot with less than the first share of the road's inverse depth is under the road, with more than the second over
@@ -140,12 +140,12 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
         members = things.members(number)
         thing[members] = -1
         under = things.index[is_under & (things.set_of == number)]
-        height = float(seen.road_hz[under].max()) / seen.slope_hz
-        # One by itself may be wrong: by it a tree that stands beside would be a part.
-        below_x = np.sort(seen.place[under, 0])
-        is_near = np.diff(below_x) < _WIDTH * height
-        below_x = below_x[np.append(False, is_near) | np.append(is_near, False) | ~is_near.any()]
-        members = members[_is_over(seen.place[members, 0], below_x, _BESIDE * height)]
+        camera_height = float(seen.road_hz[under].max()) / seen.slope_hz
+        under = under[np.argsort(seen.place[under, 0])]
+        is_near = np.diff(seen.place[under, 0]) < _NOT_ALONE * camera_height
+        # By one wrong point a tree that stands beside would be a part.
+        under = under[np.append(False, is_near) | np.append(is_near, False) | ~is_near.any()]
+        members = members[_is_over(seen.place[members, 0], seen.place[under, 0], _BESIDE * camera_height)]
         above = _above(seen, members, int(under[np.argmin(seen.place[under, 1])]), key, xy_px, link_px)
         thing[members] = thing[above] = number
     return Contacts(thing, contradicts, is_asked & ~upright_feet.are_high)

@@ -71,7 +71,7 @@ def merged(
     Parameters
     ----------
     key : ``(N,)`` body of each track.
-    neighbours : ``(N, K)`` neighbours of tracks that belong to a mover.
+    neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
     own_redchi : ``(N,)`` reduced chi-square of each track on its body, over ``median_redchi``.
     """
     number = numbers_of(key, movers)

@@ -12,12 +12,12 @@ _REACH, _MOST_CELLS = 4, 400
 
 
 def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bools, kind: Ints) -> Ints:
-    """Nearest others of the same ``kind (N,)`` closer than a radius, in any order, of the points asked: (N, count).
+    """For each point asked its nearest others of its ``kind (N,)`` within the radius, unsorted: (N, count).
 
     The point itself stands in for missing ones. ``xy_px (N, 2)``, ``is_asked (N,)``.
     """
     neighbours = np.repeat(np.arange(len(xy_px))[:, None], count, axis=1)
-    if is_asked.any():
+    if count and is_asked.any():
         # Where points lie far outside the picture, the cells at the border are wider.
         side_px = radius_px / _REACH
         cell = np.minimum((xy_px - xy_px.min(axis=0)) / side_px, _MOST_CELLS - 1).astype(np.int64, order="C")
@@ -39,12 +39,11 @@ def _fill_nearest(
     where each cell starts among these, and the number of rows.
     """
     cell, by_cell, start, n_rows = cells
-    (n, count), n_columns = neighbours.shape, (len(start) - 1) // n_rows
+    count, n_columns = neighbours.shape[1], (len(start) - 1) // n_rows
     squares = np.empty(count)
-    for i in range(n):
-        # Most points have enough neighbours within half of the radius. What is not looked at is farther than that.
-        reach, farthest = _REACH // 2, np.inf
-        while is_asked[i] and reach <= _REACH and not farthest <= (reach // 2 * side_px) ** 2:
+    for i in np.flatnonzero(is_asked):
+        # Most points have enough neighbours within half of the radius.
+        for reach in (_REACH // 2, _REACH):
             found, worst, farthest = 0, 0, (_REACH * side_px) ** 2
             first_row, last_row = max(cell[i, 1] - reach, 0), min(cell[i, 1] + reach, n_rows - 1)
             for column in range(max(cell[i, 0] - reach, 0), min(cell[i, 0] + reach + 1, n_columns)):
@@ -61,7 +60,9 @@ def _fill_nearest(
                         for k in range(count):
                             worst = k if squares[k] > farthest else worst
                             farthest = max(squares[k], farthest)
-            reach *= 2
+            # Points in cells that were not looked at are farther than this.
+            if farthest <= (reach * side_px) ** 2:
+                break
 
 
 def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
