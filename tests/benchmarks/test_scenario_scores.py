@@ -150,8 +150,10 @@ def test_the_page_of_the_same_scenes_is_the_same_and_a_score_is_made_once(done_s
 def test_a_run_that_is_stopped_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     words = ["benchmarks/scenarios.py", "--families", "CCFtap,CMFtap", "--kind", "tracks", "--seeds", "0-9"]
     words += ["--jobs", "1", "--out", str(tmp_path / "out")]
+    # A shell lets what it starts in the background ignore the signal.
+    options = {"start_new_session": True, "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen([sys.executable, *words], cwd=REPOSITORY, start_new_session=True, **streams)
+    process = subprocess.Popen([sys.executable, *words], cwd=REPOSITORY, **options, **streams)
     assert process.stdout is not None
     first = process.stdout.readline()
     assert first.startswith("   1/20 CCFtap:0  drawn")
