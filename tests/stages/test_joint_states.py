@@ -31,6 +31,7 @@ def states_on_one_path():
         rate_hz=np.full(N, RATE_HZ),
         rate_variance=own,
         jacobian=jacobian,
+        rate_jacobian=-jacobian[:, 2],
         cov=shared_cov,
         turn_rad_s=np.zeros((1, 3)),
     )
@@ -135,6 +136,7 @@ def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_pla
         rate_hz=np.full(count, RATE_HZ),
         rate_variance=rng.uniform(1e-4, 2e-4, count),
         jacobian=rng.normal(size=(count, 3, N_SHARED)),
+        rate_jacobian=np.zeros((count, N_SHARED)),
         cov=root @ np.swapaxes(root, 1, 2),
         turn_rad_s=np.array([[0.01, -0.03, 0.02]]),
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.objects.nearest_surface import in_nearest_surface, tracks_needed
+from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, in_nearest_surface, tracks_needed
 from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
 from ttcvid.stages.tracking.groups import TrackSets
 
@@ -63,7 +63,7 @@ def joint_states(
 
     The nearest surface has the largest inverse depth (speed / Z), for any direction of motion: 1 / ttc_z orders the
     depths of approaching objects only. Errors common to all tracks shift all surfaces alike and do not count in their
-    separation. The relief of a surface counts.
+    separation, unless no surface had enough tracks otherwise (`in_nearest_of_path`). The relief of a surface counts.
 
     Parameters
     ----------
@@ -74,11 +74,11 @@ def joint_states(
     has_direction = np.isfinite(direction[:, 0])
     sets, owner = members.where(states.has_value[members.index] & has_direction[members.set_of])
     path = _paths_of(sets, shared)
-    rate_hz, variance = _rates(sets, direction[owner], states, shared)
+    rate_hz, variance, by_shared = _rates(sets, direction[owner], states, shared)
     turns = (path >= 0) & (np.linalg.norm(shared.turn_rad_s, axis=1) > _TURNS_RAD_S)[path]
     sigma_hz = np.sqrt(variance + (_RELIEF * rate_hz) ** 2)
     needed = tracks_needed(members.lengths[owner])
-    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, needed, link_px)
+    is_in = in_nearest_of_path(rate_hz, sigma_hz, by_shared, shared.cov[path], xy_px[sets.index], sets, needed, link_px)
     above_hz, is_side = np.zeros(len(rate_hz)), np.zeros(len(sets), dtype=bool)
     for k in np.flatnonzero(turns & (sets.lengths >= _LEAST_OF_SIDE)):
         own = slice(sets.first[k], sets.first[k] + sets.lengths[k])
@@ -134,8 +134,10 @@ def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
     return np.asarray(np.maximum.reduceat(shared.path_of[sets.index], sets.first))
 
 
-def _rates(sets: TrackSets, direction: Floats, states: TrackStates, shared: SharedErrors) -> tuple[Floats, Floats]:
-    """Inverse depths (speed over depth) of M tracks, and their variance by own noise.
+def _rates(
+    sets: TrackSets, direction: Floats, states: TrackStates, shared: SharedErrors
+) -> tuple[Floats, Floats, Floats]:
+    """Inverse depths (speed over depth) of M tracks: value, variance by own noise, Jacobian by shared errors (M, 9).
 
     On a trajectory all points share one speed, on a turning body too, so that the nearest has the largest one. For
     other tracks it is the speed along the ``direction (K, 3)`` of the object, over depth. In 1/s.
@@ -143,7 +145,8 @@ def _rates(sets: TrackSets, direction: Floats, states: TrackStates, shared: Shar
     index, along, has_path = sets.index, direction[sets.set_of], shared.path_of[sets.index] >= 0
     rate_hz = np.where(has_path, shared.rate_hz[index], np.einsum("mi,mi->m", along, states.abc_hz[index]))
     own = np.einsum("mi,mij,mj->m", along, states.cov[index], along)
-    return rate_hz, np.where(has_path, shared.rate_variance[index], own)
+    variance = np.where(has_path, shared.rate_variance[index], own)
+    return rate_hz, variance, np.where(has_path[:, None], shared.rate_jacobian[index], 0.0)
 
 
 def _near_end(xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bools]:

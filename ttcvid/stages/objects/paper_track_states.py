@@ -81,9 +81,10 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     jacobian[:, :, 6:] = direction[:, :, None] * (flows.rotation_error_rad[:, None] * by_rotation)[:, None, :]
     shared_cov = np.zeros((len(first), N_SHARED, N_SHARED))
     shared_cov[:, :3, :3], shared_cov[:, 6:, 6:] = direction_cov[first], np.eye(3)
+    rate_jacobian = np.sum(direction[:, :, None] * jacobian, axis=1)
     path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
-    errors = rate_hz, own, jacobian, shared_cov, np.zeros((len(first), 3))
-    return replace(states, shared=SharedErrors(path_of, direction[first], *errors))
+    by_shared, no_turns = (jacobian, rate_jacobian, shared_cov), np.zeros((len(first), 3))
+    return replace(states, shared=SharedErrors(path_of, direction[first], rate_hz, own, *by_shared, no_turns))
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:
