@@ -14,8 +14,6 @@ from ttcvid.geometry.kernels.rotations import fill_rotation, fill_tangents
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Floats
 
-# Lower quartile of the absolute value of a standard normal variable, and of the length of two.
-QUARTILE_NORMAL, QUARTILE_RAYLEIGH = 0.3186, 0.7585
 # Geman and McClure's weight falls to a quarter at so many sigmas and on towards zero: a lorry of two fifths of all
 # points, which Cauchy's weight lets pull for ever, is let go.
 _REDESCENT = 4.0
@@ -93,11 +91,10 @@ def fit_two_views(
                     square += rows[3, k] * rows[3, k]
                 residual[i] = np.sqrt(square)
         # The scale of the weights is at least 1, in sigmas: a poor start sees far, a good one trusts the noise it was
-        # told. It is half of the spread that the lower quartile shows: movers may hold most points.
+        # told. It is half of the spread: with two fifths of the points on movers the median is no measure of the noise.
         for i in range(n):
             root[i] = abs(residual[i])
-        lower_quartile = median(root[root <= median(root)])
-        scale = max(1.0, 0.5 * lower_quartile / (QUARTILE_NORMAL if has_direction else QUARTILE_RAYLEIGH))
+        scale = max(1.0, 0.5 * 1.4826 * median(root) * (1.0 if has_direction else np.sqrt(0.5)))
         for i in range(n):
             relative = residual[i] / (scale * _REDESCENT)
             root[i] = np.sqrt(_WRONG_WAY_WEIGHT if sense[i] < 0.0 else 1.0) / ((1.0 + relative * relative) * scale)

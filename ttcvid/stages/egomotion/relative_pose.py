@@ -17,7 +17,6 @@ from ttcvid.geometry.estimation.relative_pose import (
     fit_rotation,
 )
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
-from ttcvid.geometry.kernels.two_views import QUARTILE_NORMAL, QUARTILE_RAYLEIGH
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.model import Bools, Camera, Floats, Ints, Platform
@@ -34,8 +33,9 @@ _MOST_INLIERS, _WAYS_ACROSS = 0.9, 16
 # A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
 # most of its points are. With more than this share of the parts still, there is no translation to speak of.
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
-# Median of the absolute value of a standard normal variable, and of the length of two.
+# Median of the absolute value of a standard normal variable, and of the length of two; the lower quartiles.
 _MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
+_QUARTILE_NORMAL, _QUARTILE_RAYLEIGH = 0.3186, 0.7585
 # A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
 _FARTHEST_SIGMAS, _LEAST_STILL = 4.0, 6
 # A vehicle does not go farther off its camera's axis, ahead or back, than so many standard deviations: 60 deg.
@@ -148,7 +148,7 @@ class Egomotion:
         middle = _MEDIAN_NORMAL if moves else _MEDIAN_RAYLEIGH
         spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
         if spread > _INLIER_SIGMAS:
-            spread = size[n // 4] / (QUARTILE_NORMAL if moves else QUARTILE_RAYLEIGH)
+            spread = size[n // 4] / (_QUARTILE_NORMAL if moves else _QUARTILE_RAYLEIGH)
         for _ in range(3):
             n = int(np.searchsorted(size, _INLIER_SIGMAS * spread, side="right"))
             spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
