@@ -33,9 +33,8 @@ _MOST_INLIERS, _WAYS_ACROSS = 0.9, 16
 # A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
 # most of its points are. With more than this share of the parts still, there is no translation to speak of.
 _STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
-# Median of the absolute value of a standard normal variable, and of the length of two; the lower quartiles.
+# Median of the absolute value of a standard normal variable, and of the length of two.
 _MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
-_QUARTILE_NORMAL, _QUARTILE_RAYLEIGH = 0.3186, 0.7585
 # A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
 _FARTHEST_SIGMAS, _LEAST_STILL = 4.0, 6
 # A vehicle does not go farther off its camera's axis, ahead or back, than so many standard deviations: 60 deg.
@@ -141,14 +140,11 @@ class Egomotion:
     def residual_spread(self) -> float:
         """Robust standard deviation of the scene's residuals in sigmas: 1 where the noise is what was assumed.
 
-        Residuals over three times the spread are cut off as movers; these may be the most, hence the lower quartile.
+        Movers are cut off at three times the spread, and the cut is allowed for.
         """
         size = np.sort(np.abs(self.residual))
-        moves, n = self.direction is not None, len(size)
-        middle = _MEDIAN_NORMAL if moves else _MEDIAN_RAYLEIGH
+        middle, n = _MEDIAN_NORMAL if self.direction is not None else _MEDIAN_RAYLEIGH, len(size)
         spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
-        if spread > _INLIER_SIGMAS:
-            spread = size[n // 4] / (_QUARTILE_NORMAL if moves else _QUARTILE_RAYLEIGH)
         for _ in range(3):
             n = int(np.searchsorted(size, _INLIER_SIGMAS * spread, side="right"))
             spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
