@@ -21,7 +21,7 @@ Missing values
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum, StrEnum
 from typing import Any
 
@@ -167,6 +167,7 @@ class PointSet:
     matrix's eigenvalues, 0 for a corner and 1 for an edge, times (cos, sin) of twice the angle across it, from x to y
     in that picture: a camera that has rolled since by more than some 10 deg makes it a corner. ``common_error_px`` is
     what the points of a thing err by together (standard deviation at its outline): 0 where each errs by itself.
+    ``unseen_id (M,)`` are tracks that are followed on and not observed in this picture; None: nobody knows.
     """
 
     track_id: Ints
@@ -174,6 +175,7 @@ class PointSet:
     window_px: Floats | None = None
     edge: Floats | None = None
     common_error_px: float = 0.0
+    unseen_id: Ints | None = None
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
@@ -195,7 +197,8 @@ class PointSet:
     def take(self, points: Bools) -> PointSet:
         """The points of a mask ``(N,)``."""
         window_px, edge = (None if part is None else part[points] for part in (self.window_px, self.edge))
-        return PointSet(self.track_id[points], self.xy_px[points], window_px, edge, self.common_error_px)
+        track_id, xy_px = self.track_id[points], self.xy_px[points]
+        return replace(self, track_id=track_id, xy_px=xy_px, window_px=window_px, edge=edge)
 
 
 NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))

@@ -151,7 +151,7 @@ def bodies_of(
         rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / FOCAL_PX, np.ones(len(xy_px))]))
         edges = np.array([thing.edge for thing in things])[numbers]
         points = PointSet(names[shown], xy_px[shown], edge=edges[shown])
-        history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES, may_come_back=True)
+        history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES)
         if not frame:
             continue
         moves = speed > 0.0 and t_s < stop_s

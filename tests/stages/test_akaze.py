@@ -57,7 +57,7 @@ def test_tracks_are_chained_over_many_pictures_of_a_moving_texture():
     for index, warp in enumerate(warps):
         found = detect_features(wave_picture(warp), None, CONFIG)
         memory = start_akaze(found) if memory is None else follow_akaze(memory, found, CONFIG)[0]
-        points = memory.points
+        points = memory.seen
         assert (np.diff(points.track_id) > 0).all()
         for track_id, xy_px in zip(points.track_id.tolist(), points.xy_px, strict=True):
             paths.setdefault(track_id, []).append((index, xy_px))

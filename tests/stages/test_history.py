@@ -1,5 +1,7 @@
 """What is kept of every live track: its rays, the rotations between the cameras, and its noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drives import CAMERA, DT_S, drive, extended_by, start
@@ -23,13 +25,13 @@ def point_set(*track_ids):
     return PointSet(ids, xy_px), rays
 
 
-def history_of(*frames, max_frames=5, **options):
+def history_of(*frames, max_frames=5, unseen_id=()):
+    """Tracks ``unseen_id`` may come back; None: any."""
     history = start()
     for frame, ids in enumerate(frames):
         points, rays = point_set(*ids)
-        history = extended(
-            history, frame, frame * DT_S, points, rays + np.array([0, frame / 1000, 0]), max_frames, **options
-        )
+        points = replace(points, unseen_id=unseen_id if unseen_id is None else np.array(unseen_id, dtype=np.int64))
+        history = extended(history, frame, frame * DT_S, points, rays + np.array([0, frame / 1000, 0]), max_frames)
     return history
 
 
@@ -53,7 +55,7 @@ def test_a_track_that_was_gone_for_a_frame_begins_anew():
 
 
 def test_a_track_that_may_come_back_goes_on_where_it_was():
-    history = history_of([1, 2, 5], [1], [5], [1, 2, 3], may_come_back=True)
+    history = history_of([1, 2, 5], [1], [5], [1, 2, 3], unseen_id=None)
     assert history.track_id.tolist() == [1, 2, 3]
     assert history.n_frames.tolist() == [3, 2, 1]
     np.testing.assert_allclose(history.rays[[0, 1, 3], 0, 1], [0.0, 0.001, 0.003])
@@ -64,11 +66,17 @@ def test_a_track_that_may_come_back_goes_on_where_it_was():
     assert history.lost.track_id.tolist() == [5]
 
 
+def test_only_a_track_that_is_followed_on_may_come_back():
+    history = history_of([1, 2, 5], [1], [5], [1, 2, 5], unseen_id=[2])
+    assert history.n_frames.tolist() == [1, 2, 2]
+    assert history_of([1, 2, 5], [1], unseen_id=[2]).lost.track_id.tolist() == [2]
+
+
 def test_a_track_that_is_gone_for_longer_than_the_history_reaches_begins_anew():
     frames = [[1, 2], [1], [1], [1], [1], [1, 2]]
-    assert history_of(*frames, max_frames=6, may_come_back=True).n_frames.tolist() == [6, 2]
-    assert history_of(*frames, max_frames=4, may_come_back=True).n_frames.tolist() == [6, 1]
-    assert history_of(*frames, max_frames=4, may_come_back=True).lost is None
+    assert history_of(*frames, max_frames=6, unseen_id=None).n_frames.tolist() == [6, 2]
+    assert history_of(*frames, max_frames=4, unseen_id=None).n_frames.tolist() == [6, 1]
+    assert history_of(*frames, max_frames=4, unseen_id=None).lost is None
 
 
 def test_no_more_than_the_wanted_frames_are_kept():

@@ -170,7 +170,7 @@ def test_of_two_tracks_on_one_point_the_older_one_lives():
         np.concatenate([start.points.track_id, 500 + start.points.track_id]),
         np.concatenate([start.points.xy_px, start.points.xy_px]),
     )
-    memory = KltMemory(start.grey, doubled, np.zeros((2 * n, 2)), 2000, start.grey)
+    memory = KltMemory(start.grey, doubled, np.zeros((2 * n, 2)), 2000, start.grey, np.zeros(2 * n, dtype=np.int64))
     after, _ = follow_klt(memory, wave_picture(Warp(shift_px=(0.8, 0.3))), None, replace_config(max_tracks=20))
     assert (after.points.track_id < 500).all()
     assert len(after.points.track_id) > 0.85 * n
@@ -269,3 +269,59 @@ def test_new_points_on_small_fast_things_go_where_their_others_have_gone():
     step_px = (after.points.xy_px[other] - before.points.xy_px[one])[np.isin(before.points.track_id[one], asked)]
     went_along = np.linalg.norm(step_px - [28.0, 0.0], axis=1) < 0.5
     assert went_along.sum() > 0.8 * len(asked) > 15
+
+
+COPIED = np.s_[40:120, 30:150]
+"""Where a codec has copied the last picture."""
+
+
+def copied_between(n_copied, step_px):
+    """Memory after two pictures of a steady motion, after those with a part copied, and after one without."""
+    pictures = [wave_picture(Warp(shift_px=(step_px * count, 0.0))) for count in range(3 + n_copied)]
+    memory = start_klt(pictures[0], None, CONFIG)
+    memory, _ = follow_klt(memory, pictures[1], None, CONFIG)
+    before = memory
+    for picture in pictures[2:-1]:
+        sent = picture.copy()
+        sent[COPIED] = memory.grey[COPIED]
+        memory, _ = follow_klt(memory, sent, None, CONFIG)
+    after, _ = follow_klt(memory, pictures[-1], None, CONFIG)
+    return before, memory, after
+
+
+def inside_copied(points, margin_px=8.0):
+    rows, columns = COPIED
+    x, y = points.xy_px.T
+    is_inside = (x > columns.start + margin_px) & (x < columns.stop - margin_px)
+    return set(points.track_id[is_inside & (y > rows.start + margin_px) & (y < rows.stop - margin_px)].tolist())
+
+
+@pytest.mark.parametrize("n_copied", [1, 4])
+def test_a_copy_of_the_last_picture_is_no_observation(n_copied):
+    before, copied, after = copied_between(n_copied, step_px=3.0)
+    inside, seen = inside_copied(before.seen), copied.seen
+    assert len(inside) > 10
+    assert not inside & {*seen.track_id.tolist()}
+    # They are followed on, and found again where they have gone meanwhile.
+    assert len(inside & {*seen.unseen_id.tolist()}) > 0.9 * len(inside)
+    _, one, other = np.intersect1d(before.points.track_id, after.seen.track_id, return_indices=True)
+    assert len(inside & {*after.seen.track_id.tolist()}) > 0.8 * len(inside)
+    gone_px = after.seen.xy_px[other] - before.points.xy_px[one]
+    np.testing.assert_allclose(np.median(gone_px, axis=0), [3.0 * (n_copied + 1), 0.0], atol=0.1)
+
+
+def test_corners_that_are_found_in_a_copy_are_seen_once_it_is_sent_anew():
+    _, copied, after = copied_between(6, step_px=8.0)
+    is_new = np.isnan(copied.step_px[:, 0]) & (copied.n_copied > 0)
+    new_id = set(copied.points.track_id[is_new].tolist())
+    assert new_id
+    assert not new_id & {*copied.seen.track_id.tolist()}
+    assert new_id & {*after.points.track_id.tolist()} <= {*after.seen.track_id.tolist()}
+
+
+def test_what_stood_before_is_seen_in_its_copy_and_so_is_a_picture_that_stands():
+    before, copied, _ = copied_between(3, step_px=0.2)
+    assert inside_copied(before.seen) <= {*copied.seen.track_id.tolist()}
+    memory = copied_between(1, step_px=3.0)[0]
+    standing, _ = follow_klt(memory, memory.grey, None, CONFIG)
+    assert len(standing.seen.track_id) == len(standing.points.track_id)

@@ -32,10 +32,11 @@ class AkazeMemory:
     next_track_id: int
 
     @property
-    def points(self) -> PointSet:
+    def seen(self) -> PointSet:
         """All features of the picture as points, ascending in their track."""
         order = np.argsort(self.track_id, kind="stable")
-        return PointSet(self.track_id[order], self.features.xy_px[order])
+        nothing = np.empty(0, dtype=np.int64)
+        return PointSet(self.track_id[order], self.features.xy_px[order], unseen_id=nothing)
 
 
 def detect_features(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> Features:

@@ -208,12 +208,11 @@ def extended(
     points: PointSet,
     rays: Floats,
     max_frames: int,
-    *,
-    may_come_back: bool = False,
 ) -> TrackHistory:
-    """The history with one more frame; tracks that are not among ``points`` end, at most ``max_frames`` views are kept.
+    """The history with one more frame, of at most ``max_frames`` views.
 
-    ``rays (N, 3)`` are the unit rays of the points. A track that ``may_come_back`` ends when no view of it is left.
+    ``rays (N, 3)`` are the unit rays of the points. Tracks that are not among ``points`` end; those that may come back
+    (``points.unseen_id``) end when no view of them is left.
     """
     if history.lost is not None:
         history = _with_lost(history, history.lost)
@@ -249,7 +248,7 @@ def extended(
         plane_per_px=plane_per_px(history.camera, rays),
         edge=points.edges,
         common_error_px=points.common_error_px,
-        lost=_lost_tracks(history, points.track_id, kept) if may_come_back else None,
+        lost=_lost_tracks(history, points, kept),
     )
 
 
@@ -273,9 +272,11 @@ def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:
     )
 
 
-def _lost_tracks(history: TrackHistory, track_id: Ints, kept: Floats) -> LostTracks | None:
-    """The tracks of a history that are not among those of the next frame but have been seen in its ``kept`` views."""
-    gone = np.flatnonzero(places_among(track_id, history.track_id) < 0)
+def _lost_tracks(history: TrackHistory, points: PointSet, kept: Floats) -> LostTracks | None:
+    """Tracks of a history, seen in its ``kept`` views, that are not among the next ``points`` and may come back."""
+    gone = np.flatnonzero(places_among(points.track_id, history.track_id) < 0)
+    if points.unseen_id is not None:
+        gone = gone[places_among(points.unseen_id, history.track_id[gone]) >= 0]
     gone = gone[np.isfinite(kept[:, gone, 0]).any(axis=0)]
     if not len(gone):
         return None

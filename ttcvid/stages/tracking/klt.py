@@ -43,14 +43,18 @@ _STREET_PART = 0.5
 # Before a camera at rest half of the points step less than this from picture to picture, px; so they do before one that
 # is slow for its frame rate, where new tracks are as scarce.
 _RESTING_STEP_PX = 1.0
+# A codec has copied a window if so many of its pixels are those of the last picture. What stepped less than this
+# before, px, stands: its copy is where it is. Where more of the windows than this are copied, the camera stands.
+_COPIED_PART, _STANDS_PX, _MOST_COPIED = 0.9, 0.5, 0.5
 
 
 @dataclass(frozen=True)
 class KltMemory:
     """What is remembered between two pictures: the last one, its points with their windows, and their last step.
 
-    ``step_px (N, 2)`` is NaN for a point that has made none yet; ``looked`` is the picture in which new corners were
-    looked for last, ``n_since`` counts those since then.
+    ``step_px (N, 2)`` is NaN for a point that has made none yet; ``n_copied (N,)`` counts the pictures since its window
+    was last seen anew; ``looked`` is the picture in which new corners were looked for last, ``n_since`` counts those
+    since then.
     """
 
     grey: Picture
@@ -58,13 +62,26 @@ class KltMemory:
     step_px: Floats
     next_track_id: int
     looked: Picture
+    n_copied: Ints
     n_since: int = 0
+
+    @property
+    def seen(self) -> PointSet:
+        """The points that are observed in the last picture.
+
+        A codec copies what it does not send, to the same place: a copied window shows where its point was. That is an
+        observation only of what stood before, or where the whole picture stands.
+        """
+        is_seen = (self.n_copied == 0) | (np.hypot(*self.step_px.T) < _STANDS_PX)
+        if np.count_nonzero(self.n_copied) > _MOST_COPIED * len(is_seen):
+            is_seen[:] = True
+        return replace(self.points, unseen_id=self.points.track_id[~is_seen]).take(is_seen)
 
 
 def start_klt(grey: Picture, allowed: Picture | None, config: TrackingConfig, next_track_id: int = 0) -> KltMemory:
     """Fresh corners on a first picture (or the first one after a cut)."""
-    nothing = KltMemory(grey, NO_POINTS, np.empty((0, 2)), next_track_id, grey)
-    return _topped_up(nothing, allowed, config, camera_rests=False)
+    nothing = KltMemory(grey, NO_POINTS, np.empty((0, 2)), next_track_id, grey, np.empty(0, dtype=np.int64))
+    return _topped_up(nothing, allowed, None, config, camera_rests=False)
 
 
 def follow_klt(
@@ -77,28 +94,45 @@ def follow_klt(
     memory : of this picture.
     survival : part of the points that were found again (1 where there were none): low after a cut.
     """
-    found, window_px = _search(memory, grey, config)
-    before_px = memory.points.windows_px
+    before_px, copies = memory.points.windows_px, _copies(memory.grey, grey, config.window_px)
+    is_copied = _are_copied(copies, before_px)
+    found, window_px = _search(memory, grey, is_copied, config)
     xy_px = window_px + (memory.points.xy_px - before_px)
     found &= _is_inside(xy_px, grey)
     if allowed is not None:
         found &= _is_allowed(allowed, window_px) & _is_allowed(allowed, xy_px)
     found &= ~_is_crowded(window_px, found)
     points = replace(memory.points, xy_px=xy_px, window_px=window_px).take(found)
-    step_px = (window_px - before_px)[found]
-    followed = replace(memory, grey=grey, points=points, step_px=step_px, n_since=memory.n_since + 1)
-    return _topped_up(followed, allowed, config, camera_rests), float(found.mean()) if len(found) else 1.0
+    n_copied = np.where(is_copied, memory.n_copied + 1, 0)[found]
+    step_px = (window_px - before_px) / (1.0 + memory.n_copied[:, None])
+    step_px = np.where(is_copied[:, None], memory.step_px, step_px)[found]
+    followed = replace(memory, grey=grey, points=points, step_px=step_px, n_copied=n_copied, n_since=memory.n_since + 1)
+    return _topped_up(followed, allowed, copies, config, camera_rests), float(found.mean()) if len(found) else 1.0
 
 
-def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[Bools, Floats]:
-    """Windows forward from a constant-step guess, then back from where they ended: (N,) found, (N, 2) px."""
+def _copies(before: Picture, grey: Picture, window_px: int) -> Picture:
+    """Part of the window about each pixel that is the same in both pictures, 0 to 255: (H, W)."""
+    return np.asarray(cv2.blur(cv2.compare(before, grey, cv2.CMP_EQ), (window_px, window_px)), dtype=np.uint8)
+
+
+def _are_copied(copies: Picture, window_px: Floats) -> Bools:
+    """Whether the windows at ``window_px (N, 2)`` are copied."""
+    column, row = np.rint(window_px).astype(np.intp).T
+    return np.asarray(copies[row, column] > 255.0 * _COPIED_PART)
+
+
+def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: TrackingConfig) -> tuple[Bools, Floats]:
+    """Windows forward from a constant-step guess, then back from where they ended: (N,) found, (N, 2) px.
+
+    Those that ``is_copied (N,)`` stay.
+    """
     windows_px = memory.points.windows_px
     n = len(windows_px)
     if n == 0:
         return np.zeros(0, dtype=bool), np.empty((0, 2))
     before = windows_px.astype(np.float32)
-    guess = (windows_px + np.nan_to_num(memory.step_px)).astype(np.float32)
-    found, there = np.zeros(n, dtype=bool), guess.copy()
+    guess = (windows_px + np.nan_to_num(memory.step_px) * (1.0 + memory.n_copied[:, None])).astype(np.float32)
+    found, there = is_copied.copy(), np.where(is_copied[:, None], before, guess)
 
     def look_for(which: Ints, start: np.ndarray, levels: int) -> None:
         if len(which):
@@ -108,12 +142,12 @@ def _search(memory: KltMemory, grey: Picture, config: TrackingConfig) -> tuple[B
     # is large near it: a post that sweeps over a car takes all of the car's points along, far beyond itself. They are
     # for points that have made no step yet, and for those that have changed theirs.
     is_new = np.isnan(memory.step_px[:, 0])
-    expected = np.flatnonzero(~is_new)
+    expected = np.flatnonzero(~is_new & ~is_copied)
     fine_levels = min(_FINE_LEVELS, config.pyramid_levels)
     look_for(expected, guess[expected], fine_levels)
-    n_found = int(found.sum())
+    n_found = int(found[expected].sum())
     if n_found < _LEAST_FOUND * len(expected):
-        found[:] = False
+        found[expected] = False
     if len(expected) < n or n_found < _MOST_FOUND * len(expected):
         lost = np.flatnonzero(~found)
         look_for(lost, guess[lost], config.pyramid_levels)
@@ -196,7 +230,9 @@ def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
     return crowded
 
 
-def _topped_up(memory: KltMemory, allowed: Picture | None, config: TrackingConfig, camera_rests: bool) -> KltMemory:
+def _topped_up(
+    memory: KltMemory, allowed: Picture | None, copies: Picture | None, config: TrackingConfig, camera_rests: bool
+) -> KltMemory:
     """Add corners once too many tracks have died, or at rest, where something new may be, once some pictures passed."""
     grey, windows_px, n_live = memory.grey, memory.points.windows_px, len(memory.points.track_id)
     step_px = memory.step_px[np.isfinite(memory.step_px[:, 0])]
@@ -221,7 +257,7 @@ def _topped_up(memory: KltMemory, allowed: Picture | None, config: TrackingConfi
             close_share=config.close_share,
             only_new_places=has_many,
         )
-    return _with_new(memory, allowed, new_px, config)
+    return _with_new(memory, allowed, copies, new_px, config)
 
 
 def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> KltMemory:
@@ -232,10 +268,13 @@ def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> K
     surplus = stands[int(_STREET_PART * config.max_tracks) :]
     keeps = np.ones(len(memory.step_px), dtype=bool)
     keeps[surplus] = False
-    return replace(memory, points=memory.points.take(keeps), step_px=memory.step_px[keeps])
+    points, n_copied = memory.points.take(keeps), memory.n_copied[keeps]
+    return replace(memory, points=points, step_px=memory.step_px[keeps], n_copied=n_copied)
 
 
-def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config: TrackingConfig) -> KltMemory:
+def _with_new(
+    memory: KltMemory, allowed: Picture | None, copies: Picture | None, new_px: Floats, config: TrackingConfig
+) -> KltMemory:
     """The tracks, and those that begin at corners ``new_px (M, 2)`` of the picture."""
     grey, points = memory.grey, memory.points
     offset_px, edge = window_contents(grey, new_px, config.window_px)
@@ -250,4 +289,6 @@ def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config
         np.concatenate([points.edges, edge]),
     )
     step_px = np.concatenate([memory.step_px, np.full_like(new_px, np.nan)])
-    return KltMemory(grey, joined, step_px, next_track_id, looked=grey)
+    is_copied = np.zeros(len(new_px), dtype=bool) if copies is None else _are_copied(copies, new_px)
+    n_copied = np.append(memory.n_copied, is_copied.astype(np.int64))
+    return KltMemory(grey, joined, step_px, next_track_id, grey, n_copied)

@@ -163,7 +163,7 @@ def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
 
 
 def _points(memory: TrackerMemory) -> PointSet:
-    points = NO_POINTS if memory.tracks is None else memory.tracks.points
+    points = NO_POINTS if memory.tracks is None else memory.tracks.seen
     return replace(points, common_error_px=COMMON_ERROR_PX)
 
 
