@@ -14,8 +14,8 @@ import ttcvid
 
 SCENE = Path(__file__).parents[1] / "sample_configs/scenes/demo.yaml"
 SIZE_PX = [560, 316]
-N_FRAMES = 30
-DROPPED = 17
+N_FRAMES = 25
+DROPPED = 14
 FEW_TRACKS = {"tracking": {"max_tracks": 300}, "report": False}
 LEFT_OUT = ("right tree", "left post", "far left house", "far right house", "side road", "field house")
 """Whose faces take longer to paint than all pictures to draw."""

@@ -84,3 +84,15 @@ def small_clip(made_once: Callable[..., Path]) -> Path:
 def small_run(made_once: Callable[..., Path], small_clip: Path) -> Path:
     """The folder of a run over the small clip, with as many tracks as it usually has."""
     return made_once("small_run", lambda folder: analyzed(small_clip, folder, tracking={}))
+
+
+@pytest.fixture(scope="session")
+def few_tracks_run(made_once: Callable[..., Path], small_clip: Path) -> Path:
+    """The folder of a run over the small clip with few tracks: what other runs are compared with."""
+    return made_once("few_tracks_run", lambda folder: analyzed(small_clip, folder))
+
+
+@pytest.fixture(scope="session")
+def horizon_run(made_once: Callable[..., Path], small_clip: Path) -> Path:
+    """The same with the horizon of the clip."""
+    return made_once("horizon_run", lambda folder: analyzed(small_clip, folder, horizon=small_clip / "horizon.yaml"))
