@@ -31,18 +31,23 @@ def tables_of(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def expected(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, bytes]]:
-    """Tables by tracker."""
+    """Tables by tracker, made with one worker."""
     out = tmp_path_factory.mktemp("expected")
     options = {"focal_px": 200, "overlay": False, "report": False}
-    return {name: tables_of(ttcvid.analyze(clip, out / name, tracker=name, **options).folder) for name in TRACKERS}
+    with pytest.MonkeyPatch.context() as patch:
+        set_workers(patch, 1)
+        return {name: tables_of(ttcvid.analyze(clip, out / name, tracker=name, **options).folder) for name in TRACKERS}
+
+
+def set_workers(patch: pytest.MonkeyPatch, workers: int) -> None:
+    patch.setattr(
+        "ttcvid.jobs.analyze.run_analysis.map_ahead", functools.partial(map_ahead, workers=workers, ahead=2 * workers)
+    )
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
-@pytest.mark.parametrize("workers", [1, 3])
-def test_tables_do_not_depend_on_the_number_of_workers(clip, tracker, expected, workers, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "ttcvid.jobs.analyze.run_analysis.map_ahead", functools.partial(map_ahead, workers=workers, ahead=2 * workers)
-    )
+def test_tables_do_not_depend_on_the_number_of_workers(clip, tracker, expected, tmp_path, monkeypatch):
+    set_workers(monkeypatch, 3)
     run = ttcvid.analyze(clip, tmp_path / "run", tracker=tracker, focal_px=200, overlay=False, report=False)
     assert run.overlay is None
     assert tables_of(run.folder) == expected[tracker]

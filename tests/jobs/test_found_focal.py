@@ -33,9 +33,9 @@ def write_tracks(path: Path, drive: Drive) -> Path:
     return path
 
 
-@pytest.fixture
-def turning(work_folder: Path) -> str:
-    return str(write_tracks(work_folder / "turning.parquet", PAN_AND_STEP))
+@pytest.fixture(scope="module")
+def turning(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(write_tracks(tmp_path_factory.mktemp("tracks") / "turning.parquet", PAN_AND_STEP))
 
 
 def test_a_found_focal_length_is_said_everywhere_and_found_again(

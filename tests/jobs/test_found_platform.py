@@ -1,5 +1,7 @@
 """``--platform auto``: the clip tells what carries the camera, and every output says so."""
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,20 @@ from ttcvid.jobs.settings.configuration import configure_from_arguments
 N_FRAMES = 60
 
 
+@pytest.fixture(scope="module")
+def tracks(tmp_path_factory) -> Callable[[float], Path]:
+    """Tracks of a street that goes by at a speed in m/s, at 10 frames/s."""
+    folder = tmp_path_factory.mktemp("tracks")
+    return cache(lambda speed_m_s: write_tracks(folder / f"{speed_m_s}.parquet", speed_m_s))
+
+
+@pytest.fixture(scope="module")
+def told_run(tracks, tmp_path_factory) -> ttcvid.Run:
+    """The street at 12 m/s, its beginning analysed."""
+    return analyzed(tracks(12.0), tmp_path_factory.mktemp("told") / "run", end=10)
+
+
 def write_tracks(path: Path, speed_m_s: float) -> Path:
-    """Tracks of a street that goes by, at 10 frames/s."""
     rng = np.random.default_rng(1)
     x_m, y_m = rng.uniform(-9, 9, 900), rng.choice([1.5, 1.5, -1.0, -3.0], 900)
     z_m = rng.uniform(4, 10 + 0.1 * N_FRAMES * speed_m_s + 30, 900)
@@ -27,7 +41,7 @@ def write_tracks(path: Path, speed_m_s: float) -> Path:
         x_px, y_px = (500 * m / depth_m + c + 0.1 * rng.standard_normal(900) for m, c in ((x_m, 319.5), (y_m, 179.5)))
         rows = pd.DataFrame({"frame": frame, "t_s": 0.1 * frame, "track_id": range(900), "x_px": x_px, "y_px": y_px})
         parts.append(rows[(depth_m > 1) & rows.x_px.between(0, 639) & rows.y_px.between(0, 359)])
-    pd.concat(parts).to_csv(path, index=False)
+    pd.concat(parts).to_parquet(path)
     return path
 
 
@@ -36,8 +50,8 @@ def analyzed(table: Path, out: Path, **options: object) -> ttcvid.Run:
 
 
 @pytest.mark.parametrize(("speed_m_s", "platform", "status"), [(12.0, "vehicle", "ok"), (0.0, "static", "static")])
-def test_every_output_says_what_the_clip_tells(speed_m_s, platform, status, tmp_path):
-    run = analyzed(write_tracks(tmp_path / "tracks.csv", speed_m_s), tmp_path / "run", end=12)
+def test_every_output_says_what_the_clip_tells(speed_m_s, platform, status, tracks, told_run, tmp_path):
+    run = analyzed(tracks(0.0), tmp_path / "run", end=12) if speed_m_s == 0 else told_run
     told = run.manifest["platform"]
     assert (told["value"], told["is_told_by_clip"]) == (platform, True)
     assert len(told["glances"]) >= 5
@@ -47,35 +61,29 @@ def test_every_output_says_what_the_clip_tells(speed_m_s, platform, status, tmp_
     assert run.frames.status.iloc[-1] == status
 
 
-def test_the_clip_tells_the_same_whatever_part_of_it_is_analysed(tmp_path):
-    table = write_tracks(tmp_path / "tracks.csv", 12.0)
-    runs = [
-        analyzed(table, tmp_path / name, **part) for name, part in (("a", {"end": 8}), ("b", {"start": 40, "end": 48}))
-    ]
-    assert runs[0].manifest["platform"] == runs[1].manifest["platform"]
+def test_the_clip_tells_the_same_whatever_part_of_it_is_analysed(tracks, told_run, tmp_path):
+    later = analyzed(tracks(12.0), tmp_path / "run", start=40, end=45)
+    assert later.frames.frame.tolist() == list(range(40, 45))
+    assert later.manifest["platform"] == told_run.manifest["platform"]
 
 
-def test_a_result_whose_platform_was_told_is_that_of_the_same_configuration(tmp_path):
-    table = write_tracks(tmp_path / "tracks.csv", 12.0)
-    options = {"image_size": "640x360", "focal_px": 500.0, "overlay": False, "report": False, "end": 8}
-    run = ttcvid.analyze(table, tmp_path / "run", **options)
+def test_a_result_whose_platform_was_told_is_that_of_the_same_configuration(tracks, told_run):
+    options = {"image_size": "640x360", "focal_px": 500.0, "overlay": False, "report": False, "end": 10}
     for platform, is_same in (("auto", True), ("vehicle", False)):
         asked = configure_from_arguments({**options, "platform": platform})
-        assert (finished_run(run.folder, str(table), asked) is not None) == is_same
+        assert (finished_run(told_run.folder, str(tracks(12.0)), asked) is not None) == is_same
 
 
-def test_a_platform_that_is_given_is_not_looked_for(tmp_path, capsys):
-    table = write_tracks(tmp_path / "tracks.csv", 12.0)
-    given = ["--platform", "free", "--image-size", "640x360", "--focal-px", "500", "--no-overlay", "--end", "8"]
-    assert main(["analyze", str(table), *given, "-o", str(tmp_path / "run")]) == 0
+def test_a_platform_that_is_given_is_not_looked_for(tracks, tmp_path, capsys):
+    given = ["--platform", "free", "--image-size", "640x360", "--focal-px", "500", "--no-overlay", "--end", "4"]
+    assert main(["analyze", str(tracks(12.0)), *given, "-o", str(tmp_path / "run")]) == 0
     assert "TOLD BY THE CLIP" not in capsys.readouterr().out
     run = ttcvid.Run.open(tmp_path / "run")
     assert run.manifest["platform"] == {"value": "free", "is_told_by_clip": False, "reason": "given", "glances": []}
 
 
-def test_what_is_told_gives_the_results_of_the_platform_given(tmp_path):
-    table = write_tracks(tmp_path / "tracks.csv", 12.0)
-    told, given = (analyzed(table, tmp_path / name, end=10, platform=name) for name in ("auto", "vehicle"))
+def test_what_is_told_gives_the_results_of_the_platform_given(tracks, told_run, tmp_path):
+    given = analyzed(tracks(12.0), tmp_path / "run", end=10, platform="vehicle")
     for name in ("frames", "clusters", "collision_times"):
-        pd.testing.assert_frame_equal(getattr(told, name), getattr(given, name))
-    assert compare(told, given).is_same
+        pd.testing.assert_frame_equal(getattr(told_run, name), getattr(given, name))
+    assert compare(told_run, given).is_same

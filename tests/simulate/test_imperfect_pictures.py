@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ttcvid.simulate import Scene, build_world, render_frames
+from ttcvid.simulate import Scene, build_world, grounds, render_frames
 
 LENS = {"image_size": [320, 180], "fx_px": 250, "height_m": 1.2, "fps": 10, "n_frames": 3}
 # A post before an empty sky: 10 m away, it moves to the right by 500 px/s.
@@ -14,6 +14,14 @@ POST = {
     "heading_deg": 0, "colour_rgb": [20, 20, 20],
 }  # fmt: skip
 QUIET = {"noise_grey": 0}
+
+
+@pytest.fixture(autouse=True)
+def small_tile(monkeypatch):
+    """A coarse pavement: to paint a fine one takes longer than to draw all pictures."""
+    monkeypatch.setattr(grounds, "TILE_TEXELS", 512)
+
+
 NOTHING = {"kind": "none"}
 
 
