@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest, chi2
+from scipy.special import chdtri
 
 from scenario_suite.scoring import SceneScore
 from ttcvid.model import Bools, Floats, Ints
@@ -83,6 +83,9 @@ class Share(Figure):
         """Wilson's interval of a coverage."""
         if not self.is_coverage:
             return None
+        # Here only: scipy.stats takes two seconds to import, and most of what imports this module asks for no interval.
+        from scipy.stats import binomtest
+
         counts = round(self.part[scenes].sum()), round(self.whole[scenes].sum())
         interval = binomtest(*counts).proportion_ci(LEVEL, method="wilson")
         return float(interval.low), float(interval.high)
@@ -146,7 +149,7 @@ def at_most(n_events: float) -> float:
     >>> round(at_most(0), 2)
     3.0
     """
-    return float(chi2.ppf(LEVEL, 2 * (n_events + 1)) / 2)
+    return float(chdtri(2 * (n_events + 1), 1.0 - LEVEL) / 2)
 
 
 def draws_of(n_scenes: int) -> Ints:

@@ -20,7 +20,7 @@ from ttcvid.stages.horizon.whole_tracks import joined
 
 SCENES = "sample_configs/scenes"
 SIZE = ImageSize(640, 360)
-N_DRIVEN = 32
+N_DRIVEN = 22
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +178,7 @@ def test_a_driving_camera_does_not_rest_and_moving_tells_its_horizon(driving, tm
 
 
 def test_analyze_finds_the_horizon_by_itself(resting, one_way, tmp_path):
-    options = {"platform": "static", "overlay": False, "report": False, "horizon": "auto"}
+    options = {"platform": "static", "overlay": False, "report": False, "horizon": "auto", "end": 40}
     run = ttcvid.analyze(resting / "tracks.parquet", tmp_path / "run", camera=resting / "camera.yaml", **options)
     horizon = run.manifest["horizon"]
     assert horizon["origin"].startswith("auto: ")
@@ -196,7 +196,7 @@ def test_a_horizon_of_the_clip_itself_fits_it_and_one_that_is_off_is_told(restin
     (tmp_path / "off.yaml").write_text(yaml.safe_dump(content))
     complaints = []
     for horizon in (found[1] / "horizon.yaml", tmp_path / "off.yaml"):
-        options = {"platform": "static", "overlay": False, "report": False, "horizon": horizon, "end": 40}
+        options = {"platform": "static", "overlay": False, "report": False, "horizon": horizon, "end": 20}
         out, camera = tmp_path / horizon.stem, resting / "camera.yaml"
         run = ttcvid.analyze(resting / "tracks.parquet", out, camera=camera, **options)
         complaints.append([warning for warning in run.manifest["warnings"] if "the horizon" in warning])

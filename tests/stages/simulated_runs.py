@@ -13,7 +13,13 @@ from ttcvid.simulate import TrackOptions, camera_of, load_scene, simulate_tracks
 
 SCENES = Path(__file__).resolve().parents[2] / "sample_configs" / "scenes"
 OPTIONS = TrackOptions(n_tracks=400, min_per_object=25)
-N_FRAMES = {"resting_six_movers": 70, "aircraft_head_on": 105, "roundabout": 64, "parked_street": 60}
+N_FRAMES = {
+    "resting_six_movers": 60,
+    "aircraft_head_on": 105,
+    "roundabout": 52,
+    "parked_street": 48,
+    "stopped_car_ahead": 50,
+}
 """How far scenes are looked at whose rest asks nothing more; of the others all frames."""
 # The nearest tenth of an object's points is what is hit first.
 NEAREST_PART = 0.1

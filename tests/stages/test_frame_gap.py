@@ -93,7 +93,7 @@ def test_the_noise_of_tracks_is_theirs_however_slow_the_camera(platform, speed_m
     """In single steps of 2 to 6 cm no translation is seen: what is left of the flow was taken for noise, four times
     what it is, and no small thing that came nearer stood out of that.
     """
-    motion = drive(30, np.random.default_rng(1), speed_m=speed_m, sigma_px=sigma_px)
+    motion = drive(20, np.random.default_rng(1), speed_m=speed_m, sigma_px=sigma_px)
     _, history = found(motion, config=EgomotionConfig(platform=platform))
     assert history.pool_sigma_px == pytest.approx(sigma_px, rel=0.15)
 
