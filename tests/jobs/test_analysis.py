@@ -179,18 +179,18 @@ def test_the_sample_configurations_run(name: str, work_folder: Path) -> None:
 
 
 def test_estimates_of_both_sides_are_said_to_be_so_everywhere(work_folder: Path) -> None:
-    clip = write_clip(work_folder / "clip.mp4", approach(22))
+    clip = write_clip(work_folder / "clip.mp4", approach(17))
     assert main(["analyze", str(clip), "--focal-px", "200", "--smooth", "-q"]) == 0
     smooth = ttcvid.Run.open("clip_ttc")
     causal = ttcvid.analyze(clip, "causal", focal_px=200, overlay=False, report=False)
-    assert_whole(smooth, 22)
+    assert_whole(smooth, 17)
     for run, word in ((smooth, "smooth"), (causal, "causal")):
         assert run.manifest["configuration"]["collision_times"]["smooth"]["value"] is (word == "smooth")
         for name in TABLE_NAMES:
             metadata = pq.read_schema(run.folder / f"{name}.parquet").metadata
             assert (metadata[b"estimates"], metadata[b"warnings"]) == (word.encode(), b"causal")
     pd.testing.assert_frame_equal(smooth.events, causal.events)
-    middle = smooth.collision_times.frame.between(10, 15)
+    middle = smooth.collision_times.frame.between(7, 11)
     both = smooth.collision_times[middle].ttc_z_s, causal.collision_times[middle].ttc_z_s
     truth_s = 4.0 - smooth.collision_times[middle].t_s
     assert not both[0].equals(both[1])
