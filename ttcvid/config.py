@@ -84,7 +84,8 @@ class BodiesConfig(StageConfig):
     min_tracks: int = Field(
         default=6,
         ge=3,
-        description="minimum number of tracks of a new mover; 5 for an expanding object at constant bearing",
+        description="minimum number of tracks of a new mover; 5 for an expanding object at constant bearing, 3 if it "
+        "heads at us",
     )
     scene_gate: PositiveFloat = Field(
         default=5.0,

@@ -25,6 +25,9 @@ CAR_M, ROAD_Y_M = (4.3, 1.2, 0.2), 1.4
 # A car from the left that is where we will be in 2.8 s.
 TO_US_M_S = np.array([5.0, 0.0, -10.0])
 AT_M = -2.8 * TO_US_M_S + [0.0, 0.7, 0.0]
+# Somebody who walks there, with one track on the head and one on each foot.
+TO_US_ON_FOOT_M_S = np.array([2.0, 0.0, -10.0])
+WALKER_M = -2.8 * TO_US_ON_FOOT_M_S + [[0.0, -0.3, 0.0], [-0.3, 1.4, 0.0], [0.3, 1.4, 0.0]]
 
 
 def houses_and_road(rng, n=150):
@@ -51,11 +54,11 @@ def street_with(thing_m, velocity_m_s, rng):
     return np.concatenate([thing_m, scene]), np.concatenate(velocities)
 
 
-def found_in(views, scene, fit, seeds=None):
+def found_in(views, scene, fit, seeds=None, *, few_are_enough=True):
     seeds = np.flatnonzero(fit.redchi > CONFIG.scene_gate) if seeds is None else seeds
     may_be = fit.n_views >= LEAST_VIEWS
     seen = SimpleNamespace(scene=scene, redchi=fit.redchi, median_redchi=1.0)
-    return expanding_movers(views, seen, may_be, seeds, CONFIG)
+    return expanding_movers(views, seen, may_be, seeds, CONFIG, few_are_enough=few_are_enough)
 
 
 def new_in(views, scene, fit):
@@ -153,6 +156,20 @@ def test_tracks_that_go_each_its_way_are_none(rng):
     assert found_in(views, scene, fit) == []
 
 
+def test_three_tracks_of_what_heads_at_us_are_enough_in_nine_of_ten_draws():
+    n_found = 0
+    for seed in range(200, 220):
+        rng = np.random.default_rng(seed)
+        views, scene, fit = views_and_fit(*street_with(WALKER_M, TO_US_ON_FOOT_M_S, rng), rng)
+        n_found += any(set(members) == {0, 1, 2} for members, _ in found_in(views, scene, fit))
+    assert n_found >= 18
+
+
+def test_they_are_not_where_few_do_not_count(rng):
+    views, scene, fit = views_and_fit(*street_with(WALKER_M, TO_US_ON_FOOT_M_S, rng), rng)
+    assert found_in(views, scene, fit, few_are_enough=False) == []
+
+
 @pytest.mark.parametrize("aside_m", [-6.0, 6.0])
 def test_four_tracks_of_what_passes_us_are_too_few(rng, aside_m):
     passing_m = box_of_points(rng, 4, AT_M + np.array([aside_m, 0.0, 0.0]), CAR_M)
@@ -183,6 +200,26 @@ def test_few_tracks_that_slide_alike_along_what_stands_beside_the_road_are_none(
     n_sliding = 4 * len(posts_m)
     assert np.count_nonzero(fit.redchi[:n_sliding] > CONFIG.scene_gate) > n_sliding / 2
     assert found_in(views, scene, fit) == []
+
+
+def test_next_to_where_we_go_few_tracks_that_slide_alike_are_seldom_a_thing_though_all_that_stands_there_heads_at_us():
+    n_found = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        posts_m = [[side * rng.uniform(1.0, 2.5), 0.0, depth] for side in (-1.0, 1.0) for depth in (14.0, 20.0, 26.0)]
+        n_found += len(found_in(*views_and_fit(*street_of_posts_that_slide(posts_m, rng), rng)))
+    # Of 180 posts. Without a look at what stands there, 42.
+    assert n_found <= 10
+
+
+def test_three_tracks_are_a_new_mover_among_others_that_slide_along_its_outline(rng):
+    outline_m = WALKER_M[0] + [[-0.3, 0.2, 0.0], [0.3, 0.2, 0.0], [-0.3, 0.8, 0.0], [0.3, 0.8, 0.0]]
+    where, velocity = street_with(np.concatenate([WALKER_M, outline_m]), TO_US_ON_FOOT_M_S, rng)
+    velocity = velocity.copy()
+    velocity[3:7] += [[-3.0, 1.0, 0.0], [3.0, -1.5, 0.0], [-4.0, -2.0, 0.0], [4.0, 2.0, 0.0]]
+    views, scene, fit = views_and_fit(where, velocity, rng)
+    (members,), _ = new_in(views, scene, fit)
+    assert set(members) == {0, 1, 2}
 
 
 def test_nothing_to_see_is_none(rng):

@@ -13,11 +13,11 @@ from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.estimation.track_state import fit_whole_tracks
 from ttcvid.geometry.medians import row_medians
 from ttcvid.geometry.rotation import turned_into_plane
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Bools, Floats, Ints, Platform
 from ttcvid.stages.segmentation.aperture_problem import may_slip
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
-from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
+from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, tracks_needed
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
@@ -75,9 +75,11 @@ def new_movers(
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
-    members = expanding_movers(views, seen, may_spread, candidates, config)
-    needed, nowhere = np.full(len(members), least_tracks(config)), np.zeros_like(in_scene)
-    things = _Things(members, needed, 0.0, nowhere, np.zeros_like(views.edge))
+    # In the air an object straight at us is found as one surface, whose times few tracks determine.
+    are_few_enough = seen.platform != Platform.aircraft
+    members = expanding_movers(views, seen, may_spread, candidates, config, few_are_enough=are_few_enough)
+    nowhere = np.zeros_like(in_scene)
+    things = _Things(members, tracks_needed(members, config), 0.0, nowhere, np.zeros_like(views.edge))
     spread, paths, rate_hz = _explained(views, seen, things, config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)

@@ -70,9 +70,13 @@ class KltMemory:
         """The points that are observed in the last picture.
 
         A codec copies what it does not send, to the same place: a copied window shows where its point was. That is an
-        observation only of what stood before, or where the whole picture stands.
+        observation only of what stood before, or where the whole picture stands. A new point is taken to step as most
+        others do.
         """
-        is_seen = (self.n_copied == 0) | (np.hypot(*self.step_px.T) < _STANDS_PX)
+        length_px = np.hypot(*self.step_px.T)
+        is_new = np.isnan(length_px)
+        length_px[is_new] = median(length_px[~is_new]) if not is_new.all() else 0.0
+        is_seen = (self.n_copied == 0) | (length_px < _STANDS_PX)
         if np.count_nonzero(self.n_copied) > _MOST_COPIED * len(is_seen):
             is_seen[:] = True
         return replace(self.points, unseen_id=self.points.track_id[~is_seen]).take(is_seen)
