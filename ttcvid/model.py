@@ -167,7 +167,7 @@ class PointSet:
     matrix's eigenvalues, 0 for a corner and 1 for an edge, times (cos, sin) of twice the angle across it, from x to y
     in that picture: a camera that has rolled since by more than some 10 deg makes it a corner. ``common_error_px`` is
     what the points of a thing err by together (standard deviation at its outline): 0 where each errs by itself.
-    ``unseen_id (M,)`` are tracks that are followed on and not observed in this picture; None: nobody knows.
+    ``unseen_id (M,)`` are tracks not observed in this picture that may come back, ascending; None: any track may.
     """
 
     track_id: Ints

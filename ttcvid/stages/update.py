@@ -154,7 +154,6 @@ def _with_points(frame: Frame, points: PointSet, before: TrackHistory, clip: Cli
     rays = normalize(rays_from_pixels(clip.camera, points.xy_px))
     times = clip.config.collision_times
     max_frames = max(_LEAST_HISTORY, times.max_gap_frames + 1, times.max_frames)
-    # A tracker of pictures knows what it has lost; of another one, who knows.
     return extended(before, frame.index, frame.t_s, points, rays, max_frames)
 
 

@@ -85,7 +85,7 @@ class KltMemory:
 def start_klt(grey: Picture, allowed: Picture | None, config: TrackingConfig, next_track_id: int = 0) -> KltMemory:
     """Fresh corners on a first picture (or the first one after a cut)."""
     nothing = KltMemory(grey, NO_POINTS, np.empty((0, 2)), next_track_id, grey, np.empty(0, dtype=np.int64))
-    return _topped_up(nothing, allowed, None, config, camera_rests=False)
+    return _topped_up(nothing, allowed, config, camera_rests=False)
 
 
 def follow_klt(
@@ -111,7 +111,11 @@ def follow_klt(
     step_px = (window_px - before_px) / (1.0 + memory.n_copied[:, None])
     step_px = np.where(is_copied[:, None], memory.step_px, step_px)[found]
     followed = replace(memory, grey=grey, points=points, step_px=step_px, n_copied=n_copied, n_since=memory.n_since + 1)
-    return _topped_up(followed, allowed, copies, config, camera_rests), float(found.mean()) if len(found) else 1.0
+    followed = _topped_up(followed, allowed, config, camera_rests)
+    # What begins in a copy is not seen yet, either.
+    begins = followed.points.track_id >= memory.next_track_id
+    n_copied = np.where(begins, _are_copied(copies, followed.points.windows_px), followed.n_copied)
+    return replace(followed, n_copied=n_copied), float(found.mean()) if len(found) else 1.0
 
 
 def _copies(before: Picture, grey: Picture, window_px: int) -> Picture:
@@ -234,9 +238,7 @@ def _is_crowded(xy_px: Floats, found: Bools) -> Bools:
     return crowded
 
 
-def _topped_up(
-    memory: KltMemory, allowed: Picture | None, copies: Picture | None, config: TrackingConfig, camera_rests: bool
-) -> KltMemory:
+def _topped_up(memory: KltMemory, allowed: Picture | None, config: TrackingConfig, camera_rests: bool) -> KltMemory:
     """Add corners once too many tracks have died, or at rest, where something new may be, once some pictures passed."""
     grey, windows_px, n_live = memory.grey, memory.points.windows_px, len(memory.points.track_id)
     step_px = memory.step_px[np.isfinite(memory.step_px[:, 0])]
@@ -261,7 +263,7 @@ def _topped_up(
             close_share=config.close_share,
             only_new_places=has_many,
         )
-    return _with_new(memory, allowed, copies, new_px, config)
+    return _with_new(memory, allowed, new_px, config)
 
 
 def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> KltMemory:
@@ -276,9 +278,7 @@ def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> K
     return replace(memory, points=points, step_px=memory.step_px[keeps], n_copied=n_copied)
 
 
-def _with_new(
-    memory: KltMemory, allowed: Picture | None, copies: Picture | None, new_px: Floats, config: TrackingConfig
-) -> KltMemory:
+def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config: TrackingConfig) -> KltMemory:
     """The tracks, and those that begin at corners ``new_px (M, 2)`` of the picture."""
     grey, points = memory.grey, memory.points
     offset_px, edge = window_contents(grey, new_px, config.window_px)
@@ -293,6 +293,5 @@ def _with_new(
         np.concatenate([points.edges, edge]),
     )
     step_px = np.concatenate([memory.step_px, np.full_like(new_px, np.nan)])
-    is_copied = np.zeros(len(new_px), dtype=bool) if copies is None else _are_copied(copies, new_px)
-    n_copied = np.append(memory.n_copied, is_copied.astype(np.int64))
-    return KltMemory(grey, joined, step_px, next_track_id, grey, n_copied)
+    n_copied = np.append(memory.n_copied, np.zeros(len(new_px), dtype=np.int64))
+    return KltMemory(grey, joined, step_px, next_track_id, looked=grey, n_copied=n_copied)

@@ -104,13 +104,14 @@ def follow_points(
     if _is_cut(survival, n_before, last.thumbnail, prepared.thumbnail):
         points, started = _started(memory, prepared, allowed, config)
         return points, FrameStatus.cut, started
-    before_px, now_px = in_common(_points(memory), _points(followed))
+    points = _points(followed)
+    before_px, now_px = in_common(_points(memory), points)
     steps_px = np.linalg.norm(now_px - before_px, axis=1)
     if _stand_still(steps_px, memory):
         return NO_POINTS, FrameStatus.duplicate, replace(memory, n_repeated=memory.n_repeated + 1)
     step_px = median(steps_px) if len(steps_px) >= _FEW_TRACKS else 0.0
     last_steps_px = _NO_STEPS if memory.steps_px is None else (memory.steps_px[1], step_px)
-    return _points(followed), FrameStatus.ok, replace(followed, steps_px=last_steps_px)
+    return points, FrameStatus.ok, replace(followed, steps_px=last_steps_px)
 
 
 def _started(
