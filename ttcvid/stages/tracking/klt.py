@@ -156,7 +156,7 @@ def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: Tracking
     n_found = int(found[expected].sum())
     if n_found < _LEAST_FOUND * len(expected):
         found[expected] = False
-    if len(expected) < n or n_found < _MOST_FOUND * len(expected):
+    if is_new.any() or n_found < _MOST_FOUND * len(expected):
         lost = np.flatnonzero(~found)
         look_for(lost, guess[lost], config.pyramid_levels)
     # On something small and fast the coarse pictures lead most new points astray. Those that came through show where
