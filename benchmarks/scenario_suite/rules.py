@@ -151,12 +151,6 @@ RULES: dict[str, Rule] = {
         {"stages.update._before_gap": _none},
         (),
     ),
-    "reinitialised": Rule(
-        "movers that went astray are begun anew",
-        "bodies",
-        {"stages.segmentation.reinitialisation.reinitialised": lambda movers, rate_hz, *_: (movers, rate_hz)},
-        _stage("segmentation/reinitialisation"),
-    ),
     "reidentified": Rule(
         "hidden movers are known again",
         "bodies",

@@ -19,11 +19,10 @@ from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.bodies import carried_forward, stepped_movers
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.data_association import Movers, assigned, is_due, kept, no_movers, numbers_of
+from ttcvid.stages.segmentation.data_association import Movers, assigned, kept, no_movers, numbers_of
 from ttcvid.stages.segmentation.ground_plane import RoadMemory
 from ttcvid.stages.segmentation.merges import merged
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
-from ttcvid.stages.segmentation.reinitialisation import reinitialised
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
 from ttcvid.stages.segmentation.surface_memory import Obstacle
 from ttcvid.stages.tracking.groups import places_among
@@ -119,7 +118,7 @@ def find_bodies(
     key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
     seen = see_scene(history, egomotion, platform, memory.scene, memory.road, views, labels, config)
 
-    movers = _refined(movers, seen.scene, views, key, seen.median_redchi)
+    movers = _refined(movers, seen.scene, views, key)
     is_displaced, is_past_off = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     neighbours = views.neighbours(np.ones_like(is_displaced))
@@ -275,7 +274,7 @@ def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Fl
     return track_id[order], np.concatenate([key, lost.key])[order], np.concatenate([rate_hz, lost.rate_hz])[order]
 
 
-def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, median_redchi: float) -> Movers:
+def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> Movers:
     """Movers with trajectories refined by the tracks of their last labels."""
     number = numbers_of(key, movers)
     has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
@@ -285,7 +284,6 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints, med
     steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
     points = views.points(track, number[track] - 1)
     paths, rate_hz = stepped_movers(movers.paths, scene, points, steps * has_points, movers.rate_hz)
-    paths, rate_hz = reinitialised(paths, rate_hz, is_due(movers.n_found), scene, points, median_redchi)
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 
