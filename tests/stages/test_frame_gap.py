@@ -40,9 +40,10 @@ def from_single_steps(motion):
     memory, steps = EgomotionMemory(), []
     sigma_rad = np.full(motion.n, 0.2 / FOCAL_PX)
     for frame in range(1, len(motion.rays)):
-        step, memory = estimate_egomotion(
+        step = estimate_egomotion(
             motion.rays[frame - 1], motion.rays[frame], sigma_rad, LEAST_PARALLAX_PX / FOCAL_PX, memory, CONFIG.platform
         )
+        memory = memory.after(step)
         steps.append(step)
     return steps
 

@@ -8,7 +8,13 @@ from two_views import FOCAL_PX, angle_deg, two_views
 
 from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.model import Camera, ImageSize, Platform
-from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion, picture_region, region_side_of
+from ttcvid.stages.egomotion.relative_pose import (
+    EgomotionMemory,
+    egomotion_of,
+    estimate_egomotion,
+    picture_region,
+    region_side_of,
+)
 
 FORWARD = np.array([0.0, 0.0, -1.0])
 LEAST_PARALLAX_RAD = 0.25 / FOCAL_PX
@@ -18,8 +24,12 @@ FIRST = EgomotionMemory()
 MOVING_PLATFORMS = [Platform.vehicle, Platform.aircraft, Platform.free]
 
 
+def fitted(views, memory=LAST, platform=Platform.vehicle):
+    return estimate_egomotion(views.rays_prev, views.rays_cam, views.sigma_rad, LEAST_PARALLAX_RAD, memory, platform)
+
+
 def estimate(views, memory=LAST, platform=Platform.vehicle):
-    return estimate_egomotion(views.rays_prev, views.rays_cam, views.sigma_rad, LEAST_PARALLAX_RAD, memory, platform)[0]
+    return egomotion_of(fitted(views, memory, platform))
 
 
 def turn_error_deg(egomotion, views):
@@ -204,32 +214,24 @@ def test_residual_spread_of_a_resting_camera_is_the_same_measure():
 
 def test_the_next_search_starts_from_this_result():
     views = two_views(np.random.default_rng(5), 300, TURN_DEG, TRAVEL_M)
-    egomotion, memory = estimate_egomotion(
-        views.rays_prev, views.rays_cam, views.sigma_rad, LEAST_PARALLAX_RAD, LAST, Platform.vehicle
-    )
-    np.testing.assert_array_equal(memory.rotation_rad, egomotion.rotation_rad)
-    np.testing.assert_array_equal(memory.direction, egomotion.direction)
+    fit = fitted(views)
+    memory = LAST.after(fit)
+    np.testing.assert_array_equal(memory.rotation_rad, egomotion_of(fit).rotation_rad)
+    np.testing.assert_array_equal(memory.direction, fit.direction)
 
 
 def test_a_stop_keeps_the_direction_for_when_it_goes_on():
     views = two_views(np.random.default_rng(6), 300, (0, 0, 0), (0, 0, 0))
-    direction = np.array([0.1, 0.0, -0.995])
-    _, memory = estimate_egomotion(
-        views.rays_prev,
-        views.rays_cam,
-        views.sigma_rad,
-        LEAST_PARALLAX_RAD,
-        EgomotionMemory(np.zeros(3), direction),
-        Platform.vehicle,
-    )
-    np.testing.assert_array_equal(memory.direction, direction)
+    memory = EgomotionMemory(np.zeros(3), np.array([0.1, 0.0, -0.995]))
+    after = memory.after(fitted(views, memory))
+    np.testing.assert_array_equal(after.direction, memory.direction)
 
 
 def test_order_of_the_points_does_not_matter():
     views = two_views(np.random.default_rng(7), 300, TURN_DEG, TRAVEL_M)
     order = np.random.default_rng(8).permutation(300)
     one = estimate(views)
-    other, _ = estimate_egomotion(
+    other = estimate_egomotion(
         views.rays_prev[order],
         views.rays_cam[order],
         views.sigma_rad[order],

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.compiled import compiled_for
+from ttcvid.compiled import compiled_for, compiled_in_place
 from ttcvid.config import EgomotionConfig
+from ttcvid.geometry.estimation.relative_pose import TwoViewFit
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
@@ -18,6 +19,7 @@ from ttcvid.stages.egomotion.relative_pose import (
     EgomotionMemory,
     SceneWindow,
     cost_of,
+    egomotion_of,
     estimate_egomotion,
     picture_region,
     region_side_of,
@@ -129,20 +131,21 @@ def _last_step(
     everything = paired_rays(history, is_free, 1, config.min_tracks)
     if everything is None:
         return None
-    side = region_side_of(history.camera)
-
-    def told_by(tells: Bools, pair: RayPairs) -> _Step:
-        return _Step(*estimate_egomotion(*pair, parallax_rad, memory, config.platform, side), tells)
-
-    by_all = told_by(is_free, everything)
-    without_movers = is_free & in_scene
+    without_movers, side = is_free & in_scene, region_side_of(history.camera)
     pair = paired_rays(history, without_movers, 1, config.min_tracks) if (is_free & ~in_scene).any() else None
+
+    def fit_to(rays: RayPairs) -> TwoViewFit:
+        return estimate_egomotion(*rays, parallax_rad, memory, config.platform, side)
+
     if pair is None:
-        return by_all
-    by_scene = told_by(without_movers, pair)
-    if _has_window(history, config) and len(history.frame) >= LEAST_VIEWS:
-        return by_scene
-    return min(by_scene, by_all, key=lambda step: cost_of(step.egomotion, *everything))
+        fit, tells = fit_to(everything), is_free
+    else:
+        fit, tells = fit_to(pair), without_movers
+        if not _has_window(history, config) or len(history.frame) < LEAST_VIEWS:
+            by_all = fit_to(everything)
+            if cost_of(by_all, *everything) < cost_of(fit, *everything):
+                fit, tells = by_all, is_free
+    return _Step(egomotion_of(fit), memory.after(fit), tells)
 
 
 def _over_gap(
@@ -169,7 +172,7 @@ def _over_gap(
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
         return egomotion, history, memory
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
-    over_gap, _ = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform, side)
+    over_gap = egomotion_of(estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform, side))
     if not is_noise_known:
         told = egomotion if over_gap.direction is None else over_gap
         history = with_noise(history, told.residual_spread, sigma_floor_px, is_slow)
@@ -190,35 +193,38 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
     """
     if not 0 < gap < len(history.frame):
         return None
-    before, now, sigma_rad = history.rays[-1 - gap], history.rays[-1], history.sigma_rad
+    before, now = history.rays[-1 - gap], history.rays[-1]
     seen = np.flatnonzero(is_free & np.isfinite(before[:, 0] + now[:, 0]))
     if len(seen) < min_tracks:
         return None
-    rays = now[seen]
-    region = picture_region(rays, region_side_of(history.camera))
-    is_used = np.empty(len(seen), dtype=np.bool_)
-    start = np.append(0, np.cumsum(np.bincount(region)))
-    _pick_quietest(region, np.argsort(region), start, sigma_rad[seen], rays, is_used)
-    used = seen[is_used] if np.count_nonzero(is_used) >= min_tracks else seen
-    return before.take(used, axis=0), now.take(used, axis=0), sigma_rad.take(used)
+    rays, sigma_rad, is_used = now.take(seen, axis=0), history.sigma_rad.take(seen), np.zeros(len(seen), dtype=np.bool_)
+    _pick_quietest(picture_region(rays, region_side_of(history.camera)), sigma_rad, rays, is_used)
+    if np.count_nonzero(is_used) < min_tracks:
+        return before.take(seen, axis=0), rays, sigma_rad
+    return before.take(seen[is_used], axis=0), rays[is_used], sigma_rad[is_used]
 
 
-@compiled_for("(i8[::1], i8[::1], i8[::1], f8[::1], f8[:, ::1], b1[::1])")
-def _pick_quietest(
-    region: Ints, by_region: Ints, start: Ints, sigma_rad: Floats, rays: Floats, is_picked: Bools
-) -> None:
+@compiled_for("(i8[::1], f8[::1], f8[:, ::1], b1[::1])")
+def _pick_quietest(region: Ints, sigma_rad: Floats, rays: Floats, is_picked: Bools) -> None:
     """Mark the quietest tracks of each part of the picture, ``is_picked (N,)``.
 
-    Of the same noise by their place: the same ones in whatever order they come. ``by_region (N,)`` lists the tracks
-    part by part, ``start`` where each part starts in it.
+    Of the same noise by their place: the same ones in whatever order they come.
     """
+    picked = np.full((len(region), _MOST_IN_CELL), -1)
     for i in range(len(region)):
-        n_before, own = 0, (sigma_rad[i], rays[i, 0], rays[i, 1])
-        for place in range(start[region[i]], start[region[i] + 1]):
-            j = by_region[place]
-            other = (sigma_rad[j], rays[j, 0], rays[j, 1])
-            n_before += 1 if other < own or (other == own and j < i) else 0
-        is_picked[i] = n_before < _MOST_IN_CELL
+        # Each that is displaced goes on to the next place; the last one is left over.
+        is_picked[i], left = True, i
+        for place in range(_MOST_IN_CELL):
+            other = picked[region[i], place]
+            if left >= 0 and (other < 0 or _is_quieter(left, other, sigma_rad, rays)):
+                picked[region[i], place], left = left, other
+        if left >= 0:
+            is_picked[left] = False
+
+
+@compiled_in_place
+def _is_quieter(i: int, j: int, sigma_rad: Floats, rays: Floats) -> bool:
+    return (sigma_rad[i], rays[i, 0], rays[i, 1], i) < (sigma_rad[j], rays[j, 0], rays[j, 1], j)
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:

@@ -49,7 +49,7 @@ def flows_out(history: TrackHistory, least_parallax_px: float, min_tracks: int, 
     if pair is None:
         return False
     parallax_rad = np.sqrt(gap) * least_parallax_px / history.focal_px
-    motion, _ = estimate_egomotion(*pair, parallax_rad, EgomotionMemory(np.zeros(3)), platform, side)
+    motion = estimate_egomotion(*pair, parallax_rad, EgomotionMemory(np.zeros(3)), platform, side)
     if motion.direction is None or motion.direction[2] >= 0.0:
         return False
     turned, now = pair[0] @ motion.cam_R_prev.T, pair[1]

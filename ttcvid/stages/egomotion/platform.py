@@ -17,12 +17,12 @@ from itertools import pairwise
 import numpy as np
 
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
+from ttcvid.geometry.estimation.relative_pose import TwoViewFit
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Bools, Camera, Floats, ImageSize, Platform, PointSet
 from ttcvid.stages.egomotion.relative_pose import (
     FORWARD_DIR,
     MOTION_PRIORS,
-    Egomotion,
     EgomotionMemory,
     estimate_egomotion,
     region_side_of,
@@ -158,15 +158,16 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
         pair = in_common(one, other)
         if len(pair[0]) < _LEAST_STEP_POINTS:
             return None
-        step, memory = _egomotion(*pair, camera, memory, Platform.vehicle)
+        step = _egomotion(*pair, camera, memory, Platform.vehicle)
+        memory = memory.after(step)
         cam_R_first = step.cam_R_prev @ cam_R_first
     memory = EgomotionMemory(vector_from_rotation(cam_R_first), FORWARD_DIR)
-    ahead, _ = _egomotion(before, now, camera, memory, Platform.vehicle)
+    ahead = _egomotion(before, now, camera, memory, Platform.vehicle)
     still, explained = _shares(before, now, camera, ahead)
     turned_rad = float(np.linalg.norm(vector_from_rotation(ahead.cam_R_prev)))
     if ahead.direction is None:
         return Glance(times_s[-1], still, turned_rad, None, explained, explained, None)
-    anywhere, _ = _egomotion(before, now, camera, memory, Platform.free)
+    anywhere = _egomotion(before, now, camera, memory, Platform.free)
     best = max(explained, _shares(before, now, camera, anywhere)[1])
     travel = ahead.direction * (1.0 if ahead.direction[2] > 0.0 else -1.0)
     ground_hz = _ground_hz(before, now, camera, ahead, times_s[-1] - times_s[0])
@@ -196,7 +197,7 @@ def _without_stuck(stretch: Sequence[PointSet], size: ImageSize) -> Sequence[Poi
 
 def _egomotion(
     before_px: Floats, now_px: Floats, camera: Camera, memory: EgomotionMemory, platform: Platform
-) -> tuple[Egomotion, EgomotionMemory]:
+) -> TwoViewFit:
     before, now = (normalize(rays_from_pixels(camera, xy_px)) for xy_px in (before_px, now_px))
     is_seen = np.isfinite(before + now).all(axis=1)
     sigma_rad = np.full(np.count_nonzero(is_seen), _SIGMA_PX / camera.fx_px)
@@ -205,13 +206,13 @@ def _egomotion(
     return estimate_egomotion(*rays, sigma_rad, parallax_rad, memory, platform, region_side_of(camera))
 
 
-def _flow(before_px: Floats, now_px: Floats, camera: Camera, motion: Egomotion) -> tuple[Floats, Floats]:
+def _flow(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit) -> tuple[Floats, Floats]:
     """Rays (M, 3) before, turned into the camera of now, and now, in the plane z = 1."""
     before, now = (rays_from_pixels(camera, xy_px) for xy_px in (before_px, now_px))
     return normalize(before) @ motion.cam_R_prev.T, now / now[:, 2:]
 
 
-def _shares(before_px: Floats, now_px: Floats, camera: Camera, motion: Egomotion) -> tuple[float, float]:
+def _shares(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit) -> tuple[float, float]:
     """The shares of the picture's parts that stay in their place, and that a motion explains."""
     turned, now = _flow(before_px, now_px, camera, motion)
     moved_px = np.linalg.norm(normalize(now) - turned, axis=1) * camera.fx_px
@@ -237,7 +238,7 @@ def _rates(turned: Floats, now: Floats, direction: Floats) -> tuple[Floats, Floa
     return rate, np.linalg.norm(now, axis=1) * np.sqrt(2.0 / square)
 
 
-def _ground_hz(before_px: Floats, now_px: Floats, camera: Camera, motion: Egomotion, dt_s: float) -> float | None:
+def _ground_hz(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit, dt_s: float) -> float | None:
     """How fast the ground goes by: a low quantile over what lies below the horizon, which stands on it or is it."""
     direction = motion.direction
     if direction is None or abs(direction[2]) < np.cos(_AHEAD_RAD):

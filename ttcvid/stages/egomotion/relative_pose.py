@@ -168,6 +168,11 @@ class EgomotionMemory:
     gap_frames: int = 1
     window: SceneWindow | None = None
 
+    def after(self, fit: TwoViewFit) -> EgomotionMemory:
+        """The start of the search after a fit."""
+        direction = self.direction if fit.direction is None else fit.direction
+        return replace(self, rotation_rad=vector_from_rotation(fit.cam_R_prev), direction=direction)
+
 
 def estimate_egomotion(
     rays_prev: Floats,
@@ -177,7 +182,7 @@ def estimate_egomotion(
     memory: EgomotionMemory,
     platform: Platform,
     region_side: float = REGION,
-) -> tuple[Egomotion, EgomotionMemory]:
+) -> TwoViewFit:
     """Rotation and direction of travel by robust Gauss-Newton with priors.
 
     Every static point moves in the plane of its ray and the direction of travel, by an unknown amount: the residual is
@@ -194,6 +199,10 @@ def estimate_egomotion(
     platform : What carries the camera: the prior.
     region_side : Of the cells of `picture_region` (`region_side_of`).
 
+    Returns
+    -------
+    fit : Its covariance is found when it is asked for.
+
     Notes
     -----
     An essential matrix from random samples of five points fails where the flow is small and the motion forward: it
@@ -205,28 +214,34 @@ def estimate_egomotion(
     observed = (rays_prev, rays_cam, sigma_rad, region, prior)
     turning = _best([fit_rotation(*observed, start) for start in _rotation_starts(prior, memory)])
     if not belief.can_translate:
-        at_rest = _shaking(observed, turning)
-        return at_rest, replace(memory, rotation_rad=at_rest.rotation_rad)
+        return _shaking(observed, turning)
     moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
     may_move = moving.direction is not None and not belief.excludes(moving.direction)
     may_move = may_move and _is_translation(turning, moving, region, sigma_rad, least_parallax_rad)
-    found = _result(moving if may_move else turning)
-    direction = memory.direction if found.direction is None else found.direction
-    return found, replace(memory, rotation_rad=found.rotation_rad, direction=direction)
+    return moving if may_move else turning
 
 
-def cost_of(egomotion: Egomotion, rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats) -> float:
-    """Cost of an egomotion on some points, also on others than those behind it: Torr's criterion, less is better.
+def egomotion_of(fit: TwoViewFit) -> Egomotion:
+    """Own motion as a fit has it."""
+    if fit.direction is None:
+        return Egomotion(fit.cam_R_prev, fit.covariance, None, None, fit.residual)
+    basis = tangent_basis(fit.direction)
+    direction_cov = basis @ fit.covariance[:2, :2] @ basis.T
+    return Egomotion(fit.cam_R_prev, fit.covariance[2:, 2:], fit.direction, direction_cov, fit.residual)
+
+
+def cost_of(fit: TwoViewFit, rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats) -> float:
+    """Cost of a fit on some points, also on others than those behind it: Torr's criterion, less is better.
 
     Parameters as of `estimate_egomotion`. A point that moves against the direction lies behind the camera, and has the
     largest cost of a point.
     """
-    turned = rays_prev @ egomotion.cam_R_prev.T
-    if egomotion.direction is None:
+    turned = rays_prev @ fit.cam_R_prev.T
+    if fit.direction is None:
         off = rays_cam - turned
         return _criterion(0.5 * (off * off).sum(axis=1) / sigma_rad**2, 2, 3)
-    squares = flow_line_chi2(egomotion.direction, turned, rays_cam, sigma_rad)
-    is_behind = (rays_cam - turned) @ egomotion.direction < -_INLIER_SIGMAS * sigma_rad
+    squares = flow_line_chi2(fit.direction, turned, rays_cam, sigma_rad)
+    is_behind = (rays_cam - turned) @ fit.direction < -_INLIER_SIGMAS * sigma_rad
     return _criterion(np.where(is_behind, np.inf, squares), 3, 5)
 
 
@@ -245,7 +260,7 @@ def picture_region(rays: Floats, side: float = REGION) -> Ints:
 @compiled_for("(f8[:, ::1], f8, i8[::1])")
 def _number_regions(rays: Floats, side: float, region: Ints) -> None:
     """Fill ``region (N,)`` of `picture_region`."""
-    half, rank = _REGION_COUNT // 2, np.zeros(_REGION_COUNT * _REGION_COUNT, dtype=np.int32)
+    half, first, last = _REGION_COUNT // 2, _REGION_COUNT * _REGION_COUNT, ZERO
     for i in range(len(rays)):
         deep = side * (rays[i, 2] if rays[i, 2] > _LEAST_Z else _LEAST_Z)
         region[i] = 0
@@ -254,13 +269,15 @@ def _number_regions(rays: Floats, side: float, region: Ints) -> None:
             # A ray that is not known (NaN) has its place in the corner.
             cell = min(cell, half - 1.0) if cell > -half else -half
             region[i] = region[i] * _REGION_COUNT + int(cell) + half
-        rank[region[i]] = 1
-    count = ZERO
+        first, last = min(first, region[i]), max(last, region[i])
+    rank, count = np.zeros(max(last - first + 1, 0), dtype=np.int32), ZERO
+    for i in range(len(rays)):
+        rank[region[i] - first] = 1
     for cell in range(len(rank)):
         count += rank[cell]
         rank[cell] = count
     for i in range(len(rays)):
-        region[i] = rank[region[i]] - 1
+        region[i] = rank[region[i] - first] - 1
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:
@@ -277,7 +294,7 @@ def _rotation_starts(prior: GaussianPrior, memory: EgomotionMemory) -> list[Floa
     return [rotation_from_vector(np.array([0.0, yaw_rad, 0.0])) for yaw_rad in _FIRST_YAWS_RAD]
 
 
-def _shaking(observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turning: TwoViewFit) -> Egomotion:
+def _shaking(observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turning: TwoViewFit) -> TwoViewFit:
     """The rotation of a camera on a mast: ``turning``, unless that is a lorry that passes before it.
 
     It only shakes. A turn beyond that is one where it explains the flow of most points (a camera that is panned after
@@ -288,14 +305,15 @@ def _shaking(observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turni
     farthest_rad = _FARTHEST_SIGMAS * prior.rotation_sigma_rad
     shaken_rad = float(np.linalg.norm(vector_from_rotation(turning.cam_R_prev @ prior.cam_R_prev.T)))
     if shaken_rad < farthest_rad or np.mean(turning.residual < _INLIER_SIGMAS) > _GOOD_INLIERS:
-        return _result(turning)
+        return turning
     stays = np.linalg.norm(rays_cam - rays_prev, axis=1) < farthest_rad
     if np.count_nonzero(stays) < _LEAST_STILL:
         # Only movers: the noise is not observed either.
-        cov = prior.rotation_sigma_rad**2 * np.eye(3)
-        return Egomotion(prior.cam_R_prev, cov, None, None, np.array([_MEDIAN_RAYLEIGH]))
+        rows, residual = np.empty((4, 0)), np.array([_MEDIAN_RAYLEIGH])
+        information = prior.rotation_sigma_rad**-2.0 * np.eye(3)
+        return TwoViewFit(prior.cam_R_prev, None, residual, 0.0, information, rows, region[:0], np.zeros(1))
     still = (rays_prev[stays], rays_cam[stays], sigma_rad[stays], region[stays], prior)
-    return _result(fit_rotation(*still, prior.cam_R_prev))
+    return fit_rotation(*still, prior.cam_R_prev)
 
 
 def _fit_from_starts(
@@ -345,14 +363,6 @@ def _is_translation(
     still_per_region = np.bincount(region, is_still)
     n_still = int(np.count_nonzero(still_per_region > 0.5 * points_per_region))
     return n_still < _MOST_STILL * len(points_per_region)
-
-
-def _result(fit: TwoViewFit) -> Egomotion:
-    if fit.direction is None:
-        return Egomotion(fit.cam_R_prev, fit.covariance, None, None, fit.residual)
-    basis = tangent_basis(fit.direction)
-    direction_cov = basis @ fit.covariance[:2, :2] @ basis.T
-    return Egomotion(fit.cam_R_prev, fit.covariance[2:, 2:], fit.direction, direction_cov, fit.residual)
 
 
 def _best(fits: list[TwoViewFit]) -> TwoViewFit:
