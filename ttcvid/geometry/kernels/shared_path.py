@@ -70,7 +70,7 @@ def descend_together(
     """
     xy, t_s, sigma, order, first = points
     path, rotations, turned = np.empty((len(t_s), 3)), np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 1, 2))
-    views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
+    views, limits, work = np.empty((point.N_ROWS, len(t_s))), np.empty(2), _work(len(t_s))
     kept = np.empty((len(sigma), _N_ALL + 1, _N_OWN))
     information, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(_N_ALL)
     score = step[_N_OWN:]
@@ -106,7 +106,7 @@ def descend_together(
                 if not limits[0] < state[i, 2] < limits[1]:
                     point.start(views, n, limits, state[i])
                 far = _LIMIT * noise * noise
-                total, inside = _add_point(views, n, state[i], basis[k], far, kept[i], information, score)
+                total, inside = _add_point(views, n, state[i], basis[k], far, work, kept[i], information, score)
                 mean_square[i] = total / (2 * n - 3)
                 left[k, 0] += inside
             median_chi2 = median(mean_square[low:high].copy())
@@ -134,18 +134,32 @@ def add_windows(
     ``paths (K, L, 3)`` are those at which the points were fitted.
     """
     xy, t_s, sigma, order, first = points
-    views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
+    views, limits, work = np.empty((point.N_ROWS, len(t_s))), np.empty(2), _work(len(t_s))
     kept = np.empty((_N_ALL + 1, _N_OWN))
     for k in range(len(paths)):
         for i in range(first[k], first[k + 1]):
             if n_views[i] > 0:
                 list_views(xy, t_s, order, paths[k], 1.0 / sigma[i], i, views, limits)
-                _add_point(views, n_views[i], state[i], basis[k], _LIMIT, kept, information[k], score[k])
+                _add_point(views, n_views[i], state[i], basis[k], _LIMIT, work, kept, information[k], score[k])
+
+
+@compiled
+def _work(n_views: int) -> tuple[Floats, Floats]:
+    """Room for the rows and the equations of a point."""
+    return np.empty((_N_ALL + 1, 2 * n_views)), np.empty((_N_ALL + 1, _N_ALL))
 
 
 @compiled
 def _add_point(
-    views: Floats, n: int, s: Floats, basis: Floats, limit: float, kept: Floats, information: Floats, score: Floats
+    views: Floats,
+    n: int,
+    s: Floats,
+    basis: Floats,
+    limit: float,
+    work: tuple[Floats, Floats],
+    kept: Floats,
+    information: Floats,
+    score: Floats,
 ) -> tuple[float, float]:
     """Add what the first n views of a point say of what it shares, once x, y, rho follow.
 
@@ -156,7 +170,7 @@ def _add_point(
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit`` lose
     weight. A point whose views leave rho open says nothing.
     """
-    rows, rho, total, inside = np.empty((_N_ALL + 1, 2 * n)), s[2], 0.0, 0.0
+    (rows, equations), rho, total, inside = work, s[2], 0.0, 0.0
     # By an index without a sign: several views are worked at at a time.
     for k in range(np.uint64(n)):
         other, inverse, t, tz = k + np.uint64(n), views[point.INVERSE, k], views[point.TIME, k], views[point.PATH_Z, k]
@@ -182,7 +196,7 @@ def _add_point(
         rows[9, k], rows[9, other] = turned * (1.0 + x * x), turned * x * y
         rows[10, k], rows[10, other] = -turned * y, turned * x
         rows[11, k], rows[11, other] = root * rx, root * ry
-    equations = np.zeros((_N_ALL + 1, _N_ALL))
+    equations[:] = 0.0
     add_equations(rows, 2 * n, equations, equations[_N_ALL])
     eliminate(equations, kept, information, score)
     return total, inside
