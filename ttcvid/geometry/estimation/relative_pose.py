@@ -103,7 +103,8 @@ def fit_motion(
     cam_R_prev, direction : (3, 3) and (3,) start; no direction: rotation alone.
     """
     direction = None if direction is None else direction.copy()
-    offset, n = vector_from_rotation(cam_R_prev @ prior.cam_R_prev.T), len(rays_cam)
+    is_expected, n = cam_R_prev is prior.cam_R_prev, len(rays_cam)
+    offset = np.zeros(3) if is_expected else vector_from_rotation(cam_R_prev @ prior.cam_R_prev.T)
     k, n_rows = (3, 3 * n) if direction is None else (5, n)
     precision, pull = np.full(k, prior.rotation_sigma_rad**-2.0), np.zeros(3)
     if direction is not None:

@@ -256,10 +256,10 @@ def _to_camera(basis: Floats) -> Floats:
 
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     """Information (K, 8, 8) of the belief on what moves along a path."""
+    across, along, turn = beliefs.across_sigma_hz, beliefs.along_sigma_hz, beliefs.turn_sigma_rad_s
     prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
+    prior[:] = np.diag(np.array([1.0, 1.0, across, across, along, turn, turn, turn]) ** -2.0)
     prior[:, :2, :2] = np.linalg.inv(_of_plane(basis, beliefs.direction_cov))
-    sigma = np.repeat([beliefs.across_sigma_hz, beliefs.along_sigma_hz, beliefs.turn_sigma_rad_s], [2, 1, 3])
-    prior[:, np.arange(2, N_LOCAL), np.arange(2, N_LOCAL)] = sigma**-2.0
     return prior
 
 
@@ -272,7 +272,8 @@ def _own_motion(beliefs: PathBeliefs, basis: Floats, state: Floats, path_of: Int
     direction.
     """
     count = len(basis)
-    own_motion = np.tile(np.eye(N_LOCAL), (count, 1, 1))
+    own_motion = np.zeros((count, N_LOCAL, N_LOCAL))
+    own_motion[:] = np.eye(N_LOCAL)
     if beliefs.turns_itself:
         x, y, rho = (medians(column, path_of, count) for column in state.T)
         axes, has_middle = basis.transpose(0, 2, 1), rho > 0.0

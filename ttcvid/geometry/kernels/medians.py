@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import compiled, compiled_for
+from ttcvid.compiled import compiled, compiled_for, compiled_in_place
 from ttcvid.model import Floats, Ints
 
 
@@ -14,25 +14,21 @@ def median(values: Floats) -> float:
     n = len(values)
     if n == 0:
         return np.nan
-    # The upper middle one comes to its place: no smaller ones behind it, no larger ones before it (Hoare).
+    # The upper middle one comes to its place: no smaller ones behind it, no larger ones before it.
     low, high, place = 0, n - 1, n // 2
     while low < high:
-        pivot, i, j = values[(low + high) // 2], low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if place <= j:
-            high = j
-        elif place >= i:
-            low = i
+        one, other, third = values[low], values[place], values[high]
+        pivot = max(min(one, other), min(max(one, other), third))
+        first = _smaller_to_front(values, low, high, pivot, False)
+        if place < first:
+            high = first - 1
+        elif first > low:
+            low = first
         else:
-            break
+            first = _smaller_to_front(values, low, high, pivot, True)
+            if place < first:
+                break
+            low = first
     if n % 2 == 1:
         return float(values[place])
     lower = values[0]
@@ -40,6 +36,20 @@ def median(values: Floats) -> float:
         lower = max(lower, values[i])
     middle: float = 0.5 * (lower + values[place])
     return middle
+
+
+@compiled_in_place
+def _smaller_to_front(values: Floats, low: int, high: int, pivot: float, with_equal: bool) -> int:
+    """Bring those of ``low ... high`` that are smaller, or equal, to the front; return where the others begin.
+
+    Without a branch: which way a value goes cannot be guessed.
+    """
+    first = low
+    for j in range(low, high + 1):
+        value = values[j]
+        values[j], values[first] = values[first], value
+        first += 1 if value < pivot or (with_equal and value == pivot) else 0
+    return first
 
 
 @compiled_for("(f8[::1], i8[::1], f8[::1])")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import compiled, compiled_for
+from ttcvid.compiled import compiled, compiled_for, compiled_in_place
 from ttcvid.geometry.kernels import path_point as point
 from ttcvid.geometry.kernels.known_path import list_views
 from ttcvid.geometry.kernels.medians import median
@@ -106,7 +106,8 @@ def descend_together(
                 if not limits[0] < state[i, 2] < limits[1]:
                     point.start(views, n, limits, state[i])
                 far = _LIMIT * noise * noise
-                total, inside = _add_point(views, n, state[i], basis[k], far, work, kept[i], information, score)
+                total, inside = _fill_equations(views, n, state[i], basis[k], far, work)
+                eliminate(work[1], kept[i], information, score)
                 mean_square[i] = total / (2 * n - 3)
                 left[k, 0] += inside
             median_chi2 = median(mean_square[low:high].copy())
@@ -140,35 +141,27 @@ def add_windows(
         for i in range(first[k], first[k + 1]):
             if n_views[i] > 0:
                 list_views(xy, t_s, order, paths[k], 1.0 / sigma[i], i, views, limits)
-                _add_point(views, n_views[i], state[i], basis[k], _LIMIT, work, kept, information[k], score[k])
+                _fill_equations(views, n_views[i], state[i], basis[k], _LIMIT, work)
+                eliminate(work[1], kept, information[k], score[k])
 
 
-@compiled
+@compiled_in_place
 def _work(n_views: int) -> tuple[Floats, Floats]:
     """Room for the rows and the equations of a point."""
     return np.empty((_N_ALL + 1, 2 * n_views)), np.empty((_N_ALL + 1, _N_ALL))
 
 
 @compiled
-def _add_point(
-    views: Floats,
-    n: int,
-    s: Floats,
-    basis: Floats,
-    limit: float,
-    work: tuple[Floats, Floats],
-    kept: Floats,
-    information: Floats,
-    score: Floats,
+def _fill_equations(
+    views: Floats, n: int, s: Floats, basis: Floats, limit: float, work: tuple[Floats, Floats]
 ) -> tuple[float, float]:
-    """Add what the first n views of a point say of what it shares, once x, y, rho follow.
+    """Fill the equations of a point and what it shares by its first n views: ``work`` is its rows, and these.
 
-    Fills ``kept (12, 3)`` as `solve.eliminate` does. Returns the sums of weighted squares, and of squares of which none
-    counts for more than the robust limit.
+    Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
 
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
     t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit`` lose
-    weight. A point whose views leave rho open says nothing.
+    weight.
     """
     (rows, equations), rho, total, inside = work, s[2], 0.0, 0.0
     # By an index without a sign: several views are worked at at a time.
@@ -198,5 +191,4 @@ def _add_point(
         rows[11, k], rows[11, other] = root * rx, root * ry
     equations[:] = 0.0
     add_equations(rows, 2 * n, equations, equations[_N_ALL])
-    eliminate(equations, kept, information, score)
     return total, inside

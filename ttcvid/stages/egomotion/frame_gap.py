@@ -229,11 +229,12 @@ def _is_quieter(i: int, j: int, sigma_rad: Floats, rays: Floats) -> bool:
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     """Frames after which the median derotated flow has the wanted length, by the flow of the last step."""
-    flow_rad = np.linalg.norm(history.rays[-1, is_free] - history.derotated(-2)[is_free], axis=1)
-    is_known = np.isfinite(flow_rad)
-    if not is_known.any():
+    flow = (history.rays[-1] - history.derotated(-2))[is_free]
+    square = np.einsum("ni,ni->n", flow, flow)
+    square = square[np.isfinite(square)]
+    if not len(square):
         return 1
-    flow_px = median(flow_rad[is_known]) * history.focal_px
+    flow_px = median(np.sqrt(square)) * history.focal_px
     return min(max(math.ceil(_WANTED_FLOW_PX / max(flow_px, _TINY_PX)), 1), _LONGEST_GAP)
 
 

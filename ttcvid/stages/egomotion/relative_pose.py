@@ -83,7 +83,7 @@ class MotionPrior:
         most_rad = math.inf if self.direction_sigma_rad is None else _MOST_OFF_AXIS_SIGMAS * self.direction_sigma_rad
         if not most_rad < 0.5 * math.pi:
             return False
-        return abs(float(direction @ FORWARD_DIR)) < math.cos(most_rad) * float(np.linalg.norm(direction))
+        return abs(float(direction @ FORWARD_DIR)) < math.cos(most_rad) * math.hypot(*direction)
 
 
 # A car turns its rate by at most 0.3-0.5 deg from frame to frame and moves within a few degrees of where its camera
