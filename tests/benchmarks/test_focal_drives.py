@@ -3,7 +3,7 @@
 import numpy as np
 from focal_drives import KINDS, focal_drive
 
-from ttcvid.geometry.estimation.relative_pose import GaussianPrior, fit_rotation
+from ttcvid.geometry.estimation.relative_pose import GaussianPrior, fit_motion
 from ttcvid.geometry.rotation import vector_from_rotation
 
 
@@ -35,6 +35,6 @@ def residual_px(xy_px: np.ndarray, later_px: np.ndarray, focal_px: float) -> flo
     rays = [ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in centred]
     sigma_rad = np.full(len(xy_px), 0.2 / focal_px)
     prior = GaussianPrior(np.zeros(3), 1.0)
-    fit = fit_rotation(*rays, sigma_rad, np.zeros(len(xy_px), np.int64), prior, np.eye(3))
+    fit = fit_motion(*rays, sigma_rad, np.zeros(len(xy_px), np.int64), prior, np.eye(3))
     assert np.linalg.norm(vector_from_rotation(fit.cam_R_prev)) > 0.01
     return float(np.median(fit.residual)) * 0.2

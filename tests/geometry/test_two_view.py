@@ -5,7 +5,7 @@ import pytest
 from scipy.special import chdtri
 from two_views import FOCAL_PX, angle_deg, two_views
 
-from ttcvid.geometry.estimation.relative_pose import GaussianPrior, direction_from_flow, fit_motion, fit_rotation
+from ttcvid.geometry.estimation.relative_pose import GaussianPrior, direction_from_flow, fit_motion
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
 
 FORWARD = np.array([0.0, 0.0, -1.0])
@@ -43,7 +43,7 @@ def test_motion_is_exact_without_noise(turn_deg, travel_m):
 @pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (0.2, -3.0, 0.4), (0.0, 5.0, 0.0)])
 def test_rotation_is_exact_without_noise(turn_deg):
     views = two_views(np.random.default_rng(2), 200, turn_deg, (0, 0, 0), sigma_px=0.0, told_sigma_px=1e-5)
-    fit = fit_rotation(*views.observed, WIDE, STILL)
+    fit = fit_motion(*views.observed, WIDE, STILL)
     assert np.linalg.norm(turn_error_rad(fit, views)) < 1e-9
     assert fit.direction is None
 
@@ -92,7 +92,7 @@ def test_covariance_of_a_rotation_is_that_of_noisy_draws():
     squares = []
     for seed in range(150):
         views = two_views(np.random.default_rng(seed), 300, (0.05, 0.3, 0.02), (0, 0, 0))
-        fit = fit_rotation(*views.observed, WIDE, STILL)
+        fit = fit_motion(*views.observed, WIDE, STILL)
         error = turn_error_rad(fit, views)
         squares.append(error @ np.linalg.solve(fit.covariance, error))
     assert 0.9 <= np.mean(np.array(squares) < chdtri(3, 0.05)) <= 1.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.estimation.bundle import Bundle, BundleFit, Views, adjust_bundle
-from ttcvid.geometry.estimation.relative_pose import GaussianPrior, direction_from_flow, fit_motion, fit_rotation
+from ttcvid.geometry.estimation.relative_pose import GaussianPrior, direction_from_flow, fit_motion
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
 from ttcvid.model import Floats
 
@@ -138,7 +138,7 @@ def _step(views: Views, rays: Floats, j: int, focal_px: float) -> tuple[Floats, 
     looked = rotation_from_vector(np.array([-flow[1], flow[0], 0.0]))
     sigma_rad = np.full(len(now), _COARSE_PX / focal_px)
     observed = (rays[before], rays[now], sigma_rad, views.region[views.point[now]], _OPEN)
-    turning = fit_rotation(*observed, looked)
+    turning = fit_motion(*observed, looked)
     starts = np.vstack([_DIRECTIONS, direction_from_flow(rays[before], rays[now], turning.cam_R_prev)])
     fits = [fit_motion(*observed, turn, start) for turn in (turning.cam_R_prev, np.eye(3)) for start in starts]
     best = min(fits, key=lambda one: one.cost)

@@ -73,13 +73,6 @@ class GaussianPrior:
         return rotation_from_vector(self.rotation_rad)
 
 
-def fit_rotation(
-    rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats, region: Ints, prior: GaussianPrior, cam_R_prev: Floats
-) -> TwoViewFit:
-    """Rotation alone: every point at infinity, two residuals a point. Parameters as for `fit_motion`."""
-    return fit_motion(rays_prev, rays_cam, sigma_rad, region, prior, cam_R_prev, None)
-
-
 def fit_motion(
     rays_prev: Floats,
     rays_cam: Floats,
@@ -87,7 +80,7 @@ def fit_motion(
     region: Ints,
     prior: GaussianPrior,
     cam_R_prev: Floats,
-    direction: Floats | None,
+    direction: Floats | None = None,
 ) -> TwoViewFit:
     """Rotation and direction: a point moves in the plane of its ray and the direction, by an unknown amount.
 
@@ -100,11 +93,11 @@ def fit_motion(
     rays_prev, rays_cam : (N, 3) unit rays of the same points, each in its own camera.
     sigma_rad : (N,) noise of one coordinate of a unit ray.
     region : (N,) number of the part of the picture a point lies in; errors within one part are taken as common.
-    cam_R_prev, direction : (3, 3) and (3,) start; no direction: rotation alone.
+    cam_R_prev, direction : (3, 3) and (3,) start; no direction: rotation alone, every point at infinity, two
+        residuals a point.
     """
     direction = None if direction is None else direction.copy()
-    is_expected, n = cam_R_prev is prior.cam_R_prev, len(rays_cam)
-    offset = np.zeros(3) if is_expected else vector_from_rotation(cam_R_prev @ prior.cam_R_prev.T)
+    offset, n = vector_from_rotation(cam_R_prev @ prior.cam_R_prev.T), len(rays_cam)
     k, n_rows = (3, 3 * n) if direction is None else (5, n)
     precision, pull = np.full(k, prior.rotation_sigma_rad**-2.0), np.zeros(3)
     if direction is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -71,8 +71,8 @@ def find_own_motion(
     step = _last_step(history, is_free, follows, memory, config, parallax_rad)
     if step is None:
         return None, last_frame_only(history), replace(memory, gap_frames=1, window=None)
-    egomotion, history, memory = _over_gap(history, step, config, parallax_rad, sigma_floor_px)
-    tells, belief = step.tells, MOTION_PRIORS[config.platform]
+    egomotion, history, memory = _over_gap(history, *step, memory, config, parallax_rad, sigma_floor_px)
+    tells, belief = step[1], MOTION_PRIORS[config.platform]
     if _has_window(history, config):
         found = by_window(history, is_free, in_scene, tells, memory.window, egomotion, belief.rotation_sigma_rad)
         memory = replace(memory, window=found.window)
@@ -110,15 +110,6 @@ def _with_window(history: TrackHistory, egomotion: Egomotion, window: SceneWindo
     )
 
 
-@dataclass(frozen=True)
-class _Step:
-    """Egomotion since the last frame, the memory of it, and the tracks ``tells (N,)`` that determined it."""
-
-    egomotion: Egomotion
-    memory: EgomotionMemory
-    tells: Bools
-
-
 def _last_step(
     history: TrackHistory,
     is_free: Bools,
@@ -126,8 +117,11 @@ def _last_step(
     memory: EgomotionMemory,
     config: EgomotionConfig,
     parallax_rad: float,
-) -> _Step | None:
-    """Own motion since the last frame as the tracks of no known mover tell it, or all; None with too few tracks."""
+) -> tuple[TwoViewFit, Bools] | None:
+    """Own motion since the last frame as the tracks of no known mover tell it, or all, and which told it: (N,).
+
+    None with too few tracks.
+    """
     everything = paired_rays(history, is_free, 1, config.min_tracks)
     if everything is None:
         return None
@@ -138,18 +132,23 @@ def _last_step(
         return estimate_egomotion(*rays, parallax_rad, memory, config.platform, side)
 
     if pair is None:
-        fit, tells = fit_to(everything), is_free
-    else:
-        fit, tells = fit_to(pair), without_movers
-        if not _has_window(history, config) or len(history.frame) < LEAST_VIEWS:
-            by_all = fit_to(everything)
-            if cost_of(by_all, *everything) < cost_of(fit, *everything):
-                fit, tells = by_all, is_free
-    return _Step(egomotion_of(fit), memory.after(fit), tells)
+        return fit_to(everything), is_free
+    by_scene = fit_to(pair)
+    if _has_window(history, config) and len(history.frame) >= LEAST_VIEWS:
+        return by_scene, without_movers
+    by_all = fit_to(everything)
+    is_better = cost_of(by_all, *everything) < cost_of(by_scene, *everything)
+    return (by_all, is_free) if is_better else (by_scene, without_movers)
 
 
 def _over_gap(
-    history: TrackHistory, step: _Step, config: EgomotionConfig, parallax_rad: float, sigma_floor_px: float
+    history: TrackHistory,
+    fit: TwoViewFit,
+    tells: Bools,
+    memory: EgomotionMemory,
+    config: EgomotionConfig,
+    parallax_rad: float,
+    sigma_floor_px: float,
 ) -> tuple[Egomotion, TrackHistory, EgomotionMemory]:
     """Rotation from the last frame, and direction of travel over the gap that the flow asks for.
 
@@ -158,15 +157,15 @@ def _over_gap(
     between the present frame and one so far back that the flow is long enough: its rotation corrects the sum, its
     direction replaces that of the step. The gap stays short nevertheless: the direction found is the mean over it.
     """
-    egomotion, memory, side = step.egomotion, step.memory, region_side_of(history.camera)
+    egomotion, side = egomotion_of(fit), region_side_of(history.camera)
     history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
     gap = min(memory.gap_frames, len(history.frame) - 1)
     # Where a step shows no translation, what is left of its flow is noise only if a longer one shows none, either.
     is_noise_known, is_slow = egomotion.direction is not None or gap <= 1, gap >= _LONGEST_GAP
     if is_noise_known:
         history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
-    memory = replace(memory, gap_frames=_gap_for(history, step.tells))
-    long_step = paired_rays(history, step.tells, gap, config.min_tracks) if gap > 1 else None
+    memory = replace(memory.after(fit), gap_frames=_gap_for(history, tells))
+    long_step = paired_rays(history, tells, gap, config.min_tracks) if gap > 1 else None
     if long_step is None:
         if not is_noise_known:
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)

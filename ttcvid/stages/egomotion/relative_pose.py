@@ -14,7 +14,6 @@ from ttcvid.geometry.estimation.relative_pose import (
     TwoViewFit,
     direction_from_flow,
     fit_motion,
-    fit_rotation,
 )
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
@@ -212,7 +211,7 @@ def estimate_egomotion(
     prior = _gaussian_prior(belief, memory)
     region = picture_region(rays_cam, region_side)
     observed = (rays_prev, rays_cam, sigma_rad, region, prior)
-    turning = _best([fit_rotation(*observed, start) for start in _rotation_starts(prior, memory)])
+    turning = _best([fit_motion(*observed, start) for start in _rotation_starts(prior, memory)])
     if not belief.can_translate:
         return _shaking(observed, turning)
     moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
@@ -313,7 +312,7 @@ def _shaking(observed: tuple[Floats, Floats, Floats, Ints, GaussianPrior], turni
         information = prior.rotation_sigma_rad**-2.0 * np.eye(3)
         return TwoViewFit(prior.cam_R_prev, None, residual, 0.0, information, rows, region[:0], np.zeros(1))
     still = (rays_prev[stays], rays_cam[stays], sigma_rad[stays], region[stays], prior)
-    return fit_rotation(*still, prior.cam_R_prev)
+    return fit_motion(*still, prior.cam_R_prev)
 
 
 def _fit_from_starts(

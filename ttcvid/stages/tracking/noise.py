@@ -73,9 +73,9 @@ def _relative_roughness(history: TrackHistory, sigma_floor_px: float) -> tuple[F
     if max(steps_s) - min(steps_s) > _EVEN_STEPS * abs(sum(steps_s) / len(steps_s)):
         return nothing
     recent = slice(-_DIFFERENCE_FRAMES, None)
-    first, second, third, last = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
-    difference = (last - first - 3.0 * (third - second)) / history.plane_per_px[:, None]
-    roughness = np.einsum("ni,ni->n", difference, difference)
+    plane = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
+    third = np.diff(plane, n=_DIFFERENCE_FRAMES - 1, axis=0)[0] / history.plane_per_px[:, None]
+    roughness = (third * third).sum(axis=1)
     is_measured = np.isfinite(roughness)
     if np.count_nonzero(is_measured) < _LEAST_MEASURED:
         return nothing
