@@ -198,9 +198,8 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
         return None
     rays, sigma_rad, is_used = now.take(seen, axis=0), history.sigma_rad.take(seen), np.zeros(len(seen), dtype=np.bool_)
     _pick_quietest(picture_region(rays, region_side_of(history.camera)), sigma_rad, rays, is_used)
-    if np.count_nonzero(is_used) < min_tracks:
-        return before.take(seen, axis=0), rays, sigma_rad
-    return before.take(seen[is_used], axis=0), rays[is_used], sigma_rad[is_used]
+    used = np.flatnonzero(is_used) if np.count_nonzero(is_used) >= min_tracks else np.arange(len(seen))
+    return before.take(seen[used], axis=0), rays.take(used, axis=0), sigma_rad.take(used)
 
 
 @compiled_for("(i8[::1], f8[::1], f8[:, ::1], b1[::1])")
@@ -228,7 +227,7 @@ def _is_quieter(i: int, j: int, sigma_rad: Floats, rays: Floats) -> bool:
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:
     """Frames after which the median derotated flow has the wanted length, by the flow of the last step."""
-    flow = (history.rays[-1] - history.derotated(-2))[is_free]
+    flow = (history.rays[-1] - history.derotated(-2)).take(np.flatnonzero(is_free), axis=0)
     square = np.einsum("ni,ni->n", flow, flow)
     square = square[np.isfinite(square)]
     if not len(square):
