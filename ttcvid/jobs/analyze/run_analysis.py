@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
@@ -181,8 +182,6 @@ def _analyze_into(
     info, pipeline = source.info, configuration.pipeline
     with ExitStack() as stack:
         is_akaze = pipeline.tracking.tracker == "akaze"
-        if is_akaze:
-            share_freed_memory()
         stack.enter_context(one_opencv_thread())
         stack.enter_context(rare_garbage_collections())
         stack.enter_context(quick_thread_switches())
@@ -190,7 +189,9 @@ def _analyze_into(
         picture_bytes = PICTURE_BYTES_PER_PX * info.image_size.width_px * info.image_size.height_px
         # where no picture may wait, who needs one makes it: the geometry's process still works beside
         n_behind, n_ahead = (waiting_items(picture_bytes, most) for most in (WRITE_BEHIND_ITEMS, READ_AHEAD_ITEMS))
-        if not n_ahead and not is_akaze:
+        if n_ahead or is_akaze:
+            share_freed_memory()
+        else:
             give_back_large_blocks()
         put = stack.enter_context(WriteBehind(write, n_behind)).put if n_behind else write
         # a picture that nobody draws on is not kept for it
@@ -199,7 +200,7 @@ def _analyze_into(
         n_apart = max(1, waiting_items(picture_bytes, AHEAD_ITEMS))
 
         def run_apart(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
-            return stack.enter_context(beside(function, stop.until_requested(items), n_apart))
+            return stack.enter_context(beside(partial(_loaded, function), stop.until_requested(items), n_apart))
 
         if next(_ANALYSES) == 1:
             # There are several: each copy of this process would load from disk what the one before it has loaded.
@@ -222,6 +223,12 @@ def _analyze_into(
     if stop.is_requested and tally.n_frames == 0:
         raise KeyboardInterrupt
     return tally
+
+
+def _loaded(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterator[R]:
+    """What ``function(items)`` yields; its code is loaded from disk while the first item is on its way."""
+    load_compiled()
+    return function(items)
 
 
 def _log_start(source: Source, path: Path, configuration: Configuration) -> None:
