@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from ttcvid.compiled import compiled_for
 from ttcvid.draw.palette import Colour
 from ttcvid.model import ImageSize, Picture
 
@@ -46,7 +47,7 @@ class Lettering:
 
     def draw(self, bgr: Picture, text: str, x: int, y: int, ink: Colour) -> None:
         """Write ``text`` with the upper left corner of its capitals at (x, y); what lies outside is cut off."""
-        _blend(bgr, self._cover_of(text), x, y, ink)
+        _blend(bgr, self._cover_of(text), x, y, np.array(ink, dtype=np.uint8))
 
     def _cover(self, text: str) -> Picture:
         """How much of each pixel a text covers, 0 to 255, ``(height, width)``."""
@@ -62,10 +63,12 @@ class Lettering:
         return np.asarray(cover, dtype=np.uint8)
 
 
-def _blend(bgr: Picture, cover: Picture, x: int, y: int, ink: Colour) -> None:
+@compiled_for("(u1[:, :, ::1], u1[:, ::1], i8, i8, u1[::1])")
+def _blend(bgr: Picture, cover: Picture, x: int, y: int, ink: Picture) -> None:
     """Lays a colour over a picture from (x, y) on, where it is covered, as far as that lies in the picture."""
-    cover = cover[max(-y, 0) :, max(-x, 0) :]
-    part = bgr[max(y, 0) :, max(x, 0) :][: cover.shape[0], : cover.shape[1]]
-    # A product of two bytes and a second that fills it up to 255 of them are 16 bits.
-    share = cover[: part.shape[0], : part.shape[1], None].astype(np.uint16)
-    part[:] = (part * (255 - share) + share * np.array(ink, dtype=np.uint16)) // np.uint16(255)
+    for row in range(max(-y, 0), min(cover.shape[0], bgr.shape[0] - y)):
+        for column in range(max(-x, 0), min(cover.shape[1], bgr.shape[1] - x)):
+            share = np.int64(cover[row, column])
+            for channel in range(3):
+                under = bgr[y + row, x + column, channel]
+                bgr[y + row, x + column, channel] = (under * (255 - share) + share * ink[channel]) // 255

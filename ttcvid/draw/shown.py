@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +44,7 @@ class ShownObjects:
 
     def follow(self, result: FrameResult) -> list[Shown]:
         """What the next frame shows; ``colours`` are then those of all objects that it has, by ``cluster_id``."""
-        tracks, rows = result.tracks, [row for row in by_urgency(result) if np.all(np.isfinite(row.box_px))]
+        tracks, rows = result.tracks, [row for row in by_urgency(result) if all(map(math.isfinite, row.box_px))]
         in_view = {row.cluster_id for row in rows}
         warned = {event.cluster_id for event in result.events}
         hidden = sorted((warned - in_view) & self._seen.keys())

@@ -50,9 +50,11 @@ class Trails:
         # An odd width lies evenly about its line.
         stroke = np.where(is_object, stroke_px | 1, 1)
         _draw_lines(bgr, self.positions_px, n_steps, np.where(is_loose, 1, _LINE_STEP), order, colour, stroke)
-        side_px = stroke_px + 1
-        corner = np.round(tracks.xy_px[is_object]).astype(np.int64) - side_px // 2
-        _fill_squares(bgr, corner, colour[is_object], side_px)
+        # A square at each: a line as wide as it is long.
+        side_px, n = stroke_px + 1, np.count_nonzero(is_object)
+        ends = np.array([[0.0, 0.0], [side_px - 1.0, 0.0]]) - (side_px // 2, 0.0)
+        lines, ones = np.rint(tracks.xy_px[is_object])[:, None] + ends, np.ones(n, dtype=np.int64)
+        _draw_lines(bgr, lines, ones, ones, np.arange(n), colour[is_object], side_px * ones)
 
 
 @compiled_for("(u1[:, :, ::1], f8[:, :, ::1], i8[::1], i8[::1], i8[::1], u1[:, ::1], i8[::1])")
@@ -84,11 +86,3 @@ def _draw_lines(
                     if 0 <= u < width and 0 <= v < height:
                         for channel in range(3):
                             bgr[v, u, channel] = colour[i, channel]
-
-
-def _fill_squares(bgr: Picture, corner: Ints, colour: Picture, side_px: int) -> None:
-    """Fills squares from their upper left corners ``(N, 2)`` on, as far as they lie in the picture."""
-    across = np.arange(side_px)
-    x, y = np.broadcast_arrays(corner[:, 0, None, None] + across, corner[:, 1, None, None] + across[:, None])
-    is_inside = (x >= 0) & (x < bgr.shape[1]) & (y >= 0) & (y < bgr.shape[0])
-    bgr[y[is_inside], x[is_inside]] = np.broadcast_to(colour[:, None, None], (*x.shape, 3))[is_inside]
