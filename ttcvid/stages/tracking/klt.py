@@ -218,7 +218,8 @@ def _follow(
         winSize=(window_px, window_px),
         maxLevel=levels,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ITERATIONS, step_px),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        # Asked for eigenvalues, it does not work out the error of each window, which nobody looks at.
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
         minEigThreshold=_MIN_EIGENVALUE,
     )
     return status.ravel() > 0, to
