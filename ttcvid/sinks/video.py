@@ -37,22 +37,13 @@ class OverlayVideo:
     image_size : Size of every picture.
     nominal_dt_s : Usual frame interval in s: shows the last picture that long, and spaces the key frames.
     preset, crf : x264's speed and quality (`ttcvid.config.OverlayConfig`).
-    threads : Encoder threads; one, because the analysis runs beside.
 
     Raises
     ------
     OutputError : From any method, where this installation cannot encode H.264 or the file cannot be written.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        image_size: ImageSize,
-        nominal_dt_s: float,
-        preset: str,
-        crf: int,
-        threads: int = 1,
-    ) -> None:
+    def __init__(self, path: Path, image_size: ImageSize, nominal_dt_s: float, preset: str, crf: int) -> None:
         if max(image_size.width_px, image_size.height_px) > MAX_SIDE_PX:
             raise OutputError(
                 f"{path}: a video of {image_size} cannot be encoded (at most {MAX_SIDE_PX} px a side): use --no-overlay"
@@ -69,12 +60,12 @@ class OverlayVideo:
             self._container = av.open(local_url(path), "w", format="mp4", options={"movflags": "+faststart"})
         try:
             options = {"preset": preset, "crf": str(crf)}
-            self._stream = self._add_stream(nominal_dt_s, options, threads)
+            self._stream = self._add_stream(nominal_dt_s, options)
         except BaseException:
             self._container.close()
             raise
 
-    def _add_stream(self, nominal_dt_s: float, options: dict[str, str], threads: int) -> av.VideoStream:
+    def _add_stream(self, nominal_dt_s: float, options: dict[str, str]) -> av.VideoStream:
         rate = Fraction(1 / nominal_dt_s).limit_denominator(1001)
         stream = self._container.add_stream("libx264", rate=max(rate, Fraction(1, 1001)), options=options)
         stream.width = self._image_size.width_px + self._image_size.width_px % 2
@@ -82,7 +73,7 @@ class OverlayVideo:
         stream.pix_fmt = "yuv420p"
         stream.time_base = stream.codec_context.time_base = Fraction(1, TICKS_PER_S)
         context = stream.codec_context
-        context.thread_count = threads
+        context.thread_count = 1  # the analysis runs beside
         context.gop_size = max(1, round(KEYFRAME_INTERVAL_S / nominal_dt_s))
         context.color_range = LIMITED_RANGE
         context.colorspace = context.color_primaries = context.color_trc = SD_COLOUR

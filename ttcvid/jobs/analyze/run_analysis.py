@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
@@ -200,7 +199,11 @@ def _analyze_into(
         n_apart = max(1, waiting_items(picture_bytes, AHEAD_ITEMS))
 
         def run_apart(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
-            return stack.enter_context(beside(partial(_loaded, function), stop.until_requested(items), n_apart))
+            def work(wanted: Iterable[T]) -> Iterator[R]:
+                load_compiled()  # while the first item is on its way
+                return function(wanted)
+
+            return stack.enter_context(beside(work, stop.until_requested(items), n_apart))
 
         if next(_ANALYSES) == 1:
             # There are several: each copy of this process would load from disk what the one before it has loaded.
@@ -223,12 +226,6 @@ def _analyze_into(
     if stop.is_requested and tally.n_frames == 0:
         raise KeyboardInterrupt
     return tally
-
-
-def _loaded(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterator[R]:
-    """What ``function(items)`` yields; its code is loaded from disk while the first item is on its way."""
-    load_compiled()
-    return function(items)
 
 
 def _log_start(source: Source, path: Path, configuration: Configuration) -> None:

@@ -50,7 +50,7 @@ def detect_features(grey: Picture, allowed: Picture | None, config: TrackingConf
         return Features(np.empty((0, 2)), np.empty((0, _DESCRIPTOR_BYTES), dtype=np.uint8))
     response = np.array([keypoint.response for keypoint in keypoints])
     strongest = np.argsort(-response, kind="stable")[: config.max_tracks]
-    xy_px = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64)
+    xy_px = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)
     return Features(xy_px[strongest], np.asarray(descriptors, dtype=np.uint8)[strongest])
 
 
