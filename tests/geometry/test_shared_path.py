@@ -9,7 +9,6 @@ from ttcvid.geometry.estimation.shared_trajectory import (
     PathBeliefs,
     believed_paths,
     fit_paths,
-    fit_shared_paths,
     joined_paths,
     turned_back,
 )
@@ -48,7 +47,7 @@ def belief(direction=DIRECTION, direction_sigma_rad=0.02, bend_hz=0.3, turn_rad_
 def fitted(xy, beliefs, sigma=SIGMA, t_s=T_S):
     n = xy.shape[1]
     points = points_of_paths(xy, t_s, np.full(n, sigma), beliefs.base, np.zeros(n, np.int64))
-    return fit_shared_paths(points, beliefs)
+    return fit_paths(points, beliefs).paths()
 
 
 @pytest.mark.parametrize("t_s", [T_S, BOTH_SIDES_S], ids=["past", "both sides"])
@@ -171,7 +170,7 @@ def test_a_direction_that_views_contradict_counts_for_less():
 def test_paths_without_points_stay_as_believed():
     xy = seen(body(10, np.random.default_rng(7)))
     points = points_of_paths(xy, T_S, np.full(10, SIGMA), belief().base, np.full(10, NO_PATH))
-    found = fit_shared_paths(points, belief())
+    found = fit_paths(points, belief()).paths()
     believed = believed_paths(belief())
     np.testing.assert_allclose(found.path, believed.path)
     np.testing.assert_allclose(found.cov, believed.cov, atol=1e-9)

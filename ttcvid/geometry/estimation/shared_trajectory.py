@@ -186,13 +186,6 @@ class PathFits:
         return SharedPaths(path, direction, offset, *cov_of, self.left[:, 0], self.left[:, 1])
 
 
-def fit_shared_paths(
-    points: PathPoints, beliefs: PathBeliefs, max_frames: int | None = None, gate_probability: float = 0.999
-) -> SharedPaths:
-    """What the points of each path say of it together: see `fit_paths`."""
-    return fit_paths(points, beliefs, max_frames, gate_probability).paths()
-
-
 def fit_paths(
     points: PathPoints, beliefs: PathBeliefs, max_frames: int | None = None, gate_probability: float = 0.999
 ) -> PathFits:

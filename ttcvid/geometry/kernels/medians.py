@@ -19,15 +19,15 @@ def median(values: Floats) -> float:
     while low < high:
         one, other, third = values[low], values[place], values[high]
         pivot = max(min(one, other), min(max(one, other), third))
-        first = _smaller_to_front(values, low, high, pivot, False)
-        if place < first:
-            high = first - 1
-        elif first > low:
-            low = first
-        else:
-            first = _smaller_to_front(values, low, high, pivot, True)
+        first = _smaller_to_front(values, low, high, pivot)
+        if first == low:
+            # Nothing is smaller: those that are as small come first.
+            first = _smaller_to_front(values, low, high, np.nextafter(pivot, np.inf))
             if place < first:
                 break
+        if place < first:
+            high = first - 1
+        else:
             low = first
     if n % 2 == 1:
         return float(values[place])
@@ -39,16 +39,13 @@ def median(values: Floats) -> float:
 
 
 @compiled_in_place
-def _smaller_to_front(values: Floats, low: int, high: int, pivot: float, with_equal: bool) -> int:
-    """Bring those of ``low ... high`` that are smaller, or equal, to the front; return where the others begin.
-
-    Without a branch: which way a value goes cannot be guessed.
-    """
+def _smaller_to_front(values: Floats, low: int, high: int, pivot: float) -> int:
+    """Bring those of ``low ... high`` below the pivot to the front, without a branch; return where the others begin."""
     first = low
     for j in range(low, high + 1):
         value = values[j]
         values[j], values[first] = values[first], value
-        first += 1 if value < pivot or (with_equal and value == pivot) else 0
+        first += 1 if value < pivot else 0
     return first
 
 

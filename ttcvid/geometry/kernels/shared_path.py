@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import compiled, compiled_for, compiled_in_place
+from ttcvid.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels import path_point as point
 from ttcvid.geometry.kernels.known_path import list_views
 from ttcvid.geometry.kernels.medians import median
@@ -70,7 +70,8 @@ def descend_together(
     """
     xy, t_s, sigma, order, first = points
     path, rotations, turned = np.empty((len(t_s), 3)), np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 1, 2))
-    views, limits, work = np.empty((point.N_ROWS, len(t_s))), np.empty(2), _work(len(t_s))
+    views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
+    work = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL + 1, _N_ALL))
     kept = np.empty((len(sigma), _N_ALL + 1, _N_OWN))
     information, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(_N_ALL)
     score = step[_N_OWN:]
@@ -135,7 +136,8 @@ def add_windows(
     ``paths (K, L, 3)`` are those at which the points were fitted.
     """
     xy, t_s, sigma, order, first = points
-    views, limits, work = np.empty((point.N_ROWS, len(t_s))), np.empty(2), _work(len(t_s))
+    views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
+    work = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL + 1, _N_ALL))
     kept = np.empty((_N_ALL + 1, _N_OWN))
     for k in range(len(paths)):
         for i in range(first[k], first[k + 1]):
@@ -143,12 +145,6 @@ def add_windows(
                 list_views(xy, t_s, order, paths[k], 1.0 / sigma[i], i, views, limits)
                 _fill_equations(views, n_views[i], state[i], basis[k], _LIMIT, work)
                 eliminate(work[1], kept, information[k], score[k])
-
-
-@compiled_in_place
-def _work(n_views: int) -> tuple[Floats, Floats]:
-    """Room for the rows and the equations of a point."""
-    return np.empty((_N_ALL + 1, 2 * n_views)), np.empty((_N_ALL + 1, _N_ALL))
 
 
 @compiled

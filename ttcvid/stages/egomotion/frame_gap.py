@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.compiled import compiled_for, compiled_in_place
+from ttcvid.compiled import compiled_for
 from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.estimation.relative_pose import TwoViewFit
 from ttcvid.geometry.medians import median
@@ -118,10 +118,7 @@ def _last_step(
     config: EgomotionConfig,
     parallax_rad: float,
 ) -> tuple[TwoViewFit, Bools] | None:
-    """Own motion since the last frame as the tracks of no known mover tell it, or all, and which told it: (N,).
-
-    None with too few tracks.
-    """
+    """Own motion since the last frame by the tracks of no known mover, or by all, and which; None with too few."""
     everything = paired_rays(history, is_free, 1, config.min_tracks)
     if everything is None:
         return None
@@ -214,15 +211,11 @@ def _pick_quietest(region: Ints, sigma_rad: Floats, rays: Floats, is_picked: Boo
         is_picked[i], left = True, i
         for place in range(_MOST_IN_CELL):
             other = picked[region[i], place]
-            if left >= 0 and (other < 0 or _is_quieter(left, other, sigma_rad, rays)):
+            own = (sigma_rad[left], rays[left, 0], rays[left, 1], left)
+            if left >= 0 and (other < 0 or own < (sigma_rad[other], rays[other, 0], rays[other, 1], other)):
                 picked[region[i], place], left = left, other
         if left >= 0:
             is_picked[left] = False
-
-
-@compiled_in_place
-def _is_quieter(i: int, j: int, sigma_rad: Floats, rays: Floats) -> bool:
-    return (sigma_rad[i], rays[i, 0], rays[i, 1], i) < (sigma_rad[j], rays[j, 0], rays[j, 1], j)
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:

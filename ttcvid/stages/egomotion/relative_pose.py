@@ -198,10 +198,6 @@ def estimate_egomotion(
     platform : What carries the camera: the prior.
     region_side : Of the cells of `picture_region` (`region_side_of`).
 
-    Returns
-    -------
-    fit : Its covariance is found when it is asked for.
-
     Notes
     -----
     An essential matrix from random samples of five points fails where the flow is small and the motion forward: it

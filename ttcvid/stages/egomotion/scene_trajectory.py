@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs, SharedPaths, believed_paths, fit_shared_paths
+from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs, SharedPaths, believed_paths, fit_paths
 from ttcvid.geometry.estimation.shared_trajectory_points import MOST_POINTS, points_of_paths
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import each_turned_into_plane
@@ -44,7 +44,7 @@ def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion)
     path_of = np.zeros(len(used), dtype=np.int64)
     xy = each_turned_into_plane(history.rays, used, history.cam_R_seen[None], path_of)
     points = points_of_paths(xy, history.since_s, history.sigma_norm[used], belief.base, path_of)
-    return replace(history, scene=fit_shared_paths(points, belief))
+    return replace(history, scene=fit_paths(points, belief).paths())
 
 
 def scene_path(history: TrackHistory, direction: Floats, direction_cov: Floats) -> SharedPaths:

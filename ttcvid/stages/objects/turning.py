@@ -6,13 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.estimation.shared_trajectory import (
-    PathBeliefs,
-    SharedPaths,
-    chosen_paths,
-    fit_paths,
-    fit_shared_paths,
-)
+from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs, SharedPaths, chosen_paths, fit_paths
 from ttcvid.geometry.estimation.shared_trajectory_points import PathPoints, points_of_paths
 from ttcvid.geometry.estimation.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
 from ttcvid.geometry.rotation import cross, normalize
@@ -101,7 +95,7 @@ def straight_or_in_bend(
                 chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
                 is_straight[k] = False
     elif (may_turn := (chi2 > _SURE_CHI2 * of_noise) | is_rejected).any():
-        in_bend = fit_shared_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
+        in_bend = fit_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability).paths()
         gain = straight.squares[may_turn] - in_bend.squares
         bends = gain > _BEND_CHI2 * np.maximum(in_bend.median_chi2, 1.0)
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
