@@ -50,10 +50,11 @@ class BodyViews:
         """Places now in the plane z = 1: (N, 2)."""
         return np.asarray(self.rays[-1, :, :2] / self.rays[-1, :, 2:])
 
-    def neighbours(self, is_asked: Bools) -> Ints:
-        """The nearest tracks within ``link_px`` of those asked, (N,); the track itself for missing ones: (N, K)."""
-        alike = np.zeros(len(is_asked), dtype=np.int64)
-        return nearest_neighbours(self.xy_px, _N_NEIGHBOURS, self.link_px, is_asked, alike)
+    def neighbours(self) -> Ints:
+        """The nearest tracks within ``link_px`` of each; the track itself for missing ones: (N, K)."""
+        n = len(self.xy_px)
+        every, alike = np.ones(n, dtype=bool), np.zeros(n, dtype=np.int64)
+        return nearest_neighbours(self.xy_px, _N_NEIGHBOURS, self.link_px, every, alike)
 
     def points(self, track: Ints, thing: Ints | None = None) -> Points:
         """These tracks as points of bodies: ``track, thing (M,)``; None: all of one body."""

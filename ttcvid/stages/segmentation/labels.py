@@ -119,9 +119,9 @@ def find_bodies(
     seen = see_scene(history, egomotion, platform, memory.scene, memory.road, views, labels, config)
 
     movers = _refined(movers, seen.scene, views, key)
-    is_displaced, is_past_off = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), config)
+    neighbours = views.neighbours()
+    is_displaced, is_past_off = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), neighbours, config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
-    neighbours = views.neighbours(np.ones_like(is_displaced))
     key, movers = _divided(views, seen, key, movers, neighbours, config)
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
@@ -139,7 +139,7 @@ def find_bodies(
 
 
 def _are_displaced(
-    views: BodyViews, seen: SeenScene, movers: Movers, labels: TrackLabels, config: BodiesConfig
+    views: BodyViews, seen: SeenScene, movers: Movers, labels: TrackLabels, neighbours: Ints, config: BodiesConfig
 ) -> tuple[Bools, Bools]:
     """Whether the present observation of tracks ``(N,)`` is displaced, off the path of their body; and earlier ones.
 
@@ -171,7 +171,7 @@ def _are_displaced(
         of_view &= (2 * np.bincount(number, of_view) < size)[number]
     if not is_displaced.any():
         return is_displaced, is_past_off
-    beside = views.neighbours(is_displaced)[is_displaced]
+    beside = neighbours[is_displaced]
     off = surprise.off[is_displaced]
     apart = np.linalg.norm(surprise.off[beside] - off[:, None], axis=2)
     is_alike = apart < _ALIKE * np.linalg.norm(off, axis=1)[:, None]
