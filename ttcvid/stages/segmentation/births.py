@@ -175,4 +175,4 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     apart = np.hypot(*(flow[one] - flow[other]).T)
     is_alike = apart < _FLOW_PART * 0.5 * (length[one] + length[other]) + floor
     is_alike &= is_along[one] == is_along[other]
-    return connected_parts(np.ones(len(index), dtype=bool), pairs[is_alike])
+    return connected_parts(np.ones(len(index), dtype=bool), pairs.take(np.flatnonzero(is_alike), axis=0))

@@ -158,17 +158,19 @@ def _are_displaced(
     chi2 = np.where(is_on_path, surprise.chi2, np.minimum(surprise.chi2, surprise.line_chi2))
     is_displaced, is_known = np.zeros(len(key), dtype=bool), (chi2 > 0.0) & views.is_free
     area = _STRAY_PX**2 / (2.0 * np.pi * (views.sigma_norm * views.focal_px) ** 2)
+    n_bodies = len(movers) + 1
     for _ in range(_ROUNDS):
-        tells = is_known & ~is_displaced
-        median_chi2 = medians(chi2[tells], number[tells], len(movers) + 1) / _MEDIAN_CHI2_2
+        tells = np.flatnonzero(is_known & ~is_displaced)
+        median_chi2 = medians(chi2[tells], number[tells], n_bodies) / _MEDIAN_CHI2_2
         median_chi2 = np.fmax(median_chi2, 1.0)[number]
-        odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + np.count_nonzero(tells))
+        odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + len(tells))
         limit = np.clip(2.0 * np.log(area / (median_chi2 * odds)), _LEAST_CHI2, _MOST_CHI2)
         is_displaced = is_known & (chi2 > limit * median_chi2)
-    is_past_off = surprise.is_past_off.T & views.is_free
-    size = np.bincount(number)
-    for of_view in is_past_off:
-        of_view &= (2 * np.bincount(number, of_view) < size)[number]
+    is_past_off = surprise.is_past_off & views.is_free[:, None]
+    track, view = np.divmod(np.flatnonzero(is_past_off), is_past_off.shape[1])
+    at = view * n_bodies + number[track]
+    is_past_off[track, view] = 2 * np.bincount(at)[at] < np.bincount(number)[number[track]]
+    is_past_off = is_past_off.T
     if not is_displaced.any():
         return is_displaced, is_past_off
     beside = neighbours[is_displaced]

@@ -95,7 +95,7 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
 
     The others have numbers of their own. Parts are numbered by their first track.
     """
-    return _parts(len(is_in), pairs[is_in[pairs[:, 0]] & is_in[pairs[:, 1]]])
+    return _parts(len(is_in), pairs.take(np.flatnonzero(is_in[pairs[:, 0]] & is_in[pairs[:, 1]]), axis=0))
 
 
 def linked_parts(xy_px: Floats, radius_px: float, value: Floats, tolerance: Floats) -> Ints:
@@ -111,7 +111,7 @@ def linked_parts(xy_px: Floats, radius_px: float, value: Floats, tolerance: Floa
     pairs = linked_pairs(xy_px, radius_px)
     one, other = pairs.T
     is_one = np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other]
-    return _parts(len(xy_px), pairs[is_one])
+    return _parts(len(xy_px), pairs.take(np.flatnonzero(is_one), axis=0))
 
 
 def _parts(n: int, pairs: Ints) -> Ints:
