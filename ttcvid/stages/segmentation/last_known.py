@@ -79,12 +79,6 @@ class LastKnown:
             seen_s=np.where(is_seen, now_s, self.seen_s),
         )
 
-    def with_velocities(self, points: Points, cam_R_past: Floats, is_seen: Bools, n_steps: int) -> LastKnown:
-        """With what the points of those that are seen, ``is_seen (K,)``, show; ``cam_R_past (L, 3, 3)``."""
-        v_hz, info = recent_velocities(points, cam_R_past, self.v_hz, n_steps)
-        v_hz = np.where(is_seen[:, None], v_hz, self.v_hz)
-        return replace(self, v_hz=v_hz, info=np.where(is_seen[:, None, None], info, self.info))
-
 
 def recent_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int) -> tuple[Floats, Floats]:
     """`common_velocities` by the last views, `_LEAST_RECENT` in any case."""

@@ -70,8 +70,10 @@ def with_velocities(views: BodyViews, scene: RigidPaths, key: Ints, movers: Move
     track = np.flatnonzero(np.append(False, is_found)[number])
     if not len(track):
         return movers
-    points = views.points(track, number[track] - 1)
-    return replace(movers, last=movers.last.with_velocities(points, scene.cam_R_past[0], is_found, _STEPS))
+    last, points = movers.last, views.points(track, number[track] - 1)
+    v_hz, info = recent_velocities(points, scene.cam_R_past[0], last.v_hz, _STEPS)
+    v_hz, info = np.where(is_found[:, None], v_hz, last.v_hz), np.where(is_found[:, None, None], info, last.info)
+    return replace(movers, last=replace(last, v_hz=v_hz, info=info))
 
 
 def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: Movers, median_redchi: float) -> Floats:
