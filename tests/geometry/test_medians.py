@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ttcvid.geometry.kernels.medians import median as median_in_place
 from ttcvid.geometry.medians import median, medians
 
 
@@ -26,3 +27,16 @@ def test_the_median_is_that_of_numpy(seed, n):
 
 def test_nothing_has_no_median():
     assert np.isnan(median(np.empty(0)))
+
+
+@given(st.lists(st.sampled_from([0.0, 1.0, 2.0, np.inf, -np.inf]), min_size=1, max_size=12))
+def test_infinite_values_are_the_farthest_out(values):
+    ordered, n = np.sort(values), len(values)
+    if n % 2 == 1 or np.isfinite(ordered[n // 2 - 1 : n // 2 + 1]).all():
+        assert median_in_place(np.array(values)) == 0.5 * (ordered[(n - 1) // 2] + ordered[n // 2])
+
+
+@given(st.lists(st.sampled_from([0.0, 1.0, np.inf, np.nan]), min_size=1, max_size=12))
+def test_what_is_no_number_does_not_keep_the_search_going(values):
+    found = median_in_place(np.array(values))
+    assert np.isnan(found) or found in (0.0, 0.5, 1.0, np.inf)

@@ -23,7 +23,8 @@ def median(values: Floats) -> float:
         if first == low:
             # Nothing is smaller: those that are as small come first.
             first = _smaller_to_front(values, low, high, np.nextafter(pivot, np.inf))
-            if place < first:
+            # Infinite ones are above all, and NaN is above nothing: either is where it belongs.
+            if place < first or first == low:
                 break
         if place < first:
             high = first - 1
