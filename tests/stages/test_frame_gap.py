@@ -130,6 +130,18 @@ def test_frozen_tracks_take_no_part():
     assert len(steps[-1].residual) == np.count_nonzero(~glued)
 
 
+def test_a_few_tracks_of_the_scene_say_more_than_a_hundred_of_known_movers():
+    """A resting camera over a full junction: nine tracks of houses, seven movers, each its own way."""
+    rng = np.random.default_rng(8)
+    motion, in_scene = drive(12, rng, n=121, speed_m=0.0, sigma_px=0.2), np.arange(121) < 9
+    steps_px = np.repeat(rng.uniform(-3.0, 3.0, size=(7, 2)), 16, axis=0)
+    for frame in range(12):
+        xy = motion.rays[frame, ~in_scene, :2] / motion.rays[frame, ~in_scene, 2:] + frame * steps_px / FOCAL_PX
+        motion.rays[frame, ~in_scene] = normalize(np.column_stack([xy, np.ones(len(xy))]))
+    steps, _ = found(motion, config=EgomotionConfig(platform=Platform.static), in_scene=in_scene)
+    assert max(turn_error_deg(step.cam_R_prev, np.eye(3)) for step in steps[1:]) < 0.05
+
+
 def test_a_stop_ends_the_direction_and_a_start_brings_it_back():
     motion = drive(26, np.random.default_rng(6), speed_m=0.6, sigma_px=0.1)
     # Stands from frame 6 to frame 19: the same rays, with noise of their own.

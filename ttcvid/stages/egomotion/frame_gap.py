@@ -32,6 +32,9 @@ from ttcvid.stages.tracking.noise import with_noise
 # In each part of the picture (`picture_region`) only so many tracks are used: errors that neighbours share are what
 # limits own motion.
 _MOST_IN_CELL = 6
+# So many tracks of the scene are enough beside known movers: its motion has five unknowns. With all tracks instead, a
+# dozen movers before a resting camera turned it by 0.3 deg a frame.
+_LEAST_OF_SCENE = 6
 # The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames. A steady way
 # that asks for the longest gap steps so little that it leaves no third difference (6 step / k^2, k frames before a
 # collision).
@@ -123,7 +126,7 @@ def _last_step(
     if everything is None:
         return None
     without_movers, side = is_free & in_scene, region_side_of(history.camera)
-    pair = paired_rays(history, without_movers, 1, config.min_tracks) if (is_free & ~in_scene).any() else None
+    pair = paired_rays(history, without_movers, 1, _LEAST_OF_SCENE) if (is_free & ~in_scene).any() else None
 
     def fit_to(rays: RayPairs) -> TwoViewFit:
         return estimate_egomotion(*rays, parallax_rad, memory, config.platform, side)

@@ -108,7 +108,7 @@ def rows_of(
             "state_abc_hz": joint.abc_hz[k],
             "state_cov": joint.cov[k],
         }
-    for place, direction, cov, status in _directions_of_states(motions, joint, believed, believed_cov):
+    for place, direction, cov, status in _directions_of_states(motions, joint):
         believed[place], believed_cov[place] = direction, cov
         stated[place].update(direction=direction, direction_cov=cov, epipole_status=status)
     facts = zip(
@@ -265,30 +265,25 @@ def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionStat
 
 
 def _directions_of_states(
-    motions: Sequence[ClusterMotion], joint: JointStates, believed: Floats, believed_cov: Floats
+    motions: Sequence[ClusterMotion], joint: JointStates
 ) -> list[tuple[int, Floats, Floats, Status]]:
-    """Objects whose state contradicts their direction: index, direction of the state, its covariance, and status.
+    """Objects whose direction is that of their state: index, direction, its covariance, and status.
 
-    The direction assumes straight tracks, and is the more precise where they are. In a bend it lags, and curvature is
-    taken for depth. On a horizon, which is better known than either, it is kept. The variance of the state over the
-    places of a turning object (``place_cov``) does not count in the test.
+    The direction of a cluster assumes straight tracks at constant speed; their common trajectory bends and changes
+    speed. On a horizon, which is better known than either, the direction is kept.
     """
     asked = np.array([not motions[place].method.endswith(ON_HORIZON) for place in joint.owner], dtype=bool)
-    if not asked.any():
-        return []
     owner, abc_hz = joint.owner[asked], joint.abc_hz[asked]
     speed_hz = np.linalg.norm(abc_hz, axis=1)[:, None]
     direction = abc_hz / speed_hz
     across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
-    cov_here = across @ (joint.cov - joint.place_cov)[asked] @ across
-    # False without a covariance of the direction (NaN).
-    is_other = direction_chi2(direction, believed[owner], cov_here + believed_cov[owner]) >= _SAME_DIRECTION_CHI2
+    covs = across @ joint.cov[asked] @ across
     found = []
-    for i in np.flatnonzero(is_other):
-        status = motions[owner[i]].status
+    for place, way, cov in zip(owner.tolist(), direction, covs, strict=True):
+        status = motions[place].status
         if status in _VALUED:
-            status = Status.epipole_at_infinity if abs(direction[i, 2]) < INFINITY_COSINE else Status.ok
-        found.append((int(owner[i]), direction[i], across[i] @ joint.cov[asked][i] @ across[i], status))
+            status = Status.epipole_at_infinity if abs(way[2]) < INFINITY_COSINE else Status.ok
+        found.append((place, way, cov, status))
     return found
 
 

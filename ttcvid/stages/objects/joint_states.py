@@ -44,7 +44,6 @@ class JointStates:
     ref_px, ref_sigma : ``(K, 2)`` centroid, and its standard error in the plane z = 1: few points of it are tracked.
     relief : ``(K,)`` standard deviation of the inverse depth of the nearest point about that of the surface, over this.
     abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.
-    place_cov : ``(K, 3, 3)`` part of ``cov`` that is due to the unknown place of the nearest point.
     """
 
     owner: Ints
@@ -53,7 +52,6 @@ class JointStates:
     relief: Floats
     abc_hz: Floats
     cov: Floats
-    place_cov: Floats
 
 
 def joint_states(
@@ -97,14 +95,14 @@ def joint_states(
     ref_px = surfaces.sums(weight[:, None] * xy_px[surfaces.index])
     ref = surfaces.sums(weight[:, None] * states.xy[surfaces.index])
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
-    cov, place_cov = _covariances(surfaces, weight, off_ref, states)
+    cov = _covariances(surfaces, weight, off_ref, states)
     few = np.full(len(sets), _LEAST_OF_SURFACE)
     is_nearer = ~is_in & in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, few, link_px)
     # The near end of a side is that of a fitted plane: its relief is in the fit.
     relief_hz = np.where(is_side, 0.0, _relief(sets, rate_hz, variance, is_in, weight, is_nearer))[left]
     relief = relief_hz / np.maximum(np.linalg.norm(abc_hz, axis=1), _NO_RATE_HZ)
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
-    return JointStates(owner[left], ref_px, ref_sigma, relief, abc_hz, cov + place_cov, place_cov)
+    return JointStates(owner[left], ref_px, ref_sigma, relief, abc_hz, cov)
 
 
 def _relief(
@@ -170,7 +168,7 @@ def _near_end(xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bo
     return side_hz, is_on & (side_hz >= nearest_hz - _NEAR_DEPTH * abs(nearest_hz))
 
 
-def _covariances(surfaces: TrackSets, weight: Floats, off_ref: Floats, states: TrackStates) -> tuple[Floats, Floats]:
+def _covariances(surfaces: TrackSets, weight: Floats, off_ref: Floats, states: TrackStates) -> Floats:
     """Covariances ``(K, 3, 3)`` of the weighted means of (a, b, c), by noise and by place, 1/s^2.
 
     Own noise averages out, shared errors do not. Tracks of a surface share the errors of one trajectory; those timed by
@@ -181,7 +179,7 @@ def _covariances(surfaces: TrackSets, weight: Floats, off_ref: Floats, states: T
     index, set_of, shared = surfaces.index, surfaces.set_of, states.shared
     squared_cov = (weight**2)[:, None, None] * states.cov[index]
     if shared is None:
-        return _TRIMMED_VARIANCE * surfaces.sums(squared_cov), np.zeros((len(surfaces), 3, 3))
+        return _TRIMMED_VARIANCE * surfaces.sums(squared_cov)
     path = _paths_of(surfaces, shared)
     has_path, is_off = path >= 0, shared.path_of[index] < 0
     own = surfaces.sums(np.where(is_off, 0.0, weight**2 * shared.rate_variance[index]))
@@ -198,4 +196,4 @@ def _covariances(surfaces: TrackSets, weight: Floats, off_ref: Floats, states: T
     offset = np.column_stack([off_ref, np.zeros(len(index))])
     by_place = cross(np.where(has_path[:, None], shared.turn_rad_s[path], 0.0)[set_of], offset)
     place = (_END_VARIANCE * weight)[:, None, None] * by_place[:, :, None] * by_place[:, None, :]
-    return cov, surfaces.sums(place)
+    return np.asarray(cov + surfaces.sums(place))
