@@ -30,9 +30,10 @@ def body(n, rng, depth_m=(12.0, 14.0)):
     return np.column_stack([rng.uniform(-3, 3, n), rng.uniform(-1, 1, n), rng.uniform(*depth_m, n)])
 
 
-def seen(position, bend_hz=(0.0, 0.0, 0.0), turn_rad_s=(0.0, 0.0, 0.0), t_s=T_S):
-    """Views of points that move along DIRECTION with an acceleration, turned about the camera."""
+def seen(position, bend_hz=(0.0, 0.0, 0.0), turn_rad_s=(0.0, 0.0, 0.0), t_s=T_S, change_hz2=(0.0, 0.0, 0.0)):
+    """Views of points that move along DIRECTION with an acceleration that changes, turned about the camera."""
     path = t_s[:, None] * DIRECTION + 0.5 * t_s[:, None] ** 2 * np.array(bend_hz)
+    path += t_s[:, None] ** 3 / 6.0 * np.array(change_hz2)
     turn = rotation_from_vector(t_s[:, None] * np.array(turn_rad_s))
     place = np.einsum("lij,lnj->lni", turn, position + SPEED_M_S * path[:, None])
     return place[..., :2] / place[..., 2:]
@@ -56,6 +57,19 @@ def test_braking_and_turning_are_found_by_all_points_together(bend_hz, t_s):
     found = fitted(seen(body(60, np.random.default_rng(1)), bend_hz, t_s=t_s), belief(t_s=t_s), 1e-6, t_s)
     np.testing.assert_allclose(found.offset[0, 3:6], bend_hz, atol=2e-3)
     np.testing.assert_allclose(found.direction[0], DIRECTION, atol=1e-4)
+
+
+def test_an_acceleration_that_changes_is_in_what_is_said_of_a_direction():
+    """Brakes that come and go within the window: a path of constant acceleration errs by four standard deviations."""
+    rng, squares = np.random.default_rng(9), []
+    position, plane = body(30, rng), tangent_basis(DIRECTION)
+    for _ in range(60):
+        bend_hz, change_hz2 = 0.2 * rng.normal(size=3), 0.5 * rng.normal(size=3)
+        xy = seen(position, bend_hz, change_hz2=change_hz2) + SIGMA * rng.normal(size=(20, 30, 2))
+        found = fitted(xy, belief(direction_sigma_rad=0.2, bend_hz=0.2))
+        off, cov = plane.T @ found.direction[0], plane.T @ found.cov[0, :3, :3] @ plane
+        squares.append(off @ np.linalg.solve(cov, off))
+    assert 0.8 <= np.mean(np.array(squares) < 4.605) <= 0.98  # 90 % of chi-square with two degrees of freedom
 
 
 def test_views_on_both_sides_tell_direction_and_acceleration_better_than_those_of_the_past():
@@ -121,7 +135,7 @@ def test_the_velocity_of_a_turning_thing_is_that_of_its_points():
     paths = straight_path(DIRECTION, T_S)[None]
     rates = fit_rates_on_paths(back, T_S, np.full(40, 1e-6), paths, number)
     found = velocities_on_paths(
-        rates, rates.cov[:, 2, 2], number, DIRECTION[None], turn[None], np.array([True]), np.zeros((1, 9, 9))
+        rates, rates.cov[:, 2, 2], number, DIRECTION[None], turn[None], np.array([True]), np.zeros((1, 12, 12))
     )
     velocity = SPEED_M_S * DIRECTION + np.cross(turn, position)
     np.testing.assert_allclose(found.abc_hz, velocity / position[:, 2:], rtol=1e-6, atol=1e-9)
@@ -249,20 +263,21 @@ def test_what_a_point_says_of_its_path_is_what_is_left_when_its_own_unknowns_fol
     def predicted(own, shared):
         x, y, rho = s + own
         moved = path + t_s[:, None] * (basis[:, :2] @ shared[:2]) + 0.5 * t_s[:, None] ** 2 * (basis @ shared[2:5])
+        moved += t_s[:, None] ** 3 / 6.0 * (basis @ shared[5:8])
         place = np.array([x, y, 1.0]) + rho * moved
-        place = np.einsum("lij,lj->li", rotation_from_vector(t_s[:, None] * shared[5:]), place)
+        place = np.einsum("lij,lj->li", rotation_from_vector(t_s[:, None] * shared[8:]), place)
         return place[:, :2] / place[:, 2:]
 
-    seen_xy = predicted(np.zeros(3), np.zeros(8)) + sigma * rng.normal(size=(n, 2))
+    seen_xy = predicted(np.zeros(3), np.zeros(11)) + sigma * rng.normal(size=(n, 2))
     seen_xy[2] += 0.01
-    both_ways = [(predicted(d[:3], d[3:]), predicted(-d[:3], -d[3:])) for d in 1e-6 * np.eye(11)]
+    both_ways = [(predicted(d[:3], d[3:]), predicted(-d[:3], -d[3:])) for d in 1e-6 * np.eye(14)]
     by = np.array([(after - before) / (2e-6 * sigma) for after, before in both_ways])
-    residual = (seen_xy - predicted(np.zeros(3), np.zeros(8))) / sigma
+    residual = (seen_xy - predicted(np.zeros(3), np.zeros(11))) / sigma
     weight = np.minimum(1.0, ROBUST_SIGMAS**2 / np.sum(residual**2, axis=1))[:, None]
     whole, right = np.einsum("ilc,jlc->ij", by * weight, by), np.einsum("ilc,lc->i", by * weight, residual)
     follow = np.linalg.solve(whole[:3, :3], whole[:3, 3:]).T
 
-    information, score = np.zeros((1, 8, 8)), np.zeros((1, 8))
+    information, score = np.zeros((1, 11, 11)), np.zeros((1, 11))
     points = seen_xy[:, None].copy(), t_s, np.array([sigma]), np.arange(n), np.array([0, 1])
     add_windows(points, path[None], basis[None], np.array([n]), s[None], information, score)
     expected = np.tril(whole[3:, 3:] - follow @ whole[:3, 3:])

@@ -67,19 +67,22 @@ def test_sensitivities_are_those_of_finite_differences():
     position, number, sigma = street(n, rng), np.zeros(n, np.int64), np.full(n, 1e-4)
     place = position + SPEED_M_S * path[:, None]
 
-    def rates(turn_rate=(0.0, 0.0, 0.0), off_direction=(0.0, 0.0, 0.0), bend=(0.0, 0.0, 0.0)):
+    def rates(turn_rate=(0.0, 0.0, 0.0), off_direction=(0.0, 0.0, 0.0), bend=(0.0, 0.0, 0.0), change=(0.0, 0.0, 0.0)):
         turned = np.einsum("lij,lnj->lni", rotation_from_vector(T_S[:, None] * np.array(turn_rate)), place)
         paths = path[None] + T_S[:, None] * np.array(off_direction) + 0.5 * T_S[:, None] ** 2 * np.array(bend)
+        paths = paths + T_S[:, None] ** 3 / 6.0 * np.array(change)
         return fit_rates_on_paths(turned[..., :2] / turned[..., 2:], T_S, sigma, paths, number)
 
     exact = rates()
     by_rotation = np.column_stack([(rates(axis).rate_hz - exact.rate_hz) / off for axis in off * np.eye(3)])
-    np.testing.assert_allclose(by_rotation, -exact.by_shared[:, 6:], rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(by_rotation, -exact.by_shared[:, 6:9], rtol=1e-3, atol=1e-3)
     basis = tangent_basis(normalize(path[-1] - path[-2]))
     by_direction = [(rates(off_direction=axis).rate_hz - exact.rate_hz) / off for axis in off * basis.T]
     np.testing.assert_allclose(np.column_stack(by_direction), exact.by_shared[:, :3] @ basis, rtol=1e-3, atol=1e-3)
     by_bend = np.column_stack([(rates(bend=axis).rate_hz - exact.rate_hz) / off for axis in off * np.eye(3)])
     np.testing.assert_allclose(by_bend, exact.by_shared[:, 3:6], rtol=1e-3, atol=1e-3)
+    by_change = np.column_stack([(rates(change=axis).rate_hz - exact.rate_hz) / off for axis in off * np.eye(3)])
+    np.testing.assert_allclose(by_change, exact.by_shared[:, 9:], rtol=1e-3, atol=1e-3)
 
 
 def test_without_a_path_or_a_second_view_there_is_no_number():

@@ -9,7 +9,7 @@ from ttcvid.stages.objects.joint_states import joint_states
 from ttcvid.stages.objects.states import SharedErrors, TrackStates, nothing_shared
 from ttcvid.stages.tracking.groups import TrackSets
 
-N, N_SHARED = 40, 9
+N, N_SHARED = 40, 12
 RATE_HZ, OWN_PART, SHARED_PART = 0.4, 0.05, 0.08
 AHEAD = np.array([0.0, 0.0, -1.0])
 FOCAL_PX, LINK_PX = 700.0, 40.0

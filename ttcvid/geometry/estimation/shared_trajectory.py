@@ -16,8 +16,20 @@ from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rotation import cross, each_turned_into_plane, rotation_from_vector, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
-N_SHARED = 9
-"""Shared unknowns, in this order: u (3), v (3) with the path ``+ u t + v t^2 / 2``, and a rotation rate (3), rad/s."""
+N_SHARED = 12
+"""Shared unknowns, in this order: u (3), v (3), a rotation rate (3), rad/s, and w (3); the path has ``+ u t + v t^2 / 2 +
+w t^3 / 6``.
+"""
+
+# Where these stand among the unknowns of a fit (`kernels.shared_path`).
+_U, _V, _W, _TURN = slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11)
+
+CHANGE_SIGMA_HZ2 = 0.5
+"""Prior of the change of an acceleration over the speed, per axis: 3 m/s^3 at 6 m/s.
+
+Brakes come and go within half a second, a hand sways its camera within two. Without it ends of paths lag behind, and
+claim not to: before cameras in free motion times err by four of their standard deviations.
+"""
 
 # A point whose window has less than this part of its views, over the same of the median point, is left out.
 _LOYAL_SHARE = 0.7
@@ -32,8 +44,8 @@ class PathBeliefs:
     """What is believed of K paths before their points are looked at: ``base (K, L, 3)``, ``direction (K, 3)`` = dir.
 
     Standard deviations about them: ``direction_cov (K, 3, 3)`` in the tangent plane, rad^2; of an acceleration over the
-    speed, 1/s, ``along_sigma_hz`` along the direction and ``across_sigma_hz`` per axis across; ``turn_sigma_rad_s`` per
-    axis of a rotation rate in the views. That rotation is an error of the camera's; of a thing that ``turns_itself`` it
+    speed, 1/s, ``along_sigma_hz`` along the direction and ``across_sigma_hz`` per axis across; `CHANGE_SIGMA_HZ2` of its
+    change; ``turn_sigma_rad_s`` per axis of a rotation rate in the views. That rotation is an error of the camera's; of a thing that ``turns_itself`` it
     is its own, about its middle.
     """
 
@@ -65,7 +77,7 @@ class PathBeliefs:
 class SharedPaths:
     """K paths as all their points see them: ``path (K, L, 3)``, ``direction (K, 3)`` = dir at time 0.
 
-    ``offset (K, 9)`` the shared unknowns, from the belief on, with ``cov (K, 9, 9)``. ``direction_cov (K, 3, 3)`` in
+    ``offset (K, 12)`` the shared unknowns, from the belief on, with ``cov (K, 12, 12)``. ``direction_cov (K, 3, 3)`` in
     rad^2 is that of the middle of what turns itself. What is left in all views: the ``squares (K,)`` of the residuals
     in sigmas, each no larger than a robust fit counts it, and the ``median_chi2 (K,)`` by the degree of freedom; 0
     where nothing was fitted.
@@ -82,7 +94,7 @@ class SharedPaths:
     @property
     def turn_rad_s(self) -> Floats:
         """Rotation rate in the views: (K, 3)."""
-        return self.offset[:, 6:]
+        return self.offset[:, 6:9]
 
 
 def joined_paths(parts: list[SharedPaths]) -> SharedPaths:
@@ -110,7 +122,8 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
     cov = np.zeros((count, N_SHARED, N_SHARED))
     cov[:, :3, :3] = beliefs.direction_cov
     cov[:, 3:6, 3:6] = beliefs.bend_cov()
-    cov[:, 6:, 6:] = beliefs.turn_sigma_rad_s**2 * np.eye(3)
+    cov[:, 6:9, 6:9] = beliefs.turn_sigma_rad_s**2 * np.eye(3)
+    cov[:, 9:, 9:] = CHANGE_SIGMA_HZ2**2 * np.eye(3)
     return SharedPaths(
         beliefs.base,
         beliefs.direction,
@@ -126,9 +139,9 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
 class PathFits:
     """What is believed of K paths, and what their points' views say, for either to be weighed against the other.
 
-    Both are said of what the points of a path share, in its own axes ``basis (K, 3, 3)``: ``believed (K, 8, 8)`` is the
-    information of the beliefs; ``information (K, 8, 8)`` and ``score (K, 8)`` are those of the views, at ``offset (K,
-    8)`` from the belief. ``own_motion (K, 8, 8)`` is that of `_own_motion`, ``left (K, 2)`` that of `descend_together`.
+    Both are said of what the points of a path share, in its own axes ``basis (K, 3, 3)``: ``believed (K, 11, 11)`` is the
+    information of the beliefs; ``information (K, 11, 11)`` and ``score (K, 11)`` are those of the views, at ``offset (K,
+    11)`` from the belief. ``own_motion (K, 11, 11)`` is that of `_own_motion`, ``left (K, 2)`` that of `descend_together`.
     """
 
     beliefs: PathBeliefs
@@ -154,7 +167,7 @@ class PathFits:
         that tracks have in common, and a turn that does not show, are in none of these covariances.
         """
         local, cov = self._weighed(self.believed)
-        across = self.own_motion[:, :2]
+        across = self.own_motion[:, _U]
         found, wide = (_of_plane(self.basis, each) for each in (found_cov, self.beliefs.direction_cov))
         off = across @ local[..., None]
         both = across @ cov @ across.transpose(0, 2, 1) + found
@@ -169,18 +182,19 @@ class PathFits:
         return replace(steady, cov=cov, direction_cov=searched.direction_cov + squares)
 
     def _weighed(self, believed: Floats) -> tuple[Floats, Floats]:
-        """Offsets (K, 8) by the belief and by what the views say, and their covariance."""
+        """Offsets (K, 11) by the belief and by what the views say, and their covariance."""
         cov = np.asarray(np.linalg.inv(believed + self.information), dtype=np.float64)
         return self.offset + _times(cov, self.score - _times(believed, self.offset)), cov
 
     def _paths(self, local: Floats, cov: Floats) -> SharedPaths:
-        """The paths at the offsets ``local (K, 8)`` in their own axes, with ``cov (K, 8, 8)``."""
+        """The paths at the offsets ``local (K, 11)`` in their own axes, with ``cov (K, 11, 11)``."""
         columns, (path, speed) = _to_camera(self.basis), _moved_paths(self.beliefs, self.basis, local, self.t_s)
         offset = _times(columns, local)
         # Directions and bends are over the speed.
         columns[:, :6] /= speed[:, None, None]
+        columns[:, 9:] /= speed[:, None, None]
         # Of the middle of what turns itself.
-        own = columns[:, :3, :2] @ self.own_motion[:, :2]
+        own = columns[:, :3, _U] @ self.own_motion[:, _U]
         direction = (self.beliefs.direction + offset[:, :3]) / speed[:, None]
         cov_of = (columns @ cov @ columns.transpose(0, 2, 1), own @ cov @ own.transpose(0, 2, 1))
         return SharedPaths(path, direction, offset, *cov_of, self.left[:, 0], self.left[:, 1])
@@ -208,7 +222,7 @@ def fit_paths(
     believed = own_motion.transpose(0, 2, 1) @ _prior(beliefs, basis) @ own_motion
     descend_together(points.views(points.xy), beliefs.base, basis, believed, state, mean_square, offset, left)
     path, _ = _moved_paths(beliefs, basis, offset, t_s)
-    views = turned_back(points.xy, t_s, offset[:, 5:], path_of)
+    views = turned_back(points.xy, t_s, offset[:, _TURN], path_of)
     window = max_frames, gate_probability
     rates = fit_rates_on_paths(views, t_s, points.sigma_norm, path, path_of, *window, state)
     share = rates.n_frames / points.n_views
@@ -241,23 +255,24 @@ def _of_plane(basis: Floats, cov: Floats) -> Floats:
 
 
 def _to_camera(basis: Floats) -> Floats:
-    """Matrices (K, 9, 8) that take what the points of a path share from its own axes to those of the camera."""
+    """Matrices (K, 12, 11) that take what the points of a path share from its own axes to those of the camera."""
     columns = np.zeros((len(basis), N_SHARED, N_LOCAL))
-    columns[:, :3, :2], columns[:, 3:6, 2:5], columns[:, 6:, 5:] = basis[:, :, :2], basis, np.eye(3)
+    columns[:, :3, _U], columns[:, 3:6, _V], columns[:, 9:, _W] = basis[:, :, :2], basis, basis
+    columns[:, 6:9, _TURN] = np.eye(3)
     return columns
 
 
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
-    """Information (K, 8, 8) of the belief on what moves along a path."""
+    """Information (K, 11, 11) of the belief on what moves along a path."""
     across, along, turn = beliefs.across_sigma_hz, beliefs.along_sigma_hz, beliefs.turn_sigma_rad_s
     prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
-    prior[:] = np.diag(np.array([1.0, 1.0, across, across, along, turn, turn, turn]) ** -2.0)
-    prior[:, :2, :2] = np.linalg.inv(_of_plane(basis, beliefs.direction_cov))
+    prior[:] = np.diag(np.array([1.0, 1.0, across, across, along, *3 * [CHANGE_SIGMA_HZ2], *3 * [turn]]) ** -2.0)
+    prior[:, _U, _U] = np.linalg.inv(_of_plane(basis, beliefs.direction_cov))
     return prior
 
 
 def _own_motion(beliefs: PathBeliefs, basis: Floats, state: Floats, path_of: Ints) -> Floats:
-    """Matrices (K, 8, 8) that take shared offsets to the motion of the middle of what turns itself: the belief's.
+    """Matrices (K, 11, 11) that take shared offsets to the motion of the middle of what turns itself: the belief's.
 
     Views of a point at C + V t + A t^2 / 2, turned back at the rate omega, show it moving by
     (V - omega x C) t + (A - 2 omega x V) t^2 / 2, to first order in omega. The offsets are the latter. C is (x, y, 1) /
@@ -272,18 +287,19 @@ def _own_motion(beliefs: PathBeliefs, basis: Floats, state: Floats, path_of: Int
         axes, has_middle = basis.transpose(0, 2, 1), rho > 0.0
         middle = np.column_stack([x, y, np.ones(count)])[has_middle] / rho[has_middle, None]
         # omega x C along the axis b is omega . (C x b).
-        own_motion[has_middle, :2, 5:] = cross(middle[:, None], axes[has_middle, :2])
-        own_motion[:, 2:5, 5:] = 2.0 * cross(beliefs.direction[:, None], axes)
+        own_motion[has_middle, _U, _TURN] = cross(middle[:, None], axes[has_middle, :2])
+        own_motion[:, _V, _TURN] = 2.0 * cross(beliefs.direction[:, None], axes)
     return own_motion
 
 
 def _moved_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, t_s: Floats) -> tuple[Floats, Floats]:
-    """The paths ``(K, L, 3)`` at the offsets ``local (K, 8)`` in their own axes, and their speeds (K,) before.
+    """The paths ``(K, L, 3)`` at the offsets ``local (K, 11)`` in their own axes, and their speeds (K,) before.
 
     A direction far from the believed one would be a longer one: the speed is 1 again on the paths, not in the offsets.
     """
     offset = _times(_to_camera(basis), local)
     speed: Floats = np.sqrt(np.sum((beliefs.direction + offset[:, :3]) ** 2, axis=1))
     t = t_s[:, None]
-    path = beliefs.base + t * offset[:, None, :3] + 0.5 * t**2 * offset[:, None, 3:6]
+    u, v, _, w = np.split(offset[:, None], 4, axis=2)
+    path = beliefs.base + t * u + 0.5 * t**2 * v + t**3 / 6.0 * w
     return path / speed[:, None, None], speed

@@ -25,9 +25,9 @@ class PathRates:
 
     ``state (N, 3)`` x, y and rho = (speed along the path) / Z in 1/s, so that (a, b, c) = rho e with e the path's
     direction at time 0; ``cov (N, 3, 3)`` of (x, y, rho) by the noise of the point's own views. What errors that
-    points share do to rho, to first order, is ``by_shared (N, 9)``: when the path has ``u t + v t^2 / 2`` too much, in
-    1/s per unit of the vectors u (a wrong direction) and v (in 1/s: a wrong acceleration over the speed); and in 1/s
-    per rad/s, when the views were turned back at a constant rate (3) that is not there.
+    points share do to rho, to first order, is ``by_shared (N, 12)``: when the path has ``u t + v t^2 / 2`` too much, in
+    1/s per unit of the vectors u (a wrong direction) and v (in 1/s: a wrong acceleration over the speed); in 1/s per
+    rad/s, when the views were turned back at a constant rate (3) that is not there; and for ``w t^3 / 6`` as for v.
     ``chi2, dof, n_frames (N,)`` of the window, as in `WholeTracks`, with 2 n_frames - 3 degrees of freedom.
     """
 
@@ -89,7 +89,7 @@ def fit_rates_on_paths(
             f"got {xy.shape}, {t_s.shape}, {paths.shape} and {path_of.shape}"
         )
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
-    state, cov, by_shared = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full((n, 9), np.nan)
+    state, cov, by_shared = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full((n, 12), np.nan)
     chi2, n_frames = np.zeros(n), np.zeros(n, dtype=np.int64)
     fit_points_on_known_paths(
         np.ascontiguousarray(xy, dtype=np.float64),

@@ -16,7 +16,7 @@ from ttcvid.model import Bools, Floats, Ints
 class PathVelocities:
     """Velocities of N points: ``abc_hz (N, 3)`` = V / Z, rho e and what a turn adds to it; NaN without path or rate.
 
-    ``along_sigma_hz (N,)`` how sure it is along the path; ``cov (N, 3, 3)`` in 1/s^2; ``jacobian (N, 3, 9)`` of
+    ``along_sigma_hz (N,)`` how sure it is along the path; ``cov (N, 3, 3)`` in 1/s^2; ``jacobian (N, 3, 12)`` of
     (a, b, c) by what the points of a path share.
     """
 
@@ -44,7 +44,7 @@ def velocities_on_paths(
     direction, turn_rad_s : ``(K, 3)`` each: e = dir and the rotation rate of each path.
     is_own_turn : ``(K,)`` True where the thing on the path turns: its points have the velocity turn x P beside. False:
         the rotation is an error of the camera's, which is no motion.
-    shared_cov : ``(K, 9, 9)`` of the shared unknowns of `geometry.estimation.shared_trajectory`.
+    shared_cov : ``(K, 12, 12)`` of the shared unknowns of `geometry.estimation.shared_trajectory`.
     """
     n = len(path_of)
     found = PathVelocities(*(np.full(shape, np.nan) for shape in ((n, 3), n, (n, 3, 3), (n, 3, N_SHARED))))
@@ -55,7 +55,7 @@ def velocities_on_paths(
     # Through the rate the shared unknowns go along e; besides, a wrong direction and a wrong turn go at this rate.
     jacobian = e[:, :, None] * rates.by_shared[known][:, None]
     jacobian[:, :, :3] += rate_hz[:, None, None] * np.eye(3)
-    jacobian[:, :, 6:] -= skew(turned)
+    jacobian[:, :, 6:9] -= skew(turned)
     by_path = np.empty_like(jacobian)
     for k in np.flatnonzero(np.bincount(path)):
         own = path == k

@@ -97,12 +97,12 @@ def list_views(
 def _fill_by_shared(
     views: Floats, n: int, s: Floats, along_x: float, along_y: float, variance: float, by_shared: Floats
 ) -> None:
-    """What a wrong path and a wrong rotation of the first n views do to rho: ``by_shared (9,)`` of `PathRates`.
+    """What a wrong path and a wrong rotation of the first n views do to rho: ``by_shared (12,)`` of `PathRates`.
 
     ``along_x, along_y`` are how x and y follow rho, of which ``variance`` is that.
     """
     rho = s[2]
-    u0 = u1 = u2 = v0 = v1 = v2 = w0 = w1 = w2 = 0.0
+    u0 = u1 = u2 = v0 = v1 = v2 = w0 = w1 = w2 = turn0 = turn1 = turn2 = 0.0
     for k in range(np.uint64(n)):
         inverse, t = views[_INVERSE, k], views[_TIME, k]
         tx, ty, tz = views[_PATH_X, k], views[_PATH_Y, k], views[_PATH_Z, k]
@@ -113,15 +113,20 @@ def _fill_by_shared(
         gain = _LIMIT / max(rx * rx + ry * ry, _LIMIT) * variance * h * inverse * inverse
         px, py = gain * (tx - x * tz + along_x), gain * (ty - y * tz + along_y)
         u, pz = rho * h * t, -(x * px + y * py)
+        half, third = u * t / 2.0, u * t * t / 6.0
         u0 -= u * px
         u1 -= u * py
         u2 -= u * pz
-        v0 -= 0.5 * u * t * px
-        v1 -= 0.5 * u * t * py
-        v2 -= 0.5 * u * t * pz
-        w0 += t * (py - y * pz)
-        w1 -= t * (px - x * pz)
-        w2 -= t * (x * py - y * px)
+        v0 -= half * px
+        v1 -= half * py
+        v2 -= half * pz
+        w0 -= third * px
+        w1 -= third * py
+        w2 -= third * pz
+        turn0 += t * (py - y * pz)
+        turn1 -= t * (px - x * pz)
+        turn2 -= t * (x * py - y * px)
     by_shared[0], by_shared[1], by_shared[2] = u0, u1, u2
     by_shared[3], by_shared[4], by_shared[5] = v0, v1, v2
-    by_shared[6], by_shared[7], by_shared[8] = w0, w1, w2
+    by_shared[6], by_shared[7], by_shared[8] = turn0, turn1, turn2
+    by_shared[9], by_shared[10], by_shared[11] = w0, w1, w2

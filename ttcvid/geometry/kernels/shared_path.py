@@ -1,8 +1,8 @@
 """Points that share a path: Gauss-Newton on K paths and on the place and inverse depth of each of their points.
 
 What the points of a path share is counted in its own axes ``basis (3, 3)``, whose last column is its believed
-direction: an offset ``u t + v t^2 / 2`` with u along the first two (a speed is no unknown) and v along all three, and
-a rotation rate of the views about x, y, z of the camera.
+direction: an offset ``u t + v t^2 / 2 + w t^3 / 6`` with u along the first two (a speed is no unknown), v and w along
+all three, and a rotation rate of the views about x, y, z of the camera.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ttcvid.geometry.kernels.rotations import fill_rotation
 from ttcvid.geometry.kernels.solve import eliminate, follow, solve
 from ttcvid.model import Floats, Ints
 
-N_LOCAL = 8
+N_LOCAL = 11
 """Unknowns that the points of a path share."""
 
 # Unknowns of a point, and of it and its path together.
@@ -61,7 +61,7 @@ def descend_together(
 ) -> None:
     """Paths and points together, over all views: ``state (N, 3)`` and its mean square residual in and out.
 
-    Fills ``offset (K, 8)`` from the paths ``base (K, L, 3)``, of which ``believed (K, 8, 8)`` is the information; and
+    Fills ``offset (K, 11)`` from the paths ``base (K, L, 3)``, of which ``believed (K, 11, 11)`` is the information; and
     ``left (K, 2)``, before the last step: sum of squared residuals in sigmas, none counted for more than the robust
     limit, and the points' median by the degree of freedom.
 
@@ -86,11 +86,11 @@ def descend_together(
             # The path at the offset, and the rotations back to time 0.
             for m in range(len(t_s)):
                 t = t_s[m]
-                fill_rotation(-t * offset[k, 5], -t * offset[k, 6], -t * offset[k, 7], rotations[m])
+                fill_rotation(-t * offset[k, 8], -t * offset[k, 9], -t * offset[k, 10], rotations[m])
                 for j in range(3):
                     path[m, j] = base[k, m, j] + t * (basis[k, j, 0] * offset[k, 0] + basis[k, j, 1] * offset[k, 1])
                     for c in range(3):
-                        path[m, j] += 0.5 * t * t * basis[k, j, c] * offset[k, 2 + c]
+                        path[m, j] += 0.5 * t * t * basis[k, j, c] * (offset[k, 2 + c] + t / 3.0 * offset[k, 5 + c])
             # What the belief says at an offset from it.
             left[k, 0], score[:] = 0.0, 0.0
             for c in range(N_LOCAL):
@@ -131,7 +131,7 @@ def descend_together(
 def add_windows(
     points: _Points, paths: Floats, basis: Floats, n_views: Ints, state: Floats, information: Floats, score: Floats
 ) -> None:
-    """Add to ``information (K, 8, 8)``, its lower half, and ``score (K, 8)`` what the nearest ``n_views (N,)`` say.
+    """Add to ``information (K, 11, 11)``, its lower half, and ``score (K, 11)`` what the nearest ``n_views (N,)`` say.
 
     ``paths (K, L, 3)`` are those at which the points were fitted.
     """
@@ -155,8 +155,8 @@ def _fill_equations(
 
     Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
 
-    With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t and v as
-    t^2 / 2; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit`` lose
+    With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t, v as t^2 / 2
+    and w as t^3 / 6; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit`` lose
     weight.
     """
     (rows, equations), rho, total, inside = work, s[2], 0.0, 0.0
@@ -172,7 +172,7 @@ def _fill_equations(
         inside += min(square, _LIMIT)
         root = np.sqrt(weight)
         a, turned = root * inverse * h, root * inverse * t
-        g, half = rho * a * t, 0.5 * t
+        g, half, third = rho * a * t, 0.5 * t, t / 3.0
         rows[0, k], rows[0, other], rows[1, k], rows[1, other] = a, 0.0, 0.0, a
         rows[2, k], rows[2, other] = a * (views[point.PATH_X, k] - x * tz), a * (views[point.PATH_Y, k] - y * tz)
         rows[3, k], rows[3, other] = g * (basis[0, 0] - x * basis[2, 0]), g * (basis[1, 0] - y * basis[2, 0])
@@ -181,10 +181,13 @@ def _fill_equations(
         rows[5, k], rows[5, other] = half * rows[3, k], half * rows[3, other]
         rows[6, k], rows[6, other] = half * rows[4, k], half * rows[4, other]
         rows[7, k], rows[7, other] = half * along_x, half * along_y
-        rows[8, k], rows[8, other] = -turned * x * y, -turned * (1.0 + y * y)
-        rows[9, k], rows[9, other] = turned * (1.0 + x * x), turned * x * y
-        rows[10, k], rows[10, other] = -turned * y, turned * x
-        rows[11, k], rows[11, other] = root * rx, root * ry
+        rows[8, k], rows[8, other] = third * rows[5, k], third * rows[5, other]
+        rows[9, k], rows[9, other] = third * rows[6, k], third * rows[6, other]
+        rows[10, k], rows[10, other] = third * rows[7, k], third * rows[7, other]
+        rows[11, k], rows[11, other] = -turned * x * y, -turned * (1.0 + y * y)
+        rows[12, k], rows[12, other] = turned * (1.0 + x * x), turned * x * y
+        rows[13, k], rows[13, other] = -turned * y, turned * x
+        rows[14, k], rows[14, other] = root * rx, root * ry
     equations[:] = 0.0
     add_equations(rows, 2 * n, equations, equations[_N_ALL])
     return total, inside

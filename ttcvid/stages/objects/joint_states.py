@@ -135,7 +135,7 @@ def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
 def _rates(
     sets: TrackSets, direction: Floats, states: TrackStates, shared: SharedErrors
 ) -> tuple[Floats, Floats, Floats]:
-    """Inverse depths (speed over depth) of M tracks: value, variance by own noise, Jacobian by shared errors (M, 9).
+    """Inverse depths (speed over depth) of M tracks: value, variance by own noise, Jacobian by shared errors (M, 12).
 
     On a trajectory all points share one speed, on a turning body too, so that the nearest has the largest one. For
     other tracks it is the speed along the ``direction (K, 3)`` of the object, over depth. In 1/s.

@@ -78,9 +78,9 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     _, first, path_of = np.unique(direction, axis=0, return_index=True, return_inverse=True)
     jacobian = np.zeros((len(direction), 3, N_SHARED))
     jacobian[:, :, :3] = direction[:, :, None] * by_e[:, None, :] + rate_hz[:, None, None] * np.eye(3)
-    jacobian[:, :, 6:] = direction[:, :, None] * (flows.rotation_error_rad[:, None] * by_rotation)[:, None, :]
+    jacobian[:, :, 6:9] = direction[:, :, None] * (flows.rotation_error_rad[:, None] * by_rotation)[:, None, :]
     shared_cov = np.zeros((len(first), N_SHARED, N_SHARED))
-    shared_cov[:, :3, :3], shared_cov[:, 6:, 6:] = direction_cov[first], np.eye(3)
+    shared_cov[:, :3, :3], shared_cov[:, 6:9, 6:9] = direction_cov[first], np.eye(3)
     rate_jacobian = np.sum(direction[:, :, None] * jacobian, axis=1)
     path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
     by_shared, no_turns = (jacobian, rate_jacobian, shared_cov), np.zeros((len(first), 3))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs, SharedPaths, chosen_paths, fit_paths
+from ttcvid.geometry.estimation.shared_trajectory import N_SHARED, PathBeliefs, SharedPaths, chosen_paths, fit_paths
 from ttcvid.geometry.estimation.shared_trajectory_points import PathPoints, points_of_paths
 from ttcvid.geometry.estimation.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
 from ttcvid.geometry.rotation import cross, normalize
@@ -87,9 +87,9 @@ def straight_or_in_bend(
     is_rejected, of_noise = straight.median_chi2 > _REJECTED, np.maximum(straight.median_chi2, 1.0)
     chosen, is_straight = straight, np.ones(len(chi2), dtype=bool)
     if may_leave_directions:
-        is_doubted = (chi2 > _BEND_CHI2 * of_noise) | is_rejected
+        is_doubted = (chi2 > _BEND_CHI2 * of_noise) & (by_views_rad_s > _ASKED_TURN_RAD_S) | is_rejected
         has_points = np.diff(points.first) >= _LEAST_POINTS
-        for k in np.flatnonzero(is_doubted & (by_views_rad_s > _ASKED_TURN_RAD_S) & has_points):
+        for k in np.flatnonzero(is_doubted & has_points):
             body = _turning_body(points, int(k), beliefs, float(straight.squares[k]))
             if straight.squares[k] - body.squares > _SURE_CHI2 * max(body.median_chi2, 1.0):
                 chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
@@ -125,9 +125,12 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
 
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
     """The trajectory of a turning body as `SharedPaths` of K = 1."""
-    offset, covs = np.concatenate([np.zeros(6), body.turn_rad_s])[None], (body.path_cov[None], body.direction_cov[None])
+    offset, cov = np.zeros((1, N_SHARED)), np.zeros((1, N_SHARED, N_SHARED))
+    offset[0, 6:9], cov[0, :9, :9] = body.turn_rad_s, body.path_cov
     quality = np.array([body.squares]), np.array([body.median_chi2])
-    return SharedPaths(body.path_turned_back(t_s)[None], body.start[None], offset, *covs, *quality)
+    return SharedPaths(
+        body.path_turned_back(t_s)[None], body.start[None], offset, cov, body.direction_cov[None], *quality
+    )
 
 
 def _turns_by_views(paths: SharedPaths, sigma_rad_s: float) -> tuple[Floats, Floats]:
@@ -137,7 +140,7 @@ def _turns_by_views(paths: SharedPaths, sigma_rad_s: float) -> tuple[Floats, Flo
     """
     # Views may say nothing of a turn about some axis.
     believed, least, tight = 1.0 / sigma_rad_s**2, _LEAST_TURN_PART / sigma_rad_s**2, 1.0 / TURN_SIGMA_RAD_S**2
-    information = np.linalg.inv(paths.cov[:, 6:, 6:])
-    score = information @ paths.offset[:, 6:, None]
+    information = np.linalg.inv(paths.cov[:, 6:9, 6:9])
+    score = information @ paths.offset[:, 6:9, None]
     turn, tight_turn = (np.linalg.solve(information + (each - believed) * np.eye(3), score) for each in (least, tight))
     return np.sum(score * turn, axis=(1, 2)), np.sqrt(np.sum(tight_turn**2, axis=(1, 2)))

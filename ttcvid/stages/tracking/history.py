@@ -131,7 +131,7 @@ class TrackHistory:
     def rotation_rate_cov(self) -> Floats:
         """Covariance (3, 3) of the rotation rate that is left in all past rays, (rad/s)^2."""
         if self.scene is not None:
-            return self.scene.cov[0, 6:, 6:]
+            return self.scene.cov[0, 6:9, 6:9]
         return self.rotation_rate_sigma_rad_s**2 * np.eye(3)
 
     @property
