@@ -17,8 +17,8 @@ from ttcvid.geometry.rotation import cross, each_turned_into_plane, rotation_fro
 from ttcvid.model import Bools, Floats, Ints
 
 N_SHARED = 12
-"""Shared unknowns, in this order: u (3), v (3), a rotation rate (3), rad/s, and w (3); the path has ``+ u t + v t^2 / 2 +
-w t^3 / 6``.
+"""Shared unknowns, in this order: u (3), v (3), a rotation rate (3), rad/s, and w (3); the path has
+``+ u t + v t^2 / 2 + w t^3 / 6``.
 """
 
 # Where these stand among the unknowns of a fit (`kernels.shared_path`).
@@ -44,9 +44,9 @@ class PathBeliefs:
     """What is believed of K paths before their points are looked at: ``base (K, L, 3)``, ``direction (K, 3)`` = dir.
 
     Standard deviations about them: ``direction_cov (K, 3, 3)`` in the tangent plane, rad^2; of an acceleration over the
-    speed, 1/s, ``along_sigma_hz`` along the direction and ``across_sigma_hz`` per axis across; `CHANGE_SIGMA_HZ2` of its
-    change; ``turn_sigma_rad_s`` per axis of a rotation rate in the views. That rotation is an error of the camera's; of a thing that ``turns_itself`` it
-    is its own, about its middle.
+    speed, 1/s, ``along_sigma_hz`` along the direction and ``across_sigma_hz`` per axis across (of how it changes:
+    `CHANGE_SIGMA_HZ2`); ``turn_sigma_rad_s`` per axis of a rotation rate in the views. That rotation is an error of the
+    camera's; of a thing that ``turns_itself`` it is its own, about its middle.
     """
 
     base: Floats
@@ -139,9 +139,10 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
 class PathFits:
     """What is believed of K paths, and what their points' views say, for either to be weighed against the other.
 
-    Both are said of what the points of a path share, in its own axes ``basis (K, 3, 3)``: ``believed (K, 11, 11)`` is the
-    information of the beliefs; ``information (K, 11, 11)`` and ``score (K, 11)`` are those of the views, at ``offset (K,
-    11)`` from the belief. ``own_motion (K, 11, 11)`` is that of `_own_motion`, ``left (K, 2)`` that of `descend_together`.
+    Both are said of what the points of a path share, in its own axes ``basis (K, 3, 3)``: ``believed (K, 11, 11)`` is
+    the information of the beliefs; ``information (K, 11, 11)`` and ``score (K, 11)`` are those of the views, at
+    ``offset (K, 11)`` from the belief. ``own_motion (K, 11, 11)`` is that of `_own_motion`, ``left (K, 2)`` that of
+    `descend_together`.
     """
 
     beliefs: PathBeliefs

@@ -61,8 +61,8 @@ def descend_together(
 ) -> None:
     """Paths and points together, over all views: ``state (N, 3)`` and its mean square residual in and out.
 
-    Fills ``offset (K, 11)`` from the paths ``base (K, L, 3)``, of which ``believed (K, 11, 11)`` is the information; and
-    ``left (K, 2)``, before the last step: sum of squared residuals in sigmas, none counted for more than the robust
+    Fills ``offset (K, 11)`` from the paths ``base (K, L, 3)``, of which ``believed (K, 11, 11)`` is the information;
+    and ``left (K, 2)``, before the last step: sum of squared residuals in sigmas, none counted for more than the robust
     limit, and the points' median by the degree of freedom.
 
     No view is cut off: a believed path may be wrong by hundreds of sigmas at its far end, where a window would end at
@@ -156,8 +156,8 @@ def _fill_equations(
     Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
 
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t, v as t^2 / 2
-    and w as t^3 / 6; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit`` lose
-    weight.
+    and w as t^3 / 6; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit``
+    lose weight.
     """
     (rows, equations), rho, total, inside = work, s[2], 0.0, 0.0
     # By an index without a sign: several views are worked at at a time.
