@@ -2,7 +2,7 @@
 
 The scene and each mover are rigid bodies with a relative trajectory. A track is assigned to the body that explains all
 of its views best, with a smoothness term over neighbours and one for its former label. Births of movers are proposed
-where neighbouring tracks contradict the scene and agree with each other.
+where neighbouring tracks contradict their body, scene or mover, and agree with each other.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from ttcvid.stages.segmentation.merges import merged
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
 from ttcvid.stages.segmentation.surface_memory import Obstacle
+from ttcvid.stages.segmentation.turning_movers import with_turning_bodies
 from ttcvid.stages.tracking.groups import places_among
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -118,12 +119,13 @@ def find_bodies(
     key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
     seen = see_scene(history, egomotion, platform, memory.scene, memory.road, views, labels, config)
 
-    movers = _refined(movers, seen.scene, views, key)
+    movers = _refined(movers, seen, views, key, config)
     neighbours = views.neighbours()
     is_displaced, is_past_off = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), neighbours, config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
-    key, movers = _divided(views, seen, key, movers, neighbours, config)
-    key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
+    key, movers, redchi = _divided(views, seen, key, movers, neighbours, config)
+    may_be = replace(views, is_free=views.is_free & may_start)
+    key, movers, next_key = _with_new(may_be, seen, redchi, key, movers, neighbours, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     if is_displaced.any():
         known = np.append(SCENE_CLUSTER, movers.key)
@@ -194,28 +196,34 @@ def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) 
 
 def _divided(
     views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
-) -> tuple[Ints, Movers]:
-    """Labels ``key (N,)`` over the scene and known movers after merging, and the movers kept."""
+) -> tuple[Ints, Movers, Floats]:
+    """Labels ``key (N,)`` over the scene and known movers after merging, the movers kept, and reduced chi-squares (N,)
+    of tracks on their bodies, over the median one of the scene.
+    """
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
-    return merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
+    key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
+    return key, movers, np.where(key == SCENE_CLUSTER, seen.redchi, own_redchi)
 
 
 def _with_new(
     views: BodyViews,
     seen: SeenScene,
+    redchi: Floats,
     key: Ints,
     movers: Movers,
     neighbours: Ints,
-    may_start: Bools,
     next_key: int,
     config: BodiesConfig,
 ) -> tuple[Ints, Movers, int]:
-    """Labels ``(N,)`` and movers after births among the scene's tracks, re-identified or new, and the next key."""
+    """Labels ``(N,)`` and movers after births among tracks that contradict their body, and the next key.
+
+    A birth is a hidden mover, re-identified, or a new one.
+    """
     births = config
     if seen.camera_rests:
         births = config.model_copy(update={"min_tracks": min(config.min_tracks, _TRACKS_AT_REST)})
-    found, paths, found_hz = new_movers(views, seen, (key == SCENE_CLUSTER) & may_start, neighbours, births)
+    found, paths, found_hz = new_movers(views, seen, redchi, key == SCENE_CLUSTER, neighbours, births)
     if seen.camera_rests and found:
         is_one = _are_no_outlines(views, key, found, config.min_tracks)
         found = [members for members, is_mover in zip(found, is_one, strict=True) if is_mover]
@@ -276,7 +284,7 @@ def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Fl
     return track_id[order], np.concatenate([key, lost.key])[order], np.concatenate([rate_hz, lost.rate_hz])[order]
 
 
-def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> Movers:
+def _refined(movers: Movers, seen: SeenScene, views: BodyViews, key: Ints, config: BodiesConfig) -> Movers:
     """Movers with trajectories refined by the tracks of their last labels."""
     number = numbers_of(key, movers)
     has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
@@ -285,7 +293,8 @@ def _refined(movers: Movers, scene: RigidPaths, views: BodyViews, key: Ints) -> 
         return movers
     steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
     points = views.points(track, number[track] - 1)
-    paths, rate_hz = stepped_movers(movers.paths, scene, points, steps * has_points, movers.rate_hz)
+    paths, rate_hz = stepped_movers(movers.paths, seen.scene, points, steps * has_points, movers.rate_hz)
+    paths, rate_hz = with_turning_bodies(views, seen, points, paths, rate_hz, config.scene_gate)
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 
