@@ -1,6 +1,7 @@
 """Parts of a thing that were found as movers of their own become one, and things that move alike do not."""
 
 import numpy as np
+import pytest
 from rigid_worlds import bodies_of, car, world
 
 N_FRAMES, SLOWLY = 16, (0.0, 0.0, 4.0)
@@ -33,3 +34,19 @@ def test_halves_become_one_also_while_new_tracks_are_born_on_them_in_every_frame
     frames = bodies_of(world(rng, SLOWLY, 24, front, rear, middle, *newborn), 24, camera_m_s=SLOWLY)
     assert frames[8].keys_of(1)[0] != frames[8].keys_of(2)[0]
     assert frames[-1].keys_of(1)[0] == frames[-1].keys_of(2)[0] != 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_long_lorry_beside_us_is_one_though_its_cab_is_twice_as_far_away(seed):
+    """Cab and tank are two things as far as can be seen, until what is between them is."""
+    rng = np.random.default_rng(seed)
+    velocity, beside = (0.0, 0.0, 12.0), (3.0, -0.5)
+    cab, tank, middle = (
+        car(rng, (*beside, z_m), velocity, n, (1.0, 3.0, length_m), frames=(first, 99))
+        for z_m, n, length_m, first in ((18.0, 60, 5.0, 0), (7.0, 80, 4.0, 0), (12.25, 100, 6.5, 8))
+    )
+    frames = bodies_of(world(rng, SLOWLY, N_FRAMES, cab, tank, middle), N_FRAMES, camera_m_s=SLOWLY)
+    assert frames[7].keys_of(1)[0] != frames[7].keys_of(2)[0]
+    for frame in frames[12:]:
+        assert len({frame.keys_of(number)[0] for number in (1, 2, 3)}) == 1
+        assert min(frame.keys_of(number)[1] for number in (1, 2, 3)) > 0.9

@@ -12,9 +12,11 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
+from ttcvid.stages.tracking.neighbours import linked_parts
 
-# Two bodies, or two parts of one, can be one if the ratio of their inverse depths is below this factor.
-_ONE_RATE = 1.5
+# Two bodies, or two parts of one, can be one if the ratio of their inverse depths is below the first factor, or if they
+# are connected by neighbouring tracks with ratios below the second, each known to a fourth of that.
+_ONE_RATE, _BESIDE_RATE, _KNOWN_PART = 1.5, 1.2, 0.25
 # Two movers are merged if one trajectory raises their reduced chi-square (at least 1) by at most the first factor. That
 # is tried if the trajectory of the larger fits the smaller within the second: that of one half of a turning bus leaves
 # the other up to 30 times as far off before refinement.
@@ -160,5 +162,24 @@ def _joint(
     known = np.isfinite(fit.rate_hz)
     one, other = medians(fit.rate_hz[known], part[known], len(parts)).reshape(-1, 2).T
     is_one = medians(fit.redchi, points.thing, n_pairs) < _MERGED_REDCHI * median_redchi * pairs.limit
-    is_one &= np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
+    is_one_rate = np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
+    for pair in np.flatnonzero(is_one & ~is_one_rate):
+        is_one[pair] = _hang_together(views, joint.take(np.array([pair])), *of_pairs[2 * pair : 2 * pair + 2])
     return _Joint(joint, joint_hz, is_one)
+
+
+def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -> bool:
+    """Whether most tracks of ``one`` and of the ``other`` are connected in image and depth, on a common trajectory.
+
+    A large object spans depths: the cab of a lorry beside us is twice as far away as its tank.
+    """
+    both = np.concatenate([one, other])
+    fit = fit_on_paths(views.points(both, np.zeros_like(both)), path)
+    is_known = fit.rate_sigma_hz < _KNOWN_PART * np.log(_BESIDE_RATE) * fit.rate_hz
+    if not is_known.any():
+        return False
+    rate_hz, is_other = fit.rate_hz[is_known], np.flatnonzero(is_known) >= len(one)
+    tolerance = np.full(len(rate_hz), 0.5 * np.log(_BESIDE_RATE))
+    label = linked_parts(views.xy_px[both[is_known]], views.link_px, np.log(rate_hz), tolerance)
+    n_one, n_other = np.bincount(label[~is_other], minlength=1), np.bincount(label[is_other], minlength=1)
+    return bool(n_one.argmax() == n_other.argmax() and 2 * n_one.max() > len(one) and 2 * n_other.max() > len(other))
