@@ -151,6 +151,12 @@ RULES: dict[str, Rule] = {
         {"stages.update._before_gap": _none},
         (),
     ),
+    "turning_movers": Rule(
+        "a mover that most of its tracks contradict becomes a turning body",
+        "bodies",
+        {"stages.segmentation.turning_movers.with_turning_bodies": lambda *a: (a[3], a[4])},
+        _stage("segmentation/turning_movers"),
+    ),
     "reidentified": Rule(
         "hidden movers are known again",
         "bodies",

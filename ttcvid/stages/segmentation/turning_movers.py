@@ -16,9 +16,8 @@ from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ, refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.scene import SeenScene
 
-# So many tracks off its trajectory make a mover doubtful; a turning body needs the second number, and takes at most the
-# third: more hardly improve it.
-_LEAST_OFF, _LEAST_POINTS, _MOST_POINTS = 3, 8, 50
+# A turning body needs so many tracks, and takes at most so many: more hardly improve it.
+_LEAST_POINTS, _MOST_POINTS = 8, 50
 # It is one if its median reduced chi-square (over the usual one) is below this: what turns also follows several things
 # a little better that do not move alike.
 _FITS = 2.0
@@ -32,12 +31,11 @@ def with_turning_bodies(
     """K movers and their inverse depths ``rate_hz (K,)``, 1/s, as turning bodies where these explain their tracks.
 
     ``points`` are the tracks of the movers; a reduced chi-square (over the usual one) above the ``gate`` contradicts a
-    trajectory.
+    trajectory. Most of its tracks have to contradict that of a mover: of somebody who walks, some always do.
     """
     redchi = fit_on_movers(points, movers, rate_hz).redchi / seen.median_redchi
-    n_off, n_points = np.bincount(points.thing, redchi > gate, len(movers)), np.bincount(points.thing)
-    doubtful = np.flatnonzero(n_off >= _LEAST_OFF)
-    doubtful = doubtful[n_points[doubtful] >= _LEAST_POINTS]
+    n_off, n_points = (np.bincount(points.thing, each, len(movers)) for each in (redchi > gate, np.ones(len(redchi))))
+    doubtful = np.flatnonzero((2 * n_off > n_points) & (n_points >= _LEAST_POINTS))
     if not len(doubtful):
         return movers, rate_hz
     movers, rate_hz = movers.take(np.arange(len(movers))), rate_hz.copy()
