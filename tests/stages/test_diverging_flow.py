@@ -65,7 +65,7 @@ def new_in(views, scene, fit):
     nowhere, redchi = np.zeros(len(fit.redchi), dtype=bool), fit.redchi
     of_scene = fit.rate_hz, fit, redchi, redchi, 1.0
     seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), Platform.free, False)
-    members, paths, _ = new_movers(views, seen, redchi, ~nowhere, views.neighbours(), CONFIG)
+    members, paths, _ = new_movers(views, seen, ~nowhere, views.neighbours(), CONFIG)
     return members, paths
 
 

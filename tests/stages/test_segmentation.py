@@ -319,21 +319,6 @@ def test_a_bus_that_turns_is_found_whole():
     assert np.mean(found) > 0.87
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_three_cars_that_drove_alike_part(seed):
-    """They come towards us in a group that is found as one, until one brakes and one changes its lane."""
-    rng = np.random.default_rng(seed)
-    places = ((-2.2, 0.0, 30.0), (0.0, 0.0, 31.0), (2.2, 0.0, 32.0))
-    ways = ((0.0, 0.0, 0.0), (0.0, 0.0, 3.0), (2.5, 0.0, 0.0))
-    cars = [
-        car(rng, place, (-1.0, 0.0, -6.0), 16, (1.7, 1.4, 1.8), acceleration_m_s2=way)
-        for place, way in zip(places, ways, strict=True)
-    ]
-    frames = bodies_of(world(rng, STILL, 40, *cars), 40, STILL, seed=seed)
-    assert len({frames[5].keys_of(number)[0] for number in (1, 2, 3)}) < 3
-    assert_one_mover_each(frames, 1, 2, 3, since=35, part=0.7)
-
-
 @pytest.mark.parametrize(("platform", "n_found"), [(Platform.vehicle, 3), (Platform.free, 3), (Platform.aircraft, 0)])
 def test_three_tracks_of_somebody_who_walks_into_our_way_are_a_mover_but_not_in_the_air(platform, n_found):
     walker = Thing(np.array([[-9.6, -0.3, 48.0], [-9.9, 1.4, 48.0], [-9.3, 1.4, 48.0]]), (2.0, 0.0, 0.0))

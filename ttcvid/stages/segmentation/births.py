@@ -1,4 +1,4 @@
-"""Births of movers: neighbouring tracks that contradict their body and share a flow or an expansion."""
+"""Births of movers: neighbouring tracks that contradict the scene and share a flow or an expansion."""
 
 from __future__ import annotations
 
@@ -22,12 +22,9 @@ from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
-# Least number of views of a track that contradicts its body.
+# Least number of views of a track that contradicts the scene.
 _LEAST_VIEWS = 3
-# A track of a mover may be part of a birth above this reduced chi-square (over the usual one): a leg swings about the
-# way of its walker.
-_NOT_OF_MOVER = 10.0
-# A neighbourhood contradicts its bodies if the median of ln(reduced chi-square) exceeds this share of that of the gate,
+# A neighbourhood contradicts the scene if the median of ln(reduced chi-square) exceeds this share of that of the gate,
 # over at least so many tracks.
 _TOGETHER, _LEAST_AROUND = 0.6, 3
 # Flows of two tracks are alike if they differ by less than this share of their mean plus this, px over the window.
@@ -61,57 +58,49 @@ class _Things:
 
 
 def new_movers(
-    views: BodyViews,
-    seen: SeenScene,
-    redchi: Floats,
-    in_scene: Bools,
-    neighbours: Ints,
-    config: BodiesConfig,
+    views: BodyViews, seen: SeenScene, in_scene: Bools, neighbours: Ints, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
-    """Sets of connected tracks that contradict their body and that a trajectory of their own explains.
+    """Sets of connected tracks that contradict the scene and that a trajectory of their own explains.
 
     Parameters
     ----------
-    views : those of the N tracks; the free ones may be part of a birth.
-    redchi : ``(N,)`` reduced chi-square of each track on its body, over the median one of the scene.
-    in_scene : ``(N,)`` which of them are the scene's.
+    in_scene : ``(N,)`` tracks of the scene that may be part of a birth.
     neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
 
     Returns
     -------
     Of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
-    is_asked = views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
-    is_asked &= in_scene | (redchi > _NOT_OF_MOVER)
-    candidates = _candidates(neighbours, is_asked, redchi, config)
+    is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
+    candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
-    may_spread = in_scene & is_asked & (seen.fit.n_views >= LEAST_VIEWS)
+    may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
     # In the air an object straight at us is found as one surface, whose times few tracks determine.
     are_few_enough = seen.platform != Platform.aircraft
     members = expanding_movers(views, seen, may_spread, candidates, config, few_are_enough=are_few_enough)
     nowhere = np.zeros_like(in_scene)
     things = _Things(members, tracks_needed(members, config), 0.0, nowhere, np.zeros_like(views.edge))
-    spread, paths, rate_hz = _explained(views, seen, redchi, things, config)
+    spread, paths, rate_hz = _explained(views, seen, things, config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)
-    is_along = in_scene & (redchi > config.scene_gate) & (seen.seen_redchi < config.scene_gate)
+    is_along = (seen.redchi > config.scene_gate) & (seen.seen_redchi < config.scene_gate)
     members = _alike_things(views, seen.scene, candidates, is_along, config)
     # Without camera translation all surfaces have the same flow, and no window slips.
     edge = views.edge if seen.moves_past else np.zeros_like(views.edge)
     # What just moves alike contradicts the scene track by track, at constant bearing only what is at its edges does.
     things = _Things(members, np.full(len(members), config.min_tracks), _MOST, is_along, edge)
-    alike, alike_paths, alike_hz = _explained(views, seen, redchi, things, config)
+    alike, alike_paths, alike_hz = _explained(views, seen, things, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
 
 def _explained(
-    views: BodyViews, seen: SeenScene, redchi: Floats, things: _Things, config: BodiesConfig
+    views: BodyViews, seen: SeenScene, things: _Things, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
-    """Those of K proposals that cost less on a trajectory of their own than on their bodies', all tracks together.
+    """Those of K proposals that cost less on a trajectory of their own than on the scene's, all tracks together.
 
     Returned as by `new_movers`, with the tracks that are explained significantly better.
     """
-    scene, median_redchi, is_along = seen.scene, seen.median_redchi, things.is_along
+    scene, redchi, median_redchi, is_along = seen.scene, seen.redchi, seen.median_redchi, things.is_along
     if not things.members:
         return [], scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
     track = np.concatenate([members for members, _ in things.members])
@@ -137,7 +126,7 @@ def _explained(
 
 
 def _candidates(neighbours: Ints, is_asked: Bools, redchi: Floats, config: BodiesConfig) -> Ints:
-    """Indices ``(M,)`` of tracks that contradict their body, in a neighbourhood that contradicts theirs."""
+    """Indices ``(M,)`` of tracks that contradict the scene, in a neighbourhood that contradicts it."""
     index = np.flatnonzero(is_asked & (redchi > config.scene_gate))
     around = np.column_stack([index, neighbours[index]])
     is_known = is_asked[around]

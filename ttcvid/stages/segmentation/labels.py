@@ -2,7 +2,7 @@
 
 The scene and each mover are rigid bodies with a relative trajectory. A track is assigned to the body that explains all
 of its views best, with a smoothness term over neighbours and one for its former label. Births of movers are proposed
-where neighbouring tracks contradict their body, scene or mover, and agree with each other.
+where neighbouring tracks contradict the scene and agree with each other.
 """
 
 from __future__ import annotations
@@ -123,9 +123,8 @@ def find_bodies(
     neighbours = views.neighbours()
     is_displaced, is_past_off = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), neighbours, config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
-    key, movers, redchi = _divided(views, seen, key, movers, neighbours, config)
-    may_be = replace(views, is_free=views.is_free & may_start)
-    key, movers, next_key = _with_new(may_be, seen, redchi, key, movers, neighbours, memory.next_key, config)
+    key, movers = _divided(views, seen, key, movers, neighbours, config)
+    key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     if is_displaced.any():
         known = np.append(SCENE_CLUSTER, movers.key)
@@ -196,34 +195,28 @@ def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) 
 
 def _divided(
     views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
-) -> tuple[Ints, Movers, Floats]:
-    """Labels ``key (N,)`` over the scene and known movers after merging, the movers kept, and reduced chi-squares (N,)
-    of tracks on their bodies, over the median one of the scene.
-    """
+) -> tuple[Ints, Movers]:
+    """Labels ``key (N,)`` over the scene and known movers after merging, and the movers kept."""
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
-    key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
-    return key, movers, np.where(key == SCENE_CLUSTER, seen.redchi, own_redchi)
+    return merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
 
 
 def _with_new(
     views: BodyViews,
     seen: SeenScene,
-    redchi: Floats,
     key: Ints,
     movers: Movers,
     neighbours: Ints,
+    may_start: Bools,
     next_key: int,
     config: BodiesConfig,
 ) -> tuple[Ints, Movers, int]:
-    """Labels ``(N,)`` and movers after births among tracks that contradict their body, and the next key.
-
-    A birth is a hidden mover, re-identified, or a new one.
-    """
+    """Labels ``(N,)`` and movers after births among the scene's tracks, re-identified or new, and the next key."""
     births = config
     if seen.camera_rests:
         births = config.model_copy(update={"min_tracks": min(config.min_tracks, _TRACKS_AT_REST)})
-    found, paths, found_hz = new_movers(views, seen, redchi, key == SCENE_CLUSTER, neighbours, births)
+    found, paths, found_hz = new_movers(views, seen, (key == SCENE_CLUSTER) & may_start, neighbours, births)
     if seen.camera_rests and found:
         is_one = _are_no_outlines(views, key, found, config.min_tracks)
         found = [members for members, is_mover in zip(found, is_one, strict=True) if is_mover]
