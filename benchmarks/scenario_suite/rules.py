@@ -154,7 +154,7 @@ RULES: dict[str, Rule] = {
     "turning_movers": Rule(
         "a mover that most of its tracks contradict becomes a turning body",
         "bodies",
-        {"stages.segmentation.turning_movers.with_turning_bodies": lambda *a: (a[3], a[4])},
+        {"stages.segmentation.turning_movers.with_turning_bodies": lambda *a: a[3]},
         _stage("segmentation/turning_movers"),
     ),
     "reidentified": Rule(
@@ -188,7 +188,7 @@ RULES: dict[str, Rule] = {
     "bends": Rule(
         "objects in a bend have paths of their own",
         "times",
-        {"stages.objects.turning._ASKED_TURN_RAD_S": np.inf, "stages.objects.turning._BEND_CHI2": np.inf},
+        {f"stages.objects.turning.{name}": np.inf for name in ("_ASKED_TURN_RAD_S", "_BEND_CHI2", "_SURE_CHI2")},
         _stage("objects/turning"),
     ),
     "common_errors": Rule(

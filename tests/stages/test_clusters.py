@@ -361,6 +361,9 @@ def test_an_object_has_the_direction_of_its_state(off_deg):
     # A horizon says more than the state does, wherever on it the epipole lies.
     on_horizon = replace(motion, method="whole-tracks" + ON_HORIZON)
     np.testing.assert_allclose(only_row(on_horizon, states, pixels(position_m)).direction, believed, atol=1e-9)
+    # What stands still moves along our own direction.
+    stands = replace(motion, is_static=True)
+    np.testing.assert_allclose(only_row(stands, states, pixels(position_m)).direction, believed, atol=1e-9)
 
 
 def test_a_row_is_changed_in_what_it_has_alone():

@@ -142,6 +142,19 @@ def test_a_few_tracks_of_the_scene_say_more_than_a_hundred_of_known_movers():
     assert max(turn_error_deg(step.cam_R_prev, np.eye(3)) for step in steps[1:]) < 0.05
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_few_tracks_of_the_scene_do_not_make_the_noise_vanish_where_we_drive(seed):
+    """A translation fits six tracks to their noise: of 0.2 px it left 0.05."""
+    rng = np.random.default_rng(seed)
+    motion, in_scene = drive(20, rng, n=66, speed_m=0.6, sigma_px=0.2), np.arange(66) < 6
+    steps_px = np.repeat(rng.uniform(-3.0, 3.0, size=(4, 2)), 15, axis=0)
+    for frame in range(20):
+        xy = motion.rays[frame, ~in_scene, :2] / motion.rays[frame, ~in_scene, 2:] + frame * steps_px / FOCAL_PX
+        motion.rays[frame, ~in_scene] = normalize(np.column_stack([xy, np.ones(len(xy))]))
+    _, history = found(motion, in_scene=in_scene)
+    assert history.pool_sigma_px > 0.15
+
+
 def test_a_stop_ends_the_direction_and_a_start_brings_it_back():
     motion = drive(26, np.random.default_rng(6), speed_m=0.6, sigma_px=0.1)
     # Stands from frame 6 to frame 19: the same rays, with noise of their own.

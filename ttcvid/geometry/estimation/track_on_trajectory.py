@@ -25,9 +25,10 @@ class PathRates:
 
     ``state (N, 3)`` x, y and rho = (speed along the path) / Z in 1/s, so that (a, b, c) = rho e with e the path's
     direction at time 0; ``cov (N, 3, 3)`` of (x, y, rho) by the noise of the point's own views. What errors that
-    points share do to rho, to first order, is ``by_shared (N, 12)``: when the path has ``u t + v t^2 / 2`` too much, in
-    1/s per unit of the vectors u (a wrong direction) and v (in 1/s: a wrong acceleration over the speed); in 1/s per
-    rad/s, when the views were turned back at a constant rate (3) that is not there; and for ``w t^3 / 6`` as for v.
+    points share do to rho, to first order, is ``by_shared (N, 12)``: its change in 1/s per unit of the vectors u (3),
+    v (3), a rotation rate (3) and w (3). The path has ``u t + v t^2 / 2 + w t^3 / 6`` too much: a wrong direction,
+    acceleration (1/s) and change of it (1/s^2), over the speed; or the views were turned back at a constant rate,
+    rad/s, that is not there.
     ``chi2, dof, n_frames (N,)`` of the window, as in `WholeTracks`, with 2 n_frames - 3 degrees of freedom.
     """
 

@@ -2,7 +2,7 @@
 
 Its middle moves as on a circle, its acceleration turning with it: that is exact for a steady turn at a steady speed,
 seen by a camera that moves steadily, however far it turns. Over a second in a junction (half a rad) a path that is a
-parabola, as in `shared_trajectory`, is wrong by many pixels.
+polynomial in time, as in `shared_trajectory`, is wrong by pixels.
 """
 
 from __future__ import annotations
@@ -167,8 +167,8 @@ def _with_doubts(found: list[TurningBody]) -> TurningBody:
 
 
 def _normalized(centre: Floats, shared: Floats) -> tuple[Floats, Floats]:
-    """What points share as in `shared_trajectory`, (..., 9), of a body's ``shared (..., 9)``, and the length of the
-    first.
+    """The first nine of what points share as in `shared_trajectory`, (..., 9), of a body's ``shared (..., 9)``, and the
+    length of the first.
 
     First and second derivative at time 0 of the path in views turned back, V - omega x C and so on, both over the
     length of the first; and the turn.

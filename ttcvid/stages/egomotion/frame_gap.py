@@ -32,9 +32,10 @@ from ttcvid.stages.tracking.noise import with_noise
 # In each part of the picture (`picture_region`) only so many tracks are used: errors that neighbours share are what
 # limits own motion.
 _MOST_IN_CELL = 6
-# So many tracks of the scene are enough beside known movers: its motion has five unknowns. With all tracks instead, a
-# dozen movers before a resting camera turned it by 0.3 deg a frame.
-_LEAST_OF_SCENE = 6
+# So many tracks of the scene tell beside known movers how a camera turns: three unknowns, two residuals a track. With
+# all tracks instead, a dozen movers before a resting camera turned it by 0.3 deg a frame. (Of a translation, five
+# unknowns and one residual a track, they leave no residual: the noise would seem to vanish.)
+_LEAST_OF_TURN = 6
 # The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames. A steady way
 # that asks for the longest gap steps so little that it leaves no third difference (6 step / k^2, k frames before a
 # collision).
@@ -58,8 +59,8 @@ def find_own_motion(
     history : Views of all tracks, the present one included.
     is_free : ``(N,)`` tracks that are not frozen to their pixel.
     in_scene : ``(N,)`` tracks of no known mover. They alone determine egomotion, unless a fit to all tracks explains
-        all of them better: the known movers may be wrong. Where a window decides (`window_motion.by_window`), the
-        parts of the picture are compared instead.
+        all of them better, since the known movers may be wrong, or they translate and are fewer than ``min_tracks``.
+        Where a window decides (`window_motion.by_window`), the parts of the picture are compared instead.
     memory : Start of the search, from the frame before.
     config : Priors.
     least_parallax_px : Flow of one step that does not count as translation, however small the noise.
@@ -126,7 +127,7 @@ def _last_step(
     if everything is None:
         return None
     without_movers, side = is_free & in_scene, region_side_of(history.camera)
-    pair = paired_rays(history, without_movers, 1, _LEAST_OF_SCENE) if (is_free & ~in_scene).any() else None
+    pair = paired_rays(history, without_movers, 1, _LEAST_OF_TURN) if (is_free & ~in_scene).any() else None
 
     def fit_to(rays: RayPairs) -> TwoViewFit:
         return estimate_egomotion(*rays, parallax_rad, memory, config.platform, side)
@@ -134,6 +135,8 @@ def _last_step(
     if pair is None:
         return fit_to(everything), is_free
     by_scene = fit_to(pair)
+    if by_scene.direction is not None and len(pair[0]) < config.min_tracks:
+        return fit_to(everything), is_free
     if _has_window(history, config) and len(history.frame) >= LEAST_VIEWS:
         return by_scene, without_movers
     by_all = fit_to(everything)

@@ -108,7 +108,7 @@ def rows_of(
             "state_abc_hz": joint.abc_hz[k],
             "state_cov": joint.cov[k],
         }
-    for place, direction, cov, status in _directions_of_states(motions, joint):
+    for place, direction, cov, status in [] if states.shared is None else _directions_of_states(motions, joint):
         believed[place], believed_cov[place] = direction, cov
         stated[place].update(direction=direction, direction_cov=cov, epipole_status=status)
     facts = zip(
@@ -269,10 +269,13 @@ def _directions_of_states(
 ) -> list[tuple[int, Floats, Floats, Status]]:
     """Objects whose direction is that of their state: index, direction, its covariance, and status.
 
-    The direction of a cluster assumes straight tracks at constant speed; their common trajectory bends and changes
-    speed. On a horizon, which is better known than either, the direction is kept.
+    The direction of a mover assumes straight tracks at constant speed; their common trajectory bends and changes
+    speed. On a horizon, which is better known than either, the direction is kept, and so is that of what stands still:
+    it is our own.
     """
-    asked = np.array([not motions[place].method.endswith(ON_HORIZON) for place in joint.owner], dtype=bool)
+    own = [motions[place] for place in joint.owner]
+    asked = np.array([not (one.is_static or one.method.endswith(ON_HORIZON)) for one in own], dtype=bool)
+    asked &= np.any(joint.abc_hz != 0.0, axis=1)
     owner, abc_hz = joint.owner[asked], joint.abc_hz[asked]
     speed_hz = np.linalg.norm(abc_hz, axis=1)[:, None]
     direction = abc_hz / speed_hz

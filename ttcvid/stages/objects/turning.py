@@ -31,10 +31,10 @@ _STRAIGHT_CHI2 = float(chdtri(3, 0.1))
 # Least gain for a second fit and for a turning body: the first order overestimates the gain, and a turning body follows
 # the errors that neighbours share.
 _SURE_CHI2 = 2.5 * _BEND_CHI2
-# Least turn rate by the first order, which gives a third of it or less, and least number of points for the fit of a
-# turning body. (At junctions objects turn by 0.1 to 0.5 rad/s.)
+# A significant turn is fitted as a turning body from this rate on, by the first order, which gives a third of it or
+# less. (At junctions objects turn by 0.1 to 0.5 rad/s.) Least number of points for that.
 _ASKED_TURN_RAD_S, _LEAST_POINTS = 0.05, 8
-# A straight trajectory with a larger reduced chi-square is rejected in any case.
+# A straight trajectory with a larger reduced chi-square is rejected: a turning body is tried whatever turn shows.
 _REJECTED = 10.0
 # Least information on a turn, as a share of that of the prior.
 _LEAST_TURN_PART = 1e-3
@@ -87,9 +87,9 @@ def straight_or_in_bend(
     is_rejected, of_noise = straight.median_chi2 > _REJECTED, np.maximum(straight.median_chi2, 1.0)
     chosen, is_straight = straight, np.ones(len(chi2), dtype=bool)
     if may_leave_directions:
-        is_doubted = (chi2 > _BEND_CHI2 * of_noise) & (by_views_rad_s > _ASKED_TURN_RAD_S) | is_rejected
+        turns = (chi2 > _BEND_CHI2 * of_noise) & (by_views_rad_s > _ASKED_TURN_RAD_S)
         has_points = np.diff(points.first) >= _LEAST_POINTS
-        for k in np.flatnonzero(is_doubted & has_points):
+        for k in np.flatnonzero((turns | is_rejected) & has_points):
             body = _turning_body(points, int(k), beliefs, float(straight.squares[k]))
             if straight.squares[k] - body.squares > _SURE_CHI2 * max(body.median_chi2, 1.0):
                 chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
@@ -124,7 +124,7 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
 
 
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
-    """The trajectory of a turning body as `SharedPaths` of K = 1."""
+    """The trajectory of a turning body as `SharedPaths` of K = 1: on a circle the acceleration changes as it turns."""
     offset, cov = np.zeros((1, N_SHARED)), np.zeros((1, N_SHARED, N_SHARED))
     offset[0, 6:9], cov[0, :9, :9] = body.turn_rad_s, body.path_cov
     quality = np.array([body.squares]), np.array([body.median_chi2])

@@ -278,7 +278,7 @@ def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Fl
 
 
 def _refined(movers: Movers, seen: SeenScene, views: BodyViews, key: Ints, config: BodiesConfig) -> Movers:
-    """Movers with trajectories refined by the tracks of their last labels."""
+    """Movers refined by the tracks of their last labels, as turning bodies where these explain them."""
     number = numbers_of(key, movers)
     has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
     track = np.flatnonzero(np.append(False, has_points)[number])
@@ -287,7 +287,7 @@ def _refined(movers: Movers, seen: SeenScene, views: BodyViews, key: Ints, confi
     steps = np.where(movers.n_found < _YOUNG_FRAMES, _YOUNG_STEPS, _OLD_STEPS)
     points = views.points(track, number[track] - 1)
     paths, rate_hz = stepped_movers(movers.paths, seen.scene, points, steps * has_points, movers.rate_hz)
-    paths, rate_hz = with_turning_bodies(views, seen, points, paths, rate_hz, config.scene_gate)
+    paths = with_turning_bodies(views, seen, points, paths, rate_hz, config.scene_gate)
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 

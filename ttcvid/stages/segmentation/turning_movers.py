@@ -27,27 +27,29 @@ _STEPS = 2
 
 def with_turning_bodies(
     views: BodyViews, seen: SeenScene, points: Points, movers: RigidPaths, rate_hz: Floats, gate: float
-) -> tuple[RigidPaths, Floats]:
-    """K movers and their inverse depths ``rate_hz (K,)``, 1/s, as turning bodies where these explain their tracks.
+) -> RigidPaths:
+    """K movers as turning bodies where these explain their tracks, in the units of their inverse depths.
 
-    ``points`` are the tracks of the movers; a reduced chi-square (over the usual one) above the ``gate`` contradicts a
-    trajectory. Most of its tracks have to contradict that of a mover: of somebody who walks, some always do.
+    ``rate_hz (K,)`` are these, 1/s, ``points`` the tracks of the movers; a reduced chi-square (over the usual one)
+    above the ``gate`` contradicts a trajectory. Most of its tracks have to contradict that of a mover: of somebody who
+    walks, some always do.
     """
     redchi = fit_on_movers(points, movers, rate_hz).redchi / seen.median_redchi
-    n_off, n_points = (np.bincount(points.thing, each, len(movers)) for each in (redchi > gate, np.ones(len(redchi))))
-    doubtful = np.flatnonzero((2 * n_off > n_points) & (n_points >= _LEAST_POINTS))
-    if not len(doubtful):
-        return movers, rate_hz
-    movers, rate_hz = movers.take(np.arange(len(movers))), rate_hz.copy()
-    for mover in doubtful:
+    n_off = np.bincount(points.thing, redchi > gate, len(movers))
+    n_points = np.bincount(points.thing, minlength=len(movers))
+    is_doubtful = (2 * n_off > n_points) & (n_points >= _LEAST_POINTS) & (rate_hz > 0.0)
+    movers = movers.take(np.arange(len(movers)))
+    for mover in np.flatnonzero(is_doubtful):
         is_own = points.thing == mover
         own = views.points(points.track[is_own])
         body, body_hz = _turning_body(views, seen.scene, own.track)
         body, own_hz = refined_movers(body, seen.scene, own, np.array([_STEPS]), np.full(len(own.track), body_hz))
         by_body = fit_on_movers(own, body, own_hz).redchi / seen.median_redchi
         if np.median(by_body) < _FITS and cost_of(by_body).sum() < cost_of(redchi[is_own]).sum():
-            movers.cam_R_past[mover], movers.path[mover], rate_hz[mover] = body.cam_R_past[0], body.path[0], own_hz[0]
-    return movers, rate_hz
+            # At the distance that it had: its last known position is in the same units.
+            movers.cam_R_past[mover] = body.cam_R_past[0]
+            movers.path[mover] = own_hz[0] / rate_hz[mover] * body.path[0]
+    return movers
 
 
 def _turning_body(views: BodyViews, scene: RigidPaths, tracks: Ints) -> tuple[RigidPaths, float]:
