@@ -50,7 +50,7 @@ def row_of(position_m, velocity_m_s, sigma_px=0.05, direction=None, cov=None, rn
 def only_row(motion, states, xy_px, expansion_hz=np.nan):
     """Row of one cluster by itself."""
     members = TrackSets.of([motion.members])
-    (row,) = rows_of([motion], members, states, xy_px, LINK_PX, np.array([expansion_hz]))
+    (row,), _ = rows_of([motion], members, states, xy_px, LINK_PX, np.array([expansion_hz]), 0.0, {})
     return row
 
 

@@ -26,7 +26,7 @@ def row_of(history):
     clusters = tuple(motions_of({1: np.arange(n)}, history, None, CAMERA, CONFIG))
     motions = FrameMotions(np.ones(n, np.int64), np.zeros(n, np.int64), clusters, 32.0, np.ones(n, bool))
     states, _ = track_rows(history, motions, CONFIG)
-    return cluster_rows(history, motions, states, CAMERA)[0]
+    return cluster_rows(history, motions, states, CAMERA, {})[0][0]
 
 
 def held(common_error_px):

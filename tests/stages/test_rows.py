@@ -117,7 +117,7 @@ def test_a_track_at_the_epipole_of_its_group_takes_the_time_of_its_surroundings(
 def test_the_scene_comes_first_and_objects_have_times_motion_and_rank(frame):
     history, motions, position_m, _ = frame
     states, _ = track_rows(history, motions, TWO_FRAME)
-    scene, car = cluster_rows(history, motions, states, CAMERA)
+    (scene, car), _ = cluster_rows(history, motions, states, CAMERA, {})
     assert (scene.cluster_id, scene.role, scene.n_tracks, scene.urgency_rank) == (0, "scene", STATIC, None)
     assert np.isnan(scene.times.ttc_z_s[0])
     assert (car.cluster_id, car.role, car.n_tracks, car.urgency_rank) == (4, "object", CAR, 1)
@@ -137,7 +137,7 @@ def test_the_pixel_of_a_point_without_a_ray_has_no_part_in_the_size_of_its_objec
     history = replace(history, rays=rays, common_error_px=0.3)
     states, _ = track_rows(history, motions, TWO_FRAME)
     both = history, replace(history, xy_px=far_px)
-    near, far = (cluster_rows(one, motions, states, CAMERA)[1] for one in both)
+    near, far = (cluster_rows(one, motions, states, CAMERA, {})[0][1] for one in both)
     np.testing.assert_array_equal(near.state_cov, far.state_cov)
 
 
@@ -149,7 +149,7 @@ def test_objects_are_seen_where_the_camera_rests(frame):
     motions = motions_of(history, cluster, known=(False, True))
     states, rows = track_rows(history, motions, TWO_FRAME)
     assert (rows.status[:STATIC] == Status.no_parallax).all()
-    scene, car = cluster_rows(history, motions, states, CAMERA)
+    (scene, car), _ = cluster_rows(history, motions, states, CAMERA, {})
     assert scene.motion_state == MotionState.no_relative_motion
     assert scene.epipole_px is None
     assert car.times.ttc_z_s[0] == pytest.approx(2.5, rel=1e-6)

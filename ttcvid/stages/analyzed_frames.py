@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from ttcvid.model import ClusterRow, FrameResult, FrameStatus, Platform, TrackRows
+from ttcvid.stages.objects.consistency import PastStates
 from ttcvid.stages.objects.reached_first import Since, nearest_object
 from ttcvid.stages.rows import closing_of_cluster, cluster_rows, no_tracks, track_rows
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
@@ -26,10 +27,11 @@ class AnalyzedFrame:
 
 @dataclass(frozen=True)
 class RowMemory:
-    """What the rows of a frame rest on of those before: warnings, and who approaches since when."""
+    """What the rows of a frame rest on of those before: warnings, who approaches since when, and states."""
 
     watch: EventMemory = field(default_factory=EventMemory)
     since: Since = field(default_factory=dict)
+    states: PastStates = field(default_factory=dict)
 
 
 def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameResult, RowMemory]:
@@ -43,7 +45,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         return replace(nothing, horizon_px=line_px, events=events), memory
     if item.status == FrameStatus.cut:
         memory = RowMemory(restarted_events(memory.watch))
-    tracks, clusters = _rows(seen, clip)
+    tracks, clusters, states = _rows(seen, clip, memory.states)
     config, step_s = clip.config.events, seen.history.step_s
     closing_of = partial(closing_of_cluster, history=seen.history, motions=seen.motions, least_s=config.persistence_s)
     platform = clip.config.egomotion.platform
@@ -65,7 +67,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         horizon_px=line_px,
         events=events,
     )
-    return result, RowMemory(watch, since)
+    return result, RowMemory(watch, since, states)
 
 
 def smoothed(analyzed: Iterable[AnalyzedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
@@ -99,16 +101,17 @@ def _estimated_again(
     if item.seen is None:
         return item, memory
     tracks, clusters = item.result.tracks, item.result.clusters
+    states = {} if item.result.status == FrameStatus.cut else memory.states
     if later:
         seen = seen_again(item.seen, later, clip.camera, clip.config)
-        tracks, clusters = _rows(seen, clip)
+        tracks, clusters, states = _rows(seen, clip, states)
     since = {} if item.result.status == FrameStatus.cut else memory.since
     nearest, since = nearest_object(since, item.result.t_s, clusters, clip.config)
     result = replace(item.result, tracks=tracks, clusters=clusters, nearest=nearest)
-    return replace(item, result=result), replace(memory, since=since)
+    return replace(item, result=result), replace(memory, since=since, states=states)
 
 
-def _rows(seen: Seen, clip: Clip) -> tuple[TrackRows, tuple[ClusterRow, ...]]:
-    """Rows of tracks and clusters."""
+def _rows(seen: Seen, clip: Clip, past: PastStates) -> tuple[TrackRows, tuple[ClusterRow, ...], PastStates]:
+    """Rows of tracks and clusters, and the states of objects seen so far."""
     states, tracks = track_rows(seen.history, seen.motions, clip.config.collision_times, seen.plane)
-    return tracks, cluster_rows(seen.history, seen.motions, states, clip.camera)
+    return tracks, *cluster_rows(seen.history, seen.motions, states, clip.camera, past)

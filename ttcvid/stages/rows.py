@@ -14,6 +14,7 @@ from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, CollisionTimes, Floa
 from ttcvid.stages.egomotion.flows import select_flows
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ranked, rows_of, with_epipole_pixels, with_times
+from ttcvid.stages.objects.consistency import PastStates
 from ttcvid.stages.objects.constant_bearing import EXPANSION_FRAMES, with_expansions
 from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.paper_track_states import three_frame_states, track_directions, two_frame_states
@@ -52,23 +53,24 @@ def track_rows(
 
 
 def cluster_rows(
-    history: TrackHistory, motions: FrameMotions, states: TrackStates, camera: Camera
-) -> tuple[ClusterRow, ...]:
-    """Rows of the scene and of all objects, ascending in ``cluster_id``."""
+    history: TrackHistory, motions: FrameMotions, states: TrackStates, camera: Camera, past: PastStates
+) -> tuple[tuple[ClusterRow, ...], PastStates]:
+    """Rows of the scene and of all objects, ascending in ``cluster_id``, and the states seen so far."""
     members = TrackSets.of([motion.members for motion in motions.clusters])
-    past = history.now - min(EXPANSION_FRAMES, history.n_past)
-    gap_s = -float(history.since_s[past])
+    view = history.now - min(EXPANSION_FRAMES, history.n_past)
+    gap_s = -float(history.since_s[view])
     # The scene's picture expands differently at each depth.
     is_object = np.array([motion.cluster_id != SCENE_CLUSTER for motion in motions.clusters], dtype=bool)
     nothing = np.empty(0, dtype=np.int64)
     objects = [motion.members if asked else nothing for motion, asked in zip(motions.clusters, is_object, strict=True)]
-    expansion_hz = _expansions(history, objects, past, gap_s)
-    rows = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, expansion_hz)
+    expansion_hz = _expansions(history, objects, view, gap_s)
+    t_s = float(history.t_s[-1])
+    rows, past = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, expansion_hz, t_s, past)
     # Without a ray, outside of the lens model, a point has no part in the size.
     xy_px = np.where(np.isfinite(history.rays[history.now, :, :1]), history.xy_px, np.nan)
     radius_px = members.radii(xy_px, is_object)
     rows = with_common_errors(rows, members, radius_px, _age_s(history), gap_s, history.common_error_px, camera)
-    return tuple(ranked(with_times(with_epipole_pixels(rows, camera), camera)))
+    return tuple(ranked(with_times(with_epipole_pixels(rows, camera), camera))), past
 
 
 def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMotions, least_s: float) -> Closing | None:

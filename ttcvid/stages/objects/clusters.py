@@ -26,6 +26,7 @@ from ttcvid.model import (
     MotionState,
     Status,
 )
+from ttcvid.stages.objects.consistency import PastStates, with_consistent_covariances
 from ttcvid.stages.objects.joint_states import JointStates, joint_states
 from ttcvid.stages.objects.near_face import front_boxes
 from ttcvid.stages.objects.states import TrackStates
@@ -85,7 +86,9 @@ def rows_of(
     xy_px: Floats,
     link_px: float,
     expansion_hz: Floats,
-) -> list[ClusterRow]:
+    t_s: float,
+    past: PastStates,
+) -> tuple[list[ClusterRow], PastStates]:
     """Rows of K clusters; those of objects have the state of their nearest surface, and no times yet (`with_times`).
 
     The scene has no state: it has many depths. ``states, xy_px, link_px`` are of all tracks, as for `joint_states`,
@@ -96,6 +99,8 @@ def rows_of(
     is_static = np.array([motion.is_static for motion in motions], dtype=bool)
     is_one = np.array([motion.is_one_surface for motion in motions], dtype=bool)
     joint = joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_one, states, xy_px, link_px)
+    numbers = [motions[place].cluster_id for place in joint.owner]
+    joint, past = with_consistent_covariances(joint, numbers, t_s, past)
     stated: dict[int, dict[str, Any]] = {}
     fronts = front_boxes(members, joint, states, xy_px).tolist()
     for k, place in enumerate(joint.owner.tolist()):
@@ -119,10 +124,11 @@ def rows_of(
         motion_ids(is_scene | is_static, believed, believed_cov),
         strict=True,
     )
-    return [
+    rows = [
         _row(motion, *each, stated.get(place, {}))
         for place, (motion, each) in enumerate(zip(motions, facts, strict=True))
     ]
+    return rows, past
 
 
 def _row(

@@ -27,8 +27,6 @@ from ttcvid.stages.tracking.history import TrackHistory
 _RATE_SIGMAS = 2.0
 # The whole velocity may be zero inside 95 % of a 3-D Gaussian.
 _NO_MOTION_CHI2 = float(chdtri(3, 0.05))
-# Acceleration does not last: by this part of itself it is another one now than over the views. Brakes come and go.
-_ACCELERATION_CHANGE = 0.5
 # Information below this part of its own diagonal is rounding.
 _ROUNDING = 1e-12
 
@@ -117,8 +115,6 @@ def _on_paths(
     )
     redchi = _redchi(path_of, rates, len(paths.direction))
     shared_cov = paths.cov * redchi[:, None, None]
-    bend = _ACCELERATION_CHANGE * paths.offset[:, 3:6]
-    shared_cov[:, 3:6, 3:6] += bend[:, :, None] * bend[:, None, :]
     own_cov = paths.direction_cov
     direction_variance = redchi * (own_cov[:, 0, 0] + own_cov[:, 1, 1] + own_cov[:, 2, 2])
     # `NO_PATH` picks the last one.
