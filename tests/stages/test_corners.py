@@ -37,6 +37,26 @@ def test_plain_picture_has_no_corners_and_sensor_noise_makes_none():
     assert find_corners(noisy, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE).shape == (0, 2)
 
 
+@pytest.mark.parametrize("anywhere", [False, True])
+def test_no_corner_stands_on_a_line_between_its_ends(anywhere):
+    """The kerb of a bend: its windows would slip, and say that nothing turns."""
+    picture = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    first, last = np.array([30, HEIGHT - 40]), np.array([WIDTH - 40, 30])
+    cv2.line(picture, first.tolist(), last.tolist(), 200, 5, cv2.LINE_AA)
+    picture = np.rint(picture + np.random.default_rng(5).normal(0, 2.0, picture.shape)).astype(np.uint8)
+    if anywhere:
+        found = find_corners_where(picture, np.ones_like(picture), NO_POINTS, 100, 7.0)
+    else:
+        found = find_corners(picture, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE)
+    length_px = np.linalg.norm(last - first)
+    along = (last - first) / length_px
+    is_on_line = np.abs((found - first) @ [-along[1], along[0]]) < 5.0
+    place_px = (found[is_on_line] - first) @ along
+    assert (np.abs(place_px) < 12.0).any()
+    assert (np.abs(place_px - length_px) < 12.0).any()
+    assert not ((place_px > 12.0) & (place_px < length_px - 12.0)).any()
+
+
 def test_a_tree_does_not_take_all_corners():
     """A quarter of the picture has three times the contrast; the rest keeps its share all the same."""
     picture = wave_picture().astype(float) - 128

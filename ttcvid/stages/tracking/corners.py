@@ -21,6 +21,10 @@ _WHOLE_PIXELS, _BAND_PIXELS = 2_500_000, 500_000
 # 0..1): below it a "corner" is sensor noise of a plain surface.
 _MIN_RESPONSE = 2e-5
 
+# A corner has gradients in two directions within about a tracker's window, of this side at half of the resolution: the
+# r.m.s. of the lesser is at least a quarter of that of the greater. For a ratio r of the eigenvalues the constant of
+# Harris and Stephens is r / (1 + r)^2; r = 18.
+_HALF_WINDOW_PX, _HARRIS_K = 7, 0.05
 # Corners are weighed against what is around them within this square, px.
 _AROUND_PX = 65
 # Of the corners within a square of so many grid cells, less than this part is followed where something new is to be
@@ -82,7 +86,7 @@ def find_corners(
     response = _response(grey)
     # A stride of 4 in both axes leaves the percentile as it is and takes a sixteenth of the time.
     threshold = max(_MIN_RESPONSE, quality * float(np.percentile(response[::4, ::4], 99.9)))
-    x, y = _peaks(response, threshold, allowed)
+    x, y = _peaks(grey, response, threshold, allowed)
     taken = occupied_cells(xy_taken_px, shape, min_distance_px)
     cell = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
     first = np.argsort(-response[y, x], kind="stable")
@@ -114,7 +118,7 @@ def find_corners_where(
     if n_wanted <= 0:
         return np.empty((0, 2))
     response = _response(grey)
-    x, y = _peaks(response, _MIN_RESPONSE, where)
+    x, y = _peaks(grey, response, _MIN_RESPONSE, where)
     first = np.argsort(-response[y, x], kind="stable")
     xy = np.empty((0, 2))
     for distance_px in (min_distance_px, _CLOSE_PART * min_distance_px):
@@ -145,6 +149,20 @@ def _response(grey: Picture) -> NDArray[Any]:
     return response
 
 
+def _on_corners(grey: Picture, x: Ints, y: Ints) -> Bools:
+    """Which of the pixels (N,) have gradients in two directions in a tracker's window about them.
+
+    Where they are in one only, a window slips along its edge: the kerb of a bend stands still in the picture of whoever
+    drives along it, and turns own motion. Source: Harris and Stephens (1988); half of the resolution will do.
+    """
+    half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    response = np.empty(half.shape, dtype=np.float32)
+    for rows, around, inner in _bands(half.shape, _HALF_WINDOW_PX + 1):
+        response[rows] = cv2.cornerHarris(half[around], _HALF_WINDOW_PX, 3, _HARRIS_K)[inner]
+    row, column = np.minimum(y // 2, half.shape[0] - 1), np.minimum(x // 2, half.shape[1] - 1)
+    return np.asarray(response[row, column] > 0.0)
+
+
 def _mean_around(response: NDArray[Any], x: Ints, y: Ints) -> NDArray[Any]:
     """Mean response (N,) in the square around each place; the places in order of their rows."""
     mean = np.empty(len(x), dtype=np.float32)
@@ -154,8 +172,8 @@ def _mean_around(response: NDArray[Any], x: Ints, y: Ints) -> NDArray[Any]:
     return mean
 
 
-def _peaks(response: NDArray[Any], threshold: float, allowed: Picture | None) -> tuple[Ints, Ints]:
-    """Columns and rows (N,) of the local maxima above a threshold."""
+def _peaks(grey: Picture, response: NDArray[Any], threshold: float, allowed: Picture | None) -> tuple[Ints, Ints]:
+    """Columns and rows (N,) of the local maxima above a threshold that are no edges."""
     is_peak = np.empty(response.shape, dtype=bool)
     for rows, around, inner in _bands(response.shape, 1):
         highest = cv2.dilate(response[around], np.ones((3, 3), np.uint8))[inner]
@@ -167,7 +185,8 @@ def _peaks(response: NDArray[Any], threshold: float, allowed: Picture | None) ->
         is_peak &= allowed > 0
     # As fast as np.nonzero of two axes is slow.
     y, x = np.divmod(np.flatnonzero(is_peak), response.shape[1])
-    return x, y
+    is_corner = _on_corners(grey, x, y)
+    return x[is_corner], y[is_corner]
 
 
 def _bare_cells(with_corner: tuple[Ints, Ints], taken: Bools) -> Bools:
