@@ -162,10 +162,7 @@ class PointSet:
     """Observed points of one picture.
 
     ``track_id (N,)`` ascending and unique; ``xy_px (N, 2)`` distorted source pixels. ``window_px (N, 2)`` where the
-    windows stand by which a tracker follows them, None where they stand about the points. ``edge (N, 2)`` how far each
-    window was on an edge when its track began, None where that is not known: ``(l1 - l2) / (l1 + l2)`` of its gradient
-    matrix's eigenvalues, 0 for a corner and 1 for an edge, times (cos, sin) of twice the angle across it, from x to y
-    in that picture: a camera that has rolled since by more than some 10 deg makes it a corner. ``common_error_px`` is
+    windows stand by which a tracker follows them, None where they stand about the points. ``common_error_px`` is
     what the points of a thing err by together (standard deviation at its outline): 0 where each errs by itself.
     ``unseen_id (M,)`` are tracks not observed in this picture that may come back, ascending; None: any track may.
     """
@@ -173,7 +170,6 @@ class PointSet:
     track_id: Ints
     xy_px: Floats
     window_px: Floats | None = None
-    edge: Floats | None = None
     common_error_px: float = 0.0
     unseen_id: Ints | None = None
 
@@ -189,16 +185,10 @@ class PointSet:
         """Where the windows stand by which the points are followed: (N, 2)."""
         return self.xy_px if self.window_px is None else self.window_px
 
-    @property
-    def edges(self) -> Floats:
-        """How far the windows were on edges, 0 where that is not known: (N, 2)."""
-        return np.zeros_like(self.xy_px) if self.edge is None else self.edge
-
     def take(self, points: Bools) -> PointSet:
         """The points of a mask ``(N,)``."""
-        window_px, edge = (None if part is None else part[points] for part in (self.window_px, self.edge))
-        track_id, xy_px = self.track_id[points], self.xy_px[points]
-        return replace(self, track_id=track_id, xy_px=xy_px, window_px=window_px, edge=edge)
+        window_px = None if self.window_px is None else self.window_px[points]
+        return replace(self, track_id=self.track_id[points], xy_px=self.xy_px[points], window_px=window_px)
 
 
 NO_POINTS = PointSet(np.empty(0, dtype=np.int64), np.empty((0, 2)))

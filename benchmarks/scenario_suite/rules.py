@@ -109,12 +109,6 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.ground_contact.find_contacts": _no_contacts},
         _stage("segmentation/ground_contact"),
     ),
-    "slipping": Rule(
-        "windows that slip along an edge make no mover",
-        "slips",
-        {"stages.segmentation.aperture_problem.may_slip": _zeros(0)},
-        _stage("segmentation/aperture_problem"),
-    ),
     "spreading": Rule(
         "new movers that keep their bearing and spread",
         "births",

@@ -24,10 +24,7 @@ NOTHING_KNOWN = BodyMemory()
 
 @dataclass(frozen=True)
 class Thing:
-    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static.
-
-    ``edge`` is that of all their windows, as in `PointSet`.
-    """
+    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static."""
 
     points: np.ndarray
     velocity_m_s: tuple = (0.0, 0.0, 0.0)
@@ -35,7 +32,6 @@ class Thing:
     yaw_rad_s: float = 0.0
     frames: tuple = (0, 10**9)
     hidden: range = range(0)
-    edge: tuple = (0.0, 0.0)
 
     def at(self, t_s):
         centre = self.points.mean(axis=0)
@@ -149,8 +145,7 @@ def bodies_of(
         shown = np.argsort(names)
         shown = shown[is_seen[shown]]
         rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / FOCAL_PX, np.ones(len(xy_px))]))
-        edges = np.array([thing.edge for thing in things])[numbers]
-        points = PointSet(names[shown], xy_px[shown], edge=edges[shown])
+        points = PointSet(names[shown], xy_px[shown])
         history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES)
         if not frame:
             continue

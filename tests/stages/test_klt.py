@@ -133,19 +133,6 @@ def test_tracks_keep_their_numbers_and_new_ones_get_fresh_numbers():
     assert memory.next_track_id == max(seen) + 1
 
 
-def test_how_far_a_track_is_on_an_edge_stays_with_it():
-    memory = start_klt(wave_picture(), None, CONFIG)
-    first = {}
-    for step in range(1, 6):
-        for number, edge in zip(memory.points.track_id.tolist(), memory.points.edges.tolist(), strict=True):
-            assert first.setdefault(number, edge) == edge
-        memory, _ = follow_klt(memory, wave_picture(Warp(shift_px=(9.0 * step, 0.0))), None, CONFIG)
-    lengths = np.linalg.norm(list(first.values()), axis=1)
-    assert (lengths > 0.0).all()
-    assert (lengths <= 1.0).all()
-    assert len(np.unique(lengths)) > 0.9 * len(lengths)
-
-
 def test_tracks_that_die_are_replaced_apart_from_those_that_live():
     config = replace_config(max_tracks=150)
     memory = start_klt(wave_picture(), None, config)

@@ -18,7 +18,7 @@ from ttcvid.stages.horizon.driving import own_motions, own_step
 from ttcvid.stages.horizon.straight_motion import Motion
 from ttcvid.stages.horizon.straight_motions import find_motions
 from ttcvid.stages.horizon.whole_tracks import Observations, joined, observations_of, recentred, without_ended_at_rest
-from ttcvid.stages.tracking.content import window_contents
+from ttcvid.stages.tracking.content import content_offsets
 from ttcvid.stages.tracking.moving_parts import (
     Background,
     StreetSample,
@@ -159,7 +159,7 @@ def _moving_content(
             parts = _with_points(parts, points, frame)
             if frame.index % _CENTRE_FRAMES == 0:
                 windows_px = points.windows_px
-                found = windows_px + window_contents(frame.grey, windows_px, config.tracking.window_px)[0]
+                found = windows_px + content_offsets(frame.grey, windows_px, config.tracking.window_px)
                 centres.append(observations_of(PointSet(points.track_id, found), frame.index, frame.t_s))
     return recentred(joined(parts), joined(centres)), silhouettes
 

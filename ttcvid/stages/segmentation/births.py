@@ -14,7 +14,6 @@ from ttcvid.geometry.estimation.track_state import fit_whole_tracks
 from ttcvid.geometry.medians import row_medians
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats, Ints, Platform
-from ttcvid.stages.segmentation.aperture_problem import may_slip
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, tracks_needed
@@ -47,14 +46,12 @@ class _Things:
     needed : ``(K,)`` least number of tracks that it has to explain significantly better than the scene.
     least_part : least part of its tracks that it has to explain so.
     is_along : ``(N,)`` tracks that contradict the scene by their depth alone.
-    edge : ``(N, 2)`` as in `PointSet`: how far each window is on an edge, along which it may slip (aperture problem).
     """
 
     members: list[tuple[Ints, Floats]]
     needed: Ints
     least_part: float
     is_along: Bools
-    edge: Floats
 
 
 def new_movers(
@@ -79,16 +76,14 @@ def new_movers(
     are_few_enough = seen.platform != Platform.aircraft
     members = expanding_movers(views, seen, may_spread, candidates, config, few_are_enough=are_few_enough)
     nowhere = np.zeros_like(in_scene)
-    things = _Things(members, tracks_needed(members, config), 0.0, nowhere, np.zeros_like(views.edge))
+    things = _Things(members, tracks_needed(members, config), 0.0, nowhere)
     spread, paths, rate_hz = _explained(views, seen, things, config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)
     is_along = (seen.redchi > config.scene_gate) & (seen.seen_redchi < config.scene_gate)
     members = _alike_things(views, seen.scene, candidates, is_along, config)
-    # Without camera translation all surfaces have the same flow, and no window slips.
-    edge = views.edge if seen.moves_past else np.zeros_like(views.edge)
     # What just moves alike contradicts the scene track by track, at constant bearing only what is at its edges does.
-    things = _Things(members, np.full(len(members), config.min_tracks), _MOST, is_along, edge)
+    things = _Things(members, np.full(len(members), config.min_tracks), _MOST, is_along)
     alike, alike_paths, alike_hz = _explained(views, seen, things, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
@@ -116,11 +111,7 @@ def _explained(
     saved = cost_of(redchi[track]) - cost_of(redchi_by_own)
     is_found = np.bincount(thing, saved) > cost_of_birth(things.needed, config)
     is_found &= np.bincount(thing, is_better) > things.least_part * np.bincount(thing)
-    if is_found.any():
-        xy = turned_into_plane(views.rays.take(track, axis=1), scene.cam_R_past[0])
-        gate = config.scene_gate * median_redchi
-        slips = may_slip(things.edge[track], xy, scene.path[0], views.sigma_norm[track], gate)
-        is_found &= np.bincount(thing, is_better & (~slips | is_along[track])) >= things.needed
+    is_found &= np.bincount(thing, is_better) >= things.needed
     found = np.flatnonzero(is_found)
     return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 

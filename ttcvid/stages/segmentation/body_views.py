@@ -26,7 +26,7 @@ class BodyViews:
     """N tracks over L views.
 
     ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as `views_by_track`;
-    ``sigma_norm (N,)``; ``xy_px (N, 2)`` now; ``edge (N, 2)`` as in `PointSet`; ``t_s (L,)``; ``is_free (N,)`` tracks
+    ``sigma_norm (N,)``; ``xy_px (N, 2)`` now; ``t_s (L,)``; ``is_free (N,)`` tracks
     not frozen to their pixel; ``link_px`` the distance within which two tracks are neighbours.
     """
 
@@ -34,7 +34,6 @@ class BodyViews:
     rays_by_track: Floats
     sigma_norm: Floats
     xy_px: Floats
-    edge: Floats
     t_s: Floats
     focal_px: float
     is_free: Bools
@@ -87,7 +86,6 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
         views_by_track(history.rays),
         sigma_norm,
         history.xy_px,
-        history.edge,
         history.t_s,
         history.focal_px,
         is_free,

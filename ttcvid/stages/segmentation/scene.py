@@ -49,8 +49,7 @@ class SeenScene:
 
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
     each: of a scene at rest, without motion. ``redchi (N,)``, in units of what is usual, ``median_redchi``, with
-    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera;
-    ``moves_past``: the camera is seen to move past the scene.
+    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera.
     """
 
     scene: RigidPaths
@@ -62,7 +61,6 @@ class SeenScene:
     median_redchi: float
     road: RoadMemory
     platform: Platform
-    moves_past: bool
 
     @property
     def camera_rests(self) -> bool:
@@ -118,7 +116,7 @@ def see_scene(
         road_before = road_before.in_units(speed)
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
         redchi = _with_contradictions(redchi, road, on_road(fit, road), key, fit.n_views, config)
-    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform, moves_past)
+    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform)
 
 
 def _scene(

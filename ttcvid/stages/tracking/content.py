@@ -1,4 +1,4 @@
-"""Where the content lies that a Lucas-Kanade window follows, and whether it is an edge (aperture problem)."""
+"""Where the content lies that a Lucas-Kanade window follows."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ttcvid.model import Floats, Picture
 _LEAST_CORNER = 1e-3
 
 
-def window_contents(grey: Picture, xy_px: Floats, window_px: int) -> tuple[Floats, Floats]:
-    """From points to the content that windows about them follow, and how far these are on edges.
+def content_offsets(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
+    """From points to the content that windows about them follow.
 
     A Lucas-Kanade step is ``H^-1 sum(g g' d)`` over the window, with gradients g, ``H = sum(g g')`` and the
     displacement d of each pixel. Where d is a shift and an expansion about any point, that is d at
@@ -27,24 +27,22 @@ def window_contents(grey: Picture, xy_px: Floats, window_px: int) -> tuple[Float
 
     Returns
     -------
-    Offsets ``(N, 2)`` px, NaN where a window holds no corner; edges ``(N, 2)`` as in `PointSet`, 0 on a plain surface.
+    Offsets ``(N, 2)`` px, NaN where a window holds no corner.
 
-    Source: the normal equations of Lucas and Kanade (1981); the point is that of Foerstner and Guelch (1987), the
-    length of an edge the coherence of Bigun and Granlund (1987).
+    Source: the normal equations of Lucas and Kanade (1981); the point is that of Foerstner and Guelch (1987).
     """
     if not len(xy_px):
-        return np.empty((0, 2)), np.empty((0, 2))
+        return np.empty((0, 2))
     (gx, gy), reach = _window_gradients(grey, xy_px, window_px // 2), window_px // 2
     from_middle = np.arange(-reach, reach + 1, dtype=np.float64)
     along = gx * from_middle + gy * from_middle[:, None]
     xx, xy, yy = (np.einsum("nvu,nvu->n", *pair) for pair in ((gx, gx), (gx, gy), (gy, gy)))
     side_x, side_y = (np.einsum("nvu,nvu->n", one, along) for one in (gx, gy))
-    edge = np.stack([xx - yy, 2.0 * xy], axis=1) / np.maximum(xx + yy, 1.0)[:, None]
     determinant = xx * yy - xy * xy
     determinant = np.where(determinant > _LEAST_CORNER * (xx + yy) ** 2, determinant, np.nan)
     offset = np.stack([yy * side_x - xy * side_y, xx * side_y - xy * side_x], axis=1) / determinant[:, None]
     offset[~(np.abs(offset).max(axis=1) <= window_px / 2)] = np.nan
-    return offset, edge
+    return np.asarray(offset)
 
 
 def _window_gradients(grey: Picture, xy_px: Floats, reach: int) -> Floats:

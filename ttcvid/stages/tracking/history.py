@@ -59,7 +59,7 @@ class TrackHistory:
     ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not observed; ``sigma_px (N,)`` noise of
     one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its evidence and ``pool_sigma_px`` the noise of
     all tracks together; ``plane_per_px (N,)`` how much of the plane z = 1 a pixel spans where each track is
-    (`pinhole.plane_per_px`); ``edge (N, 2)`` and ``common_error_px`` as in `PointSet`. ``scene`` is the path of the
+    (`pinhole.plane_per_px`); ``common_error_px`` as in `PointSet`. ``scene`` is the path of the
     static scene as its tracks see it together (`egomotion.scene_trajectory`), None until found in this frame. ``now``
     is the entry of the present frame, counted from the end: the last one, but where a frame is looked at once more with
     views of later ones (`stages.smoothing`). ``lost`` are tracks that may come back.
@@ -79,7 +79,6 @@ class TrackHistory:
     noise_weight: Floats
     pool_sigma_px: float
     plane_per_px: Floats
-    edge: Floats
     camera: Camera
     common_error_px: float = 0.0
     scene: SharedPaths | None = None
@@ -196,7 +195,6 @@ def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
         noise_weight=np.empty(0),
         pool_sigma_px=sigma_start_px,
         plane_per_px=np.empty(0),
-        edge=np.empty((0, 2)),
         camera=camera,
     )
 
@@ -246,7 +244,6 @@ def extended(
         noise_sum=carried(history.noise_sum, 0.0),
         noise_weight=carried(history.noise_weight, 0.0),
         plane_per_px=plane_per_px(history.camera, rays),
-        edge=points.edges,
         common_error_px=points.common_error_px,
         lost=_lost_tracks(history, points, kept),
     )

@@ -17,7 +17,7 @@ from ttcvid.config import TrackingConfig
 from ttcvid.geometry.medians import median
 from ttcvid.model import NO_POINTS, Bools, Floats, Ints, Picture, PointSet
 from ttcvid.stages.tracking.changes import changed_places
-from ttcvid.stages.tracking.content import window_contents
+from ttcvid.stages.tracking.content import content_offsets
 from ttcvid.stages.tracking.corners import find_corners, find_corners_where
 
 # Lucas-Kanade ends after so many iterations or when a step is shorter than this, px. Ended at 0.03 px it leaves errors
@@ -285,7 +285,7 @@ def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> K
 def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config: TrackingConfig) -> KltMemory:
     """The tracks, and those that begin at corners ``new_px (M, 2)`` of the picture."""
     grey, points = memory.grey, memory.points
-    offset_px, edge = window_contents(grey, new_px, config.window_px)
+    offset_px = content_offsets(grey, new_px, config.window_px)
     content_px = new_px + np.nan_to_num(offset_px)
     is_visible = _is_inside(content_px, grey) if allowed is None else _is_allowed(allowed, content_px)
     content_px = np.where(is_visible[:, None], content_px, new_px)
@@ -294,7 +294,6 @@ def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config
         np.concatenate([points.track_id, np.arange(memory.next_track_id, next_track_id)]),
         np.concatenate([points.xy_px, content_px]),
         np.concatenate([points.windows_px, new_px]),
-        np.concatenate([points.edges, edge]),
     )
     step_px = np.concatenate([memory.step_px, np.full_like(new_px, np.nan)])
     n_copied = np.append(memory.n_copied, np.zeros(len(new_px), dtype=np.int64))
