@@ -310,8 +310,7 @@ class ClusterRow:
     ``direction`` (3,) is ``dir``, None where there is no epipole, with ``direction_cov`` (3, 3) in rad^2 in its
     tangent plane. ``epipole_px`` (2,) is None within 1 deg of the picture plane. ``state_abc_hz`` (3,) is
     (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2; as the centroid of a surface
-    it has the standard error ``ref_sigma`` (x, y in the plane z = 1), and ``relief`` is that of the inverse depth of
-    its nearest point, relative. ``times`` has one row. ``method`` names how the
+    it has the standard error ``ref_sigma`` (x, y in the plane z = 1). ``times`` has one row. ``method`` names how the
     epipole was found. ``front_px`` is the box of what of it is as near as the reference point, None where that is not
     known. ``horizon_offset`` is None without a horizon.
     """
@@ -331,7 +330,6 @@ class ClusterRow:
     horizon_offset: HorizonOffset | None = None
     ref_px: tuple[float, float] | None = None
     ref_sigma: tuple[float, float] = (0.0, 0.0)
-    relief: float = 0.0
     front_px: tuple[float, float, float, float] | None = None
     state_abc_hz: Floats | None = None
     state_cov: Floats | None = None

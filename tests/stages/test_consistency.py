@@ -12,7 +12,7 @@ ACROSS_HZ = np.array([0.2, -0.01, 0.0])
 
 
 def state_of(abc_hz, cov):
-    return JointStates(np.array([0]), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), abc_hz[None], cov[None])
+    return JointStates(np.array([0]), np.zeros((1, 2)), np.zeros((1, 2)), abc_hz[None], cov[None])
 
 
 def variances_of(errors_hz, step_s=0.05, start_hz=ACROSS_HZ, number=lambda k: 7):

@@ -163,38 +163,7 @@ def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_pla
     cov += by_shared @ shared.cov[0] @ by_shared.T
     cov += off.sum() ** 2 / np.sum(off**2) * np.einsum("n,nij->ij", off**2, states.cov[9:])
     offset = np.column_stack([states.xy - weight @ states.xy, np.zeros(count)])
+    np.testing.assert_allclose(joint.ref_sigma, [np.linalg.norm(weight[:, None] * offset[:, :2], axis=0)], rtol=1e-9)
     by_place = np.cross(shared.turn_rad_s[0], offset)
     place_cov = 3.0 * np.einsum("n,ni,nj->ij", weight, by_place, by_place)
-    rate_hz = np.append(shared.rate_hz[:9], states.abc_hz[9:] @ TO_US)
-    variance = np.append(shared.rate_variance[:9], np.einsum("i,nij,j->n", TO_US, states.cov[9:], TO_US))
-    relief = weight @ ((rate_hz - weight @ rate_hz) ** 2 - 2.0 * variance)
-    np.testing.assert_allclose(joint.relief, [np.sqrt(max(relief, 0.0)) / np.linalg.norm(mean)], rtol=1e-9)
     np.testing.assert_allclose(joint.cov, [cov + place_cov], rtol=1e-9)
-
-
-def test_the_nearest_point_of_a_surface_is_as_uncertain_as_its_relief_and_what_is_nearer_and_too_small():
-    """Four tracks, too few for a surface, are a tenth nearer than the fourteen of the surface, which are plane."""
-    count = 18
-    rate_hz = np.where(np.arange(count) < 4, 1.1, 1.0) * RATE_HZ
-    shared = replace(
-        nothing_shared(count),
-        path_of=np.zeros(count, dtype=np.int64),
-        along=TO_US[None],
-        rate_hz=rate_hz,
-        rate_variance=np.full(count, 1e-8),
-    )
-    xy = 0.01 * np.column_stack([np.arange(count) % 5, np.arange(count) // 5])
-    states = TrackStates(
-        xy=xy,
-        abc_hz=rate_hz[:, None] * TO_US,
-        cov=np.tile(1e-8 * np.eye(3), (count, 1, 1)),
-        sigma_norm=np.full(count, 1e-4),
-        direction=np.tile(TO_US, (count, 1)),
-        status=np.zeros(count, dtype=np.int64),
-        shared=shared,
-    )
-    members, is_one = TrackSets.of([np.arange(count)]), np.array([False])
-    joint = joint_states(members, TO_US[None], is_one, states, FOCAL_PX * xy, LINK_PX)
-    np.testing.assert_allclose(joint.abc_hz, [RATE_HZ * TO_US], rtol=1e-9)
-    np.testing.assert_allclose(joint.relief, [0.1 * np.sqrt(0.5)], rtol=1e-2)
-    np.testing.assert_allclose(joint.ref_sigma, [np.std(xy[4:], axis=0) / np.sqrt(14)], rtol=1e-9)

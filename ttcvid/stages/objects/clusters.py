@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from ttcvid.model import (
     Bools,
     Camera,
     ClusterRow,
-    CollisionTimes,
     Floats,
     HorizonOffset,
     Ints,
@@ -109,7 +108,6 @@ def rows_of(
             "ref_px": tuple(joint.ref_px[k].tolist()),
             "ref_sigma": tuple(joint.ref_sigma[k].tolist()),
             "front_px": tuple(fronts[k]),
-            "relief": float(joint.relief[k]),
             "state_abc_hz": joint.abc_hz[k],
             "state_cov": joint.cov[k],
         }
@@ -227,36 +225,13 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     cov = np.array([rows[place].state_cov for place in stated])
     # The centroid of the surface is known by its tracks; as a point that is looked at, it has no error.
     ref_sigma = np.transpose([rows[place].ref_sigma for place in stated])
-    # The nearest point of a surface is nearer than its mean: that widens the near ends of times.
-    of_relief_hz = np.array([rows[place].relief for place in stated])[:, None] * abc_hz
-    with_relief = cov + of_relief_hz[:, :, None] * of_relief_hz[:, None, :]
-    times = _with_near_ends(
-        collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, ref_sigma),
-        collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, with_relief, ref_sigma),
-    )
+    times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, ref_sigma)
     rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, np.full(len(stated), _EXACT))
     sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
     rows = list(rows)
     for i, (place, rate, sigma) in enumerate(zip(stated, rates.tolist(), sigmas.tolist(), strict=True)):
         rows[place] = rows[place].changed(times=times.take(slice(i, i + 1)), motion_state=_motion_state(rate, sigma))
     return rows
-
-
-def _with_near_ends(times: CollisionTimes, with_relief: CollisionTimes) -> CollisionTimes:
-    """The times, with the ends of their intervals that a nearer point has from those ``with_relief``.
-
-    It arrives earlier; whether it passes nearer or farther off is open.
-    """
-    is_ahead, comes = times.ttc_z_s > 0.0, times.tcpa_s > 0.0
-    return replace(
-        times,
-        tcpa_lo_s=np.where(comes, with_relief.tcpa_lo_s, times.tcpa_lo_s),
-        tcpa_hi_s=np.where(comes, times.tcpa_hi_s, with_relief.tcpa_hi_s),
-        miss_lo_s=with_relief.miss_lo_s,
-        miss_hi_s=with_relief.miss_hi_s,
-        ttc_z_lo_s=np.where(is_ahead, with_relief.ttc_z_lo_s, times.ttc_z_lo_s),
-        ttc_z_hi_s=np.where(is_ahead, times.ttc_z_hi_s, with_relief.ttc_z_hi_s),
-    )
 
 
 def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionState:

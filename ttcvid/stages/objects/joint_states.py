@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, in_nearest_surface, tracks_needed
+from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, tracks_needed
 from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
 from ttcvid.stages.tracking.groups import TrackSets
 
@@ -18,8 +18,6 @@ _TRIMMED_VARIANCE = 1.35
 _LEAST_OF_SURFACE = 3
 # Standard deviation of the depths on the front of a car, as a share of its distance.
 _RELIEF = 0.025
-# Noise alone scatters the tracks of a surface by no more than this, times its variance.
-_NOISE_SCATTER = 2.0
 # An object that turns faster than the first, rad/s, shows a side, with at least so many tracks.
 _TURNS_RAD_S, _LEAST_OF_SIDE = 0.05, 8
 # Prior of the slope of its rate over the rate: the tangent of up to 45 deg (standard deviation, per component).
@@ -30,8 +28,8 @@ _NEAR_PART, _NEAR_DEPTH = 0.1, 0.01
 _SIDE_SIGMAS, _SIDE_STEPS = 2.0, 5
 # Squared distance of the end of a line from its middle over the variance of its points.
 _END_VARIANCE = 3.0
-# Least variance of a rate, 1/s^2, and least rate, 1/s.
-_TINY, _NO_RATE_HZ = 1e-24, 1e-12
+# Least variance of a rate, 1/s^2.
+_TINY = 1e-24
 
 
 @dataclass(frozen=True)
@@ -42,14 +40,12 @@ class JointStates:
     ----------
     owner : ``(K,)`` index of the object.
     ref_px, ref_sigma : ``(K, 2)`` centroid, and its standard error in the plane z = 1: few points of it are tracked.
-    relief : ``(K,)`` standard deviation of the inverse depth of the nearest point about that of the surface, over this.
     abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.
     """
 
     owner: Ints
     ref_px: Floats
     ref_sigma: Floats
-    relief: Floats
     abc_hz: Floats
     cov: Floats
 
@@ -61,7 +57,7 @@ def joint_states(
 
     The nearest surface has the largest inverse depth (speed / Z), for any direction of motion: 1 / ttc_z orders the
     depths of approaching objects only. Errors common to all tracks shift all surfaces alike and do not count in their
-    separation, unless no surface had enough tracks otherwise (`in_nearest_of_path`). The relief of a surface counts.
+    separation, unless no surface had enough tracks otherwise (`in_nearest_of_path`).
 
     Parameters
     ----------
@@ -77,12 +73,12 @@ def joint_states(
     sigma_hz = np.sqrt(variance + (_RELIEF * rate_hz) ** 2)
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_of_path(rate_hz, sigma_hz, by_shared, shared.cov[path], xy_px[sets.index], sets, needed, link_px)
-    above_hz, is_side = np.zeros(len(rate_hz)), np.zeros(len(sets), dtype=bool)
+    above_hz = np.zeros(len(rate_hz))
     for k in np.flatnonzero(turns & (sets.lengths >= _LEAST_OF_SIDE)):
         own = slice(sets.first[k], sets.first[k] + sets.lengths[k])
         side_hz, is_near = _near_end(states.xy[sets.index[own]], rate_hz[own], sigma_hz[own])
         if is_near.any():
-            is_in[own], above_hz[own], is_side[k] = is_near, side_hz - rate_hz[own], True
+            is_in[own], above_hz[own] = is_near, side_hz - rate_hz[own]
     has_surface = np.bincount(sets.set_of[is_in], minlength=len(sets)) > 0
     takes_all = ~has_surface & is_one[owner] & (sets.lengths >= _LEAST_OF_SURFACE)
     is_in |= takes_all[sets.set_of]
@@ -96,35 +92,8 @@ def joint_states(
     ref = surfaces.sums(weight[:, None] * states.xy[surfaces.index])
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
     cov = _covariances(surfaces, weight, off_ref, states)
-    few = np.full(len(sets), _LEAST_OF_SURFACE)
-    is_nearer = ~is_in & in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, few, link_px)
-    # The near end of a side is that of a fitted plane: its relief is in the fit.
-    relief_hz = np.where(is_side, 0.0, _relief(sets, rate_hz, variance, is_in, weight, is_nearer))[left]
-    relief = relief_hz / np.maximum(np.linalg.norm(abc_hz, axis=1), _NO_RATE_HZ)
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
-    return JointStates(owner[left], ref_px, ref_sigma, relief, abc_hz, cov)
-
-
-def _relief(
-    sets: TrackSets, rate_hz: Floats, variance: Floats, is_in: Bools, weight: Floats, is_nearer: Bools
-) -> Floats:
-    """Standard deviation ``(K,)`` of the rate of the nearest point about that of the surface, 1/s, beyond noise.
-
-    The surface has its relief, and nearer tracks, too few for a surface of their own, may as well be the nearest part.
-
-    Parameters
-    ----------
-    rate_hz, variance : ``(M,)`` of the tracks, by their own noise.
-    is_in, weight : ``(M,)`` which of them are in the surface, and what these count in its mean.
-    is_nearer : ``(M,)`` those that may be the nearest part.
-    """
-    share, set_of, count = np.zeros(len(rate_hz)), sets.set_of, len(sets)
-    share[is_in] = weight
-    off = rate_hz - np.bincount(set_of, share * rate_hz, count)[set_of]
-    is_nearer = is_nearer & (off > 0.0)
-    share[is_nearer] = 0.5 / np.bincount(set_of, is_nearer, count)[set_of[is_nearer]]
-    excess = np.where(share > 0.0, off**2 - _NOISE_SCATTER * variance, 0.0)
-    return np.sqrt(np.maximum(np.bincount(set_of, share * excess, count), 0.0))
+    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov)
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
