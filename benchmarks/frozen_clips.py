@@ -124,7 +124,8 @@ def _arrays_of(tracked: Tracked) -> dict[str, Any]:
     }
     for i, item in enumerate(tracked.frames):
         points = item.points
-        parts = {"id": points.track_id, "xy": points.xy_px, "window": points.window_px, "edge": points.edge}
+        parts = {"id": points.track_id, "xy": points.xy_px, "window": points.window_px}
+        arrays[f"common_{i}"] = np.array(points.common_error_px)
         arrays |= {f"{name}_{i}": part for name, part in parts.items() if part is not None}
     return arrays
 
@@ -133,8 +134,12 @@ def _tracked_from(arrays: Mapping[str, Any]) -> Tracked:
     frames = []
     columns = zip(arrays["frame"], arrays["t_s"], arrays["status"], arrays["is_from_table"], strict=True)
     for i, (index, t_s, status, is_from_table) in enumerate(columns):
-        window, edge = arrays.get(f"window_{i}"), arrays.get(f"edge_{i}")
-        points = PointSet(arrays[f"id_{i}"], arrays[f"xy_{i}"], window, edge)
+        points = PointSet(
+            arrays[f"id_{i}"],
+            arrays[f"xy_{i}"],
+            window_px=arrays.get(f"window_{i}"),
+            common_error_px=float(arrays[f"common_{i}"]),
+        )
         frame = Frame(int(index), float(t_s), points=points if is_from_table else None)
         frames.append(TrackedFrame(frame, points, FrameStatus(str(status))))
     # Numbers, texts and mappings of them: what `repr` has written.

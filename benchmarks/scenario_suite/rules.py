@@ -84,10 +84,6 @@ def _zeros(place: int) -> Callable[..., Any]:
     return lambda *arguments, **_: np.zeros(len(arguments[place]), dtype=bool)
 
 
-def _first(*arguments: Any, **_: Any) -> Any:
-    return arguments[0]
-
-
 def _none(*_: Any, **__: Any) -> None:
     return None
 
@@ -188,7 +184,7 @@ RULES: dict[str, Rule] = {
     "common_errors": Rule(
         "approach has to exceed the tracker's common error",
         "amendments",
-        {"stages.segmentation.common_errors.with_common_errors": _first},
+        {"stages.segmentation.common_errors.common_covariances": lambda ref_px, *_: np.zeros((len(ref_px), 3, 3))},
         _stage("segmentation/common_errors"),
     ),
     "own_bend": Rule(

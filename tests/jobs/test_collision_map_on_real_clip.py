@@ -27,7 +27,7 @@ def test_who_rolls_behind_others_gets_no_advice(evasion):
 
 @pytest.mark.slow
 def test_metres_of_a_real_drive_are_those_of_a_car(evasion):
-    """The camera is 1.65 m over the road; the car rolls at 2.4 m/s and slower."""
+    """The camera is 1.65 m over the road; the car rolls at 2.4 m/s and slows down to about 1 m/s."""
     speed_m_s = evasion.own_speed_m_s.dropna()
-    assert 1.0 < speed_m_s.min() <= speed_m_s.max() < 3.5
+    assert 0.8 < speed_m_s.min() <= speed_m_s.max() < 3.5
     assert np.median(np.abs(np.diff(speed_m_s))) < 0.2

@@ -16,6 +16,7 @@ from ttcvid.stages.objects.clusters import (
     motion_ids,
     ranked,
     rows_of,
+    surfaces_of,
     with_epipole_pixels,
     with_times,
 )
@@ -50,7 +51,8 @@ def row_of(position_m, velocity_m_s, sigma_px=0.05, direction=None, cov=None, rn
 def only_row(motion, states, xy_px, expansion_hz=np.nan):
     """Row of one cluster by itself."""
     members = TrackSets.of([motion.members])
-    (row,), _ = rows_of([motion], members, states, xy_px, LINK_PX, np.array([expansion_hz]), 0.0, {})
+    joint = surfaces_of([motion], members, states, xy_px, LINK_PX)
+    (row,) = rows_of([motion], members, joint, states, xy_px, np.array([expansion_hz]))
     return row
 
 

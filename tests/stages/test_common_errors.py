@@ -11,7 +11,7 @@ from ttcvid.geometry.camera.pinhole import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.objects.clusters import with_times
-from ttcvid.stages.segmentation.common_errors import braking_of, with_common_errors
+from ttcvid.stages.segmentation.common_errors import braking_of, common_covariances
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
@@ -38,8 +38,9 @@ def row_seen(abc_hz, sigma_hz, at_m=AHEAD_M, size_m=1.8, age_s=2.0, camera=CAMER
     )
     members = TrackSets.of([np.arange(N)])
     radius_px = members.radii(pixels_from_rays(camera, now), np.array([True]))
-    rows = with_common_errors([row], members, radius_px, np.full(N, age_s), GAP_S, COMMON_ERROR_PX, camera)
-    (row,) = with_times(rows, camera)
+    ref_px, ages_s = np.array([row.ref_px]), np.full(N, age_s)
+    (common,) = common_covariances(ref_px, members, radius_px, ages_s, GAP_S, COMMON_ERROR_PX, camera)
+    (row,) = with_times([row.changed(state_cov=row.state_cov + common)], camera)
     return row
 
 
@@ -68,13 +69,11 @@ def test_a_time_that_may_be_a_common_error_of_the_tracks_has_an_interval_by_way_
 def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
     car = box_of_points(np.random.default_rng(2), N, AHEAD_M, (1.8, 1.8, 0.0))
     now = normalize(car)
-    row = ClusterRow(1, 1, N, (0.0, 0.0, 1.0, 1.0), Status.ok, Status.ok, "whole-tracks", ref_px=(340.0, 190.0))
-    row = replace(row, state_abc_hz=np.array([0.0, 0.0, -0.2]), state_cov=1e-6 * np.eye(3))
-    members, age_s = TrackSets.of([np.arange(N)]), np.full(N, 2.0)
+    members, age_s, ref_px = TrackSets.of([np.arange(N)]), np.full(N, 2.0), np.array([[340.0, 190.0]])
 
     def cov_of(rays):
         radius_px = members.radii(pixels_from_rays(CAMERA, rays), np.array([True]))
-        return with_common_errors([row], members, radius_px, age_s, GAP_S, COMMON_ERROR_PX, CAMERA)[0].state_cov
+        return common_covariances(ref_px, members, radius_px, age_s, GAP_S, COMMON_ERROR_PX, CAMERA)
 
     without_one, unseen = now.copy(), np.full_like(now, np.nan)
     without_one[0] = np.nan

@@ -13,14 +13,14 @@ from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
 from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, CollisionTimes, Floats, Ints, TrackRows
 from ttcvid.stages.egomotion.flows import select_flows
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
-from ttcvid.stages.objects.clusters import ranked, rows_of, with_epipole_pixels, with_times
-from ttcvid.stages.objects.consistency import PastStates
+from ttcvid.stages.objects.clusters import ranked, rows_of, surfaces_of, with_epipole_pixels, with_times
+from ttcvid.stages.objects.consistency import PastStates, with_consistent_covariances
 from ttcvid.stages.objects.constant_bearing import EXPANSION_FRAMES, with_expansions
 from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.paper_track_states import three_frame_states, track_directions, two_frame_states
 from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.objects.track_states import multi_frame_states
-from ttcvid.stages.segmentation.common_errors import braking_of_tracks, with_common_errors
+from ttcvid.stages.segmentation.common_errors import braking_of_tracks, common_covariances
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -55,7 +55,10 @@ def track_rows(
 def cluster_rows(
     history: TrackHistory, motions: FrameMotions, states: TrackStates, camera: Camera, past: PastStates
 ) -> tuple[tuple[ClusterRow, ...], PastStates]:
-    """Rows of the scene and of all objects, ascending in ``cluster_id``, and the states seen so far."""
+    """Rows of the scene and of all objects, ascending in ``cluster_id``, and the states of objects up to now.
+
+    ``past`` are those up to the frame before.
+    """
     members = TrackSets.of([motion.members for motion in motions.clusters])
     view = history.now - min(EXPANSION_FRAMES, history.n_past)
     gap_s = -float(history.since_s[view])
@@ -64,12 +67,20 @@ def cluster_rows(
     nothing = np.empty(0, dtype=np.int64)
     objects = [motion.members if asked else nothing for motion, asked in zip(motions.clusters, is_object, strict=True)]
     expansion_hz = _expansions(history, objects, view, gap_s)
-    t_s = float(history.t_s[-1])
-    rows, past = rows_of(motions.clusters, members, states, history.xy_px, motions.link_px, expansion_hz, t_s, past)
     # Without a ray, outside of the lens model, a point has no part in the size.
     xy_px = np.where(np.isfinite(history.rays[history.now, :, :1]), history.xy_px, np.nan)
-    radius_px = members.radii(xy_px, is_object)
-    rows = with_common_errors(rows, members, radius_px, _age_s(history), gap_s, history.common_error_px, camera)
+    joint = surfaces_of(motions.clusters, members, states, history.xy_px, motions.link_px)
+    has_state = np.zeros(len(motions.clusters), dtype=bool)
+    has_state[joint.owner] = True
+    of_stated, _ = members.where(has_state[members.set_of])
+    radius_px = members.radii(xy_px, is_object)[joint.owner]
+    age_s, error_px = _age_s(history), history.common_error_px
+    common = common_covariances(joint.ref_px, of_stated, radius_px, age_s, gap_s, error_px, camera)
+    numbers = [motions.clusters[place].cluster_id for place in joint.owner]
+    joint, past = with_consistent_covariances(joint, numbers, history, past)
+    # A common drift of the tracks is the same in all states: it is no contradiction, and is not multiplied.
+    joint = replace(joint, cov=joint.cov + common)
+    rows = rows_of(motions.clusters, members, joint, states, history.xy_px, expansion_hz)
     return tuple(ranked(with_times(with_epipole_pixels(rows, camera), camera))), past
 
 

@@ -25,7 +25,6 @@ from ttcvid.model import (
     MotionState,
     Status,
 )
-from ttcvid.stages.objects.consistency import PastStates, with_consistent_covariances
 from ttcvid.stages.objects.joint_states import JointStates, joint_states
 from ttcvid.stages.objects.near_face import front_boxes
 from ttcvid.stages.objects.states import TrackStates
@@ -78,28 +77,34 @@ class ClusterMotion:
     horizon_offset: HorizonOffset | None = None
 
 
+def surfaces_of(
+    motions: Sequence[ClusterMotion], members: TrackSets, states: TrackStates, xy_px: Floats, link_px: float
+) -> JointStates:
+    """States of the nearest surfaces of the objects among K clusters. The scene has none: it has many depths.
+
+    ``states, xy_px, link_px`` are of all tracks, as for `joint_states`.
+    """
+    believed, _ = _directions(motions)
+    is_scene = np.array([motion.cluster_id == SCENE_CLUSTER for motion in motions], dtype=bool)
+    is_one = np.array([motion.is_one_surface for motion in motions], dtype=bool)
+    return joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_one, states, xy_px, link_px)
+
+
 def rows_of(
     motions: Sequence[ClusterMotion],
     members: TrackSets,
+    joint: JointStates,
     states: TrackStates,
     xy_px: Floats,
-    link_px: float,
     expansion_hz: Floats,
-    t_s: float,
-    past: PastStates,
-) -> tuple[list[ClusterRow], PastStates]:
-    """Rows of K clusters; those of objects have the state of their nearest surface, and no times yet (`with_times`).
+) -> list[ClusterRow]:
+    """Rows of K clusters; those of objects have the state of their surface in ``joint``, and no times (`with_times`).
 
-    The scene has no state: it has many depths. ``states, xy_px, link_px`` are of all tracks, as for `joint_states`,
-    ``expansion_hz (K,)`` of each cluster, NaN where unknown.
+    ``states, xy_px`` are of all tracks, ``expansion_hz (K,)`` of each cluster, NaN where unknown.
     """
     believed, believed_cov = _directions(motions)
     is_scene = np.array([motion.cluster_id == SCENE_CLUSTER for motion in motions], dtype=bool)
     is_static = np.array([motion.is_static for motion in motions], dtype=bool)
-    is_one = np.array([motion.is_one_surface for motion in motions], dtype=bool)
-    joint = joint_states(members, np.where(is_scene[:, None], np.nan, believed), is_one, states, xy_px, link_px)
-    numbers = [motions[place].cluster_id for place in joint.owner]
-    joint, past = with_consistent_covariances(joint, numbers, t_s, past)
     stated: dict[int, dict[str, Any]] = {}
     fronts = front_boxes(members, joint, states, xy_px).tolist()
     for k, place in enumerate(joint.owner.tolist()):
@@ -122,11 +127,10 @@ def rows_of(
         motion_ids(is_scene | is_static, believed, believed_cov),
         strict=True,
     )
-    rows = [
+    return [
         _row(motion, *each, stated.get(place, {}))
         for place, (motion, each) in enumerate(zip(motions, facts, strict=True))
     ]
-    return rows, past
 
 
 def _row(

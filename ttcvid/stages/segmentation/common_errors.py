@@ -13,7 +13,7 @@ import numpy as np
 
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking
-from ttcvid.model import Camera, ClusterRow, Floats, Ints
+from ttcvid.model import Camera, Floats, Ints
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
@@ -29,34 +29,27 @@ _WALKING_PART = 0.5
 _LEAST_RADIUS_PX = 1e-3
 
 
-def with_common_errors(
-    rows: list[ClusterRow],
+def common_covariances(
+    ref_px: Floats,
     members: TrackSets,
     radius_px: Floats,
     age_s: Floats,
     gap_s: float,
     error_px: float,
     camera: Camera,
-) -> list[ClusterRow]:
-    """The K rows with the common error of the tracks of an object added to the covariance of its state.
+) -> Floats:
+    """What the common error of its tracks adds to the covariance of each of K states: ``(K, 3, 3)``, 1/s^2.
 
-    ``members, radius_px (K,)`` are tracks of the rows and their `TrackSets.radii`, ``age_s (N,)`` the age of each
-    track, ``gap_s`` the time over which expansions are measured, ``error_px`` the `PointSet.common_error_px`.
+    ``ref_px (K, 2)`` are the reference points of the objects, ``members, radius_px (K,)`` their tracks and
+    `TrackSets.radii`, ``age_s (N,)`` the age of each track, ``gap_s`` the time over which expansions are measured,
+    ``error_px`` the `PointSet.common_error_px`.
     """
-    stated = [k for k, row in enumerate(rows) if row.state_cov is not None]
-    if not stated:
-        return rows
-    rays = rays_from_pixels(camera, np.array([rows[k].ref_px for k in stated]))
-    has_state = np.zeros(len(rows), dtype=bool)
-    has_state[stated] = True
-    of_stated, _ = members.where(has_state[members.set_of])
-    drift_hz = common_growth_hz(radius_px[stated], of_stated.medians(age_s[of_stated.index]), gap_s, error_px)
+    if not len(ref_px):
+        return np.empty((0, 3, 3))
+    rays = rays_from_pixels(camera, ref_px)
+    drift_hz = common_growth_hz(radius_px, members.medians(age_s[members.index]), gap_s, error_px)
     # An apparent expansion is an apparent velocity along the ray.
-    common = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
-    rows = list(rows)
-    for k, cov in zip(stated, common, strict=True):
-        rows[k] = rows[k].changed(state_cov=rows[k].state_cov + cov)
-    return rows
+    return np.asarray(drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :])
 
 
 def common_growth_hz(

@@ -97,8 +97,8 @@ def see_scene(
     fit = fit_on_paths(every, scene, labels.rate_hz * speed)
     rate_hz = fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
-    moves_past = _moves_past(fit, region, is_free) and not MOTION_PRIORS[platform].excludes(scene.path[0, 0])
-    if not is_sure and not moves_past:
+    way = scene.path[0, 0]
+    if not is_sure and not (_moves_past(fit, region, is_free) and not MOTION_PRIORS[platform].excludes(way)):
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     may_rest = is_free if can_translate else _steps_little(views, scene)
     if egomotion.window is not None:

@@ -21,9 +21,9 @@ _WHOLE_PIXELS, _BAND_PIXELS = 2_500_000, 500_000
 # 0..1): below it a "corner" is sensor noise of a plain surface.
 _MIN_RESPONSE = 2e-5
 
-# A corner has gradients in two directions within about a tracker's window, of this side at half of the resolution: the
-# r.m.s. of the lesser is at least a quarter of that of the greater. For a ratio r of the eigenvalues the constant of
-# Harris and Stephens is r / (1 + r)^2; r = 18.
+# A corner has gradients in two directions within a square of this side at half of the resolution, between a tracker's
+# window of 9 px and what that covers in the next coarser picture. The constant is that of Harris and Stephens: the
+# greater eigenvalue of the gradient matrix is at most 18 times the lesser, for k = r / (1 + r)^2.
 _HALF_WINDOW_PX, _HARRIS_K = 7, 0.05
 # Corners are weighed against what is around them within this square, px.
 _AROUND_PX = 65
@@ -150,15 +150,19 @@ def _response(grey: Picture) -> NDArray[Any]:
 
 
 def _on_corners(grey: Picture, x: Ints, y: Ints) -> Bools:
-    """Which of the pixels (N,) have gradients in two directions in a tracker's window about them.
+    """Which of the pixels (N,) have gradients in two directions about them, and not in one only (aperture problem).
 
-    Where they are in one only, a window slips along its edge: the kerb of a bend stands still in the picture of whoever
-    drives along it, and turns own motion. Source: Harris and Stephens (1988); half of the resolution will do.
+    On an edge a window goes along it wherever noise leads: the kerb of a bend stands still in the picture of whoever
+    drives along it, and takes the turn out of own motion. Source: Harris and Stephens (1988).
     """
-    half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    if not len(x):
+        return np.empty(0, dtype=bool)
+    size = max(grey.shape[1] // 2, 1), max(grey.shape[0] // 2, 1)
+    half = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     response = np.empty(half.shape, dtype=np.float32)
-    for rows, around, inner in _bands(half.shape, _HALF_WINDOW_PX + 1):
-        response[rows] = cv2.cornerHarris(half[around], _HALF_WINDOW_PX, 3, _HARRIS_K)[inner]
+    for rows, around, inner in _bands(half.shape, _HALF_WINDOW_PX):
+        found = cv2.cornerHarris(half[around], _HALF_WINDOW_PX, 3, _HARRIS_K, borderType=cv2.BORDER_REPLICATE)
+        response[rows] = found[inner]
     row, column = np.minimum(y // 2, half.shape[0] - 1), np.minimum(x // 2, half.shape[1] - 1)
     return np.asarray(response[row, column] > 0.0)
 
