@@ -141,6 +141,19 @@ def test_the_pixel_of_a_point_without_a_ray_has_no_part_in_the_size_of_its_objec
     np.testing.assert_array_equal(near.state_cov, far.state_cov)
 
 
+def test_who_moved_otherwise_a_moment_ago_is_less_sure_in_all_that_the_row_says(frame):
+    history, motions, *_ = frame
+    states, _ = track_rows(history, motions, MULTI_FRAME)
+    (_, sure), past = cluster_rows(history, motions, states, CAMERA, {})
+    (now,) = past[4]
+    before = replace(now, t_s=float(history.t_s[2]), abc_hz=0.95 * now.abc_hz)
+    (_, unsure), past = cluster_rows(history, motions, states, CAMERA, {4: (before,)})
+    assert unsure.state_cov[2, 2] > 4.0 * sure.state_cov[2, 2]
+    assert unsure.direction_cov[0, 0] > 4.0 * sure.direction_cov[0, 0]
+    assert unsure.times.ttc_z_lo_s[0] < sure.times.ttc_z_lo_s[0] < sure.times.ttc_z_hi_s[0] < unsure.times.ttc_z_hi_s[0]
+    assert [one.t_s for one in past[4]] == [history.t_s[2], history.t_s[-1]]
+
+
 def test_objects_are_seen_where_the_camera_rests(frame):
     history, _, position_m, velocity = frame
     cluster = np.repeat([0, 4, NO_CLUSTER], [STATIC, CAR, LOOSE])
