@@ -162,8 +162,8 @@ class PointSet:
     """Observed points of one picture.
 
     ``track_id (N,)`` ascending and unique; ``xy_px (N, 2)`` distorted source pixels. ``window_px (N, 2)`` where the
-    windows stand by which a tracker follows them, None where they stand about the points. ``common_error_px`` is
-    what the points of a thing err by together (standard deviation at its outline): 0 where each errs by itself.
+    windows stand by which a tracker follows them, None where they stand about the points. ``common_error_px`` is what
+    the points of a thing err by together (standard deviation at its outline): 0 where each errs by itself.
     ``unseen_id (M,)`` are tracks not observed in this picture that may come back, ascending; None: any track may.
     """
 

@@ -89,9 +89,10 @@ def _mean_redchi(states: tuple[PastState, ...]) -> float:
 def _compared(before: tuple[PastState, ...], now: PastState, history: TrackHistory) -> float | None:
     """Reduced chi-square of a state's difference from the last one that is old enough and of a frame in the history."""
     for earlier in reversed(before):
+        if earlier.t_s > now.t_s - _LAG_S + _ROUNDING_S:
+            continue
         view = int(np.argmin(np.abs(history.t_s - earlier.t_s)))
-        is_old = earlier.t_s <= now.t_s - _LAG_S + _ROUNDING_S
-        if is_old and abs(float(history.t_s[view]) - earlier.t_s) < _ROUNDING_S:
+        if abs(float(history.t_s[view]) - earlier.t_s) < _ROUNDING_S:
             return _redchi(earlier, now, history.cam_R_past[view])
     return None
 

@@ -42,7 +42,7 @@ def content_offsets(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
     determinant = np.where(determinant > _LEAST_CORNER * (xx + yy) ** 2, determinant, np.nan)
     offset = np.stack([yy * side_x - xy * side_y, xx * side_y - xy * side_x], axis=1) / determinant[:, None]
     offset[~(np.abs(offset).max(axis=1) <= window_px / 2)] = np.nan
-    return np.asarray(offset)
+    return offset
 
 
 def _window_gradients(grey: Picture, xy_px: Floats, reach: int) -> Floats:

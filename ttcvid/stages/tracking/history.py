@@ -59,10 +59,10 @@ class TrackHistory:
     ``rays (L, N, 3)`` unit rays in the camera of their own frame, NaN where not observed; ``sigma_px (N,)`` noise of
     one coordinate of one observation; ``noise_sum, noise_weight (N,)`` its evidence and ``pool_sigma_px`` the noise of
     all tracks together; ``plane_per_px (N,)`` how much of the plane z = 1 a pixel spans where each track is
-    (`pinhole.plane_per_px`); ``common_error_px`` as in `PointSet`. ``scene`` is the path of the
-    static scene as its tracks see it together (`egomotion.scene_trajectory`), None until found in this frame. ``now``
-    is the entry of the present frame, counted from the end: the last one, but where a frame is looked at once more with
-    views of later ones (`stages.smoothing`). ``lost`` are tracks that may come back.
+    (`pinhole.plane_per_px`); ``common_error_px`` as in `PointSet`. ``scene`` is the path of the static scene as its
+    tracks see it together (`egomotion.scene_trajectory`), None until found in this frame. ``now`` is the entry of the
+    present frame, counted from the end: the last one, but where a frame is looked at once more with views of later ones
+    (`stages.smoothing`). ``lost`` are tracks that may come back.
     """
 
     frame: Ints
