@@ -98,9 +98,10 @@ class BodiesConfig(StageConfig):
         "needs; all its tracks together have to save as much",
     )
     confirm_frames: int = Field(
-        default=3,
+        default=2,
         ge=1,
-        description="frames in which a new mover or obstacle has to be found before it gets its cluster_id",
+        description="frames in which a new mover or obstacle of min_tracks tracks has to be found before it gets its "
+        "cluster_id; fewer with more tracks, more with fewer",
     )
     forget_frames: int = Field(
         default=2, ge=0, description="frames for which a mover with fewer than three tracks keeps them"

@@ -200,3 +200,14 @@ def test_a_car_ahead_as_fast_as_we_are_is_one_mover_up_to_its_roof_and_takes_not
     assert 0 not in keys
     assert np.median([frame.keys_of(1)[1] for frame in later]) >= 0.9
     assert max(np.count_nonzero(frame.key[frame.truth == 0] != 0) for frame in frames) <= 5
+
+
+@pytest.mark.parametrize("seed", [1, 4, 5])
+def test_a_slower_car_ahead_is_whole_though_its_middle_has_the_static_depth_of_the_road_there(seed):
+    rng = np.random.default_rng(seed)
+    ahead = car(rng, (0.0, CAMERA_M - 0.95, 26.0), (0.0, 0.0, 0.4 * SPEED_M_S), n=80, size_m=(1.8, 1.7, 0.5))
+    frames = bodies_of(street(rng, 24, ahead), 24, (0.0, 0.0, SPEED_M_S), opaque=True)
+    later = frames[12:]
+    assert {frame.keys_of(1)[0] for frame in later} == {1}
+    assert np.median([frame.keys_of(1)[1] for frame in later]) >= 0.95
+    assert max(np.count_nonzero(frame.key[frame.truth == 0] != 0) for frame in frames) <= 10

@@ -10,6 +10,8 @@ from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.stages.segmentation.expansion import OnScene, find_growing
 
 CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
+# After so many frames four tracks are a thing.
+FRAMES = 3
 TIMES_S = 0.05 * np.arange(20.0)
 OWN_M_S = 40.0
 # Of an aircraft its wing tips, nose and fin.
@@ -25,7 +27,7 @@ def fields(rng, n=120):
 
 
 def found_in(
-    position_m, velocity_m_s, may_be=None, frames=CONFIG.confirm_frames, sigma_px=SIGMA_PX, seed=1, least_redchi=0.0
+    position_m, velocity_m_s, may_be=None, frames=FRAMES, sigma_px=SIGMA_PX, seed=1, least_redchi=0.0
 ):
     """Public things after some frames that look alike, and how well the scene's path explains each track."""
     history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=np.random.default_rng(seed))
@@ -73,7 +75,7 @@ def rng():
 def test_an_aircraft_at_constant_bearing_is_found_with_its_direction(rng, relative_m_s):
     relative_m_s = np.asarray(relative_m_s)
     where, velocity = encounter(-2.8 * relative_m_s, relative_m_s, rng)
-    assert found_in(where, velocity, frames=CONFIG.confirm_frames - 1)[0] == {}
+    assert found_in(where, velocity, frames=FRAMES - 1)[0] == {}
     public, redchi = found_in(where, velocity)
     (thing,) = public.values()
     assert list(public) == [1]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered
+from ttcvid.stages.segmentation.surface_memory import Obstacle, are_confirmed, remembered
 
 CONFIG = BodiesConfig()
 TRACKS = np.arange(100, 130)
@@ -17,7 +17,7 @@ def after_a_frame(before, is_free, surfaces=()):
 def test_an_obstacle_is_remembered_without_being_seen_while_a_mover_has_its_tracks():
     taken = np.arange(len(TRACKS)) >= 10
     memory = (CAR,)
-    for _ in range(CONFIG.confirm_frames):
+    for _ in range(3):
         public, memory, next_id = after_a_frame(memory, taken)
         assert public == {}
     public, _, next_id = after_a_frame(memory, np.ones(len(TRACKS), dtype=bool), [np.arange(10)])
@@ -38,3 +38,9 @@ def test_an_obstacle_that_another_covers_ends_with_its_tracks():
         nearer = np.flatnonzero(track_id >= 12)
         public, memory, _ = remembered(memory, track_id, [nearer], track_id < 12, 7, CONFIG)
         np.testing.assert_array_equal(track_id[public[6]], np.arange(12, 42))
+
+
+def test_the_more_tracks_a_thing_has_the_fewer_frames_confirm_it():
+    n_tracks = np.array([3, 4, 6, 11, 12, 40])
+    confirmed_after = [next(n for n in range(1, 9) if are_confirmed(n, k, CONFIG)) for k in n_tracks]
+    assert confirmed_after == [4, 3, 2, 2, 1, 1]

@@ -135,6 +135,9 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
     for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
         contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
+    # What lies under the road hides the road at its depth; what hangs over it is seen before it.
+    is_before_road = (contradicts & ~lies_under)[things.set_of] & ~seen.is_off_road[things.index]
+    thing[things.index[is_before_road]] = -1
     # A car ahead may have the static depth of the houses behind it, which stand on the road beside it.
     for number in np.flatnonzero(lies_under).tolist():
         members = things.members(number)

@@ -24,7 +24,7 @@ from ttcvid.stages.segmentation.ground_plane import RoadMemory
 from ttcvid.stages.segmentation.merges import merged
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
-from ttcvid.stages.segmentation.surface_memory import Obstacle
+from ttcvid.stages.segmentation.surface_memory import Obstacle, are_confirmed
 from ttcvid.stages.segmentation.turning_movers import with_turning_bodies
 from ttcvid.stages.tracking.groups import places_among
 from ttcvid.stages.tracking.history import TrackHistory
@@ -131,7 +131,8 @@ def find_bodies(
         stays = is_displaced & (known[numbers_of(belonged, movers)] == belonged)
         key = np.where(stays, belonged, key)
     movers = with_velocities(views, seen.scene, key, movers)
-    movers, next_cluster_id = _named(movers, memory.next_cluster_id, config)
+    n_tracks = np.bincount(numbers_of(key, movers), minlength=len(movers) + 1)[1:]
+    movers, next_cluster_id = _named(movers, n_tracks, memory.next_cluster_id, config)
     memory = replace(memory, rate_hz=memory.rate_hz * seen.speed)
     tracks = _with_lost(history, memory, key, seen.rate_hz)
     surfaces = memory.obstacles, memory.growing
@@ -291,9 +292,9 @@ def _refined(movers: Movers, seen: SeenScene, views: BodyViews, key: Ints, confi
     return replace(movers, paths=paths, rate_hz=np.where(has_points, rate_hz, movers.rate_hz))
 
 
-def _named(movers: Movers, next_cluster_id: int, config: BodiesConfig) -> tuple[Movers, int]:
-    """Movers with public numbers once they are confirmed, and the next number."""
-    asks = (movers.cluster_id == NO_CLUSTER) & (movers.n_found >= config.confirm_frames)
+def _named(movers: Movers, n_tracks: Ints, next_cluster_id: int, config: BodiesConfig) -> tuple[Movers, int]:
+    """Movers of ``n_tracks (K,)`` tracks with public numbers once they are confirmed, and the next number."""
+    asks = (movers.cluster_id == NO_CLUSTER) & are_confirmed(movers.n_found, n_tracks, config)
     cluster_id = movers.cluster_id.copy()
     cluster_id[asks] = next_cluster_id + np.arange(np.count_nonzero(asks))
     return replace(movers, cluster_id=cluster_id), next_cluster_id + int(np.count_nonzero(asks))

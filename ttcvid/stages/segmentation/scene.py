@@ -216,12 +216,9 @@ def _median_redchi(fit: PathFit, in_scene: Bools) -> float:
 def _with_contradictions(
     redchi: Floats, road: RoadMemory, is_road: Bools, key: Ints, n_views: Ints, config: BodiesConfig
 ) -> Floats:
-    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers.
-
-    Not of what lies on the road, ``is_road (N,)``: where that was taken for a part of a mover, it leaves it again.
-    """
+    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers."""
     # Of a mover along our way the path explains any track: only what stands or hangs where the mover does is its part.
-    may_be_part = (road.evidence > _LEAST_EVIDENCE) | (n_views <= _USUAL_VIEWS)
+    may_be_part = (road.evidence > _LEAST_EVIDENCE) | ((n_views <= _USUAL_VIEWS) & ~is_road)
     of_mover = np.bincount(key, road.evidence) > _MOVER_EVIDENCE * np.bincount(key)
     is_odd = road.contradicts() | (may_be_part & (key != SCENE_CLUSTER) & of_mover[key])
-    return np.where(is_odd & ~is_road, np.maximum(redchi, 2.0 * config.scene_gate), redchi)
+    return np.where(is_odd, np.maximum(redchi, 2.0 * config.scene_gate), redchi)

@@ -60,7 +60,9 @@ def remembered(
     obstacles += [Obstacle(None, track_id[surface]) for surface in left_over]
     public: dict[int, Ints] = {}
     for place, obstacle in enumerate(obstacles):
-        if obstacle.cluster_id is None and obstacle.n_found >= config.confirm_frames:
+        # One frame alone may join to a surface what has nothing to do with each other.
+        is_sure = obstacle.n_found > 1 and are_confirmed(obstacle.n_found, len(obstacle.track_id), config)
+        if obstacle.cluster_id is None and is_sure:
             obstacles[place] = obstacle = replace(obstacle, cluster_id=next_cluster_id)
             next_cluster_id += 1
         if obstacle.cluster_id is not None and obstacle.n_missed <= config.forget_frames:
@@ -68,6 +70,14 @@ def remembered(
             if own.any():
                 public[obstacle.cluster_id] = np.flatnonzero(own)
     return public, tuple(obstacles), next_cluster_id
+
+
+def are_confirmed(n_found: Ints | int, n_tracks: Ints | int, config: BodiesConfig) -> Bools:
+    """Whether objects found in ``n_found (K,)`` frames get a number, by their number of tracks ``n_tracks (K,)``.
+
+    What many tracks agree on is sooner sure than what few do.
+    """
+    return np.asarray(n_found * n_tracks >= config.confirm_frames * config.min_tracks)
 
 
 def tracks_of(obstacles: Sequence[Obstacle]) -> Ints:
