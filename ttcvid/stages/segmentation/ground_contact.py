@@ -135,12 +135,15 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
     for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
         contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
-    # What lies under the road hides the road at its depth; what hangs over it is seen before it.
-    is_before_road = (contradicts & ~lies_under)[things.set_of] & ~seen.is_off_road[things.index]
-    thing[things.index[is_before_road]] = -1
+    # What lies under the road hides the road at its depth, unless most of it may be road (a kerb); what hangs over it
+    # is seen before it.
+    off_road = seen.is_off_road[things.index]
+    hides_road = lies_under & (2 * np.bincount(things.set_of, off_road, n_things) > things.lengths)
+    belongs = off_road | ~contradicts[things.set_of] | hides_road[things.set_of]
+    thing[things.index[~belongs]] = -1
     # A car ahead may have the static depth of the houses behind it, which stand on the road beside it.
     for number in np.flatnonzero(lies_under).tolist():
-        members = things.members(number)
+        members = things.index[belongs & (things.set_of == number)]
         thing[members] = -1
         under = things.index[is_under & (things.set_of == number)]
         camera_height = float(seen.road_hz[under].max()) / seen.slope_hz
