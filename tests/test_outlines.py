@@ -28,5 +28,5 @@ def test_corners_of_crowns_and_the_houses_behind_them_are_hardly_ever_movers():
         if cluster.motion_id > 0 and cluster.box_px[2] > ROAD_END_PX
     ]
     # Where the outline of a crown crosses that of a house, corners move as neither does: some of the last pictures.
-    assert len(right_of_road) <= 8
+    assert len(right_of_road) <= 10
     assert not any(result.events for result in results)

@@ -26,9 +26,7 @@ def fields(rng, n=120):
     return np.column_stack([rng.uniform(-0.4, 0.4, n) * depth_m, np.full(n, 250.0), depth_m])
 
 
-def found_in(
-    position_m, velocity_m_s, may_be=None, frames=FRAMES, sigma_px=SIGMA_PX, seed=1, least_redchi=0.0
-):
+def found_in(position_m, velocity_m_s, may_be=None, frames=FRAMES, sigma_px=SIGMA_PX, seed=1, least_redchi=0.0):
     """Public things after some frames that look alike, and how well the scene's path explains each track."""
     history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=np.random.default_rng(seed))
     n, since_s = len(position_m), history.since_s
