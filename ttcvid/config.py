@@ -101,7 +101,7 @@ class BodiesConfig(StageConfig):
         default=2,
         ge=1,
         description="frames in which a new mover or obstacle of min_tracks tracks has to be found before it gets its "
-        "cluster_id; fewer with more tracks, more with fewer",
+        "cluster_id: fewer with more tracks (what stands in our way or expands: two at the least), more with fewer",
     )
     forget_frames: int = Field(
         default=2, ge=0, description="frames for which a mover with fewer than three tracks keeps them"

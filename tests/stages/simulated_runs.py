@@ -23,8 +23,8 @@ N_FRAMES = {
 """How far scenes are looked at whose rest asks nothing more; of the others all frames."""
 # The nearest tenth of an object's points is what is hit first.
 NEAREST_PART = 0.1
-# A new object needs two frames for its first flow and three to be confirmed.
-FIRST_FRAMES = 5
+# A new object needs two frames for its first flow, and with fewer than twelve tracks one more to be confirmed.
+FIRST_FRAMES = 3
 
 
 @dataclass(frozen=True)

@@ -162,6 +162,24 @@ def test_rates_that_are_not_known_say_nothing():
     assert odd[0] == 0.0
 
 
+def at_static_depth(n_road, post_x_m, n_posts, low=0.75, depth_m=14.0):
+    """A strip of the road across our way, posts beside it, and two points of the strip's rate that lie too low."""
+    strip = np.column_stack([np.linspace(-2.0, 2.0, n_road), np.full(n_road, CAMERA_M), np.full(n_road, depth_m)])
+    posts = np.concatenate([upright((0.3, 1.2), depth_m, (x_m, x_m + 0.3), n=n_posts) for x_m in post_x_m])
+    too_low = np.column_stack([[-0.1, 0.1], [CAMERA_M] * 2, [low * depth_m] * 2])
+    return contacts_of(road(), strip, posts, too_low, apparent=(1.0, 1.0, low))[0]
+
+
+def test_most_of_a_kerb_may_be_road_and_is_not_taken_along():
+    assert at_static_depth(80, (-0.4, 0.1), n_posts=2)[0] == 0.0
+    # The middle of a car is.
+    assert at_static_depth(40, (-0.4, 0.1), n_posts=4)[0] > 0.1
+
+
+def test_where_nothing_stands_over_points_under_the_road_nothing_moves():
+    assert (at_static_depth(80, (-2.0, 1.7), n_posts=5, low=0.81, depth_m=10.0)[:2] == 0.0).all()
+
+
 def street(rng, n_frames, *movers):
     """Road and house fronts on both sides, all that is seen between the first frame and the last."""
     far_m = 50.0 + SPEED_M_S * 0.1 * n_frames

@@ -101,8 +101,10 @@ def test_few_tracks_of_a_stopped_car_are_an_obstacle_once_they_have_lasted(rng):
     assert 4 <= len(few) <= 6
 
 
-def test_a_stopped_car_in_our_lane_is_an_obstacle(rng):
+def test_a_stopped_car_in_our_lane_is_an_obstacle_in_the_second_frame(rng):
     scene = np.concatenate([road(rng), rear_of_car(rng, 0.2, 30.0)])
+    assert watched(scene, 1) == {}
+    assert list(watched(scene, 2)) == [1]
     public = watched(scene)
     assert list(public) == [1]
     on_car = public[1] >= 150

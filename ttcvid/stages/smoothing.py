@@ -132,8 +132,8 @@ def _smoothed_direction(history: TrackHistory, egomotion: Egomotion) -> Egomotio
 def _with_known_objects(seen: Seen, later: Sequence[Seen], min_tracks: int) -> FrameMotions:
     """The clusters, with tracks already in the object in which a later frame first has them.
 
-    A new mover gets its number when it has been found in some frames, and a new track is with the scene at first. An
-    object that was not there yet has to have ``min_tracks`` tracks.
+    A new mover gets its number when enough tracks have found it, for some frames, and a new track is with the scene at
+    first. An object that was not there yet has to have ``min_tracks`` tracks.
     """
     before = seen.motions.cluster_id
     cluster_id = before.copy()

@@ -32,7 +32,8 @@ _AHEAD_COSINE = float(np.cos(np.radians(20.0)))
 _USUAL_VIEWS = 3
 # A mover stays one, however well the scene explains it, while the road contradicts its tracks by this on the average.
 _MOVER_EVIDENCE = 0.25
-# A track with less evidence of its own than this is no part of such a mover, unless it is too young to have any.
+# A track with less evidence of its own than this is no part of such a mover, unless it is too young to have any and not
+# on the road.
 _LEAST_EVIDENCE = 0.1
 # Misfits under 1 (in units of the scene's median) are noise.
 _LEAST_REDCHI = 1.0
@@ -216,7 +217,10 @@ def _median_redchi(fit: PathFit, in_scene: Bools) -> float:
 def _with_contradictions(
     redchi: Floats, road: RoadMemory, is_road: Bools, key: Ints, n_views: Ints, config: BodiesConfig
 ) -> Floats:
-    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers."""
+    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers.
+
+    Of a mover's young tracks, without evidence yet, those are left out that may lie on the road, ``is_road (N,)``.
+    """
     # Of a mover along our way the path explains any track: only what stands or hangs where the mover does is its part.
     may_be_part = (road.evidence > _LEAST_EVIDENCE) | ((n_views <= _USUAL_VIEWS) & ~is_road)
     of_mover = np.bincount(key, road.evidence) > _MOVER_EVIDENCE * np.bincount(key)

@@ -73,9 +73,10 @@ def remembered(
 
 
 def are_confirmed(n_found: Ints | int, n_tracks: Ints | int, config: BodiesConfig) -> Bools:
-    """Whether objects found in ``n_found (K,)`` frames get a number, by their number of tracks ``n_tracks (K,)``.
+    """Whether objects found in ``n_found (K,)`` frames get a number, by how many tracks they have: ``n_tracks (K,)``.
 
-    What many tracks agree on is sooner sure than what few do.
+    What many tracks agree on is sooner sure than what few do: the product of both has to reach that of
+    ``confirm_frames`` and ``min_tracks``.
     """
     return np.asarray(n_found * n_tracks >= config.confirm_frames * config.min_tracks)
 
