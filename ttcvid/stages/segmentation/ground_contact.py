@@ -132,14 +132,18 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     lies_under = is_large & (np.bincount(things.set_of, is_under, n_things) >= _LEAST_UNDER)
     is_asked = is_large & ~lies_under & (upright.lengths >= _LEAST_POINTS) & (upright_feet.road_hz > 0.0)
     thing, contradicts = np.full(len(key), -1), lies_under.copy()
-    # The road is no part of what stands on it or hangs over it.
-    is_part_of = is_large[things.set_of] & seen.is_off_road[things.index]
-    thing[things.index] = np.where(is_part_of, things.set_of, -1)
+    thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
     for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
         contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
+    # What lies under the road hides the road at its depth, unless most of it may be road (a kerb); what hangs over it
+    # is seen before it.
+    off_road = seen.is_off_road[things.index]
+    hides_road = lies_under & (2 * np.bincount(things.set_of, off_road, n_things) > things.lengths)
+    belongs = off_road | ~contradicts[things.set_of] | hides_road[things.set_of]
+    thing[things.index[~belongs]] = -1
     # A car ahead may have the static depth of the houses behind it, which stand on the road beside it.
     for number in np.flatnonzero(lies_under).tolist():
-        members = things.members(number)
+        members = things.index[belongs & (things.set_of == number)]
         thing[members] = -1
         under = things.index[is_under & (things.set_of == number)]
         camera_height = float(seen.road_hz[under].max()) / seen.slope_hz
@@ -148,10 +152,6 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
         # By one wrong point a tree that stands beside would be a part.
         under = under[np.append(False, is_near) | np.append(is_near, False) | ~is_near.any()]
         members = members[_is_over(seen.place[members, 0], seen.place[under, 0], _BESIDE * camera_height)]
-        # What lies under the road hides the road at its depth, unless most of it may be road (a kerb).
-        is_off_road = seen.is_off_road[members]
-        if 2 * np.count_nonzero(is_off_road) <= len(members):
-            members = members[is_off_road]
         if not len(members):
             continue
         above = _above(seen, members, int(under[np.argmin(seen.place[under, 1])]), key, xy_px, link_px)
