@@ -135,8 +135,8 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
     for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
         contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
-    # What lies under the road hides the road at its depth, unless most of it may be road (a kerb); what hangs over it
-    # is seen before it.
+    # An object under the road hides the road at its depth, so that its tracks there are its own: not if most of its
+    # tracks may be road (a kerb). One that hangs over the road does not hide the road below it.
     off_road = seen.is_off_road[things.index]
     hides_road = lies_under & (2 * np.bincount(things.set_of, off_road, n_things) > things.lengths)
     belongs = off_road | ~contradicts[things.set_of] | hides_road[things.set_of]

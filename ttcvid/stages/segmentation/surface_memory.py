@@ -60,7 +60,7 @@ def remembered(
     obstacles += [Obstacle(None, track_id[surface]) for surface in left_over]
     public: dict[int, Ints] = {}
     for place, obstacle in enumerate(obstacles):
-        # One frame alone may join to a surface what has nothing to do with each other.
+        # A single frame may join tracks of different things to one surface.
         is_sure = obstacle.n_found > 1 and are_confirmed(obstacle.n_found, len(obstacle.track_id), config)
         if obstacle.cluster_id is None and is_sure:
             obstacles[place] = obstacle = replace(obstacle, cluster_id=next_cluster_id)
