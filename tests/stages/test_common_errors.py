@@ -11,7 +11,7 @@ from ttcvid.geometry.camera.pinhole import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.objects.clusters import with_times
-from ttcvid.stages.segmentation.common_errors import braking_of, common_covariances
+from ttcvid.stages.segmentation.common_errors import common_covariances, common_growth_hz
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
@@ -39,7 +39,8 @@ def row_seen(abc_hz, sigma_hz, at_m=AHEAD_M, size_m=1.8, age_s=2.0, camera=CAMER
     members = TrackSets.of([np.arange(N)])
     radius_px = members.radii(pixels_from_rays(camera, now), np.array([True]))
     ref_px, ages_s = np.array([row.ref_px]), np.full(N, age_s)
-    (common,) = common_covariances(ref_px, members, radius_px, ages_s, GAP_S, COMMON_ERROR_PX, camera)
+    drift_hz = common_growth_hz(radius_px, members.medians(ages_s), GAP_S, COMMON_ERROR_PX)
+    ((common,), _) = common_covariances(ref_px, drift_hz, camera)
     (row,) = with_times([row.changed(state_cov=row.state_cov + common)], camera)
     return row
 
@@ -73,7 +74,7 @@ def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
 
     def cov_of(rays):
         radius_px = members.radii(pixels_from_rays(CAMERA, rays), np.array([True]))
-        return common_covariances(ref_px, members, radius_px, age_s, GAP_S, COMMON_ERROR_PX, CAMERA)
+        return common_covariances(ref_px, common_growth_hz(radius_px, members.medians(age_s)), CAMERA)[0]
 
     without_one, unseen = now.copy(), np.full_like(now, np.nan)
     without_one[0] = np.nan
@@ -107,14 +108,3 @@ def test_noise_of_a_small_outline_has_to_go_beyond_the_common_error_as_well():
     noise_hz = (0.0, 0.0, -0.02 * NormalDist().inv_cdf(0.9995))
     assert seen(noise_hz, 0.02, size_m=40.0) in NEARER
     assert seen(noise_hz, 0.02, size_m=1.8) not in NEARER
-
-
-def test_what_approaches_shows_its_acceleration():
-    since_s = -np.arange(20)[::-1] / 20.0
-    rear_m = box_of_points(np.random.default_rng(1), N, (0.0, 0.0, 0.0), (1.8, 1.4, 0.0))[:, :2]
-    depth_m = 20.0 - 2.0 * since_s - 2.0 * since_s**2
-    brakes = braking_of(rear_m[None] / depth_m[:, None, None], since_s, CAMERA.fx_px, 0.25)
-    assert brakes.rate_hz == pytest.approx(-0.1, abs=1e-6)
-    assert brakes.acceleration_hz2 == pytest.approx(-0.2, abs=1e-6)
-    # Half of 0.25 px at the outline, as a random walk over 0.6 s: an eighth of that acceleration in a second.
-    assert brakes.acceleration_sigma_hz2 == pytest.approx(0.025, rel=0.4)

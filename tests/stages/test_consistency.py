@@ -31,7 +31,8 @@ def variances_of(errors_hz, step_s=0.05, velocity_m_s=ACROSS_M_S, number=lambda 
         place_m = cam_R_world @ (AHEAD_M + velocity_m_s * t_s[k])
         abc_hz = cam_R_world @ velocity_m_s / place_m[2] + error_hz
         ref_px, cov = pixels(place_m[None]), SIGMA_HZ**2 * np.eye(3)[None]
-        joint = JointStates(np.array([0]), ref_px, np.zeros((1, 2)), abc_hz[None], cov)
+        nothing = np.zeros(1), np.zeros((1, 2, 2))
+        joint = JointStates(np.array([0]), ref_px, np.zeros((1, 2)), abc_hz[None], cov, *nothing)
         joint, past = with_consistent_covariances(joint, [number(k)], history, past)
         found.append(joint.cov[0, 2, 2])
     return np.array(found)

@@ -10,11 +10,10 @@ from watched_rows import CONFIG, FRAME_S, HIT, WIDTH_M, drive, first_warned, row
 
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.camera.pinhole import pixels_from_rays
-from ttcvid.geometry.estimation.closing import Closing
-from ttcvid.model import SCENE_MOTION, MotionState
+from ttcvid.model import SCENE_MOTION, Closing, MotionState
 from ttcvid.stages.objects.clusters import with_times
 from ttcvid.stages.segmentation.own_turn import OwnBend
-from ttcvid.stages.warnings.course import Viewpoint, course_of
+from ttcvid.stages.warnings.course import Viewpoint, course_of, left_after
 
 
 def is_course(row, camera=CAMERA, config=CONFIG, **known):
@@ -150,39 +149,38 @@ def test_a_long_bus_that_crosses_well_before_us_is_not_warned_of():
 
 
 def braking_from_behind(acceleration_sigma_hz2, range_m=16.0, braking_m_s2=5.0, seconds=1.5, aside_m=0.0):
-    """Rows of a car at our own speed that has just begun to brake, and the acceleration that its picture shows."""
-    rows, closings = [], []
+    """Rows of a car at our own speed that has just begun to brake, with the acceleration of its trajectory."""
+    rows = []
     for t_s in np.arange(FRAME_S, seconds, FRAME_S):
         z_m, speed_m_s = range_m - 0.5 * braking_m_s2 * t_s**2, braking_m_s2 * t_s
         cov = np.diag([0.02, acceleration_sigma_hz2]) ** 2
-        rows.append(row_of((aside_m, 0.0, z_m), (0.0, 0.0, -speed_m_s)))
-        closings.append(Closing(-speed_m_s / z_m, -braking_m_s2 / z_m, cov))
-    return rows, closings
+        closing = Closing(-speed_m_s / z_m, -braking_m_s2 / z_m, cov)
+        rows.append(row_of((aside_m, 0.0, z_m), (0.0, 0.0, -speed_m_s)).changed(closing=closing))
+    return rows
 
 
 def test_a_car_that_has_just_begun_to_brake_is_warned_of_by_its_acceleration_where_that_is_sure():
     """At constant velocity it is reached within the limit 0.8 s after it began to; its brakes tell 0.3 s earlier."""
-    rows, closings = braking_from_behind(0.05)
-    _, unsure = braking_from_behind(0.3)
-    assert first_warned(watched(rows)[0]) == 16
-    assert first_warned(watched(rows, closings=closings)[0]) < 11
-    assert first_warned(watched(rows, closings=unsure)[0]) >= 13
+    rows = braking_from_behind(0.05)
+    assert first_warned(watched([row.changed(closing=None) for row in rows])[0]) == 16
+    assert first_warned(watched(rows)[0]) < 11
+    assert first_warned(watched(braking_from_behind(0.3))[0]) >= 13
 
 
 def test_brakes_that_bring_a_contact_near_for_a_moment_are_not_warned_of():
     row = row_of((0.0, 0.0, 40.0), (0.0, 0.0, -5.0))
-    later, soon = (Closing(-0.125, acceleration_hz2, 1e-4 * np.eye(2)) for acceleration_hz2 in (-0.09, -0.3))
-    assert later.left_after(4.0, 1.0)[0] > 0.0 > soon.left_after(4.0, 1.0)[0]
-    assert first_warned(watched([row] * 16, closings=[*[later] * 10, *[soon] * 2, *[later] * 4])[0]) is None
-    assert first_warned(watched([row] * 30, closings=[*[later] * 10, *[soon] * 20])[0]) is not None
+    ways = [Closing(-0.125, acceleration_hz2, 1e-4 * np.eye(2)) for acceleration_hz2 in (-0.09, -0.3)]
+    assert left_after(ways[0], 4.0)[0] > 0.0 > left_after(ways[1], 4.0)[0]
+    later, soon = (row.changed(closing=closing) for closing in ways)
+    assert first_warned(watched([*[later] * 10, *[soon] * 2, *[later] * 4])[0]) is None
+    assert first_warned(watched([*[later] * 10, *[soon] * 20])[0]) is not None
 
 
 def warned_after(sigmas, row_sigma=0.001, config=CONFIG):
     """Frames after its first one in which a car is warned of whose brakes are told by so many standard deviations."""
     row = row_of((0.0, 0.0, 40.0), (0.0, 0.0, -5.0), relative_sigma=row_sigma)
-    # What looking for when they began adds to them is taken off.
-    brakes = Closing(-0.125, -0.4, np.diag([0.01, 0.4 / (sigmas + 0.35)]) ** 2)
-    return first_warned(watched([row] * 30, config, closings=[brakes] * 30)[0])
+    brakes = Closing(-0.125, -0.4, np.diag([0.01, 0.4 / sigmas]) ** 2)
+    return first_warned(watched([row.changed(closing=brakes)] * 30, config)[0])
 
 
 def test_the_surer_brakes_are_the_shorter_they_have_to_last():
@@ -234,21 +232,20 @@ def test_brakes_that_may_as_well_leave_more_time_are_not_warned_of():
     """They are let go: 12 s are left then, and 3.9 s if they last for another second."""
     row = row_of((0.0, 0.0, 22.0), (0.0, 0.0, -2.0), relative_sigma=0.001)
     brakes, harder = (Closing(-0.128, -hz2, np.diag([0.015, 0.034]) ** 2) for hz2 in (0.15, 0.3))
-    assert brakes.left_after(4.0, 1.0)[0] < 0.0
-    assert first_warned(watched([row] * 20, closings=[brakes] * 20)[0]) is None
-    assert first_warned(watched([row] * 20, closings=[harder] * 20)[0]) is not None
+    assert left_after(brakes, 4.0)[0] < 0.0
+    assert first_warned(watched([row.changed(closing=brakes)] * 20)[0]) is None
+    assert first_warned(watched([row.changed(closing=harder)] * 20)[0]) is not None
 
 
 def test_an_acceleration_is_not_taken_to_last_for_ever():
     """At 40 m it would be reached in 4 s by going on as now; nobody knows that it does."""
-    rows, closings = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
-    assert closings[0].left_after(4.0, 9.0)[0] < 0.0 < closings[-1].left_after(4.0, 1.0)[0]
-    assert first_warned(watched(rows, closings=closings)[0]) is None
+    rows = braking_from_behind(0.02, range_m=40.0, seconds=0.5)
+    assert 1.0 + 0.5 * 4.0**2 * rows[0].closing.acceleration_hz2 < 0.0 < left_after(rows[-1].closing, 4.0)[0]
+    assert first_warned(watched(rows)[0]) is None
 
 
 def test_a_car_that_brakes_beside_our_way_is_not_warned_of():
-    rows, closings = braking_from_behind(0.02, aside_m=5.4)
-    assert first_warned(watched(rows, closings=closings)[0]) is None
+    assert first_warned(watched(braking_from_behind(0.02, aside_m=5.4))[0]) is None
 
 
 def low_part(offset_m, z_m=15.0):

@@ -30,6 +30,7 @@ def states_on_one_path():
         along=AHEAD[None],
         rate_hz=np.full(N, RATE_HZ),
         rate_variance=own,
+        bend_hz=np.zeros((1, 3)),
         jacobian=jacobian,
         rate_jacobian=-jacobian[:, 2],
         cov=shared_cov,
@@ -92,8 +93,9 @@ def test_tracks_without_a_rate_on_the_path_have_no_part_in_what_the_others_share
     assert relative_sigma(off_path) == expected
 
 
-def test_of_what_turns_the_near_end_is_told_by_its_whole_side_and_not_by_its_largest_errors():
-    rng, turn, count, noise = np.random.default_rng(93), np.array([0.0, -0.45, 0.0]), 60, 0.08 * RATE_HZ
+@pytest.mark.parametrize("turn_rad_s", [0.0, -0.45])
+def test_the_near_end_of_a_side_is_told_by_the_whole_side_and_not_by_its_largest_errors(turn_rad_s):
+    rng, turn, count, noise = np.random.default_rng(93), np.array([0.0, turn_rad_s, 0.0]), 60, 0.08 * RATE_HZ
     off_hz, off_rad = [], []
     for _ in range(40):
         xy = rng.uniform([-0.2, -0.1], [0.2, 0.1], (count, 2))
@@ -135,6 +137,7 @@ def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_pla
         along=TO_US[None],
         rate_hz=np.full(count, RATE_HZ),
         rate_variance=rng.uniform(1e-4, 2e-4, count),
+        bend_hz=np.zeros((1, 3)),
         jacobian=rng.normal(size=(count, 3, N_SHARED)),
         rate_jacobian=np.zeros((count, N_SHARED)),
         cov=root @ np.swapaxes(root, 1, 2),
@@ -167,3 +170,29 @@ def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_pla
     by_place = np.cross(shared.turn_rad_s[0], offset)
     place_cov = 3.0 * np.einsum("n,ni,nj->ij", weight, by_place, by_place)
     np.testing.assert_allclose(joint.cov, [cov + place_cov], rtol=1e-9)
+
+
+def test_all_of_a_rear_is_its_nearest_surface_whatever_slope_noise_lends_it():
+    rng = np.random.default_rng(94)
+    for _ in range(40):
+        states = states_on_one_path()
+        rate_hz = RATE_HZ * (1.0 + OWN_PART * rng.normal(size=N))
+        states = replace(states, shared=replace(states.shared, rate_hz=rate_hz))
+        members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
+        joint = joint_states(members, AHEAD[None], np.array([False]), states, xy_px, LINK_PX)
+        assert np.linalg.norm(joint.ref_px[0] - xy_px.mean(axis=0)) < 0.2 * np.linalg.norm(np.std(xy_px, axis=0))
+
+
+def test_the_acceleration_of_a_surface_is_that_of_its_trajectory_over_its_depth():
+    """With the covariance that the plain formula gives: it and c both hang on the rate, and on what tracks share."""
+    states = states_on_one_path()
+    bend_hz, bend_sigma_hz = -0.8, 0.3
+    shared = replace(states.shared, bend_hz=bend_hz * AHEAD[None], cov=states.shared.cov.copy())
+    shared.cov[0, 5, 5] = bend_sigma_hz**2
+    members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
+    joint = joint_states(members, AHEAD[None], np.array([False]), replace(states, shared=shared), xy_px, LINK_PX)
+    assert joint.acceleration_hz2[0] == pytest.approx(RATE_HZ * bend_hz * AHEAD[2])
+    c_variance, both, variance = joint.closing_cov[0][np.triu_indices(2)]
+    assert c_variance == pytest.approx(joint.cov[0, 2, 2])
+    assert variance == pytest.approx((RATE_HZ * bend_sigma_hz) ** 2 + bend_hz**2 * c_variance)
+    assert both == pytest.approx(bend_hz * c_variance)

@@ -154,3 +154,31 @@ def test_a_tight_bend_is_judged_by_the_views_that_may_be_used_and_by_no_others()
 def test_where_the_direction_is_held_to_a_horizon_no_circle_is_looked_for():
     found = fitted(views_of_a_tight_bend(-0.45), may_leave_directions=False)
     assert abs(found.turn_rad_s[0, 1]) < 0.2
+
+
+def rear_views(depth_m, noise, seed, n=40):
+    """Places (L, n, 2) of points on the rear of a car ahead of us, at its depths (L,)."""
+    rng = np.random.default_rng(seed)
+    rear_m = rng.uniform([-0.85, -0.7], [0.85, 0.7], (n, 2)) + np.array([0.3, 0.5])
+    return rear_m / depth_m[:, None, None] + noise * rng.standard_normal((len(T_S), n, 2))
+
+
+AHEAD = np.array([0.0, 0.0, -1.0])
+
+
+def test_who_brakes_ahead_shows_his_acceleration_and_how_sure_it_is():
+    """2 m/s and 5 m/s^2, at 16 m: with the prior of whoever drives on, a third of that is found."""
+    off = []
+    for seed in range(60):
+        xy = rear_views(16.0 - 2.0 * T_S - 2.5 * T_S**2, 0.05 * SIGMA_NORM, seed)
+        braking = fitted(xy, 0.05 * SIGMA_NORM, AHEAD)
+        off.append((braking.bend_hz[0, 2] + 2.5) / np.sqrt(braking.cov[0, 5, 5]))
+        assert braking.bend_hz[0, 2] == pytest.approx(-2.5, abs=0.6)
+    assert abs(np.mean(off)) < 1.0
+
+
+def test_who_keeps_his_speed_is_not_said_to_brake():
+    said = [fitted(rear_views(16.0 - 2.0 * T_S, SIGMA_NORM, seed), SIGMA_NORM, AHEAD) for seed in range(60)]
+    wide = [np.sqrt(one.cov[0, 5, 5]) > 0.3 for one in said]
+    assert np.mean(wide) < 0.1
+    assert np.mean([abs(one.bend_hz[0, 2]) > 2.0 * np.sqrt(one.cov[0, 5, 5]) for one in said]) < 0.1

@@ -46,16 +46,12 @@ def drive(position_m, velocity_m_s, seconds, **options):
     return rows
 
 
-def watched(frames, config=CONFIG, memory=None, first_frame=0, closings=None, **options):
-    """Events active in each frame; a frame is a tuple of rows, or one row, or None.
-
-    ``closings``: of each frame, how the depth of all objects changes; ``options`` to the `Viewpoint`.
-    """
+def watched(frames, config=CONFIG, memory=None, first_frame=0, **options):
+    """Events active in each frame; a frame is a tuple of rows, or one row, or None. ``options`` to the `Viewpoint`."""
     memory, active = memory or EventMemory(), []
     for number, rows in enumerate(frames, first_frame):
         rows = () if rows is None else rows if isinstance(rows, tuple) else (rows,)
-        closing = None if closings is None else closings[number]
-        view = Viewpoint(CAMERA, closing_of={1: closing}.get, **options)
+        view = Viewpoint(CAMERA, **options)
         events, memory = update_events(memory, number, number * FRAME_S, rows, view, config)
         active.append(events)
     return active, memory

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 from ttcvid.model import ClusterRow, FrameResult, FrameStatus, Platform, TrackRows
 from ttcvid.stages.objects.consistency import PastStates
 from ttcvid.stages.objects.reached_first import Since, nearest_object
-from ttcvid.stages.rows import closing_of_cluster, cluster_rows, no_tracks, track_rows
+from ttcvid.stages.rows import cluster_rows, no_tracks, track_rows
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 from ttcvid.stages.update import Clip, SeenFrame
 from ttcvid.stages.warnings.course import Viewpoint
@@ -47,10 +46,9 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         memory = RowMemory(restarted_events(memory.watch))
     tracks, clusters, states = _rows(seen, clip, memory.states)
     config, step_s = clip.config.events, seen.history.step_s
-    closing_of = partial(closing_of_cluster, history=seen.history, motions=seen.motions, least_s=config.persistence_s)
     platform = clip.config.egomotion.platform
     on_ground, at_rest = platform == Platform.vehicle, platform == Platform.static
-    view = Viewpoint(clip.camera, on_ground, at_rest, seen.motions.bend, closing_of)
+    view = Viewpoint(clip.camera, on_ground, at_rest, seen.motions.bend)
     events, watch = update_events(memory.watch, frame.index, frame.t_s, clusters, view, config, step_s=step_s)
     nearest, since = nearest_object(memory.since, frame.t_s, clusters, clip.config)
     egomotion = seen.egomotion

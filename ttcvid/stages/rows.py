@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
 from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, CollisionTimes, Floats, Ints, TrackRows
 from ttcvid.stages.egomotion.flows import select_flows
@@ -20,7 +19,7 @@ from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.paper_track_states import three_frame_states, track_directions, two_frame_states
 from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.objects.track_states import multi_frame_states
-from ttcvid.stages.segmentation.common_errors import braking_of_tracks, common_covariances
+from ttcvid.stages.segmentation.common_errors import common_covariances, common_growth_hz
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -75,19 +74,14 @@ def cluster_rows(
     of_stated, _ = members.where(has_state[members.set_of])
     radius_px = members.radii(xy_px, is_object)[joint.owner]
     age_s, error_px = _age_s(history), history.common_error_px
-    common = common_covariances(joint.ref_px, of_stated, radius_px, age_s, gap_s, error_px, camera)
+    drift_hz = common_growth_hz(radius_px, of_stated.medians(age_s[of_stated.index]), gap_s, error_px)
+    of_states, of_closing = common_covariances(joint.ref_px, drift_hz, camera)
     numbers = [motions.clusters[place].cluster_id for place in joint.owner]
     joint, past = with_consistent_covariances(joint, numbers, history, past)
     # A common drift of the tracks is the same in all states: it is no contradiction, and is not multiplied.
-    joint = replace(joint, cov=joint.cov + common)
+    joint = replace(joint, cov=joint.cov + of_states, closing_cov=joint.closing_cov + of_closing)
     rows = rows_of(motions.clusters, members, joint, states, history.xy_px, expansion_hz)
     return tuple(ranked(with_times(with_epipole_pixels(rows, camera), camera))), past
-
-
-def closing_of_cluster(cluster_id: int, history: TrackHistory, motions: FrameMotions, least_s: float) -> Closing | None:
-    """How the depth of an object changes that may have begun to brake, by its sizes; None without enough views."""
-    members = next(motion.members for motion in motions.clusters if motion.cluster_id == cluster_id)
-    return braking_of_tracks(history, members, least_s)
 
 
 def no_tracks() -> TrackRows:

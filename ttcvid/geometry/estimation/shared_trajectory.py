@@ -23,6 +23,8 @@ N_SHARED = 12
 
 # Where these stand among the unknowns of a fit (`kernels.shared_path`).
 _U, _V, _W, _TURN = slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11)
+# The third axis is the direction itself.
+_ALONG = 4
 
 CHANGE_SIGMA_HZ2 = 0.5
 """Prior of the change of an acceleration over the speed, per axis: 3 m/s^3 at 6 m/s.
@@ -92,6 +94,11 @@ class SharedPaths:
     median_chi2: Floats
 
     @property
+    def bend_hz(self) -> Floats:
+        """Acceleration over the speed, at time 0: (K, 3)."""
+        return self.offset[:, 3:6]
+
+    @property
     def turn_rad_s(self) -> Floats:
         """Rotation rate in the views: (K, 3)."""
         return self.offset[:, 6:9]
@@ -158,6 +165,18 @@ class PathFits:
     def paths(self) -> SharedPaths:
         """The paths by the beliefs as they are and all views."""
         return self._paths(*self._weighed(self.believed))
+
+    def with_braking(self, sigma_hz: float, chi2: float) -> PathFits:
+        """With a wider prior of the acceleration along the direction, ``sigma_hz``, of the paths where it shows.
+
+        That is where the acceleration under this prior is not zero by more than ``chi2`` and the misfit of the views.
+        """
+        wide = self.believed + (sigma_hz**-2.0 - self.beliefs.along_sigma_hz**-2.0) * (
+            self.own_motion[:, _ALONG, :, None] * self.own_motion[:, _ALONG, None, :]
+        )
+        offset, cov = self._weighed(wide)
+        brakes = offset[:, _ALONG] ** 2 > chi2 * np.maximum(self.left[:, 1], 1.0) * cov[:, _ALONG, _ALONG]
+        return replace(self, believed=np.where(brakes[:, None, None], wide, self.believed))
 
     def paths_from_found_directions(self, found_cov: Floats, searched: SharedPaths) -> SharedPaths:
         """The paths by their believed directions, where these were found to ``found_cov (K, 3, 3)``, in rad^2.

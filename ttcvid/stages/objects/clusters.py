@@ -18,6 +18,7 @@ from ttcvid.model import (
     SCENE_MOTION,
     Bools,
     Camera,
+    Closing,
     ClusterRow,
     Floats,
     HorizonOffset,
@@ -115,6 +116,7 @@ def rows_of(
             "front_px": tuple(fronts[k]),
             "state_abc_hz": joint.abc_hz[k],
             "state_cov": joint.cov[k],
+            "closing": _closing(joint, k),
         }
     for place, direction, cov, status in [] if states.shared is None else _directions_of_states(motions, joint):
         believed[place], believed_cov[place] = direction, cov
@@ -131,6 +133,14 @@ def rows_of(
         _row(motion, *each, stated.get(place, {}))
         for place, (motion, each) in enumerate(zip(motions, facts, strict=True))
     ]
+
+
+def _closing(joint: JointStates, k: int) -> Closing | None:
+    """How the depth of surface k changes; None without a trajectory."""
+    acceleration_hz2 = float(joint.acceleration_hz2[k])
+    if not math.isfinite(acceleration_hz2):
+        return None
+    return Closing(float(joint.abc_hz[k, 2]), acceleration_hz2, joint.closing_cov[k])
 
 
 def _row(

@@ -72,7 +72,8 @@ def with_consistent_covariances(
         now[number] = (*before, replace(state, redchi=_compared(before, state, history)))
         scale[k] = max(1.0, _mean_redchi(now[number]))
     seen = {number: states for number, states in recent.items() if states} | now
-    return replace(joint, cov=scale[:, None, None] * joint.cov), seen
+    scale = scale[:, None, None]
+    return replace(joint, cov=scale * joint.cov, closing_cov=scale * joint.closing_cov), seen
 
 
 def _since(states: tuple[PastState, ...], t_s: float) -> tuple[PastState, ...]:

@@ -18,8 +18,9 @@ _TRIMMED_VARIANCE = 1.35
 _LEAST_OF_SURFACE = 3
 # Standard deviation of the depths on the front of a car, as a share of its distance.
 _RELIEF = 0.025
-# An object that turns faster than the first, rad/s, shows a side, with at least so many tracks.
-_TURNS_RAD_S, _LEAST_OF_SIDE = 0.05, 8
+# A side has at least so many tracks, and this part of the object's; its depth varies by more than this chi-square. (Two
+# degrees of freedom: by chance 14 is rare, but the relief of a car's rear is none of points that are independent.)
+_LEAST_OF_SIDE, _PART_OF_SIDE, _SIDE_CHI2 = 8, 0.8, 40.0
 # Prior of the slope of its rate over the rate: the tangent of up to 45 deg (standard deviation, per component).
 _SIDE_SLOPE = 0.5
 # Its near end is this share of its tracks, with those that are farther by no more than this share of the distance.
@@ -41,6 +42,8 @@ class JointStates:
     owner : ``(K,)`` index of the object.
     ref_px, ref_sigma : ``(K, 2)`` centroid, and its standard error in the plane z = 1: few points of it are tracked.
     abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.
+    acceleration_hz2, closing_cov : ``(K,)`` acceleration along the optical axis over Z, NaN without a trajectory, and
+        the covariance ``(K, 2, 2)`` of c and of it.
     """
 
     owner: Ints
@@ -48,6 +51,8 @@ class JointStates:
     ref_sigma: Floats
     abc_hz: Floats
     cov: Floats
+    acceleration_hz2: Floats
+    closing_cov: Floats
 
 
 def joint_states(
@@ -69,12 +74,11 @@ def joint_states(
     sets, owner = members.where(states.has_value[members.index] & has_direction[members.set_of])
     path = _paths_of(sets, shared)
     rate_hz, variance, by_shared = _rates(sets, direction[owner], states, shared)
-    turns = (path >= 0) & (np.linalg.norm(shared.turn_rad_s, axis=1) > _TURNS_RAD_S)[path]
     sigma_hz = np.sqrt(variance + (_RELIEF * rate_hz) ** 2)
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_of_path(rate_hz, sigma_hz, by_shared, shared.cov[path], xy_px[sets.index], sets, needed, link_px)
     above_hz = np.zeros(len(rate_hz))
-    for k in np.flatnonzero(turns & (sets.lengths >= _LEAST_OF_SIDE)):
+    for k in np.flatnonzero((path >= 0) & (sets.lengths >= _LEAST_OF_SIDE)):
         own = slice(sets.first[k], sets.first[k] + sets.lengths[k])
         side_hz, is_near = _near_end(states.xy[sets.index[own]], rate_hz[own], sigma_hz[own])
         if is_near.any():
@@ -93,7 +97,25 @@ def joint_states(
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
     cov = _covariances(surfaces, weight, off_ref, states)
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
-    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov)
+    surface_hz = surfaces.sums(weight * (rate_hz + above_hz)[is_in])
+    closing = _accelerations(surfaces, weight, surface_hz, shared)
+    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov, *closing)
+
+
+def _accelerations(surfaces: TrackSets, weight: Floats, rate_hz: Floats, shared: SharedErrors) -> tuple[Floats, Floats]:
+    """`JointStates.acceleration_hz2` and ``closing_cov`` of surfaces with the inverse depths ``rate_hz (K,)``, 1/s."""
+    path, index = _paths_of(surfaces, shared), surfaces.index
+    bend_hz, along = shared.bend_hz[path, 2], shared.along[path, 2]
+    by_rate = surfaces.sums(weight[:, None] * shared.rate_jacobian[index])
+    by_shared = np.stack(
+        [surfaces.sums(weight[:, None] * shared.jacobian[index, 2]), bend_hz[:, None] * by_rate], axis=1
+    )
+    by_shared[:, 1, 5] += rate_hz
+    own = np.stack([along, bend_hz], axis=1)
+    variance = _TRIMMED_VARIANCE * surfaces.sums(weight**2 * shared.rate_variance[index])
+    cov = by_shared @ shared.cov[path] @ np.swapaxes(by_shared, 1, 2)
+    cov += variance[:, None, None] * own[:, :, None] * own[:, None, :]
+    return np.where(path >= 0, rate_hz * bend_hz, np.nan), cov
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
@@ -117,7 +139,7 @@ def _rates(
 
 
 def _near_end(xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bools]:
-    """Rates (M,), 1/s, of the visible side of a turning object, and which tracks are its near end (none: no side).
+    """Rates (M,), 1/s, of the visible side of an object, and which tracks are its near end (none: no side).
 
     Inverse depths on a plane are linear in the image. A selection by the tracks' own rates would select the largest
     errors. ``xy (M, 2)`` are its tracks' places in the plane z = 1, ``rate_hz, sigma_hz (M,)`` rates and standard
@@ -129,9 +151,12 @@ def _near_end(xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bo
     for _ in range(_SIDE_STEPS):
         off = (rate_hz - side_hz) / (_SIDE_SIGMAS * sigma_hz)
         weighted = columns / (sigma_hz**2 * (1.0 + off**2))[:, None]
-        side_hz = columns @ np.linalg.solve(columns.T @ weighted + belief, weighted.T @ rate_hz)
+        cov = np.linalg.inv(columns.T @ weighted + belief)
+        plane = cov @ (weighted.T @ rate_hz)
+        side_hz = columns @ plane
     is_on = np.abs(rate_hz - side_hz) < _SIDE_SIGMAS * sigma_hz
-    if np.count_nonzero(is_on) < _LEAST_OF_SIDE:
+    is_side = plane[1:] @ np.linalg.solve(cov[1:, 1:], plane[1:]) > _SIDE_CHI2
+    if not is_side or np.count_nonzero(is_on) < max(_LEAST_OF_SIDE, _PART_OF_SIDE * len(is_on)):
         return side_hz, np.zeros(len(xy), dtype=bool)
     nearest_hz = float(np.quantile(side_hz[is_on], 1.0 - _NEAR_PART))
     return side_hz, is_on & (side_hz >= nearest_hz - _NEAR_DEPTH * abs(nearest_hz))

@@ -83,8 +83,8 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     shared_cov[:, :3, :3], shared_cov[:, 6:9, 6:9] = direction_cov[first], np.eye(3)
     rate_jacobian = np.sum(direction[:, :, None] * jacobian, axis=1)
     path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
-    by_shared, no_turns = (jacobian, rate_jacobian, shared_cov), np.zeros((len(first), 3))
-    return replace(states, shared=SharedErrors(path_of, direction[first], rate_hz, own, *by_shared, no_turns))
+    by_shared, zeros = (jacobian, rate_jacobian, shared_cov), np.zeros((len(first), 3))
+    return replace(states, shared=SharedErrors(path_of, direction[first], rate_hz, own, zeros, *by_shared, zeros))
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:

@@ -120,7 +120,7 @@ def _on_paths(
     # `NO_PATH` picks the last one.
     rate_variance = rates.cov[:, 2, 2] * np.append(redchi, 1.0)[path_of]
     found = velocities_on_paths(rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov)
-    errors = (rates.rate_hz, rate_variance, found.jacobian, rates.by_shared)
+    errors = (rates.rate_hz, rate_variance, paths.bend_hz, found.jacobian, rates.by_shared)
     shared = SharedErrors(path_of, paths.direction, *errors, shared_cov, turn_rad_s)
     status = np.where(path_of == NO_PATH, motions.no_direction_status, _status_on_path(rates, found))
     e = np.append(paths.direction, np.full((1, 3), np.nan), axis=0)[path_of]

@@ -19,8 +19,10 @@ for a turn, and bias the velocity."""
 # The prior of the direction comes from a fit of straight tracks. Its covariance is widened by this factor and the
 # square of this angle, so that curved trajectories can be found.
 _SEARCH_FACTOR, _SEARCH_FLOOR_RAD = 9.0, float(np.radians(1.0))
-# Relative acceleration over relative speed of two cars, per axis: 1.2 m/s^2 at 6 m/s.
-OBJECT_BEND_HZ = 0.2
+# Prior of the relative acceleration over the relative speed, per axis: 1.2 m/s^2 at 6 m/s; along the direction of who
+# brakes, who has had hardly any speed against us. That holds where it shows significantly (one degree of freedom).
+OBJECT_BEND_HZ, _BRAKING_HZ = 0.2, 1.2
+_BRAKING_CHI2 = float(chdtri(1, 0.05))
 # Prior of the turn rate in a bend, some deg/s. On a known horizon, which a free turning body could leave, it is chosen
 # if it lowers the squared residuals significantly (chi-square, three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
@@ -81,7 +83,7 @@ def straight_or_in_bend(
     """
     longest, probability = config.max_frames, config.window_probability
     points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
-    fits = fit_paths(points, beliefs, longest, probability)
+    fits = fit_paths(points, beliefs, longest, probability).with_braking(_BRAKING_HZ, _BRAKING_CHI2)
     straight = fits.paths()
     chi2, by_views_rad_s = _turns_by_views(straight, beliefs.turn_sigma_rad_s)
     is_rejected, of_noise = straight.median_chi2 > _REJECTED, np.maximum(straight.median_chi2, 1.0)

@@ -7,15 +7,10 @@ track, and is wrong.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
-from ttcvid.geometry.estimation.closing import Closing, depths_over_time, fit_braking
-from ttcvid.model import Camera, Floats, Ints
-from ttcvid.stages.tracking.groups import TrackSets
-from ttcvid.stages.tracking.history import TrackHistory
+from ttcvid.model import Camera, Floats
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
 SIGMAS_999 = 3.090
@@ -29,27 +24,16 @@ _WALKING_PART = 0.5
 _LEAST_RADIUS_PX = 1e-3
 
 
-def common_covariances(
-    ref_px: Floats,
-    members: TrackSets,
-    radius_px: Floats,
-    age_s: Floats,
-    gap_s: float,
-    error_px: float,
-    camera: Camera,
-) -> Floats:
-    """What the common error of its tracks adds to the covariance of each of K states: ``(K, 3, 3)``, 1/s^2.
+def common_covariances(ref_px: Floats, drift_hz: Floats, camera: Camera) -> tuple[Floats, Floats]:
+    """What common errors of their tracks add to the covariances of K states (K, 3, 3) and of how these close in
+    (K, 2, 2): of c and the acceleration over the depth.
 
-    ``ref_px (K, 2)`` are the reference points of the objects, ``members, radius_px (K,)`` their tracks and
-    `TrackSets.radii`, ``age_s (N,)`` the age of each track, ``gap_s`` the time over which expansions are measured,
-    ``error_px`` the `PointSet.common_error_px`.
+    ``ref_px (K, 2)`` are the reference points of the objects, ``drift_hz (K,)`` their `common_growth_hz`.
     """
-    if not len(ref_px):
-        return np.empty((0, 3, 3))
     rays = rays_from_pixels(camera, ref_px)
-    drift_hz = common_growth_hz(radius_px, members.medians(age_s[members.index]), gap_s, error_px)
     # An apparent expansion is an apparent velocity along the ray.
-    return np.asarray(drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :])
+    of_states = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
+    return of_states, drift_hz[:, None, None] ** 2 * np.diag([1.0, (_WALKING_PART / _DRIFT_S) ** 2])
 
 
 def common_growth_hz(
@@ -62,28 +46,3 @@ def common_growth_hz(
     """
     looked_s = np.maximum(np.minimum(seen_s, _DRIFT_S), least_s)
     return np.asarray(error_px / (np.maximum(radius_px, _LEAST_RADIUS_PX) * looked_s))
-
-
-def braking_of(xy: Floats, since_s: Floats, focal_px: float, least_s: float) -> Closing | None:
-    """Change of the depth of an object that may have begun to brake within the views; None with too few views.
-
-    Parameters
-    ----------
-    xy : ``(L, M, 2)`` observations of its tracks in the plane z = 1 of the present camera; the last view is now.
-    since_s : ``(L,)`` times of the views, s, up to 0.
-    least_s : least time since the beginning, s.
-    """
-    depth, variance, radius = depths_over_time(xy)
-    # Variance of the log size by the common matching error, gained per second.
-    drift_hz = (COMMON_ERROR_PX / max(radius * focal_px, _LEAST_RADIUS_PX)) ** 2 / _DRIFT_S
-    found = fit_braking(depth, variance, since_s, _WALKING_PART**2 * drift_hz, least_s)
-    if found is None:
-        return None
-    steady_hz2 = (1.0 - _WALKING_PART**2) * drift_hz / _DRIFT_S
-    return replace(found, cov=found.cov + np.diag([steady_hz2, 0.0]))
-
-
-def braking_of_tracks(history: TrackHistory, members: Ints, least_s: float) -> Closing | None:
-    """As `braking_of`, for some of the tracks, ``members (M,)``."""
-    past = slice(0, history.n_past + 1)
-    return braking_of(history.xy[past].take(members, axis=1), history.since_s[past], history.focal_px, least_s)

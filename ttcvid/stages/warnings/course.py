@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,23 +11,18 @@ from scipy.special import ndtr
 from ttcvid.config import EventsConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, straightened
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
-from ttcvid.geometry.estimation.closing import Closing
 from ttcvid.geometry.rotation import tangent_basis
-from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, MotionState
+from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, Closing, ClusterRow, Floats, MotionState
 from ttcvid.stages.segmentation.ground_plane import OWN_HALF_WIDTH
 from ttcvid.stages.segmentation.own_turn import OwnBend
-
-ClosingOf = Callable[[int], Closing | None]
-"""From a ``cluster_id`` to how the depth of the object changes; None where that is not known."""
 
 # The time to closest approach counts up to this multiple of its limit: evidence is gathered while that time runs down.
 _WATCHED_TTC = 1.5
 # Off the road an object's width counts by its component across the direction of motion, 1.5 times for our own width; at
 # least this share of it counts everywhere: no object is a line.
 _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
-# The search for the beginning of braking adds this to its statistic (`geometry.estimation.closing.fit_braking`);
-# braking is extrapolated for this long, s.
-_SIGMAS_OF_CHOICE, _LASTING_S = 0.35, 1.0
+# Braking is extrapolated for this long, s.
+_LASTING_S = 1.0
 # We reach as far before the lens as beside it, so that our part of the miss distance is whole up to 60 deg off our way.
 _FULL_UNTIL = 2.0
 # A driver steers by about this acceleration, heights of the camera / s^2 (0.2 m/s^2): four seconds ahead nobody knows
@@ -63,10 +57,6 @@ class Course:
 NO_COURSE = Course(0.0)
 
 
-def unknown_closing(_: int) -> None:
-    """The `ClosingOf` that knows of no cluster."""
-
-
 @dataclass(frozen=True)
 class Viewpoint:
     """What courses are judged from: the camera and what is known of its own motion.
@@ -77,14 +67,12 @@ class Viewpoint:
         that passes below the camera hits it, and a lorry need not pass at a distance of its length.
     at_rest : the camera is mounted somewhere: it is a point, that only an object itself can hit.
     bend : our own turn; None: we go straight. Objects on our road turn with it.
-    closing_of : how the depth of a cluster changes. It is slow, and called only where the result depends on it.
     """
 
     camera: Camera
     on_ground: bool = False
     at_rest: bool = False
     bend: OwnBend | None = None
-    closing_of: ClosingOf = unknown_closing
 
 
 def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course | None:
@@ -111,7 +99,7 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     in_time = float(ndtr(later_hz / max(math.sqrt(cov[2, 2]), _TINY)))
     is_soon = tcpa_s <= config.max_ttc_s
     if not is_soon and hits > _EVEN:
-        brakes = _braking_probability(view.closing_of(row.cluster_id), config.max_ttc_s)
+        brakes = _braking_probability(row.closing, config.max_ttc_s)
         in_time, is_soon = max(in_time, brakes), brakes > _EVEN
     return Course(approach_probability(abc_hz, cov) * hits * in_time, is_soon, tuple(off_widths))
 
@@ -123,9 +111,26 @@ def _braking_probability(closing: Closing | None, max_ttc_s: float) -> float:
     """
     if closing is None:
         return 0.0
-    sigmas = -closing.acceleration_hz2 / closing.acceleration_sigma_hz2 - _SIGMAS_OF_CHOICE
-    left, left_sigma = closing.left_after(max_ttc_s, _LASTING_S)
+    sigmas = -closing.acceleration_hz2 / max(math.sqrt(closing.cov[1, 1]), _TINY)
+    left, left_sigma = left_after(closing, max_ttc_s)
     return float(ndtr(min(sigmas, -left / max(left_sigma, _TINY))))
+
+
+def left_after(closing: Closing, t_s: float) -> tuple[float, float]:
+    """What is left of the present depth after a time, and its standard deviation; both linear in what is known.
+
+    The acceleration lasts for `_LASTING_S`, and the speed then stays. What closes in ever faster has been reached where
+    less than nothing is left. A car 20 m ahead at our own speed that brakes with 5 m/s^2 for 1 s:
+
+    >>> left_after(Closing(0.0, -5 / 20, np.eye(2)), 4.5)[0]
+    0.0
+    >>> left_after(Closing(-0.25, -0.5, np.diag([0.01, 0.0])), 2.0)
+    (-0.25, 0.2)
+    """
+    while_s = min(t_s, _LASTING_S)
+    by = np.array([t_s, while_s * (t_s - 0.5 * while_s)])
+    left = 1.0 + by @ np.array([closing.rate_hz, closing.acceleration_hz2])
+    return float(left), float(np.sqrt(by @ closing.cov @ by))
 
 
 def approach_probability(abc_hz: Floats | None, cov: Floats | None) -> float:
