@@ -49,16 +49,18 @@ def trajectory(t_s: Floats, centre: Floats, shared: Floats) -> tuple[Floats, Flo
 
     The body's middle is now at ``centre (3,)``.
     """
-    way = np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 3))
-    _set_trajectory(t_s, centre, shared, *way)
-    return way
+    rotations, bends, shift = np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 3))
+    _set_trajectory(t_s, centre, shared, rotations, bends, shift)
+    return rotations, shift
 
 
-@compiled_for("(f8[::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1])")
-def _set_trajectory(t_s: Floats, centre: Floats, shared: Floats, rotations: Floats, shift: Floats) -> None:
-    """Fill R (L, 3, 3) and S (L, 3) for what is shared, with the middle now at ``centre (3,)``."""
-    ax, ay, az, x, y, z = shared[3], shared[4], shared[5], shared[6], shared[7], shared[8]
-    rate2, along = x * x + y * y + z * z, x * ax + y * ay + z * az
+@compiled_for("(f8[::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1])")
+def _set_trajectory(
+    t_s: Floats, centre: Floats, shared: Floats, rotations: Floats, bends: Floats, shift: Floats
+) -> None:
+    """Fill R and G (L, 3, 3) and S (L, 3) for what is shared, with the middle now at ``centre (3,)``."""
+    x, y, z = shared[6], shared[7], shared[8]
+    rate2 = x * x + y * y + z * z
     rate = np.sqrt(rate2)
     for k in range(len(t_s)):
         t = t_s[k]
@@ -70,14 +72,14 @@ def _set_trajectory(t_s: Floats, centre: Floats, shared: Floats, rotations: Floa
         else:
             sine = np.sin(0.5 * rate * t) / rate
             once, twice = (t - np.sin(rate * t) / rate) / rate2, (0.5 * both - 2.0 * sine * sine) / rate2
-        half = 0.5 * both - twice * rate2
-        shift[k, 0] = half * ax + once * (y * az - z * ay) + twice * x * along
-        shift[k, 1] = half * ay + once * (z * ax - x * az) + twice * y * along
-        shift[k, 2] = half * az + once * (x * ay - y * ax) + twice * z * along
+        half, g = 0.5 * both - twice * rate2, bends[k]
+        g[0, 0], g[0, 1], g[0, 2] = half + twice * x * x, twice * x * y - once * z, twice * x * z + once * y
+        g[1, 0], g[1, 1], g[1, 2] = twice * x * y + once * z, half + twice * y * y, twice * y * z - once * x
+        g[2, 0], g[2, 1], g[2, 2] = twice * x * z - once * y, twice * y * z + once * x, half + twice * z * z
         for j in range(3):
-            shift[k, j] += centre[j] + t * shared[j]
+            shift[k, j] = centre[j] + t * shared[j]
             for m in range(3):
-                shift[k, j] -= rotations[k, j, m] * centre[m]
+                shift[k, j] += g[j, m] * shared[3 + m] - rotations[k, j, m] * centre[m]
 
 
 @compiled_for(
@@ -95,13 +97,13 @@ def fit_turning_points(
     too near is none: nothing changes, and its squares are infinite.
 
     The cost of a place is its squared residuals, which grow as their logarithm beyond the robust limit, and beliefs.
-    How R and S follow what is shared is taken by differences.
+    How R and S follow the turn is taken by differences.
     """
     xy, t_s, sigma, centre = views
     mean_turn_rad_s, turn_sigma_rad_s, bend_hz, least_speed_hz, relief = beliefs
     n_points, n_views, loose = len(own), len(t_s), relief**-2
-    r, shift = np.empty((n_views, 3, 3)), np.empty((n_views, 3))
-    other_r, other_shift = np.empty((n_views, 3, 3)), np.empty((n_views, 3))
+    r, bends, shift = np.empty((n_views, 3, 3)), np.empty((n_views, 3, 3)), np.empty((n_views, 3))
+    other_r, other_bends, other_shift = np.empty_like(r), np.empty_like(r), np.empty_like(shift)
     turned, dragged = np.empty((3, n_views, 3, 3)), np.empty((_N_SHARED, n_views, 3))
     rows, moves, moved = np.empty((_N_ALL + 1, 2 * n_views)), np.empty((_N_ALL, 3)), shared.copy()
     of_points, kept = np.empty((n_points, _N_ALL + 1, _N_ALL)), np.empty((n_points, _N_ALL + 1, _N_OWN))
@@ -113,7 +115,7 @@ def fit_turning_points(
     n_steps, damping, cost, fall, scale2, squares, median_chi2 = ZERO, _FIRST_DAMPING, np.inf, np.inf, 1.0, np.inf, 1.0
     while True:
         # The trial, its cost by the scale of the place that it starts from.
-        _set_trajectory(t_s, centre, moved, r, shift)
+        _set_trajectory(t_s, centre, moved, r, bends, shift)
         far, trial_cost, trial_squares = ROBUST_SIGMAS**2 * scale2, 0.0, 0.0
         for i in range(n_points):
             n, inverse, per_point[i], x, y, kappa = 0, 1.0 / sigma[i], 0.0, trial[i, 0], trial[i, 1], trial[i, 2]
@@ -125,7 +127,7 @@ def fit_turning_points(
                 rx = (r[k, 0, 0] * x + r[k, 0, 1] * y + r[k, 0, 2] + kappa * shift[k, 0]) / z - xy[k, i, 0]
                 ry = (r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] + kappa * shift[k, 1]) / z - xy[k, i, 1]
                 square = (rx * rx + ry * ry) * inverse * inverse
-                trial_cost += np.inf if z < _LEAST_DEPTH else min(square, far) + far * np.log(max(square / far, 1.0))
+                trial_cost += np.inf if z < _LEAST_DEPTH else square if square < far else far + far * np.log(square / far)
                 trial_squares += min(square, ROBUST_SIGMAS**2)
                 per_point[i] += square
                 n += 1
@@ -147,15 +149,16 @@ def fit_turning_points(
             for c in range(_N_SHARED):
                 shared[c] = moved[c]
                 cost += scale2 * precision[c] * (shared[c] - mean[c]) ** 2
-            for j in range(_N_SHARED):
-                moved[j] = shared[j] + _STEP
-                _set_trajectory(t_s, centre, moved, other_r, other_shift)
-                moved[j] = shared[j]
+            for j in range(3):
+                moved[6 + j] = shared[6 + j] + _STEP
+                _set_trajectory(t_s, centre, moved, other_r, other_bends, other_shift)
+                moved[6 + j] = shared[6 + j]
                 for k in range(n_views):
                     for a in range(3):
-                        dragged[j, k, a] = (other_shift[k, a] - shift[k, a]) / _STEP
+                        dragged[j, k, a], dragged[3 + j, k, a] = t_s[k] if a == j else 0.0, bends[k, a, j]
+                        dragged[6 + j, k, a] = (other_shift[k, a] - shift[k, a]) / _STEP
                         for b in range(3):
-                            turned[j % 3, k, a, b] = (other_r[k, a, b] - r[k, a, b]) / _STEP
+                            turned[j, k, a, b] = (other_r[k, a, b] - r[k, a, b]) / _STEP
             of_points[:] = 0.0
             for i in range(n_points):
                 n, inverse, x, y, kappa = 0, 1.0 / sigma[i], trial[i, 0], trial[i, 1], trial[i, 2]
@@ -176,7 +179,7 @@ def fit_turning_points(
                     v = (r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] + kappa * shift[k, 1]) * h
                     rx, ry = (xy[k, i, 0] - u) * inverse, (xy[k, i, 1] - v) * inverse
                     square = rx * rx + ry * ry
-                    cost += min(square, far) + far * np.log(max(square / far, 1.0))
+                    cost += square if square < far else far + far * np.log(square / far)
                     root = np.sqrt(far / max(square, far))
                     for j in range(_N_ALL):
                         rows[j, n] = root * h * inverse * (moves[j, 0] - u * moves[j, 2])
