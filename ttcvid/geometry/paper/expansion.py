@@ -75,7 +75,7 @@ def expansion_of_neighbourhood(
 
     Source: DESIGN equation 8.
     """
-    views = np.ascontiguousarray(rays_first), np.ascontiguousarray(rays_second)
+    views = rays_first, rays_second
     return _rates(*views, np.ones(len(rays_first)), neighbours, dt_s, [len(neighbours)])
 
 
@@ -84,23 +84,23 @@ def _rates(
 ) -> tuple[Floats, Floats]:
     """`expansion_rate` of ``regions (R, m)`` of N points, in the given shape."""
     # Absent points have index -1 and no weight; comparisons with NaN are False.
-    is_ahead = (weights > 0.0) & (first[:, 2] > 0.0) & (second[:, 2] > 0.0)
+    *xy, z = np.stack([first, second]).transpose(2, 0, 1)
+    is_ahead = (weights > 0.0) & (z > 0.0).all(axis=0)
     with np.errstate(all="ignore"):
-        # Places in the plane z = 1 as complex numbers.
-        u, v = ((each[:, 0] + 1j * each[:, 1]) / each[:, 2] for each in (first, second))
-    is_there = (is_ahead & np.isfinite(u + v))[regions] & (regions >= 0)
+        # In the plane z = 1, x and y (2,) by view (2,) by point.
+        places = np.array(xy) / z
+    is_there = (is_ahead & np.isfinite(places.sum(axis=(0, 1))))[regions] & (regions >= 0)
     weight = np.where(is_there, weights[regions], 0.0)
     total, count = weight.sum(axis=1), np.count_nonzero(is_there, axis=1)
     # With u, v the offsets from the centroids of the two views: scale^2 = sum w v^2 / sum w u^2, and the residuals
     # v - scale u have 2 m - 3 degrees of freedom.
-    u, v = (np.where(is_there, each[regions], 0.0) for each in (u, v))
-    rest = quotient(1.0, total)
-    u, v = (each - (np.sum(weight * each, axis=1) * rest)[:, None] for each in (u, v))
-    uu, vv = (np.sum(weight * (each.real**2 + each.imag**2), axis=1) for each in (u, v))
+    places = np.where(is_there, places.take(regions, axis=2), 0.0)
+    off = places - quotient(np.einsum("cvrm,rm->cvr", places, weight), total)[..., None]
+    uu, vv = np.einsum("cvrm,cvrm,rm->vr", off, off, weight)
     has_extent = np.minimum(uu, vv) > LEAST_EXTENT**2 * total
     ratio = np.sqrt(quotient(vv, np.where(has_extent, uu, np.nan)))
-    left = v - ratio[:, None] * u
-    squares = np.sum(weight * (left.real**2 + left.imag**2), axis=1)
+    left = off[:, 1] - ratio[:, None] * off[:, 0]
+    squares = np.einsum("crm,crm,rm->r", left, left, weight)
     variance = squares / (np.maximum(2 * count - 3, 1) * (1.0 + ratio**2)) * (quotient(1.0, uu) + quotient(1.0, vv))
     scale, dt_s = ratio.reshape(shape), np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
     return (scale - 1.0) / dt_s, scale * np.sqrt(variance.reshape(shape)) / dt_s

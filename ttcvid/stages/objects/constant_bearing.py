@@ -47,8 +47,9 @@ def with_constant_bearing(
     if not len(asked) or gap_frames < 1:
         return states
     past_rays, gap_s = history.derotated(history.now - gap_frames), -history.since_s[history.now - gap_frames]
-    eta_hz, sigma_hz = expansion_of_neighbourhood(past_rays, history.rays[history.now], neighbours[asked], gap_s)
-    sigma_hz = np.maximum(sigma_hz, _expansion_noise_hz(states, neighbours[asked], gap_s))
+    neighbours = neighbours[asked]
+    eta_hz, sigma_hz = expansion_of_neighbourhood(past_rays, history.rays[history.now], neighbours, gap_s)
+    sigma_hz = np.maximum(sigma_hz, _expansion_noise_hz(states, neighbours, gap_s))
     past = past_rays[asked]
     is_sure = (eta_hz > _EXPANSION_SIGMAS * sigma_hz) & (past[:, 2] > 0.0)
     asked, eta_hz, sigma_hz, past = asked[is_sure], eta_hz[is_sure], sigma_hz[is_sure], past[is_sure]
