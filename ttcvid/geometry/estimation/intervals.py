@@ -13,7 +13,6 @@ import math
 import numpy as np
 
 from ttcvid.geometry.estimation.tcpa_miss_bounds import CHI2_90_TWO, inversion_range
-from ttcvid.geometry.paper.collision import times_from_position_velocity
 from ttcvid.geometry.quotient import quotient
 from ttcvid.model import CollisionTimes, Floats
 
@@ -51,18 +50,19 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     >>> [round(float(v[0]), 2) for v in (times.tcpa_lo_s, times.tcpa_s, times.tcpa_hi_s)]
     [2.3, 2.31, 2.32]
     """
-    times = times_from_position_velocity(np.column_stack([x, y, np.ones(len(x))]), abc_hz)
+    rates, rates_cov = radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm)
+    tcpa_s, miss_s = quotient(rates.T * [[-1.0], [1.0]], np.sum(rates**2, axis=1))
+    bounds = inversion_range(rates, rates_cov)
     reach = NORMAL_90_SIGMAS * np.sqrt(np.maximum(cov[:, 2, 2], 0.0))
-    bounds = inversion_range(*radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm))
     # The value itself is in the region; by another way of rounding it may seem to lie beyond the border.
     return CollisionTimes(
-        times.tcpa_s,
-        np.minimum(bounds[0], times.tcpa_s),
-        np.maximum(bounds[1], times.tcpa_s),
-        times.miss_s,
-        np.minimum(bounds[2], times.miss_s),
-        np.maximum(bounds[3], times.miss_s),
-        times.ttc_z_s,
+        tcpa_s,
+        np.minimum(bounds[0], tcpa_s),
+        np.maximum(bounds[1], tcpa_s),
+        miss_s,
+        np.minimum(bounds[2], miss_s),
+        np.maximum(bounds[3], miss_s),
+        quotient(-1.0, abc_hz[:, 2]),
         quotient(1.0, reach - abc_hz[:, 2]),
         quotient(-1.0, reach + abc_hz[:, 2]),
     )
