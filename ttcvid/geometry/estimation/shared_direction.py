@@ -53,17 +53,18 @@ def shared_directions(
     n_errors = 0 if by_shared is None else by_shared.shape[2]
     direction, told_of = np.full((n_things, 3), np.nan), np.full((n_things, 3, 3 + n_errors), np.nan)
     covariance, by_errors, chi2 = told_of[..., :3], told_of[..., 3:], np.zeros(len(velocity_hz))
-    is_usable = np.isfinite(velocity_hz).all(axis=1) & (np.trace(info_w, axis1=1, axis2=2) > 0.0)
+    is_usable = np.isfinite(velocity_hz).all(axis=1) & (np.einsum("nii->n", info_w) > 0.0)
     usable = np.flatnonzero(is_usable)
     usable = usable[np.argsort(thing[usable], kind="stable")]
     if not len(usable):
         return direction, covariance, chi2, by_errors
-    told, first = np.unique(thing[usable], return_index=True)
+    n_points = np.bincount(thing[usable], minlength=n_things)
+    told = np.flatnonzero(n_points)
+    first = np.append(0, np.cumsum(n_points[told]))
     w, info, of_each = velocity_hz[usable], info_w[usable], np.empty(len(usable))
     errors = np.zeros((len(usable), 3, 0)) if by_shared is None else by_shared[usable]
     found, spread = np.empty((len(told), 3)), np.empty((len(told), 3, 3 + n_errors))
-    guesses = _guesses(xy[usable], w, info, first)
-    _fit_each((w, info, errors), np.append(first, len(usable)), guesses, found, spread, of_each)
+    _fit_each((w, info, errors), first, _guesses(xy[usable], w, info, first[:-1]), found, spread, of_each)
     direction[told], told_of[told], chi2[usable] = found, spread, of_each
     return direction, covariance, chi2, by_errors
 
@@ -76,13 +77,11 @@ def _guesses(xy: Floats, w: Floats, info: Floats, first: Ints) -> Floats:
     its own ray, so that the descent ended in a minimum near the thing itself. The lines stay.
     """
     # The line is normal to the ray of the point and to its velocity.
-    across = cross(np.column_stack([xy, np.ones(len(xy))]), w)
-    lines, spread = (
-        np.add.reduceat(weight[:, None, None] * v[:, :, None] * v[:, None], first, axis=0)
-        for v in (across, w)
-        for weight in [np.einsum("ni,nij,nj->n", v, info, v) / np.maximum(np.sum(v * v, axis=1), 1e-300)]
-    )
-    return np.stack([np.linalg.eigh(lines)[1][..., 0], np.linalg.eigh(spread)[1][..., 2]], axis=1)
+    v = np.stack([cross(np.column_stack([xy, np.ones(len(xy))]), w), w])
+    weight = np.einsum("vni,nij,vnj->vn", v, info, v) / np.maximum(np.einsum("vni,vni->vn", v, v), 1e-300)
+    sums = np.add.reduceat(weight[..., None, None] * v[..., None] * v[:, :, None], first, axis=1)
+    lines, spread = np.linalg.eigh(sums)[1]
+    return np.stack([lines[..., 0], spread[..., 2]], axis=1)
 
 
 @compiled_for(

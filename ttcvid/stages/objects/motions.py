@@ -167,13 +167,11 @@ def motions_of(
     tracks = np.concatenate(list(members.values()))
     window_s, direction, covariance = _directions(history, tracks, thing, len(members), config)
     motions = []
-    for number, (cluster_id, index) in enumerate(members.items()):
-        motion = ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks")
-        if np.isfinite(direction[number, 0]):
-            way, cov = direction[number], covariance[number]
-            found = replace(motion, direction=way, direction_cov=cov, window_s=float(window_s[number]))
-            motion = on_plane(found, plane, camera)
-        motions.append(motion)
+    for cluster_id, *found in zip(members, direction, covariance, window_s.tolist(), strict=True):
+        way, cov, since_s = found if np.isfinite(found[0][0]) else (None, None, np.inf)
+        index, how = members[cluster_id], (Status.no_epipole, "whole-tracks")
+        motion = ClusterMotion(cluster_id, index, way, cov, *how, window_s=since_s)
+        motions.append(on_plane(motion, plane, camera))
     return motions
 
 
