@@ -94,7 +94,8 @@ def turned_into_plane(rays: Floats, rotations: Floats) -> Floats:
 def each_turned_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints) -> Floats:
     """As `turned_into_plane`, of the rays of index ``ray (M,)``, each by its own group of rotations: ``(L, M, 2)``.
 
-    ``rotation (M,)`` is the index of its group among ``rotations (K, L, 3, 3)``.
+    ``rotation (M,)`` is the index of its group among ``rotations (K, L, 3, 3)``; rays may come as places in the plane
+    z = 1, ``(L, N, 2)``.
     """
     xy = np.empty((len(rays), len(ray), 2))
     rays, rotations = np.ascontiguousarray(rays), np.ascontiguousarray(rotations)
@@ -138,7 +139,8 @@ def _turn_into_plane(rays: Floats, ray: Ints, rotations: Floats, rotation: Ints,
     """Fill ``xy (L, M, 2)``."""
     for place in range(len(rays)):
         for m in range(len(ray)):
-            x, y, z = rays[place, ray[m], 0], rays[place, ray[m], 1], rays[place, ray[m], 2]
+            x, y = rays[place, ray[m], 0], rays[place, ray[m], 1]
+            z = rays[place, ray[m], 2] if rays.shape[2] == 3 else 1.0
             r = rotations[rotation[m], place]
             depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
             if depth > _LEAST_FORWARD:

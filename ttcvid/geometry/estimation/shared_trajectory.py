@@ -208,8 +208,9 @@ class PathFits:
 
     def _paths(self, local: Floats, cov: Floats) -> SharedPaths:
         """The paths at the offsets ``local (K, 11)`` in their own axes, with ``cov (K, 11, 11)``."""
-        columns, (path, speed) = _to_camera(self.basis), _moved_paths(self.beliefs, self.basis, local, self.t_s)
+        columns = _to_camera(self.basis)
         offset = _times(columns, local)
+        path, speed = _moved_paths(self.beliefs, offset, self.t_s)
         # Directions and bends are over the speed.
         columns[:, :6] /= speed[:, None, None]
         columns[:, 9:] /= speed[:, None, None]
@@ -241,7 +242,7 @@ def fit_paths(
     own_motion = _own_motion(beliefs, basis, state, path_of)
     believed = own_motion.transpose(0, 2, 1) @ _prior(beliefs, basis) @ own_motion
     descend_together(points.views(points.xy), beliefs.base, basis, believed, state, mean_square, offset, left)
-    path, _ = _moved_paths(beliefs, basis, offset, t_s)
+    path, _ = _moved_paths(beliefs, _times(_to_camera(basis), offset), t_s)
     views = turned_back(points.xy, t_s, offset[:, _TURN], path_of)
     window = max_frames, gate_probability
     rates = fit_rates_on_paths(views, t_s, points.sigma_norm, path, path_of, *window, state)
@@ -258,9 +259,8 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
     """Views ``(L, N, 2)`` without the rotation rates ``(K, 3)`` of their paths, about time 0; any without a path."""
     if not turn_rad_s.any():
         return xy
-    rays = np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=2)
     rotations = rotation_from_vector(-t_s[:, None] * turn_rad_s[:, None])
-    return each_turned_into_plane(rays, np.arange(len(path_of)), rotations, path_of)
+    return each_turned_into_plane(xy, np.arange(len(path_of)), rotations, path_of)
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
@@ -312,14 +312,12 @@ def _own_motion(beliefs: PathBeliefs, basis: Floats, state: Floats, path_of: Int
     return own_motion
 
 
-def _moved_paths(beliefs: PathBeliefs, basis: Floats, local: Floats, t_s: Floats) -> tuple[Floats, Floats]:
-    """The paths ``(K, L, 3)`` at the offsets ``local (K, 11)`` in their own axes, and their speeds (K,) before.
+def _moved_paths(beliefs: PathBeliefs, offset: Floats, t_s: Floats) -> tuple[Floats, Floats]:
+    """The paths ``(K, L, 3)`` at the shared offsets ``offset (K, 12)``, and their speeds (K,) before.
 
     A direction far from the believed one would be a longer one: the speed is 1 again on the paths, not in the offsets.
     """
-    offset = _times(_to_camera(basis), local)
     speed: Floats = np.sqrt(np.sum((beliefs.direction + offset[:, :3]) ** 2, axis=1))
-    t = t_s[:, None]
-    u, v, _, w = np.split(offset[:, None], 4, axis=2)
+    t, u, v, w = t_s[:, None], offset[:, None, :3], offset[:, None, 3:6], offset[:, None, 9:]
     path = beliefs.base + t * u + 0.5 * t**2 * v + t**3 / 6.0 * w
     return path / speed[:, None, None], speed

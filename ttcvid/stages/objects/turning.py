@@ -141,8 +141,9 @@ def _turns_by_views(paths: SharedPaths, sigma_rad_s: float) -> tuple[Floats, Flo
     Their chi-square (K,) and, where they are believed as those of tight bends are, how large they are (K,), rad/s.
     """
     # Views may say nothing of a turn about some axis.
-    believed, least, tight = 1.0 / sigma_rad_s**2, _LEAST_TURN_PART / sigma_rad_s**2, 1.0 / TURN_SIGMA_RAD_S**2
+    believed, least, tight = sigma_rad_s**-2.0, _LEAST_TURN_PART / sigma_rad_s**2, TURN_SIGMA_RAD_S**-2.0
     information = np.linalg.inv(paths.cov[:, 6:9, 6:9])
     score = information @ paths.offset[:, 6:9, None]
-    turn, tight_turn = (np.linalg.solve(information + (each - believed) * np.eye(3), score) for each in (least, tight))
+    more = np.array([least - believed, tight - believed])[:, None, None, None]
+    turn, tight_turn = np.linalg.solve(information + more * np.eye(3), score)
     return np.sum(score * turn, axis=(1, 2)), np.sqrt(np.sum(tight_turn**2, axis=(1, 2)))
