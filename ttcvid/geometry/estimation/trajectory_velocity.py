@@ -54,13 +54,10 @@ def velocities_on_paths(
     turned = np.stack([turns * x, turns * y, turns], axis=1)
     # Through the rate the shared unknowns go along e; besides, a wrong direction and a wrong turn go at this rate.
     jacobian = e[:, :, None] * rates.by_shared[known][:, None]
-    jacobian[:, :, :3] += rate_hz[:, None, None] * np.eye(3)
+    axes = np.arange(3)
+    jacobian[:, axes, axes] += rate_hz[:, None]
     jacobian[:, :, 6:9] -= skew(turned)
-    by_path = np.empty_like(jacobian)
-    for k in np.flatnonzero(np.bincount(path)):
-        own = path == k
-        by_path[own] = (jacobian[own].reshape(-1, N_SHARED) @ shared_cov[k]).reshape(-1, 3, N_SHARED)
-    cov = np.einsum("nij,nkj->nik", by_path, jacobian)
+    cov = jacobian @ shared_cov[path] @ jacobian.transpose(0, 2, 1)
     cov += rate_variance[known, None, None] * e[:, :, None] * e[:, None]
     found.abc_hz[known] = rate_hz[:, None] * e + cross(turn_rad_s[path], turned)
     found.along_sigma_hz[known] = np.sqrt(np.einsum("ni,nij,nj->n", e, cov, e))

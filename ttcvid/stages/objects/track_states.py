@@ -74,15 +74,15 @@ def _paths(
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
     is_object = np.arange(first + count) >= first
     seen = views, history.since_s, history.sigma_norm
-    of_all = believed_paths(beliefs)
     if objects:
-        of_all = straight_or_in_bend(*seen, beliefs, of_objects, config, cov, may_leave_directions=plane is None)
-    return joined_paths([*parts, of_all]), path_of, is_object
+        parts.append(straight_or_in_bend(*seen, beliefs, of_objects, config, cov, may_leave_directions=plane is None))
+    return joined_paths(parts or [believed_paths(beliefs)]), path_of, is_object
 
 
 def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
     """Positions of all tracks over the time for which the motion of their cluster has been the same; NaN elsewhere."""
-    changed = [motion for motion in motions.clusters if motion.window_s < history.reach_s]
+    reach_s = history.reach_s
+    changed = [motion for motion in motions.clusters if motion.window_s < reach_s]
     if not changed:
         return history.xy
     xy = history.xy.copy()
@@ -175,16 +175,10 @@ def _fill_free(
     moved = np.einsum("mi,mij,mj->m", found.state[:, 2:], found.info_w, found.state[:, 2:])
     direction = normalize(found.state[:, 2:])
     gates = window_gates(config.max_frames, 2 * LEAST_FRAMES - 1, config.window_probability)
-    status = np.select(
-        [
-            found.n_frames < (LEAST_FRAMES if plane is None else 2),
-            ~(moved > _NO_MOTION_CHI2),
-            found.chi2 > gates[np.maximum(found.n_frames, LEAST_FRAMES)],
-            np.abs(direction[:, 2]) < INFINITY_COSINE,
-        ],
-        [Status.short_track, Status.no_parallax, Status.not_rigid, Status.epipole_at_infinity],
-        default=Status.ok,
-    )
+    status = np.where(np.abs(direction[:, 2]) < INFINITY_COSINE, Status.epipole_at_infinity, Status.ok)
+    status[found.chi2 > gates[np.maximum(found.n_frames, LEAST_FRAMES)]] = Status.not_rigid
+    status[~(moved > _NO_MOTION_CHI2)] = Status.no_parallax
+    status[found.n_frames < (LEAST_FRAMES if plane is None else 2)] = Status.short_track
     states.status[free] = status
     has_state = has_value(status)
     of_state = free[has_state]
