@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.estimation.turning_points import Views, fit_turning_points, trajectory
+from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats
 
@@ -113,7 +114,7 @@ def fit_turning_body(
         np.ascontiguousarray(xy),
         np.ascontiguousarray(t_s, dtype=np.float64),
         np.ascontiguousarray(sigma_norm, dtype=np.float64),
-        np.append(np.median(place, axis=0), 1.0),
+        np.array([*map(median, place.T), 1.0]),
     )
     own = np.column_stack([place, np.ones(len(place))])
     first, *others = _starts(xy, t_s, now)
@@ -138,7 +139,7 @@ def _starts(xy: Floats, t_s: Floats, now: int) -> list[Floats]:
     order = np.argsort(np.abs(t_s - t_s[now]), kind="stable")[1 : 1 + _FLOW_VIEWS]
     flow = (xy[order] - xy[now]) / (t_s[order] - t_s[now])[:, None, None]
     seen = flow[np.isfinite(flow[..., 0])]
-    velocity_hz = np.append(np.median(seen, axis=0) if len(seen) else np.zeros(2), 0.0)
+    velocity_hz = np.array([*map(median, seen.T), 0.0] if len(seen) else [0.0, 0.0, 0.0])
     return [np.concatenate([velocity_hz, np.zeros(3), [0.0, turn, 0.0]]) for turn in _FIRST_TURNS_RAD_S]
 
 

@@ -127,7 +127,8 @@ def fit_turning_points(
                 rx = (r[k, 0, 0] * x + r[k, 0, 1] * y + r[k, 0, 2] + kappa * shift[k, 0]) / z - xy[k, i, 0]
                 ry = (r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] + kappa * shift[k, 1]) / z - xy[k, i, 1]
                 square = (rx * rx + ry * ry) * inverse * inverse
-                trial_cost += np.inf if z < _LEAST_DEPTH else square if square < far else far + far * np.log(square / far)
+                trial_cost += square if square < far else far + far * np.log(square / far)
+                trial_cost += np.inf if z < _LEAST_DEPTH else 0.0
                 trial_squares += min(square, ROBUST_SIGMAS**2)
                 per_point[i] += square
                 n += 1
