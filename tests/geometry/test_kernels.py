@@ -20,31 +20,31 @@ def test_a_positive_definite_system_is_solved_by_its_lower_half(n):
 
 
 def eliminated(matrix, right):
-    """Information and score of the last four of six unknowns, and the step of all, the first two following."""
-    equations, kept = np.vstack([np.tril(matrix), right]), np.empty((7, 2))
-    information, score, step = np.zeros((4, 4)), np.zeros(4), np.full(6, np.nan)
+    """Information and score of the last four of seven unknowns, and the step of all, the first three following."""
+    equations, kept = np.vstack([np.tril(matrix), right]), np.empty((3, 8))
+    information, score, step = np.zeros((4, 4)), np.zeros(4), np.full(7, np.nan)
     eliminate(equations, kept, information, score)
     left = information.copy(), score.copy()
     information += np.eye(4) * (np.trace(information) == 0.0)
     solve(information, score)
-    step[2:] = score
+    step[3:] = score
     follow(kept, step)
     return *left, step
 
 
 def test_unknowns_that_follow_are_eliminated_and_found_again():
-    root, right = RNG.normal(size=(6, 6)), RNG.normal(size=6)
-    matrix = root @ root.T + np.eye(6)
+    root, right = RNG.normal(size=(7, 7)), RNG.normal(size=7)
+    matrix = root @ root.T + np.eye(7)
     information, score, step = eliminated(matrix, right)
-    follow_by = np.linalg.solve(matrix[:2, :2], matrix[:2, 2:]).T
-    np.testing.assert_allclose(information, np.tril(matrix[2:, 2:] - follow_by @ matrix[:2, 2:]), rtol=1e-10)
-    np.testing.assert_allclose(score, right[2:] - follow_by @ right[:2], rtol=1e-10)
+    follow_by = np.linalg.solve(matrix[:3, :3], matrix[:3, 3:]).T
+    np.testing.assert_allclose(information, np.tril(matrix[3:, 3:] - follow_by @ matrix[:3, 3:]), rtol=1e-10)
+    np.testing.assert_allclose(score, right[3:] - follow_by @ right[:3], rtol=1e-10)
     np.testing.assert_allclose(step, np.linalg.solve(matrix, right), rtol=1e-10)
 
 
 def test_equations_that_leave_what_follows_open_say_nothing_of_the_others():
-    root, right = RNG.normal(size=(6, 6)), RNG.normal(size=6)
-    root[1], right[1] = 0.0, 0.0
+    root, right = RNG.normal(size=(7, 7)), RNG.normal(size=7)
+    root[2], right[2] = 0.0, 0.0
     information, score, step = eliminated(root @ root.T, right)
     assert not information.any()
     assert not score.any()

@@ -64,7 +64,7 @@ def _add_points(
     ``rotations (L, 3, 3)`` of the last L views, ``precision (K,)`` of depths.
     """
     rays, sigmas, track, thing, place = points
-    rows, equations, kept = np.empty((7, 2 * len(t_s))), np.empty((7, 6)), np.empty((7, 3))
+    rows, equations, kept = np.empty((7, 2 * len(t_s))), np.empty((7, 6)), np.empty((3, 7))
     for i in range(len(thing)):
         along_x, along_y, ahead = velocity_hz[thing[i], 0], velocity_hz[thing[i], 1], velocity_hz[thing[i], 2]
         n, m, first, sigma = 0, track[i], rays.shape[2] - len(t_s), sigmas[track[i]]

@@ -106,7 +106,7 @@ def fit_turning_points(
     other_r, other_bends, other_shift = np.empty_like(r), np.empty_like(r), np.empty_like(shift)
     turned, dragged = np.empty((3, n_views, 3, 3)), np.empty((_N_SHARED, n_views, 3))
     rows, moves, moved = np.empty((_N_ALL + 1, 2 * n_views)), np.empty((_N_ALL, 3)), shared.copy()
-    of_points, kept = np.empty((n_points, _N_ALL + 1, _N_ALL)), np.empty((n_points, _N_ALL + 1, _N_OWN))
+    of_points, kept = np.empty((n_points, _N_ALL + 1, _N_ALL)), np.empty((n_points, _N_OWN, _N_ALL + 1))
     equations, per_point, trial = np.empty((_N_ALL + 1, _N_ALL)), np.empty(n_points), own.copy()
     precision, mean, step = np.zeros(_N_SHARED), np.zeros(_N_SHARED), np.empty(_N_ALL)
     score = step[_N_OWN:]
@@ -210,7 +210,7 @@ def fit_turning_points(
                 equations[c, c] *= damped
             eliminate(equations, kept[i], information, score)
             for c in range(_N_OWN):
-                fall += kept[i, _N_ALL, c] ** 2 / kept[i, c, c]
+                fall += kept[i, c, _N_ALL] ** 2 / kept[i, c, c]
         if is_done:
             for c in range(_N_SHARED):
                 for d in range(c):

@@ -72,7 +72,7 @@ def descend_together(
     path, rotations, turned = np.empty((len(t_s), 3)), np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 1, 2))
     views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
     work = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL + 1, _N_ALL))
-    kept = np.empty((len(sigma), _N_ALL + 1, _N_OWN))
+    kept = np.empty((len(sigma), _N_OWN, _N_ALL + 1))
     information, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(_N_ALL)
     score = step[_N_OWN:]
     for k in range(len(base)):
@@ -138,7 +138,7 @@ def add_windows(
     xy, t_s, sigma, order, first = points
     views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
     work = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL + 1, _N_ALL))
-    kept = np.empty((_N_ALL + 1, _N_OWN))
+    kept = np.empty((_N_OWN, _N_ALL + 1))
     for k in range(len(paths)):
         for i in range(first[k], first[k + 1]):
             if n_views[i] > 0:

@@ -36,36 +36,35 @@ def solve(matrix: Floats, right: Floats) -> float:
 
 @compiled
 def eliminate(equations: Floats, kept: Floats, information: Floats, score: Floats) -> None:
-    """Add what equations say of all unknowns but the first n, which follow (Schur complement).
+    """Add what equations say of all unknowns but the first three, which follow (Schur complement).
 
-    ``equations (N + 1, N)``: information, of which the lower half counts, and in the last row the score; changed in
-    place. Fills ``kept (N + 1, n)`` for `follow`. Adds to ``information (N - n, N - n)``, its lower half, and ``score
-    (N - n,)``: nothing where the n-th unknown stays open.
+    ``equations (N + 1, N)``: information, of which the lower half counts, and in the last row the score. Fills ``kept
+    (3, N + 1)`` for `follow`. Adds to ``information (N - 3, N - 3)``, its lower half, and ``score (N - 3,)``: nothing
+    where the third unknown stays open.
     """
-    n, size = kept.shape[1], equations.shape[1]
-    for r in range(n):
+    size = equations.shape[1]
+    for r in range(3):
         for i in range(r, size + 1):
-            kept[i, r] = equations[i, r]
-        for i in range(r + 1, size + 1):
-            part = kept[i, r] / kept[r, r]
-            for c in range(r + 1, min(i, size - 1) + 1):
-                equations[i, c] -= part * kept[c, r]
-    if kept[n - 1, n - 1] > 0.0:
-        for c in range(size - n):
-            score[c] += equations[size, n + c]
-            for d in range(c + 1):
-                information[c, d] += equations[n + c, n + d]
+            kept[r, i] = equations[i, r]
+            for q in range(r):
+                kept[r, i] -= kept[q, r] / kept[q, q] * kept[q, i]
+    if kept[2, 2] > 0.0:
+        for c in range(3, size):
+            x, y, z = kept[0, c] / kept[0, 0], kept[1, c] / kept[1, 1], kept[2, c] / kept[2, 2]
+            score[c - 3] += equations[size, c] - x * kept[0, size] - y * kept[1, size] - z * kept[2, size]
+            for d in range(3, c + 1):
+                information[c - 3, d - 3] += equations[c, d] - x * kept[0, d] - y * kept[1, d] - z * kept[2, d]
 
 
 @compiled
 def follow(kept: Floats, step: Floats) -> None:
-    """Fill the first n of ``step (N,)``, those that `eliminate` took out, for the others as they stand in it.
+    """Fill the first three of ``step (N,)``, those that `eliminate` took out, for the others as they stand in it.
 
-    They stay where they are, with a step of 0, where the n-th of them is open.
+    They stay where they are, with a step of 0, where the third of them is open.
     """
-    n, size = kept.shape[1], len(step)
-    is_open = not kept[n - 1, n - 1] > 0.0
-    for r in range(n - 1, -1, -1):
-        step[r] = 0.0 if is_open else kept[size, r] / kept[r, r]
+    is_open, size = not kept[2, 2] > 0.0, len(step)
+    for r in range(2, -1, -1):
+        rest = kept[r, size]
         for i in range(r + 1, size):
-            step[r] -= 0.0 if is_open else kept[i, r] / kept[r, r] * step[i]
+            rest -= kept[r, i] * step[i]
+        step[r] = 0.0 if is_open else rest / kept[r, r]
