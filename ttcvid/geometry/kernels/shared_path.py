@@ -13,7 +13,6 @@ from ttcvid.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels import path_point as point
 from ttcvid.geometry.kernels.known_path import list_views
 from ttcvid.geometry.kernels.medians import median
-from ttcvid.geometry.kernels.normal_equations import add_equations
 from ttcvid.geometry.kernels.rotations import fill_rotation
 from ttcvid.geometry.kernels.solve import eliminate, follow, solve
 from ttcvid.model import Floats, Ints
@@ -25,6 +24,8 @@ N_LOCAL = 11
 _N_OWN, _N_ALL = 3, 3 + N_LOCAL
 # Joint steps end after so many, or after one shorter than this (squared, in sigmas of the estimate).
 _MAX_STEPS, _CONVERGED_CHI2 = 6, 0.1
+# So many views are worked at at a time.
+_ROOM = 32
 # A square counts for no more than this beside a misfit of one.
 _LIMIT = point.ROBUST_SIGMAS**2
 
@@ -71,7 +72,7 @@ def descend_together(
     xy, t_s, sigma, order, first = points
     path, rotations, turned = np.empty((len(t_s), 3)), np.empty((len(t_s), 3, 3)), np.empty((len(t_s), 1, 2))
     views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
-    work = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL + 1, _N_ALL))
+    equations = np.empty((_N_ALL + 1, _N_ALL))
     kept = np.empty((len(sigma), _N_OWN, _N_ALL + 1))
     information, step = np.empty((N_LOCAL, N_LOCAL)), np.empty(_N_ALL)
     score = step[_N_OWN:]
@@ -107,8 +108,8 @@ def descend_together(
                 if not limits[0] < state[i, 2] < limits[1]:
                     point.start(views, n, limits, state[i])
                 far = _LIMIT * noise * noise
-                total, inside = _fill_equations(views, n, state[i], basis[k], far, work)
-                eliminate(work[1], kept[i], information, score)
+                total, inside = _fill_equations(views, n, state[i], basis[k], far, equations)
+                eliminate(equations, kept[i], information, score)
                 mean_square[i] = total / (2 * n - 3)
                 left[k, 0] += inside
             median_chi2 = median(mean_square[low:high].copy())
@@ -137,21 +138,20 @@ def add_windows(
     """
     xy, t_s, sigma, order, first = points
     views, limits = np.empty((point.N_ROWS, len(t_s))), np.empty(2)
-    work = np.empty((_N_ALL + 1, 2 * len(t_s))), np.empty((_N_ALL + 1, _N_ALL))
-    kept = np.empty((_N_OWN, _N_ALL + 1))
+    equations, kept = np.empty((_N_ALL + 1, _N_ALL)), np.empty((_N_OWN, _N_ALL + 1))
     for k in range(len(paths)):
         for i in range(first[k], first[k + 1]):
             if n_views[i] > 0:
                 list_views(xy, t_s, order, paths[k], 1.0 / sigma[i], i, views, limits)
-                _fill_equations(views, n_views[i], state[i], basis[k], _LIMIT, work)
-                eliminate(work[1], kept, information[k], score[k])
+                _fill_equations(views, n_views[i], state[i], basis[k], _LIMIT, equations)
+                eliminate(equations, kept, information[k], score[k])
 
 
 @compiled
 def _fill_equations(
-    views: Floats, n: int, s: Floats, basis: Floats, limit: float, work: tuple[Floats, Floats]
+    views: Floats, n: int, s: Floats, basis: Floats, limit: float, equations: Floats
 ) -> tuple[float, float]:
-    """Fill the equations of a point and what it shares by its first n views: ``work`` is its rows, and these.
+    """Fill the ``equations`` of a point and what it shares by its first n views.
 
     Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
 
@@ -159,35 +159,42 @@ def _fill_equations(
     and w as t^3 / 6; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit``
     lose weight.
     """
-    (rows, equations), rho, total, inside = work, s[2], 0.0, 0.0
-    # By an index without a sign: several views are worked at at a time.
-    for k in range(np.uint64(n)):
-        other, inverse, t, tz = k + np.uint64(n), views[point.INVERSE, k], views[point.TIME, k], views[point.PATH_Z, k]
-        h = 1.0 / max(1.0 + rho * tz, point.LEAST_DEPTH_RATIO)
-        x, y = (s[0] + rho * views[point.PATH_X, k]) * h, (s[1] + rho * views[point.PATH_Y, k]) * h
-        rx, ry = (views[point.X, k] - x) * inverse, (views[point.Y, k] - y) * inverse
-        square = rx * rx + ry * ry
-        weight = limit / max(square, limit)
-        total += weight * square
-        inside += min(square, _LIMIT)
-        root = np.sqrt(weight)
-        a, turned = root * inverse * h, root * inverse * t
-        g, half, third = rho * a * t, 0.5 * t, t / 3.0
-        rows[0, k], rows[0, other], rows[1, k], rows[1, other] = a, 0.0, 0.0, a
-        rows[2, k], rows[2, other] = a * (views[point.PATH_X, k] - x * tz), a * (views[point.PATH_Y, k] - y * tz)
-        rows[3, k], rows[3, other] = g * (basis[0, 0] - x * basis[2, 0]), g * (basis[1, 0] - y * basis[2, 0])
-        rows[4, k], rows[4, other] = g * (basis[0, 1] - x * basis[2, 1]), g * (basis[1, 1] - y * basis[2, 1])
-        along_x, along_y = g * (basis[0, 2] - x * basis[2, 2]), g * (basis[1, 2] - y * basis[2, 2])
-        rows[5, k], rows[5, other] = half * rows[3, k], half * rows[3, other]
-        rows[6, k], rows[6, other] = half * rows[4, k], half * rows[4, other]
-        rows[7, k], rows[7, other] = half * along_x, half * along_y
-        rows[8, k], rows[8, other] = third * rows[5, k], third * rows[5, other]
-        rows[9, k], rows[9, other] = third * rows[6, k], third * rows[6, other]
-        rows[10, k], rows[10, other] = third * rows[7, k], third * rows[7, other]
-        rows[11, k], rows[11, other] = -turned * x * y, -turned * (1.0 + y * y)
-        rows[12, k], rows[12, other] = turned * (1.0 + x * x), turned * x * y
-        rows[13, k], rows[13, other] = -turned * y, turned * x
-        rows[14, k], rows[14, other] = root * rx, root * ry
+    # Derivatives of x and y, and what is left of them: some views at a time.
+    rows, rho, total, inside = np.empty((_N_ALL + 1, 2, _ROOM)), s[2], 0.0, 0.0
     equations[:] = 0.0
-    add_equations(rows, 2 * n, equations, equations[_N_ALL])
+    for first in range(0, n, _ROOM):
+        # By indices without a sign: several views are worked at at a time.
+        stop = np.uint64(min(_ROOM, n - first))
+        for k in range(stop):
+            at = np.uint64(first) + k
+            inverse, t = views[point.INVERSE, at], views[point.TIME, at]
+            tx, ty, tz = views[point.PATH_X, at], views[point.PATH_Y, at], views[point.PATH_Z, at]
+            h = 1.0 / max(1.0 + rho * tz, point.LEAST_DEPTH_RATIO)
+            x, y = (s[0] + rho * tx) * h, (s[1] + rho * ty) * h
+            rx, ry = (views[point.X, at] - x) * inverse, (views[point.Y, at] - y) * inverse
+            square = rx * rx + ry * ry
+            weight = limit / max(square, limit)
+            total += weight * square
+            inside += min(square, _LIMIT)
+            root = np.sqrt(weight)
+            a, turned = root * inverse * h, root * inverse * t
+            g, half, sixth = rho * a * t, t / 2.0, t * t / 6.0
+            rows[0, 0, k], rows[0, 1, k], rows[1, 0, k], rows[1, 1, k] = a, 0.0, 0.0, a
+            rows[2, 0, k], rows[2, 1, k] = a * (tx - x * tz), a * (ty - y * tz)
+            for c in range(3):
+                by_x, by_y = g * (basis[0, c] - x * basis[2, c]), g * (basis[1, c] - y * basis[2, c])
+                if c < 2:
+                    rows[3 + c, 0, k], rows[3 + c, 1, k] = by_x, by_y
+                rows[5 + c, 0, k], rows[5 + c, 1, k] = half * by_x, half * by_y
+                rows[8 + c, 0, k], rows[8 + c, 1, k] = sixth * by_x, sixth * by_y
+            rows[11, 0, k], rows[11, 1, k] = -turned * x * y, -turned * (1.0 + y * y)
+            rows[12, 0, k], rows[12, 1, k] = turned * (1.0 + x * x), turned * x * y
+            rows[13, 0, k], rows[13, 1, k] = -turned * y, turned * x
+            rows[14, 0, k], rows[14, 1, k] = root * rx, root * ry
+        for c in range(_N_ALL + 1):
+            for d in range(min(c + 1, _N_ALL)):
+                both = 0.0
+                for k in range(stop):
+                    both += rows[c, 0, k] * rows[d, 0, k] + rows[c, 1, k] * rows[d, 1, k]
+                equations[c, d] += both
     return total, inside
