@@ -123,15 +123,15 @@ def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats) -> GrowthSums:
     since_s : (L,) times relative to the present view.
     sigma_norm : (M,) noise of a coordinate.
     """
-    is_seen = np.isfinite(xy[..., 0])
-    # As numbers: numpy multiplies by truth values ten times as slowly.
-    place, seen = np.where(is_seen, np.ascontiguousarray(xy.transpose(2, 0, 1)), 0.0), is_seen.astype(np.float64)
-    n, t = np.sum(seen, axis=0), since_s[:, None] * seen
-    # x = x0 + a t - c t x, and the same with b for y: the columns, their means taken out.
-    a, c, square = (
-        column - np.sum(column, axis=-2, keepdims=True) / np.maximum(n, 1.0) * seen for column in (t, -t * place, place)
+    is_seen, powers = np.isfinite(xy[..., 0]), np.vander(since_s, 3, increasing=True).T
+    place = np.where(is_seen[:, None], xy.transpose(0, 2, 1), 0.0)
+    # Sums over the views of 1, of x and y, and of their squares, each times the powers of t.
+    (n, t, tt), (p, tp, ttp), (pp, tpp, ttpp) = (
+        (powers @ each.reshape(len(since_s), -1)).reshape(3, *each.shape[1:]) for each in (is_seen, place, place * place)
     )
-    aa, with_c, score_ab = (np.sum(a * each, axis=-2) for each in (a, c, square))
-    cc, score_c, squares = (np.sum(one * other, axis=(0, 1)) for one, other in ((c, c), (c, square), (square, square)))
-    sums = np.vstack([aa, with_c, cc, score_ab, score_c, squares])
+    # x = x0 + a t - c t x, and the same with b for y: the columns, their means taken out.
+    part = 1.0 / np.maximum(n, 1.0)
+    aa, with_c, score_ab = tt - t * t * part, t * tp * part - ttp, tp - t * p * part
+    products = ttpp - tp * tp * part, p * tp * part - tpp, pp - p * p * part
+    sums = np.vstack([aa, with_c, products[0].sum(axis=0), score_ab, *(each.sum(axis=0) for each in products[1:])])
     return GrowthSums(sums / (sigma_norm * sigma_norm), np.maximum(2.0 * (n - 1.0), 1.0))
