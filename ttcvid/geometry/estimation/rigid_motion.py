@@ -105,8 +105,9 @@ def views_by_track(rays: Floats) -> Floats:
     NaN where not observed. M is L, filled up with unobserved views, the first ones, to a multiple of `LANES`.
     """
     n_views, n = rays.shape[:2]
-    by_track = np.full((n, 3, -(-n_views // LANES) * LANES), np.nan)
-    by_track[..., by_track.shape[2] - n_views :] = rays.transpose(1, 2, 0)
+    by_track = np.empty((n, 3, -(-n_views // LANES) * LANES))
+    first = by_track.shape[2] - n_views
+    by_track[..., :first], by_track[..., first:] = np.nan, rays.transpose(1, 2, 0)
     return by_track
 
 

@@ -8,6 +8,7 @@ too far away, with its foot under the road; an oncoming one looks too near, and 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -90,12 +91,17 @@ class OnGround:
     known: Bools
     aim_x: float
 
-    @property
+    @cached_property
+    def is_road(self) -> Bools:
+        """Whether points ``(N,)`` may be on the road."""
+        return np.asarray(np.abs(self.rate_hz - self.road_hz) < ON_ROAD * self.road_hz)
+
+    @cached_property
     def is_off_road(self) -> Bools:
         """Whether points ``(N,)`` are known not to be on the road."""
-        return np.asarray(self.known & ~(np.abs(self.rate_hz - self.road_hz) < ON_ROAD * self.road_hz))
+        return np.asarray(self.known & ~self.is_road)
 
-    @property
+    @cached_property
     def is_far(self) -> Bools:
         """Whether points ``(N,)`` look far away, and the road behind them, too."""
         return np.asarray(np.maximum(self.rate_hz, self.road_hz) < _FAR * self.slope_hz)
@@ -240,14 +246,13 @@ def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
     top, low = y[members].min(), y[foot]
     bottom = members[y[members] >= low - _BOTTOM * (low - top)]
     is_below = seen.known & (x > x[bottom].min()) & (x < x[bottom].max()) & (y > y[bottom].max())
-    is_road = np.abs(seen.rate_hz - seen.road_hz) < ON_ROAD * seen.road_hz
-    if np.count_nonzero(is_below & is_road & (seen.rate_hz * _FARTHER < far_hz)) >= _SEEN_THROUGH:
+    if np.count_nonzero(is_below & seen.is_road & (seen.rate_hz * _FARTHER < far_hz)) >= _SEEN_THROUGH:
         return True
     median_hz, middle = median(rate_hz), median(x[members])
     down = (median_hz - seen.road_hz[foot]) / seen.slope_hz
     is_aside = abs(middle - seen.aim_x) * seen.slope_hz > _OWN_LANE * median_hz
     # A nearer object may bear it, or hide its foot.
-    bears = is_below & (y < low + down) & ~is_road & (seen.rate_hz * _FARTHER > far_hz)
+    bears = is_below & (y < low + down) & ~seen.is_road & (seen.rate_hz * _FARTHER > far_hz)
     return bool(down * len(members) > _MISSING * (low - top) and not is_aside and not bears.any())
 
 

@@ -113,15 +113,15 @@ def find_bodies(
     """
     memory = _over_views(memory, history.frame)
     labels = _carried_labels(memory, history.track_id)
-    key, rate_hz = labels.key, labels.rate_hz
-    movers = _carried_movers(memory, egomotion, views)
-    known = np.append(SCENE_CLUSTER, movers.key)
-    key[known[numbers_of(key, movers)] != key] = SCENE_CLUSTER
+    key, movers = labels.key, _carried_movers(memory, egomotion, views)
+    number, known = numbers_of(key, movers), np.append(SCENE_CLUSTER, movers.key)
+    is_lost = known[number] != key
+    key[is_lost], number[is_lost] = SCENE_CLUSTER, 0
     seen = see_scene(history, egomotion, platform, memory.scene, memory.road, views, labels, config)
 
-    movers = _refined(movers, seen, views, key, config)
+    movers = _refined(movers, seen, views, number, config)
     neighbours = views.neighbours()
-    is_displaced, is_past_off = _are_displaced(views, seen, movers, TrackLabels(key, rate_hz), neighbours, config)
+    is_displaced, is_past_off = _are_displaced(views, seen, movers, number, labels.rate_hz, neighbours, config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     key, movers = _divided(views, seen, key, movers, neighbours, config)
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
@@ -130,8 +130,9 @@ def find_bodies(
         known = np.append(SCENE_CLUSTER, movers.key)
         stays = is_displaced & (known[numbers_of(belonged, movers)] == belonged)
         key = np.where(stays, belonged, key)
-    movers = with_velocities(views, seen.scene, key, movers)
-    n_tracks = np.bincount(numbers_of(key, movers), minlength=len(movers) + 1)[1:]
+    number = numbers_of(key, movers)
+    movers = with_velocities(views, seen.scene, number, movers)
+    n_tracks = np.bincount(number, minlength=len(movers) + 1)[1:]
     movers, next_cluster_id = _named(movers, n_tracks, memory.next_cluster_id, config)
     memory = replace(memory, rate_hz=memory.rate_hz * seen.speed)
     tracks = _with_lost(history, memory, key, seen.rate_hz)
@@ -141,9 +142,17 @@ def find_bodies(
 
 
 def _are_displaced(
-    views: BodyViews, seen: SeenScene, movers: Movers, labels: TrackLabels, neighbours: Ints, config: BodiesConfig
+    views: BodyViews,
+    seen: SeenScene,
+    movers: Movers,
+    number: Ints,
+    rate_hz: Floats,
+    neighbours: Ints,
+    config: BodiesConfig,
 ) -> tuple[Bools, Bools]:
     """Whether the present observation of tracks ``(N,)`` is displaced, off the path of their body; and earlier ones.
+
+    Their bodies are ``number (N,)`` as from `numbers_of`, and ``rate_hz (N,)`` their rates in the last frame.
 
     Earlier ones, ``(L, N)``, are displaced where later ones are on that path again; none if most of a body are, in a
     view. Of the present one: where the earlier observations do not follow that path, also off their own course.
@@ -151,23 +160,21 @@ def _are_displaced(
     Residuals are judged against the median of their body: if most are large, its last step is wrong. A residual that a
     neighbour shares is none of a single observation: it may belong to a mover not found yet.
     """
-    key, number = labels.key, numbers_of(labels.key, movers)
-    start_hz = np.where(number == 0, labels.rate_hz * seen.speed, np.append(0.0, movers.rate_hz)[number])
-    points = views.points(np.arange(len(key)), number)
+    start_hz = np.where(number == 0, rate_hz * seen.speed, np.append(0.0, movers.rate_hz)[number])
+    points = views.points(np.arange(len(number)), number)
     surprise = surprise_of_newest(points, seen.scene.joined(movers.paths), start_hz)
     # What follows the path of its body goes on along it; what never did, along its own course.
     is_on_path = surprise.past_redchi < config.scene_gate * seen.median_redchi
     chi2 = np.where(is_on_path, surprise.chi2, np.minimum(surprise.chi2, surprise.line_chi2))
-    is_displaced, is_known = np.zeros(len(key), dtype=bool), (chi2 > 0.0) & views.is_free
-    area = _STRAY_PX**2 / (2.0 * np.pi * (views.sigma_norm * views.focal_px) ** 2)
+    is_displaced, is_known = np.zeros(len(number), dtype=bool), (chi2 > 0.0) & views.is_free
+    log_area = np.log(_STRAY_PX**2 / (2.0 * np.pi * (views.sigma_norm * views.focal_px) ** 2))
     n_bodies = len(movers) + 1
     for _ in range(_ROUNDS):
         tells = np.flatnonzero(is_known & ~is_displaced)
-        median_chi2 = medians(chi2[tells], number[tells], n_bodies) / _MEDIAN_CHI2_2
-        median_chi2 = np.fmax(median_chi2, 1.0)[number]
+        median_chi2 = np.fmax(medians(chi2[tells], number[tells], n_bodies) / _MEDIAN_CHI2_2, 1.0)
         odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + len(tells))
-        limit = np.clip(2.0 * np.log(area / (median_chi2 * odds)), _LEAST_CHI2, _MOST_CHI2)
-        is_displaced = is_known & (chi2 > limit * median_chi2)
+        limit = np.clip(2.0 * (log_area - np.log(median_chi2 * odds)[number]), _LEAST_CHI2, _MOST_CHI2)
+        is_displaced = is_known & (chi2 > limit * median_chi2[number])
     is_past_off = surprise.is_past_off & views.is_free[:, None]
     track, view = np.divmod(np.flatnonzero(is_past_off), is_past_off.shape[1])
     at = view * n_bodies + number[track]
@@ -278,9 +285,8 @@ def _with_lost(history: TrackHistory, memory: BodyMemory, key: Ints, rate_hz: Fl
     return track_id[order], np.concatenate([key, lost.key])[order], np.concatenate([rate_hz, lost.rate_hz])[order]
 
 
-def _refined(movers: Movers, seen: SeenScene, views: BodyViews, key: Ints, config: BodiesConfig) -> Movers:
+def _refined(movers: Movers, seen: SeenScene, views: BodyViews, number: Ints, config: BodiesConfig) -> Movers:
     """Movers refined by the tracks of their last labels, as turning bodies where these explain them."""
-    number = numbers_of(key, movers)
     has_points = np.bincount(number, minlength=len(movers) + 1)[1:] >= _LEAST_POINTS
     track = np.flatnonzero(np.append(False, has_points)[number])
     if not len(track):

@@ -11,7 +11,7 @@ from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.data_association import Movers, numbers_of
+from ttcvid.stages.segmentation.data_association import Movers
 from ttcvid.stages.segmentation.last_known import recent_velocities
 
 # A re-identified mover lies within this many of its extents of its predicted position.
@@ -64,9 +64,9 @@ def reidentified(
     return key, movers, is_known
 
 
-def with_velocities(views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers) -> Movers:
-    """Update the velocities of the movers that are found in this frame."""
-    number, is_found = numbers_of(key, movers), movers.n_missed == 0
+def with_velocities(views: BodyViews, scene: RigidPaths, number: Ints, movers: Movers) -> Movers:
+    """Update the velocities of the movers that are found in this frame; ``number (N,)`` as from `numbers_of`."""
+    is_found = movers.n_missed == 0
     track = np.flatnonzero(np.append(False, is_found)[number])
     if not len(track):
         return movers
