@@ -127,7 +127,8 @@ def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats) -> GrowthSums:
     place = np.where(is_seen[:, None], xy.transpose(0, 2, 1), 0.0)
     # Sums over the views of 1, of x and y, and of their squares, each times the powers of t.
     (n, t, tt), (p, tp, ttp), (pp, tpp, ttpp) = (
-        (powers @ each.reshape(len(since_s), -1)).reshape(3, *each.shape[1:]) for each in (is_seen, place, place * place)
+        (powers @ each.reshape(len(since_s), -1)).reshape(3, *each.shape[1:])
+        for each in (is_seen, place, place * place)
     )
     # x = x0 + a t - c t x, and the same with b for y: the columns, their means taken out.
     part = 1.0 / np.maximum(n, 1.0)

@@ -21,26 +21,28 @@ def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bo
         # Where points lie far outside the picture, the cells at the border are wider.
         side_px = radius_px / _REACH
         cell = np.minimum((xy_px - xy_px.min(axis=0)) / side_px, _MOST_CELLS - 1).astype(np.int64, order="C")
-        n_rows = int(cell[:, 1].max()) + 1
-        number = cell[:, 0] * n_rows + cell[:, 1]
-        start = np.append(0, np.cumsum(np.bincount(number, minlength=(int(cell[:, 0].max()) + 1) * n_rows)))
-        cells = cell, np.argsort(number, kind="stable"), start, n_rows
-        _fill_nearest(np.ascontiguousarray(xy_px), cells, side_px, is_asked, kind, neighbours)
+        _fill_nearest(np.ascontiguousarray(xy_px), cell, side_px, is_asked, kind, neighbours)
     return neighbours
 
 
-@compiled_for("(f8[:, ::1], Tuple((i8[:, ::1], i8[::1], i8[::1], i8)), f8, b1[::1], i8[::1], i8[:, ::1])")
-def _fill_nearest(
-    xy_px: Floats, cells: tuple[Ints, Ints, Ints, int], side_px: float, is_asked: Bools, kind: Ints, neighbours: Ints
-) -> None:
+@compiled_for("(f8[:, ::1], i8[:, ::1], f8, b1[::1], i8[::1], i8[:, ::1])")
+def _fill_nearest(xy_px: Floats, cell: Ints, side_px: float, is_asked: Bools, kind: Ints, neighbours: Ints) -> None:
     """Fill ``neighbours (N, count)``, itself of each point, of `nearest_neighbours`: a tree takes ten times as long.
 
-    ``cells``, ``side_px`` wide: column and row of each point ``(N, 2)``, the points cell by cell, column after column,
-    where each cell starts among these, and the number of rows.
+    ``cell (N, 2)`` are column and row of each point in a grid of cells that are ``side_px`` wide.
     """
-    cell, by_cell, start, n_rows = cells
-    count, n_columns = neighbours.shape[1], (len(start) - 1) // n_rows
-    squares = np.empty(count)
+    count, n_columns, n_rows = neighbours.shape[1], cell[:, 0].max() + 1, cell[:, 1].max() + 1
+    # The points cell by cell, column after column: after each has counted itself in, a cell starts at its own place.
+    start, by_cell, squares = np.zeros(n_columns * n_rows + 1, dtype=np.int64), np.empty_like(kind), np.empty(count)
+    for i in range(len(cell)):
+        start[cell[i, 0] * n_rows + cell[i, 1]] += 1
+    for place in range(n_columns * n_rows):
+        start[place + 1] += start[place]
+    for back in range(1, len(cell) + 1):
+        i = len(cell) - back
+        place = cell[i, 0] * n_rows + cell[i, 1]
+        start[place] -= 1
+        by_cell[start[place]] = i
     for i in np.flatnonzero(is_asked):
         # Most points have enough neighbours within half of the radius.
         for reach in (_REACH // 2, _REACH):
