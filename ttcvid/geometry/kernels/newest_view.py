@@ -17,8 +17,8 @@ _STRAIGHT_VIEWS, _BEND = 4, 5.0
 # Noise bends three views by less than so many times its variance in 19 cases of 20 (1.5 in each of two coordinates).
 _NOT_BENT = 9.0
 # Gauss-Newton steps on a point from its last rate, and with further ones, which let go of views far off
-# (but for the first).
-_N_STEPS, _N_ALL_STEPS = 4, 7
+# (but for the first): fewer where they no longer lower chi-square.
+_N_STEPS, _N_ALL_STEPS, _NO_FALL = 4, 7, 1e-6
 # An earlier view is displaced if its squared residual exceeds the second and that of a later view is within the first.
 # So many views, and this part of all, have to be within the first.
 _IN, _OFF, _LEAST_IN, _LEAST_PART_IN = 3.0**2, 6.0**2, 4, 0.5
@@ -70,7 +70,8 @@ def predict_newest(
         s[2] = start[m] if start[m] > 0.0 else 0.0
         s[0] = views[_X, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_X, k]
         s[1] = views[_Y, k] * (1.0 + s[2] * views[_PATH_Z, k]) - s[2] * views[_PATH_Y, k]
-        for count in range(_N_ALL_STEPS + 1):
+        count = 0
+        while True:
             sums[:] = 0.0
             if count <= _N_STEPS:
                 _add_views(views, ZERO, last, s, _LIMIT, sums)
@@ -80,12 +81,18 @@ def predict_newest(
                 # One view is the last, and three unknowns are fitted to the others.
                 past_redchi[m] = sums[path_point.CHI2] / (2 * n - 5)
                 of_all[:], sums_of_all[:] = s, sums
-            if count < _N_ALL_STEPS:
-                info, score = _rate_equation(sums)
-                change = max(score / info, -s[2]) if info > 0.0 else 0.0
-                s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
-                s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
-                s[2] += change
+            if count == _N_ALL_STEPS:
+                break
+            info, score = _rate_equation(sums)
+            change = max(score / info, -s[2]) if info > 0.0 else 0.0
+            s[0] += (sums[_SCORE_X] - sums[_WITH_X] * change) / sums[_OWN]
+            s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
+            s[2] += change
+            fall = (sums[_SCORE_X] ** 2 + sums[_SCORE_Y] ** 2) / sums[_OWN] + change * (2.0 * score - info * change)
+            if count == _N_STEPS or not fall < _NO_FALL:
+                count += 1
+            else:
+                count = _N_STEPS if count < _N_STEPS else _N_ALL_STEPS
         n_in = 0
         for k in range(last + 1):
             h = 1.0 / max(1.0 + s[2] * views[_PATH_Z, k], _LEAST_DEPTH_RATIO)
