@@ -25,9 +25,9 @@ def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
     """
     xy_distorted = (np.asarray(xy_px, dtype=np.float64) - (camera.cx_px, camera.cy_px)) / (camera.fx_px, camera.fy_px)
     tolerance = UNDISTORTION_TOLERANCE_PX / max(camera.fx_px, camera.fy_px)
-    xy = undistort(camera.distortion_model, camera.distortion, xy_distorted, tolerance)
-    rays = np.column_stack([xy, np.ones(len(xy))])
-    rays[~np.isfinite(xy).all(axis=1)] = np.nan
+    rays = np.ones((len(xy_distorted), 3))
+    rays[:, :2] = undistort(camera.distortion_model, camera.distortion, xy_distorted, tolerance)
+    rays[~np.isfinite(rays).all(axis=1)] = np.nan
     return rays
 
 

@@ -45,7 +45,9 @@ class GrowthSums:
         aa, ac, bc, cc, score_a, score_b, score_c, _ = self.sums[:, members].sum(axis=1)
         if not (aa > 0.0 and aa * cc > ac * ac + bc * bc):
             return np.full(3, np.nan), np.full((3, 3), np.nan)
-        cov = np.linalg.inv(np.array([[aa, 0.0, ac], [0.0, aa, bc], [ac, bc, cc]]))
+        # By how much a and b follow c.
+        along = np.array([-ac / aa, -bc / aa, 1.0])
+        cov = np.diag([1.0 / aa, 1.0 / aa, 0.0]) + aa / (aa * cc - ac * ac - bc * bc) * np.outer(along, along)
         return cov @ [score_a, score_b, score_c], cov
 
     def redchi_of(self, unknowns: Floats) -> Floats:

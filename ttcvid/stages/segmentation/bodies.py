@@ -46,7 +46,7 @@ def carried_forward(bodies: RigidPaths, cam_R_prev: Floats, t_s: Floats, step: F
     step : (3,) where the things were one step ago, if known; else they move on as they did.
     """
     n_past = len(t_s) - 1
-    path = np.zeros((len(bodies), len(t_s), 3))
+    path, cam_R_past = np.zeros((len(bodies), len(t_s), 3)), np.empty((len(bodies), len(t_s), 3, 3))
     past = bodies.path[:, -n_past:] @ cam_R_prev.T
     if step is None:
         step = np.zeros(3)
@@ -54,8 +54,7 @@ def carried_forward(bodies: RigidPaths, cam_R_prev: Floats, t_s: Floats, step: F
             back = max(-1 - _STEADY_VIEWS, -past.shape[1])
             step = past[:, back, None] * ((t_s[-1] - t_s[-2]) / (t_s[-2] - t_s[back - 1]))
     path[:, :-1] = past + step
-    now = np.broadcast_to(np.eye(3), (len(bodies), 1, 3, 3))
-    cam_R_past = np.concatenate([cam_R_prev @ bodies.cam_R_past[:, -n_past:], now], axis=1)
+    cam_R_past[:, :-1], cam_R_past[:, -1] = cam_R_prev @ bodies.cam_R_past[:, -n_past:], np.eye(3)
     return RigidPaths(cam_R_past, path)
 
 

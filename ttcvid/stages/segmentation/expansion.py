@@ -102,10 +102,12 @@ def around_the_oddest(
     At ``xy_px (N, 2)``, with reduced chi-squares ``redchi (N,)`` on the scene's trajectory; ``may_be (N,)`` those that
     may be around it, within some ``link_px``.
     """
-    seed = int(np.argmax(np.where(is_asked, redchi, -np.inf)))
-    off_px = np.hypot(xy_px[:, 0] - xy_px[seed, 0], xy_px[:, 1] - xy_px[seed, 1])
-    around = np.flatnonzero(may_be & (off_px < _LINKS * link_px))
-    return seed, around[np.argsort(off_px[around], kind="stable")[:_MOST_AROUND]]
+    asked = np.flatnonzero(is_asked)
+    seed = int(asked[np.argmax(redchi[asked])])
+    off_px = xy_px - xy_px[seed]
+    square = np.einsum("ni,ni->n", off_px, off_px)
+    around = np.flatnonzero(may_be & (square < (_LINKS * link_px) ** 2))
+    return seed, around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]]
 
 
 def _thing_around(

@@ -201,7 +201,7 @@ def _densest(log_slope: Floats, weight: Floats) -> tuple[int, float]:
     before, support = np.zeros((n_rows, n + 1)), np.zeros((n_rows, n))
     np.cumsum(np.where(is_point, weight, 0.0), axis=1, out=before[:, 1:])
     for row in range(n_rows):
-        start = log_slope[row, is_point[row]]
+        start = log_slope[row, : np.count_nonzero(is_point[row])]
         end = np.searchsorted(start, start + 2.0 * _ROAD_SPREAD)
         under = np.searchsorted(start, start + _ROAD_SPREAD + np.log(_UNDER_PART))
         support[row, : len(start)] = before[row, end] - before[row, : len(start)] - before[row, under]

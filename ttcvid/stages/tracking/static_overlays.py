@@ -59,7 +59,7 @@ def find_frozen(
     is_new = place < 0
     n_stayed = np.where(is_new, counts, 0.0)
     old = np.flatnonzero(~is_new)
-    moved_px = anchor_px[old] - memory.anchor_px[place[old]]
+    moved_px = anchor_px.take(old, axis=0) - memory.anchor_px.take(place[old], axis=0)
     stays = old[(moved_px * moved_px).sum(axis=1) < _STAYS_PX**2]
     anchor_px[stays], n_stayed[stays] = memory.anchor_px[place[stays]], memory.n_stayed[place[stays]] + counts
     is_frozen = n_stayed >= _FROZEN_FRAMES
