@@ -69,51 +69,43 @@ class GrowthSums:
         if len(redchi) < max(least_tracks, 2):
             return None
         limit = np.minimum(gate, np.maximum(redchi, _NOISE) + _NOT_WORSE)
-        each_fits, gain = self._explained(self.sums[:, :1] + self.sums[:, 1:], redchi, limit)
-        fits: Bools = each_fits[int(np.argmax(gain))]
-        for _ in range(_ROUNDS - 1):
-            if np.count_nonzero(fits) < least_tracks:
-                return None
-            all_fit, _ = self._explained(self.sums[:, fits].sum(axis=1, keepdims=True), redchi, limit)
-            fits = all_fit[0]
-        return fits if np.count_nonzero(fits) >= least_tracks else None
-
-    def _explained(self, total: Floats, redchi: Floats, limit: Floats) -> tuple[Bools, Floats]:
-        """Tracks ``(K, M)`` below their ``limit (M,)`` at what each of K sums ``total (8, K)`` says, if that nears.
-
-        And by how much their chi-square is less than on the scene's path, (K,).
-        """
-        fits, gain = np.zeros((total.shape[1], len(redchi)), dtype=bool), np.zeros(total.shape[1])
-        _explain(total, self.sums, self.freedom, redchi, limit, fits, gain)
-        return fits, gain
+        fits = np.empty(len(redchi), dtype=bool)
+        return fits if _share(self.sums, self.freedom, redchi, limit, least_tracks, fits) else None
 
 
-@compiled_for("(f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], b1[:, ::1], f8[::1])")
-def _explain(
-    total: Floats, sums: Floats, freedom: Floats, redchi: Floats, limit: Floats, fits: Bools, gain: Floats
-) -> None:
-    """Fill ``fits (K, M)`` and ``gain (K,)``, zeros before, as `GrowthSums._explained` returns them."""
-    terms, chi2 = np.empty(len(sums)), np.empty(len(redchi))
-    for k in range(len(gain)):
-        aa, ac, bc, score_a, score_b = total[0, k], total[1, k], total[2, k], total[4, k], total[5, k]
+@compiled_for("(f8[:, ::1], f8[::1], f8[::1], f8[::1], i8, b1[::1])")
+def _share(sums: Floats, freedom: Floats, redchi: Floats, limit: Floats, least_tracks: int, fits: Bools) -> bool:
+    """Fill ``fits (M,)`` as `GrowthSums.sharing_a_velocity` returns it; False: too few."""
+    n_sums, n = sums.shape
+    tried, total, terms, chi2, most = np.empty_like(fits), np.empty(n_sums), np.empty(n_sums), np.empty(n), -np.inf
+    for k in range(1, n + _ROUNDS - 1):
+        # First the pairs, then all that fit the best of them.
+        if k >= n and np.count_nonzero(fits) < least_tracks:
+            return False
+        for r in range(n_sums):
+            total[r] = sums[r, 0] + sums[r, k] if k < n else 0.0
+            for i in range(n if k >= n else 0):
+                total[r] += sums[r, i] if fits[i] else 0.0
+        aa, ac, bc, score_a, score_b = total[0], total[1], total[2], total[4], total[5]
         # What is left for c where a and b follow it, times the information on these.
-        cc = aa * total[3, k] - ac * ac - bc * bc
-        c = (aa * total[6, k] - ac * score_a - bc * score_b) / cc
-        if not (aa > 0.0 and cc > 0.0 and c < 0.0):
-            continue
-        a, b = (score_a - ac * c) / aa, (score_b - bc * c) / aa
+        cc = aa * total[3] - ac * ac - bc * bc
+        c = (aa * total[6] - ac * score_a - bc * score_b) / cc
+        a, b, gain, is_near = (score_a - ac * c) / aa, (score_b - bc * c) / aa, 0.0, aa > 0.0 and cc > 0.0 and c < 0.0
         # As in `GrowthSums.redchi_of`.
         terms[0], terms[1], terms[2], terms[3] = a * a + b * b, 2.0 * a * c, 2.0 * b * c, c * c
         terms[4], terms[5], terms[6], terms[7] = -2.0 * a, -2.0 * b, -2.0 * c, 1.0
-        for i in range(len(redchi)):
+        for i in range(n):
             chi2[i] = 0.0
-        for r in range(len(sums)):
-            for i in range(len(redchi)):
+        for r in range(n_sums):
+            for i in range(n):
                 chi2[i] += terms[r] * sums[r, i]
-        for i in range(len(redchi)):
+        for i in range(n):
             off = max(chi2[i], 0.0) / freedom[i]
-            fits[k, i] = off < limit[i]
-            gain[k] += (redchi[i] - off) * freedom[i] if fits[k, i] else 0.0
+            tried[i] = is_near and off < limit[i]
+            gain += (redchi[i] - off) * freedom[i] if tried[i] else 0.0
+        if k >= n or gain > most:
+            most, fits[:] = gain, tried
+    return bool(np.count_nonzero(fits) >= least_tracks)
 
 
 def growth_sums(xy: Floats, since_s: Floats, sigma_norm: Floats) -> GrowthSums:

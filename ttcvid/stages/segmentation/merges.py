@@ -112,7 +112,8 @@ def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[I
     """
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
     beside = np.zeros((len(movers) + 1, len(movers) + 1), dtype=bool)
-    beside[number[:, None], number[neighbours]] = True
+    of_mover = np.flatnonzero(number)
+    beside[number[of_mover, None], number[neighbours[of_mover]]] = True
     one, other = np.nonzero(np.triu((beside | beside.T)[1:, 1:], 1))
     is_asked = is_due(np.minimum(movers.n_found[one], movers.n_found[other]))
     is_asked &= np.minimum(counts[one], counts[other]) >= _LEAST_TRACKS

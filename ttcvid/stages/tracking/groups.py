@@ -78,8 +78,8 @@ def places_among(known: Ints, track_id: Ints) -> Ints:
     """Where each of ``track_id (N,)`` stands among those ``known (M,)``, both ascending: (N,), -1 for nowhere."""
     if not len(known):
         return np.full(len(track_id), -1)
-    place = np.minimum(np.searchsorted(known, track_id), len(known) - 1)
-    return np.where(known[place] == track_id, place, -1)
+    place = np.searchsorted(known, track_id)
+    return np.where(known.take(place, mode="clip") == track_id, place, -1)
 
 
 def in_common(one: PointSet, other: PointSet) -> tuple[Floats, Floats]:

@@ -34,15 +34,14 @@ def _fill_nearest(xy_px: Floats, cell: Ints, side_px: float, is_asked: Bools, ki
     count, n_columns, n_rows = neighbours.shape[1], cell[:, 0].max() + 1, cell[:, 1].max() + 1
     # The points cell by cell, column after column: after each has counted itself in, a cell starts at its own place.
     start, by_cell, squares = np.zeros(n_columns * n_rows + 1, dtype=np.int64), np.empty_like(kind), np.empty(count)
-    for i in range(len(cell)):
-        start[cell[i, 0] * n_rows + cell[i, 1]] += 1
+    number = cell[:, 0] * n_rows + cell[:, 1]
+    for point in range(len(number)):
+        start[number[point]] += 1
     for place in range(n_columns * n_rows):
         start[place + 1] += start[place]
-    for back in range(1, len(cell) + 1):
-        i = len(cell) - back
-        place = cell[i, 0] * n_rows + cell[i, 1]
-        start[place] -= 1
-        by_cell[start[place]] = i
+    for point in range(len(number) - 1, -1, -1):
+        start[number[point]] -= 1
+        by_cell[start[number[point]]] = point
     for i in np.flatnonzero(is_asked):
         # Most points have enough neighbours within half of the radius.
         for reach in (_REACH // 2, _REACH):
