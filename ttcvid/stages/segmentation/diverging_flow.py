@@ -17,7 +17,7 @@ from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of
 from ttcvid.stages.segmentation.common_errors import SIGMAS_999, common_growth_hz
-from ttcvid.stages.segmentation.expansion import around_the_oddest
+from ttcvid.stages.segmentation.expansion import nearest_around, oddest_first
 from ttcvid.stages.segmentation.scene import SeenScene
 
 # Minimum number of tracks for an expanding object. Fewer than for other movers, since three unknowns for all are
@@ -82,13 +82,14 @@ def expanding_movers(
     near = np.flatnonzero(may_be)
     xy = each_turned_into_plane(views.rays, near, seen.scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
     sums = growth_sums(xy, views.since_s, np.sqrt(seen.median_redchi) * views.sigma_norm[near])
-    xy_px, redchi, is_asked = views.xy_px[near], seen.redchi[near], is_asked[near]
-    is_free = np.ones(len(near), dtype=bool)
-    for _ in range(_MOST_SEEDS):
-        if len(things) == _MOST_THINGS or not np.count_nonzero(is_asked):
+    xy_px, redchi, is_free, n_tried = views.xy_px[near], seen.redchi[near], np.ones(len(near), dtype=bool), 0
+    for seed in oddest_first(redchi, is_asked[near]):
+        if len(things) == _MOST_THINGS or n_tried == _MOST_SEEDS:
             break
-        seed, around = around_the_oddest(xy_px, redchi, is_asked, is_free, views.link_px)
-        is_asked[seed] = False
+        if not is_free[seed]:
+            continue
+        n_tried += 1
+        around = nearest_around(seed, xy_px, is_free, views.link_px)
         found = _thing_around(sums.of(around), redchi[around], least, needed, config)
         if found is None:
             continue
@@ -100,7 +101,7 @@ def expanding_movers(
             continue
         if not found.is_few:
             things.append(thing)
-            is_free[thing.members] = is_asked[thing.members] = False
+            is_free[thing.members] = False
         elif _heads_at_us(own_xy[-1].mean(axis=0), thing.unknowns, seen.scene.path[0, 0]):
             small.append(thing)
     things = _with_small_ones(things, small, sums, config)

@@ -80,34 +80,33 @@ def _things(
 ) -> list[Growing]:
     """The things that grow around tracks that contradict the scene, or are known to be part of one."""
     redchi, may_be = on_scene.redchi, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
-    is_asked = may_be & ((redchi > config.scene_gate) | is_known)
-    things = list[Growing]()
-    for _ in range(_MOST_THINGS):
-        if not is_asked.any():
+    things, n_tried = list[Growing](), 0
+    for seed in oddest_first(redchi, may_be & ((redchi > config.scene_gate) | is_known)):
+        if n_tried == _MOST_THINGS:
             break
-        seed, around = around_the_oddest(history.xy_px, redchi, is_asked, may_be, link_px)
-        is_asked[seed] = False
+        if not may_be[seed]:
+            continue
+        n_tried += 1
+        around = nearest_around(seed, history.xy_px, may_be, link_px)
         thing = _thing_around(history, around, redchi[around], on_scene.median_redchi, error_px, config)
         if thing is not None:
             things.append(thing)
-            may_be[thing.members] = is_asked[thing.members] = False
+            may_be[thing.members] = False
     return things
 
 
-def around_the_oddest(
-    xy_px: Floats, redchi: Floats, is_asked: Bools, may_be: Bools, link_px: float
-) -> tuple[int, Ints]:
-    """Of the tracks that are asked, the one that the scene explains worst, and the nearest around it, nearest first.
-
-    At ``xy_px (N, 2)``, with reduced chi-squares ``redchi (N,)`` on the scene's trajectory; ``may_be (N,)`` those that
-    may be around it, within some ``link_px``.
-    """
+def oddest_first(redchi: Floats, is_asked: Bools) -> Ints:
+    """The tracks that are asked, first those that the scene explains worst, by ``redchi (N,)``."""
     asked = np.flatnonzero(is_asked)
-    seed = int(asked[np.argmax(redchi[asked])])
+    return np.asarray(asked[np.argsort(-redchi[asked], kind="stable")])
+
+
+def nearest_around(seed: int, xy_px: Floats, may_be: Bools, link_px: float) -> Ints:
+    """The tracks around a seed, nearest first: of those that ``may_be (N,)`` at ``xy_px (N, 2)``, within `_LINKS`."""
     off_px = xy_px - xy_px[seed]
     square = np.einsum("ni,ni->n", off_px, off_px)
     around = np.flatnonzero(may_be & (square < (_LINKS * link_px) ** 2))
-    return seed, around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]]
+    return np.asarray(around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]])
 
 
 def _thing_around(

@@ -174,7 +174,9 @@ def _are_displaced(
         median_chi2 = np.fmax(medians(chi2[tells], number[tells], n_bodies) / _MEDIAN_CHI2_2, 1.0)
         odds = (1.0 + np.count_nonzero(is_displaced)) / (_PRIOR_TRACKS + len(tells))
         limit = np.clip(2.0 * (log_area - np.log(median_chi2 * odds)[number]), _LEAST_CHI2, _MOST_CHI2)
-        is_displaced = is_known & (chi2 > limit * median_chi2[number])
+        before, is_displaced = is_displaced, is_known & (chi2 > limit * median_chi2[number])
+        if np.array_equal(is_displaced, before):
+            break
     is_past_off = surprise.is_past_off & views.is_free[:, None]
     track, view = np.divmod(np.flatnonzero(is_past_off), is_past_off.shape[1])
     at = view * n_bodies + number[track]
