@@ -177,11 +177,10 @@ def _are_displaced(
         before, is_displaced = is_displaced, is_known & (chi2 > limit * median_chi2[number])
         if np.array_equal(is_displaced, before):
             break
-    is_past_off = surprise.is_past_off & views.is_free[:, None]
-    track, view = np.divmod(np.flatnonzero(is_past_off), is_past_off.shape[1])
+    track, view = np.divmod(np.flatnonzero(surprise.is_past_off & views.is_free[:, None]), len(views.t_s))
     at = view * n_bodies + number[track]
-    is_past_off[track, view] = 2 * np.bincount(at)[at] < np.bincount(number)[number[track]]
-    is_past_off = is_past_off.T
+    is_past_off = np.zeros((len(views.t_s), len(number)), dtype=bool)
+    is_past_off[view, track] = 2 * np.bincount(at)[at] < np.bincount(number)[number[track]]
     if not is_displaced.any():
         return is_displaced, is_past_off
     beside = neighbours[is_displaced]

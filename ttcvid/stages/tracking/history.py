@@ -325,7 +325,7 @@ def without_displaced(history: TrackHistory, is_displaced: Bools, is_past_off: B
     has_strayed = is_displaced & np.isnan(rays[max(now - _STRAYING_VIEWS, 0) : now, :, 0]).all(axis=0)
     rays[-1, is_displaced & ~has_strayed] = np.nan
     rays[:-1, has_strayed] = np.nan
-    rays[is_past_off] = np.nan
+    rays.reshape(-1, 3)[np.flatnonzero(is_past_off)] = np.nan
     # The present one has made its track look noisy: nothing but its peers tells of that now.
     noise_sum = np.where(is_displaced, history.noise_weight, history.noise_sum)
     return replace(history, rays=rays, noise_sum=noise_sum)
