@@ -184,7 +184,7 @@ RULES: dict[str, Rule] = {
     "common_errors": Rule(
         "approach has to exceed the tracker's common error",
         "amendments",
-        {"stages.segmentation.common_errors.common_covariances": lambda ref_px, *_: np.zeros((len(ref_px), 3, 3))},
+        {"stages.segmentation.common_errors.common_covariances": lambda *_: (0.0, 0.0)},
         _stage("segmentation/common_errors"),
     ),
     "own_bend": Rule(
@@ -194,10 +194,10 @@ RULES: dict[str, Rule] = {
         _stage("segmentation/own_turn"),
     ),
     "braking": Rule(
-        "the size of what may have begun to brake",
+        "who brakes is reached sooner by that",
         "warnings",
-        {"stages.segmentation.common_errors.braking_of_tracks": _none},
-        ("geometry/estimation/closing.py",),
+        {"stages.warnings.course._braking_probability": lambda *_: 0.0},
+        (),
     ),
 }
 GROUPS: dict[str, tuple[str, ...]] = {
