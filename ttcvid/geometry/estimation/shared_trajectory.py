@@ -95,7 +95,7 @@ class SharedPaths:
 
     @property
     def bend_hz(self) -> Floats:
-        """Acceleration over the speed, at time 0: (K, 3)."""
+        """Acceleration over the speed in views turned back, at time 0, beside that of the base: (K, 3)."""
         return self.offset[:, 3:6]
 
     @property
@@ -171,9 +171,8 @@ class PathFits:
 
         That is where the acceleration under this prior is not zero by more than ``chi2`` and the misfit of the views.
         """
-        wide = self.believed + (sigma_hz**-2.0 - self.beliefs.along_sigma_hz**-2.0) * (
-            self.own_motion[:, _ALONG, :, None] * self.own_motion[:, _ALONG, None, :]
-        )
+        wide = self.believed.copy()
+        wide[:, _ALONG, _ALONG] += sigma_hz**-2.0 - self.beliefs.along_sigma_hz**-2.0
         offset, cov = self._weighed(wide)
         brakes = offset[:, _ALONG] ** 2 > chi2 * np.maximum(self.left[:, 1], 1.0) * cov[:, _ALONG, _ALONG]
         return replace(self, believed=np.where(brakes[:, None, None], wide, self.believed))
@@ -217,6 +216,8 @@ class PathFits:
         # Of the middle of what turns itself.
         own = columns[:, :3, _U] @ self.own_motion[:, _U]
         direction = (self.beliefs.direction + offset[:, :3]) / speed[:, None]
+        offset[:, :6] /= speed[:, None]
+        offset[:, 9:] /= speed[:, None]
         cov_of = (columns @ cov @ columns.transpose(0, 2, 1), own @ cov @ own.transpose(0, 2, 1))
         return SharedPaths(path, direction, offset, *cov_of, self.left[:, 0], self.left[:, 1])
 

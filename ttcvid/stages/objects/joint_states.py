@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.rotation import cross
+from ttcvid.geometry.estimation.shared_trajectory import N_SHARED
+from ttcvid.geometry.rotation import cross, skew
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, tracks_needed
 from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
@@ -98,23 +99,40 @@ def joint_states(
     cov = _covariances(surfaces, weight, off_ref, states)
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
     surface_hz = surfaces.sums(weight * (rate_hz + above_hz)[is_in])
-    closing = _accelerations(surfaces, weight, surface_hz, shared)
+    of_tracks = variance[is_in], by_shared[is_in]
+    closing = _accelerations(surfaces, weight, surface_hz, *of_tracks, cov[:, 2, 2], shared)
     return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov, *closing)
 
 
-def _accelerations(surfaces: TrackSets, weight: Floats, rate_hz: Floats, shared: SharedErrors) -> tuple[Floats, Floats]:
-    """`JointStates.acceleration_hz2` and ``closing_cov`` of surfaces with the inverse depths ``rate_hz (K,)``, 1/s."""
-    path, index = _paths_of(surfaces, shared), surfaces.index
-    bend_hz, along = shared.bend_hz[path, 2], shared.along[path, 2]
-    by_rate = surfaces.sums(weight[:, None] * shared.rate_jacobian[index])
-    by_shared = np.stack(
-        [surfaces.sums(weight[:, None] * shared.jacobian[index, 2]), bend_hz[:, None] * by_rate], axis=1
-    )
+def _accelerations(
+    surfaces: TrackSets,
+    weight: Floats,
+    rate_hz: Floats,
+    variance: Floats,
+    rate_jacobian: Floats,
+    c_variance: Floats,
+    shared: SharedErrors,
+) -> tuple[Floats, Floats]:
+    """`JointStates.acceleration_hz2` and ``closing_cov`` of surfaces with the inverse depths ``rate_hz (K,)``, 1/s.
+
+    ``variance (M,), rate_jacobian (M, 12)`` are those of `_rates`, ``c_variance (K,)`` is that of c.
+    """
+    path, is_off = _paths_of(surfaces, shared), shared.path_of[surfaces.index] < 0
+    along, turn = shared.along[path], shared.turn_rad_s[path]
+    # Of what turns, views that are turned back show no more than the rest: A - 2 turn x V.
+    bend_hz = (shared.bend_hz[path] + 2.0 * cross(turn, along))[:, 2]
+    by_shared = np.empty((len(path), 2, N_SHARED))
+    by_c = weight[:, None] * shared.jacobian[surfaces.index, 2]
+    by_shared[:, 0] = surfaces.sums(np.where(is_off[:, None], 0.0, by_c))
+    by_shared[:, 1] = bend_hz[:, None] * surfaces.sums(weight[:, None] * rate_jacobian)
+    by_shared[:, 1, :3] += 2.0 * rate_hz[:, None] * skew(turn)[:, 2]
     by_shared[:, 1, 5] += rate_hz
-    own = np.stack([along, bend_hz], axis=1)
-    variance = _TRIMMED_VARIANCE * surfaces.sums(weight**2 * shared.rate_variance[index])
+    by_shared[:, 1, 6:9] -= 2.0 * rate_hz[:, None] * skew(along)[:, 2]
+    own = np.stack([along[:, 2], bend_hz], axis=1)
+    variance = _TRIMMED_VARIANCE * surfaces.sums(weight**2 * variance)
     cov = by_shared @ shared.cov[path] @ np.swapaxes(by_shared, 1, 2)
     cov += variance[:, None, None] * own[:, :, None] * own[:, None, :]
+    cov[:, 0, 0] = c_variance
     return np.where(path >= 0, rate_hz * bend_hz, np.nan), cov
 
 

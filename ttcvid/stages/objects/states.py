@@ -23,7 +23,7 @@ class SharedErrors:
 
     ``path_of (N,)`` the path of each track, negative for none; ``along (K, 3)`` the direction in which the noise of a
     track's own views counts; ``rate_hz (N,)`` speed along the path over depth, with ``rate_variance (N,)``, 1/s^2, by
-    that noise; ``bend_hz (K, 3)`` acceleration over the speed; ``jacobian (N, 3, 12)`` of (a, b, c) and
+    that noise; ``bend_hz (K, 3)`` as in `SharedPaths`, NaN if unknown; ``jacobian (N, 3, 12)`` of (a, b, c) and
     ``rate_jacobian (N, 12)`` of the rates by the shared unknowns, in the order of `shared_trajectory`, and their
     covariance ``cov (K, 12, 12)``; ``turn_rad_s (K, 3)`` how the things on them turn themselves.
     """

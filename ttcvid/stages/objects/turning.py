@@ -19,10 +19,10 @@ for a turn, and bias the velocity."""
 # The prior of the direction comes from a fit of straight tracks. Its covariance is widened by this factor and the
 # square of this angle, so that curved trajectories can be found.
 _SEARCH_FACTOR, _SEARCH_FLOOR_RAD = 9.0, float(np.radians(1.0))
-# Prior of the relative acceleration over the relative speed, per axis: 1.2 m/s^2 at 6 m/s; along the direction of who
-# brakes, who has had hardly any speed against us. That holds where it shows significantly (one degree of freedom).
-OBJECT_BEND_HZ, _BRAKING_HZ = 0.2, 1.2
-_BRAKING_CHI2 = float(chdtri(1, 0.05))
+# Prior of the relative acceleration over the relative speed, per axis: 1.2 m/s^2 at 6 m/s.
+OBJECT_BEND_HZ = 0.2
+# The same along the direction of who brakes, and has had hardly any speed against us: where that shows at 95 %.
+_BRAKING_HZ, _BRAKING_CHI2 = 1.2, float(chdtri(1, 0.05))
 # Prior of the turn rate in a bend, some deg/s. On a known horizon, which a free turning body could leave, it is chosen
 # if it lowers the squared residuals significantly (chi-square, three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
@@ -97,7 +97,8 @@ def straight_or_in_bend(
                 chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
                 is_straight[k] = False
     elif (may_turn := (chi2 > _SURE_CHI2 * of_noise) | is_rejected).any():
-        in_bend = fit_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability).paths()
+        bent = fit_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
+        in_bend = bent.with_braking(_BRAKING_HZ, _BRAKING_CHI2).paths()
         gain = straight.squares[may_turn] - in_bend.squares
         bends = gain > _BEND_CHI2 * np.maximum(in_bend.median_chi2, 1.0)
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
@@ -126,9 +127,9 @@ def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: flo
 
 
 def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
-    """The trajectory of a turning body as `SharedPaths` of K = 1: on a circle the acceleration changes as it turns."""
+    """The trajectory of a turning body as `SharedPaths` of K = 1; whether it brakes besides is not told."""
     offset, cov = np.zeros((1, N_SHARED)), np.zeros((1, N_SHARED, N_SHARED))
-    offset[0, 6:9], cov[0, :9, :9] = body.turn_rad_s, body.path_cov
+    offset[0, 3:6], offset[0, 6:9], cov[0, :9, :9] = np.nan, body.turn_rad_s, body.path_cov
     quality = np.array([body.squares]), np.array([body.median_chi2])
     return SharedPaths(
         body.path_turned_back(t_s)[None], body.start[None], offset, cov, body.direction_cov[None], *quality
