@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, in_nearest_surface, tracks_needed
+from ttcvid.stages.objects.nearest_surface import in_nearest_surface, tracks_needed
 from ttcvid.stages.tracking.groups import TrackSets
 
 LINK_PX = 30.0
@@ -180,35 +180,3 @@ def test_each_of_several_objects_has_the_surface_that_it_has_alone():
     )
     for is_in, one in zip(together, cars, strict=True):
         np.testing.assert_array_equal(np.flatnonzero(is_in), nearest_surface(*one[:3], LINK_PX))
-
-
-def at_constant_bearing(depth_ratio, off_px, off_sigma_px, own_hz=0.01):
-    """Which tracks of a car, the epipole of which lies among them and is taken to be off, bear its nearest surface.
-
-    A rate is what the flow is over the distance from the epipole.
-    """
-    x_px = np.array([-30.0, -22.0, -14.0, 12.0, 18.0, 24.0, 33.0])
-    true_hz = 0.4 / np.asarray(depth_ratio)
-    rate_hz = true_hz * x_px / (x_px - off_px)
-    tracks = TrackSets.of([np.arange(len(x_px))])
-    xy_px = np.column_stack([x_px, np.zeros(len(x_px))])
-    by_shared, cov = (rate_hz / x_px)[:, None], np.array([[[off_sigma_px**2]]])
-    sigma_hz = np.full(len(x_px), own_hz)
-    needed = tracks_needed(np.array([len(x_px)]))
-    return in_nearest_of_path(rate_hz, sigma_hz, by_shared, cov, xy_px, tracks, needed, LINK_PX)
-
-
-def test_what_keeps_its_bearing_is_one_surface_though_its_epipole_is_a_little_off():
-    assert at_constant_bearing(1.0, off_px=3.0, off_sigma_px=3.0).all()
-    # Its rates by themselves are those of no surface; and what is known to come from that epipole is none.
-    assert not at_constant_bearing(1.0, off_px=3.0, off_sigma_px=0.1).any()
-
-
-def test_what_an_error_that_tracks_share_does_not_explain_is_no_surface():
-    assert not at_constant_bearing([1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0], off_px=0.0, off_sigma_px=1.0).any()
-
-
-def test_where_rates_agree_by_themselves_the_nearest_surface_is_that_of_these():
-    front = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.15, 1.15])
-    surface = at_constant_bearing(front, off_px=0.0, off_sigma_px=3.0)
-    np.testing.assert_array_equal(surface, front == 1.0)

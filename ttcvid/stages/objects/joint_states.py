@@ -9,7 +9,7 @@ import numpy as np
 from ttcvid.geometry.estimation.shared_trajectory import N_SHARED
 from ttcvid.geometry.rotation import cross, skew
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.objects.nearest_surface import in_nearest_of_path, tracks_needed
+from ttcvid.stages.objects.nearest_surface import in_nearest_surface, tracks_needed
 from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
 from ttcvid.stages.tracking.groups import TrackSets
 
@@ -63,7 +63,7 @@ def joint_states(
 
     The nearest surface has the largest inverse depth (speed / Z), for any direction of motion: 1 / ttc_z orders the
     depths of approaching objects only. Errors common to all tracks shift all surfaces alike and do not count in their
-    separation, unless no surface had enough tracks otherwise (`in_nearest_of_path`).
+    separation.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def joint_states(
     rate_hz, variance, by_shared = _rates(sets, direction[owner], states, shared)
     sigma_hz = np.sqrt(variance + (_RELIEF * rate_hz) ** 2)
     needed = tracks_needed(members.lengths[owner])
-    is_in = in_nearest_of_path(rate_hz, sigma_hz, by_shared, shared.cov[path], xy_px[sets.index], sets, needed, link_px)
+    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, needed, link_px)
     above_hz = np.zeros(len(rate_hz))
     for k in np.flatnonzero((path >= 0) & (sets.lengths >= _LEAST_OF_SIDE)):
         own = slice(sets.first[k], sets.first[k] + sets.lengths[k])

@@ -22,38 +22,6 @@ _NEXT_START_SIGMAS = 0.5
 _MAX_STEPS = 20
 
 
-def in_nearest_of_path(
-    rate_hz: Floats,
-    sigma_hz: Floats,
-    by_shared: Floats,
-    shared_cov: Floats,
-    xy_px: Floats,
-    sets: TrackSets,
-    needed: Ints,
-    link_px: float,
-) -> Bools:
-    """As `in_nearest_surface`; where nothing is supported, what errors that tracks share let agree supports a surface.
-
-    A thing that keeps its bearing goes along a line that meets the picture among its tracks. If the line is a little
-    off, rates are too large on one side of it and too small on the other, by far more than by the tracks' own noise.
-
-    ``by_shared (M, n)`` is what one of n errors does to each rate, ``shared_cov (K, n, n)`` the covariance of these.
-    """
-    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px, sets, needed, link_px)
-    is_bare = np.bincount(sets.set_of, is_in, len(sets)) == 0.0
-    if not is_bare.any():
-        return is_in
-    is_asked = is_bare[sets.set_of]
-    sets, bare = sets.where(is_asked)
-    rate_hz, sigma_hz, by_shared, xy_px = rate_hz[is_asked], sigma_hz[is_asked], by_shared[is_asked], xy_px[is_asked]
-    weight, set_of = sigma_hz**-2.0, sets.set_of
-    mean = sets.sums(weight[:, None] * by_shared) / sets.sums(weight)[:, None]
-    apart = by_shared - mean[set_of]
-    variance = np.maximum(np.einsum("mi,mij,mj->m", apart, shared_cov[bare][set_of], apart), 0.0)
-    is_in[is_asked] = in_nearest_surface(rate_hz, np.sqrt(sigma_hz**2 + variance), xy_px, sets, needed[bare], link_px)
-    return is_in
-
-
 def in_nearest_surface(
     rate_hz: Floats, sigma_hz: Floats, xy_px: Floats, sets: TrackSets, needed: Ints, link_px: float
 ) -> Bools:
