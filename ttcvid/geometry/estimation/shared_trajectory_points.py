@@ -8,7 +8,7 @@ import numpy as np
 
 from ttcvid.model import Bools, Floats, Ints
 
-MOST_POINTS = 100
+MOST_POINTS = 150
 """With more points, use every n-th: errors shared by neighbours limit the path, not their number."""
 LEAST_VIEWS = 3
 """Fewer views say nothing of a path beside the place and the rate of their point."""
