@@ -22,7 +22,7 @@ from ttcvid.model import Floats
 
 # Unknowns of a point, x, y, kappa, of the body, and of both.
 _N_OWN, _N_SHARED, _N_ALL = 3, 9, 12
-_MAX_STEPS = 10
+_MAX_STEPS = 25
 # Damping (Levenberg and Marquardt): a part of the diagonal, less after a good step, more after a bad one.
 _FIRST_DAMPING, _LEAST_DAMPING, _LESS, _MORE, _MOST_DAMPING = 1e-3, 1e-7, 0.2, 8.0, 1e4
 # A velocity is known to this in any case, in depths a second: no system is without a solution.
