@@ -324,7 +324,8 @@ class ClusterRow:
     (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2; as the centroid of a surface
     it has the standard error ``ref_sigma`` (x, y in the plane z = 1). ``times`` has one row. ``method`` names how the
     epipole was found. ``front_px`` is the box of what of it is as near as the reference point, None where that is not
-    known. ``closing`` is how its depth changes, None where its acceleration is not known.
+    known. ``closing`` is how its depth changes, None where its acceleration is not known. ``horizon_offset`` is None
+    without a horizon.
     """
 
     cluster_id: int

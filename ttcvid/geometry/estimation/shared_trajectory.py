@@ -169,7 +169,8 @@ class PathFits:
     def with_braking(self, sigma_hz: float, chi2: float) -> PathFits:
         """With a wider prior of the acceleration along the direction, ``sigma_hz``, of the paths where it shows.
 
-        That is where the acceleration under this prior is not zero by more than ``chi2`` and the misfit of the views.
+        It shows where its chi-square under this prior, over the misfit of the views, exceeds ``chi2``. ``left`` stays
+        that of the fit with the narrower prior.
         """
         wide = self.believed.copy()
         wide[:, _ALONG, _ALONG] += sigma_hz**-2.0 - self.beliefs.along_sigma_hz**-2.0

@@ -31,11 +31,8 @@ def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_st
     start_hz : (K, 3) V / Z to start from.
     """
     velocity, info = start_hz.copy(), np.zeros((len(start_hz), 3, 3))
-    of_points, rotations = (
-        (points.rays, points.sigma_norm, points.track, points.thing),
-        np.ascontiguousarray(cam_R_past),
-    )
-    _fit_each(of_points, rotations, points.since_s, n_steps, velocity, info)
+    of_points = points.rays, points.sigma_norm, points.track, points.thing
+    _fit_each(of_points, np.ascontiguousarray(cam_R_past), points.since_s, n_steps, velocity, info)
     return velocity, info
 
 

@@ -136,7 +136,7 @@ def rows_of(
 
 
 def _closing(joint: JointStates, k: int) -> Closing | None:
-    """How the depth of surface k changes; None without a trajectory."""
+    """How the depth of surface k changes; None where its acceleration is not known."""
     acceleration_hz2 = float(joint.acceleration_hz2[k])
     if not math.isfinite(acceleration_hz2):
         return None

@@ -19,8 +19,8 @@ _TRIMMED_VARIANCE = 1.35
 _LEAST_OF_SURFACE = 3
 # Standard deviation of the depths on the front of a car, as a share of its distance.
 _RELIEF = 0.025
-# A side has at least so many tracks, and this part of the object's; its depth varies by more than this chi-square. (Two
-# degrees of freedom: by chance 14 is rare, but the relief of a car's rear is none of points that are independent.)
+# A side has at least so many tracks, and this part of the object's. Its slope has a chi-square (two degrees of freedom)
+# above the third: noise exceeds 14 once in a thousand, but neighbours on the rear of a car share its relief.
 _LEAST_OF_SIDE, _PART_OF_SIDE, _SIDE_CHI2 = 8, 0.8, 40.0
 # Prior of the slope of its rate over the rate: the tangent of up to 45 deg (standard deviation, per component).
 _SIDE_SLOPE = 0.5
@@ -43,7 +43,7 @@ class JointStates:
     owner : ``(K,)`` index of the object.
     ref_px, ref_sigma : ``(K, 2)`` centroid, and its standard error in the plane z = 1: few points of it are tracked.
     abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.
-    acceleration_hz2, closing_cov : ``(K,)`` acceleration along the optical axis over Z, NaN without a trajectory, and
+    acceleration_hz2, closing_cov : ``(K,)`` acceleration along the optical axis over Z, NaN where it is not known, and
         the covariance ``(K, 2, 2)`` of c and of it.
     """
 
@@ -119,7 +119,7 @@ def _accelerations(
     """
     path, is_off = _paths_of(surfaces, shared), shared.path_of[surfaces.index] < 0
     along, turn = shared.along[path], shared.turn_rad_s[path]
-    # Of what turns, views that are turned back show no more than the rest: A - 2 turn x V.
+    # The views of what turns are turned back, and show A - 2 turn x V.
     bend_hz = (shared.bend_hz[path] + 2.0 * cross(turn, along))[:, 2]
     by_shared = np.empty((len(path), 2, N_SHARED))
     by_c = weight[:, None] * shared.jacobian[surfaces.index, 2]

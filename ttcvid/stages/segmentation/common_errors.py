@@ -25,10 +25,10 @@ _LEAST_RADIUS_PX = 1e-3
 
 
 def common_covariances(ref_px: Floats, drift_hz: Floats, camera: Camera) -> tuple[Floats, Floats]:
-    """What common errors of their tracks add to the covariances of K states (K, 3, 3) and of how these close in
-    (K, 2, 2): of c and the acceleration over the depth.
+    """What the common errors of their tracks add to the covariances of K objects.
 
-    ``ref_px (K, 2)`` are the reference points of the objects, ``drift_hz (K,)`` their `common_growth_hz`.
+    These are ``(K, 3, 3)`` of the states (a, b, c), in 1/s^2, and ``(K, 2, 2)`` of c and the acceleration over the
+    depth. ``ref_px (K, 2)`` are the reference points of the objects, ``drift_hz (K,)`` their `common_growth_hz`.
     """
     rays = rays_from_pixels(camera, ref_px)
     # An apparent expansion is an apparent velocity along the ray.
