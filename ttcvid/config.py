@@ -84,8 +84,7 @@ class BodiesConfig(StageConfig):
     min_tracks: int = Field(
         default=6,
         ge=3,
-        description="minimum number of tracks of a new mover; 5 for an expanding object at constant bearing, 3 if it "
-        "heads at us",
+        description="minimum number of tracks of a new mover; 5 for an expanding object at constant bearing",
     )
     scene_gate: PositiveFloat = Field(
         default=5.0,

@@ -13,10 +13,10 @@ from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.estimation.track_state import fit_whole_tracks
 from ttcvid.geometry.medians import row_medians
 from ttcvid.geometry.rotation import turned_into_plane
-from ttcvid.model import Bools, Floats, Ints, Platform
+from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
-from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, tracks_needed
+from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
@@ -28,6 +28,9 @@ _LEAST_VIEWS = 3
 _TOGETHER, _LEAST_AROUND = 0.6, 3
 # Flows of two tracks are alike if they differ by less than this share of their mean plus this, px over the window.
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
+# A flow is that since the views of this part of a track's span, the oldest ones: their median, since every third
+# observation of some tracks is displaced.
+_OLDEST_PART = 0.5
 # Most tracks.
 _MOST = 0.5
 # Gauss-Newton steps for a new trajectory.
@@ -43,13 +46,13 @@ class _Things:
     Attributes
     ----------
     members : tracks ``(M,)`` and trajectory ``(L, 3)`` of each.
-    needed : ``(K,)`` least number of tracks that it has to explain significantly better than the scene.
+    needed : least number of tracks that it has to explain significantly better than the scene.
     least_part : least part of its tracks that it has to explain so.
     is_along : ``(N,)`` tracks that contradict the scene by their depth alone.
     """
 
     members: list[tuple[Ints, Floats]]
-    needed: Ints
+    needed: int
     least_part: float
     is_along: Bools
 
@@ -72,18 +75,15 @@ def new_movers(
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
-    # In the air an object straight at us is found as one surface, whose times few tracks determine.
-    are_few_enough = seen.platform != Platform.aircraft
-    members = expanding_movers(views, seen, may_spread, candidates, config, few_are_enough=are_few_enough)
-    nowhere = np.zeros_like(in_scene)
-    things = _Things(members, tracks_needed(members, config), 0.0, nowhere)
+    members = expanding_movers(views, seen, may_spread, candidates, config)
+    things = _Things(members, least_tracks(config), 0.0, np.zeros_like(in_scene))
     spread, paths, rate_hz = _explained(views, seen, things, config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)
     is_along = (seen.redchi > config.scene_gate) & (seen.seen_redchi < config.scene_gate)
     members = _alike_things(views, seen.scene, candidates, is_along, config)
     # What just moves alike contradicts the scene track by track, at constant bearing only what is at its edges does.
-    things = _Things(members, np.full(len(members), config.min_tracks), _MOST, is_along)
+    things = _Things(members, config.min_tracks, _MOST, is_along)
     alike, alike_paths, alike_hz = _explained(views, seen, things, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
@@ -155,10 +155,9 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
 
     Tracks along our own direction, ``is_along (C,)``, are connected with each other only.
     """
-    every = np.arange(len(index))
     oldest = np.isfinite(xy[:, :, 0]).argmax(axis=0)
     span_s = -views.since_s[oldest]
-    flow = (xy[-1] - xy[oldest, every]) / span_s[:, None]
+    flow = _flows(xy, views.since_s, span_s)
     length = np.sqrt((flow * flow).sum(axis=1))
     pairs = linked_pairs(views.xy_px[index], views.link_px)
     one, other = pairs.T
@@ -167,3 +166,10 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     is_alike = apart < _FLOW_PART * 0.5 * (length[one] + length[other]) + floor
     is_alike &= is_along[one] == is_along[other]
     return connected_parts(np.ones(len(index), dtype=bool), pairs.take(np.flatnonzero(is_alike), axis=0))
+
+
+def _flows(xy: Floats, since_s: Floats, span_s: Floats) -> Floats:
+    """Flow ``(C, 2)`` of tracks ``xy (L, C, 2)``, seen for ``span_s (C,)``, in 1/s: the median since older views."""
+    flows = (xy[-1] - xy[:-1]) / -since_s[:-1, None, None]
+    is_old = (since_s[:-1, None] <= -_OLDEST_PART * span_s) & np.isfinite(flows[..., 0])
+    return np.column_stack([row_medians(flows[..., axis].T, is_old.T) for axis in (0, 1)])
