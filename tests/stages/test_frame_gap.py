@@ -10,6 +10,7 @@ from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Platform
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
 from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion
+from ttcvid.stages.egomotion.window_motion import LEAST_TOLD
 
 FORWARD = np.array([0.0, 0.0, -1.0])
 CONFIG = EgomotionConfig(platform=Platform.vehicle)
@@ -198,7 +199,9 @@ def among_movers(rng, n_static, n_of_each, n_frames=8, sigma_px=0.2, patch=None)
 def direction_errors_deg(motion, in_scene):
     steps, _ = found(motion, config=EgomotionConfig(platform=Platform.free), in_scene=in_scene)
     way = -STEP_M / np.linalg.norm(STEP_M)
-    return [90.0 if step.direction is None else angle_deg(step.direction, way) for step in steps[1:]]
+    # Of fewer views none is told.
+    assert all(step is None or step.direction is None for step in steps[: LEAST_TOLD - 1])
+    return [90.0 if step.direction is None else angle_deg(step.direction, way) for step in steps[LEAST_TOLD - 1 :]]
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, 0.2])

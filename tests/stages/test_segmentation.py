@@ -317,12 +317,3 @@ def test_a_bus_that_turns_is_found_whole():
         assert {key for key, _ in own} == {own[0][0]} - {SCENE_CLUSTER}
         found.append(min(part for _, part in own))
     assert np.mean(found) > 0.87
-
-
-@pytest.mark.parametrize(("platform", "n_found"), [(Platform.vehicle, 3), (Platform.free, 3), (Platform.aircraft, 0)])
-def test_three_tracks_of_somebody_who_walks_into_our_way_are_a_mover_but_not_in_the_air(platform, n_found):
-    walker = Thing(np.array([[-9.6, -0.3, 48.0], [-9.9, 1.4, 48.0], [-9.3, 1.4, 48.0]]), (2.0, 0.0, 0.0))
-    things = world(np.random.default_rng(0), AHEAD, 40, walker, depth_m=(10.0, 70.0))
-    frames = bodies_of(things, 40, AHEAD, platform=platform)
-    assert {np.count_nonzero(frame.key[frame.truth == 1]) for frame in frames[12:36]} == {n_found}
-    assert all(scene_part(frame) == 1.0 for frame in frames)

@@ -1,15 +1,20 @@
 """Own motion of a camera that may go anywhere, by all views of a window, against exact truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from test_frame_gap import STEP_M, among_movers, found
+from drives import Drive, extended_by, start
+from test_frame_gap import FLOOR_PX, LEAST_PARALLAX_PX, STEP_M, among_movers, found
 from two_views import FOCAL_PX, angle_deg, points_of_a_street
 
 from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
-from ttcvid.geometry.estimation.window_bundle import adjust_window
-from ttcvid.geometry.rotation import rotation_from_vector
+from ttcvid.geometry.estimation.window_bundle import adjust_window, planar_dual
+from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Platform
+from ttcvid.stages.egomotion.frame_gap import find_own_motion
+from ttcvid.stages.egomotion.relative_pose import EgomotionMemory
 
 FREE = EgomotionConfig(platform=Platform.free)
 TIMES_S = np.arange(-19, 1) * 0.1
@@ -72,6 +77,58 @@ def test_a_path_past_points_behind_the_camera_is_turned_round():
     xy, paths, point = window(rng, 0.1)
     fit = adjusted(xy, (RigidPaths(paths.cam_R_past, -paths.path), point * [1.0, 1.0, -1.0]), 0.1)
     assert angle_deg(fit.step, -paths.path[0, -2]) < 3.0
+
+
+def over_ground(rng, path, rotation, n=90, part_above=0.1):
+    """Views of flat ground 12 m below a camera that looks 25 deg down, some points up to 2 m above it, by poses."""
+    pitch = rotation_from_vector(np.radians([25.0, 0.0, 0.0]))
+    reach_m = rng.uniform(12.0, 60.0, n)
+    height_m = 12.0 - np.where(rng.uniform(size=n) < part_above, rng.uniform(0.0, 2.0, n), 0.0)
+    points = np.column_stack([rng.uniform(-0.6, 0.6, n) * reach_m, height_m, reach_m]) @ pitch.T
+    there = (points + path[:, None]) @ rotation
+    noise = 0.2 / FOCAL_PX * rng.normal(size=(len(path), n, 2))
+    return there[..., :2] / there[..., 2:] + noise, np.column_stack([points[:, :2] / points[:, 2:], 1.0 / points[:, 2]])
+
+
+def test_flat_ground_leaves_a_second_motion_and_its_dual_leads_back_to_the_true_one():
+    velocity_m_s, wrong_deg, back_deg = np.array([0.5, -0.3, 2.0]), [], []
+    for seed in range(10):
+        rng, path = np.random.default_rng(seed), -TIMES_S[:, None] * velocity_m_s
+        rotation = np.tile(np.eye(3), (len(TIMES_S), 1, 1))
+        xy, point = over_ground(rng, path, rotation)
+        true = adjusted(xy, (RigidPaths(rotation[None], path[None]), point), 0.2)
+        assert angle_deg(true.step, -velocity_m_s) < 6.0
+        wrong = adjusted(xy, planar_dual(true), 0.2)
+        back = adjusted(xy, planar_dual(wrong), 0.2)
+        assert back.cost < 0.9 * wrong.cost
+        wrong_deg.append(angle_deg(wrong.step, -velocity_m_s))
+        back_deg.append(angle_deg(back.step, -velocity_m_s))
+    # Some steps lead from the second motion to the true one even so.
+    assert np.median(wrong_deg) > 60.0
+    assert max(back_deg) < 6.0
+
+
+def test_a_drone_over_flat_ground_that_was_taken_to_climb_is_seen_to_drift():
+    times_s, velocity_m_s = 0.1 * np.arange(14), np.array([0.5, -0.3, 2.0])
+    turned = np.tile(np.eye(3), (len(times_s), 1, 1))
+    for seed in range(5):
+        xy, _ = over_ground(np.random.default_rng(seed), -times_s[:, None] * velocity_m_s, turned)
+        motion = Drive(normalize(np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=2)), turned)
+        history, memory, everything = start(), EgomotionMemory(), np.ones(motion.n, dtype=bool)
+        for frame in range(len(times_s)):
+            history = extended_by(history, motion, frame)
+            if frame == len(times_s) - 1:
+                window = memory.window
+                shape = xy[frame - len(window.frame) : frame], np.full(motion.n, 0.2 / FOCAL_PX), np.arange(motion.n)
+                rate = np.full((motion.n, 1), 0.05)
+                fit = adjust_window(*shape, window.paths, np.concatenate([xy[frame - 1], rate], axis=1), 15)
+                wrong = adjust_window(*shape, *planar_dual(fit), 0)
+                memory = replace(memory, window=replace(window, paths=wrong.paths))
+                assert angle_deg(wrong.step, -velocity_m_s) > 60.0
+            step, history, memory = find_own_motion(
+                history, everything, everything, memory, FREE, LEAST_PARALLAX_PX, FLOOR_PX
+            )
+        assert angle_deg(step.direction, -velocity_m_s) < 10.0
 
 
 @pytest.mark.parametrize("n_of_each", [16, 24])

@@ -12,6 +12,7 @@ import numpy as np
 
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.estimation.schur import EliminatedPoints, cross_of_rows, eliminated
+from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import rotation_from_vector, skew, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
@@ -25,6 +26,8 @@ _CONVERGED = 1e-3
 _LEAST_DEPTH = 1e-3
 # Added to what the observations do not tell.
 _TINY = 1e-9
+# Steps of the fit of a plane, in which points off it lose weight.
+_PLANE_STEPS = 5
 # Numbers of the unknowns of a view and of a point.
 _N_POSE, _N_POINT = 6, 3
 
@@ -34,12 +37,15 @@ class WindowFit:
     """A body over L views: its ``paths`` (one body), and its last step ``step (3,)`` in the present camera's axes.
 
     ``direction_cov (3, 3)`` of the direction of that step, rad^2, and ``rotation_cov (3, 3)`` of the rotation in it.
+    ``point (N, 3)`` places and inverse depths now, ``cost`` the sum of capped squares.
     """
 
     paths: RigidPaths
     step: Floats
     direction_cov: Floats
     rotation_cov: Floats
+    point: Floats
+    cost: float
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,42 @@ def adjust_window(
     if float(np.sign(state.point[2]).sum()) < 0.0:
         state = _state(xy, sigma_norm, state.rotation, -state.place, state.point * [[1.0], [1.0], [-1.0]])
     return _fit(sigma_norm, region, state)
+
+
+def planar_dual(fit: WindowFit) -> tuple[RigidPaths, Floats] | None:
+    """The other motion that would explain the points as well if all of them lay on a plane; None if a view saw none.
+
+    On a plane the inverse depth is rho = n . x, with x = (x, y, 1), and T n . x = n T . x - (T x n) x x: a shift by T
+    past the plane n looks like one along n past the plane T, with a turn by -(T x n). (Of a homography two
+    decompositions are left: Ma, Soatto, Kosecka and Sastry, An Invitation to 3-D Vision, 2004, section 5.3.) A steady
+    drone over flat ground is told to climb. What stands on the ground, and turns that add up, tell them apart.
+
+    Returns
+    -------
+    The paths, and the points (N, 3) as of `WindowFit`, those of the dual motion.
+    """
+    path, x = fit.paths.path[0], np.column_stack([fit.point[:, :2], np.ones(len(fit.point))])
+    length = np.sqrt((path * path).sum(axis=1))
+    weight = np.ones(len(x))
+    normal: Floats = np.zeros(3)
+    for _ in range(_PLANE_STEPS):
+        normal = np.linalg.lstsq(x * weight[:, None], fit.point[:, 2] * weight, rcond=None)[0]
+        off = np.abs(fit.point[:, 2] - x @ normal)
+        weight = 1.0 / np.sqrt(1.0 + (off / (median(off) + _TINY)) ** 2)
+    steepness = float(np.linalg.norm(normal))
+    if min(float(length.max()), steepness) < _TINY:
+        return None
+    way = path[length.argmax()] / length.max()
+    along = (path @ way)[:, None]
+    cam_R_past = rotation_from_vector(np.cross(along * way, normal)) @ fit.paths.cam_R_past[0]
+    rate = steepness * (x @ way)
+    # Most points lie ahead.
+    side = 1.0 if 2 * np.count_nonzero(rate > 0.0) > len(rate) else -1.0
+    place, rate = side * along * normal / steepness, side * rate
+    depth = np.einsum("lnj,lj->ln", x + rate[:, None] * place[:, None], cam_R_past[:, :, 2])
+    if not (depth > _LEAST_DEPTH).any(axis=1).all():
+        return None
+    return RigidPaths(cam_R_past[None], place[None]), np.column_stack([x[:, :2], rate])
 
 
 def _state(xy: Floats, sigma: Floats, rotation: Floats, place: Floats, point: Floats) -> _State:
@@ -191,4 +233,6 @@ def _fit(sigma: Floats, region: Ints, state: _State) -> WindowFit:
         -path[-2],
         np.asarray(more * across @ plain @ across.T),
         np.asarray(more * turn),
+        state.point.T.copy(),
+        state.cost,
     )
