@@ -114,10 +114,9 @@ def planar_dual(fit: WindowFit) -> tuple[RigidPaths, Floats] | None:
     """
     path, x = fit.paths.path[0], np.column_stack([fit.point[:, :2], np.ones(len(fit.point))])
     length = np.sqrt((path * path).sum(axis=1))
-    weight = np.ones(len(x))
-    normal: Floats = np.zeros(3)
+    normal, weight = np.zeros(3), np.ones(len(x))
     for _ in range(_PLANE_STEPS):
-        normal = np.linalg.lstsq(x * weight[:, None], fit.point[:, 2] * weight, rcond=None)[0]
+        normal = np.asarray(np.linalg.lstsq(x * weight[:, None], fit.point[:, 2] * weight, rcond=None)[0], dtype=np.float64)
         off = np.abs(fit.point[:, 2] - x @ normal)
         weight = 1.0 / np.sqrt(1.0 + (off / (median(off) + _TINY)) ** 2)
     steepness = float(np.linalg.norm(normal))
