@@ -103,21 +103,23 @@ def adjust_window(
 def planar_dual(fit: WindowFit) -> tuple[RigidPaths, Floats] | None:
     """The other motion that would explain the points as well if all of them lay on a plane; None if a view saw none.
 
-    On a plane the inverse depth is rho = n . x, with x = (x, y, 1), and T n . x = n T . x - (T x n) x x: a shift by T
-    past the plane n looks like one along n past the plane T, with a turn by -(T x n). (Of a homography two
-    decompositions are left: Ma, Soatto, Kosecka and Sastry, An Invitation to 3-D Vision, 2004, section 5.3.) A steady
-    drone over flat ground is told to climb. What stands on the ground, and turns that add up, tell them apart.
+    On a plane the inverse depth of the point p = (x, y, 1) is rho = n . p, and (n . p) T = (T . p) n - w x p with
+    w = T x n: a shift by T past the plane n looks like one along n past the plane T, turned by -w. (A homography has
+    two such decompositions: Ma, Soatto, Kosecka and Sastry, An Invitation to 3-D Vision, 2004, section 5.3.) A drone
+    that drifts over flat ground seems to climb. What stands on the ground, and turns that add up, tell the two apart.
 
     Returns
     -------
     The paths, and the points (N, 3) as of `WindowFit`, those of the dual motion.
     """
-    path, x = fit.paths.path[0], np.column_stack([fit.point[:, :2], np.ones(len(fit.point))])
+    path, rho = fit.paths.path[0], fit.point[:, 2]
+    x = np.column_stack([fit.point[:, :2], np.ones(len(rho))])
     length = np.sqrt((path * path).sum(axis=1))
     normal, weight = np.zeros(3), np.ones(len(x))
     for _ in range(_PLANE_STEPS):
-        normal = np.asarray(np.linalg.lstsq(x * weight[:, None], fit.point[:, 2] * weight, rcond=None)[0], dtype=np.float64)
-        off = np.abs(fit.point[:, 2] - x @ normal)
+        found, *_ = np.linalg.lstsq(x * weight[:, None], rho * weight, rcond=None)
+        normal = np.asarray(found, dtype=np.float64)
+        off = np.abs(rho - x @ normal)
         weight = 1.0 / np.sqrt(1.0 + (off / (median(off) + _TINY)) ** 2)
     steepness = float(np.linalg.norm(normal))
     if min(float(length.max()), steepness) < _TINY:
