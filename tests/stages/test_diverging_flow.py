@@ -158,25 +158,6 @@ def test_tracks_that_go_each_its_way_are_none(rng):
     assert found_in(views, scene, fit) == []
 
 
-def street_of_posts_that_slide(posts_m, rng):
-    """As `street_with`, with posts at places (P, 3) of which four tracks each slide alike."""
-    sliding = np.concatenate([box_of_points(rng, 4, post, (0.5, 2.5, 0.5)) for post in posts_m])
-    where, velocity = street_with(sliding, OWN_M_S, rng)
-    velocity = velocity.copy()
-    velocity[: len(sliding)] += np.repeat(rng.uniform(-1.0, 1.0, (len(posts_m), 3)), 4, axis=0)
-    return where, velocity
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_few_tracks_that_slide_alike_along_what_stands_beside_the_road_are_none(seed):
-    rng = np.random.default_rng(seed)
-    posts_m = [[side * rng.uniform(4.0, 7.0), 0.0, depth] for side in (-1.0, 1.0) for depth in (12.0, 16.0, 20.0)]
-    views, scene, fit = views_and_fit(*street_of_posts_that_slide(posts_m, rng), rng)
-    n_sliding = 4 * len(posts_m)
-    assert np.count_nonzero(fit.redchi[:n_sliding] > CONFIG.scene_gate) > n_sliding / 2
-    assert found_in(views, scene, fit) == []
-
-
 def test_nothing_to_see_is_none(rng):
     views, scene, fit = views_and_fit(np.empty((0, 3)), OWN_M_S, rng)
     assert found_in(views, scene, fit) == []

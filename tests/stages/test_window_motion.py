@@ -103,8 +103,7 @@ def test_flat_ground_leaves_a_second_motion_and_its_dual_leads_back_to_the_true_
         assert back.cost < 0.9 * wrong.cost
         wrong_deg.append(angle_deg(wrong.step, -velocity_m_s))
         back_deg.append(angle_deg(back.step, -velocity_m_s))
-    # Some steps lead from the second motion to the true one even so.
-    assert np.median(wrong_deg) > 60.0
+    assert min(wrong_deg) > 60.0
     assert max(back_deg) < 6.0
 
 
@@ -129,6 +128,21 @@ def test_a_drone_over_flat_ground_that_was_taken_to_climb_is_seen_to_drift():
                 history, everything, everything, memory, FREE, LEAST_PARALLAX_PX, FLOOR_PX
             )
         assert angle_deg(step.direction, -velocity_m_s) < 10.0
+
+
+@pytest.mark.parametrize("part_above", [0.0, 0.1])
+def test_over_flat_ground_the_true_motion_is_not_left_for_its_dual(part_above):
+    """About as fast as it is high in 12 s: noise alone often makes the dual the cheaper one."""
+    times_s, velocity_m_s, off_deg = 0.1 * np.arange(24), np.array([0.25, -0.15, 1.0]), []
+    turned = np.tile(np.eye(3), (len(times_s), 1, 1))
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        xy, _ = over_ground(rng, -times_s[:, None] * velocity_m_s, turned, part_above=part_above)
+        motion = Drive(normalize(np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=2)), turned)
+        steps, _ = found(motion, config=FREE)
+        off_deg += [angle_deg(one.direction, -velocity_m_s) for one in steps[1:] if one.direction is not None]
+    assert len(off_deg) > 40
+    assert np.mean(np.array(off_deg) > 20.0) < 0.05
 
 
 @pytest.mark.parametrize("n_of_each", [16, 24])

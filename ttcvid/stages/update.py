@@ -13,6 +13,7 @@ from ttcvid.model import Bools, Camera, Frame, FrameStatus, Platform, PointSet
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
 from ttcvid.stages.egomotion.outflow import flows_out
 from ttcvid.stages.egomotion.relative_pose import Egomotion, EgomotionMemory
+from ttcvid.stages.egomotion.window_motion import LEAST_TOLD
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, followed_plane
 from ttcvid.stages.objects.motions import find_motions
 from ttcvid.stages.segmentation.labels import BodyMemory, in_scene, restarted_bodies
@@ -25,8 +26,8 @@ from ttcvid.stages.tracking.tracked_frames import TrackedFrame
 LEAST_PARALLAX_PX = 0.25
 # A rotation that moves the picture by more than this shows which pixels are frozen, px.
 _TURNING_PX = 0.5
-# Third differences need four frames of history.
-_LEAST_HISTORY = 4
+# Third differences need four frames of history, the direction of a free camera more.
+_LEAST_HISTORY = max(4, LEAST_TOLD)
 
 
 @dataclass(frozen=True)

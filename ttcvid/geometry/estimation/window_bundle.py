@@ -101,16 +101,16 @@ def adjust_window(
 
 
 def planar_dual(fit: WindowFit) -> tuple[RigidPaths, Floats] | None:
-    """The other motion that would explain the points as well if all of them lay on a plane; None if a view saw none.
+    """The other motion that explains points on a plane about as well, a start; None where there is none.
 
     On a plane the inverse depth of the point p = (x, y, 1) is rho = n . p, and (n . p) T = (T . p) n - w x p with
-    w = T x n: a shift by T past the plane n looks like one along n past the plane T, turned by -w. (A homography has
+    w = T x n: a shift by T past the plane n looks like one along n past the plane T, turned by -w, to first order. (A homography has
     two such decompositions: Ma, Soatto, Kosecka and Sastry, An Invitation to 3-D Vision, 2004, section 5.3.) A drone
     that drifts over flat ground seems to climb. What stands on the ground, and turns that add up, tell the two apart.
 
     Returns
     -------
-    The paths, and the points (N, 3) as of `WindowFit`, those of the dual motion.
+    The paths, straight along n, and the points (N, 3) as of `WindowFit`, those of the dual motion.
     """
     path, rho = fit.paths.path[0], fit.point[:, 2]
     x = np.column_stack([fit.point[:, :2], np.ones(len(rho))])
@@ -127,10 +127,7 @@ def planar_dual(fit: WindowFit) -> tuple[RigidPaths, Floats] | None:
     way = path[length.argmax()] / length.max()
     along = (path @ way)[:, None]
     cam_R_past = rotation_from_vector(np.cross(along * way, normal)) @ fit.paths.cam_R_past[0]
-    rate = steepness * (x @ way)
-    # Most points lie ahead.
-    side = 1.0 if 2 * np.count_nonzero(rate > 0.0) > len(rate) else -1.0
-    place, rate = side * along * normal / steepness, side * rate
+    place, rate = along * normal / steepness, steepness * (x @ way)
     depth = np.einsum("lnj,lj->ln", x + rate[:, None] * place[:, None], cam_R_past[:, :, 2])
     if not (depth > _LEAST_DEPTH).any(axis=1).all():
         return None

@@ -44,6 +44,9 @@ _EXPLAINED, _LEAST_EXPLAINED = 0.9, 0.5
 _LEAST_KNOWN = 0.6
 # Another path replaces this one if its cost is lower by this much; the cost is 1 where it explains nothing.
 _MARGIN = 0.05
+# The planar dual replaces a motion if the sum of capped squares falls by this: noise alone makes it the cheaper one by
+# up to 20, and the direction would jump to and fro.
+_SURELY_LESS = 25.0
 # Other paths start from two views so far apart, over which this share of the tracks is seen.
 _GAP_FRAMES, _LEAST_SEEN = 8, 0.6
 # Samples a frame, tracks of each (five determine a motion), and how many of the best are refined.
@@ -194,7 +197,8 @@ def _adjusted(tracks: _Tracks, paths: RigidPaths, tells: Bools, n_steps: int) ->
     found = adjust_window(*observed, paths, point, n_steps)
     # Flat ground leaves two motions: tried in each frame, since the wrong one is carried on as well as the right one.
     if dual := planar_dual(found):
-        found = min(found, adjust_window(*observed, *dual, _FIRST_STEPS), key=lambda fit: fit.cost)
+        other = adjust_window(*observed, *dual, n_steps)
+        found = other if other.cost < found.cost - _SURELY_LESS else found
     length = float(np.sqrt((found.paths.path**2).sum(axis=2).max()))
     in_units = max(-history.since_s[0], _TINY) / max(length, _TINY)
     return replace(found, paths=RigidPaths(found.paths.cam_R_past, found.paths.path * in_units))

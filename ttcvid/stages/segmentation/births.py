@@ -28,8 +28,8 @@ _LEAST_VIEWS = 3
 _TOGETHER, _LEAST_AROUND = 0.6, 3
 # Flows of two tracks are alike if they differ by less than this share of their mean plus this, px over the window.
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
-# A flow is that since the views of this part of a track's span, the oldest ones: their median, since every third
-# observation of some tracks is displaced.
+# A flow is the median over the views in this part of a track's span, the older one: of some tracks every third
+# observation is displaced.
 _OLDEST_PART = 0.5
 # Most tracks.
 _MOST = 0.5
