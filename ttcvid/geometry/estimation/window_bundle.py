@@ -104,9 +104,10 @@ def planar_dual(fit: WindowFit) -> tuple[RigidPaths, Floats] | None:
     """The other motion that explains points on a plane about as well, a start; None where there is none.
 
     On a plane the inverse depth of the point p = (x, y, 1) is rho = n . p, and (n . p) T = (T . p) n - w x p with
-    w = T x n: a shift by T past the plane n looks like one along n past the plane T, turned by -w, to first order. (A homography has
-    two such decompositions: Ma, Soatto, Kosecka and Sastry, An Invitation to 3-D Vision, 2004, section 5.3.) A drone
-    that drifts over flat ground seems to climb. What stands on the ground, and turns that add up, tell the two apart.
+    w = T x n: a shift by T past the plane n looks like one along n past the plane T, turned by -w, to first order.
+    (A homography has two such decompositions: Ma, Soatto, Kosecka and Sastry, An Invitation to 3-D Vision, 2004,
+    section 5.3.) A drone that drifts over flat ground seems to climb. What stands on the ground, and turns that add up,
+    tell the two apart.
 
     Returns
     -------
