@@ -50,8 +50,8 @@ def expanding_movers(
 ) -> list[tuple[Ints, Floats]]:
     """Things that come nearer and spread, each with its tracks (M,) and its path (L, 3).
 
-    The tracks of each are at least `least_tracks`, and cost less than in the scene, all together, by `cost_of_birth`. (What a
-    linear fit makes of each track is crude: `new_movers` asks the same of a refined path.)
+    The tracks of each are at least `least_tracks`, and cost less than in the scene, all together, by `cost_of_birth`.
+    (What a linear fit makes of each track is crude: `new_movers` asks the same of a refined path.)
 
     Parameters
     ----------
