@@ -118,7 +118,8 @@ class Egomotion:
 
     ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2; ``direction
     (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does not translate
-    measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2: the mean over the last ``gap_frames``.
+    measurably, or too few views say where, with ``direction_cov (3, 3)`` in its tangent plane, rad^2: the mean over the
+    last ``gap_frames``.
     ``residual (N,)`` in sigmas, of the points that determined it. ``window`` of a camera that may go anywhere.
     """
 

@@ -26,7 +26,7 @@ _LEAST_VIEWS = 3
 # A neighbourhood contradicts the scene if the median of ln(reduced chi-square) exceeds this share of that of the gate,
 # over at least so many tracks.
 _TOGETHER, _LEAST_AROUND = 0.6, 3
-# Flows of two tracks are alike if they differ by less than this share of their mean plus this, px over the window.
+# Flows of two tracks are alike if they differ by less than this share of their mean plus this, px in the shorter span.
 _FLOW_PART, _FLOW_PX = 0.35, 1.0
 # A flow is the median over the views in this part of a track's span, the older one: of some tracks every third
 # observation is displaced.
