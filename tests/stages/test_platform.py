@@ -17,6 +17,7 @@ NOTHING = Glance(0.0, 0.0, 0.0, None, 0.0, 0.0, None)
 RESTS = replace(NOTHING, still_share=0.9)
 DRIVES = replace(NOTHING, travel=np.array([0.0, 0.0, 1.0]), explained_share=0.9, best_share=0.9, ground_hz=8.0)
 MOVES = replace(DRIVES, travel=np.array([1.0, 0.0, 0.0]))
+TURNS = replace(NOTHING, still_share=0.9, turned_rad=0.1)
 
 
 def street(rng: np.random.Generator) -> np.ndarray:
@@ -26,12 +27,14 @@ def street(rng: np.random.Generator) -> np.ndarray:
     return np.vstack([road, np.column_stack([beside, rng.uniform(8, 60, 300)])])
 
 
-def seen(points: np.ndarray, places_m: np.ndarray, turned_rad: np.ndarray, rng: np.random.Generator) -> list[PointSet]:
+def seen(
+    points: np.ndarray, places_m: np.ndarray, turned_rad: np.ndarray, rng: np.random.Generator, sigma_px: float = 0.1
+) -> list[PointSet]:
     """The points as seen from places (K, 3) with rotations (K, 3), with noise."""
     found = []
     for place, turn in zip(places_m, turned_rad, strict=True):
         rays = (points - place) @ rotation_from_vector(turn).T
-        xy = rays[:, :2] / rays[:, 2:] * 500.0 + (319.5, 179.5) + 0.1 * rng.standard_normal((len(points), 2))
+        xy = rays[:, :2] / rays[:, 2:] * 500.0 + (319.5, 179.5) + sigma_px * rng.standard_normal((len(points), 2))
         is_seen = (rays[:, 2] > 1) & (xy > 0).all(axis=1) & (xy < (639, 359)).all(axis=1)
         found.append(PointSet(np.flatnonzero(is_seen), xy[is_seen]))
     return found
@@ -54,7 +57,7 @@ def glance(velocity_m_s: tuple[float, float, float], turn_rad_s: tuple[float, fl
         ((0, 0, -6), (0, 0, 0), Verdict.drives),
         ((6, 0, 0), (0, 0, 0), Verdict.moves),
         ((4, -2, 3), (0, 0, 0), Verdict.moves),
-        ((0, 0, 0), (0, 0.3, 0), Verdict.moves),
+        ((0, 0, 0), (0, 0.3, 0), Verdict.turns),
     ],
 )
 def test_a_look_tells_rest_a_drive_along_the_axis_and_other_motion(velocity_m_s, turn_rad_s, verdict):
@@ -93,7 +96,10 @@ def test_few_points_tell_nothing():
         ([DRIVES] * 6 + [MOVES] * 3, [], Platform.vehicle),
         ([DRIVES] * 4 + [MOVES] * 5, [], Platform.free),
         ([replace(DRIVES, ground_hz=None)] * 4, [], Platform.vehicle),
-        ([replace(DRIVES, ground_hz=None)] * 3, [], Platform.free),  # too few without a ground
+        ([replace(DRIVES, ground_hz=None)] * 2, [], Platform.vehicle),  # no ground is seen
+        ([DRIVES] * 4 + [TURNS] * 5, [], Platform.vehicle),  # what shows no travel contradicts nothing
+        ([TURNS] * 9, [], Platform.free),
+        ([MOVES] * 4 + [RESTS] * 5, [0.9] * 8, Platform.static),  # traffic hides that it rests, in some looks
         ([replace(DRIVES, ground_hz=0.3)] * 9, [], Platform.free),  # an aircraft
         ([replace(DRIVES, ground_hz=1.0)] * 9, [], Platform.vehicle),  # a car that creeps
         ([MOVES] * 9, [], Platform.free),
@@ -113,3 +119,21 @@ def test_who_walks_ahead_wavers():
     walk = [replace(DRIVES, travel=way / np.linalg.norm(way), ground_hz=1.0) for way in ways]
     assert told_platform(walk, []).platform == Platform.free
     assert told_platform([replace(one, ground_hz=8.0) for one in walk], []).platform == Platform.vehicle
+
+
+def test_noise_of_the_points_is_neither_rest_nor_travel():
+    rng = np.random.default_rng(4)
+    rests = glance_at(seen(street(rng), np.zeros((7, 3)), np.zeros((7, 3)), rng, sigma_px=1.0), list(TIMES_S), CAMERA)
+    assert rests is not None
+    assert rests.sigma_px == pytest.approx(1.0, rel=0.15)
+    assert rests.verdict == Verdict.rests
+
+
+def test_tracks_that_are_shorter_than_a_look_tell_what_they_show():
+    rng = np.random.default_rng(5)
+    drive = seen(street(rng), TIMES_S[:, None] * np.array([0, 0, 12.0]), np.zeros((7, 3)), rng)
+    short = [PointSet(p.track_id + 10_000 * (i // 4), p.xy_px) for i, p in enumerate(drive)]
+    found = glance_at(short, list(TIMES_S), CAMERA)
+    assert found is not None
+    assert found.verdict == Verdict.drives
+    assert found.t_s == TIMES_S[3]

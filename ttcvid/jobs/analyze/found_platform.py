@@ -10,6 +10,8 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from ttcvid.config import PipelineConfig
 from ttcvid.errors import InputError
 from ttcvid.jobs.clip import Calibration, open_clip
@@ -84,7 +86,8 @@ def _told(input_: str, calibration: Calibration, configuration: Configuration) -
         glance = glance_at([points for _, points in seen], [t_s for t_s, _ in seen], camera) if len(seen) > 1 else None
         glances += [glance] if glance is not None else []
     places = [points for _, points in _seen(first_frames, calibration, configuration.pipeline)]
-    between = [share_in_place(one, other, size) for one, other in pairwise(places)]
+    sigma_px = float(np.median([glance.sigma_px for glance in glances])) if glances else math.nan
+    between = [share_in_place(one, other, size, sigma_px) for one, other in pairwise(places)]
     return told_platform(glances, [share for share in between if share is not None])
 
 

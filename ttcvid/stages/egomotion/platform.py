@@ -1,9 +1,10 @@
 """What carries the camera, decided from the clip: whether it rests, drives along its view, or moves freely.
 
 Short samples are spread over the whole clip, so that a drive that begins at a red light is a drive. A camera rests
-where the picture stays in place, within the samples and from one to the next. It drives where translation within some
-degrees of the optical axis explains the flow as well as any other direction, over a ground that moves as it does below
-a car. Otherwise it moves freely, and there is no prior on its direction.
+where the picture stays in place from one sample to the next, and few of them show a drive. It drives where translation
+within some degrees of the optical axis explains the flow as well as one elsewhere, over a ground that moves as it does
+below a car; a sample in which the camera only turns says nothing. Otherwise it moves freely, and there is no prior on
+its direction.
 """
 
 from __future__ import annotations
@@ -30,10 +31,15 @@ from ttcvid.stages.egomotion.relative_pose import (
 from ttcvid.stages.egomotion.rest import RESTING_SHARE, share_of_parts
 from ttcvid.stages.tracking.groups import in_common
 
-# A stretch tells something with so many points that are seen all through it, and from frame to frame.
-_LEAST_POINTS, _LEAST_STEP_POINTS = 40, 12
-# Noise of a point, px: that of a codec, since it is not estimated here; and flow that is not taken for translation.
+# A stretch tells something with so many points that are seen all through it, and from frame to frame. It is as long as
+# there are so many, of at least so many frames: tracks may be short.
+_LEAST_POINTS, _LEAST_STEP_POINTS, _LEAST_FRAMES = 40, 12, 3
+# Least noise of a point, px: that of a codec; and flow that is not taken for translation.
 _SIGMA_PX, _LEAST_PARALLAX_PX = 0.3, 0.25
+# The noise is told by those that bend least, since displaced ones bend more: this quantile, and what it is of sigma.
+_LOW_QUANTILE, _LOW_SIGMAS = 0.2, 0.2533
+# A limit below holds for points of the least noise, and is at least so many times the noise.
+_NOISES = 3.0
 # A point that stays within this while most others move by more than that is on the bonnet, or text, px.
 _STUCK_PX, _MOVING_PX = 0.7, 3.0
 # A part of the picture stays within this over a stretch, once the rotation is taken out, px.
@@ -52,10 +58,11 @@ _LEAST_GROUND_POINTS, _BELOW, _KNOWN_PART = 10, 0.05, 0.5
 # has 0.1 to 0.35), in the quarter of the stretches with most: cars slow down.
 _LEAST_GROUND_HZ, _FASTEST_QUANTILE = 0.4, 0.75
 # Who walks, or hovers ahead, goes no faster than this, and not as straight as a car that creeps.
-_WALKING_HZ, _STRAIGHT_RAD = 2.0, float(np.radians(2.5))
-# Of the glances that tell something at least so many, and of those these shares, have to say the same; more where no
-# ground confirms a drive.
-_LEAST_GLANCES, _RESTING_GLANCES, _DRIVING_GLANCES, _WITHOUT_GROUND = 2, 0.75, 0.6, 4
+_WALKING_HZ, _STRAIGHT_RAD = 3.0, float(np.radians(2.5))
+# So many glances have to tell something, and this share of those that do have to say the same.
+_LEAST_GLANCES, _MAJORITY = 2, 0.5
+# What is stuck in more than this share of the picture is not a bonnet: the camera rests.
+_RESTING_PARTS = 0.75
 
 
 class Verdict(StrEnum):
@@ -64,6 +71,7 @@ class Verdict(StrEnum):
     rests = "rests"
     drives = "drives"
     moves = "moves"
+    turns = "turns"
 
 
 @dataclass(frozen=True)
@@ -72,8 +80,9 @@ class Glance:
 
     ``still_share`` of the picture's cells stay in place once the rotation ``turned_rad`` is removed. ``travel (3,)`` is
     the line of travel as a unit vector pointing ahead, None where no translation is observed; it explains
-    ``explained_share`` of the cells, the best of all directions ``best_share``. ``ground_hz`` is the speed of the
-    ground below the horizon in camera heights per second; None where it is not observed.
+    ``explained_share`` of the cells, and ``best_share`` is the most that it or a direction elsewhere explains.
+    ``ground_hz`` is the speed of the ground below the horizon in camera heights per second; None where it is not
+    observed. ``sigma_px`` is the noise of the points.
     """
 
     t_s: float
@@ -83,6 +92,7 @@ class Glance:
     explained_share: float
     best_share: float
     ground_hz: float | None
+    sigma_px: float = _SIGMA_PX
 
     @property
     def off_axis_rad(self) -> float | None:
@@ -91,14 +101,16 @@ class Glance:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the camera rests, travels along its optical axis, or neither."""
+        """Whether the camera rests, travels along its optical axis or elsewhere, or no travel is seen as it turns."""
         off_axis_rad = self.off_axis_rad
+        if off_axis_rad is None and self.still_share > RESTING_SHARE and self.turned_rad < _SHAKEN_RAD:
+            return Verdict.rests
+        if self.best_share > _NEARLY_ALL and self.explained_share < self.best_share - _WORSE_BY:
+            return Verdict.moves
         if off_axis_rad is None:
-            is_resting = self.still_share > RESTING_SHARE and self.turned_rad < _SHAKEN_RAD
-            return Verdict.rests if is_resting else Verdict.moves
-        is_elsewhere = self.best_share > _NEARLY_ALL and self.explained_share < self.best_share - _WORSE_BY
+            return Verdict.turns
         is_ahead = off_axis_rad < _AHEAD_RAD and self.explained_share > _LEAST_EXPLAINED
-        return Verdict.drives if is_ahead and not is_elsewhere else Verdict.moves
+        return Verdict.drives if is_ahead else Verdict.moves
 
 
 @dataclass(frozen=True)
@@ -116,20 +128,19 @@ def told_platform(glances: Sequence[Glance], between: Sequence[float]) -> ToldPl
     ``between`` are the shares of the picture's cells that are in the same place in one sample and in the next, where
     they are known.
     """
-    told, glances = partial(ToldPlatform, glances=tuple(glances)), list(glances)
+    told = partial(ToldPlatform, glances=tuple(glances))
     drives = [glance for glance in glances if glance.verdict == Verdict.drives]
-    n, n_drive, n_rest = len(glances), len(drives), sum(glance.verdict == Verdict.rests for glance in glances)
+    verdicts = [glance.verdict for glance in glances]
+    n, n_drive, n_rest, n_turn = len(glances), len(drives), verdicts.count(Verdict.rests), verdicts.count(Verdict.turns)
     if n < _LEAST_GLANCES:
         return told(Platform.free, "too little is seen to tell")
-    stays = len(between) > 0 and all(share > RESTING_SHARE for share in between)
-    if n_drive == 0 and n_rest >= _RESTING_GLANCES * n and stays:
-        return told(Platform.static, f"the picture stays in its place in {n_rest} of {n} looks")
+    if len(between) >= n - 1 and min(between) > RESTING_SHARE and n_drive <= _MAJORITY * n:
+        return told(Platform.static, f"the picture stays in its place from look to look, rest in {n_rest} of {n}")
     ground_hz = [glance.ground_hz for glance in glances if glance.ground_hz is not None]
     fastest_hz = float(np.quantile(ground_hz, _FASTEST_QUANTILE)) if len(ground_hz) >= _LEAST_GLANCES else None
     ahead = f"travel along the optical axis in {n_drive} of {n} looks"
-    least = _WITHOUT_GROUND if fastest_hz is None else _LEAST_GLANCES
-    if n_drive < max(least, _DRIVING_GLANCES * (n - n_rest)):
-        return told(Platform.free, f"{ahead}, rest in {n_rest}")
+    if n_drive < max(_LEAST_GLANCES, _MAJORITY * (n - n_rest - n_turn)):
+        return told(Platform.free, f"{ahead}, rest in {n_rest}, no travel seen in {n_turn}")
     if fastest_hz is None:
         return told(Platform.vehicle, ahead)
     ground = f"the ground goes by with {fastest_hz:.2g} camera heights a second"
@@ -148,38 +159,64 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
     The prior of a vehicle finds the direction ahead where there is one: among many movers or with few points, a search
     without it fails. Whether another direction explains more is tested afterwards.
     """
-    stretch = _without_stuck(stretch, camera.image_size)
-    before, now = in_common(stretch[0], stretch[-1])
-    if len(before) < _LEAST_POINTS or not times_s[-1] > times_s[0]:
+    n_frames = [n for n in range(_LEAST_FRAMES, len(stretch) + 1) if _n_common(stretch, n) >= _LEAST_POINTS]
+    if not n_frames:
         return None
+    stretch, times_s = _without_stuck(stretch[: n_frames[-1]], camera.image_size), times_s[: n_frames[-1]]
+    if not times_s[-1] > times_s[0]:
+        return None
+    before, now = in_common(stretch[0], stretch[-1])
+    if len(before) < _LEAST_POINTS:
+        return None
+    sigma_px = _noise_px(stretch)
     memory = EgomotionMemory(np.zeros(3), FORWARD_DIR)
     cam_R_first = np.eye(3)
     for one, other in pairwise(stretch):
         pair = in_common(one, other)
         if len(pair[0]) < _LEAST_STEP_POINTS:
             return None
-        step = _egomotion(*pair, camera, memory, Platform.vehicle)
+        step = _egomotion(*pair, camera, memory, Platform.vehicle, sigma_px)
         memory = memory.after(step)
         cam_R_first = step.cam_R_prev @ cam_R_first
     memory = EgomotionMemory(vector_from_rotation(cam_R_first), FORWARD_DIR)
-    ahead = _egomotion(before, now, camera, memory, Platform.vehicle)
-    still, explained = _shares(before, now, camera, ahead)
+    ahead = _egomotion(before, now, camera, memory, Platform.vehicle, sigma_px)
+    still, explained = _shares(before, now, camera, ahead, sigma_px)
     turned_rad = float(np.linalg.norm(vector_from_rotation(ahead.cam_R_prev)))
+    anywhere, best = _egomotion(before, now, camera, memory, Platform.free, sigma_px), explained
+    if anywhere.direction is not None and abs(anywhere.direction[2]) < np.cos(_AHEAD_RAD):
+        best = max(explained, _shares(before, now, camera, anywhere, sigma_px)[1])
     if ahead.direction is None:
-        return Glance(times_s[-1], still, turned_rad, None, explained, explained, None)
-    anywhere = _egomotion(before, now, camera, memory, Platform.free)
-    best = max(explained, _shares(before, now, camera, anywhere)[1])
+        return Glance(times_s[-1], still, turned_rad, None, explained, best, None, sigma_px)
     travel = ahead.direction * (1.0 if ahead.direction[2] > 0.0 else -1.0)
     ground_hz = _ground_hz(before, now, camera, ahead, times_s[-1] - times_s[0])
-    return Glance(times_s[-1], still, turned_rad, travel, explained, best, ground_hz)
+    return Glance(times_s[-1], still, turned_rad, travel, explained, best, ground_hz, sigma_px)
 
 
-def share_in_place(one: PointSet, other: PointSet, size: ImageSize) -> float | None:
+def share_in_place(one: PointSet, other: PointSet, size: ImageSize, sigma_px: float) -> float | None:
     """Share of the picture's cells that are in place in both frames; None with too few points in common."""
     before, now = in_common(one, other)
     if len(before) < _LEAST_POINTS:
         return None
-    return share_of_parts(now, np.linalg.norm(now - before, axis=1) < _STAYS_PX, size)
+    return share_of_parts(now, np.linalg.norm(now - before, axis=1) < _stays_px(sigma_px), size)
+
+
+def _stays_px(sigma_px: float) -> float:
+    return max(_STAYS_PX, _NOISES * sigma_px)
+
+
+def _n_common(stretch: Sequence[PointSet], n_frames: int) -> int:
+    return len(in_common(stretch[0], stretch[n_frames - 1])[0])
+
+
+def _noise_px(stretch: Sequence[PointSet]) -> float:
+    """Noise of the points, by their second differences over three frames less what they share: the camera's shake."""
+    bends = []
+    for one, two, three in zip(stretch, stretch[1:], stretch[2:], strict=False):
+        ids = np.intersect1d(np.intersect1d(one.track_id, two.track_id), three.track_id)
+        first, middle, last = (points.take(np.isin(points.track_id, ids)).xy_px for points in (one, two, three))
+        bend = first - 2.0 * middle + last
+        bends.append(np.abs(bend - np.median(bend, axis=0)).ravel())
+    return max(_SIGMA_PX, float(np.quantile(np.concatenate(bends), _LOW_QUANTILE) / (_LOW_SIGMAS * np.sqrt(6.0))))
 
 
 def _without_stuck(stretch: Sequence[PointSet], size: ImageSize) -> Sequence[PointSet]:
@@ -190,17 +227,17 @@ def _without_stuck(stretch: Sequence[PointSet], size: ImageSize) -> Sequence[Poi
     is_stuck: Bools = moved_px < _STUCK_PX
     if is_stuck.all() or np.median(moved_px[~is_stuck]) < _MOVING_PX:
         return stretch
-    if share_of_parts(last.xy_px[j], is_stuck, size) > _RESTING_GLANCES:
+    if share_of_parts(last.xy_px[j], is_stuck, size) > _RESTING_PARTS:
         return stretch  # some movers before a camera that rests
     return [points.take(np.isin(points.track_id, track_id[is_stuck], invert=True)) for points in stretch]
 
 
 def _egomotion(
-    before_px: Floats, now_px: Floats, camera: Camera, memory: EgomotionMemory, platform: Platform
+    before_px: Floats, now_px: Floats, camera: Camera, memory: EgomotionMemory, platform: Platform, sigma_px: float
 ) -> TwoViewFit:
     before, now = (normalize(rays_from_pixels(camera, xy_px)) for xy_px in (before_px, now_px))
     is_seen = np.isfinite(before + now).all(axis=1)
-    sigma_rad = np.full(np.count_nonzero(is_seen), _SIGMA_PX / camera.fx_px)
+    sigma_rad = np.full(np.count_nonzero(is_seen), sigma_px / camera.fx_px)
     parallax_rad = _LEAST_PARALLAX_PX / camera.fx_px
     rays = before[is_seen], now[is_seen]
     return estimate_egomotion(*rays, sigma_rad, parallax_rad, memory, platform, region_side_of(camera))
@@ -212,18 +249,21 @@ def _flow(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit)
     return normalize(before) @ motion.cam_R_prev.T, now / now[:, 2:]
 
 
-def _shares(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit) -> tuple[float, float]:
+def _shares(
+    before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit, sigma_px: float
+) -> tuple[float, float]:
     """The shares of the picture's parts that stay in their place, and that a motion explains."""
     turned, now = _flow(before_px, now_px, camera, motion)
     moved_px = np.linalg.norm(normalize(now) - turned, axis=1) * camera.fx_px
     size = camera.image_size
-    still = share_of_parts(now_px, moved_px < _STAYS_PX, size)
+    still = share_of_parts(now_px, moved_px < _stays_px(sigma_px), size)
     if motion.direction is None:
         return still, still
     normal = normalize(np.cross(turned, motion.direction))
     off_px = np.abs(np.sum(normal * normalize(now), axis=1)) * camera.fx_px
     rate, _ = _rates(turned, now, motion.direction)
-    explained = (off_px < _EXPLAINED_PX) & ((rate > 0.0) | (moved_px < _EXPLAINED_PX))
+    limit_px = max(_EXPLAINED_PX, _NOISES * sigma_px)
+    explained = (off_px < limit_px) & ((rate > 0.0) | (moved_px < limit_px))
     return still, share_of_parts(now_px, explained, size)
 
 
