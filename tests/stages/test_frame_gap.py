@@ -200,7 +200,7 @@ def direction_errors_deg(motion, in_scene):
     steps, _ = found(motion, config=EgomotionConfig(platform=Platform.free), in_scene=in_scene)
     way = -STEP_M / np.linalg.norm(STEP_M)
     # Of fewer views none is told.
-    assert all(step is None or step.direction is None for step in steps[: LEAST_TOLD - 1])
+    assert not any(step.is_told for step in steps[: LEAST_TOLD - 1] if step is not None)
     return [90.0 if step.direction is None else angle_deg(step.direction, way) for step in steps[LEAST_TOLD - 1 :]]
 
 

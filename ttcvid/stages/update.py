@@ -163,7 +163,7 @@ def _motion_status(egomotion: Egomotion | None, platform: Platform) -> FrameStat
         return FrameStatus.few_tracks
     if platform == Platform.static:
         return FrameStatus.static
-    return FrameStatus.rotation_only if egomotion.direction is None else FrameStatus.ok
+    return FrameStatus.ok if egomotion.direction is not None and egomotion.is_told else FrameStatus.rotation_only
 
 
 def _shows_frozen_pixels(egomotion: Egomotion | None, history: TrackHistory, clip: Clip) -> bool:

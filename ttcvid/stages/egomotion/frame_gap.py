@@ -77,26 +77,20 @@ def find_own_motion(
         return None, last_frame_only(history), replace(memory, gap_frames=1, window=None)
     egomotion, history, memory = _over_gap(history, *step, memory, config, parallax_rad, sigma_floor_px)
     tells, belief = step[1], MOTION_PRIORS[config.platform]
-    if _has_window(history, config):
-        found = by_window(history, is_free, in_scene, tells, memory.window, egomotion, belief.rotation_sigma_rad)
+    if belief.is_open:
+        tracks = history, is_free, in_scene, tells
+        found = by_window(*tracks, memory.window, egomotion, belief.rotation_sigma_rad, parallax_rad)
         memory = replace(memory, window=found.window)
         # Without parallax the path has noise for a shape: it is only carried on, for when the camera moves again.
-        if found.window is not None and egomotion.direction is not None:
+        if found.window is not None and found.direction is not None:
             egomotion, memory = found, replace(memory, rotation_rad=found.rotation_rad)
             history = _with_window(history, found, found.window)
             tells = is_free & in_scene & ~found.window.leaves_out(history.track_id)
+        else:
+            egomotion = replace(egomotion, is_told=False)
     history = with_scene_path(history, tells, egomotion)
     direction = memory.direction if egomotion.direction is None else egomotion.direction
     return egomotion, history, replace(memory, direction=direction)
-
-
-def _has_window(history: TrackHistory, config: EgomotionConfig) -> bool:
-    """Whether own motion is found by all views of a window: of a camera that may go anywhere.
-
-    Not where neighbouring tracks err together: over many views that looks like a translation (before a drone that
-    hovers the direction then is off by 56 deg, and claims 6).
-    """
-    return MOTION_PRIORS[config.platform].is_open and history.common_error_px == 0.0
 
 
 def _with_window(history: TrackHistory, egomotion: Egomotion, window: SceneWindow) -> TrackHistory:
@@ -104,8 +98,6 @@ def _with_window(history: TrackHistory, egomotion: Egomotion, window: SceneWindo
     cam_R_past, path = window.paths.cam_R_past[0], window.paths.path[0]
     steps = np.einsum("lji,lj->li", cam_R_past[1:], np.diff(path, axis=0))
     scene_direction = np.concatenate([np.full((1, 3), np.nan), normalize(steps)])
-    if egomotion.direction is None:
-        scene_direction[-1] = np.nan
     return replace(
         history,
         cam_R_past=cam_R_past,
@@ -137,7 +129,7 @@ def _last_step(
     by_scene = fit_to(pair)
     if by_scene.direction is not None and len(pair[0]) < config.min_tracks:
         return fit_to(everything), is_free
-    if _has_window(history, config) and len(history.frame) >= LEAST_VIEWS:
+    if MOTION_PRIORS[config.platform].is_open and len(history.frame) >= LEAST_VIEWS:
         return by_scene, without_movers
     by_all = fit_to(everything)
     is_better = cost_of(by_all, *everything) < cost_of(by_scene, *everything)

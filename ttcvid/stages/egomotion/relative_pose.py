@@ -118,8 +118,8 @@ class Egomotion:
 
     ``cam_R_prev (3, 3)`` with the covariance ``rotation_cov (3, 3)`` of its rotation vector in rad^2; ``direction
     (3,)`` is ``dir`` of the static scene (minus the own direction of travel), None where the camera does not translate
-    measurably, or too few views say where, with ``direction_cov (3, 3)`` in its tangent plane, rad^2: the mean over the
-    last ``gap_frames``.
+    measurably, with ``direction_cov (3, 3)`` in its tangent plane, rad^2: the mean over the last ``gap_frames``. Where
+    it is not ``is_told`` it is the best guess, too uncertain to be a result.
     ``residual (N,)`` in sigmas, of the points that determined it. ``window`` of a camera that may go anywhere.
     """
 
@@ -130,6 +130,7 @@ class Egomotion:
     residual: Floats
     gap_frames: int = 1
     window: SceneWindow | None = None
+    is_told: bool = True
 
     @property
     def rotation_sigma_rad(self) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from ttcvid.geometry.estimation.relative_pose import GaussianPrior, fit_motion
 from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.estimation.window_bundle import WindowFit, adjust_window, planar_dual
+from ttcvid.geometry.medians import median
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
@@ -28,7 +29,7 @@ _SHARE, _SHARE_CHI2 = 0.6, 1.83
 LEAST_VIEWS = 4
 """With fewer views than this a track follows any path."""
 LEAST_TOLD = 6
-"""A direction is told from so many views on.
+"""A window tells a direction from so many views on.
 
 Of three views it is off by more than 20 deg in two of three drawn scenes, of five in every third, and nothing in the
 views says so.
@@ -53,8 +54,12 @@ _GAP_FRAMES, _LEAST_SEEN = 8, 0.6
 _N_SAMPLES, _SAMPLE_SIZE, _N_REFINED = 12, 7, 3
 # Gates of the refinement, one after the other, sigmas: a sample's motion is off by a few.
 _GATES = (12.0, 6.0, 4.0, _SIGMAS)
-# A direction with a larger standard deviation is none, rad.
-_KNOWN_DIRECTION_RAD = float(np.radians(20.0))
+# A path whose direction has a larger standard deviation by noise is none, rad; and with what the tracks err in common
+# the direction is no result.
+_KNOWN_DIRECTION_RAD, _TOLD_DIRECTION_RAD = float(np.radians(20.0)), float(np.radians(10.0))
+# Over a window the common error of tracks looks like a translation that moves them by so many times it: from directions
+# of drawn hand-held and hovering cameras, which err by 0.6 px over the median flow of their window.
+_COMMON_ERRORS = 2.4
 _TINY = 1e-9
 
 
@@ -88,6 +93,7 @@ def by_window(
     before: SceneWindow | None,
     step: Egomotion,
     turn_sigma_rad: float,
+    least_parallax_rad: float,
 ) -> Egomotion:
     """Own motion by all views of the scene's tracks; ``step`` with too few of them.
 
@@ -99,6 +105,7 @@ def by_window(
     before : the window of the last frame.
     step : own motion from the last frame by two views, a start.
     turn_sigma_rad : prior of the rotation of a step.
+    least_parallax_rad : flow that does not count as translation.
     """
     seen = np.flatnonzero(is_free & np.isfinite(history.rays[-1, :, 0]))
     if len(seen) < _LEAST_TRACKS or len(history.frame) < 2:
@@ -121,7 +128,7 @@ def by_window(
         return step
     outside[seen] = redchi > _GATE_REDCHI
     is_scene = _share(tracks, redchi) >= _LEAST_KNOWN
-    return _result(history, fit, step, outside, is_scene)
+    return _result(history, fit, step, outside, is_scene, least_parallax_rad)
 
 
 def _carried(history: TrackHistory, before: SceneWindow, step: Egomotion) -> RigidPaths | None:
@@ -200,23 +207,38 @@ def _adjusted(tracks: _Tracks, paths: RigidPaths, tells: Bools, n_steps: int) ->
         other = adjust_window(*observed, *dual, n_steps)
         found = other if other.cost < found.cost - _SURELY_LESS else found
     length = float(np.sqrt((found.paths.path**2).sum(axis=2).max()))
-    in_units = max(-history.since_s[0], _TINY) / max(length, _TINY)
-    return replace(found, paths=RigidPaths(found.paths.cam_R_past, found.paths.path * in_units))
+    units = max(-history.since_s[0], _TINY) / max(length, _TINY)
+    paths = RigidPaths(found.paths.cam_R_past, found.paths.path * units)
+    return replace(found, paths=paths, step=found.step * units, point=found.point / (1.0, 1.0, units))
 
 
-def _result(history: TrackHistory, fit: WindowFit, step: Egomotion, outside: Bools, is_scene: bool) -> Egomotion:
+def _result(
+    history: TrackHistory, fit: WindowFit, step: Egomotion, outside: Bools, is_scene: bool, least_parallax_rad: float
+) -> Egomotion:
     """Own motion of the last step."""
-    is_sure = float(np.trace(fit.direction_cov)) < _KNOWN_DIRECTION_RAD**2
+    parallax_rad = _parallax_rad(fit)
+    is_sure = float(np.trace(fit.direction_cov)) < _KNOWN_DIRECTION_RAD**2 and parallax_rad > least_parallax_rad
     is_known = is_scene and is_sure and len(history.frame) >= LEAST_TOLD
+    direction = normalize(fit.step[None])[0]
+    common_rad = _COMMON_ERRORS * history.common_error_px / history.focal_px / max(parallax_rad, _TINY)
+    cov = fit.direction_cov + 0.5 * common_rad**2 * (np.eye(3) - np.outer(direction, direction))
     return replace(
         step,
         cam_R_prev=fit.paths.cam_R_past[0, -2],
         rotation_cov=fit.rotation_cov,
-        direction=normalize(fit.step[None])[0] if is_known else None,
-        direction_cov=fit.direction_cov if is_known else None,
+        direction=direction if is_known else None,
+        direction_cov=cov if is_known else None,
         gap_frames=1,
         window=SceneWindow(history.frame, fit.paths, history.track_id[outside]),
+        is_told=is_known and step.direction is not None and float(np.trace(cov)) < _TOLD_DIRECTION_RAD**2,
     )
+
+
+def _parallax_rad(fit: WindowFit) -> float:
+    """Median flow of the points over the window by translation alone."""
+    place, start = fit.point[:, :2], fit.paths.path[0, 0]
+    flow = fit.point[:, 2:] * (start[:2] - place * start[2])
+    return median(np.hypot(flow[:, 0], flow[:, 1]))
 
 
 def _other(tracks: _Tracks, tells: Bools, turn_sigma_rad: float) -> WindowFit | None:

@@ -242,7 +242,7 @@ def scene_motion(
     members: Ints, egomotion: Egomotion | None, plane: HorizonPlane | None, camera: Camera
 ) -> ClusterMotion:
     """The motion of the scene's tracks ``members``: that of the camera, seen the other way round."""
-    if egomotion is None or egomotion.direction is None or egomotion.direction_cov is None:
+    if egomotion is None or egomotion.direction is None or egomotion.direction_cov is None or not egomotion.is_told:
         status = Status.no_epipole if egomotion is None else Status.no_parallax
         return ClusterMotion(SCENE_CLUSTER, members, None, None, status, "egomotion")
     direction, covariance = egomotion.direction, egomotion.direction_cov
