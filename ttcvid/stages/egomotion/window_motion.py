@@ -36,8 +36,9 @@ views says so.
 """
 # Tracks that a path needs, and how many at most determine it.
 _LEAST_TRACKS, _MOST_TRACKS = 12, 100
-# Steps of the adjustment where a path is carried on, and where it starts anew.
-_STEPS, _FIRST_STEPS = 6, 15
+# Steps of the adjustment where a path is carried on, where it starts anew, and of the planar dual: these show which of
+# the two is right, and the next frame goes on from it.
+_STEPS, _FIRST_STEPS, _DUAL_STEPS = 6, 15, 3
 # Shares of the parts of the picture: no other path is tried where this one and the known movers explain the first, and
 # this one alone the second.
 _EXPLAINED, _LEAST_EXPLAINED = 0.9, 0.5
@@ -204,7 +205,7 @@ def _adjusted(tracks: _Tracks, paths: RigidPaths, tells: Bools, n_steps: int) ->
     found = adjust_window(*observed, paths, point, n_steps)
     # Flat ground leaves two motions: tried in each frame, since the wrong one is carried on as well as the right one.
     if dual := planar_dual(found):
-        other = adjust_window(*observed, *dual, n_steps)
+        other = adjust_window(*observed, *dual, _DUAL_STEPS)
         found = other if other.cost < found.cost - _SURELY_LESS else found
     length = float(np.sqrt((found.paths.path**2).sum(axis=2).max()))
     units = max(-history.since_s[0], _TINY) / max(length, _TINY)
