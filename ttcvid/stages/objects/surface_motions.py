@@ -47,7 +47,7 @@ def in_our_way(
         before, seen, way, road, number, config.bodies, on_ground=on_ground
     )
     memory = replace(memory, obstacles=obstacles, next_cluster_id=next_cluster_id)
-    if way is None or not egomotion.is_told:
+    if way is None:
         return [], memory
     direction, covariance = egomotion.direction, egomotion.direction_cov
     if direction is None or covariance is None:
