@@ -31,7 +31,7 @@ PLATFORMS = {
     "resting_six_movers": "static",
 }
 """What carries the camera; all other scenes are drives."""
-CLUSTERING_BAR = Bar(12.0)
+CLUSTERING_BAR = Bar(8.0)
 COLUMNS: dict[str, tuple[str, ...]] = {
     "objects found": ("objects.found", "objects.total"),
     "in frames": ("objects.share",),

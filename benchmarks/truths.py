@@ -66,7 +66,7 @@ def judge_lead_car(run: Run) -> Judged:
 
 def judge_smoothed_lead_car(run: Run) -> Judged:
     """The same with frames on both sides."""
-    return _judged_lead_car(run, median_bar=Bar(4.0), p90_bar=Bar(10.0))
+    return _judged_lead_car(run, median_bar=Bar(3.0), p90_bar=Bar(8.0))
 
 
 def _judged_lead_car(run: Run, median_bar: Bar, p90_bar: Bar) -> Judged:
@@ -84,8 +84,8 @@ def _judged_lead_car(run: Run, median_bar: Bar, p90_bar: Bar) -> Judged:
         [
             _percent("ttc_z, median error", evaluation, "ttc_z.median", median_bar),
             _percent("ttc_z, p90", evaluation, "ttc_z.p90", p90_bar),
-            _percent("found", evaluation, "objects.share", Bar(90.0, at_least=True)),
-            _percent("one cluster_id", evaluation, "objects.one_id", Bar(90.0, at_least=True)),
+            _percent("found", evaluation, "objects.share", Bar(95.0, at_least=True)),
+            _percent("one cluster_id", evaluation, "objects.one_id", Bar(95.0, at_least=True)),
             _percent("90 % intervals hold the truth", evaluation, "ttc_z.coverage", Bar(80.0, at_least=True)),
             _percent("their median half-width", evaluation, "ttc_z.half_width", Bar(25.0)),
             Figure("objects said to approach at the red light", n_approaching, "rows", Bar(0.0)),
@@ -160,7 +160,7 @@ def judge_car_mask(run: Run) -> Judged:
     settled = (tracks.frame >= SETTLED_FRAME).to_numpy()
     said, true = (tracks.cluster_id > 0).to_numpy()[settled], on_mask[settled]
     f1 = 2.0 * (said & true).sum() / max(said.sum() + true.sum(), 1)
-    return Judged(judge_run(tables, truth), [Figure("F1 of tracks on the car", float(f1), "", Bar(0.8, at_least=True))])
+    return Judged(judge_run(tables, truth), [Figure("F1 of tracks on the car", float(f1), "", Bar(0.85, at_least=True))])
 
 
 def judge_aircraft(run: Run) -> Judged:
