@@ -160,7 +160,8 @@ def judge_car_mask(run: Run) -> Judged:
     settled = (tracks.frame >= SETTLED_FRAME).to_numpy()
     said, true = (tracks.cluster_id > 0).to_numpy()[settled], on_mask[settled]
     f1 = 2.0 * (said & true).sum() / max(said.sum() + true.sum(), 1)
-    return Judged(judge_run(tables, truth), [Figure("F1 of tracks on the car", float(f1), "", Bar(0.85, at_least=True))])
+    bar = Bar(0.85, at_least=True)
+    return Judged(judge_run(tables, truth), [Figure("F1 of tracks on the car", float(f1), "", bar)])
 
 
 def judge_aircraft(run: Run) -> Judged:

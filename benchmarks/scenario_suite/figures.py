@@ -20,6 +20,8 @@ from ttcvid.model import Bools, Floats, Ints
 
 N_DRAWS, SPREAD = 200, (5.0, 95.0)
 """Draws of the bootstrap, and the percentiles between which the spread lies."""
+FORESEEN_S = 2.0
+"""An object that was large enough so long before it hits us could be warned of 1.7 s ahead."""
 LEVEL = 0.95
 """Of binomial intervals and of Poisson bounds."""
 TEN_MINUTES_S, HOUR_S = 600.0, 3600.0
@@ -203,7 +205,7 @@ def _figures(scores: Sequence[SceneScore]) -> dict[str, Figure]:
         figures[f"{name}_p90"] = _percentile(judged, f"{name}_error", 0.9)
         within, all_ = _sums(judged, f"{name}_within", None, n), _sums(judged, "one", None, n)
         figures[f"{name}_coverage"] = Share(within, all_, is_coverage=True)
-    figures |= _of_warnings(scores)
+    figures |= figures_of_warnings(scores)
     figures["rotation_median"] = _percentile(frames, "rotation_deg", 0.5)
     figures["rotation_p90"] = _percentile(frames, "rotation_deg", 0.9)
     figures["own_direction_median"] = _percentile(frames, "epipole_deg", 0.5)
@@ -211,16 +213,17 @@ def _figures(scores: Sequence[SceneScore]) -> dict[str, Figure]:
     return figures
 
 
-def _of_warnings(scores: Sequence[SceneScore]) -> dict[str, Figure]:
+def figures_of_warnings(scores: Sequence[SceneScore]) -> dict[str, Figure]:
     """Of collisions that have to be warned of: the share that is, and how long before."""
     expected = [
-        (k, warning["lead_s"])
+        (k, warning["lead_s"], warning["large_for_s"])
         for k, one in enumerate(scores)
         for warning in one.facts.get("warnings", ())
         if warning["verdict"] in ("in_time", "late", "missed")
     ]
-    scene = np.array([k for k, _ in expected], dtype=np.int64)
-    lead_s = np.array([np.nan if lead is None else lead for _, lead in expected], dtype=float)
+    scene = np.array([k for k, *_ in expected], dtype=np.int64)
+    lead_s = np.array([np.nan if lead is None else lead for _, lead, _ in expected], dtype=float)
+    is_foreseen = np.array([large_for_s for *_, large_for_s in expected], dtype=float) >= FORESEEN_S
     limit_s = np.array([scores[k].facts["warn_by_s"] for k in scene], dtype=float)
     n = len(scores)
     all_ = np.bincount(scene, minlength=n).astype(float)
@@ -234,6 +237,11 @@ def _of_warnings(scores: Sequence[SceneScore]) -> dict[str, Figure]:
             "warned_1.7s": share(lead_s >= 1.7),
             "warned_2s": share(lead_s >= 2.0),
             "warned_by_limit": share(lead_s >= limit_s),
+            "foreseen_warned_1.7s": Share(
+                np.bincount(scene, ((lead_s >= 1.7) & is_foreseen).astype(float), n),
+                np.bincount(scene, is_foreseen.astype(float), n),
+                is_coverage=True,
+            ),
         }
     is_warned = np.isfinite(lead_s)
     figures["lead_p10"] = Percentile(lead_s[is_warned], scene[is_warned], 0.1)

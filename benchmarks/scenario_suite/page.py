@@ -10,7 +10,7 @@ import numpy as np
 from report import Report
 
 from scenario_suite.families import FAMILIES
-from scenario_suite.figures import LEVEL, SPREAD, Estimate, Figures
+from scenario_suite.figures import FORESEEN_S, LEVEL, SPREAD, Estimate, Figures
 from scenario_suite.nuisances import NUISANCES
 from scenario_suite.pictures import write_errors, write_worst
 from scenario_suite.scoring import LEAST_SIZE_PX, MOTION_SIGMAS, REACHES_US_S, SceneScore
@@ -204,6 +204,12 @@ def _bars(report: Report, figures: dict[str, Estimate]) -> None:
             percent("warned_1.7s")(figures),
             ">= 90 %",
             figures["warned_1.7s"].value >= 0.9,
+        ),
+        (
+            f"... of objects larger than {LEAST_SIZE_PX:g} px for {FORESEEN_S:g} s before",
+            percent("foreseen_warned_1.7s")(figures),
+            ">= 90 %",
+            figures["foreseen_warned_1.7s"].value >= 0.9,
         ),
         (
             "false warnings in 10 minutes",

@@ -189,11 +189,14 @@ def _sums(evaluation: Evaluation, truth: Truth, tables: RunTables) -> dict[str, 
         points = truth.track_points[truth.track_points.is_outlier.astype(bool)]
         n_outliers = float(np.sum(rows_of(points, tables.collision_times, OBSERVATION) >= 0))
     assert truth.encounters is not None
-    hits = set(truth.encounters.object_id[truth.encounters.is_collision.astype(bool)].astype(int))
+    hits = truth.encounters[truth.encounters.is_collision.astype(bool)].set_index("object_id").t_contact_s
+    large = evaluation.joined[size_px(evaluation.joined) > LEAST_SIZE_PX] if len(evaluation.joined) else pd.DataFrame()
+    large_since_s = large.groupby("object_id").t_s.min() if len(large) else pd.Series(dtype=float)
+    large_for_s = (hits - large_since_s.reindex(hits.index)).fillna(0.0)
     warnings = [
-        {"verdict": judged.warning, "lead_s": judged.lead_s}
+        {"verdict": judged.warning, "lead_s": judged.lead_s, "large_for_s": float(large_for_s[judged.object_id])}
         for judged in evaluation.objects
-        if judged.object_id in hits
+        if judged.object_id in hits.index
     ]
     return {
         "n_labels": n_tracks,

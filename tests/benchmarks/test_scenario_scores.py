@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import scenarios
 from report import REPOSITORY, Report
-from scenario_suite.figures import Figures, Percentile, Rate, Share, at_most
+from scenario_suite.figures import Figures, Percentile, Rate, Share, at_most, figures_of_warnings
 from scenario_suite.page import label_of, number, shown, write_page
 from scenario_suite.scoring import SceneScore, judged_rows, own_velocity_m_s, score, size_px, wanted
 
@@ -177,3 +177,15 @@ def _is_gone(group: int) -> bool:
     except ProcessLookupError:
         return True
     return False
+
+
+def test_collisions_with_what_was_large_for_two_seconds_are_counted_by_themselves():
+    def hit(lead_s, large_for_s):
+        return {"verdict": "late", "lead_s": lead_s, "large_for_s": large_for_s}
+
+    facts = {"warn_by_s": 1.0, "analysed_s": 5.0, "false_warnings": 0.0, "false_ids": 0.0}
+    scenes = [[hit(1.8, 2.5), hit(1.9, 1.5)], [hit(1.0, 2.1), hit(None, 0.0)]]
+    scores = [SceneScore(facts | {"warnings": hits}, pd.DataFrame(), pd.DataFrame(), Path()) for hits in scenes]
+    told, draws = figures_of_warnings(scores), np.ones((1, 2), np.int64)
+    assert told["warned_1.7s"].estimate(np.arange(2), draws).value == 2 / 4
+    assert told["foreseen_warned_1.7s"].estimate(np.arange(2), draws).value == 1 / 2
