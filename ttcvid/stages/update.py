@@ -174,6 +174,6 @@ def _shows_frozen_pixels(egomotion: Egomotion | None, history: TrackHistory, cli
     if egomotion is None:
         return False
     own, turned_px = clip.config.egomotion, float(np.linalg.norm(egomotion.rotation_rad)) * clip.camera.fx_px
-    if egomotion.direction is not None or turned_px > _TURNING_PX:
+    if (egomotion.direction is not None and egomotion.is_told) or turned_px > _TURNING_PX:
         return True
     return own.platform != Platform.static and flows_out(history, LEAST_PARALLAX_PX, own.min_tracks, own.platform)

@@ -25,7 +25,7 @@ from ttcvid.stages.egomotion.relative_pose import (
     region_side_of,
 )
 from ttcvid.stages.egomotion.scene_trajectory import with_scene_path
-from ttcvid.stages.egomotion.window_motion import LEAST_VIEWS, by_window
+from ttcvid.stages.egomotion.window_motion import by_window
 from ttcvid.stages.tracking.history import TrackHistory, last_frame_only, with_egomotion
 from ttcvid.stages.tracking.noise import with_noise
 
@@ -71,18 +71,21 @@ def find_own_motion(
     egomotion : None where there are too few tracks; then the history keeps only the present frame.
     """
     parallax_rad = least_parallax_px / history.focal_px
-    follows = in_scene if memory.window is None else in_scene & ~memory.window.leaves_out(history.track_id)
+    window = memory.window if memory.is_window_used else None
+    follows = in_scene if window is None else in_scene & ~window.leaves_out(history.track_id)
     step = _last_step(history, is_free, follows, memory, config, parallax_rad)
     if step is None:
-        return None, last_frame_only(history), replace(memory, gap_frames=1, window=None)
+        return None, last_frame_only(history), replace(memory, gap_frames=1, window=None, is_window_used=False)
     egomotion, history, memory = _over_gap(history, *step, memory, config, parallax_rad, sigma_floor_px)
     tells, belief = step[1], MOTION_PRIORS[config.platform]
     if belief.is_open:
         tracks = history, is_free, in_scene, tells
         found = by_window(*tracks, memory.window, egomotion, belief.rotation_sigma_rad, parallax_rad)
-        memory = replace(memory, window=found.window)
-        # Without parallax the path has noise for a shape: it is only carried on, for when the camera moves again.
-        if found.window is not None and found.direction is not None:
+        # Without parallax the path has noise for a shape: it is only carried on, for when the camera moves again, which
+        # two views show first.
+        is_used = found.direction is not None and (egomotion.direction is not None or memory.is_window_used)
+        memory = replace(memory, window=found.window, is_window_used=is_used)
+        if found.window is not None and is_used:
             egomotion, memory = found, replace(memory, rotation_rad=found.rotation_rad)
             history = _with_window(history, found, found.window)
             tells = is_free & in_scene & ~found.window.leaves_out(history.track_id)
@@ -129,7 +132,7 @@ def _last_step(
     by_scene = fit_to(pair)
     if by_scene.direction is not None and len(pair[0]) < config.min_tracks:
         return fit_to(everything), is_free
-    if MOTION_PRIORS[config.platform].is_open and len(history.frame) >= LEAST_VIEWS:
+    if memory.is_window_used:
         return by_scene, without_movers
     by_all = fit_to(everything)
     is_better = cost_of(by_all, *everything) < cost_of(by_scene, *everything)

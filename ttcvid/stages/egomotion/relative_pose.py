@@ -161,13 +161,15 @@ class Egomotion:
 class EgomotionMemory:
     """Start of the next search: the expected rotation vector (rad) and the last direction; None at first.
 
-    ``gap_frames`` is the gap that the last flow asks for; ``window`` as in `Egomotion`.
+    ``gap_frames`` is the gap that the last flow asks for; ``window`` as in `Egomotion`, also where it does not know a
+    direction and is only carried on: not ``is_window_used``.
     """
 
     rotation_rad: Floats | None = None
     direction: Floats | None = None
     gap_frames: int = 1
     window: SceneWindow | None = None
+    is_window_used: bool = False
 
     def after(self, fit: TwoViewFit) -> EgomotionMemory:
         """The start of the search after a fit."""

@@ -7,6 +7,7 @@ the path found explains too few parts, paths of random tracks are tried beside i
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,12 +56,16 @@ _GAP_FRAMES, _LEAST_SEEN = 8, 0.6
 _N_SAMPLES, _SAMPLE_SIZE, _N_REFINED = 12, 7, 3
 # Gates of the refinement, one after the other, sigmas: a sample's motion is off by a few.
 _GATES = (12.0, 6.0, 4.0, _SIGMAS)
-# A path whose direction has a larger standard deviation by noise is none, rad; and with what the tracks err in common
-# the direction is no result.
+# A path whose direction has a larger standard deviation by noise is none, rad; with what the tracks err in common the
+# direction of a result has a smaller one, and two views show the same direction within twice that.
 _KNOWN_DIRECTION_RAD, _TOLD_DIRECTION_RAD = float(np.radians(20.0)), float(np.radians(10.0))
 # Over a window the common error of tracks looks like a translation that moves them by so many times it: from directions
 # of drawn hand-held and hovering cameras, which err by 0.6 px over the median flow of their window.
 _COMMON_ERRORS = 2.4
+# A lens that nobody measured bends the flow of a turn by this part of it: distortion of some per cent.
+_LENS_ERROR = 0.05
+# Steps of the fit of a turn to flow, in which points off it lose weight.
+_TURN_STEPS = 3
 _TINY = 1e-9
 
 
@@ -217,12 +222,17 @@ def _result(
     history: TrackHistory, fit: WindowFit, step: Egomotion, outside: Bools, is_scene: bool, least_parallax_rad: float
 ) -> Egomotion:
     """Own motion of the last step."""
-    parallax_rad = _parallax_rad(fit)
-    is_sure = float(np.trace(fit.direction_cov)) < _KNOWN_DIRECTION_RAD**2 and parallax_rad > least_parallax_rad
+    parallax_rad, is_measured = _parallax_rad(fit), not (history.camera.is_assumed or history.camera.is_found)
+    turned_rad = float(np.linalg.norm(vector_from_rotation(fit.paths.cam_R_past[0, 0])))
+    bent_rad = 0.0 if is_measured else _LENS_ERROR * turned_rad
+    is_sure = float(np.trace(fit.direction_cov)) < _KNOWN_DIRECTION_RAD**2
+    is_sure = is_sure and parallax_rad > least_parallax_rad + bent_rad
     is_known = is_scene and is_sure and len(history.frame) >= LEAST_TOLD
     direction = normalize(fit.step[None])[0]
-    common_rad = _COMMON_ERRORS * history.common_error_px / history.focal_px / max(parallax_rad, _TINY)
-    cov = fit.direction_cov + 0.5 * common_rad**2 * (np.eye(3) - np.outer(direction, direction))
+    common_rad = _COMMON_ERRORS * history.common_error_px / history.focal_px + bent_rad
+    across = np.eye(3) - np.outer(direction, direction)
+    cov = fit.direction_cov + 0.5 * (common_rad / max(parallax_rad, _TINY)) ** 2 * across
+    agree = step.direction is not None and direction @ step.direction > math.cos(2.0 * _TOLD_DIRECTION_RAD)
     return replace(
         step,
         cam_R_prev=fit.paths.cam_R_past[0, -2],
@@ -231,15 +241,27 @@ def _result(
         direction_cov=cov if is_known else None,
         gap_frames=1,
         window=SceneWindow(history.frame, fit.paths, history.track_id[outside]),
-        is_told=is_known and step.direction is not None and float(np.trace(cov)) < _TOLD_DIRECTION_RAD**2,
+        is_told=bool(is_known and agree and np.trace(cov) < _TOLD_DIRECTION_RAD**2),
     )
 
 
 def _parallax_rad(fit: WindowFit) -> float:
-    """Median flow of the points over the window by translation alone."""
-    place, start = fit.point[:, :2], fit.paths.path[0, 0]
-    flow = fit.point[:, 2:] * (start[:2] - place * start[2])
-    return median(np.hypot(flow[:, 0], flow[:, 1]))
+    """Median flow of the points by translation from the farthest view, as far as no turn explains it.
+
+    Past a wall a translation looks like a turn, and what differs is what the lens bends, too.
+    """
+    x, y = fit.point[:, :2].T
+    path = fit.paths.path[0]
+    start = path[(path * path).sum(axis=1).argmax()]
+    flow = fit.point[:, 2:] * (start[:2] - fit.point[:, :2] * start[2])
+    # Flow by a turn about each axis (Longuet-Higgins and Prazdny, 1980).
+    by_turn = np.stack([[x * y, -(1.0 + x * x), y], [1.0 + y * y, -x * y, -x]]).transpose(2, 0, 1)
+    weight = np.ones(len(x))
+    for _ in range(_TURN_STEPS):
+        turn, *_ = np.linalg.lstsq((by_turn * weight[:, None, None]).reshape(-1, 3), (flow * weight[:, None]).ravel())
+        left = np.hypot(*(flow - by_turn @ turn).T)
+        weight = 1.0 / np.sqrt(1.0 + (left / (median(left) + _TINY)) ** 2)
+    return median(left)
 
 
 def _other(tracks: _Tracks, tells: Bools, turn_sigma_rad: float) -> WindowFit | None:

@@ -50,8 +50,8 @@ def in_our_way(
     if way is None:
         return [], memory
     direction, covariance = egomotion.direction, egomotion.direction_cov
-    if direction is None or covariance is None:
-        # Two views tell no direction; all views of the scene do, roughly.
+    if direction is None or covariance is None or not egomotion.is_told:
+        # What is no result of its own: all views of the scene tell it, roughly.
         direction = -normalize(np.append(way.aim, 1.0)[None])[0]
         covariance = _WAY_SIGMA_RAD**2 * (np.eye(3) - np.outer(direction, direction))
     motions = [
