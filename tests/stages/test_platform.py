@@ -103,6 +103,9 @@ def test_few_points_tell_nothing():
         ([replace(DRIVES, ground_hz=0.3)] * 9, [], Platform.free),  # an aircraft
         ([replace(DRIVES, ground_hz=1.0)] * 9, [], Platform.vehicle),  # a car that creeps
         ([MOVES] * 9, [], Platform.free),
+        ([MOVES] * 9, [0.9] * 8, Platform.free),  # a picture alone that stays is no rest
+        ([DRIVES] * 4 + [RESTS] * 5, [0.9] * 8, Platform.vehicle),
+        ([DRIVES] * 4 + [MOVES] * 4, [], Platform.free),  # a tie
         ([DRIVES], [], Platform.free),
         ([], [], Platform.free),
     ],
@@ -137,3 +140,10 @@ def test_tracks_that_are_shorter_than_a_look_tell_what_they_show():
     assert found is not None
     assert found.verdict == Verdict.drives
     assert found.t_s == TIMES_S[3]
+
+
+def test_tracks_that_are_seen_in_every_second_frame_tell_nothing():
+    rng = np.random.default_rng(6)
+    drive = seen(street(rng), TIMES_S[:, None] * np.array([0, 0, 12.0]), np.zeros((7, 3)), rng)
+    alternating = [PointSet(p.track_id + 10_000 * (i % 2), p.xy_px) for i, p in enumerate(drive)]
+    assert glance_at(alternating, list(TIMES_S), CAMERA) is None

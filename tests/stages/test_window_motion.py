@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import Drive, extended_by, start
+from drives import CAMERA, DT_S, Drive, extended_by, start
 from test_frame_gap import FLOOR_PX, LEAST_PARALLAX_PX, STEP_M, among_movers, found
 from two_views import FOCAL_PX, angle_deg, points_of_a_street
 
@@ -15,6 +15,7 @@ from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Platform
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
 from ttcvid.stages.egomotion.relative_pose import EgomotionMemory
+from ttcvid.stages.tracking.history import empty_history, extended
 
 FREE = EgomotionConfig(platform=Platform.free)
 TIMES_S = np.arange(-19, 1) * 0.1
@@ -161,3 +162,47 @@ def test_movers_that_hold_most_of_the_tracks_are_not_the_scene(n_of_each):
 def in_patches(rng, n_of_each):
     """As `among_movers`, each of the movers in a small part of the picture."""
     return among_movers(rng, n_static=45, n_of_each=n_of_each, n_frames=12, patch=0.12)
+
+
+def aside(speed_m, n_frames=12, turn_deg=0.0, stretch=1.0):
+    """Aside at so many metres a frame, turning about the vertical axis before a lens ``stretch`` times as long."""
+    rng, rays = np.random.default_rng(1), []
+    points = points_of_a_street(150, rng, (8.0, 25.0))
+    for frame in range(n_frames):
+        turn = rotation_from_vector(np.array([0.0, np.radians(turn_deg) * frame, 0.0]))
+        there = (points - [speed_m * frame, 0.0, 0.0]) @ turn.T
+        plane = there / there[:, 2:] * [stretch, stretch, 1.0]
+        plane[:, :2] += 0.1 / FOCAL_PX * rng.normal(size=(len(points), 2))
+        rays.append(normalize(plane))
+    return Drive(np.array(rays), np.tile(np.eye(3), (n_frames, 1, 1)))
+
+
+def last_of(motion, common_error_px=0.0, camera=CAMERA):
+    """Own motion of the last frame, and what is remembered of it."""
+    history, memory, everything = empty_history(camera, 0.2), EgomotionMemory(), np.ones(motion.n, dtype=bool)
+    for frame in range(len(motion.rays)):
+        points = replace(motion.points(frame), common_error_px=common_error_px)
+        history = extended(history, frame, frame * DT_S, points, motion.rays[frame], 21)
+        step, history, memory = find_own_motion(history, everything, everything, memory, FREE, LEAST_PARALLAX_PX, 0.05)
+    return step, memory
+
+
+def test_a_direction_is_told_where_the_flow_of_the_window_is_larger_than_what_tracks_err_in_common():
+    fast, _ = last_of(aside(0.1), common_error_px=0.25)
+    assert fast.is_told
+    assert angle_deg(fast.direction, np.array([-1.0, 0.0, 0.0])) < 3.0
+    (slow, _), (alone, _) = last_of(aside(0.015), common_error_px=0.25), last_of(aside(0.015))
+    assert not slow.is_told
+    assert alone.is_told
+    assert np.trace(slow.direction_cov) > 4.0 * np.trace(alone.direction_cov)
+
+
+@pytest.mark.parametrize(("turn_deg", "stretch", "k1"), [(1.0, 1.0, 0.1), (1.5, 1.0, -0.1), (1.5, 1.06, 0.0)])
+def test_a_pan_before_a_lens_that_nobody_measured_is_told_as_no_translation(turn_deg, stretch, k1):
+    pan = aside(0.0, n_frames=20, turn_deg=turn_deg, stretch=stretch)
+    plane = pan.rays / pan.rays[..., 2:]
+    plane[..., :2] *= 1.0 + k1 * (plane[..., :2] ** 2).sum(axis=2, keepdims=True)
+    bent = replace(pan, rays=normalize(plane))
+    assert not last_of(bent, common_error_px=0.25)[0].is_told
+    # Who says that the lens is known is believed.
+    assert last_of(bent, common_error_px=0.25, camera=replace(CAMERA, origin="given"))[0].is_told

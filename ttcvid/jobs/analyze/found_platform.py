@@ -74,6 +74,7 @@ def _described(glance: Glance) -> dict[str, Any]:
         "explained_share": round(glance.explained_share, 3),
         "best_share": round(glance.best_share, 3),
         "ground_hz": None if glance.ground_hz is None else round(glance.ground_hz, 3),
+        "sigma_px": round(glance.sigma_px, 2),
     }
 
 

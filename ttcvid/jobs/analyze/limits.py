@@ -73,8 +73,8 @@ class LimitWatch:
     def _turns_only(self, platform: Platform) -> Limit | None:
         if platform == Platform.static or self.n_turns_only < _OFTEN * max(self.n_frames, 1):
             return None
-        text = f"no own travel is seen in {self.n_turns_only} of {counted(self.n_frames, 'frame')} (rotation_only): "
-        text += "at rest, or before a plain sky, what heads straight at the camera looks static"
+        text = f"no own travel, or not where to, is seen in {self.n_turns_only} of {counted(self.n_frames, 'frame')} "
+        text += "(rotation_only): at rest, or before a plain sky, what heads straight at the camera looks static"
         return Limit("own travel unseen", text)
 
     def _own_direction(self, platform: Platform) -> Limit | None:

@@ -34,8 +34,8 @@ from ttcvid.stages.tracking.groups import in_common
 # A stretch tells something with so many points that are seen all through it, and from frame to frame. It is as long as
 # there are so many, of at least so many frames: tracks may be short.
 _LEAST_POINTS, _LEAST_STEP_POINTS, _LEAST_FRAMES = 40, 12, 3
-# Least noise of a point, px: that of a codec; and flow that is not taken for translation.
-_SIGMA_PX, _LEAST_PARALLAX_PX = 0.3, 0.25
+# Least noise of a point, px: that of a codec; the most that is believed; and flow that is not taken for translation.
+_SIGMA_PX, _MOST_SIGMA_PX, _LEAST_PARALLAX_PX = 0.3, 2.0, 0.25
 # The noise is told by those that bend least, since displaced ones bend more: this quantile, and what it is of sigma.
 _LOW_QUANTILE, _LOW_SIGMAS = 0.2, 0.2533
 # A limit below holds for points of the least noise, and is at least so many times the noise.
@@ -59,8 +59,9 @@ _LEAST_GROUND_POINTS, _BELOW, _KNOWN_PART = 10, 0.05, 0.5
 _LEAST_GROUND_HZ, _FASTEST_QUANTILE = 0.4, 0.75
 # Who walks, or hovers ahead, goes no faster than this, and not as straight as a car that creeps.
 _WALKING_HZ, _STRAIGHT_RAD = 3.0, float(np.radians(2.5))
-# So many glances have to tell something, and this share of those that do have to say the same.
-_LEAST_GLANCES, _MAJORITY = 2, 0.5
+# So many glances have to tell something. A camera drives in more than this share of those that do, and is at rest with
+# less than this share of drives.
+_LEAST_GLANCES, _MAJORITY, _FEW = 2, 0.5, 0.25
 # What is stuck in more than this share of the picture is not a bonnet: the camera rests.
 _RESTING_PARTS = 0.75
 
@@ -134,12 +135,12 @@ def told_platform(glances: Sequence[Glance], between: Sequence[float]) -> ToldPl
     n, n_drive, n_rest, n_turn = len(glances), len(drives), verdicts.count(Verdict.rests), verdicts.count(Verdict.turns)
     if n < _LEAST_GLANCES:
         return told(Platform.free, "too little is seen to tell")
-    if len(between) >= n - 1 and min(between) > RESTING_SHARE and n_drive <= _MAJORITY * n:
+    if len(between) >= n - 1 and min(between) > RESTING_SHARE and n_rest > 0 and n_drive < _FEW * n:
         return told(Platform.static, f"the picture stays in its place from look to look, rest in {n_rest} of {n}")
     ground_hz = [glance.ground_hz for glance in glances if glance.ground_hz is not None]
     fastest_hz = float(np.quantile(ground_hz, _FASTEST_QUANTILE)) if len(ground_hz) >= _LEAST_GLANCES else None
     ahead = f"travel along the optical axis in {n_drive} of {n} looks"
-    if n_drive < max(_LEAST_GLANCES, _MAJORITY * (n - n_rest - n_turn)):
+    if n_drive < _LEAST_GLANCES or n_drive <= _MAJORITY * (n - n_rest - n_turn):
         return told(Platform.free, f"{ahead}, rest in {n_rest}, no travel seen in {n_turn}")
     if fastest_hz is None:
         return told(Platform.vehicle, ahead)
@@ -154,7 +155,7 @@ def told_platform(glances: Sequence[Glance], between: Sequence[float]) -> ToldPl
 
 
 def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Camera) -> Glance | None:
-    """What a sample of at least two frames, their points and times, shows; None with too few points.
+    """What a sample of at least three frames, their points and times, shows; None with too few points.
 
     The prior of a vehicle finds the direction ahead where there is one: among many movers or with few points, a search
     without it fails. Whether another direction explains more is tested afterwards.
@@ -169,6 +170,8 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
     if len(before) < _LEAST_POINTS:
         return None
     sigma_px = _noise_px(stretch)
+    if sigma_px is None:
+        return None
     memory = EgomotionMemory(np.zeros(3), FORWARD_DIR)
     cam_R_first = np.eye(3)
     for one, other in pairwise(stretch):
@@ -188,7 +191,7 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
     if ahead.direction is None:
         return Glance(times_s[-1], still, turned_rad, None, explained, best, None, sigma_px)
     travel = ahead.direction * (1.0 if ahead.direction[2] > 0.0 else -1.0)
-    ground_hz = _ground_hz(before, now, camera, ahead, times_s[-1] - times_s[0])
+    ground_hz = _ground_hz(before, now, camera, ahead, times_s[-1] - times_s[0], sigma_px)
     return Glance(times_s[-1], still, turned_rad, travel, explained, best, ground_hz, sigma_px)
 
 
@@ -208,15 +211,21 @@ def _n_common(stretch: Sequence[PointSet], n_frames: int) -> int:
     return len(in_common(stretch[0], stretch[n_frames - 1])[0])
 
 
-def _noise_px(stretch: Sequence[PointSet]) -> float:
-    """Noise of the points, by their second differences over three frames less what they share: the camera's shake."""
+def _noise_px(stretch: Sequence[PointSet]) -> float | None:
+    """Noise of the points, by their second differences over three frames less what they share: the camera's shake.
+
+    None where too few are seen in three frames one after the other.
+    """
     bends = []
     for one, two, three in zip(stretch, stretch[1:], stretch[2:], strict=False):
         ids = np.intersect1d(np.intersect1d(one.track_id, two.track_id), three.track_id)
+        if len(ids) < _LEAST_STEP_POINTS:
+            return None
         first, middle, last = (points.take(np.isin(points.track_id, ids)).xy_px for points in (one, two, three))
         bend = first - 2.0 * middle + last
         bends.append(np.abs(bend - np.median(bend, axis=0)).ravel())
-    return max(_SIGMA_PX, float(np.quantile(np.concatenate(bends), _LOW_QUANTILE) / (_LOW_SIGMAS * np.sqrt(6.0))))
+    sigma_px = np.quantile(np.concatenate(bends), _LOW_QUANTILE) / (_LOW_SIGMAS * np.sqrt(6.0))
+    return float(np.clip(sigma_px, _SIGMA_PX, _MOST_SIGMA_PX))
 
 
 def _without_stuck(stretch: Sequence[PointSet], size: ImageSize) -> Sequence[PointSet]:
@@ -278,7 +287,9 @@ def _rates(turned: Floats, now: Floats, direction: Floats) -> tuple[Floats, Floa
     return rate, np.linalg.norm(now, axis=1) * np.sqrt(2.0 / square)
 
 
-def _ground_hz(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit, dt_s: float) -> float | None:
+def _ground_hz(
+    before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit, dt_s: float, sigma_px: float
+) -> float | None:
     """How fast the ground goes by: a low quantile over what lies below the horizon, which stands on it or is it."""
     direction = motion.direction
     if direction is None or abs(direction[2]) < np.cos(_AHEAD_RAD):
@@ -286,7 +297,7 @@ def _ground_hz(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoVie
     turned, now = _flow(before_px, now_px, camera, motion)
     rate, per_rad = _rates(turned, now, direction)
     below = now[:, 1] - direction[1] / direction[2]
-    is_known = (below > _BELOW) & (per_rad * _SIGMA_PX / camera.fx_px < _KNOWN_PART * rate)
+    is_known = (below > _BELOW) & (per_rad * sigma_px / camera.fx_px < _KNOWN_PART * rate)
     if np.count_nonzero(is_known) < _LEAST_GROUND_POINTS:
         return None
     return float(np.quantile(rate[is_known] / below[is_known], 0.25)) / dt_s
