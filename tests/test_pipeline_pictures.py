@@ -8,8 +8,8 @@ import pytest
 from moving_clips import HEIGHT, WIDTH, approach, swaying
 from pipeline_runs import PICTURE_CAMERA, assert_same, has_no_numbers, results_of, scene_row, statuses
 
-from ttcvid.config import PipelineConfig, TrackingConfig
-from ttcvid.model import Frame
+from ttcvid.config import EgomotionConfig, PipelineConfig, TrackingConfig
+from ttcvid.model import Frame, Platform
 
 
 def pictures_of(pictures, dt_s=0.1):
@@ -17,11 +17,12 @@ def pictures_of(pictures, dt_s=0.1):
 
 
 SMALL = PipelineConfig(tracking=TrackingConfig(max_tracks=120))
+AHEAD = SMALL.model_copy(update={"egomotion": EgomotionConfig(platform=Platform.vehicle)})
 
 
 @cache
 def approach_run():
-    return results_of(pictures_of(approach(10)), PICTURE_CAMERA, SMALL)
+    return results_of(pictures_of(approach(10)), PICTURE_CAMERA, AHEAD)
 
 
 def test_a_wall_that_comes_straight_on_has_the_time_it_was_given():
@@ -39,7 +40,7 @@ def test_dark_and_doubled_pictures_give_a_status_and_no_number():
     clip = approach(10)
     black = np.full((HEIGHT, WIDTH), 2, np.uint8)
     clip[4], clip[7] = black, clip[6]
-    results = results_of(pictures_of(clip), PICTURE_CAMERA, SMALL)
+    results = results_of(pictures_of(clip), PICTURE_CAMERA, AHEAD)
     assert statuses(results) == ["first", "ok", "ok", "ok", "dark", "ok", "ok", "duplicate", "ok", "ok"]
     assert has_no_numbers(results[4])
     assert has_no_numbers(results[7])
@@ -57,7 +58,7 @@ def test_a_black_clip_is_dark_all_through(black):
 
 def test_a_cut_between_pictures_restarts_the_tracks():
     other = [255 - np.flipud(grey) // 2 for grey in swaying(4)]
-    results = results_of(pictures_of([*approach(5), *other]), PICTURE_CAMERA, SMALL)
+    results = results_of(pictures_of([*approach(5), *other]), PICTURE_CAMERA, AHEAD)
     assert statuses(results)[:6] == ["first", "ok", "ok", "ok", "ok", "cut"]
     assert (results[5].tracks.n_frames == 1).all()
     assert results[5].tracks.track_id.min() > results[4].tracks.track_id.max()
@@ -74,7 +75,7 @@ def test_nothing_is_analysed_under_the_mask():
 def test_work_done_ahead_changes_nothing():
     """Pictures prepared in one go, as other threads do, instead of one by one."""
     frames = pictures_of(approach(10))
-    ahead = results_of(frames, PICTURE_CAMERA, SMALL, map_ahead=lambda work, items: iter([work(i) for i in items]))
+    ahead = results_of(frames, PICTURE_CAMERA, AHEAD, map_ahead=lambda work, items: iter([work(i) for i in items]))
     assert_same(ahead, approach_run())
 
 

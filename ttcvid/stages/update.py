@@ -11,6 +11,7 @@ from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import Bools, Camera, Frame, FrameStatus, Platform, PointSet
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
+from ttcvid.stages.egomotion.outflow import flows_out
 from ttcvid.stages.egomotion.relative_pose import Egomotion, EgomotionMemory
 from ttcvid.stages.egomotion.window_motion import LEAST_TOLD
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, followed_plane
@@ -106,7 +107,7 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
         frozen=frozen,
         egomotion=ego_memory,
         bodies=restarted_bodies(bodies) if egomotion is None and before_gap is None else bodies,
-        scene_moves=_shows_frozen_pixels(egomotion, clip),
+        scene_moves=_shows_frozen_pixels(egomotion, history, clip),
         plane=plane,
         before_gap=before_gap,
     )
@@ -165,9 +166,14 @@ def _motion_status(egomotion: Egomotion | None, platform: Platform) -> FrameStat
     return FrameStatus.ok if egomotion.direction is not None and egomotion.is_told else FrameStatus.rotation_only
 
 
-def _shows_frozen_pixels(egomotion: Egomotion | None, clip: Clip) -> bool:
-    """Whether the camera moved so that every pixel of the scene had to change its place."""
+def _shows_frozen_pixels(egomotion: Egomotion | None, history: TrackHistory, clip: Clip) -> bool:
+    """Whether the camera moved so that every pixel of the scene had to change its place.
+
+    Also where most of the picture rides along with the camera, and so is taken for a scene at rest.
+    """
     if egomotion is None:
         return False
-    turned_px = float(np.linalg.norm(egomotion.rotation_rad)) * clip.camera.fx_px
-    return (egomotion.direction is not None and egomotion.is_told) or turned_px > _TURNING_PX
+    own, turned_px = clip.config.egomotion, float(np.linalg.norm(egomotion.rotation_rad)) * clip.camera.fx_px
+    if (egomotion.direction is not None and egomotion.is_told) or turned_px > _TURNING_PX:
+        return True
+    return own.platform != Platform.static and flows_out(history, LEAST_PARALLAX_PX, own.min_tracks, own.platform)

@@ -215,10 +215,7 @@ def refined_paths(
     n_steps : (K,) of each thing.
     weight : (M,) of each point, 0 leaves it out; None: all alike.
     rate_hz : (M,) rates to start from; None or NaN: none.
-
-    Returns
-    -------
-    The paths, and the rate of each point, (M,).
+    Returns the paths, and the rate of each point, (M,).
     """
     weight = np.ones(len(points.track)) if weight is None else weight
     rate = np.zeros(len(points.track)) if rate_hz is None else rate_hz.copy()

@@ -160,18 +160,14 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
     The prior of a vehicle finds the direction ahead where there is one: among many movers or with few points, a search
     without it fails. Whether another direction explains more is tested afterwards.
     """
-    n_frames = [n for n in range(_LEAST_FRAMES, len(stretch) + 1) if _n_common(stretch, n) >= _LEAST_POINTS]
-    if not n_frames:
+    ends = [n for n in range(_LEAST_FRAMES, len(stretch) + 1) if _is_long_enough(stretch[:n])]
+    if not ends:
         return None
-    stretch, times_s = _without_stuck(stretch[: n_frames[-1]], camera.image_size), times_s[: n_frames[-1]]
-    if not times_s[-1] > times_s[0]:
+    stretch, times_s = _without_stuck(stretch[: ends[-1]], camera.image_size), times_s[: ends[-1]]
+    sigma_px = _noise_px(stretch)
+    if sigma_px is None or not _is_long_enough(stretch) or not times_s[-1] > times_s[0]:
         return None
     before, now = in_common(stretch[0], stretch[-1])
-    if len(before) < _LEAST_POINTS:
-        return None
-    sigma_px = _noise_px(stretch)
-    if sigma_px is None:
-        return None
     memory = EgomotionMemory(np.zeros(3), FORWARD_DIR)
     cam_R_first = np.eye(3)
     for one, other in pairwise(stretch):
@@ -207,8 +203,8 @@ def _stays_px(sigma_px: float) -> float:
     return max(_STAYS_PX, _NOISES * sigma_px)
 
 
-def _n_common(stretch: Sequence[PointSet], n_frames: int) -> int:
-    return len(in_common(stretch[0], stretch[n_frames - 1])[0])
+def _is_long_enough(stretch: Sequence[PointSet]) -> bool:
+    return len(in_common(stretch[0], stretch[-1])[0]) >= _LEAST_POINTS
 
 
 def _noise_px(stretch: Sequence[PointSet]) -> float | None:

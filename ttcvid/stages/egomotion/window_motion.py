@@ -27,14 +27,10 @@ _GATE_REDCHI, _SIGMAS = 6.0, 3.0
 # A track is judged by this quantile of its squared residuals over its value by noise (chi-square, two degrees
 # of freedom).
 _SHARE, _SHARE_CHI2 = 0.6, 1.83
-LEAST_VIEWS = 4
-"""With fewer views than this a track follows any path."""
+# With fewer views than this a track follows any path.
+_LEAST_VIEWS = 4
 LEAST_TOLD = 6
-"""A window tells a direction from so many views on.
-
-Of three views it is off by more than 20 deg in two of three drawn scenes, of five in every third, and nothing in the
-views says so.
-"""
+"""Views from which on a direction is known: of five it is off by more than 20 deg in every third drawn scene."""
 # Tracks that a path needs, and how many at most determine it.
 _LEAST_TRACKS, _MOST_TRACKS = 12, 100
 # Steps of the adjustment where a path is carried on, where it starts anew, and of the planar dual: these show which of
@@ -173,7 +169,7 @@ def _redchis(tracks: _Tracks, paths: RigidPaths) -> Floats:
     square = np.sort((off * off).sum(axis=2), axis=0)
     n_views = np.isfinite(square).sum(axis=0)
     at = np.maximum(np.ceil(_SHARE * n_views).astype(np.int64) - 1, 0)
-    return np.where(n_views >= LEAST_VIEWS, square[at, np.arange(len(at))] / _SHARE_CHI2, 0.0)
+    return np.where(n_views >= _LEAST_VIEWS, square[at, np.arange(len(at))] / _SHARE_CHI2, 0.0)
 
 
 def _cost(tracks: _Tracks, redchi: Floats) -> float:
@@ -194,7 +190,7 @@ def _adjusted(tracks: _Tracks, paths: RigidPaths, tells: Bools, n_steps: int) ->
     """The path by the tracks that ``tells (N,)`` marks, of each part of the picture as many; None with too few."""
     history = tracks.history
     n_views = np.isfinite(history.rays[:, tracks.seen, 0]).sum(axis=0)
-    used = np.flatnonzero(tells[tracks.seen] & (n_views >= min(LEAST_VIEWS, len(history.frame)) - 1))
+    used = np.flatnonzero(tells[tracks.seen] & (n_views >= min(_LEAST_VIEWS, len(history.frame)) - 1))
     longest = used[np.lexsort((-n_views[used], tracks.region[used]))]
     place = np.arange(len(longest)) - np.searchsorted(tracks.region[longest], tracks.region[longest])
     used = tracks.seen[longest[np.argsort(place, kind="stable")[:_MOST_TRACKS]]]

@@ -53,8 +53,6 @@ ON_HORIZON = "+horizon"
 class ClusterMotion:
     """A cluster before its state and times.
 
-    Attributes
-    ----------
     cluster_id, status, method : as in the tables.
     members : ``(M,)`` indices of its tracks in the frame.
     direction, direction_cov : its ``dir`` ``(3,)`` and the covariance (3, 3), rad^2; None without one.

@@ -38,8 +38,6 @@ _TINY = 1e-24
 class JointStates:
     """States of K surfaces.
 
-    Attributes
-    ----------
     owner : ``(K,)`` index of the object.
     ref_px, ref_sigma : ``(K, 2)`` centroid, and its standard error in the plane z = 1: few points of it are tracked.
     abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.

@@ -43,8 +43,6 @@ _NO_REDCHI = 0.1
 class _Things:
     """K proposals of movers.
 
-    Attributes
-    ----------
     members : tracks ``(M,)`` and trajectory ``(L, 3)`` of each.
     needed : least number of tracks that it has to explain significantly better than the scene.
     least_part : least part of its tracks that it has to explain so.
@@ -66,10 +64,7 @@ def new_movers(
     ----------
     in_scene : ``(N,)`` tracks of the scene that may be part of a birth.
     neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
-
-    Returns
-    -------
-    Of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
+    Returns of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
     is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)

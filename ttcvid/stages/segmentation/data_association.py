@@ -34,8 +34,6 @@ _YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 class Movers:
     """K movers, ascending in ``key``.
 
-    Attributes
-    ----------
     key : ``(K,)`` internal number.
     cluster_id : ``(K,)`` public number; `NO_CLUSTER` until the mover is confirmed.
     n_found, n_missed : ``(K,)`` frames in which it was found, and frames without since the last of them.
@@ -120,11 +118,7 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     ----------
     key : ``(N,)`` former body of each track.
     neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
-
-    Returns
-    -------
-    Key ``(N,)`` of the body of each track, and the reduced chi-square of each track on its body, over the median one of
-    the scene.
+    Returns the key ``(N,)`` of the body of each track, and its reduced chi-square on that, over the scene's median one.
     """
     redchi = seen.redchi
     if not len(movers):

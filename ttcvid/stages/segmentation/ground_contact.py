@@ -58,8 +58,6 @@ _FAR, _OVERHANG, _MOST_BESIDE = 0.015, 0.1, 0.25
 class Contacts:
     """K objects and their ground contacts.
 
-    Attributes
-    ----------
     thing : ``(N,)`` object of each track, -1 without one.
     contradicts : ``(K,)`` the foot contradicts a static object.
     is_borne : ``(K,)`` the foot is on the ground.
@@ -74,8 +72,6 @@ class Contacts:
 class OnGround:
     """N tracks on the trajectory of the scene, and the ground plane.
 
-    Attributes
-    ----------
     place : ``(N, 2)`` in the plane z = 1.
     rate_hz, sigma_hz : ``(N,)`` inverse depth and its standard deviation, 1/s.
     road_hz, slope_hz : ``(N,)`` inverse depth of the ground plane there, and its growth per tangent downwards, 1/s.
@@ -141,8 +137,8 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
     for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
         contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
-    # An object under the road hides the road at its depth, so that its tracks there are its own: not if most of its
-    # tracks may be road (a kerb). One that hangs over the road does not hide the road below it.
+    # An object under the road hides the road at its depth: its tracks there are its own, unless most may be road (a
+    # kerb). One that hangs over the road does not hide the road below it.
     off_road = seen.is_off_road[things.index]
     hides_road = lies_under & (2 * np.bincount(things.set_of, off_road, n_things) > things.lengths)
     belongs = off_road | ~contradicts[things.set_of] | hides_road[things.set_of]

@@ -49,8 +49,6 @@ _FORGETTING, _NOTHING_SAID, _ENOUGH = 0.8, 0.97, 0.5
 class RoadPoints:
     """M observations of the last frames that may be points of the ground plane.
 
-    Attributes
-    ----------
     place : ``(M, 2)`` in the plane z = 1, relative to our direction of travel: there the ground plane is steady.
     rate_hz : ``(M,)`` inverse depth, 1/s.
     weight : ``(M,)`` with a total of one per square of the image of a frame.
@@ -75,8 +73,6 @@ class RoadPoints:
 class RoadMemory:
     """Ground plane of a frame, and evidence of tracks against it.
 
-    Attributes
-    ----------
     track_id, evidence : ``(N,)`` evidence of each track against being static, in 0 to 1.
     plane : ``(3,)`` as from `find_road`; None: not found.
     seen : what it was fitted to.

@@ -50,8 +50,6 @@ _TRACKS_AT_REST = 3
 class BodyMemory:
     """Bodies of the last frame.
 
-    Attributes
-    ----------
     scene, movers : the bodies; None before the first frame.
     track_id, track_key, rate_hz : ``(M,)`` number, body and inverse depth (1/s) of each track, by ascending number.
     road : memory of the ground plane.
@@ -78,8 +76,6 @@ class BodyMemory:
 class Segmentation:
     """Bodies of a frame and the labels of its N tracks.
 
-    Attributes
-    ----------
     key : ``(N,)`` body of each track; 0 the scene.
     movers, seen : the bodies; the scene, and how it explains each track.
     is_displaced : ``(N,)`` tracks whose present observation is displaced: no body explains it.

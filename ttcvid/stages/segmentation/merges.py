@@ -31,8 +31,6 @@ _LEAST_TRACKS = 3
 class _Pairs:
     """P pairs of neighbouring movers.
 
-    Attributes
-    ----------
     large, small : ``(P,)`` indices of both.
     limit : ``(P,)`` median reduced chi-square of their tracks on their own bodies, over that of the scene.
     """

@@ -62,11 +62,8 @@ def start_akaze(features: Features, next_track_id: int = 0) -> AkazeMemory:
 
 def follow_akaze(memory: AkazeMemory, features: Features, config: TrackingConfig) -> tuple[AkazeMemory, float]:
     """Match the features of this picture to the tracks of the last one.
-
-    Returns
-    -------
-    memory : of this picture; features without a match start new tracks.
-    survival : share of the former features that were matched (1 where there were none): low after a cut.
+    Features without a match start new tracks. Returns also the share of the former ones that were matched (1 where
+    there were none): low after a cut.
     """
     former, now = _matches(memory.features.descriptors, features.descriptors, config.akaze_ratio)
     is_new = np.isin(np.arange(len(features.xy_px)), now, invert=True)

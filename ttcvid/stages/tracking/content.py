@@ -24,10 +24,7 @@ def content_offsets(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
     grey : (H, W) uint8.
     xy_px : (N, 2) points.
     window_px : side of the windows, odd. What lies beyond the border is as its last pixels are.
-
-    Returns
-    -------
-    Offsets ``(N, 2)`` px, NaN where a window holds no corner.
+    Returns offsets ``(N, 2)`` px, NaN where a window holds no corner.
 
     Source: the normal equations of Lucas and Kanade (1981); the point is that of Foerstner and Guelch (1987).
     """

@@ -40,8 +40,6 @@ _TINY = 1e-9
 class Course:
     """The course of an object, from one frame.
 
-    Attributes
-    ----------
     probability : that it is a collision course: the object approaches, reaches us within `_WATCHED_TTC` times the limit
         and passes nearer than the limit of the miss distance.
     is_soon : whether it is reached within the limit itself.
@@ -61,8 +59,6 @@ NO_COURSE = Course(0.0)
 class Viewpoint:
     """What courses are judged from: the camera and what is known of its own motion.
 
-    Attributes
-    ----------
     on_ground : we are a road vehicle. It has the usual width and reaches from the camera down to the road: an object
         that passes below the camera hits it, and a lorry need not pass at a distance of its length.
     at_rest : the camera is mounted somewhere: it is a point, that only an object itself can hit.

@@ -37,8 +37,6 @@ _HIGHEST = 1.6
 class WatchedObject:
     """An object whose course has been known, and its warning.
 
-    Attributes
-    ----------
     log_odds : of a collision course, by all frames so far.
     last_s : presentation time at which its course was known last.
     box_px : its box at ``last_s``: left, top, right, bottom.
