@@ -34,10 +34,10 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     cov : ``(N, 3, 3)`` covariance of (a, b, c) in 1/s^2.
     sigma_norm : ``(N,)``, or of each coordinate ``(2, N)``: standard deviation of x and y, taken as independent of
         (a, b, c): their correlation is smaller than the rest by the length of the flow.
-    The bounds of ttc_z are 1 / eta_hi and 1 / eta_lo: lo > hi means through infinity. Those of tcpa
-    and miss are ordered. NaN bounds are infinite ones: when the ellipse holds V = 0, both of tcpa and the upper one
-    of miss. The range over the ellipse is found to 1e-3 of the bound, to some 1e-2 for
-    ellipses a thousand times longer than wide.
+
+    The bounds of ttc_z are 1 / eta_hi and 1 / eta_lo: lo > hi means through infinity. Those of tcpa and miss are
+    ordered. NaN bounds are infinite ones: when the ellipse holds V = 0, both of tcpa and the upper one of miss. The
+    range over the ellipse is found to 1e-3 of the bound, to some 1e-2 for ellipses a thousand times longer than wide.
 
     Source: DESIGN section 2, "Intervals".
 

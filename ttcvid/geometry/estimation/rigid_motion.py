@@ -208,14 +208,13 @@ def refined_paths(
     """The paths as their points show them: the points on the paths and then each past view by its points, in turn.
 
     Robust least squares with six unknowns a view; points with an unusual misfit weigh less. A path keeps its length, a
-    thing without points its motion.
+    thing without points its motion. Returns the paths, and the rate of each point, (M,).
 
     Parameters
     ----------
     n_steps : (K,) of each thing.
     weight : (M,) of each point, 0 leaves it out; None: all alike.
     rate_hz : (M,) rates to start from; None or NaN: none.
-    Returns the paths, and the rate of each point, (M,).
     """
     weight = np.ones(len(points.track)) if weight is None else weight
     rate = np.zeros(len(points.track)) if rate_hz is None else rate_hz.copy()

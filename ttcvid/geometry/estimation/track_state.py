@@ -72,6 +72,7 @@ def fit_whole_tracks(
     plane : Planar motion, as the Gaussian prior ``normal . w ~ N(0, w' covariance w)``: then two views suffice. It is
         part of ``cov`` and ``info_w`` then.
     has_covariance : False leaves ``cov`` empty, for speed.
+
     The state is NaN where the views are fewer than two, or sigma is not positive.
 
     Source: DESIGN section 3, the general estimator.

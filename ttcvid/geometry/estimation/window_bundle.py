@@ -26,7 +26,7 @@ _CONVERGED = 1e-3
 _LEAST_DEPTH = 1e-3
 # Added to what the observations do not tell.
 _TINY = 1e-9
-# Steps of the fit of a plane, in which points off it lose weight.
+# Steps of the fit of a plane.
 _PLANE_STEPS = 5
 # Numbers of the unknowns of a view and of a point.
 _N_POSE, _N_POINT = 6, 3
@@ -116,12 +116,7 @@ def planar_dual(fit: WindowFit) -> tuple[RigidPaths, Floats] | None:
     path, rho = fit.paths.path[0], fit.point[:, 2]
     x = np.column_stack([fit.point[:, :2], np.ones(len(rho))])
     length = np.sqrt((path * path).sum(axis=1))
-    normal, weight = np.zeros(3), np.ones(len(x))
-    for _ in range(_PLANE_STEPS):
-        found, *_ = np.linalg.lstsq(x * weight[:, None], rho * weight, rcond=None)
-        normal = np.asarray(found, dtype=np.float64)
-        off = np.abs(rho - x @ normal)
-        weight = 1.0 / np.sqrt(1.0 + (off / (median(off) + _TINY)) ** 2)
+    normal, _ = fitted_robustly(x[:, None], rho[:, None], _PLANE_STEPS)
     steepness = float(np.linalg.norm(normal))
     if min(float(length.max()), steepness) < _TINY:
         return None
@@ -133,6 +128,17 @@ def planar_dual(fit: WindowFit) -> tuple[RigidPaths, Floats] | None:
     if not (depth > _LEAST_DEPTH).any(axis=1).all():
         return None
     return RigidPaths(cam_R_past[None], place[None]), np.column_stack([x[:, :2], rate])
+
+
+def fitted_robustly(design: Floats, values: Floats, n_steps: int) -> tuple[Floats, Floats]:
+    """Robust linear fit (K,) of ``values (N, R)`` by ``design (N, R, K)``, and how far off each point is, (N,)."""
+    found, off, weight = np.zeros(design.shape[2]), np.zeros(len(values)), np.ones(len(values))
+    for _ in range(n_steps):
+        rows, value = design * weight[:, None, None], values * weight[:, None]
+        found = np.asarray(np.linalg.lstsq(rows.reshape(-1, len(found)), value.ravel())[0], dtype=np.float64)
+        off = np.linalg.norm(values - design @ found, axis=1)
+        weight = 1.0 / np.sqrt(1.0 + (off / (median(off) + _TINY)) ** 2)
+    return found, off
 
 
 def _state(xy: Floats, sigma: Floats, rotation: Floats, place: Floats, point: Floats) -> _State:

@@ -65,6 +65,7 @@ def find_own_motion(
     config : Priors.
     least_parallax_px : Flow of one step that does not count as translation, however small the noise.
     sigma_floor_px : Minimum noise of a track.
+
     Returns no own motion where there are too few tracks; then the history keeps only the present frame.
     """
     parallax_rad = least_parallax_px / history.focal_px

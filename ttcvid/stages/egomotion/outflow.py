@@ -22,8 +22,7 @@ _MOVES_PX, _ON_LINE_PX, _ON_LINE_PART = 1.0, 1.0, 0.15
 # What moves fills this share of the parts of the picture (0.00 to 0.09 before a resting camera over a street), and one
 # translation explains this share of that: three times what chance would, since other traffic may fill the rest.
 _LEAST_MOVING, _LEAST_EXPLAINED = 0.2, 0.3
-# It lies on all sides: the mean of the unit vectors to its parts is no longer than this. On that drive 0.07 to 0.52,
-# over that street 0.71 to 1.00.
+# It lies on all sides: the mean of the unit vectors to its parts is no longer than this (0.7 to 1 over that street).
 _MOST_ONE_SIDED = 0.6
 
 

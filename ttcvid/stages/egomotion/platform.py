@@ -196,11 +196,7 @@ def share_in_place(one: PointSet, other: PointSet, size: ImageSize, sigma_px: fl
     before, now = in_common(one, other)
     if len(before) < _LEAST_POINTS:
         return None
-    return share_of_parts(now, np.linalg.norm(now - before, axis=1) < _stays_px(sigma_px), size)
-
-
-def _stays_px(sigma_px: float) -> float:
-    return max(_STAYS_PX, _NOISES * sigma_px)
+    return share_of_parts(now, np.linalg.norm(now - before, axis=1) < max(_STAYS_PX, _NOISES * sigma_px), size)
 
 
 def _is_long_enough(stretch: Sequence[PointSet]) -> bool:
@@ -209,8 +205,7 @@ def _is_long_enough(stretch: Sequence[PointSet]) -> bool:
 
 def _noise_px(stretch: Sequence[PointSet]) -> float | None:
     """Noise of the points, by their second differences over three frames less what they share: the camera's shake.
-
-    None where too few are seen in three frames one after the other.
+    None where too few are seen so often.
     """
     bends = []
     for one, two, three in zip(stretch, stretch[1:], stretch[2:], strict=False):
@@ -261,7 +256,7 @@ def _shares(
     turned, now = _flow(before_px, now_px, camera, motion)
     moved_px = np.linalg.norm(normalize(now) - turned, axis=1) * camera.fx_px
     size = camera.image_size
-    still = share_of_parts(now_px, moved_px < _stays_px(sigma_px), size)
+    still = share_of_parts(now_px, moved_px < max(_STAYS_PX, _NOISES * sigma_px), size)
     if motion.direction is None:
         return still, still
     normal = normalize(np.cross(turned, motion.direction))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ttcvid.geometry.estimation.relative_pose import GaussianPrior, fit_motion
 from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
-from ttcvid.geometry.estimation.window_bundle import WindowFit, adjust_window, planar_dual
+from ttcvid.geometry.estimation.window_bundle import WindowFit, adjust_window, fitted_robustly, planar_dual
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
@@ -55,12 +55,12 @@ _GATES = (12.0, 6.0, 4.0, _SIGMAS)
 # A path whose direction has a larger standard deviation by noise is none, rad; with what the tracks err in common the
 # direction of a result has a smaller one, and two views show the same direction within twice that.
 _KNOWN_DIRECTION_RAD, _TOLD_DIRECTION_RAD = float(np.radians(20.0)), float(np.radians(10.0))
-# Over a window the common error of tracks looks like a translation that moves them by so many times it: from directions
-# of drawn hand-held and hovering cameras, which err by 0.6 px over the median flow of their window.
+# Over a window the common error of tracks looks like a translation that moves them by so many times it, 0.6 px: drawn
+# hand-held and hovering cameras err in direction by about that over the flow of their window.
 _COMMON_ERRORS = 2.4
 # A lens that nobody measured bends the flow of a turn by this part of it: distortion of some per cent.
 _LENS_ERROR = 0.05
-# Steps of the fit of a turn to flow, in which points off it lose weight.
+# Steps of the fit of a turn to flow.
 _TURN_STEPS = 3
 _TINY = 1e-9
 
@@ -221,9 +221,8 @@ def _result(
     parallax_rad, is_measured = _parallax_rad(fit), not (history.camera.is_assumed or history.camera.is_found)
     turned_rad = float(np.linalg.norm(vector_from_rotation(fit.paths.cam_R_past[0, 0])))
     bent_rad = 0.0 if is_measured else _LENS_ERROR * turned_rad
-    is_sure = float(np.trace(fit.direction_cov)) < _KNOWN_DIRECTION_RAD**2
-    is_sure = is_sure and parallax_rad > least_parallax_rad + bent_rad
-    is_known = is_scene and is_sure and len(history.frame) >= LEAST_TOLD
+    is_sure = np.trace(fit.direction_cov) < _KNOWN_DIRECTION_RAD**2 and len(history.frame) >= LEAST_TOLD
+    is_known = bool(is_scene and is_sure and parallax_rad > least_parallax_rad + bent_rad)
     direction = normalize(fit.step[None])[0]
     common_rad = _COMMON_ERRORS * history.common_error_px / history.focal_px + bent_rad
     across = np.eye(3) - np.outer(direction, direction)
@@ -252,12 +251,7 @@ def _parallax_rad(fit: WindowFit) -> float:
     flow = fit.point[:, 2:] * (start[:2] - fit.point[:, :2] * start[2])
     # Flow by a turn about each axis (Longuet-Higgins and Prazdny, 1980).
     by_turn = np.stack([[x * y, -(1.0 + x * x), y], [1.0 + y * y, -x * y, -x]]).transpose(2, 0, 1)
-    weight = np.ones(len(x))
-    for _ in range(_TURN_STEPS):
-        turn, *_ = np.linalg.lstsq((by_turn * weight[:, None, None]).reshape(-1, 3), (flow * weight[:, None]).ravel())
-        left = np.hypot(*(flow - by_turn @ turn).T)
-        weight = 1.0 / np.sqrt(1.0 + (left / (median(left) + _TINY)) ** 2)
-    return median(left)
+    return median(fitted_robustly(by_turn, flow, _TURN_STEPS)[1])
 
 
 def _other(tracks: _Tracks, tells: Bools, turn_sigma_rad: float) -> WindowFit | None:

@@ -51,7 +51,7 @@ def in_our_way(
         return [], memory
     direction, covariance = egomotion.direction, egomotion.direction_cov
     if direction is None or covariance is None or not egomotion.is_told:
-        # What is no result of its own: all views of the scene tell it, roughly.
+        # It is not known by itself, but roughly by all views of the scene.
         direction = -normalize(np.append(way.aim, 1.0)[None])[0]
         covariance = _WAY_SIGMA_RAD**2 * (np.eye(3) - np.outer(direction, direction))
     motions = [

@@ -64,6 +64,7 @@ def new_movers(
     ----------
     in_scene : ``(N,)`` tracks of the scene that may be part of a birth.
     neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
+
     Returns of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
     is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)

@@ -118,6 +118,7 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     ----------
     key : ``(N,)`` former body of each track.
     neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
+
     Returns the key ``(N,)`` of the body of each track, and its reduced chi-square on that, over the scene's median one.
     """
     redchi = seen.redchi

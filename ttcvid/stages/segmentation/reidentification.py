@@ -42,6 +42,7 @@ def reidentified(
     ----------
     key, movers : body of each track ``(N,)``, and the known movers.
     found, paths, rate_hz : tracks, trajectory and median rate of each new one.
+
     Returns both with the re-identified ones, and which of the new ones these are, ``(J,)``.
     """
     key, is_known = key.copy(), np.zeros(len(found), dtype=bool)

@@ -62,6 +62,7 @@ def start_akaze(features: Features, next_track_id: int = 0) -> AkazeMemory:
 
 def follow_akaze(memory: AkazeMemory, features: Features, config: TrackingConfig) -> tuple[AkazeMemory, float]:
     """Match the features of this picture to the tracks of the last one.
+
     Features without a match start new tracks. Returns also the share of the former ones that were matched (1 where
     there were none): low after a cut.
     """

@@ -17,14 +17,13 @@ def content_offsets(grey: Picture, xy_px: Floats, window_px: int) -> Floats:
     A Lucas-Kanade step is ``H^-1 sum(g g' d)`` over the window, with gradients g, ``H = sum(g g')`` and the
     displacement d of each pixel. Where d is a shift and an expansion about any point, that is d at
     ``H^-1 sum(g g' x)``: where something approaches, the middle of a window leaves the point that it began on, by
-    the expansion times this offset, and the content does not.
+    the expansion times this offset, and the content does not. Offsets ``(N, 2)`` px, NaN where a window has no corner.
 
     Parameters
     ----------
     grey : (H, W) uint8.
     xy_px : (N, 2) points.
     window_px : side of the windows, odd. What lies beyond the border is as its last pixels are.
-    Returns offsets ``(N, 2)`` px, NaN where a window holds no corner.
 
     Source: the normal equations of Lucas and Kanade (1981); the point is that of Foerstner and Guelch (1987).
     """

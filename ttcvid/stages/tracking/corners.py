@@ -75,6 +75,7 @@ def find_corners(
     close_share : part of ``n_wanted`` that may stand at 0.57 of the distance, 0..1.
     only_new_places : corners where few of those around are followed, and no others: where most have their tracks,
         something has come into the picture there.
+
     Returns (M, 2) float64 corners, px: those of the grid first, in order of choice, M <= n_wanted.
     """
     if n_wanted <= 0:

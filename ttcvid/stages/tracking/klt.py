@@ -93,6 +93,7 @@ def follow_klt(
     memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig, *, camera_rests: bool = False
 ) -> tuple[KltMemory, float]:
     """Follow the points of ``memory`` into ``grey`` and top them up: where the ``camera_rests``, where it changes.
+
     Returns also the part of the points that were found again (1 where there were none): low after a cut.
     """
     before_px, copies = memory.points.windows_px, _copies(memory.grey, grey, config.window_px)
