@@ -19,9 +19,11 @@ from ttcvid.calibration.own import write_camera
 from ttcvid.jobs.simulate import write_simulation
 from ttcvid.simulate import TrackOptions, build_world, camera_of, encounters, encounters_in
 from ttcvid.simulate.encounters import STEP_S
+from ttcvid.simulate.world import STATIC_LABEL, World
 
-N_TRACKS, MIN_PER_OBJECT = 120, 16
-"""Few tracks: a table is analysed in a second."""
+N_TRACKS, MIN_PER_OBJECT = 104, 16
+"""Few tracks: a table is analysed in a second. ``MIN_PER_OBJECT`` more for each object of the scene: of 120 in all,
+eight walkers would leave none for what stands still, and nothing would tell how the camera moves."""
 GIVEN_CAMERA_NAME = "camera_given.yaml"
 """The camera with the error of the focal length; absent where the camera is unknown to the analysis."""
 _SIMULATOR = Path(__file__).resolve().parents[2] / "ttcvid" / "simulate"
@@ -84,7 +86,7 @@ def _draw(scenario: Scenario, folder: Path) -> None:
         world = recorded_world(scene, scenario.recording)
         every_s = np.arange(0.0, float(world.path.t_s[-1]), STEP_S)
         met = encounters_in(recorded_world(scene, scenario.recording, every_s))
-    write_simulation(world, met, truth, tracks=_track_options(scenario))
+    write_simulation(world, met, truth, tracks=_track_options(scenario, world))
     if scenario.camera_known:
         camera = camera_of(scenario.scene)
         wrong = 1.0 + scenario.focal_error
@@ -94,12 +96,13 @@ def _draw(scenario: Scenario, folder: Path) -> None:
     truth.rename(folder / "truth")
 
 
-def _track_options(scenario: Scenario) -> TrackOptions | None:
+def _track_options(scenario: Scenario, world: World) -> TrackOptions | None:
     if scenario.kind == "video":
         return None
+    n_objects = np.count_nonzero(np.unique(world.object_ids) != STATIC_LABEL)
     values = {name: value for name, value in scenario.nuisances.items() if isinstance(value, float)}
     return TrackOptions(
-        n_tracks=N_TRACKS,
+        n_tracks=N_TRACKS + MIN_PER_OBJECT * n_objects,
         min_per_object=MIN_PER_OBJECT,
         sigma_px=values["track_noise_px"],
         outlier_fraction=values["outlier_share"],
