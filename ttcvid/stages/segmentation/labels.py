@@ -119,8 +119,15 @@ def find_bodies(
     neighbours = views.neighbours()
     is_displaced, is_past_off = _are_displaced(views, seen, movers, number, labels.rate_hz, neighbours, config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
-    key, movers = _divided(views, seen, key, movers, neighbours, config)
-    key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
+    key, own_redchi = assigned(views, seen, key, movers, neighbours)
+    key, movers = kept(views, key, movers, config)
+    key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
+    # A birth has to explain tracks better than their own body does. Two movers taken for one would else stay one.
+    is_scene = key == SCENE_CLUSTER
+    redchi, seen_redchi = (np.where(is_scene, one, own_redchi) for one in (seen.redchi, seen.seen_redchi))
+    may_start = may_start & (is_scene | (redchi > config.scene_gate))
+    on_bodies = replace(seen, redchi=redchi, seen_redchi=seen_redchi)
+    key, movers, next_key = _with_new(views, on_bodies, key, movers, neighbours, may_start, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     if is_displaced.any():
         known = np.append(SCENE_CLUSTER, movers.key)
@@ -198,15 +205,6 @@ def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) 
     return replace(before, paths=paths, last=last)
 
 
-def _divided(
-    views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
-) -> tuple[Ints, Movers]:
-    """Labels ``key (N,)`` over the scene and known movers after merging, and the movers kept."""
-    key, own_redchi = assigned(views, seen, key, movers, neighbours)
-    key, movers = kept(views, key, movers, config)
-    return merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
-
-
 def _with_new(
     views: BodyViews,
     seen: SeenScene,
@@ -217,11 +215,11 @@ def _with_new(
     next_key: int,
     config: BodiesConfig,
 ) -> tuple[Ints, Movers, int]:
-    """Labels ``(N,)`` and movers after births among the scene's tracks, re-identified or new, and the next key."""
+    """Labels ``(N,)`` and movers after births of tracks that ``may_start (N,)``, re-identified or new; the next key."""
     births = config
     if seen.camera_rests:
         births = config.model_copy(update={"min_tracks": min(config.min_tracks, _TRACKS_AT_REST)})
-    found, paths, found_hz = new_movers(views, seen, (key == SCENE_CLUSTER) & may_start, neighbours, births)
+    found, paths, found_hz = new_movers(views, seen, may_start, neighbours, births)
     if seen.camera_rests and found:
         is_one = _are_no_outlines(views, key, found, config.min_tracks)
         found = [members for members, is_mover in zip(found, is_one, strict=True) if is_mover]
