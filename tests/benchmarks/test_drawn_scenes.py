@@ -1,0 +1,44 @@
+"""What drawn scenes have shown to be wrong, with scenes of the suite."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scenario_suite.drawing import read_json
+from scenario_suite.nuisances import baselines
+from scenario_suite.running import Task, do
+from scenario_suite.scoring import score
+
+
+def found_share(folder, scenes, **nuisances):
+    """Share of the object-frames that are due, over scenes (family, seed) of track tables."""
+    frames = []
+    for family, seed in scenes:
+        task = Task(family, seed, "tracks", folder / "runs", folder / "drawn", baselines("tracks") | nuisances)
+        frames.append(score(do(task).folder).object_frames)
+    due = pd.concat(frames).query("is_due")
+    assert len(due) > 20
+    return due.is_found.mean()
+
+
+def test_movers_that_were_taken_for_one_are_told_apart(tmp_path):
+    # Two cars that cross the way of a third begin beside it: all three were one for good, and a fourth joined them.
+    assert found_share(tmp_path, [("mast-along", 304)]) > 0.8
+
+
+def test_who_passes_a_waiting_car_is_seen_though_it_seemed_to_travel_once(tmp_path):
+    # At first the camera seems to travel; for two seconds after it rests, that travel explained whoever passed.
+    noise = {"track_noise_px": 1.0, "track_length_frames": 8.0, "frame_rate_hz": 20.0, "outlier_share": 0.05}
+    assert found_share(tmp_path, [("waiting", 301)], **noise) > 0.85
+
+
+def test_movers_are_found_by_tracks_of_which_every_third_observation_is_displaced(tmp_path):
+    scenes = [("CBNA-50", 703), ("CPFA-50", 701), ("CPNA-25", 702)]
+    assert found_share(tmp_path, scenes, outlier_share=0.3) > 0.5
+
+
+@pytest.mark.parametrize("family", ["mast-junction", "mast-walkers", "KITTI-labels"])
+def test_what_stands_still_has_tracks_beside_many_objects(tmp_path, family):
+    folder = do(Task(family, 0, "tracks", tmp_path / "runs", tmp_path / "drawn", baselines("tracks"))).folder
+    assert read_json(folder / "run.json")["exit_code"] == 0
+    tracks = pd.read_parquet(folder / "truth" / "truth_tracks.parquet")
+    assert np.mean(tracks.object_id == 0) > 0.25
