@@ -21,7 +21,7 @@ _NOT_BENT = 9.0
 _N_STEPS, _N_ALL_STEPS, _NO_FALL = 4, 7, 1e-6
 # An earlier view is displaced if its squared residual exceeds the second and that of a later view is within the first.
 # So many views, and this part of all, have to be within the first.
-_IN, _OFF, _LEAST_IN, _LEAST_PART_IN = 3.0**2, 6.0**2, 3, 0.5
+_IN, _OFF, _LEAST_IN, _LEAST_PART_IN = 3.0**2, 6.0**2, 4, 0.5
 _OWN, _WITH_X, _WITH_Y = path_point.OWN, path_point.WITH_X, path_point.WITH_Y
 _SCORE_X, _SCORE_Y = path_point.SCORE_X, path_point.SCORE_Y
 _X, _Y, _INVERSE, _TIME = path_point.X, path_point.Y, path_point.INVERSE, path_point.TIME

@@ -21,7 +21,7 @@ from ttcvid.stages.segmentation.bodies import carried_forward, stepped_movers
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers, assigned, kept, no_movers, numbers_of
 from ttcvid.stages.segmentation.ground_plane import RoadMemory
-from ttcvid.stages.segmentation.merges import merged
+from ttcvid.stages.segmentation.merges import WORTH_MERGING, merged
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
 from ttcvid.stages.segmentation.surface_memory import Obstacle, are_confirmed
@@ -125,7 +125,7 @@ def find_bodies(
     # A birth has to explain tracks better than their own body does. Two movers taken for one would else stay one.
     is_scene = key == SCENE_CLUSTER
     redchi, seen_redchi = (np.where(is_scene, one, own_redchi) for one in (seen.redchi, seen.seen_redchi))
-    may_start = may_start & (is_scene | (redchi > config.scene_gate))
+    may_start = may_start & (is_scene | (redchi > WORTH_MERGING))
     on_bodies = replace(seen, redchi=redchi, seen_redchi=seen_redchi)
     key, movers, next_key = _with_new(views, on_bodies, key, movers, neighbours, may_start, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
