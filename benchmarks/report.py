@@ -14,16 +14,19 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True)
 class Bar:
-    """A limit that a figure has to keep: not above ``limit``, or with ``at_least`` not below it."""
+    """A limit that a figure has to keep: not above ``limit``, or with ``at_least`` not below it, nor above ``most``."""
 
     limit: float
     at_least: bool = False
+    most: float = math.inf
 
     def is_kept_by(self, value: float) -> bool:
         """False for NaN: no figure, no pass."""
-        return value >= self.limit if self.at_least else value <= self.limit
+        return self.limit <= value <= self.most if self.at_least else value <= self.limit
 
     def __str__(self) -> str:
+        if self.most < math.inf:
+            return f"{self.limit:g}-{self.most:g}"
         return f"{'>=' if self.at_least else '<='} {self.limit:g}"
 
 

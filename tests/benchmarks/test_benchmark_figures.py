@@ -18,6 +18,8 @@ def test_a_bar_is_missed_by_a_figure_that_is_not_there():
     assert not Bar(3.0).is_kept_by(3.1)
     assert Bar(1.5, at_least=True).is_kept_by(1.5)
     assert not Bar(1.5, at_least=True).is_kept_by(1.4)
+    assert Bar(80.0, True, 97.0).is_kept_by(97.0)
+    assert not Bar(80.0, True, 97.0).is_kept_by(98.0)
     assert not Bar(3.0).is_kept_by(math.nan)
     assert not Bar(3.0, at_least=True).is_kept_by(math.nan)
 
