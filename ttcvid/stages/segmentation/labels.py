@@ -122,10 +122,11 @@ def find_bodies(
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
-    # A birth has to explain tracks better than their own body does. Two movers taken for one would else stay one.
+    # A birth has to explain tracks better than their own body does. Two movers taken for one would else stay one. Before
+    # a moving camera they do: a path or a lens that is a little wrong makes parts of one mover look like two.
     is_scene = key == SCENE_CLUSTER
     redchi, seen_redchi = (np.where(is_scene, one, own_redchi) for one in (seen.redchi, seen.seen_redchi))
-    may_start = may_start & (is_scene | (redchi > WORTH_MERGING))
+    may_start = may_start & (is_scene | seen.camera_rests & (redchi > WORTH_MERGING))
     on_bodies = replace(seen, redchi=redchi, seen_redchi=seen_redchi)
     key, movers, next_key = _with_new(views, on_bodies, key, movers, neighbours, may_start, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.

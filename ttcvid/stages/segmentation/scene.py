@@ -97,7 +97,7 @@ def see_scene(
     every = views.points(np.arange(len(key)))
     fit = fit_on_paths(every, scene, labels.rate_hz * speed)
     rate_hz = fit.rate_hz
-    is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction[-1, 0])
+    is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
     way = scene.path[0, 0]
     if not is_sure and not (_moves_past(fit, region, is_free) and not MOTION_PRIORS[platform].excludes(way)):
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
