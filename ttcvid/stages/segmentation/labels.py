@@ -122,7 +122,7 @@ def find_bodies(
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
-    # A birth has to explain tracks better than their own body does. Two movers taken for one would else stay one. Before
+    # A birth has to explain tracks better than their own body does: two taken for one would else stay one. Before
     # a moving camera they do: a path or a lens that is a little wrong makes parts of one mover look like two.
     is_scene = key == SCENE_CLUSTER
     redchi, seen_redchi = (np.where(is_scene, one, own_redchi) for one in (seen.redchi, seen.seen_redchi))
