@@ -2,7 +2,7 @@
 
 The scene and each mover are rigid bodies with a relative trajectory. A track is assigned to the body that explains all
 of its views best, with a smoothness term over neighbours and one for its former label. Births of movers are proposed
-where neighbouring tracks contradict the scene and agree with each other.
+where neighbouring tracks contradict their body and agree with each other.
 """
 
 from __future__ import annotations
