@@ -1,4 +1,4 @@
-"""Births of movers: neighbouring tracks that contradict their body and share a flow or an expansion."""
+"""Births of movers: neighbouring tracks that contradict their body, mostly the scene, and share a flow or expand."""
 
 from __future__ import annotations
 

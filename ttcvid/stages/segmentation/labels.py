@@ -2,7 +2,7 @@
 
 The scene and each mover are rigid bodies with a relative trajectory. A track is assigned to the body that explains all
 of its views best, with a smoothness term over neighbours and one for its former label. Births of movers are proposed
-where neighbouring tracks contradict their body and agree with each other.
+where neighbouring tracks contradict the scene (before a camera at rest, also their mover) and agree with each other.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def find_bodies(
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
-    # A birth has to explain tracks better than their own body does: two taken for one would else stay one. Before
-    # a moving camera they do: a path or a lens that is a little wrong makes parts of one mover look like two.
+    # A birth has to explain tracks better than their own body does. Before a camera at rest it may take those of a mover:
+    # two taken for one would else stay one. With a moving camera a path or lens that is a little wrong forbids it.
     is_scene = key == SCENE_CLUSTER
     redchi, seen_redchi = (np.where(is_scene, one, own_redchi) for one in (seen.redchi, seen.seen_redchi))
     may_start = may_start & (is_scene | seen.camera_rests & (redchi > WORTH_MERGING))
