@@ -122,8 +122,8 @@ def find_bodies(
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
-    # A birth has to explain tracks better than their own body does. Before a camera at rest it may take those of a mover:
-    # two taken for one would else stay one. With a moving camera a path or lens that is a little wrong forbids it.
+    # A birth has to explain tracks better than their body does. Before a camera at rest it may take those of a mover:
+    # two taken for one would else stay one. Otherwise a path or lens that is a little wrong makes parts look like two.
     is_scene = key == SCENE_CLUSTER
     redchi, seen_redchi = (np.where(is_scene, one, own_redchi) for one in (seen.redchi, seen.seen_redchi))
     may_start = may_start & (is_scene | seen.camera_rests & (redchi > WORTH_MERGING))
