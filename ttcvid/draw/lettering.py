@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ttcvid.compiled import compiled_for
 from ttcvid.draw.palette import Colour
 from ttcvid.model import ImageSize, Picture
 
@@ -63,12 +62,9 @@ class Lettering:
         return np.asarray(cover, dtype=np.uint8)
 
 
-@compiled_for("(u1[:, :, ::1], u1[:, ::1], i8, i8, u1[::1])")
 def _blend(bgr: Picture, cover: Picture, x: int, y: int, ink: Picture) -> None:
     """Lays a colour over a picture from (x, y) on, where it is covered, as far as that lies in the picture."""
-    for row in range(max(-y, 0), min(cover.shape[0], bgr.shape[0] - y)):
-        for column in range(max(-x, 0), min(cover.shape[1], bgr.shape[1] - x)):
-            share = np.int64(cover[row, column])
-            for channel in range(3):
-                under = bgr[y + row, x + column, channel]
-                bgr[y + row, x + column, channel] = (under * (255 - share) + share * ink[channel]) // 255
+    share = cover[max(-y, 0) :, max(-x, 0) :, None].astype(np.uint16)
+    under = bgr[max(y, 0) :, max(x, 0) :][: share.shape[0], : share.shape[1]]
+    share = share[: under.shape[0], : under.shape[1]]
+    under[:] = (under * (255 - share) + share * ink) // 255

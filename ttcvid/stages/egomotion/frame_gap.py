@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.compiled import compiled_for
 from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.estimation.relative_pose import TwoViewFit
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Bools, Floats
 from ttcvid.stages.egomotion.relative_pose import (
     MOTION_PRIORS,
     Egomotion,
@@ -192,29 +191,15 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
     seen = np.flatnonzero(is_free & np.isfinite(before[:, 0] + now[:, 0]))
     if len(seen) < min_tracks:
         return None
-    rays, sigma_rad, is_used = now.take(seen, axis=0), history.sigma_rad.take(seen), np.zeros(len(seen), dtype=np.bool_)
-    _pick_quietest(picture_region(rays, region_side_of(history.camera)), sigma_rad, rays, is_used)
-    used = np.flatnonzero(is_used) if np.count_nonzero(is_used) >= min_tracks else np.arange(len(seen))
+    rays, sigma_rad = now.take(seen, axis=0), history.sigma_rad.take(seen)
+    # The quietest of each part, of the same noise by their place: the same ones in whatever order they come.
+    region = picture_region(rays, region_side_of(history.camera))
+    order = np.lexsort((rays[:, 1], rays[:, 0], sigma_rad, region))
+    rank = np.arange(len(order)) - np.searchsorted(region[order], region[order])
+    used = np.sort(order[rank < _MOST_IN_CELL])
+    if len(used) < min_tracks:
+        used = np.arange(len(seen))
     return before.take(seen[used], axis=0), rays.take(used, axis=0), sigma_rad.take(used)
-
-
-@compiled_for("(i8[::1], f8[::1], f8[:, ::1], b1[::1])")
-def _pick_quietest(region: Ints, sigma_rad: Floats, rays: Floats, is_picked: Bools) -> None:
-    """Mark the quietest tracks of each part of the picture, ``is_picked (N,)``.
-
-    Of the same noise by their place: the same ones in whatever order they come.
-    """
-    picked = np.full((len(region), _MOST_IN_CELL), -1)
-    for i in range(len(region)):
-        # Each that is displaced goes on to the next place; the last one is left over.
-        is_picked[i], left = True, i
-        for place in range(_MOST_IN_CELL):
-            other = picked[region[i], place]
-            own = (sigma_rad[left], rays[left, 0], rays[left, 1], left)
-            if left >= 0 and (other < 0 or own < (sigma_rad[other], rays[other, 0], rays[other, 1], other)):
-                picked[region[i], place], left = left, other
-        if left >= 0:
-            is_picked[left] = False
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.compiled import ZERO, compiled_for
 from ttcvid.geometry.estimation.relative_pose import (
     GaussianPrior,
     TwoViewFit,
@@ -251,32 +250,13 @@ def region_side_of(camera: Camera) -> float:
 
 def picture_region(rays: Floats, side: float = REGION) -> Ints:
     """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,), without gaps."""
-    region = np.empty(len(rays), dtype=np.int64)
-    _number_regions(np.ascontiguousarray(rays), side, region)
-    return region
-
-
-@compiled_for("(f8[:, ::1], f8, i8[::1])")
-def _number_regions(rays: Floats, side: float, region: Ints) -> None:
-    """Fill ``region (N,)`` of `picture_region`."""
-    half, first, last = _REGION_COUNT // 2, _REGION_COUNT * _REGION_COUNT, ZERO
-    for i in range(len(rays)):
-        deep = side * (rays[i, 2] if rays[i, 2] > _LEAST_Z else _LEAST_Z)
-        region[i] = 0
-        for axis in range(2):
-            cell = np.floor(rays[i, 1 - axis] / deep)
-            # A ray that is not known (NaN) has its place in the corner.
-            cell = min(cell, half - 1.0) if cell > -half else -half
-            region[i] = region[i] * _REGION_COUNT + int(cell) + half
-        first, last = min(first, region[i]), max(last, region[i])
-    rank, count = np.zeros(max(last - first + 1, 0), dtype=np.int32), ZERO
-    for i in range(len(rays)):
-        rank[region[i] - first] = 1
-    for cell in range(len(rank)):
-        count += rank[cell]
-        rank[cell] = count
-    for i in range(len(rays)):
-        region[i] = rank[region[i] - first] - 1
+    deep = side * np.fmax(rays[:, 2:], _LEAST_Z)
+    # A ray that is not known (NaN) has its place in the corner.
+    half = _REGION_COUNT // 2
+    cell = np.fmax(np.minimum(np.floor(rays[:, :2] / deep), half - 1.0), -half)
+    number = ((cell + half) @ (1.0, _REGION_COUNT)).astype(np.int64)
+    number -= number.min(initial=_REGION_COUNT * _REGION_COUNT)
+    return (np.cumsum(np.bincount(number) > 0) - 1)[number]
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:
