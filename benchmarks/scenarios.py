@@ -16,6 +16,7 @@ import argparse
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 # One thread of linear algebra in each process: set before numpy is loaded.
@@ -72,13 +73,19 @@ def _done(tasks: list[Task], arguments: argparse.Namespace) -> Took:
 
 
 def _write_docs(tasks: list[Task], took: Took, arguments: argparse.Namespace) -> None:
-    """The page, from the scenes asked for, as many tables of tracks as ``--tables``, and a sweep of cameras at rest."""
+    """The page, from the scenes asked for, as many tables of tracks as ``--tables``, and a sweep of cameras at rest.
+
+    Scenes and tables are analysed once more with ``--smooth``.
+    """
     as_tables = _beside(arguments, "tables", kind="tracks", n=arguments.tables)
     as_sweep = _beside(arguments, "sweep", families=MASTS, n=len(MASTS), sweep=SWEPT)
     tables, sweep = _tasks(as_tables), _tasks(as_sweep)
     tables_took = _done(tables, as_tables)
+    smoothed = [_smoothed(task) for task in (*tasks, *tables)]
+    _done(smoothed, arguments)
     _done(sweep, as_sweep)
-    scores, swept = ([score(task.folder) for task in some] for some in ([*tasks, *tables], sweep))
+    kinds_of_runs = ([*tasks, *tables], smoothed, sweep)
+    scores, scores_smoothed, swept = ([score(task.folder) for task in some] for some in kinds_of_runs)
     report = Report()
     if arguments.verdict:
         seeds = f"from the hash of commit {commit_hash(arguments.verdict)[:12]}"
@@ -94,8 +101,13 @@ def _write_docs(tasks: list[Task], took: Took, arguments: argparse.Namespace) ->
         report_clips(report, analyzed_clips(real_out, arguments.jobs))
     else:
         report.say("Real clips: left out, because their folder ($TTCVID_DATA) is absent.")
-    write_page(report, scores, swept, docs=REPOSITORY / "docs")
+    write_page(report, scores, scores_smoothed, swept, docs=REPOSITORY / "docs")
     report.write_docs("scenarios.md", "What the scenario suite says")
+
+
+def _smoothed(task: Task) -> Task:
+    """The same scene, analysed with the frames on both sides of each."""
+    return replace(task, out=task.out.with_name(f"{task.out.name}_smooth"), options={"smooth": True})
 
 
 def _beside(arguments: argparse.Namespace, name: str, **changes: object) -> argparse.Namespace:

@@ -139,7 +139,7 @@ def test_the_page_of_the_same_scenes_is_the_same_and_a_score_is_made_once(done_s
     for name in ("one", "two"):
         docs, report = tmp_path / name, Report()
         docs.mkdir()
-        write_page(report, scores, [], docs=docs)
+        write_page(report, scores, scores, [], docs=docs)
         pages.append(("\n".join(report._markdown), (docs / "scenarios_errors.png").read_bytes()))
     assert pages[0] == pages[1]
     assert "2 tables of point tracks" in pages[0][0]
