@@ -6,23 +6,6 @@ import pytest
 from scenario_suite.drawing import read_json
 from scenario_suite.nuisances import baselines
 from scenario_suite.running import Task, do
-from scenario_suite.scoring import score
-
-
-def found_share(folder, scenes):
-    """Share of the object-frames that are due, over scenes (family, seed) of clean track tables."""
-    frames = []
-    for family, seed in scenes:
-        task = Task(family, seed, "tracks", folder / "runs", folder / "drawn", baselines("tracks"))
-        frames.append(score(do(task).folder).object_frames)
-    due = pd.concat(frames).query("is_due")
-    assert len(due) > 20
-    return due.is_found.mean()
-
-
-def test_movers_that_were_taken_for_one_are_told_apart(tmp_path):
-    # Two cars that cross the way of a third begin beside it: all three were one for good, and a fourth joined them.
-    assert found_share(tmp_path, [("mast-along", 304)]) > 0.6
 
 
 @pytest.mark.parametrize("family", ["mast-junction", "mast-walkers", "KITTI-labels"])

@@ -1,4 +1,4 @@
-"""Births of movers: neighbouring tracks that contradict their body, mostly the scene, and share a flow or expand."""
+"""Births of movers: neighbouring tracks that contradict the scene and share a flow or an expansion."""
 
 from __future__ import annotations
 
@@ -56,24 +56,23 @@ class _Things:
 
 
 def new_movers(
-    views: BodyViews, seen: SeenScene, may_start: Bools, neighbours: Ints, config: BodiesConfig
+    views: BodyViews, seen: SeenScene, in_scene: Bools, neighbours: Ints, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
-    """Sets of connected tracks that contradict their body and that a trajectory of their own explains.
+    """Sets of connected tracks that contradict the scene and that a trajectory of their own explains.
 
     Parameters
     ----------
-    seen : the scene, with the misfits of tracks on their present bodies.
-    may_start : ``(N,)`` tracks that may be part of a birth.
+    in_scene : ``(N,)`` tracks of the scene that may be part of a birth.
     neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
 
     Returns of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
-    is_asked = may_start & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
+    is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
     members = expanding_movers(views, seen, may_spread, candidates, config)
-    things = _Things(members, least_tracks(config), 0.0, np.zeros_like(may_start))
+    things = _Things(members, least_tracks(config), 0.0, np.zeros_like(in_scene))
     spread, paths, rate_hz = _explained(views, seen, things, config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)

@@ -2,7 +2,7 @@
 
 The scene and each mover are rigid bodies with a relative trajectory. A track is assigned to the body that explains all
 of its views best, with a smoothness term over neighbours and one for its former label. Births of movers are proposed
-where neighbouring tracks contradict the scene (before a camera at rest, also their mover) and agree with each other.
+where neighbouring tracks contradict the scene and agree with each other.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ttcvid.stages.segmentation.bodies import carried_forward, stepped_movers
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers, assigned, kept, no_movers, numbers_of
 from ttcvid.stages.segmentation.ground_plane import RoadMemory
-from ttcvid.stages.segmentation.merges import WORTH_MERGING, merged
+from ttcvid.stages.segmentation.merges import merged
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
 from ttcvid.stages.segmentation.surface_memory import Obstacle, are_confirmed
@@ -119,16 +119,8 @@ def find_bodies(
     neighbours = views.neighbours()
     is_displaced, is_past_off = _are_displaced(views, seen, movers, number, labels.rate_hz, neighbours, config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
-    key, own_redchi = assigned(views, seen, key, movers, neighbours)
-    key, movers = kept(views, key, movers, config)
-    key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
-    # A birth has to explain tracks better than their body does. Before a camera at rest it may take those of a mover:
-    # two taken for one would else stay one. Otherwise a path or lens that is a little wrong makes parts look like two.
-    is_scene = key == SCENE_CLUSTER
-    redchi, seen_redchi = (np.where(is_scene, one, own_redchi) for one in (seen.redchi, seen.seen_redchi))
-    may_start = may_start & (is_scene | seen.camera_rests & (redchi > WORTH_MERGING))
-    on_bodies = replace(seen, redchi=redchi, seen_redchi=seen_redchi)
-    key, movers, next_key = _with_new(views, on_bodies, key, movers, neighbours, may_start, memory.next_key, config)
+    key, movers = _divided(views, seen, key, movers, neighbours, config)
+    key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     if is_displaced.any():
         known = np.append(SCENE_CLUSTER, movers.key)
@@ -206,6 +198,15 @@ def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) 
     return replace(before, paths=paths, last=last)
 
 
+def _divided(
+    views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
+) -> tuple[Ints, Movers]:
+    """Labels ``key (N,)`` over the scene and known movers after merging, and the movers kept."""
+    key, own_redchi = assigned(views, seen, key, movers, neighbours)
+    key, movers = kept(views, key, movers, config)
+    return merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
+
+
 def _with_new(
     views: BodyViews,
     seen: SeenScene,
@@ -216,11 +217,11 @@ def _with_new(
     next_key: int,
     config: BodiesConfig,
 ) -> tuple[Ints, Movers, int]:
-    """Labels ``(N,)`` and movers after births of tracks that ``may_start (N,)``, re-identified or new; the next key."""
+    """Labels ``(N,)`` and movers after births among the scene's tracks, re-identified or new, and the next key."""
     births = config
     if seen.camera_rests:
         births = config.model_copy(update={"min_tracks": min(config.min_tracks, _TRACKS_AT_REST)})
-    found, paths, found_hz = new_movers(views, seen, may_start, neighbours, births)
+    found, paths, found_hz = new_movers(views, seen, (key == SCENE_CLUSTER) & may_start, neighbours, births)
     if seen.camera_rests and found:
         is_one = _are_no_outlines(views, key, found, config.min_tracks)
         found = [members for members, is_mover in zip(found, is_one, strict=True) if is_mover]

@@ -20,7 +20,7 @@ _ONE_RATE, _BESIDE_RATE, _KNOWN_PART = 1.5, 1.2, 0.25
 # Two movers are merged if one trajectory raises their reduced chi-square (at least 1) by at most the first factor. That
 # is tried if the trajectory of the larger fits the smaller within the second: that of one half of a turning bus leaves
 # the other up to 30 times as far off before refinement.
-_MERGED_REDCHI, WORTH_MERGING = 2.0, 32.0
+_MERGED_REDCHI, _WORTH_TRYING = 2.0, 32.0
 _LEAST_REDCHI = 1.0
 # Gauss-Newton steps for the joint trajectory, and largest number of tracks of each mover in its test.
 _JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
@@ -140,7 +140,7 @@ def _worth_trying(
     both = np.repeat(np.arange(len(large)), counts[large] + counts[small])
     own = np.concatenate([tracks_of[place] for pair in zip(large, small, strict=True) for place in pair])
     limit = np.maximum(medians(own_redchi[own], both, len(large)), _LEAST_REDCHI)
-    is_worth = off <= WORTH_MERGING * limit
+    is_worth = off <= _WORTH_TRYING * limit
     return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
 
 
