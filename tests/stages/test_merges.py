@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from rigid_worlds import bodies_of, car, world
 
+from ttcvid.model import SCENE_CLUSTER, Platform
+
 N_FRAMES, SLOWLY = 16, (0.0, 0.0, 4.0)
 
 
@@ -50,3 +52,19 @@ def test_a_long_lorry_beside_us_is_one_though_its_cab_is_twice_as_far_away(seed)
     for frame in frames[12:]:
         assert len({frame.keys_of(number)[0] for number in (1, 2, 3)}) == 1
         assert min(frame.keys_of(number)[1] for number in (1, 2, 3)) > 0.9
+
+
+@pytest.mark.parametrize("camera_m_s", [(0.0, 0.0, 0.0), SLOWLY])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_car_behind_another_one_that_drives_the_same_way_is_a_mover_of_its_own(camera_m_s, seed):
+    """One trajectory explains both, at two distances: only that nothing is between these tells them apart."""
+    rng = np.random.default_rng(seed)
+    front, behind = (car(rng, place, (-4.0, 0.0, 0.0)) for place in ((2.0, 0.5, 20.0), (6.6, 0.5, 27.0)))
+    still = not any(camera_m_s)
+    platform = Platform.static if still else Platform.vehicle
+    frames = bodies_of(world(rng, camera_m_s, N_FRAMES, front, behind), N_FRAMES, camera_m_s, platform=platform)
+    for frame in frames[-4:]:
+        keys = [frame.keys_of(number)[0] for number in (1, 2)]
+        assert SCENE_CLUSTER not in keys
+        assert keys[0] != keys[1]
+        assert min(frame.keys_of(number)[1] for number in (1, 2)) > 0.9

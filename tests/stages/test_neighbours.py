@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, linked_parts, nearest_neighbours
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, nearest_neighbours
 
 
 @st.composite
@@ -85,9 +85,6 @@ def test_points_far_outside_the_picture_cost_no_memory_and_change_nothing():
     np.testing.assert_array_equal(np.sort(neighbours_of_all(xy, 6, 60.0)), np.sort(expected))
     pairs = linked_pairs(xy, 30.0)
     assert set(map(tuple, pairs.tolist())) == KDTree(xy).query_pairs(30.0)
-    same = np.zeros(len(xy))
-    parts = linked_parts(xy, 30.0, same, same + 1.0)
-    np.testing.assert_array_equal(parts, connected_parts(np.ones(len(xy), dtype=bool), pairs))
 
 
 def test_points_exactly_a_radius_apart_are_no_neighbours():
@@ -125,14 +122,3 @@ def test_parts_do_not_depend_on_the_order_of_the_pairs(graph, seed):
     is_in, pairs = graph
     shuffled = np.random.default_rng(seed).permuted(np.random.default_rng(seed).permutation(pairs), axis=1)
     np.testing.assert_array_equal(connected_parts(is_in, pairs), connected_parts(is_in, shuffled))
-
-
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 60))
-def test_linked_parts_are_those_that_near_pairs_of_like_values_join(seed, n):
-    rng = np.random.default_rng(seed)
-    xy, value = rng.uniform(0.0, 100.0, (n, 2)), rng.uniform(0.0, 1.0, n)
-    tolerance = rng.choice([0.0, 0.2, np.inf], n)
-    one, other = linked_pairs(xy, 25.0).T
-    is_alike = np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other]
-    expected = connected_parts(np.ones(n, dtype=bool), np.column_stack([one, other])[is_alike])
-    np.testing.assert_array_equal(linked_parts(xy, 25.0, value, tolerance), expected)

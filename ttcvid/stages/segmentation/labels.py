@@ -21,7 +21,7 @@ from ttcvid.stages.segmentation.bodies import carried_forward, stepped_movers
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers, assigned, kept, no_movers, numbers_of
 from ttcvid.stages.segmentation.ground_plane import RoadMemory
-from ttcvid.stages.segmentation.merges import merged
+from ttcvid.stages.segmentation.merges import merged, split
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
 from ttcvid.stages.segmentation.surface_memory import Obstacle, are_confirmed
@@ -119,8 +119,11 @@ def find_bodies(
     neighbours = views.neighbours()
     is_displaced, is_past_off = _are_displaced(views, seen, movers, number, labels.rate_hz, neighbours, config)
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
-    key, movers = _divided(views, seen, key, movers, neighbours, config)
-    key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, memory.next_key, config)
+    key, own_redchi = assigned(views, seen, key, movers, neighbours)
+    key, movers = kept(views, key, movers, config)
+    key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
+    key, movers, next_key = split(views, key, movers, memory.next_key, config.min_tracks)
+    key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, next_key, config)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     if is_displaced.any():
         known = np.append(SCENE_CLUSTER, movers.key)
@@ -196,15 +199,6 @@ def _carried_movers(memory: BodyMemory, egomotion: Egomotion, views: BodyViews) 
     paths = carried_forward(before.paths, cam_R_prev, views.t_s)
     last = before.last.carried_forward(cam_R_prev, paths.path[:, -2], views.t_s[-1] - views.t_s[-2])
     return replace(before, paths=paths, last=last)
-
-
-def _divided(
-    views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, config: BodiesConfig
-) -> tuple[Ints, Movers]:
-    """Labels ``key (N,)`` over the scene and known movers after merging, and the movers kept."""
-    key, own_redchi = assigned(views, seen, key, movers, neighbours)
-    key, movers = kept(views, key, movers, config)
-    return merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
 
 
 def _with_new(

@@ -1,22 +1,29 @@
-"""Merges of movers."""
+"""Merges of movers that are one, and splits of one that is two."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.cluster.hierarchy import linkage
 
-from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
+from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
-from ttcvid.stages.tracking.neighbours import linked_parts
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
-# Two bodies, or two parts of one, can be one if the ratio of their inverse depths is below the first factor, or if they
-# are connected by neighbouring tracks with ratios below the second, each known to a fourth of that.
-_ONE_RATE, _BESIDE_RATE, _KNOWN_PART = 1.5, 1.2, 0.25
+# Tracks side by side hang together if their inverse depths, each known to the first part, differ by less than the
+# factor, or if their depth changes by less than so many times their distance from each other: the side of a lorry does.
+_KNOWN_PART, _STEP, _SLOPE = 0.05, 1.2, 3.0
+# They are side by side within this many times the smallest distance that connects all tracks of a body.
+_BESIDE = 1.5
+# Two movers become one within this part of the tolerance: what is near it keeps its number.
+_TO_MERGE = 0.5
+# Where that is not known, bodies can be one if the ratio of their median inverse depths is below this.
+_ONE_RATE = 1.5
 # Two movers are merged if one trajectory raises their reduced chi-square (at least 1) by at most the first factor. That
 # is tried if the trajectory of the larger fits the smaller within the second: that of one half of a turning bus leaves
 # the other up to 30 times as far off before refinement.
@@ -162,23 +169,81 @@ def _joint(
     one, other = medians(fit.rate_hz[known], part[known], len(parts)).reshape(-1, 2).T
     is_one = medians(fit.redchi, points.thing, n_pairs) < _MERGED_REDCHI * median_redchi * pairs.limit
     is_one_rate = np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
-    for pair in np.flatnonzero(is_one & ~is_one_rate):
-        is_one[pair] = _hang_together(views, joint.take(np.array([pair])), *of_pairs[2 * pair : 2 * pair + 2])
+    for pair in np.flatnonzero(is_one):
+        hangs = _hang_together(views, joint.take(np.array([pair])), *of_pairs[2 * pair : 2 * pair + 2])
+        is_one[pair] = is_one_rate[pair] if hangs is None else hangs
     return _Joint(joint, joint_hz, is_one)
 
 
-def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -> bool:
+def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -> bool | None:
     """Whether most tracks of ``one`` and of the ``other`` are connected in image and depth, on a common trajectory.
 
-    A large object spans depths: the cab of a lorry beside us is twice as far away as its tank.
+    None where the depths of most tracks of either are not known. A large object spans depths: the cab of a lorry beside
+    us is twice as far away as its tank.
     """
     both = np.concatenate([one, other])
     fit = fit_on_paths(views.points(both, np.zeros_like(both)), path)
-    is_known = fit.rate_sigma_hz < _KNOWN_PART * np.log(_BESIDE_RATE) * fit.rate_hz
-    if not is_known.any():
-        return False
-    rate_hz, is_other = fit.rate_hz[is_known], np.flatnonzero(is_known) >= len(one)
-    tolerance = np.full(len(rate_hz), 0.5 * np.log(_BESIDE_RATE))
-    label = linked_parts(views.xy_px[both[is_known]], views.link_px, np.log(rate_hz), tolerance)
+    index = _known(fit)
+    is_other = index >= len(one)
+    if 2 * np.count_nonzero(~is_other) <= len(one) or 2 * np.count_nonzero(is_other) <= len(other):
+        return None
+    label = _parts(views, both[index], fit.take(index), _TO_MERGE)
     n_one, n_other = np.bincount(label[~is_other], minlength=1), np.bincount(label[is_other], minlength=1)
     return bool(n_one.argmax() == n_other.argmax() and 2 * n_one.max() > len(one) and 2 * n_other.max() > len(other))
+
+
+def _known(fit: PathFit) -> Ints:
+    """Indices of the points whose inverse depth is known."""
+    return np.flatnonzero(_sigma_hz(fit) < _KNOWN_PART * fit.rate_hz)
+
+
+def _sigma_hz(fit: PathFit) -> Floats:
+    """Standard deviation ``(M,)`` of inverse depths, larger where the path explains the views badly."""
+    return fit.rate_sigma_hz * np.sqrt(np.fmax(fit.redchi, 1.0))
+
+
+def _parts(views: BodyViews, track: Ints, fit: PathFit, slack: float = 1.0) -> Ints:
+    """Number of the part that each of M tracks of a body belongs to: those of a part hang together.
+
+    ``slack`` is the part of the tolerance that is allowed.
+    """
+    if len(track) < 2:
+        return np.zeros(len(track), dtype=np.int64)
+    xy_px, log_rate, sigma = views.xy_px[track], np.log(fit.rate_hz), _sigma_hz(fit) / fit.rate_hz
+    one, other = linked_pairs(xy_px, _BESIDE * linkage(xy_px, "single")[-1, 2]).T
+    apart = np.hypot(*(xy_px[one] - xy_px[other]).T) / views.focal_px
+    limit = slack * np.maximum(_SLOPE * apart, np.log(_STEP)) + sigma[one] + sigma[other]
+    hangs = np.abs(log_rate[one] - log_rate[other]) < limit
+    return connected_parts(np.ones(len(track), dtype=bool), np.column_stack([one[hangs], other[hangs]]))
+
+
+def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int) -> tuple[Ints, Movers, int]:
+    """Labels ``(N,)`` and movers after splits of those that do not hang together, and the next key.
+
+    What moves in the direction of the mover beside it has the same trajectory, at other inverse depths. A part of
+    ``least`` tracks whose inverse depths are known, and others than those of the largest part, becomes a mover. A track
+    of unknown depth goes with the nearest of these.
+    """
+    number, key = numbers_of(key, movers), key.copy()
+    for mover in np.flatnonzero(is_due(movers.n_found) & (movers.n_missed == 0)):
+        tracks = np.flatnonzero(number == mover + 1)
+        if len(tracks) < 2 * least:
+            continue
+        fit = fit_on_movers(views.points(tracks, np.full(len(tracks), mover)), movers.paths, movers.rate_hz)
+        index = _known(fit)
+        label = _parts(views, tracks[index], fit.take(index))
+        counts = np.bincount(label, minlength=1)
+        largest, rate_hz = int(counts.argmax()), medians(fit.rate_hz[index], label, len(counts))
+        is_part = (counts >= least) & (np.abs(np.log(rate_hz / rate_hz[largest])) > np.log(_STEP))
+        parts = np.flatnonzero(is_part)
+        if not len(parts):
+            continue
+        is_part[largest] = True
+        index, label = index[is_part[label]], label[is_part[label]]
+        away_px = np.linalg.norm(views.xy_px[tracks, None] - views.xy_px[tracks[index]], axis=2)
+        nearest = label[away_px.argmin(axis=1)]
+        for place, part in enumerate(parts):
+            key[tracks[nearest == part]] = next_key + place
+        movers = movers.with_new(next_key, movers.paths.take(np.full(len(parts), mover)), rate_hz[parts])
+        next_key += len(parts)
+    return key, movers, next_key

@@ -99,22 +99,6 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
     return _parts(len(is_in), pairs.take(np.flatnonzero(is_in[pairs[:, 0]] & is_in[pairs[:, 1]]), axis=0))
 
 
-def linked_parts(xy_px: Floats, radius_px: float, value: Floats, tolerance: Floats) -> Ints:
-    """Number of the part that each point belongs to, (N,), numbered by their first point.
-
-    Two points are connected when they lie closer than a radius and their values differ by less than the sum of their
-    tolerances.
-
-    Parameters
-    ----------
-    xy_px : (N, 2); ``value, tolerance (N,)``.
-    """
-    pairs = linked_pairs(xy_px, radius_px)
-    one, other = pairs.T
-    is_one = np.abs(value[one] - value[other]) < tolerance[one] + tolerance[other]
-    return _parts(len(xy_px), pairs.take(np.flatnonzero(is_one), axis=0))
-
-
 def _parts(n: int, pairs: Ints) -> Ints:
     """Number of the part that each of N tracks belongs to, joined by ``pairs (M, 2)``: (N,)."""
     first = np.arange(n)
