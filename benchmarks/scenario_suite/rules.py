@@ -159,6 +159,12 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.merges.merged": lambda views, scene, key, movers, *_: (key, movers)},
         _stage("segmentation/merges"),
     ),
+    "split": Rule(
+        "movers that do not hang together are two",
+        "bodies",
+        {"stages.segmentation.merges.split": lambda views, key, movers, next_key, _: (key, movers, next_key)},
+        _stage("segmentation/merges"),
+    ),
     "frozen": Rule(
         "what stays on its pixel is bonnet or text",
         "bodies",

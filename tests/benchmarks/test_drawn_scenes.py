@@ -6,6 +6,15 @@ import pytest
 from scenario_suite.drawing import read_json
 from scenario_suite.nuisances import baselines
 from scenario_suite.running import Task, do
+from scenario_suite.scoring import score
+
+
+def test_vehicles_that_cross_side_by_side_are_told_apart(tmp_path):
+    # Two cars that cross the way of a third begin beside it: all three were one for good, and a fourth joined them.
+    task = Task("mast-along", 304, "tracks", tmp_path / "runs", tmp_path / "drawn", baselines("tracks"))
+    rows = score(do(task).folder).object_frames.query("is_due")
+    assert len(rows) > 20
+    assert rows.is_found.mean() > 0.6
 
 
 @pytest.mark.parametrize("family", ["mast-junction", "mast-walkers", "KITTI-labels"])

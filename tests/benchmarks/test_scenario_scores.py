@@ -139,11 +139,15 @@ def test_the_page_of_the_same_scenes_is_the_same_and_a_score_is_made_once(done_s
     for name in ("one", "two"):
         docs, report = tmp_path / name, Report()
         docs.mkdir()
-        write_page(report, scores, scores, [], docs=docs)
+        write_page(report, scores, scores[:1], [], docs=docs)
         pages.append(("\n".join(report._markdown), (docs / "scenarios_errors.png").read_bytes()))
     assert pages[0] == pages[1]
     assert "2 tables of point tracks" in pages[0][0]
     assert "| mast-crossing | 1 |" in pages[0][0]
+    bars = next(line for line in pages[0][0].splitlines() if line.startswith("| found |"))
+    found = [shown(Figures(some).over(np.ones(len(some), bool))["found"], 100.0) for some in (scores, scores[:1])]
+    assert found[0] != found[1]
+    assert [cell.strip() for cell in bars.split("|")[3:6:2]] == found
 
 
 @pytest.mark.slow

@@ -54,17 +54,47 @@ def test_a_long_lorry_beside_us_is_one_though_its_cab_is_twice_as_far_away(seed)
         assert min(frame.keys_of(number)[1] for number in (1, 2, 3)) > 0.9
 
 
-@pytest.mark.parametrize("camera_m_s", [(0.0, 0.0, 0.0), SLOWLY])
+STILL = (0.0, 0.0, 0.0)
+
+
+def queue(seed, camera_m_s, *others, n_tracks=30):
+    """Frames of two cars that drive the same way, one behind the other: one trajectory explains both."""
+    rng = np.random.default_rng(seed)
+    cars = [car(rng, place, (-4.0, 0.0, 0.0), n_tracks) for place in ((2.0, 0.5, 20.0), (6.6, 0.5, 27.0))]
+    more = [car(rng, place, (-4.0, 0.0, 0.0), n, size, frames=frames) for place, n, size, frames in others]
+    platform = Platform.vehicle if any(camera_m_s) else Platform.static
+    things = world(rng, camera_m_s, N_FRAMES, *cars, *more)
+    return bodies_of(things, N_FRAMES, camera_m_s, platform=platform, seed=seed)
+
+
+def assert_apart(frames, part=0.8):
+    """Both cars have a key of their own, the same ones in all of these frames."""
+    keys = [{frame.keys_of(number)[0] for frame in frames} for number in (1, 2)]
+    assert [len(own) for own in keys] == [1, 1]
+    assert SCENE_CLUSTER not in keys[0] | keys[1]
+    assert keys[0] != keys[1]
+    assert min(frame.keys_of(number)[1] for frame in frames for number in (1, 2)) > part
+
+
+@pytest.mark.parametrize("camera_m_s", [STILL, SLOWLY])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_car_behind_another_one_that_drives_the_same_way_is_a_mover_of_its_own(camera_m_s, seed):
-    """One trajectory explains both, at two distances: only that nothing is between these tells them apart."""
-    rng = np.random.default_rng(seed)
-    front, behind = (car(rng, place, (-4.0, 0.0, 0.0)) for place in ((2.0, 0.5, 20.0), (6.6, 0.5, 27.0)))
-    still = not any(camera_m_s)
-    platform = Platform.static if still else Platform.vehicle
-    frames = bodies_of(world(rng, camera_m_s, N_FRAMES, front, behind), N_FRAMES, camera_m_s, platform=platform)
-    for frame in frames[-4:]:
-        keys = [frame.keys_of(number)[0] for number in (1, 2)]
-        assert SCENE_CLUSTER not in keys
-        assert keys[0] != keys[1]
-        assert min(frame.keys_of(number)[1] for number in (1, 2)) > 0.9
+    assert_apart(queue(seed, camera_m_s)[8:])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_single_tracks_far_off_do_not_make_a_queue_one(seed):
+    """A gap may be as wide as what has tracks is apart: a single track is no part of that."""
+    bridge = ((9.7, 0.5, 27.0), 30, (7.5, 1.4, 1.8), (0, 3))
+    stray = ((13.0, 0.5, 27.0), 1, (0.1, 0.1, 0.1), (0, 99))
+    assert_apart(queue(seed, STILL, bridge, stray)[8:])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_left_of_a_split_is_seen_as_a_whole(seed):
+    frames = queue(seed, STILL)
+    for number in (1, 2):
+        movers = frames[-1].found.movers.take(frames[-1].found.movers.key == frames[-1].keys_of(number)[0])
+        on_it = frames[-1].truth == number
+        assert movers.last.n_tracks[0] == pytest.approx(on_it.sum(), rel=0.2)
+        assert movers.last.extent[0] * movers.rate_hz[0] < 0.15

@@ -250,9 +250,8 @@ def region_side_of(camera: Camera) -> float:
 
 def picture_region(rays: Floats, side: float = REGION) -> Ints:
     """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,), without gaps."""
-    deep = side * np.fmax(rays[:, 2:], _LEAST_Z)
+    half, deep = _REGION_COUNT // 2, side * np.fmax(rays[:, 2:], _LEAST_Z)
     # A ray that is not known (NaN) has its place in the corner.
-    half = _REGION_COUNT // 2
     cell = np.fmax(np.minimum(np.floor(rays[:, :2] / deep), half - 1.0), -half)
     number = ((cell + half) @ (1.0, _REGION_COUNT)).astype(np.int64)
     number -= number.min(initial=_REGION_COUNT * _REGION_COUNT)

@@ -26,7 +26,7 @@ _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
 _AS_STILL = 1.0
 # A hidden mover can be re-identified for this long, s: later its motion may have changed.
 _KNOWN_AGAIN_S = 1.0
-# Merges are tried in the first frames of a mover, then every fourth frame.
+# Merges and splits are tried in the first frames of a mover, then every fourth frame.
 _YOUNG_FRAMES, _DUE_FRAMES = 5, 4
 
 
@@ -102,7 +102,7 @@ def no_movers(n_views: int) -> Movers:
 
 
 def is_due(n_found: Ints) -> Bools:
-    """Whether merges are tried for movers in this frame: ``(K,)``, by the number of frames ``n_found (K,)``."""
+    """Whether merges and splits are tried in this frame for movers: ``(K,)``, by their ``n_found (K,)``."""
     return np.asarray((n_found <= _YOUNG_FRAMES) | (n_found % _DUE_FRAMES == 0))
 
 

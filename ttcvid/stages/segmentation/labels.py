@@ -2,7 +2,8 @@
 
 The scene and each mover are rigid bodies with a relative trajectory. A track is assigned to the body that explains all
 of its views best, with a smoothness term over neighbours and one for its former label. Births of movers are proposed
-where neighbouring tracks contradict the scene and agree with each other.
+where neighbouring tracks contradict the scene and agree with each other; movers that are one are merged, one that is
+two is split.
 """
 
 from __future__ import annotations
@@ -122,13 +123,11 @@ def find_bodies(
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
     key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
+    # A track with a displaced observation keeps its body: the next observation may fit again.
+    known = np.append(SCENE_CLUSTER, movers.key)
+    key = np.where(is_displaced & (known[numbers_of(belonged, movers)] == belonged), belonged, key)
     key, movers, next_key = split(views, key, movers, memory.next_key, config.min_tracks)
     key, movers, next_key = _with_new(views, seen, key, movers, neighbours, may_start, next_key, config)
-    # A track with a displaced observation keeps its body: the next observation may fit again.
-    if is_displaced.any():
-        known = np.append(SCENE_CLUSTER, movers.key)
-        stays = is_displaced & (known[numbers_of(belonged, movers)] == belonged)
-        key = np.where(stays, belonged, key)
     number = numbers_of(key, movers)
     movers = with_velocities(views, seen.scene, number, movers)
     n_tracks = np.bincount(number, minlength=len(movers) + 1)[1:]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.cluster.hierarchy import linkage
+from scipy.spatial import KDTree
 
 from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.medians import medians
@@ -15,23 +16,20 @@ from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
-# Tracks side by side hang together if their inverse depths, each known to the first part, differ by less than the
-# factor, or if their depth changes by less than so many times their distance from each other: the side of a lorry does.
-_KNOWN_PART, _STEP, _SLOPE = 0.05, 1.2, 3.0
-# They are side by side within this many times the smallest distance that connects all tracks of a body.
-_BESIDE = 1.5
-# Two movers become one within this part of the tolerance: what is near it keeps its number.
+# Tracks side by side hang together if their inverse depths differ by less than the first factor, or their depth changes
+# by less than this many times their distance from each other (a slanted side), up to the second factor. So they are
+# compared if known to this part, within this many times the smallest distance that connects all groups of a body.
+_STEP, _MOST_STEP, _SLOPE = 1.2, 1.5, 3.0
+_KNOWN_PART, _BESIDE = 0.05, 1.5
+# Two movers become one within this part of these tolerances: what is near the limit keeps its number.
 _TO_MERGE = 0.5
-# Where that is not known, bodies can be one if the ratio of their median inverse depths is below this.
-_ONE_RATE = 1.5
 # Two movers are merged if one trajectory raises their reduced chi-square (at least 1) by at most the first factor. That
 # is tried if the trajectory of the larger fits the smaller within the second: that of one half of a turning bus leaves
 # the other up to 30 times as far off before refinement.
 _MERGED_REDCHI, _WORTH_TRYING = 2.0, 32.0
 _LEAST_REDCHI = 1.0
-# Gauss-Newton steps for the joint trajectory, and largest number of tracks of each mover in its test.
-_JOINT_STEPS, _ENOUGH_TRACKS = 4, 60
-_LEAST_TRACKS = 3
+# Gauss-Newton steps for the joint trajectory; smallest number of tracks of a group, and largest of each mover in tests.
+_JOINT_STEPS, _LEAST_TRACKS, _ENOUGH_TRACKS = 4, 3, 60
 
 
 @dataclass(frozen=True)
@@ -45,10 +43,6 @@ class _Pairs:
     large: Ints
     small: Ints
     limit: Floats
-
-    def take(self, index: Ints) -> _Pairs:
-        """The pairs that an index array picks."""
-        return _Pairs(self.large[index], self.small[index], self.limit[index])
 
 
 @dataclass(frozen=True)
@@ -87,25 +81,19 @@ def merged(
     pairs = _worth_trying(views, tracks_of, movers, *asked, own_redchi, median_redchi)
     if pairs is None:
         return key, movers
-    every = _joint(views, scene, tracks_of, movers, pairs, median_redchi)
+    joint = _joint(views, scene, tracks_of, movers, pairs, median_redchi)
     key, paths, rate_hz = key.copy(), movers.paths.take(np.arange(len(movers))), movers.rate_hz.copy()
     is_gone, is_changed = np.zeros(len(movers), dtype=bool), np.zeros(len(movers), dtype=bool)
-    for place in range(len(pairs.large)):
-        joint, at, both = every, place, [int(pairs.large[place]), int(pairs.small[place])]
-        if is_gone[both].any():
-            continue
+    for place in np.flatnonzero(joint.is_one):
+        both = [int(pairs.large[place]), int(pairs.small[place])]
+        # What has just been merged with a third one waits for the next time.
         if is_changed[both].any():
-            # One of the two has just been merged with a third.
-            movers = replace(movers, paths=paths, rate_hz=rate_hz)
-            joint, at = _joint(views, scene, tracks_of, movers, pairs.take(np.array([place])), median_redchi), 0
-        if not joint.is_one[at]:
             continue
         younger, older = sorted(both, key=lambda mover: (movers.n_found[mover], -mover))
         key[tracks_of[younger]] = movers.key[older]
-        tracks_of[older] = np.flatnonzero(key == movers.key[older])
-        is_gone[younger], is_changed[older] = True, True
-        paths.cam_R_past[older], paths.path[older] = joint.paths.cam_R_past[at], joint.paths.path[at]
-        rate_hz[older] = joint.rate_hz[at]
+        is_gone[younger], is_changed[both] = True, True
+        paths.cam_R_past[older], paths.path[older] = joint.paths.cam_R_past[place], joint.paths.path[place]
+        rate_hz[older] = joint.rate_hz[place]
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
@@ -158,38 +146,36 @@ def _joint(
     of_pairs = [tracks_of[place] for pair in zip(pairs.large, pairs.small, strict=True) for place in pair]
     parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in of_pairs]
     part, n_pairs = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts]), len(pairs.large)
-    points = views.points(np.concatenate(parts), part // 2)
+    track = np.concatenate(parts)
+    points = views.points(track, part // 2)
     steps = np.full(n_pairs, _JOINT_STEPS)
     # Without inverse depths to start from, the first steps would bend a trajectory that fits.
     start_hz = movers.rate_hz[pairs.large][points.thing]
     joint, joint_hz = refined_movers(movers.paths.take(pairs.large), scene, points, steps, start_hz)
     fit = fit_on_paths(points, joint)
-    # A new track has no inverse depth yet.
-    known = np.isfinite(fit.rate_hz)
-    one, other = medians(fit.rate_hz[known], part[known], len(parts)).reshape(-1, 2).T
     is_one = medians(fit.redchi, points.thing, n_pairs) < _MERGED_REDCHI * median_redchi * pairs.limit
-    is_one_rate = np.maximum(one, other) < _ONE_RATE * np.minimum(one, other)
     for pair in np.flatnonzero(is_one):
-        hangs = _hang_together(views, joint.take(np.array([pair])), *of_pairs[2 * pair : 2 * pair + 2])
-        is_one[pair] = is_one_rate[pair] if hangs is None else hangs
+        of_pair = np.flatnonzero(points.thing == pair)
+        is_one[pair] = _hang_together(views.xy[track[of_pair]], fit.take(of_pair), part[of_pair] % 2)
     return _Joint(joint, joint_hz, is_one)
 
 
-def _hang_together(views: BodyViews, path: RigidPaths, one: Ints, other: Ints) -> bool | None:
-    """Whether most tracks of ``one`` and of the ``other`` are connected in image and depth, on a common trajectory.
+def _hang_together(xy: Floats, fit: PathFit, side: Ints) -> bool:
+    """Whether most tracks of both movers, ``side (M,)`` 0 and 1, are in the same part on a common trajectory.
 
-    None where the depths of most tracks of either are not known. A large object spans depths: the cab of a lorry beside
-    us is twice as far away as its tank.
+    Or whether they have about the same median inverse depth, which decides where that of single tracks is not known. A
+    large object spans depths: the cab of a lorry beside us is twice as far away as its tank.
     """
-    both = np.concatenate([one, other])
-    fit = fit_on_paths(views.points(both, np.zeros_like(both)), path)
     index = _known(fit)
-    is_other = index >= len(one)
-    if 2 * np.count_nonzero(~is_other) <= len(one) or 2 * np.count_nonzero(is_other) <= len(other):
-        return None
-    label = _parts(views, both[index], fit.take(index), _TO_MERGE)
-    n_one, n_other = np.bincount(label[~is_other], minlength=1), np.bincount(label[is_other], minlength=1)
-    return bool(n_one.argmax() == n_other.argmax() and 2 * n_one.max() > len(one) and 2 * n_other.max() > len(other))
+    n_known = np.bincount(side[index], minlength=2)
+    is_known = n_known.min() >= _LEAST_TRACKS
+    used = index if is_known else np.arange(len(side))
+    rates_hz = medians(fit.rate_hz[used], side[used], 2)
+    if rates_hz.max() < (_STEP**_TO_MERGE if is_known else _MOST_STEP) * rates_hz.min():
+        return True
+    label = _parts(xy[index], fit.take(index), _TO_MERGE)
+    counts = np.array([np.bincount(label[side[index] == one], minlength=len(label)) for one in (0, 1)])
+    return bool(is_known and (2 * counts > n_known[:, None]).all(axis=0).any())
 
 
 def _known(fit: PathFit) -> Ints:
@@ -202,37 +188,44 @@ def _sigma_hz(fit: PathFit) -> Floats:
     return fit.rate_sigma_hz * np.sqrt(np.fmax(fit.redchi, 1.0))
 
 
-def _parts(views: BodyViews, track: Ints, fit: PathFit, slack: float = 1.0) -> Ints:
-    """Number of the part that each of M tracks of a body belongs to: those of a part hang together.
+def _parts(xy: Floats, fit: PathFit, slack: float) -> Ints:
+    """Number of the part that each of M tracks of a body at ``xy (M, 2)`` belongs to: those of a part hang together.
 
-    ``slack`` is the part of the tolerance that is allowed.
+    ``slack`` is the part of the tolerances that is allowed.
     """
-    if len(track) < 2:
-        return np.zeros(len(track), dtype=np.int64)
-    xy_px, log_rate, sigma = views.xy_px[track], np.log(fit.rate_hz), _sigma_hz(fit) / fit.rate_hz
-    one, other = linked_pairs(xy_px, _BESIDE * linkage(xy_px, "single")[-1, 2]).T
-    apart = np.hypot(*(xy_px[one] - xy_px[other]).T) / views.focal_px
-    limit = slack * np.maximum(_SLOPE * apart, np.log(_STEP)) + sigma[one] + sigma[other]
+    n = len(xy)
+    joins = linkage(xy, "single") if n > 1 else np.empty((0, 4))
+    # Single tracks far from the others connect nothing: only distances between groups count.
+    size = np.append(np.ones(n), joins[:, 3])
+    is_group = size[joins[:, :2].astype(np.int64)].min(axis=1, initial=n) >= _LEAST_TRACKS
+    if not is_group.any():
+        return np.zeros(n, dtype=np.int64)
+    one, other = linked_pairs(xy, _BESIDE * joins[is_group, 2].max()).T
+    log_rate, sigma = np.log(fit.rate_hz), _sigma_hz(fit) / fit.rate_hz
+    apart = np.linalg.norm(xy[one] - xy[other], axis=1)
+    limit = slack * np.clip(_SLOPE * apart, np.log(_STEP), np.log(_MOST_STEP)) + sigma[one] + sigma[other]
     hangs = np.abs(log_rate[one] - log_rate[other]) < limit
-    return connected_parts(np.ones(len(track), dtype=bool), np.column_stack([one[hangs], other[hangs]]))
+    return connected_parts(np.ones(n, dtype=bool), np.column_stack([one[hangs], other[hangs]]))
 
 
 def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int) -> tuple[Ints, Movers, int]:
-    """Labels ``(N,)`` and movers after splits of those that do not hang together, and the next key.
+    """Labels ``(N,)`` and movers after splits of those that do not hang together, and the ``next_key`` that is free.
 
-    What moves in the direction of the mover beside it has the same trajectory, at other inverse depths. A part of
-    ``least`` tracks whose inverse depths are known, and others than those of the largest part, becomes a mover. A track
-    of unknown depth goes with the nearest of these.
+    What moves in the direction of the mover beside it has the same trajectory, at other inverse depths. A part becomes
+    a mover if it has ``least`` tracks of known inverse depth, whose median is another than that of the largest part,
+    which keeps the key. All other tracks go with the nearest of these.
     """
     number, key = numbers_of(key, movers), key.copy()
     for mover in np.flatnonzero(is_due(movers.n_found) & (movers.n_missed == 0)):
         tracks = np.flatnonzero(number == mover + 1)
-        if len(tracks) < 2 * least:
-            continue
         fit = fit_on_movers(views.points(tracks, np.full(len(tracks), mover)), movers.paths, movers.rate_hz)
         index = _known(fit)
-        label = _parts(views, tracks[index], fit.take(index))
-        counts = np.bincount(label, minlength=1)
+        index = index[:: 1 + len(index) // (4 * _ENOUGH_TRACKS)]
+        if len(index) < 2 * least:
+            continue
+        xy = views.xy[tracks]
+        label = _parts(xy[index], fit.take(index), 1.0)
+        counts = np.bincount(label)
         largest, rate_hz = int(counts.argmax()), medians(fit.rate_hz[index], label, len(counts))
         is_part = (counts >= least) & (np.abs(np.log(rate_hz / rate_hz[largest])) > np.log(_STEP))
         parts = np.flatnonzero(is_part)
@@ -240,10 +233,11 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int
             continue
         is_part[largest] = True
         index, label = index[is_part[label]], label[is_part[label]]
-        away_px = np.linalg.norm(views.xy_px[tracks, None] - views.xy_px[tracks[index]], axis=2)
-        nearest = label[away_px.argmin(axis=1)]
+        nearest = label[KDTree(xy[index]).query(xy)[1]]
         for place, part in enumerate(parts):
             key[tracks[nearest == part]] = next_key + place
         movers = movers.with_new(next_key, movers.paths.take(np.full(len(parts), mover)), rate_hz[parts])
+        # What is left is seen as a whole with fewer tracks.
+        movers.rate_hz[mover], movers.last.n_tracks[mover] = rate_hz[largest], 0
         next_key += len(parts)
     return key, movers, next_key
