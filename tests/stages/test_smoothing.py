@@ -234,6 +234,15 @@ def test_tracks_are_in_an_object_as_soon_as_the_next_frames_will_have_them_there
     np.testing.assert_allclose(item.motions.clusters[2].direction, unit(VELOCITY), atol=1e-3)
 
 
+def test_an_object_that_is_gone_before_the_last_frame_is_not_there_earlier():
+    found = histories(car(20))
+    now, then = np.zeros(20, np.int64), np.array([7] * 10 + [8] * 10)
+    histories_after = found[NOW + 1 : NOW + 1 + AFTER]
+    later = [seen(one, then if k < 5 else [7] * 10 + [0] * 10) for k, one in enumerate(histories_after)]
+    item = seen_again(seen(found[NOW], now), later, CAMERA, PIPELINE)
+    np.testing.assert_array_equal(item.motions.cluster_id, [7] * 10 + [0] * 10)
+
+
 def test_what_is_frozen_to_its_pixel_joins_no_object():
     found = histories(car(20))
     item = seen(found[NOW], np.zeros(20, np.int64))

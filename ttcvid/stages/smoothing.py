@@ -110,8 +110,7 @@ def _turned_up_to(frame: int, later: Sequence[TrackHistory]) -> Floats:
 
 def _same_tracks(history: TrackHistory, after: TrackHistory) -> tuple[Ints, Ints]:
     """The tracks that a later frame still has: their indices in this one, and in that."""
-    _, here, there = np.intersect1d(history.track_id, after.track_id, assume_unique=True, return_indices=True)
-    return here, there
+    return np.intersect1d(history.track_id, after.track_id, assume_unique=True, return_indices=True)[1:]
 
 
 def _smoothed_direction(history: TrackHistory, egomotion: Egomotion) -> Egomotion:
@@ -133,14 +132,15 @@ def _with_known_objects(seen: Seen, later: Sequence[Seen], min_tracks: int) -> F
     """The clusters, with tracks already in the object in which a later frame first has them.
 
     A new mover gets its number when enough tracks have found it, for some frames, and a new track is with the scene at
-    first. An object that was not there yet has to have ``min_tracks`` tracks.
+    first. An object that was not there yet has to have ``min_tracks`` tracks, and to be there still in the last frame.
     """
     before = seen.motions.cluster_id
-    cluster_id = before.copy()
+    numbers = np.append(before, later[-1].motions.cluster_id)
+    cluster_id, lasting = before.copy(), numbers[numbers > SCENE_CLUSTER]
     for after in later:
         here, there = _same_tracks(seen.history, after.history)
         theirs = after.motions.cluster_id[there]
-        joins = (cluster_id[here] <= SCENE_CLUSTER) & (theirs > SCENE_CLUSTER) & seen.motions.is_free[here]
+        joins = (cluster_id[here] <= SCENE_CLUSTER) & seen.motions.is_free[here] & np.isin(theirs, lasting)
         cluster_id[here[joins]] = theirs[joins]
     known = {motion.cluster_id: motion for motion in seen.motions.clusters}
     number, count = np.unique(cluster_id[cluster_id > SCENE_CLUSTER], return_counts=True)
