@@ -241,8 +241,8 @@ def _bars(report: Report, figures: Figures, smoothed: Figures) -> None:
     report.heading("Beside the bars")
     report.say(
         "Each frame by itself and what came before it, as `analyze` does without options, and again with the frames "
-        "after it (`--smooth`). Warnings are the same with both: they never know what comes. With other objects around, "
-        "one may be judged otherwise."
+        "after it (`--smooth`). Warnings are the same with both: they never know what comes. With other objects "
+        "around, one may be judged otherwise."
     )
     causal, both_sides = (one.over(np.ones(len(one.scores), bool)) for one in (figures, smoothed))
     report.table(
