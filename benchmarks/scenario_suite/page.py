@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from report import Report
+from report import Bar, Report
 
 from scenario_suite.families import FAMILIES
 from scenario_suite.figures import FORESEEN_S, LEVEL, SPREAD, Estimate, Figures
@@ -190,50 +190,50 @@ def _failures(report: Report, figures: Figures, sweep: Sequence[SceneScore]) -> 
     )
 
 
+def rated(name: str) -> Callable[[dict[str, Estimate]], str]:
+    """A column of rates."""
+    return lambda figures: rate(figures[name])
+
+
 @dataclass(frozen=True)
-class _Bar:
-    """A line of the bars: ``names`` of figures of which each has to be within ``least`` and ``most``."""
+class _Line:
+    """A line of the bars: each of the figures ``names``, written as ``column`` does, has to keep the ``bar``."""
 
     title: str
     names: tuple[str, ...]
-    write: Callable[[Estimate], str]
-    wanted: str
-    least: float = -math.inf
-    most: float = math.inf
+    bar: Bar
+    column: Callable[[str], Callable[[dict[str, Estimate]], str]] = percent
+
+    @property
+    def wanted(self) -> str:
+        """The bar in words."""
+        return f"{self.bar} %" if self.column is percent else str(self.bar)
 
     def cells(self, figures: dict[str, Estimate]) -> list[str]:
         """What was measured, and whether that is enough."""
-        measured = [figures[name] for name in self.names]
-        is_kept = all(self.least <= one.value <= self.most for one in measured)
-        return ["; ".join(map(self.write, measured)), "kept" if is_kept else "MISSED"]
+        scale = 100.0 if self.column is percent else 1.0
+        is_kept = all(self.bar.is_kept_by(scale * figures[name].value) for name in self.names)
+        measured = "; ".join(self.column(name)(figures) for name in self.names)
+        return [measured, "kept" if is_kept else "MISSED"]
 
 
-def _as_percent(estimate: Estimate) -> str:
-    return shown(estimate, 100.0)
-
-
-_BARS = (
-    _Bar("found", ("found",), _as_percent, ">= 85 %", least=0.85),
-    _Bar("ttc_z, median error", ("ttc_z_median",), _as_percent, "<= 5 %", most=0.05),
-    _Bar("tcpa, median error", ("tcpa_median",), _as_percent, "<= 5 %", most=0.05),
-    _Bar(
+_LINES = (
+    _Line("found", ("found",), Bar(85.0, at_least=True)),
+    _Line("ttc_z, median error", ("ttc_z_median",), Bar(5.0)),
+    _Line("tcpa, median error", ("tcpa_median",), Bar(5.0)),
+    _Line(
         "90 % intervals hold the truth (ttc_z; tcpa; miss)",
         ("ttc_z_coverage", "tcpa_coverage", "miss_coverage"),
-        _as_percent,
-        "83-95 %",
-        least=0.83,
-        most=0.95,
+        Bar(83.0, at_least=True, most=95.0),
     ),
-    _Bar("false objects a frame", ("false_per_frame",), lambda one: shown(one, 1.0), "<= 0.05", most=0.05),
-    _Bar("collisions warned of >= 1.7 s ahead", ("warned_1.7s",), _as_percent, ">= 90 %", least=0.9),
-    _Bar(
+    _Line("false objects a frame", ("false_per_frame",), Bar(0.05), plain),
+    _Line("collisions warned of >= 1.7 s ahead", ("warned_1.7s",), Bar(90.0, at_least=True)),
+    _Line(
         f"... of objects larger than {LEAST_SIZE_PX:g} px for {FORESEEN_S:g} s before",
         ("foreseen_warned_1.7s",),
-        _as_percent,
-        ">= 90 %",
-        least=0.9,
+        Bar(90.0, at_least=True),
     ),
-    _Bar("false warnings in 10 minutes", ("false_warnings",), rate, "<= 1", most=1.0),
+    _Line("false warnings in 10 minutes", ("false_warnings",), Bar(1.0), rated),
 )
 
 
@@ -247,7 +247,7 @@ def _bars(report: Report, figures: Figures, smoothed: Figures) -> None:
     causal, both_sides = (one.over(np.ones(len(one.scores), bool)) for one in (figures, smoothed))
     report.table(
         ["over all scenes", "has to be", "is", "", "with `--smooth`", ""],
-        [[bar.title, bar.wanted, *bar.cells(causal), *bar.cells(both_sides)] for bar in _BARS],
+        [[line.title, line.wanted, *line.cells(causal), *line.cells(both_sides)] for line in _LINES],
     )
 
 

@@ -16,12 +16,15 @@ from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
-# Tracks side by side hang together if their inverse depths differ by less than the first factor, or their depth changes
-# by less than this many times their distance from each other (a slanted side), up to the second factor. So they are
-# compared if known to this part, within this many times the smallest distance that connects all groups of a body.
+# Tracks side by side hang together if their inverse depths differ by less than the first factor. Farther apart they may
+# differ more, since a side may be slanted: its depth changes by up to so many times the distance across, and by no more
+# than the second factor.
 _STEP, _MOST_STEP, _SLOPE = 1.2, 1.5, 3.0
-_KNOWN_PART, _BESIDE = 0.05, 1.5
-# Two movers become one within this part of these tolerances: what is near the limit keeps its number.
+# Only inverse depths known to this part count (one sigma).
+_KNOWN_PART = 0.05
+# Tracks are side by side within this many times the smallest distance that connects all groups of tracks.
+_BESIDE = 1.5
+# Two movers become one within this part of the tolerances: what is near the limit keeps its number.
 _TO_MERGE = 0.5
 # Two movers are merged if one trajectory raises their reduced chi-square (at least 1) by at most the first factor. That
 # is tried if the trajectory of the larger fits the smaller within the second: that of one half of a turning bus leaves
@@ -171,11 +174,12 @@ def _hang_together(xy: Floats, fit: PathFit, side: Ints) -> bool:
     is_known = n_known.min() >= _LEAST_TRACKS
     used = index if is_known else np.arange(len(side))
     rates_hz = medians(fit.rate_hz[used], side[used], 2)
-    if rates_hz.max() < (_STEP**_TO_MERGE if is_known else _MOST_STEP) * rates_hz.min():
-        return True
-    label = _parts(xy[index], fit.take(index), _TO_MERGE)
+    is_alike = bool(rates_hz.max() < (_STEP**_TO_MERGE if is_known else _MOST_STEP) * rates_hz.min())
+    if is_alike or not is_known:
+        return is_alike
+    label = _hanging_parts(xy[index], fit.take(index), _TO_MERGE)
     counts = np.array([np.bincount(label[side[index] == one], minlength=len(label)) for one in (0, 1)])
-    return bool(is_known and (2 * counts > n_known[:, None]).all(axis=0).any())
+    return bool((2 * counts > n_known[:, None]).all(axis=0).any())
 
 
 def _known(fit: PathFit) -> Ints:
@@ -188,7 +192,7 @@ def _sigma_hz(fit: PathFit) -> Floats:
     return fit.rate_sigma_hz * np.sqrt(np.fmax(fit.redchi, 1.0))
 
 
-def _parts(xy: Floats, fit: PathFit, slack: float) -> Ints:
+def _hanging_parts(xy: Floats, fit: PathFit, slack: float) -> Ints:
     """Number of the part that each of M tracks of a body at ``xy (M, 2)`` belongs to: those of a part hang together.
 
     ``slack`` is the part of the tolerances that is allowed.
@@ -218,20 +222,21 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int
     number, key = numbers_of(key, movers), key.copy()
     for mover in np.flatnonzero(is_due(movers.n_found) & (movers.n_missed == 0)):
         tracks = np.flatnonzero(number == mover + 1)
+        if len(tracks) < 2 * least:
+            continue
         fit = fit_on_movers(views.points(tracks, np.full(len(tracks), mover)), movers.paths, movers.rate_hz)
         index = _known(fit)
         index = index[:: 1 + len(index) // (4 * _ENOUGH_TRACKS)]
         if len(index) < 2 * least:
             continue
         xy = views.xy[tracks]
-        label = _parts(xy[index], fit.take(index), 1.0)
+        label = _hanging_parts(xy[index], fit.take(index), 1.0)
         counts = np.bincount(label)
         largest, rate_hz = int(counts.argmax()), medians(fit.rate_hz[index], label, len(counts))
         is_part = (counts >= least) & (np.abs(np.log(rate_hz / rate_hz[largest])) > np.log(_STEP))
-        parts = np.flatnonzero(is_part)
-        if not len(parts):
+        if not is_part.any():
             continue
-        is_part[largest] = True
+        parts, is_part[largest] = np.flatnonzero(is_part), True
         index, label = index[is_part[label]], label[is_part[label]]
         nearest = label[KDTree(xy[index]).query(xy)[1]]
         for place, part in enumerate(parts):

@@ -96,14 +96,9 @@ def connected_parts(is_in: Bools, pairs: Ints) -> Ints:
 
     The others have numbers of their own. Parts are numbered by their first track.
     """
-    return _parts(len(is_in), pairs.take(np.flatnonzero(is_in[pairs[:, 0]] & is_in[pairs[:, 1]]), axis=0))
-
-
-def _parts(n: int, pairs: Ints) -> Ints:
-    """Number of the part that each of N tracks belongs to, joined by ``pairs (M, 2)``: (N,)."""
-    first = np.arange(n)
-    _join(pairs, first)
-    return np.asarray(np.cumsum(first == np.arange(n))[first] - 1)
+    first = np.arange(len(is_in))
+    _join(pairs.take(np.flatnonzero(is_in[pairs[:, 0]] & is_in[pairs[:, 1]]), axis=0), first)
+    return np.asarray(np.cumsum(first == np.arange(len(is_in)))[first] - 1)
 
 
 @compiled_for("(i8[:, ::1], i8[::1])")
