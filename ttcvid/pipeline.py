@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Protocol, TypeVar
@@ -21,23 +22,26 @@ from ttcvid.stages.analyzed_frames import AnalyzedFrame, RowMemory, analyze_seen
 from ttcvid.stages.horizon.planar_motion import horizon_plane
 from ttcvid.stages.tracking.history import empty_history
 from ttcvid.stages.tracking.tracked_frames import MapAhead, TrackedFrame, track_frames
-from ttcvid.stages.update import Clip, Memory, see_motions
+from ttcvid.stages.update import Clip, Memory, SeenFrame, see_motions
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 
 class RunApart(Protocol):
-    """Calls a function of a stream with the stream; may do so in another process."""
+    """Calls a function of a stream with the stream, perhaps in another process, which its block ends."""
 
-    def __call__(self, function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T], /) -> Iterable[R]:
+    def __call__(
+        self, function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T], /
+    ) -> AbstractContextManager[Iterable[R]]:
         """What ``function(items)`` yields."""
         ...
 
 
-def run_here(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
+@contextmanager
+def run_here(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterator[Iterable[R]]:
     """What ``function(items)`` yields."""
-    return function(items)
+    yield function(items)
 
 
 def analyze_frames(
@@ -49,32 +53,42 @@ def analyze_frames(
     *,
     map_ahead: MapAhead = map,
     run_apart: RunApart = run_here,
-) -> Iterator[tuple[Frame, FrameResult]]:
+) -> Generator[tuple[Frame, FrameResult], None, None]:
     """Each frame, without ``grey``, with its result, in order; memory does not grow with the length of the clip.
 
     Parameters
     ----------
     mask : (H, W) uint8, 0 where nothing is to be looked at.
     map_ahead : like ``map``; may work some items early in other threads (finding features is the slow part).
-    run_apart : may run the geometry of all frames in another process; only points of tracks go there, and results back.
+    run_apart : may run the geometry of all frames in other processes; only points of tracks go there, and results back.
     """
     waiting, camera_rests = deque[Frame](), config.egomotion.platform == Platform.static
     tracked = _without_pictures(
         track_frames(frames, config.tracking, mask, map_ahead, camera_rests=camera_rests), waiting
     )
-    geometry = partial(analyze_tracked, camera=camera, config=config, horizon=horizon)
-    for result in run_apart(geometry, tracked):
-        yield waiting.popleft(), result
+    geometry = partial(analyze_tracked, camera=camera, config=config, horizon=horizon, run_apart=run_apart)
+    with run_apart(geometry, tracked) as results:
+        for result in results:
+            yield waiting.popleft(), result
 
 
 def analyze_tracked(
-    tracked_frames: Iterable[TrackedFrame], camera: Camera, config: PipelineConfig, horizon: Horizon | None = None
+    tracked_frames: Iterable[TrackedFrame],
+    camera: Camera,
+    config: PipelineConfig,
+    horizon: Horizon | None = None,
+    *,
+    run_apart: RunApart = run_here,
 ) -> Iterator[FrameResult]:
-    """The result of each frame from its tracked points: all of an analysis but what looks at pictures."""
+    """The result of each frame from its tracked points: all of an analysis but what looks at pictures.
+
+    ``run_apart`` may run the motions in one process more: no motion waits for the rows of the frame before it.
+    """
     clip = Clip(camera, _with_platform(config), horizon_plane(camera, horizon))
-    analyzed = _analyzed(tracked_frames, clip)
-    for item in smoothed(analyzed, clip) if config.collision_times.smooth else analyzed:
-        yield item.result
+    with run_apart(partial(_with_motions, clip=clip), tracked_frames) as seen:
+        analyzed = _analyzed(seen, clip)
+        for item in smoothed(analyzed, clip) if config.collision_times.smooth else analyzed:
+            yield item.result
 
 
 def _with_platform(config: PipelineConfig) -> PipelineConfig:
@@ -93,11 +107,17 @@ def _without_pictures(tracked_frames: Iterable[TrackedFrame], waiting: deque[Fra
         yield replace(tracked, frame=replace(frame, grey=None, colour=None))
 
 
-def _analyzed(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
-    """Each frame with its causal result."""
+def _with_motions(tracked_frames: Iterable[TrackedFrame], clip: Clip) -> Iterator[SeenFrame]:
+    """Each frame with its motions."""
     memory = Memory(empty_history(clip.camera, clip.config.tracking.sigma_start_px))
-    rows = RowMemory()
     for tracked in tracked_frames:
         item, memory = see_motions(tracked, memory, clip)
+        yield item
+
+
+def _analyzed(seen: Iterable[SeenFrame], clip: Clip) -> Iterator[AnalyzedFrame]:
+    """Each frame with its causal result."""
+    rows = RowMemory()
+    for item in seen:
         result, rows = analyze_seen(item, rows, clip)
         yield AnalyzedFrame(result, item.seen)

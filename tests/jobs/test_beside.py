@@ -107,6 +107,29 @@ def test_a_connection_that_the_items_lose_is_a_failure_like_any_other() -> None:
         list(results)
 
 
+def doubled_beside(numbers: Iterable[int]) -> Iterator[int]:
+    """Has part of its own work done beside it."""
+    with beside(running_sum, numbers) as sums:
+        for number in sums:
+            yield 2 * number
+
+
+def test_part_of_the_function_may_itself_be_worked_out_beside_it() -> None:
+    with beside(doubled_beside, range(200)) as results:
+        assert list(results) == [2 * number for number in running_sum(range(200))]
+
+
+def test_a_failure_of_the_part_of_a_part_comes_after_its_results() -> None:
+    def with_failing_part(numbers: Iterable[int]) -> Iterator[int]:
+        with beside(failing_at_three, numbers) as few:
+            yield from few
+
+    seen = []
+    with pytest.raises(InputError, match="no three"), beside(with_failing_part, range(10)) as results:
+        seen.extend(results)
+    assert seen == [0, 1, 2]
+
+
 class HardToTellError(Exception):
     """Cannot be put together again from what it is taken apart into."""
 
@@ -241,26 +264,31 @@ def compiling(numbers: Iterable[int]) -> Iterator[int]:
 
 
 @needs_fork
-def test_the_other_process_ends_with_one_that_is_killed(way: str) -> None:
+def test_the_other_processes_end_with_one_that_is_killed(way: str) -> None:
     script = """
-import multiprocessing
+import os
 from ttcvid.jobs.analyze.beside import OtherProcess
 def numbers(items):
     for item in items:
-        yield item
-with OtherProcess(numbers, range(10**9)) as results:
-    for number in results:
+        yield os.getpid(), item
+def with_part(items):
+    with OtherProcess(numbers, items) as results:
+        for pid, item in results:
+            yield os.getpid(), pid, item
+with OtherProcess(with_part, range(10**9)) as results:
+    for *pids, number in results:
         if number == 5:
-            print(multiprocessing.active_children()[0].pid, flush=True)
+            print(*pids, flush=True)
 """
     process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    other = int(process.stdout.readline())
+    others = [int(pid) for pid in process.stdout.readline().split()]
+    assert len(set(others)) == 2
     process.send_signal(signal.SIGKILL)
     process.wait()
     process.stdout.close()
     end_s = time.monotonic() + DEADLINE_S
-    while _is_running(other):
+    while any(_is_running(pid) for pid in others):
         assert time.monotonic() < end_s
         time.sleep(0.01)
 

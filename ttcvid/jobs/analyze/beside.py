@@ -30,7 +30,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 Stream = Callable[[Iterable[T]], Iterator[R]]
 
-_FORKING = threading.Lock()
+# A copy made while it is held holds it itself, and may make copies of its own.
+_FORKING = threading.RLock()
 AHEAD_ITEMS = 4
 """Items that may be on their way to the other process: as few as keep it busy, since each has its picture waiting."""
 
@@ -63,7 +64,7 @@ class OtherProcess(Generic[T, R]):
 
     Items and results are pickled; order is kept. An exception that ``items`` raises is raised here after the results of
     the items before it, one of ``function`` after the results before it. However this process ends, the other one ends
-    with it.
+    with it; it may have one of its own.
 
     Raises
     ------
@@ -89,7 +90,7 @@ class OtherProcess(Generic[T, R]):
             warnings.simplefilter("ignore", DeprecationWarning)
             self._connection, theirs = context.Pipe()
             self._process = context.Process(
-                target=_serve, args=(self._function, theirs, self._connection), name="ttcvid-geometry", daemon=True
+                target=_serve, args=(self._function, theirs, self._connection), name="ttcvid-geometry"
             )
             self._process.start()
             # Its end is closed here, so that the last word of a process that dies is the end of the stream.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -198,18 +198,20 @@ def _analyze_into(
         frames = stack.enter_context(ReadAhead(wanted, n_ahead)) if n_ahead else wanted
         n_apart = max(1, waiting_items(picture_bytes, AHEAD_ITEMS))
 
-        def run_apart(function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]) -> Iterable[R]:
+        def run_apart(
+            function: Callable[[Iterable[T]], Iterator[R]], items: Iterable[T]
+        ) -> AbstractContextManager[Iterable[R]]:
             def work(wanted: Iterable[T]) -> Iterator[R]:
                 load_compiled()  # while the first item is on its way
                 return function(wanted)
 
-            return stack.enter_context(beside(work, stop.until_requested(items), n_apart))
+            return beside(work, items, n_apart)
 
         if next(_ANALYSES) == 1:
             # There are several: each copy of this process would load from disk what the one before it has loaded.
             load_compiled()
         results = analyze_frames(
-            frames,
+            stop.until_requested(frames),
             calibration.camera,
             pipeline,
             calibration.horizon,
@@ -218,7 +220,7 @@ def _analyze_into(
             map_ahead=map_ahead if is_akaze else map,
             run_apart=run_apart,
         )
-        for frame, result in results:
+        for frame, result in stack.enter_context(closing(results)):
             put((frame, result))
             tally.add(result)
             if on_frame is not None:
