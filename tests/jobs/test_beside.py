@@ -119,6 +119,19 @@ def test_part_of_the_function_may_itself_be_worked_out_beside_it() -> None:
         assert list(results) == [2 * number for number in running_sum(range(200))]
 
 
+def test_what_two_threads_of_it_say_at_the_same_time_stays_whole() -> None:
+    """It takes items in a thread while its results are on their way, where part of it is worked out beside it."""
+
+    def large_beside(numbers: Iterable[int]) -> Iterator[bytes]:
+        with beside(running_sum, numbers) as sums:
+            for number in sums:
+                yield bytes([number % 256]) * 200_000
+
+    with beside(large_beside, range(2000)) as results:
+        for result, number in zip(results, running_sum(range(2000)), strict=True):
+            assert result[:1] == result[-1:] == bytes([number % 256])
+
+
 def test_a_failure_of_the_part_of_a_part_comes_after_its_results() -> None:
     def with_failing_part(numbers: Iterable[int]) -> Iterator[int]:
         with beside(failing_at_three, numbers) as few:

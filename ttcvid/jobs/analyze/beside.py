@@ -167,19 +167,26 @@ def _serve(function: Stream[Any, Any], connection: Connection, other_end: Connec
     # becomes of it, and ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    # Where part of the function runs beside it, a thread of that takes the items while this one sends results.
+    sending = threading.Lock()
+
+    def say(says: _Says, content: Any) -> None:
+        with sending:
+            connection.send((says, content))
+
     try:
-        for result in function(_received(connection)):
-            connection.send((_Says.result, result))
+        for result in function(_received(connection, say)):
+            say(_Says.result, result)
         last: tuple[_Says, BaseException | None] = (_Says.end, None)
     except (_AbandonedError, ConnectionError):
         return
     except BaseException as error:
         last = (_Says.failure, as_sendable(error))
     with suppress(ConnectionError):  # nobody is there who wants to know
-        connection.send(last)
+        say(*last)
 
 
-def _received(connection: Connection) -> Iterator[Any]:
+def _received(connection: Connection, say: Callable[[_Says, Any], None]) -> Iterator[Any]:
     while True:
         try:
             is_end, item = connection.recv()
@@ -187,5 +194,5 @@ def _received(connection: Connection) -> Iterator[Any]:
             raise _AbandonedError from None
         if is_end:
             return
-        connection.send((_Says.taken, None))
+        say(_Says.taken, None)
         yield item
