@@ -12,7 +12,7 @@ from ttcvid.geometry.estimation.intervals import (
     collision_times_from_state,
     radial_and_transverse_rate,
 )
-from ttcvid.geometry.estimation.tcpa_miss_bounds import inversion_range
+from ttcvid.geometry.estimation.tcpa_miss_bounds import bounds_of_tcpa_and_miss
 from ttcvid.geometry.paper.collision import times_from_position_velocity
 from ttcvid.geometry.paper.two_view_state import state_from_direction
 from ttcvid.geometry.rotation import normalize, tangent_basis
@@ -48,7 +48,7 @@ def border(centre, root, angle):
 
 def test_range_over_the_ellipse_is_that_of_a_dense_border():
     centre, root = ellipses(150, np.random.default_rng(1), least_ratio=0.03)
-    found = np.array(inversion_range(centre, root @ np.swapaxes(root, 1, 2)))
+    found = np.array(bounds_of_tcpa_and_miss(centre, root @ np.swapaxes(root, 1, 2)))
     outside = (np.linalg.solve(root, centre[..., None]) ** 2).sum(axis=(1, 2)) > CHI2_90_TWO
     assert outside.sum() > 50
     assert (np.isnan(found[0]) == ~outside).all()
@@ -60,7 +60,7 @@ def test_range_over_the_ellipse_is_that_of_a_dense_border():
 
 def test_bounds_are_ordered_and_hold_the_value():
     centre, root = ellipses(500, np.random.default_rng(2), least_ratio=1e-6)
-    tcpa_lo, tcpa_hi, miss_lo, miss_hi = inversion_range(centre, root @ np.swapaxes(root, 1, 2))
+    tcpa_lo, tcpa_hi, miss_lo, miss_hi = bounds_of_tcpa_and_miss(centre, root @ np.swapaxes(root, 1, 2))
     q, u = centre.T
     seen = ~np.isnan(tcpa_lo)
     tcpa, miss = -q / (q * q + u * u), u / (q * q + u * u)
@@ -71,12 +71,12 @@ def test_bounds_are_ordered_and_hold_the_value():
 
 
 def test_no_uncertainty_gives_the_value_itself():
-    bounds = inversion_range(np.array([[-0.3, 0.1], [-0.5, 0.0]]), np.zeros((2, 2, 2)))
+    bounds = bounds_of_tcpa_and_miss(np.array([[-0.3, 0.1], [-0.5, 0.0]]), np.zeros((2, 2, 2)))
     np.testing.assert_allclose(bounds, [[3, 2], [3, 2], [1, 0], [1, 0]], rtol=1e-12)
 
 
 def test_an_interval_of_no_motion_has_no_bounds():
-    tcpa_lo, tcpa_hi, miss_lo, miss_hi = inversion_range(np.array([[0.1, 0.1]]), 0.01 * np.eye(2)[None])
+    tcpa_lo, tcpa_hi, miss_lo, miss_hi = bounds_of_tcpa_and_miss(np.array([[0.1, 0.1]]), 0.01 * np.eye(2)[None])
     assert np.isnan([tcpa_lo[0], tcpa_hi[0], miss_hi[0]]).all()
     assert miss_lo[0] == 0
 

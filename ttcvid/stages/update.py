@@ -159,6 +159,7 @@ def _with_points(frame: Frame, points: PointSet, before: TrackHistory, clip: Cli
 
 
 def _motion_status(egomotion: Egomotion | None, platform: Platform) -> FrameStatus:
+    """Status of a frame whose picture is in order."""
     if egomotion is None:
         return FrameStatus.few_tracks
     if platform == Platform.static:

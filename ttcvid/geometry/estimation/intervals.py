@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ttcvid.geometry.estimation.tcpa_miss_bounds import CHI2_90_TWO, inversion_range
+from ttcvid.geometry.estimation.tcpa_miss_bounds import CHI2_90_TWO, bounds_of_tcpa_and_miss
 from ttcvid.geometry.quotient import quotient
 from ttcvid.model import CollisionTimes, Floats
 
@@ -49,7 +49,7 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
     """
     rates, rates_cov = radial_and_transverse_rate(x, y, abc_hz, cov, sigma_norm)
     tcpa_s, miss_s = quotient(rates.T * [[-1.0], [1.0]], np.sum(rates**2, axis=1))
-    bounds = inversion_range(rates, rates_cov)
+    bounds = bounds_of_tcpa_and_miss(rates, rates_cov)
     reach = NORMAL_90_SIGMAS * np.sqrt(np.maximum(cov[:, 2, 2], 0.0))
     # The value itself is in the region; by another way of rounding it may seem to lie beyond the border.
     return CollisionTimes(

@@ -34,7 +34,7 @@ _N_EXTREMES = 4
 _HIGH_Q, _LOW_Q, _HIGH_U, _LOW_U = range(_N_EXTREMES)
 
 
-def inversion_range(rates: Floats, cov: Floats) -> Floats:
+def bounds_of_tcpa_and_miss(rates: Floats, cov: Floats) -> Floats:
     """Range of ``-q / (q^2 + u^2)`` and ``u / (q^2 + u^2)`` over the 90 % ellipse of (q, u), cut at u >= 0.
 
     Of ``rates (N, 2)``, q and u >= 0 in 1/s, with ``cov (N, 2, 2)``, which may be singular or zero: lower and upper

@@ -99,10 +99,7 @@ def _with_window(history: TrackHistory, egomotion: Egomotion, window: SceneWindo
     steps = np.einsum("lji,lj->li", cam_R_past[1:], np.diff(path, axis=0))
     scene_direction = np.concatenate([np.full((1, 3), np.nan), normalize(steps)])
     return replace(
-        history,
-        cam_R_past=cam_R_past,
-        scene_direction=scene_direction,
-        rotation_sigma_rad=egomotion.rotation_sigma_rad,
+        history, cam_R_past=cam_R_past, scene_direction=scene_direction, rotation_sigma_rad=egomotion.rotation_sigma_rad
     )
 
 

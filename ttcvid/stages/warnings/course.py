@@ -1,4 +1,4 @@
-"""Which objects are on collision course: short time, small miss distance, sufficient confidence."""
+"""How likely objects are on collision course, by one frame each: a short time and a small miss distance."""
 
 from __future__ import annotations
 
