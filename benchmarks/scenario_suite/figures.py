@@ -216,38 +216,39 @@ def _figures(scores: Sequence[SceneScore]) -> dict[str, Figure]:
 def figures_of_warnings(scores: Sequence[SceneScore]) -> dict[str, Figure]:
     """Of collisions that have to be warned of: the share that is, and how long before."""
     expected = [
-        (k, warning["lead_s"], warning["large_for_s"])
+        (k, warning["lead_s"], warning["large_for_s"], warning["on_course_for_s"])
         for k, one in enumerate(scores)
         for warning in one.facts.get("warnings", ())
         if warning["verdict"] in ("in_time", "late", "missed")
     ]
     scene = np.array([k for k, *_ in expected], dtype=np.int64)
-    lead_s = np.array([np.nan if lead is None else lead for _, lead, _ in expected], dtype=float)
-    is_foreseen = np.array([large_for_s for *_, large_for_s in expected], dtype=float) >= FORESEEN_S
+    lead_s = np.array([np.nan if lead is None else lead for _, lead, *_ in expected], dtype=float)
+    is_large = np.array([large_for_s for *_, large_for_s, _ in expected], dtype=float) >= FORESEEN_S
+    is_on_course = np.array([on_course_for_s for *_, on_course_for_s in expected], dtype=float) >= FORESEEN_S
     limit_s = np.array([scores[k].facts["warn_by_s"] for k in scene], dtype=float)
     n = len(scores)
-    all_ = np.bincount(scene, minlength=n).astype(float)
 
-    def share(is_so: Bools) -> Share:
-        return Share(np.bincount(scene, is_so.astype(float), n), all_, is_coverage=True)
+    def share(is_so: Bools, of: Bools) -> Share:
+        counts = (np.bincount(scene, which.astype(float), n) for which in (is_so & of, of))
+        return Share(*counts, is_coverage=True)
 
+    everything = np.ones(len(scene), dtype=bool)
     with np.errstate(invalid="ignore"):
         figures: dict[str, Figure] = {
-            "warned": share(np.isfinite(lead_s)),
-            "warned_1.7s": share(lead_s >= 1.7),
-            "warned_2s": share(lead_s >= 2.0),
-            "warned_by_limit": share(lead_s >= limit_s),
-            "foreseen_warned_1.7s": Share(
-                np.bincount(scene, ((lead_s >= 1.7) & is_foreseen).astype(float), n),
-                np.bincount(scene, is_foreseen.astype(float), n),
-                is_coverage=True,
-            ),
+            "warned": share(np.isfinite(lead_s), everything),
+            "warned_1.7s": share(lead_s >= 1.7, everything),
+            "warned_2s": share(lead_s >= 2.0, everything),
+            "warned_by_limit": share(lead_s >= limit_s, everything),
+            "foreseen_warned_1.7s": share(lead_s >= 1.7, is_large),
+            "on_course_warned_1.7s": share(lead_s >= 1.7, is_large & is_on_course),
         }
     is_warned = np.isfinite(lead_s)
     figures["lead_p10"] = Percentile(lead_s[is_warned], scene[is_warned], 0.1)
     figures["lead_median"] = Percentile(lead_s[is_warned], scene[is_warned], 0.5)
     duration_s = _facts(scores, "analysed_s")
     figures["false_warnings"] = Rate(_facts(scores, "false_warnings"), duration_s, TEN_MINUTES_S)
+    n_unfounded = _facts(scores, "false_warnings") - _facts(scores, "averted_warnings")
+    figures["unfounded_warnings"] = Rate(n_unfounded, duration_s, TEN_MINUTES_S)
     figures["false_ids"] = Rate(_facts(scores, "false_ids"), duration_s, HOUR_S)
     return figures
 

@@ -233,7 +233,13 @@ _LINES = (
         ("foreseen_warned_1.7s",),
         Bar(90.0, at_least=True),
     ),
+    _Line(
+        "... and on a collision course for as long, by the velocities of each moment",
+        ("on_course_warned_1.7s",),
+        Bar(90.0, at_least=True),
+    ),
     _Line("false warnings in 10 minutes", ("false_warnings",), Bar(1.0), rated),
+    _Line("... of what was on no collision course when they began", ("unfounded_warnings",), Bar(1.0), rated),
 )
 
 

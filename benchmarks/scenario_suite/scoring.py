@@ -43,6 +43,8 @@ PICTURE_SIGMA_PX, LEAST_SIGMA_PX = 0.2, 0.1
 LEAST_SPEED_M_S, _LEAST_DEPTH_M = 0.2, 1e-3
 REACHES_US_S = 3.0
 """What stands in our way has to be found from this long before the contact."""
+_OWN_RADIUS_M, _LEAST_SPEED2 = 1.0, 1e-9
+"""Of what carries the camera (`ttcvid.simulate`); as a divisor, m^2/s^2."""
 _STUDIES = Path(ttcvid.__file__).parent / "studies"
 
 
@@ -104,12 +106,12 @@ def _scored(folder: Path, facts: dict[str, Any]) -> SceneScore:
     evaluation = judge_run(tables, truth)
     is_table = facts["kind"] == "tracks"
     sigma_px = max(facts["nuisances"]["track_noise_px"], LEAST_SIGMA_PX) if is_table else PICTURE_SIGMA_PX
-    rows = evaluation.joined
+    rows, focal_px = evaluation.joined, float(facts["true_focal_px"])
     if len(rows):
-        rows = judged_rows(rows, wanted(rows, truth, float(facts["true_focal_px"]), sigma_px))
+        rows = judged_rows(rows, wanted(rows, truth, focal_px, sigma_px))
     by_frame = evaluation.by_frame.assign(status=tables.frames.status.astype(str))
     by_frame.loc[~by_frame.is_epipole_judged, "epipole_deg"] = np.nan
-    return SceneScore(facts | _sums(evaluation, truth, tables), rows, by_frame, folder)
+    return SceneScore(facts | _sums(evaluation, truth, tables, focal_px), rows, by_frame, folder)
 
 
 def wanted(rows: pd.DataFrame, truth: Truth, focal_px: float, sigma_px: float) -> Bools:
@@ -138,6 +140,42 @@ def size_px(rows: pd.DataFrame) -> Floats:
     """Geometric mean ``(N,)`` of the sides of the true box."""
     x0, y0, x1, y1 = columns_of(rows, BOX).T
     return np.asarray(np.sqrt(np.maximum(x1 - x0, 0.0) * np.maximum(y1 - y0, 0.0)))
+
+
+def is_on_course(rows: pd.DataFrame, focal_px: float) -> Bools:
+    """Which rows ``(N,)`` of ``Evaluation.joined`` have an object that touches us if both of us keep our velocities.
+
+    It is as wide and as high as its box, and nothing deep.
+    """
+    place, velocity = columns_of(rows, POSITION), columns_of(rows, VELOCITY)
+    until_s = -np.sum(place * velocity, axis=1) / np.maximum(np.sum(velocity**2, axis=1), _LEAST_SPEED2)
+    nearest = np.abs(place + until_s[:, None] * velocity)
+    x0, y0, x1, y1 = columns_of(rows, BOX).T
+    half_m = np.column_stack([x1 - x0, y1 - y0, np.zeros(len(rows))]) * (0.5 * place[:, 2:] / focal_px)
+    apart_m = np.linalg.norm(np.maximum(nearest - half_m, 0.0), axis=1)
+    return np.asarray((until_s > 0.0) & (apart_m < _OWN_RADIUS_M))
+
+
+def on_course_since_s(rows: pd.DataFrame, focal_px: float) -> pd.Series:
+    """Since when each object is on course in all rows of it that follow, by ``object_id``; none where it is not."""
+    if not len(rows):
+        return pd.Series(dtype=float)
+    is_on = pd.Series(is_on_course(rows, focal_px), index=rows.index)
+    # Once it is beside us, or has hit us, its closest approach lies behind.
+    is_ahead = (rows[POSITION[2]] > _OWN_RADIUS_M) | is_on
+    on, later = is_on[is_ahead], rows[is_ahead].sort_values("t_s", ascending=False)
+    lasts = on.reindex(later.index).groupby(later.object_id).cummin().astype(bool)
+    return later[lasts].groupby("object_id").t_s.min()
+
+
+def n_averted(rows: pd.DataFrame, events: pd.DataFrame, hit: list[int], focal_px: float) -> int:
+    """Warnings of what did not hit us, but was on course when the warning began: it braked or turned, or we did."""
+    if not len(rows) or not len(events):
+        return 0
+    found = rows[rows.is_found.astype(bool) & ~rows.object_id.isin(hit)]
+    on_course = found[is_on_course(found, focal_px)]
+    began = list(zip(on_course.cluster_id_found.astype(int), on_course.frame.astype(int), strict=True))
+    return sum((event.cluster_id, event.start_frame) in began for event in events.itertuples())
 
 
 def own_velocity_m_s(frames: pd.DataFrame) -> pd.DataFrame:
@@ -181,7 +219,7 @@ def judged_rows(rows: pd.DataFrame, is_wanted: Bools) -> pd.DataFrame:
     return pd.DataFrame(columns).reset_index(drop=True)
 
 
-def _sums(evaluation: Evaluation, truth: Truth, tables: RunTables) -> dict[str, Any]:
+def _sums(evaluation: Evaluation, truth: Truth, tables: RunTables, focal_px: float) -> dict[str, Any]:
     """Counts of a scene that are no rows: labels of tracks, outliers, warnings."""
     metrics = evaluation.metrics
     n_tracks, n_outliers = metrics["tracks.n"] or 0.0, 0.0
@@ -193,8 +231,14 @@ def _sums(evaluation: Evaluation, truth: Truth, tables: RunTables) -> dict[str, 
     large = evaluation.joined[size_px(evaluation.joined) > LEAST_SIZE_PX] if len(evaluation.joined) else pd.DataFrame()
     large_since_s = large.groupby("object_id").t_s.min() if len(large) else pd.Series(dtype=float)
     large_for_s = (hits - large_since_s.reindex(hits.index)).fillna(0.0)
+    on_course_for_s = (hits - on_course_since_s(large, focal_px).reindex(hits.index)).fillna(0.0)
     warnings = [
-        {"verdict": judged.warning, "lead_s": judged.lead_s, "large_for_s": float(large_for_s[judged.object_id])}
+        {
+            "verdict": judged.warning,
+            "lead_s": judged.lead_s,
+            "large_for_s": float(large_for_s[judged.object_id]),
+            "on_course_for_s": float(on_course_for_s[judged.object_id]),
+        }
         for judged in evaluation.objects
         if judged.object_id in hits.index
     ]
@@ -205,6 +249,7 @@ def _sums(evaluation: Evaluation, truth: Truth, tables: RunTables) -> dict[str, 
         "n_outliers_in": n_outliers * (metrics["tracks.outliers_in"] or 0.0),
         "analysed_s": metrics["clip.duration_s"],
         "false_warnings": metrics["events.false"] or 0.0,
+        "averted_warnings": float(n_averted(evaluation.joined, tables.events, list(hits.index), focal_px)),
         "false_ids": metrics["objects.false"] or 0.0,
         "warnings": warnings,
         "n_objects_told": int(tables.clusters[tables.clusters.role == "object"].cluster_id.nunique()),

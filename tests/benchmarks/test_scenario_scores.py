@@ -14,7 +14,17 @@ import scenarios
 from report import REPOSITORY, Report
 from scenario_suite.figures import Figures, Percentile, Rate, Share, at_most, figures_of_warnings
 from scenario_suite.page import label_of, number, shown, write_page
-from scenario_suite.scoring import SceneScore, judged_rows, own_velocity_m_s, score, size_px, wanted
+from scenario_suite.scoring import (
+    SceneScore,
+    is_on_course,
+    judged_rows,
+    n_averted,
+    on_course_since_s,
+    own_velocity_m_s,
+    score,
+    size_px,
+    wanted,
+)
 
 from ttcvid.studies.evaluation.truth import BOX, DIRECTION, POSITION, VELOCITY, Truth
 
@@ -183,13 +193,45 @@ def _is_gone(group: int) -> bool:
     return False
 
 
-def test_collisions_with_what_was_large_for_two_seconds_are_counted_by_themselves():
-    def hit(lead_s, large_for_s):
-        return {"verdict": "late", "lead_s": lead_s, "large_for_s": large_for_s}
+def test_collisions_with_what_was_large_and_on_course_for_two_seconds_are_counted_by_themselves():
+    def hit(lead_s, large_for_s, on_course_for_s):
+        return {"verdict": "late", "lead_s": lead_s, "large_for_s": large_for_s, "on_course_for_s": on_course_for_s}
 
-    facts = {"warn_by_s": 1.0, "analysed_s": 5.0, "false_warnings": 0.0, "false_ids": 0.0}
-    scenes = [[hit(1.8, 2.5), hit(1.9, 1.5)], [hit(1.0, 2.1), hit(None, 0.0)]]
+    facts = {"warn_by_s": 1.0, "analysed_s": 300.0, "false_warnings": 2.0, "averted_warnings": 1.0, "false_ids": 0.0}
+    scenes = [[hit(1.8, 2.5, 2.5), hit(1.9, 1.5, 1.5)], [hit(1.0, 2.1, 0.5), hit(None, 0.0, 0.0)]]
     scores = [SceneScore(facts | {"warnings": hits}, pd.DataFrame(), pd.DataFrame(), Path()) for hits in scenes]
     told, draws = figures_of_warnings(scores), np.ones((1, 2), np.int64)
     assert told["warned_1.7s"].estimate(np.arange(2), draws).value == 2 / 4
     assert told["foreseen_warned_1.7s"].estimate(np.arange(2), draws).value == 1 / 2
+    assert told["on_course_warned_1.7s"].estimate(np.arange(2), draws).value == 1
+    assert told["false_warnings"].estimate(np.arange(2), draws).value == 4.0
+    assert told["unfounded_warnings"].estimate(np.arange(2), draws).value == 2.0
+
+
+def test_who_would_touch_us_at_constant_velocities_is_on_course():
+    assert is_on_course(seen((0.5, 0.0, 20.0), (0.0, 0.0, -10.0)), FOCAL_PX).all()
+    # A box of 40 px at 20 m is 1.6 m wide.
+    assert is_on_course(seen((1.7, 0.0, 20.0), (0.0, 0.0, -10.0)), FOCAL_PX).all()
+    assert not is_on_course(seen((2.0, 0.0, 20.0), (0.0, 0.0, -10.0)), FOCAL_PX).any()
+    assert is_on_course(seen((10.0, 0.0, 20.0), (-5.0, 0.0, -10.0)), FOCAL_PX).all()
+    assert not is_on_course(seen((0.0, 0.0, 20.0), (0.0, 0.0, 10.0)), FOCAL_PX).any()
+    assert not is_on_course(seen((0.0, 0.0, 20.0), (0.0, 0.0, 0.0)), FOCAL_PX).any()
+
+
+def test_a_collision_is_foreseen_from_where_it_stays_on_course():
+    """Who stands until frame 6 and then runs before us is on course in frame 2 by chance, and for good from 6 on."""
+    rows = seen((8.0, 0.0, 20.0), (0.0, 0.0, -10.0))
+    rows.loc[[2, 6, 7, 8, 9], VELOCITY[0]] = -4.0
+    assert on_course_since_s(rows, FOCAL_PX).to_dict() == {1: pytest.approx(0.6)}
+    # It is beside us at last: its closest approach lies behind.
+    rows.loc[9, [POSITION[2], VELOCITY[0]]] = 0.5, 4.0
+    assert on_course_since_s(rows, FOCAL_PX).to_dict() == {1: pytest.approx(0.6)}
+    assert on_course_since_s(rows.iloc[:6], FOCAL_PX).empty
+
+
+def test_a_warning_of_who_stops_short_of_our_way_is_no_unfounded_one():
+    events = pd.DataFrame({"cluster_id": [3, 3, 4], "start_frame": [2, 8, 2]})
+    rows = seen((8.0, 0.0, 20.0), (-4.0, 0.0, -10.0)).assign(is_found=True, cluster_id_found=3.0)
+    rows.loc[5:, VELOCITY[0]] = 0.0
+    assert n_averted(rows, events, [], FOCAL_PX) == 1
+    assert n_averted(rows, events, [1], FOCAL_PX) == 0
