@@ -32,7 +32,7 @@ Stream = Callable[[Iterable[T]], Iterator[R]]
 
 # A copy made while it is held holds it itself, and may make copies of its own.
 _FORKING = threading.RLock()
-AHEAD_ITEMS = 4
+AHEAD_ITEMS = 2
 """Items that may be on their way to the other process: as few as keep it busy, since each has its picture waiting."""
 
 
