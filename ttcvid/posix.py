@@ -17,6 +17,8 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 BINARY = getattr(os, "O_BINARY", 0)
 """Flag of `os.open`: ends of lines stay as they are. Only Windows changes them."""
 
+# Of Linux' prctl, from prctl.h: the signal that a process gets when its parent ends.
+_PR_SET_PDEATHSIG = 1
 # Parameters of glibc's mallopt, from malloc.h; bytes up to which freed memory is kept, and stocks (arenas) of it.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 _LARGE_BLOCK_BYTES = 4 << 20
@@ -33,6 +35,19 @@ def can_copy_process() -> bool:
     import multiprocessing
 
     return not multiprocessing.current_process().daemon
+
+
+def end_with_parent() -> None:
+    """Let the system end this process as soon as the thread that made it ends; elsewhere than on Linux nothing is done.
+
+    Pipes tell that as well, but only who reads from them or writes to them.
+    """
+    if sys.platform != "linux":
+        return
+    import ctypes
+    import signal
+
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
 
 
 def sync_folder(folder: Path) -> None:

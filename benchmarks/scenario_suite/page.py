@@ -147,7 +147,9 @@ def _explain(report: Report, figures: Figures) -> None:
         f"it by more than {MOTION_SIGMAS:g} sigma of the tracks' noise within half a second, or where it is hit within "
         f"{REACHES_US_S:g} s. Times are compared in 1/time, over the object-frames that are found; `evaluate` gives "
         "every definition ([evaluation](evaluation.md)). Outliers are single displaced observations of tracks: taken "
-        "in is one that has a body all the same. A false id is an object over nothing true in most of its frames."
+        "in is one that has a body all the same. A false id is an object over nothing true in most of its frames. An "
+        "object is on a collision course where it would touch us, however late, if both of us kept the velocities of "
+        "that moment. Who walks into our way and stops short of it was on one."
     )
     report.say(
         f"Behind each figure stands, in round brackets, its spread over scenes: {SPREAD[0]:g} to {SPREAD[1]:g} % of "

@@ -145,7 +145,8 @@ def size_px(rows: pd.DataFrame) -> Floats:
 def is_on_course(rows: pd.DataFrame, focal_px: float) -> Bools:
     """Which rows ``(N,)`` of ``Evaluation.joined`` have an object that touches us if both of us keep our velocities.
 
-    It is as wide and as high as its box, and nothing deep.
+    It is as wide and as high as its box, about the middle of its nearest surface, and nothing deep; however late that
+    comes.
     """
     place, velocity = columns_of(rows, POSITION), columns_of(rows, VELOCITY)
     until_s = -np.sum(place * velocity, axis=1) / np.maximum(np.sum(velocity**2, axis=1), _LEAST_SPEED2)
@@ -161,21 +162,20 @@ def on_course_since_s(rows: pd.DataFrame, focal_px: float) -> pd.Series:
     if not len(rows):
         return pd.Series(dtype=float)
     is_on = pd.Series(is_on_course(rows, focal_px), index=rows.index)
-    # Once it is beside us, or has hit us, its closest approach lies behind.
-    is_ahead = (rows[POSITION[2]] > _OWN_RADIUS_M) | is_on
-    on, later = is_on[is_ahead], rows[is_ahead].sort_values("t_s", ascending=False)
-    lasts = on.reindex(later.index).groupby(later.object_id).cummin().astype(bool)
+    # Where it is beside us already, its closest approach lies behind.
+    later = rows[(rows[POSITION[2]] > _OWN_RADIUS_M) | is_on].sort_values("t_s", ascending=False)
+    lasts = is_on.reindex(later.index).groupby(later.object_id).cummin().astype(bool)
     return later[lasts].groupby("object_id").t_s.min()
 
 
-def n_averted(rows: pd.DataFrame, events: pd.DataFrame, hit: list[int], focal_px: float) -> int:
-    """Warnings of what did not hit us, but was on course when the warning began: it braked or turned, or we did."""
-    if not len(rows) or not len(events):
+def n_averted(evaluation: Evaluation, events: pd.DataFrame, hit: list[int], focal_px: float) -> int:
+    """Warnings of objects, not those ``hit``, that were on course when they began: who stopped or turned later."""
+    rows, event_object = evaluation.joined, evaluation.event_object
+    if not len(rows):
         return 0
-    found = rows[rows.is_found.astype(bool) & ~rows.object_id.isin(hit)]
-    on_course = found[is_on_course(found, focal_px)]
-    began = list(zip(on_course.cluster_id_found.astype(int), on_course.frame.astype(int), strict=True))
-    return sum((event.cluster_id, event.start_frame) in began for event in events.itertuples())
+    on_course = rows[is_on_course(rows, focal_px) & ~rows.object_id.isin(hit).to_numpy()]
+    began = set(zip(on_course.object_id.astype(int), on_course.frame.astype(int), strict=True))
+    return sum(one in began for one in zip(event_object.tolist(), events.start_frame.tolist(), strict=True))
 
 
 def own_velocity_m_s(frames: pd.DataFrame) -> pd.DataFrame:
@@ -231,7 +231,8 @@ def _sums(evaluation: Evaluation, truth: Truth, tables: RunTables, focal_px: flo
     large = evaluation.joined[size_px(evaluation.joined) > LEAST_SIZE_PX] if len(evaluation.joined) else pd.DataFrame()
     large_since_s = large.groupby("object_id").t_s.min() if len(large) else pd.Series(dtype=float)
     large_for_s = (hits - large_since_s.reindex(hits.index)).fillna(0.0)
-    on_course_for_s = (hits - on_course_since_s(large, focal_px).reindex(hits.index)).fillna(0.0)
+    before = large[large.t_s < large.object_id.map(hits)] if len(large) else large
+    on_course_for_s = (hits - on_course_since_s(before, focal_px).reindex(hits.index)).fillna(0.0)
     warnings = [
         {
             "verdict": judged.warning,
@@ -249,7 +250,7 @@ def _sums(evaluation: Evaluation, truth: Truth, tables: RunTables, focal_px: flo
         "n_outliers_in": n_outliers * (metrics["tracks.outliers_in"] or 0.0),
         "analysed_s": metrics["clip.duration_s"],
         "false_warnings": metrics["events.false"] or 0.0,
-        "averted_warnings": float(n_averted(evaluation.joined, tables.events, list(hits.index), focal_px)),
+        "averted_warnings": float(n_averted(evaluation, tables.events, list(hits.index), focal_px)),
         "false_ids": metrics["objects.false"] or 0.0,
         "warnings": warnings,
         "n_objects_told": int(tables.clusters[tables.clusters.role == "object"].cluster_id.nunique()),

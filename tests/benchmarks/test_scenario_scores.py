@@ -26,7 +26,8 @@ from scenario_suite.scoring import (
     wanted,
 )
 
-from ttcvid.studies.evaluation.truth import BOX, DIRECTION, POSITION, VELOCITY, Truth
+from ttcvid.studies.evaluation.evaluate import Evaluation
+from ttcvid.studies.evaluation.truth import BOX, DIRECTION, POSITION, UNKNOWN_OBJECT, VELOCITY, Truth
 
 FOCAL_PX, SIGMA_PX = 500.0, 0.2
 NO_DRAW = np.ones((1, 1), np.int64)
@@ -230,8 +231,10 @@ def test_a_collision_is_foreseen_from_where_it_stays_on_course():
 
 
 def test_a_warning_of_who_stops_short_of_our_way_is_no_unfounded_one():
-    events = pd.DataFrame({"cluster_id": [3, 3, 4], "start_frame": [2, 8, 2]})
-    rows = seen((8.0, 0.0, 20.0), (-4.0, 0.0, -10.0)).assign(is_found=True, cluster_id_found=3.0)
+    events = pd.DataFrame({"start_frame": [2, 8, 2, 2]})
+    rows = seen((8.0, 0.0, 20.0), (-4.0, 0.0, -10.0))
     rows.loc[5:, VELOCITY[0]] = 0.0
-    assert n_averted(rows, events, [], FOCAL_PX) == 1
-    assert n_averted(rows, events, [1], FOCAL_PX) == 0
+    rows = pd.concat([rows, seen((0.0, 0.0, 20.0), (0.0, 0.0, -10.0), object_id=2)], ignore_index=True)
+    of_walker, of_nobody, of_hit = 1, UNKNOWN_OBJECT, 2
+    judged = Evaluation({}, (), rows, pd.DataFrame(), np.array([of_walker, of_walker, of_nobody, of_hit]))
+    assert n_averted(judged, events, [2], FOCAL_PX) == 1

@@ -173,6 +173,28 @@ def test_leaving_early_ends_everything() -> None:
         take_one_and_stop()
 
 
+def test_leaving_early_ends_what_a_part_of_the_function_does_beside_it(way: str) -> None:
+    """At once, even where that looks at no pipe for long."""
+
+    def slow(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
+        for number in numbers:
+            yield os.getpid(), number
+            if number == 1 and way == "process":
+                time.sleep(DEADLINE_S)
+
+    def with_slow_part(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
+        with beside(slow, numbers) as results:
+            yield from results
+
+    with beside(with_slow_part, range(10**9)) as results:
+        pid, _ = next(iter(results))
+    if way == "process":
+        end_s = time.monotonic() + 0.1 * DEADLINE_S
+        while _is_running(pid):
+            assert time.monotonic() < end_s
+            time.sleep(0.01)
+
+
 def test_large_results_that_nobody_takes_do_not_keep_it_from_ending() -> None:
     def large(numbers: Iterable[int]) -> Iterator[bytes]:
         for _ in numbers:

@@ -24,7 +24,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from ttcvid.errors import TtcvidError
 from ttcvid.jobs.processes.sent_errors import as_sendable
 from ttcvid.jobs.processes.side_by_side import ReadAhead
-from ttcvid.posix import can_copy_process
+from ttcvid.posix import can_copy_process, end_with_parent
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -33,7 +33,8 @@ Stream = Callable[[Iterable[T]], Iterator[R]]
 # A copy made while it is held holds it itself, and may make copies of its own.
 _FORKING = threading.RLock()
 AHEAD_ITEMS = 2
-"""Items that may be on their way to the other process: as few as keep it busy, since each has its picture waiting."""
+"""Items that may be on their way to the other process: as few as keep it busy, since each has its picture waiting.
+Where that process has one of its own, as many are on their way to that."""
 
 
 @contextmanager
@@ -160,6 +161,7 @@ class _AbandonedError(Exception):
 
 def _serve(function: Stream[Any, Any], connection: Connection, other_end: Connection) -> None:
     """What the other process does."""
+    end_with_parent()
     other_end.close()
     # What is there stays: to look through it for garbage would write to pages that both processes share.
     gc.freeze()

@@ -186,7 +186,7 @@ def _analyze_into(
         stack.enter_context(quick_thread_switches())
         write = open_sinks(stack, folder, source, calibration, configuration)
         picture_bytes = PICTURE_BYTES_PER_PX * info.image_size.width_px * info.image_size.height_px
-        # where no picture may wait, who needs one makes it: the geometry's process still works beside
+        # where no picture may wait, who needs one makes it: the processes of the geometry still work beside
         n_behind, n_ahead = (waiting_items(picture_bytes, most) for most in (WRITE_BEHIND_ITEMS, READ_AHEAD_ITEMS))
         if n_ahead or is_akaze:
             share_freed_memory()

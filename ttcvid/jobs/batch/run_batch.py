@@ -38,8 +38,8 @@ from ttcvid.sinks.manifest import MANIFEST_NAME
 JOURNAL_NAME, LOCK_NAME = "journal.jsonl", ".ttcvid-batch.lock"
 RESERVED_NAMES = frozenset((TABLE_NAME, JOURNAL_NAME, INDEX_NAME))
 N_TRIES = 2
-CORES_FOR_TWO_PROCESSES = 2
-"""An analysis that may begin a second process keeps two cores busy."""
+CORES_OF_ANALYSIS = 2
+"""An analysis that may begin processes of its own keeps as many cores busy."""
 EXIT_PARTLY, EXIT_INTERRUPTED = 4, 130
 
 
@@ -233,7 +233,7 @@ def _workers(jobs: int | None, scheduler: str | None) -> Iterator[Sequence[Worke
     """Processes that keep to their share of the cores, or workers of a cluster."""
     if scheduler is None:
         n = 1 if jobs is None else jobs
-        has_cores = usable_cores() >= CORES_FOR_TWO_PROCESSES * n
+        has_cores = usable_cores() >= CORES_OF_ANALYSIS * n
         yield [LocalWorker(may_have_children=has_cores) for _ in range(n)]
         return
     from ttcvid.jobs.processes.cluster import Cluster

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from queue import Empty, Queue
 from types import TracebackType
@@ -59,6 +59,9 @@ class ReadAhead(Generic[T]):
                 self._queue.put(item)
                 if self._is_cancelled.is_set():
                     break
+            if isinstance(self._items, Generator):
+                # What it has begun ends here and now, not whenever nobody refers to it any more.
+                self._items.close()
             self._queue.put(_End())
         except BaseException as error:
             self._queue.put(_End(error))

@@ -26,12 +26,14 @@ class WarningsJudged:
 
     ``verdict`` by ``object_id``: ``in_time``, ``late``, ``missed``, ``not_expected`` (a collision that does not have to
     be warned of yet) or ``no_collision``. ``lead_s`` is the time from the first warning to the contact, of every object
-    that collides and is warned of, whether it has to be or not.
+    that collides and is warned of, whether it has to be or not. ``event_object (N,)`` is the true object that each
+    warning is of, ``UNKNOWN_OBJECT`` for none.
     """
 
     verdict: dict[int, str]
     lead_s: dict[int, float]
     numbers: Numbers
+    event_object: Ints
 
 
 def judge_warnings(
@@ -76,7 +78,7 @@ def judge_warnings(
         "lead_s": quantile(expected_leads_s, 0.5),
         "lead_p10_s": quantile(expected_leads_s, 0.1),
     }
-    return WarningsJudged(verdict, lead_s, numbers)
+    return WarningsJudged(verdict, lead_s, numbers, event_object)
 
 
 def object_of_events(events: pd.DataFrame, found: pd.DataFrame, owner: Ints) -> Ints:

@@ -78,18 +78,21 @@ class Evaluation:
     ``joined`` has a row per frame and true object: ``frame, t_s, object_id, name, is_counted``, its true box, times,
     direction, place and velocity and, as ``*_found``, times and direction of what was matched with it (NaN: nothing).
     ``by_frame`` has a row per frame of the run: ``frame, rotation_deg, epipole_deg`` (errors of own motion, NaN: not
-    judged or not found), ``is_epipole_judged`` and ``n_false``, the rows over nothing true.
+    judged or not found), ``is_epipole_judged`` and ``n_false``, the rows over nothing true. ``event_object`` has the
+    true object that each warning is of, ``UNKNOWN_OBJECT`` for none.
     """
 
     metrics: dict[str, Value]
     objects: tuple[ObjectJudged, ...]
     joined: pd.DataFrame
     by_frame: pd.DataFrame
+    event_object: Ints
 
 
 def judge_run(run: RunTables, truth: Truth) -> Evaluation:
     """Hold a run against a truth, over the frames that the run has. Definitions: ``evaluation.metrics``."""
     numbers: dict[str, Numbers] = {"clip": _clip(run)}
+    event_object = np.full(len(run.events), UNKNOWN_OBJECT)
     objects: tuple[ObjectJudged, ...] = ()
     joined = pd.DataFrame()
     by_frame = run.frames[["frame"]].assign(rotation_deg=np.nan, epipole_deg=np.nan, is_epipole_judged=False, n_false=0)
@@ -114,13 +117,13 @@ def judge_run(run: RunTables, truth: Truth) -> Evaluation:
         warnings: WarningsJudged | None = None
         if truth.encounters is not None:
             warnings = _warnings(run, found, matches, true_objects, truth.encounters)
-            numbers["events"] = warnings.numbers
+            numbers["events"], event_object = warnings.numbers, warnings.event_object
         objects = _each_object(joined, warnings, _sights(true_objects, run, truth.track_object))
         if truth.has_all_objects:
             n_false = found.frame[matches.verdict == "false"].value_counts()
             by_frame["n_false"] = by_frame.frame.map(n_false).fillna(0).to_numpy(np.int64)
     flat = {f"{group}.{name}": value for group, values in numbers.items() for name, value in values.items()}
-    return Evaluation({name: _finite(flat.get(name)) for name in METRICS}, objects, joined, by_frame)
+    return Evaluation({name: _finite(flat.get(name)) for name in METRICS}, objects, joined, by_frame, event_object)
 
 
 def _clip(run: RunTables) -> Numbers:
