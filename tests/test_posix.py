@@ -52,7 +52,7 @@ def posix_only(path: Path) -> set[str]:
 def test_no_other_module_asks_for_the_system() -> None:
     files = [path for path in PACKAGE.rglob("*.py") if path != Path(posix.__file__)]
     assert {path.name: posix_only(path) for path in files if posix_only(path)} == {}
-    assert posix_only(Path(posix.__file__)) == {"ctypes", "sys.platform"}
+    assert posix_only(Path(posix.__file__)) == {"ctypes", "signal.SIGKILL", "sys.platform"}
 
 
 def test_on_windows_no_folder_is_opened_and_no_process_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,6 +60,7 @@ def test_on_windows_no_folder_is_opened_and_no_process_copied(tmp_path: Path, mo
         posix.sync_folder(tmp_path / "missing")
     monkeypatch.setattr("sys.platform", "win32")
     posix.sync_folder(tmp_path / "missing")
+    posix.end_with_parent()
     assert not posix.can_copy_process()
     assert not posix.streams_are_files()
 
