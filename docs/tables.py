@@ -33,8 +33,9 @@ _ROWS = {
 }
 _TABLES_HEAD = f"""# The five tables
 
-{_GENERATED} Words, signs and units: [conventions](conventions.md). Which function makes
-which column: [where things are](../CONTRIBUTING.md#where-things-are).
+{_GENERATED}
+Words, signs and units: [conventions](conventions.md). Which function makes which column:
+[where things are](../CONTRIBUTING.md#where-things-are).
 
 Each table is `NAME.parquet` in the output folder: zstd, sorted by frame and number, types fixed, schema version
 {SCHEMA_VERSION} (`{VERSION_KEY}` in the file's metadata). Every column carries its unit and its description in the

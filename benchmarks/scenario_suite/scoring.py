@@ -18,6 +18,7 @@ import ttcvid
 from scenario_suite.drawing import code_digest, read_json, write_json
 from ttcvid.jobs.evaluate import read_run_tables, read_truth
 from ttcvid.model import Bools, Floats
+from ttcvid.simulate.scene import OwnMotion
 from ttcvid.studies.evaluation.directions import angle_deg
 from ttcvid.studies.evaluation.evaluate import Evaluation, judge_run
 from ttcvid.studies.evaluation.times import TIME_RANGE_S, TIMES, is_within, relative_error_of_eta
@@ -43,8 +44,10 @@ PICTURE_SIGMA_PX, LEAST_SIGMA_PX = 0.2, 0.1
 LEAST_SPEED_M_S, _LEAST_DEPTH_M = 0.2, 1e-3
 REACHES_US_S = 3.0
 """What stands in our way has to be found from this long before the contact."""
-_OWN_RADIUS_M, _LEAST_SPEED2 = 1.0, 1e-9
-"""Of what carries the camera (`ttcvid.simulate`); as a divisor, m^2/s^2."""
+_OWN_RADIUS_M = OwnMotion().radius_m
+"""Of what carries the camera, in all families."""
+_LEAST_SPEED2 = 1e-9
+"""As a divisor, m^2/s^2."""
 _STUDIES = Path(ttcvid.__file__).parent / "studies"
 
 
@@ -145,8 +148,8 @@ def size_px(rows: pd.DataFrame) -> Floats:
 def is_on_course(rows: pd.DataFrame, focal_px: float) -> Bools:
     """Which rows ``(N,)`` of ``Evaluation.joined`` have an object that touches us if both of us keep our velocities.
 
-    It is as wide and as high as its box, about the middle of its nearest surface, and nothing deep; however late that
-    comes.
+    The object is as wide and as high as its box, with the middle of its nearest surface in the middle, and has no
+    depth. It counts however late it touches us.
     """
     place, velocity = columns_of(rows, POSITION), columns_of(rows, VELOCITY)
     until_s = -np.sum(place * velocity, axis=1) / np.maximum(np.sum(velocity**2, axis=1), _LEAST_SPEED2)
@@ -158,7 +161,7 @@ def is_on_course(rows: pd.DataFrame, focal_px: float) -> Bools:
 
 
 def on_course_since_s(rows: pd.DataFrame, focal_px: float) -> pd.Series:
-    """Since when each object is on course in all rows of it that follow, by ``object_id``; none where it is not."""
+    """The time from which on all rows of an object are on course, by ``object_id``; none where the last one is not."""
     if not len(rows):
         return pd.Series(dtype=float)
     is_on = pd.Series(is_on_course(rows, focal_px), index=rows.index)
@@ -169,7 +172,7 @@ def on_course_since_s(rows: pd.DataFrame, focal_px: float) -> pd.Series:
 
 
 def n_averted(evaluation: Evaluation, events: pd.DataFrame, hit: list[int], focal_px: float) -> int:
-    """Warnings of objects, not those ``hit``, that were on course when they began: who stopped or turned later."""
+    """How many warnings are of an object that was on course when they began, but is none of those ``hit``."""
     rows, event_object = evaluation.joined, evaluation.event_object
     if not len(rows):
         return 0
