@@ -111,12 +111,16 @@ def earned_badness(with_it: Sequence[SceneScore], without: Sequence[SceneScore])
     return _difference(float(gain.mean()), draws_of(len(gain)) @ gain / len(gain))
 
 
-def families_changed(with_it: Sequence[SceneScore], without: Sequence[SceneScore]) -> tuple[int, int]:
-    """How many families a rule helps, and how many it harms."""
+def families_changed(with_it: Sequence[SceneScore], without: Sequence[SceneScore]) -> dict[str, float]:
+    """By how much a rule makes the scenes of a family less bad, in the mean, largest gain first: those that it changes.
+
+    Families that change by at most `SAME_BADNESS` are left out.
+    """
     gain = _gains(with_it, without)
     family = np.array([one.facts["family"] for one in with_it])
-    means = np.array([gain[family == name].mean() for name in dict.fromkeys(family)])
-    return int((means > SAME_BADNESS).sum()), int((means < -SAME_BADNESS).sum())
+    means = {str(name): float(gain[family == name].mean()) for name in np.unique(family)}
+    changed = [name for name, value in means.items() if abs(value) > SAME_BADNESS]
+    return {name: means[name] for name in sorted(changed, key=lambda name: -means[name])}
 
 
 def _gains(with_it: Sequence[SceneScore], without: Sequence[SceneScore]) -> Floats:
@@ -239,7 +243,7 @@ def report_trials(
     }
     header = ["rule", "lines", "acts in", "badness", *(name for _, name, _, _ in FIGURES), "families helped", "harmed"]
     for kind, title in titles.items():
-        rows, real_rows = [], []
+        rows, family_rows, real_rows = list[list[str]](), list[list[str]](), list[list[str]]()
         for trial in scores:
             if trial.kind != kind or (kind == "reference" and trial.name == EVERY):
                 continue
@@ -250,13 +254,24 @@ def report_trials(
                 for a, b in zip(scores[with_it], scores[without], strict=True)
                 if not (a.facts["exit_code"] or b.facts["exit_code"])
             ]
-            name = [trial.name, str(lines_of(trial)), acts[trial]]
-            rows.append([*name, *_cells([a for a, _ in both], [b for _, b in both])])
+            name, changed = [trial.name, str(lines_of(trial)), acts[trial]], dict[str, float]()
+            if both:
+                changed = families_changed([a for a, _ in both], [b for _, b in both])
+            rows.append([*name, *_cells([a for a, _ in both], [b for _, b in both], changed)])
+            family_rows.append([trial.name, *_named(changed)])
             if clips:
                 real_rows.append([*name[:2], *_real_cells(clips[with_it], clips[without])])
         if rows:
             report.heading(title)
             report.table(header, rows)
+        if kind == "one-out" and family_rows:
+            own = scores[of_name[EVERY]]
+            n_each = len(own) / len({one.facts["family"] for one in own})
+            report.say(
+                f"Which families, and how much less bad the rule makes them. There are {n_each:.1f} scenes a family: a "
+                f"warning that one of them gains or loses counts {1.0 / n_each:.2f}."
+            )
+            report.table(["rule", "helped", "harmed"], family_rows)
         if real_rows:
             report.say("The same on real clips:")
             report.table(["rule", "lines", *(name for _, name, _, _ in REAL_FIGURES)], real_rows)
@@ -275,13 +290,20 @@ def lines_of(trial: Trial) -> int:
     return sum(files.values()) + sum(RULES[name].n_lines for name in names if not RULES[name].files)
 
 
-def _cells(with_it: list[SceneScore], without: list[SceneScore]) -> list[str]:
+def _cells(with_it: list[SceneScore], without: list[SceneScore], changed: dict[str, float]) -> list[str]:
     if not with_it:
         return ["–"] * (len(FIGURES) + 3)
     one, other = Figures(with_it), Figures(without)
-    helped, harmed = families_changed(with_it, without)
+    n_helped = sum(gain > 0.0 for gain in changed.values())
     figures = [shown(earned(one, other, name, sign), scale) for name, _, scale, sign in FIGURES]
-    return [shown(earned_badness(with_it, without)), *figures, str(helped), str(harmed)]
+    return [shown(earned_badness(with_it, without)), *figures, str(n_helped), str(len(changed) - n_helped)]
+
+
+def _named(changed: dict[str, float]) -> tuple[str, str]:
+    """The families that a rule helps, with by how much, and those that it harms, most first."""
+    helped = [f"{name} +{gain:.2f}" for name, gain in changed.items() if gain > 0.0]
+    harmed = [f"{name} −{-gain:.2f}" for name, gain in reversed(changed.items()) if gain < 0.0]
+    return ", ".join(helped) or "–", ", ".join(harmed) or "–"
 
 
 def _real_cells(with_it: Sequence[ClipDone], without: Sequence[ClipDone]) -> list[str]:

@@ -167,8 +167,8 @@ def test_a_rule_earns_what_is_found_with_it_and_not_without():
     assert 0.0 <= found.lo < found.value < found.hi <= 0.4 + 1e-9
     badness = earned_badness(with_it, without)
     assert badness.value == pytest.approx(0.5 / 3)
-    assert families_changed(with_it, without) == (1, 0)
-    assert families_changed(without, with_it) == (0, 1)
+    assert families_changed(with_it, without) == {"b": pytest.approx(0.25)}
+    assert families_changed(without, with_it) == {"b": pytest.approx(-0.25)}
     alike = earned(Figures(with_it), Figures(with_it), "found", 1.0)
     assert alike == Difference(0.0, 0.0, 0.0)
     assert (shown(alike), shown(Difference(0.1, 0.05, 0.2), 100.0)) == ("0", "**+10 (+5.0 to +20)**")
