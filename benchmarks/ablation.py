@@ -112,7 +112,7 @@ def earned_badness(with_it: Sequence[SceneScore], without: Sequence[SceneScore])
 
 
 def families_changed(with_it: Sequence[SceneScore], without: Sequence[SceneScore]) -> dict[str, float]:
-    """By how much a rule makes the scenes of a family less bad, in the mean, largest gain first: those that it changes.
+    """By family, how much less bad a rule makes its scenes in the mean, largest gain first.
 
     Families that change by at most `SAME_BADNESS` are left out.
     """
