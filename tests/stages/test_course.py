@@ -258,9 +258,10 @@ def low_part(offset_m, z_m=15.0):
 
 def test_what_passes_below_the_camera_on_the_road_hits_our_car():
     """Of somebody who walks onto the road only the legs may be told from the background; an aircraft passes below."""
-    assert is_course(low_part(0.0), on_ground=True)
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=np.array([0.0, 0.0, 8.0 / 1.5]))
+    assert is_course(low_part(0.0), on_ground=True, bend=bend)
     assert not is_course(low_part(0.0))
-    assert not is_course(low_part(2.5), on_ground=True)
+    assert not is_course(low_part(2.5), on_ground=True, bend=bend)
 
 
 def side_of_lorry(offset_m, z_m=30.0, length_m=9.0):
@@ -371,6 +372,17 @@ def test_on_the_road_what_stands_is_warned_of_where_a_road_is_found(motion_id, r
     is_told = motion_id != SCENE_MOTION or road_hz is not None
     assert is_course(row, on_ground=True, bend=bend) == is_told
     assert is_course(row, on_ground=False, bend=bend)
+
+
+@pytest.mark.parametrize("road_hz", [None, np.array([0.0, 0.0, 10.0])])
+@pytest.mark.parametrize("motion_id", [SCENE_MOTION, 1])
+def test_what_we_would_run_over_is_warned_of_where_a_road_is_found(motion_id, road_hz):
+    """Road markings move as what comes at us does where the scene is taken for what drives with us."""
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=road_hz)
+    flat, upright = (standing(2.0, height_m, 1.2, 1.5 - 0.5 * height_m) for height_m in (0.4, 1.7))
+    flat, upright = (replace(row, motion_id=motion_id) for row in (flat, upright))
+    assert is_course(flat, on_ground=True, bend=bend) == (road_hz is not None)
+    assert is_course(upright, on_ground=True, bend=bend) == (motion_id != SCENE_MOTION or road_hz is not None)
 
 
 def test_on_the_road_nothing_that_stands_is_warned_of_before_it_is_known_how_we_drive():

@@ -98,3 +98,14 @@ def test_what_is_left_of_a_split_is_seen_as_a_whole(seed):
         on_it = frames[-1].truth == number
         assert movers.last.n_tracks[0] == pytest.approx(on_it.sum(), rel=0.2)
         assert movers.last.extent[0] * movers.rate_hz[0] < 0.15
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_small_mover_that_one_trajectory_explains_badly_is_not_hidden_by_a_large_one_that_it_explains_well(seed):
+    """Most tracks of both together are those of the large one."""
+    rng = np.random.default_rng(seed)
+    large = car(rng, (2.0, 0.5, 20.0), (-4.0, 0.0, 0.0), 60, (4.2, 1.4, 1.8))
+    small = car(rng, (6.1, 0.5, 20.0), (-4.5, 0.0, -2.0), 14, (1.5, 1.4, 1.8))
+    things = world(rng, STILL, 24, large, small)
+    frames = bodies_of(things, 24, STILL, sigma_px=0.5, platform=Platform.static, seed=seed)
+    assert_apart(frames[8:])

@@ -12,7 +12,7 @@ from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, fit_on_
 from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
-from ttcvid.stages.segmentation.body_views import BodyViews, fit_on_movers
+from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
@@ -26,26 +26,15 @@ _KNOWN_PART = 0.05
 _BESIDE = 1.5
 # Two movers become one within this part of the tolerances: what is near the limit keeps its number.
 _TO_MERGE = 0.5
-# Two movers are merged if one trajectory raises their reduced chi-square (at least 1) by at most the first factor. That
-# is tried if the trajectory of the larger fits the smaller within the second: that of one half of a turning bus leaves
-# the other up to 30 times as far off before refinement.
-_MERGED_REDCHI, _WORTH_TRYING = 2.0, 32.0
-_LEAST_REDCHI = 1.0
+# One mover less spares half of so many parameters times the logarithm of the number of tracks (Bayesian information
+# criterion): two are merged if one trajectory costs their tracks less than that more. With six, the unknowns of a view,
+# a turning bus falls in two.
+_PARAMETERS = 8.0
+# A merge is tried if the trajectory of the larger raises the reduced chi-square of the smaller, at least 1, by at most
+# this factor: that of one half of a turning bus leaves the other up to 30 times as far off before refinement.
+_WORTH_TRYING, _LEAST_REDCHI = 32.0, 1.0
 # Gauss-Newton steps for the joint trajectory; smallest number of tracks of a group, and largest of each mover in tests.
 _JOINT_STEPS, _LEAST_TRACKS, _ENOUGH_TRACKS = 4, 3, 60
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """P pairs of neighbouring movers.
-
-    large, small : ``(P,)`` indices of both.
-    limit : ``(P,)`` median reduced chi-square of their tracks on their own bodies, over that of the scene.
-    """
-
-    large: Ints
-    small: Ints
-    limit: Floats
 
 
 @dataclass(frozen=True)
@@ -84,11 +73,11 @@ def merged(
     pairs = _worth_trying(views, tracks_of, movers, *asked, own_redchi, median_redchi)
     if pairs is None:
         return key, movers
-    joint = _joint(views, scene, tracks_of, movers, pairs, median_redchi)
+    joint = _joint(views, scene, tracks_of, movers, *pairs, median_redchi)
     key, paths, rate_hz = key.copy(), movers.paths.take(np.arange(len(movers))), movers.rate_hz.copy()
     is_gone, is_changed = np.zeros(len(movers), dtype=bool), np.zeros(len(movers), dtype=bool)
     for place in np.flatnonzero(joint.is_one):
-        both = [int(pairs.large[place]), int(pairs.small[place])]
+        both = [int(one[place]) for one in pairs]
         # What has just been merged with a third one waits for the next time.
         if is_changed[both].any():
             continue
@@ -128,35 +117,40 @@ def _worth_trying(
     small: Ints,
     own_redchi: Floats,
     median_redchi: float,
-) -> _Pairs | None:
-    """Adjacent movers, of indices ``large, small (P,)``, whose merge is worth trying; None without any."""
-    counts = np.array([len(tracks) for tracks in tracks_of], dtype=np.int64)
-    few = np.repeat(np.arange(len(large)), counts[small])
-    points = views.points(np.concatenate([tracks_of[place] for place in small]), few)
-    fit = fit_on_movers(points, movers.paths.take(large), movers.rate_hz[large])
-    off = medians(fit.redchi, few, len(large)) / median_redchi
-    both = np.repeat(np.arange(len(large)), counts[large] + counts[small])
-    own = np.concatenate([tracks_of[place] for pair in zip(large, small, strict=True) for place in pair])
-    limit = np.maximum(medians(own_redchi[own], both, len(large)), _LEAST_REDCHI)
+) -> tuple[Ints, Ints] | None:
+    """Those of adjacent movers, of indices ``large, small (P,)``, whose merge is worth trying; None without any."""
+    pair = np.repeat(np.arange(len(large)), [len(tracks_of[place]) for place in small])
+    tracks = np.concatenate([tracks_of[place] for place in small])
+    fit = fit_on_movers(views.points(tracks, pair), movers.paths.take(large), movers.rate_hz[large])
+    off = medians(fit.redchi, pair, len(large)) / median_redchi
+    limit = np.maximum(medians(own_redchi[tracks], pair, len(large)), _LEAST_REDCHI)
     is_worth = off <= _WORTH_TRYING * limit
-    return _Pairs(large[is_worth], small[is_worth], limit[is_worth]) if is_worth.any() else None
+    return (large[is_worth], small[is_worth]) if is_worth.any() else None
 
 
 def _joint(
-    views: BodyViews, scene: RigidPaths, tracks_of: list[Ints], movers: Movers, pairs: _Pairs, median_redchi: float
+    views: BodyViews,
+    scene: RigidPaths,
+    tracks_of: list[Ints],
+    movers: Movers,
+    large: Ints,
+    small: Ints,
+    median_redchi: float,
 ) -> _Joint:
-    """Joint trajectory of each pair, and whether it is one mover."""
-    of_pairs = [tracks_of[place] for pair in zip(pairs.large, pairs.small, strict=True) for place in pair]
+    """Joint trajectory of each pair, and whether it is one mover: its energy is less, and its tracks hang together."""
+    of_pairs = [tracks_of[place] for pair in zip(large, small, strict=True) for place in pair]
     parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in of_pairs]
-    part, n_pairs = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts]), len(pairs.large)
+    part, n_pairs = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts]), len(large)
     track = np.concatenate(parts)
+    mover = np.column_stack([large, small]).ravel()[part]
+    own = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
     points = views.points(track, part // 2)
+    # From other inverse depths the first steps would bend a trajectory that fits, and some points would not arrive.
     steps = np.full(n_pairs, _JOINT_STEPS)
-    # Without inverse depths to start from, the first steps would bend a trajectory that fits.
-    start_hz = movers.rate_hz[pairs.large][points.thing]
-    joint, joint_hz = refined_movers(movers.paths.take(pairs.large), scene, points, steps, start_hz)
-    fit = fit_on_paths(points, joint)
-    is_one = medians(fit.redchi, points.thing, n_pairs) < _MERGED_REDCHI * median_redchi * pairs.limit
+    joint, joint_hz = refined_movers(movers.paths.take(large), scene, points, steps, own.rate_hz)
+    fit = fit_on_paths(points, joint, own.rate_hz)
+    more = np.nan_to_num(cost_of(fit.redchi / median_redchi) - cost_of(own.redchi / median_redchi))
+    is_one = np.bincount(points.thing, more) < 0.5 * _PARAMETERS * np.log(np.bincount(points.thing))
     for pair in np.flatnonzero(is_one):
         of_pair = np.flatnonzero(points.thing == pair)
         is_one[pair] = _hang_together(views.xy[track[of_pair]], fit.take(of_pair), part[of_pair] % 2)

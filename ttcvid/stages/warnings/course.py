@@ -84,10 +84,11 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     if row.motion_state not in APPROACHING or not tcpa_s > 0.0:
         return NO_COURSE
     is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road_hz is not None
-    if is_standing and view.on_ground and not is_road_found:
-        # Without a ground plane, a bridge, roadside trees or road markings look like a wall ahead.
-        return None
     *off_widths, sigma_widths = _miss_widths(row, abc_hz, cov, view).tolist()
+    if view.on_ground and not is_road_found and (is_standing or _passes_below(row, abc_hz, view)):
+        # Without a ground plane, a bridge or trees look like a wall ahead, and road markings, of which a mover is made
+        # where what drives with us is taken for the scene, like what we would run over.
+        return None
     miss_widths, sigma_widths = math.hypot(*off_widths), max(sigma_widths, _TINY)
     sides = (config.max_miss_widths - miss_widths, -config.max_miss_widths - miss_widths)
     hits = float(ndtr(sides[0] / sigma_widths) - ndtr(sides[1] / sigma_widths))
@@ -98,6 +99,13 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
         brakes = _braking_probability(row.closing, config.max_ttc_s)
         in_time, is_soon = max(in_time, brakes), brakes > _EVEN
     return Course(approach_probability(abc_hz, cov) * hits * in_time, is_soon, tuple(off_widths))
+
+
+def _passes_below(row: ClusterRow, abc_hz: Floats, view: Viewpoint) -> bool:
+    """Whether all of an object, its top too, passes below the camera."""
+    middle_px = np.array([(0.5 * (row.box_px[0] + row.box_px[2]), row.box_px[1])])
+    ray, way = rays_from_pixels(view.camera, middle_px)[0], abc_hz / np.linalg.norm(abc_hz)
+    return bool(ray[1] > way[1] * (way @ ray))
 
 
 def _braking_probability(closing: Closing | None, max_ttc_s: float) -> float:
