@@ -377,7 +377,7 @@ def test_on_the_road_what_stands_is_warned_of_where_a_road_is_found(motion_id, r
 @pytest.mark.parametrize("road_hz", [None, np.array([0.0, 0.0, 10.0])])
 @pytest.mark.parametrize("motion_id", [SCENE_MOTION, 1])
 def test_what_we_would_run_over_is_warned_of_where_a_road_is_found(motion_id, road_hz):
-    """Road markings move as what comes at us does where the scene is taken for what drives with us."""
+    """Where what drives with us is taken for the scene, road markings become a mover that comes at us."""
     bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=road_hz)
     flat, upright = (standing(2.0, height_m, 1.2, 1.5 - 0.5 * height_m) for height_m in (0.4, 1.7))
     flat, upright = (replace(row, motion_id=motion_id) for row in (flat, upright))

@@ -26,9 +26,9 @@ _KNOWN_PART = 0.05
 _BESIDE = 1.5
 # Two movers become one within this part of the tolerances: what is near the limit keeps its number.
 _TO_MERGE = 0.5
-# One mover less spares half of so many parameters times the logarithm of the number of tracks (Bayesian information
-# criterion): two are merged if one trajectory costs their tracks less than that more. With six, the unknowns of a view,
-# a turning bus falls in two.
+# Bayesian information criterion: two movers are merged if one trajectory costs their tracks (`_ENOUGH_TRACKS` of each
+# at most) less than half of so many parameters times log(number of tracks) more than two trajectories do. With six, the
+# unknowns of a view, a turning bus falls in two; with twelve, two that part slowly are one.
 _PARAMETERS = 8.0
 # A merge is tried if the trajectory of the larger raises the reduced chi-square of the smaller, at least 1, by at most
 # this factor: that of one half of a turning bus leaves the other up to 30 times as far off before refinement.
@@ -137,7 +137,7 @@ def _joint(
     small: Ints,
     median_redchi: float,
 ) -> _Joint:
-    """Joint trajectory of each pair, and whether it is one mover: its energy is less, and its tracks hang together."""
+    """Joint trajectory of each pair, and whether it is one: it costs less than two, and its tracks hang together."""
     of_pairs = [tracks_of[place] for pair in zip(large, small, strict=True) for place in pair]
     parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in of_pairs]
     part, n_pairs = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts]), len(large)
@@ -145,7 +145,7 @@ def _joint(
     mover = np.column_stack([large, small]).ravel()[part]
     own = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
     points = views.points(track, part // 2)
-    # From other inverse depths the first steps would bend a trajectory that fits, and some points would not arrive.
+    # From one inverse depth for all, the first steps would bend a trajectory that fits, and some points not converge.
     steps = np.full(n_pairs, _JOINT_STEPS)
     joint, joint_hz = refined_movers(movers.paths.take(large), scene, points, steps, own.rate_hz)
     fit = fit_on_paths(points, joint, own.rate_hz)

@@ -84,11 +84,11 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     if row.motion_state not in APPROACHING or not tcpa_s > 0.0:
         return NO_COURSE
     is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road_hz is not None
-    *off_widths, sigma_widths = _miss_widths(row, abc_hz, cov, view).tolist()
     if view.on_ground and not is_road_found and (is_standing or _passes_below(row, abc_hz, view)):
-        # Without a ground plane, a bridge or trees look like a wall ahead, and road markings, of which a mover is made
-        # where what drives with us is taken for the scene, like what we would run over.
+        # Without a ground plane, a bridge or trees look like a wall ahead. Road markings look like what we would run
+        # over, and are movers where what drives with us is taken for the scene.
         return None
+    *off_widths, sigma_widths = _miss_widths(row, abc_hz, cov, view).tolist()
     miss_widths, sigma_widths = math.hypot(*off_widths), max(sigma_widths, _TINY)
     sides = (config.max_miss_widths - miss_widths, -config.max_miss_widths - miss_widths)
     hits = float(ndtr(sides[0] / sigma_widths) - ndtr(sides[1] / sigma_widths))
@@ -102,7 +102,7 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
 
 
 def _passes_below(row: ClusterRow, abc_hz: Floats, view: Viewpoint) -> bool:
-    """Whether all of an object, its top too, passes below the camera."""
+    """Whether the top of an object passes below the camera, by its velocity ``abc_hz (3,)``."""
     middle_px = np.array([(0.5 * (row.box_px[0] + row.box_px[2]), row.box_px[1])])
     ray, way = rays_from_pixels(view.camera, middle_px)[0], abc_hz / np.linalg.norm(abc_hz)
     return bool(ray[1] > way[1] * (way @ ray))
