@@ -89,11 +89,7 @@ class _Equations:
 
 
 def fit_translation(
-    tracks: BodyTracks,
-    start: Floats,
-    speed_change_sigma_hz: float,
-    turn_sigma_rad_s: float,
-    memory_s: float,
+    tracks: BodyTracks, start: Floats, speed_change_sigma_hz: float, turn_sigma_rad_s: float, memory_s: float
 ) -> Translation | None:
     """Maximum likelihood estimate of the direction of a body; None where the search does not converge.
 
@@ -193,12 +189,7 @@ def _equations(tracks: BodyTracks, unknowns: Unknowns, residual: Floats, prior: 
 
 
 def _step(
-    tracks: BodyTracks,
-    unknowns: Unknowns,
-    residual: Floats,
-    equations: _Equations,
-    prior: _Prior,
-    damping: float,
+    tracks: BodyTracks, unknowns: Unknowns, residual: Floats, equations: _Equations, prior: _Prior, damping: float
 ) -> tuple[Floats, Floats]:
     """Gauss-Newton step of the shared ``(4,)`` and own ``(M, 4)`` unknowns."""
     own_side = tracks.sums(np.einsum("nki,nk,n->ni", equations.own, residual, equations.weight))

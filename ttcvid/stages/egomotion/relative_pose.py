@@ -8,12 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.geometry.estimation.relative_pose import (
-    GaussianPrior,
-    TwoViewFit,
-    direction_from_flow,
-    fit_motion,
-)
+from ttcvid.geometry.estimation.relative_pose import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation

@@ -83,10 +83,7 @@ class MoverOffset:
 
 
 def complaint_about_movers(
-    movers: Collection[MoverOffset],
-    horizon_sigma_rad: float,
-    tolerance_rad: float,
-    config: HorizonCalibrationConfig,
+    movers: Collection[MoverOffset], horizon_sigma_rad: float, tolerance_rad: float, config: HorizonCalibrationConfig
 ) -> str:
     """Why the epipoles of movers do not fit the calibration, as a sentence; empty where they do.
 

@@ -19,7 +19,7 @@ from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_mov
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.scene import SeenScene
-from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
+from ttcvid.stages.tracking.neighbours import connected_parts, pairs_without_gap
 
 # Least number of views of a track that contradicts the scene.
 _LEAST_VIEWS = 3
@@ -155,7 +155,7 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     span_s = -views.since_s[oldest]
     flow = _flows(xy, views.since_s, span_s)
     length = np.sqrt((flow * flow).sum(axis=1))
-    pairs = linked_pairs(views.xy_px[index], views.link_px)
+    pairs = pairs_without_gap(views.xy_px[index], views.link_px)
     one, other = pairs.T
     floor = _FLOW_PX / views.focal_px / np.minimum(span_s[one], span_s[other])
     apart = np.hypot(*(flow[one] - flow[other]).T)

@@ -7,14 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.geometry.estimation.pose_update import StepPriors, with_newest_steps
-from ttcvid.geometry.estimation.rigid_motion import (
-    PathFit,
-    PathPriors,
-    Points,
-    RigidPaths,
-    fit_on_paths,
-    refined_paths,
-)
+from ttcvid.geometry.estimation.rigid_motion import PathFit, PathPriors, Points, RigidPaths, fit_on_paths, refined_paths
 from ttcvid.geometry.kernels.rigid_points import NO_LENGTH
 from ttcvid.geometry.medians import medians
 from ttcvid.geometry.rotation import vector_from_rotation

@@ -35,6 +35,8 @@ ON_ROAD = 0.2
 # it: a road is no plane, and is known to a sixth of its depth. Both at so many standard deviations, of the inverse
 # depth and of the road's horizon (tangent).
 _UNDER_PART, _HANGING_PART, _FOOT_SIGMAS, _HORIZON_SIGMA = 0.85, 1.4, 3.0, 0.002
+# Radius of the sharpest crest of a road, in camera heights: 1.6 km.
+_CREST_RADIUS, _NO_RATE = 1200.0, 1e-6
 # An object with a closing speed below this share of our speed, and its foot less than so many camera heights ahead, is
 # part of our own car: bonnet, dashboard, or their reflection in the windscreen.
 _KEEPS_DISTANCE, _OWN_FRONT = 0.2, 3.0
@@ -96,6 +98,11 @@ class OnGround:
     def is_off_road(self) -> Bools:
         """Whether points ``(N,)`` are known not to be on the road."""
         return np.asarray(self.known & ~self.is_road)
+
+    @cached_property
+    def is_under(self) -> Bools:
+        """Whether points ``(N,)`` lie significantly under the road; none of our own car's front does."""
+        return np.asarray(self.known & _are_under(self.road_hz, self.rate_hz, self.sigma_hz, self.slope_hz))
 
     @cached_property
     def is_far(self) -> Bools:
@@ -176,22 +183,29 @@ class _Feet:
     slope_hz: float
 
     def reach_under(self, things: TrackSets, seen: OnGround) -> Bools:
-        """Tracks ``(M,)`` of the K ``things`` that lie significantly under the road, at the depth of their thing.
-
-        None of what is part of our own car.
-        """
+        """Tracks ``(M,)`` of the K ``things`` that lie significantly under the road, at the depth of their thing."""
+        of, road_hz = things.set_of, seen.road_hz[things.index]
         is_own = (self.median_hz < _KEEPS_DISTANCE * self.road_hz) & (self.road_hz > self.slope_hz / _OWN_FRONT)
-        least_hz = np.where(is_own, np.inf, self.median_hz + self._tolerance_hz(_UNDER_PART))
-        return np.asarray(_UNDER_PART * seen.road_hz[things.index] > least_hz[things.set_of])
+        return _are_under(road_hz, self.median_hz[of], self.sigma_hz[of], self.slope_hz) & ~is_own[of]
 
     @property
     def are_high(self) -> Bools:
         """Objects ``(K,)`` with a foot significantly over the road."""
-        return np.asarray(self.median_hz - _HANGING_PART * self.road_hz > self._tolerance_hz(_HANGING_PART))
+        tolerance_hz = _FOOT_SIGMAS * np.hypot(self.sigma_hz, _HANGING_PART * self.slope_hz * _HORIZON_SIGMA)
+        return np.asarray(self.median_hz - _HANGING_PART * self.road_hz > tolerance_hz)
 
-    def _tolerance_hz(self, part: float) -> Floats:
-        """Tolerance ``(K,)`` of an object's inverse depth less that share of the road's at its foot, 1/s."""
-        return np.asarray(_FOOT_SIGMAS * np.hypot(self.sigma_hz, part * self.slope_hz * _HORIZON_SIGMA))
+
+def _are_under(road_hz: Floats, rate_hz: Floats, sigma_hz: Floats, slope_hz: float) -> Bools:
+    """Whether points ``(N,)`` lie significantly under the road, which may fall away: none of our own car's front does.
+
+    At depth Z, in camera heights, a crest of radius R lies Z^2 / (2 R) below the plane. What is seen of it lies less
+    than a camera height below: beyond, it hides itself.
+    """
+    fall = 0.5 / _CREST_RADIUS * (slope_hz / np.maximum(rate_hz, _NO_RATE * slope_hz)) ** 2
+    part = np.clip(1.0 / (1.0 + fall), 0.5, _UNDER_PART)
+    tolerance_hz = _FOOT_SIGMAS * np.hypot(sigma_hz, part * slope_hz * _HORIZON_SIGMA)
+    is_own = (rate_hz < _KEEPS_DISTANCE * road_hz) & (road_hz > slope_hz / _OWN_FRONT)
+    return np.asarray((part * road_hz - rate_hz > tolerance_hz) & ~is_own)
 
 
 def _feet_of(things: TrackSets, seen: OnGround) -> _Feet:

@@ -109,10 +109,14 @@ def gathered_evidence(
     road = find_road(seen, aim)
     if road is None:
         return RoadMemory(track_id, _FORGETTING * evidence, None, seen)
-    most_sigma_hz = _KNOWN_PART * np.maximum(fit.rate_hz, LEAST_BELOW * road[2])
-    is_rated = views.is_free & (fit.n_views >= _LEAST_VIEWS) & (fit.rate_sigma_hz < most_sigma_hz)
-    contacts = find_contacts(views.xy_px, views.link_px, on_ground(fit, road, is_rated, float(aim[0])), key)
+    road_hz = np.maximum(road[0] + fit.place @ road[1:], LEAST_BELOW * road[2])
+    has_depth = fit.rate_sigma_hz < _KNOWN_PART * np.maximum(fit.rate_hz, road_hz)
+    is_rated = views.is_free & (fit.n_views >= _LEAST_VIEWS) & has_depth
+    ground = on_ground(fit, road, is_rated, float(aim[0]))
+    contacts = find_contacts(views.xy_px, views.link_px, ground, key)
     evidence = _shared_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), contacts)
+    # A track that lies under the road by itself needs no others, and no frames before.
+    evidence[ground.is_under] = 1.0
     return RoadMemory(track_id, evidence, road, seen)
 
 

@@ -9,12 +9,13 @@ from scipy.cluster.hierarchy import linkage
 from scipy.spatial import KDTree
 
 from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, fit_on_paths
+from ttcvid.geometry.kernels.rigid_points import NO_LENGTH
 from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
-from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, pairs_without_gap
 
 # Tracks side by side hang together if their inverse depths differ by less than the first factor. Farther apart they may
 # differ more, since a side may be slanted: its depth changes by up to so many times the distance across, and by no more
@@ -47,26 +48,19 @@ class _Joint:
 
 
 def merged(
-    views: BodyViews,
-    scene: RigidPaths,
-    key: Ints,
-    movers: Movers,
-    neighbours: Ints,
-    own_redchi: Floats,
-    median_redchi: float,
+    views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, own_redchi: Floats, median_redchi: float
 ) -> tuple[Ints, Movers]:
     """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
 
-    Movers are adjacent if they have neighbouring tracks.
+    Movers are adjacent if no gap is between their tracks.
 
     Parameters
     ----------
     key : ``(N,)`` body of each track.
-    neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
     own_redchi : ``(N,)`` reduced chi-square of each track on its body, over ``median_redchi``.
     """
     number = numbers_of(key, movers)
-    asked = _asked_neighbours(neighbours, number, movers)
+    asked = _adjacent(views, number, movers)
     if asked is None:
         return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
@@ -89,16 +83,16 @@ def merged(
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
-def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
+def _adjacent(views: BodyViews, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
     """Indices of the larger and the smaller of P adjacent movers that are due, ``(P,)`` each; None without any.
 
-    Adjacent ones have neighbouring tracks, and the smaller one `_LEAST_TRACKS`. ``neighbours (N, K)`` of each track,
-    ``number (N,)`` as from `numbers_of`.
+    Adjacent ones have no gap between their tracks, and the smaller one `_LEAST_TRACKS`. ``number (N,)`` of each track
+    is as from `numbers_of`.
     """
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
     beside = np.zeros((len(movers) + 1, len(movers) + 1), dtype=bool)
     of_mover = np.flatnonzero(number)
-    beside[number[of_mover, None], number[neighbours[of_mover]]] = True
+    beside[tuple(number[of_mover[pairs_without_gap(views.xy_px[of_mover], views.link_px)]].T)] = True
     one, other = np.nonzero(np.triu((beside | beside.T)[1:, 1:], 1))
     is_asked = is_due(np.minimum(movers.n_found[one], movers.n_found[other]))
     is_asked &= np.minimum(counts[one], counts[other]) >= _LEAST_TRACKS
@@ -140,16 +134,20 @@ def _joint(
     """Joint trajectory of each pair, and whether it is one: it costs less than two, and its tracks hang together."""
     of_pairs = [tracks_of[place] for pair in zip(large, small, strict=True) for place in pair]
     parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in of_pairs]
-    part, n_pairs = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts]), len(large)
+    part = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts])
     track = np.concatenate(parts)
     mover = np.column_stack([large, small]).ravel()[part]
     own = fit_on_movers(views.points(track, mover), movers.paths, movers.rate_hz)
     points = views.points(track, part // 2)
     # From one inverse depth for all, the first steps would bend a trajectory that fits, and some points not converge.
-    steps = np.full(n_pairs, _JOINT_STEPS)
-    joint, joint_hz = refined_movers(movers.paths.take(large), scene, points, steps, own.rate_hz)
-    fit = fit_on_paths(points, joint, own.rate_hz)
-    more = np.nan_to_num(cost_of(fit.redchi / median_redchi) - cost_of(own.redchi / median_redchi))
+    # Those of the smaller mover are in units of its own trajectory.
+    length = np.linalg.norm(movers.paths.path, axis=2).max(axis=1) + NO_LENGTH
+    start_hz = own.rate_hz * length[mover] / length[large][part // 2]
+    steps = np.full(len(large), _JOINT_STEPS)
+    joint, joint_hz = refined_movers(movers.paths.take(large), scene, points, steps, start_hz)
+    fit = fit_on_paths(points, joint, start_hz)
+    # What does not converge costs as much as what is far off.
+    more = cost_of(np.nan_to_num(fit.redchi / median_redchi, nan=np.inf)) - cost_of(own.redchi / median_redchi)
     is_one = np.bincount(points.thing, more) < 0.5 * _PARAMETERS * np.log(np.bincount(points.thing))
     for pair in np.flatnonzero(is_one):
         of_pair = np.flatnonzero(points.thing == pair)

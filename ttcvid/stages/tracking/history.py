@@ -200,12 +200,7 @@ def empty_history(camera: Camera, sigma_start_px: float) -> TrackHistory:
 
 
 def extended(
-    history: TrackHistory,
-    frame: int,
-    t_s: float,
-    points: PointSet,
-    rays: Floats,
-    max_frames: int,
+    history: TrackHistory, frame: int, t_s: float, points: PointSet, rays: Floats, max_frames: int
 ) -> TrackHistory:
     """The history with one more frame, of at most ``max_frames`` views.
 

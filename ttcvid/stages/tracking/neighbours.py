@@ -9,6 +9,8 @@ from ttcvid.model import Bools, Floats, Ints
 
 # The radius reaches over so many cells; the most of them along one axis.
 _REACH, _MOST_CELLS = 4, 400
+# Tracks farther apart than so many times the distance to the nth nearest one of either have a gap between them.
+_GAP, _NTH = 2.0, 3
 
 
 def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bools, kind: Ints) -> Ints:
@@ -69,6 +71,17 @@ def _fill_nearest(xy_px: Floats, cell: Ints, side_px: float, is_asked: Bools, ki
 def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
     """All pairs of points ``(N, 2)`` closer than a radius: (M, 2), the smaller index first."""
     return _near_pairs(np.ascontiguousarray(xy_px), np.argsort(xy_px[:, 0]), radius_px)
+
+
+def pairs_without_gap(xy_px: Floats, radius_px: float) -> Ints:
+    """Those of `linked_pairs` that are no farther apart than points are there: (M, 2). Cars in a row have gaps."""
+    pairs = linked_pairs(xy_px, radius_px)
+    apart_px = np.hypot(*(xy_px[pairs[:, 0]] - xy_px[pairs[:, 1]]).T)
+    end, length_px = pairs.ravel(), np.repeat(apart_px, 2)
+    count, spacing_px = np.bincount(end, minlength=len(xy_px)), np.full(len(xy_px), radius_px)
+    has_nth, nth = count >= _NTH, np.cumsum(count) - count + _NTH - 1
+    spacing_px[has_nth] = length_px[np.lexsort((length_px, end))[nth[has_nth]]]
+    return pairs.take(np.flatnonzero(apart_px <= _GAP * spacing_px[pairs].max(axis=1)), axis=0)
 
 
 @compiled_for("(f8[:, ::1], i8[::1], f8)")
