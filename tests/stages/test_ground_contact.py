@@ -231,7 +231,7 @@ def test_a_slower_car_ahead_is_whole_though_its_middle_has_the_static_depth_of_t
     assert max(np.count_nonzero(frame.key[frame.truth == 0] != 0) for frame in frames) <= 10
 
 
-def test_a_slower_car_ahead_of_few_noisy_tracks_is_found_within_one_and_a_half_seconds():
+def test_a_slower_car_ahead_of_few_noisy_tracks_is_found_within_1_2_seconds():
     """Each of its lower tracks lies under the road by itself, whatever depths their noise makes of them together."""
     is_found = []
     for seed in range(6):

@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, nearest_neighbours
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, nearest_neighbours, without_gaps
 
 
 @st.composite
@@ -122,3 +122,25 @@ def test_parts_do_not_depend_on_the_order_of_the_pairs(graph, seed):
     is_in, pairs = graph
     shuffled = np.random.default_rng(seed).permuted(np.random.default_rng(seed).permutation(pairs), axis=1)
     np.testing.assert_array_equal(connected_parts(is_in, pairs), connected_parts(is_in, shuffled))
+
+
+def test_two_cars_have_a_gap_between_them_and_one_that_is_sparse_has_none():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(5.0), np.arange(4.0)))
+    car = np.column_stack([x, y])
+    for spacing_px, apart_px, n_parts in ((5.0, 18.0, 2), (12.0, 18.0, 1)):
+        one = spacing_px * car
+        xy_px = np.concatenate([one, one + [4.0 * spacing_px + apart_px, 0.0]])
+        pairs = linked_pairs(xy_px, 32.0)
+        every = np.ones(len(xy_px), dtype=bool)
+        assert len({*connected_parts(every, pairs).tolist()}) == 1
+        assert len({*connected_parts(every, without_gaps(pairs, xy_px, 32.0)).tolist()}) == n_parts
+
+
+def test_gaps_are_measured_by_the_third_nearest_of_those_a_point_is_paired_with():
+    xy_px = np.random.default_rng(3).uniform(0.0, 100.0, (60, 2))
+    pairs, apart = linked_pairs(xy_px, 40.0), np.linalg.norm(xy_px[:, None] - xy_px, axis=2)
+    third = np.minimum(np.sort(apart, axis=1)[:, 3], 40.0)
+    expected = [pair for pair in pairs.tolist() if apart[tuple(pair)] <= 2.0 * third[pair].max()]
+    assert without_gaps(pairs, xy_px, 40.0).tolist() == expected
+    assert 0 < len(expected) < len(pairs)
+    assert without_gaps(np.empty((0, 2), dtype=np.int64), xy_px, 40.0).shape == (0, 2)

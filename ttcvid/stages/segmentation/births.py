@@ -19,7 +19,7 @@ from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_mov
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.scene import SeenScene
-from ttcvid.stages.tracking.neighbours import connected_parts, pairs_without_gap
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
 
 # Least number of views of a track that contradicts the scene.
 _LEAST_VIEWS = 3
@@ -31,10 +31,8 @@ _FLOW_PART, _FLOW_PX = 0.35, 1.0
 # A flow is the median over the views in this part of a track's span, the older one: of some tracks every third
 # observation is displaced.
 _OLDEST_PART = 0.5
-# Most tracks.
-_MOST = 0.5
-# Gauss-Newton steps for a new trajectory.
-_FIRST_STEPS = 3
+# Most tracks; Gauss-Newton steps for a new trajectory.
+_MOST, _FIRST_STEPS = 0.5, 3
 # Reduced chi-squares are at least this where their logarithm is taken.
 _NO_REDCHI = 0.1
 
@@ -155,13 +153,14 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     span_s = -views.since_s[oldest]
     flow = _flows(xy, views.since_s, span_s)
     length = np.sqrt((flow * flow).sum(axis=1))
-    pairs = pairs_without_gap(views.xy_px[index], views.link_px)
+    pairs = linked_pairs(views.xy_px[index], views.link_px)
     one, other = pairs.T
     floor = _FLOW_PX / views.focal_px / np.minimum(span_s[one], span_s[other])
     apart = np.hypot(*(flow[one] - flow[other]).T)
     is_alike = apart < _FLOW_PART * 0.5 * (length[one] + length[other]) + floor
     is_alike &= is_along[one] == is_along[other]
-    return connected_parts(np.ones(len(index), dtype=bool), pairs.take(np.flatnonzero(is_alike), axis=0))
+    pairs = without_gaps(pairs.take(np.flatnonzero(is_alike), axis=0), views.xy_px[index], views.link_px)
+    return connected_parts(np.ones(len(index), dtype=bool), pairs)
 
 
 def _flows(xy: Floats, since_s: Floats, span_s: Floats) -> Floats:

@@ -35,8 +35,8 @@ ON_ROAD = 0.2
 # it: a road is no plane, and is known to a sixth of its depth. Both at so many standard deviations, of the inverse
 # depth and of the road's horizon (tangent).
 _UNDER_PART, _HANGING_PART, _FOOT_SIGMAS, _HORIZON_SIGMA = 0.85, 1.4, 3.0, 0.002
-# Radius of the sharpest crest of a road, in camera heights: 1.6 km.
-_CREST_RADIUS, _NO_RATE = 1200.0, 1e-6
+# Radius of a crest, in camera heights (1.6 km); what is seen of it has at least that part of the plane's inverse depth.
+_CREST_RADIUS, _SEEN_PART = 1200.0, 0.5
 # An object with a closing speed below this share of our speed, and its foot less than so many camera heights ahead, is
 # part of our own car: bonnet, dashboard, or their reflection in the windscreen.
 _KEEPS_DISTANCE, _OWN_FRONT = 0.2, 3.0
@@ -63,11 +63,13 @@ class Contacts:
     thing : ``(N,)`` object of each track, -1 without one.
     contradicts : ``(K,)`` the foot contradicts a static object.
     is_borne : ``(K,)`` the foot is on the ground.
+    is_own : ``(N,)`` tracks of our own car's front.
     """
 
     thing: Ints
     contradicts: Bools
     is_borne: Bools
+    is_own: Bools
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class OnGround:
 
     @cached_property
     def is_under(self) -> Bools:
-        """Whether points ``(N,)`` lie significantly under the road; none of our own car's front does."""
+        """Whether points ``(N,)`` lie significantly under the road, each by itself."""
         return np.asarray(self.known & _are_under(self.road_hz, self.rate_hz, self.sigma_hz, self.slope_hz))
 
     @cached_property
@@ -140,7 +142,8 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     is_under = feet.reach_under(things, seen)
     lies_under = is_large & (np.bincount(things.set_of, is_under, n_things) >= _LEAST_UNDER)
     is_asked = is_large & ~lies_under & (upright.lengths >= _LEAST_POINTS) & (upright_feet.road_hz > 0.0)
-    thing, contradicts = np.full(len(key), -1), lies_under.copy()
+    thing, contradicts, is_own = np.full(len(key), -1), lies_under.copy(), np.zeros(len(key), dtype=bool)
+    is_own[things.index] = feet.are_own[things.set_of]
     thing[things.index] = np.where(is_large, np.arange(n_things), -1)[things.set_of]
     for number in np.flatnonzero(is_asked & upright_feet.are_high).tolist():
         contradicts[number] = _hangs(seen, upright.members(number), int(upright_feet.track[number]))
@@ -165,7 +168,7 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
             continue
         above = _above(seen, members, int(under[np.argmin(seen.place[under, 1])]), key, xy_px, link_px)
         thing[members] = thing[above] = number
-    return Contacts(thing, contradicts, is_asked & ~upright_feet.are_high)
+    return Contacts(thing, contradicts, is_asked & ~upright_feet.are_high, is_own)
 
 
 @dataclass(frozen=True)
@@ -185,8 +188,13 @@ class _Feet:
     def reach_under(self, things: TrackSets, seen: OnGround) -> Bools:
         """Tracks ``(M,)`` of the K ``things`` that lie significantly under the road, at the depth of their thing."""
         of, road_hz = things.set_of, seen.road_hz[things.index]
-        is_own = (self.median_hz < _KEEPS_DISTANCE * self.road_hz) & (self.road_hz > self.slope_hz / _OWN_FRONT)
-        return _are_under(road_hz, self.median_hz[of], self.sigma_hz[of], self.slope_hz) & ~is_own[of]
+        return _are_under(road_hz, self.median_hz[of], self.sigma_hz[of], self.slope_hz) & ~self.are_own[of]
+
+    @property
+    def are_own(self) -> Bools:
+        """Objects ``(K,)`` that are part of our own car."""
+        keep_distance = self.median_hz < _KEEPS_DISTANCE * self.road_hz
+        return np.asarray(keep_distance & (self.road_hz > self.slope_hz / _OWN_FRONT))
 
     @property
     def are_high(self) -> Bools:
@@ -196,16 +204,11 @@ class _Feet:
 
 
 def _are_under(road_hz: Floats, rate_hz: Floats, sigma_hz: Floats, slope_hz: float) -> Bools:
-    """Whether points ``(N,)`` lie significantly under the road, which may fall away: none of our own car's front does.
-
-    At depth Z, in camera heights, a crest of radius R lies Z^2 / (2 R) below the plane. What is seen of it lies less
-    than a camera height below: beyond, it hides itself.
-    """
-    fall = 0.5 / _CREST_RADIUS * (slope_hz / np.maximum(rate_hz, _NO_RATE * slope_hz)) ** 2
-    part = np.clip(1.0 / (1.0 + fall), 0.5, _UNDER_PART)
+    """Whether points ``(N,)`` lie significantly under a road that falls away by Z^2 / (2 R), in camera heights."""
+    square_hz2 = rate_hz**2
+    part = np.clip(square_hz2 / (square_hz2 + 0.5 / _CREST_RADIUS * slope_hz**2), _SEEN_PART, _UNDER_PART)
     tolerance_hz = _FOOT_SIGMAS * np.hypot(sigma_hz, part * slope_hz * _HORIZON_SIGMA)
-    is_own = (rate_hz < _KEEPS_DISTANCE * road_hz) & (road_hz > slope_hz / _OWN_FRONT)
-    return np.asarray((part * road_hz - rate_hz > tolerance_hz) & ~is_own)
+    return np.asarray(part * road_hz - rate_hz > tolerance_hz)
 
 
 def _feet_of(things: TrackSets, seen: OnGround) -> _Feet:

@@ -116,7 +116,7 @@ def gathered_evidence(
     contacts = find_contacts(views.xy_px, views.link_px, ground, key)
     evidence = _shared_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), contacts)
     # A track that lies under the road by itself needs no others, and no frames before.
-    evidence[ground.is_under] = 1.0
+    evidence[ground.is_under & ~contacts.is_own] = 1.0
     return RoadMemory(track_id, evidence, road, seen)
 
 

@@ -15,7 +15,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
-from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, pairs_without_gap
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
 # Tracks side by side hang together if their inverse depths differ by less than the first factor. Farther apart they may
 # differ more, since a side may be slanted: its depth changes by up to so many times the distance across, and by no more
@@ -52,7 +52,7 @@ def merged(
 ) -> tuple[Ints, Movers]:
     """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
 
-    Movers are adjacent if no gap is between their tracks.
+    Movers are adjacent if they have neighbouring tracks.
 
     Parameters
     ----------
@@ -86,13 +86,13 @@ def merged(
 def _adjacent(views: BodyViews, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
     """Indices of the larger and the smaller of P adjacent movers that are due, ``(P,)`` each; None without any.
 
-    Adjacent ones have no gap between their tracks, and the smaller one `_LEAST_TRACKS`. ``number (N,)`` of each track
-    is as from `numbers_of`.
+    Adjacent ones have neighbouring tracks, and the smaller one `_LEAST_TRACKS`. ``number (N,)`` as from `numbers_of`.
     """
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
     beside = np.zeros((len(movers) + 1, len(movers) + 1), dtype=bool)
     of_mover = np.flatnonzero(number)
-    beside[tuple(number[of_mover[pairs_without_gap(views.xy_px[of_mover], views.link_px)]].T)] = True
+    pairs = of_mover[linked_pairs(views.xy_px[of_mover], views.link_px)]
+    beside[number[pairs[:, 0]], number[pairs[:, 1]]] = True
     one, other = np.nonzero(np.triu((beside | beside.T)[1:, 1:], 1))
     is_asked = is_due(np.minimum(movers.n_found[one], movers.n_found[other]))
     is_asked &= np.minimum(counts[one], counts[other]) >= _LEAST_TRACKS
@@ -143,12 +143,12 @@ def _joint(
     # Those of the smaller mover are in units of its own trajectory.
     length = np.linalg.norm(movers.paths.path, axis=2).max(axis=1) + NO_LENGTH
     start_hz = own.rate_hz * length[mover] / length[large][part // 2]
-    steps = np.full(len(large), _JOINT_STEPS)
-    joint, joint_hz = refined_movers(movers.paths.take(large), scene, points, steps, start_hz)
+    start, steps = movers.paths.take(large), np.full(len(large), _JOINT_STEPS)
+    joint, joint_hz = refined_movers(start, scene, points, steps, start_hz)
     fit = fit_on_paths(points, joint, start_hz)
     # What does not converge costs as much as what is far off.
-    more = cost_of(np.nan_to_num(fit.redchi / median_redchi, nan=np.inf)) - cost_of(own.redchi / median_redchi)
-    is_one = np.bincount(points.thing, more) < 0.5 * _PARAMETERS * np.log(np.bincount(points.thing))
+    cost, own_cost = (cost_of(np.nan_to_num(one.redchi / median_redchi, nan=np.inf)) for one in (fit, own))
+    is_one = np.bincount(points.thing, cost - own_cost) < 0.5 * _PARAMETERS * np.log(np.bincount(points.thing))
     for pair in np.flatnonzero(is_one):
         of_pair = np.flatnonzero(points.thing == pair)
         is_one[pair] = _hang_together(views.xy[track[of_pair]], fit.take(of_pair), part[of_pair] % 2)

@@ -20,8 +20,7 @@ from ttcvid.stages.tracking.history import TrackHistory
 
 # At most this many tracks refine the scene; those in crowded cells have less weight. Side of the cells, in cells of
 # the egomotion.
-_ENOUGH_TRACKS, _CELLS = 400, 1.2
-_SCENE_STEPS = 2
+_ENOUGH_TRACKS, _CELLS, _SCENE_STEPS = 400, 1.2, 2
 # Own speed does not fall below this part of its value at the start of the window, so that it can rise again.
 _LEAST_SPEED = 0.1
 # A rate above so many of its standard deviations is no standstill.
@@ -36,8 +35,7 @@ _MOVER_EVIDENCE = 0.25
 # on the road.
 _LEAST_EVIDENCE = 0.1
 # Misfits under 1 (in units of the scene's median) are noise.
-_LEAST_REDCHI = 1.0
-_LEAST_MEASURED = 10
+_LEAST_REDCHI, _LEAST_MEASURED = 1.0, 10
 # What steps farther than this before a camera on a mast is not the street, px.
 _STILL_STEP_PX = 1.0
 # What has stood still over so many views has stopped.

@@ -73,9 +73,8 @@ def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
     return _near_pairs(np.ascontiguousarray(xy_px), np.argsort(xy_px[:, 0]), radius_px)
 
 
-def pairs_without_gap(xy_px: Floats, radius_px: float) -> Ints:
-    """Those of `linked_pairs` that are no farther apart than points are there: (M, 2). Cars in a row have gaps."""
-    pairs = linked_pairs(xy_px, radius_px)
+def without_gaps(pairs: Ints, xy_px: Floats, radius_px: float) -> Ints:
+    """Those of the ``pairs (M, 2)`` of points nearer than a radius without a gap. Points of few pairs have no gaps."""
     apart_px = np.hypot(*(xy_px[pairs[:, 0]] - xy_px[pairs[:, 1]]).T)
     end, length_px = pairs.ravel(), np.repeat(apart_px, 2)
     count, spacing_px = np.bincount(end, minlength=len(xy_px)), np.full(len(xy_px), radius_px)
