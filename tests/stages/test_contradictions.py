@@ -1,7 +1,6 @@
 """What contradicts the scene, held against the plain formulas."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,21 +30,21 @@ def test_candidates_are_those_whose_neighbourhood_has_a_large_median_misfit(seed
     np.testing.assert_array_equal(found, expected)
 
 
-def test_movers_are_adjacent_where_a_track_of_one_is_near_a_track_of_the_other():
-    rng, link_px = np.random.default_rng(1), 12.0
-    number, xy_px = rng.integers(0, 6, N), rng.uniform(0.0, 60.0, (N, 2))
+def test_movers_touch_where_a_track_of_one_is_beside_a_track_of_the_other():
+    rng = np.random.default_rng(1)
+    number, neighbours = rng.integers(0, 6, N), rng.integers(0, N, (N, 1))
+    neighbours[rng.random(N) < 0.9, 0] = 0
     number[number == 5] = np.where(np.arange(np.count_nonzero(number == 5)) < 2, 5, 0)
     counts, expected = np.bincount(number, minlength=6), set()
-    xy_px[number == 4] += (70.0, 0.0)
-    of_mover = np.flatnonzero(number)
-    apart = np.linalg.norm(xy_px[of_mover, None] - xy_px[of_mover], axis=2)
-    for one, other in zip(*np.nonzero(apart < link_px), strict=True):
-        pair = number[of_mover[one]], number[of_mover[other]]
-        if pair[0] != pair[1] and min(counts[list(pair)]) >= 3:
-            large, small = sorted(pair, key=lambda mover: (-counts[mover], mover))
-            expected.add((large - 1, small - 1))
+    for one in range(1, 6):
+        for other in range(one + 1, 6):
+            if min(counts[one], counts[other]) >= 3:
+                large, small = (one, other) if counts[one] >= counts[other] else (other, one)
+                one_sees_other = (number[neighbours[number == one]] == other).any()
+                if one_sees_other or (number[neighbours[number == other]] == one).any():
+                    expected.add((large - 1, small - 1))
     due = Movers(np.arange(5), np.zeros(5), np.zeros(5, dtype=np.int64), *[None] * 4)
-    found = merges._adjacent(SimpleNamespace(xy_px=xy_px, link_px=link_px), number, due)
+    found = merges._asked_neighbours(neighbours, number, due)
     assert set(zip(*(places.tolist() for places in found), strict=True)) == expected
     assert 0 < len(expected) < 6
 

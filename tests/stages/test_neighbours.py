@@ -129,7 +129,7 @@ def test_two_cars_have_a_gap_between_them_and_one_that_is_sparse_has_none():
     car = np.column_stack([x, y])
     for spacing_px, apart_px, n_parts in ((5.0, 18.0, 2), (12.0, 18.0, 1)):
         one = spacing_px * car
-        xy_px = np.concatenate([one, one + [4.0 * spacing_px + apart_px, 0.0]])
+        xy_px = np.concatenate([one, one + np.array([4.0 * spacing_px + apart_px, 0.0])])
         pairs = linked_pairs(xy_px, 32.0)
         every = np.ones(len(xy_px), dtype=bool)
         assert len({*connected_parts(every, pairs).tolist()}) == 1

@@ -122,7 +122,7 @@ def find_bodies(
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
-    key, movers = merged(views, seen.scene, key, movers, own_redchi, seen.median_redchi)
+    key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     known = np.append(SCENE_CLUSTER, movers.key)
     key = np.where(is_displaced & (known[numbers_of(belonged, movers)] == belonged), belonged, key)

@@ -48,7 +48,7 @@ class _Joint:
 
 
 def merged(
-    views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, own_redchi: Floats, median_redchi: float
+    views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, neighbours: Ints, redchi: Floats, median_redchi: float
 ) -> tuple[Ints, Movers]:
     """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
 
@@ -57,14 +57,15 @@ def merged(
     Parameters
     ----------
     key : ``(N,)`` body of each track.
-    own_redchi : ``(N,)`` reduced chi-square of each track on its body, over ``median_redchi``.
+    neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
+    redchi : ``(N,)`` reduced chi-square of each track on its body, over ``median_redchi``.
     """
     number = numbers_of(key, movers)
-    asked = _adjacent(views, number, movers)
+    asked = _asked_neighbours(neighbours, number, movers)
     if asked is None:
         return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
-    pairs = _worth_trying(views, tracks_of, movers, *asked, own_redchi, median_redchi)
+    pairs = _worth_trying(views, tracks_of, movers, *asked, redchi, median_redchi)
     if pairs is None:
         return key, movers
     joint = _joint(views, scene, tracks_of, movers, *pairs, median_redchi)
@@ -83,16 +84,16 @@ def merged(
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
-def _adjacent(views: BodyViews, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
+def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
     """Indices of the larger and the smaller of P adjacent movers that are due, ``(P,)`` each; None without any.
 
-    Adjacent ones have neighbouring tracks, and the smaller one `_LEAST_TRACKS`. ``number (N,)`` as from `numbers_of`.
+    Adjacent ones have neighbouring tracks, and the smaller one `_LEAST_TRACKS`. ``neighbours (N, K)`` of each track,
+    ``number (N,)`` as from `numbers_of`.
     """
     counts = np.bincount(number, minlength=len(movers) + 1)[1:]
     beside = np.zeros((len(movers) + 1, len(movers) + 1), dtype=bool)
     of_mover = np.flatnonzero(number)
-    pairs = of_mover[linked_pairs(views.xy_px[of_mover], views.link_px)]
-    beside[number[pairs[:, 0]], number[pairs[:, 1]]] = True
+    beside[number[of_mover, None], number[neighbours[of_mover]]] = True
     one, other = np.nonzero(np.triu((beside | beside.T)[1:, 1:], 1))
     is_asked = is_due(np.minimum(movers.n_found[one], movers.n_found[other]))
     is_asked &= np.minimum(counts[one], counts[other]) >= _LEAST_TRACKS
