@@ -48,7 +48,7 @@ class _Joint:
 
 
 def merged(
-    views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, neighbours: Ints, redchi: Floats, median_redchi: float
+    views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, neighbours: Ints, redchi: Floats, median: float
 ) -> tuple[Ints, Movers]:
     """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
 
@@ -58,17 +58,17 @@ def merged(
     ----------
     key : ``(N,)`` body of each track.
     neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
-    redchi : ``(N,)`` reduced chi-square of each track on its body, over ``median_redchi``.
+    redchi : ``(N,)`` reduced chi-square of each track on its body, over ``median``.
     """
     number = numbers_of(key, movers)
     asked = _asked_neighbours(neighbours, number, movers)
     if asked is None:
         return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
-    pairs = _worth_trying(views, tracks_of, movers, *asked, redchi, median_redchi)
+    pairs = _worth_trying(views, tracks_of, movers, *asked, redchi, median)
     if pairs is None:
         return key, movers
-    joint = _joint(views, scene, tracks_of, movers, *pairs, median_redchi)
+    joint = _joint(views, scene, tracks_of, movers, *pairs, median)
     key, paths, rate_hz = key.copy(), movers.paths.take(np.arange(len(movers))), movers.rate_hz.copy()
     is_gone, is_changed = np.zeros(len(movers), dtype=bool), np.zeros(len(movers), dtype=bool)
     for place in np.flatnonzero(joint.is_one):
