@@ -54,7 +54,9 @@ class Rule:
 
 
 def _no_contacts(xy_px: Any, link_px: Any, fit: Any, key: Any, *_: Any) -> Contacts:
-    return Contacts(np.full(len(key), -1), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool))
+    # All tracks of our own car's front: none is under the road by itself, either.
+    none, every = np.zeros(0, dtype=bool), np.ones(len(key), dtype=bool)
+    return Contacts(np.full(len(key), -1), none, none, every)
 
 
 def _none_frozen(memory: Any, points: Any, **_: Any) -> tuple[Any, FrozenMemory]:
