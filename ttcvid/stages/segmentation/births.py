@@ -31,7 +31,7 @@ _FLOW_PART, _FLOW_PX = 0.35, 1.0
 # A flow is the median over the views in this part of a track's span, the older one: of some tracks every third
 # observation is displaced.
 _OLDEST_PART = 0.5
-# Most tracks; Gauss-Newton steps for a new trajectory.
+# Least part of its tracks that a mover explains better; Gauss-Newton steps for a new trajectory.
 _MOST, _FIRST_STEPS = 0.5, 3
 # Reduced chi-squares are at least this where their logarithm is taken.
 _NO_REDCHI = 0.1

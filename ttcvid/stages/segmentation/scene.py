@@ -19,7 +19,7 @@ from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidenc
 from ttcvid.stages.tracking.history import TrackHistory
 
 # At most this many tracks refine the scene; those in crowded cells have less weight. Side of the cells, in cells of
-# the egomotion.
+# the egomotion; Gauss-Newton steps.
 _ENOUGH_TRACKS, _CELLS, _SCENE_STEPS = 400, 1.2, 2
 # Own speed does not fall below this part of its value at the start of the window, so that it can rise again.
 _LEAST_SPEED = 0.1

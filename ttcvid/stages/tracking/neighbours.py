@@ -74,7 +74,7 @@ def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:
 
 
 def without_gaps(pairs: Ints, xy_px: Floats, radius_px: float) -> Ints:
-    """Those of the ``pairs (M, 2)`` of points nearer than a radius without a gap. Points of few pairs have no gaps."""
+    """Those of the ``pairs (M, 2)`` of near points, within a radius, without a gap; a point of few pairs has none."""
     apart_px = np.hypot(*(xy_px[pairs[:, 0]] - xy_px[pairs[:, 1]]).T)
     end, length_px = pairs.ravel(), np.repeat(apart_px, 2)
     count, spacing_px = np.bincount(end, minlength=len(xy_px)), np.full(len(xy_px), radius_px)
