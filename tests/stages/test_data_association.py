@@ -1,8 +1,9 @@
-"""Which tracks are part of a mover by how far away they are."""
+"""Which tracks are part of a mover by how far away they are, and which neighbours have a say in that."""
 
 import numpy as np
+import pytest
 
-from ttcvid.stages.segmentation.data_association import are_nearer
+from ttcvid.stages.segmentation.data_association import are_nearer, sureness
 
 OWN = np.array([True] * 5 + [False] * 3)
 
@@ -31,3 +32,14 @@ def test_each_mover_is_asked_for_itself():
     rate_hz, thing = np.array([0.1, 0.1, 0.1, 1.0, 1.0, 1.0, 0.5, 0.5]), np.array([0, 0, 0, 1, 1, 1, 0, 1])
     own = np.array([True] * 6 + [False] * 2)
     assert np.flatnonzero(are_nearer(rate_hz, np.full(8, 0.01), thing, own, 2)).tolist() == [6]
+
+
+def test_a_neighbour_has_a_say_by_how_much_better_one_body_explains_it():
+    alike, in_scene, in_mover, in_none, alone = [1.0, 1.0], [1.0, 9.0], [9.0, 1.0], [80.0, 60.0], [1.0, np.inf]
+    say = sureness(np.array([alike, in_scene, in_mover, in_none, alone]), np.array([0, 0, 1, 1, 0]))
+    # A Cauchy residual of chi-square 9 is five times as improbable as one of 1: probabilities 5/6 and 1/6.
+    assert say == pytest.approx([0.0, 4 / 6, 4 / 6, 0.0, 49 / 53])
+
+
+def test_a_track_that_is_about_to_change_is_as_sure():
+    assert sureness(np.array([[1.0, 9.0, 40.0]]), np.array([1])) == pytest.approx(4 / 6)

@@ -14,7 +14,7 @@ from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_mov
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
-# Rewards of a label: agreement of all neighbours, the former label, and the static scene, which most tracks belong to.
+# Rewards of a label: agreement of all neighbours that are sure, the former label, and the scene, that of most tracks.
 _NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 1.0, 0.3, 0.4
 # The rewards of the former label and of the scene hold for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
@@ -125,7 +125,7 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     if not len(movers):
         return key, redchi
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
-    votes = _votes(number, neighbours, n_bodies)
+    votes = _votes(number, neighbours, n_bodies, np.ones(len(key)))
     # As one array, so that both are contiguous: other types would compile the fit of points a second time.
     track, mover = np.array(np.nonzero((votes[:, 1:] > 0) | (number[:, None] == np.arange(1, n_bodies))))
     points = views.points(track, mover)
@@ -138,6 +138,7 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     # Infinite: combinations that are not tried, or excluded.
     redchis = np.full((len(key), n_bodies), np.inf)
     redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_still[mover], np.inf, off)
+    votes = _votes(number, neighbours, n_bodies, sureness(redchis, number))
     best = np.argmin(_costs(redchis, votes, number, seen.fit.n_views, seen.camera_rests), axis=1)
     own_redchi = np.take_along_axis(redchis, best[:, None], axis=1)[:, 0]
     return np.append(SCENE_CLUSTER, movers.key)[best], own_redchi
@@ -164,20 +165,32 @@ def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_
     return np.asarray(rate_hz - median_hz - _RATE_SIGMAS * sigma_hz > (_NEARER - 1.0) * np.abs(median_hz))
 
 
-def _votes(number: Ints, neighbours: Ints, n_bodies: int) -> Floats:
-    """Number of the neighbours ``(N, K)`` of each track in each body: ``(N, B)``."""
+def _votes(number: Ints, neighbours: Ints, n_bodies: int, weight: Floats) -> Floats:
+    """Sum of the ``weight (N,)`` of the neighbours ``(N, K)`` of each track in each body: ``(N, B)``."""
     track = np.arange(len(number))[:, None]
-    place, is_other = track * n_bodies + number[neighbours], neighbours != track
-    votes = np.bincount(place.ravel(), is_other.ravel(), len(number) * n_bodies)
+    place, weights = track * n_bodies + number[neighbours], np.where(neighbours != track, weight[neighbours], 0.0)
+    votes = np.bincount(place.ravel(), weights.ravel(), len(number) * n_bodies)
     return np.asarray(votes.reshape(len(number), n_bodies))
+
+
+def sureness(redchis: Floats, number: Ints) -> Floats:
+    """By how much the probability of the former body of each track differs from that of the likeliest other: ``(N,)``.
+
+    ``redchis (N, B)`` and ``number (N,)`` as in `_costs`. What two bodies explain alike, or none does, has no say in
+    where its neighbours belong: far background at the vanishing point fits a car ahead of us as well as the scene.
+    """
+    costs = cost_of(redchis)
+    own = np.take_along_axis(costs, number[:, None], axis=1)[:, 0]
+    np.put_along_axis(costs, number[:, None], np.inf, axis=1)
+    return np.asarray(np.tanh(0.5 * np.abs(costs.min(axis=1) - own)))
 
 
 def _costs(redchis: Floats, votes: Floats, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
     """Cost of each body for each track: ``(N, B)``, the scene first.
 
-    By ``redchis, votes (N, B)``, reduced chi-square over the median one and number of neighbours, and ``number, n_views
-    (N,)``, former body and number of views. Before a camera at rest the trajectory of the scene is exact: no label is
-    rewarded, chi-squares are not capped. A swinging leg fits its body badly, and the scene worse.
+    By ``redchis, votes (N, B)``, reduced chi-square over the median one and say of the neighbours, and ``number,
+    n_views (N,)``, former body and number of views. Before a camera at rest the trajectory of the scene is exact: no
+    label is rewarded, chi-squares are not capped. A swinging leg fits its body badly, and the scene worse.
     """
     heard = votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1, keepdims=True), 1))
     if camera_rests:
