@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigid_worlds import bodies_of, car, world
+from rigid_worlds import bodies_of, car, static_points, world
 
 from ttcvid.model import SCENE_CLUSTER, Platform
 from ttcvid.stages.segmentation import labels
@@ -131,3 +131,40 @@ def test_a_small_mover_that_one_trajectory_explains_badly_is_not_hidden_by_a_lar
     things = world(rng, STILL, 24, large, small)
     frames = bodies_of(things, 24, STILL, sigma_px=0.5, platform=Platform.static, seed=seed)
     assert_apart(frames[8:])
+
+
+def side_by_side(seed, camera_m_s, velocity_m_s, apart_m, depth_m):
+    """Last frame of two cars of one motion at one depth; for eight frames tracks all over the gap make them one."""
+    rng = np.random.default_rng(seed)
+    both = [car(rng, (x, 0.5, depth_m), velocity_m_s, 24, (2.5, 1.4, 1.8)) for x in (0.0, apart_m)]
+    bridge = car(rng, (0.5 * apart_m, 0.5, depth_m), velocity_m_s, 30, (apart_m, 1.4, 1.8), frames=(0, 8))
+    street = static_points(rng, camera_m_s, 20, n=900, depth_m=(depth_m + 20.0, depth_m + 60.0))
+    platform = Platform.vehicle if any(camera_m_s) else Platform.static
+    return bodies_of([street, *both, bridge], 20, camera_m_s, platform=platform, seed=seed, opaque=True)[-1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("camera_m_s", "velocity_m_s", "apart_m", "depth_m"),
+    [
+        (STILL, (0.5, 0.0, -5.0), 7.0, 40.0),
+        (STILL, (-3.0, 0.0, 0.0), 9.0, 40.0),
+        ((0, 0, 8.0), (-2.0, 0, 6.0), 8.0, 40.0),
+    ],
+)
+def test_two_cars_of_one_motion_come_apart_where_the_street_is_seen_between_them(
+    camera_m_s, velocity_m_s, apart_m, depth_m, seed
+):
+    assert_apart([side_by_side(seed, camera_m_s, velocity_m_s, apart_m, depth_m)])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_long_thing_with_a_smooth_middle_stays_one(seed):
+    """Corners of its ends only; what made them one is seen for six frames."""
+    rng, velocity = np.random.default_rng(seed), (-4.0, 0.0, 0.0)
+    ends = [car(rng, (x, 0.5, 20.0), velocity, 20, (1.5, 1.4, 1.8)) for x in (2.0, 9.0)]
+    middle = car(rng, (5.5, 0.5, 20.0), velocity, 40, (7.0, 1.4, 1.8), frames=(0, 6))
+    outline = car(rng, (5.5, 0.5, 20.0), velocity, 40, (8.5, 1.6, 2.0))
+    street = static_points(rng, STILL, 20, [outline], n=500)
+    last = bodies_of([street, *ends, middle], 20, STILL, platform=Platform.static, seed=seed)[-1]
+    assert last.keys_of(1)[0] == last.keys_of(2)[0] != SCENE_CLUSTER

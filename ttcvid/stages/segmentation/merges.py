@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.cluster.hierarchy import linkage
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, KDTree
 
 from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths, fit_on_paths
 from ttcvid.geometry.kernels.rigid_points import NO_LENGTH
@@ -15,7 +15,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
-from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
 
 # Tracks side by side hang together if their inverse depths differ by less than the first factor. Farther apart they may
 # differ more, since a side may be slanted: its depth changes by up to so many times the distance across, and by no more
@@ -34,6 +34,11 @@ _PARAMETERS = 8.0
 # A merge is tried if the trajectory of the larger raises the reduced chi-square of the smaller, at least 1, by at most
 # this factor: that of one half of a turning bus leaves the other up to 30 times as far off before refinement.
 _WORTH_TRYING, _LEAST_REDCHI = 32.0, 1.0
+# Two parts of one motion are things of their own if what lies between them is none of theirs in more than this share of
+# the gaps across; a thing is only split where it surely is so.
+_FOREIGN_PART, _SURELY_FOREIGN_PART = 0.5, 0.75
+# What lies between has more views than this: of younger ones nobody knows what they belong to.
+_YOUNG_VIEWS = 2
 # Gauss-Newton steps for the joint trajectory; smallest number of tracks of a group, and largest of each mover in tests.
 _JOINT_STEPS, _LEAST_TRACKS, _ENOUGH_TRACKS = 4, 3, 60
 
@@ -52,7 +57,7 @@ def merged(
 ) -> tuple[Ints, Movers]:
     """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
 
-    Movers are adjacent if they have neighbouring tracks.
+    Movers are adjacent if they have neighbouring tracks, and nothing foreign is seen between them.
 
     Parameters
     ----------
@@ -77,6 +82,9 @@ def merged(
         if is_changed[both].any():
             continue
         younger, older = sorted(both, key=lambda mover: (movers.n_found[mover], -mover))
+        others = _others(views, number, both)
+        if _foreign_part(views.xy, tracks_of[younger], tracks_of[older], others) > _FOREIGN_PART:
+            continue
         key[tracks_of[younger]] = movers.key[older]
         is_gone[younger], is_changed[both] = True, True
         paths.cam_R_past[older], paths.path[older] = joint.paths.cam_R_past[place], joint.paths.path[place]
@@ -205,12 +213,56 @@ def _hanging_parts(xy: Floats, fit: PathFit, slack: float) -> Ints:
     return connected_parts(np.ones(n, dtype=bool), np.column_stack([one[hangs], other[hangs]]))
 
 
+def _others(views: BodyViews, number: Ints, movers: list[int]) -> Ints:
+    """Tracks that belong to none of these movers and are no young ones; ``number (N,)`` as from `numbers_of`."""
+    is_old = np.isfinite(views.rays[-1 - _YOUNG_VIEWS :, :, 0]).sum(axis=0) > _YOUNG_VIEWS
+    return np.flatnonzero(views.is_free & is_old & ~np.isin(number, np.array(movers) + 1))
+
+
+def _foreign_part(xy: Floats, one: Ints, other: Ints, others: Ints) -> float:
+    """Share of the gaps between two sets of tracks at ``xy (N, 2)`` that one of the ``others`` lies in.
+
+    A gap is the circle over a track and the nearest one of the other set, as in a Gabriel graph, within the convex hull
+    of both; the nearer half of each set counts. The smooth side of a lorry between two groups of its corners is no such
+    gap, the street seen between two cars is one.
+    """
+    if not len(others):
+        return 0.0
+    ends, middles, radii = list[Floats](), list[Floats](), list[Floats]()
+    for these, those in ((one, other), (other, one)):
+        apart, nearest = KDTree(xy[those]).query(xy[these])
+        is_near = apart <= np.median(apart)
+        here, there = xy[these][is_near], xy[those][nearest[is_near]]
+        ends += [here, there]
+        middles.append(0.5 * (here + there))
+        radii.append(0.5 * apart[is_near])
+    # Joggled: the tracks may lie on a line.
+    normal_x, normal_y, offset = ConvexHull(np.concatenate(ends), qhull_options="QJ").equations.T
+    x, y = xy[others].T
+    is_inside = (np.outer(x, normal_x) + np.outer(y, normal_y) + offset < 0.0).all(axis=1)
+    if not is_inside.any():
+        return 0.0
+    off, _ = KDTree(xy[others[is_inside]]).query(np.concatenate(middles))
+    return float(np.mean(off < np.concatenate(radii)))
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Parts of a mover: the places ``index (M,)`` among its tracks that tell, the part of each and their ``rate_hz``.
+
+    Part 0 keeps the mover's number.
+    """
+
+    index: Ints
+    part: Ints
+    rate_hz: Floats
+
+
 def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int) -> tuple[Ints, Movers, int]:
     """Labels ``(N,)`` and movers after splits of those that do not hang together, and the ``next_key`` that is free.
 
-    What moves in the direction of the mover beside it has the same trajectory, at other inverse depths. A part becomes
-    a mover if it has ``least`` tracks of known inverse depth, whose median is another than that of the largest part,
-    which keeps the key. All other tracks go with the nearest of these.
+    What moves in the direction of the mover beside it has the same trajectory, at other inverse depths, or with
+    something else in between. A part becomes a mover if it has ``least`` tracks. All other tracks go with the nearest.
     """
     number, key = numbers_of(key, movers), key.copy()
     for mover in np.flatnonzero(is_due(movers.n_found) & (movers.n_missed == 0)):
@@ -218,24 +270,62 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int
         if len(tracks) < 2 * least:
             continue
         fit = fit_on_movers(views.points(tracks, np.full(len(tracks), mover)), movers.paths, movers.rate_hz)
-        index = _known(fit)
-        index = index[:: 1 + len(index) // (4 * _ENOUGH_TRACKS)]
-        if len(index) < 2 * least:
+        parts = _parts_in_depth(views.xy[tracks], fit, least)
+        if parts is None:
+            parts = _parts_across_gaps(
+                views, tracks, _others(views, number, [int(mover)]), movers.rate_hz[mover], least
+            )
+        if parts is None:
             continue
-        xy = views.xy[tracks]
-        label = _hanging_parts(xy[index], fit.take(index), 1.0)
-        counts = np.bincount(label)
-        largest, rate_hz = int(counts.argmax()), medians(fit.rate_hz[index], label, len(counts))
-        is_part = (counts >= least) & (np.abs(np.log(rate_hz / rate_hz[largest])) > np.log(_STEP))
-        if not is_part.any():
-            continue
-        parts, is_part[largest] = np.flatnonzero(is_part), True
-        index, label = index[is_part[label]], label[is_part[label]]
-        nearest = label[KDTree(xy[index]).query(xy)[1]]
-        for place, part in enumerate(parts):
-            key[tracks[nearest == part]] = next_key + place
-        movers = movers.with_new(next_key, movers.paths.take(np.full(len(parts), mover)), rate_hz[parts])
+        xy, n_new = views.xy[tracks], len(parts.rate_hz) - 1
+        nearest = parts.part[KDTree(xy[parts.index]).query(xy)[1]]
+        key[tracks[nearest > 0]] = next_key + nearest[nearest > 0] - 1
+        movers = movers.with_new(next_key, movers.paths.take(np.full(n_new, mover)), parts.rate_hz[1:])
         # What is left is seen as a whole with fewer tracks.
-        movers.rate_hz[mover], movers.last.n_tracks[mover] = rate_hz[largest], 0
-        next_key += len(parts)
+        movers.rate_hz[mover], movers.last.n_tracks[mover] = parts.rate_hz[0], 0
+        next_key += n_new
     return key, movers, next_key
+
+
+def _parts_in_depth(xy: Floats, fit: PathFit, least: int) -> _Parts | None:
+    """Parts of a mover, its tracks at ``xy (M, 2)``, whose median inverse depths differ: ``least`` known ones each."""
+    index = _known(fit)
+    index = index[:: 1 + len(index) // (4 * _ENOUGH_TRACKS)]
+    if len(index) < 2 * least:
+        return None
+    label = _hanging_parts(xy[index], fit.take(index), 1.0)
+    counts = np.bincount(label)
+    largest, rate_hz = int(counts.argmax()), medians(fit.rate_hz[index], label, len(counts))
+    is_part = (counts >= least) & (np.abs(np.log(rate_hz / rate_hz[largest])) > np.log(_STEP))
+    return _as_parts(index, label, largest, np.flatnonzero(is_part), rate_hz)
+
+
+def _parts_across_gaps(views: BodyViews, tracks: Ints, others: Ints, rate_hz: float, least: int) -> _Parts | None:
+    """Parts of a mover of inverse depth ``rate_hz`` across gaps in which ``others`` are seen."""
+    xy_px = views.xy_px[tracks]
+    pairs = without_gaps(linked_pairs(xy_px, views.link_px), xy_px, views.link_px)
+    label = connected_parts(np.ones(len(tracks), dtype=bool), pairs)
+    counts = np.bincount(label)
+    large, largest = np.flatnonzero(counts >= least), int(counts.argmax())
+    is_apart = [
+        all(
+            _foreign_part(views.xy, tracks[label == part], tracks[label == one], others) > _SURELY_FOREIGN_PART
+            for one in large[large != part]
+        )
+        for part in large
+    ]
+    apart = large[np.array(is_apart, dtype=bool) & (large != largest)]
+    # What hangs on to the largest part stays with it.
+    label[np.isin(label, np.setdiff1d(large, apart))] = largest
+    return _as_parts(np.arange(len(tracks)), label, largest, apart, np.full(len(counts), rate_hz))
+
+
+def _as_parts(index: Ints, label: Ints, largest: int, parts: Ints, rate_hz: Floats) -> _Parts | None:
+    """The ``parts`` and the largest one of the tracks ``index (M,)`` with these labels; None without parts."""
+    if not len(parts):
+        return None
+    kept = np.append(largest, parts)
+    place = np.full(len(rate_hz), -1)
+    place[kept] = np.arange(len(kept))
+    is_told = place[label] >= 0
+    return _Parts(index[is_told], place[label[is_told]], rate_hz[kept])
