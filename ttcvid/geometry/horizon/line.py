@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri
 
 from ttcvid.geometry.horizon.plane import normal_by_pitch_roll, pitch_roll_rad
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
@@ -26,8 +26,8 @@ _SCATTER_STEP = 1.25
 _CONVERGED_RAD = 1e-10
 # Pairs of motions tried as horizons, at most, by the certainty of their epipoles.
 _MAX_PAIRS = 600
-# 97.5 % quantile of the normal distribution.
-_NORMAL_95 = 1.959963984540054
+# Part of a distribution below the upper border of its 95 % interval.
+UPPER_95 = 0.975
 UP = np.array([0.0, -1.0, 0.0])
 
 
@@ -94,7 +94,7 @@ def fit_horizon(
         residual_rad=np.arcsin(np.clip(directions @ normal, -1, 1)),
         sigma_rad=np.sqrt(_variance(normal, covariances, scatter_rad)),
         scatter_rad=scatter_rad,
-        quantile=_NORMAL_95,
+        quantile=float(ndtri(UPPER_95)),
     )
 
 

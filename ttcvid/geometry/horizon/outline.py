@@ -31,16 +31,14 @@ _TINY = 1e-12
 class OutlineFit:
     """An epipole ``direction (3,)``, its sign along the motion, with ``covariance (3, 3)`` in its tangent plane, rad^2.
 
-    ``noise`` is the scatter about the line in the units of the outlines, without the bobbing of steps; ``share`` the
-    part of the outlines near the line; ``bend_sigmas`` the curvature of the path in standard deviations; ``steadiness``
-    the part of the variance along the path that a constant rate explains, small where an outline shrinks by occlusion
-    only.
+    ``noise`` is the scatter about the line in the units of the outlines, without the bobbing of steps; ``bend_sigmas``
+    the curvature of the path in standard deviations; ``steadiness`` the part of the variance along the path that a
+    constant rate explains, small where an outline shrinks by occlusion only.
     """
 
     direction: Floats
     covariance: Floats
     noise: float
-    share: float
     bend_sigmas: float
     steadiness: float
 
@@ -97,17 +95,15 @@ def fit_outline(
         shift = (_like(_epipole(moved, line.along), epipole) - epipole) @ basis
         spread += np.outer(shift, shift)
     way = (line.level - line.point) @ line.along
-    together = float(np.cov(t_s, way, aweights=line.weight)[0, 1])
-    steadiness = together**2 / max(float(np.prod(np.diag(np.cov(t_s, way, aweights=line.weight)))), _TINY**2)
+    (of_time, together), (_, of_way) = np.cov(t_s, way, aweights=line.weight).tolist()
     forth = np.sign(together) * np.array([line.along[0], line.along[1:].mean()])
     towards = epipole[:2] - np.array([line.point[0], line.point[1:].mean()]) * epipole[2]
     return OutlineFit(
         direction=epipole if towards @ forth >= 0 else -epipole,
         covariance=basis @ spread @ basis.T,
         noise=line.noise,
-        share=float(np.mean(line.weight > 0.5)),
         bend_sigmas=_bend_sigmas(line, block),
-        steadiness=steadiness,
+        steadiness=together**2 / max(of_time * of_way, _TINY**2),
     )
 
 

@@ -82,4 +82,6 @@ def expansion_of_neighbourhood(
 
     Source: DESIGN equation 8.
     """
-    return expansion_rate(rays_first[neighbours], rays_second[neighbours], dt_s, weights=neighbours >= 0)
+    return expansion_rate(
+        rays_first[neighbours], rays_second[neighbours], dt_s, weights=(neighbours >= 0).astype(np.float64)
+    )
