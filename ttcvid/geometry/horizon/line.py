@@ -14,13 +14,12 @@ from scipy.special import chdtri, ndtri
 
 from ttcvid.geometry.best_direction import best_direction
 from ttcvid.geometry.horizon.plane import normal_by_pitch_roll, pitch_roll_rad
+from ttcvid.geometry.paper.epipole import SIGNIFICANCE_SIGMAS
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Bools, Camera, Floats
 
 # A motion agrees with a horizon within 99.7 % of a 1-D Gaussian.
-_GATE_CHI2 = 9.0
-# An angle between two directions is sure beyond so many standard deviations.
-_SURE_SIGMAS = 3.0
+_GATE_CHI2 = SIGNIFICANCE_SIGMAS**2
 _MAX_ROUNDS = 10
 # The scatter is enlarged by this factor until it is enough.
 _SCATTER_STEP = 1.25
@@ -127,7 +126,7 @@ def widest_angle_rad(directions: Floats, covariances: Floats) -> float:
     """
     angle = np.arccos(np.clip(np.abs(directions @ directions.T), 0.0, 1.0))
     variance = np.linalg.norm(covariances, 2, axis=(1, 2))
-    sure = angle - _SURE_SIGMAS * np.sqrt(variance[:, None] + variance[None, :])
+    sure = angle - SIGNIFICANCE_SIGMAS * np.sqrt(variance[:, None] + variance[None, :])
     return max(0.0, float(sure.max()))
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 
 from ttcvid.geometry.horizon.gait import Wave, find_steps
 from ttcvid.geometry.rotation import normalize, tangent_basis
@@ -176,10 +177,9 @@ def _formal(line: _Line, n_independent: float, basis: Floats) -> Floats:
 
 def _at_least(covariance: Floats, least: Floats) -> Floats:
     """A covariance ``(2, 2)``, and ``least`` in the directions in which it is smaller."""
-    root = np.linalg.cholesky(least + _TINY * np.eye(2))
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ covariance @ inverse.T)
-    return np.asarray(root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T)
+    least = least + _TINY * np.eye(2)
+    values, vectors = eigh(covariance, least)
+    return np.asarray(least @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ least)
 
 
 def _jackknife(left_out: Floats) -> Floats:

@@ -10,6 +10,7 @@ from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.estimation.moving_body import BodyTracks, direction_from_lines
 from ttcvid.geometry.estimation.translation import Translation, fit_translation
+from ttcvid.geometry.paper.epipole import SIGNIFICANCE_SIGMAS
 from ttcvid.model import Camera, Ints
 from ttcvid.stages.horizon.movers import group_movers, moving_tracks
 from ttcvid.stages.horizon.outlines import outline_motions
@@ -35,8 +36,6 @@ _ENOUGH_OBSERVATIONS = 3000
 _LOOSE_PART = 0.005
 # Least number of tracks on an outline.
 _OUTLINE_TRACKS = 3
-# Significance of a turn, standard deviations.
-_SURE_SIGMAS = 3.0
 
 
 def find_motions(
@@ -133,7 +132,7 @@ def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfi
         return nothing
     turned_rad = free.turn_rad_s * float(np.ptp(tracks.t_s))
     found = replace(nothing, track_id=track_id, turned_rad=turned_rad)
-    is_sure = abs(free.turn_rad_s) > _SURE_SIGMAS * free.turn_sigma_rad_s
+    is_sure = abs(free.turn_rad_s) > SIGNIFICANCE_SIGMAS * free.turn_sigma_rad_s
     if is_sure and abs(turned_rad) > np.radians(config.max_turn_deg):
         return replace(found, status="curved")
     turn_sigma = np.radians(config.turn_sigma_deg_s)
