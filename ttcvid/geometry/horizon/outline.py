@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
-from ttcvid.geometry.horizon.gait import Wave, find_steps
+from ttcvid.geometry.horizon.gait import find_steps
 from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
@@ -81,14 +81,14 @@ def fit_outline(
     if len(numbers) < 3:
         return None
     line = _line(outline, _start(outline))
-    wave = find_steps(_across(outline, line.point, line.along)[:, 1], t_s, outline[:, 2] - outline[:, 1], line.weight)
-    if wave is not None:
-        line = _line(outline, (line.point, line.along), wave.terms)
+    steps = find_steps(_across(outline, line.point, line.along)[:, 1], t_s, outline[:, 2] - outline[:, 1], line.weight)
+    if steps is not None:
+        line = _line(outline, (line.point, line.along), steps)
     epipole = _epipole(line.point, line.along)
     if not np.isfinite(epipole).all():
         return None
     basis = tangent_basis(epipole)
-    left_out = np.array([_like(_without(outline, block == number, line, wave), epipole) for number in numbers])
+    left_out = np.array([_like(_without(outline, block == number, line, steps), epipole) for number in numbers])
     spread = _at_least(_jackknife(left_out @ basis), _formal(line, n_independent, basis))
     for side in (1, 2):
         moved = line.point.copy()
@@ -108,10 +108,10 @@ def fit_outline(
     )
 
 
-def _without(outline: Floats, is_left_out: Bools, line: _Line, wave: Wave | None) -> Floats:
+def _without(outline: Floats, is_left_out: Bools, line: _Line, steps: Floats | None) -> Floats:
     """The epipole from the other outlines."""
-    terms = None if wave is None else wave.terms[~is_left_out]
-    part = _line(outline[~is_left_out], (line.point, line.along), terms)
+    steps = None if steps is None else steps[~is_left_out]
+    part = _line(outline[~is_left_out], (line.point, line.along), steps)
     return _epipole(part.point, part.along)
 
 
