@@ -34,16 +34,15 @@ UP = np.array([0.0, -1.0, 0.0])
 class HorizonFit:
     """A horizon: unit ``normal (3,)`` pointing up, with ``covariance (3, 3)`` in its tangent plane, rad^2.
 
-    ``is_used (K,)`` marks the motions that agree with it; ``residual_rad (K,)`` is the angle of each epipole above it,
-    with standard deviation ``sigma_rad (K,)``; ``scatter_rad`` the scatter of epipoles beyond their own covariances;
-    ``quantile`` the number of standard deviations of a 95 % band.
+    ``is_used (K,)`` marks the motions that agree with it; ``residual_rad (K,)`` is the angle of each epipole above it;
+    ``scatter_rad`` the scatter of epipoles beyond their own covariances; ``quantile`` the number of standard deviations
+    of a 95 % band.
     """
 
     normal: Floats
     covariance: Floats
     is_used: Bools
     residual_rad: Floats
-    sigma_rad: Floats
     scatter_rad: float
     quantile: float
 
@@ -93,7 +92,6 @@ def fit_horizon(
         covariance=covariance,
         is_used=is_used,
         residual_rad=np.arcsin(np.clip(directions @ normal, -1, 1)),
-        sigma_rad=np.sqrt(_variance(normal, covariances, scatter_rad)),
         scatter_rad=scatter_rad,
         quantile=float(ndtri(UPPER_95)),
     )

@@ -16,7 +16,7 @@ from scipy.linalg import eigh
 
 from ttcvid.geometry.horizon.gait import find_steps
 from ttcvid.geometry.rotation import normalize, tangent_basis
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Floats, Ints
 
 # The line is started through each pair of so many places along the way.
 _PLACES = 20
@@ -88,7 +88,11 @@ def fit_outline(
     if not np.isfinite(epipole).all():
         return None
     basis = tangent_basis(epipole)
-    left_out = np.array([_like(_without(outline, block == number, line, steps), epipole) for number in numbers])
+    left_out = np.empty((len(numbers), 3))
+    for place, number in enumerate(numbers):
+        kept = block != number
+        part = _line(outline[kept], (line.point, line.along), None if steps is None else steps[kept])
+        left_out[place] = _like(_epipole(part.point, part.along), epipole)
     spread = _at_least(_jackknife(left_out @ basis), _formal(line, n_independent, basis))
     for side in (1, 2):
         moved = line.point.copy()
@@ -106,13 +110,6 @@ def fit_outline(
         bend_sigmas=_bend_sigmas(line, block),
         steadiness=together**2 / max(of_time * of_way, _TINY**2),
     )
-
-
-def _without(outline: Floats, is_left_out: Bools, line: _Line, steps: Floats | None) -> Floats:
-    """The epipole from the other outlines."""
-    steps = None if steps is None else steps[~is_left_out]
-    part = _line(outline[~is_left_out], (line.point, line.along), steps)
-    return _epipole(part.point, part.along)
 
 
 def _start(outline: Floats) -> tuple[Floats, Floats]:

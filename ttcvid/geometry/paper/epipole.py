@@ -87,7 +87,9 @@ def epipole_maximum_likelihood(q: Floats, p: Floats, sigma_rad: Floats) -> tuple
     if is_usable.sum() < 2:
         return *nothing, Status.no_epipole
     used = q[is_usable], p[is_usable], sigma_rad[is_usable]
-    if not _has_motion(*used):
+    # Flows that together are no longer than noise makes them: chi-square of 2 N degrees of freedom.
+    flow_chi2, freedom = np.sum((used[1] - used[0]) ** 2 / (2.0 * used[2][:, None] ** 2)), 2.0 * len(used[0])
+    if flow_chi2 <= freedom + SIGNIFICANCE_SIGMAS * np.sqrt(2.0 * freedom):
         return *nothing, Status.no_parallax
     normals = cross(used[1], used[0])
 
@@ -148,10 +150,3 @@ def _eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats) -> Floats:
     # By the logarithm, so that some flows of another motion do not choose.
     cost = np.log1p(flow_line_chi2(candidates, q, p, sigma_rad)).sum(axis=-1)
     return np.asarray(candidates[np.argmin(cost)])
-
-
-def _has_motion(q: Floats, p: Floats, sigma_rad: Floats) -> bool:
-    """Whether the flows together are longer than noise makes them (chi-square of 2 N degrees of freedom)."""
-    chi2 = np.sum(quotient(np.einsum("ni,ni->n", p - q, p - q), 2.0 * sigma_rad**2))
-    freedom = 2.0 * len(q)
-    return bool(chi2 > freedom + SIGNIFICANCE_SIGMAS * np.sqrt(2.0 * freedom))
