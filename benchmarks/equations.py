@@ -129,7 +129,9 @@ def equation_2(p: Points) -> float:
 
 def equation_3(p: Points) -> float:
     """Planar motion: the flow line meets the horizon at dir."""
-    direction, _, _ = planar_epipole(p.rays(-GAP_1_S), p.rays(0.0), GROUND_NORMAL, p.sigma_rad, SIGMA_RAD)
+    direction, _, _ = planar_epipole(
+        p.rays(-GAP_1_S), p.rays(0.0), GROUND_NORMAL, p.sigma_rad, SIGMA_RAD**2 * np.eye(3)
+    )
     return largest_error(direction, p.direction, 1.0)
 
 

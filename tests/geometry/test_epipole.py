@@ -145,7 +145,7 @@ def test_parallel_or_missing_lines_in_the_picture(flow, n, expected):
 def test_planar_motion_is_exact_without_noise(scene, side):
     position, velocity = scene
     q, p = views(position, velocity, [-0.5, 0.0])
-    direction, cov, status = planar_epipole(q, p, side * UP, np.full(len(q), 1e-9), 1e-9)
+    direction, cov, status = planar_epipole(q, p, side * UP, np.full(len(q), 1e-9), 1e-18 * np.eye(3))
     assert np.isin(status, [Status.ok, Status.epipole_at_infinity]).all()
     np.testing.assert_allclose(direction, normalize(velocity), atol=1e-9)
     np.testing.assert_allclose(np.einsum("nij,nj->ni", cov, direction), 0, atol=1e-18)
@@ -155,12 +155,13 @@ def test_planar_covariance_is_that_of_noisy_draws():
     rng = np.random.default_rng(17)
     position, velocity = np.array([8.0, 3.0, 25.0]), np.array([-3.0, 0.0, -6.0])
     n, sigma, horizon_sigma = 4000, 2e-4, 2e-3
+    horizon_cov = horizon_sigma**2 * np.eye(3)
     q, p = jitter(np.repeat(views(position[None], velocity, [-1.0, 0.0]), n, axis=1), sigma, rng)
     horizons = jitter(np.repeat(UP[None], n, axis=0), horizon_sigma, rng)
     draws = np.array(
-        [planar_epipole(q[[i]], p[[i]], horizons[i], np.array([sigma]), horizon_sigma)[0][0] for i in range(n)]
+        [planar_epipole(q[[i]], p[[i]], horizons[i], np.array([sigma]), horizon_cov)[0][0] for i in range(n)]
     )
-    _, cov, status = planar_epipole(*views(position[None], velocity, [-1.0, 0.0]), UP, np.array([sigma]), horizon_sigma)
+    _, cov, status = planar_epipole(*views(position[None], velocity, [-1.0, 0.0]), UP, np.array([sigma]), horizon_cov)
     assert status[0] == Status.ok
     np.testing.assert_allclose(np.cov(draws.T), cov[0], atol=0.06 * np.trace(cov[0]))
 
@@ -170,7 +171,7 @@ def test_planar_epipole_says_why_there_is_none():
     level, low = np.array([0.1, 0.0, 1.0]), normalize(np.array([0.1, 0.2, 1.0]))
     q = np.array([normalize(level), low, [np.nan, 0, 1], low])
     p = np.array([turn @ normalize(level), low, low, normalize(low + np.array([0.05, 0, 0]))])
-    direction, cov, status = planar_epipole(q, p, UP, np.full(4, 1e-4), 1e-3)
+    direction, cov, status = planar_epipole(q, p, UP, np.full(4, 1e-4), 1e-6 * np.eye(3))
     assert status.tolist() == [
         Status.parallel_to_horizon,
         Status.no_parallax,

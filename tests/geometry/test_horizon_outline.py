@@ -44,7 +44,6 @@ def test_outlines_that_run_into_others_are_left_aside():
     outline += np.random.default_rng(1).normal(0, 0.5 / F_PX, outline.shape)
     fit = fitted(outline, t_s)
     assert np.degrees(np.arccos(fit.direction @ np.array([1.2, 0, 0.8]) / np.hypot(1.2, 0.8))) < 2.0
-    assert fit.share < 0.8
 
 
 def test_the_covariance_is_as_large_as_the_error():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from relative_motion import CAMERA, FOCAL_PX, flows_of, unit
 
+from ttcvid.geometry.paper.planar import planar_epipole
 from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis
 from ttcvid.model import Horizon, Status
 from ttcvid.stages.horizon.planar_motion import (
@@ -11,7 +12,6 @@ from ttcvid.stages.horizon.planar_motion import (
     horizon_offset_px,
     horizon_plane,
     onto_horizon,
-    planar_directions,
 )
 
 LEVEL_PX = CAMERA.cy_px
@@ -118,10 +118,15 @@ def test_an_epipole_at_infinity_has_no_offset():
     assert horizon_offset_px(unit([1.0, 0.0, 0.03]), plane_at(), CAMERA) is not None
 
 
+def directions_by(flows, plane):
+    """Direction, covariance and status of each flow where its line meets the horizon."""
+    return planar_epipole(flows.first, flows.second, plane.normal, flows.sigma_rad, plane.covariance)
+
+
 def test_a_single_track_gets_its_epipole_from_the_horizon():
     position_m = np.array([[20.0, 1.0, 20.0], [-4.0, 1.5, 12.0], [3.0, -2.0, 30.0]])
     velocity_m_s = np.array([[-10.0, 0.0, -2.0], [1.0, 0.0, -9.0], [0.5, 0.0, 7.0]])
-    direction, cov, status = planar_directions(flows_of(position_m, velocity_m_s), plane_at())
+    direction, cov, status = directions_by(flows_of(position_m, velocity_m_s), plane_at())
     np.testing.assert_allclose(direction, unit(velocity_m_s), atol=1e-8)
     assert (status == Status.ok).all()
     np.testing.assert_allclose(np.einsum("nij,nj->ni", cov, direction), 0.0, atol=1e-12)
@@ -131,7 +136,7 @@ def test_a_single_tracks_epipole_is_off_by_what_its_covariance_says():
     rng = np.random.default_rng(92)
     n, true = 2000, unit([-0.5, 0.0, -1.0])
     flows = flows_of(np.tile([[5.0, 1.5, 12.0]], (n, 1)), 9.0 * true, sigma_px=0.2, rng=rng)
-    direction, cov, status = planar_directions(flows, plane_at(sigma_rad=1e-5))
+    direction, cov, status = directions_by(flows, plane_at(sigma_rad=1e-5))
     assert (status == Status.ok).all()
     along = unit([-1.0, 0.0, 0.5])
     errors, predicted = (direction - true) @ along, np.einsum("i,nij,j->n", along, cov, along)
@@ -143,7 +148,7 @@ def test_a_track_without_an_epipole_says_why():
     velocity_m_s = np.array([[-3.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, -9.0]])
     flows = flows_of(position_m, velocity_m_s, sigma_px=0.2)
     flows.first[2] = np.nan
-    direction, cov, status = planar_directions(flows, plane_at())
+    direction, cov, status = directions_by(flows, plane_at())
     assert [Status(s).name for s in status] == ["parallel_to_horizon", "no_parallax", "short_track"]
     assert np.isnan(direction).all()
     assert np.isnan(cov).all()
@@ -151,7 +156,7 @@ def test_a_track_without_an_epipole_says_why():
 
 def test_a_track_that_crosses_has_its_epipole_at_infinity_and_a_direction():
     flows = flows_of(np.array([[5.0, 1.0, 20.0]]), np.array([-9.0, 0.0, 0.0]), sigma_px=0.2)
-    direction, _, status = planar_directions(flows, plane_at())
+    direction, _, status = directions_by(flows, plane_at())
     assert status[0] == Status.epipole_at_infinity
     np.testing.assert_allclose(direction[0], [-1.0, 0.0, 0.0], atol=1e-9)
 

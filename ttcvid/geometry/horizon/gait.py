@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.special import fdtrc
 
@@ -24,16 +22,8 @@ _LEAST_OTHERS = 3
 _LEAST_STEPS, _LEAST_PICTURES = 2.5, 2.0
 
 
-@dataclass(frozen=True)
-class Wave:
-    """Steps at ``steps_hz``, with the sine and cosine ``terms (N, 2)`` in which the height is linear."""
-
-    steps_hz: float
-    terms: Floats
-
-
-def find_steps(height: Floats, t_s: Floats, size: Floats, weight: Floats) -> Wave | None:
-    """The frequency of steps in the height of a head; None where no steps are significant.
+def find_steps(height: Floats, t_s: Floats, size: Floats, weight: Floats) -> Floats | None:
+    """Sine and cosine ``(N, 2)`` of steps, in which the height of a head is linear; None where none are significant.
 
     An F test of the best frequency against the other frequencies around it, so that scatter that is correlated from
     picture to picture causes few false detections; corrected for the number of frequencies that the duration resolves.
@@ -65,7 +55,7 @@ def find_steps(height: Floats, t_s: Floats, size: Floats, weight: Floats) -> Wav
     of_others = unexplained - float(np.mean([np.sum(one**2) for one in by_others]))
     n_told_apart = max(1.0, (_FASTEST_HZ - _SLOWEST_HZ) * window_s)
     chance = float(fdtrc(2, 2 * len(others_hz), of_wave / of_others)) if of_others > 0.0 else 0.0
-    return Wave(steps_hz, _terms(steps_hz, t_s, size)) if chance * n_told_apart < _CHANCE and of_wave > 0.0 else None
+    return _terms(steps_hz, t_s, size) if chance * n_told_apart < _CHANCE and of_wave > 0.0 else None
 
 
 def _terms(steps_hz: float, t_s: Floats, size: Floats) -> Floats:

@@ -10,24 +10,23 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri
 
+from ttcvid.geometry.best_direction import best_direction
 from ttcvid.geometry.horizon.plane import normal_by_pitch_roll, pitch_roll_rad
-from ttcvid.geometry.rotation import cross, normalize, tangent_basis
+from ttcvid.geometry.paper.epipole import SIGNIFICANCE_SIGMAS
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Bools, Camera, Floats
 
 # A motion agrees with a horizon within 99.7 % of a 1-D Gaussian.
-_GATE_CHI2 = 9.0
-# An angle between two directions is sure beyond so many standard deviations.
-_SURE_SIGMAS = 3.0
-_MAX_ITERATIONS, _MAX_ROUNDS = 50, 10
+_GATE_CHI2 = SIGNIFICANCE_SIGMAS**2
+_MAX_ROUNDS = 10
 # The scatter is enlarged by this factor until it is enough.
 _SCATTER_STEP = 1.25
-_CONVERGED_RAD = 1e-10
 # Pairs of motions tried as horizons, at most, by the certainty of their epipoles.
 _MAX_PAIRS = 600
-# 97.5 % quantile of the normal distribution.
-_NORMAL_95 = 1.959963984540054
+# Part of a distribution below the upper border of its 95 % interval.
+UPPER_95 = 0.975
 UP = np.array([0.0, -1.0, 0.0])
 
 
@@ -35,16 +34,15 @@ UP = np.array([0.0, -1.0, 0.0])
 class HorizonFit:
     """A horizon: unit ``normal (3,)`` pointing up, with ``covariance (3, 3)`` in its tangent plane, rad^2.
 
-    ``is_used (K,)`` marks the motions that agree with it; ``residual_rad (K,)`` is the angle of each epipole above it,
-    with standard deviation ``sigma_rad (K,)``; ``scatter_rad`` the scatter of epipoles beyond their own covariances;
-    ``quantile`` the number of standard deviations of a 95 % band.
+    ``is_used (K,)`` marks the motions that agree with it; ``residual_rad (K,)`` is the angle of each epipole above it;
+    ``scatter_rad`` the scatter of epipoles beyond their own covariances; ``quantile`` the number of standard deviations
+    of a 95 % band.
     """
 
     normal: Floats
     covariance: Floats
     is_used: Bools
     residual_rad: Floats
-    sigma_rad: Floats
     scatter_rad: float
     quantile: float
 
@@ -54,7 +52,7 @@ def fit_horizon(
 ) -> HorizonFit | None:
     """The great circle nearest to K epipoles, each weighted by its own covariance; None where they determine none.
 
-    The best pair of epipoles by truncated cost starts a Gauss-Newton search on the sum of ``(n.e)^2 / (n'Cn + s^2)``
+    The best pair of epipoles by truncated cost starts a least-squares search of the sum of ``(n.e)^2 / (n'Cn + s^2)``
     over the motions that agree; s, the scatter that their covariances do not explain, is at least ``floor_rad`` and
     grows until the sum has its expected size.
 
@@ -80,21 +78,22 @@ def fit_horizon(
         if not is_used.any():
             return None
         used = directions[is_used], covariances[is_used]
-        normal, scatter_rad, information = _with_scatter(normal, *used, scatter_rad, roll_sigma_rad)
+        normal, covariance = _best(normal, *used, scatter_rad, roll_sigma_rad)
+        n_free = len(used[0]) - 2 + (roll_sigma_rad is not None)
+        while n_free > 0 and _chi2(normal, *used, scatter_rad).sum() > n_free:
+            scatter_rad *= _SCATTER_STEP
+            normal, covariance = _best(normal, *used, scatter_rad, roll_sigma_rad)
         if np.array_equal(before, is_used):
             break
-    smallest, largest = np.linalg.eigvalsh(information)
-    if not smallest > 1e-9 * largest:
+    if not np.isfinite(covariance).all():
         return None
-    basis = tangent_basis(normal)
     return HorizonFit(
         normal=normal,
-        covariance=basis @ np.linalg.inv(information) @ basis.T,
+        covariance=covariance,
         is_used=is_used,
         residual_rad=np.arcsin(np.clip(directions @ normal, -1, 1)),
-        sigma_rad=np.sqrt(_variance(normal, covariances, scatter_rad)),
         scatter_rad=scatter_rad,
-        quantile=_NORMAL_95,
+        quantile=float(ndtri(UPPER_95)),
     )
 
 
@@ -106,18 +105,15 @@ def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, 
     """
     if len(directions) < 2:
         return True
-    weight = np.linalg.inv(covariances + floor_rad**2 * np.eye(3))
-    _, vectors = np.linalg.eigh(np.einsum("ki,kj->ij", directions, directions))
-    common = vectors[:, -1]
-    total = np.inf
-    for _ in range(20):
-        basis = tangent_basis(common)
+    root = np.linalg.cholesky(np.linalg.inv(covariances + floor_rad**2 * np.eye(3)))
+
+    def residuals(common: Floats) -> Floats:
         signed = directions * np.where(directions @ common < 0, -1.0, 1.0)[:, None]
-        offset = signed - common
-        pull = np.einsum("kij,kj->ki", weight, offset)
-        total = float(np.sum(offset * pull))
-        step = np.linalg.solve(basis.T @ weight.sum(axis=0) @ basis, basis.T @ pull.sum(axis=0))
-        common = normalize(common + basis @ step)
+        return np.asarray(np.einsum("kij,ki->kj", root, signed - common).ravel())
+
+    _, vectors = np.linalg.eigh(np.einsum("ki,kj->ij", directions, directions))
+    common, _ = best_direction(residuals, vectors[:, -1])
+    total = float(np.sum(residuals(common) ** 2))
     return total < float(chdtri(2 * (len(directions) - 1), 1.0 - probability))
 
 
@@ -128,7 +124,7 @@ def widest_angle_rad(directions: Floats, covariances: Floats) -> float:
     """
     angle = np.arccos(np.clip(np.abs(directions @ directions.T), 0.0, 1.0))
     variance = np.linalg.norm(covariances, 2, axis=(1, 2))
-    sure = angle - _SURE_SIGMAS * np.sqrt(variance[:, None] + variance[None, :])
+    sure = angle - SIGNIFICANCE_SIGMAS * np.sqrt(variance[:, None] + variance[None, :])
     return max(0.0, float(sure.max()))
 
 
@@ -172,38 +168,13 @@ def _starts(directions: Floats, covariances: Floats, roll_sigma_rad: float | Non
     return np.asarray(normals * np.where(normals @ UP < 0.0, -1.0, 1.0)[:, None])
 
 
-def _with_scatter(
-    normal: Floats, directions: Floats, covariances: Floats, scatter_rad: float, roll_sigma_rad: float | None
-) -> tuple[Floats, float, Floats]:
-    """The best normal with a scatter, at least the one given, that leaves chi-square as large as is to be expected."""
-    normal, information = _descend(normal, directions, covariances, scatter_rad, roll_sigma_rad)
-    n_free = len(directions) - 2 + (roll_sigma_rad is not None)
-    while n_free > 0 and _chi2(normal, directions, covariances, scatter_rad).sum() > n_free:
-        scatter_rad *= _SCATTER_STEP
-        normal, information = _descend(normal, directions, covariances, scatter_rad, roll_sigma_rad)
-    return normal, scatter_rad, information
-
-
-def _descend(
-    normal: Floats, directions: Floats, covariances: Floats, scatter_rad: float, roll_sigma_rad: float | None
+def _best(
+    start: Floats, directions: Floats, covariances: Floats, scatter_rad: float, roll_sigma_rad: float | None
 ) -> tuple[Floats, Floats]:
-    """Gauss-Newton in the tangent plane: the normal and the information ``(2, 2)`` of its two coordinates there."""
-    information = np.zeros((2, 2))
-    for _ in range(_MAX_ITERATIONS):
-        basis = tangent_basis(normal)
-        height = directions @ normal
-        root = np.sqrt(_variance(normal, covariances, scatter_rad))
-        by_variance = np.einsum("ia,kij,j->ka", basis, covariances, normal)
-        jacobian = (directions @ basis) / root[:, None] - (height / root**3)[:, None] * by_variance
-        residual = height / root
-        if roll_sigma_rad is not None:
-            _, roll = pitch_roll_rad(normal)
-            by_normal = np.array([normal[1], -normal[0], 0.0]) / (normal[0] ** 2 + normal[1] ** 2)
-            jacobian = np.vstack([jacobian, by_normal @ basis / roll_sigma_rad])
-            residual = np.append(residual, roll / roll_sigma_rad)
-        information = jacobian.T @ jacobian
-        step = -np.linalg.solve(information + 1e-12 * np.trace(information) * np.eye(2), jacobian.T @ residual)
-        normal = normalize(normal + basis @ (step * min(1.0, 0.2 / max(float(np.linalg.norm(step)), 1e-12))))
-        if float(np.linalg.norm(step)) < _CONVERGED_RAD:
-            break
-    return normal, information
+    """The best normal with a given scatter, and its covariance."""
+
+    def residuals(normal: Floats) -> Floats:
+        heights = directions @ normal / np.sqrt(_variance(normal, covariances, scatter_rad))
+        return heights if roll_sigma_rad is None else np.append(heights, pitch_roll_rad(normal)[1] / roll_sigma_rad)
+
+    return best_direction(residuals, start)

@@ -12,10 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 
-from ttcvid.geometry.horizon.gait import Wave, find_steps
+from ttcvid.geometry.horizon.gait import find_steps
 from ttcvid.geometry.rotation import normalize, tangent_basis
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Floats, Ints
 
 # The line is started through each pair of so many places along the way.
 _PLACES = 20
@@ -31,16 +32,14 @@ _TINY = 1e-12
 class OutlineFit:
     """An epipole ``direction (3,)``, its sign along the motion, with ``covariance (3, 3)`` in its tangent plane, rad^2.
 
-    ``noise`` is the scatter about the line in the units of the outlines, without the bobbing of steps; ``share`` the
-    part of the outlines near the line; ``bend_sigmas`` the curvature of the path in standard deviations; ``steadiness``
-    the part of the variance along the path that a constant rate explains, small where an outline shrinks by occlusion
-    only.
+    ``noise`` is the scatter about the line in the units of the outlines, without the bobbing of steps; ``bend_sigmas``
+    the curvature of the path in standard deviations; ``steadiness`` the part of the variance along the path that a
+    constant rate explains, small where an outline shrinks by occlusion only.
     """
 
     direction: Floats
     covariance: Floats
     noise: float
-    share: float
     bend_sigmas: float
     steadiness: float
 
@@ -82,14 +81,18 @@ def fit_outline(
     if len(numbers) < 3:
         return None
     line = _line(outline, _start(outline))
-    wave = find_steps(_across(outline, line.point, line.along)[:, 1], t_s, outline[:, 2] - outline[:, 1], line.weight)
-    if wave is not None:
-        line = _line(outline, (line.point, line.along), wave.terms)
+    steps = find_steps(_across(outline, line.point, line.along)[:, 1], t_s, outline[:, 2] - outline[:, 1], line.weight)
+    if steps is not None:
+        line = _line(outline, (line.point, line.along), steps)
     epipole = _epipole(line.point, line.along)
     if not np.isfinite(epipole).all():
         return None
     basis = tangent_basis(epipole)
-    left_out = np.array([_like(_without(outline, block == number, line, wave), epipole) for number in numbers])
+    left_out = np.empty((len(numbers), 3))
+    for place, number in enumerate(numbers):
+        kept = block != number
+        part = _line(outline[kept], (line.point, line.along), None if steps is None else steps[kept])
+        left_out[place] = _like(_epipole(part.point, part.along), epipole)
     spread = _at_least(_jackknife(left_out @ basis), _formal(line, n_independent, basis))
     for side in (1, 2):
         moved = line.point.copy()
@@ -97,25 +100,16 @@ def fit_outline(
         shift = (_like(_epipole(moved, line.along), epipole) - epipole) @ basis
         spread += np.outer(shift, shift)
     way = (line.level - line.point) @ line.along
-    together = float(np.cov(t_s, way, aweights=line.weight)[0, 1])
-    steadiness = together**2 / max(float(np.prod(np.diag(np.cov(t_s, way, aweights=line.weight)))), _TINY**2)
+    (of_time, together), (_, of_way) = np.cov(t_s, way, aweights=line.weight).tolist()
     forth = np.sign(together) * np.array([line.along[0], line.along[1:].mean()])
     towards = epipole[:2] - np.array([line.point[0], line.point[1:].mean()]) * epipole[2]
     return OutlineFit(
         direction=epipole if towards @ forth >= 0 else -epipole,
         covariance=basis @ spread @ basis.T,
         noise=line.noise,
-        share=float(np.mean(line.weight > 0.5)),
         bend_sigmas=_bend_sigmas(line, block),
-        steadiness=steadiness,
+        steadiness=together**2 / max(of_time * of_way, _TINY**2),
     )
-
-
-def _without(outline: Floats, is_left_out: Bools, line: _Line, wave: Wave | None) -> Floats:
-    """The epipole from the other outlines."""
-    terms = None if wave is None else wave.terms[~is_left_out]
-    part = _line(outline[~is_left_out], (line.point, line.along), terms)
-    return _epipole(part.point, part.along)
 
 
 def _start(outline: Floats) -> tuple[Floats, Floats]:
@@ -180,10 +174,9 @@ def _formal(line: _Line, n_independent: float, basis: Floats) -> Floats:
 
 def _at_least(covariance: Floats, least: Floats) -> Floats:
     """A covariance ``(2, 2)``, and ``least`` in the directions in which it is smaller."""
-    root = np.linalg.cholesky(least + _TINY * np.eye(2))
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ covariance @ inverse.T)
-    return np.asarray(root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T)
+    least = least + _TINY * np.eye(2)
+    values, vectors = eigh(covariance, least)
+    return np.asarray(least @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ least)
 
 
 def _jackknife(left_out: Floats) -> Floats:

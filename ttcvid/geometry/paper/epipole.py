@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttcvid.geometry.best_direction import best_direction
 from ttcvid.geometry.paper.flow_line import flow_line_chi2, flow_normals, moves_towards
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
@@ -23,12 +24,6 @@ INFINITY_COSINE = float(np.cos(np.radians(89.0)))
 _PARALLEL_RATIO = 1e-10
 # A direction less certain than this (rad) is unknown: the tangent plane is no model of the sphere beyond.
 MAX_DIRECTION_SIGMA_RAD = 0.5
-# Determinant over squared trace below which a 2 x 2 matrix is singular.
-_SINGULAR = 1e-15
-# The descent ends where a step changes the direction or chi-square by less than this part of it.
-_CONVERGED = 1e-12
-# In the vote on the sign a track counts at most this many sigmas: one wild flow must not outvote the others.
-_MAX_VOTE_SIGMAS = 3.0
 
 
 def epipole_from_flow_lines(first_px: Floats, second_px: Floats) -> tuple[Floats, Status]:
@@ -68,7 +63,7 @@ def epipole_from_flow_lines(first_px: Floats, second_px: Floats) -> tuple[Floats
 def epipole_maximum_likelihood(q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats, Floats, Status]:
     """Direction of motion shared by N flows, by maximum likelihood on the unit sphere.
 
-    Minimises the sum of `flow_line_chi2` by scipy's `least_squares` in the tangent plane. Unlike least squares on unit
+    Minimises the sum of `flow_line_chi2`. Unlike least squares on unit
     normals of flow lines, it is not pulled towards the points when they lie on one side.
 
     Parameters
@@ -92,12 +87,20 @@ def epipole_maximum_likelihood(q: Floats, p: Floats, sigma_rad: Floats) -> tuple
     if is_usable.sum() < 2:
         return *nothing, Status.no_epipole
     used = q[is_usable], p[is_usable], sigma_rad[is_usable]
-    if not _has_motion(*used):
+    # Flows that together are no longer than noise makes them: chi-square of 2 N degrees of freedom.
+    flow_chi2, freedom = np.sum((used[1] - used[0]) ** 2 / (2.0 * used[2][:, None] ** 2)), 2.0 * len(used[0])
+    if flow_chi2 <= freedom + SIGNIFICANCE_SIGMAS * np.sqrt(2.0 * freedom):
         return *nothing, Status.no_parallax
-    direction, cov = _descend(_eigen_epipole(*used), *used)
+    normals = cross(used[1], used[0])
+
+    def signed_roots(direction: Floats) -> Floats:
+        return np.asarray(np.sign(normals @ direction) * np.sqrt(flow_line_chi2(direction, *used)))
+
+    direction, cov = best_direction(signed_roots, _eigen_epipole(*used))
     if not np.linalg.norm(cov, 2) < MAX_DIRECTION_SIGMA_RAD**2:
         return *nothing, Status.no_epipole
-    votes = np.clip(moves_towards(direction, *used), -_MAX_VOTE_SIGMAS, _MAX_VOTE_SIGMAS)
+    # One wild flow must not outvote the others.
+    votes = np.clip(moves_towards(direction, *used), -SIGNIFICANCE_SIGMAS, SIGNIFICANCE_SIGMAS)
     direction = direction * np.where(votes.sum() < 0.0, -1.0, 1.0)
     at_infinity = abs(direction[2]) < INFINITY_COSINE
     status = Status.epipole_at_infinity if at_infinity else Status.ok
@@ -147,29 +150,3 @@ def _eigen_epipole(q: Floats, p: Floats, sigma_rad: Floats) -> Floats:
     # By the logarithm, so that some flows of another motion do not choose.
     cost = np.log1p(flow_line_chi2(candidates, q, p, sigma_rad)).sum(axis=-1)
     return np.asarray(candidates[np.argmin(cost)])
-
-
-def _has_motion(q: Floats, p: Floats, sigma_rad: Floats) -> bool:
-    """Whether the flows together are longer than noise makes them (chi-square of 2 N degrees of freedom)."""
-    chi2 = np.sum(quotient(np.einsum("ni,ni->n", p - q, p - q), 2.0 * sigma_rad**2))
-    freedom = 2.0 * len(q)
-    return bool(chi2 > freedom + SIGNIFICANCE_SIGMAS * np.sqrt(2.0 * freedom))
-
-
-def _descend(start: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
-    """Least squares from a start: the direction at the minimum and its covariance (infinite where undetermined)."""
-    from scipy.optimize import least_squares  # takes long to import, and no stage needs it
-
-    normals, basis = cross(p, q), tangent_basis(start)
-
-    def signed_roots(tangent: Floats) -> Floats:
-        direction = normalize(start + basis @ tangent)
-        return np.asarray(np.sign(normals @ direction) * np.sqrt(flow_line_chi2(direction, q, p, sigma_rad)))
-
-    found = least_squares(signed_roots, np.zeros(2), "3-point", ftol=_CONVERGED, xtol=_CONVERGED, gtol=_CONVERGED)
-    moved = start + basis @ found.x
-    direction, information = normalize(moved), found.jac.T @ found.jac
-    if not np.linalg.det(information) > _SINGULAR * np.trace(information) ** 2:
-        return direction, np.full((3, 3), np.inf)
-    by_tangent = (np.eye(3) - np.outer(direction, direction)) @ basis / np.linalg.norm(moved)
-    return direction, by_tangent @ np.linalg.inv(information) @ by_tangent.T

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ttcvid.geometry.quotient import quotient
 from ttcvid.model import Floats, Ints
 
-LEAST_EXTENT = 1e-9
-"""On the plane z = 1: points that are closer together than this (root mean square) differ by rounding alone."""
+# On the plane z = 1: points that are closer together than this (root mean square) differ by rounding alone.
+_LEAST_EXTENT = 1e-9
 
 
 def expansion_rate(
@@ -46,16 +44,25 @@ def expansion_rate(
     >>> float(round(expansion_hz, 9))
     1.0
     """
-    *shape, m, _ = np.broadcast_shapes(rays_first.shape, rays_second.shape)
-
-    def one_after_the_other(values: Floats | float, *last: int) -> Floats:
-        every = np.array(np.broadcast_to(values, (*shape, m, *last)), dtype=np.float64, order="C")
-        return every.reshape(-1, *last)
-
-    regions = np.arange(math.prod(shape) * m).reshape(math.prod(shape), m)
-    views = one_after_the_other(rays_first, 3), one_after_the_other(rays_second, 3)
-    weights = one_after_the_other(1.0 if weights is None else weights)
-    return _rates(*views, weights, regions, np.broadcast_to(dt_s, shape), shape)
+    *xy, z = np.moveaxis(np.stack(np.broadcast_arrays(rays_first, rays_second)), -1, 0)
+    with np.errstate(all="ignore"):
+        # In the plane z = 1, x and y (2,) by view (2,) by region and point.
+        places = np.array(xy) / z
+    is_there = (z > 0.0).all(axis=0) & np.isfinite(places.sum(axis=(0, 1)))
+    weight = np.where(is_there, 1.0 if weights is None else weights, 0.0)
+    total, count = weight.sum(axis=-1), np.count_nonzero(weight, axis=-1)
+    # With u, v the offsets from the centroids of the two views: scale^2 = sum w v^2 / sum w u^2, and the residuals
+    # v - scale u have 2 m - 3 degrees of freedom.
+    places = np.where(is_there, places, 0.0)
+    off = places - quotient(np.einsum("cv...m,...m->cv...", places, weight), total)[..., None]
+    uu, vv = np.einsum("cv...m,cv...m,...m->v...", off, off, weight)
+    has_extent = np.minimum(uu, vv) > _LEAST_EXTENT**2 * total
+    scale = np.sqrt(quotient(vv, np.where(has_extent, uu, np.nan)))
+    left = off[:, 1] - scale[..., None] * off[:, 0]
+    squares = np.einsum("c...m,c...m,...m->...", left, left, weight)
+    variance = squares / (np.maximum(2 * count - 3, 1) * (1.0 + scale**2)) * (quotient(1.0, uu) + quotient(1.0, vv))
+    dt_s = np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
+    return (scale - 1.0) / dt_s, scale * np.sqrt(variance) / dt_s
 
 
 def expansion_of_neighbourhood(
@@ -75,32 +82,6 @@ def expansion_of_neighbourhood(
 
     Source: DESIGN equation 8.
     """
-    views = rays_first, rays_second
-    return _rates(*views, np.ones(len(rays_first)), neighbours, dt_s, [len(neighbours)])
-
-
-def _rates(
-    first: Floats, second: Floats, weights: Floats, regions: Ints, dt_s: float | Floats, shape: list[int]
-) -> tuple[Floats, Floats]:
-    """`expansion_rate` of ``regions (R, m)`` of N points, in the given shape."""
-    # Absent points have index -1 and no weight; comparisons with NaN are False.
-    *xy, z = np.stack([first, second]).transpose(2, 0, 1)
-    is_ahead = (weights > 0.0) & (z > 0.0).all(axis=0)
-    with np.errstate(all="ignore"):
-        # In the plane z = 1, x and y (2,) by view (2,) by point.
-        places = np.array(xy) / z
-    is_there = (is_ahead & np.isfinite(places.sum(axis=(0, 1))))[regions] & (regions >= 0)
-    weight = np.where(is_there, weights[regions], 0.0)
-    total, count = weight.sum(axis=1), np.count_nonzero(is_there, axis=1)
-    # With u, v the offsets from the centroids of the two views: scale^2 = sum w v^2 / sum w u^2, and the residuals
-    # v - scale u have 2 m - 3 degrees of freedom.
-    places = np.where(is_there, places.take(regions, axis=2), 0.0)
-    off = places - quotient(np.einsum("cvrm,rm->cvr", places, weight), total)[..., None]
-    uu, vv = np.einsum("cvrm,cvrm,rm->vr", off, off, weight)
-    has_extent = np.minimum(uu, vv) > LEAST_EXTENT**2 * total
-    ratio = np.sqrt(quotient(vv, np.where(has_extent, uu, np.nan)))
-    left = off[:, 1] - ratio[:, None] * off[:, 0]
-    squares = np.einsum("crm,crm,rm->r", left, left, weight)
-    variance = squares / (np.maximum(2 * count - 3, 1) * (1.0 + ratio**2)) * (quotient(1.0, uu) + quotient(1.0, vv))
-    scale, dt_s = ratio.reshape(shape), np.where(np.asarray(dt_s) > 0.0, dt_s, np.nan)
-    return (scale - 1.0) / dt_s, scale * np.sqrt(variance.reshape(shape)) / dt_s
+    return expansion_rate(
+        rays_first[neighbours], rays_second[neighbours], dt_s, weights=(neighbours >= 0).astype(np.float64)
+    )

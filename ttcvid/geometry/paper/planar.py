@@ -14,7 +14,7 @@ from ttcvid.model import Floats, Ints, Status
 
 
 def planar_epipole(
-    q: Floats, p: Floats, horizon_normal: Floats, sigma_rad: Floats, horizon_sigma_rad: Floats | float
+    q: Floats, p: Floats, horizon_normal: Floats, sigma_rad: Floats, horizon_covariance: Floats
 ) -> tuple[Floats, Floats, Ints]:
     """Direction of each point that moves in a horizontal plane: flow line x horizon line.
 
@@ -26,8 +26,7 @@ def planar_epipole(
     q, p : ``(N, 3)`` unit rays of the first and the second view.
     horizon_normal : ``(3,)`` unit normal of the horizontal plane, either sign.
     sigma_rad : ``(N,)`` standard deviation of a ray's direction per axis.
-    horizon_sigma_rad : Standard deviation of the normal's direction, one for all or ``(N,)`` towards each flow's
-        direction.
+    horizon_covariance : ``(3, 3)`` rad^2 of the normal's direction.
 
     Returns
     -------
@@ -40,7 +39,7 @@ def planar_epipole(
     Source: the paper's section 2.1, "Planar Motion"; DESIGN equation 3.
 
     >>> q, p = normalize(np.array([[0.1, 0.1, 1.0], [0.2, 0.2, 1.0]]))[:, None, :]
-    >>> direction, _, status = planar_epipole(q, p, np.array([0.0, 1.0, 0.0]), np.array([1e-4]), 1e-3)
+    >>> direction, _, status = planar_epipole(q, p, np.array([0.0, 1.0, 0.0]), np.array([1e-4]), 1e-6 * np.eye(3))
     >>> direction.round(9) + 0.0, status
     (array([[ 0.,  0., -1.]]), array([0]))
     """
@@ -51,8 +50,10 @@ def planar_epipole(
     direction = normalize(along)
     direction *= np.where(np.einsum("ni,ni->n", p - q, direction) < 0.0, -1.0, 1.0)[:, None]
 
-    # The flow line's orientation is uncertain by sqrt2 sigma / flow, the horizon's by its own sigma.
-    orientation2 = 2.0 * sigma_rad**2 + flow2 * horizon_sigma_rad**2
+    # The flow line's orientation is uncertain by sqrt2 sigma / flow, the horizon's by its own sigma towards the
+    # direction; 0 where there is none.
+    horizon2 = np.fmax(np.einsum("ni,ij,nj->n", direction, horizon_covariance, direction), 0.0)
+    orientation2 = 2.0 * sigma_rad**2 + flow2 * horizon2
     status = np.select(
         [
             ~np.isfinite(flow2 + orientation2),
@@ -70,7 +71,7 @@ def planar_epipole(
     ray_sines2 = 2.0 - np.einsum("ni,ni->n", p, direction) ** 2 - np.einsum("ni,ni->n", q, direction) ** 2
     flow_part = quotient(sigma_rad**2 * ray_sines2, sine2)
     lever = quotient(flow_normal @ horizon_normal, np.sqrt(sine2))
-    horizon_part = np.reshape(horizon_sigma_rad, (-1, 1)) * (horizon_normal + lever[:, None] * across)
+    horizon_part = np.sqrt(horizon2)[:, None] * (horizon_normal + lever[:, None] * across)
     cov = (
         flow_part[:, None, None] * across[:, :, None] * across[:, None, :]
         + horizon_part[:, :, None] * horizon_part[:, None, :]

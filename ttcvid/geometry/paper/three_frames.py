@@ -8,6 +8,7 @@ at consecutive frames it seldom does (k = 60 frames, 0.2 px: 16 times k), over g
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtri
 
 from ttcvid.geometry.paper.collision import angle_from_direction, k_from_two_angles
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE, SIGNIFICANCE_SIGMAS
@@ -15,8 +16,8 @@ from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize, tangent_basis
 from ttcvid.model import Floats, Ints, Status
 
-# 99 % quantile of chi-square with one degree of freedom: what three points may miss a common great circle by.
-_CHI2_99_ONE = 6.634896601021213
+# What three points may miss a common great circle by: the 99 % quantile of chi-square.
+_CHI2_99_ONE = float(chdtri(1, 0.01))
 
 
 def epipole_offset_three_frames(

@@ -9,28 +9,30 @@ import numpy as np
 from scipy.special import stdtrit
 
 from ttcvid.config import HorizonCalibrationConfig
-from ttcvid.geometry.horizon.line import HorizonFit, band_px, fit_horizon, is_one_direction, widest_angle_rad
+from ttcvid.geometry.horizon.line import UPPER_95, HorizonFit, band_px, fit_horizon, is_one_direction, widest_angle_rad
 from ttcvid.model import Camera, Floats
 from ttcvid.stages.horizon.straight_motion import TRACKS, Motion
 
 # Standard deviation of a roll assumed zero, rad: that of a spirit level.
 ROLL_ZERO_SIGMA_RAD = 1e-4
-# Part of a distribution below the upper border of its 95 % interval.
-_UPPER_95 = 0.975
 
 
 @dataclass(frozen=True)
 class HorizonResult:
     """A horizon with the motions behind it; ``fit`` is None where undetermined, and ``reason`` says why.
 
-    ``roll_zero``: roll was assumed zero, not measured; ``notes`` are warnings for the user.
+    ``roll_zero``: roll was assumed zero, not measured.
     """
 
     fit: HorizonFit | None
     motions: tuple[Motion, ...]
     reason: str = ""
     roll_zero: bool = False
-    notes: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user has to know before trusting it."""
+        return ("roll taken as zero",) if self.roll_zero else ()
 
 
 def calibrated_horizon(
@@ -49,37 +51,33 @@ def calibrated_horizon(
     """
     roll_zero = config.roll_zero
     usable = [motion for motion in motions if motion.status == "used"]
-    refused = tuple(motions)
     floor_rad = np.radians(config.floor_deg)
     least = 1 if roll_zero else config.min_motions
     n_usable = _count(usable)
     if n_usable < least:
         found = f"{n_usable} straight motion{'s' * (n_usable != 1)} found of {_count(motions)}"
-        return HorizonResult(None, refused, f"{found}, at least {least} needed: take a longer clip, or several")
+        return HorizonResult(None, tuple(motions), f"{found}, at least {least} needed: take a longer clip, or several")
     directions = np.array([motion.direction for motion in usable])
     covariances = formal = np.array([motion.covariance for motion in usable])
-    if not roll_zero:
-        reason = _too_alike(directions, covariances, config)
-        if reason:
-            return HorizonResult(None, refused, reason)
+    reason = "" if roll_zero else _too_alike(directions, covariances, config)
+    if reason:
+        return HorizonResult(None, tuple(motions), reason)
     if from_pictures:
         covariances = covariances * _picture_factors(usable, config)[:, None, None]
         floor_rad = max(floor_rad, float(np.radians(config.picture_floor_deg)))
     fit = fit_horizon(directions, covariances, floor_rad, ROLL_ZERO_SIGMA_RAD if roll_zero else None)
     if fit is None:
-        return HorizonResult(None, refused, "the epipoles lie on no common line")
+        return HorizonResult(None, tuple(motions), "the epipoles lie on no common line")
     if from_pictures:
-        fit = replace(fit, quantile=float(stdtrit(fit.is_used.sum(), _UPPER_95)))
-    judged = with_verdict([replace(one, covariance=cov) for one, cov in zip(usable, covariances, strict=True)], fit)
-    remaining = iter(judged)
-    labelled = tuple(next(remaining) if motion.status == "used" else motion for motion in motions)
-    agreeing = [motion for motion in judged if motion.status == "used"]
-    reason = _disagreement(_count(agreeing), n_usable, least)
-    if not reason and not roll_zero:
+        fit = replace(fit, quantile=float(stdtrit(fit.is_used.sum(), UPPER_95)))
+    labelled = with_verdict(motions, covariances, fit)
+    n_agree = _count([motion for motion in labelled if motion.status == "used"])
+    if n_agree < least or 2 * n_agree < n_usable:
+        reason = f"only {n_agree} of {n_usable} motions agree on a horizon: do they move on one level ground?"
+    elif not roll_zero:
         reason = _too_alike(directions[fit.is_used], formal[fit.is_used], config)
     reason = reason or too_wide(fit, camera, config, "take a longer clip")
-    notes = ("roll taken as zero",) if roll_zero else ()
-    return HorizonResult(None if reason else fit, labelled, reason, roll_zero, notes)
+    return HorizonResult(None if reason else fit, labelled, reason, roll_zero)
 
 
 def _count(motions: Sequence[Motion]) -> int:
@@ -101,10 +99,15 @@ def _picture_factors(motions: list[Motion], config: HorizonCalibrationConfig) ->
     return np.asarray(np.where(is_tracks, of_tracks, config.outline_sigma_factor) ** 2 * count[same.ravel()])
 
 
-def with_verdict(motions: list[Motion], fit: HorizonFit) -> tuple[Motion, ...]:
-    """Motions with their status after the fit of all of them."""
-    status = np.where(fit.is_used, "used", "off_horizon").tolist()
-    return tuple(replace(motion, status=said) for motion, said in zip(motions, status, strict=True))
+def with_verdict(motions: list[Motion], covariances: Floats, fit: HorizonFit) -> tuple[Motion, ...]:
+    """Motions with their status after the fit of the ``used`` ones, and the covariances that these had there."""
+    fitted = zip(fit.is_used, covariances, strict=True)
+
+    def judged(motion: Motion) -> Motion:
+        agrees, covariance = next(fitted)
+        return replace(motion, status="used" if agrees else "off_horizon", covariance=covariance)
+
+    return tuple(judged(motion) if motion.status == "used" else motion for motion in motions)
 
 
 def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonCalibrationConfig) -> str:
@@ -116,15 +119,6 @@ def _too_alike(directions: np.ndarray, covariances: np.ndarray, config: HorizonC
         return (
             f"directions certainly differ by {widest_deg:.1f} deg only, {config.min_spread_deg:g} deg needed: {remedy}"
         )
-    return ""
-
-
-def _disagreement(n_used: int, n_all: int, least: int) -> str:
-    """Why too few of the motions agree on a line, empty if enough do."""
-    if n_used < least:
-        return f"only {n_used} of {n_all} motions agree on a horizon"
-    if 2 * n_used < n_all:
-        return f"only {n_used} of {n_all} motions agree on a horizon: do they move on one level ground?"
     return ""
 
 

@@ -60,10 +60,8 @@ def own_step(result: FrameResult) -> OwnStep | None:
 
 def own_motions(steps: Iterable[OwnStep | None], clip: int = 0) -> list[Motion]:
     """Directions of own motion over half a second or three frames each, in the camera of their window's mean tilt."""
-    motions: list[Motion] = []
-    for window in _windows(steps):
-        motions += _motions_of_window(window, clip, len(motions))
-    return motions
+    motions = [motion for window in _windows(steps) for motion in _motions_of_window(window)]
+    return [replace(motion, clip=clip, mover=number) for number, motion in enumerate(motions)]
 
 
 def driving_horizon(motions: list[Motion], camera: Camera, config: HorizonCalibrationConfig) -> HorizonResult:
@@ -81,22 +79,21 @@ def driving_horizon(motions: list[Motion], camera: Camera, config: HorizonCalibr
         return HorizonResult(None, tuple(motions), "the directions of own motion lie on no common line")
     # The mean tilt of the car (load, camber, slope of the road) is a common error of the whole drive.
     fit = replace(fit, covariance=fit.covariance + floor_rad**2 * (np.eye(3) - np.outer(fit.normal, fit.normal)))
-    labelled = with_verdict(motions, fit)
-    if 2 * int(fit.is_used.sum()) < len(motions):
-        reason = f"only {fit.is_used.sum()} of {len(motions)} directions of own motion agree on a horizon"
-        return HorizonResult(None, labelled, reason)
-    reason = too_wide(fit, camera, config, "take a longer drive")
+    labelled = with_verdict(motions, covariances, fit)
+    n_agree = int(fit.is_used.sum())
+    if 2 * n_agree < len(motions):
+        reason = f"only {n_agree} of {len(motions)} directions of own motion agree on a horizon"
+    else:
+        reason = too_wide(fit, camera, config, "take a longer drive")
     if reason:
         return HorizonResult(None, labelled, reason)
     roll_found_rad = float(np.sqrt(pitch_roll_covariance_rad2(fit)[1, 1]))
     is_assumed = bool(config.roll_zero or roll_found_rad > _MEASURED_PART * _ROLL_SIGMA_RAD)
-    notes: tuple[str, ...] = ()
     if is_assumed:
         level = fit_horizon(directions, covariances, floor_rad, ROLL_ZERO_SIGMA_RAD)
         if level is not None:
             fit = replace(level, covariance=fit.covariance)
-        notes = ("roll taken as zero",)
-    return HorizonResult(fit, labelled, "", is_assumed, notes)
+    return HorizonResult(fit, labelled, "", is_assumed)
 
 
 def _windows(steps: Iterable[OwnStep | None]) -> Iterable[list[OwnStep]]:
@@ -112,7 +109,7 @@ def _windows(steps: Iterable[OwnStep | None]) -> Iterable[list[OwnStep]]:
         yield window
 
 
-def _motions_of_window(window: list[OwnStep], clip: int, first_number: int) -> list[Motion]:
+def _motions_of_window(window: list[OwnStep]) -> list[Motion]:
     ref_R_cam = [np.eye(3)]
     for step in window[1:]:
         ref_R_cam.append(ref_R_cam[-1] @ step.cam_R_prev.T)
@@ -125,15 +122,14 @@ def _motions_of_window(window: list[OwnStep], clip: int, first_number: int) -> l
     for place, step in enumerate(window):
         if np.isfinite(step.direction[0]):
             bins.setdefault(int((step.t_s - start_s) / bin_s), []).append(place)
-    motions: list[Motion] = []
-    for places in bins.values():
-        if len(places) >= _LEAST_FRAMES:
-            turned = [to_mean @ ref_R_cam[place] for place in places]
-            motions.append(_averaged([window[place] for place in places], turned, clip, first_number + len(motions)))
-    return motions
+    return [
+        _averaged([window[place] for place in places], [to_mean @ ref_R_cam[place] for place in places])
+        for places in bins.values()
+        if len(places) >= _LEAST_FRAMES
+    ]
 
 
-def _averaged(steps: list[OwnStep], turned: list[Floats], clip: int, number: int) -> Motion:
+def _averaged(steps: list[OwnStep], turned: list[Floats]) -> Motion:
     """Median direction of neighbouring frames, with the covariance of a single one plus that of their scatter."""
     directions = normalize(np.array([R @ step.direction for R, step in zip(turned, steps, strict=True)]))
     mean = normalize(np.median(directions, axis=0))
@@ -143,8 +139,6 @@ def _averaged(steps: list[OwnStep], turned: list[Floats], clip: int, number: int
     )
     scatter = np.cov(directions @ basis, rowvar=False) / len(steps)
     return Motion(
-        clip=clip,
-        mover=number,
         status="used",
         track_id=np.array([step.frame for step in steps], dtype=np.int64),
         first_frame=steps[0].frame,

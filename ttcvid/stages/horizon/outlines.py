@@ -5,6 +5,8 @@ An outline is followed for as long as the mover is seen, whatever limbs and clot
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ttcvid.config import HorizonCalibrationConfig
@@ -22,8 +24,6 @@ _NARROW_PX = 2.0
 _BORDER_PX = 0.5
 # The outline of a rigid body scatters by less than this share of its height.
 _MOST_SCATTER = 0.03
-# Least share of the outlines near their line.
-_LEAST_SHARE = 0.5
 # So much of the variance along the way is that of a steady motion; what is hidden by and by does not go on steadily.
 _LEAST_STEADINESS = 0.9
 # An outline is followed for at least so many correlation times of its errors: a whole stride.
@@ -37,18 +37,16 @@ def outline_motions(
     silhouettes: Silhouettes,
     camera: Camera,
     config: HorizonCalibrationConfig,
-    clip: int,
-    mover: int,
     *,
     may_bend: bool,
 ) -> list[Motion]:
     """The motions of one mover, of these tracks in source pixels, from its outlines: two or more where its path bends.
 
     It does not where it may not (``may_bend``), since the points of a rigid body move straight: an outline that bends
-    then changes its shape. ``clip`` and ``mover`` are numbers for the result.
+    then changes its shape.
     """
-    who = clip, mover, np.unique(rows.track_id)
-    return _motions_of(*_outlines(rows, silhouettes, camera), camera, config, who, may_bend)
+    motions = _motions_of(*_outlines(rows, silhouettes, camera), camera, config, may_bend)
+    return [replace(motion, track_id=np.unique(rows.track_id)) for motion in motions]
 
 
 def _outlines(rows: Observations, silhouettes: Silhouettes, camera: Camera) -> tuple[Floats, Ints, Floats]:
@@ -82,7 +80,6 @@ def _motions_of(
     t_s: Floats,
     camera: Camera,
     config: HorizonCalibrationConfig,
-    who: tuple[int, int, Ints],
     may_bend: bool,
 ) -> list[Motion]:
     """The motion of one outline ``(n, 3)``, in halves where its way bends; none of what is too short or too small."""
@@ -104,21 +101,18 @@ def _motions_of(
         return [
             m
             for part in (half, ~half)
-            for m in _motions_of(outline[part], frame[part], t_s[part], camera, config, who, may_bend)
+            for m in _motions_of(outline[part], frame[part], t_s[part], camera, config, may_bend)
         ]
     status = certainty(fit.covariance, config)
     noise_px = fit.noise * camera.fy_px
-    if noise_px > _MOST_SCATTER * height_px or fit.share < _LEAST_SHARE or fit.steadiness < _LEAST_STEADINESS:
+    if noise_px > _MOST_SCATTER * height_px or fit.steadiness < _LEAST_STEADINESS:
         status = "not_rigid"
     elif fit.bend_sigmas > _SURE_SIGMAS:
         status = "curved"
-    clip, mover, track_id = who
     return [
         Motion(
-            clip=clip,
-            mover=mover,
             status=status,
-            track_id=track_id,
+            track_id=np.empty(0, dtype=np.int64),
             first_frame=int(frame[0]),
             last_frame=int(frame[-1]),
             duration_s=duration_s,

@@ -13,10 +13,8 @@ import numpy as np
 
 from ttcvid.geometry.horizon.plane import horizon_px, normal_by_pitch_roll, normal_from_horizon, pitch_roll_rad
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE
-from ttcvid.geometry.paper.planar import planar_epipole
-from ttcvid.geometry.rotation import cross, normalize, tangent_basis
-from ttcvid.model import Camera, Floats, Horizon, HorizonOffset, Ints
-from ttcvid.stages.egomotion.flows import Flows
+from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.model import Camera, Floats, Horizon, HorizonOffset
 
 # Time in which the horizon returns to where it was calibrated, s: a car's springs swing at 1 to 2 Hz and a braking car
 # dips for a second or two, while the road's own slope changes over tens of seconds.
@@ -126,10 +124,3 @@ def horizon_offset(direction: Floats, covariance: Floats, plane: HorizonPlane) -
     below_rad = -float(np.arcsin(np.clip(float(plane.normal @ ahead), -1.0, 1.0)))
     sigma_rad = float(np.sqrt(max(float(plane.normal @ covariance @ plane.normal), 0.0)))
     return HorizonOffset(below_rad, sigma_rad, float(ahead[2]))
-
-
-def planar_directions(flows: Flows, plane: HorizonPlane) -> tuple[Floats, Floats, Ints]:
-    """`planar_epipole` of every track by itself, where its flow line meets the horizon (the paper's planar case)."""
-    along = normalize(cross(cross(flows.first, flows.second), plane.normal))
-    sigma_rad = plane.sigma_rad(np.nan_to_num(along))  # where there is no direction, planar_epipole says why
-    return planar_epipole(flows.first, flows.second, plane.normal, flows.sigma_rad, sigma_rad)

@@ -21,11 +21,9 @@ class Motion:
     ``uncertain`` (the epipole could be anywhere). ``track_id`` are its tracks; ``direction (3,)`` and ``covariance (3,
     3)`` (rad^2) are NaN where there are none; ``turned_rad`` the turn of its path; ``noise_px``, ``correlation`` as in
     `Translation`; ``looseness`` the scatter of its points over that of a rigid body; ``evidence``: the points of the
-    mover, or its outline as a whole.
+    mover, or its outline as a whole; ``clip`` and ``mover`` are numbers of which and whose it is.
     """
 
-    clip: int
-    mover: int
     status: str
     track_id: Ints
     first_frame: int
@@ -38,6 +36,8 @@ class Motion:
     correlation: float = np.nan
     looseness: float = 1.0
     evidence: str = TRACKS
+    clip: int = 0
+    mover: int = 0
 
 
 def certainty(covariance: Floats, config: HorizonCalibrationConfig) -> str:

@@ -10,6 +10,7 @@ from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.estimation.moving_body import BodyTracks, direction_from_lines
 from ttcvid.geometry.estimation.translation import Translation, fit_translation
+from ttcvid.geometry.paper.epipole import SIGNIFICANCE_SIGMAS
 from ttcvid.model import Camera, Ints
 from ttcvid.stages.horizon.movers import group_movers, moving_tracks
 from ttcvid.stages.horizon.outlines import outline_motions
@@ -35,8 +36,6 @@ _ENOUGH_OBSERVATIONS = 3000
 _LOOSE_PART = 0.005
 # Least number of tracks on an outline.
 _OUTLINE_TRACKS = 3
-# Significance of a turn, standard deviations.
-_SURE_SIGMAS = 3.0
 
 
 def find_motions(
@@ -61,22 +60,19 @@ def find_motions(
     motions: list[Motion] = []
     for number in np.unique(mover):
         tracks = rows.take_tracks(mover == number)
-        by_tracks = _motions_of(tracks, camera.fx_px, config, clip, int(number))
+        by_tracks, by_outline = _motions_of(tracks, camera.fx_px, config), list[Motion]()
         if silhouettes is not None and len(tracks.starts) >= _OUTLINE_TRACKS:
             whole = source.take_tracks(mover == number)
             is_straight = any(motion.status == "used" and motion.looseness == 1.0 for motion in by_tracks)
-            by_outline = outline_motions(
-                whole, silhouettes, camera, config, clip, int(number), may_bend=not is_straight
-            )
-            by_tracks = _unless_loose(by_tracks, by_outline)
-            motions += by_outline
-        motions += by_tracks
+            by_outline = outline_motions(whole, silhouettes, camera, config, may_bend=not is_straight)
+            if not any(motion.status == "used" for motion in by_outline):
+                # Points that scatter more than those of a rigid body: no outline says that they are of one body at all.
+                by_tracks = [replace(m, status="not_rigid") if m.looseness > 1.0 else m for m in by_tracks]
+        motions += [replace(motion, clip=clip, mover=int(number)) for motion in (*by_outline, *by_tracks)]
     return motions
 
 
-def _motions_of(
-    rows: Observations, focal_px: float, config: HorizonCalibrationConfig, clip: int, mover: int
-) -> list[Motion]:
+def _motions_of(rows: Observations, focal_px: float, config: HorizonCalibrationConfig) -> list[Motion]:
     """The motions of a mover; one that bends is looked at again in halves, as long as they are long enough.
 
     Long motions are cut into pieces: tracks of people who follow each other are connected. Tracks that
@@ -87,33 +83,24 @@ def _motions_of(
         return []
     if duration_s > config.max_motion_s:
         pieces = _pieces(rows, int(np.ceil(duration_s / config.max_motion_s)), config)
-        return [motion for piece in pieces for motion in _motions_of(piece, focal_px, config, clip, mover)]
-    motion = _fitted(rows, focal_px, config, clip, mover)
+        return [motion for piece in pieces for motion in _motions_of(piece, focal_px, config)]
+    motion = _fitted(rows, focal_px, config)
     if motion.status == "curved" and duration_s >= 2 * config.min_motion_s:
-        halves = [
-            half for part in _pieces(rows, 2, config) for half in _motions_of(part, focal_px, config, clip, mover)
-        ]
+        halves = [half for part in _pieces(rows, 2, config) for half in _motions_of(part, focal_px, config)]
         return halves if any(half.status not in ("curved", "not_rigid") for half in halves) else [motion]
     others = rows.take_tracks(~np.isin(rows.track_id[rows.starts], motion.track_id))
     if motion.status == "not_rigid" or len(others.starts) < _OTHERS_PART * len(rows.starts):
         return [motion]
-    more = _motions_of(others, focal_px, config, clip, mover)
-    return [motion, *(_unless_noisier(other, motion) for other in more)]
-
-
-def _unless_loose(by_tracks: list[Motion], by_outline: list[Motion]) -> list[Motion]:
-    """Points that are not those of a rigid body are refused where no outline says that they are of one body at all."""
-    is_confirmed = any(motion.status == "used" for motion in by_outline)
+    # The others are refused if noisier: then they are where one mover hides another.
     return [
-        replace(motion, status="not_rigid") if motion.looseness > 1.0 and not is_confirmed else motion
-        for motion in by_tracks
+        motion,
+        *(
+            replace(other, status="not_rigid")
+            if other.status == "used" and other.noise_px > _LEFTOVER_NOISE * motion.noise_px
+            else other
+            for other in _motions_of(others, focal_px, config)
+        ),
     ]
-
-
-def _unless_noisier(other: Motion, main: Motion) -> Motion:
-    """The outliers of a mover as a mover, refused if noisier: then they are where one mover hides another."""
-    is_leftover = other.noise_px > _LEFTOVER_NOISE * main.noise_px
-    return replace(other, status="not_rigid") if is_leftover and other.status == "used" else other
 
 
 def _pieces(rows: Observations, count: int, config: HorizonCalibrationConfig) -> list[Observations]:
@@ -124,11 +111,11 @@ def _pieces(rows: Observations, count: int, config: HorizonCalibrationConfig) ->
     return [piece.take_tracks(moving_tracks(piece, config)) for piece in pieces if len(piece.frame)]
 
 
-def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfig, clip: int, mover: int) -> Motion:
+def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfig) -> Motion:
     """The tracks of a mover as one translating body, less the tracks that do not go with the others."""
     tracks, track_id = _body(rows, focal_px)
     span, no_direction = (int(rows.frame.min()), int(rows.frame.max())), (np.full(3, np.nan), np.full((3, 3), np.nan))
-    nothing = Motion(clip, mover, "not_rigid", track_id, *span, float(np.ptp(rows.t_s)), *no_direction)
+    nothing = Motion("not_rigid", track_id, *span, float(np.ptp(rows.t_s)), *no_direction)
     free: Translation | None = None
     for _ in range(_MAX_ROUNDS):
         if tracks.n_tracks < config.min_tracks:
@@ -145,7 +132,7 @@ def _fitted(rows: Observations, focal_px: float, config: HorizonCalibrationConfi
         return nothing
     turned_rad = free.turn_rad_s * float(np.ptp(tracks.t_s))
     found = replace(nothing, track_id=track_id, turned_rad=turned_rad)
-    is_sure = abs(free.turn_rad_s) > _SURE_SIGMAS * free.turn_sigma_rad_s
+    is_sure = abs(free.turn_rad_s) > SIGNIFICANCE_SIGMAS * free.turn_sigma_rad_s
     if is_sure and abs(turned_rad) > np.radians(config.max_turn_deg):
         return replace(found, status="curved")
     turn_sigma = np.radians(config.turn_sigma_deg_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
@@ -63,23 +63,19 @@ class MoverOffset:
 
     n_frames: int = 0
     weight: float = 0.0
-    below_rad: float = 0.0
-    sigma_rad: float = 0.0
-    ahead: float = 0.0
+    weighted: Floats = field(default_factory=lambda: np.zeros(3))
 
     def add(self, offset: HorizonOffset) -> None:
         """Add one frame."""
         weight = 1.0 / max(offset.sigma_rad, _LEAST_SIGMA_RAD) ** 2
         self.n_frames += 1
         self.weight += weight
-        self.below_rad += weight * offset.below_rad
-        self.sigma_rad += weight * offset.sigma_rad
-        self.ahead += weight * offset.ahead
+        self.weighted += weight * np.array(astuple(offset))
 
     @property
-    def mean(self) -> HorizonOffset:
-        """The mover's offset; its error is that of one frame, since its frames have common errors."""
-        return HorizonOffset(self.below_rad / self.weight, self.sigma_rad / self.weight, self.ahead / self.weight)
+    def mean(self) -> Floats:
+        """The mover's `HorizonOffset`; its error is that of one frame, since its frames have common errors."""
+        return self.weighted / self.weight
 
 
 def complaint_about_movers(
@@ -96,7 +92,7 @@ def complaint_about_movers(
     seen = [mover for mover in movers if mover.n_frames >= _LEAST_MOVER_FRAMES]
     if len(seen) < config.min_motions:
         return ""
-    below, own_sigma, ahead = np.array([astuple(mover.mean) for mover in seen]).T
+    below, own_sigma, ahead = np.array([mover.mean for mover in seen]).T
     variance = (config.picture_sigma_factor * own_sigma) ** 2 + np.radians(config.picture_floor_deg) ** 2
     information = float(np.sum(ahead**2 / variance))
     pitch_rad = float(np.sum(ahead * below / variance)) / information

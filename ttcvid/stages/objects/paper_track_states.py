@@ -8,13 +8,14 @@ import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.estimation.shared_trajectory import N_SHARED
+from ttcvid.geometry.paper.planar import planar_epipole
 from ttcvid.geometry.paper.three_frames import three_frame_direction
 from ttcvid.geometry.paper.two_view_state import rate_from_direction, state_from_direction
 from ttcvid.geometry.rotation import cross, tangent_basis
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Floats, Ints, Status
 from ttcvid.stages.egomotion.flows import Flows, scene_directions, select_flows
 from ttcvid.stages.egomotion.relative_pose import DIRECTION_FLOOR_RAD
-from ttcvid.stages.horizon.planar_motion import HorizonPlane, planar_directions
+from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.states import SharedErrors, TrackStates, has_value
 from ttcvid.stages.tracking.history import TrackHistory
@@ -35,7 +36,8 @@ def track_directions(
     direction, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     status = np.full(n, Status.no_epipole, dtype=np.int64)
     if plane is not None:
-        direction, covariance, status = planar_directions(flows, plane)
+        views = flows.first, flows.second
+        direction, covariance, status = planar_epipole(*views, plane.normal, flows.sigma_rad, plane.covariance)
     status[~motions.is_free] = Status.no_parallax
     direction[~motions.is_free] = np.nan
     # Which of the clusters each track is in, and what it takes from there: the first stands for none of them.

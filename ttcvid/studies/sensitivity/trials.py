@@ -28,7 +28,7 @@ def planar_two_frame(case: Case, n_trials: int, rng: np.random.Generator) -> Tri
     """The epipole on the horizon, and the state that belongs to it."""
     q, p = _noisy_rays(case, 2, n_trials, rng)
     sigma = np.full(n_trials, case.sigma_norm)
-    direction, _, _ = planar_epipole(normalize(q), normalize(p), _HORIZON_NORMAL, sigma, 0.0)
+    direction, _, _ = planar_epipole(normalize(q), normalize(p), _HORIZON_NORMAL, sigma, np.zeros((3, 3)))
     return _with_times(q, p, direction, case.step_s, sigma)
 
 
