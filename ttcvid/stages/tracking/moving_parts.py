@@ -75,7 +75,10 @@ def background_of(samples: Sequence[StreetSample]) -> Background:
     place where something always moves is taken as it looks most of the time.
     """
     first = _median([sample.picture for sample in samples], None)
-    pictures = [_levelled(sample.picture, first) for sample in samples]
+    pictures = [
+        np.clip(np.rint(one.picture / np.float32(_brightness(one.picture, first))), 0, 255).astype(np.uint8)
+        for one in samples
+    ]
     moves = [sample.moves for sample in samples]
     street = _median(pictures, moves)
     smooth, sharp = smoothed(street, SMOOTH_PX), smoothed(street, _SHARP_PX)
@@ -88,11 +91,6 @@ def _halved(picture: NDArray[np.generic]) -> NDArray[np.float32]:
     """Half as wide and high, each pixel the mean of four: (ceil(H / 2), ceil(W / 2))."""
     size = (-(-picture.shape[1] // 2), -(-picture.shape[0] // 2))
     return np.asarray(cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _levelled(picture: Picture, street: NDArray[np.float32]) -> Picture:
-    """The picture as bright as the street."""
-    return np.clip(np.rint(picture / np.float32(_brightness(picture, street))), 0, 255).astype(np.uint8)
 
 
 def _median(pictures: Sequence[NDArray[np.generic]], moves: Sequence[Picture] | None) -> NDArray[np.float32]:
