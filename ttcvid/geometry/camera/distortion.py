@@ -17,9 +17,9 @@ COEFFICIENT_COUNTS = {"none": (0,), "plumb_bob": (4, 5), "rational": (8,), "fish
 
 _MAX_NEWTON_STEPS = 12
 _ROUNDING = 32.0 * np.finfo(np.float64).eps
-# The inverse starts from a table over the angle from the optical axis, 0.09 deg apart: near enough for Newton's
-# method to need two steps.
-_TABLE_ANGLE_RAD = np.linspace(0.0, np.radians(89.91), 1000)
+# The inverse starts from a table of undistorted radii, 0.09 deg apart as seen from the camera and up to 89.91 deg: near
+# enough for Newton's method to need two steps.
+_TABLE_RADIUS = np.tan(np.linspace(0.0, np.pi / 2.0, 1001)[:-1])
 
 
 def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
@@ -76,8 +76,8 @@ def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats,
         return xy_distorted.copy()
     with np.errstate(all="ignore"):
         r_d = np.hypot(xy_distorted[:, 0], xy_distorted[:, 1])
-        table_d, table_rad, limit = _table(model, coefficients)
-        x, y = _ratio(np.tan(np.interp(r_d, table_d, table_rad)), r_d) * xy_distorted.T
+        table_d, table, limit = _table(model, coefficients)
+        x, y = _ratio(np.interp(r_d, table_d, table), r_d) * xy_distorted.T
         for _ in range(_MAX_NEWTON_STEPS):
             x_d, y_d, *jacobian = _with_jacobian(model, coefficients, x, y)
             miss_x, miss_y = x_d - xy_distorted[:, 0], y_d - xy_distorted[:, 1]
@@ -155,16 +155,16 @@ def _is_before_fold(jacobian: list[Floats]) -> Bools:
 
 @lru_cache(maxsize=64)
 def _table(model: str, coefficients: tuple[float, ...]) -> tuple[Floats, Floats, float]:
-    """Distorted radius against the angle from the axis, out to the fold, and a radius that lies just beyond it.
+    """Distorted against undistorted radius out to the fold, and an undistorted one that lies just beyond it.
 
     The fold itself is told by the Jacobian; the bound keeps places further out, where it is positive again, away.
     Tangential coefficients are left out here.
     """
     if model != "fisheye":
         coefficients = (*coefficients[:2], 0.0, 0.0, *coefficients[4:])
-    radius = np.tan(_TABLE_ANGLE_RAD)
+    plain = _TABLE_RADIUS
     with np.errstate(all="ignore"):
-        distorted, _, slope, *_ = _with_jacobian(model, coefficients, radius, np.zeros_like(radius))
+        distorted, _, slope, *_ = _with_jacobian(model, coefficients, plain, np.zeros_like(plain))
     folded = np.flatnonzero(~((slope > 0.0) & np.isfinite(distorted)))
-    end, bound = (folded[0], float(radius[folded[0]])) if len(folded) else (len(radius), np.inf)
-    return distorted[:end], _TABLE_ANGLE_RAD[:end], bound
+    end, bound = (folded[0], float(plain[folded[0]])) if len(folded) else (len(plain), np.inf)
+    return distorted[:end], plain[:end], bound
