@@ -252,7 +252,7 @@ def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:
     """The history with its lost tracks among the others, but for their present pixels, which nobody knows."""
     order = np.argsort(np.concatenate([history.track_id, lost.track_id]))
     rays = np.concatenate([history.rays, lost.rays], axis=1).take(order, axis=1)
-    known = {name: np.append(getattr(history, name), getattr(lost, name))[order] for name in _OF_TRACKS}
+    known: dict[str, Any] = {name: np.append(getattr(history, name), getattr(lost, name))[order] for name in _OF_TRACKS}
     return replace(history, rays=rays, lost=None, **known)
 
 
