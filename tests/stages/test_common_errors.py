@@ -37,7 +37,7 @@ def row_seen(abc_hz, sigma_hz, at_m=AHEAD_M, size_m=1.8, age_s=2.0, camera=CAMER
         state_cov=sigma_hz**2 * np.eye(3),
     )
     members = TrackSets.of([np.arange(N)])
-    radius_px = members.radii(pixels_from_rays(camera, now), np.array([True]))
+    radius_px = members.radii(pixels_from_rays(camera, now))
     ref_px, ages_s = np.array([row.ref_px]), np.full(N, age_s)
     drift_hz = common_growth_hz(radius_px, members.medians(ages_s), GAP_S, COMMON_ERROR_PX)
     ((common,), _) = common_covariances(ref_px, drift_hz, camera)
@@ -73,7 +73,7 @@ def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
     members, age_s, ref_px = TrackSets.of([np.arange(N)]), np.full(N, 2.0), np.array([[340.0, 190.0]])
 
     def cov_of(rays):
-        radius_px = members.radii(pixels_from_rays(CAMERA, rays), np.array([True]))
+        radius_px = members.radii(pixels_from_rays(CAMERA, rays))
         return common_covariances(ref_px, common_growth_hz(radius_px, members.medians(age_s)), CAMERA)[0]
 
     without_one, unseen = now.copy(), np.full_like(now, np.nan)

@@ -20,10 +20,10 @@ def test_figures_of_each_set_are_those_of_its_members():
 
 
 def test_the_radius_of_a_set_is_that_of_its_places_that_are_known():
-    places, asked = VALUES.copy(), np.array([True, True, False])
-    np.testing.assert_allclose(SETS.radii(places, asked), [_radius(VALUES[MEMBERS[0]]), 0.0, 0.0])
+    places, third = VALUES.copy(), _radius(VALUES[MEMBERS[2]])
+    np.testing.assert_allclose(SETS.radii(places), [_radius(VALUES[MEMBERS[0]]), 0.0, third])
     places[MEMBERS[0][1]] = places[MEMBERS[1]] = np.nan
-    np.testing.assert_allclose(SETS.radii(places, asked), [_radius(VALUES[MEMBERS[0][[0, 2]]]), 0.0, 0.0])
+    np.testing.assert_allclose(SETS.radii(places), [_radius(VALUES[MEMBERS[0][[0, 2]]]), 0.0, third])
 
 
 def _radius(places):
@@ -44,4 +44,4 @@ def test_there_may_be_no_sets():
     none = TrackSets.of([])
     assert len(none) == 0
     assert none.boxes(VALUES).shape == (0, 4)
-    assert none.medians(np.empty(0)).shape == none.radii(VALUES, np.empty(0, dtype=bool)).shape == (0,)
+    assert none.medians(np.empty(0)).shape == none.radii(VALUES).shape == (0,)

@@ -16,25 +16,25 @@ def test_neighbours_are_those_of_the_table_of_all_distances(n_one, n_other, n_by
     one, other = random_descriptors(n_one, 1, n_bytes), random_descriptors(n_other, 2, n_bytes)
     differs = np.unpackbits(one, axis=1)[:, None] != np.unpackbits(other, axis=1)[None]
     distance = differs.sum(axis=2)
-    found = nearest_descriptors(one, other)
-    np.testing.assert_array_equal(found.nearest, distance.argmin(axis=1))
-    np.testing.assert_array_equal(found.distance_bits, np.sort(distance, axis=1)[:, 0])
-    np.testing.assert_array_equal(found.second_bits, np.sort(distance, axis=1)[:, 1])
-    np.testing.assert_array_equal(found.nearest_back, distance.argmin(axis=0))
+    nearest, distance_bits, second_bits, nearest_back = nearest_descriptors(one, other)
+    np.testing.assert_array_equal(nearest, distance.argmin(axis=1))
+    np.testing.assert_array_equal(distance_bits, np.sort(distance, axis=1)[:, 0])
+    np.testing.assert_array_equal(second_bits, np.sort(distance, axis=1)[:, 1])
+    np.testing.assert_array_equal(nearest_back, distance.argmin(axis=0))
 
 
 def test_neighbours_are_those_of_opencv():
     one, other = random_descriptors(300, 3), random_descriptors(200, 4)
-    found = nearest_descriptors(one, other)
+    nearest, _, second_bits, _ = nearest_descriptors(one, other)
     pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(one, other, k=2)
-    assert found.nearest.tolist() == [first.trainIdx for first, _ in pairs]
-    assert found.second_bits.tolist() == [second.distance for _, second in pairs]
+    assert nearest.tolist() == [first.trainIdx for first, _ in pairs]
+    assert second_bits.tolist() == [second.distance for _, second in pairs]
 
 
 def test_of_equal_descriptors_the_first_counts_and_is_its_own_rival():
     one = random_descriptors(3, 5)
     other = np.concatenate([one, one])
-    found = nearest_descriptors(one, other)
-    assert found.nearest.tolist() == [0, 1, 2]
-    assert found.second_bits.tolist() == [0, 0, 0]
-    assert nearest_descriptors(other, one).nearest_back.tolist() == [0, 1, 2]
+    nearest, _, second_bits, _ = nearest_descriptors(one, other)
+    assert nearest.tolist() == [0, 1, 2]
+    assert second_bits.tolist() == [0, 0, 0]
+    assert nearest_descriptors(other, one)[3].tolist() == [0, 1, 2]

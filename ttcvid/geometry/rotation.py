@@ -44,10 +44,7 @@ def skew(v: Floats) -> Floats:
     >>> skew(np.array([1.0, 2.0, 3.0])) @ np.array([0.0, 0.0, 1.0])
     array([ 2., -1.,  0.])
     """
-    v = np.asarray(v, dtype=np.float64)
-    matrix = np.zeros((*v.shape, 3))
-    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
-    return matrix - np.swapaxes(matrix, -1, -2)
+    return cross(np.eye(3), v[..., None, :])
 
 
 def rotation_from_vector(rotvec_rad: Floats) -> Floats:

@@ -37,34 +37,23 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
     """The rows of a frame and its warnings: states, times, events."""
     frame, seen = item.frame, item.seen
     line_px = None if item.plane is None else item.plane.line_px
+    result = FrameResult(frame.index, frame.t_s, item.dt_s, item.status, no_tracks(), (), horizon_px=line_px)
     if seen is None:
         # It gives no number, only a reason: what was warned of before stands.
-        events = standing_events(memory.watch, frame.t_s, clip.config.events)
-        nothing = FrameResult(frame.index, frame.t_s, item.dt_s, item.status, no_tracks(), ())
-        return replace(nothing, horizon_px=line_px, events=events), memory
+        return replace(result, events=standing_events(memory.watch, frame.t_s, clip.config.events)), memory
     if item.status == FrameStatus.cut:
         memory = RowMemory(restarted_events(memory.watch))
     tracks, clusters, states = _rows(seen, clip, memory.states)
-    config, step_s = clip.config.events, seen.history.step_s
-    platform = clip.config.egomotion.platform
-    on_ground, at_rest = platform == Platform.vehicle, platform == Platform.static
-    view = Viewpoint(clip.camera, on_ground, at_rest, seen.motions.bend)
-    events, watch = update_events(memory.watch, frame.index, frame.t_s, clusters, view, config, step_s=step_s)
-    nearest, since = nearest_object(memory.since, frame.t_s, clusters, clip.config)
-    egomotion = seen.egomotion
-    result = FrameResult(
-        frame=frame.index,
-        t_s=frame.t_s,
-        dt_s=item.dt_s,
-        status=item.status,
-        tracks=tracks,
-        clusters=clusters,
-        rotation_rad=None if egomotion is None else egomotion.rotation_rad,
-        rotation_sigma_rad=None if egomotion is None else egomotion.rotation_sigma_rad,
-        nearest=nearest,
-        horizon_px=line_px,
-        events=events,
+    platform, step_s = clip.config.egomotion.platform, seen.history.step_s
+    view = Viewpoint(clip.camera, platform == Platform.vehicle, platform == Platform.static, seen.motions.bend)
+    events, watch = update_events(
+        memory.watch, frame.index, frame.t_s, clusters, view, clip.config.events, step_s=step_s
     )
+    nearest, since = nearest_object(memory.since, frame.t_s, clusters, clip.config)
+    if seen.egomotion is not None:
+        own = seen.egomotion
+        result = replace(result, rotation_rad=own.rotation_rad, rotation_sigma_rad=own.rotation_sigma_rad)
+    result = replace(result, tracks=tracks, clusters=clusters, nearest=nearest, events=events)
     return result, RowMemory(watch, since, states)
 
 
@@ -98,15 +87,15 @@ def _estimated_again(
     """A frame with the rows that views on both sides give; status, own rotation and warnings stay as they were."""
     if item.seen is None:
         return item, memory
-    tracks, clusters = item.result.tracks, item.result.clusters
-    states = {} if item.result.status == FrameStatus.cut else memory.states
+    if item.result.status == FrameStatus.cut:
+        memory = RowMemory()
+    tracks, clusters, states = item.result.tracks, item.result.clusters, memory.states
     if later:
         seen = seen_again(item.seen, later, clip.camera, clip.config)
         tracks, clusters, states = _rows(seen, clip, states)
-    since = {} if item.result.status == FrameStatus.cut else memory.since
-    nearest, since = nearest_object(since, item.result.t_s, clusters, clip.config)
+    nearest, since = nearest_object(memory.since, item.result.t_s, clusters, clip.config)
     result = replace(item.result, tracks=tracks, clusters=clusters, nearest=nearest)
-    return replace(item, result=result), replace(memory, since=since, states=states)
+    return replace(item, result=result), RowMemory(since=since, states=states)
 
 
 def _rows(seen: Seen, clip: Clip, past: PastStates) -> tuple[TrackRows, tuple[ClusterRow, ...], PastStates]:

@@ -62,19 +62,13 @@ def cluster_rows(
     view = history.now - min(EXPANSION_FRAMES, history.n_past)
     gap_s = -float(history.since_s[view])
     # The scene's picture expands differently at each depth.
-    is_object = np.array([motion.cluster_id != SCENE_CLUSTER for motion in motions.clusters], dtype=bool)
-    nothing = np.empty(0, dtype=np.int64)
-    objects = [motion.members if asked else nothing for motion, asked in zip(motions.clusters, is_object, strict=True)]
+    objects = [one.members[: 0 if one.cluster_id == SCENE_CLUSTER else None] for one in motions.clusters]
     expansion_hz = _expansions(history, objects, view, gap_s)
     # Without a ray, outside of the lens model, a point has no part in the size.
     xy_px = np.where(np.isfinite(history.rays[history.now, :, :1]), history.xy_px, np.nan)
     joint = surfaces_of(motions.clusters, members, states, history.xy_px, motions.link_px)
-    has_state = np.zeros(len(motions.clusters), dtype=bool)
-    has_state[joint.owner] = True
-    of_stated, _ = members.where(has_state[members.set_of])
-    radius_px = members.radii(xy_px, is_object)[joint.owner]
-    age_s, error_px = _age_s(history), history.common_error_px
-    drift_hz = common_growth_hz(radius_px, of_stated.medians(age_s[of_stated.index]), gap_s, error_px)
+    radius_px, age_s = members.radii(xy_px), members.medians(_age_s(history)[members.index])
+    drift_hz = common_growth_hz(radius_px[joint.owner], age_s[joint.owner], gap_s, history.common_error_px)
     of_states, of_closing = common_covariances(joint.ref_px, drift_hz, camera)
     numbers = [motions.clusters[place].cluster_id for place in joint.owner]
     joint, past = with_consistent_covariances(joint, numbers, history, past)

@@ -157,17 +157,13 @@ def _with_known_objects(seen: Seen, later: Sequence[Seen], min_tracks: int) -> F
 
 def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> FrameMotions:
     """The clusters with the directions that the views on both sides show."""
-    scene, surfaces, members = list[ClusterMotion](), list[ClusterMotion](), dict[int, Ints]()
-    for motion in seen.motions.clusters:
-        if motion.cluster_id == SCENE_CLUSTER:
-            scene.append(scene_motion(motion.members, seen.egomotion, seen.plane, camera))
-        elif motion.is_one_surface:
-            surfaces.append(motion)
-        else:
-            members[motion.cluster_id] = motion.members
+    clusters = [one for one in seen.motions.clusters if one.cluster_id != SCENE_CLUSTER]
+    scene = [one for one in seen.motions.clusters if one.cluster_id == SCENE_CLUSTER]
+    members = {one.cluster_id: one.members for one in clusters if not one.is_one_surface}
     objects = motions_of(members, seen.history, seen.plane, camera, config)
     status = seen.motions.no_direction_status.copy()
     for motion in objects:
         status[motion.members] = motion.status
-    objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
+    objects = sorted([*objects, *(one for one in clusters if one.is_one_surface)], key=lambda one: one.cluster_id)
+    scene = [scene_motion(one.members, seen.egomotion, seen.plane, camera) for one in scene]
     return replace(seen.motions, clusters=(*scene, *objects), no_direction_status=status)

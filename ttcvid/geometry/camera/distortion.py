@@ -17,10 +17,9 @@ COEFFICIENT_COUNTS = {"none": (0,), "plumb_bob": (4, 5), "rational": (8,), "fish
 
 _MAX_NEWTON_STEPS = 12
 _ROUNDING = 32.0 * np.finfo(np.float64).eps
-# The inverse starts from a table over the angle from the optical axis, 0.09 deg apart: near enough for Newton's
-# method to need two steps.
-_TABLE_ANGLE_RAD = np.linspace(0.0, np.pi / 2.0, 1001)
-_MAX_TABLE_ANGLE_RAD = np.radians(89.5)
+# The inverse starts from a table of undistorted radii, 0.09 deg apart as seen from the camera and up to 89.91 deg: near
+# enough for Newton's method to need two steps.
+_TABLE_RADIUS = np.tan(np.linspace(0.0, np.pi / 2.0, 1001)[:-1])
 
 
 def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
@@ -43,17 +42,9 @@ def distort(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
         return xy.copy()
     x, y = xy.T
     with np.errstate(all="ignore"):
-        if model == "fisheye":
-            r = np.hypot(x, y)
-            angle = np.arctan(r)
-            angle_d, slope = _fisheye_angle(coefficients, angle)
-            is_valid = (slope > 0.0) & (angle < _table(model, coefficients)[2])
-            places = xy * _ratio(angle_d, r)[:, None]
-        else:
-            x_d, y_d, *jacobian = _radial_tangential(_eight(coefficients), x, y)
-            is_valid = _is_before_fold(jacobian) & (x * x + y * y < _table(model, coefficients)[2] ** 2)
-            places = np.stack([x_d, y_d], axis=1)
-    return np.where(is_valid[:, None], places, np.nan)
+        x_d, y_d, *jacobian = _with_jacobian(model, coefficients, x, y)
+        is_valid = _is_before_fold(jacobian) & (x * x + y * y < _table(model, coefficients)[2] ** 2)
+    return np.where(is_valid[:, None], np.stack([x_d, y_d], axis=1), np.nan)
 
 
 def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> Floats:
@@ -65,13 +56,8 @@ def distorted_area(model: str, coefficients: tuple[float, ...], xy: Floats) -> F
     _check(model, coefficients)
     if _does_nothing(model, coefficients):
         return np.ones(len(xy))
-    x, y = xy.T
-    if model != "fisheye":
-        _, _, j_xx, j_xy, j_yy = _radial_tangential(_eight(coefficients), x, y)
-        return j_xx * j_yy - j_xy * j_xy
-    r = np.hypot(x, y)
-    angle_d, slope = _fisheye_angle(coefficients, np.arctan(r))
-    return np.asarray(_ratio(angle_d, r) * slope / (1.0 + r * r))
+    _, _, j_xx, j_xy, j_yy = _with_jacobian(model, coefficients, *xy.T)
+    return j_xx * j_yy - j_xy * j_xy
 
 
 def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats, tolerance: float) -> Floats:
@@ -90,16 +76,21 @@ def undistort(model: str, coefficients: tuple[float, ...], xy_distorted: Floats,
         return xy_distorted.copy()
     with np.errstate(all="ignore"):
         r_d = np.hypot(xy_distorted[:, 0], xy_distorted[:, 1])
-        within = tolerance + _ROUNDING * r_d
         table_d, table, limit = _table(model, coefficients)
-        start = np.interp(r_d, table_d, table)
-        if model == "fisheye":
-            angle = _invert_fisheye(coefficients, r_d, start, within)
-            angle[angle >= limit] = np.nan
-            return xy_distorted * _ratio(np.tan(angle), r_d)[:, None]
-        start_xy = xy_distorted * _ratio(start, r_d)[:, None]
-        xy = _invert_radial_tangential(_eight(coefficients), xy_distorted, start_xy, within)
-        return np.where(np.einsum("ni,ni->n", xy, xy)[:, None] < limit**2, xy, np.nan)
+        x, y = _ratio(np.interp(r_d, table_d, table), r_d) * xy_distorted.T
+        for _ in range(_MAX_NEWTON_STEPS):
+            x_d, y_d, *jacobian = _with_jacobian(model, coefficients, x, y)
+            miss_x, miss_y = x_d - xy_distorted[:, 0], y_d - xy_distorted[:, 1]
+            # Also what is not finite: no step helps it.
+            is_done = ~(np.maximum(np.abs(miss_x), np.abs(miss_y)) > tolerance + _ROUNDING * r_d)
+            if is_done.all():
+                break
+            j_xx, j_xy, j_yy = jacobian
+            determinant = np.where(is_done, np.inf, j_xx * j_yy - j_xy * j_xy)
+            x = x - (j_yy * miss_x - j_xy * miss_y) / determinant
+            y = y - (j_xx * miss_y - j_xy * miss_x) / determinant
+        is_sound = is_done & _is_before_fold(jacobian) & (x * x + y * y < limit**2)
+    return np.where(is_sound[:, None], np.stack([x, y], axis=1), np.nan)
 
 
 def _check(model: str, coefficients: tuple[float, ...]) -> None:
@@ -122,25 +113,34 @@ def _ratio(radius: Floats, other: Floats) -> Floats:
     return np.asarray(np.divide(radius, other, out=np.ones_like(other), where=other > 0.0))
 
 
-def _eight(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """k1 k2 p1 p2 k3 k4 k5 k6, zeros where the model has fewer."""
-    return coefficients + (0.0,) * (8 - len(coefficients))
+def _with_jacobian(
+    model: str, coefficients: tuple[float, ...], x: Floats, y: Floats
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Distorted x and y, and the Jacobian's xx, xy and yy entries (it is symmetric).
 
-
-def _radial_tangential(k: tuple[float, ...], x: Floats, y: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Distorted x and y, and the Jacobian's xx, xy and yy entries (it is symmetric)."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = k
+    The ``gain`` is that of the radius, ``twice`` its derivative by the squared radius, times two.
+    """
     xx, yy, xy = x * x, y * y, x * y
     u = xx + yy
-    gain = 1.0 + u * (k1 + u * (k2 + u * k3))
-    gain_slope = k1 + u * (2.0 * k2 + u * (3.0 * k3))
-    if k4 or k5 or k6:
-        divisor = 1.0 + u * (k4 + u * (k5 + u * k6))
-        gain = np.where(divisor > 0.0, gain / divisor, np.nan)
-        gain_slope = (gain_slope - gain * (k4 + u * (2.0 * k5 + u * (3.0 * k6)))) / divisor
+    if model == "fisheye":
+        k1, k2, k3, k4 = coefficients
+        p1 = p2 = 0.0
+        r = np.sqrt(u)
+        angle = np.arctan(r)
+        v = angle * angle
+        gain = _ratio(angle * (1.0 + v * (k1 + v * (k2 + v * (k3 + v * k4)))), r)
+        slope = 1.0 + v * (3.0 * k1 + v * (5.0 * k2 + v * (7.0 * k3 + v * 9.0 * k4)))
+        twice = (slope / (1.0 + u) - gain) / np.where(u > 0.0, u, 1.0)
+    else:
+        k1, k2, p1, p2, k3, k4, k5, k6 = coefficients + (0.0,) * (8 - len(coefficients))
+        gain = 1.0 + u * (k1 + u * (k2 + u * k3))
+        twice = 2.0 * (k1 + u * (2.0 * k2 + u * (3.0 * k3)))
+        if k4 or k5 or k6:
+            divisor = 1.0 + u * (k4 + u * (k5 + u * k6))
+            gain = np.where(divisor > 0.0, gain / divisor, np.nan)
+            twice = (twice - 2.0 * gain * (k4 + u * (2.0 * k5 + u * (3.0 * k6)))) / divisor
     x_d = x * gain + 2.0 * p1 * xy + p2 * (u + 2.0 * xx)
     y_d = y * gain + p1 * (u + 2.0 * yy) + 2.0 * p2 * xy
-    twice = 2.0 * gain_slope
     j_xx = gain + twice * xx + 2.0 * p1 * y + 6.0 * p2 * x
     j_xy = twice * xy + 2.0 * p1 * x + 2.0 * p2 * y
     j_yy = gain + twice * yy + 6.0 * p1 * y + 2.0 * p2 * x
@@ -153,72 +153,18 @@ def _is_before_fold(jacobian: list[Floats]) -> Bools:
     return np.asarray((j_xx > 0.0) & (j_xx * j_yy > j_xy * j_xy))
 
 
-def _fisheye_angle(k: tuple[float, ...], angle: Floats) -> tuple[Floats, Floats]:
-    """Distorted angle of the equidistant model, and its derivative."""
-    k1, k2, k3, k4 = k
-    u = angle * angle
-    slope = 1.0 + u * (3.0 * k1 + u * (5.0 * k2 + u * (7.0 * k3 + u * (9.0 * k4))))
-    return angle * (1.0 + u * (k1 + u * (k2 + u * (k3 + u * k4)))), slope
-
-
 @lru_cache(maxsize=64)
 def _table(model: str, coefficients: tuple[float, ...]) -> tuple[Floats, Floats, float]:
-    """Distorted against undistorted radius (fisheye: angle) out to the fold, and a bound that lies just beyond it.
+    """Distorted against undistorted radius out to the fold, and an undistorted one that lies just beyond it.
 
     The fold itself is told by the Jacobian; the bound keeps places further out, where it is positive again, away.
     Tangential coefficients are left out here.
     """
-    if model == "fisheye":
-        plain = _TABLE_ANGLE_RAD
-        distorted, slope = _fisheye_angle(coefficients, plain)
-        bound = float(np.pi / 2.0)
-    else:
-        plain = np.tan(_TABLE_ANGLE_RAD[_TABLE_ANGLE_RAD <= _MAX_TABLE_ANGLE_RAD])
-        k1, k2, _, _, *others = _eight(coefficients)
-        with np.errstate(all="ignore"):
-            distorted, _, slope, *_ = _radial_tangential((k1, k2, 0.0, 0.0, *others), plain, np.zeros_like(plain))
-        bound = float(np.inf)
+    if model != "fisheye":
+        coefficients = (*coefficients[:2], 0.0, 0.0, *coefficients[4:])
+    plain = _TABLE_RADIUS
+    with np.errstate(all="ignore"):
+        distorted, _, slope, *_ = _with_jacobian(model, coefficients, plain, np.zeros_like(plain))
     folded = np.flatnonzero(~((slope > 0.0) & np.isfinite(distorted)))
-    if len(folded):
-        bound = min(bound, float(plain[folded[0]]))
-        plain, distorted = plain[: folded[0]], distorted[: folded[0]]
-    return distorted, plain, bound
-
-
-def _invert_fisheye(k: tuple[float, ...], wanted: Floats, start: Floats, within: Floats) -> Floats:
-    """Angles whose distorted angle is the wanted one; NaN where Newton's method does not get there."""
-    result = np.full_like(wanted, np.nan)
-    active = np.flatnonzero(np.isfinite(wanted))
-    angle = start[active]
-    for _ in range(_MAX_NEWTON_STEPS):
-        angle_d, slope = _fisheye_angle(k, angle)
-        miss = angle_d - wanted[active]
-        is_there = np.abs(miss) <= within[active]
-        is_sound = is_there & (slope > 0.0)
-        result[active[is_sound]] = angle[is_sound]
-        if is_there.all():
-            break
-        angle = (angle - miss / slope)[~is_there]
-        active = active[~is_there]
-    return result
-
-
-def _invert_radial_tangential(k: tuple[float, ...], wanted: Floats, start: Floats, within: Floats) -> Floats:
-    """Places whose distorted place is the wanted one; NaN where Newton's method does not get there."""
-    result = np.full_like(wanted, np.nan)
-    active = np.flatnonzero(np.isfinite(wanted).all(axis=1))
-    x, y = start[active].T
-    for _ in range(_MAX_NEWTON_STEPS):
-        x_d, y_d, *jacobian = _radial_tangential(k, x, y)
-        miss_x, miss_y = x_d - wanted[active, 0], y_d - wanted[active, 1]
-        is_there = np.maximum(np.abs(miss_x), np.abs(miss_y)) <= within[active]
-        is_sound = is_there & _is_before_fold(jacobian)
-        result[active[is_sound], 0], result[active[is_sound], 1] = x[is_sound], y[is_sound]
-        if is_there.all():
-            break
-        j_xx, j_xy, j_yy = jacobian
-        determinant = j_xx * j_yy - j_xy * j_xy
-        x = (x - (j_yy * miss_x - j_xy * miss_y) / determinant)[~is_there]
-        y = (y - (j_xx * miss_y - j_xy * miss_x) / determinant)[~is_there]
-        active = active[~is_there]
-    return result
+    end, bound = (folded[0], float(plain[folded[0]])) if len(folded) else (len(plain), np.inf)
+    return distorted[:end], plain[:end], bound

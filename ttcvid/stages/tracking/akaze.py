@@ -79,7 +79,7 @@ def _matches(one: Picture, other: Picture, ratio: float) -> tuple[Ints, Ints]:
     """Mutual nearest neighbours that pass the ratio test: indices into ``one`` and into ``other``."""
     if len(one) < 2 or len(other) < 2:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    found = nearest_descriptors(one, other)
-    is_mutual = found.nearest_back[found.nearest] == np.arange(len(one))
-    good = np.flatnonzero(is_mutual & (found.distance_bits < ratio * found.second_bits))
-    return good, found.nearest[good]
+    nearest, distance_bits, second_bits, nearest_back = nearest_descriptors(one, other)
+    is_mutual = nearest_back[nearest] == np.arange(len(one))
+    good = np.flatnonzero(is_mutual & (distance_bits < ratio * second_bits))
+    return good, nearest[good]

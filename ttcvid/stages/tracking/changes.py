@@ -11,11 +11,11 @@ from ttcvid.model import Picture
 # Differences below this are sensor noise or compression, grey levels; and so many times the usual one.
 _LEAST_CONTRAST, _CONTRAST_SIGMAS, _SIGMA_PER_MEDIAN = 5.0, 5.0, 1.4826
 SAMPLED_PX = 4
-"""Every so many pixels of each axis are enough to know the usual difference."""
+"""Every so many pixels of each axis are enough to know the usual difference, or the look of a picture."""
 SMOOTH_PX = 1.0
 """Pictures are smoothed by this before they are compared."""
-# What is narrower than this is the tremble of an edge, px.
-_OPENED_PX = 3
+OPENED_PX = 3
+"""What is narrower than this is noise, or the tremble of an edge."""
 
 
 def changed_places(before: Picture, now: Picture) -> Picture | None:
@@ -27,9 +27,13 @@ def changed_places(before: Picture, now: Picture) -> Picture | None:
     contrast = least_contrast(difference[::SAMPLED_PX, ::SAMPLED_PX])
     if contrast > _CONTRAST_SIGMAS * _LEAST_CONTRAST:
         return None
-    differs = (difference > contrast).astype(np.uint8)
-    opened = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((_OPENED_PX, _OPENED_PX), np.uint8))
-    return np.asarray(255 * opened, dtype=np.uint8)
+    return 255 * cleaned(difference > contrast, cv2.MORPH_OPEN, OPENED_PX)
+
+
+def cleaned(mask: NDArray[np.generic], operation: int, side_px: int) -> Picture:
+    """A mask, uint8, after one of OpenCV's morphological operations with a square."""
+    square = np.ones((side_px, side_px), np.uint8)
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), operation, square), dtype=np.uint8)
 
 
 def least_contrast(difference: NDArray[np.float32]) -> float:

@@ -61,17 +61,16 @@ class TrackSets:
         own = xy[self.index]
         return np.hstack([np.minimum.reduceat(own, self.first), np.maximum.reduceat(own, self.first)])
 
-    def radii(self, xy: Floats, is_asked: Bools) -> Floats:
-        """Root mean square distance (K,) of the tracks of each set from their centre; 0 if not asked.
+    def radii(self, xy: Floats) -> Floats:
+        """Root mean square distance (K,) of the tracks of each set from their centre.
 
-        ``is_asked (K,)``. Places ``xy (N, 2)`` that are NaN have no part in it; without any other, it is 0.
+        Places ``xy (N, 2)`` that are NaN have no part in it; without any other, it is 0.
         """
-        is_known = is_asked[self.set_of] & np.isfinite(xy[self.index, 0])
-        own, set_of, n_sets = xy[self.index[is_known]], self.set_of[is_known], len(self)
-        count = np.maximum(np.bincount(set_of, minlength=n_sets), 1)
-        centre = np.stack([np.bincount(set_of, own[:, axis], n_sets) / count for axis in range(2)], axis=1)
-        off = own - centre[set_of]
-        return np.asarray(np.sqrt(np.bincount(set_of, (off * off).sum(axis=1), n_sets) / count))
+        known, left = self.where(np.isfinite(xy[self.index, 0]))
+        own, radii = xy[known.index], np.zeros(len(self))
+        off = own - (known.sums(own) / known.lengths[:, None])[known.set_of]
+        radii[left] = np.sqrt(known.sums((off * off).sum(axis=1)) / known.lengths)
+        return radii
 
 
 def places_among(known: Ints, track_id: Ints) -> Ints:

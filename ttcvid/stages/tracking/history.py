@@ -33,6 +33,10 @@ Measured: 0.004 deg on simulated streets, 0.013 deg of yaw on kitti_odom_straigh
 """
 
 
+# What is known of each track, ``(N,)``, beside its rays and its present pixel.
+_OF_TRACKS = ("track_id", "n_frames", "sigma_px", "noise_sum", "noise_weight")
+
+
 @dataclass(frozen=True)
 class LostTracks:
     """What a `TrackHistory` knows of M tracks that are not seen in its present frame and may come back.
@@ -245,23 +249,11 @@ def extended(
 
 
 def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:
-    """The history with its lost tracks among the others, as if they were seen nowhere in its present frame."""
+    """The history with its lost tracks among the others, but for their present pixels, which nobody knows."""
     order = np.argsort(np.concatenate([history.track_id, lost.track_id]))
-
-    def joined(live: Floats | Ints, gone: Floats | Ints, axis: int = 0) -> Any:
-        return np.concatenate([live, gone], axis=axis).take(order, axis=axis)
-
-    return replace(
-        history,
-        track_id=joined(history.track_id, lost.track_id),
-        n_frames=joined(history.n_frames, lost.n_frames),
-        xy_px=joined(history.xy_px, np.full((len(lost.track_id), 2), np.nan)),
-        rays=joined(history.rays, lost.rays, 1),
-        sigma_px=joined(history.sigma_px, lost.sigma_px),
-        noise_sum=joined(history.noise_sum, lost.noise_sum),
-        noise_weight=joined(history.noise_weight, lost.noise_weight),
-        lost=None,
-    )
+    rays = np.concatenate([history.rays, lost.rays], axis=1).take(order, axis=1)
+    known: dict[str, Any] = {name: np.append(getattr(history, name), getattr(lost, name))[order] for name in _OF_TRACKS}
+    return replace(history, rays=rays, lost=None, **known)
 
 
 def _lost_tracks(history: TrackHistory, points: PointSet, kept: Floats) -> LostTracks | None:
@@ -272,14 +264,8 @@ def _lost_tracks(history: TrackHistory, points: PointSet, kept: Floats) -> LostT
     gone = gone[np.isfinite(kept[:, gone, 0]).any(axis=0)]
     if not len(gone):
         return None
-    return LostTracks(
-        history.track_id[gone],
-        history.n_frames[gone],
-        np.concatenate([kept[:, gone], np.full((1, len(gone), 3), np.nan)]),
-        history.sigma_px[gone],
-        history.noise_sum[gone],
-        history.noise_weight[gone],
-    )
+    rays = np.concatenate([kept[:, gone], np.full((1, len(gone), 3), np.nan)])
+    return LostTracks(rays=rays, **{name: getattr(history, name)[gone] for name in _OF_TRACKS})
 
 
 def _views_that_stay(t_s: Floats, now_s: float, max_frames: int) -> slice | Ints:

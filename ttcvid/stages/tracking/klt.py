@@ -25,11 +25,9 @@ from ttcvid.stages.tracking.corners import find_corners, find_corners_where
 _ITERATIONS, _STEP_PX, _BACKWARD_STEP_PX = 20, 0.01, 0.03
 # So far from its goal the way back starts, px: about as far as the full picture alone leads back from.
 _BACKWARD_START_PX = 1.5
-# Smaller eigenvalue of the gradient matrix, below which OpenCV gives a point up (its own default).
-_MIN_EIGENVALUE = 1e-4
 # Levels above the full picture on which a point is looked for where it should be by now. Not where most points are
 # lost, as at a cut: fine pictures find something similar anywhere.
-_FINE_LEVELS, _LEAST_FOUND = 1, 0.5
+_FINE_LEVELS = 1
 # Where more are found, those that are lost are mostly gone for good: of 80, coarse pictures find some 3 again, for a
 # fifth of the time of tracking.
 _MOST_FOUND = 0.875
@@ -45,8 +43,8 @@ _STREET_PART = 0.5
 # is slow for its frame rate, where new tracks are as scarce.
 _RESTING_STEP_PX = 1.0
 # A codec has copied a window if so many of its pixels are those of the last picture. What stepped less than this
-# before, px, stands: its copy is where it is. Where more of the windows than this are copied, the camera stands.
-_COPIED_PART, _STANDS_PX, _MOST_COPIED = 0.9, 0.5, 0.5
+# before, px, stands: its copy is where it is. Where most of the windows are copied, the camera stands.
+_COPIED_PART, _STANDS_PX = 0.9, 0.5
 
 
 @dataclass(frozen=True)
@@ -78,9 +76,14 @@ class KltMemory:
         is_new = np.isnan(length_px)
         length_px[is_new] = median(length_px[~is_new]) if not is_new.all() else 0.0
         is_seen = (self.n_copied == 0) | (length_px < _STANDS_PX)
-        if np.count_nonzero(self.n_copied) > _MOST_COPIED * len(is_seen):
+        if 2 * np.count_nonzero(self.n_copied) > len(is_seen):
             is_seen[:] = True
         return replace(self.points, unseen_id=self.points.track_id[~is_seen]).take(is_seen)
+
+    def take(self, tracks: Bools) -> KltMemory:
+        """The same with the tracks of a mask ``(N,)`` only."""
+        step_px, n_copied = self.step_px[tracks], self.n_copied[tracks]
+        return replace(self, points=self.points.take(tracks), step_px=step_px, n_copied=n_copied)
 
 
 def start_klt(grey: Picture, allowed: Picture | None, config: TrackingConfig, next_track_id: int = 0) -> KltMemory:
@@ -104,12 +107,12 @@ def follow_klt(
     if allowed is not None:
         found &= _is_allowed(allowed, window_px) & _is_allowed(allowed, xy_px)
     found &= ~_is_crowded(window_px, found)
-    points = replace(memory.points, xy_px=xy_px, window_px=window_px).take(found)
-    n_copied = np.where(is_copied, memory.n_copied + 1, 0)[found]
+    points = replace(memory.points, xy_px=xy_px, window_px=window_px)
+    n_copied = np.where(is_copied, memory.n_copied + 1, 0)
     step_px = (window_px - before_px) / (1.0 + memory.n_copied[:, None])
-    step_px = np.where(is_copied[:, None], memory.step_px, step_px)[found]
+    step_px = np.where(is_copied[:, None], memory.step_px, step_px)
     followed = replace(memory, grey=grey, points=points, step_px=step_px, n_copied=n_copied, n_since=memory.n_since + 1)
-    followed = _topped_up(followed, allowed, config, camera_rests)
+    followed = _topped_up(followed.take(found), allowed, config, camera_rests)
     # What begins in a copy is not seen yet, either.
     begins = followed.points.track_id >= memory.next_track_id
     n_copied = np.where(begins, _are_copied(copies, followed.points.windows_px), followed.n_copied)
@@ -133,9 +136,6 @@ def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: Tracking
     Those that ``is_copied (N,)`` stay.
     """
     windows_px = memory.points.windows_px
-    n = len(windows_px)
-    if n == 0:
-        return np.zeros(0, dtype=bool), np.empty((0, 2))
     before = windows_px.astype(np.float32)
     guess = (windows_px + np.nan_to_num(memory.step_px) * (1.0 + memory.n_copied[:, None])).astype(np.float32)
     found, there = is_copied.copy(), np.where(is_copied[:, None], before, guess)
@@ -152,7 +152,7 @@ def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: Tracking
     fine_levels = min(_FINE_LEVELS, config.pyramid_levels)
     look_for(expected, guess[expected], fine_levels)
     n_found = int(found[expected].sum())
-    if n_found < _LEAST_FOUND * len(expected):
+    if 2 * n_found < len(expected):
         found[expected] = False
     if is_new.any() or n_found < _MOST_FOUND * len(expected):
         lost = np.flatnonzero(~found)
@@ -161,8 +161,10 @@ def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: Tracking
     # the others have gone. Not before a camera in motion: there they would lead corners of outlines, where two surfaces
     # meet, along with either.
     lost = np.flatnonzero(is_new & ~found)
-    if len(lost) and _stands_nearly((there - before)[found]):
-        start = _as_neighbours(before, there, found, lost)
+    steps_px = (there - before)[found]
+    if len(lost) and _stands_nearly(steps_px):
+        _, nearest = KDTree(before[found]).query(before[lost])
+        start = before[lost] + steps_px[nearest]
         is_far = np.linalg.norm(start - before[lost], axis=1) > config.window_px
         look_for(lost[is_far], start[is_far], fine_levels)
     return found, there.astype(np.float64)
@@ -172,12 +174,6 @@ def _stands_nearly(step_px: np.ndarray) -> bool:
     """Whether most points, of steps (N, 2), stand nearly still."""
     step_px = step_px.astype(np.float64)
     return bool(len(step_px) and median(np.sqrt((step_px * step_px).sum(axis=1))) < _RESTING_STEP_PX)
-
-
-def _as_neighbours(before: np.ndarray, there: np.ndarray, found: Bools, which: Ints) -> np.ndarray:
-    """Where points ``which (M,)`` of (N, 2) are, had each gone as the nearest of those that were found: (M, 2) px."""
-    _, nearest = KDTree(before[found]).query(before[which])
-    return np.asarray(before[which] + (there - before)[found][nearest])
 
 
 def _there_and_back(
@@ -215,7 +211,6 @@ def _follow(
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ITERATIONS, step_px),
         # Asked for eigenvalues, it does not work out the error of each window, which nobody looks at.
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
-        minEigThreshold=_MIN_EIGENVALUE,
     )
     return status.ravel() > 0, to
 
@@ -271,12 +266,8 @@ def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> K
     """The same without the youngest of the tracks that stand where nothing has ``changed``, beyond those that the
     street needs: left behind by what went on, they would take the place of what moves.
     """
-    stands = np.flatnonzero(~_is_allowed(changed, memory.points.windows_px))
-    surplus = stands[int(_STREET_PART * config.max_tracks) :]
-    keeps = np.ones(len(memory.step_px), dtype=bool)
-    keeps[surplus] = False
-    points, n_copied = memory.points.take(keeps), memory.n_copied[keeps]
-    return replace(memory, points=points, step_px=memory.step_px[keeps], n_copied=n_copied)
+    stands = ~_is_allowed(changed, memory.points.windows_px)
+    return memory.take(~stands | (np.cumsum(stands) <= int(_STREET_PART * config.max_tracks)))
 
 
 def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config: TrackingConfig) -> KltMemory:

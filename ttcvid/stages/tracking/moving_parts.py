@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttcvid.model import Picture
-from ttcvid.stages.tracking.changes import SAMPLED_PX, SMOOTH_PX, least_contrast, smoothed
+from ttcvid.stages.tracking.changes import OPENED_PX, SAMPLED_PX, SMOOTH_PX, cleaned, least_contrast, smoothed
 
 # Smoothing before pictures are compared for where exactly a mover ends.
 _SHARP_PX = 0.7
@@ -23,8 +23,8 @@ _SHARP_PX = 0.7
 _ENCLOSED_PART = 0.04
 # Places darker than this, grey levels, tell nothing of the brightness of a picture.
 _DARK = 20.0
-# Gaps in a mover are closed up to this width, px; what is narrower than the other is noise.
-_CLOSED_PX, _OPENED_PX = 5, 3
+# Gaps in a mover are closed up to this width, px.
+_CLOSED_PX = 5
 # Within this distance of its border a mover ends where its contrast has fallen to this part of the largest near it.
 _BORDER_PX, _BORDER_CONTRAST = 7, 0.5
 # The cut-out fades into the plain colour over this, px.
@@ -63,9 +63,9 @@ def street_sample(before: Picture, now: Picture, after: Picture) -> StreetSample
     middle = _halved(now)
     small = [picture / _brightness(picture, middle) for picture in (_halved(before), middle, _halved(after))]
     change = np.maximum(np.abs(small[0] - small[1]), np.abs(small[2] - small[1]))
-    opened = _cleaned(change > least_contrast(change), cv2.MORPH_OPEN, _OPENED_PX)
-    moves = _cleaned(opened, cv2.MORPH_CLOSE, 2 * max(1, round(0.5 * _ENCLOSED_PART * middle.shape[1])) + 1)
-    return StreetSample(now, _cleaned(moves, cv2.MORPH_DILATE, _CLOSED_PX))
+    opened = cleaned(change > least_contrast(change), cv2.MORPH_OPEN, OPENED_PX)
+    moves = cleaned(opened, cv2.MORPH_CLOSE, 2 * max(1, round(0.5 * _ENCLOSED_PART * middle.shape[1])) + 1)
+    return StreetSample(now, cleaned(moves, cv2.MORPH_DILATE, _CLOSED_PX))
 
 
 def background_of(samples: Sequence[StreetSample]) -> Background:
@@ -75,7 +75,10 @@ def background_of(samples: Sequence[StreetSample]) -> Background:
     place where something always moves is taken as it looks most of the time.
     """
     first = _median([sample.picture for sample in samples], None)
-    pictures = [_levelled(sample.picture, first) for sample in samples]
+    pictures = [
+        np.clip(np.rint(one.picture / np.float32(_brightness(one.picture, first))), 0, 255).astype(np.uint8)
+        for one in samples
+    ]
     moves = [sample.moves for sample in samples]
     street = _median(pictures, moves)
     smooth, sharp = smoothed(street, SMOOTH_PX), smoothed(street, _SHARP_PX)
@@ -88,11 +91,6 @@ def _halved(picture: NDArray[np.generic]) -> NDArray[np.float32]:
     """Half as wide and high, each pixel the mean of four: (ceil(H / 2), ceil(W / 2))."""
     size = (-(-picture.shape[1] // 2), -(-picture.shape[0] // 2))
     return np.asarray(cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _levelled(picture: Picture, street: NDArray[np.float32]) -> Picture:
-    """The picture as bright as the street."""
-    return np.clip(np.rint(picture / np.float32(_brightness(picture, street))), 0, 255).astype(np.uint8)
 
 
 def _median(pictures: Sequence[NDArray[np.generic]], moves: Sequence[Picture] | None) -> NDArray[np.float32]:
@@ -133,18 +131,12 @@ def moving_part(grey: Picture, background: Background) -> tuple[Picture, Picture
     # Bright lamps follow an exposure in part only: anything between the two is the background.
     low, high = background.smooth * min(1.0, 1.0 / factor), background.smooth * max(1.0, 1.0 / factor)
     smooth = smoothed(level, SMOOTH_PX)
-    whole = _cleaned(np.maximum(low - smooth, smooth - high) > background.contrast, cv2.MORPH_CLOSE, _CLOSED_PX)
+    whole = cleaned(np.maximum(low - smooth, smooth - high) > background.contrast, cv2.MORPH_CLOSE, _CLOSED_PX)
     contrast = np.abs(smoothed(level, _SHARP_PX) - background.sharp)
     highest = cv2.dilate(contrast, np.ones((_BORDER_PX, _BORDER_PX), np.uint8))
-    is_inner = _cleaned(whole, cv2.MORPH_ERODE, _BORDER_PX) > 0
+    is_inner = cleaned(whole, cv2.MORPH_ERODE, _BORDER_PX) > 0
     rough = (whole > 0) & (is_inner | (contrast > _BORDER_CONTRAST * highest))
-    part = _cleaned(_cleaned(rough, cv2.MORPH_OPEN, _OPENED_PX), cv2.MORPH_CLOSE, _CLOSED_PX)
+    part = cleaned(cleaned(rough, cv2.MORPH_OPEN, OPENED_PX), cv2.MORPH_CLOSE, _CLOSED_PX)
     share = smoothed(part, _FADE_PX)
     cut_out = np.clip(share * level + (1.0 - share) * background.plain, 0, 255).astype(np.uint8)
-    return _cleaned(whole, cv2.MORPH_OPEN, _OPENED_PX), cut_out
-
-
-def _cleaned(mask: NDArray[np.generic], operation: int, side_px: int) -> Picture:
-    """A mask opened or closed by a square."""
-    square = np.ones((side_px, side_px), np.uint8)
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), operation, square), dtype=np.uint8)
+    return cleaned(whole, cv2.MORPH_OPEN, OPENED_PX), cut_out

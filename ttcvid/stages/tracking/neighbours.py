@@ -7,8 +7,6 @@ import numpy as np
 from ttcvid.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
-# The radius reaches over so many cells; the most of them along one axis.
-_REACH, _MOST_CELLS = 4, 400
 # Tracks farther apart than so many times the distance to the nth nearest one of either have a gap between them.
 _GAP, _NTH = 2.0, 3
 
@@ -19,53 +17,40 @@ def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bo
     The point itself stands in for missing ones. ``xy_px (N, 2)``, ``is_asked (N,)``.
     """
     neighbours = np.repeat(np.arange(len(xy_px))[:, None], count, axis=1)
-    if count and is_asked.any():
-        # Where points lie far outside the picture, the cells at the border are wider.
-        side_px = radius_px / _REACH
-        cell = np.minimum((xy_px - xy_px.min(axis=0)) / side_px, _MOST_CELLS - 1).astype(np.int64, order="C")
-        _fill_nearest(np.ascontiguousarray(xy_px), cell, side_px, is_asked, kind, neighbours)
+    if count:
+        order = np.argsort(xy_px[:, 0])
+        _fill_nearest(np.ascontiguousarray(xy_px), order, radius_px, is_asked, kind, neighbours)
     return neighbours
 
 
-@compiled_for("(f8[:, ::1], i8[:, ::1], f8, b1[::1], i8[::1], i8[:, ::1])")
-def _fill_nearest(xy_px: Floats, cell: Ints, side_px: float, is_asked: Bools, kind: Ints, neighbours: Ints) -> None:
+@compiled_for("(f8[:, ::1], i8[::1], f8, b1[::1], i8[::1], i8[:, ::1])")
+def _fill_nearest(xy_px: Floats, order: Ints, radius_px: float, is_asked: Bools, kind: Ints, neighbours: Ints) -> None:
     """Fill ``neighbours (N, count)``, itself of each point, of `nearest_neighbours`: a tree takes ten times as long.
 
-    ``cell (N, 2)`` are column and row of each point in a grid of cells that are ``side_px`` wide.
+    From each point a sweep to the right and one to the left, by the ``order (N,)`` of x, end at the farthest neighbour.
     """
-    count, n_columns, n_rows = neighbours.shape[1], cell[:, 0].max() + 1, cell[:, 1].max() + 1
-    # The points cell by cell, column after column: after each has counted itself in, a cell starts at its own place.
-    start, by_cell, squares = np.zeros(n_columns * n_rows + 1, dtype=np.int64), np.empty_like(kind), np.empty(count)
-    number = cell[:, 0] * n_rows + cell[:, 1]
-    for point in range(len(number)):
-        start[number[point]] += 1
-    for place in range(n_columns * n_rows):
-        start[place + 1] += start[place]
-    for point in range(len(number) - 1, -1, -1):
-        start[number[point]] -= 1
-        by_cell[start[number[point]]] = point
-    for i in np.flatnonzero(is_asked):
-        # Most points have enough neighbours within half of the radius.
-        for reach in (_REACH // 2, _REACH):
-            found, worst, farthest = 0, 0, (_REACH * side_px) ** 2
-            first_row, last_row = max(cell[i, 1] - reach, 0), min(cell[i, 1] + reach, n_rows - 1)
-            for column in range(max(cell[i, 0] - reach, 0), min(cell[i, 0] + reach + 1, n_columns)):
-                for place in range(start[column * n_rows + first_row], start[column * n_rows + last_row + 1]):
-                    j = by_cell[place]
-                    square = (xy_px[j, 0] - xy_px[i, 0]) ** 2 + (xy_px[j, 1] - xy_px[i, 1]) ** 2
-                    if not square < farthest or j == i or kind[j] != kind[i]:
-                        continue
-                    # Once there are enough, each replaces the farthest one.
-                    at = found if found < count else worst
-                    squares[at], neighbours[i, at], found = square, j, min(found + 1, count)
-                    if found == count:
-                        farthest = 0.0
-                        for k in range(count):
-                            worst = k if squares[k] > farthest else worst
-                            farthest = max(squares[k], farthest)
-            # Points in cells that were not looked at are farther than this.
-            if farthest <= (reach * side_px) ** 2:
-                break
+    count, n = neighbours.shape[1], len(order)
+    squares = np.empty(count)
+    for place in range(n):
+        i = order[place]
+        if not is_asked[i]:
+            continue
+        found, farthest, worst = 0, radius_px * radius_px, 0
+        for step, end in ((1, n), (-1, -1)):
+            for other in range(place + step, end, step):
+                j = order[other]
+                across, down = xy_px[j, 0] - xy_px[i, 0], xy_px[j, 1] - xy_px[i, 1]
+                if not across * across < farthest:
+                    break
+                square = across * across + down * down
+                if not square < farthest or kind[j] != kind[i]:
+                    continue
+                # Once there are enough, each replaces the farthest one.
+                at = found if found < count else worst
+                squares[at], neighbours[i, at], found = square, j, min(found + 1, count)
+                if found == count:
+                    worst = int(np.argmax(squares))
+                    farthest = squares[worst]
 
 
 def linked_pairs(xy_px: Floats, radius_px: float) -> Ints:

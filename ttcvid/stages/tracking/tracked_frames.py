@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
@@ -29,31 +29,6 @@ class TrackedFrame:
     frame: Frame
     points: PointSet
     status: FrameStatus
-
-
-@dataclass
-class _Clock:
-    """Tells gaps in time, by the steps of all frames so far."""
-
-    last_t_s: float = -np.inf
-    steps_s: deque[float] = field(default_factory=lambda: deque(maxlen=_LAST_STEPS))
-    is_gap: bool = False
-
-    def goes_on(self, t_s: float) -> bool:
-        """Whether time goes on to ``t_s``; notes the step, and that it is a gap, until `take_gap`."""
-        step_s, self.last_t_s = t_s - self.last_t_s, max(t_s, self.last_t_s)
-        if not step_s > 0.0:
-            return False
-        if np.isfinite(step_s):
-            median_s = median(self.steps_s) if self.steps_s else np.inf
-            self.is_gap |= step_s > max(_GAP_S, _GAP_STEPS * median_s)
-            self.steps_s.append(step_s)
-        return True
-
-    def take_gap(self) -> bool:
-        """Whether there was a gap since it was asked for last."""
-        is_gap, self.is_gap = self.is_gap, False
-        return is_gap
 
 
 def compare_table_points(last: PointSet | None, points: PointSet) -> FrameStatus:
@@ -89,11 +64,16 @@ def track_frames(
     def prepare(frame: Frame) -> tuple[Frame, PreparedPicture | None]:
         return frame, None if frame.grey is None else prepare_picture(frame.grey, mask, config)
 
-    clock = _Clock()
+    last_t_s, last_steps_s, is_gap = -np.inf, deque[float](maxlen=_LAST_STEPS), False
     for frame, prepared in map_ahead(prepare, frames):
-        if not clock.goes_on(frame.t_s):
+        step_s, last_t_s = frame.t_s - last_t_s, max(frame.t_s, last_t_s)
+        if not step_s > 0.0:
             yield TrackedFrame(frame, NO_POINTS, FrameStatus.bad_dt)
             continue
+        if last_steps_s:
+            is_gap |= step_s > max(_GAP_S, _GAP_STEPS * median(last_steps_s))
+        if np.isfinite(step_s):
+            last_steps_s.append(step_s)
         if prepared is not None:
             points, status, memory = follow_points(memory, prepared, mask, config, camera_rests=camera_rests)
         elif frame.points is not None:
@@ -101,6 +81,6 @@ def track_frames(
             last_points = points
         else:
             raise ValueError(f"frame {frame.index}: expected a picture or points, got neither")
-        if status in (FrameStatus.ok, FrameStatus.cut) and clock.take_gap():
-            status = FrameStatus.cut
+        if is_gap and status in (FrameStatus.ok, FrameStatus.cut):
+            status, is_gap = FrameStatus.cut, False
         yield TrackedFrame(frame, points, status)

@@ -11,13 +11,12 @@ from ttcvid.config import TrackingConfig
 from ttcvid.geometry.medians import median
 from ttcvid.model import NO_POINTS, Floats, FrameStatus, Picture, PointSet
 from ttcvid.stages.tracking.akaze import AkazeMemory, Features, detect_features, follow_akaze, start_akaze
+from ttcvid.stages.tracking.changes import SAMPLED_PX
 from ttcvid.stages.tracking.groups import in_common
 from ttcvid.stages.tracking.klt import KltMemory, follow_klt, start_klt
 
 # Size of the thumbnail and bins of its histogram that stand for the look of a picture.
 _THUMBNAIL, _BINS = (64, 48), 32
-# The thumbnail is made of every so many pixels of every so many rows: the rest would say the same, 15 times as slowly.
-_SAMPLED_PX = 4
 # A cut leaves less than this part of the tracks, and another histogram: at least this part of its mass moved. On the
 # real clips a hard cut leaves 0 and moves 0.27 or more, the wildest drive leaves 0.4 and moves 0.14.
 _CUT_SURVIVAL, _CUT_HISTOGRAM = 0.15, 0.2
@@ -37,7 +36,6 @@ _NO_STEPS = (0.0, 0.0)
 _MOST_REPEATED = 5
 # A picture whose brightest parts stay below this grey level shows nothing; black is 16 in most videos.
 _DARK_LEVEL = 24
-
 
 COMMON_ERROR_PX = 0.25
 """Tracks of a thing drift together by a part of a pixel: standard deviation at its outline."""
@@ -68,7 +66,8 @@ class TrackerMemory:
 
 def prepare_picture(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> PreparedPicture:
     """The part of the work that needs no other picture."""
-    samples = grey[::_SAMPLED_PX, ::_SAMPLED_PX]
+    # The rest would say the same, 15 times as slowly.
+    samples = grey[::SAMPLED_PX, ::SAMPLED_PX]
     thumbnail = np.asarray(cv2.resize(samples, _THUMBNAIL, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     is_dark = int(thumbnail.max()) < _DARK_LEVEL
     features = detect_features(grey, allowed, config) if config.tracker == "akaze" and not is_dark else None
