@@ -58,16 +58,15 @@ def _paths(
     config: CollisionTimesConfig,
 ) -> tuple[SharedPaths, Ints, Bools]:
     """Path of every cluster that has a direction, the path (N,) of each track, and which paths (K,) are objects'."""
-    scene = [motion for motion in motions.clusters if motion.cluster_id == SCENE_CLUSTER]
-    objects = [one for one in motions.clusters if one.cluster_id != SCENE_CLUSTER and one.direction is not None]
-    path_of = np.full(history.n_tracks, NO_PATH, dtype=np.int64)
-    parts: list[SharedPaths] = []
-    if scene and scene[0].direction is not None and scene[0].direction_cov is not None:
-        parts.append(scene_path(history, scene[0].direction, scene[0].direction_cov))
-        path_of[scene[0].members] = 0
+    directed = [motion for motion in motions.clusters if motion.direction is not None]
+    objects = [motion for motion in directed if motion.cluster_id != SCENE_CLUSTER]
+    path_of, parts = np.full(history.n_tracks, NO_PATH, dtype=np.int64), list[SharedPaths]()
+    for number, motion in enumerate(directed):
+        path_of[motion.members] = number
+        way, cov_of_way = motion.direction, motion.direction_cov
+        if motion.cluster_id == SCENE_CLUSTER and way is not None and cov_of_way is not None:
+            parts.append(scene_path(history, way, cov_of_way))
     first, count = len(parts), len(objects)
-    for number, motion in enumerate(objects):
-        path_of[motion.members] = first + number
     direction = np.reshape([motion.direction for motion in objects], (count, 3))
     cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))
     beliefs = believed_straight(history.since_s, direction, cov, None if plane is None else plane.normal)
