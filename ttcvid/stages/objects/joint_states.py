@@ -72,8 +72,8 @@ def joint_states(
     has_direction = np.isfinite(direction[:, 0])
     sets, owner = members.where(states.has_value[members.index] & has_direction[members.set_of])
     path = _paths_of(sets, shared)
-    rate_hz, sigma_hz = own_rates(sets.index, direction[owner][sets.set_of], states)
-    sigma_hz = np.hypot(sigma_hz, _RELIEF * rate_hz)
+    rate_hz, own_hz = own_rates(sets.index, direction[owner][sets.set_of], states)
+    sigma_hz = np.hypot(own_hz, _RELIEF * rate_hz)
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, needed, link_px)
     may_show = (path >= 0) & (sets.lengths >= _LEAST_OF_SIDE)
@@ -96,9 +96,8 @@ def joint_states(
     abc_hz += up_hz[:, None] * np.where((path >= 0)[:, None], shared.along[path], direction[owner])[left]
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
-    return JointStates(
-        owner[left], ref_px, ref_sigma, abc_hz, *_covariances(surfaces, weight, off_ref, surface_hz, states)
-    )
+    found = _covariances(surfaces, weight, off_ref, surface_hz, own_hz[is_in], states)
+    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, *found)
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
@@ -149,14 +148,15 @@ def _near_ends(sets: TrackSets, xy: Floats, rate_hz: Floats, sigma_hz: Floats) -
 
 
 def _covariances(
-    surfaces: TrackSets, weight: Floats, off_ref: Floats, rate_hz: Floats, states: TrackStates
+    surfaces: TrackSets, weight: Floats, off_ref: Floats, rate_hz: Floats, own_hz: Floats, states: TrackStates
 ) -> tuple[Floats, Floats, Floats]:
     """`JointStates.cov`, ``acceleration_hz2`` and ``closing_cov`` of weighted means, by noise and by place.
 
     Own noise averages out, shared errors do not. Tracks of a surface share the errors of one trajectory; those timed by
     expansion share them with the tracks in whose neighbourhoods they are; tracks with directions of their own (three
     frames) share none. The velocity of a turning object varies with the place, and the nearest may be either end.
-    ``off_ref (M, 2)`` are the places of the tracks about their mean, ``rate_hz (K,)`` the rates of the surfaces, 1/s.
+    ``off_ref (M, 2)`` are the places of the tracks about their mean, ``rate_hz (K,)`` the rates of the surfaces, and
+    ``own_hz (M,)`` the standard deviations of `own_rates` of the tracks, 1/s.
     """
     index, set_of, shared = surfaces.index, surfaces.set_of, states.common
     path, is_off = _paths_of(surfaces, shared), shared.path_of[index] < 0
@@ -175,9 +175,11 @@ def _covariances(
     by_shared[:, 3, 5] += rate_hz
     by_shared[:, 3, 6:9] -= 2.0 * rate_hz[:, None] * skew(along)[:, 2]
     own = np.column_stack([along, bend_hz])
-    variance = surfaces.sums(np.where(is_off, 0.0, weight**2 * shared.rate_variance[index]))
+    own_variance = _TRIMMED_VARIANCE * (weight * own_hz) ** 2
+    on_path_variance, off_variance = (surfaces.sums(np.where(which, own_variance, 0.0)) for which in (~is_off, is_off))
     on_path = by_shared @ shared.cov[path] @ np.swapaxes(by_shared, 1, 2)
-    on_path += _TRIMMED_VARIANCE * variance[:, None, None] * own[:, :, None] * own[:, None, :]
+    by_own = own[:, :, None] * own[:, None, :]
+    on_path += on_path_variance[:, None, None] * by_own
     together = np.full(len(path), _TRIMMED_VARIANCE)
     if states.shared is not None:
         # At most a neighbourhood of them has common errors.
@@ -188,6 +190,6 @@ def _covariances(
     place = (_END_VARIANCE * weight)[:, None, None] * by_place[:, :, None] * by_place[:, None, :]
     cov = together[:, None, None] * surfaces.sums(own_cov) + surfaces.sums(place)
     cov += np.where(has_path[:, None, None], on_path[:, :3, :3], 0.0)
-    closing_cov = on_path[:, 2:, 2:]
+    closing_cov = on_path[:, 2:, 2:] + off_variance[:, None, None] * by_own[:, 2:, 2:]
     closing_cov[:, 0, 0] = cov[:, 2, 2]
     return cov, np.where(has_path, rate_hz * bend_hz, np.nan), closing_cov
