@@ -336,7 +336,7 @@ def test_rows_without_a_state_pass_through():
 def test_neighbours_are_the_nearest_of_the_same_cluster():
     xy_px = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.5, 0.0], [50.0, 0.0], [52.0, 0.0]])
     cluster = np.array([1, 1, 1, 2, 1, 2])
-    found = neighbours_in_cluster(xy_px, cluster, np.array([0, 3, 5]), 3, 10.0)
+    found = neighbours_in_cluster(xy_px, cluster, np.isin(np.arange(len(xy_px)), [0, 3, 5]), 3, 10.0)
     assert found.shape == (6, 3)
     assert [set(row[row >= 0].tolist()) for row in found] == [{0, 1, 2}, set(), set(), {3}, set(), {5}]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -101,81 +100,53 @@ def rows_of(
 
     ``states, xy_px`` are of all tracks, ``expansion_hz (K,)`` of each cluster, NaN where unknown.
     """
-    believed, believed_cov = _directions(motions)
-    is_scene = np.array([motion.cluster_id == SCENE_CLUSTER for motion in motions], dtype=bool)
-    is_static = np.array([motion.is_static for motion in motions], dtype=bool)
-    stated: dict[int, dict[str, Any]] = {}
+    direction, direction_cov = _directions(motions)
+    status = [motion.status for motion in motions]
+    if states.shared is not None:
+        _take_directions_of_states(motions, joint, direction, direction_cov, status)
+    is_ours = np.array([motion.cluster_id == SCENE_CLUSTER or motion.is_static for motion in motions], dtype=bool)
+    numbers, boxes = motion_ids(is_ours, direction, direction_cov), members.boxes(xy_px).tolist()
+    has_values = np.logical_or.reduceat(states.has_value[members.index], members.first).tolist()
+    rows = [
+        ClusterRow(
+            cluster_id=motion.cluster_id,
+            motion_id=numbers[place],
+            n_tracks=int(members.lengths[place]),
+            box_px=tuple(boxes[place]),
+            status=_status_without_state(motion, has_values=has_values[place]),
+            epipole_status=status[place],
+            method=motion.method,
+            direction=None if math.isnan(direction[place, 0]) else direction[place],
+            direction_cov=None if math.isnan(direction[place, 0]) else direction_cov[place],
+            horizon_offset_px=motion.horizon_offset_px,
+            horizon_offset=motion.horizon_offset,
+            expansion_hz=float(expansion_hz[place]) if math.isfinite(expansion_hz[place]) else None,
+        )
+        for place, motion in enumerate(motions)
+    ]
+    if motions and motions[0].cluster_id == SCENE_CLUSTER and motions[0].status == Status.no_parallax:
+        rows[0] = rows[0].changed(motion_state=MotionState.no_relative_motion)
     fronts = front_boxes(members, joint, states, xy_px).tolist()
     for k, place in enumerate(joint.owner.tolist()):
-        stated[place] = {
-            "status": motions[place].status,
-            "ref_px": tuple(joint.ref_px[k].tolist()),
-            "ref_sigma": tuple(joint.ref_sigma[k].tolist()),
-            "front_px": tuple(fronts[k]),
-            "state_abc_hz": joint.abc_hz[k],
-            "state_cov": joint.cov[k],
-            "closing": _closing(joint, k),
-        }
-    for place, direction, cov, status in [] if states.shared is None else _directions_of_states(motions, joint):
-        believed[place], believed_cov[place] = direction, cov
-        stated[place].update(direction=direction, direction_cov=cov, epipole_status=status)
-    facts = zip(
-        members.boxes(xy_px).tolist(),
-        members.lengths.tolist(),
-        expansion_hz.tolist(),
-        np.logical_or.reduceat(states.has_value[members.index], members.first).tolist(),
-        motion_ids(is_scene | is_static, believed, believed_cov),
-        strict=True,
-    )
-    return [
-        _row(motion, *each, stated.get(place, {}))
-        for place, (motion, each) in enumerate(zip(motions, facts, strict=True))
-    ]
+        is_timed = math.isfinite(joint.acceleration_hz2[k])
+        closing = Closing(float(joint.abc_hz[k, 2]), float(joint.acceleration_hz2[k]), joint.closing_cov[k])
+        rows[place] = rows[place].changed(
+            status=motions[place].status,
+            ref_px=tuple(joint.ref_px[k].tolist()),
+            ref_sigma=tuple(joint.ref_sigma[k].tolist()),
+            front_px=tuple(fronts[k]),
+            state_abc_hz=joint.abc_hz[k],
+            state_cov=joint.cov[k],
+            closing=closing if is_timed else None,
+        )
+    return rows
 
 
-def _closing(joint: JointStates, k: int) -> Closing | None:
-    """How the depth of surface k changes; None where its acceleration is not known."""
-    acceleration_hz2 = float(joint.acceleration_hz2[k])
-    if not math.isfinite(acceleration_hz2):
-        return None
-    return Closing(float(joint.abc_hz[k, 2]), acceleration_hz2, joint.closing_cov[k])
-
-
-def _row(
-    motion: ClusterMotion,
-    box_px: list[float],
-    n_tracks: int,
-    expansion_hz: float,
-    has_values: bool,
-    motion_id: int,
-    stated: dict[str, Any],
-) -> ClusterRow:
-    """The row of a cluster; the fields in ``stated`` replace those of its motion.
-
-    An object without a state has the status ``no_parallax``, or ``not_rigid`` if its tracks have values that disagree.
-    """
-    status, motion_state = motion.status, MotionState.unknown
-    if motion.cluster_id == SCENE_CLUSTER:
-        motion_state = MotionState.no_relative_motion if status == Status.no_parallax else motion_state
-    elif status in _OPEN:
-        status = Status.not_rigid if has_values else Status.no_parallax
-    x0, y0, x1, y1 = box_px
-    facts: dict[str, Any] = {
-        "cluster_id": motion.cluster_id,
-        "motion_id": motion_id,
-        "n_tracks": n_tracks,
-        "box_px": (x0, y0, x1, y1),
-        "status": status,
-        "epipole_status": motion.status,
-        "method": motion.method,
-        "motion_state": motion_state,
-        "direction": motion.direction,
-        "direction_cov": motion.direction_cov,
-        "horizon_offset_px": motion.horizon_offset_px,
-        "horizon_offset": motion.horizon_offset,
-        "expansion_hz": expansion_hz if math.isfinite(expansion_hz) else None,
-    }
-    return ClusterRow(**(facts | stated))
+def _status_without_state(motion: ClusterMotion, *, has_values: bool) -> Status:
+    """Status of a cluster without a state: of an object ``no_parallax``, or ``not_rigid`` if tracks have values."""
+    if motion.cluster_id == SCENE_CLUSTER or motion.status not in _OPEN:
+        return motion.status
+    return Status.not_rigid if has_values else Status.no_parallax
 
 
 def motion_ids(is_ours: Bools, direction: Floats, direction_cov: Floats) -> list[int]:
@@ -211,13 +182,10 @@ def ranked(rows: list[ClusterRow]) -> list[ClusterRow]:
 
 def with_epipole_pixels(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     """Rows with the pixel of each epipole, where the line along its direction meets the image plane."""
-    directed = [place for place, row in enumerate(rows) if row.direction is not None]
-    pixels = epipole_pixels(np.reshape([rows[place].direction for place in directed], (-1, 3)), camera)
-    rows = list(rows)
-    for place, pixel in zip(directed, pixels, strict=True):
-        if np.isfinite(pixel[0]):
-            rows[place] = rows[place].changed(epipole_px=pixel)
-    return rows
+    unknown = np.full(3, np.nan)
+    directions = np.reshape([unknown if row.direction is None else row.direction for row in rows], (-1, 3))
+    places = zip(rows, epipole_pixels(directions, camera), strict=True)
+    return [row.changed(epipole_px=pixel) if np.isfinite(pixel[0]) else row for row, pixel in places]
 
 
 def epipole_pixels(directions: Floats, camera: Camera) -> Floats:
@@ -257,30 +225,25 @@ def _motion_state(rates: Sequence[float], sigmas: Sequence[float]) -> MotionStat
     return MotionState.unknown if moves_across else MotionState.no_relative_motion
 
 
-def _directions_of_states(
-    motions: Sequence[ClusterMotion], joint: JointStates
-) -> list[tuple[int, Floats, Floats, Status]]:
-    """Objects whose direction is that of their state: index, direction, its covariance, and status.
+def _take_directions_of_states(
+    motions: Sequence[ClusterMotion], joint: JointStates, direction: Floats, direction_cov: Floats, status: list[Status]
+) -> None:
+    """Replaces the directions, covariances and their statuses of objects, of all K, by those of their states.
 
     The direction of a mover assumes straight tracks at constant speed; their common trajectory bends and changes
     speed. On a horizon, which is better known than either, the direction is kept, and so is that of what stands still:
     it is our own.
     """
-    own = [motions[place] for place in joint.owner]
-    asked = np.array([not (one.is_static or one.method.endswith(ON_HORIZON)) for one in own], dtype=bool)
-    asked &= np.any(joint.abc_hz != 0.0, axis=1)
-    owner, abc_hz = joint.owner[asked], joint.abc_hz[asked]
-    speed_hz = np.linalg.norm(abc_hz, axis=1)[:, None]
-    direction = abc_hz / speed_hz
-    across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
-    covs = across @ joint.cov[asked] @ across
-    found = []
-    for place, way, cov in zip(owner.tolist(), direction, covs, strict=True):
-        status = motions[place].status
-        if status in _VALUED:
-            status = Status.epipole_at_infinity if abs(way[2]) < INFINITY_COSINE else Status.ok
-        found.append((place, way, cov, status))
-    return found
+    is_kept = np.array([motion.is_static or motion.method.endswith(ON_HORIZON) for motion in motions], dtype=bool)
+    speed_hz = np.linalg.norm(joint.abc_hz, axis=1)
+    taken = ~is_kept[joint.owner] & (speed_hz > 0.0)
+    owner, speed_hz = joint.owner[taken], speed_hz[taken, None]
+    direction[owner] = ways = joint.abc_hz[taken] / speed_hz
+    across = (np.eye(3) - ways[:, :, None] * ways[:, None, :]) / speed_hz[:, :, None]
+    direction_cov[owner] = across @ joint.cov[taken] @ across
+    for place in owner.tolist():
+        if status[place] in _VALUED:
+            status[place] = Status.ok if abs(direction[place, 2]) >= INFINITY_COSINE else Status.epipole_at_infinity
 
 
 def _have_same_direction(direction: Floats, cov: Floats) -> Bools:

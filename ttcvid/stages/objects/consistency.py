@@ -10,6 +10,7 @@ import numpy as np
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.model import Floats
 from ttcvid.stages.objects.joint_states import JointStates
+from ttcvid.stages.segmentation.bodies import ROUNDING_S
 from ttcvid.stages.tracking.history import TrackHistory
 
 # A state is compared with one of at least so long ago: about half of the views behind it are others.
@@ -21,8 +22,6 @@ _PRIOR_S = 0.15
 # An object that comes so near between two states, as a share of its distance, is not compared: its change of depth is
 # no longer linear in the errors.
 _LEAST_DEPTH = 0.2
-# Presentation times are rounded to the clock of their container, s.
-_ROUNDING_S = 1e-3
 # Least variance of a difference, 1/s^2.
 _TINY = 1e-12
 
@@ -62,40 +61,31 @@ def with_consistent_covariances(
     """
     t_s = float(history.t_s[history.now])
     rays = rays_from_pixels(history.camera, joint.ref_px)
-    recent = {number: _since(states, t_s - _RECENT_S) for number, states in past.items()}
-    now: PastStates = {}
-    scale = np.ones(len(joint.owner))
+    recent = {
+        number: tuple(one for one in states if one.t_s >= t_s - _RECENT_S - ROUNDING_S)
+        for number, states in past.items()
+    }
+    scale = np.ones((len(joint.owner), 1, 1))
     for k, number in enumerate(cluster_id):
         before = recent.get(number, ())
         step_s = t_s - before[-1].t_s if before else 0.0
         state = PastState(t_s, step_s, rays[k], joint.abc_hz[k], joint.cov[k])
-        now[number] = (*before, replace(state, redchi=_compared(before, state, history)))
-        scale[k] = max(1.0, _mean_redchi(now[number]))
-    seen = {number: states for number, states in recent.items() if states} | now
-    scale = scale[:, None, None]
+        recent[number] = (*before, replace(state, redchi=_compared(before, state, history)))
+        weights = [(min(one.step_s, _LAG_S), one.redchi) for one in recent[number] if one.redchi is not None]
+        off_s = _PRIOR_S + sum(weight_s * redchi for weight_s, redchi in weights)
+        scale[k] = max(1.0, off_s / (_PRIOR_S + sum(weight_s for weight_s, _ in weights)))
+    seen = {number: states for number, states in recent.items() if states}
     return replace(joint, cov=scale * joint.cov, closing_cov=scale * joint.closing_cov), seen
-
-
-def _since(states: tuple[PastState, ...], t_s: float) -> tuple[PastState, ...]:
-    return tuple(one for one in states if one.t_s >= t_s - _ROUNDING_S)
-
-
-def _mean_redchi(states: tuple[PastState, ...]) -> float:
-    """Mean over time of the reduced chi-squares of an object's states."""
-    compared = [(min(one.step_s, _LAG_S), one.redchi) for one in states if one.redchi is not None]
-    total = _PRIOR_S + sum(step_s * redchi for step_s, redchi in compared)
-    return total / (_PRIOR_S + sum(step_s for step_s, _ in compared))
 
 
 def _compared(before: tuple[PastState, ...], now: PastState, history: TrackHistory) -> float | None:
     """Reduced chi-square of a state's difference from the last one that is old enough and of a frame in the history."""
-    for earlier in reversed(before):
-        if earlier.t_s > now.t_s - _LAG_S + _ROUNDING_S:
-            continue
-        view = int(np.argmin(np.abs(history.t_s - earlier.t_s)))
-        if abs(float(history.t_s[view]) - earlier.t_s) < _ROUNDING_S:
-            return _redchi(earlier, now, history.cam_R_past[view])
-    return None
+    old = [state for state in before if state.t_s <= now.t_s - _LAG_S + ROUNDING_S]
+    if not old:
+        return None
+    view = int(np.argmin(np.abs(history.t_s - old[-1].t_s)))
+    is_there = abs(float(history.t_s[view]) - old[-1].t_s) < ROUNDING_S
+    return _redchi(old[-1], now, history.cam_R_past[view]) if is_there else None
 
 
 def _redchi(before: PastState, now: PastState, cam_R_past: Floats) -> float | None:

@@ -27,9 +27,8 @@ def with_expansions(states: TrackStates, history: TrackHistory, motions: FrameMo
     stays = (states.status == int(Status.no_parallax)) & (motions.cluster_id > SCENE_CLUSTER)
     asks = is_at_epipole | stays
     gap = min(EXPANSION_FRAMES, history.n_past)
-    neighbours = neighbours_in_cluster(
-        history.xy_px, motions.cluster_id, np.flatnonzero(asks), EXPANSION_NEIGHBOURS, motions.link_px
-    )
+    clusters = history.xy_px, motions.cluster_id
+    neighbours = neighbours_in_cluster(*clusters, asks, EXPANSION_NEIGHBOURS, motions.link_px)
     return with_constant_bearing(states, history, neighbours, gap, asks)
 
 
@@ -89,12 +88,11 @@ def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> 
     return np.asarray(np.divide(np.sqrt(2.0) * sigma, size * gap_s, out=unknown, where=size > 0.0))
 
 
-def neighbours_in_cluster(xy_px: Floats, cluster: Ints, asked: Ints, count: int, radius_px: float) -> Ints:
-    """The nearest tracks of the same cluster around each of the ``asked`` tracks, itself the first.
+def neighbours_in_cluster(xy_px: Floats, cluster: Ints, is_asked: Bools, count: int, radius_px: float) -> Ints:
+    """The nearest tracks of the same cluster around each track for which ``is_asked (N,)`` holds, itself the first.
 
     Returns ``(N, count)`` tracks within the radius, -1 where absent and for tracks not asked.
     """
-    itself, is_asked = np.arange(len(xy_px))[:, None], np.zeros(len(xy_px), dtype=bool)
-    is_asked[asked] = True
+    itself = np.arange(len(xy_px))[:, None]
     others = nearest_neighbours(xy_px, count - 1, radius_px, is_asked, cluster)
     return np.hstack([np.where(is_asked[:, None], itself, -1), np.where(others == itself, -1, others)])

@@ -10,7 +10,7 @@ from ttcvid.geometry.estimation.shared_trajectory import N_SHARED
 from ttcvid.geometry.rotation import cross, skew
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.objects.nearest_surface import in_nearest_surface, tracks_needed
-from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates, nothing_shared
+from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates
 from ttcvid.stages.tracking.groups import TrackSets
 
 # Variance of a mean over the tracks within 2 sigma of it, relative to their count: the search for them is not free.
@@ -68,70 +68,36 @@ def joint_states(
     members, direction : tracks of the objects, and ``(N, 3)`` their ``dir``, NaN where there is none.
     is_one : ``(N,)`` found as one surface, and so may have few tracks.
     """
-    shared = nothing_shared(len(states.xy)) if states.shared is None else states.shared
+    shared = states.common
     has_direction = np.isfinite(direction[:, 0])
     sets, owner = members.where(states.has_value[members.index] & has_direction[members.set_of])
     path = _paths_of(sets, shared)
-    rate_hz, variance, by_shared = _rates(sets, direction[owner], states, shared)
-    sigma_hz = np.sqrt(variance + (_RELIEF * rate_hz) ** 2)
+    rate_hz, own_hz = own_rates(sets.index, direction[owner][sets.set_of], states)
+    sigma_hz = np.hypot(own_hz, _RELIEF * rate_hz)
     needed = tracks_needed(members.lengths[owner])
     is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, needed, link_px)
+    may_show = (path >= 0) & (sets.lengths >= _LEAST_OF_SIDE)
     above_hz = np.zeros(len(rate_hz))
-    for k in np.flatnonzero((path >= 0) & (sets.lengths >= _LEAST_OF_SIDE)):
-        own = slice(sets.first[k], sets.first[k] + sets.lengths[k])
-        side_hz, is_near = _near_end(states.xy[sets.index[own]], rate_hz[own], sigma_hz[own])
-        if is_near.any():
-            is_in[own], above_hz[own] = is_near, side_hz - rate_hz[own]
+    if may_show.any():
+        asked = np.flatnonzero(may_show[sets.set_of])
+        of_asked, _ = sets.where(may_show[sets.set_of])
+        side_hz, is_near, is_side = _near_ends(of_asked, states.xy, rate_hz[asked], sigma_hz[asked])
+        shown = asked[is_side]
+        is_in[shown], above_hz[shown] = is_near[is_side], side_hz[is_side] - rate_hz[shown]
     has_surface = np.bincount(sets.set_of[is_in], minlength=len(sets)) > 0
     takes_all = ~has_surface & is_one[owner] & (sets.lengths >= _LEAST_OF_SURFACE)
     is_in |= takes_all[sets.set_of]
     surfaces, left = sets.where(is_in)
     weight = 1.0 / np.maximum(states.cov[surfaces.index, 2, 2], _TINY)
     weight /= surfaces.sums(weight)[surfaces.set_of]
-    abc_hz = surfaces.sums(weight[:, None] * states.abc_hz[surfaces.index])
-    way = np.where((path >= 0)[:, None], shared.along[path], direction[owner])[left]
-    abc_hz += surfaces.sums(weight * above_hz[is_in])[:, None] * way
-    ref_px = surfaces.sums(weight[:, None] * xy_px[surfaces.index])
-    ref = surfaces.sums(weight[:, None] * states.xy[surfaces.index])
+    means = [xy_px[surfaces.index], states.xy[surfaces.index], states.abc_hz[surfaces.index]]
+    ref_px, ref, abc_hz = np.split(surfaces.sums(weight[:, None] * np.hstack(means)), [2, 4], axis=1)
+    surface_hz, up_hz = (surfaces.sums(weight * each[is_in]) for each in (rate_hz + above_hz, above_hz))
+    abc_hz += up_hz[:, None] * np.where((path >= 0)[:, None], shared.along[path], direction[owner])[left]
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
-    cov = _covariances(surfaces, weight, off_ref, states)
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
-    surface_hz = surfaces.sums(weight * (rate_hz + above_hz)[is_in])
-    of_tracks = variance[is_in], by_shared[is_in]
-    closing = _accelerations(surfaces, weight, surface_hz, *of_tracks, cov[:, 2, 2], shared)
-    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov, *closing)
-
-
-def _accelerations(
-    surfaces: TrackSets,
-    weight: Floats,
-    rate_hz: Floats,
-    variance: Floats,
-    rate_jacobian: Floats,
-    c_variance: Floats,
-    shared: SharedErrors,
-) -> tuple[Floats, Floats]:
-    """`JointStates.acceleration_hz2` and ``closing_cov`` of surfaces with the inverse depths ``rate_hz (K,)``, 1/s.
-
-    ``variance (M,), rate_jacobian (M, 12)`` are those of `_rates`, ``c_variance (K,)`` is that of c.
-    """
-    path, is_off = _paths_of(surfaces, shared), shared.path_of[surfaces.index] < 0
-    along, turn = shared.along[path], shared.turn_rad_s[path]
-    # The views of what turns are turned back, and show A - 2 turn x V.
-    bend_hz = (shared.bend_hz[path] + 2.0 * cross(turn, along))[:, 2]
-    by_shared = np.empty((len(path), 2, N_SHARED))
-    by_c = weight[:, None] * shared.jacobian[surfaces.index, 2]
-    by_shared[:, 0] = surfaces.sums(np.where(is_off[:, None], 0.0, by_c))
-    by_shared[:, 1] = bend_hz[:, None] * surfaces.sums(weight[:, None] * rate_jacobian)
-    by_shared[:, 1, :3] += 2.0 * rate_hz[:, None] * skew(turn)[:, 2]
-    by_shared[:, 1, 5] += rate_hz
-    by_shared[:, 1, 6:9] -= 2.0 * rate_hz[:, None] * skew(along)[:, 2]
-    own = np.stack([along[:, 2], bend_hz], axis=1)
-    variance = _TRIMMED_VARIANCE * surfaces.sums(weight**2 * variance)
-    cov = by_shared @ shared.cov[path] @ np.swapaxes(by_shared, 1, 2)
-    cov += variance[:, None, None] * own[:, :, None] * own[:, None, :]
-    cov[:, 0, 0] = c_variance
-    return np.where(path >= 0, rate_hz * bend_hz, np.nan), cov
+    found = _covariances(surfaces, weight, off_ref, surface_hz, own_hz[is_in], states)
+    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, *found)
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
@@ -139,71 +105,91 @@ def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
     return np.asarray(np.maximum.reduceat(shared.path_of[sets.index], sets.first))
 
 
-def _rates(
-    sets: TrackSets, direction: Floats, states: TrackStates, shared: SharedErrors
-) -> tuple[Floats, Floats, Floats]:
-    """Inverse depths (speed over depth) of M tracks: value, variance by own noise, Jacobian by shared errors (M, 12).
+def own_rates(index: Ints, along: Floats, states: TrackStates) -> tuple[Floats, Floats]:
+    """Inverse depths (speed over depth) of tracks ``index (M,)`` and their standard deviations by own noise, 1/s.
 
     On a trajectory all points share one speed, on a turning body too, so that the nearest has the largest one. For
-    other tracks it is the speed along the ``direction (K, 3)`` of the object, over depth. In 1/s.
+    other tracks it is the speed along the direction ``along (M, 3)``, over depth.
     """
-    index, along, has_path = sets.index, direction[sets.set_of], shared.path_of[sets.index] >= 0
+    shared = states.common
+    has_path = shared.path_of[index] >= 0
     rate_hz = np.where(has_path, shared.rate_hz[index], np.einsum("mi,mi->m", along, states.abc_hz[index]))
     own = np.einsum("mi,mij,mj->m", along, states.cov[index], along)
-    variance = np.where(has_path, shared.rate_variance[index], own)
-    return rate_hz, variance, np.where(has_path[:, None], shared.rate_jacobian[index], 0.0)
+    return rate_hz, np.sqrt(np.where(has_path, shared.rate_variance[index], own))
 
 
-def _near_end(xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bools]:
-    """Rates (M,), 1/s, of the visible side of an object, and which tracks are its near end (none: no side).
+def _near_ends(sets: TrackSets, xy: Floats, rate_hz: Floats, sigma_hz: Floats) -> tuple[Floats, Bools, Bools]:
+    """Rates (M,), 1/s, on the visible side of each object, which tracks are its near end, and of objects with a side.
 
     Inverse depths on a plane are linear in the image. A selection by the tracks' own rates would select the largest
-    errors. ``xy (M, 2)`` are its tracks' places in the plane z = 1, ``rate_hz, sigma_hz (M,)`` rates and standard
-    deviations.
+    errors. ``xy (N, 2)`` are the places of all tracks in the plane z = 1, ``rate_hz, sigma_hz (M,)`` rates and standard
+    deviations of those in the ``sets``.
     """
-    columns = np.column_stack([np.ones(len(xy)), xy - np.mean(xy, axis=0)])
-    side_hz = np.full(len(xy), float(np.median(rate_hz)))
-    belief = np.diag([0.0, 1.0, 1.0]) / (_SIDE_SLOPE * side_hz[0]) ** 2
+    set_of, xy = sets.set_of, xy[sets.index]
+    columns = np.column_stack([np.ones(len(xy)), xy - (sets.sums(xy) / sets.lengths[:, None])[set_of]])
+    usual_hz = sets.medians(rate_hz)
+    side_hz = usual_hz[set_of]
+    belief = np.diag([0.0, 1.0, 1.0]) / (_SIDE_SLOPE * usual_hz[:, None, None]) ** 2
     for _ in range(_SIDE_STEPS):
         off = (rate_hz - side_hz) / (_SIDE_SIGMAS * sigma_hz)
         weighted = columns / (sigma_hz**2 * (1.0 + off**2))[:, None]
-        cov = np.linalg.inv(columns.T @ weighted + belief)
-        plane = cov @ (weighted.T @ rate_hz)
-        side_hz = columns @ plane
+        cov = np.linalg.inv(sets.sums(columns[:, :, None] * weighted[:, None]) + belief)
+        plane = np.einsum("kij,kj->ki", cov, sets.sums(weighted * rate_hz[:, None]))
+        side_hz = np.sum(columns * plane[set_of], axis=1)
     is_on = np.abs(rate_hz - side_hz) < _SIDE_SIGMAS * sigma_hz
-    is_side = plane[1:] @ np.linalg.solve(cov[1:, 1:], plane[1:]) > _SIDE_CHI2
-    if not is_side or np.count_nonzero(is_on) < max(_LEAST_OF_SIDE, _PART_OF_SIDE * len(is_on)):
-        return side_hz, np.zeros(len(xy), dtype=bool)
-    nearest_hz = float(np.quantile(side_hz[is_on], 1.0 - _NEAR_PART))
-    return side_hz, is_on & (side_hz >= nearest_hz - _NEAR_DEPTH * abs(nearest_hz))
+    chi2 = np.einsum("ki,kij,kj->k", plane[:, 1:], np.linalg.inv(cov[:, 1:, 1:]), plane[:, 1:])
+    n_on = np.bincount(set_of, is_on, len(sets))
+    is_side = (chi2 > _SIDE_CHI2) & (n_on >= np.maximum(_LEAST_OF_SIDE, _PART_OF_SIDE * sets.lengths))
+    nearest_hz = np.full(len(sets), np.nan)
+    for k in np.flatnonzero(is_side):
+        nearest_hz[k] = np.quantile(side_hz[is_on & (set_of == k)], 1.0 - _NEAR_PART)
+    is_near = is_on & (side_hz >= (nearest_hz - _NEAR_DEPTH * np.abs(nearest_hz))[set_of])
+    return side_hz, is_near, is_side[set_of]
 
 
-def _covariances(surfaces: TrackSets, weight: Floats, off_ref: Floats, states: TrackStates) -> Floats:
-    """Covariances ``(K, 3, 3)`` of the weighted means of (a, b, c), by noise and by place, 1/s^2.
+def _covariances(
+    surfaces: TrackSets, weight: Floats, off_ref: Floats, rate_hz: Floats, own_hz: Floats, states: TrackStates
+) -> tuple[Floats, Floats, Floats]:
+    """`JointStates.cov`, ``acceleration_hz2`` and ``closing_cov`` of weighted means, by noise and by place.
 
     Own noise averages out, shared errors do not. Tracks of a surface share the errors of one trajectory; those timed by
     expansion share them with the tracks in whose neighbourhoods they are; tracks with directions of their own (three
     frames) share none. The velocity of a turning object varies with the place, and the nearest may be either end.
-    ``off_ref (M, 2)`` are the places of the tracks about their mean.
+    ``off_ref (M, 2)`` are the places of the tracks about their mean, ``rate_hz (K,)`` the rates of the surfaces, and
+    ``own_hz (M,)`` the standard deviations of `own_rates` of the tracks, 1/s.
     """
-    index, set_of, shared = surfaces.index, surfaces.set_of, states.shared
-    squared_cov = (weight**2)[:, None, None] * states.cov[index]
-    if shared is None:
-        return _TRIMMED_VARIANCE * surfaces.sums(squared_cov)
-    path = _paths_of(surfaces, shared)
-    has_path, is_off = path >= 0, shared.path_of[index] < 0
-    own = surfaces.sums(np.where(is_off, 0.0, weight**2 * shared.rate_variance[index]))
-    by_shared = surfaces.sums(np.where(is_off[:, None, None], 0.0, weight[:, None, None] * shared.jacobian[index]))
-    along = shared.along[path]
-    on_path = _TRIMMED_VARIANCE * own[:, None, None] * along[:, :, None] * along[:, None, :]
-    on_path += by_shared @ shared.cov[path] @ np.swapaxes(by_shared, 1, 2)
-    # At most a neighbourhood of them has common errors.
-    off_weight = np.where(is_off, weight, 0.0)
-    squares = surfaces.sums(off_weight**2)
-    together = np.minimum(surfaces.sums(off_weight) ** 2 / np.maximum(squares, _TINY), EXPANSION_NEIGHBOURS)
-    cov = together[:, None, None] * surfaces.sums(np.where(is_off[:, None, None], squared_cov, 0.0))
-    cov += np.where(has_path[:, None, None], on_path, 0.0)
-    offset = np.column_stack([off_ref, np.zeros(len(index))])
-    by_place = cross(np.where(has_path[:, None], shared.turn_rad_s[path], 0.0)[set_of], offset)
+    index, set_of, shared = surfaces.index, surfaces.set_of, states.common
+    path, is_off = _paths_of(surfaces, shared), shared.path_of[index] < 0
+    has_path, off_weight = path >= 0, np.where(is_off, weight, 0.0)
+    along, turn = shared.along[path], np.where(has_path[:, None], shared.turn_rad_s[path], 0.0)
+    # The views of what turns are turned back, and show A - 2 turn x V.
+    bend_hz = (shared.bend_hz[path] + 2.0 * cross(turn, along))[:, 2]
+    # Of (a, b, c) and of the acceleration along the optical axis.
+    by_shared = np.empty((len(path), 4, N_SHARED))
+    by_shared[:, :3] = surfaces.sums(
+        np.where(is_off[:, None, None], 0.0, weight[:, None, None] * shared.jacobian[index])
+    )
+    by_rates = np.where(is_off[:, None], 0.0, shared.rate_jacobian[index])
+    by_shared[:, 3] = bend_hz[:, None] * surfaces.sums(weight[:, None] * by_rates)
+    by_shared[:, 3, :3] += 2.0 * rate_hz[:, None] * skew(turn)[:, 2]
+    by_shared[:, 3, 5] += rate_hz
+    by_shared[:, 3, 6:9] -= 2.0 * rate_hz[:, None] * skew(along)[:, 2]
+    own = np.column_stack([along, bend_hz])
+    own_variance = _TRIMMED_VARIANCE * (weight * own_hz) ** 2
+    on_path_variance, off_variance = (surfaces.sums(np.where(which, own_variance, 0.0)) for which in (~is_off, is_off))
+    on_path = by_shared @ shared.cov[path] @ np.swapaxes(by_shared, 1, 2)
+    by_own = own[:, :, None] * own[:, None, :]
+    on_path += on_path_variance[:, None, None] * by_own
+    together = np.full(len(path), _TRIMMED_VARIANCE)
+    if states.shared is not None:
+        # At most a neighbourhood of them has common errors.
+        squares = np.maximum(surfaces.sums(off_weight**2), _TINY)
+        together = np.minimum(surfaces.sums(off_weight) ** 2 / squares, EXPANSION_NEIGHBOURS)
+    own_cov = np.where(is_off[:, None, None], (weight**2)[:, None, None] * states.cov[index], 0.0)
+    by_place = cross(turn[set_of], np.column_stack([off_ref, np.zeros(len(index))]))
     place = (_END_VARIANCE * weight)[:, None, None] * by_place[:, :, None] * by_place[:, None, :]
-    return np.asarray(cov + surfaces.sums(place))
+    cov = together[:, None, None] * surfaces.sums(own_cov) + surfaces.sums(place)
+    cov += np.where(has_path[:, None, None], on_path[:, :3, :3], 0.0)
+    closing_cov = on_path[:, 2:, 2:] + off_variance[:, None, None] * by_own[:, 2:, 2:]
+    closing_cov[:, 0, 0] = cov[:, 2, 2]
+    return cov, np.where(has_path, rate_hz * bend_hz, np.nan), closing_cov

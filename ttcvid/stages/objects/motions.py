@@ -21,10 +21,11 @@ from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_hz
 from ttcvid.stages.objects.turning import OBJECT_BEND_HZ
 from ttcvid.stages.segmentation.bodies import direction_of_last_step
-from ttcvid.stages.segmentation.body_views import body_views
+from ttcvid.stages.segmentation.body_views import WORST_REDCHI, body_views
 from ttcvid.stages.segmentation.data_association import numbers_of
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation, find_bodies
 from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
+from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
@@ -37,8 +38,6 @@ _LINK_PART, _SPARSE_LINK, _MOST_LINK = 0.05, 1.2, 2.0
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
 _SURE_PART = 0.008
-# A track that misses the scene's path by more than this, in units of what is usual, belongs to nothing.
-_LOST_REDCHI = 50.0
 
 
 @dataclass(frozen=True)
@@ -96,13 +95,14 @@ def find_motions(
         history = replace(history, cam_R_past=found.seen.scene.cam_R_past[0])
         history = without_displaced(history, found.is_displaced, found.is_past_off)
         is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced
-        in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.redchi < _LOST_REDCHI)
+        in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.redchi < WORST_REDCHI)
         objects = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:
             surfaces, memory = growing_things(history, found, is_free, memory, link_px, error_px, config)
         is_left = is_free.copy()
-        is_left[np.concatenate([np.empty(0, dtype=np.int64), *(one.members for one in surfaces)])] = False
+        for surface in surfaces:
+            is_left[surface.members] = False
         obstacles, memory = in_our_way(history, egomotion, found, is_left, memory, link_px, config)
         surfaces = [on_plane(one, plane, camera) for one in [*surfaces, *obstacles]]
         if config.egomotion.platform == Platform.vehicle:
@@ -163,66 +163,52 @@ def motions_of(
     """The motion of each of K things, its tracks given by ``cluster_id``, as its whole tracks show."""
     if not members:
         return []
-    thing = np.repeat(np.arange(len(members)), [len(index) for index in members.values()])
-    tracks = np.concatenate(list(members.values()))
-    window_s, direction, covariance = _directions(history, tracks, thing, len(members), config)
+    things = TrackSets.of(list(members.values()))
+    window_s = np.full(len(things), config.object_window_s)
+    direction, covariance, is_sure = _directions(history, things, config.object_window_s, config)
+    if not is_sure.all():
+        unsure, left = things.where(~is_sure[things.set_of])
+        window_s[left] = np.inf
+        direction[left], covariance[left], _ = _directions(history, unsure, np.inf, config)
     motions = []
-    for cluster_id, *found in zip(members, direction, covariance, window_s.tolist(), strict=True):
-        way, cov, since_s = found if np.isfinite(found[0][0]) else (None, None, np.inf)
-        index, how = members[cluster_id], (Status.no_epipole, "whole-tracks")
-        motion = ClusterMotion(cluster_id, index, way, cov, *how, window_s=since_s)
+    found = zip(members.items(), direction, covariance, window_s.tolist(), strict=True)
+    for (cluster_id, index), way, cov, since_s in found:
+        motion = ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks")
+        if np.isfinite(way[0]):
+            motion = replace(motion, direction=way, direction_cov=cov, window_s=since_s)
         motions.append(on_plane(motion, plane, camera))
     return motions
 
 
 def _directions(
-    history: TrackHistory, members: Ints, thing: Ints, n_things: int, config: CollisionTimesConfig
-) -> tuple[Floats, Floats, Floats]:
-    """How far back each of K things is looked at, s, its direction and covariance: (K,), (K, 3), (K, 3, 3).
+    history: TrackHistory, things: TrackSets, window_s: float, config: CollisionTimesConfig
+) -> tuple[Floats, Floats, Bools]:
+    """The direction (K, 3) of each thing by its views within a time of the present one, its covariance, `_are_sure`.
 
-    ``members, thing (M,)`` are tracks, and which thing each belongs to.
-    """
-    tracks = _whole_tracks(history, members, config.object_window_s, config)
-    direction, covariance = _shared_directions(history, tracks, thing, n_things)
-    is_sure = _are_sure(tracks, direction, thing)
-    window_s = np.where(is_sure, config.object_window_s, np.inf)
-    if not is_sure.all():
-        unsure = np.flatnonzero(~is_sure[thing])
-        tracks = _whole_tracks(history, members[unsure], np.inf, config)
-        by_all, covariance_by_all = _shared_directions(history, tracks, thing[unsure], n_things)
-        direction[~is_sure], covariance[~is_sure] = by_all[~is_sure], covariance_by_all[~is_sure]
-    return window_s, direction, covariance
-
-
-def _whole_tracks(history: TrackHistory, members: Ints, window_s: float, config: CollisionTimesConfig) -> WholeTracks:
-    """The states of tracks by their views within a time of the present one."""
-    views = history.views_within(window_s)
-    return fit_whole_tracks(
-        history.xy[views].take(members, axis=1),
-        history.since_s[views],
-        history.sigma_norm[members],
-        config.max_frames,
-        config.window_probability,
-        has_covariance=False,
-    )
-
-
-def _shared_directions(history: TrackHistory, tracks: WholeTracks, thing: Ints, n_things: int) -> tuple[Floats, Floats]:
-    """The direction of each thing and its covariance, with what errs in all of its tracks alike.
-
+    The covariance (K, 3, 3) holds what errs in all of its tracks alike.
     That is a rotation left in them, and a change of speed: the path ``x + u t - u (c - q / 2) t^2`` shows at the rate q
     what a constant velocity takes for depth. How a thing changes its speed its path will tell (`turning`): a direction
     that is uncertain otherwise is NaN.
     """
+    views = history.views_within(window_s)
+    tracks = fit_whole_tracks(
+        history.xy[views].take(things.index, axis=1),
+        history.since_s[views],
+        history.sigma_norm[things.index],
+        config.max_frames,
+        config.window_probability,
+        has_covariance=False,
+    )
     xy, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
     rays = np.column_stack([xy, np.ones(len(xy))])
     by_rotation = history.rotation_rate_sigma_rad_s * skew(rays)
     by_speed = 0.5 * OBJECT_BEND_HZ * rays[:, :, None]
     errors = np.concatenate([by_rotation, by_speed], axis=2)
-    direction, covariance, _, by_errors = shared_directions(xy, velocity_hz, tracks.info_w, thing, n_things, errors)
+    of_things = things.set_of, len(things)
+    direction, covariance, _, by_errors = shared_directions(xy, velocity_hz, tracks.info_w, *of_things, errors)
     variance = np.trace(covariance, axis1=1, axis2=2) - np.sum(by_errors[..., -1] ** 2, axis=1)
     direction[~(variance < MAX_DIRECTION_SIGMA_RAD**2)] = np.nan
-    return direction, covariance
+    return direction, covariance, _are_sure(tracks, direction, things.set_of)
 
 
 def _are_sure(tracks: WholeTracks, direction: Floats, thing: Ints) -> Bools:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.model import Floats, Ints
-from ttcvid.stages.objects.joint_states import JointStates
+from ttcvid.model import Floats
+from ttcvid.stages.objects.joint_states import JointStates, own_rates
 from ttcvid.stages.objects.states import TrackStates
 from ttcvid.stages.tracking.groups import TrackSets
 
@@ -36,10 +36,13 @@ def front_boxes(members: TrackSets, joint: JointStates, states: TrackStates, xy_
     has_surface[joint.owner] = True
     # Those of each surface's owner, in the order of the surfaces.
     tracks, _ = members.where(states.has_value[members.index] & has_surface[members.set_of])
-    rate_hz = np.linalg.norm(states.abc_hz[tracks.index], axis=1)
+    abc_hz = states.abc_hz[tracks.index]
+    rate_hz = np.linalg.norm(abc_hz, axis=1)
     surface_hz = np.linalg.norm(joint.abc_hz, axis=1)[tracks.set_of]
     off = np.abs(np.log(np.maximum(rate_hz, _TINY) / surface_hz))
-    sigma = _relative_sigmas(tracks.index, states)
+    # By what is each track's own.
+    own_hz, sigma_hz = own_rates(tracks.index, abc_hz / np.maximum(rate_hz, _TINY)[:, None], states)
+    sigma = sigma_hz / np.maximum(np.abs(own_hz), _TINY)
     is_near = off < _ONE_DEPTH + _SURELY * sigma
     is_known = (off < _ONE_DEPTH) & (_SURELY * sigma < _ONE_DEPTH)
     n_near, n_known = (np.bincount(tracks.set_of[which], minlength=len(tracks)) for which in (is_near, is_known))
@@ -49,15 +52,3 @@ def front_boxes(members: TrackSets, joint: JointStates, states: TrackStates, xy_
     boxes = members.boxes(xy_px)[joint.owner]
     boxes[left] = faces.boxes(xy_px)
     return boxes
-
-
-def _relative_sigmas(index: Ints, states: TrackStates) -> Floats:
-    """Standard deviations of the rates of tracks ``index (M,)``, over these: (M,), by what is each track's own."""
-    abc_hz = states.abc_hz[index]
-    variance = np.einsum("mi,mij,mj->m", abc_hz, states.cov[index], abc_hz)
-    sigma = np.sqrt(variance) / np.maximum(np.einsum("mi,mi->m", abc_hz, abc_hz), _TINY)
-    if states.shared is None:
-        return np.asarray(sigma)
-    rate_hz, rate_variance = states.shared.rate_hz[index], states.shared.rate_variance[index]
-    on_path = np.sqrt(rate_variance) / np.maximum(np.abs(rate_hz), _TINY)
-    return np.where(states.shared.path_of[index] >= 0, on_path, sigma)

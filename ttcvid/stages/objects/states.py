@@ -72,6 +72,11 @@ class TrackStates:
         """Angle between the ray and ``-dir``: (N,) in [0, pi], NaN where there is no direction."""
         return angles_from_epipoles(np.column_stack([self.xy, np.ones(len(self.xy))]), self.direction)
 
+    @property
+    def common(self) -> SharedErrors:
+        """What the tracks share, nothing where each has a direction of its own."""
+        return nothing_shared(len(self.xy)) if self.shared is None else self.shared
+
     def without(self, index: Bools, status: Ints) -> TrackStates:
         """No result for the tracks of ``index (N,)``, for the reason ``status (N,)``."""
         if not index.any():

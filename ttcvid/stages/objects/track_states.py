@@ -58,16 +58,15 @@ def _paths(
     config: CollisionTimesConfig,
 ) -> tuple[SharedPaths, Ints, Bools]:
     """Path of every cluster that has a direction, the path (N,) of each track, and which paths (K,) are objects'."""
-    scene = [motion for motion in motions.clusters if motion.cluster_id == SCENE_CLUSTER]
-    objects = [one for one in motions.clusters if one.cluster_id != SCENE_CLUSTER and one.direction is not None]
-    path_of = np.full(history.n_tracks, NO_PATH, dtype=np.int64)
-    parts: list[SharedPaths] = []
-    if scene and scene[0].direction is not None and scene[0].direction_cov is not None:
-        parts.append(scene_path(history, scene[0].direction, scene[0].direction_cov))
-        path_of[scene[0].members] = 0
+    directed = [motion for motion in motions.clusters if motion.direction is not None]
+    objects = [motion for motion in directed if motion.cluster_id != SCENE_CLUSTER]
+    path_of, parts = np.full(history.n_tracks, NO_PATH, dtype=np.int64), list[SharedPaths]()
+    for number, motion in enumerate(directed):
+        path_of[motion.members] = number
+        way, cov_of_way = motion.direction, motion.direction_cov
+        if motion.cluster_id == SCENE_CLUSTER and way is not None and cov_of_way is not None:
+            parts.append(scene_path(history, way, cov_of_way))
     first, count = len(parts), len(objects)
-    for number, motion in enumerate(objects):
-        path_of[motion.members] = first + number
     direction = np.reshape([motion.direction for motion in objects], (count, 3))
     cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))
     beliefs = believed_straight(history.since_s, direction, cov, None if plane is None else plane.normal)
@@ -113,7 +112,10 @@ def _on_paths(
         config.max_frames,
         config.window_probability,
     )
-    redchi = _redchi(path_of, rates, len(paths.direction))
+    # By how much the variances of paths have to be larger (Birge's ratio): their tracks fit worse than noise.
+    on_path, n_paths = path_of != NO_PATH, len(paths.direction)
+    chi2, dof = (np.bincount(path_of[on_path], each[on_path], n_paths) for each in (rates.chi2, rates.dof))
+    redchi = np.maximum(chi2 / np.maximum(dof, 1.0), 1.0)
     shared_cov = paths.cov * redchi[:, None, None]
     own_cov = paths.direction_cov
     direction_variance = redchi * (own_cov[:, 0, 0] + own_cov[:, 1, 1] + own_cov[:, 2, 2])
@@ -122,12 +124,12 @@ def _on_paths(
     found = velocities_on_paths(rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov)
     errors = (rates.rate_hz, rate_variance, paths.bend_hz, found.jacobian, rates.by_shared)
     shared = SharedErrors(path_of, paths.direction, *errors, shared_cov, turn_rad_s)
-    status = np.where(path_of == NO_PATH, motions.no_direction_status, _status_on_path(rates, found))
+    status = np.where(on_path, _status_on_path(rates, found), motions.no_direction_status)
     e = np.append(paths.direction, np.full((1, 3), np.nan), axis=0)[path_of]
     e_variance = np.append(direction_variance, np.nan)[path_of]
     at_epipole = _are_at_epipole(history, e, e_variance) | ~np.isfinite(rates.rate_hz)
-    status[(path_of != NO_PATH) & at_epipole] = Status.at_epipole
-    is_short = (path_of != NO_PATH) & (rates.n_frames < LEAST_FRAMES_ON_PATH)
+    status[on_path & at_epipole] = Status.at_epipole
+    is_short = on_path & (rates.n_frames < LEAST_FRAMES_ON_PATH)
     status[is_short | ~np.isfinite(history.xy[history.now, :, 0])] = Status.short_track
     of_states = (found.abc_hz, found.cov, history.sigma_norm, normalize(found.abc_hz), status, shared)
     states = TrackStates(history.xy[history.now], *of_states)
@@ -150,13 +152,6 @@ def _are_at_epipole(history: TrackHistory, e: Floats, e_variance: Floats) -> Boo
     then = np.column_stack([history.xy[first, np.arange(history.n_tracks)], ones])
     now = np.column_stack([history.xy[history.now], ones])
     return is_at_epipole(then, now, e, history.sigma_norm**2, e_variance)
-
-
-def _redchi(path_of: Ints, rates: PathRates, count: int) -> Floats:
-    """By how much the variances (K,) of paths have to be larger (Birge's ratio): their tracks fit worse than noise."""
-    on_path = path_of != NO_PATH
-    chi2, dof = (np.bincount(path_of[on_path], each[on_path], count) for each in (rates.chi2, rates.dof))
-    return np.asarray(np.maximum(chi2 / np.maximum(dof, 1.0), 1.0))
 
 
 def _fill_free(

@@ -11,6 +11,7 @@ from ttcvid.geometry.estimation.shared_trajectory_points import PathPoints, poin
 from ttcvid.geometry.estimation.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Floats, Ints
+from ttcvid.stages.segmentation.turning_movers import LEAST_POINTS, MOST_POINTS
 
 STRAIGHT_TURN_RAD_S = 0.006
 """Prior of the turn rate of an object on a straight course, some tenths of a deg/s: with a wider one, noise would pass
@@ -34,14 +35,12 @@ _STRAIGHT_CHI2 = float(chdtri(3, 0.1))
 # the errors that neighbours share.
 _SURE_CHI2 = 2.5 * _BEND_CHI2
 # A significant turn is fitted as a turning body from this rate on, by the first order, which gives a third of it or
-# less. (At junctions objects turn by 0.1 to 0.5 rad/s.) Least number of points for that.
-_ASKED_TURN_RAD_S, _LEAST_POINTS = 0.05, 8
+# less. (At junctions objects turn by 0.1 to 0.5 rad/s.)
+_ASKED_TURN_RAD_S = 0.05
 # A straight trajectory with a larger reduced chi-square is rejected: a turning body is tried whatever turn shows.
 _REJECTED = 10.0
 # Least information on a turn, as a share of that of the prior.
 _LEAST_TURN_PART = 1e-3
-# Largest number of points of an object in a fit: more hardly improve it, since neighbours share errors, and take time.
-_MOST_POINTS = 50
 
 
 def believed_straight(since_s: Floats, direction: Floats, found_cov: Floats, normal: Floats | None) -> PathBeliefs:
@@ -82,7 +81,7 @@ def straight_or_in_bend(
         (known horizon) it is fitted as a straight one with the wider prior of the turn rate.
     """
     longest, probability = config.max_frames, config.window_probability
-    points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, _MOST_POINTS)
+    points = points_of_paths(views, since_s, sigma_norm, beliefs.base, path_of, longest, MOST_POINTS)
     fits = fit_paths(points, beliefs, longest, probability).with_braking(_BRAKING_HZ, _BRAKING_CHI2)
     straight = fits.paths()
     chi2, by_views_rad_s = _turns_by_views(straight, beliefs.turn_sigma_rad_s)
@@ -90,7 +89,7 @@ def straight_or_in_bend(
     chosen, is_straight = straight, np.ones(len(chi2), dtype=bool)
     if may_leave_directions:
         turns = (chi2 > _BEND_CHI2 * of_noise) & (by_views_rad_s > _ASKED_TURN_RAD_S)
-        has_points = np.diff(points.first) >= _LEAST_POINTS
+        has_points = np.diff(points.first) >= LEAST_POINTS
         for k in np.flatnonzero((turns | is_rejected) & has_points):
             body = _turning_body(points, int(k), beliefs, float(straight.squares[k]))
             if straight.squares[k] - body.squares > _SURE_CHI2 * max(body.median_chi2, 1.0):

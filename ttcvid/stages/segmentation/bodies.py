@@ -21,8 +21,10 @@ _TURN_RATE_RAD_S, SHIFT_RATE_HZ, _SHIFT_FLOOR = float(np.radians(10.0)), 0.3, 0.
 # A body goes on as it did over so many views.
 _STEADY_VIEWS = 5
 # A velocity changes evenly for so long, s: a hand sways with periods of 2 to 5 s. Three terms leave scatter with four
-# views; times may have been rounded.
-_EVEN_S, _LEAST_EVEN, _ROUNDING_S = 0.4, 4, 1e-3
+# views.
+_EVEN_S, _LEAST_EVEN = 0.4, 4
+ROUNDING_S = 1e-3
+"""Presentation times are rounded to the clock of their container."""
 # What moves by less than this of its distance a second is as far away as that, for its middle.
 _LEAST_RATE_HZ = 0.01
 # A turn prior needs some width at the present view too.
@@ -67,7 +69,7 @@ def direction_of_last_step(path: Floats, since_s: Floats) -> tuple[Floats, Float
     A step alone is as long as the errors of its ends where it is short: a velocity that changes evenly is fitted to the
     views within `_EVEN_S` of the ``path (L, 3)``, whose scatter about it tells how well it is known.
     """
-    n_views = max(_LEAST_EVEN, int(np.count_nonzero(since_s >= -_EVEN_S - _ROUNDING_S)))
+    n_views = max(_LEAST_EVEN, int(np.count_nonzero(since_s >= -_EVEN_S - ROUNDING_S)))
     if len(path) < n_views:
         return None
     powers = np.vander(since_s[-n_views:], 3, increasing=True)
@@ -145,8 +147,6 @@ def stepped_movers(
     First the last step, by all points at once: nothing else is new, and it takes no turns of points and views, in which
     the points go along with a step that is wrong. Then all views, in turn (`refined_movers`).
     """
-    if len(points.since_s) < 2:
-        return refined_movers(movers, scene, points, n_steps)
     fit = fit_on_paths(points, movers, rate_hz[points.thing])
     middle = _middles(points, fit, len(movers))
     turned = vector_from_rotation(scene.cam_R_past[:, -2] @ movers.cam_R_past[:, -2].transpose(0, 2, 1))

@@ -17,8 +17,8 @@ _N_NEIGHBOURS = 8
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
 _LEAST_RATE = 0.4
-# Above this reduced chi-square all tracks are equally wrong.
-_WORST_REDCHI = 50.0
+WORST_REDCHI = 50.0
+"""Above this reduced chi-square, over the usual one, all tracks are equally wrong: they belong to nothing."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def cost_of(redchi: Floats) -> Floats:
 
     That of one Cauchy residual, whatever its number of views: a tracker's errors are alike in neighbouring frames.
     """
-    return np.asarray(np.log1p(np.minimum(redchi, _WORST_REDCHI)))
+    return np.asarray(np.log1p(np.minimum(redchi, WORST_REDCHI)))
 
 
 def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:

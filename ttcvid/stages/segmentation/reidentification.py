@@ -87,15 +87,11 @@ def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: 
     for mover in np.flatnonzero(away < limit):
         before = hidden.last.v_hz[mover]
         now, info = recent_velocities(views.points(members), scene.cam_R_past[0], before[None], _FIRST_STEPS)
-        cov = _covariance(hidden.last.info[mover], median_redchi) + _covariance(info[0], median_redchi)
+        both = np.stack([hidden.last.info[mover], info[0]]) / median_redchi
+        cov = np.linalg.inv(both + np.eye(3) / _MOST_UNSURE_HZ**2).sum(axis=0)
         cov += (SHIFT_RATE_HZ * unseen_s[mover]) ** 2 * (before @ before) * np.eye(3)
         chi2[mover] = (now[0] - before) @ np.linalg.solve(cov, now[0] - before)
     return chi2
-
-
-def _covariance(info: Floats, median_redchi: float) -> Floats:
-    """The covariance (3, 3) of a velocity."""
-    return np.asarray(np.linalg.inv(info / median_redchi + np.eye(3) / _MOST_UNSURE_HZ**2))
 
 
 def _moved_unseen(views: BodyViews, hidden: Movers) -> Floats:

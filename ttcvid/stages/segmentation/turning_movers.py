@@ -16,8 +16,8 @@ from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ, refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.scene import SeenScene
 
-# A turning body needs so many tracks, and takes at most so many: more hardly improve it.
-_LEAST_POINTS, _MOST_POINTS = 8, 50
+LEAST_POINTS, MOST_POINTS = 8, 50
+"""A turning body needs so many tracks, and takes at most so many: neighbours share errors, and more take time."""
 # It is one if its median reduced chi-square (over the usual one) is below this: what turns also follows several things
 # a little better that do not move alike.
 _FITS = 2.0
@@ -37,7 +37,7 @@ def with_turning_bodies(
     redchi = fit_on_movers(points, movers, rate_hz).redchi / seen.median_redchi
     n_off = np.bincount(points.thing, redchi > gate, len(movers))
     n_points = np.bincount(points.thing, minlength=len(movers))
-    is_doubtful = (2 * n_off > n_points) & (n_points >= _LEAST_POINTS) & (rate_hz > 0.0)
+    is_doubtful = (2 * n_off > n_points) & (n_points >= LEAST_POINTS) & (rate_hz > 0.0)
     movers = movers.take(np.arange(len(movers)))
     for mover in np.flatnonzero(is_doubtful):
         is_own = points.thing == mover
@@ -54,7 +54,7 @@ def with_turning_bodies(
 
 def _turning_body(views: BodyViews, scene: RigidPaths, tracks: Ints) -> tuple[RigidPaths, float]:
     """The turning body that ``tracks (M,)`` show, and its inverse depth, 1/s."""
-    used = tracks[:: -(-len(tracks) // _MOST_POINTS)]
+    used = tracks[:: -(-len(tracks) // MOST_POINTS)]
     xy = turned_into_plane(views.rays.take(used, axis=1), scene.cam_R_past[0])
     bend_hz = float(np.hypot(SHIFT_RATE_HZ, TURN_SIGMA_RAD_S))
     body = fit_turning_body(xy, views.since_s, views.sigma_norm[used], bend_hz, TURN_SIGMA_RAD_S)
