@@ -14,8 +14,8 @@ from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_mov
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
-# Rewards of a label: agreement of all neighbours that are sure, the former label, and the scene, that of most tracks.
-_NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 1.0, 0.3, 0.4
+# Rewards of a label: agreement of all neighbours that are sure of it, the former label, and the scene.
+_NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 1.5, 0.3, 0.4
 # The rewards of the former label and of the scene hold for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A track whose reduced chi-square under the scene is below the first (over the usual one) is not associated with a
@@ -126,6 +126,7 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
         return key, redchi
     number, n_bodies = numbers_of(key, movers), len(movers) + 1
     votes = _votes(number, neighbours, n_bodies, np.ones(len(key)))
+    n_neighbours = votes.sum(axis=1, keepdims=True)
     # As one array, so that both are contiguous: other types would compile the fit of points a second time.
     track, mover = np.array(np.nonzero((votes[:, 1:] > 0) | (number[:, None] == np.arange(1, n_bodies))))
     points = views.points(track, mover)
@@ -138,8 +139,8 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     # Infinite: combinations that are not tried, or excluded.
     redchis = np.full((len(key), n_bodies), np.inf)
     redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_still[mover], np.inf, off)
-    votes = _votes(number, neighbours, n_bodies, sureness(redchis, number))
-    best = np.argmin(_costs(redchis, votes, number, seen.fit.n_views, seen.camera_rests), axis=1)
+    agreement = _votes(number, neighbours, n_bodies, sureness(redchis, number)) / np.maximum(n_neighbours, 1.0)
+    best = np.argmin(_costs(redchis, agreement, number, seen.fit.n_views, seen.camera_rests), axis=1)
     own_redchi = np.take_along_axis(redchis, best[:, None], axis=1)[:, 0]
     return np.append(SCENE_CLUSTER, movers.key)[best], own_redchi
 
@@ -185,14 +186,15 @@ def sureness(redchis: Floats, number: Ints) -> Floats:
     return np.asarray(np.tanh(0.5 * np.abs(costs.min(axis=1) - own)))
 
 
-def _costs(redchis: Floats, votes: Floats, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
+def _costs(redchis: Floats, agreement: Floats, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:
     """Cost of each body for each track: ``(N, B)``, the scene first.
 
-    By ``redchis, votes (N, B)``, reduced chi-square over the median one and say of the neighbours, and ``number,
-    n_views (N,)``, former body and number of views. Before a camera at rest the trajectory of the scene is exact: no
-    label is rewarded, chi-squares are not capped. A swinging leg fits its body badly, and the scene worse.
+    By ``redchis, agreement (N, B)``, reduced chi-square over the median one and share of the neighbours as far as they
+    are sure, and ``number, n_views (N,)``, former body and number of views. Before a camera at rest the trajectory of
+    the scene is exact: no label is rewarded, chi-squares are not capped. A swinging leg fits its body badly, and the
+    scene worse.
     """
-    heard = votes * (_NEIGHBOUR_WEIGHT / np.maximum(votes.sum(axis=1, keepdims=True), 1))
+    heard = _NEIGHBOUR_WEIGHT * agreement
     if camera_rests:
         return np.asarray(np.log1p(redchis) - heard)
     costs = np.where(np.isinf(redchis), np.inf, cost_of(redchis) - heard)
