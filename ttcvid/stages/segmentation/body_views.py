@@ -66,7 +66,7 @@ def cost_of(redchi: Floats) -> Floats:
 
     That of one Cauchy residual, whatever its number of views: a tracker's errors are alike in neighbouring frames.
     """
-    return np.asarray(np.log1p(np.minimum(redchi, WORST_REDCHI)))
+    return np.asarray(np.log1p(np.fmin(redchi, WORST_REDCHI)))
 
 
 def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFit:

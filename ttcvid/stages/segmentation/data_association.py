@@ -15,7 +15,7 @@ from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
 # Rewards of a label: agreement of all neighbours that are sure of it, the former label, and the scene.
-_NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 1.5, 0.3, 0.4
+_NEIGHBOUR_WEIGHT, _HABIT_WEIGHT, _SCENE_WEIGHT = 1.0, 0.3, 0.4
 # The rewards of the former label and of the scene hold for tracks with more views than these.
 _HABIT_VIEWS, _SCENE_VIEWS = 3, 2
 # A track whose reduced chi-square under the scene is below the first (over the usual one) is not associated with a

@@ -226,7 +226,9 @@ def _foreign_part(xy: Floats, one: Ints, other: Ints, others: Ints) -> float:
     of both; the nearer half of each set counts. The smooth side of a lorry between two groups of its corners is no such
     gap, the street seen between two cars is one.
     """
-    if not len(others):
+    # Outside of the lens model a track has no place.
+    one, other = (tracks[np.isfinite(xy[tracks, 0])] for tracks in (one, other))
+    if not (len(one) and len(other) and len(others)):
         return 0.0
     ends, middles, radii = list[Floats](), list[Floats](), list[Floats]()
     for these, those in ((one, other), (other, one)):
