@@ -274,9 +274,7 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int
         fit = fit_on_movers(views.points(tracks, np.full(len(tracks), mover)), movers.paths, movers.rate_hz)
         parts = _parts_in_depth(views.xy[tracks], fit, least)
         if parts is None:
-            parts = _parts_across_gaps(
-                views, tracks, _others(views, number, [int(mover)]), movers.rate_hz[mover], least
-            )
+            parts = _parts_across_gaps(views, number, int(mover), movers.rate_hz[mover], least)
         if parts is None:
             continue
         xy, n_new = views.xy[tracks], len(parts.rate_hz) - 1
@@ -302,13 +300,20 @@ def _parts_in_depth(xy: Floats, fit: PathFit, least: int) -> _Parts | None:
     return _as_parts(index, label, largest, np.flatnonzero(is_part), rate_hz)
 
 
-def _parts_across_gaps(views: BodyViews, tracks: Ints, others: Ints, rate_hz: float, least: int) -> _Parts | None:
-    """Parts of a mover of inverse depth ``rate_hz`` across gaps in which ``others`` are seen."""
+def _parts_across_gaps(views: BodyViews, number: Ints, mover: int, rate_hz: float, least: int) -> _Parts | None:
+    """Parts of a mover of inverse depth ``rate_hz`` across gaps in which something else is seen.
+
+    ``number (N,)`` as from `numbers_of`.
+    """
+    tracks = np.flatnonzero(number == mover + 1)
     xy_px = views.xy_px[tracks]
     pairs = without_gaps(linked_pairs(xy_px, views.link_px), xy_px, views.link_px)
     label = connected_parts(np.ones(len(tracks), dtype=bool), pairs)
     counts = np.bincount(label)
     large, largest = np.flatnonzero(counts >= least), int(counts.argmax())
+    if len(large) < 2:
+        return None
+    others = _others(views, number, [mover])
     is_apart = [
         all(
             _foreign_part(views.xy, tracks[label == part], tracks[label == one], others) > _SURELY_FOREIGN_PART
