@@ -24,7 +24,10 @@ NOTHING_KNOWN = BodyMemory()
 
 @dataclass(frozen=True)
 class Thing:
-    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static."""
+    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static.
+
+    What `rides` is fixed to the camera: its points are those of the camera's frame at any time.
+    """
 
     points: np.ndarray
     velocity_m_s: tuple = (0.0, 0.0, 0.0)
@@ -32,6 +35,7 @@ class Thing:
     yaw_rad_s: float = 0.0
     frames: tuple = (0, 10**9)
     hidden: range = range(0)
+    rides: bool = False
 
     def at(self, t_s):
         centre = self.points.mean(axis=0)
@@ -117,15 +121,18 @@ def bodies_of(
     memory=NOTHING_KNOWN,
     stop_s=np.inf,
     opaque=False,
+    shake_rad=0.0,
+    common_error_px=0.0,
 ):
     """The bodies of each frame from the second on; own motion is known exactly.
 
-    Until `stop_s` the camera brakes evenly from its speed to rest. Things that are opaque hide what is behind them.
+    At each frame the camera is off its course by random turns of `shake_rad` about each axis. Until `stop_s` it brakes
+    from its speed to rest. Things that are opaque hide what is behind them.
     `order` is a permutation of the track numbers: the same tracks with other identities, hence in another order.
     """
     rng, speed = np.random.default_rng(seed), np.linalg.norm(camera_m_s)
-    step = rotation_from_vector(np.array([0.0, yaw_rad_s * DT_S, 0.0]))
-    history, world_to_cam, frames = empty_history(CAMERA, max(sigma_px, 0.05)), np.eye(3), []
+    on_course, shake = np.eye(3), np.random.default_rng(seed + 1).normal(scale=shake_rad, size=(n_frames, 3))
+    history, world_to_cam, frames = empty_history(CAMERA, max(sigma_px, 0.05)), rotation_from_vector(shake[0]), []
     for frame in range(n_frames):
         t_s = frame * DT_S
         alive = [thing.frames[0] <= frame < thing.frames[1] and frame not in thing.hidden for thing in things]
@@ -133,9 +140,15 @@ def bodies_of(
         is_seen = np.repeat(alive, [len(t.points) for t in things])
         driven_s = min(t_s, stop_s) - 0.5 * min(t_s, stop_s) ** 2 / stop_s
         position = np.concatenate([thing.at(t_s) for thing in things]) - np.asarray(camera_m_s) * driven_s
+        before = world_to_cam
         if frame:
-            world_to_cam = step @ world_to_cam
+            on_course = rotation_from_vector(np.array([0.0, yaw_rad_s * DT_S, 0.0])) @ on_course
+            world_to_cam = rotation_from_vector(shake[frame]) @ on_course
+        step = world_to_cam @ before.T
         position = position @ world_to_cam.T
+        for number, thing in enumerate(things):
+            if thing.rides:
+                position[numbers == number] = thing.points
         is_seen &= position[:, 2] > 1.0
         xy_px = pixels(np.where(is_seen[:, None], position, (0.0, 0.0, 1.0)))
         if opaque:
@@ -145,7 +158,7 @@ def bodies_of(
         shown = np.argsort(names)
         shown = shown[is_seen[shown]]
         rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / FOCAL_PX, np.ones(len(xy_px))]))
-        points = PointSet(names[shown], xy_px[shown])
+        points = PointSet(names[shown], xy_px[shown], common_error_px=common_error_px)
         history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES)
         if not frame:
             continue

@@ -9,6 +9,7 @@ from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.stages.segmentation.ground_contact import find_contacts, on_ground
 
 SPEED_M_S, CAMERA_M = 10.0, 1.4
+BUMPS_RAD = float(np.radians(0.05))
 SLOPE_HZ = SPEED_M_S / CAMERA_M
 
 
@@ -200,6 +201,17 @@ def test_an_oncoming_car_in_its_own_lane_is_a_mover_that_keeps_its_key(seed):
     assert max(np.count_nonzero(frame.key[frame.truth == 0] != 0) for frame in frames) <= 3
 
 
+@pytest.mark.parametrize("shake_rad", [0.0, BUMPS_RAD])
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_dirt_on_the_lens_is_no_car_ahead(seed, shake_rad):
+    rng = np.random.default_rng(seed)
+    places = [(0.25, 0.12), (-0.3, 0.1), (0.02, 0.08), (-0.1, 0.15)]
+    spots = [np.column_stack([rng.normal(xy, 0.02, (20, 2)), np.ones(20)]) for xy in places]
+    dirt = [Thing(2.0 * spot, rides=True) for spot in spots]
+    frames = bodies_of(street(rng, 30, *dirt), 30, (0.0, 0.0, SPEED_M_S), opaque=True, shake_rad=shake_rad)
+    assert all(not frame.mover_keys for frame in frames)
+
+
 def test_a_car_that_is_parked_there_stays_with_the_scene():
     rng = np.random.default_rng(6)
     parked = car(rng, (-3.5, CAMERA_M - 0.9, 30.0), (0.0, 0.0, 0.0), size_m=(1.8, 1.4, 4.0))
@@ -211,7 +223,7 @@ def test_a_car_that_is_parked_there_stays_with_the_scene():
 def test_a_car_ahead_as_fast_as_we_are_is_one_mover_up_to_its_roof_and_takes_nothing_of_the_road(seed):
     rng = np.random.default_rng(seed)
     ahead = car(rng, (0.0, CAMERA_M - 0.95, 18.0), (0.0, 0.0, SPEED_M_S), n=40, size_m=(1.8, 1.4, 0.5))
-    frames = bodies_of(street(rng, 40, ahead), 40, (0.0, 0.0, SPEED_M_S), opaque=True)
+    frames = bodies_of(street(rng, 40, ahead), 40, (0.0, 0.0, SPEED_M_S), opaque=True, shake_rad=BUMPS_RAD)
     later = frames[15:]
     keys = {frame.keys_of(1)[0] for frame in later}
     assert len(keys) == 1

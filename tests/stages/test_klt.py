@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from wave_pictures import HEIGHT, WIDTH, Warp, wave_picture
@@ -312,3 +313,30 @@ def test_what_stood_before_is_seen_in_its_copy_and_so_is_a_picture_that_stands()
     memory = copied_between(1, step_px=3.0)[0]
     standing, _ = follow_klt(memory, memory.grey, None, CONFIG)
     assert len(standing.seen.track_id) == len(standing.points.track_id)
+
+
+def street_front(shift_px):
+    """House fronts with rows of windows that are all alike, above a street."""
+    wall = np.full((HEIGHT, WIDTH + 80), 150.0)
+    for top in range(10, HEIGHT, 26):
+        for left in range(10, WIDTH + 60, 20):
+            wall[top : top + 14, left : left + 9] = 60.0
+            wall[top + 6 : top + 8, left : left + 9] = 200.0
+    move = np.array([[1.0, 0.0, shift_px[0] - 40.0], [0.0, 1.0, shift_px[1]]])
+    wall = cv2.warpAffine(cv2.GaussianBlur(wall, (0, 0), 0.8), move, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+    street = wave_picture(Warp(shift_px=shift_px))
+    wall[HEIGHT // 2 :] = street[HEIGHT // 2 :]
+    return np.clip(wall, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("jump_px", [(12.0, 0.0), (-11.0, 0.0)])
+def test_a_shaken_camera_takes_no_window_of_a_house_for_its_neighbour(jump_px):
+    memory = start_klt(street_front((0.0, 0.0)), None, CONFIG)
+    memory, _ = follow_klt(memory, street_front((1.0, 0.0)), None, CONFIG)
+    before = memory.points
+    memory, part = follow_klt(memory, street_front((2.0 + jump_px[0], jump_px[1])), None, CONFIG)
+    _, one, other = np.intersect1d(before.track_id, memory.points.track_id, return_indices=True)
+    step_px = memory.points.xy_px[other] - before.xy_px[one]
+    is_right = np.linalg.norm(step_px - (1.0 + jump_px[0], jump_px[1]), axis=1) < 0.5
+    assert is_right.mean() > 0.95
+    assert part > 0.6

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from relative_motion import box_of_points
-from rigid_worlds import DT_S, Thing, bodies_of, car, world
+from rigid_worlds import DT_S, FOCAL_PX, Thing, bodies_of, car, world
 
 from ttcvid.geometry.estimation.rigid_motion import fit_on_paths
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Platform
 from ttcvid.stages.segmentation import labels
 from ttcvid.stages.segmentation.labels import restarted_bodies
+from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
 N_FRAMES, AHEAD, SLOWLY, STILL = 16, (0.0, 0.0, 10.0), (0.0, 0.0, 4.0), (0.0, 0.0, 0.0)
 # A new mover needs three views of its tracks; with few it is sure some frames later.
@@ -317,3 +318,27 @@ def test_a_bus_that_turns_is_found_whole():
         assert {key for key, _ in own} == {own[0][0]} - {SCENE_CLUSTER}
         found.append(min(part for _, part in own))
     assert np.mean(found) > 0.87
+
+
+class Slipping(Thing):
+    """Points that lie a little to the side from a moment on, as where a codec moves their block."""
+
+    def at(self, t_s):
+        from_s, aside_m = 0.8, self.velocity_m_s[0]
+        return self.points + np.where(t_s >= from_s - 1e-9, (aside_m, 0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("slip_px", "is_one"), [(1.0, False), (3.0, True)])
+def test_what_slips_by_no_more_than_tracks_err_in_common_is_no_mover(seed, slip_px, is_one):
+    rng = np.random.default_rng(seed)
+    depth_m = 20.0
+    points = np.column_stack([rng.uniform(2.0, 3.0, 20), rng.uniform(-1.5, -0.5, 20), np.full(20, depth_m)])
+    block = Slipping(points, (slip_px * depth_m / FOCAL_PX, 0.0, 0.0))
+    things = world(rng, (0.0, 0.0, 5.0), 16, block)
+    options = {"sigma_px": 0.05, "seed": seed, "platform": Platform.free}
+    frames = bodies_of(things, 16, (0.0, 0.0, 5.0), common_error_px=COMMON_ERROR_PX, **options)
+    assert any(frame.mover_keys for frame in frames) == is_one
+    # Tracks that err each by itself tell of a smaller step.
+    alone = bodies_of(things, 16, (0.0, 0.0, 5.0), **options)
+    assert any(frame.mover_keys for frame in alone)

@@ -208,3 +208,18 @@ def test_a_memory_of_the_other_tracker_is_refused():
     points, _, after = follow_points(memory, other, None, KLT)
     assert len(points.track_id) > 0
     assert isinstance(after.tracks, KltMemory)
+
+
+def test_over_dropped_pictures_points_are_expected_at_their_speed():
+    memory, found = TrackerMemory(), []
+    for t_s in (0.0, 0.1, 0.2, 0.7):
+        prepared = prepare_picture(wave_picture(Warp(shift_px=(50.0 * t_s, 0.0))), None, KLT)
+        points, _, memory = follow_points(memory, prepared, None, KLT, t_s=t_s)
+        found.append(points)
+        if t_s == 0.2:
+            expected = memory.expected_after(0.5)
+    # 5 px from picture to picture, then 25 px.
+    assert isinstance(expected, KltMemory)
+    assert np.nanmedian(expected.step_px[:, 0]) == pytest.approx(25.0, abs=0.5)
+    _, one, other = np.intersect1d(found[2].track_id, found[3].track_id, return_indices=True)
+    np.testing.assert_allclose(np.median(found[3].xy_px[other, 0] - found[2].xy_px[one, 0]), 25.0, atol=0.1)

@@ -16,6 +16,7 @@ from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
+from ttcvid.stages.segmentation.common_errors import drift_cost
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.scene import SeenScene
@@ -65,7 +66,7 @@ def new_movers(
 
     Returns of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
-    is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
+    is_asked = in_scene & views.is_free & ~seen.rides_along & (seen.fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
@@ -97,13 +98,17 @@ def _explained(
     points = views.points(track, thing)
     ways = np.stack([path for _, path in things.members])
     # Tracks that contradict the scene by their depth alone move along our own direction.
-    ways[np.bincount(thing, is_along[track]) > 0.0] = scene.path[0]
+    goes_along = np.bincount(thing, is_along[track]) > 0.0
+    ways[goes_along] = scene.path[0]
     starts = RigidPaths(np.repeat(scene.cam_R_past, len(ways), axis=0), ways)
     paths, rate_hz = refined_movers(starts, scene, points, np.full(len(starts), _FIRST_STEPS))
     redchi_by_own = fit_on_movers(points, paths, rate_hz).redchi / median_redchi
     is_better = redchi_by_own < redchi[track] / config.gain
     saved = cost_of(redchi[track]) - cost_of(redchi_by_own)
-    is_found = np.bincount(thing, saved) > cost_of_birth(things.needed, config)
+    cost = cost_of_birth(things.needed, config)
+    is_found = np.bincount(thing, saved) > cost
+    # What a drift of all its tracks together explains for less is none.
+    is_found &= goes_along | (drift_cost(seen.off_px2(views)[track], thing, len(starts), views.common_px) > cost)
     is_found &= np.bincount(thing, is_better) > things.least_part * np.bincount(thing)
     is_found &= np.bincount(thing, is_better) >= things.needed
     found = np.flatnonzero(is_found)

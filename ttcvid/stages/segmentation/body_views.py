@@ -26,8 +26,9 @@ class BodyViews:
     """N tracks over L views.
 
     ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as `views_by_track`;
-    ``sigma_norm (N,)``; ``xy_px (N, 2)`` now; ``t_s (L,)``; ``is_free (N,)`` tracks
-    not frozen to their pixel; ``link_px`` the distance within which two tracks are neighbours.
+    ``sigma_norm (N,)``; ``xy_px (N, 2)`` now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their pixel;
+    ``link_px`` the distance within which two tracks are neighbours; ``common_px`` what tracks err by together, as in
+    `PointSet`.
     """
 
     rays: Floats
@@ -38,6 +39,7 @@ class BodyViews:
     focal_px: float
     is_free: Bools
     link_px: float
+    common_px: float
 
     @cached_property
     def since_s(self) -> Floats:
@@ -90,4 +92,5 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
         history.focal_px,
         is_free,
         link_px,
+        history.common_error_px,
     )

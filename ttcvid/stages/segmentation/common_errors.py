@@ -1,8 +1,9 @@
 """The common error of the tracks of an object: by how much they may drift together.
 
-The errors of an object's tracks are correlated: they drift together. Without relative motion the state fits that drift:
-at a red light the mean inverse time to collision of 300 tracks of a resting car claims a fiftieth of the error of one
-track, and is wrong.
+The errors of an object's tracks are correlated: they drift together, where a codec moves a block by a part of a pixel
+or an outline slides. Without relative motion the state fits that drift: at a red light the mean inverse time to
+collision of 300 tracks of a resting car claims a fiftieth of the error of one track, and is wrong. And a part of the
+scene that drifts is no mover, however many tracks agree on it.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
-from ttcvid.model import Camera, Floats
+from ttcvid.model import Camera, Floats, Ints
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
 SIGMAS_999 = 3.090
@@ -20,6 +21,9 @@ _DRIFT_S = 0.6
 # This share of the drift is a random walk, which looks like a change of speed; the rest is steady. From one car with
 # lidar truth (kitti_sfnd_ttc), whose accelerations err by about half of what the whole drift would give.
 _WALKING_PART = 0.5
+# A drift by D, of standard deviation S, costs D^2 / (2 S^2). Its residuals in the scene have the mean square D^2 / 12
+# where it is steady, D^2 / 4 where it is a jump: that is 6 or 2 mean squares over S^2, and this is between.
+_DRIFT_COST = 3.0
 # Least root mean square radius of a set of tracks as a divisor, px.
 _LEAST_RADIUS_PX = 1e-3
 
@@ -34,6 +38,16 @@ def common_covariances(ref_px: Floats, drift_hz: Floats, camera: Camera) -> tupl
     # An apparent expansion is an apparent velocity along the ray.
     of_states = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
     return of_states, drift_hz[:, None, None] ** 2 * np.diag([1.0, (_WALKING_PART / _DRIFT_S) ** 2])
+
+
+def drift_cost(off_px2: Floats, thing: Ints, count: int, common_px: float) -> Floats:
+    """What it costs, as minus log likelihood, to take tracks of the scene that drift together for K things: ``(K,)``.
+
+    ``off_px2 (M,)`` is the mean squared residual of each track in the scene, px^2, and ``thing (M,)`` the thing that it
+    may be part of. Infinite where the tracks have no common error, ``common_px`` 0; of a thing without tracks 0.
+    """
+    mean_px2 = np.bincount(thing, off_px2, count) / np.maximum(np.bincount(thing, minlength=count), 1)
+    return np.asarray(_DRIFT_COST * mean_px2 / common_px**2) if common_px > 0.0 else np.full(count, np.inf)
 
 
 def common_growth_hz(

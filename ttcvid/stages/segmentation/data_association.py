@@ -11,6 +11,7 @@ from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
+from ttcvid.stages.segmentation.common_errors import drift_cost
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
@@ -135,10 +136,13 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     is_own = number[track] == mover + 1
     is_other = redchi[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, is_own, len(movers))
-    is_still = _most_of(is_own & (redchi[track] < _AS_STILL), is_own, mover, len(movers))
+    is_none = _most_of(is_own & ((redchi[track] < _AS_STILL) | seen.rides_along[track]), is_own, mover, len(movers))
+    # A mover that the road contradicts moves along our own way: that is no drift.
+    off_px2 = np.where(redchi > seen.seen_redchi, np.inf, seen.off_px2(views))
+    is_none |= drift_cost(off_px2, number, n_bodies, views.common_px)[1:] < _AS_STILL
     # Infinite: combinations that are not tried, or excluded.
     redchis = np.full((len(key), n_bodies), np.inf)
-    redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_still[mover], np.inf, off)
+    redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_none[mover], np.inf, off)
     agreement = _votes(number, neighbours, n_bodies, sureness(redchis, number)) / np.maximum(n_neighbours, 1.0)
     best = np.argmin(_costs(redchis, agreement, number, seen.fit.n_views, seen.camera_rests), axis=1)
     own_redchi = np.take_along_axis(redchis, best[:, None], axis=1)[:, 0]

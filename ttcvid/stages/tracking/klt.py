@@ -25,6 +25,9 @@ from ttcvid.stages.tracking.corners import find_corners, find_corners_where
 _ITERATIONS, _STEP_PX, _BACKWARD_STEP_PX = 20, 0.01, 0.03
 # So far from its goal the way back starts, px: about as far as the full picture alone leads back from.
 _BACKWARD_START_PX = 1.5
+# How all points together are off their guess, when the camera shakes, is seen by so many of them and no fewer than the
+# second, in pictures of this part of the size and on so many levels above.
+_SHAKE_TRACKS, _LEAST_SHAKEN, _SHAKE_SCALE, _SHAKE_LEVELS = 64, 16, 0.25, 2
 # Levels above the full picture on which a point is looked for where it should be by now. Not where most points are
 # lost, as at a cut: fine pictures find something similar anywhere.
 _FINE_LEVELS = 1
@@ -149,6 +152,7 @@ def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: Tracking
     # for points that have made no step yet, and for those that have changed theirs.
     is_new = np.isnan(memory.step_px[:, 0])
     expected = np.flatnonzero(~is_new & ~is_copied)
+    guess[expected] += _shake_px(memory.grey, grey, before[expected], guess[expected], config)
     fine_levels = min(_FINE_LEVELS, config.pyramid_levels)
     look_for(expected, guess[expected], fine_levels)
     n_found = int(found[expected].sum())
@@ -168,6 +172,30 @@ def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: Tracking
         is_far = np.linalg.norm(start - before[lost], axis=1) > config.window_px
         look_for(lost[is_far], start[is_far], fine_levels)
     return found, there.astype(np.float64)
+
+
+def _shake_px(
+    one: Picture, other: Picture, before: np.ndarray, guess: np.ndarray, config: TrackingConfig
+) -> np.ndarray:
+    """By how much points ``before (N, 2)`` are off their ``guess (N, 2)``, as a median: (2,) float32 px.
+
+    A shaken camera moves them all by more than the fine pictures lead back from: windows of a house would be taken for
+    their neighbours, all alike.
+    """
+    some = slice(None, None, -(-len(before) // _SHAKE_TRACKS) or 1)
+    if len(before[some]) < _LEAST_SHAKEN:
+        return np.zeros(2, dtype=np.float32)
+    scale = _SHAKE_SCALE
+    small_one, small_other = (
+        np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        for grey in (one, other)
+    )
+    # The middle of the top-left pixel is (0, 0) at any size.
+    start, expected = ((xy_px[some] + 0.5) * scale - 0.5 for xy_px in (before, guess))
+    found, there = _follow(small_one, small_other, start, expected, config.window_px, _SHAKE_LEVELS, _BACKWARD_STEP_PX)
+    if np.count_nonzero(found) < _LEAST_SHAKEN:
+        return np.zeros(2, dtype=np.float32)
+    return np.asarray(np.median((there - expected)[found], axis=0) / scale, dtype=np.float32)
 
 
 def _stands_nearly(step_px: np.ndarray) -> bool:

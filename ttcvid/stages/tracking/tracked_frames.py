@@ -75,7 +75,9 @@ def track_frames(
         if np.isfinite(step_s):
             last_steps_s.append(step_s)
         if prepared is not None:
-            points, status, memory = follow_points(memory, prepared, mask, config, camera_rests=camera_rests)
+            points, status, memory = follow_points(
+                memory, prepared, mask, config, camera_rests=camera_rests, t_s=frame.t_s
+            )
         elif frame.points is not None:
             points, status = frame.points, compare_table_points(last_points, frame.points)
             last_points = points

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -55,13 +56,22 @@ class TrackerMemory:
     """State of the tracker in use, and the last picture's look; everything None before the first picture.
 
     ``steps_px`` are the median lengths of the tracks' last two steps, 0 where there was none, and None after pictures
-    that were left out; ``n_repeated`` counts the pictures since then in which the tracks stood still.
+    that were left out; ``n_repeated`` counts the pictures since then in which the tracks stood still. The last picture
+    is of ``t_s`` and followed the one before by ``step_s``; NaN where that is not known.
     """
 
     prepared: PreparedPicture | None = None
     tracks: KltMemory | AkazeMemory | None = None
     steps_px: tuple[float, float] | None = _NO_STEPS
     n_repeated: int = 0
+    t_s: float = math.nan
+    step_s: float = math.nan
+
+    def expected_after(self, step_s: float) -> KltMemory | AkazeMemory | None:
+        """The tracks with the steps that they make in this time at the speed of their last one."""
+        if not isinstance(self.tracks, KltMemory) or not (step_s > 0.0 and self.step_s > 0.0):
+            return self.tracks
+        return replace(self.tracks, step_px=self.tracks.step_px * (step_s / self.step_s))
 
 
 def prepare_picture(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> PreparedPicture:
@@ -81,8 +91,11 @@ def follow_points(
     config: TrackingConfig,
     *,
     camera_rests: bool = False,
+    t_s: float = math.nan,
 ) -> tuple[PointSet, FrameStatus, TrackerMemory]:
     """Points of this picture with their tracks; of klt, where the ``camera_rests``, more of them on what moves.
+
+    ``t_s`` is the time of the picture; NaN: as long after the last one as that after the one before.
 
     Returns
     -------
@@ -96,13 +109,16 @@ def follow_points(
     last = memory.prepared
     if last is None:
         points, started = _started(memory, prepared, allowed, config)
-        return points, FrameStatus.first, started
+        return points, FrameStatus.first, replace(started, t_s=t_s)
     if np.array_equal(last.thumbnail, prepared.thumbnail) and np.array_equal(last.grey, prepared.grey):
         return NO_POINTS, FrameStatus.duplicate, replace(memory, steps_px=None)
-    followed, survival, n_before = _followed(memory, last, prepared, allowed, config, camera_rests)
+    step_s = t_s - memory.t_s
+    followed, survival, n_before = _followed(
+        memory.expected_after(step_s), last, prepared, allowed, config, camera_rests
+    )
     if _is_cut(survival, n_before, last.thumbnail, prepared.thumbnail):
         points, started = _started(memory, prepared, allowed, config)
-        return points, FrameStatus.cut, started
+        return points, FrameStatus.cut, replace(started, t_s=t_s)
     points = _points(followed)
     before_px, now_px = in_common(_points(memory), points)
     steps_px = np.linalg.norm(now_px - before_px, axis=1)
@@ -110,7 +126,7 @@ def follow_points(
         return NO_POINTS, FrameStatus.duplicate, replace(memory, n_repeated=memory.n_repeated + 1)
     step_px = median(steps_px) if len(steps_px) >= _FEW_TRACKS else 0.0
     last_steps_px = _NO_STEPS if memory.steps_px is None else (memory.steps_px[1], step_px)
-    return points, FrameStatus.ok, replace(followed, steps_px=last_steps_px)
+    return points, FrameStatus.ok, replace(followed, steps_px=last_steps_px, t_s=t_s, step_s=step_s)
 
 
 def _started(
@@ -125,15 +141,14 @@ def _started(
 
 
 def _followed(
-    memory: TrackerMemory,
+    former: KltMemory | AkazeMemory | None,
     last: PreparedPicture,
     prepared: PreparedPicture,
     allowed: Picture | None,
     config: TrackingConfig,
     camera_rests: bool,
 ) -> tuple[TrackerMemory, float, int]:
-    """The memory after following, the part of the tracks that survived, and how many there were."""
-    former = memory.tracks
+    """The memory after following, the part of the tracks ``former`` that survived, and how many there were."""
     if isinstance(former, AkazeMemory) and prepared.features is not None:
         akaze, survival = follow_akaze(former, prepared.features, config)
         return TrackerMemory(prepared, akaze), survival, len(former.track_id)
