@@ -11,7 +11,7 @@ from ttcvid.geometry.camera.pinhole import pixels_from_rays
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import ClusterRow, MotionState, Status
 from ttcvid.stages.objects.clusters import with_times
-from ttcvid.stages.segmentation.common_errors import common_covariances, common_growth_hz
+from ttcvid.stages.segmentation.common_errors import common_covariances, common_growth_hz, drift_cost
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
@@ -108,3 +108,10 @@ def test_noise_of_a_small_outline_has_to_go_beyond_the_common_error_as_well():
     noise_hz = (0.0, 0.0, -0.02 * NormalDist().inv_cdf(0.9995))
     assert seen(noise_hz, 0.02, size_m=40.0) in NEARER
     assert seen(noise_hz, 0.02, size_m=1.8) not in NEARER
+
+
+def test_a_drift_costs_by_the_median_track_and_nothing_is_one_without_tracks_or_a_common_error():
+    # A jump by 1 px leaves residuals with a mean square of 1/8 px^2 in a coordinate: 3 / 8 / 0.25^2 = 6.
+    residual_px2, thing = np.array([0.125, 0.125, 30.0, 0.125, 0.5, 0.5]), np.array([0, 0, 0, 0, 2, 2])
+    np.testing.assert_allclose(drift_cost(residual_px2, thing, 3, COMMON_ERROR_PX), [6.0, np.inf, 24.0])
+    assert np.isinf(drift_cost(residual_px2, thing, 3, 0.0)).all()

@@ -220,13 +220,6 @@ def test_the_next_search_starts_from_this_result():
     np.testing.assert_array_equal(memory.direction, fit.direction)
 
 
-def test_over_dropped_frames_the_turn_goes_on_at_its_rate():
-    fit = fitted(two_views(np.random.default_rng(5), 300, TURN_DEG, TRAVEL_M))
-    memory = LAST.after(fit, 0.1).at_step(0.4)
-    np.testing.assert_allclose(memory.rotation_rad, 4.0 * egomotion_of(fit).rotation_rad)
-    np.testing.assert_array_equal(LAST.after(fit).at_step(0.4).rotation_rad, LAST.after(fit).rotation_rad)
-
-
 def test_a_stop_keeps_the_direction_for_when_it_goes_on():
     views = two_views(np.random.default_rng(6), 300, (0, 0, 0), (0, 0, 0))
     memory = EgomotionMemory(np.zeros(3), np.array([0.1, 0.0, -0.995]))

@@ -68,8 +68,6 @@ def find_own_motion(
     Returns no own motion where there are too few tracks; then the history keeps only the present frame.
     """
     parallax_rad = least_parallax_px / history.focal_px
-    if len(history.t_s) > 1:
-        memory = memory.at_step(float(history.t_s[-1] - history.t_s[-2]))
     window = memory.window if memory.is_window_used else None
     follows = in_scene if window is None else in_scene & ~window.leaves_out(history.track_id)
     step = _last_step(history, is_free, follows, memory, config, parallax_rad)
@@ -158,8 +156,7 @@ def _over_gap(
     is_noise_known, is_slow = egomotion.direction is not None or gap <= 1, gap >= _LONGEST_GAP
     if is_noise_known:
         history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
-    step_s = float(history.t_s[-1] - history.t_s[-2])
-    memory = replace(memory.after(fit, step_s), gap_frames=_gap_for(history, tells))
+    memory = replace(memory.after(fit), gap_frames=_gap_for(history, tells))
     long_step = paired_rays(history, tells, gap, config.min_tracks) if gap > 1 else None
     if long_step is None:
         if not is_noise_known:

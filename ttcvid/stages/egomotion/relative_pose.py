@@ -153,8 +153,7 @@ class Egomotion:
 
 @dataclass(frozen=True)
 class EgomotionMemory:
-    """Start of the next search: the rotation vector (rad) of the last step, which took ``step_s``, and the last
-    direction; None at first.
+    """Start of the next search: the expected rotation vector (rad) and the last direction; None at first.
 
     ``gap_frames`` is the gap that the last flow asks for; ``window`` as in `Egomotion`, also where it does not know a
     direction and is only carried on: not ``is_window_used``.
@@ -165,19 +164,11 @@ class EgomotionMemory:
     gap_frames: int = 1
     window: SceneWindow | None = None
     is_window_used: bool = False
-    step_s: float | None = None
 
-    def after(self, fit: TwoViewFit, step_s: float | None = None) -> EgomotionMemory:
-        """The start of the search after a fit to a step that took so long; None: the next takes as long."""
+    def after(self, fit: TwoViewFit) -> EgomotionMemory:
+        """The start of the search after a fit."""
         direction = self.direction if fit.direction is None else fit.direction
-        rotation_rad = vector_from_rotation(fit.cam_R_prev)
-        return replace(self, rotation_rad=rotation_rad, direction=direction, step_s=step_s)
-
-    def at_step(self, step_s: float) -> EgomotionMemory:
-        """The same with the rotation that a step of this time has at the rate of the last one."""
-        if self.rotation_rad is None or self.step_s is None:
-            return self
-        return replace(self, rotation_rad=self.rotation_rad * (step_s / self.step_s), step_s=step_s)
+        return replace(self, rotation_rad=vector_from_rotation(fit.cam_R_prev), direction=direction)
 
 
 def estimate_egomotion(

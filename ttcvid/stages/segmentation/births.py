@@ -19,6 +19,7 @@ from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_mov
 from ttcvid.stages.segmentation.common_errors import drift_cost
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
+from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
 
@@ -66,7 +67,7 @@ def new_movers(
 
     Returns of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
-    is_asked = in_scene & views.is_free & ~seen.rides_along & (seen.fit.n_views >= _LEAST_VIEWS)
+    is_asked = in_scene & views.is_free & (seen.ride_odds < -FOLLOWS) & (seen.fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
@@ -107,8 +108,9 @@ def _explained(
     saved = cost_of(redchi[track]) - cost_of(redchi_by_own)
     cost = cost_of_birth(things.needed, config)
     is_found = np.bincount(thing, saved) > cost
-    # What a drift of all its tracks together explains for less is none.
-    is_found &= goes_along | (drift_cost(seen.off_px2(views)[track], thing, len(starts), views.common_px) > cost)
+    # No mover where a common drift costs less than a birth.
+    drift = drift_cost(seen.residual_px2(views)[track], thing, len(starts), views.common_px)
+    is_found &= goes_along | (drift > cost)
     is_found &= np.bincount(thing, is_better) > things.least_part * np.bincount(thing)
     is_found &= np.bincount(thing, is_better) >= things.needed
     found = np.flatnonzero(is_found)

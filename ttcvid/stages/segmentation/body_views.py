@@ -26,14 +26,15 @@ class BodyViews:
     """N tracks over L views.
 
     ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as `views_by_track`;
-    ``sigma_norm (N,)``; ``xy_px (N, 2)`` now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their pixel;
-    ``link_px`` the distance within which two tracks are neighbours; ``common_px`` what tracks err by together, as in
-    `PointSet`.
+    ``sigma_norm (N,)``, and ``plane_per_px (N,)`` what a pixel spans of the plane z = 1 where each track is; ``xy_px
+    (N, 2)`` now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their pixel; ``link_px`` the distance within which
+    two tracks are neighbours; ``common_px`` what tracks err by together, as in `PointSet`.
     """
 
     rays: Floats
     rays_by_track: Floats
     sigma_norm: Floats
+    plane_per_px: Floats
     xy_px: Floats
     t_s: Floats
     focal_px: float
@@ -87,6 +88,7 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float, model_erro
         history.rays,
         views_by_track(history.rays),
         sigma_norm,
+        history.plane_per_px,
         history.xy_px,
         history.t_s,
         history.focal_px,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
+from ttcvid.geometry.medians import medians
 from ttcvid.model import Camera, Floats, Ints
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
@@ -21,9 +22,10 @@ _DRIFT_S = 0.6
 # This share of the drift is a random walk, which looks like a change of speed; the rest is steady. From one car with
 # lidar truth (kitti_sfnd_ttc), whose accelerations err by about half of what the whole drift would give.
 _WALKING_PART = 0.5
-# A drift by D, of standard deviation S, costs D^2 / (2 S^2). Its residuals in the scene have the mean square D^2 / 12
-# where it is steady, D^2 / 4 where it is a jump: that is 6 or 2 mean squares over S^2, and this is between.
-_DRIFT_COST = 3.0
+# A drift by D, of standard deviation S, costs D^2 / (2 S^2). The mean square of its residuals in the scene, of one
+# coordinate, is D^2 / 24 where it is steady and D^2 / 8 where it is a jump: the cost is 12 or 4 mean squares over S^2.
+# Less than that, since blocks of strong compression jump by more than S = 0.25 px.
+_DRIFT_FACTOR = 3.0
 # Least root mean square radius of a set of tracks as a divisor, px.
 _LEAST_RADIUS_PX = 1e-3
 
@@ -40,14 +42,17 @@ def common_covariances(ref_px: Floats, drift_hz: Floats, camera: Camera) -> tupl
     return of_states, drift_hz[:, None, None] ** 2 * np.diag([1.0, (_WALKING_PART / _DRIFT_S) ** 2])
 
 
-def drift_cost(off_px2: Floats, thing: Ints, count: int, common_px: float) -> Floats:
-    """What it costs, as minus log likelihood, to take tracks of the scene that drift together for K things: ``(K,)``.
+def drift_cost(residual_px2: Floats, thing: Ints, count: int, common_px: float) -> Floats:
+    """Cost ``(K,)``, minus log likelihood, of explaining the residuals of K sets of tracks by a common drift of each.
 
-    ``off_px2 (M,)`` is the mean squared residual of each track in the scene, px^2, and ``thing (M,)`` the thing that it
-    may be part of. Infinite where the tracks have no common error, ``common_px`` 0; of a thing without tracks 0.
+    ``residual_px2 (M,)`` is the mean squared residual of a coordinate of each track in the scene, px^2, beyond its
+    noise; ``thing (M,)`` the set that it is in. The median track of a set decides. Infinite for tracks without a common
+    error, ``common_px`` 0, and for sets without tracks.
     """
-    mean_px2 = np.bincount(thing, off_px2, count) / np.maximum(np.bincount(thing, minlength=count), 1)
-    return np.asarray(_DRIFT_COST * mean_px2 / common_px**2) if common_px > 0.0 else np.full(count, np.inf)
+    if not common_px > 0.0:
+        return np.full(count, np.inf)
+    cost = _DRIFT_FACTOR * medians(residual_px2, thing, count) / common_px**2
+    return np.where(np.isnan(cost), np.inf, cost)
 
 
 def common_growth_hz(

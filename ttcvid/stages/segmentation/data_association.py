@@ -12,6 +12,7 @@ from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.common_errors import drift_cost
+from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
@@ -25,6 +26,8 @@ _SCENE_EXPLAINS, _NEARER, _RATE_SIGMAS = 3.0, 2.0, 3.0
 # A mover most of whose tracks have a smaller reduced chi-square (over the usual one) under the scene stands still. Its
 # own trajectory, free in every frame, would explain them better still, and its tracks would support each other.
 _AS_STILL = 1.0
+# Nor is one a mover that costs less than this as a part of the scene that drifts.
+_AS_DRIFT = 1.0
 # A hidden mover can be re-identified for this long, s: later its motion may have changed.
 _KNOWN_AGAIN_S = 1.0
 # Merges and splits are tried in the first frames of a mover, then every fourth frame.
@@ -136,13 +139,14 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     is_own = number[track] == mover + 1
     is_other = redchi[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, is_own, len(movers))
-    is_none = _most_of(is_own & ((redchi[track] < _AS_STILL) | seen.rides_along[track]), is_own, mover, len(movers))
-    # A mover that the road contradicts moves along our own way: that is no drift.
-    off_px2 = np.where(redchi > seen.seen_redchi, np.inf, seen.off_px2(views))
-    is_none |= drift_cost(off_px2, number, n_bodies, views.common_px)[1:] < _AS_STILL
+    is_no_part = (redchi[track] < _AS_STILL) | (seen.ride_odds[track] > -FOLLOWS)
+    is_no_mover = _most_of(is_own & is_no_part, is_own, mover, len(movers))
+    # What the road contradicts moves along our own way: that is no drift.
+    residual_px2 = np.where(redchi > seen.seen_redchi, np.inf, seen.residual_px2(views))
+    is_no_mover |= drift_cost(residual_px2, number, n_bodies, views.common_px)[1:] < _AS_DRIFT
     # Infinite: combinations that are not tried, or excluded.
     redchis = np.full((len(key), n_bodies), np.inf)
-    redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_none[mover], np.inf, off)
+    redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_no_mover[mover], np.inf, off)
     agreement = _votes(number, neighbours, n_bodies, sureness(redchis, number)) / np.maximum(n_neighbours, 1.0)
     best = np.argmin(_costs(redchis, agreement, number, seen.fit.n_views, seen.camera_rests), axis=1)
     own_redchi = np.take_along_axis(redchis, best[:, None], axis=1)[:, 0]

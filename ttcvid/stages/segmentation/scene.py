@@ -15,7 +15,7 @@ from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
 from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, MOTION_PRIORS, Egomotion, picture_region, region_side_of
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.fixed_to_camera import ride_along
+from ttcvid.stages.segmentation.fixed_to_camera import ride_odds
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -49,8 +49,8 @@ class SeenScene:
 
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
     each: of a scene at rest, without motion. ``redchi (N,)``, in units of what is usual, ``median_redchi``, with
-    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera. What
-    ``rides_along (N,)`` is fixed to the camera.
+    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera; ``ride_odds
+    (N,)`` log odds that a track is fixed to the camera.
     """
 
     scene: RigidPaths
@@ -62,16 +62,17 @@ class SeenScene:
     median_redchi: float
     road: RoadMemory
     platform: Platform
-    rides_along: Bools
+    ride_odds: Floats
 
     @property
     def camera_rests(self) -> bool:
         """On a mast, as was told: then the scene has no motion that could be wrong."""
         return self.platform == Platform.static
 
-    def off_px2(self, views: BodyViews) -> Floats:
-        """Mean squared residual of each track in the scene: ``(N,)`` px^2."""
-        return np.asarray(self.seen_redchi * self.median_redchi * (views.sigma_norm * views.focal_px) ** 2)
+    def residual_px2(self, views: BodyViews) -> Floats:
+        """Mean squared residual ``(N,)`` of a coordinate of each track in the scene beyond its noise, px^2."""
+        sigma_px = views.sigma_norm / views.plane_per_px
+        return np.asarray(np.maximum(self.seen_redchi * self.median_redchi - 1.0, 0.0) * sigma_px**2)
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def see_scene(
         road_before = road_before.in_units(speed)
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
         redchi = _with_contradictions(redchi, road, on_road(fit, road), key, fit.n_views, config)
-    rides = ride_along(views, scene.cam_R_past[0]) if can_translate else np.zeros_like(is_free)
+    rides = ride_odds(views, scene.cam_R_past[0]) if can_translate else np.full(len(key), -np.inf)
     return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform, rides)
 
 

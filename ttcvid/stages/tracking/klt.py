@@ -25,9 +25,13 @@ from ttcvid.stages.tracking.corners import find_corners, find_corners_where
 _ITERATIONS, _STEP_PX, _BACKWARD_STEP_PX = 20, 0.01, 0.03
 # So far from its goal the way back starts, px: about as far as the full picture alone leads back from.
 _BACKWARD_START_PX = 1.5
-# How all points together are off their guess, when the camera shakes, is seen by so many of them and no fewer than the
-# second, in pictures of this part of the size and on so many levels above.
-_SHAKE_TRACKS, _LEAST_SHAKEN, _SHAKE_SCALE, _SHAKE_LEVELS = 64, 16, 0.25, 2
+# How far off the guess most points are is seen by so many of them, in pictures of this part of the size with so many
+# levels above. It counts from so many pixels on, where half of them are off alike, within this part of it (a wide angle
+# stretches a turn towards the border).
+_SAMPLED_POINTS, _SAMPLED_SCALE, _SAMPLED_LEVELS = 64, 0.25, 2
+_LEAST_SHAKE_PX, _SHAKEN_ALIKE = 1.0, 0.5
+# Times between pictures within this part of each other are the same.
+_SAME_STEP = 0.2
 # Levels above the full picture on which a point is looked for where it should be by now. Not where most points are
 # lost, as at a cut: fine pictures find something similar anywhere.
 _FINE_LEVELS = 1
@@ -96,15 +100,22 @@ def start_klt(grey: Picture, allowed: Picture | None, config: TrackingConfig, ne
 
 
 def follow_klt(
-    memory: KltMemory, grey: Picture, allowed: Picture | None, config: TrackingConfig, *, camera_rests: bool = False
+    memory: KltMemory,
+    grey: Picture,
+    allowed: Picture | None,
+    config: TrackingConfig,
+    *,
+    camera_rests: bool = False,
+    step_part: float = 1.0,
 ) -> tuple[KltMemory, float]:
     """Follow the points of ``memory`` into ``grey`` and top them up: where the ``camera_rests``, where it changes.
 
-    Returns also the part of the points that were found again (1 where there were none): low after a cut.
+    ``step_part`` is the time since the last picture over that before it. Returns also the part of the points that were
+    found again (1 where there were none): low after a cut.
     """
     before_px, copies = memory.points.windows_px, _copies(memory.grey, grey, config.window_px)
     is_copied = _are_copied(copies, before_px)
-    found, window_px = _search(memory, grey, is_copied, config)
+    found, window_px = _search(memory, grey, is_copied, step_part, config)
     xy_px = window_px + (memory.points.xy_px - before_px)
     found &= _is_inside(xy_px, grey)
     if allowed is not None:
@@ -133,14 +144,17 @@ def _are_copied(copies: Picture, window_px: Floats) -> Bools:
     return np.asarray(copies[row, column] > 255.0 * _COPIED_PART)
 
 
-def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: TrackingConfig) -> tuple[Bools, Floats]:
-    """Windows forward from a constant-step guess, then back from where they ended: (N,) found, (N, 2) px.
+def _search(
+    memory: KltMemory, grey: Picture, is_copied: Bools, step_part: float, config: TrackingConfig
+) -> tuple[Bools, Floats]:
+    """Windows forward from where they should be by now, then back from where they ended: (N,) found, (N, 2) px.
 
-    Those that ``is_copied (N,)`` stay.
+    Those that ``is_copied (N,)`` stay. ``step_part`` as of `follow_klt`.
     """
     windows_px = memory.points.windows_px
     before = windows_px.astype(np.float32)
-    guess = (windows_px + np.nan_to_num(memory.step_px) * (1.0 + memory.n_copied[:, None])).astype(np.float32)
+    step_px = np.nan_to_num(memory.step_px) * (1.0 + memory.n_copied[:, None])
+    guess = (windows_px + step_px).astype(np.float32)
     found, there = is_copied.copy(), np.where(is_copied[:, None], before, guess)
 
     def look_for(which: Ints, start: np.ndarray, levels: int) -> None:
@@ -152,7 +166,7 @@ def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: Tracking
     # for points that have made no step yet, and for those that have changed theirs.
     is_new = np.isnan(memory.step_px[:, 0])
     expected = np.flatnonzero(~is_new & ~is_copied)
-    guess[expected] += _shake_px(memory.grey, grey, before[expected], guess[expected], config)
+    guess[expected] = _expected_px(memory.grey, grey, before[expected], step_px[expected], step_part, config)
     fine_levels = min(_FINE_LEVELS, config.pyramid_levels)
     look_for(expected, guess[expected], fine_levels)
     n_found = int(found[expected].sum())
@@ -174,28 +188,47 @@ def _search(memory: KltMemory, grey: Picture, is_copied: Bools, config: Tracking
     return found, there.astype(np.float64)
 
 
-def _shake_px(
-    one: Picture, other: Picture, before: np.ndarray, guess: np.ndarray, config: TrackingConfig
+def _expected_px(
+    one: Picture, other: Picture, before: np.ndarray, step_px: np.ndarray, step_part: float, config: TrackingConfig
 ) -> np.ndarray:
-    """By how much points ``before (N, 2)`` are off their ``guess (N, 2)``, as a median: (2,) float32 px.
+    """Where points ``before (N, 2)`` should be that stepped by ``step_px (N, 2)``: (N, 2) float32 px.
 
-    A shaken camera moves them all by more than the fine pictures lead back from: windows of a house would be taken for
-    their neighbours, all alike.
+    After ``step_part`` times as long they have made as much of that step, unless a sample of them shows that they have
+    made it once more (times may be wrong). What most of the sample are off together is added: a shaken camera moves all
+    points by more than the fine pictures lead back from, and windows of a house would be taken for their neighbours.
     """
-    some = slice(None, None, -(-len(before) // _SHAKE_TRACKS) or 1)
-    if len(before[some]) < _LEAST_SHAKEN:
-        return np.zeros(2, dtype=np.float32)
-    scale = _SHAKE_SCALE
+    parts = [1.0] if abs(step_part - 1.0) < _SAME_STEP else [step_part, 1.0]
+    guesses = [(before + part * step_px).astype(np.float32) for part in parts]
+    off_px = [_sampled_errors(one, other, before, guess, config) for guess in guesses]
+    best = int(np.argmin([median(np.hypot(*off.T)) if len(off) else np.inf for off in off_px]))
+    guess, off = guesses[best], off_px[best]
+    if not len(off):
+        return guess
+    shake_px = np.median(off, axis=0)
+    length_px = float(np.linalg.norm(shake_px))
+    is_alike = np.linalg.norm(off - shake_px, axis=1) < _SHAKEN_ALIKE * length_px
+    if length_px < _LEAST_SHAKE_PX or 2 * np.count_nonzero(is_alike) < len(off):
+        return guess
+    return np.asarray(guess + shake_px, dtype=np.float32)
+
+
+def _sampled_errors(
+    one: Picture, other: Picture, before: np.ndarray, guess: np.ndarray, config: TrackingConfig
+) -> Floats:
+    """How far some of the points ``before (N, 2)`` are off their ``guess (N, 2)``: (M, 2) px, of those found."""
+    if not len(before):
+        return np.empty((0, 2))
+    some, scale = slice(None, None, -(-len(before) // _SAMPLED_POINTS)), _SAMPLED_SCALE
     small_one, small_other = (
         np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         for grey in (one, other)
     )
     # The middle of the top-left pixel is (0, 0) at any size.
     start, expected = ((xy_px[some] + 0.5) * scale - 0.5 for xy_px in (before, guess))
-    found, there = _follow(small_one, small_other, start, expected, config.window_px, _SHAKE_LEVELS, _BACKWARD_STEP_PX)
-    if np.count_nonzero(found) < _LEAST_SHAKEN:
-        return np.zeros(2, dtype=np.float32)
-    return np.asarray(np.median((there - expected)[found], axis=0) / scale, dtype=np.float32)
+    found, there = _follow(
+        small_one, small_other, start, expected, config.window_px, _SAMPLED_LEVELS, _BACKWARD_STEP_PX
+    )
+    return np.asarray((there - expected)[found] / scale, dtype=np.float64)
 
 
 def _stands_nearly(step_px: np.ndarray) -> bool:

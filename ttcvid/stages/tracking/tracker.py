@@ -67,12 +67,6 @@ class TrackerMemory:
     t_s: float = math.nan
     step_s: float = math.nan
 
-    def expected_after(self, step_s: float) -> KltMemory | AkazeMemory | None:
-        """The tracks with the steps that they make in this time at the speed of their last one."""
-        if not isinstance(self.tracks, KltMemory) or not (step_s > 0.0 and self.step_s > 0.0):
-            return self.tracks
-        return replace(self.tracks, step_px=self.tracks.step_px * (step_s / self.step_s))
-
 
 def prepare_picture(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> PreparedPicture:
     """The part of the work that needs no other picture."""
@@ -113,9 +107,8 @@ def follow_points(
     if np.array_equal(last.thumbnail, prepared.thumbnail) and np.array_equal(last.grey, prepared.grey):
         return NO_POINTS, FrameStatus.duplicate, replace(memory, steps_px=None)
     step_s = t_s - memory.t_s
-    followed, survival, n_before = _followed(
-        memory.expected_after(step_s), last, prepared, allowed, config, camera_rests
-    )
+    step_part = step_s / memory.step_s if step_s > 0.0 and memory.step_s > 0.0 else 1.0
+    followed, survival, n_before = _followed(memory, last, prepared, allowed, config, camera_rests, step_part)
     if _is_cut(survival, n_before, last.thumbnail, prepared.thumbnail):
         points, started = _started(memory, prepared, allowed, config)
         return points, FrameStatus.cut, replace(started, t_s=t_s)
@@ -141,25 +134,29 @@ def _started(
 
 
 def _followed(
-    former: KltMemory | AkazeMemory | None,
+    memory: TrackerMemory,
     last: PreparedPicture,
     prepared: PreparedPicture,
     allowed: Picture | None,
     config: TrackingConfig,
     camera_rests: bool,
+    step_part: float,
 ) -> tuple[TrackerMemory, float, int]:
-    """The memory after following, the part of the tracks ``former`` that survived, and how many there were."""
+    """The memory after following, the part of the tracks that survived, and how many there were."""
+    former = memory.tracks
     if isinstance(former, AkazeMemory) and prepared.features is not None:
         akaze, survival = follow_akaze(former, prepared.features, config)
         return TrackerMemory(prepared, akaze), survival, len(former.track_id)
     if not isinstance(former, KltMemory):
         raise ValueError("follow_points: the memory belongs to another tracker than the one configured")
-    klt, survival = follow_klt(former, prepared.grey, allowed, config, camera_rests=camera_rests)
+    klt, survival = follow_klt(former, prepared.grey, allowed, config, camera_rests=camera_rests, step_part=step_part)
     # What makes the picture as bright as the last one.
     gain = float(last.thumbnail.mean()) / max(float(prepared.thumbnail.mean()), 1.0)
     if survival < _POOR_SURVIVAL and abs(gain - 1.0) > _LEAST_EXPOSURE_CHANGE:
         exposed = np.asarray(cv2.convertScaleAbs(prepared.grey, alpha=gain), dtype=np.uint8)
-        again, survival_exposed = follow_klt(former, exposed, allowed, config, camera_rests=camera_rests)
+        again, survival_exposed = follow_klt(
+            former, exposed, allowed, config, camera_rests=camera_rests, step_part=step_part
+        )
         if survival_exposed > survival:
             klt, survival = replace(again, grey=prepared.grey), survival_exposed
     return TrackerMemory(prepared, klt), survival, len(former.points.track_id)
