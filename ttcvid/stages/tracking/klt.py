@@ -29,7 +29,7 @@ _BACKWARD_START_PX = 1.5
 # levels above. It counts from so many pixels on (the fine pictures lead back from less), where half of them are off
 # alike, within this part of it (a wide angle stretches a turn towards the border).
 _SAMPLED_POINTS, _SAMPLED_SCALE, _SAMPLED_LEVELS = 64, 0.25, 2
-_LEAST_SHAKE_PX, _SHAKEN_ALIKE = 3.0, 0.5
+_LEAST_SHAKE_PX, _SHAKEN_ALIKE = 6.0, 0.5
 # Times between pictures within this part of each other are the same.
 _SAME_STEP = 0.2
 # Levels above the full picture on which a point is looked for where it should be by now. Not where most points are
