@@ -199,7 +199,11 @@ def _expected_px(
     """
     parts = [1.0] if abs(step_part - 1.0) < _SAME_STEP else [step_part, 1.0]
     guesses = [(before + part * step_px).astype(np.float32) for part in parts]
-    off_px = [_sampled_errors(one, other, before, guess, config) for guess in guesses]
+    small_one, small_other = (
+        np.asarray(cv2.resize(grey, None, fx=_SAMPLED_SCALE, fy=_SAMPLED_SCALE, interpolation=cv2.INTER_AREA), np.uint8)
+        for grey in (one, other)
+    )
+    off_px = [_sampled_errors(small_one, small_other, before, guess, config) for guess in guesses]
     best = int(np.argmin([median(np.hypot(*off.T)) if len(off) else np.inf for off in off_px]))
     guess, off = guesses[best], off_px[best]
     if not len(off):
@@ -213,16 +217,12 @@ def _expected_px(
 
 
 def _sampled_errors(
-    one: Picture, other: Picture, before: np.ndarray, guess: np.ndarray, config: TrackingConfig
+    small_one: Picture, small_other: Picture, before: np.ndarray, guess: np.ndarray, config: TrackingConfig
 ) -> Floats:
-    """How far some of the points ``before (N, 2)`` are off their ``guess (N, 2)``: (M, 2) px, of those found."""
+    """How far some points ``before (N, 2)`` are off their ``guess (N, 2)``, by small pictures: (M, 2) px, of those found."""
     if not len(before):
         return np.empty((0, 2))
     some, scale = slice(None, None, -(-len(before) // _SAMPLED_POINTS)), _SAMPLED_SCALE
-    small_one, small_other = (
-        np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        for grey in (one, other)
-    )
     # The middle of the top-left pixel is (0, 0) at any size.
     start, expected = ((xy_px[some] + 0.5) * scale - 0.5 for xy_px in (before, guess))
     found, there = _follow(
