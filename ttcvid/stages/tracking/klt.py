@@ -219,7 +219,7 @@ def _expected_px(
 def _sampled_errors(
     small_one: Picture, small_other: Picture, before: np.ndarray, guess: np.ndarray, config: TrackingConfig
 ) -> Floats:
-    """How far some points ``before (N, 2)`` are off their ``guess (N, 2)``, by small pictures: (M, 2) px, of those found."""
+    """Errors of the ``guess (N, 2)`` of some of the points ``before (N, 2)``, by small pictures: (M, 2) px."""
     if not len(before):
         return np.empty((0, 2))
     some, scale = slice(None, None, -(-len(before) // _SAMPLED_POINTS)), _SAMPLED_SCALE
