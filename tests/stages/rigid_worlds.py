@@ -17,7 +17,7 @@ from ttcvid.stages.segmentation.labels import BodyMemory, find_bodies
 from ttcvid.stages.tracking.history import empty_history, extended, with_egomotion
 
 DT_S, MAX_FRAMES = 0.1, 20
-LINK_PX, MODEL_ERROR_PX = 32.0, 0.1
+LINK_PX = 32.0
 CAR_M = (4.0, 1.4, 1.8)
 NOTHING_KNOWN = BodyMemory()
 
@@ -123,14 +123,17 @@ def bodies_of(
     opaque=False,
     shake_rad=0.0,
     common_error_px=0.0,
+    focal_part=1.0,
 ):
     """The bodies of each frame from the second on; own motion is known exactly.
 
     At each frame the camera is off its course by random turns of `shake_rad` about each axis. Until `stop_s` it brakes
-    from its speed to rest. Things that are opaque hide what is behind them.
+    from its speed to rest. Things that are opaque hide what is behind them. The focal length is taken
+    for `focal_part` times what it is.
     `order` is a permutation of the track numbers: the same tracks with other identities, hence in another order.
     """
     rng, speed = np.random.default_rng(seed), np.linalg.norm(camera_m_s)
+    taken_px = focal_part * FOCAL_PX
     on_course, shake = np.eye(3), np.random.default_rng(seed + 1).normal(scale=shake_rad, size=(n_frames, 3))
     history, world_to_cam, frames = empty_history(CAMERA, max(sigma_px, 0.05)), rotation_from_vector(shake[0]), []
     for frame in range(n_frames):
@@ -157,7 +160,7 @@ def bodies_of(
         names = np.arange(len(position)) if order is None else order
         shown = np.argsort(names)
         shown = shown[is_seen[shown]]
-        rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / FOCAL_PX, np.ones(len(xy_px))]))
+        rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / taken_px, np.ones(len(xy_px))]))
         points = PointSet(names[shown], xy_px[shown], common_error_px=common_error_px)
         history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES)
         if not frame:
@@ -168,7 +171,7 @@ def bodies_of(
         cov = 1e-8 * np.eye(3)
         egomotion = Egomotion(step, cov, direction, None if direction is None else cov, np.zeros(len(shown)))
         every = np.ones(len(shown), dtype=bool)
-        views = body_views(history, every, LINK_PX, MODEL_ERROR_PX)
+        views = body_views(history, every, LINK_PX)
         found, memory = find_bodies(history, views, egomotion, platform, every, memory, BodiesConfig())
         history = replace(history, cam_R_past=found.seen.scene.cam_R_past[0])
         frames.append(Frame(t_s, found, memory, names[shown], numbers[shown]))

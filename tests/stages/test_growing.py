@@ -7,6 +7,7 @@ from relative_motion import FOCAL_PX, history_of
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
+from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.expansion import OnScene, find_growing
 
 CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
@@ -47,8 +48,7 @@ def found_in(position_m, velocity_m_s, may_be=None, frames=FRAMES, sigma_px=SIGM
             memory,
             history,
             OnScene(redchi, 1.0, np.ones(n, dtype=bool) if may_be is None else may_be),
-            ERROR_PX,
-            LINK_PX,
+            body_views(history, np.ones(n, dtype=bool), LINK_PX),
             next_id,
             CONFIG,
         )

@@ -342,3 +342,12 @@ def test_what_slips_by_no_more_than_tracks_err_in_common_is_no_mover(seed, slip_
     # Tracks that err each by itself tell of a smaller step.
     alone = bodies_of(things, 16, (0.0, 0.0, 5.0), **options)
     assert any(frame.mover_keys for frame in alone)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("focal_part", [0.96, 1.04])
+def test_a_focal_length_that_is_off_by_four_per_cent_makes_no_movers_in_a_turn(seed, focal_part):
+    rng = np.random.default_rng(seed)
+    things = world(rng, (0.0, 0.0, 5.0), 16)
+    frames = bodies_of(things, 16, (0.0, 0.0, 5.0), yaw_rad_s=0.35, sigma_px=0.05, seed=seed, focal_part=focal_part)
+    assert not any(frame.mover_keys for frame in frames)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rigid_worlds import CAMERA, DT_S, FOCAL_PX, LINK_PX, MODEL_ERROR_PX, Thing, car, pixels
+from rigid_worlds import CAMERA, DT_S, FOCAL_PX, LINK_PX, Thing, car, pixels
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
@@ -32,7 +32,7 @@ def views_of(things, rng):
         if frame:
             history = with_egomotion(history, np.eye(3), None, 1e-5)
     number = np.repeat(np.arange(len(things)), [len(thing.points) for thing in things])
-    return body_views(history, np.ones(len(number), dtype=bool), LINK_PX, MODEL_ERROR_PX), number
+    return body_views(history, np.ones(len(number), dtype=bool), LINK_PX), number
 
 
 def straight_bodies(things, since_s):

@@ -32,10 +32,6 @@ from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 # Where few tracks are given they lie farther apart: random points hang together from 1.2 times their spacing on
 # (percolation of discs, sqrt(4.51 / pi)). Nothing is a neighbour beyond so many times the first distance.
 _LINK_PART, _SPARSE_LINK, _MOST_LINK = 0.05, 1.2, 2.0
-# Error of a position that no track's noise knows of: what lens and shutter leave with a calibrated camera, px, and what
-# a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
-# rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
-_MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
 # Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
 _SURE_PART = 0.008
 
@@ -86,9 +82,7 @@ def find_motions(
     in_scene, objects, bend = is_free, list[ClusterMotion](), None
     is_displaced = np.zeros(history.n_tracks, dtype=bool)
     if egomotion is not None:
-        is_measured = not (camera.is_assumed or camera.is_found)
-        error_px = _MODEL_ERROR_PX if is_measured else _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
-        views = body_views(history, is_free, link_px, error_px)
+        views = body_views(history, is_free, link_px)
         found, memory = find_bodies(
             history, views, egomotion, config.egomotion.platform, may_start, memory, config.bodies
         )
@@ -99,7 +93,7 @@ def find_motions(
         objects = _object_motions(history, found, is_free, plane, camera, times)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:
-            surfaces, memory = growing_things(history, found, is_free, memory, link_px, error_px, config)
+            surfaces, memory = growing_things(history, views, found, is_free, memory, config)
         is_left = is_free.copy()
         for surface in surfaces:
             is_left[surface.members] = False

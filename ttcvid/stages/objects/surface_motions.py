@@ -13,6 +13,7 @@ from ttcvid.model import SCENE_CLUSTER, Bools, Camera, Floats, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, horizon_offset, horizon_offset_px, onto_horizon
 from ttcvid.stages.objects.clusters import ON_HORIZON, ClusterMotion
+from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.expansion import OnScene, find_growing
 from ttcvid.stages.segmentation.ground_plane import find_road, road_points
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation
@@ -71,17 +72,16 @@ def road_hz(memory: BodyMemory, found: Segmentation, history: TrackHistory) -> F
 
 def growing_things(
     history: TrackHistory,
+    views: BodyViews,
     found: Segmentation,
     is_free: Bools,
     memory: BodyMemory,
-    link_px: float,
-    error_px: float,
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
     on_scene = OnScene(found.seen.redchi, found.seen.median_redchi, (found.key == SCENE_CLUSTER) & is_free)
     public, growing, next_cluster_id = find_growing(
-        memory.growing, history, on_scene, error_px, link_px, memory.next_cluster_id, config.bodies
+        memory.growing, history, on_scene, views, memory.next_cluster_id, config.bodies
     )
     motions = [
         ClusterMotion(

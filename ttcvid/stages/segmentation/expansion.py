@@ -15,6 +15,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import growth_sums
 from ttcvid.geometry.rotation import skew, turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.common_errors import SIGMAS_999, common_growth_hz
 from ttcvid.stages.segmentation.obstacles import REACHED_WITHIN_S
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
@@ -52,17 +53,16 @@ def find_growing(
     before: tuple[Obstacle, ...],
     history: TrackHistory,
     on_scene: OnScene,
-    error_px: float,
-    link_px: float,
+    views: BodyViews,
     next_cluster_id: int,
     config: BodiesConfig,
 ) -> tuple[dict[int, Growing], tuple[Obstacle, ...], int]:
     """The public things that are seen to grow in this frame, by their numbers; what to remember; the next number.
 
-    ``before`` is what the last frame remembered, ``error_px`` the error of a position that no track's noise knows of.
+    ``before`` is what the last frame remembered, ``views`` are those of the tracks of the ``history``.
     """
     is_known = np.isin(history.track_id, tracks_of(before))
-    things = _things(history, on_scene, is_known, error_px, link_px, config)
+    things = _things(history, on_scene, views, is_known, config)
     is_free = on_scene.may_be.copy()
     for thing in things:
         is_free[thing.members] = False
@@ -76,7 +76,7 @@ def find_growing(
 
 
 def _things(
-    history: TrackHistory, on_scene: OnScene, is_known: Bools, error_px: float, link_px: float, config: BodiesConfig
+    history: TrackHistory, on_scene: OnScene, views: BodyViews, is_known: Bools, config: BodiesConfig
 ) -> list[Growing]:
     """The things that grow around tracks that contradict the scene, or are known to be part of one."""
     redchi, may_be = on_scene.redchi, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
@@ -87,8 +87,9 @@ def _things(
         if not may_be[seed]:
             continue
         n_tried += 1
-        around = nearest_around(seed, history.xy_px, may_be, link_px)
-        thing = _thing_around(history, around, redchi[around], on_scene.median_redchi, error_px, config)
+        around = nearest_around(seed, history.xy_px, may_be, views.link_px)
+        sigma_norm = np.sqrt(on_scene.median_redchi) * views.sigma_norm[around]
+        thing = _thing_around(history, around, redchi[around], sigma_norm, config)
         if thing is not None:
             things.append(thing)
             may_be[thing.members] = False
@@ -110,15 +111,17 @@ def nearest_around(seed: int, xy_px: Floats, may_be: Bools, link_px: float) -> I
 
 
 def _thing_around(
-    history: TrackHistory, around: Ints, redchi: Floats, median_redchi: float, error_px: float, config: BodiesConfig
+    history: TrackHistory, around: Ints, redchi: Floats, sigma_norm: Floats, config: BodiesConfig
 ) -> Growing | None:
-    """The thing that the first of some tracks (M,) is a part of; None where they show none that comes at us."""
+    """The thing that the first of some tracks (M,) is a part of; None where they show none that comes at us.
+
+    ``redchi, sigma_norm (M,)`` are their reduced chi-squares in the scene, and their noise.
+    """
     if len(around) < _LEAST_TRACKS:
         return None
     past = slice(0, history.n_past + 1)
     xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
-    sigma_norm = np.maximum(history.sigma_px[around], error_px) * history.plane_per_px[around]
-    sums = growth_sums(xy, history.since_s[past], np.sqrt(median_redchi) * sigma_norm)
+    sums = growth_sums(xy, history.since_s[past], sigma_norm)
     fits = sums.sharing_a_velocity(redchi, config.scene_gate, _LEAST_TRACKS)
     if fits is None:
         return None
