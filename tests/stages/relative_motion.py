@@ -8,7 +8,7 @@ from ttcvid.stages.egomotion.flows import Flows
 from ttcvid.stages.tracking.history import empty_history, extended, with_egomotion
 
 FOCAL_PX = 720.0
-CAMERA = Camera(FOCAL_PX, FOCAL_PX, 319.5, 179.5, ImageSize(640, 360))
+CAMERA = Camera(FOCAL_PX, FOCAL_PX, 319.5, 179.5, ImageSize(640, 360), origin="focal_px")
 # Noise that is assumed where points are exact.
 EXACT_SIGMA_PX = 1e-3
 

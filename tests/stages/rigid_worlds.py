@@ -128,9 +128,9 @@ def bodies_of(
     """The bodies of each frame from the second on; own motion is known exactly.
 
     At each frame the camera is off its course by random turns of `shake_rad` about each axis. Until `stop_s` it brakes
-    from its speed to rest. Things that are opaque hide what is behind them. The focal length is taken
-    for `focal_part` times what it is.
-    `order` is a permutation of the track numbers: the same tracks with other identities, hence in another order.
+    from its speed to rest. Things that are opaque hide what is behind them. The focal length is taken for `focal_part`
+    times what it is. `order` is a permutation of the track numbers: the same tracks with other identities, hence in
+    another order.
     """
     rng, speed = np.random.default_rng(seed), np.linalg.norm(camera_m_s)
     taken_px = focal_part * FOCAL_PX

@@ -18,7 +18,7 @@ from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.ground_plane import RoadMemory
 from ttcvid.stages.segmentation.scene import SeenScene
 
-CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
+CONFIG, LINK_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1
 TIMES_S = 0.05 * np.arange(20.0)
 OWN_M_S = np.array([0.0, 0.0, -10.0])
 CAR_M, ROAD_Y_M = (4.3, 1.2, 0.2), 1.4

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.history import TrackHistory
 from ttcvid.stages.tracking.neighbours import nearest_neighbours
@@ -18,9 +19,9 @@ _N_NEIGHBOURS = 8
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
-# A focal length that is wrong by some per cent and a lens that bends lines displace what moves through the picture, by
-# this part of its way.
-_ERROR_OF_WAY = 0.02
+# A focal length that was given and is wrong by some per cent leaves about this part of the flow of a turn. (Those of
+# drawn cameras err by 2 to 5 %.)
+_ERROR_OF_TURN = 0.03
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
 _LEAST_RATE = 0.4
@@ -33,11 +34,10 @@ class BodyViews:
     """N tracks over L views.
 
     ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as `views_by_track`;
-    ``sigma_norm (N,)`` noise and error of the camera together, in the plane z = 1, and ``plane_per_px (N,)`` what a
-    pixel spans of it where each track is; ``xy_px (N, 2)`` now; ``t_s (L,)``; ``about_mean (L, N, 2)`` the places as
-    seen about their mean over the views, in the plane z = 1, 0 where not observed; ``is_free (N,)`` tracks not frozen
-    to their pixel; ``link_px`` the distance within which two tracks are neighbours; ``common_px`` what tracks err by
-    together, as in `PointSet`.
+    ``sigma_norm (N,)`` their noise with the error of the camera, and ``plane_per_px (N,)`` what a pixel spans of the
+    plane z = 1 where each track is; ``xy_px (N, 2)`` now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their
+    pixel; ``link_px`` the distance within which two tracks are neighbours; ``common_px`` what tracks err by together,
+    as in `PointSet`.
     """
 
     rays: Floats
@@ -46,7 +46,6 @@ class BodyViews:
     plane_per_px: Floats
     xy_px: Floats
     t_s: Floats
-    about_mean: Floats
     focal_px: float
     is_free: Bools
     link_px: float
@@ -90,23 +89,13 @@ def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFi
 
 def body_views(history: TrackHistory, is_free: Bools, link_px: float) -> BodyViews:
     """The tracks of the history as bodies are found in them."""
-    is_seen = np.isfinite(history.rays[:, :, 0])
-    n_views = np.maximum(is_seen.sum(axis=0), 1)
-    about_mean = without_means(history.rays[:, :, :2] / history.rays[:, :, 2:], is_seen)
-    spread = np.sqrt((about_mean * about_mean).sum(axis=(0, 2)) / (2 * n_views))
-    sigma_norm = np.hypot(history.sigma_px * history.plane_per_px, _ERROR_OF_WAY * spread)
-    camera, least_px = history.camera, _MODEL_ERROR_PX
-    if camera.is_assumed or camera.is_found:
-        least_px = _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
-    sigma_norm = np.maximum(sigma_norm, least_px * history.plane_per_px)
     return BodyViews(
         history.rays,
         views_by_track(history.rays),
-        sigma_norm,
+        _noise_with_camera(history),
         history.plane_per_px,
         history.xy_px,
         history.t_s,
-        about_mean,
         history.focal_px,
         is_free,
         link_px,
@@ -114,8 +103,24 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float) -> BodyVie
     )
 
 
-def without_means(xy: Floats, is_seen: Bools) -> Floats:
-    """Places ``(L, N, 2)`` less the mean of each track over the views in which it ``is_seen (L, N)``; 0 elsewhere."""
-    xy = np.where(is_seen[:, :, None], xy, 0.0)
-    mean = xy.sum(axis=0) / np.maximum(is_seen.sum(axis=0), 1)[:, None]
-    return np.where(is_seen[:, :, None], xy - mean, 0.0)
+def _noise_with_camera(history: TrackHistory) -> Floats:
+    """Noise of a coordinate with the error of the camera, ``(N,)``, in the plane z = 1."""
+    camera = history.camera
+    if camera.is_assumed or camera.is_found:
+        error_px = _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
+        return np.maximum(history.sigma_px, error_px) * history.plane_per_px
+    sigma_norm = np.maximum(history.sigma_px, _MODEL_ERROR_PX) * history.plane_per_px
+    return np.asarray(np.hypot(sigma_norm, _ERROR_OF_TURN * _turn_spread_rad(history)))
+
+
+def _turn_spread_rad(history: TrackHistory) -> Floats:
+    """How far the camera has turned while it saw each track, ``(N,)``, as a standard deviation over the views.
+
+    That is the root mean square of the turns about the x and the y axis. A turn about the optical axis turns the
+    picture, whatever the focal length.
+    """
+    turn_rad = vector_from_rotation(history.cam_R_past)[:, :2]
+    is_seen = np.isfinite(history.rays[:, :, 0]).T.astype(float)
+    n_views = np.maximum(is_seen.sum(axis=1), 1.0)[:, None]
+    variance = (is_seen @ turn_rad**2) / n_views - (is_seen @ turn_rad / n_views) ** 2
+    return np.asarray(np.sqrt(np.maximum(variance.mean(axis=1), 0.0)))

@@ -115,7 +115,7 @@ def _thing_around(
 ) -> Growing | None:
     """The thing that the first of some tracks (M,) is a part of; None where they show none that comes at us.
 
-    ``redchi, sigma_norm (M,)`` are their reduced chi-squares in the scene, and their noise.
+    ``redchi, sigma_norm (M,)`` are their reduced chi-squares in the scene, and their noise as the scene shows it.
     """
     if len(around) < _LEAST_TRACKS:
         return None

@@ -10,7 +10,7 @@ import numpy as np
 
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats
-from ttcvid.stages.segmentation.body_views import BodyViews, without_means
+from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
 FOLLOWS = 1.0
@@ -30,17 +30,26 @@ def ride_odds(views: BodyViews, cam_R_past: Floats) -> Floats:
     without the rotations of the camera are compared: those that scatter less about a parabola over time are the
     smoother ones, and tell which of the two does not move. Without turns, or with three views, the odds are 0.
     """
-    is_seen, off = np.isfinite(views.rays[:, :, 0]), views.about_mean
+    xy = views.rays[:, :, :2] / views.rays[:, :, 2:]
+    is_seen = np.isfinite(xy[:, :, 0])
     n_views = is_seen.sum(axis=0)
+    off = _without_mean(xy, is_seen)
     variance = (off * off).sum(axis=(0, 2)) / np.maximum(2 * (n_views - 1), 1)
     stays = (n_views >= _LEAST_VIEWS) & (variance < (COMMON_ERROR_PX * views.plane_per_px) ** 2)
     odds, some = np.full(len(stays), -np.inf), np.flatnonzero(stays)
     if len(some):
         is_seen = is_seen[:, some]
-        turned = without_means(turned_into_plane(views.rays[:, some], cam_R_past), is_seen)
+        turned = _without_mean(turned_into_plane(views.rays[:, some], cam_R_past), is_seen)
         as_seen, as_turned = (_about_parabola(places, is_seen, views.since_s) for places in (off[:, some], turned))
         odds[some] = 0.5 * (as_turned - as_seen) / views.sigma_norm[some] ** 2
     return odds
+
+
+def _without_mean(xy: Floats, is_seen: Bools) -> Floats:
+    """Places ``(L, N, 2)`` less the mean of each track over the views in which it ``is_seen (L, N)``; 0 elsewhere."""
+    xy = np.where(is_seen[:, :, None], xy, 0.0)
+    mean = xy.sum(axis=0) / np.maximum(is_seen.sum(axis=0), 1)[:, None]
+    return np.where(is_seen[:, :, None], xy - mean, 0.0)
 
 
 def _about_parabola(xy: Floats, is_seen: Bools, since_s: Floats) -> Floats:
