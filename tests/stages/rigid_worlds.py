@@ -123,17 +123,14 @@ def bodies_of(
     opaque=False,
     shake_rad=0.0,
     common_error_px=0.0,
-    focal_part=1.0,
 ):
     """The bodies of each frame from the second on; own motion is known exactly.
 
     At each frame the camera is off its course by random turns of `shake_rad` about each axis. Until `stop_s` it brakes
-    from its speed to rest. Things that are opaque hide what is behind them. The focal length is taken for `focal_part`
-    times what it is. `order` is a permutation of the track numbers: the same tracks with other identities, hence in
-    another order.
+    from its speed to rest. Things that are opaque hide what is behind them.
+    `order` is a permutation of the track numbers: the same tracks with other identities, hence in another order.
     """
     rng, speed = np.random.default_rng(seed), np.linalg.norm(camera_m_s)
-    taken_px = focal_part * FOCAL_PX
     on_course, shake = np.eye(3), np.random.default_rng(seed + 1).normal(scale=shake_rad, size=(n_frames, 3))
     history, world_to_cam, frames = empty_history(CAMERA, max(sigma_px, 0.05)), rotation_from_vector(shake[0]), []
     for frame in range(n_frames):
@@ -160,7 +157,7 @@ def bodies_of(
         names = np.arange(len(position)) if order is None else order
         shown = np.argsort(names)
         shown = shown[is_seen[shown]]
-        rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / taken_px, np.ones(len(xy_px))]))
+        rays = normalize(np.column_stack([(xy_px - (CAMERA.cx_px, CAMERA.cy_px)) / FOCAL_PX, np.ones(len(xy_px))]))
         points = PointSet(names[shown], xy_px[shown], common_error_px=common_error_px)
         history = extended(history, frame, t_s, points, rays[shown], MAX_FRAMES)
         if not frame:

@@ -342,17 +342,3 @@ def test_what_slips_by_no_more_than_tracks_err_in_common_is_no_mover(seed, slip_
     # Tracks that err each by itself tell of a smaller step.
     alone = bodies_of(things, 16, (0.0, 0.0, 5.0), **options)
     assert any(frame.mover_keys for frame in alone)
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("focal_part", [0.96, 1.04])
-def test_a_focal_length_that_is_off_by_four_per_cent_makes_no_movers_in_a_turn(seed, focal_part):
-    rng = np.random.default_rng(seed)
-    walkers = Thing(np.column_stack([rng.uniform(4.0, 5.0, 20), rng.uniform(-1.0, 1.0, 20), np.full(20, 20.0)]))
-    walkers = replace(walkers, velocity_m_s=(-3.0, 0.0, 0.0))
-    for movers in ((), (walkers,)):
-        things = world(rng, (0.0, 0.0, 5.0), 16, *movers)
-        options = {"yaw_rad_s": 0.35, "sigma_px": 0.05, "seed": seed, "focal_part": focal_part}
-        frames = bodies_of(things, 16, (0.0, 0.0, 5.0), **options)
-        assert {len(frame.mover_keys) for frame in frames[-8:]} == {len(movers)}
-    assert all(frame.keys_of(1)[0] > 0 for frame in frames[-8:])

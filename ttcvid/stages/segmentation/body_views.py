@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from ttcvid.geometry.estimation.rigid_motion import PathFit, Points, RigidPaths, fit_on_paths, views_by_track
-from ttcvid.geometry.rotation import vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.tracking.history import TrackHistory
 from ttcvid.stages.tracking.neighbours import nearest_neighbours
@@ -19,9 +18,6 @@ _N_NEIGHBOURS = 8
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
-# A focal length that was given and is wrong by some per cent leaves about this part of the flow of a turn. (Those of
-# drawn cameras err by 2 to 5 %.)
-_ERROR_OF_TURN = 0.03
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
 _LEAST_RATE = 0.4
@@ -89,10 +85,14 @@ def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFi
 
 def body_views(history: TrackHistory, is_free: Bools, link_px: float) -> BodyViews:
     """The tracks of the history as bodies are found in them."""
+    camera = history.camera
+    error_px = _MODEL_ERROR_PX
+    if camera.is_assumed or camera.is_found:
+        error_px = _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
     return BodyViews(
         history.rays,
         views_by_track(history.rays),
-        _noise_with_camera(history),
+        np.maximum(history.sigma_px, error_px) * history.plane_per_px,
         history.plane_per_px,
         history.xy_px,
         history.t_s,
@@ -101,26 +101,3 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float) -> BodyVie
         link_px,
         history.common_error_px,
     )
-
-
-def _noise_with_camera(history: TrackHistory) -> Floats:
-    """Noise of a coordinate with the error of the camera, ``(N,)``, in the plane z = 1."""
-    camera = history.camera
-    if camera.is_assumed or camera.is_found:
-        error_px = _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
-        return np.maximum(history.sigma_px, error_px) * history.plane_per_px
-    sigma_norm = np.maximum(history.sigma_px, _MODEL_ERROR_PX) * history.plane_per_px
-    return np.asarray(np.hypot(sigma_norm, _ERROR_OF_TURN * _turn_spread_rad(history)))
-
-
-def _turn_spread_rad(history: TrackHistory) -> Floats:
-    """How far the camera has turned while it saw each track, ``(N,)``, as a standard deviation over the views.
-
-    That is the root mean square of the turns about the x and the y axis. A turn about the optical axis turns the
-    picture, whatever the focal length.
-    """
-    turn_rad = vector_from_rotation(history.cam_R_past)[:, :2]
-    is_seen = np.isfinite(history.rays[:, :, 0]).T.astype(float)
-    n_views = np.maximum(is_seen.sum(axis=1), 1.0)[:, None]
-    variance = (is_seen @ turn_rad**2) / n_views - (is_seen @ turn_rad / n_views) ** 2
-    return np.asarray(np.sqrt(np.maximum(variance.mean(axis=1), 0.0)))
