@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from relative_motion import FOCAL_PX, history_of
+from relative_motion import history_of
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.estimation.rigid_motion import Points, RigidPaths, fit_on_paths, views_by_track
+from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.expansion import OnScene, find_growing
 
-CONFIG, LINK_PX, ERROR_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1, 0.1
+CONFIG, LINK_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1
 # After so many frames four tracks are a thing.
 FRAMES = 3
 TIMES_S = 0.05 * np.arange(20.0)
@@ -31,24 +31,18 @@ def found_in(position_m, velocity_m_s, may_be=None, frames=FRAMES, sigma_px=SIGM
     """Public things after some frames that look alike, and how well the scene's path explains each track."""
     history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=np.random.default_rng(seed))
     n, since_s = len(position_m), history.since_s
-    points = Points(
-        views_by_track(history.rays),
-        np.full(n, max(sigma_px, ERROR_PX) / FOCAL_PX),
-        since_s,
-        np.arange(n),
-        np.zeros(n, dtype=np.int64),
-    )
+    views = body_views(history, np.ones(n, dtype=bool), LINK_PX)
     scene = RigidPaths(
         np.repeat(np.eye(3)[None, None], len(since_s), axis=1), straight_path(SCENE_M_S / OWN_M_S, since_s)[None]
     )
-    redchi = np.maximum(fit_on_paths(points, scene).redchi, least_redchi)
+    redchi = np.maximum(fit_on_paths(views.points(np.arange(n)), scene).redchi, least_redchi)
     memory, next_id, public = (), 1, {}
     for _ in range(frames):
         public, memory, next_id = find_growing(
             memory,
             history,
             OnScene(redchi, 1.0, np.ones(n, dtype=bool) if may_be is None else may_be),
-            body_views(history, np.ones(n, dtype=bool), LINK_PX),
+            views,
             next_id,
             CONFIG,
         )
