@@ -2,7 +2,7 @@
 
 import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -10,7 +10,9 @@ from compared_runs import analyzed, simulated
 from filelock import FileLock
 from hypothesis import settings
 
+from ttcvid.jobs.analyze import beside
 from ttcvid.jobs.processes.compilation import compile_missing
+from ttcvid.posix import can_copy_process
 
 # The first call of a compiled function takes seconds, which is no fault of the case that makes it. The same cases in
 # every run: a change is not to be judged by what chance finds in other code.
@@ -42,6 +44,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests first: those that are left at the end take a moment each."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _geometry_in_a_thread() -> Iterator[None]:
+    """The copy of a process with all tests in it takes as long as the analysis of a small clip: a thread does its work.
+
+    The results are the same, which tests/jobs/test_determinism.py holds; commands that tests begin have their copies.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(beside, "can_copy_process", lambda: False)
+        yield
+
+
+@pytest.fixture
+def geometry_in_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Analyses as a command makes them, where processes can be copied: what is shown is that of the process."""
+    monkeypatch.setattr(beside, "can_copy_process", can_copy_process)
 
 
 REPOSITORY = Path(__file__).resolve().parent.parent

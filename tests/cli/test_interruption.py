@@ -65,6 +65,7 @@ def test_ctrl_c_keeps_what_is_done(number: signal.Signals, long_clip: Path, tmp_
     assert n_video_frames(out / "overlay.mp4") == n
 
 
+@pytest.mark.usefixtures("geometry_in_a_process")
 def test_a_signal_between_two_frames_ends_after_the_present_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -35,6 +35,7 @@ def assert_whole(run: ttcvid.Run, n_frames: int) -> None:
         assert sum(1 for _ in container.decode(video=0)) == n_frames
 
 
+@pytest.mark.usefixtures("geometry_in_a_process")
 def test_a_clip_gives_every_output(work_folder: Path) -> None:
     clip = write_clip(work_folder / "clip.mp4", approach(12))
     run = ttcvid.analyze(clip)
@@ -49,6 +50,7 @@ def test_a_clip_gives_every_output(work_folder: Path) -> None:
     assert len(run.collision_times) == run.manifest["counts"]["track_rows"]
 
 
+@pytest.mark.usefixtures("geometry_in_a_process")
 def test_the_second_analysis_of_a_process_loads_the_compiled_code_for_all_that_follow(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,6 +209,7 @@ def test_all_methods_of_a_clip_run(tracker: str, estimator: str, work_folder: Pa
     assert (metadata[b"tracker"], metadata[b"estimator"]) == (tracker.encode(), estimator.encode())
 
 
+@pytest.mark.usefixtures("geometry_in_a_process")
 def test_very_large_pictures_wait_nowhere_and_give_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clip = write_clip(tmp_path / "clip.mp4", approach(8))
     usual = ttcvid.analyze(clip, tmp_path / "usual", focal_px=300.0)

@@ -24,10 +24,9 @@ needs_fork = pytest.mark.skipif(not can_copy_process(), reason="processes cannot
 @pytest.fixture(params=["process", "thread"], autouse=True)
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Every test holds for both ways."""
-    if request.param == "thread":
-        monkeypatch.setattr(module, "can_copy_process", lambda: False)
-    elif not can_copy_process():
+    if request.param == "process" and not can_copy_process():
         pytest.skip("processes cannot be copied here")
+    monkeypatch.setattr(module, "can_copy_process", can_copy_process if request.param == "process" else lambda: False)
     return str(request.param)
 
 

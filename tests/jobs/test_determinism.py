@@ -31,7 +31,7 @@ def tables_of(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def expected(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, bytes]]:
-    """Tables by tracker, made with one worker."""
+    """Tables by tracker, made with one worker, and the geometry in a thread."""
     out = tmp_path_factory.mktemp("expected")
     options = {"focal_px": 200, "overlay": False, "report": False}
     with pytest.MonkeyPatch.context() as patch:
@@ -45,6 +45,7 @@ def set_workers(patch: pytest.MonkeyPatch, workers: int) -> None:
     )
 
 
+@pytest.mark.usefixtures("geometry_in_a_process")
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_tables_do_not_depend_on_the_number_of_workers(clip, tracker, expected, tmp_path, monkeypatch):
     set_workers(monkeypatch, 3)
@@ -53,6 +54,7 @@ def test_tables_do_not_depend_on_the_number_of_workers(clip, tracker, expected, 
     assert tables_of(run.folder) == expected[tracker]
 
 
+@pytest.mark.usefixtures("geometry_in_a_process")
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_tables_do_not_depend_on_the_overlay_or_the_threads_of_opencv(clip, tracker, expected, tmp_path):
     before = cv2.getNumThreads()
