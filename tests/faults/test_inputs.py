@@ -393,6 +393,7 @@ def no_process(self: object) -> None:
 @pytest.mark.parametrize(
     "refused", [(threading.Thread, no_thread), (ForkProcess, no_process)], ids=["thread", "process"]
 )
+@pytest.mark.usefixtures("geometry_in_a_process")
 def test_too_few_threads_or_processes_are_not_the_fault_of_the_clip(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
