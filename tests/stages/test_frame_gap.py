@@ -89,8 +89,7 @@ def test_a_longer_gap_makes_a_slow_drive_surer():
 
 
 @pytest.mark.parametrize("platform", [Platform.free, Platform.vehicle])
-@pytest.mark.parametrize("speed_m", [0.0, 0.02, 0.06, 0.1])
-@pytest.mark.parametrize("sigma_px", [0.05, 0.1])
+@pytest.mark.parametrize(("speed_m", "sigma_px"), [(0.0, 0.1), (0.02, 0.05), (0.06, 0.1), (0.1, 0.05)])
 def test_the_noise_of_tracks_is_theirs_however_slow_the_camera(platform, speed_m, sigma_px):
     """In single steps of 2 to 6 cm no translation is seen: what is left of the flow was taken for noise, four times
     what it is, and no small thing that came nearer stood out of that.
