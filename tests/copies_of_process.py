@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ttcvid.cli.main import program
+from ttcvid.jobs.analyze import beside
+from ttcvid.posix import can_copy_process
 
 
 def in_copy(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -66,6 +68,7 @@ def _become_the_command(
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file_bytes,) * 2)
     sys.stdout, sys.stderr = (os.fdopen(descriptor, "w", closefd=False) for descriptor in (1, 2))
     sys.argv[1:] = words
+    beside.can_copy_process = can_copy_process  # as in any command
     program()
 
 
