@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
 import pytest
 from compared_runs import analyzed, simulated
 from filelock import FileLock
@@ -18,6 +19,9 @@ from ttcvid.posix import can_copy_process
 # every run: a change is not to be judged by what chance finds in other code.
 settings.register_profile("compiled", deadline=None, derandomize=True)
 settings.load_profile("compiled")
+
+# Two workers share the cores: more threads only wait for one another.
+cv2.setNumThreads(1)
 
 
 # What is imported and collected lives to the end: to look through it for garbage again and again, while it grows and in

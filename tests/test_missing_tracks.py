@@ -56,8 +56,7 @@ def test_frames_with_too_few_tracks_end_no_object_and_no_warning(n_missing):
     assert max(tracks.values()) == 31
 
 
-@pytest.mark.parametrize("n_hidden", [1, 5])
-@pytest.mark.parametrize("same_tracks", [True, False])
+@pytest.mark.parametrize(("n_hidden", "same_tracks"), [(1, False), (5, True), (5, False)])
 def test_a_car_that_is_hidden_for_some_frames_keeps_its_number(n_hidden, same_tracks):
     """Seen at 10/s; new tracks take three views until they show whose they are."""
     n_static, hides_at = len(STREET.points_m), 15
