@@ -194,7 +194,8 @@ def test_the_times_of_one_object_tripled(name, runs):
 
 
 @pytest.mark.parametrize(
-    ("name", "part"), [("drive", "clusters"), ("drive", "collision_times"), ("resting", "clusters"), ("table", "clusters")]
+    ("name", "part"),
+    [("drive", "clusters"), ("drive", "collision_times"), ("resting", "clusters"), ("table", "clusters")],
 )
 def test_all_intervals_halved(part, name, runs):
     one = runs[name]
