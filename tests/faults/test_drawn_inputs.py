@@ -18,7 +18,7 @@ CODECS = {"mp4": "libx264", "mkv": "libx264", "webm": "libvpx", "avi": "mpeg4", 
 N_FRAMES = 12
 SEEDS, ALL_SEEDS = range(1), range(6)
 """Six clips of each container are thirty."""
-N_TABLES, N_ALL_TABLES = 15, 300
+N_TABLES, N_ALL_TABLES = 10, 300
 EXIT_OF = {"complete": 0, "truncated": 4}
 
 Rng = np.random.Generator

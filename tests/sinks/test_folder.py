@@ -252,7 +252,7 @@ for i in range(1, int(sys.argv[2]) + 1):
         os._exit(0)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
-N_MOMENTS = 50  # more than a run has, so that the last ones are not killed
+N_MOMENTS = 42  # more than a run has, so that the last ones are not killed
 
 
 @pytest.mark.parametrize("former", ["none", "complete", "killed while publishing"])
