@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.rotation import turned_into_plane
-from ttcvid.model import Bools, Floats
+from ttcvid.compiled import compiled, compiled_for
+from ttcvid.geometry.kernels.path_point import LEAST_FORWARD
+from ttcvid.model import Floats
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
@@ -30,32 +31,55 @@ def ride_odds(views: BodyViews, cam_R_past: Floats) -> Floats:
     without the rotations of the camera are compared: those that scatter less about a parabola over time are the
     smoother ones, and tell which of the two does not move. Without turns, or with three views, the odds are 0.
     """
-    xy = views.rays[:, :, :2] / views.rays[:, :, 2:]
-    is_seen = np.isfinite(xy[:, :, 0])
-    n_views = is_seen.sum(axis=0)
-    off = _without_mean(xy, is_seen)
-    variance = (off * off).sum(axis=(0, 2)) / np.maximum(2 * (n_views - 1), 1)
-    stays = (n_views >= _LEAST_VIEWS) & (variance < (COMMON_ERROR_PX * views.plane_per_px) ** 2)
-    odds, some = np.full(len(stays), -np.inf), np.flatnonzero(stays)
-    if len(some):
-        is_seen = is_seen[:, some]
-        turned = _without_mean(turned_into_plane(views.rays[:, some], cam_R_past), is_seen)
-        as_seen, as_turned = (_about_parabola(places, is_seen, views.since_s) for places in (off[:, some], turned))
-        odds[some] = 0.5 * (as_turned - as_seen) / views.sigma_norm[some] ** 2
+    odds, scatter = np.full(len(views.sigma_norm), -np.inf), (COMMON_ERROR_PX * views.plane_per_px) ** 2
+    powers = np.vander(2.0 * views.since_s / min(float(views.since_s[0]), -_TINY) - 1.0, 3)
+    _fill_odds(views.rays_by_track, np.ascontiguousarray(cam_R_past), powers, scatter, views.sigma_norm, odds)
     return odds
 
 
-def _without_mean(xy: Floats, is_seen: Bools) -> Floats:
-    """Places ``(L, N, 2)`` less the mean of each track over the views in which it ``is_seen (L, N)``; 0 elsewhere."""
-    xy = np.where(is_seen[:, :, None], xy, 0.0)
-    mean = xy.sum(axis=0) / np.maximum(is_seen.sum(axis=0), 1)[:, None]
-    return np.where(is_seen[:, :, None], xy - mean, 0.0)
+@compiled_for("(f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1])")
+def _fill_odds(rays: Floats, rotations: Floats, powers: Floats, scatter: Floats, sigma: Floats, odds: Floats) -> None:
+    """Fill ``odds (N,)`` of tracks of less variance than ``scatter (N,)``; of ``powers (L, 3)`` a parabola is a sum."""
+    n_views = len(rotations)
+    # Columns to fit, and what they are fitted to: places as seen, and turned, less the mean.
+    seen, rows, first = np.empty(n_views, dtype=np.int64), np.empty((7, n_views)), rays.shape[2] - n_views
+    for i in range(len(odds)):
+        n, mean_x, mean_y, square = 0, 0.0, 0.0, 0.0
+        for k in range(n_views):
+            x, y = rays[i, 0, first + k] / rays[i, 2, first + k], rays[i, 1, first + k] / rays[i, 2, first + k]
+            if np.isfinite(x):
+                seen[n], rows[3, n], rows[4, n] = k, x, y
+                mean_x, mean_y, n = mean_x + x, mean_y + y, n + 1
+        mean_x, mean_y = mean_x / max(n, 1), mean_y / max(n, 1)
+        for j in range(n):
+            rows[3, j], rows[4, j] = rows[3, j] - mean_x, rows[4, j] - mean_y
+            square += rows[3, j] ** 2 + rows[4, j] ** 2
+        if n < _LEAST_VIEWS or not square < 2 * (n - 1) * scatter[i]:
+            continue
+        for j in range(n):
+            k = seen[j]
+            p, q, r = rays[i, 0, first + k], rays[i, 1, first + k], rays[i, 2, first + k]
+            depth = rotations[k, 2, 0] * p + rotations[k, 2, 1] * q + rotations[k, 2, 2] * r
+            depth = depth if depth > LEAST_FORWARD else np.nan
+            rows[5, j] = (rotations[k, 0, 0] * p + rotations[k, 0, 1] * q + rotations[k, 0, 2] * r) / depth - mean_x
+            rows[6, j] = (rotations[k, 1, 0] * p + rotations[k, 1, 1] * q + rotations[k, 1, 2] * r) / depth - mean_y
+            rows[0, j], rows[1, j], rows[2, j] = powers[k, 0], powers[k, 1], powers[k, 2]
+        # Each column takes its part out of those that follow.
+        for c in range(3):
+            own = _TINY + _product(rows, c, c, n)
+            for d in range(c + 1, 7):
+                part = _product(rows, c, d, n) / own
+                for j in range(n):
+                    rows[d, j] -= part * rows[c, j]
+        as_seen = _product(rows, 3, 3, n) + _product(rows, 4, 4, n)
+        as_turned = _product(rows, 5, 5, n) + _product(rows, 6, 6, n)
+        odds[i] = 0.5 * (as_turned - as_seen) / sigma[i] ** 2
 
 
-def _about_parabola(xy: Floats, is_seen: Bools, since_s: Floats) -> Floats:
-    """Sum of squares ``(N,)`` of places ``(L, N, 2)`` about a parabola over the times ``since_s (L,)``."""
-    powers = np.vander(2.0 * since_s / min(float(since_s[0]), -_TINY) - 1.0, 3)
-    normal = np.einsum("li,ln,lj->nij", powers, is_seen.astype(float), powers) + _TINY * np.eye(3)
-    terms = np.linalg.solve(normal, np.einsum("li,lnk->nik", powers, xy))
-    left = np.where(is_seen[:, :, None], xy - np.einsum("li,nik->lnk", powers, terms), 0.0)
-    return np.asarray((left * left).sum(axis=(0, 2)))
+@compiled
+def _product(rows: Floats, one: int, other: int, n: int) -> float:
+    """Product of two of the ``rows (M, L)``, of their first ``n`` numbers."""
+    total = 0.0
+    for j in range(n):
+        total += rows[one, j] * rows[other, j]
+    return total
