@@ -12,7 +12,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ttcvid.geometry.kernels.newest_view import predict_newest
-from ttcvid.geometry.kernels.rigid_points import LANES, correct_ways, fit_rigid_points
+from ttcvid.geometry.kernels.path_point import LANES
+from ttcvid.geometry.kernels.rigid_points import correct_ways, fit_rigid_points
 from ttcvid.geometry.medians import medians
 from ttcvid.model import Bools, Floats, Ints
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import ZERO, compiled, compiled_for
+from ttcvid.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels import path_point
 from ttcvid.model import Bools, Floats, Ints
 
@@ -28,7 +28,7 @@ _X, _Y, _INVERSE, _TIME = path_point.X, path_point.Y, path_point.INVERSE, path_p
 _PATH_X, _PATH_Y, _PATH_Z = path_point.PATH_X, path_point.PATH_Y, path_point.PATH_Z
 _N_ROWS, _N_SUMS, _LIMIT = path_point.N_ROWS, path_point.N_SUMS, path_point.ROBUST_SIGMAS**2
 _add_views, _add_views_near = path_point.add_views_by_length, path_point.add_views
-_rate_equation, _list_turned = path_point.rate_equation, path_point.list_turned
+_rate_equation, _first_lane, _list_turned = path_point.rate_equation, path_point.first_lane, path_point.list_turned
 _LEAST_DEPTH_RATIO = path_point.LEAST_DEPTH_RATIO
 
 
@@ -57,7 +57,8 @@ def predict_newest(
     for k in range(rays.shape[2]):
         views[_TIME, k] = since_s[k - before] if k >= before else 0.0
     for m in range(len(track)):
-        n = _list_turned(rays, track[m], ways, body[m], 1.0 / sigma[track[m]], views)
+        first = _first_lane(rays, track[m])
+        n = _list_turned(rays, track[m], first, ways, body[m], 1.0 / sigma[track[m]], views)
         off[m, 0], off[m, 1], chi2[m], line_chi2[m], past_redchi[m], is_past_off[m] = 0.0, 0.0, 0.0, 0.0, 0.0, False
         # With fewer than three earlier views nothing tells how straight the point went.
         if n < 4 or not views[_INVERSE, last] > 0.0:
@@ -74,9 +75,9 @@ def predict_newest(
         while True:
             sums[:] = 0.0
             if count <= _N_STEPS:
-                _add_views(views, ZERO, last, s, _LIMIT, sums)
+                _add_views(views, first, last, s, _LIMIT, sums)
             else:
-                _add_views_near(views, ZERO, last, s, _LIMIT, 1.0, sums)
+                _add_views_near(views, first, last, s, _LIMIT, 1.0, sums)
             if count == _N_STEPS:
                 # One view is the last, and three unknowns are fitted to the others.
                 past_redchi[m] = sums[path_point.CHI2] / (2 * n - 5)
@@ -89,12 +90,15 @@ def predict_newest(
             s[1] += (sums[_SCORE_Y] - sums[_WITH_Y] * change) / sums[_OWN]
             s[2] += change
             fall = (sums[_SCORE_X] ** 2 + sums[_SCORE_Y] ** 2) / sums[_OWN] + change * (2.0 * score - info * change)
+            if count == _N_STEPS and fall < _NO_FALL and sums[path_point.CHI2] < _LIMIT:
+                # None is far off, to be let go of.
+                break
             if count == _N_STEPS or not fall < _NO_FALL:
                 count += 1
             else:
                 count = _N_STEPS if count < _N_STEPS else _N_ALL_STEPS
         n_in = 0
-        for k in range(last + 1):
+        for k in range(first, last + 1):
             h = 1.0 / max(1.0 + s[2] * views[_PATH_Z, k], _LEAST_DEPTH_RATIO)
             rx = (views[_X, k] - (s[0] + s[2] * views[_PATH_X, k]) * h) * views[_INVERSE, k]
             ry = (views[_Y, k] - (s[1] + s[2] * views[_PATH_Y, k]) * h) * views[_INVERSE, k]
@@ -103,8 +107,7 @@ def predict_newest(
         if n_in >= max(float(_LEAST_IN), _LEAST_PART_IN * (n - 1)):
             # Nothing is said of the last view, nor of a point that has left the path of its body for good.
             is_back = False
-            for back in range(last + 1):
-                k = last - back
+            for k in range(last, first - 1, -1):
                 if views[_INVERSE, k] > 0.0:
                     is_past_off[m, k] = is_back and square[k] > _OFF
                     is_back = is_back or square[k] < _IN
@@ -117,20 +120,19 @@ def predict_newest(
         variance = 1.0 / (views[_INVERSE, last] * views[_INVERSE, last]) + 1.0 / own
         along, known = along_x * rx + along_y * ry, variance * max(info, 0.0) + along_x * along_x + along_y * along_y
         off_path = (rx * rx + ry * ry - (along * along / known if known > 0.0 else 0.0)) / variance
-        off[m, 0], off[m, 1], chi2[m], line_chi2[m] = rx, ry, off_path, _off_line(views, last)
+        off[m, 0], off[m, 1], chi2[m], line_chi2[m] = rx, ry, off_path, _off_line(views, first, last)
 
 
 @compiled
-def _off_line(views: Floats, last: int) -> float:
-    """How far the last view is from where the point went straight in the ones before it, in chi-square.
+def _off_line(views: Floats, first: int, last: int) -> float:
+    """How far the last view is from where the point went straight since the ``first`` one, in chi-square.
 
     A bent course leads off the line: as far as the straighter part of it is bent beyond noise, for a false view is off
     its neighbours too.
     """
     n, t_sum, tt_sum, x_sum, y_sum, tx_sum, ty_sum, bent = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf
     t1 = x1 = y1 = t2 = x2 = y2 = 0.0
-    for back in range(1, last + 1):
-        k = last - back
+    for k in range(last - 1, first - 1, -1):
         if not views[_INVERSE, k] > 0.0:
             continue
         t, x, y = views[_TIME, k], views[_X, k], views[_Y, k]

@@ -11,6 +11,8 @@ import numpy as np
 from ttcvid.compiled import compiled, compiled_in_place
 from ttcvid.model import Floats
 
+LANES = 8
+"""Views of a track are a multiple of this, as fits the processor's registers."""
 ROBUST_SIGMAS = 3.0
 """A residual farther off than this, in sigmas, loses weight: 1 % of Gaussian noise in two components."""
 LEAST_FORWARD = 0.05
@@ -135,13 +137,22 @@ def start(views: Floats, n: int, limits: Floats, state: Floats) -> float:
 
 
 @compiled
-def list_turned(rays: Floats, i: int, ways: Floats, b: int, inverse: float, views: Floats) -> int:
-    """Fill the views of track i: its ``rays (N, 3, M)`` turned back as ``ways[b] (12, M)`` says, and the path.
+def first_lane(rays: Floats, i: int) -> int:
+    """The first of those `LANES` views in which track i of ``rays (N, 3, M)`` is seen first."""
+    k, last = 0, rays.shape[2] - 1
+    while k < last and np.isnan(rays[i, 0, k]):
+        k += 1
+    return k // LANES * LANES
+
+
+@compiled
+def list_turned(rays: Floats, i: int, first: int, ways: Floats, b: int, inverse: float, views: Floats) -> int:
+    """Fill the views of track i from the first: its ``rays (N, 3, M)`` turned as ``ways[b] (12, M)`` says, and the path.
 
     A way holds the rotation (9) and the path (3) of each view. Returns in how many views the point is seen.
     """
     n = 0
-    for k in range(np.uint64(rays.shape[2])):
+    for k in range(np.uint64(first), np.uint64(rays.shape[2])):
         p, q, r = rays[i, 0, k], rays[i, 1, k], rays[i, 2, k]
         depth = ways[b, 6, k] * p + ways[b, 7, k] * q + ways[b, 8, k] * r
         # Where it was not seen it is NaN, and no comparison holds.

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import ZERO, compiled_for
+from ttcvid.compiled import compiled, compiled_for
 from ttcvid.geometry.kernels import path_point
 from ttcvid.geometry.kernels.rotations import fill_rotation, fill_vectors
 from ttcvid.geometry.kernels.solve import solve
 from ttcvid.model import Bools, Floats, Ints
 
-LANES = 8
-"""M is a multiple of this, as fits the processor's registers."""
 NO_LENGTH = 1e-9
 """Paths shorter than this have no scale."""
 
@@ -29,7 +27,7 @@ _PATH_X, _PATH_Y, _PATH_Z = path_point.PATH_X, path_point.PATH_Y, path_point.PAT
 _N_ROWS, _N_SUMS, _LIMIT = path_point.N_ROWS, path_point.N_SUMS, path_point.ROBUST_SIGMAS**2
 _LEAST_DEPTH_RATIO = path_point.LEAST_DEPTH_RATIO
 _add_views = path_point.add_views_by_length
-_rate_equation, _list_turned = path_point.rate_equation, path_point.list_turned
+_rate_equation, _first_lane, _list_turned = path_point.rate_equation, path_point.first_lane, path_point.list_turned
 
 
 @compiled_for(
@@ -56,7 +54,8 @@ def fit_rigid_points(
     views, sums, s = np.empty((_N_ROWS, rays.shape[2])), np.empty(_N_SUMS), np.empty(3)
     last = rays.shape[2] - 1
     for m in range(len(track)):
-        n = _list_turned(rays, track[m], ways, body[m], 1.0 / sigma[track[m]], views)
+        first = _first_lane(rays, track[m])
+        n = _list_turned(rays, track[m], first, ways, body[m], 1.0 / sigma[track[m]], views)
         n_views[m] = n if views[_INVERSE, last] > 0.0 else 0
         if n_views[m] < 2:
             place[m], rate[m], rate_sigma[m], redchi[m] = np.nan, np.nan, np.nan, 0.0
@@ -65,7 +64,7 @@ def fit_rigid_points(
         info, chi2 = 0.0, 0.0
         for count in range(n_steps + 1):
             sums[:] = 0.0
-            _add_views(views, ZERO, last + 1, s, _LIMIT, sums)
+            _add_views(views, first, last + 1, s, _LIMIT, sums)
             info, score = _rate_equation(sums)
             chi2 = sums[_CHI2]
             if count == n_steps:
@@ -115,8 +114,9 @@ def correct_ways(
         if not weight[m] > 0.0:
             continue
         b, x0, y0, rho = body[m], place[m, 0], place[m, 1], rate[m]
-        _list_turned(rays, track[m], ways, b, 1.0 / sigma[track[m]], views)
-        for k in range(np.uint64(n_views)):
+        start = _first_lane(rays, track[m])
+        _list_turned(rays, track[m], start, ways, b, 1.0 / sigma[track[m]], views)
+        for k in range(np.uint64(start), np.uint64(n_views)):
             tx, ty, tz = views[_PATH_X, k], views[_PATH_Y, k], views[_PATH_Z, k]
             depth = 1.0 + rho * tz
             is_near, inverse = depth < _LEAST_DEPTH_RATIO, views[_INVERSE, k]
@@ -132,7 +132,7 @@ def correct_ways(
         place_of_sum = 0
         for c in range(7):
             for d in range(c + 1):
-                for k in range(np.uint64(n_views)):
+                for k in range(np.uint64(start), np.uint64(n_views)):
                     other = k + np.uint64(n_views)
                     sums[b, place_of_sum, k] += rows[c, k] * rows[d, k] + rows[c, other] * rows[d, other]
                 place_of_sum += 1
@@ -214,12 +214,13 @@ def add_last_steps(
         if not weight[m] > 0.0:
             continue
         b, x0, y0, rho = body[m], place[m, 0], place[m, 1], rate[m]
-        _list_turned(rays, track[m], ways, b, 1.0, views)
-        for k in range(last + 1):
+        first = _first_lane(rays, track[m])
+        _list_turned(rays, track[m], first, ways, b, 1.0, views)
+        for k in range(first, last + 1):
             views[_INVERSE, k] *= 1.0 if 1.0 + rho * views[_PATH_Z, k] >= _LEAST_DEPTH_RATIO else 0.0
         s[0], s[1], s[2], sums[:] = x0, y0, rho, 0.0
         # By least squares: nothing is far off.
-        _add_views(views, ZERO, last + 1, s, 1e300, sums)
+        _add_views(views, first, last + 1, s, 1e300, sums)
         info, score = _rate_equation(sums)
         if not info > 0.0:
             continue
