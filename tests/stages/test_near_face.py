@@ -25,7 +25,7 @@ def front_of(position_m, relative_sigma=0.01, has_no_value=()):
     states.status[list(has_no_value)] = 1
     members = TrackSets.of([np.arange(len(position_m))])
     joint = joint_states(members, AHEAD[None], np.array([False]), states, FOCAL_PX * states.xy, 60.0)
-    (box,) = front_boxes(members, joint, states, FOCAL_PX * states.xy)
+    (box,) = front_boxes(members, members.boxes(FOCAL_PX * states.xy), joint, states, FOCAL_PX * states.xy)
     return box
 
 

@@ -105,14 +105,14 @@ def rows_of(
     if states.shared is not None:
         _take_directions_of_states(motions, joint, direction, direction_cov, status)
     is_ours = np.array([motion.cluster_id == SCENE_CLUSTER or motion.is_static for motion in motions], dtype=bool)
-    numbers, boxes = motion_ids(is_ours, direction, direction_cov), members.boxes(xy_px).tolist()
+    numbers, boxes = motion_ids(is_ours, direction, direction_cov), members.boxes(xy_px)
     has_values = np.logical_or.reduceat(states.has_value[members.index], members.first).tolist()
     rows = [
         ClusterRow(
             cluster_id=motion.cluster_id,
             motion_id=numbers[place],
             n_tracks=int(members.lengths[place]),
-            box_px=tuple(boxes[place]),
+            box_px=tuple(boxes[place].tolist()),
             status=_status_without_state(motion, has_values=has_values[place]),
             epipole_status=status[place],
             method=motion.method,
@@ -126,7 +126,7 @@ def rows_of(
     ]
     if motions and motions[0].cluster_id == SCENE_CLUSTER and motions[0].status == Status.no_parallax:
         rows[0] = rows[0].changed(motion_state=MotionState.no_relative_motion)
-    fronts = front_boxes(members, joint, states, xy_px).tolist()
+    fronts = front_boxes(members, boxes, joint, states, xy_px).tolist()
     for k, place in enumerate(joint.owner.tolist()):
         is_timed = math.isfinite(joint.acceleration_hz2[k])
         closing = Closing(float(joint.abc_hz[k, 2]), float(joint.acceleration_hz2[k]), joint.closing_cov[k])

@@ -81,14 +81,10 @@ class TrackStates:
         """No result for the tracks of ``index (N,)``, for the reason ``status (N,)``."""
         if not index.any():
             return self
-        gone = index[:, None]
-        return replace(
-            self,
-            abc_hz=np.where(gone, np.nan, self.abc_hz),
-            cov=np.where(gone[..., None], np.nan, self.cov),
-            direction=np.where(gone, np.nan, self.direction),
-            status=np.where(index, status, self.status),
-        )
+        values = {name: getattr(self, name).copy() for name in ("abc_hz", "cov", "direction")}
+        for each in values.values():
+            each[index] = np.nan
+        return replace(self, status=np.where(index, status, self.status), **values)
 
     def times(self) -> CollisionTimes:
         """The three times with their intervals: N rows."""
