@@ -2,6 +2,7 @@
 
 import gc
 import os
+import pickle
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import settings
 
 from ttcvid.jobs.analyze import beside
 from ttcvid.jobs.processes.compilation import compile_missing
+from ttcvid.jobs.processes.side_by_side import ReadAhead
 from ttcvid.posix import can_copy_process
 
 # The first call of a compiled function takes seconds, which is no fault of the case that makes it. The same cases in
@@ -54,10 +56,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _geometry_in_a_thread() -> Iterator[None]:
     """The copy of a process with all tests in it takes as long as the analysis of a small clip: a thread does its work.
 
-    The results are the same, which tests/jobs/test_determinism.py holds; commands that tests begin have their copies.
+    Items and results are pickled and read again, as on their way to a process and back. The results are the same, which
+    tests/jobs/test_determinism.py holds; commands that tests begin have their copies.
     """
+
+    class Sent(ReadAhead):
+        def __iter__(self):
+            return (pickle.loads(pickle.dumps(item)) for item in super().__iter__())
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(beside, "can_copy_process", lambda: False)
+        patch.setattr(beside, "ReadAhead", Sent)
         yield
 
 

@@ -189,9 +189,7 @@ RULES: dict[str, Rule] = {
         "the front part of an object",
         "times",
         {
-            "stages.objects.near_face.front_boxes": lambda members, joint, states, xy_px: members.boxes(xy_px)[
-                joint.owner
-            ]
+            "stages.objects.near_face.front_boxes": lambda members, boxes, joint, *_: boxes[joint.owner],
         },
         _stage("objects/near_face"),
     ),

@@ -60,11 +60,9 @@ def baselines(few_tracks_run: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def entry(clip: Path, name: str = "plain", expectations: Any = (), **options: Any) -> dict[str, Any]:
-    """A clip of a suite: the simulated one, unless its pictures are said to be elsewhere."""
+    """A clip of a suite: the simulated one."""
     chosen = {"camera": str(clip / "camera.yaml"), "timestamps": str(clip / "timestamps.txt"), "platform": "vehicle"}
-    chosen |= options
-    pictures = chosen.pop("pictures", str(clip / "frames"))
-    return {"name": name, "clip": pictures, "options": chosen, "expectations": list(expectations)}
+    return {"name": name, "clip": str(clip / "frames"), "options": chosen | options, "expectations": list(expectations)}
 
 
 def written(folder: Path, clips: list[dict[str, Any]], **more: Any) -> Path:

@@ -1,5 +1,7 @@
 """What stays on its pixels: fixed to the camera, or a thing that keeps its distance while the camera turns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,3 +61,18 @@ def test_what_leaves_its_pixel_or_is_seen_twice_only_is_not_fixed():
     assert np.isneginf(ride_odds(views_of(xy + steps, rng), np.repeat(np.eye(3)[None], 10, axis=0))).all()
     two = views_of(np.repeat(xy[None], 2, axis=0), rng)
     assert np.isneginf(ride_odds(two, np.repeat(np.eye(3)[None], 2, axis=0))).all()
+
+
+def test_views_that_are_missing_count_for_nothing():
+    """Of tracks that are missing now and then, and at first, the odds are those of a history of their views alone."""
+    rng = np.random.default_rng(6)
+    cam_R_past, xy = turns_of(15, 0.2, rng), rng.uniform(-0.3, 0.3, (N_TRACKS, 2))
+    whole = views_of(np.repeat(xy[None], 15, axis=0), rng)
+    is_seen = np.ones(15, dtype=bool)
+    is_seen[[1, 6, 7]] = False
+    rays = np.where(is_seen[:, None, None], whole.rays, np.nan)
+    gaps = replace(whole, rays=rays, rays_by_track=views_by_track(rays))
+    seen = replace(whole, rays=rays[is_seen], rays_by_track=views_by_track(rays[is_seen]), t_s=whole.t_s[is_seen])
+    odds = ride_odds(gaps, cam_R_past)
+    np.testing.assert_allclose(odds, ride_odds(seen, cam_R_past[is_seen]), rtol=1e-6, atol=1e-6)
+    assert np.mean(odds > 1.0) > 0.8

@@ -125,7 +125,7 @@ def predict_newest(
 
 @compiled
 def _off_line(views: Floats, first: int, last: int) -> float:
-    """How far the last view is from where the point went straight since the ``first`` one, in chi-square.
+    """How far the last view is off the line through those shortly before it, in chi-square; ``first`` is the earliest.
 
     A bent course leads off the line: as far as the straighter part of it is bent beyond noise, for a false view is off
     its neighbours too.

@@ -12,7 +12,7 @@ from ttcvid.compiled import compiled, compiled_in_place
 from ttcvid.model import Floats
 
 LANES = 8
-"""Views of a track are a multiple of this, as fits the processor's registers."""
+"""The number of views is filled up to a multiple of this, as fits the processor's registers."""
 ROBUST_SIGMAS = 3.0
 """A residual farther off than this, in sigmas, loses weight: 1 % of Gaussian noise in two components."""
 LEAST_FORWARD = 0.05
@@ -138,7 +138,7 @@ def start(views: Floats, n: int, limits: Floats, state: Floats) -> float:
 
 @compiled
 def first_lane(rays: Floats, i: int) -> int:
-    """The first of those `LANES` views in which track i of ``rays (N, 3, M)`` is seen first."""
+    """Where those `LANES` views begin in which track i of ``rays (N, 3, M)`` is first seen, or the last ones."""
     k, last = 0, rays.shape[2] - 1
     while k < last and np.isnan(rays[i, 0, k]):
         k += 1
@@ -147,9 +147,9 @@ def first_lane(rays: Floats, i: int) -> int:
 
 @compiled
 def list_turned(rays: Floats, i: int, first: int, ways: Floats, b: int, inverse: float, views: Floats) -> int:
-    """Fill the views of track i from the first: its ``rays (N, 3, M)`` turned as ``ways[b] (12, M)`` says, and the path.
+    """Fill ``views`` from the ``first`` on: the rays of track i turned, and the path, both as ``ways[b]`` has them.
 
-    A way holds the rotation (9) and the path (3) of each view. Returns in how many views the point is seen.
+    A way ``(12, M)`` holds the rotation (9) and the path (3) of each view. Returns in how many views the point is seen.
     """
     n = 0
     for k in range(np.uint64(first), np.uint64(rays.shape[2])):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import compiled, compiled_for
+from ttcvid.compiled import compiled_for
 from ttcvid.geometry.kernels import path_point
 from ttcvid.geometry.kernels.rotations import fill_rotation, fill_vectors
 from ttcvid.geometry.kernels.solve import solve
@@ -114,9 +114,9 @@ def correct_ways(
         if not weight[m] > 0.0:
             continue
         b, x0, y0, rho = body[m], place[m, 0], place[m, 1], rate[m]
-        start = _first_lane(rays, track[m])
-        _list_turned(rays, track[m], start, ways, b, 1.0 / sigma[track[m]], views)
-        for k in range(np.uint64(start), np.uint64(n_views)):
+        first = _first_lane(rays, track[m])
+        _list_turned(rays, track[m], first, ways, b, 1.0 / sigma[track[m]], views)
+        for k in range(np.uint64(first), np.uint64(n_views)):
             tx, ty, tz = views[_PATH_X, k], views[_PATH_Y, k], views[_PATH_Z, k]
             depth = 1.0 + rho * tz
             is_near, inverse = depth < _LEAST_DEPTH_RATIO, views[_INVERSE, k]
@@ -132,7 +132,7 @@ def correct_ways(
         place_of_sum = 0
         for c in range(7):
             for d in range(c + 1):
-                for k in range(np.uint64(start), np.uint64(n_views)):
+                for k in range(np.uint64(first), np.uint64(n_views)):
                     other = k + np.uint64(n_views)
                     sums[b, place_of_sum, k] += rows[c, k] * rows[d, k] + rows[c, other] * rows[d, other]
                 place_of_sum += 1

@@ -23,14 +23,14 @@ _LEAST_TRACKS, _LEAST_KNOWN, _KNOWN_PART = 3, 5, 0.5
 _TINY = 1e-12
 
 
-def front_boxes(members: TrackSets, boxes: Floats, joint: JointStates, states: TrackStates, xy_px: Floats) -> Floats:
+def front_boxes(members: TrackSets, whole_px: Floats, joint: JointStates, states: TrackStates, xy_px: Floats) -> Floats:
     """Least x and y, greatest x and y, px, of the tracks of each of K surfaces' owners that are as near: (K, 4).
 
     The whole of what has too few such tracks to show sides: its nearest part may lie where it has none.
 
     All points of a thing share its velocity, so that the rates speed / Z of its tracks tell how deep each lies; so they
     do the errors of their path, which make no track nearer than another. ``members`` are the tracks of all objects,
-    with their ``boxes``, ``joint.owner (K,)`` among them.
+    ``whole_px (J, 4)`` their boxes, and ``joint.owner (K,)`` those with a surface.
     """
     has_surface = np.zeros(len(members), dtype=bool)
     has_surface[joint.owner] = True
@@ -49,6 +49,6 @@ def front_boxes(members: TrackSets, boxes: Floats, joint: JointStates, states: T
     are_known_enough = n_known >= np.maximum(_LEAST_KNOWN, _KNOWN_PART * n_near)
     has_face = are_known_enough | (n_near >= _LEAST_TRACKS)
     faces, left = tracks.where(np.where(are_known_enough[tracks.set_of], is_known, is_near) & has_face[tracks.set_of])
-    boxes = boxes[joint.owner]
+    boxes = whole_px[joint.owner]
     boxes[left] = faces.boxes(xy_px)
     return boxes

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import compiled, compiled_for
+from ttcvid.compiled import ZERO, compiled_for
+from ttcvid.geometry.kernels.normal_equations import product
 from ttcvid.geometry.kernels.path_point import LEAST_FORWARD
 from ttcvid.model import Floats
 from ttcvid.stages.segmentation.body_views import BodyViews
@@ -39,9 +40,12 @@ def ride_odds(views: BodyViews, cam_R_past: Floats) -> Floats:
 
 @compiled_for("(f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1])")
 def _fill_odds(rays: Floats, rotations: Floats, powers: Floats, scatter: Floats, sigma: Floats, odds: Floats) -> None:
-    """Fill ``odds (N,)`` of tracks of less variance than ``scatter (N,)``; of ``powers (L, 3)`` a parabola is a sum."""
+    """Fill ``odds (N,)`` of tracks whose places vary by less than ``scatter (N,)``, the square of a coordinate.
+
+    ``rays (N, 3, M)`` as of `views_by_track`, ``rotations (L, 3, 3)``, ``powers (L, 3)`` of time, ``sigma (N,)``.
+    """
     n_views = len(rotations)
-    # Columns to fit, and what they are fitted to: places as seen, and turned, less the mean.
+    # Rows: three powers of time, places as seen, and turned, both less the mean of those as seen.
     seen, rows, first = np.empty(n_views, dtype=np.int64), np.empty((7, n_views)), rays.shape[2] - n_views
     for i in range(len(odds)):
         n, mean_x, mean_y, square = 0, 0.0, 0.0, 0.0
@@ -66,20 +70,11 @@ def _fill_odds(rays: Floats, rotations: Floats, powers: Floats, scatter: Floats,
             rows[0, j], rows[1, j], rows[2, j] = powers[k, 0], powers[k, 1], powers[k, 2]
         # Each column takes its part out of those that follow.
         for c in range(3):
-            own = _TINY + _product(rows, c, c, n)
+            own = _TINY + product(rows, c, c, ZERO, n)
             for d in range(c + 1, 7):
-                part = _product(rows, c, d, n) / own
+                part = product(rows, c, d, ZERO, n) / own
                 for j in range(n):
                     rows[d, j] -= part * rows[c, j]
-        as_seen = _product(rows, 3, 3, n) + _product(rows, 4, 4, n)
-        as_turned = _product(rows, 5, 5, n) + _product(rows, 6, 6, n)
+        as_seen = product(rows, 3, 3, ZERO, n) + product(rows, 4, 4, ZERO, n)
+        as_turned = product(rows, 5, 5, ZERO, n) + product(rows, 6, 6, ZERO, n)
         odds[i] = 0.5 * (as_turned - as_seen) / sigma[i] ** 2
-
-
-@compiled
-def _product(rows: Floats, one: int, other: int, n: int) -> float:
-    """Product of two of the ``rows (M, L)``, of their first ``n`` numbers."""
-    total = 0.0
-    for j in range(n):
-        total += rows[one, j] * rows[other, j]
-    return total
