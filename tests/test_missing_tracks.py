@@ -33,9 +33,9 @@ def warned(results):
     return {event.event_id: event for result in results for event in result.events}
 
 
-def test_frames_with_too_few_tracks_end_no_object_and_no_warning():
+@pytest.mark.parametrize("n_missing", [1, 4])
+def test_frames_with_too_few_tracks_end_no_object_and_no_warning(n_missing):
     """All but eight tracks are missing in some frames at 20/s: behind the gap everything goes on as before it."""
-    n_missing = 4
     gap = range(30, 30 + n_missing)
     frames = table(
         [STREET, CROSSING],
@@ -56,7 +56,8 @@ def test_frames_with_too_few_tracks_end_no_object_and_no_warning():
     assert max(tracks.values()) == 31
 
 
-@pytest.mark.parametrize(("n_hidden", "same_tracks"), [(1, False), (5, True), (5, False)])
+@pytest.mark.parametrize("n_hidden", [1, 5])
+@pytest.mark.parametrize("same_tracks", [True, False])
 def test_a_car_that_is_hidden_for_some_frames_keeps_its_number(n_hidden, same_tracks):
     """Seen at 10/s; new tracks take three views until they show whose they are."""
     n_static, hides_at = len(STREET.points_m), 15

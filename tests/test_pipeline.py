@@ -144,7 +144,7 @@ def test_a_time_that_does_not_move_on_gives_a_status_and_no_number(t_s):
     assert_same([*results[:6], *results[7:]], plain_run("crossing_collision"))
 
 
-@pytest.mark.parametrize("jump_s", [0.8, 100.0])
+@pytest.mark.parametrize("jump_s", [0.8, 3.0, 100.0])
 def test_over_a_jump_of_the_clock_all_begins_anew(jump_s):
     """Tracks that go on over it would tell speeds that nothing has, and surely."""
     frames, camera = table("stopped_car_ahead", n_frames=30, min_per_object=20)

@@ -22,7 +22,7 @@ def long_runs(name):
     return results_of(frames, camera, CAUSAL), results_of(frames, camera, SMOOTH)
 
 
-@pytest.mark.parametrize("name", ["crossing_collision", "resting_six_movers"])
+@pytest.mark.parametrize("name", ["crossing_collision", "lead_car_brakes", "resting_six_movers"])
 def test_smoothing_takes_nothing_back_that_was_found_out_on_the_way(name):
     causal, smooth = long_runs(name)
     for one, other in zip(causal, smooth, strict=True):

@@ -17,8 +17,9 @@ def test_vehicles_that_cross_side_by_side_are_told_apart(tmp_path):
     assert rows.is_found.mean() > 0.6
 
 
-def test_what_stands_still_has_tracks_beside_many_objects(tmp_path):
-    assert share_of_what_stands_still("mast-walkers", tmp_path) > 0.25
+@pytest.mark.parametrize("family", ["mast-junction", "mast-walkers"])
+def test_what_stands_still_has_tracks_beside_many_objects(tmp_path, family):
+    assert share_of_what_stands_still(family, tmp_path) > 0.25
 
 
 @pytest.mark.data

@@ -107,9 +107,9 @@ def test_a_horizon_off_by_5_px_is_named(clip, horizon_run, compared, tmp_path):
 
 
 SIGNED = [
-    ("frames", ["rot_y_rad"]),
+    ("frames", ["rot_x_rad", "rot_y_rad"]),
     ("epipoles", ["dir_y", "dir_z"]),
-    ("collision_times", ["ttc_z_s", "k_frames"]),
+    ("collision_times", ["tcpa_s", "ttc_z_s", "k_frames"]),
 ]
 
 

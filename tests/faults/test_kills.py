@@ -12,10 +12,8 @@ from ttcvid.cli.commands import COMMANDS
 
 COMMANDS_THAT_WRITE_NOTHING = {"doctor"}
 N_MOMENTS, N_ALL_MOMENTS = 2, 30
-ONLY_WITH_ALL = {"demo", "regress", "sensitivity"}
-"""Simulation, analysis and evaluation in a row; tests/cli/test_regress.py kills a regression; and a study writes its
-folder as collision-map does.
-"""
+ONLY_WITH_ALL = {"demo", "regress"}
+"""Simulation, analysis and evaluation in a row; and tests/cli/test_regress.py kills a regression."""
 
 
 def hidden(folder: Path) -> set[Path]:

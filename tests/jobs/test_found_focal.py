@@ -66,7 +66,7 @@ def test_a_found_focal_length_is_said_everywhere_and_found_again(
 
 @pytest.mark.parametrize(
     ("options", "origin"),
-    [({"hfov": 55.0}, "hfov_deg"), ({"platform": "static"}, "assumed")],
+    [({"focal_px": 600.0}, "focal_px"), ({"hfov": 55.0}, "hfov_deg"), ({"platform": "static"}, "assumed")],
 )
 def test_nothing_is_looked_for_where_the_camera_is_given_or_rests(turning: str, options: dict, origin: str) -> None:
     run = ttcvid.analyze(turning, "run", image_size=str(SIZE), overlay=False, report=False, **options)

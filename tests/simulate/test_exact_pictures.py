@@ -23,8 +23,8 @@ CLIPS = {
     "swinging, bent lens": ("swinging_drive", 40, DISTORTION),
     "turning": ("turning_jitter", 40, {}),
 }
-MOST_IN_A_ROW = {"tree": 2}
-"""So many of a row of trees, and of others four: to paint each takes longer than to draw it in all pictures."""
+MOST_TREES, MOST_OTHERS = 2, 4
+"""So many bodies of a row: to paint one takes longer than to draw it in all pictures."""
 WINDOW = (slice(110, 300), slice(120, 560))
 """Part of the picture in which every pixel is followed: casting all of them takes long."""
 
@@ -38,7 +38,8 @@ def grey_pictures(clip):
     content["picture"] = {"noise_grey": 0.5}
     for body in content["bodies"]:
         if "repeat" in body:
-            body["repeat"]["count"] = min(body["repeat"]["count"], MOST_IN_A_ROW.get(body["kind"], 4))
+            most = MOST_TREES if body["kind"] == "tree" else MOST_OTHERS
+            body["repeat"]["count"] = min(body["repeat"]["count"], most)
     world = build_world(Scene.model_validate(content))
     renderer = Renderer(world)
     grey = [cv2.cvtColor(renderer.render(frame).bgr, cv2.COLOR_BGR2GRAY) for frame in range(first, first + 4)]

@@ -14,11 +14,8 @@ TURNING = pytest.mark.parametrize(
 )
 
 
-@pytest.mark.parametrize(
-    ("drive", "n_frames", "focal_px"),
-    [(PAN, 18, 450.0), (PAN, 18, 1100.0), (PAN_AND_STEP, 18, 1100.0), (CURVE, 24, 450.0)],
-    ids=["pan", "pan, long", "pan and step, long", "curve"],
-)
+@TURNING
+@pytest.mark.parametrize("focal_px", [450.0, 1100.0])
 def test_exact_tracks_of_a_turning_camera_tell_its_focal_length(drive, n_frames, focal_px):
     found = find_focal_length(seen_points(drive, focal_px, n_frames=n_frames), SIZE)
     assert found is not None

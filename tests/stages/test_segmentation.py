@@ -39,7 +39,7 @@ def assert_one_mover_each(frames, *numbers, since=NAMED_FRAMES, part=0.9):
     assert min(scene_part(frame) for frame in frames[since:]) > 0.97
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_crossing_car_is_found_soon_and_keeps_its_key_and_number(seed):
     rng = np.random.default_rng(seed)
     frames = bodies_of(world(rng, AHEAD, N_FRAMES, crossing(rng)), N_FRAMES, seed=seed)
@@ -64,7 +64,8 @@ def test_noise_alone_gives_no_movers(seed, sigma_px):
     assert all(not frame.mover_keys for frame in frames)
 
 
-@pytest.mark.parametrize(("seed", "stop_s"), [(0, 1.6), (1, 2.5), (2, 1.6)])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("stop_s", [1.6, 2.5])
 def test_we_brake_to_a_stop_and_nothing_becomes_a_mover(seed, stop_s):
     """From 10 m/s on a road that always has new tracks near us: only older ones tell that we are slower."""
     rng = np.random.default_rng(seed)
@@ -227,7 +228,8 @@ def test_a_mover_that_vanishes_is_forgotten_and_its_key_never_used_again():
     assert set(ids) == {1, 2}
 
 
-@pytest.mark.parametrize(("n_hidden", "same_tracks"), [(1, True), (1, False), (3, False), (5, True), (5, False)])
+@pytest.mark.parametrize("n_hidden", [1, 2, 3, 5])
+@pytest.mark.parametrize("same_tracks", [True, False])
 def test_a_car_that_a_post_hides_for_some_frames_keeps_its_key_and_number(n_hidden, same_tracks):
     """A track table may know its tracks again; a tracker of pictures follows new ones."""
     rng = np.random.default_rng(11)
@@ -326,7 +328,8 @@ class Slipping(Thing):
         return self.points + np.where(t_s >= from_s - 1e-9, (aside_m, 0.0, 0.0), 0.0)
 
 
-@pytest.mark.parametrize(("seed", "slip_px", "is_one"), [(1, 1.0, False), (2, 3.0, True), (3, 1.0, False)])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("slip_px", "is_one"), [(1.0, False), (3.0, True)])
 def test_what_slips_by_no_more_than_tracks_err_in_common_is_no_mover(seed, slip_px, is_one):
     rng = np.random.default_rng(seed)
     depth_m = 20.0

@@ -146,11 +146,12 @@ def test_over_flat_ground_the_true_motion_is_not_left_for_its_dual(part_above):
     assert np.mean(np.array(off_deg) > 20.0) < 0.05
 
 
-def test_movers_that_hold_most_of_the_tracks_are_not_the_scene():
+@pytest.mark.parametrize("n_of_each", [16, 24])
+def test_movers_that_hold_most_of_the_tracks_are_not_the_scene(n_of_each):
     """They are not known. The scene holds most of the picture, and stays rigid over all views."""
     off_deg = []
     for seed in range(4):
-        motion, _ = in_patches(np.random.default_rng(seed), 24)
+        motion, _ = in_patches(np.random.default_rng(seed), n_of_each)
         steps, _ = found(motion, config=FREE)
         off_deg += [angle_deg(step.direction, -STEP_M) for step in steps[6:] if step.direction is not None]
     assert len(off_deg) > 20
@@ -196,7 +197,7 @@ def test_a_direction_is_told_where_the_flow_of_the_window_is_larger_than_what_tr
     assert np.trace(slow.direction_cov) > 4.0 * np.trace(alone.direction_cov)
 
 
-@pytest.mark.parametrize(("turn_deg", "stretch", "k1"), [(1.5, 1.0, -0.1), (1.5, 1.06, 0.0)])
+@pytest.mark.parametrize(("turn_deg", "stretch", "k1"), [(1.0, 1.0, 0.1), (1.5, 1.0, -0.1), (1.5, 1.06, 0.0)])
 def test_a_pan_before_a_lens_that_nobody_measured_is_told_as_no_translation(turn_deg, stretch, k1):
     pan = aside(0.0, n_frames=20, turn_deg=turn_deg, stretch=stretch)
     plane = pan.rays / pan.rays[..., 2:]

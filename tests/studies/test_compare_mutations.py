@@ -193,10 +193,8 @@ def test_the_times_of_one_object_tripled(name, runs):
     assert f"object {main_object(one)}" in text
 
 
-@pytest.mark.parametrize(
-    ("name", "part"),
-    [("drive", "clusters"), ("drive", "collision_times"), ("resting", "clusters"), ("table", "clusters")],
-)
+@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("part", ["clusters", "collision_times"])
 def test_all_intervals_halved(part, name, runs):
     one = runs[name]
     table = one.tables[part].copy()

@@ -16,8 +16,8 @@ from ttcvid.model import Bools, Floats, Ints
 _STRAIGHT_VIEWS, _BEND = 4, 5.0
 # Noise bends three views by less than so many times its variance in 19 cases of 20 (1.5 in each of two coordinates).
 _NOT_BENT = 9.0
-# Gauss-Newton steps on a point from its last rate, and with further ones, which let go of views far off
-# (but for the first): fewer where they no longer lower chi-square.
+# Gauss-Newton steps on a point from its last rate, and with further ones, which let go of views far off (but for the
+# first): fewer where they no longer lower chi-square, and no further ones where no view is far off.
 _N_STEPS, _N_ALL_STEPS, _NO_FALL = 4, 7, 1e-6
 # An earlier view is displaced if its squared residual exceeds the second and that of a later view is within the first.
 # So many views, and this part of all, have to be within the first.

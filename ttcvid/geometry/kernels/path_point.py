@@ -138,7 +138,7 @@ def start(views: Floats, n: int, limits: Floats, state: Floats) -> float:
 
 @compiled
 def first_lane(rays: Floats, i: int) -> int:
-    """Where those `LANES` views begin in which track i of ``rays (N, 3, M)`` is first seen, or the last ones."""
+    """Start of the block of `LANES` views in which track i of ``rays (N, 3, M)`` is first seen, or of the last."""
     k, last = 0, rays.shape[2] - 1
     while k < last and np.isnan(rays[i, 0, k]):
         k += 1
