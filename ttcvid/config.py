@@ -122,7 +122,7 @@ class CollisionTimesConfig(StageConfig):
         "same time as at 30",
     )
     object_window_s: PositiveFloat = Field(
-        default=0.6, description="multi-frame: length of the window of a mover; cars brake within a second"
+        default=0.75, description="multi-frame: length of the window of a mover; cars brake within a second"
     )
     window_probability: Fraction = Field(
         default=0.999, description="multi-frame: chi-square probability within which one motion explains the views"

@@ -150,37 +150,6 @@ def test_points_that_move_otherwise_do_not_bend_the_path():
     assert np.abs(found.offset[0, 3:6]).max() < 0.1
 
 
-def directions_from_found(off_rad, sigma, n_points=12, found_rad=0.004):
-    """Angles to the true direction, by a wide belief and by how well it was found; of each ``off_rad (S, 2)``."""
-    across, errors = np.linalg.svd(DIRECTION[None])[2][1:], []
-    for seed, off in enumerate(off_rad):
-        rng = np.random.default_rng(seed)
-        beliefs = belief(normalize(DIRECTION + off @ across), 0.06)
-        xy = seen(body(n_points, rng))
-        xy += sigma * rng.normal(size=xy.shape)
-        points = points_of_paths(xy, T_S, np.full(n_points, sigma), beliefs.base, np.zeros(n_points, np.int64))
-        fits = fit_paths(points, beliefs)
-        found_cov = beliefs.direction_cov * (found_rad / 0.06) ** 2
-        searched = fits.paths()
-        found = fits.paths_from_found_directions(found_cov, searched)
-        errors.append([np.arccos(path.direction[0] @ DIRECTION) for path in (searched, found)])
-    return np.median(errors, axis=0)
-
-
-def test_a_direction_counts_for_as_much_as_it_was_found_to():
-    """The search believes in none as much, and leaves that of a few points to their noise."""
-    off_rad = 0.004 * np.random.default_rng(20).normal(size=(40, 2))
-    by_search, found = directions_from_found(off_rad, 10.0 * SIGMA)
-    assert by_search > 0.01
-    assert found < 0.006
-
-
-def test_a_direction_that_views_contradict_counts_for_less():
-    by_search, found = directions_from_found(np.tile([0.12, 0.0], (20, 1)), SIGMA)
-    assert by_search < 0.005
-    assert found < 0.01
-
-
 def test_paths_without_points_stay_as_believed():
     xy = seen(body(10, np.random.default_rng(7)))
     points = points_of_paths(xy, T_S, np.full(10, SIGMA), belief().base, np.full(10, NO_PATH))

@@ -37,8 +37,6 @@ claim not to: before cameras in free motion times err by four of their standard 
 _LOYAL_SHARE = 0.7
 # No direction is believed in more than this: one in a plane would have no information across it.
 _LEAST_SIGMA_RAD = 1e-8
-# What does not contradict a direction: a chi-square with two degrees of freedom inside its 90 %.
-_CHANCE_CHI2 = 4.605
 
 
 @dataclass(frozen=True)
@@ -178,29 +176,6 @@ class PathFits:
         brakes = offset[:, _ALONG] ** 2 > chi2 * np.maximum(self.left[:, 1], 1.0) * cov[:, _ALONG, _ALONG]
         return replace(self, believed=np.where(brakes[:, None, None], wide, self.believed))
 
-    def paths_from_found_directions(self, found_cov: Floats, searched: SharedPaths) -> SharedPaths:
-        """The paths by their believed directions, where these were found to ``found_cov (K, 3, 3)``, in rad^2.
-
-        The search, whose `paths` are ``searched``, is to find a path that was believed wrongly, and believes in no
-        direction as much. One that was found as if its path were straight is nearer to the truth, but for where views
-        contradict it: by so much its covariance grows. The paths are known no better for it than by the search: errors
-        that tracks have in common, and a turn that does not show, are in none of these covariances.
-        """
-        local, cov = self._weighed(self.believed)
-        across = self.own_motion[:, _U]
-        found, wide = (_of_plane(self.basis, each) for each in (found_cov, self.beliefs.direction_cov))
-        off = across @ local[..., None]
-        both = across @ cov @ across.transpose(0, 2, 1) + found
-        chi2 = (off.transpose(0, 2, 1) @ np.linalg.solve(both, off))[:, 0, 0]
-        worse = np.maximum(1.0, chi2 / _CHANCE_CHI2)
-        more = np.linalg.inv(found) / worse[:, None, None] - np.linalg.inv(wide)
-        steady = self._paths(*self._weighed(self.believed + across.transpose(0, 2, 1) @ more @ across))
-        # Known as those that were searched are, which they may be as well.
-        off = searched.direction - steady.direction
-        squares, cov = off[:, :, None] * off[:, None, :], searched.cov.copy()
-        cov[:, :3, :3] += squares
-        return replace(steady, cov=cov, direction_cov=searched.direction_cov + squares)
-
     def _weighed(self, believed: Floats) -> tuple[Floats, Floats]:
         """Offsets (K, 11) by the belief and by what the views say, and their covariance."""
         cov = np.asarray(np.linalg.inv(believed + self.information), dtype=np.float64)
@@ -215,8 +190,9 @@ class PathFits:
         columns[:, :6] /= speed[:, None, None]
         columns[:, 9:] /= speed[:, None, None]
         # Of the middle of what turns itself.
-        own = columns[:, :3, _U] @ self.own_motion[:, _U]
         direction = (self.beliefs.direction + offset[:, :3]) / speed[:, None]
+        across = np.eye(3) - direction[:, :, None] * direction[:, None]
+        own = across @ columns[:, :3, _U] @ self.own_motion[:, _U]
         offset[:, :6] /= speed[:, None]
         offset[:, 9:] /= speed[:, None]
         cov_of = (columns @ cov @ columns.transpose(0, 2, 1), own @ cov @ own.transpose(0, 2, 1))

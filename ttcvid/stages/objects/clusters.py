@@ -57,7 +57,6 @@ class ClusterMotion:
     direction, direction_cov : its ``dir`` ``(3,)`` and the covariance (3, 3), rad^2; None without one.
     horizon_offset_px, horizon_offset : offset of its epipole from the horizon before it was moved there, in px, and as
         an angle with its standard deviation.
-    window_s : for how long its motion has been the present one.
     is_static : it moves with the scene (a standing obstacle).
     is_one_surface : it was found as one surface, and may have few tracks.
     """
@@ -69,10 +68,14 @@ class ClusterMotion:
     status: Status
     method: str
     horizon_offset_px: float | None = None
-    window_s: float = np.inf
     is_static: bool = False
     is_one_surface: bool = False
     horizon_offset: HorizonOffset | None = None
+
+    @property
+    def is_body(self) -> bool:
+        """Whether it is a mover with a trajectory of its own, and not one surface in our way or of an aircraft."""
+        return self.cluster_id != SCENE_CLUSTER and not self.is_one_surface
 
 
 def surfaces_of(

@@ -11,7 +11,7 @@ import numpy as np
 from ttcvid.config import CollisionTimesConfig, PipelineConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.estimation.shared_direction import shared_directions
-from ttcvid.geometry.estimation.track_state import WholeTracks, fit_whole_tracks
+from ttcvid.geometry.estimation.track_state import fit_whole_tracks
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import skew
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, ImageSize, Ints, Platform, Status
@@ -32,8 +32,6 @@ from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 # Where few tracks are given they lie farther apart: random points hang together from 1.2 times their spacing on
 # (percolation of discs, sqrt(4.51 / pi)). Nothing is a neighbour beyond so many times the first distance.
 _LINK_PART, _SPARSE_LINK, _MOST_LINK = 0.05, 1.2, 2.0
-# Where its recent views alone tell a mover's rate to this part, older ones would only make it lag: cars brake.
-_SURE_PART = 0.008
 
 
 @dataclass(frozen=True)
@@ -154,37 +152,31 @@ def motions_of(
     camera: Camera,
     config: CollisionTimesConfig,
 ) -> list[ClusterMotion]:
-    """The motion of each of K things, its tracks given by ``cluster_id``, as its whole tracks show."""
+    """The motion of each of K things, its tracks given by ``cluster_id``, as its whole tracks show.
+
+    The search for the trajectory that gives its times starts from there (`track_states`).
+    """
     if not members:
         return []
     things = TrackSets.of(list(members.values()))
-    window_s = np.full(len(things), config.object_window_s)
-    direction, covariance, is_sure = _directions(history, things, config.object_window_s, config)
-    if not is_sure.all():
-        unsure, left = things.where(~is_sure[things.set_of])
-        window_s[left] = np.inf
-        direction[left], covariance[left], _ = _directions(history, unsure, np.inf, config)
     motions = []
-    found = zip(members.items(), direction, covariance, window_s.tolist(), strict=True)
-    for (cluster_id, index), way, cov, since_s in found:
+    for (cluster_id, index), way, cov in zip(members.items(), *_directions(history, things, config), strict=True):
         motion = ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks")
         if np.isfinite(way[0]):
-            motion = replace(motion, direction=way, direction_cov=cov, window_s=since_s)
+            motion = replace(motion, direction=way, direction_cov=cov)
         motions.append(on_plane(motion, plane, camera))
     return motions
 
 
-def _directions(
-    history: TrackHistory, things: TrackSets, window_s: float, config: CollisionTimesConfig
-) -> tuple[Floats, Floats, Bools]:
-    """The direction (K, 3) of each thing by its views within a time of the present one, its covariance, `_are_sure`.
+def _directions(history: TrackHistory, things: TrackSets, config: CollisionTimesConfig) -> tuple[Floats, Floats]:
+    """The direction (K, 3) of each thing by its views within a time of the present one, and its covariance.
 
     The covariance (K, 3, 3) holds what errs in all of its tracks alike.
     That is a rotation left in them, and a change of speed: the path ``x + u t - u (c - q / 2) t^2`` shows at the rate q
     what a constant velocity takes for depth. How a thing changes its speed its path will tell (`turning`): a direction
     that is uncertain otherwise is NaN.
     """
-    views = history.views_within(window_s)
+    views = history.views_within(config.object_window_s)
     tracks = fit_whole_tracks(
         history.xy[views].take(things.index, axis=1),
         history.since_s[views],
@@ -202,20 +194,7 @@ def _directions(
     direction, covariance, _, by_errors = shared_directions(xy, velocity_hz, tracks.info_w, *of_things, errors)
     variance = np.trace(covariance, axis1=1, axis2=2) - np.sum(by_errors[..., -1] ** 2, axis=1)
     direction[~(variance < MAX_DIRECTION_SIGMA_RAD**2)] = np.nan
-    return direction, covariance, _are_sure(tracks, direction, things.set_of)
-
-
-def _are_sure(tracks: WholeTracks, direction: Floats, thing: Ints) -> Bools:
-    """Things (K,) whose rate their tracks tell well enough, all together and apart from what errs in common.
-
-    The rate of a track along e is ``e' info w / e' info e`` (`shared_direction`).
-    """
-    e = direction[thing]
-    pull = np.einsum("nij,nj->ni", tracks.info_w, e)
-    information, towards = np.sum(pull * e, axis=1), np.sum(pull * tracks.state[:, 2:], axis=1)
-    tells = (information > 0.0) & np.isfinite(towards)
-    sigmas2 = np.divide(towards**2, information, out=np.zeros(len(thing)), where=tells)
-    return np.asarray(np.bincount(thing, sigmas2, len(direction)) > _SURE_PART**-2)
+    return direction, covariance
 
 
 def scene_motion(

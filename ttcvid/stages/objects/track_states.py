@@ -40,7 +40,7 @@ def multi_frame_states(
     together: its place and its rate are left. Any other track, but for those of a scene that does not move, has its
     free state (with a horizon: in its plane).
     """
-    views = _views(history, motions)
+    views = _views(history, motions, config.object_window_s)
     paths, path_of, is_object = _paths(history, motions, views, plane, config)
     states = _on_paths(history, motions, views, paths, path_of, is_object, config)
     has_none = (motions.cluster_id == SCENE_CLUSTER) & (path_of == NO_PATH)
@@ -69,25 +69,23 @@ def _paths(
     first, count = len(parts), len(objects)
     direction = np.reshape([motion.direction for motion in objects], (count, 3))
     cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))
-    beliefs = believed_straight(history.since_s, direction, cov, None if plane is None else plane.normal)
+    is_start = np.array([motion.is_body for motion in objects], dtype=bool)
+    beliefs = believed_straight(history.since_s, direction, cov, is_start, None if plane is None else plane.normal)
     of_objects = np.where(path_of >= first, path_of - first, NO_PATH)
     is_object = np.arange(first + count) >= first
     seen = views, history.since_s, history.sigma_norm
     if objects:
-        parts.append(straight_or_in_bend(*seen, beliefs, of_objects, config, cov, may_leave_directions=plane is None))
+        parts.append(straight_or_in_bend(*seen, beliefs, of_objects, config, may_leave_directions=plane is None))
     return joined_paths(parts or [believed_paths(beliefs)]), path_of, is_object
 
 
-def _views(history: TrackHistory, motions: FrameMotions) -> Floats:
-    """Positions of all tracks over the time for which the motion of their cluster has been the same; NaN elsewhere."""
-    reach_s = history.reach_s
-    changed = [motion for motion in motions.clusters if motion.window_s < reach_s]
-    if not changed:
+def _views(history: TrackHistory, motions: FrameMotions, window_s: float) -> Floats:
+    """Positions of all tracks, those of movers within ``window_s`` of the present frame; NaN elsewhere."""
+    movers = [motion.members for motion in motions.clusters if motion.is_body]
+    if not movers or history.reach_s <= window_s:
         return history.xy
-    xy = history.xy.copy()
-    for motion in changed:
-        views = history.views_within(motion.window_s)
-        xy[: views.start, motion.members] = xy[views.stop :, motion.members] = np.nan
+    xy, views, members = history.xy.copy(), history.views_within(window_s), np.concatenate(movers)
+    xy[: views.start, members] = xy[views.stop :, members] = np.nan
     return xy
 
 

@@ -10,27 +10,24 @@ from ttcvid.geometry.estimation.shared_trajectory import N_SHARED, PathBeliefs, 
 from ttcvid.geometry.estimation.shared_trajectory_points import PathPoints, points_of_paths
 from ttcvid.geometry.estimation.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
 from ttcvid.geometry.rotation import cross, normalize
-from ttcvid.model import Floats, Ints
+from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.turning_movers import LEAST_POINTS, MOST_POINTS
 
 STRAIGHT_TURN_RAD_S = 0.006
 """Prior of the turn rate of an object on a straight course, some tenths of a deg/s: with a wider one, noise would pass
 for a turn, and bias the velocity."""
 
-# The prior of the direction comes from a fit of straight tracks. Its covariance is widened by this factor and the
-# square of this angle, so that curved trajectories can be found.
-_SEARCH_FACTOR, _SEARCH_FLOOR_RAD = 9.0, float(np.radians(1.0))
-# Prior of the relative acceleration over the relative speed, per axis: 1.2 m/s^2 at 6 m/s.
-OBJECT_BEND_HZ = 0.2
+# Where a direction only starts the search, it is believed in to this angle: it was found in the same views. One that
+# was found otherwise counts, its covariance times the second number and widened by the square of the third.
+_START_SIGMA_RAD, _KNOWN_FACTOR, _KNOWN_FLOOR_RAD = float(np.radians(30.0)), 9.0, float(np.radians(1.0))
+# Acceleration over the speed, per axis: 1.2 m/s^2 at 6 m/s. Half of it is believed of who drives straight on.
+OBJECT_BEND_HZ, _STRAIGHT_BEND_HZ = 0.2, 0.1
 # The same along the direction of who brakes, and has had hardly any speed against us: where that shows at 95 %.
 _BRAKING_HZ, _BRAKING_CHI2 = 1.2, float(chdtri(1, 0.05))
 # Prior of the turn rate in a bend, some deg/s. On a known horizon, which a free turning body could leave, it is chosen
 # if it lowers the squared residuals significantly (chi-square, three degrees of freedom, 99.9 %).
 _BEND_TURN_RAD_S = 0.02
 _BEND_CHI2 = float(chdtri(3, 0.001))
-# Below this statistic (90 %) no turn is visible and the direction of straight tracks is kept; under a turn that lags by
-# many times its standard deviation.
-_STRAIGHT_CHI2 = float(chdtri(3, 0.1))
 # Least gain for a second fit and for a turning body: the first order overestimates the gain, and a turning body follows
 # the errors that neighbours share.
 _SURE_CHI2 = 2.5 * _BEND_CHI2
@@ -43,11 +40,14 @@ _REJECTED = 10.0
 _LEAST_TURN_PART = 1e-3
 
 
-def believed_straight(since_s: Floats, direction: Floats, found_cov: Floats, normal: Floats | None) -> PathBeliefs:
+def believed_straight(
+    since_s: Floats, direction: Floats, found_cov: Floats, is_start: Bools, normal: Floats | None
+) -> PathBeliefs:
     """Priors of the trajectories of K objects on straight courses, by their ``direction (K, 3)`` of motion.
 
-    ``found_cov (K, 3, 3)`` is its covariance, rad^2, ``since_s (L,)`` the times of the views, s, ``normal (3,)`` of the
-    plane that the directions lie in (the horizon); None: any direction.
+    ``found_cov (K, 3, 3)`` is its covariance, rad^2; where ``is_start (K,)`` holds, it only starts the search, and is
+    not believed. ``since_s (L,)`` are the times of the views, s, ``normal (3,)`` that of the plane that the directions
+    lie in (the horizon); None: any direction.
     """
     if normal is None:
         across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
@@ -55,8 +55,10 @@ def believed_straight(since_s: Floats, direction: Floats, found_cov: Floats, nor
         along_horizon = normalize(cross(normal, direction))
         across = along_horizon[:, :, None] * along_horizon[:, None, :]
     base = since_s[None, :, None] * direction[:, None, :]
-    cov = _SEARCH_FACTOR * found_cov + _SEARCH_FLOOR_RAD**2 * across
-    return PathBeliefs(base, direction, cov, OBJECT_BEND_HZ, OBJECT_BEND_HZ, STRAIGHT_TURN_RAD_S, turns_itself=True)
+    sigma_rad = np.where(is_start, _START_SIGMA_RAD, _KNOWN_FLOOR_RAD)[:, None, None]
+    cov = np.where(is_start, 0.0, _KNOWN_FACTOR)[:, None, None] * found_cov + sigma_rad**2 * across
+    bend_hz = _STRAIGHT_BEND_HZ, _STRAIGHT_BEND_HZ
+    return PathBeliefs(base, direction, cov, *bend_hz, STRAIGHT_TURN_RAD_S, turns_itself=True)
 
 
 def straight_or_in_bend(
@@ -66,7 +68,6 @@ def straight_or_in_bend(
     beliefs: PathBeliefs,
     path_of: Ints,
     config: CollisionTimesConfig,
-    found_cov: Floats,
     *,
     may_leave_directions: bool,
 ) -> SharedPaths:
@@ -75,8 +76,6 @@ def straight_or_in_bend(
     Parameters
     ----------
     views, since_s, sigma_norm, path_of : As ``xy, t_s, sigma_norm, path_of`` of `points_of_paths`.
-    found_cov : ``(K, 3, 3)`` covariances of the directions on straight courses, as for
-        `PathFits.paths_from_found_directions`.
     may_leave_directions : Whether an object in a bend is fitted as a turning body with a free direction. Otherwise
         (known horizon) it is fitted as a straight one with the wider prior of the turn rate.
     """
@@ -86,37 +85,31 @@ def straight_or_in_bend(
     straight = fits.paths()
     chi2, by_views_rad_s = _turns_by_views(straight, beliefs.turn_sigma_rad_s)
     is_rejected, of_noise = straight.median_chi2 > _REJECTED, np.maximum(straight.median_chi2, 1.0)
-    chosen, is_straight = straight, np.ones(len(chi2), dtype=bool)
+    chosen = straight
     if may_leave_directions:
         turns = (chi2 > _BEND_CHI2 * of_noise) & (by_views_rad_s > _ASKED_TURN_RAD_S)
         has_points = np.diff(points.first) >= LEAST_POINTS
         for k in np.flatnonzero((turns | is_rejected) & has_points):
-            body = _turning_body(points, int(k), beliefs, float(straight.squares[k]))
+            body = _turning_body(points, int(k), float(straight.squares[k]))
             if straight.squares[k] - body.squares > _SURE_CHI2 * max(body.median_chi2, 1.0):
                 chosen = chosen_paths(chosen, _path_of_body(body, points.t_s), np.array([k]), np.array([True]))
-                is_straight[k] = False
     elif (may_turn := (chi2 > _SURE_CHI2 * of_noise) | is_rejected).any():
         bent = fit_paths(points.of(may_turn), beliefs.of(may_turn, _BEND_TURN_RAD_S), longest, probability)
         in_bend = bent.with_braking(_BRAKING_HZ, _BRAKING_CHI2).paths()
         gain = straight.squares[may_turn] - in_bend.squares
         bends = gain > _BEND_CHI2 * np.maximum(in_bend.median_chi2, 1.0)
         chosen = chosen_paths(straight, in_bend, np.flatnonzero(may_turn), bends)
-        is_straight[may_turn] = ~bends
-    is_straight &= chi2 <= _STRAIGHT_CHI2 * of_noise
-    if not is_straight.any():
-        return chosen
-    steady = fits.paths_from_found_directions(found_cov, straight)
-    return chosen_paths(chosen, steady, np.arange(len(is_straight)), is_straight)
+    return chosen
 
 
-def _turning_body(points: PathPoints, k: int, beliefs: PathBeliefs, to_beat: float) -> TurningBody:
+def _turning_body(points: PathPoints, k: int, to_beat: float) -> TurningBody:
     """Object k as a turning body, from the views of the other fits.
 
     The fit ends early if its squared residuals are not significantly below ``to_beat``.
     """
     own = slice(points.first[k], points.first[k + 1])
     # The transverse acceleration on a circle is the turn rate times the speed.
-    bend_hz = float(np.hypot(beliefs.across_sigma_hz, TURN_SIGMA_RAD_S))
+    bend_hz = float(np.hypot(_STRAIGHT_BEND_HZ, TURN_SIGMA_RAD_S))
     noise = points.sigma_norm[own]
 
     def beats(body: TurningBody) -> bool:
