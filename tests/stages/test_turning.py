@@ -96,7 +96,7 @@ def views_of_a_car_ahead(turn_rad_s, seed):
 
 
 def test_what_drives_round_a_tight_bend_is_found_on_its_circle():
-    """Where a straight path is rejected: with three times the noise one misses its views by less than twice as much."""
+    """Where a straight path is rejected: at three times this noise it misses the views by less than twice the noise."""
     noise = 0.3 * SIGMA_NORM
     found = fitted(views_of_a_tight_bend(-0.45, noise), noise)
     np.testing.assert_allclose(found.turn_rad_s[0], [0.0, -0.45, 0.0], atol=0.02)

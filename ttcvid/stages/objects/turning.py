@@ -18,8 +18,9 @@ STRAIGHT_TURN_RAD_S = 0.006
 """Prior of the turn rate of an object on a straight course, some tenths of a deg/s: with a wider one, noise would pass
 for a turn, and bias the velocity."""
 
-# A direction that was not found in the same views counts, its covariance times this and widened by the square of this
-# angle. One that was only starts the search (`MAX_DIRECTION_SIGMA_RAD`).
+# A direction from elsewhere (our own, of what stands in our way) has its covariance times this factor, widened by the
+# square of this angle. One from the same views only starts the search: it is taken to be just known, to
+# `MAX_DIRECTION_SIGMA_RAD`.
 _KNOWN_FACTOR, _KNOWN_FLOOR_RAD = 9.0, float(np.radians(1.0))
 # Acceleration over the speed, per axis: 1.2 m/s^2 at 6 m/s. Half of it is believed of who drives straight on.
 OBJECT_BEND_HZ, _STRAIGHT_BEND_HZ = 0.2, 0.1
@@ -46,9 +47,9 @@ def believed_straight(
 ) -> PathBeliefs:
     """Priors of the trajectories of K objects on straight courses, by their ``direction (K, 3)`` of motion.
 
-    ``found_cov (K, 3, 3)`` is its covariance, rad^2; where ``is_start (K,)`` holds, it only starts the search, and is
-    not believed. ``since_s (L,)`` are the times of the views, s, ``normal (3,)`` that of the plane that the directions
-    lie in (the horizon); None: any direction.
+    ``found_cov (K, 3, 3)`` is its covariance, rad^2. It does not count where ``is_start (K,)`` says that the direction
+    only starts the search. ``since_s (L,)`` are the times of the views, s, ``normal (3,)`` that of the plane that the
+    directions lie in (the horizon); None: any direction.
     """
     if normal is None:
         across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
@@ -58,8 +59,8 @@ def believed_straight(
     base = since_s[None, :, None] * direction[:, None, :]
     sigma_rad = np.where(is_start, MAX_DIRECTION_SIGMA_RAD, _KNOWN_FLOOR_RAD)[:, None, None]
     cov = np.where(is_start, 0.0, _KNOWN_FACTOR)[:, None, None] * found_cov + sigma_rad**2 * across
-    bend_hz = _STRAIGHT_BEND_HZ, _STRAIGHT_BEND_HZ
-    return PathBeliefs(base, direction, cov, *bend_hz, STRAIGHT_TURN_RAD_S, turns_itself=True)
+    bend_hz = _STRAIGHT_BEND_HZ
+    return PathBeliefs(base, direction, cov, bend_hz, bend_hz, STRAIGHT_TURN_RAD_S, turns_itself=True)
 
 
 def straight_or_in_bend(
