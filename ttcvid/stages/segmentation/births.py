@@ -8,7 +8,6 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
-
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.medians import medians, row_medians
 from ttcvid.geometry.rotation import normalize, turned_into_plane
@@ -19,7 +18,7 @@ from ttcvid.stages.segmentation.common_errors import drift_cost
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
-from ttcvid.stages.segmentation.last_known import recent_velocities
+from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY, recent_velocities
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
 
@@ -34,7 +33,7 @@ _FLOW_PART, _FLOW_PX = 0.35, 1.0
 # observation is displaced.
 _OLDEST_PART = 0.5
 # Least part of its tracks that a mover explains better; Gauss-Newton steps for a new trajectory.
-_MOST, _FIRST_STEPS, _VELOCITY_STEPS = 0.5, 3, 5
+_MOST, _FIRST_STEPS = 0.5, 3
 # Reduced chi-squares are at least this where their logarithm is taken.
 _NO_REDCHI = 0.1
 
@@ -133,6 +132,7 @@ def _alike_things(
 ) -> list[tuple[Ints, Floats]]:
     """Connected tracks of similar flow among ``candidates (C,)``: tracks ``(M,)`` and straight path ``(L, 3)`` of each.
 
+    The path is that of the velocity of all tracks of a thing together: a track of a few views does not tell its own.
     ``is_along (N,)`` tracks that move along our own direction.
     """
     if len(candidates) < config.min_tracks:
@@ -147,14 +147,14 @@ def _alike_things(
     median_flow = [medians(along, thing, len(numbers)) for along in flow.T.copy()]
     start_hz = np.column_stack([*median_flow, np.zeros(len(numbers))])
     points = views.points(candidates, thing)
-    velocity_hz, _ = recent_velocities(points, scene.cam_R_past[0], start_hz, _VELOCITY_STEPS)
+    velocity_hz, _ = recent_velocities(points, scene.cam_R_past[0], start_hz, STEPS_TO_VELOCITY)
     directions = normalize(velocity_hz)
     told = np.flatnonzero(np.isfinite(directions[:, 0]))
     return [(candidates[thing == number], straight_path(directions[number], views.since_s)) for number in told]
 
 
 def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> tuple[Floats, Ints]:
-    """Flow ``(C, 2)`` of each track ``index (C,)``, 1/s, and its connected component: near ones of similar flow.
+    """Flow ``(C, 2)`` of each track ``index (C,)``, 1/s, and its component ``(C,)``: near ones of similar flow connect.
 
     Tracks along our own direction, ``is_along (C,)``, are connected with each other only.
     """
