@@ -13,6 +13,8 @@ from ttcvid.stages.tracking.hamming import nearest_descriptors
 
 # Bytes of an AKAZE descriptor (486 bits).
 _DESCRIPTOR_BYTES = 61
+# Features over tracks: some of them match none of the picture before.
+_FEATURES_PER_TRACK = 1.1
 
 
 @dataclass(frozen=True)
@@ -40,16 +42,16 @@ class AkazeMemory:
 
 
 def detect_features(grey: Picture, allowed: Picture | None, config: TrackingConfig) -> Features:
-    """The strongest ``max_tracks`` AKAZE features where the mask allows them.
+    """The strongest AKAZE features where the mask allows them, enough for ``max_tracks`` that match.
 
     The slow step of this tracker, and independent from picture to picture: run it for several pictures side by side.
     """
-    detector = cv2.AKAZE.create(threshold=config.akaze_threshold)
+    detector = cv2.AKAZE.create(threshold=config.akaze_threshold, nOctaveLayers=config.akaze_layers)
     keypoints, descriptors = detector.detectAndCompute(grey, allowed)
     if descriptors is None or not len(keypoints):
         return Features(np.empty((0, 2)), np.empty((0, _DESCRIPTOR_BYTES), dtype=np.uint8))
     response = np.array([keypoint.response for keypoint in keypoints])
-    strongest = np.argsort(-response, kind="stable")[: config.max_tracks]
+    strongest = np.argsort(-response, kind="stable")[: round(_FEATURES_PER_TRACK * config.max_tracks)]
     xy_px = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)
     return Features(xy_px[strongest], np.asarray(descriptors, dtype=np.uint8)[strongest])
 
