@@ -210,6 +210,11 @@ def _figures(scores: Sequence[SceneScore]) -> dict[str, Figure]:
     figures["rotation_p90"] = _percentile(frames, "rotation_deg", 0.9)
     figures["own_direction_median"] = _percentile(frames, "epipole_deg", 0.5)
     figures["own_direction_p90"] = _percentile(frames, "epipole_deg", 0.9)
+    of_scene = frames[frames.scene_ttc_z_error.notna()]
+    figures["scene_ttc_z_median"] = _percentile(of_scene, "scene_ttc_z_error", 0.5)
+    figures["scene_ttc_z_p90"] = _percentile(of_scene, "scene_ttc_z_error", 0.9)
+    counts = (_sums(of_scene, name, None, n) for name in ("n_scene_ttc_z_within", "n_scene_ttc_z"))
+    figures["scene_ttc_z_coverage"] = Share(*counts)
     return figures
 
 
@@ -255,11 +260,13 @@ def figures_of_warnings(scores: Sequence[SceneScore]) -> dict[str, Figure]:
 
 def _stacked(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
     parts = [table.assign(scene=k, one=1.0) for k, table in enumerate(tables) if len(table)]
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=[*_COLUMNS, "scene", "one"])
+    stacked = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["scene", "one"])
+    return stacked.reindex(columns=stacked.columns.union(_COLUMNS, sort=False))
 
 
 _COLUMNS = (
     *("is_due", "is_found", "direction_deg", "n_false", "rotation_deg", "epipole_deg", "size_px", "distance_m"),
+    *("scene_ttc_z_error", "n_scene_ttc_z", "n_scene_ttc_z_within"),
     *(f"{name}_{what}" for name in ("ttc_z", "tcpa", "miss") for what in ("error", "within")),
 )
 

@@ -70,6 +70,9 @@ OWN_MOTION: tuple[Column, ...] = (
     ("rotation, p90", plain("rotation_p90")),
     ("direction, median, deg", plain("own_direction_median")),
     ("direction, p90", plain("own_direction_p90")),
+    ("ttc_z of the scene's tracks, median %", percent("scene_ttc_z_median")),
+    ("p90 of frames, %", percent("scene_ttc_z_p90")),
+    ("within 90 %, %", percent("scene_ttc_z_coverage")),
 )
 
 

@@ -17,7 +17,7 @@ import pandas as pd
 import ttcvid
 from scenario_suite.drawing import code_digest, read_json, write_json
 from ttcvid.jobs.evaluate import read_run_tables, read_truth
-from ttcvid.model import Bools, Floats
+from ttcvid.model import SCENE_CLUSTER, Bools, Floats
 from ttcvid.simulate.scene import OwnMotion
 from ttcvid.studies.evaluation.directions import angle_deg
 from ttcvid.studies.evaluation.evaluate import Evaluation, judge_run
@@ -59,7 +59,8 @@ class SceneScore:
     ``object_frames`` has a row per frame and true object: ``frame, object_id, is_wanted`` (`wanted`), ``is_due``
     (wanted and large enough), ``is_found, size_px, distance_m, direction_deg`` and, of each time, ``*_error``
     (relative error of 1/time, NaN: not judged or no value) and ``*_within`` (the 90 % interval holds the truth).
-    ``frames`` has a row per frame: ``frame, status, n_false, rotation_deg, epipole_deg``.
+    ``frames`` has a row per frame: ``frame, status, n_false, rotation_deg, epipole_deg``; of tables of tracks also what
+    `scene_tracks` says.
     Both tables are empty where the analysis failed.
     """
 
@@ -114,7 +115,45 @@ def _scored(folder: Path, facts: dict[str, Any]) -> SceneScore:
         rows = judged_rows(rows, wanted(rows, truth, focal_px, sigma_px))
     by_frame = evaluation.by_frame.assign(status=tables.frames.status.astype(str))
     by_frame.loc[~by_frame.is_epipole_judged, "epipole_deg"] = np.nan
+    if truth.track_points is not None:
+        by_frame = by_frame.merge(scene_tracks(tables.collision_times, truth.track_points), on="frame", how="left")
     return SceneScore(facts | _sums(evaluation, truth, tables, focal_px), rows, by_frame, folder)
+
+
+def scene_tracks(tracks: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
+    """How good the ttc_z of tracks of the static scene is in each frame that tells any.
+
+    Parameters
+    ----------
+    tracks : ``collision_times`` of a run.
+    points : ``truth_tracks``; its outliers do not count.
+
+    Returns
+    -------
+    ``frame``, ``scene_ttc_z_error`` the median error, as ``*_error`` of `SceneScore`, and of how many tracks
+    (``n_scene_ttc_z``) the 90 % interval holds the truth (``n_scene_ttc_z_within``).
+    """
+    point = rows_of(tracks, points, OBSERVATION)
+    true = points.iloc[point].reset_index(drop=True)
+    is_scene = (point >= 0) & (true.object_id == SCENE_CLUSTER).to_numpy() & ~true.is_outlier.to_numpy(bool)
+    true_s, value_s = true.ttc_z_s.to_numpy(float), tracks.ttc_z_s.to_numpy(float)
+    is_judged = is_scene & np.isfinite(value_s)
+    is_judged &= (np.abs(true_s) >= TIME_RANGE_S[0]) & (np.abs(true_s) <= TIME_RANGE_S[1])
+    bounds_s = (tracks[f"ttc_z_{end}_s"].to_numpy(float) for end in ("lo", "hi"))
+    judged = pd.DataFrame(
+        {
+            "frame": tracks.frame.to_numpy(),
+            "error": np.abs(relative_error_of_eta(true_s, value_s)),
+            "is_within": is_within("ttc_z", true_s, *bounds_s),
+        }
+    )[is_judged].groupby("frame")
+    return pd.DataFrame(
+        {
+            "scene_ttc_z_error": judged.error.median(),
+            "n_scene_ttc_z": judged.size(),
+            "n_scene_ttc_z_within": judged.is_within.sum(),
+        }
+    ).reset_index()
 
 
 def wanted(rows: pd.DataFrame, truth: Truth, focal_px: float, sigma_px: float) -> Bools:

@@ -21,6 +21,7 @@ from scenario_suite.scoring import (
     n_averted,
     on_course_since_s,
     own_velocity_m_s,
+    scene_tracks,
     score,
     size_px,
     wanted,
@@ -47,6 +48,25 @@ def truth_of(own_m_s=(0.0, 0.0, 0.0), contact_s=np.nan, n=10) -> Truth:
     frames[VELOCITY] = np.vstack([np.full(3, np.nan), np.tile(np.array(own_m_s, float), (n - 1, 1))])
     hit = {"object_id": [1], "is_collision": [np.isfinite(contact_s)], "t_contact_s": [contact_s]}
     return Truth(frames=frames, encounters=pd.DataFrame(hit))
+
+
+def test_tracks_of_the_scene_are_judged_without_outliers_movers_and_far_ones():
+    points = pd.DataFrame(
+        {
+            "frame": [3, 3, 3, 3, 3, 4],
+            "track_id": [1, 2, 3, 4, 5, 1],
+            "object_id": [0, 0, 0, 0, 7, 0],
+            "is_outlier": [False, False, False, True, False, False],
+            "ttc_z_s": [4.0, 4.0, 1000.0, 4.0, 4.0, 3.9],
+        }
+    )
+    tracks = points[["frame", "track_id"]].assign(ttc_z_s=[5.0, 4.4, 4.0, 9.0, 9.0, np.nan])
+    tracks["ttc_z_lo_s"], tracks["ttc_z_hi_s"] = 0.95 * tracks.ttc_z_s, 1.2 * tracks.ttc_z_s
+    tracks.loc[1, "ttc_z_lo_s"] = 3.0
+    (only,) = scene_tracks(tracks, points).to_dict("records")
+    # The first errs by a fifth and says not, the second by a tenth and says so; the last frame tells nothing.
+    assert (only["frame"], only["n_scene_ttc_z"], only["n_scene_ttc_z_within"]) == (3, 2, 1)
+    assert only["scene_ttc_z_error"] == pytest.approx(0.5 * (1 / 5 + 1 / 11))
 
 
 def test_a_parked_car_that_we_pass_does_not_have_to_be_found():
