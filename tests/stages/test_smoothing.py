@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from relative_motion import CAMERA, EXACT_SIGMA_PX, box_of_points, pixels, unit
 
-from ttcvid.config import CollisionTimesConfig, PipelineConfig
+from ttcvid.config import CollisionTimesConfig, EgomotionConfig, PipelineConfig
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
-from ttcvid.model import NO_CLUSTER, PointSet, Status
+from ttcvid.model import NO_CLUSTER, Platform, PointSet, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.motions import FrameMotions, motions_of
@@ -20,7 +20,7 @@ DT_S, N_FRAMES, MAX_FRAMES = 0.1, 25, 20
 NOW, AFTER = 14, 9
 TURN = rotation_from_vector(np.radians([0.1, 0.4, -0.2]))
 CONFIG = CollisionTimesConfig(max_frames=MAX_FRAMES, object_window_s=5.0)
-PIPELINE = PipelineConfig(collision_times=CONFIG)
+PIPELINE = PipelineConfig(collision_times=CONFIG, egomotion=EgomotionConfig(platform=Platform.vehicle))
 VELOCITY = np.array([-1.0, 0.1, -5.0])
 
 

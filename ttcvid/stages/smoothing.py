@@ -58,7 +58,7 @@ def seen_again(seen: Seen, later: Sequence[Seen], camera: Camera, config: Pipeli
         return seen
     history = _around(seen.history, [after.history for after in later])
     egomotion = _smoothed_direction(history, seen.egomotion)
-    history = with_scene_path(history, seen.motions.is_free, egomotion)
+    history = with_scene_path(history, seen.motions.is_free, egomotion, config.egomotion.platform)
     motions = _with_known_objects(seen, later, config.bodies.min_tracks)
     again = replace(seen, history=history, egomotion=egomotion, motions=motions)
     return replace(again, motions=_motions_again(again, camera, config.collision_times))

@@ -27,7 +27,7 @@ _U, _V, _W, _TURN = slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11)
 _ALONG = 4
 
 CHANGE_SIGMA_HZ2 = 0.5
-"""Prior of the change of an acceleration over the speed, per axis: 3 m/s^3 at 6 m/s.
+"""Usual prior of the change of an acceleration over the speed, per axis: 3 m/s^3 at 6 m/s.
 
 Brakes come and go within half a second, a hand sways its camera within two. Without it ends of paths lag behind, and
 claim not to: before cameras in free motion times err by four of their standard deviations.
@@ -44,9 +44,9 @@ class PathBeliefs:
     """What is believed of K paths before their points are looked at: ``base (K, L, 3)``, ``direction (K, 3)`` = dir.
 
     Standard deviations about them: ``direction_cov (K, 3, 3)`` in the tangent plane, rad^2; of an acceleration over the
-    speed, 1/s, ``along_sigma_hz`` along the direction and ``across_sigma_hz`` per axis across (of how it changes:
-    `CHANGE_SIGMA_HZ2`); ``turn_sigma_rad_s`` per axis of a rotation rate in the views. That rotation is an error of the
-    camera's; of a thing that ``turns_itself`` it is its own, about its middle.
+    speed, 1/s, ``along_sigma_hz`` along the direction and ``across_sigma_hz`` per axis across; of how it changes,
+    1/s^2, ``change_sigma_hz2`` per axis; ``turn_sigma_rad_s`` per axis of a rotation rate in the views. That rotation
+    is an error of the camera's; of a thing that ``turns_itself`` it is its own, about its middle.
     """
 
     base: Floats
@@ -56,6 +56,7 @@ class PathBeliefs:
     across_sigma_hz: float
     turn_sigma_rad_s: float
     turns_itself: bool = False
+    change_sigma_hz2: float = CHANGE_SIGMA_HZ2
 
     def of(self, is_asked: Bools, turn_sigma_rad_s: float) -> PathBeliefs:
         """What is believed of the paths for which ``is_asked (K,)`` holds, with another belief in their turns."""
@@ -128,7 +129,7 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
     cov[:, :3, :3] = beliefs.direction_cov
     cov[:, 3:6, 3:6] = beliefs.bend_cov()
     cov[:, 6:9, 6:9] = beliefs.turn_sigma_rad_s**2 * np.eye(3)
-    cov[:, 9:, 9:] = CHANGE_SIGMA_HZ2**2 * np.eye(3)
+    cov[:, 9:, 9:] = beliefs.change_sigma_hz2**2 * np.eye(3)
     return SharedPaths(
         beliefs.base,
         beliefs.direction,
@@ -263,8 +264,9 @@ def _to_camera(basis: Floats) -> Floats:
 def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     """Information (K, 11, 11) of the belief on what moves along a path."""
     across, along, turn = beliefs.across_sigma_hz, beliefs.along_sigma_hz, beliefs.turn_sigma_rad_s
+    change = beliefs.change_sigma_hz2
     prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
-    prior[:] = np.diag(np.array([1.0, 1.0, across, across, along, *3 * [CHANGE_SIGMA_HZ2], *3 * [turn]]) ** -2.0)
+    prior[:] = np.diag(np.array([1.0, 1.0, across, across, along, *3 * [change], *3 * [turn]]) ** -2.0)
     prior[:, _U, _U] = np.linalg.inv(_of_plane(basis, beliefs.direction_cov))
     return prior
 

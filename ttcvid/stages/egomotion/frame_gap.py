@@ -88,7 +88,7 @@ def find_own_motion(
             tells = is_free & in_scene & ~found.window.leaves_out(history.track_id)
         else:
             egomotion = replace(egomotion, is_told=False)
-    history = with_scene_path(history, tells, egomotion)
+    history = with_scene_path(history, tells, egomotion, config.platform)
     direction = memory.direction if egomotion.direction is None else egomotion.direction
     return egomotion, history, replace(memory, direction=direction)
 
