@@ -52,10 +52,11 @@ def direction_noise(rng, direction, sigma_rad):
     return off, sigma_rad**2 * (np.eye(3) - np.outer(off, off))
 
 
-def history_of(position_m, velocity_m_s, times_s, rotations=None, sigma_px=EXACT_SIGMA_PX, rng=None):
+def history_of(position_m, velocity_m_s, times_s, rotations=None, sigma_px=EXACT_SIGMA_PX, rng=None, shift_m=None):
     """History of N points at `position_m` at the last of `times_s`, seen by a camera that turns by `rotations`.
 
-    `rotations` are the cam_R_prev of the steps, known exactly.
+    `rotations` are the cam_R_prev of the steps, known exactly. `shift_m` (L, 3) is where the points were, less where
+    they are last; None: they have a constant velocity.
     """
     n, last_s = len(position_m), times_s[-1]
     rotations = [np.eye(3)] * (len(times_s) - 1) if rotations is None else rotations
@@ -64,7 +65,8 @@ def history_of(position_m, velocity_m_s, times_s, rotations=None, sigma_px=EXACT
         cam_R_last.append(cam_R_prev.T @ cam_R_last[-1])
     history = empty_history(CAMERA, sigma_px)
     for frame, t_s in enumerate(times_s):
-        point = position_m + np.broadcast_to(velocity_m_s, (n, 3)) * (t_s - last_s)
+        moved_m = np.broadcast_to(velocity_m_s, (n, 3)) * (t_s - last_s) if shift_m is None else shift_m[frame]
+        point = position_m + moved_m
         point = point @ cam_R_last[len(times_s) - 1 - frame].T
         xy_px = pixels(point)
         if rng is not None:

@@ -38,9 +38,9 @@ class _Steadiness:
 
 # A car brakes with 2 m/s^2 at 5 m/s. Across, the single steps have turned already.
 _DRIVEN = _Steadiness(0.4, 0.02, CHANGE_SIGMA_HZ2, np.inf)
-# A hand sways within two seconds or more: by about 2 pi / 3 s of its speed, and the square of 2 pi / 2 s. Its single
-# steps are short, and noisy.
-_HELD = _Steadiness(2.0, 0.5, 10.0, 0.75)
+# A hand sways within T = 2 s or more: its acceleration is about 2 pi / T of its speed, that of its acceleration again;
+# over T / 4 these describe its path. Its single steps are short, and noisy.
+_HELD = _Steadiness(2.0, 0.5, 10.0, 0.5)
 
 
 def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion, platform: Platform) -> TrackHistory:
