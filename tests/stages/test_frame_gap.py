@@ -9,7 +9,7 @@ from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Platform
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
-from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion
+from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion, picture_region
 from ttcvid.stages.egomotion.window_motion import LEAST_TOLD
 
 FORWARD = np.array([0.0, 0.0, -1.0])
@@ -41,9 +41,8 @@ def from_single_steps(motion):
     memory, steps = EgomotionMemory(), []
     sigma_rad = np.full(motion.n, 0.2 / FOCAL_PX)
     for frame in range(1, len(motion.rays)):
-        step = estimate_egomotion(
-            motion.rays[frame - 1], motion.rays[frame], sigma_rad, LEAST_PARALLAX_PX / FOCAL_PX, memory, CONFIG.platform
-        )
+        pair = motion.rays[frame - 1], motion.rays[frame], sigma_rad, picture_region(motion.rays[frame])
+        step = estimate_egomotion(*pair, LEAST_PARALLAX_PX / FOCAL_PX, memory, CONFIG.platform)
         memory = memory.after(step)
         steps.append(step)
     return steps

@@ -25,7 +25,7 @@ MOVING_PLATFORMS = [Platform.vehicle, Platform.aircraft, Platform.free]
 
 
 def fitted(views, memory=LAST, platform=Platform.vehicle):
-    return estimate_egomotion(views.rays_prev, views.rays_cam, views.sigma_rad, LEAST_PARALLAX_RAD, memory, platform)
+    return estimate_egomotion(*views.observed, LEAST_PARALLAX_RAD, memory, platform)
 
 
 def estimate(views, memory=LAST, platform=Platform.vehicle):
@@ -235,6 +235,7 @@ def test_order_of_the_points_does_not_matter():
         views.rays_prev[order],
         views.rays_cam[order],
         views.sigma_rad[order],
+        views.region[order],
         LEAST_PARALLAX_RAD,
         LAST,
         Platform.vehicle,
@@ -262,7 +263,7 @@ def beside_far_away(rng, travel_m, n_near=300, n_far=250):
     far = two_views(rng, n_far, TURN_DEG, travel_m, sigma_px=0.1, depth_m=(200.0, 400.0))
     joined = {name: np.concatenate([getattr(near, name), getattr(far, name)]) for name in near.__dataclass_fields__}
     rays = joined["rays_prev"], joined["rays_cam"], joined["sigma_rad"]
-    return replace(near, rays_prev=rays[0], rays_cam=rays[1], sigma_rad=rays[2])
+    return replace(near, rays_prev=rays[0], rays_cam=rays[1], sigma_rad=rays[2], region=picture_region(rays[1]))
 
 
 @pytest.mark.parametrize("angle_of_travel_deg", range(0, 360, 40))

@@ -44,7 +44,10 @@ def skew(v: Floats) -> Floats:
     >>> skew(np.array([1.0, 2.0, 3.0])) @ np.array([0.0, 0.0, 1.0])
     array([ 2., -1.,  0.])
     """
-    return cross(np.eye(3), v[..., None, :])
+    matrices = np.zeros((*v.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrices[..., j, i], matrices[..., i, j] = v[..., k], -v[..., k]
+    return matrices
 
 
 def rotation_from_vector(rotvec_rad: Floats) -> Floats:

@@ -108,6 +108,8 @@ def fit_turning_body(
     may_do : Whether a body may be what is looked for: where that to which the search without a turn at first comes is
         not, it is not made again. (It may be the mirror image, which explains nearly as much.)
     """
+    is_seen = np.isfinite(xy[..., 0]).any(axis=1)
+    xy, t_s = xy[is_seen], t_s[is_seen]
     now = int(np.argmin(np.abs(t_s)))
     place = _places_now(xy, now)
     views = (

@@ -11,7 +11,7 @@ from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.estimation.relative_pose import TwoViewFit
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
-from ttcvid.model import Bools, Floats
+from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import (
     MOTION_PRIORS,
     Egomotion,
@@ -115,11 +115,11 @@ def _last_step(
     everything = paired_rays(history, is_free, 1, config.min_tracks)
     if everything is None:
         return None
-    without_movers, side = is_free & in_scene, region_side_of(history.camera)
+    without_movers = is_free & in_scene
     pair = paired_rays(history, without_movers, 1, _LEAST_OF_TURN) if (is_free & ~in_scene).any() else None
 
     def fit_to(rays: RayPairs) -> TwoViewFit:
-        return estimate_egomotion(*rays, parallax_rad, memory, config.platform, side)
+        return estimate_egomotion(*rays, parallax_rad, memory, config.platform)
 
     if pair is None:
         return fit_to(everything), is_free
@@ -129,7 +129,7 @@ def _last_step(
     if memory.is_window_used:
         return by_scene, without_movers
     by_all = fit_to(everything)
-    is_better = cost_of(by_all, *everything) < cost_of(by_scene, *everything)
+    is_better = cost_of(by_all, *everything[:3]) < cost_of(by_scene, *everything[:3])
     return (by_all, is_free) if is_better else (by_scene, without_movers)
 
 
@@ -149,7 +149,7 @@ def _over_gap(
     between the present frame and one so far back that the flow is long enough: its rotation corrects the sum, its
     direction replaces that of the step. The gap stays short nevertheless: the direction found is the mean over it.
     """
-    egomotion, side = egomotion_of(fit), region_side_of(history.camera)
+    egomotion = egomotion_of(fit)
     history = with_egomotion(history, egomotion.cam_R_prev, egomotion.direction, egomotion.rotation_sigma_rad)
     gap = min(memory.gap_frames, len(history.frame) - 1)
     # Where a step shows no translation, what is left of its flow is noise only if a longer one shows none, either.
@@ -163,7 +163,7 @@ def _over_gap(
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
         return egomotion, history, memory
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
-    over_gap = egomotion_of(estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform, side))
+    over_gap = egomotion_of(estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform))
     if not is_noise_known:
         told = egomotion if over_gap.direction is None else over_gap
         history = with_noise(history, told.residual_spread, sigma_floor_px, is_slow)
@@ -173,11 +173,11 @@ def _over_gap(
     return egomotion, history, memory
 
 
-RayPairs = tuple[Floats, Floats, Floats]
+RayPairs = tuple[Floats, Floats, Floats, Ints]
 
 
 def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> RayPairs | None:
-    """Rays ``gap`` frames ago and now, each in its own camera, and their noise; None with too few tracks.
+    """Rays ``gap`` frames ago and now, each in its own camera, their noise and region; None with too few tracks.
 
     Of tracks so that no place of the picture holds too many: one textured lorry is not the world. A mover near by may
     hold most of the tracks, but it does not fill most of the picture.
@@ -191,12 +191,12 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
     rays, sigma_rad = now.take(seen, axis=0), history.sigma_rad.take(seen)
     # The quietest of each part, of the same noise by their place: the same ones in whatever order they come.
     region = picture_region(rays, region_side_of(history.camera))
-    order = np.lexsort((rays[:, 1], rays[:, 0], sigma_rad, region))
+    order = np.argsort(region + 0.5 * sigma_rad / sigma_rad.max())
     rank = np.arange(len(order)) - np.searchsorted(region[order], region[order])
     used = np.sort(order[rank < _MOST_IN_CELL])
     if len(used) < min_tracks:
         used = np.arange(len(seen))
-    return before.take(seen[used], axis=0), rays.take(used, axis=0), sigma_rad.take(used)
+    return before.take(seen[used], axis=0), rays.take(used, axis=0), sigma_rad.take(used), region.take(used)
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.geometry.rotation import normalize
+from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Bools, Floats, Platform
 from ttcvid.stages.egomotion.frame_gap import paired_rays
 from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion, picture_region, region_side_of
@@ -46,7 +46,7 @@ def flows_out(history: TrackHistory, least_parallax_px: float, min_tracks: int, 
     if pair is None:
         return False
     parallax_rad = np.sqrt(gap) * least_parallax_px / history.focal_px
-    motion = estimate_egomotion(*pair, parallax_rad, EgomotionMemory(np.zeros(3)), platform, side)
+    motion = estimate_egomotion(*pair, parallax_rad, EgomotionMemory(np.zeros(3)), platform)
     if motion.direction is None or motion.direction[2] >= 0.0:
         return False
     turned, now = pair[0] @ motion.cam_R_prev.T, pair[1]
@@ -64,10 +64,10 @@ def _share_of_regions(rays: Floats, holds: Bools, side: float) -> float:
 
 def _is_outflow(turned: Floats, now: Floats, direction: Floats, focal_px: float) -> Bools:
     """Rays ``(N, 3)`` that move along a direction, away from where we go: (N,)."""
-    across = np.cross(turned, direction)
+    across = cross(turned, direction)
     off_px = np.abs(np.sum(normalize(across) * now, axis=1)) * focal_px
     flow_px = np.linalg.norm(now - turned, axis=1) * focal_px
-    goes_out = np.sum(np.cross(turned, now) * across, axis=1) > 0.0
+    goes_out = np.sum(cross(turned, now) * across, axis=1) > 0.0
     return np.asarray(goes_out & (flow_px > _MOVES_PX) & (off_px < np.maximum(_ON_LINE_PX, _ON_LINE_PART * flow_px)))
 
 

@@ -26,6 +26,7 @@ from ttcvid.stages.egomotion.relative_pose import (
     MOTION_PRIORS,
     EgomotionMemory,
     estimate_egomotion,
+    picture_region,
     region_side_of,
 )
 from ttcvid.stages.egomotion.rest import RESTING_SHARE, share_of_parts
@@ -240,7 +241,8 @@ def _egomotion(
     sigma_rad = np.full(np.count_nonzero(is_seen), sigma_px / camera.fx_px)
     parallax_rad = _LEAST_PARALLAX_PX / camera.fx_px
     rays = before[is_seen], now[is_seen]
-    return estimate_egomotion(*rays, sigma_rad, parallax_rad, memory, platform, region_side_of(camera))
+    region = picture_region(rays[1], region_side_of(camera))
+    return estimate_egomotion(*rays, sigma_rad, region, parallax_rad, memory, platform)
 
 
 def _flow(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit) -> tuple[Floats, Floats]:

@@ -175,10 +175,10 @@ def estimate_egomotion(
     rays_prev: Floats,
     rays_cam: Floats,
     sigma_rad: Floats,
+    region: Ints,
     least_parallax_rad: float,
     memory: EgomotionMemory,
     platform: Platform,
-    region_side: float = REGION,
 ) -> TwoViewFit:
     """Rotation and direction of travel by robust Gauss-Newton with priors.
 
@@ -190,11 +190,11 @@ def estimate_egomotion(
     ----------
     rays_prev, rays_cam : ``(N, 3)`` unit rays of the same points in the last and in this frame, each in its own camera.
     sigma_rad : ``(N,)`` noise of one coordinate of a unit ray.
+    region : ``(N,)`` part of the picture that each lies in (`picture_region`).
     least_parallax_rad : Flow left after the rotation that does not count as translation, however small the noise:
         matching has common errors where light or blur change.
     memory : Start of the search.
     platform : What carries the camera: the prior.
-    region_side : Of the cells of `picture_region` (`region_side_of`).
 
     Notes
     -----
@@ -203,7 +203,6 @@ def estimate_egomotion(
     """
     belief = MOTION_PRIORS[platform]
     prior = _gaussian_prior(belief, memory)
-    region = picture_region(rays_cam, region_side)
     observed = (rays_prev, rays_cam, sigma_rad, region, prior)
     turning = _best([fit_motion(*observed, start) for start in _rotation_starts(prior, memory)])
     if not belief.can_translate:

@@ -214,7 +214,9 @@ def extended(
     if history.lost is not None:
         history = _with_lost(history, history.lost)
     n = len(points.track_id)
-    before = places_among(history.track_id, points.track_id)
+    by_id = np.argsort(history.track_id, kind="stable")
+    # -1, of a new track, picks the last one.
+    before = np.append(by_id, -1)[places_among(history.track_id[by_id], points.track_id)]
     is_new = before < 0
 
     def carried(values: Floats | Ints, new: float) -> Any:
@@ -249,10 +251,9 @@ def extended(
 
 
 def _with_lost(history: TrackHistory, lost: LostTracks) -> TrackHistory:
-    """The history with its lost tracks among the others, but for their present pixels, which nobody knows."""
-    order = np.argsort(np.concatenate([history.track_id, lost.track_id]))
-    rays = np.concatenate([history.rays, lost.rays], axis=1).take(order, axis=1)
-    known: dict[str, Any] = {name: np.append(getattr(history, name), getattr(lost, name))[order] for name in _OF_TRACKS}
+    """The history with its lost tracks after the others, but for their present pixels, which nobody knows."""
+    rays = np.concatenate([history.rays, lost.rays], axis=1)
+    known: dict[str, Any] = {name: np.append(getattr(history, name), getattr(lost, name)) for name in _OF_TRACKS}
     return replace(history, rays=rays, lost=None, **known)
 
 
@@ -261,10 +262,12 @@ def _lost_tracks(history: TrackHistory, points: PointSet, kept: Floats) -> LostT
     gone = np.flatnonzero(places_among(points.track_id, history.track_id) < 0)
     if points.unseen_id is not None:
         gone = gone[places_among(points.unseen_id, history.track_id[gone]) >= 0]
-    gone = gone[np.isfinite(kept[:, gone, 0]).any(axis=0)]
-    if not len(gone):
+    rays = kept.take(gone, axis=1)
+    was_seen = np.isfinite(rays[..., 0]).any(axis=0)
+    if not was_seen.any():
         return None
-    rays = np.concatenate([kept[:, gone], np.full((1, len(gone), 3), np.nan)])
+    gone = gone[was_seen]
+    rays = np.concatenate([rays.compress(was_seen, axis=1), np.full((1, len(gone), 3), np.nan)])
     return LostTracks(rays=rays, **{name: getattr(history, name)[gone] for name in _OF_TRACKS})
 
 

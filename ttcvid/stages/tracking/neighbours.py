@@ -7,8 +7,9 @@ import numpy as np
 from ttcvid.compiled import compiled_for
 from ttcvid.model import Bools, Floats, Ints
 
-# Tracks farther apart than so many times the distance to the nth nearest one of either have a gap between them.
-_GAP, _NTH = 2.0, 3
+NTH = 3
+"""Tracks farther apart than `_GAP` times the distance to the nth nearest one of either have a gap between them."""
+_GAP = 2.0
 
 
 def nearest_neighbours(xy_px: Floats, count: int, radius_px: float, is_asked: Bools, kind: Ints) -> Ints:
@@ -63,8 +64,10 @@ def without_gaps(pairs: Ints, xy_px: Floats, radius_px: float) -> Ints:
     apart_px = np.hypot(*(xy_px[pairs[:, 0]] - xy_px[pairs[:, 1]]).T)
     end, length_px = pairs.ravel(), np.repeat(apart_px, 2)
     count, spacing_px = np.bincount(end, minlength=len(xy_px)), np.full(len(xy_px), radius_px)
-    has_nth, nth = count >= _NTH, np.cumsum(count) - count + _NTH - 1
-    spacing_px[has_nth] = length_px[np.lexsort((length_px, end))[nth[has_nth]]]
+    has_nth, nth = count >= NTH, np.cumsum(count) - count + NTH - 1
+    # By point, and the pairs of each by their length: one sort takes a fifth of the time of two.
+    by_length = np.argsort(end + 0.5 * length_px / radius_px)
+    spacing_px[has_nth] = length_px[by_length[nth[has_nth]]]
     return pairs.take(np.flatnonzero(apart_px <= _GAP * spacing_px[pairs].max(axis=1)), axis=0)
 
 
