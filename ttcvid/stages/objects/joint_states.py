@@ -135,7 +135,7 @@ def _near_ends(sets: TrackSets, xy: Floats, rate_hz: Floats, sigma_hz: Floats) -
         weighted = columns / (sigma_hz**2 * (1.0 + off**2))[:, None]
         cov = np.linalg.inv(sets.sums(columns[:, :, None] * weighted[:, None]) + belief)
         plane = np.einsum("kij,kj->ki", cov, sets.sums(weighted * rate_hz[:, None]))
-        side_hz = np.sum(columns * plane[set_of], axis=1)
+        side_hz = np.einsum("mi,mi->m", columns, plane[set_of])
     is_on = np.abs(rate_hz - side_hz) < _SIDE_SIGMAS * sigma_hz
     chi2 = np.einsum("ki,kij,kj->k", plane[:, 1:], np.linalg.inv(cov[:, 1:, 1:]), plane[:, 1:])
     n_on = np.bincount(set_of, is_on, len(sets))

@@ -135,7 +135,7 @@ def _on_paths(
 
 def _status_on_path(rates: PathRates, found: PathVelocities) -> Ints:
     """Status (N,) by the rates: along its path, how sure it is that a track moves at all, and forwards."""
-    speed_hz = np.linalg.norm(found.abc_hz, axis=1)
+    speed_hz = np.sqrt(np.einsum("ni,ni->n", found.abc_hz, found.abc_hz))
     status = np.where(np.abs(found.abc_hz[:, 2]) < INFINITY_COSINE * speed_hz, Status.epipole_at_infinity, Status.ok)
     status[rates.rate_hz < 0.0] = Status.not_rigid
     status[np.abs(rates.rate_hz) < _RATE_SIGMAS * found.along_sigma_hz] = Status.no_parallax

@@ -15,7 +15,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
-from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, pairs_without_gaps
 
 # Tracks side by side hang together if their inverse depths differ by less than the first factor. Farther apart they may
 # differ more, since a side may be slanted: its depth changes by up to so many times the distance across, and by no more
@@ -207,7 +207,7 @@ def _hanging_parts(xy: Floats, fit: PathFit, slack: float) -> Ints:
         return np.zeros(n, dtype=np.int64)
     one, other = linked_pairs(xy, _BESIDE * joins[is_group, 2].max()).T
     log_rate, sigma = np.log(fit.rate_hz), _sigma_hz(fit) / fit.rate_hz
-    apart = np.linalg.norm(xy[one] - xy[other], axis=1)
+    apart = np.hypot(*(xy[one] - xy[other]).T)
     limit = slack * np.clip(_SLOPE * apart, np.log(_STEP), np.log(_MOST_STEP)) + sigma[one] + sigma[other]
     hangs = np.abs(log_rate[one] - log_rate[other]) < limit
     return connected_parts(np.ones(n, dtype=bool), np.column_stack([one[hangs], other[hangs]]))
@@ -293,6 +293,10 @@ def _parts_in_depth(xy: Floats, fit: PathFit, least: int) -> _Parts | None:
     index = index[:: 1 + len(index) // (4 * _ENOUGH_TRACKS)]
     if len(index) < 2 * least:
         return None
+    # Half of a part are no farther off than its median: where so many are not far apart, no two medians are.
+    ordered_hz, half = np.sort(fit.rate_hz[index]), (least + 1) // 2
+    if ordered_hz[-half] <= _STEP * ordered_hz[half - 1]:
+        return None
     label = _hanging_parts(xy[index], fit.take(index), 1.0)
     counts = np.bincount(label)
     largest, rate_hz = int(counts.argmax()), medians(fit.rate_hz[index], label, len(counts))
@@ -306,9 +310,8 @@ def _parts_across_gaps(views: BodyViews, number: Ints, mover: int, rate_hz: floa
     ``number (N,)`` as from `numbers_of`.
     """
     tracks = np.flatnonzero(number == mover + 1)
-    xy_px = views.xy_px[tracks]
-    pairs = without_gaps(linked_pairs(xy_px, views.link_px), xy_px, views.link_px)
-    label = connected_parts(np.ones(len(tracks), dtype=bool), pairs)
+    xy_px, is_in = views.xy_px[tracks], np.ones(len(tracks), dtype=bool)
+    label = connected_parts(is_in, pairs_without_gaps(xy_px, views.link_px))
     counts = np.bincount(label)
     large, largest = np.flatnonzero(counts >= least), int(counts.argmax())
     if len(large) < 2:
