@@ -27,7 +27,7 @@ def rays_from_pixels(camera: Camera, xy_px: Floats) -> Floats:
     tolerance = UNDISTORTION_TOLERANCE_PX / max(camera.fx_px, camera.fy_px)
     rays = np.ones((len(xy_distorted), 3))
     rays[:, :2] = undistort(camera.distortion_model, camera.distortion, xy_distorted, tolerance)
-    rays[~np.isfinite(rays).all(axis=1)] = np.nan
+    rays[~np.isfinite(rays[:, 0] + rays[:, 1])] = np.nan
     return rays
 
 
@@ -71,5 +71,5 @@ def pixels_from_rays(camera: Camera, rays: Floats) -> Floats:
         xy = rays[:, :2] / np.where(z > 0.0, z, np.nan)[:, None]
     xy_distorted = distort(camera.distortion_model, camera.distortion, xy)
     xy_px: Floats = xy_distorted * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px)
-    xy_px[~np.isfinite(xy_px).all(axis=1)] = np.nan
+    xy_px[~np.isfinite(xy_px[:, 0] + xy_px[:, 1])] = np.nan
     return xy_px

@@ -239,7 +239,7 @@ def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> F
     if not turn_rad_s.any():
         return xy
     rotations = rotation_from_vector(-t_s[:, None] * turn_rad_s[:, None])
-    xy, turns = xy.copy(), np.flatnonzero(turn_rad_s.any(axis=1)[path_of])
+    xy, turns = xy.copy(), np.flatnonzero(np.asarray(turn_rad_s.any(axis=1))[path_of])
     xy[:, turns] = each_turned_into_plane(xy, turns, rotations, path_of[turns])
     return xy
 

@@ -232,7 +232,7 @@ def cost_of(fit: TwoViewFit, rays_prev: Floats, rays_cam: Floats, sigma_rad: Flo
     turned = rays_prev @ fit.cam_R_prev.T
     if fit.direction is None:
         off = rays_cam - turned
-        return _criterion(0.5 * (off * off).sum(axis=1) / sigma_rad**2, 2, 3)
+        return _criterion(0.5 * np.einsum("ni,ni->n", off, off) / sigma_rad**2, 2, 3)
     squares = flow_line_chi2(fit.direction, turned, rays_cam, sigma_rad)
     is_behind = (rays_cam - turned) @ fit.direction < -_INLIER_SIGMAS * sigma_rad
     return _criterion(np.where(is_behind, np.inf, squares), 3, 5)

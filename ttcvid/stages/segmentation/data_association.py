@@ -149,8 +149,7 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     redchis[:, 0], redchis[track, 1 + mover] = redchi, np.where(is_other | is_no_mover[mover], np.inf, off)
     agreement = _votes(number, neighbours, n_bodies, sureness(redchis, number)) / np.maximum(n_neighbours, 1.0)
     best = np.argmin(_costs(redchis, agreement, number, seen.fit.n_views, seen.camera_rests), axis=1)
-    own_redchi = np.take_along_axis(redchis, best[:, None], axis=1)[:, 0]
-    return np.append(SCENE_CLUSTER, movers.key)[best], own_redchi
+    return np.append(SCENE_CLUSTER, movers.key)[best], redchis[np.arange(len(key)), best]
 
 
 def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
@@ -188,10 +187,10 @@ def sureness(redchis: Floats, number: Ints) -> Floats:
     ``redchis (N, B)`` and ``number (N,)`` as in `_costs`. What two bodies explain alike, or none does, has no say in
     where its neighbours belong: far background at the vanishing point fits a car ahead of us as well as the scene.
     """
-    costs = cost_of(redchis)
-    own = np.take_along_axis(costs, number[:, None], axis=1)[:, 0]
-    np.put_along_axis(costs, number[:, None], np.inf, axis=1)
-    return np.asarray(np.tanh(0.5 * np.abs(costs.min(axis=1) - own)))
+    costs, track = cost_of(redchis), np.arange(len(number))
+    own = costs[track, number]
+    costs[track, number] = np.inf
+    return np.asarray(np.tanh(0.5 * np.abs(np.ascontiguousarray(costs.T).min(axis=0) - own)))
 
 
 def _costs(redchis: Floats, agreement: Floats, number: Ints, n_views: Ints, camera_rests: bool) -> Floats:

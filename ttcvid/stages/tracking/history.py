@@ -262,12 +262,14 @@ def _lost_tracks(history: TrackHistory, points: PointSet, kept: Floats) -> LostT
     gone = np.flatnonzero(places_among(points.track_id, history.track_id) < 0)
     if points.unseen_id is not None:
         gone = gone[places_among(points.unseen_id, history.track_id[gone]) >= 0]
-    rays = kept.take(gone, axis=1)
+    rays = np.full((len(kept) + 1, len(gone), 3), np.nan)
+    if history.n_tracks:
+        kept.take(gone, axis=1, out=rays[:-1], mode="wrap")
     was_seen = np.isfinite(rays[..., 0]).any(axis=0)
     if not was_seen.any():
         return None
-    gone = gone[was_seen]
-    rays = np.concatenate([rays.compress(was_seen, axis=1), np.full((1, len(gone), 3), np.nan)])
+    if not was_seen.all():
+        gone, rays = gone[was_seen], rays.compress(was_seen, axis=1)
     return LostTracks(rays=rays, **{name: getattr(history, name)[gone] for name in _OF_TRACKS})
 
 

@@ -75,7 +75,7 @@ def _relative_roughness(history: TrackHistory, sigma_floor_px: float) -> tuple[F
     recent = slice(-_DIFFERENCE_FRAMES, None)
     plane = turned_into_plane(history.rays[recent], history.cam_R_seen[recent])
     third = np.diff(plane, n=_DIFFERENCE_FRAMES - 1, axis=0)[0] / history.plane_per_px[:, None]
-    roughness = (third * third).sum(axis=1)
+    roughness = np.einsum("ni,ni->n", third, third)
     is_measured = np.isfinite(roughness)
     if np.count_nonzero(is_measured) < _LEAST_MEASURED:
         return nothing
