@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ttcvid.compiled import ZERO, compiled_for
 from ttcvid.geometry.estimation.relative_pose import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
@@ -245,33 +244,12 @@ def region_side_of(camera: Camera) -> float:
 
 def picture_region(rays: Floats, side: float = REGION) -> Ints:
     """Number of the cell of a coarse grid over the picture that each ray ``(N, 3)`` lies in: (N,), without gaps."""
-    number = np.empty(len(rays), dtype=np.int64)
-    _fill_regions(np.ascontiguousarray(rays), side, number)
-    return number
-
-
-@compiled_for("(f8[:, ::1], f8, i8[::1])")
-def _fill_regions(rays: Floats, side: float, number: Ints) -> None:
-    """Fill ``number (N,)`` of `picture_region`."""
-    half, first, last = _REGION_COUNT // 2, _REGION_COUNT * _REGION_COUNT, ZERO
-    for i in range(len(rays)):
-        deep, number[i] = side * max(rays[i, 2], _LEAST_Z), 0
-        for j in range(2):
-            at = np.floor(rays[i, 1 - j] / deep)
-            # A ray that is not known (NaN) has its place in the corner.
-            at = max(min(at, half - 1.0), -float(half)) if at == at else -float(half)
-            number[i] = _REGION_COUNT * number[i] + half + np.int64(at)
-        first, last = min(first, number[i]), max(last, number[i])
-    region = np.full(max(last - first + 1, 0), -1)
-    for i in range(len(rays)):
-        region[number[i] - first] = 0
-    n_regions = 0
-    for k in range(len(region)):
-        if region[k] == 0:
-            region[k] = n_regions
-            n_regions += 1
-    for i in range(len(rays)):
-        number[i] = region[number[i] - first]
+    half, deep = _REGION_COUNT // 2, side * np.fmax(rays[:, 2:], _LEAST_Z)
+    # A ray that is not known (NaN) has its place in the corner.
+    cell = np.fmax(np.minimum(np.floor(rays[:, :2] / deep), half - 1.0), -half)
+    number = ((cell + half) @ (1.0, _REGION_COUNT)).astype(np.int64)
+    number -= number.min(initial=_REGION_COUNT * _REGION_COUNT)
+    return (np.cumsum(np.bincount(number) > 0) - 1)[number]
 
 
 def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:

@@ -82,12 +82,5 @@ def _belief(history: TrackHistory, direction: Floats, direction_cov: Floats, ste
     cov = direction_cov + _BELIEF_FLOOR_RAD**2 * across
     steps, views = np.full((len(history.t_s), 3), np.nan), history.views_within(steadiness.window_s)
     steps[views] = history.scene_steps[views]
-    return PathBeliefs(
-        steps[None],
-        direction[None],
-        cov[None],
-        steadiness.along_hz,
-        steadiness.across_hz,
-        history.rotation_rate_sigma_rad_s,
-        change_sigma_hz2=steadiness.change_hz2,
-    )
+    of_path = steps[None], direction[None], cov[None], steadiness.along_hz, steadiness.across_hz
+    return PathBeliefs(*of_path, history.rotation_rate_sigma_rad_s, change_sigma_hz2=steadiness.change_hz2)

@@ -60,11 +60,10 @@ def _paths(
     directed = [motion for motion in motions.clusters if motion.direction is not None]
     scene = [motion for motion in directed if motion.cluster_id == SCENE_CLUSTER and history.scene is not None]
     objects = [motion for motion in directed if motion.cluster_id != SCENE_CLUSTER]
-    path_of, parts = np.full(history.n_tracks, NO_PATH, dtype=np.int64), list[SharedPaths]()
+    path_of = np.full(history.n_tracks, NO_PATH, dtype=np.int64)
+    parts = [history.scene for _ in scene if history.scene is not None]
     for number, motion in enumerate([*scene, *objects]):
         path_of[motion.members] = number
-    if scene and history.scene is not None:
-        parts.append(history.scene)
     first, count = len(parts), len(objects)
     direction = np.reshape([motion.direction for motion in objects], (count, 3))
     cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))
