@@ -41,7 +41,10 @@ class TrackingConfig(StageConfig):
 
     tracker: Literal["klt", "akaze"] = "klt"
     max_tracks: int = Field(
-        default=1300, ge=20, le=20000, description="live tracks; AKAZE finds a tenth more features: some match none"
+        default=1300,
+        ge=20,
+        le=20000,
+        description="live tracks (klt); of AKAZE features 1.1 times as many: some match none",
     )
     min_distance_px: float = Field(
         default=7.0, ge=1.0, description="minimum distance between a new corner and any track"

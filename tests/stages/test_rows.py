@@ -7,9 +7,7 @@ import pytest
 from relative_motion import CAMERA, box_of_points, history_of, pixels, unit
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.model import NO_CLUSTER, MotionState, Platform, Status
-from ttcvid.stages.egomotion.relative_pose import Egomotion
-from ttcvid.stages.egomotion.scene_trajectory import with_scene_path
+from ttcvid.model import NO_CLUSTER, MotionState, Status
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.rows import cluster_rows, no_tracks, track_rows
@@ -35,9 +33,6 @@ def frame():
     velocity = np.repeat([OWN, CAR_V, LOOSE_V], [STATIC, CAR, LOOSE], axis=0)
     history = history_of(position_m, velocity, 0.05 * np.arange(9))
     history = replace(history, scene_direction=np.tile(unit(OWN), (9, 1)))
-    e_cov = 1e-10 * (np.eye(3) - np.outer(unit(OWN), unit(OWN)))
-    own = Egomotion(np.eye(3), 1e-12 * np.eye(3), unit(OWN), e_cov, 1.0)
-    history = with_scene_path(history, np.repeat([True, False], [STATIC, CAR + LOOSE]), own, Platform.vehicle)
     cluster = np.repeat([0, 4, NO_CLUSTER], [STATIC, CAR, LOOSE])
     return history, motions_of(history, cluster), position_m, velocity
 

@@ -29,8 +29,7 @@ _ALONG = 4
 CHANGE_SIGMA_HZ2 = 0.5
 """Usual prior of the change of an acceleration over the speed, per axis: 3 m/s^3 at 6 m/s.
 
-Brakes come and go within half a second, a hand sways its camera within two. Without it ends of paths lag behind, and
-claim not to: before cameras in free motion times err by four of their standard deviations.
+Brakes come and go within half a second. Without it ends of paths lag behind, and claim not to.
 """
 
 # A point whose window has less than this part of its views, over the same of the median point, is left out.
@@ -76,7 +75,8 @@ class PathBeliefs:
 
 @dataclass(frozen=True)
 class SharedPaths:
-    """K paths as all their points see them: ``path (K, L, 3)``, ``direction (K, 3)`` = dir at time 0.
+    """K paths as all their points see them: ``path (K, L, 3)``, NaN at views that it is not told for, ``direction (K,
+    3)`` = dir at time 0.
 
     ``offset (K, 12)`` the shared unknowns, from the belief on, with ``cov (K, 12, 12)``. ``direction_cov (K, 3, 3)`` in
     rad^2 is that of the middle of what turns itself. What is left in all views: the ``squares (K,)`` of the residuals

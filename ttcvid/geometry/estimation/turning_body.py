@@ -103,7 +103,7 @@ def fit_turning_body(
     Parameters
     ----------
     xy, t_s, sigma_norm : Views ``(L, N, 2)`` in the plane z = 1 of the camera at time 0, NaN where not seen, the last
-        of them at time 0 or after it; their times ``(L,)`` and noise ``(N,)``.
+        of them at time 0 or after it, some seen; their times ``(L,)`` and noise ``(N,)``.
     bend_hz, turn_sigma_rad_s : Beliefs, per axis: acceleration over the speed, and turn.
     may_do : Whether a body may be what is looked for: where that to which the search without a turn at first comes is
         not, it is not made again. (It may be the mirror image, which explains nearly as much.)

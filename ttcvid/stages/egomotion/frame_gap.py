@@ -189,7 +189,8 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
     if len(seen) < min_tracks:
         return None
     rays, sigma_rad = now.take(seen, axis=0), history.sigma_rad.take(seen)
-    # The quietest of each part. That of a ray hangs on its place, too: the same ones in whatever order they come.
+    # The quietest of each part. That of a ray hangs on its place, too: the same ones in whatever order they come, but
+    # for exact ties.
     region = picture_region(rays, region_side_of(history.camera))
     order = np.argsort(region + 0.5 * sigma_rad / sigma_rad.max())
     rank = np.arange(len(order)) - np.searchsorted(region[order], region[order])

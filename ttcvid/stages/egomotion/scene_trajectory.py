@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ttcvid.geometry.estimation.shared_trajectory import CHANGE_SIGMA_HZ2, PathBeliefs, believed_paths, fit_paths
+from ttcvid.geometry.estimation.shared_trajectory import PathBeliefs, SharedPaths, believed_paths, fit_paths
 from ttcvid.geometry.estimation.shared_trajectory_points import MOST_POINTS, points_of_paths
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import each_turned_into_plane
@@ -16,31 +16,15 @@ from ttcvid.stages.tracking.history import ROTATION_DRIFT_RAD, TrackHistory
 
 # The prior direction is believed to no better than this angle: it was fitted to some of the same views.
 _BELIEF_FLOOR_RAD = float(np.radians(0.02))
+# Own acceleration over own speed: 2 m/s^2 at 5 m/s. Across, the single steps have turned already.
+_OWN_ALONG_HZ, _OWN_ACROSS_HZ = 0.4, 0.02
 # Tracks that the path needs.
 _LEAST_TRACKS = 12
+# A hand sways within T = 2 s or more, with accelerations over its speed up to 2 pi / T, and changes of these up to the
+# square of that. Over T / 4 they describe its path, if so many views are that near. Its single steps are noisy.
+_SWAY_ALONG_HZ, _SWAY_ACROSS_HZ, _SWAY_CHANGE_HZ2, _SWAY_WINDOW_S, _LEAST_VIEWS = 3.0, 0.5, 10.0, 0.5, 4
 # A track of the scene keeps to its direction over so many frames, within three sigmas (chi-square with one degree).
 _GAP_FRAMES, _GATE_CHI2 = 5, 9.0
-
-
-@dataclass(frozen=True)
-class _Steadiness:
-    """How steadily a camera moves, beyond what its single steps have told already.
-
-    Standard deviations of its acceleration over its speed, 1/s, ``along_hz`` and per axis ``across_hz`` its direction,
-    and ``change_hz2`` of how that changes, per axis, 1/s^2. These unknowns describe its path for ``window_s``.
-    """
-
-    along_hz: float
-    across_hz: float
-    change_hz2: float
-    window_s: float
-
-
-# A car brakes with 2 m/s^2 at 5 m/s. Across, the single steps have turned already.
-_DRIVEN = _Steadiness(0.4, 0.02, CHANGE_SIGMA_HZ2, np.inf)
-# A hand sways within T = 2 s or more: its acceleration is about 2 pi / T of its speed, that of its acceleration again;
-# over T / 4 these describe its path. Its single steps are short, and noisy.
-_HELD = _Steadiness(2.0, 0.5, 10.0, 0.5)
 
 
 def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion, platform: Platform) -> TrackHistory:
@@ -49,24 +33,43 @@ def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion,
     The sum of single steps keeps three errors that two views cannot resolve: final direction, acceleration and rotation
     rate. All tracks share them. (The epipole stays that of two views, which follows a swinging direction more closely:
     0.07 against 0.13 deg. So do the steps: the next frame's trajectory has to be fitted to views, not to itself.)
-    Where few tracks follow it, the steps and what they leave open are the trajectory. Views are NaN in it over which a
-    camera in free motion changes its speed in ways that it has no unknowns for.
 
-    Nothing changes without a direction of the last step, ``egomotion``. ``is_free (N,)`` tracks not frozen to a pixel.
+    A camera in free motion has the path of a hand, over a shorter time, NaN at views farther away. (A steady one is
+    known less well so: where views seem to show that it is steady, intervals hold less often than they say.)
+
+    Nothing changes where ``egomotion`` has no direction. ``is_free (N,)`` tracks not frozen to a pixel.
     """
     if egomotion.direction is None or egomotion.direction_cov is None:
         return history
-    steadiness = _HELD if MOTION_PRIORS[platform].is_open else _DRIVEN
-    belief = _belief(history, egomotion.direction, egomotion.direction_cov, steadiness)
     used = np.flatnonzero(is_free & _follows(history, egomotion.direction))
     if len(used) < _LEAST_TRACKS:
-        return replace(history, scene=believed_paths(belief))
+        return history
     # Those that the fit would leave out need not be turned.
     used = used[:: -(-len(used) // MOST_POINTS)]
+    belief = _belief(history, egomotion.direction, egomotion.direction_cov)
+    if MOTION_PRIORS[platform].is_open:
+        belief = _swaying(history, belief)
     path_of = np.zeros(len(used), dtype=np.int64)
     xy = each_turned_into_plane(history.rays, used, history.cam_R_seen[None], path_of)
     points = points_of_paths(xy, history.since_s, history.sigma_norm[used], belief.base, path_of)
     return replace(history, scene=fit_paths(points, belief).paths())
+
+
+def _swaying(history: TrackHistory, belief: PathBeliefs) -> PathBeliefs:
+    """The belief in the path of a hand, at near views; as it is, where these are too few."""
+    is_near = np.abs(history.since_s) <= _SWAY_WINDOW_S + 0.5 * history.step_s
+    if np.count_nonzero(is_near) < _LEAST_VIEWS:
+        return belief
+    base = np.where(is_near[:, None], belief.base, np.nan)
+    along_hz, across_hz, change_hz2 = _SWAY_ALONG_HZ, _SWAY_ACROSS_HZ, _SWAY_CHANGE_HZ2
+    return replace(belief, base=base, along_sigma_hz=along_hz, across_sigma_hz=across_hz, change_sigma_hz2=change_hz2)
+
+
+def scene_path(history: TrackHistory, direction: Floats, direction_cov: Floats) -> SharedPaths:
+    """Trajectory of the scene: estimated from its tracks together, else the sum of the single steps."""
+    if history.scene is not None:
+        return history.scene
+    return believed_paths(_belief(history, direction, direction_cov))
 
 
 def _follows(history: TrackHistory, direction: Floats) -> Bools:
@@ -77,10 +80,8 @@ def _follows(history: TrackHistory, direction: Floats) -> Bools:
     return np.asarray(flow_line_chi2(direction, before, now, sigma_rad) < _GATE_CHI2)
 
 
-def _belief(history: TrackHistory, direction: Floats, direction_cov: Floats, steadiness: _Steadiness) -> PathBeliefs:
+def _belief(history: TrackHistory, direction: Floats, direction_cov: Floats) -> PathBeliefs:
     across = np.eye(3) - np.outer(direction, direction)
     cov = direction_cov + _BELIEF_FLOOR_RAD**2 * across
-    steps, views = np.full((len(history.t_s), 3), np.nan), history.views_within(steadiness.window_s)
-    steps[views] = history.scene_steps[views]
-    of_path = steps[None], direction[None], cov[None], steadiness.along_hz, steadiness.across_hz
-    return PathBeliefs(*of_path, history.rotation_rate_sigma_rad_s, change_sigma_hz2=steadiness.change_hz2)
+    steps, turn_rad_s = history.scene_steps, history.rotation_rate_sigma_rad_s
+    return PathBeliefs(steps[None], direction[None], cov[None], _OWN_ALONG_HZ, _OWN_ACROSS_HZ, turn_rad_s)

@@ -16,6 +16,7 @@ from ttcvid.geometry.paper.epipole import INFINITY_COSINE
 from ttcvid.geometry.paper.two_view_state import is_at_epipole
 from ttcvid.geometry.rotation import normalize, skew
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
+from ttcvid.stages.egomotion.scene_trajectory import scene_path
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.states import SharedErrors, TrackStates, has_value
@@ -58,12 +59,13 @@ def _paths(
 ) -> tuple[SharedPaths, Ints, Bools]:
     """Path of every cluster that has a direction, the path (N,) of each track, and which paths (K,) are objects'."""
     directed = [motion for motion in motions.clusters if motion.direction is not None]
-    scene = [motion for motion in directed if motion.cluster_id == SCENE_CLUSTER and history.scene is not None]
     objects = [motion for motion in directed if motion.cluster_id != SCENE_CLUSTER]
-    path_of = np.full(history.n_tracks, NO_PATH, dtype=np.int64)
-    parts = [history.scene for _ in scene if history.scene is not None]
-    for number, motion in enumerate([*scene, *objects]):
+    path_of, parts = np.full(history.n_tracks, NO_PATH, dtype=np.int64), list[SharedPaths]()
+    for number, motion in enumerate(directed):
         path_of[motion.members] = number
+        way, cov_of_way = motion.direction, motion.direction_cov
+        if motion.cluster_id == SCENE_CLUSTER and way is not None and cov_of_way is not None:
+            parts.append(scene_path(history, way, cov_of_way))
     first, count = len(parts), len(objects)
     direction = np.reshape([motion.direction for motion in objects], (count, 3))
     cov = np.reshape([motion.direction_cov for motion in objects], (count, 3, 3))

@@ -8,9 +8,11 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
+from ttcvid.geometry.estimation.shared_direction import shared_directions
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
-from ttcvid.geometry.medians import medians, row_medians
-from ttcvid.geometry.rotation import normalize, turned_into_plane
+from ttcvid.geometry.estimation.track_state import fit_whole_tracks
+from ttcvid.geometry.medians import row_medians
+from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
@@ -18,7 +20,6 @@ from ttcvid.stages.segmentation.common_errors import drift_cost
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
-from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY, recent_velocities
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
 
@@ -132,29 +133,26 @@ def _alike_things(
 ) -> list[tuple[Ints, Floats]]:
     """Connected tracks of similar flow among ``candidates (C,)``: tracks ``(M,)`` and straight path ``(L, 3)`` of each.
 
-    The path is that of the velocity of all tracks of a thing together: a track of a few views does not tell its own.
     ``is_along (N,)`` tracks that move along our own direction.
     """
     if len(candidates) < config.min_tracks:
         return []
     xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
-    flow, label = _alike_and_near(views, candidates, xy, is_along[candidates])
+    label = _alike_and_near(views, candidates, xy, is_along[candidates])
     is_one = np.bincount(label)[label] >= config.min_tracks
     if not is_one.any():
         return []
-    flow, candidates = flow[is_one], candidates[is_one]
+    xy, candidates = xy.compress(is_one, axis=1), candidates[is_one]
     numbers, thing = np.unique(label[is_one], return_inverse=True)
-    median_flow = [medians(along, thing, len(numbers)) for along in flow.T.copy()]
-    start_hz = np.column_stack([*median_flow, np.zeros(len(numbers))])
-    points = views.points(candidates, thing)
-    velocity_hz, _ = recent_velocities(points, scene.cam_R_past[0], start_hz, STEPS_TO_VELOCITY)
-    directions = normalize(velocity_hz)
+    tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
+    places, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
+    directions, *_ = shared_directions(places, velocity_hz, tracks.info_w, thing, len(numbers))
     told = np.flatnonzero(np.isfinite(directions[:, 0]))
     return [(candidates[thing == number], straight_path(directions[number], views.since_s)) for number in told]
 
 
-def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> tuple[Floats, Ints]:
-    """Flow ``(C, 2)`` of each track ``index (C,)``, 1/s, and its component ``(C,)``: near ones of similar flow connect.
+def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:
+    """Connected component ``(C,)`` of each track ``index (C,)``: near tracks of similar flow are connected.
 
     Tracks along our own direction, ``is_along (C,)``, are connected with each other only.
     """
@@ -169,7 +167,7 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     is_alike = apart < _FLOW_PART * 0.5 * (length[one] + length[other]) + floor
     is_alike &= is_along[one] == is_along[other]
     pairs = without_gaps(pairs.take(np.flatnonzero(is_alike), axis=0), views.xy_px[index], views.link_px)
-    return flow, connected_parts(np.ones(len(index), dtype=bool), pairs)
+    return connected_parts(np.ones(len(index), dtype=bool), pairs)
 
 
 def _flows(xy: Floats, since_s: Floats, span_s: Floats) -> Floats:

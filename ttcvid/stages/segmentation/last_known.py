@@ -14,8 +14,6 @@ from ttcvid.model import Bools, Floats, Ints
 _WHOLE, _FALLS = 0.75, 0.95
 # A velocity is that of the last views, s: cars brake within a second. So many views in any case, at low frame rates.
 _RECENT_S, _LEAST_RECENT = 0.6, 4
-STEPS_TO_VELOCITY = 4
-"""Gauss-Newton steps to the velocity of what was not known before."""
 _LEAST_DEPTH_RATIO = 0.05
 _TINY_HZ = 1e-9
 

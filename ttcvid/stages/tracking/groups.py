@@ -74,7 +74,7 @@ class TrackSets:
 
 
 def places_among(known: Ints, track_id: Ints) -> Ints:
-    """Where each of ``track_id (N,)`` stands among those ``known (M,)``, both ascending: (N,), -1 for nowhere."""
+    """Where each of ``track_id (N,)`` stands among those ``known (M,)``, which ascend: (N,), -1 for nowhere."""
     if not len(known):
         return np.full(len(track_id), -1)
     place = np.searchsorted(known, track_id)
