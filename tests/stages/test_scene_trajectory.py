@@ -62,7 +62,7 @@ def sway(times_s, phase):
 
 @pytest.mark.parametrize(("rate_hz", "least_held"), [(10.0, 0.75), (20.0, 0.65)])
 def test_before_a_hand_that_sways_the_intervals_of_the_scenes_tracks_mostly_hold(rate_hz, least_held):
-    """Two thirds to four fifths of the 90 % intervals hold; a third did, of a hand believed to be as steady as a car."""
+    """Two thirds to four fifths of the 90 % intervals hold; a third did, of a hand taken to be as steady as a car."""
     times_s = np.arange(-19.0, 1.0) / rate_hz
     held, errors = [], []
     for seed in range(24):
