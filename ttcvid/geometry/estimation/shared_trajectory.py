@@ -75,13 +75,12 @@ class PathBeliefs:
 
 @dataclass(frozen=True)
 class SharedPaths:
-    """K paths as all their points see them: ``path (K, L, 3)``, NaN at views that it is not told for, ``direction (K,
-    3)`` = dir at time 0.
+    """K paths as all their points see them: ``path (K, L, 3)``, ``direction (K, 3)`` = dir at time 0.
 
-    ``offset (K, 12)`` the shared unknowns, from the belief on, with ``cov (K, 12, 12)``. ``direction_cov (K, 3, 3)`` in
-    rad^2 is that of the middle of what turns itself. What is left in all views: the ``squares (K,)`` of the residuals
-    in sigmas, each no larger than a robust fit counts it, and the ``median_chi2 (K,)`` by the degree of freedom; 0
-    where nothing was fitted.
+    A path is NaN at views that it is not told for. ``offset (K, 12)`` the shared unknowns, from the belief on, with
+    ``cov (K, 12, 12)``. ``direction_cov (K, 3, 3)`` in rad^2 is that of the middle of what turns itself. What is left
+    in all views: the ``squares (K,)`` of the residuals in sigmas, each no larger than a robust fit counts it, and the
+    ``median_chi2 (K,)`` by the degree of freedom; 0 where nothing was fitted.
     """
 
     path: Floats

@@ -20,8 +20,8 @@ _BELIEF_FLOOR_RAD = float(np.radians(0.02))
 _OWN_ALONG_HZ, _OWN_ACROSS_HZ = 0.4, 0.02
 # Tracks that the path needs.
 _LEAST_TRACKS = 12
-# A hand sways within T = 2 s or more, with accelerations over its speed up to 2 pi / T, and changes of these up to the
-# square of that. Over T / 4 they describe its path, if so many views are that near. Its single steps are noisy.
+# A hand sways within T = 2 s or more, with accelerations of 2 pi / T times its speed, and changes of the square of that
+# times it. Over T / 4 these describe its path, if so many views are that near. Across, noisy steps have turned already.
 _SWAY_ALONG_HZ, _SWAY_ACROSS_HZ, _SWAY_CHANGE_HZ2, _SWAY_WINDOW_S, _LEAST_VIEWS = 3.0, 0.5, 10.0, 0.5, 4
 # A track of the scene keeps to its direction over so many frames, within three sigmas (chi-square with one degree).
 _GAP_FRAMES, _GATE_CHI2 = 5, 9.0
@@ -34,8 +34,8 @@ def with_scene_path(history: TrackHistory, is_free: Bools, egomotion: Egomotion,
     rate. All tracks share them. (The epipole stays that of two views, which follows a swinging direction more closely:
     0.07 against 0.13 deg. So do the steps: the next frame's trajectory has to be fitted to views, not to itself.)
 
-    A camera in free motion has the path of a hand, over a shorter time, NaN at views farther away. (A steady one is
-    known less well so: where views seem to show that it is steady, intervals hold less often than they say.)
+    A camera in free motion has the path of a hand, over a shorter time, NaN at views farther away. One that moves
+    steadily is known less well so. But to choose by how steady the views look would make intervals too narrow.
 
     Nothing changes where ``egomotion`` has no direction. ``is_free (N,)`` tracks not frozen to a pixel.
     """
@@ -60,9 +60,13 @@ def _swaying(history: TrackHistory, belief: PathBeliefs) -> PathBeliefs:
     is_near = np.abs(history.since_s) <= _SWAY_WINDOW_S + 0.5 * history.step_s
     if np.count_nonzero(is_near) < _LEAST_VIEWS:
         return belief
-    base = np.where(is_near[:, None], belief.base, np.nan)
-    along_hz, across_hz, change_hz2 = _SWAY_ALONG_HZ, _SWAY_ACROSS_HZ, _SWAY_CHANGE_HZ2
-    return replace(belief, base=base, along_sigma_hz=along_hz, across_sigma_hz=across_hz, change_sigma_hz2=change_hz2)
+    return replace(
+        belief,
+        base=np.where(is_near[:, None], belief.base, np.nan),
+        along_sigma_hz=_SWAY_ALONG_HZ,
+        across_sigma_hz=_SWAY_ACROSS_HZ,
+        change_sigma_hz2=_SWAY_CHANGE_HZ2,
+    )
 
 
 def scene_path(history: TrackHistory, direction: Floats, direction_cov: Floats) -> SharedPaths:

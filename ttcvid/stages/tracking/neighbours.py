@@ -81,9 +81,7 @@ def pairs_without_gaps(xy_px: Floats, radius_px: float) -> Ints:
     has_nth = (nearest != np.arange(n)[:, None]).all(axis=1)
     spacing_px = np.where(has_nth, np.hypot(off_px[..., 0], off_px[..., 1]).max(axis=1), radius_px)
     pairs = linked_pairs(xy_px, min(radius_px, (1.0 + _ROUNDING) * _GAP * spacing_px.max(initial=_ROUNDING)))
-    one, other = pairs.T
-    is_near = np.hypot(*(xy_px[one] - xy_px[other]).T) <= _GAP * np.maximum(spacing_px[one], spacing_px[other])
-    return pairs.take(np.flatnonzero(is_near), axis=0)
+    return without_gaps(pairs, xy_px, radius_px)
 
 
 @compiled_for("(f8[:, ::1], i8[::1], f8)")
