@@ -1,5 +1,7 @@
 """The velocity of a thing by all its points: exact without noise, and as sure as it says with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,20 @@ def test_a_velocity_is_as_sure_as_it_says():
     # Three degrees of freedom.
     assert 2.0 < np.mean(chi2) < 4.0
     assert np.mean(np.array(chi2) < 11.3) > 0.97
+
+
+def test_what_is_believed_of_an_approach_holds_where_the_points_do_not_tell_it():
+    """A small thing that passes: without it, its velocity towards us is mostly noise."""
+    velocity, size_m, ahead_hz, free_hz = np.array([-3.0, 0.0, 0.0]), SIZE_M * 0.1, [], []
+    for seed in range(60):
+        points = points_of(np.random.default_rng(seed), velocity[None], size_m, 20.0 * SIGMA)
+        points = replace(points, sigma_norm=20.0 * points.sigma_norm)
+        for found, sigma_hz in ((ahead_hz, 0.075), (free_hz, np.inf)):
+            v_hz, info = common_velocities(points, TURNS, np.zeros((1, 3)), 5, np.array([sigma_hz]))
+            found.append(v_hz[0, 2])
+            assert info[0, 2, 2] >= (0.0 if sigma_hz == np.inf else sigma_hz**-2.0)
+    assert np.std(free_hz) > 2.0 * 0.075
+    assert np.std(ahead_hz) < 0.075
 
 
 @pytest.mark.parametrize("n_seen", [0, 1])

@@ -20,37 +20,43 @@ from ttcvid.model import Floats, Ints
 _DEPTH_OF_WIDTH, _LEAST_DEPTH = 2.0, 0.01
 
 
-def common_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int) -> tuple[Floats, Floats]:
+def common_velocities(
+    points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int, ahead_sigma_hz: Floats | float = np.inf
+) -> tuple[Floats, Floats]:
     """V / Z of each of K things, 1/s, and its information matrix: ``(K, 3)`` and ``(K, 3, 3)``.
 
-    Gauss-Newton with Huber's weights on where the points were seen; place and depth of each point are unknown, too.
+    Gauss-Newton with Huber's weights on where the points were seen; place and depth of each point are unknown, too. The
+    information has that of the belief.
 
     Parameters
     ----------
     cam_R_past : (L, 3, 3) turns a ray of each view into the present camera.
     start_hz : (K, 3) V / Z to start from.
+    ahead_sigma_hz : (K,) what is believed of its third component, a standard deviation about 0; infinite: nothing.
     """
     velocity, info = start_hz.copy(), np.zeros((len(start_hz), 3, 3))
     of_points = points.rays, points.sigma_norm, points.track, points.thing
-    _fit_each(of_points, np.ascontiguousarray(cam_R_past), points.since_s, n_steps, velocity, info)
+    believed = np.full(len(info), ahead_sigma_hz) ** -2.0
+    _fit_each(of_points, np.ascontiguousarray(cam_R_past), points.since_s, n_steps, believed, velocity, info)
     return velocity, info
 
 
 @compiled_for(
-    "(Tuple((f8[:, :, ::1], f8[::1], i8[::1], i8[::1])), f8[:, :, ::1], f8[::1], i8, f8[:, ::1], f8[:, :, ::1])"
+    "(Tuple((f8[:, :, ::1], f8[::1], i8[::1], i8[::1])), f8[:, :, ::1], f8[::1], i8, f8[::1], f8[:, ::1],f8[:, :, ::1])"
 )
 def _fit_each(
     points: tuple[Floats, Floats, Ints, Ints],
     rotations: Floats,
     t_s: Floats,
     n_steps: int,
+    believed: Floats,
     velocity_hz: Floats,
     info: Floats,
 ) -> None:
     """Take the steps of `common_velocities`: ``velocity_hz (K, 3)`` in and out, ``info (K, 3, 3)`` filled.
 
     ``points``: rays and noise of tracks as in `rigid_motion.Points`, track and thing (M,) of each; ``rotations (L, 3,
-    3)`` of the last L views.
+    3)`` of the last L views, ``believed (K,)`` information that the third component is 0.
     """
     rays, sigmas, track, thing = points
     rows, equations, kept = np.empty((7, 2 * len(t_s))), np.empty((7, 6)), np.empty((3, 7))
@@ -99,6 +105,8 @@ def _fit_each(
             equations[2, 2] += precision[thing[i]]
             eliminate(equations, kept, info[thing[i]], score[thing[i]])
         for b in range(len(info)):
+            info[b, 2, 2] += believed[b]
+            score[b, 2] -= believed[b] * velocity_hz[b, 2]
             for c in range(3):
                 for d in range(c):
                     info[b, d, c] = info[b, c, d]

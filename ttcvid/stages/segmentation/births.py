@@ -8,11 +8,9 @@ import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
-from ttcvid.geometry.estimation.shared_direction import shared_directions
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
-from ttcvid.geometry.estimation.track_state import fit_whole_tracks
-from ttcvid.geometry.medians import row_medians
-from ttcvid.geometry.rotation import turned_into_plane
+from ttcvid.geometry.medians import medians, row_medians
+from ttcvid.geometry.rotation import normalize, turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
@@ -20,6 +18,7 @@ from ttcvid.stages.segmentation.common_errors import drift_cost
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
 from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
+from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY, recent_velocities
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
 
@@ -35,6 +34,9 @@ _FLOW_PART, _FLOW_PX = 0.35, 1.0
 _OLDEST_PART = 0.5
 # Least part of its tracks that a mover explains better; Gauss-Newton steps for a new trajectory.
 _MOST, _FIRST_STEPS = 0.5, 3
+# A velocity towards us or away is believed to be about as large as that across, 1/s, and at least the second: what
+# comes straight at us in 3 s has hardly any across.
+_AHEAD_OF_ACROSS, _LEAST_AHEAD_HZ = 1.0, 0.3
 # Reduced chi-squares are at least this where their logarithm is taken.
 _NO_REDCHI = 0.1
 
@@ -133,26 +135,30 @@ def _alike_things(
 ) -> list[tuple[Ints, Floats]]:
     """Connected tracks of similar flow among ``candidates (C,)``: tracks ``(M,)`` and straight path ``(L, 3)`` of each.
 
+    The path is that of the velocity of all tracks of a thing together: a track of a few views does not tell its own.
     ``is_along (N,)`` tracks that move along our own direction.
     """
     if len(candidates) < config.min_tracks:
         return []
     xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
-    label = _alike_and_near(views, candidates, xy, is_along[candidates])
+    flow, label = _alike_and_near(views, candidates, xy, is_along[candidates])
     is_one = np.bincount(label)[label] >= config.min_tracks
     if not is_one.any():
         return []
-    xy, candidates = xy.compress(is_one, axis=1), candidates[is_one]
+    flow, candidates = flow[is_one], candidates[is_one]
     numbers, thing = np.unique(label[is_one], return_inverse=True)
-    tracks = fit_whole_tracks(xy, views.since_s, views.sigma_norm[candidates], has_covariance=False)
-    places, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
-    directions, *_ = shared_directions(places, velocity_hz, tracks.info_w, thing, len(numbers))
+    across_hz = [medians(along, thing, len(numbers)) for along in flow.T.copy()]
+    start_hz = np.column_stack([*across_hz, np.zeros(len(numbers))])
+    ahead_hz = np.maximum(_AHEAD_OF_ACROSS * np.hypot(*across_hz), _LEAST_AHEAD_HZ)
+    points = views.points(candidates, thing)
+    velocity_hz, _ = recent_velocities(points, scene.cam_R_past[0], start_hz, STEPS_TO_VELOCITY, ahead_hz)
+    directions = normalize(velocity_hz)
     told = np.flatnonzero(np.isfinite(directions[:, 0]))
     return [(candidates[thing == number], straight_path(directions[number], views.since_s)) for number in told]
 
 
-def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> Ints:
-    """Connected component ``(C,)`` of each track ``index (C,)``: near tracks of similar flow are connected.
+def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> tuple[Floats, Ints]:
+    """Flow ``(C, 2)`` of each track ``index (C,)``, 1/s, and its connected component: near ones of similar flow.
 
     Tracks along our own direction, ``is_along (C,)``, are connected with each other only.
     """
@@ -167,7 +173,7 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     is_alike = apart < _FLOW_PART * 0.5 * (length[one] + length[other]) + floor
     is_alike &= is_along[one] == is_along[other]
     pairs = without_gaps(pairs.take(np.flatnonzero(is_alike), axis=0), views.xy_px[index], views.link_px)
-    return connected_parts(np.ones(len(index), dtype=bool), pairs)
+    return flow, connected_parts(np.ones(len(index), dtype=bool), pairs)
 
 
 def _flows(xy: Floats, since_s: Floats, span_s: Floats) -> Floats:

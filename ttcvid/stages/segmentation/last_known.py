@@ -14,6 +14,8 @@ from ttcvid.model import Bools, Floats, Ints
 _WHOLE, _FALLS = 0.75, 0.95
 # A velocity is that of the last views, s: cars brake within a second. So many views in any case, at low frame rates.
 _RECENT_S, _LEAST_RECENT = 0.6, 4
+STEPS_TO_VELOCITY = 5
+"""Gauss-Newton steps to the velocity of what was not known before."""
 _LEAST_DEPTH_RATIO = 0.05
 _TINY_HZ = 1e-9
 
@@ -80,11 +82,13 @@ class LastKnown:
         )
 
 
-def recent_velocities(points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int) -> tuple[Floats, Floats]:
-    """`common_velocities` by the last views, `_LEAST_RECENT` in any case."""
+def recent_velocities(
+    points: Points, cam_R_past: Floats, start_hz: Floats, n_steps: int, ahead_sigma_hz: Floats | float = np.inf
+) -> tuple[Floats, Floats]:
+    """`common_velocities`, with its parameters, by the last views, `_LEAST_RECENT` in any case."""
     first = max(0, min(int(np.searchsorted(points.since_s, -_RECENT_S)), len(points.since_s) - _LEAST_RECENT))
     recent = replace(points, since_s=points.since_s[first:])
-    return common_velocities(recent, cam_R_past[first:], start_hz, n_steps)
+    return common_velocities(recent, cam_R_past[first:], start_hz, n_steps, ahead_sigma_hz)
 
 
 def nothing_known(count: int) -> LastKnown:
