@@ -168,7 +168,7 @@ def bodies_of(
         cov = 1e-8 * np.eye(3)
         egomotion = Egomotion(step, cov, direction, None if direction is None else cov, np.zeros(len(shown)))
         every = np.ones(len(shown), dtype=bool)
-        views = body_views(history, every, LINK_PX)
+        views = body_views(history, every, LINK_PX, can_translate=True)
         found, memory = find_bodies(history, views, egomotion, platform, every, memory, BodiesConfig())
         history = replace(history, cam_R_past=found.seen.scene.cam_R_past[0])
         frames.append(Frame(t_s, found, memory, names[shown], numbers[shown]))

@@ -38,7 +38,7 @@ def views_and_fit(position_m, velocity_m_s, rng, sigma_px=SIGMA_PX):
     """Views of tracks, the path of the scene, and how that explains them."""
     history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=rng)
     every = np.arange(len(position_m))
-    views = body_views(history, np.ones(len(every), dtype=bool), LINK_PX)
+    views = body_views(history, np.ones(len(every), dtype=bool), LINK_PX, can_translate=True)
     way = straight_path(OWN_M_S / np.linalg.norm(OWN_M_S), views.since_s)
     scene = RigidPaths(np.repeat(np.eye(3)[None, None], len(TIMES_S), axis=1), way[None])
     return views, scene, fit_on_paths(views.points(every), scene)

@@ -31,7 +31,7 @@ def found_in(position_m, velocity_m_s, may_be=None, frames=FRAMES, sigma_px=SIGM
     """Public things after some frames that look alike, and how well the scene's path explains each track."""
     history = history_of(position_m, velocity_m_s, TIMES_S, sigma_px=sigma_px, rng=np.random.default_rng(seed))
     n, since_s = len(position_m), history.since_s
-    views = body_views(history, np.ones(n, dtype=bool), LINK_PX)
+    views = body_views(history, np.ones(n, dtype=bool), LINK_PX, can_translate=True)
     scene = RigidPaths(
         np.repeat(np.eye(3)[None, None], len(since_s), axis=1), straight_path(SCENE_M_S / OWN_M_S, since_s)[None]
     )

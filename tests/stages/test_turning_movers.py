@@ -32,7 +32,7 @@ def views_of(things, rng):
         if frame:
             history = with_egomotion(history, np.eye(3), None, 1e-5)
     number = np.repeat(np.arange(len(things)), [len(thing.points) for thing in things])
-    return body_views(history, np.ones(len(number), dtype=bool), LINK_PX), number
+    return body_views(history, np.ones(len(number), dtype=bool), LINK_PX, can_translate=True), number
 
 
 def straight_bodies(things, since_s):

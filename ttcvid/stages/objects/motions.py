@@ -80,7 +80,8 @@ def find_motions(
     in_scene, objects, bend = is_free, list[ClusterMotion](), None
     is_displaced = np.zeros(history.n_tracks, dtype=bool)
     if egomotion is not None:
-        views = body_views(history, is_free, link_px)
+        can_translate = config.egomotion.platform != Platform.static
+        views = body_views(history, is_free, link_px, can_translate=can_translate)
         found, memory = find_bodies(
             history, views, egomotion, config.egomotion.platform, may_start, memory, config.bodies
         )

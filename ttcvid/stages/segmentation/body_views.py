@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +19,8 @@ _N_NEIGHBOURS = 8
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
+# Standard deviation of the common drift of neighbouring tracks before an unknown lens that moves, in such errors.
+_DRIFT_BY_LENS = 2.0
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
 _LEAST_RATE = 0.4
@@ -32,8 +35,8 @@ class BodyViews:
     ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as `views_by_track`;
     ``sigma_norm (N,)`` their noise with the error of the camera, and ``plane_per_px (N,)`` what a pixel spans of the
     plane z = 1 where each track is; ``xy_px (N, 2)`` now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their
-    pixel; ``link_px`` the distance within which two tracks are neighbours; ``common_px`` what tracks err by together,
-    as in `PointSet`.
+    pixel; ``link_px`` the distance within which two tracks are neighbours; ``common_px`` what
+    neighbouring tracks err by together: of the tracker, and of an unknown lens.
     """
 
     rays: Floats
@@ -83,12 +86,13 @@ def fit_on_movers(points: Points, movers: RigidPaths, rate_hz: Floats) -> PathFi
     return fit_on_paths(points, movers, median_hz, _LEAST_RATE * median_hz)
 
 
-def body_views(history: TrackHistory, is_free: Bools, link_px: float) -> BodyViews:
-    """The tracks of the history as bodies are found in them."""
+def body_views(history: TrackHistory, is_free: Bools, link_px: float, *, can_translate: bool) -> BodyViews:
+    """The tracks of the history as bodies are found in them; whether the camera ``can_translate``."""
     camera = history.camera
-    error_px = _MODEL_ERROR_PX
+    error_px, common_px = _MODEL_ERROR_PX, history.common_error_px
     if camera.is_assumed or camera.is_found:
         error_px = _UNKNOWN_LENS_ERROR * camera.image_size.longer_side_px
+        common_px = math.hypot(common_px, _DRIFT_BY_LENS * error_px if can_translate else 0.0)
     return BodyViews(
         history.rays,
         views_by_track(history.rays),
@@ -99,5 +103,5 @@ def body_views(history: TrackHistory, is_free: Bools, link_px: float) -> BodyVie
         history.focal_px,
         is_free,
         link_px,
-        history.common_error_px,
+        common_px,
     )

@@ -26,6 +26,9 @@ _ENOUGH_TRACKS, _CELLS, _SCENE_STEPS = 400, 1.2, 2
 _LEAST_SPEED = 0.1
 # A rate above so many of its standard deviations is no standstill.
 _MOVES_SIGMAS = 3.0
+# A camera moves where more than this share of the parts of the picture show it. A car often waits, and one lorry fills
+# 40 % of them; a hand that holds a camera is seldom still, and most of what it sees is far away.
+_LEAST_MOVING, _LEAST_MOVING_FREE = 0.5, 0.25
 # A single pair of frames tells the direction to some degrees: within 20 deg of ahead it is ahead.
 _AHEAD_COSINE = float(np.cos(np.radians(20.0)))
 # The median reduced chi-square is that of tracks with more views than this.
@@ -104,8 +107,9 @@ def see_scene(
     fit = fit_on_paths(every, scene, labels.rate_hz * speed)
     rate_hz = fit.rate_hz
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
-    way = scene.path[0, 0]
-    if not is_sure and not (_moves_past(fit, region, is_free) and not MOTION_PRIORS[platform].excludes(way)):
+    way, prior = scene.path[0, 0], MOTION_PRIORS[platform]
+    least_moving = _LEAST_MOVING_FREE if prior.is_open else _LEAST_MOVING
+    if not is_sure and not (_moves_past(fit, region, is_free, least_moving) and not prior.excludes(way)):
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     may_rest = is_free if can_translate else _steps_little(views, scene)
     if egomotion.window is not None:
@@ -174,8 +178,8 @@ def _without_unseen_return(history: TrackHistory, path: Floats) -> Floats:
     return np.append(-np.cumsum(steps[::-1], axis=0)[::-1], path[-1:], axis=0)
 
 
-def _moves_past(fit: PathFit, region: Ints, is_free: Bools) -> bool:
-    """Whether most parts of the picture show that the camera moves past the scene.
+def _moves_past(fit: PathFit, region: Ints, is_free: Bools, least_moving: float) -> bool:
+    """Whether more than ``least_moving`` of the parts of the picture show that the camera moves past the scene.
 
     A resting camera's scene has no flow; a lorry that comes nearer would fit a camera that moves towards it.
     """
@@ -184,7 +188,7 @@ def _moves_past(fit: PathFit, region: Ints, is_free: Bools) -> bool:
         return False
     moves = fit.rate_hz[known] > _MOVES_SIGMAS * fit.rate_sigma_hz[known]
     n_known, n_moving = np.bincount(region[known]), np.bincount(region[known], moves)
-    return bool(2 * np.count_nonzero(n_moving > 0.5 * n_known) > np.count_nonzero(n_known))
+    return bool(np.count_nonzero(n_moving > 0.5 * n_known) > least_moving * np.count_nonzero(n_known))
 
 
 def _steps_little(views: BodyViews, scene: RigidPaths) -> Bools:
