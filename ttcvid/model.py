@@ -304,18 +304,6 @@ class HorizonOffset:
 
 
 @dataclass(frozen=True)
-class Closing:
-    """Change of the depth of an object, Z(t) / Z(0) = 1 + ``rate_hz`` t + ``acceleration_hz2`` t^2 / 2.
-
-    ``cov (2, 2)`` is the covariance of the two. Negative: it comes nearer, ever faster.
-    """
-
-    rate_hz: float
-    acceleration_hz2: float
-    cov: Floats
-
-
-@dataclass(frozen=True)
 class ClusterRow:
     """One cluster (the scene or an object) in one frame.
 
@@ -324,8 +312,7 @@ class ClusterRow:
     (a, b, c) = V / Z of the reference point with covariance ``state_cov`` (3, 3) in 1/s^2; as the centroid of a surface
     it has the standard error ``ref_sigma`` (x, y in the plane z = 1). ``times`` has one row. ``method`` names how the
     epipole was found. ``front_px`` is the box of what of it is as near as the reference point, None where that is not
-    known. ``closing`` is how its depth changes, None where its acceleration is not known. ``horizon_offset`` is None
-    without a horizon.
+    known. ``horizon_offset`` is None without a horizon.
     """
 
     cluster_id: int
@@ -346,7 +333,6 @@ class ClusterRow:
     front_px: tuple[float, float, float, float] | None = None
     state_abc_hz: Floats | None = None
     state_cov: Floats | None = None
-    closing: Closing | None = None
     expansion_hz: float | None = None
     urgency_rank: int | None = None
     times: CollisionTimes = field(default_factory=lambda: _NO_TIMES)

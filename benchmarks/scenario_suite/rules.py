@@ -202,7 +202,7 @@ RULES: dict[str, Rule] = {
     "common_errors": Rule(
         "approach has to exceed the tracker's common error",
         "amendments",
-        {"stages.segmentation.common_errors.common_covariances": lambda *_: (0.0, 0.0)},
+        {"stages.segmentation.common_errors.common_covariances": lambda *_: 0.0},
         _stage("segmentation/common_errors"),
     ),
     "own_bend": Rule(
@@ -210,12 +210,6 @@ RULES: dict[str, Rule] = {
         "warnings",
         {"stages.segmentation.own_turn.share_of_bend": lambda turn_rad_s: 0.0},
         _stage("segmentation/own_turn"),
-    ),
-    "braking": Rule(
-        "who brakes is reached sooner by that",
-        "warnings",
-        {"stages.warnings.course._braking_probability": lambda *_: 0.0},
-        (),
     ),
 }
 GROUPS: dict[str, tuple[str, ...]] = {

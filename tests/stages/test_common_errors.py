@@ -40,7 +40,7 @@ def row_seen(abc_hz, sigma_hz, at_m=AHEAD_M, size_m=1.8, age_s=2.0, camera=CAMER
     radius_px = members.radii(pixels_from_rays(camera, now))
     ref_px, ages_s = np.array([row.ref_px]), np.full(N, age_s)
     drift_hz = common_growth_hz(radius_px, members.medians(ages_s), GAP_S, COMMON_ERROR_PX)
-    ((common,), _) = common_covariances(ref_px, drift_hz, camera)
+    (common,) = common_covariances(ref_px, drift_hz, camera)
     (row,) = with_times([row.changed(state_cov=row.state_cov + common)], camera)
     return row
 
@@ -74,7 +74,7 @@ def test_points_outside_of_the_lens_have_no_part_in_the_common_error():
 
     def cov_of(rays):
         radius_px = members.radii(pixels_from_rays(CAMERA, rays))
-        return common_covariances(ref_px, common_growth_hz(radius_px, members.medians(age_s)), CAMERA)[0]
+        return common_covariances(ref_px, common_growth_hz(radius_px, members.medians(age_s)), CAMERA)
 
     without_one, unseen = now.copy(), np.full_like(now, np.nan)
     without_one[0] = np.nan

@@ -31,8 +31,7 @@ def variances_of(errors_hz, step_s=0.05, velocity_m_s=ACROSS_M_S, number=lambda 
         place_m = cam_R_world @ (AHEAD_M + velocity_m_s * t_s[k])
         abc_hz = cam_R_world @ velocity_m_s / place_m[2] + error_hz
         ref_px, cov = pixels(place_m[None]), SIGMA_HZ**2 * np.eye(3)[None]
-        nothing = np.zeros(1), np.zeros((1, 2, 2))
-        joint = JointStates(np.array([0]), ref_px, np.zeros((1, 2)), abc_hz[None], cov, *nothing)
+        joint = JointStates(np.array([0]), ref_px, np.zeros((1, 2)), abc_hz[None], cov)
         joint, past = with_consistent_covariances(joint, [number(k)], history, past)
         found.append(joint.cov[0, 2, 2])
     return np.array(found)
@@ -65,6 +64,15 @@ def test_what_is_past_is_forgotten():
     found = variances_of(errors_hz)
     assert found[12] > 10.0 * SIGMA_HZ**2
     assert found[-1] == pytest.approx(SIGMA_HZ**2)
+
+
+def test_what_jumps_to_and_fro_is_told_from_the_second_frame_on():
+    """As often as it is compared with an old state: that has the same error."""
+    errors_hz = np.zeros((40, 3))
+    errors_hz[::2, 2] = 5.0 * SIGMA_HZ
+    found = variances_of(errors_hz)
+    assert found[1] > 1.5 * SIGMA_HZ**2
+    assert found[-1] > 3.0 * SIGMA_HZ**2
 
 
 def test_more_frames_a_second_make_no_difference():

@@ -208,7 +208,6 @@ def test_rows_without_a_state_are_left_alone():
 @pytest.mark.parametrize("persistence_s", [0.1, 0.25, 1.0, 2.0])
 def test_what_surely_hits_us_is_warned_of_with_any_confidence_and_persistence(confidence, persistence_s):
     config = CONFIG.model_copy(update={"confidence": confidence, "persistence_s": persistence_s})
-    row = row_of((0.0, 0.0, 20.0), (0.0, 0.0, -10.0))
-    first = first_warned(watched([row] * 90, config)[0])
+    first = first_warned(watched(drive((0.0, 0.0, 39.0), (0.0, 0.0, -10.0), 3.8, relative_sigma=0.005), config)[0])
     assert first is not None
     assert first * FRAME_S < 1.6 * persistence_s + 3 * FRAME_S

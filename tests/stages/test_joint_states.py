@@ -30,9 +30,7 @@ def states_on_one_path():
         along=AHEAD[None],
         rate_hz=np.full(N, RATE_HZ),
         rate_variance=own,
-        bend_hz=np.zeros((1, 3)),
         jacobian=jacobian,
-        rate_jacobian=-jacobian[:, 2],
         cov=shared_cov,
         turn_rad_s=np.zeros((1, 3)),
     )
@@ -137,9 +135,7 @@ def test_a_mean_over_a_path_and_over_tracks_timed_by_expansion_varies_as_the_pla
         along=TO_US[None],
         rate_hz=np.full(count, RATE_HZ),
         rate_variance=rng.uniform(1e-4, 2e-4, count),
-        bend_hz=np.zeros((1, 3)),
         jacobian=rng.normal(size=(count, 3, N_SHARED)),
-        rate_jacobian=np.zeros((count, N_SHARED)),
         cov=root @ np.swapaxes(root, 1, 2),
         turn_rad_s=np.array([[0.01, -0.03, 0.02]]),
     )
@@ -181,55 +177,3 @@ def test_all_of_a_rear_is_its_nearest_surface_whatever_slope_noise_lends_it():
         members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
         joint = joint_states(members, AHEAD[None], np.array([False]), states, xy_px, LINK_PX)
         assert np.linalg.norm(joint.ref_px[0] - xy_px.mean(axis=0)) < 0.2 * np.linalg.norm(np.std(xy_px, axis=0))
-
-
-def test_the_acceleration_of_a_surface_is_that_of_its_trajectory_over_its_depth():
-    """With the covariance that the plain formula gives: it and c both hang on the rate, and on what tracks share."""
-    states = states_on_one_path()
-    bend_hz, bend_sigma_hz = -0.8, 0.3
-    shared = replace(states.shared, bend_hz=bend_hz * AHEAD[None], cov=states.shared.cov.copy())
-    shared.cov[0, 5, 5] = bend_sigma_hz**2
-    members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
-    joint = joint_states(members, AHEAD[None], np.array([False]), replace(states, shared=shared), xy_px, LINK_PX)
-    assert joint.acceleration_hz2[0] == pytest.approx(RATE_HZ * bend_hz * AHEAD[2])
-    c_variance, both, variance = joint.closing_cov[0][np.triu_indices(2)]
-    assert c_variance == pytest.approx(joint.cov[0, 2, 2])
-    assert variance == pytest.approx((RATE_HZ * bend_sigma_hz) ** 2 + bend_hz**2 * c_variance)
-    assert both == pytest.approx(bend_hz * c_variance)
-
-
-def test_an_acceleration_is_told_by_tracks_on_the_trajectory_alone():
-    """Tracks that expansion times have another place in the mean, and no values on the path."""
-    states = states_on_one_path()
-    shared = replace(states.shared, bend_hz=-0.8 * AHEAD[None], turn_rad_s=np.array([[0.0, 0.3, 0.0]]))
-    states = without_path(replace(states, shared=shared), np.arange(0, N, 3))
-    members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
-    expected = joint_states(members, AHEAD[None], np.array([False]), states, xy_px, LINK_PX)
-    for values in (states.shared.jacobian, states.shared.rate_jacobian, states.shared.rate_variance):
-        values[::3] = np.nan
-    joint = joint_states(members, AHEAD[None], np.array([False]), states, xy_px, LINK_PX)
-    np.testing.assert_array_equal(joint.closing_cov, expected.closing_cov)
-    assert np.linalg.eigvalsh(joint.closing_cov[0]).min() > 0.0
-
-
-@pytest.mark.parametrize("turn_rad_s", [[0.0, 0.3, 0.0], [0.2, -0.1, 0.1]])
-def test_what_turns_accelerates_by_more_than_its_views_show_when_turned_back(turn_rad_s):
-    """By 2 omega x V: a point at C + V t + A t^2 / 2, turned back at omega, shows A - 2 omega x V."""
-    along, states = TO_US / np.linalg.norm(TO_US), states_on_one_path()
-    shared = replace(states.shared, along=along[None], turn_rad_s=np.array([turn_rad_s]))
-    members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
-
-    def acceleration_hz2(shared):
-        return joint_states(members, along[None], np.array([False]), replace(states, shared=shared), xy_px, LINK_PX)
-
-    found = acceleration_hz2(shared)
-    assert found.acceleration_hz2[0] == pytest.approx(2.0 * RATE_HZ * np.cross(turn_rad_s, along)[2])
-    # What is unsure of the turn and of the direction is in the variance as differences say.
-    for unknown in (0, 1, 2, 6, 7, 8):
-        cov, step = np.zeros((1, N_SHARED, N_SHARED)), np.zeros((1, 3))
-        cov[0, unknown, unknown], step[0, unknown % 3] = 1.0, 1e-6
-        name = "along" if unknown < 3 else "turn_rad_s"
-        rate_alone = replace(shared, cov=cov, rate_variance=np.zeros(N), rate_jacobian=np.zeros((N, N_SHARED)))
-        moved = acceleration_hz2(replace(shared, **{name: getattr(shared, name) + step}))
-        slope = (moved.acceleration_hz2[0] - found.acceleration_hz2[0]) / 1e-6
-        assert np.sqrt(acceleration_hz2(rate_alone).closing_cov[0, 1, 1]) == pytest.approx(abs(slope), abs=1e-6)

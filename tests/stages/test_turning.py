@@ -160,8 +160,8 @@ def test_who_brakes_ahead_shows_his_acceleration_and_how_sure_it_is():
     for seed in range(60):
         xy = rear_views(16.0 - 2.0 * T_S - 2.5 * T_S**2, 0.05 * SIGMA_NORM, seed)
         braking = fitted(xy, 0.05 * SIGMA_NORM, AHEAD)
-        off.append((braking.bend_hz[0, 2] + 2.5) / np.sqrt(braking.cov[0, 5, 5]))
-        assert braking.bend_hz[0, 2] == pytest.approx(-2.5, abs=0.6)
+        off.append((braking.offset[0, 5] + 2.5) / np.sqrt(braking.cov[0, 5, 5]))
+        assert braking.offset[0, 5] == pytest.approx(-2.5, abs=0.6)
     assert abs(np.mean(off)) < 0.4
     assert np.std(off) < 1.3
 
@@ -170,4 +170,4 @@ def test_who_keeps_his_speed_is_not_said_to_brake():
     said = [fitted(rear_views(16.0 - 2.0 * T_S, SIGMA_NORM, seed), SIGMA_NORM, AHEAD) for seed in range(60)]
     wide = [np.sqrt(one.cov[0, 5, 5]) > 0.155 for one in said]
     assert np.mean(wide) < 0.1
-    assert np.mean([abs(one.bend_hz[0, 2]) > 2.0 * np.sqrt(one.cov[0, 5, 5]) for one in said]) < 0.1
+    assert np.mean([abs(one.offset[0, 5]) > 2.0 * np.sqrt(one.cov[0, 5, 5]) for one in said]) < 0.1

@@ -70,11 +70,11 @@ def cluster_rows(
     owners = TrackSets.of([motions.clusters[place].members for place in joint.owner])
     age_s = owners.medians(_age_s(history, owners.index))
     drift_hz = common_growth_hz(owners.radii(xy_px), age_s, gap_s, history.common_error_px)
-    of_states, of_closing = common_covariances(joint.ref_px, drift_hz, camera)
+    of_states = common_covariances(joint.ref_px, drift_hz, camera)
     numbers = [motions.clusters[place].cluster_id for place in joint.owner]
     joint, past = with_consistent_covariances(joint, numbers, history, past)
     # A common drift of the tracks is the same in all states: it is no contradiction, and is not multiplied.
-    joint = replace(joint, cov=joint.cov + of_states, closing_cov=joint.closing_cov + of_closing)
+    joint = replace(joint, cov=joint.cov + of_states)
     rows = rows_of(motions.clusters, members, joint, states, history.xy_px, expansion_hz)
     return tuple(ranked(with_times(with_epipole_pixels(rows, camera), camera))), past
 

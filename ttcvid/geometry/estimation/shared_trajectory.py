@@ -92,11 +92,6 @@ class SharedPaths:
     median_chi2: Floats
 
     @property
-    def bend_hz(self) -> Floats:
-        """Acceleration over the speed in views turned back, at time 0, beside that of the base: (K, 3)."""
-        return self.offset[:, 3:6]
-
-    @property
     def turn_rad_s(self) -> Floats:
         """Rotation rate in the views: (K, 3)."""
         return self.offset[:, 6:9]

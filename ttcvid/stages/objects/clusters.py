@@ -17,7 +17,6 @@ from ttcvid.model import (
     SCENE_MOTION,
     Bools,
     Camera,
-    Closing,
     ClusterRow,
     Floats,
     HorizonOffset,
@@ -131,8 +130,6 @@ def rows_of(
         rows[0] = rows[0].changed(motion_state=MotionState.no_relative_motion)
     fronts = front_boxes(members, boxes, joint, states, xy_px).tolist()
     for k, place in enumerate(joint.owner.tolist()):
-        is_timed = math.isfinite(joint.acceleration_hz2[k])
-        closing = Closing(float(joint.abc_hz[k, 2]), float(joint.acceleration_hz2[k]), joint.closing_cov[k])
         rows[place] = rows[place].changed(
             status=motions[place].status,
             ref_px=tuple(joint.ref_px[k].tolist()),
@@ -140,7 +137,6 @@ def rows_of(
             front_px=tuple(fronts[k]),
             state_abc_hz=joint.abc_hz[k],
             state_cov=joint.cov[k],
-            closing=closing if is_timed else None,
         )
     return rows
 

@@ -13,7 +13,8 @@ from ttcvid.stages.objects.joint_states import JointStates
 from ttcvid.stages.segmentation.bodies import ROUNDING_S
 from ttcvid.stages.tracking.history import TrackHistory
 
-# A state is compared with one of at least so long ago: about half of the views behind it are others.
+# A state is compared with one of at least so long ago, about half of whose views are others, or with the oldest; and
+# with the last one, since what jumps to and fro is the same again after some frames.
 _LAG_S = 0.25
 # States are compared over no longer time, and comparisons of this time count.
 _RECENT_S = 0.5
@@ -31,8 +32,7 @@ class PastState:
     """State ``abc_hz (3,)`` of an object at ``t_s``, with the covariance ``cov (3, 3)`` before it is widened, 1/s^2.
 
     ``ray (3,)`` meets its reference point in the plane z = 1; both are in the camera of that frame. ``step_s`` is the
-    time since the state before it, ``redchi`` the reduced chi-square of the difference from an earlier one; None where
-    there was none to compare.
+    time since the state before it, ``redchi`` what `_compared` finds; None where there was none to compare.
     """
 
     t_s: float
@@ -53,7 +53,8 @@ def with_consistent_covariances(
     """States with covariances that allow for how far they contradict those of a moment ago, and the states up to now.
 
     At constant velocity the state V / Z follows from an earlier one and the camera's turn. As long as noise is all that
-    is wrong, the expected reduced chi-square of the difference is at most one. Outliers, wrong labels and relative
+    is wrong, the expected reduced chi-square of the difference is at most one where states share most views, and the
+    larger of two is 1.2 where they share none (estimators of two and three frames). Outliers, wrong labels and relative
     motion that changes make it larger. Its mean multiplies the covariance where it exceeds one (the Birge ratio); over
     drawn scenes the squared error of 1 / ttc_z grows in proportion to it.
 
@@ -75,26 +76,27 @@ def with_consistent_covariances(
         off_s = _PRIOR_S + sum(weight_s * redchi for weight_s, redchi in weights)
         scale[k] = max(1.0, off_s / (_PRIOR_S + sum(weight_s for weight_s, _ in weights)))
     seen = {number: states for number, states in recent.items() if states}
-    return replace(joint, cov=scale * joint.cov, closing_cov=scale * joint.closing_cov), seen
+    return replace(joint, cov=scale * joint.cov), seen
 
 
 def _compared(before: tuple[PastState, ...], now: PastState, history: TrackHistory) -> float | None:
-    """Reduced chi-square of a state's difference from the last one that is old enough and of a frame in the history."""
+    """Largest reduced chi-square of a state's difference from the last one and from an older one; None without any."""
     old = [state for state in before if state.t_s <= now.t_s - _LAG_S + ROUNDING_S]
-    if not old:
-        return None
-    view = int(np.argmin(np.abs(history.t_s - old[-1].t_s)))
-    is_there = abs(float(history.t_s[view]) - old[-1].t_s) < ROUNDING_S
-    return _redchi(old[-1], now, history.cam_R_past[view]) if is_there else None
+    compared = [*(old[-1:] or before[:1]), *before[-1:]]
+    return max((redchi for one in compared if (redchi := _redchi(one, now, history)) is not None), default=None)
 
 
-def _redchi(before: PastState, now: PastState, cam_R_past: Floats) -> float | None:
-    """Of the difference from the state that an earlier one predicts; None where the object comes too near.
+def _redchi(before: PastState, now: PastState, history: TrackHistory) -> float | None:
+    """Of the difference from the state that an earlier one predicts.
 
-    ``cam_R_past (3, 3)`` takes vectors from the camera of the earlier state to the present one. A point at p = (x, y,
-    1), moving at w = (a, b, c), is at R (p + w t) now and moves at R w, both in units of its former depth.
+    None where the object comes too near, or the earlier frame is no longer in the history. A point at p = (x, y, 1),
+    moving at w = (a, b, c), is at R (p + w t) now and moves at R w, both in units of its former depth; R takes vectors
+    from the camera of the earlier state to the present one.
     """
-    since_s = now.t_s - before.t_s
+    view = int(np.argmin(np.abs(history.t_s - before.t_s)))
+    if abs(float(history.t_s[view]) - before.t_s) > ROUNDING_S:
+        return None
+    since_s, cam_R_past = now.t_s - before.t_s, history.cam_R_past[view]
     depth = float(cam_R_past[2] @ (before.ray + since_s * before.abc_hz))
     if depth < _LEAST_DEPTH:
         return None

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttcvid.geometry.estimation.shared_trajectory import N_SHARED
-from ttcvid.geometry.rotation import cross, skew
+from ttcvid.geometry.rotation import cross
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.objects.nearest_surface import in_nearest_surface, tracks_needed
 from ttcvid.stages.objects.states import EXPANSION_NEIGHBOURS, SharedErrors, TrackStates
@@ -41,8 +40,6 @@ class JointStates:
     owner : ``(K,)`` index of the object.
     ref_px, ref_sigma : ``(K, 2)`` centroid, and its standard error in the plane z = 1: few points of it are tracked.
     abc_hz, cov : ``(K, 3)`` V / Z and its covariance ``(K, 3, 3)``, 1/s^2.
-    acceleration_hz2, closing_cov : ``(K,)`` acceleration along the optical axis over Z, NaN where it is not known, and
-        the covariance ``(K, 2, 2)`` of c and of it.
     """
 
     owner: Ints
@@ -50,8 +47,6 @@ class JointStates:
     ref_sigma: Floats
     abc_hz: Floats
     cov: Floats
-    acceleration_hz2: Floats
-    closing_cov: Floats
 
 
 def joint_states(
@@ -92,12 +87,12 @@ def joint_states(
     weight /= surfaces.sums(weight)[surfaces.set_of]
     means = [xy_px[surfaces.index], states.xy[surfaces.index], states.abc_hz[surfaces.index]]
     ref_px, ref, abc_hz = np.split(surfaces.sums(weight[:, None] * np.hstack(means)), [2, 4], axis=1)
-    surface_hz, up_hz = (surfaces.sums(weight * each[is_in]) for each in (rate_hz + above_hz, above_hz))
+    up_hz = surfaces.sums(weight * above_hz[is_in])
     abc_hz += up_hz[:, None] * np.where((path >= 0)[:, None], shared.along[path], direction[owner])[left]
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
-    found = _covariances(surfaces, weight, off_ref, surface_hz, own_hz[is_in], states)
-    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, *found)
+    cov = _covariances(surfaces, weight, off_ref, own_hz[is_in], states)
+    return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov)
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:
@@ -147,39 +142,24 @@ def _near_ends(sets: TrackSets, xy: Floats, rate_hz: Floats, sigma_hz: Floats) -
     return side_hz, is_near, is_side[set_of]
 
 
-def _covariances(
-    surfaces: TrackSets, weight: Floats, off_ref: Floats, rate_hz: Floats, own_hz: Floats, states: TrackStates
-) -> tuple[Floats, Floats, Floats]:
-    """`JointStates.cov`, ``acceleration_hz2`` and ``closing_cov`` of weighted means, by noise and by place.
+def _covariances(surfaces: TrackSets, weight: Floats, off_ref: Floats, own_hz: Floats, states: TrackStates) -> Floats:
+    """`JointStates.cov` of weighted means, by noise and by place.
 
     Own noise averages out, shared errors do not. Tracks of a surface share the errors of one trajectory; those timed by
     expansion share them with the tracks in whose neighbourhoods they are; tracks with directions of their own (three
     frames) share none. The velocity of a turning object varies with the place, and the nearest may be either end.
-    ``off_ref (M, 2)`` are the places of the tracks about their mean, ``rate_hz (K,)`` the rates of the surfaces, and
-    ``own_hz (M,)`` the standard deviations of `own_rates` of the tracks, 1/s.
+    ``off_ref (M, 2)`` are the places of the tracks about their mean, and ``own_hz (M,)`` the standard deviations of
+    `own_rates` of the tracks, 1/s.
     """
     index, set_of, shared = surfaces.index, surfaces.set_of, states.common
     path, is_off = _paths_of(surfaces, shared), shared.path_of[index] < 0
     has_path, off_weight = path >= 0, np.where(is_off, weight, 0.0)
     along, turn = shared.along[path], np.where(has_path[:, None], shared.turn_rad_s[path], 0.0)
-    # The views of what turns are turned back, and show A - 2 turn x V.
-    bend_hz = (shared.bend_hz[path] + 2.0 * cross(turn, along))[:, 2]
-    # Of (a, b, c) and of the acceleration along the optical axis.
-    by_shared = np.empty((len(path), 4, N_SHARED))
-    by_shared[:, :3] = surfaces.sums(
-        np.where(is_off[:, None, None], 0.0, weight[:, None, None] * shared.jacobian[index])
-    )
-    by_rates = np.where(is_off[:, None], 0.0, shared.rate_jacobian[index])
-    by_shared[:, 3] = bend_hz[:, None] * surfaces.sums(weight[:, None] * by_rates)
-    by_shared[:, 3, :3] += 2.0 * rate_hz[:, None] * skew(turn)[:, 2]
-    by_shared[:, 3, 5] += rate_hz
-    by_shared[:, 3, 6:9] -= 2.0 * rate_hz[:, None] * skew(along)[:, 2]
-    own = np.column_stack([along, bend_hz])
+    by_shared = surfaces.sums(np.where(is_off[:, None, None], 0.0, weight[:, None, None] * shared.jacobian[index]))
     own_variance = _TRIMMED_VARIANCE * (weight * own_hz) ** 2
-    on_path_variance, off_variance = (surfaces.sums(np.where(which, own_variance, 0.0)) for which in (~is_off, is_off))
+    on_path_variance = surfaces.sums(np.where(is_off, 0.0, own_variance))
     on_path = by_shared @ shared.cov[path] @ np.swapaxes(by_shared, 1, 2)
-    by_own = own[:, :, None] * own[:, None, :]
-    on_path += on_path_variance[:, None, None] * by_own
+    on_path += on_path_variance[:, None, None] * along[:, :, None] * along[:, None, :]
     together = np.full(len(path), _TRIMMED_VARIANCE)
     if states.shared is not None:
         # At most a neighbourhood of them has common errors.
@@ -189,7 +169,4 @@ def _covariances(
     by_place = cross(turn[set_of], np.column_stack([off_ref, np.zeros(len(index))]))
     place = (_END_VARIANCE * weight)[:, None, None] * by_place[:, :, None] * by_place[:, None, :]
     cov = together[:, None, None] * surfaces.sums(own_cov) + surfaces.sums(place)
-    cov += np.where(has_path[:, None, None], on_path[:, :3, :3], 0.0)
-    closing_cov = on_path[:, 2:, 2:] + off_variance[:, None, None] * by_own[:, 2:, 2:]
-    closing_cov[:, 0, 0] = cov[:, 2, 2]
-    return cov, np.where(has_path, rate_hz * bend_hz, np.nan), closing_cov
+    return np.asarray(cov + np.where(has_path[:, None, None], on_path, 0.0))

@@ -83,12 +83,9 @@ def two_frame_states(flows: Flows, direction: Floats, direction_cov: Floats) -> 
     jacobian[:, :, 6:9] = direction[:, :, None] * (flows.rotation_error_rad[:, None] * by_rotation)[:, None, :]
     shared_cov = np.zeros((len(first), N_SHARED, N_SHARED))
     shared_cov[:, :3, :3], shared_cov[:, 6:9, 6:9] = direction_cov[first], np.eye(3)
-    rate_jacobian = np.sum(direction[:, :, None] * jacobian, axis=1)
     path_of = np.where(np.isfinite(direction[:, 0]), path_of, -1)
-    # Two views tell no acceleration.
-    unknown, no_turns = np.full((len(first), 3), np.nan), np.zeros((len(first), 3))
-    of_rates, by_shared = (rate_hz, own, unknown), (jacobian, rate_jacobian, shared_cov)
-    return replace(states, shared=SharedErrors(path_of, direction[first], *of_rates, *by_shared, no_turns))
+    errors, no_turns = (rate_hz, own, jacobian, shared_cov), np.zeros((len(first), 3))
+    return replace(states, shared=SharedErrors(path_of, direction[first], *errors, no_turns))
 
 
 def three_frame_states(history: TrackHistory, flows: Flows) -> TrackStates:

@@ -23,27 +23,23 @@ class SharedErrors:
 
     ``path_of (N,)`` the path of each track, negative for none; ``along (K, 3)`` the direction in which the noise of a
     track's own views counts; ``rate_hz (N,)`` speed along the path over depth, with ``rate_variance (N,)``, 1/s^2, by
-    that noise; ``bend_hz (K, 3)`` as in `SharedPaths`, NaN if unknown; ``jacobian (N, 3, 12)`` of (a, b, c) and
-    ``rate_jacobian (N, 12)`` of the rates by the shared unknowns, in the order of `shared_trajectory`, and their
-    covariance ``cov (K, 12, 12)``; ``turn_rad_s (K, 3)`` how the things on them turn themselves.
+    that noise; ``jacobian (N, 3, 12)`` of (a, b, c) by the shared unknowns, in the order of `shared_trajectory`, and
+    their covariance ``cov (K, 12, 12)``; ``turn_rad_s (K, 3)`` how the things on them turn themselves.
     """
 
     path_of: Ints
     along: Floats
     rate_hz: Floats
     rate_variance: Floats
-    bend_hz: Floats
     jacobian: Floats
-    rate_jacobian: Floats
     cov: Floats
     turn_rad_s: Floats
 
 
 def nothing_shared(n: int) -> SharedErrors:
     """Of N tracks of which each has a direction of its own."""
-    jacobians = np.zeros((n, 3, N_SHARED)), np.zeros((n, N_SHARED))
-    none, cov = np.zeros((1, 3)), np.zeros((1, N_SHARED, N_SHARED))
-    return SharedErrors(np.full(n, -1), none, np.zeros(n), np.zeros(n), none, *jacobians, cov, none)
+    none, jacobian, cov = np.zeros((1, 3)), np.zeros((n, 3, N_SHARED)), np.zeros((1, N_SHARED, N_SHARED))
+    return SharedErrors(np.full(n, -1), none, np.zeros(n), np.zeros(n), jacobian, cov, none)
 
 
 @dataclass(frozen=True)

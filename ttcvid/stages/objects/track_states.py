@@ -120,8 +120,8 @@ def _on_paths(
     # `NO_PATH` picks the last one.
     rate_variance = rates.cov[:, 2, 2] * np.append(redchi, 1.0)[path_of]
     found = velocities_on_paths(rates, rate_variance, path_of, paths.direction, turn_rad_s, is_object, shared_cov)
-    errors = (rates.rate_hz, rate_variance, paths.bend_hz, found.jacobian, rates.by_shared)
-    shared = SharedErrors(path_of, paths.direction, *errors, shared_cov, turn_rad_s)
+    errors = (rates.rate_hz, rate_variance, found.jacobian, shared_cov)
+    shared = SharedErrors(path_of, paths.direction, *errors, turn_rad_s)
     status = np.where(on_path, _status_on_path(rates, found), motions.no_direction_status)
     e = np.append(paths.direction, np.full((1, 3), np.nan), axis=0)[path_of]
     e_variance = np.append(direction_variance, np.nan)[path_of]

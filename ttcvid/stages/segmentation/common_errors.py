@@ -19,9 +19,6 @@ SIGMAS_999 = 3.090
 """Approach and recession are significant at 99.9 % (one side): 99 % of frames with ten objects have no false one."""
 # The common error of tracks (`COMMON_ERROR_PX`) is that of a drift over at most this time, s.
 _DRIFT_S = 0.6
-# This share of the drift is a random walk, which looks like a change of speed; the rest is steady. From one car with
-# lidar truth (kitti_sfnd_ttc), whose accelerations err by about half of what the whole drift would give.
-_WALKING_PART = 0.5
 # A drift by D, of standard deviation S, costs D^2 / (2 S^2). The mean square of its residuals in the scene, of one
 # coordinate, is D^2 / 24 where it is steady and D^2 / 8 where it is a jump: the cost is 12 or 4 mean squares over S^2.
 # Less than that, since blocks of strong compression jump by more than S = 0.25 px.
@@ -30,16 +27,15 @@ _DRIFT_FACTOR = 3.0
 _LEAST_RADIUS_PX = 1e-3
 
 
-def common_covariances(ref_px: Floats, drift_hz: Floats, camera: Camera) -> tuple[Floats, Floats]:
-    """What the common errors of their tracks add to the covariances of K objects.
+def common_covariances(ref_px: Floats, drift_hz: Floats, camera: Camera) -> Floats:
+    """What the common errors of their tracks add to the covariances of the states (a, b, c) of K objects, 1/s^2.
 
-    These are ``(K, 3, 3)`` of the states (a, b, c), in 1/s^2, and ``(K, 2, 2)`` of c and the acceleration over the
-    depth. ``ref_px (K, 2)`` are the reference points of the objects, ``drift_hz (K,)`` their `common_growth_hz`.
+    ``(K, 3, 3)``. ``ref_px (K, 2)`` are the reference points of the objects, ``drift_hz (K,)`` their
+    `common_growth_hz`.
     """
     rays = rays_from_pixels(camera, ref_px)
     # An apparent expansion is an apparent velocity along the ray.
-    of_states = drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :]
-    return of_states, drift_hz[:, None, None] ** 2 * np.diag([1.0, (_WALKING_PART / _DRIFT_S) ** 2])
+    return np.asarray(drift_hz[:, None, None] ** 2 * rays[:, :, None] * rays[:, None, :])
 
 
 def drift_cost(residual_px2: Floats, thing: Ints, count: int, common_px: float) -> Floats:

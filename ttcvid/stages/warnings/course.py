@@ -12,7 +12,7 @@ from ttcvid.config import EventsConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, straightened
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import tangent_basis
-from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, Closing, ClusterRow, Floats, MotionState
+from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, MotionState
 from ttcvid.stages.segmentation.ground_plane import OWN_HALF_WIDTH
 from ttcvid.stages.segmentation.own_turn import OwnBend
 
@@ -21,8 +21,6 @@ _WATCHED_TTC = 1.5
 # Off the road an object's width counts by its component across the direction of motion, 1.5 times for our own width; at
 # least this share of it counts everywhere: no object is a line.
 _WITH_OURS, _LEAST_ACROSS = 1.5, 0.1
-# Braking is extrapolated for this long, s.
-_LASTING_S = 1.0
 # We reach as far before the lens as beside it, so that our part of the miss distance is whole up to 60 deg off our way.
 _FULL_UNTIL = 2.0
 # A driver steers by about this acceleration, heights of the camera / s^2 (0.2 m/s^2): four seconds ahead nobody knows
@@ -30,8 +28,6 @@ _FULL_UNTIL = 2.0
 _STEERING_HZ2 = 0.15
 # A smaller turn until the closest approach counts as straight, rad.
 _LEAST_TURN_RAD = 0.01
-# Even odds.
-_EVEN = 0.5
 # Divisors are at least this; a shorter miss vector, in units of depth, has no direction.
 _TINY = 1e-9
 
@@ -75,7 +71,6 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     """Whether an object is on collision course; None where that is open.
 
     The miss distance is judged in widths of the object: a fixed ``miss_s`` would mean 6 m at 20 m/s and 0.6 m at 2 m/s.
-    An object that brakes counts by the time under braking where that is more probably short (`_braking_probability`).
     """
     abc_hz, cov = row.state_abc_hz, row.state_cov
     if abc_hz is None or cov is None or row.motion_state == MotionState.unknown:
@@ -95,9 +90,6 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     later_hz = 1.0 / tcpa_s - 1.0 / (_WATCHED_TTC * config.max_ttc_s)
     in_time = float(ndtr(later_hz / max(math.sqrt(cov[2, 2]), _TINY)))
     is_soon = tcpa_s <= config.max_ttc_s
-    if not is_soon and hits > _EVEN:
-        brakes = _braking_probability(row.closing, config.max_ttc_s)
-        in_time, is_soon = max(in_time, brakes), brakes > _EVEN
     return Course(approach_probability(abc_hz, cov) * hits * in_time, is_soon, tuple(off_widths))
 
 
@@ -106,35 +98,6 @@ def _passes_below(row: ClusterRow, abc_hz: Floats, view: Viewpoint) -> bool:
     middle_px = np.array([(0.5 * (row.box_px[0] + row.box_px[2]), row.box_px[1])])
     ray, way = rays_from_pixels(view.camera, middle_px)[0], abc_hz / np.linalg.norm(abc_hz)
     return bool(ray[1] > way[1] * (way @ ray))
-
-
-def _braking_probability(closing: Closing | None, max_ttc_s: float) -> float:
-    """Probability that an object brakes and is reached within ``max_ttc_s`` by that; 0 where nothing is known.
-
-    At constant velocity, an object that has just begun to brake seems to have much time left.
-    """
-    if closing is None:
-        return 0.0
-    sigmas = -closing.acceleration_hz2 / max(math.sqrt(closing.cov[1, 1]), _TINY)
-    left, left_sigma = left_after(closing, max_ttc_s)
-    return float(ndtr(min(sigmas, -left / max(left_sigma, _TINY))))
-
-
-def left_after(closing: Closing, t_s: float) -> tuple[float, float]:
-    """What is left of the present depth after a time, and its standard deviation; both linear in what is known.
-
-    The acceleration lasts for `_LASTING_S`, and the speed then stays. What closes in ever faster has been reached where
-    less than nothing is left. A car 20 m ahead at our own speed that brakes with 5 m/s^2 for 1 s:
-
-    >>> left_after(Closing(0.0, -5 / 20, np.eye(2)), 4.5)[0]
-    0.0
-    >>> left_after(Closing(-0.25, -0.5, np.diag([0.01, 0.0])), 2.0)
-    (-0.25, 0.2)
-    """
-    while_s = min(t_s, _LASTING_S)
-    by = np.array([t_s, while_s * (t_s - 0.5 * while_s)])
-    left = 1.0 + by @ np.array([closing.rate_hz, closing.acceleration_hz2])
-    return float(left), float(np.sqrt(by @ closing.cov @ by))
 
 
 def approach_probability(abc_hz: Floats | None, cov: Floats | None) -> float:

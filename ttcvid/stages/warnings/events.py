@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import expit, logit, stdtrit
 
 from ttcvid.config import EventsConfig
-from ttcvid.model import ClusterRow, Event, MotionState
+from ttcvid.model import ClusterRow, Event, Floats, MotionState
 from ttcvid.stages.warnings.course import Course, Viewpoint, approach_probability, course_of
 
 # A hidden object, or one whose course is open, is still there: it is forgotten after this many times the persistence.
@@ -17,6 +17,9 @@ _HIDDEN = 3.0
 # Probability that a course changes within a persistence, over that of a wrong warning (one less the confidence), and
 # the most that it may be: more would keep what is surely on collision course from ever being warned of.
 _CHANGES, _MOST_CHANGES = 2.5, 0.25
+# The time that is left falls by a second each second, and by half of one under brakes that stop just before the object
+# (Lee 1976, tau-dot): what surely falls more slowly than this, over this time, is not reached.
+_LEAST_FALL, _TREND_S, _SURELY = 0.5, 1.0, 0.95
 # An object is re-identified with a lost one if their boxes overlap by this share of the smaller one.
 _SAME_PLACE = 0.3
 # A warning asks for at least this probability: below it nothing would have to be gathered.
@@ -41,6 +44,7 @@ class WatchedObject:
     last_s : presentation time at which its course was known last.
     box_px : its box at ``last_s``: left, top, right, bottom.
     recent : ``(t_s, tcpa_s, *miss_widths)`` of each frame of the last ``persistence_s`` in which it was probable.
+    times_left : ``(t_s, tcpa_s)`` of each frame of the last `_TREND_S` in which it approached.
     event : its warning; None before it starts.
     """
 
@@ -48,6 +52,7 @@ class WatchedObject:
     last_s: float
     box_px: tuple[float, float, float, float]
     recent: tuple[tuple[float, ...], ...] = ()
+    times_left: tuple[tuple[float, float], ...] = ()
     event: Event | None = None
 
 
@@ -76,9 +81,9 @@ def update_events(
     probabilities of its frames (`course_of`) add up; errors of neighbouring frames are correlated, so that they count
     per ``persistence_s`` and not per frame, and that time is needed however sure the frames are. At first it is none
     with a probability of ``confidence``. A warning starts where the object is on collision course with this
-    probability, soon by this frame, and does not turn away (`_turns_away`); it ends where it is none with the same
-    probability. A frame in which the course is open, or the object has no value, counts for nothing. A warned object
-    that reappears under another ``cluster_id`` is warned of at once.
+    probability, soon by this frame, unless the last ones contradict it (`_is_not_reached`); it ends where it is none
+    with the same probability. A frame in which the course is open, or the object has no value, counts for nothing. A
+    warned object that reappears under another ``cluster_id`` is warned of at once.
 
     Where ``step_s``, the usual time between frames, exceeds the persistence, a single step is no gap.
     """
@@ -100,14 +105,16 @@ def update_events(
             continue
         if before is None:
             lost_id = _lost_at(row.box_px, watched, rows)
-            before = None if lost_id is None else replace(watched.pop(lost_id), event=None)
+            before = None if lost_id is None else replace(watched.pop(lost_id), event=None, times_left=())
         now = _watched(before, course, row, t_s, looked_s, config)
         is_probable = course.probability > _EVEN
         if now.event is not None:
             ends = now.log_odds <= -_asked(config)
             event = _continued(now.event, row, frame, t_s) if is_probable else now.event
             now = replace(now, event=None if ends else event)
-        elif is_probable and course.is_soon and now.log_odds >= _asked(config) and not _turns_away(now, t_s, config):
+        elif (
+            is_probable and course.is_soon and now.log_odds >= _asked(config) and not _is_not_reached(now, t_s, config)
+        ):
             now = replace(now, event=_started(next_event_id, row, frame, t_s))
             next_event_id += 1
         watched[cluster_id] = now
@@ -121,10 +128,16 @@ def _watched(
     """The object with this frame added; its warning is not touched."""
     asked = _asked(config)
     recent = () if before is None else tuple(one for one in before.recent if one[0] >= t_s - _gone_s(config))
+    times_left = (
+        () if before is None else tuple(one for one in before.times_left if one[0] >= t_s - _TREND_S - _ROUNDING_S)
+    )
+    tcpa_s = float(row.times.tcpa_s[0])
+    if 0.0 < tcpa_s < math.inf:
+        times_left = (*times_left, (t_s, tcpa_s))
     if course.probability > _EVEN:
-        recent = (*recent, (t_s, float(row.times.tcpa_s[0]), *course.miss_widths))
+        recent = (*recent, (t_s, tcpa_s, *course.miss_widths))
     if before is None:
-        return WatchedObject(-asked, t_s, row.box_px, recent)
+        return WatchedObject(-asked, t_s, row.box_px, recent, times_left)
     at_first = float(expit(-asked))
     changes = min(_CHANGES * at_first, _MOST_CHANGES) / config.persistence_s
     lasts = math.exp(changes * (before.last_s - t_s))
@@ -132,7 +145,7 @@ def _watched(
     # However sure its frames are, a warning takes the persistence: their errors are common to neighbouring frames.
     told = float(np.clip(logit(course.probability), -2.0 * asked, 2.0 * asked))
     odds = float(np.clip(odds + told * looked_s / config.persistence_s, -asked, _HIGHEST * asked))
-    return replace(before, log_odds=odds, last_s=t_s, box_px=row.box_px, recent=recent)
+    return replace(before, log_odds=odds, last_s=t_s, box_px=row.box_px, recent=recent, times_left=times_left)
 
 
 def _asked(config: EventsConfig) -> float:
@@ -140,8 +153,13 @@ def _asked(config: EventsConfig) -> float:
     return float(logit(max(config.confidence, _LEAST_ASKED)))
 
 
+def _is_not_reached(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
+    """Whether the last frames together show that an object does not reach us, although this frame has it on course."""
+    return _turns_away(one, t_s, config) or _stays_ahead(one)
+
+
 def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
-    """Whether an object on a bend surely misses us, although it heads at us at this moment (a bus on a roundabout).
+    """Whether an object on a bend surely misses us (a bus on a roundabout).
 
     Under a transverse acceleration a the miss distance of the present velocity grows by a times the time left, per
     second, and by half that rate times the time left until the closest approach. The rate and its standard deviation
@@ -152,17 +170,34 @@ def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
     times_s, tcpa_s, *off_widths = np.array(one.recent).T
     off, ago_s = np.array(off_widths).T, times_s - t_s
     miss_widths = off @ off[-1] / max(float(np.linalg.norm(off[-1])), _TINY)
+    then = np.array([1.0, 0.5 * min(tcpa_s[-1], config.max_ttc_s)])
+    return _lower_bound(ago_s, miss_widths, then, max(config.confidence, _EVEN)) > config.max_miss_widths
+
+
+def _stays_ahead(one: WatchedObject) -> bool:
+    """Whether the time that is left surely falls too slowly for an object to be reached (`_LEAST_FALL`).
+
+    By a straight line through the times of the last `_TREND_S`. A piece of roadside that is taken for one object stays
+    as far away as it is: new parts come as others pass.
+    """
+    times_s, tcpa_s = np.array(one.times_left).T
+    return _lower_bound(times_s - times_s[-1], tcpa_s, np.array([0.0, 1.0]), _SURELY) > -_LEAST_FALL
+
+
+def _lower_bound(ago_s: Floats, values: Floats, of_line: Floats, surely: float) -> float:
+    """Lower bound of a combination ``of_line (2,)`` of offset and slope of a line through values ``(N,)``.
+
+    By their own scatter, with the probability ``surely``; minus infinity with fewer than three values.
+    """
     free = len(ago_s) - 2
     if free < 1:
-        return False
+        return -math.inf
     columns = np.column_stack([np.ones(len(ago_s)), ago_s])
     cov = np.linalg.inv(columns.T @ columns)
-    line = cov @ (columns.T @ miss_widths)
-    left = miss_widths - columns @ line
-    then = np.array([1.0, 0.5 * min(tcpa_s[-1], config.max_ttc_s)])
-    sigma = math.sqrt(float(then @ cov @ then) * float(left @ left) / free)
-    surely = float(stdtrit(free, max(config.confidence, _EVEN)))
-    return bool(then @ line - surely * sigma > config.max_miss_widths)
+    line = cov @ (columns.T @ values)
+    left = values - columns @ line
+    sigma = math.sqrt(float(of_line @ cov @ of_line) * float(left @ left) / free)
+    return float(of_line @ line) - float(stdtrit(free, surely)) * sigma
 
 
 def _lost_at(
