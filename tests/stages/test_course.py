@@ -154,6 +154,13 @@ def test_one_look_alone_warns_of_nothing():
     assert first_warned(watched([row] * 2, slow)[0]) == 1
 
 
+def test_a_car_that_has_just_begun_to_brake_is_warned_of_by_its_time_at_constant_velocity():
+    """At our own speed, 16 m ahead, with 5 m/s^2: 0.8 s after it began, of 2.53 s until the contact."""
+    t_s = np.arange(FRAME_S, 1.5, FRAME_S)
+    rows = [row_of((0.0, 0.0, 16.0 - 2.5 * t**2), (0.0, 0.0, -5.0 * t)) for t in t_s]
+    assert first_warned(watched(rows)[0]) == 16
+
+
 def slowing(deceleration_m_s2, ahead_m=20.0, speed_m_s=8.0, jitter=0.0, seconds=1.6):
     """Rows of what stands still in our way while we slow down, each by our present velocity; its times jitter."""
     rng, rows = np.random.default_rng(3), []

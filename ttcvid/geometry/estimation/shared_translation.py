@@ -26,13 +26,14 @@ def common_velocities(
     """V / Z of each of K things, 1/s, and its information matrix: ``(K, 3)`` and ``(K, 3, 3)``.
 
     Gauss-Newton with Huber's weights on where the points were seen; place and depth of each point are unknown, too. The
-    information has that of the belief.
+    information includes what is believed.
 
     Parameters
     ----------
     cam_R_past : (L, 3, 3) turns a ray of each view into the present camera.
     start_hz : (K, 3) V / Z to start from.
-    ahead_sigma_hz : (K,) what is believed of its third component, a standard deviation about 0; infinite: nothing.
+    ahead_sigma_hz : (K,) the third component is believed to be 0 with this standard deviation, 1/s; infinite: nothing
+        is believed of it.
     """
     velocity, info = start_hz.copy(), np.zeros((len(start_hz), 3, 3))
     of_points = points.rays, points.sigma_norm, points.track, points.thing
@@ -42,7 +43,8 @@ def common_velocities(
 
 
 @compiled_for(
-    "(Tuple((f8[:, :, ::1], f8[::1], i8[::1], i8[::1])), f8[:, :, ::1], f8[::1], i8, f8[::1], f8[:, ::1],f8[:, :, ::1])"
+    "(Tuple((f8[:, :, ::1], f8[::1], i8[::1], i8[::1])), f8[:, :, ::1], f8[::1], i8, f8[::1], f8[:, ::1], "
+    "f8[:, :, ::1])"
 )
 def _fit_each(
     points: tuple[Floats, Floats, Ints, Ints],

@@ -54,9 +54,9 @@ def with_consistent_covariances(
 
     At constant velocity the state V / Z follows from an earlier one and the camera's turn. As long as noise is all that
     is wrong, the expected reduced chi-square of the difference is at most one where states share most views, and the
-    larger of two is 1.2 where they share none (estimators of two and three frames). Outliers, wrong labels and relative
-    motion that changes make it larger. Its mean multiplies the covariance where it exceeds one (the Birge ratio); over
-    drawn scenes the squared error of 1 / ttc_z grows in proportion to it.
+    larger of two somewhat more where they share none (estimators of two and three frames). Outliers, wrong labels and
+    relative motion that changes make it larger. Its mean multiplies the covariance where it exceeds one (the Birge
+    ratio).
 
     ``cluster_id`` has the number of each of the K states in the present frame of the ``history``.
     """
@@ -80,14 +80,15 @@ def with_consistent_covariances(
 
 
 def _compared(before: tuple[PastState, ...], now: PastState, history: TrackHistory) -> float | None:
-    """Largest reduced chi-square of a state's difference from the last one and from an older one; None without any."""
+    """The larger reduced chi-square of a state's differences from the last one and an older one; None without any."""
     old = [state for state in before if state.t_s <= now.t_s - _LAG_S + ROUNDING_S]
-    compared = [*(old[-1:] or before[:1]), *before[-1:]]
+    # Of a young object, or between rare frames, both are the same.
+    compared = {one.t_s: one for one in (*(old[-1:] or before[:1]), *before[-1:])}.values()
     return max((redchi for one in compared if (redchi := _redchi(one, now, history)) is not None), default=None)
 
 
 def _redchi(before: PastState, now: PastState, history: TrackHistory) -> float | None:
-    """Of the difference from the state that an earlier one predicts.
+    """Reduced chi-square of a state's difference from what an earlier one predicts.
 
     None where the object comes too near, or the earlier frame is no longer in the history. A point at p = (x, y, 1),
     moving at w = (a, b, c), is at R (p + w t) now and moves at R w, both in units of its former depth; R takes vectors

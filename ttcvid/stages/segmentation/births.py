@@ -34,8 +34,8 @@ _FLOW_PART, _FLOW_PX = 0.35, 1.0
 _OLDEST_PART = 0.5
 # Least part of its tracks that a mover explains better; Gauss-Newton steps for a new trajectory.
 _MOST, _FIRST_STEPS = 0.5, 3
-# A velocity towards us or away is believed to be about as large as that across, 1/s, and at least the second: what
-# comes straight at us in 3 s has hardly any across.
+# The velocity towards us is believed to be about as large as that across, or 0.3/s where that is less: what comes
+# straight at us has hardly any across.
 _AHEAD_OF_ACROSS, _LEAST_AHEAD_HZ = 1.0, 0.3
 # Reduced chi-squares are at least this where their logarithm is taken.
 _NO_REDCHI = 0.1

@@ -19,7 +19,8 @@ _N_NEIGHBOURS = 8
 # a lens that nobody measured does to a picture that turns by some degrees (distortion of some per cent, a shutter that
 # rolls, a focal length that is off by 15 %), as a part of the picture's longer side: half a pixel of 960.
 _MODEL_ERROR_PX, _UNKNOWN_LENS_ERROR = 0.1, 0.5 / 960.0
-# Standard deviation of the common drift of neighbouring tracks before an unknown lens that moves, in such errors.
+# Before an unknown lens that moves, neighbouring tracks drift together by so many times its error of a position (one
+# standard deviation).
 _DRIFT_BY_LENS = 2.0
 # Points of one mover lie side by side: their rates are at least this part of the median. A far point of the scene,
 # which any path explains that turns like the scene's, is kept out by this.
@@ -35,8 +36,8 @@ class BodyViews:
     ``rays (L, N, 3)``, each in the camera of its view, NaN where not observed, and again as `views_by_track`;
     ``sigma_norm (N,)`` their noise with the error of the camera, and ``plane_per_px (N,)`` what a pixel spans of the
     plane z = 1 where each track is; ``xy_px (N, 2)`` now; ``t_s (L,)``; ``is_free (N,)`` tracks not frozen to their
-    pixel; ``link_px`` the distance within which two tracks are neighbours; ``common_px`` what
-    neighbouring tracks err by together: of the tracker, and of an unknown lens.
+    pixel; ``link_px`` the distance within which two tracks are neighbours; ``common_px`` what neighbouring tracks
+    err by together: of the tracker, and of an unknown lens.
     """
 
     rays: Floats

@@ -81,7 +81,7 @@ def update_events(
     probabilities of its frames (`course_of`) add up; errors of neighbouring frames are correlated, so that they count
     per ``persistence_s`` and not per frame, and that time is needed however sure the frames are. At first it is none
     with a probability of ``confidence``. A warning starts where the object is on collision course with this
-    probability, soon by this frame, unless the last ones contradict it (`_is_not_reached`); it ends where it is none
+    probability, soon by this frame, unless the last ones contradict it (`_may_reach_us`); it ends where it is none
     with the same probability. A frame in which the course is open, or the object has no value, counts for nothing. A
     warned object that reappears under another ``cluster_id`` is warned of at once.
 
@@ -112,9 +112,7 @@ def update_events(
             ends = now.log_odds <= -_asked(config)
             event = _continued(now.event, row, frame, t_s) if is_probable else now.event
             now = replace(now, event=None if ends else event)
-        elif (
-            is_probable and course.is_soon and now.log_odds >= _asked(config) and not _is_not_reached(now, t_s, config)
-        ):
+        elif is_probable and course.is_soon and now.log_odds >= _asked(config) and _may_reach_us(now, t_s, config):
             now = replace(now, event=_started(next_event_id, row, frame, t_s))
             next_event_id += 1
         watched[cluster_id] = now
@@ -128,9 +126,8 @@ def _watched(
     """The object with this frame added; its warning is not touched."""
     asked = _asked(config)
     recent = () if before is None else tuple(one for one in before.recent if one[0] >= t_s - _gone_s(config))
-    times_left = (
-        () if before is None else tuple(one for one in before.times_left if one[0] >= t_s - _TREND_S - _ROUNDING_S)
-    )
+    since_s = t_s - _TREND_S - _ROUNDING_S
+    times_left = () if before is None else tuple(one for one in before.times_left if one[0] >= since_s)
     tcpa_s = float(row.times.tcpa_s[0])
     if 0.0 < tcpa_s < math.inf:
         times_left = (*times_left, (t_s, tcpa_s))
@@ -153,9 +150,9 @@ def _asked(config: EventsConfig) -> float:
     return float(logit(max(config.confidence, _LEAST_ASKED)))
 
 
-def _is_not_reached(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
-    """Whether the last frames together show that an object does not reach us, although this frame has it on course."""
-    return _turns_away(one, t_s, config) or _stays_ahead(one)
+def _may_reach_us(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
+    """Whether an object that is on course in this frame may reach us, by the last frames together."""
+    return not (_turns_away(one, t_s, config) or _stays_ahead(one))
 
 
 def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
