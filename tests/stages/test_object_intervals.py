@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from relative_motion import CAMERA, box_of_points, history_of
+from relative_motion import CAMERA, box_of_points, history_of, unit
 
 from ttcvid.config import CollisionTimesConfig, TrackingConfig
-from ttcvid.model import PointSet
-from ttcvid.stages.objects.motions import FrameMotions, motions_of
+from ttcvid.model import PointSet, Status
+from ttcvid.stages.objects.clusters import ClusterMotion
+from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.rows import cluster_rows, track_rows
 from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX, TrackerMemory, follow_points, prepare_picture
 
@@ -23,7 +24,7 @@ VELOCITY_M_S = np.array([0.0, 0.0, -5.0])
 def row_of(history):
     """The row of the one object that all tracks of a history are."""
     n = history.n_tracks
-    clusters = tuple(motions_of({1: np.arange(n)}, history, None, CAMERA, CONFIG))
+    clusters = (ClusterMotion(1, np.arange(n), unit(VELOCITY_M_S), 0.01 * np.eye(3), Status.ok, "whole-tracks"),)
     motions = FrameMotions(np.ones(n, np.int64), np.zeros(n, np.int64), clusters, 32.0, np.ones(n, bool))
     states, _ = track_rows(history, motions, CONFIG)
     return cluster_rows(history, motions, states, CAMERA, {})[0][0]

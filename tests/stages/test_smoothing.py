@@ -11,7 +11,7 @@ from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import NO_CLUSTER, Platform, PointSet, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.objects.clusters import ClusterMotion
-from ttcvid.stages.objects.motions import FrameMotions, motions_of
+from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.objects.track_states import multi_frame_states
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 from ttcvid.stages.tracking.history import empty_history, extended, with_egomotion
@@ -52,15 +52,21 @@ def histories(
 
 
 def seen(history, cluster_id=None):
-    """All tracks are one object, or each is in the cluster given; their directions are still to be found."""
+    """All tracks are one object, or each is in the cluster given; objects with about the direction that they have."""
     n = history.n_tracks
+    turned = rotation_from_vector(np.radians([[0.0, 2.0, 0.0]]))[0]
+    way = turned @ np.linalg.matrix_power(TURN, int(history.frame[-1]) - NOW) @ unit(VELOCITY)
+    cov = np.radians(2.0) ** 2 * (np.eye(3) - np.outer(way, way))
     cluster_id = np.ones(n, np.int64) if cluster_id is None else np.array(cluster_id)[:n]
     numbers = np.unique(cluster_id[cluster_id != NO_CLUSTER]).tolist()
     motions = FrameMotions(
         cluster_id=cluster_id,
         no_direction_status=np.full(n, Status.no_epipole),
         clusters=tuple(
-            ClusterMotion(k, np.flatnonzero(cluster_id == k), None, None, Status.no_epipole, "-") for k in numbers
+            ClusterMotion(k, np.flatnonzero(cluster_id == k), way, cov, Status.ok, "whole-tracks")
+            if k
+            else ClusterMotion(k, np.flatnonzero(cluster_id == k), None, None, Status.no_epipole, "-")
+            for k in numbers
         ),
         link_px=32.0,
         is_free=np.ones(n, bool),
@@ -75,14 +81,6 @@ def smoothed(found, now=NOW, after=AFTER):
 
 def again(item, found, now=NOW, after=AFTER):
     return seen_again(item, [seen(history) for history in found[now + 1 : now + 1 + after]], CAMERA, PIPELINE)
-
-
-def by_past_views(found, now=NOW):
-    """The same frame with the direction that its past views show."""
-    item = seen(found[now])
-    motion = item.motions.clusters[0]
-    clusters = tuple(motions_of({1: motion.members}, item.history, None, CAMERA, CONFIG))
-    return replace(item, motions=replace(item.motions, clusters=clusters))
 
 
 def rates_of(item):
@@ -140,7 +138,7 @@ def test_braking_makes_past_views_lag_and_not_views_on_both_sides():
     late, smooth = [], []
     for _ in range(20):
         found = histories(position, 2.0, 0.5, rng)
-        late.append(rates_of(by_past_views(found))[0] * position[:, 2] / 5.0)
+        late.append(rates_of(seen(found[NOW]))[0] * position[:, 2] / 5.0)
         smooth.append(rates_of(smoothed(found))[0] * position[:, 2] / 5.0)
     assert np.nanmedian(late) > 1.02
     assert np.nanmedian(smooth) == pytest.approx(1.0, abs=0.015)
@@ -149,11 +147,10 @@ def test_braking_makes_past_views_lag_and_not_views_on_both_sides():
 def test_at_constant_velocity_intervals_hold_and_are_narrower():
     position, rng = car(12), np.random.default_rng(5)
     off, ratio = [], []
-    for _ in range(60):
+    for _ in range(200):
         found = histories(position, 0.0, 0.2, rng)
         states, past = (
-            multi_frame_states(item.history, item.motions, None, CONFIG)
-            for item in (smoothed(found), by_past_views(found))
+            multi_frame_states(item.history, item.motions, None, CONFIG) for item in (smoothed(found), seen(found[NOW]))
         )
         sigma_hz = np.sqrt(states.cov[:, 2, 2])
         off.append((-states.abc_hz[:, 2] - 5.0 / position[:, 2]) / sigma_hz)
@@ -231,7 +228,20 @@ def test_tracks_are_in_an_object_as_soon_as_the_next_frames_will_have_them_there
         (3, [10]),
         (7, list(range(10))),
     ]
-    np.testing.assert_allclose(item.motions.clusters[2].direction, unit(VELOCITY), atol=1e-3)
+    # That of the later frame, two degrees off, seen from this one.
+    turned = rotation_from_vector(np.radians([[0.0, 2.0, 0.0]]))[0]
+    there = np.linalg.matrix_power(TURN, 2)
+    np.testing.assert_allclose(item.motions.clusters[2].direction, there.T @ turned @ there @ unit(VELOCITY), atol=1e-6)
+
+
+def test_the_direction_that_a_later_frame_knows_does_for_one_without():
+    found = histories(car(20))
+    item = seen(found[NOW])
+    unknown = replace(item.motions.clusters[0], direction=None, direction_cov=None, status=Status.no_epipole)
+    item = replace(item, motions=replace(item.motions, clusters=(unknown,)))
+    (motion,) = again(item, found).motions.clusters
+    assert motion.status == Status.ok
+    assert np.degrees(np.arccos(motion.direction @ unit(VELOCITY))) < 3.0
 
 
 def test_an_object_that_is_gone_before_the_last_frame_is_not_there_earlier():

@@ -52,8 +52,6 @@ def fit_whole_tracks(
     max_frames: int | None = None,
     gate_probability: float = 0.999,
     plane: MotionPlane | None = None,
-    *,
-    has_covariance: bool = True,
 ) -> WholeTracks:
     """State of each track by robust Gauss-Newton on the reprojection error, over a window that fits it.
 
@@ -71,7 +69,6 @@ def fit_whole_tracks(
     gate_probability : Probability with which a constant velocity keeps its whole window.
     plane : Planar motion, as the Gaussian prior ``normal . w ~ N(0, w' covariance w)``: then two views suffice. It is
         part of ``cov`` and ``info_w`` then.
-    has_covariance : False leaves ``cov`` empty, for speed.
 
     The state is NaN where the views are fewer than two, or sigma is not positive.
 
@@ -92,7 +89,7 @@ def fit_whole_tracks(
     order = np.argsort(np.abs(t_s), kind="stable")
     longest = len(t_s) if max_frames is None else min(max_frames, len(t_s))
     nothing = np.empty(0), np.empty((0, 0))
-    state, cov = np.full((n, 5), np.nan), np.full((n if has_covariance else 0, 5, 5), np.nan)
+    state, cov = np.full((n, 5), np.nan), np.full((n, 5, 5), np.nan)
     info_w, chi2 = np.zeros((n, 3, 3)), np.zeros(n)
     n_frames = np.zeros(n, dtype=np.int64)
     fit_free_points(
@@ -123,8 +120,6 @@ def _add_plane(plane: MotionPlane, state: Floats, cov: Floats, info_w: Floats) -
     variance = np.einsum("ni,ij,nj->n", state[:, 2:], plane.covariance, state[:, 2:])
     has_rate = variance > 0.0
     info_w[has_rate] += np.outer(plane.normal, plane.normal) / variance[has_rate, None, None]
-    if not len(cov):
-        return
     # NaN, where a covariance is not known, stays NaN.
     towards = cov[:, :, 2:] @ plane.normal
     spread = variance + towards[:, 2:] @ plane.normal

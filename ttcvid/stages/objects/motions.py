@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.config import CollisionTimesConfig, PipelineConfig
+from ttcvid.config import PipelineConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
-from ttcvid.geometry.estimation.shared_direction import shared_directions
-from ttcvid.geometry.estimation.track_state import fit_whole_tracks
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import skew
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, ImageSize, Ints, Platform, Status
@@ -24,14 +21,16 @@ from ttcvid.stages.segmentation.bodies import direction_of_last_step
 from ttcvid.stages.segmentation.body_views import WORST_REDCHI, body_views
 from ttcvid.stages.segmentation.data_association import numbers_of
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation, find_bodies
+from ttcvid.stages.segmentation.last_known import LastKnown
 from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
-from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 
 # Tracks of one object hang together when they lie closer than this part of the picture's longer side.
 # Where few tracks are given they lie farther apart: random points hang together from 1.2 times their spacing on
 # (percolation of discs, sqrt(4.51 / pi)). Nothing is a neighbour beyond so many times the first distance.
 _LINK_PART, _SPARSE_LINK, _MOST_LINK = 0.05, 1.2, 2.0
+# Standard deviation of a velocity that the tracks do not determine, 1/s.
+_UNKNOWN_HZ = 10.0
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,6 @@ def find_motions(
     either: a new mover may start from them. The history comes back with the past rotations as the scene's tracks
     correct them.
     """
-    times = config.collision_times
     link_px = _link_px(camera.image_size, int(is_free.sum()))
     in_scene, objects, bend = is_free, list[ClusterMotion](), None
     is_displaced = np.zeros(history.n_tracks, dtype=bool)
@@ -89,7 +87,7 @@ def find_motions(
         history = without_displaced(history, found.is_displaced, found.is_past_off)
         is_displaced, is_free = found.is_displaced, is_free & ~found.is_displaced
         in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.redchi < WORST_REDCHI)
-        objects = _object_motions(history, found, is_free, plane, camera, times)
+        objects = _object_motions(history, found, is_free, plane, camera)
         surfaces = list[ClusterMotion]()
         if config.egomotion.platform == Platform.aircraft:
             surfaces, memory = growing_things(history, views, found, is_free, memory, config)
@@ -127,75 +125,50 @@ def _with_direction_of_last_step(egomotion: Egomotion, scene: RigidPaths, since_
 
 
 def _object_motions(
-    history: TrackHistory,
-    found: Segmentation,
-    is_free: Bools,
-    plane: HorizonPlane | None,
-    camera: Camera,
-    config: CollisionTimesConfig,
+    history: TrackHistory, found: Segmentation, is_free: Bools, plane: HorizonPlane | None, camera: Camera
 ) -> list[ClusterMotion]:
-    """The movers that have a public number, each with the direction that the whole tracks of its points share."""
-    own_id = np.append(NO_CLUSTER, found.movers.cluster_id)[numbers_of(found.key, found.movers)]
-    own_id[own_id < 0] = SCENE_CLUSTER
-    # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is.
-    is_text = np.bincount(own_id, ~is_free) > 0.5 * np.bincount(own_id)
-    members = np.flatnonzero((own_id > 0) & is_free & ~is_text[own_id])
-    ids = own_id[members]
-    public = np.flatnonzero(np.bincount(ids))
-    parts = {int(number): members[ids == number] for number in public}
-    return motions_of(parts, history, plane, camera, config)
-
-
-def motions_of(
-    members: Mapping[int, Ints],
-    history: TrackHistory,
-    plane: HorizonPlane | None,
-    camera: Camera,
-    config: CollisionTimesConfig,
-) -> list[ClusterMotion]:
-    """The motion of each of K things, its tracks given by ``cluster_id``, as its whole tracks show.
+    """The movers that have a public number, each with the direction of the velocity that its tracks share.
 
     The search for the trajectory that gives its times starts from there (`track_states`).
     """
-    if not members:
-        return []
-    things = TrackSets.of(list(members.values()))
+    movers, number = found.movers, numbers_of(found.key, found.movers)
+    cluster_id, n_bodies = np.append(NO_CLUSTER, movers.cluster_id), len(movers) + 1
+    # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is.
+    is_text = np.bincount(number, ~is_free, n_bodies) > 0.5 * np.bincount(number, minlength=n_bodies)
+    members = np.flatnonzero(((cluster_id > 0) & ~is_text)[number] & is_free)
+    count = np.bincount(number[members], minlength=n_bodies)
+    xy = history.xy[history.now, members].T
+    middle = np.stack([np.bincount(number[members], one, n_bodies) / np.maximum(count, 1) for one in xy], axis=1)
+    direction, cov = _directions(movers.last, middle[1:], history.rotation_rate_sigma_rad_s)
     motions = []
-    for (cluster_id, index), way, cov in zip(members.items(), *_directions(history, things, config), strict=True):
-        motion = ClusterMotion(cluster_id, index, None, None, Status.no_epipole, "whole-tracks")
-        if np.isfinite(way[0]):
-            motion = replace(motion, direction=way, direction_cov=cov)
+    for body in np.flatnonzero(count).tolist():
+        index = members[number[members] == body]
+        motion = ClusterMotion(int(cluster_id[body]), index, None, None, Status.no_parallax, "whole-tracks")
+        if np.isfinite(direction[body - 1, 0]):
+            motion = replace(motion, direction=direction[body - 1], direction_cov=cov[body - 1])
         motions.append(on_plane(motion, plane, camera))
     return motions
 
 
-def _directions(history: TrackHistory, things: TrackSets, config: CollisionTimesConfig) -> tuple[Floats, Floats]:
-    """The direction (K, 3) of each thing by its views within a time of the present one, and its covariance.
+def _directions(last: LastKnown, middle: Floats, rotation_sigma_rad_s: float) -> tuple[Floats, Floats]:
+    """The direction (K, 3) in which K movers move, and its covariance (K, 3, 3), by their velocities.
 
-    The covariance (K, 3, 3) holds what errs in all of its tracks alike.
-    That is a rotation left in them, and a change of speed: the path ``x + u t - u (c - q / 2) t^2`` shows at the rate q
-    what a constant velocity takes for depth. How a thing changes its speed its path will tell (`turning`): a direction
-    that is uncertain otherwise is NaN.
+    Their tracks, whose middles are seen at ``middle (K, 2)`` in the plane z = 1, all err alike by a rotation left in
+    them, and by a change of speed: the path ``x + u t - u (c - q / 2) t^2`` shows at the rate q what a constant
+    velocity takes for depth. How a thing changes its speed its path will tell (`turning`): a direction that is
+    uncertain otherwise is NaN.
     """
-    views = history.views_within(config.object_window_s)
-    tracks = fit_whole_tracks(
-        history.xy[views].take(things.index, axis=1),
-        history.since_s[views],
-        history.sigma_norm[things.index],
-        config.max_frames,
-        config.window_probability,
-        has_covariance=False,
-    )
-    xy, velocity_hz = tracks.state[:, :2], tracks.state[:, 2:]
-    rays = np.column_stack([xy, np.ones(len(xy))])
-    by_rotation = history.rotation_rate_sigma_rad_s * skew(rays)
-    by_speed = 0.5 * OBJECT_BEND_HZ * rays[:, :, None]
-    errors = np.concatenate([by_rotation, by_speed], axis=2)
-    of_things = things.set_of, len(things)
-    direction, covariance, _, by_errors = shared_directions(xy, velocity_hz, tracks.info_w, *of_things, errors)
-    variance = np.trace(covariance, axis1=1, axis2=2) - np.sum(by_errors[..., -1] ** 2, axis=1)
-    direction[~(variance < MAX_DIRECTION_SIGMA_RAD**2)] = np.nan
-    return direction, covariance
+    ray = np.column_stack([middle, np.ones(len(middle))])
+    turn, by_speed = rotation_sigma_rad_s * skew(ray), 0.5 * OBJECT_BEND_HZ * ray
+    speed_hz = np.linalg.norm(last.v_hz, axis=1)
+    speed_hz[speed_hz == 0.0] = np.nan
+    direction = last.v_hz / speed_hz[:, None]
+    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    own = np.linalg.inv(last.info + np.eye(3) / _UNKNOWN_HZ**2) + turn @ turn.transpose(0, 2, 1)
+    scaled = across / speed_hz[:, None, None]
+    cov = scaled @ own @ scaled
+    direction[~(np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)] = np.nan
+    return direction, cov + scaled @ (by_speed[:, :, None] * by_speed[:, None, :]) @ scaled
 
 
 def scene_motion(

@@ -15,7 +15,7 @@ from ttcvid.geometry.kernels.known_path import LEAST_FRAMES as LEAST_FRAMES_ON_P
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE
 from ttcvid.geometry.paper.two_view_state import is_at_epipole
 from ttcvid.geometry.rotation import normalize, skew
-from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Status
+from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.egomotion.scene_trajectory import scene_path
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.motions import FrameMotions
@@ -37,14 +37,13 @@ def multi_frame_states(
     """States by maximum likelihood from the window of each track that one motion explains.
 
     A track of a cluster with a direction moves along the cluster's path, which all tracks of the cluster improve
-    together: its place and its rate are left. Any other track, but for those of a scene that does not move, has its
-    free state (with a horizon: in its plane).
+    together: its place and its rate are left. A track of no cluster has its free state (with a horizon: in its plane).
+    A cluster whose motion is within its noise has none, nor do its tracks.
     """
     views = _views(history, motions, config.object_window_s)
     paths, path_of, is_object = _paths(history, motions, views, plane, config)
     states = _on_paths(history, motions, views, paths, path_of, is_object, config)
-    has_none = (motions.cluster_id == SCENE_CLUSTER) & (path_of == NO_PATH)
-    free = np.flatnonzero((path_of == NO_PATH) & ~has_none & motions.is_free)
+    free = np.flatnonzero((motions.cluster_id == NO_CLUSTER) & motions.is_free)
     if len(free):
         _fill_free(states, history, free, plane, config)
     return states
@@ -163,7 +162,6 @@ def _fill_free(
         config.max_frames,
         config.window_probability,
         None if plane is None else MotionPlane(plane.normal, plane.covariance),
-        has_covariance=False,
     )
     moved = np.einsum("mi,mij,mj->m", found.state[:, 2:], found.info_w, found.state[:, 2:])
     direction = normalize(found.state[:, 2:])

@@ -9,7 +9,6 @@ from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.estimation.shared_trajectory import N_SHARED, PathBeliefs, SharedPaths, chosen_paths, fit_paths
 from ttcvid.geometry.estimation.shared_trajectory_points import PathPoints, points_of_paths
 from ttcvid.geometry.estimation.turning_body import TURN_SIGMA_RAD_S, TurningBody, fit_turning_body
-from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.turning_movers import LEAST_POINTS, MOST_POINTS
@@ -19,9 +18,8 @@ STRAIGHT_TURN_RAD_S = 0.006
 for a turn, and bias the velocity."""
 
 # A direction from elsewhere (our own, of what stands in our way) has its covariance times this factor, widened by the
-# square of this angle. One from the same views only starts the search: it is taken to be just known, to
-# `MAX_DIRECTION_SIGMA_RAD`.
-_KNOWN_FACTOR, _KNOWN_FLOOR_RAD = 9.0, float(np.radians(1.0))
+# square of this angle. One from the same views only starts the search: it is known to a radian.
+_KNOWN_FACTOR, _KNOWN_FLOOR_RAD, _START_RAD = 9.0, float(np.radians(1.0)), 1.0
 # Acceleration over the speed, per axis: 1.2 m/s^2 at 6 m/s. Half of it is believed of who drives straight on.
 OBJECT_BEND_HZ, _STRAIGHT_BEND_HZ = 0.2, 0.1
 # The same along the direction of who brakes, and has had hardly any speed against us: where that shows at 95 %.
@@ -57,7 +55,7 @@ def believed_straight(
         along_horizon = normalize(cross(normal, direction))
         across = along_horizon[:, :, None] * along_horizon[:, None, :]
     base = since_s[None, :, None] * direction[:, None, :]
-    sigma_rad = np.where(is_start, MAX_DIRECTION_SIGMA_RAD, _KNOWN_FLOOR_RAD)[:, None, None]
+    sigma_rad = np.where(is_start, _START_RAD, _KNOWN_FLOOR_RAD)[:, None, None]
     cov = np.where(is_start, 0.0, _KNOWN_FACTOR)[:, None, None] * found_cov + sigma_rad**2 * across
     bend_hz = _STRAIGHT_BEND_HZ
     return PathBeliefs(base, direction, cov, bend_hz, bend_hz, STRAIGHT_TURN_RAD_S, turns_itself=True)
