@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 from moving_points import views
 
+from ttcvid.calibration.without_file import assumed_camera, camera_from_focal, found_camera
 from ttcvid.geometry.estimation.intervals import (
     NORMAL_90_SIGMAS,
     REGION_90_SIGMAS,
     collision_times_from_state,
+    focal_interval_px,
     radial_and_transverse_rate,
+    with_focal_interval,
 )
 from ttcvid.geometry.estimation.tcpa_miss_bounds import bounds_of_tcpa_and_miss
 from ttcvid.geometry.paper.collision import times_from_position_velocity
 from ttcvid.geometry.paper.two_view_state import state_from_direction
 from ttcvid.geometry.rotation import normalize, tangent_basis
+from ttcvid.model import ImageSize
 
 CHI2_90_TWO = -2.0 * np.log(0.1)
 
@@ -211,3 +215,57 @@ def test_no_value_lies_outside_of_its_interval_by_rounding():
         value, low, high = (getattr(times, f"{name}{end}_s") for end in ("", "_lo", "_hi"))
         assert not (value < low).any()
         assert not (value > high).any()
+
+
+# --- a focal length that nobody gave ---------------------------------------------------------------------------------
+
+
+def seen_with(focal_px, assumed_px):
+    """Times of points that a camera of one focal length sees and one of another is taken to see; the true ones.
+
+    Their velocities are known to a millionth.
+    """
+    rng = np.random.default_rng(6)
+    position_m = rng.uniform([-9.0, -2.0, 8.0], [9.0, 2.0, 40.0], (200, 3))
+    velocity_m_s = rng.uniform([-9.0, -0.5, -20.0], [9.0, 0.5, 3.0], (200, 3))
+    part = np.array([focal_px / assumed_px, focal_px / assumed_px, 1.0])
+    (x, y, _), abc_hz = (part * position_m / position_m[:, 2:]).T, part * velocity_m_s / position_m[:, 2:]
+    state = x, y, abc_hz, np.broadcast_to(1e-12 * np.eye(3), (200, 3, 3)), np.full(200, 1e-6)
+    return state, times_from_position_velocity(position_m, velocity_m_s)
+
+
+@pytest.mark.parametrize("hfov_deg", [41.0, 55.0, 75.0, 109.0])
+def test_intervals_hold_what_the_focal_length_may_be(hfov_deg):
+    camera = assumed_camera(ImageSize(640, 360))
+    (x, y, abc_hz, *errors), (tcpa_s, miss_s, *_) = seen_with(320.0 / np.tan(np.radians(hfov_deg) / 2.0), camera.fx_px)
+    bare = collision_times_from_state(x, y, abc_hz, *errors)
+    times = with_focal_interval(bare, x, y, abc_hz, camera)
+    assert ((times.tcpa_lo_s <= tcpa_s) & (tcpa_s <= times.tcpa_hi_s)).all()
+    # It may be largest between the focal lengths that are looked at.
+    assert ((times.miss_lo_s <= miss_s) & (miss_s <= 1.003 * times.miss_hi_s)).all()
+    for name in ("tcpa_s", "miss_s", "ttc_z_s", "ttc_z_lo_s", "ttc_z_hi_s"):
+        np.testing.assert_array_equal(getattr(times, name), getattr(bare, name))
+
+
+def test_a_focal_length_that_was_given_leaves_intervals_as_they_are_and_one_that_was_found_adds_its_error():
+    size = ImageSize(640, 360)
+    (x, y, abc_hz, *errors), _ = seen_with(500.0, 500.0)
+    bare = collision_times_from_state(x, y, abc_hz, *errors)
+    assert with_focal_interval(bare, x, y, abc_hz, camera_from_focal(500.0, size)) is bare
+    found = found_camera(500.0, 10.0, size)
+    assert focal_interval_px(found) == pytest.approx((500.0 * np.exp(-0.0329), 500.0 * np.exp(0.0329)), rel=1e-4)
+    times, half = with_focal_interval(bare, x, y, abc_hz, found), {}
+    for focal_px in focal_interval_px(found):
+        part = np.array([500.0 / focal_px, 500.0 / focal_px, 1.0])
+        half[focal_px] = collision_times_from_state(part[0] * x, part[0] * y, part * abc_hz, *errors).tcpa_s
+    low, high = np.minimum(*half.values()), np.maximum(*half.values())
+    np.testing.assert_allclose(times.tcpa_lo_s, np.minimum(low, bare.tcpa_s), atol=2e-4)
+    np.testing.assert_allclose(times.tcpa_hi_s, np.maximum(high, bare.tcpa_s), atol=2e-4)
+
+
+def test_an_infinite_bound_stays_infinite():
+    camera, nothing = assumed_camera(ImageSize(640, 360)), np.zeros((1, 3))
+    x, y = np.array([0.1]), np.array([0.0])
+    bare = collision_times_from_state(x, y, nothing, np.eye(3)[None], np.array([1e-4]))
+    times = with_focal_interval(bare, x, y, nothing, camera)
+    assert np.isnan([times.tcpa_lo_s, times.tcpa_hi_s, times.miss_hi_s]).all()

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ttcvid.config import CollisionTimesConfig
+from ttcvid.geometry.estimation.intervals import with_focal_interval
 from ttcvid.geometry.paper.expansion import expansion_of_neighbourhood
 from ttcvid.model import SCENE_CLUSTER, Camera, ClusterRow, CollisionTimes, Floats, Ints, TrackRows
 from ttcvid.stages.egomotion.flows import select_flows
@@ -39,13 +40,14 @@ def track_rows(
         states = replace(states, status=np.where(asks, why, states.status))
     states = states.without(~motions.is_free, motions.no_direction_status)
     states = with_expansions(states, history, motions)
+    x, y = states.xy.T
     rows = TrackRows(
         track_id=history.track_id,
         cluster_id=motions.cluster_id,
         xy_px=history.xy_px,
         n_frames=history.n_frames,
         alpha_rad=states.alpha_rad,
-        times=states.times(),
+        times=with_focal_interval(states.times(), x, y, states.abc_hz, history.camera),
         status=states.status,
     )
     return states, rows

@@ -3,18 +3,20 @@
 ttc_z is made on eta = 1 / ttc_z, which is near-Gaussian where the time is not. tcpa and miss are not monotone in
 the state: with ``V / abs(P) = q r + u t`` (radial rate q, transverse rate u >= 0) they are the two components of the
 inversion of the point (q, u) in the unit circle, and their intervals are the range of that over the 90 % ellipse of
-(q, u) (`tcpa_miss_bounds`).
+(q, u) (`tcpa_miss_bounds`). Where nobody gave the focal length, they hold what it may be, too; ttc_z does not depend on
+it.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from ttcvid.geometry.estimation.tcpa_miss_bounds import CHI2_90_TWO, bounds_of_tcpa_and_miss
 from ttcvid.geometry.quotient import quotient
-from ttcvid.model import CollisionTimes, Floats
+from ttcvid.model import Camera, CollisionTimes, Floats
 
 NORMAL_90_SIGMAS = 1.6448536269514722
 """A 90 % interval of one normal value ends so many standard deviations from it: those of 1 / ttc_z."""
@@ -22,6 +24,12 @@ NORMAL_90_SIGMAS = 1.6448536269514722
 REGION_90_SIGMAS = math.sqrt(CHI2_90_TWO)
 """Those of tcpa and miss end so many from it, where they are short: they are the borders of the 90 % region of both
 together, so that each alone holds 97 %."""
+
+LIKELY_FIELDS_DEG = 40.0, 110.0
+"""Horizontal fields of view between which those of 90 % of the cameras lie of which nothing is known: a narrow webcam,
+and a wide dashboard camera."""
+# So many focal lengths of an interval are looked at: the miss distance may be largest in between (found to 0.3 %).
+_FOCAL_STEPS = 13
 
 
 def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats, sigma_norm: Floats) -> CollisionTimes:
@@ -63,6 +71,44 @@ def collision_times_from_state(x: Floats, y: Floats, abc_hz: Floats, cov: Floats
         quotient(1.0, reach - abc_hz[:, 2]),
         quotient(-1.0, reach + abc_hz[:, 2]),
     )
+
+
+def focal_interval_px(camera: Camera) -> tuple[float, float] | None:
+    """The 90 % interval of a focal length that nobody gave; None: it was given."""
+    if camera.is_assumed:
+        narrow, wide = (math.tan(math.radians(field) / 2.0) for field in LIKELY_FIELDS_DEG)
+        return 0.5 * camera.image_size.width_px / wide, 0.5 * camera.image_size.width_px / narrow
+    if camera.focal_sigma_px is None:
+        return None
+    factor = math.exp(NORMAL_90_SIGMAS * camera.focal_sigma_px / camera.fx_px)
+    return camera.fx_px / factor, camera.fx_px * factor
+
+
+def with_focal_interval(times: CollisionTimes, x: Floats, y: Floats, abc_hz: Floats, camera: Camera) -> CollisionTimes:
+    """The times with intervals of tcpa and miss that also hold what the focal length may be, where nobody gave it.
+
+    ``x, y, abc_hz`` are those of `collision_times_from_state`. x, y, a and b are in proportion to 1 / focal length, c
+    is the same. What the other focal lengths lead to is added to the reach of each interval, in squares.
+    """
+    interval_px = focal_interval_px(camera)
+    if interval_px is None:
+        return times
+    square = (camera.fx_px / np.geomspace(*interval_px, _FOCAL_STEPS)[:, None]) ** 2
+    a, b, c = abc_hz.T
+    speed2 = square * (a * a + b * b) + c * c
+    tcpa_s = quotient(-square * (x * a + y * b) - c, speed2)
+    miss_s = quotient(np.sqrt(square * ((y * c - b) ** 2 + (a - x * c) ** 2) + (square * (x * b - y * a)) ** 2), speed2)
+    tcpa, miss = (
+        (
+            value - np.hypot(value - low, value - np.minimum(others.min(axis=0), value)),
+            value + np.hypot(high - value, np.maximum(others.max(axis=0), value) - value),
+        )
+        for value, low, high, others in (
+            (times.tcpa_s, times.tcpa_lo_s, times.tcpa_hi_s, tcpa_s),
+            (times.miss_s, times.miss_lo_s, times.miss_hi_s, miss_s),
+        )
+    )
+    return replace(times, tcpa_lo_s=tcpa[0], tcpa_hi_s=tcpa[1], miss_lo_s=np.maximum(miss[0], 0.0), miss_hi_s=miss[1])
 
 
 def radial_and_transverse_rate(

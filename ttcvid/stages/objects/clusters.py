@@ -9,7 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttcvid.geometry.camera.pinhole import pixels_from_rays, rays_from_pixels
-from ttcvid.geometry.estimation.intervals import collision_times_from_state, radial_and_transverse_rate
+from ttcvid.geometry.estimation.intervals import (
+    collision_times_from_state,
+    radial_and_transverse_rate,
+    with_focal_interval,
+)
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE, direction_chi2
 from ttcvid.model import (
     APPROACHING,
@@ -205,6 +209,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     # The centroid of the surface is known by its tracks; as a point that is looked at, it has no error.
     ref_sigma = np.transpose([rows[place].ref_sigma for place in stated])
     times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, ref_sigma)
+    times = with_focal_interval(times, xy[:, 0], xy[:, 1], abc_hz, camera)
     rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, np.full(len(stated), _EXACT))
     sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
     rows = list(rows)
