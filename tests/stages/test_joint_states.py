@@ -177,3 +177,16 @@ def test_all_of_a_rear_is_its_nearest_surface_whatever_slope_noise_lends_it():
         members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
         joint = joint_states(members, AHEAD[None], np.array([False]), states, xy_px, LINK_PX)
         assert np.linalg.norm(joint.ref_px[0] - xy_px.mean(axis=0)) < 0.2 * np.linalg.norm(np.std(xy_px, axis=0))
+
+
+def test_the_time_of_a_bicycle_ahead_is_that_of_its_end_not_of_its_middle():
+    """1.8 m long and 15 m away, its points are at all depths alike: those within a foot or so are hit first."""
+    depth_m = 15.0 + 1.8 * np.random.default_rng(95).permutation(N) / (N - 1)
+    true_hz, own_hz = 1.0 / depth_m[depth_m < np.quantile(depth_m, 0.1) + 0.15].mean(), 1e-4
+    states = states_on_one_path()
+    shared = replace(states.shared, rate_hz=1.0 / depth_m, rate_variance=np.full(N, own_hz**2))
+    abc_hz, cov = AHEAD / depth_m[:, None], np.tile(own_hz**2 * np.eye(3), (N, 1, 1))
+    states = replace(states, abc_hz=abc_hz, cov=cov, shared=shared)
+    members, xy_px = TrackSets.of([np.arange(N)]), FOCAL_PX * states.xy
+    joint = joint_states(members, AHEAD[None], np.array([False]), states, xy_px, LINK_PX)
+    assert -joint.abc_hz[0, 2] / true_hz == pytest.approx(1.0, abs=0.015)
