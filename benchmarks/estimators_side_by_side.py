@@ -149,13 +149,13 @@ def main() -> int:
         "earlier, values to be judged). Warnings are made of the past alone, with `--smooth` too."
     )
     report.say(
-        "What to expect: two views know little, and nothing old. Given the direction of an object (which comes from "
-        "whole tracks here too) they follow what brakes near by, and fail where the flow is small beside its errors: "
-        "the car ahead. They fail before what turns, too, or while we turn: that direction takes all ways for straight "
-        "ones, and neither time nor interval knows (turning_jitter). Three views, each point with a direction of its "
-        "own, are left to noise. Twenty views find the turn with the time; they are best where the flow is small, and "
-        "lag where a velocity changes in a way that they cannot tell from noise; on both sides of the frame they do "
-        "not lag."
+        "What to expect: two views know little, and nothing old. Given the direction of an object (that of the "
+        "velocity which its tracks share over 0.6 s) they follow what brakes near by, and fail where the flow is "
+        "small beside its errors: the car ahead. They fail before what turns, too, or while we turn: that direction "
+        "takes all ways for straight ones, and neither time nor interval knows (turning_jitter). Three views, each "
+        "point with a direction of its own, are left to noise. Twenty views find the turn with the time; they are "
+        "best where the flow is small, and lag where a velocity changes in a way that they cannot tell from noise; on "
+        "both sides of the frame they do not lag."
     )
     with tempfile.TemporaryDirectory() as temporary:
         folder = (arguments.keep or Path(temporary)).resolve()

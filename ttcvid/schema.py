@@ -80,15 +80,31 @@ _CLUSTER_ID = _count("cluster_id", "0: static scene, objects from 1; an object k
 
 TIMES = (
     _real("tcpa_s", "s", "time until closest approach (the paper's k); positive: in the future, negative: in the past"),
-    _real("tcpa_lo_s", "s", "lower bound of tcpa_s over the joint 90 % region of tcpa and miss"),
-    _real("tcpa_hi_s", "s", "upper bound of tcpa_s over the joint 90 % region of tcpa and miss"),
+    _real(
+        "tcpa_lo_s",
+        "s",
+        "lower bound of tcpa_s over the joint 90 % region of tcpa and miss, and of an unknown focal length",
+    ),
+    _real(
+        "tcpa_hi_s",
+        "s",
+        "upper bound of tcpa_s over the joint 90 % region of tcpa and miss, and of an unknown focal length",
+    ),
     _real(
         "miss_s",
         "s",
         "miss distance, at the closest approach (the paper's H), in seconds of relative motion; metres = miss_s |V|",
     ),
-    _real("miss_lo_s", "s", "lower bound of miss_s over the joint 90 % region of tcpa and miss"),
-    _real("miss_hi_s", "s", "upper bound of miss_s over the joint 90 % region of tcpa and miss"),
+    _real(
+        "miss_lo_s",
+        "s",
+        "lower bound of miss_s over the joint 90 % region of tcpa and miss, and of an unknown focal length",
+    ),
+    _real(
+        "miss_hi_s",
+        "s",
+        "upper bound of miss_s over the joint 90 % region of tcpa and miss, and of an unknown focal length",
+    ),
     _real("ttc_z_s", "s", "time to collision of lidar and KITTI: time until depth zero, -Z/Vz; positive: approaching"),
     _real(
         "ttc_z_lo_s", "s", "lower end of the 90 % interval of ttc_z_s, computed on 1/time; lo > hi: includes infinity"

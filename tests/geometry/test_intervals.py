@@ -264,8 +264,9 @@ def test_a_focal_length_that_was_given_leaves_intervals_as_they_are_and_one_that
 
 
 def test_an_infinite_bound_stays_infinite():
-    camera, nothing = assumed_camera(ImageSize(640, 360)), np.zeros((1, 3))
+    camera, abc_hz = assumed_camera(ImageSize(640, 360)), np.array([[0.01, 0.0, -0.05]])
     x, y = np.array([0.1]), np.array([0.0])
-    bare = collision_times_from_state(x, y, nothing, np.eye(3)[None], np.array([1e-4]))
-    times = with_focal_interval(bare, x, y, nothing, camera)
+    bare = collision_times_from_state(x, y, abc_hz, 1e-2 * np.eye(3)[None], np.array([1e-4]))
+    times = with_focal_interval(bare, x, y, abc_hz, camera)
+    assert np.isfinite([times.tcpa_s, times.miss_s, times.miss_lo_s]).all()
     assert np.isnan([times.tcpa_lo_s, times.tcpa_hi_s, times.miss_hi_s]).all()

@@ -137,6 +137,13 @@ def test_times_of_an_object_hold_the_truth_in_nine_of_ten():
     assert 0.93 <= in_miss <= 0.99
 
 
+def test_the_interval_of_what_crosses_holds_what_a_focal_length_not_given_may_be():
+    row = row_of(box_of_points(np.random.default_rng(75), 25, (3.0, 0.5, 15.0), PLATE_M), np.array([-3.0, 0.0, -5.0]))
+    given, assumed = (with_times([row], camera)[0].times for camera in (CAMERA, replace(CAMERA, origin="assumed")))
+    assert assumed.tcpa_hi_s[0] - assumed.tcpa_lo_s[0] > 5.0 * (given.tcpa_hi_s[0] - given.tcpa_lo_s[0])
+    assert assumed.ttc_z_hi_s[0] == given.ttc_z_hi_s[0]
+
+
 @pytest.mark.parametrize("velocity", [(0.3, 0.0, -5.0), (0.3, 0.0, 5.0), (5.0, 0.0, 0.0), (-5.0, 0.0, 0.5)])
 def test_an_objects_times_are_those_of_its_nearest_surface_whether_it_comes_goes_or_crosses(velocity):
     rng = np.random.default_rng(74)

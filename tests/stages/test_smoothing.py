@@ -228,20 +228,17 @@ def test_tracks_are_in_an_object_as_soon_as_the_next_frames_will_have_them_there
         (3, [10]),
         (7, list(range(10))),
     ]
-    # That of the later frame, two degrees off, seen from this one.
-    turned = rotation_from_vector(np.radians([[0.0, 2.0, 0.0]]))[0]
-    there = np.linalg.matrix_power(TURN, 2)
-    np.testing.assert_allclose(item.motions.clusters[2].direction, there.T @ turned @ there @ unit(VELOCITY), atol=1e-6)
+    np.testing.assert_allclose(item.motions.clusters[2].direction, unit(VELOCITY), atol=1e-3)
 
 
-def test_the_direction_that_a_later_frame_knows_does_for_one_without():
+def test_views_on_both_sides_tell_a_direction_that_the_frame_did_not_know():
     found = histories(car(20))
     item = seen(found[NOW])
-    unknown = replace(item.motions.clusters[0], direction=None, direction_cov=None, status=Status.no_epipole)
+    unknown = replace(item.motions.clusters[0], direction=None, direction_cov=None, status=Status.no_parallax)
     item = replace(item, motions=replace(item.motions, clusters=(unknown,)))
     (motion,) = again(item, found).motions.clusters
     assert motion.status == Status.ok
-    assert np.degrees(np.arccos(motion.direction @ unit(VELOCITY))) < 3.0
+    np.testing.assert_allclose(motion.direction, unit(VELOCITY), atol=1e-3)
 
 
 def test_an_object_that_is_gone_before_the_last_frame_is_not_there_earlier():

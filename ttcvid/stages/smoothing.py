@@ -7,19 +7,23 @@ views of the past alone tell what it was half a window ago.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttcvid.config import PipelineConfig
+from ttcvid.config import CollisionTimesConfig, PipelineConfig
+from ttcvid.geometry.estimation.rigid_motion import Points, views_by_track
+from ttcvid.geometry.estimation.shared_translation import common_velocities
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import SCENE_CLUSTER, Camera, Floats, Ints, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.egomotion.scene_trajectory import with_scene_path
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ClusterMotion
-from ttcvid.stages.objects.motions import FrameMotions, scene_motion
+from ttcvid.stages.objects.motions import FrameMotions, motions_of, scene_motion
+from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY
+from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.history import FULL_RATE_HZ, TrackHistory
 
 # The scene's direction follows a parabola (three coefficients) over so many steps on each side.
@@ -61,7 +65,7 @@ def seen_again(seen: Seen, later: Sequence[Seen], camera: Camera, config: Pipeli
     history = with_scene_path(history, seen.motions.is_free, egomotion, config.egomotion.platform)
     motions = _with_known_objects(seen, later, config.bodies.min_tracks)
     again = replace(seen, history=history, egomotion=egomotion, motions=motions)
-    return replace(again, motions=_motions_again(again, later, camera))
+    return replace(again, motions=_motions_again(again, camera, config.collision_times))
 
 
 def _around(history: TrackHistory, later: Sequence[TrackHistory]) -> TrackHistory:
@@ -149,35 +153,36 @@ def _with_known_objects(seen: Seen, later: Sequence[Seen], min_tracks: int) -> F
     clusters = []
     for one in sorted({*known, *number.tolist()} - set(too_few)):
         members = np.flatnonzero(cluster_id == one)
-        motion = known.get(one, ClusterMotion(one, members, None, None, Status.no_epipole, "whole-tracks"))
+        motion = known.get(one, ClusterMotion(one, members, None, None, Status.no_parallax, "whole-tracks"))
         if len(members):
             clusters.append(replace(motion, members=members))
     return replace(seen.motions, cluster_id=cluster_id, clusters=tuple(clusters))
 
 
-def _motions_again(seen: Seen, later: Sequence[Seen], camera: Camera) -> FrameMotions:
-    """The clusters with the scene's direction as it is now, and those of objects that the frame itself did not know."""
-    clusters = list[ClusterMotion]()
-    for one in seen.motions.clusters:
-        if one.cluster_id == SCENE_CLUSTER:
-            one = scene_motion(one.members, seen.egomotion, seen.plane, camera)
-        elif one.direction is None:
-            one = _as_known_later(one, seen.history, later)
-        clusters.append(one)
+def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> FrameMotions:
+    """The clusters with the directions that the views on both sides show."""
+    clusters = [one for one in seen.motions.clusters if one.cluster_id != SCENE_CLUSTER]
+    scene = [one for one in seen.motions.clusters if one.cluster_id == SCENE_CLUSTER]
+    members = {one.cluster_id: one.members for one in clusters if not one.is_one_surface}
+    objects = motions_of(
+        members, *_velocities(members, seen.history, config.object_window_s), seen.history, seen.plane, camera
+    )
     status = seen.motions.no_direction_status.copy()
-    for one in clusters:
-        if one.is_body:
-            status[one.members] = one.status
-    return replace(seen.motions, clusters=tuple(clusters), no_direction_status=status)
+    for motion in objects:
+        status[motion.members] = motion.status
+    objects = sorted([*objects, *(one for one in clusters if one.is_one_surface)], key=lambda one: one.cluster_id)
+    scene = [scene_motion(one.members, seen.egomotion, seen.plane, camera) for one in scene]
+    return replace(seen.motions, clusters=(*scene, *objects), no_direction_status=status)
 
 
-def _as_known_later(motion: ClusterMotion, history: TrackHistory, later: Sequence[Seen]) -> ClusterMotion:
-    """An object with the direction that the first of the ``later`` frames to know one tells, seen from this one."""
-    for after in later:
-        for one in after.motions.clusters:
-            if one.cluster_id == motion.cluster_id and one.direction is not None and one.direction_cov is not None:
-                entry = min(int(np.searchsorted(history.frame, after.history.frame[-1])), len(history.frame) - 1)
-                turn = history.cam_R_past[entry]
-                direction, cov = turn @ one.direction, turn @ one.direction_cov @ turn.T
-                return replace(one, members=motion.members, direction=direction, direction_cov=cov)
-    return motion
+def _velocities(members: Mapping[int, Ints], history: TrackHistory, window_s: float) -> tuple[Floats, Floats]:
+    """The velocities that the tracks of K objects share, by their views within a time of the present one.
+
+    With their information matrices, as of `common_velocities`.
+    """
+    views = history.views_within(window_s)
+    sets = TrackSets.of(list(members.values()))
+    by_track = views_by_track(history.rays[views].take(sets.index, axis=1))
+    track = np.arange(len(sets.index))
+    points = Points(by_track, history.sigma_norm[sets.index], history.since_s[views], track, sets.set_of)
+    return common_velocities(points, history.cam_R_past[views], np.zeros((len(members), 3)), STEPS_TO_VELOCITY)

@@ -88,7 +88,8 @@ def with_focal_interval(times: CollisionTimes, x: Floats, y: Floats, abc_hz: Flo
     """The times with intervals of tcpa and miss that also hold what the focal length may be, where nobody gave it.
 
     ``x, y, abc_hz`` are those of `collision_times_from_state`. x, y, a and b are in proportion to 1 / focal length, c
-    is the same. What the other focal lengths lead to is added to the reach of each interval, in squares.
+    is the same. What the other focal lengths lead to is added to the reach of each interval, in squares: where that is
+    most of it, it holds 90 %.
     """
     interval_px = focal_interval_px(camera)
     if interval_px is None:

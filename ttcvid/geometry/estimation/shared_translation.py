@@ -30,6 +30,7 @@ def common_velocities(
 
     Parameters
     ----------
+    points : The present view, at the time 0, need not be the last.
     cam_R_past : (L, 3, 3) turns a ray of each view into the present camera.
     start_hz : (K, 3) V / Z to start from.
     ahead_sigma_hz : (K,) the third component is believed to be 0 with this standard deviation, 1/s; infinite: nothing
@@ -64,9 +65,10 @@ def _fit_each(
     rows, equations, kept = np.empty((7, 2 * len(t_s))), np.empty((7, 6)), np.empty((3, 7))
     sums, precision = np.zeros((4, len(info))), np.empty(len(info))
     score, left = np.empty_like(velocity_hz), np.empty((3, 3))
-    place, first, last = np.full((len(thing), 2), np.nan), rays.shape[2] - len(t_s), rays.shape[2] - 1
+    place, first = np.full((len(thing), 2), np.nan), rays.shape[2] - len(t_s)
+    now = first + np.argmin(np.abs(t_s))
     for i in range(len(thing)):
-        x, y, z = rays[track[i], 0, last], rays[track[i], 1, last], rays[track[i], 2, last]
+        x, y, z = rays[track[i], 0, now], rays[track[i], 1, now], rays[track[i], 2, now]
         if z > LEAST_FORWARD:
             place[i, 0], place[i, 1], b = x / z, y / z, thing[i]
             sums[0, b] += 1.0

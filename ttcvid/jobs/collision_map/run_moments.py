@@ -13,7 +13,7 @@ import pandas as pd
 from ttcvid.config import CollisionMapConfig
 from ttcvid.errors import UsageError
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
-from ttcvid.geometry.estimation.intervals import REGION_90_SIGMAS
+from ttcvid.geometry.estimation.intervals import NORMAL_90_SIGMAS, REGION_90_SIGMAS, focal_interval_px
 from ttcvid.geometry.horizon.plane import normal_from_horizon
 from ttcvid.jobs.collision_map.ego_speed import ego_speed_m_s
 from ttcvid.jobs.collision_map.moments import Clip, Moment, own_body
@@ -167,7 +167,7 @@ class _FrameReader:
         if points is not None:
             rays = self._rays(points, "x_px", "y_px")
             range_s = np.hypot(points.tcpa_s.to_numpy(float), points.miss_s.to_numpy(float))
-            sigma = (points.tcpa_hi_s - points.tcpa_lo_s).to_numpy(float) / (2 * REGION_90_SIGMAS) / range_s
+            sigma = self._relative_noise(points, range_s)
             is_known = np.isfinite(rays).all(axis=1) & np.isfinite(sigma)
             track_id = points.track_id.to_numpy(np.int64)[is_known]
             rays, range_s, sigma = rays[is_known], range_s[is_known], sigma[is_known]
@@ -178,6 +178,16 @@ class _FrameReader:
         objects = self._objects_of(frame)
         turn_rad_s = self._turn(n, down)
         return SeenFrame(t_s, direction, down, turn_rad_s, track_id, rays, range_s, sigma, objects, self._view)
+
+    def _relative_noise(self, points: pd.DataFrame, range_s: Floats) -> Floats:
+        """Standard deviation (N,) of the distances of points as a part of them, ``range_s (N,)``: each its own."""
+        of_tcpa: Floats = (points.tcpa_hi_s - points.tcpa_lo_s).to_numpy(float) / (2 * REGION_90_SIGMAS) / range_s
+        if focal_interval_px(self._camera) is None:
+            return of_tcpa
+        # The intervals of tcpa hold what the focal length may be, which all points share; those of ttc_z do not.
+        low, high = (1.0 / points[f"ttc_z_{end}_s"].to_numpy(float) for end in ("lo", "hi"))
+        of_ttc_z = np.abs(points.ttc_z_s.to_numpy(float) * (low - high)) / (2 * NORMAL_90_SIGMAS)
+        return np.fmin(of_tcpa, of_ttc_z)
 
     def _objects_of(self, frame: int) -> SeenObjects:
         rows = self._objects.get(frame)

@@ -146,8 +146,11 @@ def rows_of(
 
 
 def _status_without_state(motion: ClusterMotion, *, has_values: bool) -> Status:
-    """Status of a cluster without a state: of an object ``no_parallax``, or ``not_rigid`` if tracks have values."""
-    if motion.cluster_id == SCENE_CLUSTER or motion.status not in _OPEN:
+    """Status of a cluster without a state: of an object ``no_parallax``, or ``not_rigid`` if tracks have values.
+
+    An object without a direction keeps the reason for that.
+    """
+    if motion.cluster_id == SCENE_CLUSTER or motion.direction is None or motion.status not in _OPEN:
         return motion.status
     return Status.not_rigid if has_values else Status.no_parallax
 

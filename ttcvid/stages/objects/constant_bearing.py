@@ -24,7 +24,11 @@ def with_expansions(states: TrackStates, history: TrackHistory, motions: FrameMo
     """Times by expansion for tracks of a cluster that have no flow of their own."""
     # The surroundings of a point of the scene lie at many depths: there only a point on the epipole itself is asked.
     is_at_epipole = (states.status == int(Status.at_epipole)) & (motions.cluster_id != NO_CLUSTER)
-    stays = (states.status == int(Status.no_parallax)) & (motions.cluster_id > SCENE_CLUSTER)
+    # What is within its noise as a whole does not expand, either.
+    directed = [
+        one.cluster_id for one in motions.clusters if one.cluster_id > SCENE_CLUSTER and one.direction is not None
+    ]
+    stays = (states.status == int(Status.no_parallax)) & np.isin(motions.cluster_id, directed)
     asks = is_at_epipole | stays
     gap = min(EXPANSION_FRAMES, history.n_past)
     clusters = history.xy_px, motions.cluster_id

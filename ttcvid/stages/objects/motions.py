@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from ttcvid.config import PipelineConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
+from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import skew
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, ImageSize, Ints, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
@@ -21,7 +24,7 @@ from ttcvid.stages.segmentation.bodies import direction_of_last_step
 from ttcvid.stages.segmentation.body_views import WORST_REDCHI, body_views
 from ttcvid.stages.segmentation.data_association import numbers_of
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation, find_bodies
-from ttcvid.stages.segmentation.last_known import LastKnown
+from ttcvid.stages.segmentation.last_known import UNSURE_HZ
 from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
 from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 
@@ -29,8 +32,8 @@ from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 # Where few tracks are given they lie farther apart: random points hang together from 1.2 times their spacing on
 # (percolation of discs, sqrt(4.51 / pi)). Nothing is a neighbour beyond so many times the first distance.
 _LINK_PART, _SPARSE_LINK, _MOST_LINK = 0.05, 1.2, 2.0
-# Standard deviation of a velocity that the tracks do not determine, 1/s.
-_UNKNOWN_HZ = 10.0
+# A velocity may be zero inside 95 % of a 3-D Gaussian.
+_NO_MOTION_CHI2 = float(chdtri(3, 0.05))
 
 
 @dataclass(frozen=True)
@@ -136,39 +139,58 @@ def _object_motions(
     # What is frozen to its pixels is burned-in text, and so is the rest of a mover that mostly is.
     is_text = np.bincount(number, ~is_free, n_bodies) > 0.5 * np.bincount(number, minlength=n_bodies)
     members = np.flatnonzero(((cluster_id > 0) & ~is_text)[number] & is_free)
-    count = np.bincount(number[members], minlength=n_bodies)
-    xy = history.xy[history.now, members].T
-    middle = np.stack([np.bincount(number[members], one, n_bodies) / np.maximum(count, 1) for one in xy], axis=1)
-    direction, cov = _directions(movers.last, middle[1:], history.rotation_rate_sigma_rad_s)
+    body = np.flatnonzero(np.bincount(number[members], minlength=n_bodies))
+    parts = {int(cluster_id[k]): members[number[members] == k] for k in body}
+    velocity_hz, info = movers.last.v_hz[body - 1], movers.last.info[body - 1] / found.seen.median_redchi
+    return motions_of(parts, velocity_hz, info, history, plane, camera)
+
+
+def motions_of(
+    members: Mapping[int, Ints],
+    velocity_hz: Floats,
+    info: Floats,
+    history: TrackHistory,
+    plane: HorizonPlane | None,
+    camera: Camera,
+) -> list[ClusterMotion]:
+    """The motion of each of K movers, their tracks given by ``cluster_id``.
+
+    By the velocity V / Z of each, ``velocity_hz (K, 3)`` in 1/s, and its information matrix ``info (K, 3, 3)``. One
+    whose velocity is within its noise has no direction.
+    """
+    direction, cov = _directions(velocity_hz, info, history, list(members.values()))
     motions = []
-    for body in np.flatnonzero(count).tolist():
-        index = members[number[members] == body]
-        motion = ClusterMotion(int(cluster_id[body]), index, None, None, Status.no_parallax, "whole-tracks")
-        if np.isfinite(direction[body - 1, 0]):
-            motion = replace(motion, direction=direction[body - 1], direction_cov=cov[body - 1])
-        motions.append(on_plane(motion, plane, camera))
+    for (cluster_id, index), way, cov_of_way in zip(members.items(), direction, cov, strict=True):
+        motion = ClusterMotion(cluster_id, index, None, None, Status.no_parallax, "whole-tracks")
+        if np.isfinite(way[0]):
+            motion = on_plane(replace(motion, direction=way, direction_cov=cov_of_way), plane, camera)
+        motions.append(motion)
     return motions
 
 
-def _directions(last: LastKnown, middle: Floats, rotation_sigma_rad_s: float) -> tuple[Floats, Floats]:
-    """The direction (K, 3) in which K movers move, and its covariance (K, 3, 3), by their velocities.
+def _directions(
+    velocity_hz: Floats, info: Floats, history: TrackHistory, members: Sequence[Ints]
+) -> tuple[Floats, Floats]:
+    """The directions (K, 3) of the velocities of K movers, and their covariances (K, 3, 3); NaN where one is unknown.
 
-    Their tracks, whose middles are seen at ``middle (K, 2)`` in the plane z = 1, all err alike by a rotation left in
-    them, and by a change of speed: the path ``x + u t - u (c - q / 2) t^2`` shows at the rate q what a constant
-    velocity takes for depth. How a thing changes its speed its path will tell (`turning`): a direction that is
-    uncertain otherwise is NaN.
+    All tracks of a mover err alike by a rotation left in them, and by a change of speed: the path ``x + u t - u (c - q
+    / 2) t^2`` shows at the rate q what a constant velocity takes for depth. How a thing changes its speed its path will
+    tell (`turning`): here a direction is known that is so without it.
     """
+    if not members:
+        return np.empty((0, 3)), np.empty((0, 3, 3))
+    middle = np.array([np.nanmean(history.xy[history.now, index], axis=0) for index in members])
     ray = np.column_stack([middle, np.ones(len(middle))])
-    turn, by_speed = rotation_sigma_rad_s * skew(ray), 0.5 * OBJECT_BEND_HZ * ray
-    speed_hz = np.linalg.norm(last.v_hz, axis=1)
-    speed_hz[speed_hz == 0.0] = np.nan
-    direction = last.v_hz / speed_hz[:, None]
-    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    own = np.linalg.inv(last.info + np.eye(3) / _UNKNOWN_HZ**2) + turn @ turn.transpose(0, 2, 1)
-    scaled = across / speed_hz[:, None, None]
-    cov = scaled @ own @ scaled
-    direction[~(np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)] = np.nan
-    return direction, cov + scaled @ (by_speed[:, :, None] * by_speed[:, None, :]) @ scaled
+    turn, by_speed = history.rotation_rate_sigma_rad_s * skew(ray), 0.5 * OBJECT_BEND_HZ * ray
+    own = np.linalg.inv(info + np.eye(3) / UNSURE_HZ**2) + turn @ turn.transpose(0, 2, 1)
+    moved = np.einsum("ki,ki->k", velocity_hz, np.linalg.solve(own, velocity_hz[:, :, None])[:, :, 0])
+    speed_hz = np.linalg.norm(velocity_hz, axis=1)[:, None]
+    direction = quotient(velocity_hz, speed_hz)
+    across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
+    cov = across @ own @ across
+    is_known = (moved > _NO_MOTION_CHI2) & (np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)
+    direction[~is_known] = np.nan
+    return direction, cov + across @ (by_speed[:, :, None] * by_speed[:, None, :]) @ across
 
 
 def scene_motion(

@@ -14,6 +14,8 @@ from ttcvid.model import Bools, Floats, Ints
 _WHOLE, _FALLS = 0.75, 0.95
 # A velocity is that of the last views, s: cars brake within a second. So many views in any case, at low frame rates.
 _RECENT_S, _LEAST_RECENT = 0.6, 4
+UNSURE_HZ = 10.0
+"""Standard deviation of a velocity that the tracks do not determine, 1/s."""
 STEPS_TO_VELOCITY = 5
 """Gauss-Newton steps to the velocity of what was not known before."""
 _LEAST_DEPTH_RATIO = 0.05

@@ -12,7 +12,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers
-from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY, recent_velocities
+from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY, UNSURE_HZ, recent_velocities
 
 # A re-identified mover lies within this many of its extents of its predicted position.
 _WITHIN_EXTENTS = 2.5
@@ -22,8 +22,6 @@ _UNSURE_PART = 0.3
 _SAME_VELOCITY = 11.3
 # Gauss-Newton steps a frame for the velocity of a known mover.
 _STEPS = 1
-# Standard deviation of a velocity that the tracks do not determine, 1/s.
-_MOST_UNSURE_HZ = 10.0
 
 
 def reidentified(
@@ -88,7 +86,7 @@ def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: 
         before = hidden.last.v_hz[mover]
         now, info = recent_velocities(views.points(members), scene.cam_R_past[0], before[None], STEPS_TO_VELOCITY)
         both = np.stack([hidden.last.info[mover], info[0]]) / median_redchi
-        cov = np.linalg.inv(both + np.eye(3) / _MOST_UNSURE_HZ**2).sum(axis=0)
+        cov = np.linalg.inv(both + np.eye(3) / UNSURE_HZ**2).sum(axis=0)
         cov += (SHIFT_RATE_HZ * unseen_s[mover]) ** 2 * (before @ before) * np.eye(3)
         chi2[mover] = (now[0] - before) @ np.linalg.solve(cov, now[0] - before)
     return chi2
