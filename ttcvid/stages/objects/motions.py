@@ -179,7 +179,7 @@ def _directions(
     """
     if not members:
         return np.empty((0, 3)), np.empty((0, 3, 3))
-    middle = np.array([np.nanmean(history.xy[history.now, index], axis=0) for index in members])
+    middle = np.array([_middle(history.xy[history.now, index]) for index in members])
     ray = np.column_stack([middle, np.ones(len(middle))])
     turn, by_speed = history.rotation_rate_sigma_rad_s * skew(ray), 0.5 * OBJECT_BEND_HZ * ray
     own = np.linalg.inv(info + np.eye(3) / UNSURE_HZ**2) + turn @ turn.transpose(0, 2, 1)
@@ -191,6 +191,12 @@ def _directions(
     is_known = (moved > _NO_MOTION_CHI2) & (np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)
     direction[~is_known] = np.nan
     return direction, cov + across @ (by_speed[:, :, None] * by_speed[:, None, :]) @ across
+
+
+def _middle(xy: Floats) -> Floats:
+    """The mean (2,) of the places ``xy (M, 2)`` that are known; 0 of none."""
+    is_known = np.isfinite(xy[:, 0])
+    return np.asarray(xy[is_known].sum(axis=0) / max(np.count_nonzero(is_known), 1))
 
 
 def scene_motion(
