@@ -19,7 +19,6 @@ from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_hz
-from ttcvid.stages.objects.turning import OBJECT_BEND_HZ
 from ttcvid.stages.segmentation.bodies import direction_of_last_step
 from ttcvid.stages.segmentation.body_views import WORST_REDCHI, body_views
 from ttcvid.stages.segmentation.data_association import numbers_of
@@ -173,15 +172,14 @@ def _directions(
 ) -> tuple[Floats, Floats]:
     """The directions (K, 3) of the velocities of K movers, and their covariances (K, 3, 3); NaN where one is unknown.
 
-    All tracks of a mover err alike by a rotation left in them, and by a change of speed: the path ``x + u t - u (c - q
-    / 2) t^2`` shows at the rate q what a constant velocity takes for depth. How a thing changes its speed its path will
-    tell (`turning`): here a direction is known that is so without it.
+    As if each moved at constant velocity: how it changes its speed its trajectory will tell (`turning`). All tracks of
+    a mover err alike by a rotation left in them.
     """
     if not members:
         return np.empty((0, 3)), np.empty((0, 3, 3))
     middle = np.array([_middle(history.xy[history.now, index]) for index in members])
     ray = np.column_stack([middle, np.ones(len(middle))])
-    turn, by_speed = history.rotation_rate_sigma_rad_s * skew(ray), 0.5 * OBJECT_BEND_HZ * ray
+    turn = history.rotation_rate_sigma_rad_s * skew(ray)
     own = np.linalg.inv(info + np.eye(3) / UNSURE_HZ**2) + turn @ turn.transpose(0, 2, 1)
     moved = np.einsum("ki,ki->k", velocity_hz, np.linalg.solve(own, velocity_hz[:, :, None])[:, :, 0])
     speed_hz = np.linalg.norm(velocity_hz, axis=1)[:, None]
@@ -190,7 +188,7 @@ def _directions(
     cov = across @ own @ across
     is_known = (moved > _NO_MOTION_CHI2) & (np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)
     direction[~is_known] = np.nan
-    return direction, cov + across @ (by_speed[:, :, None] * by_speed[:, None, :]) @ across
+    return direction, cov
 
 
 def _middle(xy: Floats) -> Floats:

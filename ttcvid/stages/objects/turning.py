@@ -20,8 +20,8 @@ for a turn, and bias the velocity."""
 # A direction from elsewhere (our own, of what stands in our way) has its covariance times this factor, widened by the
 # square of this angle. One from the same views only starts the search: it is known to a radian.
 _KNOWN_FACTOR, _KNOWN_FLOOR_RAD, _START_RAD = 9.0, float(np.radians(1.0)), 1.0
-# Acceleration over the speed, per axis: 1.2 m/s^2 at 6 m/s. Half of it is believed of who drives straight on.
-OBJECT_BEND_HZ, _STRAIGHT_BEND_HZ = 0.2, 0.1
+# Acceleration over the speed, per axis, that is believed of who drives straight on: 0.6 m/s^2 at 6 m/s.
+_STRAIGHT_BEND_HZ = 0.1
 # The same along the direction of who brakes, and has had hardly any speed against us: where that shows at 95 %.
 _BRAKING_HZ, _BRAKING_CHI2 = 1.2, float(chdtri(1, 0.05))
 # Prior of the turn rate in a bend, some deg/s. On a known horizon, which a free turning body could leave, it is chosen
