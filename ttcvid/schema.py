@@ -83,12 +83,12 @@ TIMES = (
     _real(
         "tcpa_lo_s",
         "s",
-        "lower bound of tcpa_s over the joint 90 % region of tcpa and miss, and of an unknown focal length",
+        "lower bound of tcpa_s over the joint 90 % region of tcpa and miss, and over an unknown focal length",
     ),
     _real(
         "tcpa_hi_s",
         "s",
-        "upper bound of tcpa_s over the joint 90 % region of tcpa and miss, and of an unknown focal length",
+        "upper bound of tcpa_s over the joint 90 % region of tcpa and miss, and over an unknown focal length",
     ),
     _real(
         "miss_s",
@@ -98,12 +98,12 @@ TIMES = (
     _real(
         "miss_lo_s",
         "s",
-        "lower bound of miss_s over the joint 90 % region of tcpa and miss, and of an unknown focal length",
+        "lower bound of miss_s over the joint 90 % region of tcpa and miss, and over an unknown focal length",
     ),
     _real(
         "miss_hi_s",
         "s",
-        "upper bound of miss_s over the joint 90 % region of tcpa and miss, and of an unknown focal length",
+        "upper bound of miss_s over the joint 90 % region of tcpa and miss, and over an unknown focal length",
     ),
     _real("ttc_z_s", "s", "time to collision of lidar and KITTI: time until depth zero, -Z/Vz; positive: approaching"),
     _real(

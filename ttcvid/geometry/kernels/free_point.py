@@ -49,9 +49,7 @@ def fit_free_points(
     """Fill the results ``found`` of `track_state.fit_whole_tracks`, track by track.
 
     ``order`` lists the views, nearest first, of which only so many are used as the first of the ``gates`` allows for,
-    as in `windows`; the
-    normal of the ``plane`` and its covariance are empty where there is none, the covariances to fill where they are
-    not asked for.
+    as in `windows`; the normal of the ``plane`` and its covariance are empty where there is none.
     """
     state, cov, info_w, chi2, n_frames = found
     normal, normal_cov = plane
@@ -210,7 +208,7 @@ def _store(
 ) -> None:
     """State, covariance and information of track i, moved back to the picture plane about its own origin.
 
-    The covariance stays NaN where the views say next to nothing of c; ``cov (N, 5, 5)`` may be empty.
+    The covariance stays NaN where the views say next to nothing of c.
     """
     x0, y0 = limits[_X0], limits[_Y0]
     state[i, 0], state[i, 1] = s[0] + x0, s[1] + y0
@@ -224,7 +222,7 @@ def _store(
     info_w[i, 0, 2] = info_w[i, 2, 0] = info_ac - info_aa * x0
     info_w[i, 1, 2] = info_w[i, 2, 1] = info_bc - info_aa * y0
     info_w[i, 2, 2] = info_cc - 2.0 * (info_ac * x0 + info_bc * y0) + info_aa * (x0 * x0 + y0 * y0)
-    if len(cov) == 0 or not has_cov:
+    if not has_cov:
         return
     # How x, y, a, b follow c along the valley of the likelihood: the part of the covariance that c makes.
     (x_c, a_c), (y_c, b_c) = _follow(sums, sums[_X_C], sums[_A_C]), _follow(sums, sums[_Y_C], sums[_B_C])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
 
 from ttcvid.config import CollisionTimesConfig
 from ttcvid.geometry.estimation.shared_trajectory import SharedPaths, believed_paths, joined_paths, turned_back
@@ -18,15 +17,13 @@ from ttcvid.geometry.rotation import normalize, skew
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints, Status
 from ttcvid.stages.egomotion.scene_trajectory import scene_path
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
-from ttcvid.stages.objects.motions import FrameMotions
+from ttcvid.stages.objects.motions import NO_MOTION_CHI2, FrameMotions
 from ttcvid.stages.objects.states import SharedErrors, TrackStates, has_value
 from ttcvid.stages.objects.turning import believed_straight, straight_or_in_bend
 from ttcvid.stages.tracking.history import TrackHistory
 
 # A rate within this many of its standard deviations may be zero; below minus this, the point moves against its group.
 _RATE_SIGMAS = 2.0
-# The whole velocity may be zero inside 95 % of a 3-D Gaussian.
-_NO_MOTION_CHI2 = float(chdtri(3, 0.05))
 # Information below this part of its own diagonal is rounding.
 _ROUNDING = 1e-12
 
@@ -168,7 +165,7 @@ def _fill_free(
     gates = window_gates(config.max_frames, 2 * LEAST_FRAMES - 1, config.window_probability)
     status = np.where(np.abs(direction[:, 2]) < INFINITY_COSINE, Status.epipole_at_infinity, Status.ok)
     status[found.chi2 > gates[np.maximum(found.n_frames, LEAST_FRAMES)]] = Status.not_rigid
-    status[~(moved > _NO_MOTION_CHI2)] = Status.no_parallax
+    status[~(moved > NO_MOTION_CHI2)] = Status.no_parallax
     status[found.n_frames < (LEAST_FRAMES if plane is None else 2)] = Status.short_track
     states.status[free] = status
     has_state = has_value(status)
