@@ -30,11 +30,23 @@ def test_corners_of_a_checkerboard_are_found_between_its_pixels():
     assert distance.min(axis=0).max() < 0.6
 
 
-def test_plain_picture_has_no_corners_and_sensor_noise_makes_none():
-    plain = np.full((HEIGHT, WIDTH), 120, np.uint8)
-    noisy = np.rint(120 + np.random.default_rng(3).normal(0, 0.5, plain.shape)).astype(np.uint8)
-    assert find_corners(plain, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE).shape == (0, 2)
-    assert find_corners(noisy, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE).shape == (0, 2)
+@pytest.mark.parametrize("sigma_grey", [0.0, 0.5, 1.0, 2.0, 4.0, 8.0])
+def test_plain_picture_has_no_corners_and_sensor_noise_makes_next_to_none(sigma_grey):
+    noisy = np.rint(120 + np.random.default_rng(3).normal(0, sigma_grey, (HEIGHT, WIDTH))).astype(np.uint8)
+    n_at_most = 0 if sigma_grey < 1.0 else 1
+    assert len(find_corners(noisy, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE)) <= n_at_most
+    assert len(find_corners_where(noisy, np.ones_like(noisy), NO_POINTS, 100, 7.0)) <= n_at_most
+
+
+@pytest.mark.parametrize("sigma_grey", [2.0, 4.0])
+def test_in_a_noisy_picture_corners_stand_on_what_has_texture(sigma_grey):
+    """Ground below a sky, whose noise would hold half of the tracks and tell that nothing moves."""
+    clean = np.full((HEIGHT, WIDTH), 128.0)
+    clean[HEIGHT // 2 :] = wave_picture()[HEIGHT // 2 :]
+    noisy = clean + np.random.default_rng(3).normal(0, sigma_grey, clean.shape)
+    found = find_corners(np.clip(np.rint(noisy), 0, 255).astype(np.uint8), None, NO_POINTS, 200, 7.0, 0.005, 0.1)
+    assert len(found) > 100
+    assert (found[:, 1] > HEIGHT // 2 - 3).mean() > 0.99
 
 
 @pytest.mark.parametrize("anywhere", [False, True])
@@ -199,3 +211,10 @@ def test_corners_of_a_large_picture_are_those_found_without_bands(monkeypatch: p
     monkeypatch.setattr(corners, "_BAND_PIXELS", 642 * 50)
     assert len(whole) > 100
     np.testing.assert_array_equal(find_corners(grey, None, taken, 400, 20.0, 0.01, 0.3), whole)
+
+
+@pytest.mark.parametrize("shape", [(10, 200), (200, 10)])
+def test_a_picture_smaller_than_what_its_noise_is_told_by_has_corners(shape):
+    picture = np.full(shape, 90, np.uint8)
+    picture[5:, 5:] = 200
+    assert len(find_corners_where(picture, np.ones_like(picture), NO_POINTS, 10, 7.0)) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,8 +19,15 @@ _BLOCK_PX = 3
 # A picture of more pixels than the first is looked through in bands of the second.
 _WHOLE_PIXELS, _BAND_PIXELS = 2_500_000, 500_000
 # Least smaller eigenvalue of the gradient matrix (in cv2.cornerMinEigenVal's units, grey levels scaled to
-# 0..1): below it a "corner" is sensor noise of a plain surface.
-_MIN_RESPONSE = 2e-5
+# 0..1): below it a "corner" is sensor noise of a plain surface. Of noise that shows it is so many times the variance
+# in squared grey levels: white noise exceeds that at 3 of a million pixels.
+_MIN_RESPONSE, _RESPONSE_PER_VARIANCE = 2e-5, 6e-5
+# The noise is looked for in blocks of the first, in rows of them that begin every so many px, and is that of this part
+# of the blocks: the others have texture.
+_BLOCK_OF_NOISE_PX, _STRIPS_PX, _PLAIN_PART = 16, 64, 0.1
+_SECOND_DIFFERENCES = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
+# Standard deviation over the mean absolute second difference: the weights' root sum of squares is 6.
+_SIGMA_PER_ROUGHNESS = math.sqrt(math.pi / 2.0) / 6.0
 
 # A corner has gradients in two directions within a square of this side at half of the resolution, between a tracker's
 # window of 9 px and what that covers in the next coarser picture. The constant is that of Harris and Stephens: the
@@ -83,7 +91,7 @@ def find_corners(
     shape = (grey.shape[0], grey.shape[1])
     response = _response(grey)
     # A stride of 4 in both axes leaves the percentile as it is and takes a sixteenth of the time.
-    threshold = max(_MIN_RESPONSE, quality * float(np.percentile(response[::4, ::4], 99.9)))
+    threshold = max(_response_to_noise(grey), quality * float(np.percentile(response[::4, ::4], 99.9)))
     x, y = _peaks(grey, response, threshold, allowed)
     taken = occupied_cells(xy_taken_px, shape, min_distance_px)
     cell = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
@@ -116,7 +124,7 @@ def find_corners_where(
     if n_wanted <= 0:
         return np.empty((0, 2))
     response = _response(grey)
-    x, y = _peaks(grey, response, _MIN_RESPONSE, where)
+    x, y = _peaks(grey, response, _response_to_noise(grey), where)
     first = np.argsort(-response[y, x], kind="stable")
     xy = np.empty((0, 2))
     for distance_px in (min_distance_px, _CLOSE_PART * min_distance_px):
@@ -145,6 +153,23 @@ def _response(grey: Picture) -> NDArray[Any]:
     for rows, around, inner in _bands(grey.shape, _BLOCK_PX + 1):
         response[rows] = cv2.cornerMinEigenVal(grey[around], _BLOCK_PX)[inner]
     return response
+
+
+def _response_to_noise(grey: Picture) -> float:
+    """The greatest response that the noise of a picture makes.
+
+    The noise is that of the plainest blocks, by second differences along both axes. Source: Immerkaer (1996).
+    """
+    side_px, roughness = _BLOCK_OF_NOISE_PX, [np.empty(0)]
+    width = grey.shape[1] // side_px * side_px
+    for top in range(0, grey.shape[0] - side_px + 1, _STRIPS_PX):
+        strip = cv2.convertScaleAbs(cv2.filter2D(grey[top : top + side_px], cv2.CV_16S, _SECOND_DIFFERENCES))
+        roughness.append(strip[:, :width].sum(axis=0, dtype=np.float64).reshape(-1, side_px).mean(axis=1) / side_px)
+    blocks = np.concatenate(roughness)
+    if not len(blocks):
+        return _MIN_RESPONSE
+    sigma_grey = _SIGMA_PER_ROUGHNESS * float(np.quantile(blocks, _PLAIN_PART))
+    return max(_MIN_RESPONSE, _RESPONSE_PER_VARIANCE * sigma_grey * sigma_grey)
 
 
 def _on_corners(grey: Picture, x: Ints, y: Ints) -> Bools:
