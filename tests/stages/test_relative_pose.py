@@ -131,6 +131,18 @@ def test_a_car_that_waits_does_not_go_sideways_with_the_traffic_that_fills_most_
             assert estimate(views, memory).direction is None
 
 
+@pytest.mark.parametrize("turn_deg", [(0.0, 0.3, 0.0), (0.2, 0.0, 0.0), (0.3, -0.4, 0.1)])
+def test_dirt_on_the_lens_is_no_scene_that_goes_across_as_the_camera_turns(turn_deg):
+    """Far ground without parallax; two fifths of the points are fixed to the camera, all over the picture."""
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        views = two_views(rng, 150, turn_deg, TRAVEL_M, depth_m=(3000.0, 9000.0))
+        is_dirt, rays_cam = rng.random(150) < 0.4, views.rays_cam.copy()
+        rays_cam[is_dirt] = views.rays_prev[is_dirt]
+        for platform in (Platform.vehicle, Platform.aircraft):
+            assert estimate(replace(views, rays_cam=rays_cam), platform=platform).direction is None
+
+
 def test_a_camera_that_travels_does_not_rest():
     for seed in range(10):
         views = two_views(np.random.default_rng(seed), 300, travel_m=(0, 0, 0.1))

@@ -209,7 +209,8 @@ def estimate_egomotion(
         return _shaking(observed, turning)
     moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
     may_move = moving.direction is not None and not belief.excludes(moving.direction)
-    may_move = may_move and _is_translation(turning, moving, region, sigma_rad, least_parallax_rad)
+    moved_rad = np.linalg.norm(rays_cam - rays_prev, axis=1)
+    may_move = may_move and _is_translation(turning, moving, region, sigma_rad, least_parallax_rad, moved_rad)
     return moving if may_move else turning
 
 
@@ -320,21 +321,40 @@ def _fit_from_starts(
 
 
 def _is_translation(
-    turning: TwoViewFit, moving: TwoViewFit, region: Ints, sigma_rad: Floats, least_parallax_rad: float
+    turning: TwoViewFit,
+    moving: TwoViewFit,
+    region: Ints,
+    sigma_rad: Floats,
+    least_parallax_rad: float,
+    moved_rad: Floats,
 ) -> bool:
     """Whether the flow speaks of translation: by GRIC, and not by a few movers before a resting camera.
 
     With the camera at rest the flow of the movers alone also meets somewhere, and one lorry can hold 40 % of all
-    points: translation has to be seen in half of the parts of the picture.
+    points: translation has to be seen in half of the parts of the picture. Nor by dirt on the lens: as the camera
+    turns, it looks like a scene near by that goes across.
     """
     if _criterion(turning.residual**2, 2, 3) <= _criterion(moving.residual**2, 3, 5):
         return False
     flow_rad = turning.residual * np.sqrt(2.0) * sigma_rad
     is_still = (turning.residual < _STILL_SIGMAS) | (flow_rad < least_parallax_rad)
+    is_still |= _are_stuck(moved_rad, ~is_still, least_parallax_rad)
     points_per_region = np.bincount(region)
     still_per_region = np.bincount(region, is_still)
     n_still = int(np.count_nonzero(still_per_region > 0.5 * points_per_region))
     return n_still < _MOST_STILL * len(points_per_region)
+
+
+def _are_stuck(moved_rad: Floats, differs: Bools, least_rad: float) -> Bools:
+    """Points (N,) fixed to the camera, which turns: of those that do not follow its turn, what ``differs (N,)``.
+
+    They have moved by ``moved_rad (N,)``, less than ``least_rad``. Of a scene in motion some do so by chance, about as
+    many as move by as much more: there are flows of all lengths.
+    """
+    is_near = differs & (moved_rad < 2.0 * least_rad)
+    is_stuck: Bools = is_near & (moved_rad < least_rad)
+    n_near, n_stuck = np.count_nonzero(is_near), np.count_nonzero(is_stuck)
+    return is_stuck & (2 * n_stuck - n_near > _INLIER_SIGMAS * math.sqrt(n_near))
 
 
 def _best(fits: list[TwoViewFit]) -> TwoViewFit:
