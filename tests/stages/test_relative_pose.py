@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from two_views import FOCAL_PX, angle_deg, two_views
 
-from ttcvid.geometry.rotation import vector_from_rotation
+from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
+from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Camera, ImageSize, Platform
 from ttcvid.stages.egomotion.relative_pose import (
     EgomotionMemory,
@@ -14,6 +15,7 @@ from ttcvid.stages.egomotion.relative_pose import (
     estimate_egomotion,
     picture_region,
     region_side_of,
+    with_doubt,
 )
 
 FORWARD = np.array([0.0, 0.0, -1.0])
@@ -25,7 +27,8 @@ MOVING_PLATFORMS = [Platform.vehicle, Platform.aircraft, Platform.free]
 
 
 def fitted(views, memory=LAST, platform=Platform.vehicle):
-    return estimate_egomotion(*views.observed, LEAST_PARALLAX_RAD, memory, platform)
+    fit = estimate_egomotion(*views.observed, LEAST_PARALLAX_RAD, memory, platform)
+    return with_doubt(fit, *views.observed, memory, platform)
 
 
 def estimate(views, memory=LAST, platform=Platform.vehicle):
@@ -141,6 +144,39 @@ def test_dirt_on_the_lens_is_no_scene_that_goes_across_as_the_camera_turns(turn_
         rays_cam[is_dirt] = views.rays_prev[is_dirt]
         for platform in (Platform.vehicle, Platform.aircraft):
             assert estimate(replace(views, rays_cam=rays_cam), platform=platform).direction is None
+
+
+@pytest.mark.parametrize(("n", "off_deg"), [(70, 20.0), (70, 40.0), (150, 30.0)])
+def test_a_direction_that_the_search_left_in_a_side_valley_is_known_to_be_doubtful(n, off_deg):
+    """Three tenths of the points are displaced, and the last direction was ``off_deg`` off."""
+    sigmas = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        views = two_views(rng, n, TURN_DEG, TRAVEL_M, depth_m=(20.0, 100.0))
+        off_rad = rng.normal(size=(n, 3)) * 5.0 / FOCAL_PX * (rng.random(n) < 0.3)[:, None]
+        angle, tangent = rng.uniform(0.0, 2.0 * np.pi), np.tan(np.radians(off_deg))
+        last = normalize(np.array([tangent * np.cos(angle), tangent * np.sin(angle), -1.0]))
+        memory = EgomotionMemory(LAST.rotation_rad, last)
+        egomotion = estimate(replace(views, rays_cam=normalize(views.rays_cam + off_rad)), memory, Platform.aircraft)
+        sigma_deg = np.degrees(np.sqrt(np.trace(egomotion.direction_cov)))
+        sigmas.append(angle_deg(egomotion.direction, views.direction) / sigma_deg)
+    assert np.mean(np.array(sigmas) < 3.0) > 0.85
+
+
+def test_a_direction_known_to_less_than_half_a_radian_is_not_told():
+    """Four fifths of few points are displaced at random."""
+    told = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        views = two_views(rng, 40, TURN_DEG, TRAVEL_M, depth_m=(20.0, 100.0))
+        off_rad = rng.normal(size=(40, 3)) * 10.0 / FOCAL_PX * (rng.random(40) < 0.8)[:, None]
+        views = replace(views, rays_cam=normalize(views.rays_cam + off_rad))
+        egomotion = estimate(views, platform=Platform.aircraft)
+        if egomotion.direction is not None:
+            is_sure = np.trace(egomotion.direction_cov) < MAX_DIRECTION_SIGMA_RAD**2
+            assert egomotion.is_told == is_sure
+            told.append(is_sure)
+    assert 0 < np.count_nonzero(told) < len(told)
 
 
 def test_a_camera_that_travels_does_not_rest():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -25,7 +25,8 @@ class TwoViewFit:
     coordinates of the direction (along `tangent_basis`) where there is one, then of the rotation vector, for a rotation
     alone of three axes one after the other; ``region (N,)`` as in `fit_motion`.
     ``sense (N,)`` is 1 for points that move along the direction by more than their noise, -1 for those that move
-    against it (they would lie behind), else 0.
+    against it (they would lie behind), else 0. ``doubt (3, 3)`` is the covariance of the direction by other
+    fits that do nearly as well, rad^2: `covariance` is that about this one.
     """
 
     cam_R_prev: Floats
@@ -36,6 +37,7 @@ class TwoViewFit:
     rows: Floats
     region: Ints
     sense: Floats
+    doubt: Floats = field(default_factory=lambda: np.zeros((3, 3)))
 
     @cached_property
     def covariance(self) -> Floats:

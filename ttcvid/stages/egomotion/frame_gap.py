@@ -22,6 +22,7 @@ from ttcvid.stages.egomotion.relative_pose import (
     estimate_egomotion,
     picture_region,
     region_side_of,
+    with_doubt,
 )
 from ttcvid.stages.egomotion.scene_trajectory import with_scene_path
 from ttcvid.stages.egomotion.window_motion import by_window
@@ -111,7 +112,10 @@ def _last_step(
     config: EgomotionConfig,
     parallax_rad: float,
 ) -> tuple[TwoViewFit, Bools] | None:
-    """Own motion since the last frame by the tracks of no known mover, or by all, and which; None with too few."""
+    """Own motion since the last frame by the tracks of no known mover, or by all, and which; None with too few.
+
+    With doubt where nothing over a longer gap will replace it.
+    """
     everything = paired_rays(history, is_free, 1, config.min_tracks)
     if everything is None:
         return None
@@ -121,16 +125,19 @@ def _last_step(
     def fit_to(rays: RayPairs) -> TwoViewFit:
         return estimate_egomotion(*rays, parallax_rad, memory, config.platform)
 
+    def doubted(fit: TwoViewFit, rays: RayPairs) -> TwoViewFit:
+        return fit if memory.gap_frames > 1 else with_doubt(fit, *rays, memory, config.platform)
+
     if pair is None:
-        return fit_to(everything), is_free
+        return doubted(fit_to(everything), everything), is_free
     by_scene = fit_to(pair)
     if by_scene.direction is not None and len(pair[0]) < config.min_tracks:
-        return fit_to(everything), is_free
+        return doubted(fit_to(everything), everything), is_free
     if memory.is_window_used:
         return by_scene, without_movers
     by_all = fit_to(everything)
     is_better = cost_of(by_all, *everything[:3]) < cost_of(by_scene, *everything[:3])
-    return (by_all, is_free) if is_better else (by_scene, without_movers)
+    return (doubted(by_all, everything), is_free) if is_better else (doubted(by_scene, pair), without_movers)
 
 
 def _over_gap(
@@ -163,13 +170,14 @@ def _over_gap(
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
         return egomotion, history, memory
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
-    over_gap = egomotion_of(estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform))
+    mean_fit = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
+    over_gap = egomotion_of(with_doubt(mean_fit, *long_step, start, config.platform))
     if not is_noise_known:
         told = egomotion if over_gap.direction is None else over_gap
         history = with_noise(history, told.residual_spread, sigma_floor_px, is_slow)
     history = _corrected(history, over_gap, gap)
-    mean, cov = over_gap.direction, over_gap.direction_cov
-    egomotion = replace(egomotion, direction=mean, direction_cov=cov, gap_frames=gap)
+    mean, cov, is_told = over_gap.direction, over_gap.direction_cov, over_gap.is_told
+    egomotion = replace(egomotion, direction=mean, direction_cov=cov, gap_frames=gap, is_told=is_told)
     return egomotion, history, memory
 
 

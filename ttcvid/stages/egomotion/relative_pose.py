@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import expit
 
 from ttcvid.geometry.estimation.relative_pose import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths
+from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
-from ttcvid.geometry.rotation import rotation_from_vector, tangent_basis, vector_from_rotation
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.model import Bools, Camera, Floats, Ints, Platform
 
 # Yaw rates tried on the first pair of frames, where no previous rotation helps, rad.
@@ -214,13 +216,41 @@ def estimate_egomotion(
     return moving if may_move else turning
 
 
+def with_doubt(
+    fit: TwoViewFit,
+    rays_prev: Floats,
+    rays_cam: Floats,
+    sigma_rad: Floats,
+    region: Ints,
+    memory: EgomotionMemory,
+    platform: Platform,
+) -> TwoViewFit:
+    """A fit with the doubt that fits from other starts cast on its direction, where it leaves much unexplained.
+
+    That is the worst of theirs, by its likelihood beside this one. Parameters as of `estimate_egomotion`.
+    """
+    prior = _gaussian_prior(MOTION_PRIORS[platform], memory)
+    if fit.direction is None or prior.direction is None or np.mean(_explained(fit)) >= _MOST_INLIERS:
+        return fit
+    observed, starts = (rays_prev, rays_cam, sigma_rad, region), _around(prior.direction, prior.direction_sigma_rad)
+    others = [fit_motion(*observed, prior, fit.cam_R_prev, start) for start in starts]
+    noise = max(1.0, float(np.median(np.abs(fit.residual))) / _MEDIAN_NORMAL)
+    off = np.array([other.direction for other in others]) - fit.direction
+    likely = expit(0.5 * np.array([fit.cost - other.cost for other in others]) / noise**2)
+    worst = int(np.argmax(likely * (off * off).sum(axis=1)))
+    return replace(fit, doubt=likely[worst] * np.outer(off[worst], off[worst]))
+
+
 def egomotion_of(fit: TwoViewFit) -> Egomotion:
     """Own motion as a fit has it."""
     if fit.direction is None:
         return Egomotion(fit.cam_R_prev, fit.covariance, None, None, fit.residual)
     basis = tangent_basis(fit.direction)
-    direction_cov = basis @ fit.covariance[:2, :2] @ basis.T
-    return Egomotion(fit.cam_R_prev, fit.covariance[2:, 2:], fit.direction, direction_cov, fit.residual)
+    direction_cov = basis @ (fit.covariance[:2, :2] + basis.T @ fit.doubt @ basis) @ basis.T
+    is_told = bool(np.trace(direction_cov) < MAX_DIRECTION_SIGMA_RAD**2)
+    return Egomotion(
+        fit.cam_R_prev, fit.covariance[2:, 2:], fit.direction, direction_cov, fit.residual, is_told=is_told
+    )
 
 
 def cost_of(fit: TwoViewFit, rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats) -> float:
@@ -312,12 +342,22 @@ def _fit_from_starts(
             flow_direction = direction_from_flow(rays_prev, rays_cam, rotation)
             fits += [fit_motion(*observed, rotation, start) for start in (last, flow_direction)]
     best = _best(fits)
-    explains = (np.abs(best.residual) < _INLIER_SIGMAS) & (best.sense >= 0.0)
-    if prior.direction is None and np.mean(explains) < _MOST_INLIERS:
+    if prior.direction is None and np.mean(_explained(best)) < _MOST_INLIERS:
         best = _best([best, *(fit_motion(*observed, turning_R, start) for start in _ACROSS)])
     if best.sense.sum() < 0.0 and best.direction is not None:
         best = _best([best, fit_motion(*observed, best.cam_R_prev, -best.direction)])
     return best
+
+
+def _around(direction: Floats, sigma_rad: float) -> Floats:
+    """A direction ``(3,)`` about the optical axis, and four that are a standard deviation off it: (5, 3)."""
+    off = math.tan(sigma_rad) * np.concatenate([np.zeros((1, 3)), _ACROSS[:: _WAYS_ACROSS // 4]])
+    return normalize(direction + off)
+
+
+def _explained(fit: TwoViewFit) -> Bools:
+    """Points (N,) that a fit explains."""
+    return np.asarray((np.abs(fit.residual) < _INLIER_SIGMAS) & (fit.sense >= 0.0))
 
 
 def _is_translation(
