@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from drives import Drive, drive, extended_by, start
-from two_views import FOCAL_PX, angle_deg, points_of_a_street
+from two_views import FOCAL_PX, HEIGHT_PX, angle_deg, points_of_a_street
 
 from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Platform
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
-from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion, picture_region
+from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, RayPairs, estimate_egomotion, picture_region
 from ttcvid.stages.egomotion.window_motion import LEAST_TOLD
 
 FORWARD = np.array([0.0, 0.0, -1.0])
@@ -18,14 +18,15 @@ LEAST_PARALLAX_PX, FLOOR_PX = 0.25, 0.05
 
 
 def found(motion, is_free=None, config=CONFIG, in_scene=None):
-    """Own motion of each frame, and the last history."""
+    """Own motion of each frame, and the last history. ``is_free`` is of all frames, or ``(T, N)`` of each."""
     history, memory, steps = start(), EgomotionMemory(), []
     for frame in range(len(motion.rays)):
         history = extended_by(history, motion, frame)
         everything = np.ones(motion.n, dtype=bool)
+        free = everything if is_free is None else np.broadcast_to(is_free, (len(motion.rays), motion.n))[frame]
         egomotion, history, memory = find_own_motion(
             history,
-            everything if is_free is None else is_free,
+            free,
             everything if in_scene is None else in_scene,
             memory,
             config,
@@ -41,8 +42,8 @@ def from_single_steps(motion):
     memory, steps = EgomotionMemory(), []
     sigma_rad = np.full(motion.n, 0.2 / FOCAL_PX)
     for frame in range(1, len(motion.rays)):
-        pair = motion.rays[frame - 1], motion.rays[frame], sigma_rad, picture_region(motion.rays[frame])
-        step = estimate_egomotion(*pair, LEAST_PARALLAX_PX / FOCAL_PX, memory, CONFIG.platform)
+        pairs = RayPairs(motion.rays[frame - 1], motion.rays[frame], sigma_rad, picture_region(motion.rays[frame]))
+        step = estimate_egomotion(pairs, LEAST_PARALLAX_PX / FOCAL_PX, memory, CONFIG.platform)
         memory = memory.after(step)
         steps.append(step)
     return steps
@@ -218,3 +219,78 @@ def test_where_the_scene_is_taken_for_movers_all_tracks_tell_of_own_motion():
     for seed in range(3):
         motion, is_static = among_movers(np.random.default_rng(seed), n_static=120, n_of_each=10)
         assert np.median(direction_errors_deg(motion, ~is_static)) < 3.0
+
+
+def into_the_open(n_before, n_moving, n_still, seed):
+    """Out of a street, where all is near, to where only the lowest part of the picture is; then the camera stops.
+
+    And which of the tracks there are in each frame, ``(T, N)``.
+    """
+    rng, n_frames = np.random.default_rng(seed), n_before + n_moving + n_still
+    places, rays = points_of_a_street(600, rng, (6.0, 30.0)), []
+    is_high, is_far = places[:, 1] < 0.3 * places[:, 2] * HEIGHT_PX / FOCAL_PX, np.arange(len(places)) % 2 == 0
+    places[is_high & is_far] *= 1000.0
+    places[:, 2] += 0.5 * n_before * ~is_far
+    for frame in range(n_frames):
+        now = places - [0.0, 0.0, 0.5 * min(frame, n_before + n_moving - 1)]
+        noisy = now / now[:, 2:]
+        noisy[:, :2] += 0.2 / FOCAL_PX * rng.normal(size=(len(now), 2))
+        rays.append(normalize(noisy))
+    is_there = np.where(np.arange(n_frames)[:, None] < n_before, ~is_far, ~is_high | is_far)
+    return Drive(np.array(rays), np.tile(np.eye(3), (n_frames, 1, 1))), is_there
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_car_goes_on_where_most_of_the_picture_is_too_far_away_to_move(seed):
+    steps, _ = found(*into_the_open(10, 10, 0, seed))
+    assert all(step.direction is not None for step in steps[1:])
+    assert max(angle_deg(step.direction, FORWARD) for step in steps[1:]) < 3.0
+    # By itself that part of the picture is none of a camera that moves.
+    alone, _ = found(*into_the_open(0, 6, 0, seed))
+    assert all(step.direction is None for step in alone[1:])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_car_stops_where_what_had_moved_is_still(seed):
+    steps, _ = found(*into_the_open(10, 10, 8, seed))
+    assert steps[19].direction is not None
+    assert all(step.direction is None for step in steps[-3:])
+
+
+def to_and_fro(seed, n_ahead=14, n_still=10, n_back=14):
+    """A camera that is mounted 8 deg off drives ahead, stands, and goes back."""
+    speeds_m = np.repeat([0.5, 0.0, -0.5], [n_ahead, n_still, n_back])
+    rng, way = np.random.default_rng(seed), np.array([np.sin(np.radians(8.0)), 0.0, np.cos(np.radians(8.0))])
+    places, rays = points_of_a_street(250, rng, (15.0, 60.0)), []
+    for gone_m in np.cumsum(speeds_m) - speeds_m[0]:
+        plane = (places - gone_m * way) / (places - gone_m * way)[:, 2:]
+        plane[:, :2] += 0.2 / FOCAL_PX * rng.normal(size=(len(places), 2))
+        rays.append(normalize(plane))
+    return Drive(np.array(rays), np.tile(np.eye(3), (len(rays), 1, 1))), -way
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_has_stopped_may_go_on_backwards(seed):
+    motion, ahead = to_and_fro(seed)
+    steps, _ = found(motion)
+    assert max(angle_deg(step.direction, ahead) for step in steps[6:14]) < 2.0
+    assert all(step.direction is None for step in steps[20:24])
+    assert max(angle_deg(step.direction, -ahead) for step in steps[-8:]) < 2.0
+
+
+def test_before_a_far_scene_the_usual_direction_is_better_known_than_that_of_a_step():
+    """At 200 to 500 m, by themselves, the steps err by several degrees."""
+    off_deg, first_deg = [], []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        near, far = (drive(40, rng, n=150, sigma_px=0.4, speed_m=1.0, depth_m=depth_m) for depth_m in NEAR_AND_FAR_M)
+        is_there = np.repeat([[True] * 150 + [False] * 150, [False] * 150 + [True] * 150], [12, 28], axis=0)
+        steps, _ = found(Drive(np.concatenate([near.rays, far.rays], axis=1), far.cam_R_prev), is_there)
+        off_deg += [angle_deg(step.direction, FORWARD) for step in steps[24:] if step.direction is not None]
+        alone, _ = found(Drive(far.rays[:12], far.cam_R_prev[:12]))
+        first_deg += [angle_deg(step.direction, FORWARD) for step in alone[1:] if step.direction is not None]
+    assert len(off_deg) > 20
+    assert np.median(off_deg) < 0.5 * np.median(first_deg)
+
+
+NEAR_AND_FAR_M = ((60.0, 150.0), (200.0, 500.0))

@@ -11,6 +11,7 @@ from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Camera, ImageSize, Platform
 from ttcvid.stages.egomotion.relative_pose import (
     EgomotionMemory,
+    RayPairs,
     egomotion_of,
     estimate_egomotion,
     picture_region,
@@ -27,8 +28,8 @@ MOVING_PLATFORMS = [Platform.vehicle, Platform.aircraft, Platform.free]
 
 
 def fitted(views, memory=LAST, platform=Platform.vehicle):
-    fit = estimate_egomotion(*views.observed, LEAST_PARALLAX_RAD, memory, platform)
-    return with_doubt(fit, *views.observed, memory, platform)
+    pairs = RayPairs(*views.observed)
+    return with_doubt(estimate_egomotion(pairs, LEAST_PARALLAX_RAD, memory, platform), pairs, memory, platform)
 
 
 def estimate(views, memory=LAST, platform=Platform.vehicle):
@@ -279,15 +280,8 @@ def test_order_of_the_points_does_not_matter():
     views = two_views(np.random.default_rng(7), 300, TURN_DEG, TRAVEL_M)
     order = np.random.default_rng(8).permutation(300)
     one = estimate(views)
-    other = estimate_egomotion(
-        views.rays_prev[order],
-        views.rays_cam[order],
-        views.sigma_rad[order],
-        views.region[order],
-        LEAST_PARALLAX_RAD,
-        LAST,
-        Platform.vehicle,
-    )
+    pairs = RayPairs(*(observed[order] for observed in views.observed))
+    other = estimate_egomotion(pairs, LEAST_PARALLAX_RAD, LAST, Platform.vehicle)
     np.testing.assert_allclose(other.cam_R_prev, one.cam_R_prev, atol=1e-9)
     np.testing.assert_allclose(other.direction, one.direction, atol=1e-8)
     np.testing.assert_allclose(other.residual, one.residual[order], atol=1e-4)

@@ -41,23 +41,25 @@ class TwoViewFit:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (k, k) of the unknowns, rad^2, with the spread of the scores in place of the assumed noise.
+        """Covariance (k, k) of the unknowns, rad^2: that of the assumed noise, times the ``spread_ratio``."""
+        return np.asarray(self.spread_ratio * np.linalg.inv(self.information), dtype=np.float64)
+
+    @cached_property
+    def spread_ratio(self) -> float:
+        """By how much the spread of the scores exceeds that of the assumed noise; at least 1.
 
         Neighbouring points err together (one surface, one blur, one slant), so that N points are worth less than N
         independent ones: the scores are summed within a region before they are squared (a cluster-robust "sandwich").
-        Never smaller than what the assumed noise gives: the inverse information I^-1, made larger by the largest
-        eigenvalue of I^-1 sum g g', g the scores of a region.
+        The largest eigenvalue of I^-1 sum g g', with the information I and the scores g of a region.
         """
-        covariance = np.asarray(np.linalg.inv(self.information), dtype=np.float64)
-        k, n_used = len(covariance), np.count_nonzero(np.bincount(self.region))
+        k, n_used = len(self.information), np.count_nonzero(np.bincount(self.region))
         if n_used <= 2 * k:
-            return covariance
+            return 1.0
         scores = (self.rows[:-1] * self.rows[-1]).reshape(k, -1, len(self.region)).sum(axis=1)
         cell = self.region + (self.region.max() + 1) * np.arange(k)[:, None]
         sums = np.bincount(cell.ravel(), scores.ravel()).reshape(k, -1)
-        half = np.linalg.cholesky(covariance).T @ sums
-        ratio = float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k)
-        return covariance * max(1.0, ratio)
+        half = np.linalg.cholesky(np.linalg.inv(self.information)).T @ sums
+        return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k))
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,13 @@ from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.estimation.relative_pose import TwoViewFit
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
-from ttcvid.model import Bools, Floats, Ints
+from ttcvid.model import Bools, Ints
 from ttcvid.stages.egomotion.relative_pose import (
     MOTION_PRIORS,
+    STILL_SIGMAS,
     Egomotion,
     EgomotionMemory,
+    RayPairs,
     SceneWindow,
     cost_of,
     egomotion_of,
@@ -73,7 +75,11 @@ def find_own_motion(
     follows = in_scene if window is None else in_scene & ~window.leaves_out(history.track_id)
     step = _last_step(history, is_free, follows, memory, config, parallax_rad)
     if step is None:
-        return None, last_frame_only(history), replace(memory, gap_frames=1, window=None, is_window_used=False)
+        return (
+            None,
+            last_frame_only(history),
+            replace(memory, gap_frames=1, window=None, is_window_used=False, n_moving=0),
+        )
     egomotion, history, memory = _over_gap(history, *step, memory, config, parallax_rad, sigma_floor_px)
     tells, belief = step[1], MOTION_PRIORS[config.platform]
     if belief.is_open:
@@ -90,8 +96,7 @@ def find_own_motion(
         else:
             egomotion = replace(egomotion, is_told=False)
     history = with_scene_path(history, tells, egomotion, config.platform)
-    direction = memory.direction if egomotion.direction is None else egomotion.direction
-    return egomotion, history, replace(memory, direction=direction)
+    return egomotion, history, memory.with_direction(egomotion, belief, float(history.t_s[-1] - history.t_s[-2]))
 
 
 def _with_window(history: TrackHistory, egomotion: Egomotion, window: SceneWindow) -> TrackHistory:
@@ -116,27 +121,31 @@ def _last_step(
 
     With doubt where nothing over a longer gap will replace it.
     """
-    everything = paired_rays(history, is_free, 1, config.min_tracks)
+    everything = paired_rays(history, is_free, 1, config.min_tracks, goes_on=memory.goes_on)
     if everything is None:
         return None
     without_movers = is_free & in_scene
-    pair = paired_rays(history, without_movers, 1, _LEAST_OF_TURN) if (is_free & ~in_scene).any() else None
+    pair = (
+        paired_rays(history, without_movers, 1, _LEAST_OF_TURN, goes_on=memory.goes_on)
+        if (is_free & ~in_scene).any()
+        else None
+    )
 
     def fit_to(rays: RayPairs) -> TwoViewFit:
-        return estimate_egomotion(*rays, parallax_rad, memory, config.platform)
+        return estimate_egomotion(rays, parallax_rad, memory, config.platform)
 
     def doubted(fit: TwoViewFit, rays: RayPairs) -> TwoViewFit:
-        return fit if memory.gap_frames > 1 else with_doubt(fit, *rays, memory, config.platform)
+        return fit if memory.gap_frames > 1 else with_doubt(fit, rays, memory, config.platform)
 
     if pair is None:
         return doubted(fit_to(everything), everything), is_free
     by_scene = fit_to(pair)
-    if by_scene.direction is not None and len(pair[0]) < config.min_tracks:
+    if by_scene.direction is not None and len(pair.now) < config.min_tracks:
         return doubted(fit_to(everything), everything), is_free
     if memory.is_window_used:
         return by_scene, without_movers
     by_all = fit_to(everything)
-    is_better = cost_of(by_all, *everything[:3]) < cost_of(by_scene, *everything[:3])
+    is_better = cost_of(by_all, everything) < cost_of(by_scene, everything)
     return (doubted(by_all, everything), is_free) if is_better else (doubted(by_scene, pair), without_movers)
 
 
@@ -164,14 +173,16 @@ def _over_gap(
     if is_noise_known:
         history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
     memory = replace(memory.after(fit), gap_frames=_gap_for(history, tells))
-    long_step = paired_rays(history, tells, gap, config.min_tracks) if gap > 1 else None
+    long_step = paired_rays(history, tells, gap, config.min_tracks, goes_on=memory.goes_on) if gap > 1 else None
     if long_step is None:
         if not is_noise_known:
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
         return egomotion, history, memory
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
-    mean_fit = estimate_egomotion(*long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
-    over_gap = egomotion_of(with_doubt(mean_fit, *long_step, start, config.platform))
+    mean_fit = estimate_egomotion(long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
+    over_gap = egomotion_of(with_doubt(mean_fit, long_step, start, config.platform))
+    if mean_fit.direction is not None:
+        memory = replace(memory, spread_ratio=mean_fit.spread_ratio)
     if not is_noise_known:
         told = egomotion if over_gap.direction is None else over_gap
         history = with_noise(history, told.residual_spread, sigma_floor_px, is_slow)
@@ -181,12 +192,12 @@ def _over_gap(
     return egomotion, history, memory
 
 
-RayPairs = tuple[Floats, Floats, Floats, Ints]
+def paired_rays(
+    history: TrackHistory, is_free: Bools, gap: int, min_tracks: int, *, goes_on: bool = False
+) -> RayPairs | None:
+    """Points of tracks ``is_free (N,)`` in the views ``gap`` frames ago and now; None with too few of them.
 
-
-def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int) -> RayPairs | None:
-    """Rays ``gap`` frames ago and now, each in its own camera, their noise and region; None with too few tracks.
-
+    With what had moved before, where the camera ``goes_on`` (`EgomotionMemory.goes_on`).
     Of tracks so that no place of the picture holds too many: one textured lorry is not the world. A mover near by may
     hold most of the tracks, but it does not fill most of the picture.
     """
@@ -205,7 +216,20 @@ def paired_rays(history: TrackHistory, is_free: Bools, gap: int, min_tracks: int
     used = np.sort(order[rank < _MOST_IN_CELL])
     if len(used) < min_tracks:
         used = np.arange(len(seen))
-    return before.take(seen[used], axis=0), rays.take(used, axis=0), sigma_rad.take(used), region.take(used)
+    seen, rays, sigma_rad = seen[used], rays.take(used, axis=0), sigma_rad.take(used)
+    had_moved = _have_moved(history, seen, gap) if goes_on else None
+    return RayPairs(before.take(seen, axis=0), rays, sigma_rad, region.take(used), had_moved)
+
+
+def _have_moved(history: TrackHistory, seen: Ints, gap: int) -> Bools:
+    """Which of some tracks ``seen (M,)`` had moved ``gap`` frames ago, but for the camera's turn, since they began."""
+    past = len(history.frame) - gap
+    rays = history.rays[:past].take(seen, axis=1)
+    first = np.isfinite(rays[..., 0]).argmax(axis=0)
+    then_R_past = history.cam_R_past[past - 1].T @ history.cam_R_past[:past]
+    flow = rays[-1] - np.einsum("mij,mj->mi", then_R_past[first], rays[first, np.arange(len(seen))])
+    least_rad = STILL_SIGMAS * np.sqrt(2.0) * history.sigma_rad[seen]
+    return np.asarray(np.einsum("mi,mi->m", flow, flow) > least_rad**2)
 
 
 def _gap_for(history: TrackHistory, is_free: Bools) -> int:

@@ -46,10 +46,10 @@ def flows_out(history: TrackHistory, least_parallax_px: float, min_tracks: int, 
     if pair is None:
         return False
     parallax_rad = np.sqrt(gap) * least_parallax_px / history.focal_px
-    motion = estimate_egomotion(*pair, parallax_rad, EgomotionMemory(np.zeros(3)), platform)
+    motion = estimate_egomotion(pair, parallax_rad, EgomotionMemory(np.zeros(3)), platform)
     if motion.direction is None or motion.direction[2] >= 0.0:
         return False
-    turned, now = pair[0] @ motion.cam_R_prev.T, pair[1]
+    turned, now = pair.before @ motion.cam_R_prev.T, pair.now
     explained = _is_outflow(turned, now, motion.direction, history.focal_px)
     if not explained.any() or _share_of_regions(now, explained, side) < _LEAST_EXPLAINED:
         return False

@@ -25,6 +25,7 @@ from ttcvid.stages.egomotion.relative_pose import (
     FORWARD_DIR,
     MOTION_PRIORS,
     EgomotionMemory,
+    RayPairs,
     estimate_egomotion,
     picture_region,
     region_side_of,
@@ -240,9 +241,9 @@ def _egomotion(
     is_seen = np.isfinite(before + now).all(axis=1)
     sigma_rad = np.full(np.count_nonzero(is_seen), sigma_px / camera.fx_px)
     parallax_rad = _LEAST_PARALLAX_PX / camera.fx_px
-    rays = before[is_seen], now[is_seen]
-    region = picture_region(rays[1], region_side_of(camera))
-    return estimate_egomotion(*rays, sigma_rad, region, parallax_rad, memory, platform)
+    region = picture_region(now[is_seen], region_side_of(camera))
+    pairs = RayPairs(before[is_seen], now[is_seen], sigma_rad, region)
+    return estimate_egomotion(pairs, parallax_rad, memory, platform)
 
 
 def _flow(before_px: Floats, now_px: Floats, camera: Camera, motion: TwoViewFit) -> tuple[Floats, Floats]:

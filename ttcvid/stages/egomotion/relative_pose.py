@@ -25,13 +25,16 @@ _INLIER_SIGMAS, _GOOD_INLIERS = 3.0, 0.5
 # A camera that may go anywhere is looked for in so many directions across its view, both ways, where a fit explains
 # less than this part of the points: half of them may be so far away that any direction does for them.
 _MOST_INLIERS, _WAYS_ACROSS = 0.9, 16
-# A point is still under a rotation alone within so many sigmas (99 % of a 2-D Gaussian), a part of the picture when
-# most of its points are. With more than this share of the parts still, there is no translation to speak of.
-_STILL_SIGMAS, _MOST_STILL = 3.03, 0.5
+# A part of the picture is still when most of its points are. With more than this share of the parts still, there is no
+# translation to speak of.
+_MOST_STILL = 0.5
 # Median of the absolute value of a standard normal variable, and of the length of two.
 _MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
 # A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
 _FARTHEST_SIGMAS, _LEAST_STILL = 4.0, 6
+# The usual direction is known after so many steps in a row: in the first frames no mover is known, and what moves may
+# be one. A deviation from it, a bend or a gust, lasts for about this time, s: the steps within it tell one of them.
+_LEAST_STEPS, _SWING_S = 6, 1.0
 # A vehicle does not go farther off its camera's axis, ahead or back, than so many standard deviations: 60 deg.
 _MOST_OFF_AXIS_SIGMAS = 4.0
 # Number of the cells of `picture_region` along one axis, and the least z of a ray that still has a cell of its own.
@@ -42,6 +45,9 @@ REGION = 0.1
 
 The smaller one: through a long lens a tenth of the focal length is most of the picture.
 """
+
+STILL_SIGMAS = 3.03
+"""A point is still under a rotation alone within so many sigmas: 99 % of a 2-D Gaussian."""
 
 DIRECTION_FLOOR_RAD = float(np.radians(0.15))
 """Own direction of travel is not known better than this: matching errs in common over large parts of the picture.
@@ -61,11 +67,13 @@ class MotionPrior:
     """Prior of egomotion before a pair of frames is seen (standard deviations, rad).
 
     ``rotation_sigma_rad`` about the previous rotation (about none for a resting camera); ``direction_sigma_rad`` about
-    forward, None where any direction is equally likely; ``can_translate`` False for a resting camera.
+    forward, None where any direction is equally likely; ``swing_sigma_rad`` about the usual direction, once that is
+    known (`UsualDirection`); ``can_translate`` False for a resting camera.
     """
 
     rotation_sigma_rad: float
     direction_sigma_rad: float | None
+    swing_sigma_rad: float = math.nan
     can_translate: bool = True
 
     @property
@@ -82,11 +90,11 @@ class MotionPrior:
 
 
 # A car turns its rate by at most 0.3-0.5 deg from frame to frame and moves within a few degrees of where its camera
-# looks; an aircraft also climbs and is blown sideways; a hand turns a camera faster than either. A camera on a
-# mast only shakes.
+# looks, and within one or two of its mean (it slips and pitches); an aircraft also climbs and is blown sideways; a hand
+# turns a camera faster than either. A camera on a mast only shakes.
 MOTION_PRIORS = {
-    Platform.vehicle: MotionPrior(np.radians(0.5), np.radians(15.0)),
-    Platform.aircraft: MotionPrior(np.radians(1.0), np.radians(30.0)),
+    Platform.vehicle: MotionPrior(np.radians(0.5), np.radians(15.0), np.radians(1.5)),
+    Platform.aircraft: MotionPrior(np.radians(1.0), np.radians(30.0), np.radians(3.0)),
     Platform.free: MotionPrior(np.radians(2.0), None),
     Platform.static: MotionPrior(np.radians(0.1), None, can_translate=False),
 }
@@ -154,11 +162,60 @@ class Egomotion:
 
 
 @dataclass(frozen=True)
+class RayPairs:
+    """The same N points in an earlier and in the present frame.
+
+    ``before, now (N, 3)`` are their unit rays, each in its own camera; ``sigma_rad (N,)`` the noise of one coordinate;
+    ``region (N,)`` the part of the picture that each lies in (`picture_region`); ``had_moved (N,)`` whether it had
+    moved before the earlier frame, but for the camera's turn, since it was first seen; None where that is not known.
+    """
+
+    before: Floats
+    now: Floats
+    sigma_rad: Floats
+    region: Ints
+    had_moved: Bools | None = None
+
+    @property
+    def observed(self) -> tuple[Floats, Floats, Floats, Ints]:
+        """What a fit is to: the rays, their noise and their parts of the picture."""
+        return self.before, self.now, self.sigma_rad, self.region
+
+
+@dataclass(frozen=True)
+class UsualDirection:
+    """The direction in which a camera usually goes, by all steps so far: how it is mounted.
+
+    ``direction (3,)`` is a ``dir`` in the camera's axes, ``variance`` that of each of its tangent coordinates, rad^2.
+    """
+
+    direction: Floats
+    variance: float
+
+    def after(self, direction: Floats, covariance: Floats, swing_sigma_rad: float, step_s: float) -> UsualDirection:
+        """The usual direction with one step more, whose ``direction (3,)`` was estimated with this one as its prior.
+
+        What the flow alone says of the step is what its ``covariance`` (3, 3) leaves beside that prior.
+        """
+        expected = self.variance + swing_sigma_rad**2
+        found = 0.5 * float(np.trace(covariance))
+        information = 1.0 / found - 1.0 / expected
+        if not (information > 0.0 and direction @ self.direction > 0.0):
+            return self
+        by_flow = (direction / found - self.direction / expected) / information
+        off = (1.0 / information + swing_sigma_rad**2) * max(1.0, _SWING_S / step_s)
+        gain = self.variance / (self.variance + off)
+        mean = self.direction + gain * (by_flow - self.direction)
+        return UsualDirection(mean / math.sqrt(mean @ mean), (1.0 - gain) * self.variance)
+
+
+@dataclass(frozen=True)
 class EgomotionMemory:
     """Start of the next search: the expected rotation vector (rad) and the last direction; None at first.
 
     ``gap_frames`` is the gap that the last flow asks for; ``window`` as in `Egomotion`, also where it does not know a
-    direction and is only carried on: not ``is_window_used``.
+    direction and is only carried on: not ``is_window_used``. ``n_moving`` counts the last steps in a row that had a
+    direction; ``usual`` is the usual one, None until enough of them had; ``spread_ratio`` that of the last fit.
     """
 
     rotation_rad: Floats | None = None
@@ -166,21 +223,40 @@ class EgomotionMemory:
     gap_frames: int = 1
     window: SceneWindow | None = None
     is_window_used: bool = False
+    n_moving: int = 0
+    usual: UsualDirection | None = None
+    spread_ratio: float = 1.0
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the camera, whose usual direction is known, moved in the last step."""
+        return self.usual is not None and self.n_moving > 0
 
     def after(self, fit: TwoViewFit) -> EgomotionMemory:
         """The start of the search after a fit."""
-        direction = self.direction if fit.direction is None else fit.direction
-        return replace(self, rotation_rad=vector_from_rotation(fit.cam_R_prev), direction=direction)
+        if fit.direction is None:
+            return replace(self, rotation_rad=vector_from_rotation(fit.cam_R_prev))
+        return replace(
+            self,
+            rotation_rad=vector_from_rotation(fit.cam_R_prev),
+            direction=fit.direction,
+            spread_ratio=fit.spread_ratio,
+        )
+
+    def with_direction(self, egomotion: Egomotion, belief: MotionPrior, step_s: float) -> EgomotionMemory:
+        """The memory with the direction of a step of ``step_s``, None where it has none."""
+        direction, covariance, sigma_rad = egomotion.direction, egomotion.direction_cov, belief.direction_sigma_rad
+        if direction is None or covariance is None:
+            return replace(self, n_moving=0)
+        memory = replace(self, direction=direction, n_moving=self.n_moving + 1)
+        if sigma_rad is None or memory.n_moving < _LEAST_STEPS:
+            return memory
+        usual = UsualDirection(FORWARD_DIR, sigma_rad**2) if self.usual is None else self.usual
+        return replace(memory, usual=usual.after(direction, covariance, belief.swing_sigma_rad, step_s))
 
 
 def estimate_egomotion(
-    rays_prev: Floats,
-    rays_cam: Floats,
-    sigma_rad: Floats,
-    region: Ints,
-    least_parallax_rad: float,
-    memory: EgomotionMemory,
-    platform: Platform,
+    pairs: RayPairs, least_parallax_rad: float, memory: EgomotionMemory, platform: Platform
 ) -> TwoViewFit:
     """Rotation and direction of travel by robust Gauss-Newton with priors.
 
@@ -190,9 +266,7 @@ def estimate_egomotion(
 
     Parameters
     ----------
-    rays_prev, rays_cam : ``(N, 3)`` unit rays of the same points in the last and in this frame, each in its own camera.
-    sigma_rad : ``(N,)`` noise of one coordinate of a unit ray.
-    region : ``(N,)`` part of the picture that each lies in (`picture_region`).
+    pairs : Points of the scene.
     least_parallax_rad : Flow left after the rotation that does not count as translation, however small the noise:
         matching has common errors where light or blur change.
     memory : Start of the search.
@@ -205,26 +279,23 @@ def estimate_egomotion(
     """
     belief = MOTION_PRIORS[platform]
     prior = _gaussian_prior(belief, memory)
-    observed = (rays_prev, rays_cam, sigma_rad, region, prior)
-    turning = _best([fit_motion(*observed, start) for start in _rotation_starts(prior, memory)])
+    observed = pairs.observed
+    turning = _best([fit_motion(*observed, prior, start) for start in _rotation_starts(prior, memory)])
     if not belief.can_translate:
-        return _shaking(observed, turning)
-    moving = _fit_from_starts(observed, turning.cam_R_prev, memory)
+        return _shaking((*observed, prior), turning)
+    moving = _fit_from_starts((*observed, prior), turning.cam_R_prev, memory)
+    if memory.usual is not None and prior.direction is not None and not memory.goes_on:
+        # What has stopped may go on backwards. That is as unlikely as before its usual direction was known.
+        back = replace(prior, direction=-prior.direction)
+        other = _fit_from_starts((*observed, back), turning.cam_R_prev, replace(memory, direction=back.direction))
+        if belief.direction_sigma_rad is not None and other.cost + 4.0 / belief.direction_sigma_rad**2 < moving.cost:
+            moving = other
     may_move = moving.direction is not None and not belief.excludes(moving.direction)
-    moved_rad = np.linalg.norm(rays_cam - rays_prev, axis=1)
-    may_move = may_move and _is_translation(turning, moving, region, sigma_rad, least_parallax_rad, moved_rad)
+    may_move = may_move and _is_translation(turning, moving, pairs, least_parallax_rad)
     return moving if may_move else turning
 
 
-def with_doubt(
-    fit: TwoViewFit,
-    rays_prev: Floats,
-    rays_cam: Floats,
-    sigma_rad: Floats,
-    region: Ints,
-    memory: EgomotionMemory,
-    platform: Platform,
-) -> TwoViewFit:
+def with_doubt(fit: TwoViewFit, pairs: RayPairs, memory: EgomotionMemory, platform: Platform) -> TwoViewFit:
     """A fit with the doubt that fits from other starts cast on its direction, where it leaves much unexplained.
 
     That is the worst of theirs, by its likelihood beside this one. Parameters as of `estimate_egomotion`.
@@ -232,8 +303,8 @@ def with_doubt(
     prior = _gaussian_prior(MOTION_PRIORS[platform], memory)
     if fit.direction is None or prior.direction is None or np.mean(_explained(fit)) >= _MOST_INLIERS:
         return fit
-    observed, starts = (rays_prev, rays_cam, sigma_rad, region), _around(prior.direction, prior.direction_sigma_rad)
-    others = [fit_motion(*observed, prior, fit.cam_R_prev, start) for start in starts]
+    starts = _around(prior.direction, prior.direction_sigma_rad)
+    others = [fit_motion(*pairs.observed, prior, fit.cam_R_prev, start) for start in starts]
     noise = max(1.0, float(np.median(np.abs(fit.residual))) / _MEDIAN_NORMAL)
     off = np.array([other.direction for other in others]) - fit.direction
     likely = expit(0.5 * np.array([fit.cost - other.cost for other in others]) / noise**2)
@@ -253,18 +324,17 @@ def egomotion_of(fit: TwoViewFit) -> Egomotion:
     )
 
 
-def cost_of(fit: TwoViewFit, rays_prev: Floats, rays_cam: Floats, sigma_rad: Floats) -> float:
+def cost_of(fit: TwoViewFit, pairs: RayPairs) -> float:
     """Cost of a fit on some points, also on others than those behind it: Torr's criterion, less is better.
 
-    Parameters as of `estimate_egomotion`. A point that moves against the direction lies behind the camera, and has the
-    largest cost of a point.
+    A point that moves against the direction lies behind the camera, and has the largest cost of a point.
     """
-    turned = rays_prev @ fit.cam_R_prev.T
+    turned = pairs.before @ fit.cam_R_prev.T
+    off = pairs.now - turned
     if fit.direction is None:
-        off = rays_cam - turned
-        return _criterion(0.5 * np.einsum("ni,ni->n", off, off) / sigma_rad**2, 2, 3)
-    squares = flow_line_chi2(fit.direction, turned, rays_cam, sigma_rad)
-    is_behind = (rays_cam - turned) @ fit.direction < -_INLIER_SIGMAS * sigma_rad
+        return _criterion(0.5 * np.einsum("ni,ni->n", off, off) / pairs.sigma_rad**2, 2, 3)
+    squares = flow_line_chi2(fit.direction, turned, pairs.now, pairs.sigma_rad)
+    is_behind = off @ fit.direction < -_INLIER_SIGMAS * pairs.sigma_rad
     return _criterion(np.where(is_behind, np.inf, squares), 3, 5)
 
 
@@ -287,7 +357,14 @@ def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPri
     expected = memory.rotation_rad if memory.rotation_rad is not None and belief.can_translate else np.zeros(3)
     if belief.direction_sigma_rad is None:
         return GaussianPrior(expected, belief.rotation_sigma_rad)
-    return GaussianPrior(expected, belief.rotation_sigma_rad, FORWARD_DIR, belief.direction_sigma_rad)
+    if memory.usual is None:
+        return GaussianPrior(expected, belief.rotation_sigma_rad, FORWARD_DIR, belief.direction_sigma_rad)
+    usual = memory.usual.direction
+    if memory.goes_on and memory.direction is not None and memory.direction @ usual < 0.0:
+        usual = -usual
+    # Neighbouring points err together: else as many of them would outweigh what is known.
+    variance = (memory.usual.variance + belief.swing_sigma_rad**2) / memory.spread_ratio
+    return GaussianPrior(expected, belief.rotation_sigma_rad, usual, math.sqrt(variance))
 
 
 def _rotation_starts(prior: GaussianPrior, memory: EgomotionMemory) -> list[Floats]:
@@ -360,29 +437,26 @@ def _explained(fit: TwoViewFit) -> Bools:
     return np.asarray((np.abs(fit.residual) < _INLIER_SIGMAS) & (fit.sense >= 0.0))
 
 
-def _is_translation(
-    turning: TwoViewFit,
-    moving: TwoViewFit,
-    region: Ints,
-    sigma_rad: Floats,
-    least_parallax_rad: float,
-    moved_rad: Floats,
-) -> bool:
+def _is_translation(turning: TwoViewFit, moving: TwoViewFit, pairs: RayPairs, least_parallax_rad: float) -> bool:
     """Whether the flow speaks of translation: by GRIC, and not by a few movers before a resting camera.
 
     With the camera at rest the flow of the movers alone also meets somewhere, and one lorry can hold 40 % of all
     points: translation has to be seen in half of the parts of the picture. Nor by dirt on the lens: as the camera
-    turns, it looks like a scene near by that goes across.
+    turns, it looks like a scene near by that goes across. Where a moving camera may have stopped, only a part says so
+    that had moved and is still now: what is too far away never moves.
     """
     if _criterion(turning.residual**2, 2, 3) <= _criterion(moving.residual**2, 3, 5):
         return False
-    flow_rad = turning.residual * np.sqrt(2.0) * sigma_rad
-    is_still = (turning.residual < _STILL_SIGMAS) | (flow_rad < least_parallax_rad)
-    is_still |= _are_stuck(moved_rad, ~is_still, least_parallax_rad)
-    points_per_region = np.bincount(region)
-    still_per_region = np.bincount(region, is_still)
-    n_still = int(np.count_nonzero(still_per_region > 0.5 * points_per_region))
-    return n_still < _MOST_STILL * len(points_per_region)
+    flow_rad = turning.residual * np.sqrt(2.0) * pairs.sigma_rad
+    half = 0.5 * np.bincount(pairs.region)
+    is_point_still = (turning.residual < STILL_SIGMAS) | (flow_rad < least_parallax_rad)
+    moved_rad = np.linalg.norm(pairs.now - pairs.before, axis=1)
+    is_point_still |= _are_stuck(moved_rad, ~is_point_still, least_parallax_rad)
+    is_still = np.bincount(pairs.region, is_point_still) > half
+    tells = np.ones_like(is_still)
+    if pairs.had_moved is not None:
+        tells = ~is_still | (np.bincount(pairs.region, pairs.had_moved) > half)
+    return bool(np.count_nonzero(is_still & tells) < _MOST_STILL * np.count_nonzero(tells))
 
 
 def _are_stuck(moved_rad: Floats, differs: Bools, least_rad: float) -> Bools:
