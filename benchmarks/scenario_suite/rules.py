@@ -149,12 +149,6 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.data_association.are_nearer": _zeros(0)},
         (),
     ),
-    "gaps": Rule(
-        "tracks go on after frames in which there were too few",
-        "bodies",
-        {"stages.update._before_gap": _none},
-        (),
-    ),
     "turning_movers": Rule(
         "a mover that most of its tracks contradict becomes a turning body",
         "bodies",

@@ -57,8 +57,7 @@ class SeenFrame:
 class Memory:
     """All that is remembered about motions from one frame to the next.
 
-    ``t_s`` is the time of the last frame, ``used_t_s`` that of the last one with points in the history. ``before_gap``
-    is the history before frames with too few tracks: it continues where enough of its tracks return.
+    ``t_s`` is the time of the last frame, ``used_t_s`` that of the last one with points in the history.
     """
 
     history: TrackHistory
@@ -69,7 +68,6 @@ class Memory:
     bodies: BodyMemory = field(default_factory=BodyMemory)
     scene_moves: bool = False
     plane: HorizonPlane | None = None
-    before_gap: TrackHistory | None = None
 
 
 def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[SeenFrame, Memory]:
@@ -89,10 +87,7 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
     step_s = np.inf if dt_s is None else dt_s
     is_frozen, frozen = find_frozen(memory.frozen, points, scene_moves=memory.scene_moves, step_s=step_s)
     egomotion, history, ego_memory = _own_motion(frame, points, ~is_frozen, memory, clip)
-    before_gap = None
-    if egomotion is None:
-        before_gap = _before_gap(memory, frame.t_s)
-    else:
+    if egomotion is not None:
         dt_s = float(history.t_s[-1] - history.t_s[-2])
     if status == FrameStatus.ok:
         status = _motion_status(egomotion, clip.config.egomotion.platform)
@@ -106,10 +101,9 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
         history=history,
         frozen=frozen,
         egomotion=ego_memory,
-        bodies=restarted_bodies(bodies) if egomotion is None and before_gap is None else bodies,
+        bodies=restarted_bodies(bodies) if egomotion is None else bodies,
         scene_moves=_shows_frozen_pixels(egomotion, history, clip),
         plane=plane,
-        before_gap=before_gap,
     )
     return SeenFrame(frame, dt_s, status, plane, Seen(history, egomotion, motions, plane)), memory
 
@@ -117,23 +111,11 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
 def _own_motion(
     frame: Frame, points: PointSet, is_free: Bools, memory: Memory, clip: Clip
 ) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
-    """Own motion since the last frame, or since the one before a gap where that has more tracks to go on from."""
-    for before in (memory.before_gap, memory.history):
-        if before is None:
-            continue
-        history = _with_points(frame, points, before, clip)
-        tracks = history, is_free, in_scene(memory.bodies, history.track_id)
-        own, least_noise_px = clip.config.egomotion, clip.config.tracking.sigma_floor_px
-        found = find_own_motion(*tracks, memory.egomotion, own, LEAST_PARALLAX_PX, least_noise_px)
-        if found[0] is not None:
-            break
-    return found
-
-
-def _before_gap(memory: Memory, t_s: float) -> TrackHistory | None:
-    """The history before a frame with too few tracks, for as long as it reaches back."""
-    before = memory.history if memory.before_gap is None else memory.before_gap
-    return before if len(before.t_s) > 1 and t_s - before.t_s[-1] <= before.t_s[-1] - before.t_s[0] else None
+    """Own motion since the last frame; None with too few tracks that were seen in both."""
+    history = _with_points(frame, points, memory.history, clip)
+    tracks = history, is_free, in_scene(memory.bodies, history.track_id)
+    own, least_noise_px = clip.config.egomotion, clip.config.tracking.sigma_floor_px
+    return find_own_motion(*tracks, memory.egomotion, own, LEAST_PARALLAX_PX, least_noise_px)
 
 
 def _since(t_s: float | None, frame: Frame) -> float | None:

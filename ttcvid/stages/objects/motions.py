@@ -31,6 +31,9 @@ from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 # Where few tracks are given they lie farther apart: random points hang together from 1.2 times their spacing on
 # (percolation of discs, sqrt(4.51 / pi)). Nothing is a neighbour beyond so many times the first distance.
 _LINK_PART, _SPARSE_LINK, _MOST_LINK = 0.05, 1.2, 2.0
+# A velocity over noise at 95 % along its own direction has one, if that is known to `MAX_DIRECTION_SIGMA_RAD`: what
+# heads for us is well known across, and all its noise lies along.
+_NO_DIRECTION_CHI2 = float(chdtri(1, 0.05))
 NO_MOTION_CHI2 = float(chdtri(3, 0.05))
 """A velocity may be zero inside 95 % of a 3-D Gaussian."""
 
@@ -186,7 +189,7 @@ def _directions(
     direction = quotient(velocity_hz, speed_hz)
     across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
     cov = across @ own @ across
-    is_known = (moved > NO_MOTION_CHI2) & (np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)
+    is_known = (moved > _NO_DIRECTION_CHI2) & (np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)
     direction[~is_known] = np.nan
     return direction, cov
 
