@@ -9,7 +9,8 @@ from ttcvid.config import EgomotionConfig
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Platform
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
-from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, RayPairs, estimate_egomotion, picture_region
+from ttcvid.stages.egomotion.motion_prior import EgomotionMemory
+from ttcvid.stages.egomotion.relative_pose import RayPairs, estimate_egomotion, picture_region
 from ttcvid.stages.egomotion.window_motion import LEAST_TOLD
 
 FORWARD = np.array([0.0, 0.0, -1.0])

@@ -14,7 +14,7 @@ from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import ImageSize, Platform
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
-from ttcvid.stages.egomotion.relative_pose import EgomotionMemory
+from ttcvid.stages.egomotion.motion_prior import EgomotionMemory
 from ttcvid.stages.tracking.history import empty_history, extended
 from ttcvid.stages.tracking.tracker import TrackerMemory, follow_points, prepare_picture
 

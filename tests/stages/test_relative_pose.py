@@ -9,8 +9,8 @@ from two_views import FOCAL_PX, angle_deg, two_views
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Camera, ImageSize, Platform
+from ttcvid.stages.egomotion.motion_prior import EgomotionMemory
 from ttcvid.stages.egomotion.relative_pose import (
-    EgomotionMemory,
     RayPairs,
     egomotion_of,
     estimate_egomotion,

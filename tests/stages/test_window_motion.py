@@ -14,7 +14,7 @@ from ttcvid.geometry.estimation.window_bundle import adjust_window, planar_dual
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.model import Platform
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
-from ttcvid.stages.egomotion.relative_pose import EgomotionMemory
+from ttcvid.stages.egomotion.motion_prior import EgomotionMemory
 from ttcvid.stages.tracking.history import empty_history, extended
 
 FREE = EgomotionConfig(platform=Platform.free)

@@ -11,8 +11,9 @@ from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import Bools, Camera, Frame, FrameStatus, Platform, PointSet
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
+from ttcvid.stages.egomotion.motion_prior import EgomotionMemory
 from ttcvid.stages.egomotion.outflow import flows_out
-from ttcvid.stages.egomotion.relative_pose import Egomotion, EgomotionMemory
+from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.egomotion.window_motion import LEAST_TOLD
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, followed_plane
 from ttcvid.stages.objects.motions import find_motions

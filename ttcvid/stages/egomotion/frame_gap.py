@@ -12,13 +12,11 @@ from ttcvid.geometry.estimation.relative_pose import TwoViewFit
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Ints
+from ttcvid.stages.egomotion.motion_prior import MOTION_PRIORS, EgomotionMemory, SceneWindow
 from ttcvid.stages.egomotion.relative_pose import (
-    MOTION_PRIORS,
     STILL_SIGMAS,
     Egomotion,
-    EgomotionMemory,
     RayPairs,
-    SceneWindow,
     cost_of,
     egomotion_of,
     estimate_egomotion,
@@ -96,7 +94,8 @@ def find_own_motion(
         else:
             egomotion = replace(egomotion, is_told=False)
     history = with_scene_path(history, tells, egomotion, config.platform)
-    return egomotion, history, memory.with_direction(egomotion, belief, float(history.t_s[-1] - history.t_s[-2]))
+    of_step, step_s = (egomotion.direction, egomotion.direction_cov), float(history.t_s[-1] - history.t_s[-2])
+    return egomotion, history, memory.with_direction(*of_step, belief, step_s)
 
 
 def _with_window(history: TrackHistory, egomotion: Egomotion, window: SceneWindow) -> TrackHistory:

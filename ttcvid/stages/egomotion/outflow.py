@@ -12,7 +12,8 @@ import numpy as np
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Bools, Floats, Platform
 from ttcvid.stages.egomotion.frame_gap import paired_rays
-from ttcvid.stages.egomotion.relative_pose import EgomotionMemory, estimate_egomotion, picture_region, region_side_of
+from ttcvid.stages.egomotion.motion_prior import EgomotionMemory
+from ttcvid.stages.egomotion.relative_pose import estimate_egomotion, picture_region, region_side_of
 from ttcvid.stages.tracking.history import TrackHistory
 
 # So many steps are looked back, s: less than a pixel in 0.2 s at 30 frames/s is no flow to speak of.

@@ -21,15 +21,8 @@ from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.estimation.relative_pose import TwoViewFit
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Bools, Camera, Floats, ImageSize, Platform, PointSet
-from ttcvid.stages.egomotion.relative_pose import (
-    FORWARD_DIR,
-    MOTION_PRIORS,
-    EgomotionMemory,
-    RayPairs,
-    estimate_egomotion,
-    picture_region,
-    region_side_of,
-)
+from ttcvid.stages.egomotion.motion_prior import FORWARD_DIR, MOTION_PRIORS, EgomotionMemory
+from ttcvid.stages.egomotion.relative_pose import RayPairs, estimate_egomotion, picture_region, region_side_of
 from ttcvid.stages.egomotion.rest import RESTING_SHARE, share_of_parts
 from ttcvid.stages.tracking.groups import in_common
 

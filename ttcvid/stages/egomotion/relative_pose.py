@@ -10,11 +10,11 @@ import numpy as np
 from scipy.special import expit
 
 from ttcvid.geometry.estimation.relative_pose import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion
-from ttcvid.geometry.estimation.rigid_motion import RigidPaths
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis, vector_from_rotation
 from ttcvid.model import Bools, Camera, Floats, Ints, Platform
+from ttcvid.stages.egomotion.motion_prior import FORWARD_DIR, MOTION_PRIORS, EgomotionMemory, SceneWindow
 
 # Yaw rates tried on the first pair of frames, where no previous rotation helps, rad.
 _FIRST_YAWS_RAD = np.radians([0.0, -1.0, 1.0, -2.5, 2.5])
@@ -32,11 +32,6 @@ _MOST_STILL = 0.5
 _MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
 # A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
 _FARTHEST_SIGMAS, _LEAST_STILL = 4.0, 6
-# The usual direction is known after so many steps in a row: in the first frames no mover is known, and what moves may
-# be one. A deviation from it, a bend or a gust, lasts for about this time, s: the steps within it tell one of them.
-_LEAST_STEPS, _SWING_S = 6, 1.0
-# A vehicle does not go farther off its camera's axis, ahead or back, than so many standard deviations: 60 deg.
-_MOST_OFF_AXIS_SIGMAS = 4.0
 # Number of the cells of `picture_region` along one axis, and the least z of a ray that still has a cell of its own.
 _REGION_COUNT, _LEAST_Z = 200, 0.05
 
@@ -55,65 +50,8 @@ DIRECTION_FLOOR_RAD = float(np.radians(0.15))
 That is 2 px at f = 800 px, which its covariance does not know.
 """
 
-FORWARD_DIR = np.array([0.0, 0.0, -1.0])
-"""``dir`` of the static scene for a camera that drives along its optical axis."""
-
 _ANGLES_RAD = 2.0 * np.pi / _WAYS_ACROSS * np.arange(_WAYS_ACROSS)
 _ACROSS = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD), np.zeros(_WAYS_ACROSS)], axis=1)
-
-
-@dataclass(frozen=True)
-class MotionPrior:
-    """Prior of egomotion before a pair of frames is seen (standard deviations, rad).
-
-    ``rotation_sigma_rad`` about the previous rotation (about none for a resting camera); ``direction_sigma_rad`` about
-    forward, None where any direction is equally likely; ``swing_sigma_rad`` about the usual direction, once that is
-    known (`UsualDirection`); ``can_translate`` False for a resting camera.
-    """
-
-    rotation_sigma_rad: float
-    direction_sigma_rad: float | None
-    swing_sigma_rad: float = math.nan
-    can_translate: bool = True
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the camera may go in any direction."""
-        return self.can_translate and self.direction_sigma_rad is None
-
-    def excludes(self, direction: Floats) -> bool:
-        """Whether it cannot go in a direction ``(3,)``: a car that waits does not drift with the traffic before it."""
-        most_rad = math.inf if self.direction_sigma_rad is None else _MOST_OFF_AXIS_SIGMAS * self.direction_sigma_rad
-        if not most_rad < 0.5 * math.pi:
-            return False
-        return abs(float(direction @ FORWARD_DIR)) < math.cos(most_rad) * math.hypot(*direction)
-
-
-# A car turns its rate by at most 0.3-0.5 deg from frame to frame and moves within a few degrees of where its camera
-# looks, and within one or two of its mean (it slips and pitches); an aircraft also climbs and is blown sideways; a hand
-# turns a camera faster than either. A camera on a mast only shakes.
-MOTION_PRIORS = {
-    Platform.vehicle: MotionPrior(np.radians(0.5), np.radians(15.0), np.radians(1.5)),
-    Platform.aircraft: MotionPrior(np.radians(1.0), np.radians(30.0), np.radians(3.0)),
-    Platform.free: MotionPrior(np.radians(2.0), None),
-    Platform.static: MotionPrior(np.radians(0.1), None, can_translate=False),
-}
-
-
-@dataclass(frozen=True)
-class SceneWindow:
-    """Relative trajectory ``paths`` of the scene over the views of the frames ``frame (L,)``, one body.
-
-    ``outside_id (K,)`` numbers the tracks that leave it, ascending.
-    """
-
-    frame: Ints
-    paths: RigidPaths
-    outside_id: Ints
-
-    def leaves_out(self, track_id: Ints) -> Bools:
-        """Which of N tracks leave the trajectory: (N,)."""
-        return np.isin(track_id, self.outside_id)
 
 
 @dataclass(frozen=True)
@@ -182,79 +120,6 @@ class RayPairs:
         return self.before, self.now, self.sigma_rad, self.region
 
 
-@dataclass(frozen=True)
-class UsualDirection:
-    """The direction in which a camera usually goes, by all steps so far: how it is mounted.
-
-    ``direction (3,)`` is a ``dir`` in the camera's axes, ``variance`` that of each of its tangent coordinates, rad^2.
-    """
-
-    direction: Floats
-    variance: float
-
-    def after(self, direction: Floats, covariance: Floats, swing_sigma_rad: float, step_s: float) -> UsualDirection:
-        """The usual direction with one step more, whose ``direction (3,)`` was estimated with this one as its prior.
-
-        What the flow alone says of the step is what its ``covariance`` (3, 3) leaves beside that prior.
-        """
-        expected = self.variance + swing_sigma_rad**2
-        found = 0.5 * float(np.trace(covariance))
-        information = 1.0 / found - 1.0 / expected
-        if not (information > 0.0 and direction @ self.direction > 0.0):
-            return self
-        by_flow = (direction / found - self.direction / expected) / information
-        off = (1.0 / information + swing_sigma_rad**2) * max(1.0, _SWING_S / step_s)
-        gain = self.variance / (self.variance + off)
-        mean = self.direction + gain * (by_flow - self.direction)
-        return UsualDirection(mean / math.sqrt(mean @ mean), (1.0 - gain) * self.variance)
-
-
-@dataclass(frozen=True)
-class EgomotionMemory:
-    """Start of the next search: the expected rotation vector (rad) and the last direction; None at first.
-
-    ``gap_frames`` is the gap that the last flow asks for; ``window`` as in `Egomotion`, also where it does not know a
-    direction and is only carried on: not ``is_window_used``. ``n_moving`` counts the last steps in a row that had a
-    direction; ``usual`` is the usual one, None until enough of them had; ``spread_ratio`` that of the last fit.
-    """
-
-    rotation_rad: Floats | None = None
-    direction: Floats | None = None
-    gap_frames: int = 1
-    window: SceneWindow | None = None
-    is_window_used: bool = False
-    n_moving: int = 0
-    usual: UsualDirection | None = None
-    spread_ratio: float = 1.0
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether the camera, whose usual direction is known, moved in the last step."""
-        return self.usual is not None and self.n_moving > 0
-
-    def after(self, fit: TwoViewFit) -> EgomotionMemory:
-        """The start of the search after a fit."""
-        if fit.direction is None:
-            return replace(self, rotation_rad=vector_from_rotation(fit.cam_R_prev))
-        return replace(
-            self,
-            rotation_rad=vector_from_rotation(fit.cam_R_prev),
-            direction=fit.direction,
-            spread_ratio=fit.spread_ratio,
-        )
-
-    def with_direction(self, egomotion: Egomotion, belief: MotionPrior, step_s: float) -> EgomotionMemory:
-        """The memory with the direction of a step of ``step_s``, None where it has none."""
-        direction, covariance, sigma_rad = egomotion.direction, egomotion.direction_cov, belief.direction_sigma_rad
-        if direction is None or covariance is None:
-            return replace(self, n_moving=0)
-        memory = replace(self, direction=direction, n_moving=self.n_moving + 1)
-        if sigma_rad is None or memory.n_moving < _LEAST_STEPS:
-            return memory
-        usual = UsualDirection(FORWARD_DIR, sigma_rad**2) if self.usual is None else self.usual
-        return replace(memory, usual=usual.after(direction, covariance, belief.swing_sigma_rad, step_s))
-
-
 def estimate_egomotion(
     pairs: RayPairs, least_parallax_rad: float, memory: EgomotionMemory, platform: Platform
 ) -> TwoViewFit:
@@ -278,7 +143,7 @@ def estimate_egomotion(
     trades yaw for sideways translation. The prior on the change of the rotation prevents that.
     """
     belief = MOTION_PRIORS[platform]
-    prior = _gaussian_prior(belief, memory)
+    prior = memory.prior(belief)
     observed = pairs.observed
     turning = _best([fit_motion(*observed, prior, start) for start in _rotation_starts(prior, memory)])
     if not belief.can_translate:
@@ -300,7 +165,7 @@ def with_doubt(fit: TwoViewFit, pairs: RayPairs, memory: EgomotionMemory, platfo
 
     That is the worst of theirs, by its likelihood beside this one. Parameters as of `estimate_egomotion`.
     """
-    prior = _gaussian_prior(MOTION_PRIORS[platform], memory)
+    prior = memory.prior(MOTION_PRIORS[platform])
     if fit.direction is None or prior.direction is None or np.mean(_explained(fit)) >= _MOST_INLIERS:
         return fit
     starts = _around(prior.direction, prior.direction_sigma_rad)
@@ -351,20 +216,6 @@ def picture_region(rays: Floats, side: float = REGION) -> Ints:
     number = ((cell + half) @ (1.0, _REGION_COUNT)).astype(np.int64)
     number -= number.min(initial=_REGION_COUNT * _REGION_COUNT)
     return (np.cumsum(np.bincount(number) > 0) - 1)[number]
-
-
-def _gaussian_prior(belief: MotionPrior, memory: EgomotionMemory) -> GaussianPrior:
-    expected = memory.rotation_rad if memory.rotation_rad is not None and belief.can_translate else np.zeros(3)
-    if belief.direction_sigma_rad is None:
-        return GaussianPrior(expected, belief.rotation_sigma_rad)
-    if memory.usual is None:
-        return GaussianPrior(expected, belief.rotation_sigma_rad, FORWARD_DIR, belief.direction_sigma_rad)
-    usual = memory.usual.direction
-    if memory.goes_on and memory.direction is not None and memory.direction @ usual < 0.0:
-        usual = -usual
-    # Neighbouring points err together: else as many of them would outweigh what is known.
-    variance = (memory.usual.variance + belief.swing_sigma_rad**2) / memory.spread_ratio
-    return GaussianPrior(expected, belief.rotation_sigma_rad, usual, math.sqrt(variance))
 
 
 def _rotation_starts(prior: GaussianPrior, memory: EgomotionMemory) -> list[Floats]:

@@ -11,7 +11,8 @@ from ttcvid.geometry.estimation.shared_trajectory_points import MOST_POINTS, poi
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Platform
-from ttcvid.stages.egomotion.relative_pose import MOTION_PRIORS, Egomotion
+from ttcvid.stages.egomotion.motion_prior import MOTION_PRIORS
+from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.tracking.history import ROTATION_DRIFT_RAD, TrackHistory
 
 # The prior direction is believed to no better than this angle: it was fitted to some of the same views.

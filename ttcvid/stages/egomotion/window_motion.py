@@ -19,7 +19,8 @@ from ttcvid.geometry.medians import median
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, vector_from_rotation
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, Egomotion, SceneWindow, picture_region, region_side_of
+from ttcvid.stages.egomotion.motion_prior import FORWARD_DIR, SceneWindow
+from ttcvid.stages.egomotion.relative_pose import Egomotion, picture_region, region_side_of
 from ttcvid.stages.tracking.history import TrackHistory
 
 # A track follows a path with a smaller reduced chi-square, and a step within so many sigmas.

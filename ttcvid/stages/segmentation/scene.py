@@ -12,7 +12,8 @@ from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.medians import median
 from ttcvid.geometry.rotation import turned_into_plane
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints, Platform
-from ttcvid.stages.egomotion.relative_pose import FORWARD_DIR, MOTION_PRIORS, Egomotion, picture_region, region_side_of
+from ttcvid.stages.egomotion.motion_prior import FORWARD_DIR, MOTION_PRIORS
+from ttcvid.stages.egomotion.relative_pose import Egomotion, picture_region, region_side_of
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.fixed_to_camera import ride_odds
