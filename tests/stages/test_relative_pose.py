@@ -9,7 +9,7 @@ from two_views import FOCAL_PX, angle_deg, two_views
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.rotation import normalize, vector_from_rotation
 from ttcvid.model import Camera, ImageSize, Platform
-from ttcvid.stages.egomotion.motion_prior import EgomotionMemory
+from ttcvid.stages.egomotion.motion_prior import EgomotionMemory, UsualDirection
 from ttcvid.stages.egomotion.relative_pose import (
     RayPairs,
     egomotion_of,
@@ -319,3 +319,51 @@ def test_a_free_camera_that_sways_before_a_far_background_has_its_direction_what
     views = beside_far_away(np.random.default_rng(angle_of_travel_deg), travel_m)
     found = estimate(views, EgomotionMemory(np.radians([0.03, 0.25, 0.0]), before), Platform.free)
     assert_is_true(found, views, turn_deg=0.02, direction_deg=4.0)
+
+
+GOES_ON = EgomotionMemory(np.zeros(3), FORWARD, n_moving=6, usual=UsualDirection(FORWARD, float(np.radians(1.0)) ** 2))
+
+
+def with_still_part(part, seed):
+    """A camera that travels, and a part of the picture from the left that is too far away to move."""
+    return two_views(np.random.default_rng(seed), 400, travel_m=(0, 0, 1.0), movers=[((0.0, part), (0, 0, 1.0))])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_too_far_away_to_move_does_not_say_that_a_camera_has_stopped(seed):
+    views = with_still_part(0.58, seed)
+
+    def direction(memory, had_moved):
+        pairs = RayPairs(*views.observed, had_moved)
+        return egomotion_of(estimate_egomotion(pairs, LEAST_PARALLAX_RAD, memory, Platform.vehicle)).direction
+
+    assert angle_deg(direction(GOES_ON, ~views.is_mover), FORWARD) < 1.0
+    # What had moved and is still now says so; and a camera at rest does not move off with two fifths of the picture.
+    assert direction(GOES_ON, np.ones(400, dtype=bool)) is None
+    assert direction(FIRST, None) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_moves_in_a_quarter_of_the_picture_may_be_movers_before_a_camera_that_has_stopped(seed):
+    views = with_still_part(0.75, seed)
+    pairs = RayPairs(*views.observed, ~views.is_mover)
+    assert estimate_egomotion(pairs, LEAST_PARALLAX_RAD, GOES_ON, Platform.vehicle).direction is None
+
+
+def test_the_usual_direction_of_a_camera_is_learned_in_what_the_flow_shows_and_forgotten():
+    usual, step_s = UsualDirection(FORWARD, float(np.radians(15.0)) ** 2), 0.1
+    true_dir = np.array([np.sin(np.radians(8.0)), 0.0, -np.cos(np.radians(8.0))])
+    across = np.diag([1.0, 1.0, 0.0])
+    for _ in range(600):
+        usual = usual.after(true_dir, np.radians(1.0) ** 2 * across, float(np.radians(1.5)), step_s)
+    assert angle_deg(usual.direction, true_dir) < 0.5
+    # The same backwards; then flow that shows nothing in one coordinate; then another mounting.
+    assert angle_deg(usual.after(-true_dir, across * 1e-4, 0.03, step_s).direction, true_dir) < 0.5
+    before = usual.variance
+    for _ in range(600):
+        expected = usual.variance + np.radians(1.5) ** 2
+        usual = usual.after(true_dir, np.diag([1e-5, expected, 0.0]), float(np.radians(1.5)), step_s)
+    assert usual.variance > before
+    for _ in range(3000):
+        usual = usual.after(FORWARD, np.radians(1.0) ** 2 * across, float(np.radians(1.5)), step_s)
+    assert angle_deg(usual.direction, FORWARD) < 1.0

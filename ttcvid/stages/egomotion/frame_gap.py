@@ -94,8 +94,9 @@ def find_own_motion(
         else:
             egomotion = replace(egomotion, is_told=False)
     history = with_scene_path(history, tells, egomotion, config.platform)
-    of_step, step_s = (egomotion.direction, egomotion.direction_cov), float(history.t_s[-1] - history.t_s[-2])
-    return egomotion, history, memory.with_direction(*of_step, belief, step_s)
+    step_s = float(history.t_s[-1] - history.t_s[-2])
+    memory = memory.with_direction(egomotion.direction, egomotion.direction_cov, belief, step_s)
+    return egomotion, history, memory
 
 
 def _with_window(history: TrackHistory, egomotion: Egomotion, window: SceneWindow) -> TrackHistory:
@@ -116,36 +117,31 @@ def _last_step(
     config: EgomotionConfig,
     parallax_rad: float,
 ) -> tuple[TwoViewFit, Bools] | None:
-    """Own motion since the last frame by the tracks of no known mover, or by all, and which; None with too few.
-
-    With doubt where nothing over a longer gap will replace it.
-    """
-    everything = paired_rays(history, is_free, 1, config.min_tracks, goes_on=memory.goes_on)
+    """Own motion since the last frame by the tracks of no known mover, or by all, and which; None with too few."""
+    everything = paired_rays(history, is_free, 1, config.min_tracks, with_past=memory.goes_on)
     if everything is None:
         return None
     without_movers = is_free & in_scene
     pair = (
-        paired_rays(history, without_movers, 1, _LEAST_OF_TURN, goes_on=memory.goes_on)
+        paired_rays(history, without_movers, 1, _LEAST_OF_TURN, with_past=memory.goes_on)
         if (is_free & ~in_scene).any()
         else None
     )
 
     def fit_to(rays: RayPairs) -> TwoViewFit:
-        return estimate_egomotion(rays, parallax_rad, memory, config.platform)
-
-    def doubted(fit: TwoViewFit, rays: RayPairs) -> TwoViewFit:
-        return fit if memory.gap_frames > 1 else with_doubt(fit, rays, memory, config.platform)
+        fit = estimate_egomotion(rays, parallax_rad, memory, config.platform)
+        return with_doubt(fit, rays, memory, config.platform)
 
     if pair is None:
-        return doubted(fit_to(everything), everything), is_free
+        return fit_to(everything), is_free
     by_scene = fit_to(pair)
     if by_scene.direction is not None and len(pair.now) < config.min_tracks:
-        return doubted(fit_to(everything), everything), is_free
+        return fit_to(everything), is_free
     if memory.is_window_used:
         return by_scene, without_movers
     by_all = fit_to(everything)
     is_better = cost_of(by_all, everything) < cost_of(by_scene, everything)
-    return (doubted(by_all, everything), is_free) if is_better else (doubted(by_scene, pair), without_movers)
+    return (by_all, is_free) if is_better else (by_scene, without_movers)
 
 
 def _over_gap(
@@ -172,7 +168,7 @@ def _over_gap(
     if is_noise_known:
         history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
     memory = replace(memory.after(fit), gap_frames=_gap_for(history, tells))
-    long_step = paired_rays(history, tells, gap, config.min_tracks, goes_on=memory.goes_on) if gap > 1 else None
+    long_step = paired_rays(history, tells, gap, config.min_tracks, with_past=memory.goes_on) if gap > 1 else None
     if long_step is None:
         if not is_noise_known:
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
@@ -180,8 +176,6 @@ def _over_gap(
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
     mean_fit = estimate_egomotion(long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
     over_gap = egomotion_of(with_doubt(mean_fit, long_step, start, config.platform))
-    if mean_fit.direction is not None:
-        memory = replace(memory, spread_ratio=mean_fit.spread_ratio)
     if not is_noise_known:
         told = egomotion if over_gap.direction is None else over_gap
         history = with_noise(history, told.residual_spread, sigma_floor_px, is_slow)
@@ -192,13 +186,13 @@ def _over_gap(
 
 
 def paired_rays(
-    history: TrackHistory, is_free: Bools, gap: int, min_tracks: int, *, goes_on: bool = False
+    history: TrackHistory, is_free: Bools, gap: int, min_tracks: int, *, with_past: bool = False
 ) -> RayPairs | None:
     """Points of tracks ``is_free (N,)`` in the views ``gap`` frames ago and now; None with too few of them.
 
-    With what had moved before, where the camera ``goes_on`` (`EgomotionMemory.goes_on`).
-    Of tracks so that no place of the picture holds too many: one textured lorry is not the world. A mover near by may
-    hold most of the tracks, but it does not fill most of the picture.
+    ``with_past``: and which of them had moved before. Of tracks so that no place of the picture holds too many: one
+    textured lorry is not the world. A mover near by may hold most of the tracks, but it does not fill most of the
+    picture.
     """
     if not 0 < gap < len(history.frame):
         return None
@@ -216,7 +210,7 @@ def paired_rays(
     if len(used) < min_tracks:
         used = np.arange(len(seen))
     seen, rays, sigma_rad = seen[used], rays.take(used, axis=0), sigma_rad.take(used)
-    had_moved = _have_moved(history, seen, gap) if goes_on else None
+    had_moved = _have_moved(history, seen, gap) if with_past else None
     return RayPairs(before.take(seen, axis=0), rays, sigma_rad, region.take(used), had_moved)
 
 

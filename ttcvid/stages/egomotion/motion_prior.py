@@ -15,6 +15,11 @@ from ttcvid.model import Bools, Floats, Ints, Platform
 # The usual direction is known after so many steps in a row: in the first frames no mover is known, and what moves may
 # be one. A deviation from it, a bend or a gust, lasts for about this time, s: the steps within it tell one of them.
 _LEAST_STEPS, _SWING_S = 6, 1.0
+# It changes, too: a mounting gives way, an aircraft has the wind from elsewhere. By a degree a minute, rad^2/s.
+_DRIFT_RAD2_S = float(np.radians(1.0)) ** 2 / 60.0
+# In a bend a camera ahead of the rear axle goes aside: by the rate of the turn, times how long the vehicle takes for
+# that distance (1.7 m at 3.4 m/s; it takes less where it is faster, and then turns less).
+_SLIP_S = 0.5
 # A vehicle does not go farther off its camera's axis, ahead or back, than so many standard deviations: 60 deg.
 _MOST_OFF_AXIS_SIGMAS = 4.0
 
@@ -78,7 +83,7 @@ class SceneWindow:
 
 @dataclass(frozen=True)
 class UsualDirection:
-    """The direction in which a camera usually goes, by all steps so far: how it is mounted.
+    """The line along which a camera usually goes, by all steps so far: how it is mounted.
 
     ``direction (3,)`` is a ``dir`` in the camera's axes, ``variance`` that of each of its tangent coordinates, rad^2.
     """
@@ -89,18 +94,19 @@ class UsualDirection:
     def after(self, direction: Floats, covariance: Floats, swing_sigma_rad: float, step_s: float) -> UsualDirection:
         """The usual direction with one step more, whose ``direction (3,)`` was estimated with this one as its prior.
 
-        What the flow alone says of the step is what its ``covariance`` (3, 3) leaves beside that prior.
+        What the flow alone says of the step is what its ``covariance (3, 3)`` leaves beside that prior, in the
+        coordinate that is known worst.
         """
-        expected = self.variance + swing_sigma_rad**2
-        found = 0.5 * float(np.trace(covariance))
+        expected, variance = self.variance + swing_sigma_rad**2, self.variance + _DRIFT_RAD2_S * step_s
+        found = float(np.linalg.eigvalsh(covariance)[-1])
         information = 1.0 / found - 1.0 / expected
-        if not (information > 0.0 and direction @ self.direction > 0.0):
-            return self
-        by_flow = (direction / found - self.direction / expected) / information
-        off = (1.0 / information + swing_sigma_rad**2) * max(1.0, _SWING_S / step_s)
-        gain = self.variance / (self.variance + off)
+        if not information > 0.0:
+            return UsualDirection(self.direction, variance)
+        along = math.copysign(1.0, direction @ self.direction) * direction
+        by_flow = (along / found - self.direction / expected) / information
+        gain = variance / (variance + (1.0 / information + swing_sigma_rad**2) * max(1.0, _SWING_S / step_s))
         mean = self.direction + gain * (by_flow - self.direction)
-        return UsualDirection(mean / math.sqrt(mean @ mean), (1.0 - gain) * self.variance)
+        return UsualDirection(mean / math.sqrt(mean @ mean), (1.0 - gain) * variance)
 
 
 @dataclass(frozen=True)
@@ -109,7 +115,8 @@ class EgomotionMemory:
 
     ``gap_frames`` is the gap that the last flow asks for; ``window`` as in `Egomotion`, also where it does not know a
     direction and is only carried on: not ``is_window_used``. ``n_moving`` counts the last steps in a row that had a
-    direction; ``usual`` is the usual one, None until enough of them had; ``spread_ratio`` that of the last fit.
+    direction, told or not, ``n_against`` those of them in which most points went the other way; ``usual`` is the usual
+    direction, None until enough steps had one; ``turn_rad_s`` how fast the camera turned in the last step.
     """
 
     rotation_rad: Floats | None = None
@@ -118,32 +125,40 @@ class EgomotionMemory:
     window: SceneWindow | None = None
     is_window_used: bool = False
     n_moving: int = 0
+    n_against: int = 0
     usual: UsualDirection | None = None
-    spread_ratio: float = 1.0
+    turn_rad_s: float = 0.0
 
     @property
     def goes_on(self) -> bool:
-        """Whether the camera, whose usual direction is known, moved in the last step."""
-        return self.usual is not None and self.n_moving > 0
+        """Whether the camera, whose usual direction is known, moved in the last step, and may not go back yet."""
+        return self.usual is not None and self.n_moving > 0 and self.n_against < _LEAST_STEPS
 
     def after(self, fit: TwoViewFit) -> EgomotionMemory:
         """The start of the search after a fit."""
-        memory = replace(self, rotation_rad=vector_from_rotation(fit.cam_R_prev))
-        if fit.direction is None:
-            return memory
-        return replace(memory, direction=fit.direction, spread_ratio=fit.spread_ratio)
+        direction = self.direction if fit.direction is None else fit.direction
+        n_against = self.n_against + 1 if fit.sense.sum() < 0.0 else 0
+        return replace(
+            self, rotation_rad=vector_from_rotation(fit.cam_R_prev), direction=direction, n_against=n_against
+        )
+
+    def swing_sigma_rad(self, belief: MotionPrior) -> float:
+        """Standard deviation of a step's direction about the usual one: the larger, the faster the camera turns."""
+        return math.hypot(belief.swing_sigma_rad, _SLIP_S * self.turn_rad_s)
 
     def with_direction(
         self, direction: Floats | None, covariance: Floats | None, belief: MotionPrior, step_s: float
     ) -> EgomotionMemory:
         """The memory with the direction (3,) of a step of ``step_s`` and its covariance (3, 3), None without one."""
+        turn_rad_s = 0.0 if self.rotation_rad is None else float(np.linalg.norm(self.rotation_rad)) / step_s
         if direction is None or covariance is None:
-            return replace(self, n_moving=0)
-        memory, sigma_rad = replace(self, direction=direction, n_moving=self.n_moving + 1), belief.direction_sigma_rad
+            return replace(self, n_moving=0, turn_rad_s=turn_rad_s)
+        memory = replace(self, direction=direction, n_moving=self.n_moving + 1, turn_rad_s=turn_rad_s)
+        sigma_rad = belief.direction_sigma_rad
         if sigma_rad is None or memory.n_moving < _LEAST_STEPS:
             return memory
         usual = UsualDirection(FORWARD_DIR, sigma_rad**2) if self.usual is None else self.usual
-        return replace(memory, usual=usual.after(direction, covariance, belief.swing_sigma_rad, step_s))
+        return replace(memory, usual=usual.after(direction, covariance, self.swing_sigma_rad(belief), step_s))
 
     def prior(self, belief: MotionPrior) -> GaussianPrior:
         """What is expected of the next step: it turns as the last one did, and goes where it usually goes."""
@@ -155,6 +170,5 @@ class EgomotionMemory:
         usual = self.usual.direction
         if self.goes_on and self.direction is not None and self.direction @ usual < 0.0:
             usual = -usual
-        # Neighbouring points err together: else as many of them would outweigh what is known.
-        variance = (self.usual.variance + belief.swing_sigma_rad**2) / self.spread_ratio
-        return GaussianPrior(expected, belief.rotation_sigma_rad, usual, math.sqrt(variance))
+        sigma_rad = math.hypot(math.sqrt(self.usual.variance), self.swing_sigma_rad(belief))
+        return GaussianPrior(expected, belief.rotation_sigma_rad, usual, sigma_rad)

@@ -28,6 +28,10 @@ _MOST_INLIERS, _WAYS_ACROSS = 0.9, 16
 # A part of the picture is still when most of its points are. With more than this share of the parts still, there is no
 # translation to speak of.
 _MOST_STILL = 0.5
+# A camera that moves goes on while more than this part of them moves.
+_LEAST_GOES_ON = 1.0 / 3.0
+# A direction that is more than so many standard deviations off its prior, although that draws it there, is at odds.
+_AT_ODDS = 2.0
 # Median of the absolute value of a standard normal variable, and of the length of two.
 _MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
 # A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
@@ -149,15 +153,36 @@ def estimate_egomotion(
     if not belief.can_translate:
         return _shaking((*observed, prior), turning)
     moving = _fit_from_starts((*observed, prior), turning.cam_R_prev, memory)
-    if memory.usual is not None and prior.direction is not None and not memory.goes_on:
-        # What has stopped may go on backwards. That is as unlikely as before its usual direction was known.
-        back = replace(prior, direction=-prior.direction)
-        other = _fit_from_starts((*observed, back), turning.cam_R_prev, replace(memory, direction=back.direction))
-        if belief.direction_sigma_rad is not None and other.cost + 4.0 / belief.direction_sigma_rad**2 < moving.cost:
-            moving = other
+    if memory.usual is not None and prior.direction is not None and belief.direction_sigma_rad is not None:
+        if not memory.goes_on:
+            # It may go back. That is as unlikely as before its usual direction was known: in the cost, the opposite
+            # of a direction is 2 / sigma off in each of two terms.
+            back = replace(prior, direction=-prior.direction)
+            other = _fit_from_starts((*observed, back), turning.cam_R_prev, replace(memory, direction=back.direction))
+            if other.cost + 4.0 / belief.direction_sigma_rad**2 < moving.cost:
+                moving, prior = other, back
+        moving = _weighed(moving, observed, prior, belief.direction_sigma_rad)
+        if memory.goes_on and moving.sense.sum() < 0.0:
+            # Most points go the other way: they are of movers, or the camera has begun to go back.
+            moving = replace(moving, doubt=np.eye(3))
     may_move = moving.direction is not None and not belief.excludes(moving.direction)
     may_move = may_move and _is_translation(turning, moving, pairs, least_parallax_rad)
     return moving if may_move else turning
+
+
+def _weighed(
+    fit: TwoViewFit, observed: tuple[Floats, Floats, Floats, Ints], prior: GaussianPrior, wide_rad: float
+) -> TwoViewFit:
+    """A fit with the prior of its direction weighed anew: as what the points say is, whose neighbours err together.
+
+    One whose direction is at odds with the prior has that of a camera of which nothing is known, ``wide_rad``.
+    """
+    assert fit.direction is not None
+    assert prior.direction is not None
+    off_rad = float(np.linalg.norm(fit.direction - prior.direction))
+    is_at_odds = off_rad > _AT_ODDS * prior.direction_sigma_rad
+    sigma_rad = wide_rad if is_at_odds else prior.direction_sigma_rad / math.sqrt(fit.spread_ratio)
+    return fit_motion(*observed, replace(prior, direction_sigma_rad=sigma_rad), fit.cam_R_prev, fit.direction)
 
 
 def with_doubt(fit: TwoViewFit, pairs: RayPairs, memory: EgomotionMemory, platform: Platform) -> TwoViewFit:
@@ -165,16 +190,20 @@ def with_doubt(fit: TwoViewFit, pairs: RayPairs, memory: EgomotionMemory, platfo
 
     That is the worst of theirs, by its likelihood beside this one. Parameters as of `estimate_egomotion`.
     """
-    prior = memory.prior(MOTION_PRIORS[platform])
-    if fit.direction is None or prior.direction is None or np.mean(_explained(fit)) >= _MOST_INLIERS:
+    belief = MOTION_PRIORS[platform]
+    prior, sigma_rad = memory.prior(belief), belief.direction_sigma_rad
+    if fit.direction is None or prior.direction is None or sigma_rad is None:
         return fit
-    starts = _around(prior.direction, prior.direction_sigma_rad)
+    if np.mean(_explained(fit)) >= _MOST_INLIERS:
+        return fit
+    expected = prior.direction if fit.direction @ prior.direction >= 0.0 else -prior.direction
+    prior, starts = replace(prior, direction=expected), _around(expected, sigma_rad)
     others = [fit_motion(*pairs.observed, prior, fit.cam_R_prev, start) for start in starts]
     noise = max(1.0, float(np.median(np.abs(fit.residual))) / _MEDIAN_NORMAL)
     off = np.array([other.direction for other in others]) - fit.direction
     likely = expit(0.5 * np.array([fit.cost - other.cost for other in others]) / noise**2)
     worst = int(np.argmax(likely * (off * off).sum(axis=1)))
-    return replace(fit, doubt=likely[worst] * np.outer(off[worst], off[worst]))
+    return replace(fit, doubt=fit.doubt + likely[worst] * np.outer(off[worst], off[worst]))
 
 
 def egomotion_of(fit: TwoViewFit) -> Egomotion:
@@ -278,9 +307,9 @@ def _fit_from_starts(
 
 
 def _around(direction: Floats, sigma_rad: float) -> Floats:
-    """A direction ``(3,)`` about the optical axis, and four that are a standard deviation off it: (5, 3)."""
-    off = math.tan(sigma_rad) * np.concatenate([np.zeros((1, 3)), _ACROSS[:: _WAYS_ACROSS // 4]])
-    return normalize(direction + off)
+    """A direction ``(3,)``, and four that are a standard deviation off it: (5, 3)."""
+    across = math.tan(sigma_rad) * tangent_basis(direction).T
+    return normalize(direction + np.concatenate([np.zeros((1, 3)), across, -across]))
 
 
 def _explained(fit: TwoViewFit) -> Bools:
@@ -294,7 +323,8 @@ def _is_translation(turning: TwoViewFit, moving: TwoViewFit, pairs: RayPairs, le
     With the camera at rest the flow of the movers alone also meets somewhere, and one lorry can hold 40 % of all
     points: translation has to be seen in half of the parts of the picture. Nor by dirt on the lens: as the camera
     turns, it looks like a scene near by that goes across. Where a moving camera may have stopped, only a part says so
-    that had moved and is still now: what is too far away never moves.
+    that had moved and is still now: what is too far away never moves. (Unless it is most of the picture: then movers
+    may be all that moves.)
     """
     if _criterion(turning.residual**2, 2, 3) <= _criterion(moving.residual**2, 3, 5):
         return False
@@ -304,10 +334,11 @@ def _is_translation(turning: TwoViewFit, moving: TwoViewFit, pairs: RayPairs, le
     moved_rad = np.linalg.norm(pairs.now - pairs.before, axis=1)
     is_point_still |= _are_stuck(moved_rad, ~is_point_still, least_parallax_rad)
     is_still = np.bincount(pairs.region, is_point_still) > half
-    tells = np.ones_like(is_still)
-    if pairs.had_moved is not None:
-        tells = ~is_still | (np.bincount(pairs.region, pairs.had_moved) > half)
-    return bool(np.count_nonzero(is_still & tells) < _MOST_STILL * np.count_nonzero(tells))
+    if pairs.had_moved is None:
+        return bool(np.mean(is_still) < _MOST_STILL)
+    tells = ~is_still | (np.bincount(pairs.region, pairs.had_moved) > half)
+    goes_on = np.mean(is_still) < 1.0 - _LEAST_GOES_ON
+    return bool(goes_on and np.count_nonzero(is_still & tells) < _MOST_STILL * np.count_nonzero(tells))
 
 
 def _are_stuck(moved_rad: Floats, differs: Bools, least_rad: float) -> Bools:

@@ -184,12 +184,12 @@ def _directions(
     ray = np.column_stack([middle, np.ones(len(middle))])
     turn = history.rotation_rate_sigma_rad_s * skew(ray)
     own = np.linalg.inv(info + np.eye(3) / UNSURE_HZ**2) + turn @ turn.transpose(0, 2, 1)
-    moved = np.einsum("ki,ki->k", velocity_hz, np.linalg.solve(own, velocity_hz[:, :, None])[:, :, 0])
     speed_hz = np.linalg.norm(velocity_hz, axis=1)[:, None]
     direction = quotient(velocity_hz, speed_hz)
     across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / speed_hz[:, :, None]
     cov = across @ own @ across
-    is_known = (moved > _NO_DIRECTION_CHI2) & (np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)
+    moves = speed_hz[:, 0] ** 2 > _NO_DIRECTION_CHI2 * np.einsum("ki,kij,kj->k", direction, own, direction)
+    is_known = moves & (np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)
     direction[~is_known] = np.nan
     return direction, cov
 

@@ -91,7 +91,7 @@ def find_corners(
     shape = (grey.shape[0], grey.shape[1])
     response = _response(grey)
     # A stride of 4 in both axes leaves the percentile as it is and takes a sixteenth of the time.
-    threshold = max(_response_to_noise(grey), quality * float(np.percentile(response[::4, ::4], 99.9)))
+    threshold = max(_response_to_noise(grey, allowed), quality * float(np.percentile(response[::4, ::4], 99.9)))
     x, y = _peaks(grey, response, threshold, allowed)
     taken = occupied_cells(xy_taken_px, shape, min_distance_px)
     cell = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
@@ -124,7 +124,7 @@ def find_corners_where(
     if n_wanted <= 0:
         return np.empty((0, 2))
     response = _response(grey)
-    x, y = _peaks(grey, response, _response_to_noise(grey), where)
+    x, y = _peaks(grey, response, _response_to_noise(grey, None), where)
     first = np.argsort(-response[y, x], kind="stable")
     xy = np.empty((0, 2))
     for distance_px in (min_distance_px, _CLOSE_PART * min_distance_px):
@@ -155,17 +155,21 @@ def _response(grey: Picture) -> NDArray[Any]:
     return response
 
 
-def _response_to_noise(grey: Picture) -> float:
+def _response_to_noise(grey: Picture, allowed: Picture | None) -> float:
     """The greatest response that the noise of a picture makes.
 
-    The noise is that of the plainest blocks, by second differences along both axes. Source: Immerkaer (1996).
+    The noise is that of the plainest blocks, by second differences along both axes. Source: Immerkaer (1996). Blocks of
+    one grey level tell none: bars above and below the picture, a sky that is clipped; nor do those not ``allowed``.
     """
     side_px, roughness = _BLOCK_OF_NOISE_PX, [np.empty(0)]
     width = grey.shape[1] // side_px * side_px
     for top in range(0, grey.shape[0] - side_px + 1, _STRIPS_PX):
         strip = cv2.convertScaleAbs(cv2.filter2D(grey[top : top + side_px], cv2.CV_16S, _SECOND_DIFFERENCES))
         roughness.append(strip[:, :width].sum(axis=0, dtype=np.float64).reshape(-1, side_px).mean(axis=1) / side_px)
+        if allowed is not None:
+            roughness[-1] *= allowed[top + side_px // 2, side_px // 2 : width : side_px] > 0
     blocks = np.concatenate(roughness)
+    blocks = blocks[blocks > 0.0]
     if not len(blocks):
         return _MIN_RESPONSE
     sigma_grey = _SIGMA_PER_ROUGHNESS * float(np.quantile(blocks, _PLAIN_PART))
