@@ -9,7 +9,7 @@ import numpy as np
 from ttcvid.config import PipelineConfig
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import normalize
-from ttcvid.model import Bools, Camera, Frame, FrameStatus, Platform, PointSet
+from ttcvid.model import Camera, Frame, FrameStatus, Platform, PointSet
 from ttcvid.stages.egomotion.frame_gap import find_own_motion
 from ttcvid.stages.egomotion.motion_prior import EgomotionMemory
 from ttcvid.stages.egomotion.outflow import flows_out
@@ -87,7 +87,10 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
 
     step_s = np.inf if dt_s is None else dt_s
     is_frozen, frozen = find_frozen(memory.frozen, points, scene_moves=memory.scene_moves, step_s=step_s)
-    egomotion, history, ego_memory = _own_motion(frame, points, ~is_frozen, memory, clip)
+    history = _with_points(frame, points, memory.history, clip)
+    tracks = history, ~is_frozen, in_scene(memory.bodies, history.track_id)
+    own, least_noise_px = clip.config.egomotion, clip.config.tracking.sigma_floor_px
+    egomotion, history, ego_memory = find_own_motion(*tracks, memory.egomotion, own, LEAST_PARALLAX_PX, least_noise_px)
     if egomotion is not None:
         dt_s = float(history.t_s[-1] - history.t_s[-2])
     if status == FrameStatus.ok:
@@ -107,16 +110,6 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
         plane=plane,
     )
     return SeenFrame(frame, dt_s, status, plane, Seen(history, egomotion, motions, plane)), memory
-
-
-def _own_motion(
-    frame: Frame, points: PointSet, is_free: Bools, memory: Memory, clip: Clip
-) -> tuple[Egomotion | None, TrackHistory, EgomotionMemory]:
-    """Own motion since the last frame; None with too few tracks that were seen in both."""
-    history = _with_points(frame, points, memory.history, clip)
-    tracks = history, is_free, in_scene(memory.bodies, history.track_id)
-    own, least_noise_px = clip.config.egomotion, clip.config.tracking.sigma_floor_px
-    return find_own_motion(*tracks, memory.egomotion, own, LEAST_PARALLAX_PX, least_noise_px)
 
 
 def _since(t_s: float | None, frame: Frame) -> float | None:

@@ -73,11 +73,8 @@ def find_own_motion(
     follows = in_scene if window is None else in_scene & ~window.leaves_out(history.track_id)
     step = _last_step(history, is_free, follows, memory, config, parallax_rad)
     if step is None:
-        return (
-            None,
-            last_frame_only(history),
-            replace(memory, gap_frames=1, window=None, is_window_used=False, n_moving=0),
-        )
+        memory = replace(memory, gap_frames=1, window=None, is_window_used=False, n_moving=0)
+        return None, last_frame_only(history), memory
     egomotion, history, memory = _over_gap(history, *step, memory, config, parallax_rad, sigma_floor_px)
     tells, belief = step[1], MOTION_PRIORS[config.platform]
     if belief.is_open:
@@ -122,11 +119,9 @@ def _last_step(
     if everything is None:
         return None
     without_movers = is_free & in_scene
-    pair = (
-        paired_rays(history, without_movers, 1, _LEAST_OF_TURN, with_past=memory.goes_on)
-        if (is_free & ~in_scene).any()
-        else None
-    )
+    pair = None
+    if (is_free & ~in_scene).any():
+        pair = paired_rays(history, without_movers, 1, _LEAST_OF_TURN, with_past=memory.goes_on)
 
     def fit_to(rays: RayPairs) -> TwoViewFit:
         fit = estimate_egomotion(rays, parallax_rad, memory, config.platform)

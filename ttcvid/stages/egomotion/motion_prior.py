@@ -17,8 +17,8 @@ from ttcvid.model import Bools, Floats, Ints, Platform
 _LEAST_STEPS, _SWING_S = 6, 1.0
 # It changes, too: a mounting gives way, an aircraft has the wind from elsewhere. By a degree a minute, rad^2/s.
 _DRIFT_RAD2_S = float(np.radians(1.0)) ** 2 / 60.0
-# In a bend a camera ahead of the rear axle goes aside: by the rate of the turn, times how long the vehicle takes for
-# that distance (1.7 m at 3.4 m/s; it takes less where it is faster, and then turns less).
+# In a bend a camera ahead of the rear axle goes aside, by the turn in the time that the vehicle takes for that distance
+# (1.7 m at 3.4 m/s).
 _SLIP_S = 0.5
 # A vehicle does not go farther off its camera's axis, ahead or back, than so many standard deviations: 60 deg.
 _MOST_OFF_AXIS_SIGMAS = 4.0

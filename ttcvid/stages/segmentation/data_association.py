@@ -12,7 +12,6 @@ from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.common_errors import drift_cost
-from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
@@ -139,8 +138,8 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     is_own = number[track] == mover + 1
     is_other = redchi[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, is_own, len(movers))
-    is_no_part = (redchi[track] < _AS_STILL) | (seen.ride_odds[track] > -FOLLOWS)
-    is_no_mover = _most_of(is_own & is_no_part, is_own, mover, len(movers))
+    n_own, n_still = (np.bincount(mover, one, len(movers)) for one in (is_own, is_own & (redchi[track] < _AS_STILL)))
+    is_no_mover = n_still > 0.5 * n_own
     # What the road contradicts moves along our own way: that is no drift.
     residual_px2 = np.where(redchi > seen.seen_redchi, np.inf, seen.residual_px2(views))
     is_no_mover |= drift_cost(residual_px2, number, n_bodies, views.common_px)[1:] < _AS_DRIFT
@@ -150,14 +149,6 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     agreement = _votes(number, neighbours, n_bodies, sureness(redchis, number)) / np.maximum(n_neighbours, 1.0)
     best = np.argmin(_costs(redchis, agreement, number, seen.fit.n_views, seen.camera_rests), axis=1)
     return np.append(SCENE_CLUSTER, movers.key)[best], redchis[np.arange(len(key)), best]
-
-
-def _most_of(is_one: Bools, is_own: Bools, mover: Ints, n_movers: int) -> Bools:
-    """For which movers ``(K,)`` a condition ``is_one (M,)`` holds for most of their own tracks ``is_own (M,)``.
-
-    ``mover (M,)`` is the mover that each track is tried for.
-    """
-    return np.asarray(np.bincount(mover, is_one, n_movers) > 0.5 * np.bincount(mover, is_own, n_movers))
 
 
 def are_nearer(rate_hz: Floats, sigma_hz: Floats, thing: Ints, is_own: Bools, n_things: int) -> Bools:

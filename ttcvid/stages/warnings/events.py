@@ -10,6 +10,7 @@ from scipy.special import expit, logit, stdtrit
 
 from ttcvid.config import EventsConfig
 from ttcvid.model import ClusterRow, Event, Floats, MotionState
+from ttcvid.stages.segmentation.bodies import ROUNDING_S
 from ttcvid.stages.warnings.course import Course, Viewpoint, approach_probability, course_of
 
 # A hidden object, or one whose course is open, is still there: it is forgotten after this many times the persistence.
@@ -28,8 +29,6 @@ _LEAST_ASKED = 0.6
 _EVEN = 0.5
 # A step between frames this many times as long as the usual one is a gap.
 _STALLED = 1.5
-# Presentation times are rounded to the clock of their container: tolerance of a comparison of durations, s.
-_ROUNDING_S = 1e-3
 # A shorter miss vector has no direction, widths.
 _TINY = 1e-9
 # Log odds grow to this many times those that a warning asks for: what ends has to be told in time.
@@ -126,7 +125,7 @@ def _watched(
     """The object with this frame added; its warning is not touched."""
     asked = _asked(config)
     recent = () if before is None else tuple(one for one in before.recent if one[0] >= t_s - _gone_s(config))
-    since_s = t_s - _TREND_S - _ROUNDING_S
+    since_s = t_s - _TREND_S - ROUNDING_S
     times_left = () if before is None else tuple(one for one in before.times_left if one[0] >= since_s)
     tcpa_s = float(row.times.tcpa_s[0])
     if 0.0 < tcpa_s < math.inf:
@@ -215,7 +214,7 @@ def _common_part(one: tuple[float, float, float, float], other: tuple[float, flo
 
 def _gone_s(config: EventsConfig) -> float:
     """Longest interruption of a condition that is not its end, s."""
-    return config.persistence_s + _ROUNDING_S
+    return config.persistence_s + ROUNDING_S
 
 
 def standing_events(memory: EventMemory, t_s: float, config: EventsConfig) -> tuple[Event, ...]:
