@@ -77,3 +77,18 @@ def with_new_tracks(frame, first):
     track_id = frame.points.track_id
     points = PointSet(np.where(track_id >= first, track_id + 10_000, track_id), frame.points.xy_px)
     return replace(frame, points=points)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dirt_on_the_lens_is_no_car_ahead(seed):
+    """Four spots at the height of the road ahead, of twenty tracks each, which follow them with an error."""
+    rng = np.random.default_rng(seed)
+    spots = np.concatenate([rng.normal(at, 15.0, (20, 2)) for at in ((800, 445), (420, 430), (650, 417), (570, 470))])
+    with_dirt = []
+    for frame in table([street(seed=seed)], driving(10.0), 40, seed=seed):
+        track_id = np.append(frame.points.track_id, 10000 + np.arange(len(spots)))
+        xy_px = np.concatenate([frame.points.xy_px, spots + rng.normal(0.0, 0.2, spots.shape)])
+        with_dirt.append(replace(frame, points=PointSet(track_id, xy_px)))
+    results = results_of(with_dirt)
+    assert sum(len(ids_of(result)) for result in results) <= 4
+    assert warned(results) == {}

@@ -100,12 +100,15 @@ def see_motions(tracked: TrackedFrame, memory: Memory, clip: Clip) -> tuple[Seen
     motions, history, bodies = find_motions(
         history, egomotion, ~is_frozen, ~frozen.is_suspect, memory.bodies, plane, clip.camera, clip.config
     )
+    # Behind a few frames with too few tracks everything goes on with those from before.
+    before_s = memory.history.t_s
+    is_gap = egomotion is None and len(before_s) > 1 and frame.t_s - before_s[-1] <= before_s[-1] - before_s[0]
     memory = replace(
         memory,
-        history=history,
+        history=memory.history if is_gap else history,
         frozen=frozen,
         egomotion=ego_memory,
-        bodies=restarted_bodies(bodies) if egomotion is None else bodies,
+        bodies=restarted_bodies(bodies) if egomotion is None and not is_gap else bodies,
         scene_moves=_shows_frozen_pixels(egomotion, history, clip),
         plane=plane,
     )

@@ -185,9 +185,8 @@ def paired_rays(
 ) -> RayPairs | None:
     """Points of tracks ``is_free (N,)`` in the views ``gap`` frames ago and now; None with too few of them.
 
-    ``with_past``: and which of them had moved before. Of tracks so that no place of the picture holds too many: one
-    textured lorry is not the world. A mover near by may hold most of the tracks, but it does not fill most of the
-    picture.
+    ``with_past``: and which had moved before. Of tracks so that no place of the picture holds too many: one textured
+    lorry is not the world. A mover near by may hold most of the tracks, but it does not fill most of the picture.
     """
     if not 0 < gap < len(history.frame):
         return None

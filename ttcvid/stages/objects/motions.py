@@ -31,8 +31,7 @@ from ttcvid.stages.tracking.history import TrackHistory, without_displaced
 # Where few tracks are given they lie farther apart: random points hang together from 1.2 times their spacing on
 # (percolation of discs, sqrt(4.51 / pi)). Nothing is a neighbour beyond so many times the first distance.
 _LINK_PART, _SPARSE_LINK, _MOST_LINK = 0.05, 1.2, 2.0
-# A velocity over noise at 95 % along its own direction has one, if that is known to `MAX_DIRECTION_SIGMA_RAD`: what
-# heads for us is well known across, and all its noise lies along.
+# A velocity over its noise along itself, at 95 %, has a direction: what heads for us is well known across.
 _NO_DIRECTION_CHI2 = float(chdtri(1, 0.05))
 NO_MOTION_CHI2 = float(chdtri(3, 0.05))
 """A velocity may be zero inside 95 % of a 3-D Gaussian."""
