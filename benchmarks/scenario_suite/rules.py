@@ -131,6 +131,12 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.surface_memory.remembered": _seen_only},
         _stage("segmentation/surface_memory"),
     ),
+    "fixed_to_camera": Rule(
+        "what is fixed to the camera is no mover",
+        "bodies",
+        {"stages.segmentation.fixed_to_camera.ride_odds": lambda views, _: np.full(len(views.xy_px), -np.inf)},
+        _stage("segmentation/fixed_to_camera"),
+    ),
     "drift": Rule(
         "what drifts by no more than tracks err in common is no mover",
         "bodies",

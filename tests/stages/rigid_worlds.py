@@ -24,7 +24,10 @@ NOTHING_KNOWN = BodyMemory()
 
 @dataclass(frozen=True)
 class Thing:
-    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static."""
+    """Points (N, 3) at frame 0 that move, speed up and turn about the vertical through their centre; none: static.
+
+    What `rides` is fixed to the camera: its points are those of the camera's frame at any time.
+    """
 
     points: np.ndarray
     velocity_m_s: tuple = (0.0, 0.0, 0.0)
@@ -32,6 +35,7 @@ class Thing:
     yaw_rad_s: float = 0.0
     frames: tuple = (0, 10**9)
     hidden: range = range(0)
+    rides: bool = False
 
     def at(self, t_s):
         centre = self.points.mean(axis=0)
@@ -142,6 +146,9 @@ def bodies_of(
             world_to_cam = rotation_from_vector(shake[frame]) @ on_course
         step = world_to_cam @ before.T
         position = position @ world_to_cam.T
+        for number, thing in enumerate(things):
+            if thing.rides:
+                position[numbers == number] = thing.points
         is_seen &= position[:, 2] > 1.0
         xy_px = pixels(np.where(is_seen[:, None], position, (0.0, 0.0, 1.0)))
         if opaque:

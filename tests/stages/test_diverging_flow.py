@@ -66,7 +66,7 @@ def found_in(views, scene, fit, seeds=None):
 def new_in(views, scene, fit):
     nowhere, redchi = np.zeros(len(fit.redchi), dtype=bool), fit.redchi
     of_scene = fit.rate_hz, fit, redchi, redchi, 1.0
-    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), Platform.free)
+    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), Platform.free, np.full(len(redchi), -np.inf))
     members, paths, _ = new_movers(views, seen, ~nowhere, views.neighbours(), CONFIG)
     return members, paths
 

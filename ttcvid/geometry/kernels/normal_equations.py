@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttcvid.compiled import compiled, compiled_in_place
+from ttcvid.compiled import ZERO, compiled, compiled_in_place
 from ttcvid.model import Floats
 
 
 @compiled_in_place
-def _product(rows: Floats, c: int, d: int, stop: int) -> float:
-    """The inner product of two rows up to one place."""
+def product(rows: Floats, c: int, d: int, first: int, stop: int) -> float:
+    """The inner product of two rows, from one place to another."""
     total = 0.0
     # By an index without a sign: several places are worked at at a time.
-    for k in range(np.uint64(stop)):
+    for k in range(np.uint64(first), np.uint64(stop)):
         total += rows[c, k] * rows[d, k]
     return total
 
@@ -28,5 +28,5 @@ def add_equations(rows: Floats, stop: int, information: Floats, score: Floats) -
     n = len(score)
     for c in range(n):
         for d in range(c + 1):
-            information[c, d] += _product(rows, c, d, stop)
-        score[c] += _product(rows, c, n, stop)
+            information[c, d] += product(rows, c, d, ZERO, stop)
+        score[c] += product(rows, c, n, ZERO, stop)

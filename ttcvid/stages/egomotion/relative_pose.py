@@ -155,8 +155,8 @@ def estimate_egomotion(
     moving = _fit_from_starts((*observed, prior), turning.cam_R_prev, memory)
     if memory.usual is not None and prior.direction is not None and belief.direction_sigma_rad is not None:
         if not memory.goes_on:
-            # It may go back. That is as unlikely as before its usual direction was known: in the cost, the opposite
-            # of a direction is 2 / sigma off in each of two terms.
+            # It may go back. That is as unlikely as before its usual direction was known: the opposite of a direction
+            # is 2 / sigma off.
             back = replace(prior, direction=-prior.direction)
             other = _fit_from_starts((*observed, back), turning.cam_R_prev, replace(memory, direction=back.direction))
             if other.cost + 4.0 / belief.direction_sigma_rad**2 < moving.cost:

@@ -17,6 +17,7 @@ from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_mov
 from ttcvid.stages.segmentation.common_errors import drift_cost
 from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
+from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
 from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY, recent_velocities
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
@@ -68,7 +69,7 @@ def new_movers(
 
     Returns of each of J births its tracks ``(M,)``, trajectory and median inverse depth ``(J,)``, 1/s.
     """
-    is_asked = in_scene & views.is_free & (seen.fit.n_views >= _LEAST_VIEWS)
+    is_asked = in_scene & views.is_free & (seen.ride_odds < -FOLLOWS) & (seen.fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)

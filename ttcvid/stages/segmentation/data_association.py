@@ -12,6 +12,7 @@ from ttcvid.geometry.medians import medians
 from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.common_errors import drift_cost
+from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
 from ttcvid.stages.segmentation.last_known import LastKnown, nothing_known
 from ttcvid.stages.segmentation.scene import SeenScene
 
@@ -138,7 +139,8 @@ def assigned(views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neigh
     is_own = number[track] == mover + 1
     is_other = redchi[track] < _SCENE_EXPLAINS
     is_other &= are_nearer(fit.rate_hz, fit.rate_sigma_hz, mover, is_own, len(movers))
-    n_own, n_still = (np.bincount(mover, one, len(movers)) for one in (is_own, is_own & (redchi[track] < _AS_STILL)))
+    is_no_part = (redchi[track] < _AS_STILL) | (seen.ride_odds[track] > -FOLLOWS)
+    n_own, n_still = (np.bincount(mover, one, len(movers)) for one in (is_own, is_own & is_no_part))
     is_no_mover = n_still > 0.5 * n_own
     # What the road contradicts moves along our own way: that is no drift.
     residual_px2 = np.where(redchi > seen.seen_redchi, np.inf, seen.residual_px2(views))

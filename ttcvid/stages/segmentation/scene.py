@@ -16,6 +16,7 @@ from ttcvid.stages.egomotion.motion_prior import FORWARD_DIR, MOTION_PRIORS
 from ttcvid.stages.egomotion.relative_pose import Egomotion, picture_region, region_side_of
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
+from ttcvid.stages.segmentation.fixed_to_camera import ride_odds
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -52,7 +53,8 @@ class SeenScene:
 
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
     each: of a scene at rest, without motion. ``redchi (N,)``, in units of what is usual, ``median_redchi``, with
-    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera.
+    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera; ``ride_odds
+    (N,)`` log odds that a track is fixed to the camera.
     """
 
     scene: RigidPaths
@@ -64,6 +66,7 @@ class SeenScene:
     median_redchi: float
     road: RoadMemory
     platform: Platform
+    ride_odds: Floats
 
     @property
     def camera_rests(self) -> bool:
@@ -125,7 +128,8 @@ def see_scene(
         road_before = road_before.in_units(speed)
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
         redchi = _with_contradictions(redchi, road, on_road(fit, road), key, fit.n_views, config)
-    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform)
+    rides = ride_odds(views, scene.cam_R_past[0]) if can_translate else np.full(len(key), -np.inf)
+    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform, rides)
 
 
 def _scene(
