@@ -42,7 +42,12 @@ class TwoViewFit:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (k, k) of the unknowns, rad^2: that of the assumed noise, times the ``spread_ratio``."""
-        return np.asarray(self.spread_ratio * np.linalg.inv(self.information), dtype=np.float64)
+        return np.asarray(self.spread_ratio * self._by_noise, dtype=np.float64)
+
+    @cached_property
+    def _by_noise(self) -> Floats:
+        """The covariance by the assumed noise."""
+        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
 
     @cached_property
     def spread_ratio(self) -> float:
@@ -58,7 +63,7 @@ class TwoViewFit:
         scores = (self.rows[:-1] * self.rows[-1]).reshape(k, -1, len(self.region)).sum(axis=1)
         cell = self.region + (self.region.max() + 1) * np.arange(k)[:, None]
         sums = np.bincount(cell.ravel(), scores.ravel()).reshape(k, -1)
-        half = np.linalg.cholesky(np.linalg.inv(self.information)).T @ sums
+        half = np.linalg.cholesky(self._by_noise).T @ sums
         return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]) * n_used / (n_used - k))
 
 
