@@ -107,6 +107,12 @@ RULES: dict[str, Rule] = {
         {"stages.segmentation.ground_contact.find_contacts": _no_contacts},
         _stage("segmentation/ground_contact"),
     ),
+    "speed_changes": Rule(
+        "what changes its speed along our way stays a mover",
+        "ground",
+        {"stages.segmentation.speed_changes.change_speed": _zeros(3)},
+        _stage("segmentation/speed_changes"),
+    ),
     "spreading": Rule(
         "new movers that keep their bearing and spread",
         "births",

@@ -76,7 +76,7 @@ def find_own_motion(
         memory = replace(memory, gap_frames=1, window=None, is_window_used=False, n_moving=0)
         return None, last_frame_only(history), memory
     egomotion, history, memory = _over_gap(history, *step, memory, config, parallax_rad, sigma_floor_px)
-    tells, belief = step[1], MOTION_PRIORS[config.platform]
+    tells, belief = step[2], MOTION_PRIORS[config.platform]
     if belief.is_open:
         tracks = history, is_free, in_scene, tells
         found = by_window(*tracks, memory.window, egomotion, belief.rotation_sigma_rad, parallax_rad)
@@ -113,8 +113,8 @@ def _last_step(
     memory: EgomotionMemory,
     config: EgomotionConfig,
     parallax_rad: float,
-) -> tuple[TwoViewFit, Bools] | None:
-    """Own motion since the last frame by the tracks of no known mover, or by all, and which; None with too few."""
+) -> tuple[TwoViewFit, RayPairs, Bools] | None:
+    """Own motion since the last frame, and by which tracks: those of no known mover, or all. None with too few."""
     everything = paired_rays(history, is_free, 1, config.min_tracks, with_past=memory.goes_on)
     if everything is None:
         return None
@@ -124,24 +124,24 @@ def _last_step(
         pair = paired_rays(history, without_movers, 1, _LEAST_OF_TURN, with_past=memory.goes_on)
 
     def fit_to(rays: RayPairs) -> TwoViewFit:
-        fit = estimate_egomotion(rays, parallax_rad, memory, config.platform)
-        return with_doubt(fit, rays, memory, config.platform)
+        return estimate_egomotion(rays, parallax_rad, memory, config.platform)
 
     if pair is None:
-        return fit_to(everything), is_free
+        return fit_to(everything), everything, is_free
     by_scene = fit_to(pair)
     if by_scene.direction is not None and len(pair.now) < config.min_tracks:
-        return fit_to(everything), is_free
+        return fit_to(everything), everything, is_free
     if memory.is_window_used:
-        return by_scene, without_movers
+        return by_scene, pair, without_movers
     by_all = fit_to(everything)
     is_better = cost_of(by_all, everything) < cost_of(by_scene, everything)
-    return (by_all, is_free) if is_better else (by_scene, without_movers)
+    return (by_all, everything, is_free) if is_better else (by_scene, pair, without_movers)
 
 
 def _over_gap(
     history: TrackHistory,
     fit: TwoViewFit,
+    pairs: RayPairs,
     tells: Bools,
     memory: EgomotionMemory,
     config: EgomotionConfig,
@@ -162,12 +162,12 @@ def _over_gap(
     is_noise_known, is_slow = egomotion.direction is not None or gap <= 1, gap >= _LONGEST_GAP
     if is_noise_known:
         history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
-    memory = replace(memory.after(fit), gap_frames=_gap_for(history, tells))
+    before, memory = memory, replace(memory.after(fit), gap_frames=_gap_for(history, tells))
     long_step = paired_rays(history, tells, gap, config.min_tracks, with_past=memory.goes_on) if gap > 1 else None
     if long_step is None:
         if not is_noise_known:
             history = with_noise(history, egomotion.residual_spread, sigma_floor_px, is_slow)
-        return egomotion, history, memory
+        return egomotion_of(with_doubt(fit, pairs, before, config.platform)), history, memory
     start = replace(memory, rotation_rad=vector_from_rotation(history.cam_R_past[-1 - gap]))
     mean_fit = estimate_egomotion(long_step, np.sqrt(gap) * parallax_rad, start, config.platform)
     over_gap = egomotion_of(with_doubt(mean_fit, long_step, start, config.platform))

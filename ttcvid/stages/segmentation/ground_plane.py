@@ -73,7 +73,8 @@ class RoadPoints:
 class RoadMemory:
     """Ground plane of a frame, and evidence of tracks against it.
 
-    track_id, evidence : ``(N,)`` evidence of each track against being static, in 0 to 1.
+    track_id, evidence : ``(N,)`` evidence of each track against being static, in 0 to 1, by its ground contact.
+    by_speed : ``(N,)`` the same by a change of its speed (`stages.segmentation.speed_changes`).
     plane : ``(3,)`` as from `find_road`; None: not found.
     seen : what it was fitted to.
     """
@@ -82,14 +83,25 @@ class RoadMemory:
     evidence: Floats = field(default_factory=lambda: np.empty(0))
     plane: Floats | None = None
     seen: RoadPoints = field(default_factory=RoadPoints)
+    by_speed: Floats = field(default_factory=lambda: np.empty(0))
 
     def in_units(self, speed: float) -> RoadMemory:
         """The memory in units of another speed: inverse depths are speed over depth, and shrink where we brake."""
         return replace(self, seen=replace(self.seen, rate_hz=self.seen.rate_hz * speed))
 
+    def with_speed_changes(self, before: RoadMemory, changes: Bools) -> RoadMemory:
+        """The memory with the tracks ``(N,)`` that change their speed now; ``before`` is that of the last frame."""
+        by_speed = _FORGETTING * np.append(before.by_speed, 0.0)[places_among(before.track_id, self.track_id)]
+        return replace(self, by_speed=np.where(changes, 1.0, by_speed))
+
+    @property
+    def against_scene(self) -> Floats:
+        """Evidence ``(N,)`` against being static, of either kind."""
+        return np.maximum(self.evidence, self.by_speed)
+
     def contradicts(self) -> Bools:
         """Whether tracks ``(N,)`` contradict the static scene."""
-        return np.asarray(self.evidence > _ENOUGH)
+        return np.asarray(self.against_scene > _ENOUGH)
 
 
 def gathered_evidence(

@@ -18,6 +18,7 @@ from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, ref
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.fixed_to_camera import ride_odds
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
+from ttcvid.stages.segmentation.speed_changes import change_speed
 from ttcvid.stages.tracking.history import TrackHistory
 
 # At most this many tracks refine the scene; those in crowded cells have less weight. Side of the cells, in cells of
@@ -127,7 +128,10 @@ def see_scene(
         alike = np.where(redchi < config.scene_gate, SCENE_CLUSTER, key)
         road_before = road_before.in_units(speed)
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
-        redchi = _with_contradictions(redchi, road, on_road(fit, road), key, fit.n_views, config)
+        is_road = on_road(fit, road)
+        changes = change_speed(views, scene, fit, key, (redchi < config.scene_gate) & ~is_road)
+        road = road.with_speed_changes(road_before, changes)
+        redchi = _with_contradictions(redchi, road, is_road, key, fit.n_views, config)
     rides = ride_odds(views, scene.cam_R_past[0]) if can_translate else np.full(len(key), -np.inf)
     return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform, rides)
 
@@ -229,12 +233,13 @@ def _median_redchi(fit: PathFit, in_scene: Bools) -> float:
 def _with_contradictions(
     redchi: Floats, road: RoadMemory, is_road: Bools, key: Ints, n_views: Ints, config: BodiesConfig
 ) -> Floats:
-    """Misfits on the scene's path, with those raised that the road contradicts: of single tracks and whole movers.
+    """Misfits on the scene's path, with those raised that road or speed contradict: of single tracks and whole movers.
 
     Of a mover's young tracks, without evidence yet, those are left out that may lie on the road, ``is_road (N,)``.
     """
     # Of a mover along our way the path explains any track: only what stands or hangs where the mover does is its part.
-    may_be_part = (road.evidence > _LEAST_EVIDENCE) | ((n_views <= _USUAL_VIEWS) & ~is_road)
-    of_mover = np.bincount(key, road.evidence) > _MOVER_EVIDENCE * np.bincount(key)
+    evidence = road.against_scene
+    may_be_part = (evidence > _LEAST_EVIDENCE) | ((n_views <= _USUAL_VIEWS) & ~is_road)
+    of_mover = np.bincount(key, evidence) > _MOVER_EVIDENCE * np.bincount(key)
     is_odd = road.contradicts() | (may_be_part & (key != SCENE_CLUSTER) & of_mover[key])
     return np.where(is_odd, np.maximum(redchi, 2.0 * config.scene_gate), redchi)
