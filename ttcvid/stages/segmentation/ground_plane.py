@@ -74,25 +74,24 @@ class RoadMemory:
     """Ground plane of a frame, and evidence of tracks against it.
 
     track_id, evidence : ``(N,)`` evidence of each track against being static, in 0 to 1, by its ground contact.
-    by_speed : ``(N,)`` the same by a change of its speed (`stages.segmentation.speed_changes`).
+    by_speed : ``(N,)`` evidence by a change of its speed (`stages.segmentation.speed_changes`).
     plane : ``(3,)`` as from `find_road`; None: not found.
     seen : what it was fitted to.
     """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     evidence: Floats = field(default_factory=lambda: np.empty(0))
+    by_speed: Floats = field(default_factory=lambda: np.empty(0))
     plane: Floats | None = None
     seen: RoadPoints = field(default_factory=RoadPoints)
-    by_speed: Floats = field(default_factory=lambda: np.empty(0))
 
     def in_units(self, speed: float) -> RoadMemory:
         """The memory in units of another speed: inverse depths are speed over depth, and shrink where we brake."""
         return replace(self, seen=replace(self.seen, rate_hz=self.seen.rate_hz * speed))
 
-    def with_speed_changes(self, before: RoadMemory, changes: Bools) -> RoadMemory:
-        """The memory with the tracks ``(N,)`` that change their speed now; ``before`` is that of the last frame."""
-        by_speed = _FORGETTING * np.append(before.by_speed, 0.0)[places_among(before.track_id, self.track_id)]
-        return replace(self, by_speed=np.where(changes, 1.0, by_speed))
+    def with_speed_changes(self, changes: Bools) -> RoadMemory:
+        """The memory with the tracks ``(N,)`` that change their speed now."""
+        return replace(self, by_speed=np.where(changes, 1.0, self.by_speed))
 
     @property
     def against_scene(self) -> Floats:
@@ -116,11 +115,12 @@ def gathered_evidence(
     is_known = place >= 0
     # `place` -1, of a new track, picks the last one.
     evidence = np.append(memory.evidence, 0.0)[place]
+    by_speed = _FORGETTING * np.append(memory.by_speed, 0.0)[place]
     now_s = float(views.t_s[-1])
     seen = memory.seen.and_now(road_points(fit, in_scene, aim, track_id, now_s), now_s)
     road = find_road(seen, aim)
     if road is None:
-        return RoadMemory(track_id, _FORGETTING * evidence, None, seen)
+        return RoadMemory(track_id, _FORGETTING * evidence, by_speed, None, seen)
     road_hz = np.maximum(road[0] + fit.place @ road[1:], LEAST_BELOW * road[2])
     has_depth = fit.rate_sigma_hz < _KNOWN_PART * np.maximum(fit.rate_hz, road_hz)
     is_rated = views.is_free & (fit.n_views >= _LEAST_VIEWS) & has_depth
@@ -129,7 +129,7 @@ def gathered_evidence(
     evidence = _shared_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), contacts)
     # A track that lies under the road by itself needs no others, and no frames before.
     evidence[ground.is_under & ~contacts.is_own] = 1.0
-    return RoadMemory(track_id, evidence, road, seen)
+    return RoadMemory(track_id, evidence, by_speed, road, seen)
 
 
 def _shared_evidence(evidence: Floats, is_old: Bools, contacts: Contacts) -> Floats:

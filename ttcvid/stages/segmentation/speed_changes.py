@@ -1,4 +1,4 @@
-"""Changes of speed: what brakes before us is no static object at another depth.
+"""Changes of speed: what brakes or speeds up before us is no static object at another depth.
 
 A mover along our own direction looks like a static object as long as it keeps its speed. Where it changes that, its
 tracks leave the path of the scene by a distance that grows with the square of the time: each by little, and all alike.
@@ -25,53 +25,60 @@ _LEAST_VIEWS = 6
 _HALF_WEIGHT_SIGMAS = 3.0
 # A view in which a point was nearer than this part of its present depth says nothing.
 _LEAST_DEPTH_RATIO = 0.05
-# So many tracks of the scene tell what static things show. Median of the absolute value of a standard normal variable.
-_MOST_OTHERS, _MEDIAN_NORMAL = 100, 0.6745
-# A track tells by itself where the change of its body explains it better than none, by this log likelihood ratio.
-_TELLS = 0.5
+# At most so many tracks of the scene tell what static things show.
+_MOST_STATIC = 100
+# Median of the absolute value of a standard normal variable.
+_MEDIAN_NORMAL = 0.6745
+# A track shows the change of its mover if that is likelier than none by this (natural logarithm): e^0.5 to one.
+_LEAST_LOG_RATIO = 0.5
+# Information, s^2, that is no more than rounding.
 _TINY = 1e-12
 
 
 def change_speed(views: BodyViews, scene: RigidPaths, fit: PathFit, key: Ints, is_asked: Bools) -> Bools:
-    """Which of N tracks show, with the other tracks of their mover, that it changes its speed beside the scene: (N,).
+    """Tracks ``(N,)`` that show, together with the others of their mover, that it brakes or speeds up.
 
     Parameters
     ----------
     fit : The tracks on the path of the ``scene``.
-    key : (N,) their bodies; tracks of the scene tell what static things seem to change.
-    is_asked : (N,) those that this path explains, and that do not lie on the road.
+    key : (N,) their bodies. Tracks of the scene tell what static things seem to change: own motion and lens err.
+    is_asked : (N,) tracks that this path explains, and that do not lie on the road.
 
     Notes
     -----
-    A mover changes its speed if the change that all its tracks share exceeds 3.09 standard deviations. A track shows it
-    where it has the better likelihood with that change than without.
+    A mover changes its speed if the change that its tracks share differs from that of static things by more than 3.09
+    standard deviations, either way. Far background ahead, which any path explains, is taken for a part of movers there:
+    only tracks with a say of their own show the change.
     """
-    changes = np.zeros(len(key), dtype=bool)
-    is_asked, in_scene = is_asked & views.is_free & (fit.n_views >= _LEAST_VIEWS), key == SCENE_CLUSTER
-    asked, others = np.flatnonzero(is_asked & ~in_scene), np.flatnonzero(is_asked & in_scene)
-    if not len(asked) or not len(others):
+    changes, in_scene = np.zeros(len(key), dtype=bool), key == SCENE_CLUSTER
+    is_asked = is_asked & views.is_free & (fit.n_views >= _LEAST_VIEWS) & np.isfinite(fit.rate_hz)
+    movers, static = np.flatnonzero(is_asked & ~in_scene), np.flatnonzero(is_asked & in_scene & (fit.rate_hz > 0.0))
+    if not len(movers) or not len(static):
         return changes
-    others = np.ascontiguousarray(others[:: -(-len(others) // _MOST_OTHERS)])
-    score, info = _scores(views, scene, fit.take(others), others)
-    # Of static things nothing changes its speed: what they show is what own motion and the lens leave.
-    usual = max(1.0, median(np.abs(score) / np.sqrt(np.maximum(info, _TINY))) / _MEDIAN_NORMAL)
-    asked = asked[np.argsort(key[asked], kind="stable")]
-    _, lengths = np.unique(key[asked], return_counts=True)
-    bodies = TrackSets(asked, lengths)
-    score, info = _scores(views, scene, fit.take(asked), asked) / usual**2
+    static = static[:: -(-len(static) // _MOST_STATIC)]
+    score, info = _scores(views, scene, fit.take(static), static)
+    common_hz = score.sum() / max(info.sum(), _TINY)
+    left = np.abs(score - common_hz * info) / np.sqrt(np.maximum(info, _TINY))
+    variance = max(1.0, median(left) / _MEDIAN_NORMAL) ** 2
+    common_variance = variance / max(info.sum(), _TINY)
+    movers = movers[np.argsort(key[movers], kind="stable")]
+    bodies = TrackSets(movers, np.unique(key[movers], return_counts=True)[1])
+    score, info = _scores(views, scene, fit.take(movers), movers)
+    score = score - common_hz * info
     of_body, info_of_body = bodies.sums(score), bodies.sums(info)
-    differs = np.abs(of_body) > SIGMAS_999 * np.sqrt(info_of_body)
+    noise = np.sqrt(variance * info_of_body + common_variance * info_of_body**2)
+    differs = np.abs(of_body) > SIGMAS_999 * noise
     change_hz = quotient(of_body, info_of_body)[bodies.set_of]
-    # Far background ahead, which any path explains, tells nothing by itself.
-    changes[asked] = differs[bodies.set_of] & (score * change_hz - 0.5 * info * change_hz**2 > _TELLS)
+    log_ratio = (score * change_hz - 0.5 * info * change_hz**2) / variance
+    changes[movers] = differs[bodies.set_of] & (log_ratio > _LEAST_LOG_RATIO)
     return changes
 
 
-def _scores(views: BodyViews, scene: RigidPaths, fit: PathFit, track: Ints) -> Floats:
-    """Score and information ``(2, M)``, in s and s^2, of the change of speed of each of some tracks ``track (M,)``.
+def _scores(views: BodyViews, scene: RigidPaths, fit: PathFit, track: Ints) -> tuple[Floats, Floats]:
+    """Score, in s, and information, in s^2, of the change of speed of the tracks ``track (M,)``: ``(M,)`` each.
 
-    A change by kappa, in 1/s, makes a path T(t) into T(t) (1 + kappa t). Place and inverse depth of a track are
-    eliminated (Schur complement).
+    ``fit`` is that of the same tracks. A change by kappa, in 1/s, makes a path T(t) into T(t) (1 + kappa t): kappa is
+    half of the acceleration over the speed. Place and inverse depth of a track are eliminated (Schur complement).
     """
     path, since_s, precision = scene.path[0], views.since_s[:, None], views.sigma_norm[track] ** -2.0
     xy = each_turned_into_plane(views.rays, track, scene.cam_R_past, np.zeros(len(track), dtype=np.int64))
@@ -91,4 +98,4 @@ def _scores(views: BodyViews, scene: RigidPaths, fit: PathFit, track: Ints) -> F
 
     part = product(by_rate, by_change) / np.maximum(product(by_rate, by_rate), _TINY)
     by_change = by_change - part[:, None] * by_rate
-    return np.stack([product(by_change, off), product(by_change, by_change)])
+    return product(by_change, off), np.maximum(product(by_change, by_change), 0.0)
