@@ -7,6 +7,9 @@ import numpy as np
 from ttcvid.geometry.kernels.medians import fill_medians
 from ttcvid.model import Bools, Floats, Ints
 
+MEDIAN_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal variable."""
+
 
 def median(values: Floats) -> float:
     """Median of finite numbers ``(N,)``; NaN without any.

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import expit
 
 from ttcvid.geometry.estimation.relative_pose import GaussianPrior, TwoViewFit, direction_from_flow, fit_motion
+from ttcvid.geometry.medians import MEDIAN_NORMAL
 from ttcvid.geometry.paper.epipole import MAX_DIRECTION_SIGMA_RAD
 from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis, vector_from_rotation
@@ -32,8 +33,8 @@ _MOST_STILL = 0.5
 _LEAST_GOES_ON = 1.0 / 3.0
 # A direction that is more than so many standard deviations off its prior, although that draws it there, is at odds.
 _AT_ODDS = 2.0
-# Median of the absolute value of a standard normal variable, and of the length of two.
-_MEDIAN_NORMAL, _MEDIAN_RAYLEIGH = 0.6745, 1.1774
+# Median of the length of two standard normal variables.
+_MEDIAN_RAYLEIGH = 1.1774
 # A camera on a mast shakes by less than so many standard deviations; fewer points than this do not tell how.
 _FARTHEST_SIGMAS, _LEAST_STILL = 4.0, 6
 # Number of the cells of `picture_region` along one axis, and the least z of a ray that still has a cell of its own.
@@ -90,7 +91,7 @@ class Egomotion:
         Movers are cut off at three times the spread, and the cut is allowed for.
         """
         size = np.sort(np.abs(self.residual))
-        middle, n = _MEDIAN_NORMAL if self.direction is not None else _MEDIAN_RAYLEIGH, len(size)
+        middle, n = MEDIAN_NORMAL if self.direction is not None else _MEDIAN_RAYLEIGH, len(size)
         spread = 0.5 * (size[(n - 1) // 2] + size[n // 2]) / middle
         for _ in range(3):
             n = int(np.searchsorted(size, _INLIER_SIGMAS * spread, side="right"))
@@ -199,7 +200,7 @@ def with_doubt(fit: TwoViewFit, pairs: RayPairs, memory: EgomotionMemory, platfo
     expected = prior.direction if fit.direction @ prior.direction >= 0.0 else -prior.direction
     prior, starts = replace(prior, direction=expected), _around(expected, sigma_rad)
     others = [fit_motion(*pairs.observed, prior, fit.cam_R_prev, start) for start in starts]
-    noise = max(1.0, float(np.median(np.abs(fit.residual))) / _MEDIAN_NORMAL)
+    noise = max(1.0, float(np.median(np.abs(fit.residual))) / MEDIAN_NORMAL)
     off = np.array([other.direction for other in others]) - fit.direction
     likely = expit(0.5 * np.array([fit.cost - other.cost for other in others]) / noise**2)
     worst = int(np.argmax(likely * (off * off).sum(axis=1)))

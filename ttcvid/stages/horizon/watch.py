@@ -8,6 +8,7 @@ from dataclasses import astuple, dataclass, field
 import numpy as np
 
 from ttcvid.config import HorizonCalibrationConfig
+from ttcvid.geometry.medians import MEDIAN_NORMAL
 from ttcvid.model import SCENE_CLUSTER, Floats, FrameResult, HorizonOffset
 
 # Number of parts of the clip that a drift is estimated from, and least number of frames with an offset in each: an
@@ -21,8 +22,6 @@ _SURE_SIGMAS = 4.0
 _LEAST_MOVER_FRAMES = 10
 # Least standard deviation of an epipole of one frame, rad.
 _LEAST_SIGMA_RAD = 1e-4
-# Median of the absolute value of a standard normal variable.
-_MEDIAN_NORMAL = 0.6745
 
 
 _REMEDY = "the calibration no longer fits, calibrate the horizon again"
@@ -43,7 +42,7 @@ def complaint_about_own_epipoles(offset_px: Floats, tolerance_px: float) -> str:
     if len(parts[-1]) < _LEAST_FRAMES:
         return ""
     middle = np.array([np.median(part) for part in parts])
-    spread = np.array([np.median(np.abs(part - np.median(part))) for part in parts]) / _MEDIAN_NORMAL
+    spread = np.array([np.median(np.abs(part - np.median(part))) for part in parts]) / MEDIAN_NORMAL
     error = spread / np.sqrt([max(1.0, len(part) / _FRAMES_TOGETHER) for part in parts])
     drift_px = float(middle[-1] - middle[0])
     is_steady = bool((np.diff(middle) > 0).all() or (np.diff(middle) < 0).all())

@@ -2,8 +2,8 @@
 
 A mover along our own direction looks like a static object as long as it keeps its speed. Where it changes that, its
 tracks leave the path of the scene by a distance that grows with the square of the time: each by little, and all alike.
-What is known as a mover stays one by that, although its foot may be where that of a static object would be. (Tracks of
-no known mover are not asked: of a real street, many slide along kerbs and outlines as if they changed their speed.)
+What is known as a mover stays one by that, even where its foot is on the road at the depth of a static object. No mover
+starts by it: on real streets many tracks slide along kerbs and outlines as if they changed their speed.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
-from ttcvid.geometry.medians import median
+from ttcvid.geometry.kernels.path_point import LEAST_DEPTH_RATIO, ROBUST_SIGMAS
+from ttcvid.geometry.medians import MEDIAN_NORMAL, median
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import SCENE_CLUSTER, Bools, Floats, Ints
@@ -21,14 +22,8 @@ from ttcvid.stages.tracking.groups import TrackSets
 
 # Views that a track needs: a change of speed is the fourth unknown of its own.
 _LEAST_VIEWS = 6
-# The weight of a view falls to a half where it misses the path by so many sigmas.
-_HALF_WEIGHT_SIGMAS = 3.0
-# A view in which a point was nearer than this part of its present depth says nothing.
-_LEAST_DEPTH_RATIO = 0.05
 # At most so many tracks of the scene tell what static things show.
 _MOST_STATIC = 100
-# Median of the absolute value of a standard normal variable.
-_MEDIAN_NORMAL = 0.6745
 # A track shows the change of its mover if that is likelier than none by this (natural logarithm): e^0.5 to one.
 _LEAST_LOG_RATIO = 0.5
 # Information, s^2, that is no more than rounding.
@@ -47,8 +42,8 @@ def change_speed(views: BodyViews, scene: RigidPaths, fit: PathFit, key: Ints, i
     Notes
     -----
     A mover changes its speed if the change that its tracks share differs from that of static things by more than 3.09
-    standard deviations, either way. Far background ahead, which any path explains, is taken for a part of movers there:
-    only tracks with a say of their own show the change.
+    standard deviations, either way. Far background may be in a mover by mistake, since any path explains it: a track
+    therefore shows the change only where that makes it likelier.
     """
     changes, in_scene = np.zeros(len(key), dtype=bool), key == SCENE_CLUSTER
     is_asked = is_asked & views.is_free & (fit.n_views >= _LEAST_VIEWS) & np.isfinite(fit.rate_hz)
@@ -59,7 +54,7 @@ def change_speed(views: BodyViews, scene: RigidPaths, fit: PathFit, key: Ints, i
     score, info = _scores(views, scene, fit.take(static), static)
     common_hz = score.sum() / max(info.sum(), _TINY)
     left = np.abs(score - common_hz * info) / np.sqrt(np.maximum(info, _TINY))
-    variance = max(1.0, median(left) / _MEDIAN_NORMAL) ** 2
+    variance = max(1.0, median(left) / MEDIAN_NORMAL) ** 2
     common_variance = variance / max(info.sum(), _TINY)
     movers = movers[np.argsort(key[movers], kind="stable")]
     bodies = TrackSets(movers, np.unique(key[movers], return_counts=True)[1])
@@ -83,11 +78,11 @@ def _scores(views: BodyViews, scene: RigidPaths, fit: PathFit, track: Ints) -> t
     path, since_s, precision = scene.path[0], views.since_s[:, None], views.sigma_norm[track] ** -2.0
     xy = each_turned_into_plane(views.rays, track, scene.cam_R_past, np.zeros(len(track), dtype=np.int64))
     depth = 1.0 + fit.rate_hz * path[:, 2:]
-    is_seen = np.isfinite(xy[..., 0]) & (depth > _LEAST_DEPTH_RATIO)
+    is_seen = np.isfinite(xy[..., 0]) & (depth > LEAST_DEPTH_RATIO)
     shrink = np.where(is_seen, quotient(1.0, depth), 0.0)
     there = (fit.place + fit.rate_hz[:, None] * path[:, None, :2]) * shrink[..., None]
     off = np.where(is_seen[..., None], xy - there, 0.0)
-    weight = is_seen * precision / (1.0 + (off * off).sum(axis=2) * precision / _HALF_WEIGHT_SIGMAS**2)
+    weight = is_seen * precision / (1.0 + (off * off).sum(axis=2) * precision / ROBUST_SIGMAS**2)
     by_rate = (path[:, None, :2] - there * path[:, None, 2:]) * shrink[..., None]
     by_change = fit.rate_hz[:, None] * by_rate * since_s[..., None]
     own = np.maximum((weight * shrink * shrink).sum(axis=0), _TINY)
