@@ -340,3 +340,94 @@ def test_a_shaken_camera_takes_no_window_of_a_house_for_its_neighbour(jump_px):
     is_right = np.linalg.norm(step_px - (1.0 + jump_px[0], jump_px[1]), axis=1) < 0.5
     assert is_right.mean() > 0.95
     assert part > 0.6
+
+
+def shaken_front(shift_px, roll_deg):
+    """House fronts whose windows differ a little, as those of a real house do, seen by a camera that rolls too."""
+    rng = np.random.default_rng(3)
+    wall = np.full((HEIGHT + 80, WIDTH + 80), 150.0)
+    for top in range(0, HEIGHT + 60, 20):
+        for left in range(0, WIDTH + 60, 14):
+            wall[top : top + 12, left : left + 8] = rng.uniform(50.0, 70.0)
+            wall[top + 5 : top + 7, left : left + 8] = rng.uniform(190.0, 210.0)
+    turn = shaken_by(shift_px, roll_deg)
+    turn[:, 2] += turn[:, :2] @ (-40.0, -40.0)
+    wall = cv2.warpAffine(cv2.GaussianBlur(wall, (0, 0), 0.8), turn, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+    return np.clip(wall, 0, 255).astype(np.uint8)
+
+
+def shaken_by(shift_px, roll_deg):
+    """The shake as a matrix (2, 3)."""
+    turn = cv2.getRotationMatrix2D((0.5 * WIDTH, 0.5 * HEIGHT), roll_deg, 1.0)
+    turn[:, 2] += shift_px
+    return turn
+
+
+@pytest.mark.parametrize(("shift_px", "roll_deg"), [((-6.0, -2.0), -1.2), ((-5.0, 0.0), 0.8), ((0.0, 0.0), 4.0)])
+def test_windows_that_a_shake_with_a_roll_leads_to_their_neighbours_are_put_right(shift_px, roll_deg):
+    memory = start_klt(shaken_front((-1.0, 0.0), 0.0), None, CONFIG)
+    memory, _ = follow_klt(memory, shaken_front((0.0, 0.0), 0.0), None, CONFIG)
+    # Those whose step is known: what is new may take its neighbour's window.
+    before = memory.points.take(np.linalg.norm(memory.step_px - (1.0, 0.0), axis=1) < 0.5)
+    memory, part = follow_klt(memory, shaken_front(shift_px, roll_deg), None, CONFIG)
+    _, one, other = np.intersect1d(before.track_id, memory.points.track_id, return_indices=True)
+    turn = shaken_by(shift_px, roll_deg)
+    true_px = before.xy_px[one] @ turn[:, :2].T + turn[:, 2]
+    is_right = np.linalg.norm(memory.points.xy_px[other] - true_px, axis=1) < 0.5
+    assert is_right.mean() > 0.95
+    assert part > 0.6
+
+
+def before_a_lorry(depth_m, seed):
+    """House fronts whose windows are all alike, and a lorry before most of them."""
+    rng = np.random.default_rng(3)
+    front = np.full((540, 960), 150.0)
+    for top in range(4, 524, 20):
+        for left in range(4, 948, 14):
+            front[top : top + 12, left : left + 8] = 60.0
+            front[top + 5 : top + 7, left : left + 8] = 200.0
+    side = cv2.GaussianBlur(rng.normal(size=(800, 800)), (0, 0), 2.2)
+    side = 128.0 + 45.0 * side / side.std()
+    scale = 3.6 / depth_m
+    place = np.array([[scale, 0.0, 620.0 - 2560.0 / depth_m], [0.0, scale, 270.0 - 1440.0 / depth_m]])
+    lorry = cv2.warpAffine(side, place, (960, 540), borderValue=-1e6)
+    picture = np.where(lorry > -1e3, lorry, cv2.GaussianBlur(front, (0, 0), 0.8))
+    picture += np.random.default_rng(seed).normal(scale=1.5, size=picture.shape)
+    return np.clip(picture, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("depth_m", [(6.4, 5.6, 4.8), (6.6, 5.6, 4.6)])
+def test_a_lorry_that_fills_most_of_the_picture_before_a_mast_leaves_the_street_where_it_is(depth_m):
+    """Most points go as it grows, and it grows faster from picture to picture."""
+    first, second, third = (before_a_lorry(depth, seed) for seed, depth in enumerate(depth_m))
+    config = TrackingConfig(max_tracks=600)
+    memory, _ = follow_klt(start_klt(first, None, config), second, None, config)
+    left_px, right_px = (620.0 + side / depth_m[-1] for side in (-2560.0, 320.0))
+    x_px = memory.points.windows_px[:, 0]
+    in_street = (x_px < left_px - 10.0) | (x_px > right_px + 10.0)
+    before = memory.points.take(in_street & (np.linalg.norm(memory.step_px, axis=1) < 0.5))
+    memory, _ = follow_klt(memory, third, None, config)
+    _, one, other = np.intersect1d(before.track_id, memory.points.track_id, return_indices=True)
+    assert len(one) > 20
+    np.testing.assert_allclose(memory.points.windows_px[other], before.windows_px[one], atol=0.8)
+
+
+def test_what_moves_by_itself_in_a_shaken_picture_is_followed():
+    street, thing = wave_picture(), wave_picture(Warp(turn_deg=90.0))[60:100, 60:100]
+
+    def seen(shift_px, left_px):
+        move = np.array([[1.0, 0.0, shift_px], [0.0, 1.0, 0.0]])
+        picture = cv2.warpAffine(street, move, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REFLECT)
+        picture[60:100, left_px : left_px + 40] = thing
+        return picture
+
+    memory = start_klt(seen(0.0, 100), None, CONFIG)
+    memory, _ = follow_klt(memory, seen(1.0, 102), None, CONFIG)
+    inside = np.all(np.abs(memory.points.windows_px - (121.5, 79.5)) < 14.0, axis=1)
+    before = memory.points.take(inside & np.isfinite(memory.step_px[:, 0]))
+    memory, _ = follow_klt(memory, seen(-9.0, 104), None, CONFIG)
+    _, one, other = np.intersect1d(before.track_id, memory.points.track_id, return_indices=True)
+    assert len(one) >= 0.8 * len(before.track_id)
+    assert len(one) > 4
+    step_px = memory.points.xy_px[other] - before.xy_px[one]
+    assert np.mean(np.linalg.norm(step_px - (2.0, 0.0), axis=1) < 0.3) > 0.9

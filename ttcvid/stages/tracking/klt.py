@@ -26,10 +26,16 @@ _ITERATIONS, _STEP_PX, _BACKWARD_STEP_PX = 20, 0.01, 0.03
 # So far from its goal the way back starts, px: about as far as the full picture alone leads back from.
 _BACKWARD_START_PX = 1.5
 # How far off the guess most points are is seen by so many of them, in pictures of this part of the size with so many
-# levels above. It counts from so many pixels on (the fine pictures lead back from less), where half of them are off
-# alike, within this part of it (a wide angle stretches a turn towards the border).
+# levels above.
 _SAMPLED_POINTS, _SAMPLED_SCALE, _SAMPLED_LEVELS = 64, 0.25, 2
-_LEAST_SHAKE_PX, _SHAKEN_ALIKE = 6.0, 0.5
+# A turn of the camera is looked for where most points are farther off their guess than this, px: from less, the fine
+# pictures lead back.
+_LEAST_TURN_PX = 3.0
+# It takes at least so many points along, and half of all, within this, px, or within this part of the way: a wide angle
+# stretches a turn towards the border.
+_LEAST_ALIKE, _ALIKE_PX, _ALIKE_PART = 8, 3.0, 0.5
+# A window that looks more like that at its guess by this factor stays there.
+_MUCH_MORE_ALIKE = 0.5
 # Times between pictures within this part of each other are the same.
 _SAME_STEP = 0.2
 # Levels above the full picture on which a point is looked for where it should be by now. Not where most points are
@@ -169,7 +175,9 @@ def _search(
     guess[expected] = _expected_px(memory.grey, grey, before[expected], step_px[expected], step_part, config)
     fine_levels = min(_FINE_LEVELS, config.pyramid_levels)
     look_for(expected, guess[expected], fine_levels)
-    n_found = int(found[expected].sum())
+    seen = expected[found[expected]]
+    n_found = len(seen)
+    there[seen] = _put_right(memory.grey, grey, before[seen], guess[seen], there[seen], config, fine_levels)
     if 2 * n_found < len(expected):
         found[expected] = False
     if is_new.any() or n_found < _MOST_FOUND * len(expected):
@@ -194,8 +202,8 @@ def _expected_px(
     """Where points ``before (N, 2)`` should be that stepped by ``step_px (N, 2)``: (N, 2) float32 px.
 
     After ``step_part`` times as long they have made as much of that step, unless a sample of them shows that they have
-    made it once more (times may be wrong). What most of the sample are off together is added: a shaken camera moves all
-    points by more than the fine pictures lead back from, and windows of a house would be taken for their neighbours.
+    made it once more (times may be wrong). What takes most of the sample off alike is added, but for what is clearly
+    seen at its guess: a camera that is shaken moves all points, a lorry before a mast only its own.
     """
     parts = [1.0] if abs(step_part - 1.0) < _SAME_STEP else [step_part, 1.0]
     guesses = [(before + part * step_px).astype(np.float32) for part in parts]
@@ -203,32 +211,104 @@ def _expected_px(
         np.asarray(cv2.resize(grey, None, fx=_SAMPLED_SCALE, fy=_SAMPLED_SCALE, interpolation=cv2.INTER_AREA), np.uint8)
         for grey in (one, other)
     )
-    off_px = [_sampled_errors(small_one, small_other, before, guess, config) for guess in guesses]
-    best = int(np.argmin([median(np.hypot(*off.T)) if len(off) else np.inf for off in off_px]))
-    guess, off = guesses[best], off_px[best]
-    if not len(off):
+    samples = [_sampled(small_one, small_other, before, guess, config) for guess in guesses]
+    off_px = [np.linalg.norm(there - expected, axis=1) for expected, there in samples]
+    best = int(np.argmin([median(off) if len(off) else np.inf for off in off_px]))
+    guess, move = guesses[best], _common_move(*samples[best])
+    if move is None:
         return guess
-    shake_px = np.median(off, axis=0)
-    length_px = float(np.linalg.norm(shake_px))
-    is_alike = np.linalg.norm(off - shake_px, axis=1) < _SHAKEN_ALIKE * length_px
-    if length_px < _LEAST_SHAKE_PX or 2 * np.count_nonzero(is_alike) < len(off):
-        return guess
-    return np.asarray(guess + shake_px, dtype=np.float32)
+    moved = _moved(move, guess)
+    off, moved_off = (_unlikeness(one, other, before, place, config) for place in (guess, moved))
+    return np.where((off < _MUCH_MORE_ALIKE * moved_off)[:, None], guess, moved)
 
 
-def _sampled_errors(
+def _sampled(
     small_one: Picture, small_other: Picture, before: np.ndarray, guess: np.ndarray, config: TrackingConfig
-) -> Floats:
-    """Errors of the ``guess (N, 2)`` of some of the points ``before (N, 2)``, by small pictures: (M, 2) px."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """The ``guess (N, 2)`` of some of the points ``before (N, 2)``, and where small pictures show them: (M, 2) each."""
     if not len(before):
-        return np.empty((0, 2))
+        return before, before
     some, scale = slice(None, None, -(-len(before) // _SAMPLED_POINTS)), _SAMPLED_SCALE
     # The middle of the top-left pixel is (0, 0) at any size.
     start, expected = ((xy_px[some] + 0.5) * scale - 0.5 for xy_px in (before, guess))
     found, there = _follow(
         small_one, small_other, start, expected, config.window_px, _SAMPLED_LEVELS, _BACKWARD_STEP_PX
     )
-    return np.asarray((there - expected)[found] / scale, dtype=np.float64)
+    return guess[some][found], (there[found] + 0.5) / scale - 0.5
+
+
+def _common_move(guess: np.ndarray, there: np.ndarray) -> np.ndarray | None:
+    """The similarity (2, 3) from the ``guess (N, 2)`` of most points to where they are, ``there (N, 2)``.
+
+    None where most guesses are good, or no similarity takes half of the points along.
+    """
+    if len(guess) < _LEAST_ALIKE:
+        return None
+    off_px = float(np.median(np.linalg.norm(there - guess, axis=1)))
+    if off_px < _LEAST_TURN_PX:
+        return None
+    move, _ = cv2.estimateAffinePartial2D(guess, there, ransacReprojThreshold=_ALIKE_PX)
+    if move is None:
+        return None
+    left_px = np.linalg.norm(there - _moved(move, guess), axis=1)
+    is_alike = left_px < max(_ALIKE_PX, _ALIKE_PART * off_px)
+    return move if np.count_nonzero(is_alike) >= max(_LEAST_ALIKE, 0.5 * len(guess)) else None
+
+
+def _moved(move: np.ndarray, xy_px: np.ndarray) -> np.ndarray:
+    """Where a similarity ``move (2, 3)`` takes points (N, 2): (N, 2) float32."""
+    return np.asarray(xy_px @ move[:, :2].T + move[:, 2], dtype=np.float32)
+
+
+def _put_right(
+    one: Picture,
+    other: Picture,
+    before: np.ndarray,
+    guess: np.ndarray,
+    there: np.ndarray,
+    config: TrackingConfig,
+    levels: int,
+) -> np.ndarray:
+    """Places of points found ``there (N, 2)``, those put right that a turn of the camera has led astray: (N, 2) px.
+
+    Windows of a house are found where their neighbours are, and the way back leads each of them home. Those that do not
+    go with most points are looked for again from where these go, and stay there if the picture looks more like that
+    ``before (N, 2)``.
+    """
+    move = _common_move(guess, there)
+    if move is None:
+        return there
+    start = _moved(move, guess)
+    astray = np.flatnonzero(np.linalg.norm(there - start, axis=1) > _ALIKE_PX)
+    if not len(astray):
+        return there
+    found, again = _there_and_back(one, other, before[astray], start[astray], config, levels)
+    off, off_again = (_unlikeness(one, other, before[astray], place, config) for place in (there[astray], again))
+    is_right = found & (off_again < off)
+    put_right = there.copy()
+    put_right[astray[is_right]] = again[is_right]
+    return put_right
+
+
+def _unlikeness(
+    one: Picture, other: Picture, before: np.ndarray, there: np.ndarray, config: TrackingConfig
+) -> np.ndarray:
+    """Mean absolute difference of the windows at ``before (N, 2)`` and ``there (N, 2)``, grey levels: (N,).
+
+    Infinite for a window without texture and for one outside the picture.
+    """
+    # Without iterations, Lucas-Kanade tells the error at the start.
+    _, status, difference = cv2.calcOpticalFlowPyrLK(
+        one,
+        other,
+        before,
+        there.copy(),
+        winSize=(config.window_px, config.window_px),
+        maxLevel=0,
+        criteria=(cv2.TERM_CRITERIA_COUNT, 0, 0.0),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    return np.where(status.ravel() > 0, difference.ravel(), np.inf)
 
 
 def _stands_nearly(step_px: np.ndarray) -> bool:
