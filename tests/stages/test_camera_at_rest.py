@@ -53,6 +53,24 @@ def test_three_tracks_that_move_alike_are_a_mover(seed):
     assert frames[-1].mover_keys == {key}
 
 
+def test_before_a_mast_that_rests_nothing_counts_as_fixed_to_the_camera():
+    frames = seen(10, Thing(few(np.random.default_rng(0), 6, (-2.0, 0.5, 15.0)), tuple(WAY_M_S)))
+    assert all(np.isneginf(frame.found.seen.ride_odds).all() for frame in frames)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_dirt_on_the_lens_of_a_mast_that_shakes_is_no_mover(seed):
+    rng = np.random.default_rng(seed)
+    places = [(0.25, 0.12), (-0.3, 0.1), (0.02, 0.08), (-0.1, -0.15)]
+    dirt = [Thing(2.0 * np.column_stack([rng.normal(xy, 0.02, (12, 2)), np.ones(12)]), rides=True) for xy in places]
+    walker = Thing(few(rng, 12, (-2.0, 0.5, 15.0)), tuple(WAY_M_S))
+    things = [static_points(rng, AT_REST, 30, [walker]), walker, *dirt]
+    frames = bodies_of(things, 30, AT_REST, platform=Platform.static, seed=seed, shake_rad=0.002)
+    # By three views nobody can tell.
+    assert all(not (set(frame.key[frame.truth > 1].tolist()) - {SCENE_CLUSTER}) for frame in frames[2:])
+    assert frames[-1].keys_of(1)[0] != SCENE_CLUSTER
+
+
 def test_three_tracks_beside_a_mover_are_none_for_themselves():
     """Where its roof crosses lines of what stands behind it, corners run along, at a pace of their own."""
     rng = np.random.default_rng(0)

@@ -16,7 +16,7 @@ from ttcvid.stages.egomotion.motion_prior import FORWARD_DIR, MOTION_PRIORS
 from ttcvid.stages.egomotion.relative_pose import Egomotion, picture_region, region_side_of
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.fixed_to_camera import ride_odds
+from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS, ride_odds
 from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.segmentation.speed_changes import change_speed
 from ttcvid.stages.tracking.history import TrackHistory
@@ -132,7 +132,10 @@ def see_scene(
         changes = change_speed(views, scene, fit, key, (redchi < config.scene_gate) & ~is_road)
         road = road.with_speed_changes(changes)
         redchi = _with_contradictions(redchi, road, is_road, key, fit.n_views, config)
-    rides = ride_odds(views, scene.cam_R_past[0]) if can_translate else np.full(len(key), -np.inf)
+    rides = ride_odds(views, scene.cam_R_past[0])
+    if not can_translate:
+        # Most of what a mast sees stays on its pixel: only what is seen to shake with the camera is fixed to it.
+        rides = np.where(rides > FOLLOWS, rides, -np.inf)
     return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform, rides)
 
 
