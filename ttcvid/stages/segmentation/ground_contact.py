@@ -40,15 +40,15 @@ _CREST_RADIUS, _SEEN_PART = 1200.0, 0.5
 # An object with a closing speed below this share of our speed, and its foot less than so many camera heights ahead, is
 # part of our own car: bonnet, dashboard, or their reflection in the windscreen.
 _KEEPS_DISTANCE, _OWN_FRONT = 0.2, 3.0
-# A suspended object is shorter than so many camera heights, or spans depths by less than this ratio: a row of houses is
-# no single object.
-_MOST_LENGTH, _MOST_DEPTH_RATIO = 3.0, 1.3
+# A suspended object is shorter than so many camera heights, or spans depths by less than the ratio: a row of houses is
+# no single object. A vehicle may be higher before a low camera, or wider, but not both: that is a bridge, or a house.
+_MOST_SIZE, _MOST_DEPTH_RATIO = 3.0, 1.3
 # Evidence of suspension: so many road points, farther than the object by this factor (its foot may be hidden), below
 # the lowest share of it (the road is seen below the crown of a tree, beside the trunk).
 _SEEN_THROUGH, _FARTHER, _BOTTOM = 2, 1.25, 0.25
-# Or it is over our own lane, at most so many camera heights aside, and lacks so many points down to the road, by the
-# density of its points above.
-_OWN_LANE, _MISSING = 2.0, 3.0
+# Or it is over our own lane, at most so many camera heights aside (what is parked there is farther), and lacks so many
+# points down to the road, by the density of its points above, over more than the lowest share of it.
+_OWN_LANE, _MISSING = 1.7, 3.0
 # The upper points of an object with its foot under the road may look as far away as the background. Points with at most
 # the inverse depth of the road this tangent below the horizon connect nothing. They belong to an object if they are
 # above its foot (roof), connected, and at most this share of its width aside (mirrors). If points of more than the last
@@ -163,7 +163,7 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
         is_near = np.diff(seen.place[under, 0]) < _NOT_ALONE * camera_height
         # By one wrong point a tree that stands beside would be a part.
         under = under[np.append(False, is_near) | np.append(is_near, False) | ~is_near.any()]
-        members = members[_is_over(seen.place[members, 0], seen.place[under, 0], _BESIDE * camera_height)]
+        members = _standing_over(seen, members, under, camera_height)
         if not len(members):
             continue
         above = _above(seen, members, int(under[np.argmin(seen.place[under, 1])]), key, xy_px, link_px)
@@ -225,6 +225,18 @@ def _is_over(x: Floats, below_x: Floats, beside: float = 0.0) -> Bools:
     return np.asarray(np.maximum(left - x, x - right) <= max(_OVERHANG * (right - left), beside))
 
 
+def _standing_over(seen: OnGround, members: Ints, under: Ints, camera_height: float) -> Ints:
+    """Which points of one static depth, ``members (M,)``, are of the vehicle with points ``under (K,)`` the road.
+
+    ``camera_height`` is that of the camera at the true depth of the vehicle, a tangent.
+    """
+    over_horizon, reach = -seen.road_hz[members] / seen.slope_hz, _BESIDE * camera_height
+    is_over, is_high = _is_over(seen.place[members, 0], seen.place[under, 0], reach), over_horizon >= reach
+    # What goes on beside it over our own height stands behind it.
+    goes_on = np.count_nonzero(~is_over & is_high) > _MOST_BESIDE * np.count_nonzero(is_over & is_high)
+    return members[is_over & ~is_high if goes_on else is_over]
+
+
 def _above(seen: OnGround, members: Ints, foot: int, key: Ints, xy_px: Floats, link_px: float) -> Ints:
     """Upper points of an object, tracks ``(M,)`` with a ``foot``, that look as far away as the background."""
     (x, y), rate_hz = seen.place.T, seen.rate_hz
@@ -252,21 +264,26 @@ def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
     rate_hz = seen.rate_hz[members]
     # Of few values, four times as fast as numpy's quantiles.
     far_hz, near_hz = np.interp([0.05, 0.95], np.linspace(0.0, 1.0, len(rate_hz)), np.sort(rate_hz))
-    is_deep = seen.slope_hz * (near_hz - far_hz) > _MOST_LENGTH * near_hz * far_hz
+    is_deep = seen.slope_hz * (near_hz - far_hz) > _MOST_SIZE * near_hz * far_hz
     if is_deep and near_hz > _MOST_DEPTH_RATIO * far_hz:
         return False
     x, y = seen.place.T
     top, low = y[members].min(), y[foot]
+    median_hz, middle = median(rate_hz), median(x[members])
+    # One of its points may be wrong.
+    is_high = median_hz - np.sort(seen.road_hz[members])[1] > _MOST_SIZE * median_hz
+    if is_high and seen.slope_hz * np.ptp(x[members]) > _MOST_SIZE * median_hz:
+        return False
     bottom = members[y[members] >= low - _BOTTOM * (low - top)]
     is_below = seen.known & (x > x[bottom].min()) & (x < x[bottom].max()) & (y > y[bottom].max())
     if np.count_nonzero(is_below & seen.is_road & (seen.rate_hz * _FARTHER < far_hz)) >= _SEEN_THROUGH:
         return True
-    median_hz, middle = median(rate_hz), median(x[members])
     down = (median_hz - seen.road_hz[foot]) / seen.slope_hz
     is_aside = abs(middle - seen.aim_x) * seen.slope_hz > _OWN_LANE * median_hz
     # A nearer object may bear it, or hide its foot.
     bears = is_below & (y < low + down) & ~seen.is_road & (seen.rate_hz * _FARTHER > far_hz)
-    return bool(down * len(members) > _MISSING * (low - top) and not is_aside and not bears.any())
+    is_gap = down > _BOTTOM * (low - top) and down * len(members) > _MISSING * (low - top)
+    return bool(is_gap and not is_aside and not bears.any())
 
 
 @compiled_for("(f8[::1], f8[::1], b1[::1], i8[:, ::1], i8[::1])")
