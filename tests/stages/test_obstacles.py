@@ -215,6 +215,27 @@ def test_a_bridge_over_our_road_is_none(rng):
     assert watched(bridge, plane=None) == {}
 
 
+def test_a_bridge_with_its_pillars_is_none(rng):
+    """All of it has one depth, and it stands on both sides of our way."""
+    deck = box_of_points(rng, 90, (0.0, -3.6, 35.0), (14.0, 1.0, 0.0))
+    pillars = [box_of_points(rng, 30, (x_m, -0.8, 35.0), (1.0, 4.4, 0.0)) for x_m in (-6.0, 6.0)]
+    assert watched(np.concatenate([road(rng), deck, *pillars])) == {}
+
+
+def test_a_gate_that_leaves_us_twice_our_width_is_none(rng):
+    posts = [box_of_points(rng, 40, (x_m, CAMERA_M - 2.2, 25.0), (0.2, 4.2, 0.0)) for x_m in (-1.9, 1.9)]
+    beam = box_of_points(rng, 40, (0.0, CAMERA_M - 4.3, 25.0), (3.8, 0.4, 0.0))
+    assert watched(np.concatenate([road(rng), beam, *posts])) == {}
+
+
+@pytest.mark.parametrize("depth_m", [30.0, 40.0])
+def test_a_stopped_lorry_of_which_only_the_doors_and_a_wheel_are_seen_is_one(rng, depth_m):
+    """What is between them is plain."""
+    doors = box_of_points(rng, 30, (0.0, CAMERA_M - 2.7, depth_m), (2.5, 2.2, 0.0))
+    wheel = box_of_points(rng, 6, (-1.12, CAMERA_M - 0.5, depth_m), (0.25, 0.8, 0.0))
+    assert watched(np.concatenate([road(rng), doors, wheel])) != {}
+
+
 def test_what_is_reached_in_ten_seconds_is_none_yet(rng):
     assert watched(np.concatenate([road(rng), rear_of_car(rng, 0.0, 100.0)])) == {}
 

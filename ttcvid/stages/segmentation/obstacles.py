@@ -58,6 +58,8 @@ _LEAST_HEIGHT, _MOST_HEIGHT, _LEAST_STANDING = 0.2, 1.1, 2
 # A road is no plane, and its horizon is not known exactly: a point surely stands if it also would with the horizon this
 # tangent higher, as where the grade changes by 1 % over 30 m.
 _MOST_RISE = 0.008
+# The deck of a bridge is higher than this over the road, and the low edge of what stands in our way is not.
+_LEAST_DECK = 1.75
 # Two tracks of what stands on the road were once below this height. A car far ahead on a bend that moves nearly as we
 # do looks near by its small sideways motion, and then seems to float at the height of the camera.
 _MOST_FOOT = 0.5
@@ -382,13 +384,16 @@ def _is_in_the_way(depths: _Depths, surface: _Surface, way: OwnPath, link: float
     aims = np.stack([straight_on + goes_on * (aim - straight_on), aim])
     own_hz, sigma_hz = depths.rate_hz[surface.members], depths.sigma_hz[surface.members]
     tells = depths.stand(surface.members, rate_hz) & (sigma_hz < _WELL_TOLD * np.minimum(own_hz, rate_hz))
-    place = depths.place[surface.members[tells]]
+    axes, covered, near = slice(2), _OFF_LINK * link, _LINKS * link
+    if depths.on_ground and road is not None:
+        # We drive through under the deck of a bridge, and between things that leave us twice our width.
+        tells &= depths.heights(surface.members, rate_hz) < _LEAST_DECK
+        half_width = float(OWN_HALF_WIDTH * rate_hz / road[2])
+        axes, covered, near = slice(1), max(covered, half_width), covered + half_width
+    place, aims = depths.place[surface.members[tells], axes], aims[:, axes]
     if not len(place):
         return False
-    half_width = 0.0
-    if depths.on_ground and road is not None:
-        place, aims, half_width = place[:, :1], aims[:, :1], OWN_HALF_WIDTH * rate_hz / road[2]
     gap = np.maximum(np.maximum(place.min(axis=0) - aims, aims - place.max(axis=0)), 0.0)
-    is_covered = np.all(gap <= max(_OFF_LINK * link, half_width), axis=1)
-    is_near = np.linalg.norm(place[:, None] - aims, axis=2).min(axis=0) <= max(_LINKS * link, half_width)
+    is_covered = np.all(gap <= covered, axis=1)
+    is_near = np.linalg.norm(place[:, None] - aims, axis=2).min(axis=0) <= near
     return bool(np.all(is_covered & is_near))
