@@ -29,8 +29,8 @@ _BACKWARD_START_PX = 1.5
 # levels above.
 _SAMPLED_POINTS, _SAMPLED_SCALE, _SAMPLED_LEVELS = 64, 0.25, 2
 # A turn of the camera is looked for where most points are farther off their guess than this, px: from less, the fine
-# pictures lead back.
-_LEAST_TURN_PX = 3.0
+# pictures lead back. Small pictures show places to some 3 px only, and it has to be twice as much.
+_LEAST_TURN_PX, _LEAST_SAMPLED_PX = 3.0, 6.0
 # It takes at least so many points along, and half of all, within this, px, or within this part of the way: a wide angle
 # stretches a turn towards the border.
 _LEAST_ALIKE, _ALIKE_PX, _ALIKE_PART = 8, 3.0, 0.5
@@ -214,7 +214,7 @@ def _expected_px(
     samples = [_sampled(small_one, small_other, before, guess, config) for guess in guesses]
     off_px = [np.linalg.norm(there - expected, axis=1) for expected, there in samples]
     best = int(np.argmin([median(off) if len(off) else np.inf for off in off_px]))
-    guess, move = guesses[best], _common_move(*samples[best])
+    guess, move = guesses[best], _common_move(*samples[best], _LEAST_SAMPLED_PX)
     if move is None:
         return guess
     moved = _moved(move, guess)
@@ -237,15 +237,15 @@ def _sampled(
     return guess[some][found], (there[found] + 0.5) / scale - 0.5
 
 
-def _common_move(guess: np.ndarray, there: np.ndarray) -> np.ndarray | None:
+def _common_move(guess: np.ndarray, there: np.ndarray, least_px: float) -> np.ndarray | None:
     """The similarity (2, 3) from the ``guess (N, 2)`` of most points to where they are, ``there (N, 2)``.
 
-    None where most guesses are good, or no similarity takes half of the points along.
+    None where most guesses are less than ``least_px`` off, or no similarity takes half of the points along.
     """
     if len(guess) < _LEAST_ALIKE:
         return None
     off_px = float(np.median(np.linalg.norm(there - guess, axis=1)))
-    if off_px < _LEAST_TURN_PX:
+    if off_px < least_px:
         return None
     move, _ = cv2.estimateAffinePartial2D(guess, there, ransacReprojThreshold=_ALIKE_PX)
     if move is None:
@@ -275,7 +275,7 @@ def _put_right(
     go with most points are looked for again from where these go, and stay there if the picture looks more like that
     ``before (N, 2)``.
     """
-    move = _common_move(guess, there)
+    move = _common_move(guess, there, _LEAST_TURN_PX)
     if move is None:
         return there
     start = _moved(move, guess)
