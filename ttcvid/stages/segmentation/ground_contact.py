@@ -46,8 +46,8 @@ _MOST_SIZE, _MOST_DEPTH_RATIO = 3.0, 1.3
 # Evidence of suspension: so many road points, farther than the object by this factor (its foot may be hidden), below
 # the lowest share of it (the road is seen below the crown of a tree, beside the trunk).
 _SEEN_THROUGH, _FARTHER, _BOTTOM = 2, 1.25, 0.25
-# Or it is over our own lane, at most so many camera heights aside (what is parked there is farther), and lacks so many
-# points down to the road, by the density of its points above, over more than the lowest share of it.
+# Or it is over our own lane, at most so many camera heights aside (parked cars are farther off). It then lacks so many
+# points down to the road, by the density of its points above, and the gap is higher than the lowest share of it.
 _OWN_LANE, _MISSING = 1.7, 3.0
 # The upper points of an object with its foot under the road may look as far away as the background. Points with at most
 # the inverse depth of the road this tangent below the horizon connect nothing. They belong to an object if they are

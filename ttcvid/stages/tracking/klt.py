@@ -31,10 +31,11 @@ _SAMPLED_POINTS, _SAMPLED_SCALE, _SAMPLED_LEVELS = 64, 0.25, 2
 # A turn of the camera is looked for where most points are farther off their guess than this, px: from less, the fine
 # pictures lead back. Small pictures show places to some 3 px only, and it has to be twice as much.
 _LEAST_TURN_PX, _LEAST_SAMPLED_PX = 3.0, 6.0
-# It takes at least so many points along, and half of all, within this, px, or within this part of the way: a wide angle
-# stretches a turn towards the border.
+# A turn has to take half of the points along, so many at the least. It takes a point along that is left within so many
+# px, or within this part of what most were off: a wide angle stretches a turn towards the border.
 _LEAST_ALIKE, _ALIKE_PX, _ALIKE_PART = 8, 3.0, 0.5
-# A window that looks more like that at its guess by this factor stays there.
+# A point stays at its guess if its window differs from the picture there by less than this part of what it differs by
+# where the turn takes it.
 _MUCH_MORE_ALIKE = 0.5
 # Times between pictures within this part of each other are the same.
 _SAME_STEP = 0.2
@@ -202,8 +203,8 @@ def _expected_px(
     """Where points ``before (N, 2)`` should be that stepped by ``step_px (N, 2)``: (N, 2) float32 px.
 
     After ``step_part`` times as long they have made as much of that step, unless a sample of them shows that they have
-    made it once more (times may be wrong). What takes most of the sample off alike is added, but for what is clearly
-    seen at its guess: a camera that is shaken moves all points, a lorry before a mast only its own.
+    made it once more (times may be wrong). A turn that takes most of the sample along moves all guesses, but for points
+    that are clearly seen at theirs: a shaken camera moves all points, a lorry before a mast only its own.
     """
     parts = [1.0] if abs(step_part - 1.0) < _SAME_STEP else [step_part, 1.0]
     guesses = [(before + part * step_px).astype(np.float32) for part in parts]
