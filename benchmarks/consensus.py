@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from epipole_of_flows import epipole_maximum_likelihood, moves_towards
 from scipy.special import chdtri, gammaln, logsumexp
 
-from ttcvid.geometry.paper.epipole import SIGNIFICANCE_SIGMAS, epipole_maximum_likelihood
-from ttcvid.geometry.paper.flow_line import flow_line_chi2, moves_towards
+from ttcvid.geometry.paper.epipole import SIGNIFICANCE_SIGMAS
+from ttcvid.geometry.paper.flow_line import flow_line_chi2
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross, normalize
 from ttcvid.model import Bools, Floats, Ints

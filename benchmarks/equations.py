@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from consensus import epipoles_by_ransac
+from epipole_of_flows import epipole_maximum_likelihood
 from report import Bar, Report
 
 from ttcvid.geometry.paper.collision import (
@@ -26,7 +27,7 @@ from ttcvid.geometry.paper.collision import (
     times_from_position_velocity,
     times_from_state,
 )
-from ttcvid.geometry.paper.epipole import epipole_from_flow_lines, epipole_maximum_likelihood
+from ttcvid.geometry.paper.epipole import epipole_from_flow_lines
 from ttcvid.geometry.paper.expansion import expansion_rate
 from ttcvid.geometry.paper.flow_line import flow_line_chi2, flow_line_distance_px
 from ttcvid.geometry.paper.planar import planar_epipole

@@ -1,7 +1,7 @@
-"""How well flows agree with a direction of motion: distance to the flow line, chi-square, and the sign.
+"""How well flows agree with a direction of motion: distance to the flow line, and chi-square.
 
 A flow is a pair of unit rays: q in the first view, p in the second, rotation removed. It agrees with a direction
-when q, p and the direction lie on one great circle and the point moved along it towards the direction.
+when q, p and the direction lie on one great circle; the sign of the direction is not asked.
 """
 
 from __future__ import annotations
@@ -11,9 +11,6 @@ import numpy as np
 from ttcvid.geometry.quotient import quotient
 from ttcvid.geometry.rotation import cross
 from ttcvid.model import Floats
-
-# Closer than this to the direction (rad) a point has no side from which it could approach it.
-_LEAST_ANGLE_RAD = 1e-12
 
 
 def flow_line_distance_px(epipole_px: Floats, first_px: Floats, second_px: Floats) -> Floats:
@@ -81,32 +78,6 @@ def flow_line_chi2(directions: Floats, q: Floats, p: Floats, sigma_rad: Floats) 
     chi2: Floats = np.divide(triple, lambda_max, out=triple, where=lambda_max > 0.0)
     chi2 *= quotient(1.0, sigma_rad * sigma_rad)
     return chi2
-
-
-def moves_towards(directions: Floats, q: Floats, p: Floats, sigma_rad: Floats) -> Floats:
-    """How surely each point moves towards each direction: signed, in sigmas; arguments as in `flow_line_chi2`.
-
-    The component of the flow along the great circle through its middle and the direction, positive towards the
-    direction, over the sqrt2 sigma of a difference of two positions: ``(M, N)`` or ``(N,)``, 0 for a point on the
-    direction itself.
-
-    Source: DESIGN section 3 ("the sign of the direction is tested separately").
-
-    >>> q, p = np.array([[0.0, 0.6, 0.8]]), np.array([[0.0, 0.8, 0.6]])
-    >>> moves_towards(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), q, p, np.array([0.1])).round(12)
-    array([[ 2.],
-           [-2.]])
-    """
-    middle_length = np.sqrt(np.einsum("ni,ni->n", p + q, p + q))
-    p_along, q_along = directions @ p.T, directions @ q.T
-    cosine = p_along + q_along
-    cosine *= quotient(1.0, middle_length)
-    sine = np.maximum(_one_minus_square(cosine), 0.0, out=cosine)
-    np.sqrt(sine, out=sine)
-    p_along -= q_along
-    component: Floats = np.divide(p_along, sine, out=np.zeros_like(sine), where=~(sine <= _LEAST_ANGLE_RAD))
-    component *= quotient(1.0, np.sqrt(2.0) * sigma_rad)
-    return component
 
 
 def _one_minus_square(cosine: Floats) -> Floats:
