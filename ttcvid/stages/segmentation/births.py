@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ttcvid.config import BodiesConfig
@@ -41,22 +39,6 @@ _AHEAD_OF_ACROSS, _LEAST_AHEAD_HZ = 1.0, 0.3
 _NO_REDCHI = 0.1
 
 
-@dataclass(frozen=True)
-class _Things:
-    """K proposals of movers.
-
-    members : tracks ``(M,)`` and trajectory ``(L, 3)`` of each.
-    needed : least number of tracks that it has to explain significantly better than the scene.
-    least_part : least part of its tracks that it has to explain so.
-    is_along : ``(N,)`` tracks that contradict the scene by their depth alone.
-    """
-
-    members: list[tuple[Ints, Floats]]
-    needed: int
-    least_part: float
-    is_along: Bools
-
-
 def new_movers(
     views: BodyViews, seen: SeenScene, in_scene: Bools, neighbours: Ints, config: BodiesConfig
 ) -> tuple[list[Ints], RigidPaths, Floats]:
@@ -73,33 +55,41 @@ def new_movers(
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
-    members = expanding_movers(views, seen, may_spread, candidates, config)
-    things = _Things(members, least_tracks(config), 0.0, np.zeros_like(in_scene))
-    spread, paths, rate_hz = _explained(views, seen, things, config)
+    things = expanding_movers(views, seen, may_spread, candidates, config)
+    spread, paths, rate_hz = _explained(views, seen, things, least_tracks(config), 0.0, np.zeros_like(in_scene), config)
     for tracks in spread:
         candidates = np.setdiff1d(candidates, tracks)
     is_along = (seen.redchi > config.scene_gate) & (seen.seen_redchi < config.scene_gate)
-    members = _alike_things(views, seen.scene, candidates, is_along, config)
+    things = _alike_things(views, seen.scene, candidates, is_along, config)
     # What just moves alike contradicts the scene track by track, at constant bearing only what is at its edges does.
-    things = _Things(members, config.min_tracks, _MOST, is_along)
-    alike, alike_paths, alike_hz = _explained(views, seen, things, config)
+    alike, alike_paths, alike_hz = _explained(views, seen, things, config.min_tracks, _MOST, is_along, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
 
 
 def _explained(
-    views: BodyViews, seen: SeenScene, things: _Things, config: BodiesConfig
+    views: BodyViews,
+    seen: SeenScene,
+    things: list[tuple[Ints, Floats]],
+    needed: int,
+    least_part: float,
+    is_along: Bools,
+    config: BodiesConfig,
 ) -> tuple[list[Ints], RigidPaths, Floats]:
     """Those of K proposals that cost less on a trajectory of their own than on the scene's, all tracks together.
 
+    Each of the ``things`` is its tracks ``(M,)`` and trajectory ``(L, 3)``. It has to explain at least ``needed`` of
+    its tracks, and ``least_part`` of them, significantly better than the scene. ``is_along (N,)`` tracks contradict the
+    scene by their depth alone.
+
     Returned as by `new_movers`, with the tracks that are explained significantly better.
     """
-    scene, redchi, median_redchi, is_along = seen.scene, seen.redchi, seen.median_redchi, things.is_along
-    if not things.members:
+    scene, redchi, median_redchi = seen.scene, seen.redchi, seen.median_redchi
+    if not things:
         return [], scene.take(np.empty(0, dtype=np.int64)), np.empty(0)
-    track = np.concatenate([members for members, _ in things.members])
-    thing = np.repeat(np.arange(len(things.members)), [len(members) for members, _ in things.members])
+    track = np.concatenate([members for members, _ in things])
+    thing = np.repeat(np.arange(len(things)), [len(members) for members, _ in things])
     points = views.points(track, thing)
-    ways = np.stack([path for _, path in things.members])
+    ways = np.stack([path for _, path in things])
     # Tracks that contradict the scene by their depth alone move along our own direction.
     goes_along = np.bincount(thing, is_along[track]) > 0.0
     ways[goes_along] = scene.path[0]
@@ -108,13 +98,13 @@ def _explained(
     redchi_by_own = fit_on_movers(points, paths, rate_hz).redchi / median_redchi
     is_better = redchi_by_own < redchi[track] / config.gain
     saved = cost_of(redchi[track]) - cost_of(redchi_by_own)
-    cost = cost_of_birth(things.needed, config)
+    cost = cost_of_birth(needed, config)
     is_found = np.bincount(thing, saved) > cost
     # No mover where a common drift costs less than a birth.
     drift = drift_cost(seen.residual_px2(views)[track], thing, len(starts), views.common_px)
     is_found &= goes_along | (drift > cost)
-    is_found &= np.bincount(thing, is_better) > things.least_part * np.bincount(thing)
-    is_found &= np.bincount(thing, is_better) >= things.needed
+    is_found &= np.bincount(thing, is_better) > least_part * np.bincount(thing)
+    is_found &= np.bincount(thing, is_better) >= needed
     found = np.flatnonzero(is_found)
     return [track[is_better & (thing == number)] for number in found], paths.take(found), rate_hz[found]
 

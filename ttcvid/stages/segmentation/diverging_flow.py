@@ -7,7 +7,6 @@ of other movers are, but one V / Z explains them all.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from ttcvid.geometry.rotation import each_turned_into_plane
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of
 from ttcvid.stages.segmentation.common_errors import SIGMAS_999, common_growth_hz
-from ttcvid.stages.segmentation.expansion import nearest_around, oddest_first
+from ttcvid.stages.segmentation.expansion import around_oddest
 from ttcvid.stages.segmentation.scene import SeenScene
 
 # Minimum number of tracks for an expanding object. Fewer than for other movers, since three unknowns for all are
@@ -67,40 +66,27 @@ def expanding_movers(
     near = np.flatnonzero(may_be)
     xy = each_turned_into_plane(views.rays, near, seen.scene.cam_R_past, np.zeros(len(near), dtype=np.int64))
     sums = growth_sums(xy, views.since_s, np.sqrt(seen.median_redchi) * views.sigma_norm[near])
-    xy_px, redchi, is_free, n_tried = views.xy_px[near], seen.redchi[near], np.ones(len(near), dtype=bool), 0
-    for seed in oddest_first(redchi, is_asked[near]):
-        if len(things) == _MOST_THINGS or n_tried == _MOST_SEEDS:
-            break
-        if not is_free[seed]:
-            continue
-        n_tried += 1
-        around = nearest_around(seed, xy_px, is_free, views.link_px)
+    xy_px, redchi, is_free = views.xy_px[near], seen.redchi[near], np.ones(len(near), dtype=bool)
+    for around in around_oddest(redchi, is_asked[near], xy_px, is_free, views.link_px, _MOST_SEEDS):
         found = _thing_around(sums.of(around), redchi[around], config)
         if found is None:
             continue
-        members = around[found.is_in]
+        is_in, velocity_hz, sigma_hz = found
+        members = around[is_in]
         seen_s = float(np.median(-views.since_s[np.argmax(np.isfinite(xy[:, members, 0]), axis=0)]))
-        if not _grows(xy_px[members], seen_s, found):
+        if not _grows(xy_px[members], seen_s, float(velocity_hz[2]), sigma_hz):
             continue
-        path = straight_path(found.unknowns / np.linalg.norm(found.unknowns), views.since_s)
-        things.append((near[members], path))
+        things.append((near[members], straight_path(velocity_hz / np.linalg.norm(velocity_hz), views.since_s)))
+        if len(things) == _MOST_THINGS:
+            break
         is_free[members] = False
     return things
 
 
-@dataclass(frozen=True)
-class _Sharing:
-    """Which of some tracks (M,) share ``unknowns (3,)`` of `GrowthSums`, and the standard deviation of c, 1/s."""
-
-    is_in: Bools
-    unknowns: Floats
-    sigma_hz: float
-
-
-def _thing_around(sums: GrowthSums, redchi: Floats, config: BodiesConfig) -> _Sharing | None:
+def _thing_around(sums: GrowthSums, redchi: Floats, config: BodiesConfig) -> tuple[Bools, Floats, float] | None:
     """Which of some tracks (M,) are a thing with the first; None: too few, or they save too little.
 
-    What they share is no surer than their misfits leave it.
+    And (a, b, c) that they share, 1/s, with the standard deviation of c: no surer than their misfits leave it.
     """
     needed = least_tracks(config)
     fits = sums.sharing_a_velocity(redchi, config.scene_gate, needed)
@@ -110,12 +96,12 @@ def _thing_around(sums: GrowthSums, redchi: Floats, config: BodiesConfig) -> _Sh
     own = sums.redchi_of(unknowns)
     if float((cost_of(redchi) - cost_of(own))[fits].sum()) < cost_of_birth(needed, config):
         return None
-    return _Sharing(fits, unknowns, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2])))
+    return fits, unknowns, float(np.sqrt(max(float(own[fits].mean()), 1.0) * cov[2, 2]))
 
 
-def _grows(xy_px: Floats, seen_s: float, found: _Sharing) -> bool:
+def _grows(xy_px: Floats, seen_s: float, c_hz: float, sigma_hz: float) -> bool:
     """Whether tracks at ``xy_px (M, 2)``, seen for so long, surely come nearer, beyond what they err by in common."""
     radius_px = np.sqrt(np.mean(np.sum((xy_px - xy_px.mean(axis=0)) ** 2, axis=1)))
     common_hz = float(common_growth_hz(np.asarray(radius_px), np.asarray(seen_s)))
     least_hz = 1.0 / (_REACHED_WITHIN * seen_s)
-    return bool(-found.unknowns[2] > max(SIGMAS_999 * float(np.hypot(found.sigma_hz, common_hz)), least_hz))
+    return bool(-c_hz > max(SIGMAS_999 * float(np.hypot(sigma_hz, common_hz)), least_hz))

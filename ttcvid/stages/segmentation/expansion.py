@@ -7,6 +7,7 @@ scene has one for each.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,14 +81,8 @@ def _things(
 ) -> list[Growing]:
     """The things that grow around tracks that contradict the scene, or are known to be part of one."""
     redchi, may_be = on_scene.redchi, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
-    things, n_tried = list[Growing](), 0
-    for seed in oddest_first(redchi, may_be & ((redchi > config.scene_gate) | is_known)):
-        if n_tried == _MOST_THINGS:
-            break
-        if not may_be[seed]:
-            continue
-        n_tried += 1
-        around = nearest_around(seed, history.xy_px, may_be, views.link_px)
+    things, is_asked = list[Growing](), may_be & ((redchi > config.scene_gate) | is_known)
+    for around in around_oddest(redchi, is_asked, history.xy_px, may_be, views.link_px, _MOST_THINGS):
         sigma_norm = np.sqrt(on_scene.median_redchi) * views.sigma_norm[around]
         thing = _thing_around(history, around, redchi[around], sigma_norm, config)
         if thing is not None:
@@ -96,18 +91,25 @@ def _things(
     return things
 
 
-def oddest_first(redchi: Floats, is_asked: Bools) -> Ints:
-    """The tracks that are asked, first those that the scene explains worst, by ``redchi (N,)``."""
-    asked = np.flatnonzero(is_asked)
-    return np.asarray(asked[np.argsort(-redchi[asked], kind="stable")])
+def around_oddest(
+    redchi: Floats, is_asked: Bools, xy_px: Floats, may_be: Bools, link_px: float, most: int
+) -> Iterator[Ints]:
+    """Sets of tracks ``(M,)`` around each of ``most`` tracks at most, first those that the scene explains worst.
 
-
-def nearest_around(seed: int, xy_px: Floats, may_be: Bools, link_px: float) -> Ints:
-    """The tracks around a seed, nearest first: of those that ``may_be (N,)`` at ``xy_px (N, 2)``, within `_LINKS`."""
-    off_px = xy_px - xy_px[seed]
-    square = np.einsum("ni,ni->n", off_px, off_px)
-    around = np.flatnonzero(may_be & (square < (_LINKS * link_px) ** 2))
-    return np.asarray(around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]])
+    Around those that are asked, by ``redchi (N,)``, which stand first; then the nearest at ``xy_px (N, 2)`` within
+    `_LINKS`. Of both only those that ``may_be (N,)`` at that time: whoever takes some of a set clears them there.
+    """
+    asked, n_tried = np.flatnonzero(is_asked), 0
+    for seed in asked[np.argsort(-redchi[asked], kind="stable")]:
+        if n_tried == most:
+            break
+        if not may_be[seed]:
+            continue
+        n_tried += 1
+        off_px = xy_px - xy_px[seed]
+        square = np.einsum("ni,ni->n", off_px, off_px)
+        around = np.flatnonzero(may_be & (square < (_LINKS * link_px) ** 2))
+        yield np.asarray(around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]])
 
 
 def _thing_around(
