@@ -165,7 +165,7 @@ def test_evidence_of_a_change_goes_with_its_track_and_fades():
         key, aim = np.zeros(4, dtype=np.int64), np.zeros(2)
         return gathered_evidence(memory, np.array(track_id), views, fit_of(views), key, in_scene, aim)
 
-    memory = next_frame(RoadMemory(), [3, 5, 8, 9]).with_speed_changes(np.array([False, True, False, True]))
+    memory = replace(next_frame(RoadMemory(), [3, 5, 8, 9]), by_speed=np.array([0.0, 1.0, 0.0, 1.0]))
     assert memory.contradicts().tolist() == [False, True, False, True]
     memory = next_frame(memory, [5, 6, 9, 12])
     np.testing.assert_allclose(memory.against_scene, [0.8, 0.0, 0.8, 0.0])

@@ -84,20 +84,6 @@ class Movers:
             self.last.with_new(count),
         )
 
-    def found_again(self, mover: int, paths: RigidPaths, rate_hz: Floats, place: int) -> Movers:
-        """The movers; the one at index ``mover`` is found again, with the trajectory at index ``place`` of others."""
-        is_it = np.arange(len(self)) == mover
-        return replace(
-            self,
-            n_found=self.n_found + is_it,
-            n_missed=np.where(is_it, 0, self.n_missed),
-            rate_hz=np.where(is_it, rate_hz[place], self.rate_hz),
-            paths=RigidPaths(
-                np.where(is_it[:, None, None, None], paths.cam_R_past[place], self.paths.cam_R_past),
-                np.where(is_it[:, None, None], paths.path[place], self.paths.path),
-            ),
-        )
-
 
 def no_movers(n_views: int) -> Movers:
     """Zero movers, with trajectories over ``n_views`` views."""

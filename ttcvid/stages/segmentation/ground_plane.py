@@ -89,10 +89,6 @@ class RoadMemory:
         """The memory in units of another speed: inverse depths are speed over depth, and shrink where we brake."""
         return replace(self, seen=replace(self.seen, rate_hz=self.seen.rate_hz * speed))
 
-    def with_speed_changes(self, changes: Bools) -> RoadMemory:
-        """The memory with the tracks ``(N,)`` that change their speed now."""
-        return replace(self, by_speed=np.where(changes, 1.0, self.by_speed))
-
     @property
     def against_scene(self) -> Floats:
         """Evidence ``(N,)`` against being static, of either kind."""

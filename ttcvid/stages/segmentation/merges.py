@@ -43,15 +43,6 @@ _YOUNG_VIEWS = 2
 _JOINT_STEPS, _LEAST_TRACKS, _ENOUGH_TRACKS = 4, 3, 60
 
 
-@dataclass(frozen=True)
-class _Joint:
-    """Joint trajectories of P pairs, median inverse depths ``rate_hz (P,)``, and whether each pair is one: ``(P,)``."""
-
-    paths: RigidPaths
-    rate_hz: Floats
-    is_one: Bools
-
-
 def merged(
     views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, neighbours: Ints, redchi: Floats, median: float
 ) -> tuple[Ints, Movers]:
@@ -73,10 +64,10 @@ def merged(
     pairs = _worth_trying(views, tracks_of, movers, *asked, redchi, median)
     if pairs is None:
         return key, movers
-    joint = _joint(views, scene, tracks_of, movers, *pairs, median)
+    joint, joint_hz, is_one = _joint(views, scene, tracks_of, movers, *pairs, median)
     key, paths, rate_hz = key.copy(), movers.paths.take(np.arange(len(movers))), movers.rate_hz.copy()
     is_gone, is_changed = np.zeros(len(movers), dtype=bool), np.zeros(len(movers), dtype=bool)
-    for place in np.flatnonzero(joint.is_one):
+    for place in np.flatnonzero(is_one):
         both = [int(one[place]) for one in pairs]
         # What has just been merged with a third one waits for the next time.
         if is_changed[both].any():
@@ -87,8 +78,8 @@ def merged(
             continue
         key[tracks_of[younger]] = movers.key[older]
         is_gone[younger], is_changed[both] = True, True
-        paths.cam_R_past[older], paths.path[older] = joint.paths.cam_R_past[place], joint.paths.path[place]
-        rate_hz[older] = joint.rate_hz[place]
+        paths.cam_R_past[older], paths.path[older] = joint.cam_R_past[place], joint.path[place]
+        rate_hz[older] = joint_hz[place]
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
@@ -139,8 +130,11 @@ def _joint(
     large: Ints,
     small: Ints,
     median_redchi: float,
-) -> _Joint:
-    """Joint trajectory of each pair, and whether it is one: it costs less than two, and its tracks hang together."""
+) -> tuple[RigidPaths, Floats, Bools]:
+    """Joint trajectory of each of P pairs, its median inverse depth ``(P,)``, and whether the pair is one: ``(P,)``.
+
+    It is if that costs less than two, and its tracks hang together.
+    """
     of_pairs = [tracks_of[place] for pair in zip(large, small, strict=True) for place in pair]
     parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in of_pairs]
     part = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts])
@@ -161,7 +155,7 @@ def _joint(
     for pair in np.flatnonzero(is_one):
         of_pair = np.flatnonzero(points.thing == pair)
         is_one[pair] = _hang_together(views.xy[track[of_pair]], fit.take(of_pair), part[of_pair] % 2)
-    return _Joint(joint, joint_hz, is_one)
+    return joint, joint_hz, is_one
 
 
 def _hang_together(xy: Floats, fit: PathFit, side: Ints) -> bool:

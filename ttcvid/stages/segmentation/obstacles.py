@@ -308,10 +308,12 @@ class _Depths:
 
 
 def _surface_of(seed: int, depths: _Depths, pairs: Ints) -> _Surface:
-    """Tracks that hang together with a seed and have its depth, then the depth of them all."""
+    """Tracks that tell depths, hang together with a seed and have its depth, then the depth of them all."""
     surface = _Surface(np.array([seed]), depths.rate_hz[seed], np.inf)
     for _ in range(_ROUNDS):
-        is_alike = _are_at(depths, surface.rate_hz)
+        apart_hz = np.abs(depths.rate_hz - surface.rate_hz)
+        is_alike = apart_hz < _ONE_SURFACE * surface.rate_hz + _SURFACE_SIGMAS * depths.sigma_hz
+        is_alike &= depths.are_told(surface.rate_hz)
         is_alike[seed] = True
         label = connected_parts(is_alike, pairs[depths.are_beside(pairs, surface.rate_hz)])
         surface = _surface_at(depths, np.flatnonzero(label == label[seed]), surface.rate_hz)
@@ -342,12 +344,6 @@ def _with_surface(found: list[_Surface], surface: _Surface, whole: _Surface) -> 
     parts = (other.members for other, joins in zip(found, is_part, strict=True) if joins)
     others = (other for other, joins in zip(found, is_part, strict=True) if not joins)
     return [*others, replace(surface, members=np.concatenate([surface.members, *parts]))]
-
-
-def _are_at(depths: _Depths, rate_hz: Floats) -> Bools:
-    """Which tracks may have an inverse depth, and tell depths at all."""
-    apart = np.abs(depths.rate_hz - rate_hz)
-    return np.asarray(depths.are_told(rate_hz) & (apart < _ONE_SURFACE * rate_hz + _SURFACE_SIGMAS * depths.sigma_hz))
 
 
 def _goes_on(surface: _Surface, depths: _Depths, pairs: Ints) -> bool:

@@ -43,7 +43,7 @@ def reidentified(
 
     Returns both with the re-identified ones, and which of the new ones these are, ``(J,)``.
     """
-    key, is_known = key.copy(), np.zeros(len(found), dtype=bool)
+    key, is_known, movers = key.copy(), np.zeros(len(found), dtype=bool), movers.take(np.arange(len(movers)))
     # One or two tracks may be left at the rim of what hides the others.
     hidden = np.flatnonzero((movers.n_missed > 0) & (movers.last.centre[:, 2] > 0.0))
     for place, members in enumerate(found):
@@ -55,7 +55,9 @@ def reidentified(
             continue
         mover = hidden[best]
         key[members], is_known[place] = movers.key[mover], True
-        movers = movers.found_again(mover, paths, rate_hz, place)
+        movers.n_found[mover], movers.n_missed[mover] = movers.n_found[mover] + 1, 0
+        movers.rate_hz[mover] = rate_hz[place]
+        movers.paths.cam_R_past[mover], movers.paths.path[mover] = paths.cam_R_past[place], paths.path[place]
         hidden = np.delete(hidden, best)
     return key, movers, is_known
 

@@ -130,7 +130,7 @@ def see_scene(
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
         is_road = on_road(fit, road)
         changes = change_speed(views, scene, fit, key, (redchi < config.scene_gate) & ~is_road)
-        road = road.with_speed_changes(changes)
+        road = replace(road, by_speed=np.where(changes, 1.0, road.by_speed))
         redchi = _with_contradictions(redchi, road, is_road, key, fit.n_views, config)
     rides = ride_odds(views, scene.cam_R_past[0])
     if not can_translate:
