@@ -87,7 +87,6 @@ def test_one_direction_is_told_from_several():
     assert not is_one_direction(*several, FLOOR_RAD, 0.9999)
     assert np.degrees(widest_angle_rad(*several)) == pytest.approx(40.0 - 3 * np.sqrt(2) * np.degrees(0.02), abs=3.0)
     assert widest_angle_rad(*same) == 0.0
-    assert is_one_direction(*(part[:1] for part in several), FLOOR_RAD, 0.9999)
 
 
 def test_with_roll_zero_one_epipole_is_enough():

@@ -44,16 +44,14 @@ class Translation:
     """A body's direction of motion.
 
     ``direction (3,)`` is ``dir`` = V / |V| with ``covariance (3, 3)`` in its tangent plane, rad^2, which includes
-    errors that last over several frames and are common to the tracks. ``speed_change_hz`` and ``turn_rad_s`` are a and
-    w of `estimation.moving_body`, with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the estimated
-    noise in units of the assumed one; ``correlation`` the factor of the variance over that of independent errors;
-    ``rate_hz (M,)`` is s of each track, ``residual (M,)`` its root mean square residual in sigmas of the estimated
-    noise.
+    errors that last over several frames and are common to the tracks. ``turn_rad_s`` is w of `estimation.moving_body`,
+    with the standard deviation ``turn_sigma_rad_s``. ``noise`` is the estimated noise in units of the assumed one;
+    ``correlation`` the factor of the variance over that of independent errors; ``rate_hz (M,)`` is s of each track,
+    ``residual (M,)`` its root mean square residual in sigmas of the estimated noise.
     """
 
     direction: Floats
     covariance: Floats
-    speed_change_hz: float
     turn_rad_s: float
     turn_sigma_rad_s: float
     noise: float
@@ -219,7 +217,6 @@ def _result(tracks: BodyTracks, unknowns: Unknowns, prior: _Prior, memory_s: flo
     return Translation(
         direction=unknowns.direction,
         covariance=equations.basis @ covariance[:2, :2] @ equations.basis.T,
-        speed_change_hz=float(unknowns.change[0]),
         turn_rad_s=float(unknowns.change[1]),
         turn_sigma_rad_s=float(np.sqrt(covariance[3, 3])),
         noise=equations.noise,

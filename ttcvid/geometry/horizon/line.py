@@ -98,13 +98,11 @@ def fit_horizon(
 
 
 def is_one_direction(directions: Floats, covariances: Floats, floor_rad: float, probability: float) -> bool:
-    """Whether K epipoles may all be the same one (of either sign), through which no horizon is determined.
+    """Whether K >= 2 epipoles may all be the same one (of either sign), through which no horizon is determined.
 
     A chi-square test with two degrees of freedom for each motion but the first; at this ``probability`` the epipoles
     count as different. The others as in `fit_horizon`.
     """
-    if len(directions) < 2:
-        return True
     root = np.linalg.cholesky(np.linalg.inv(covariances + floor_rad**2 * np.eye(3)))
 
     def residuals(common: Floats) -> Floats:

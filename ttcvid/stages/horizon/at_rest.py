@@ -47,7 +47,6 @@ def calibrated_horizon(
     turns, approaches, is occluded), which no scatter between them shows. Their epipoles get larger standard deviations,
     and the pieces of one mover count as one. How much larger is known roughly only, so the band is that of Student's
     distribution with as many degrees of freedom as there are motions.
-
     """
     roll_zero = config.roll_zero
     usable = [motion for motion in motions if motion.status == "used"]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.horizon.whole_tracks import Observations, usual_step_s
+from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
 # Each quarter of a track advances by more than the first share of its displacement, and deviates aside by less than the
 # second.
@@ -59,8 +57,7 @@ def group_movers(rows: Observations, link_px: float) -> Ints:
     key, place, times_near = np.unique(one * n_tracks + other, return_inverse=True, return_counts=True)
     times_alike = np.bincount(place, is_alike, minlength=len(key))
     linked = key[times_alike >= _ALIKE_SHARE * times_near]
-    graph = coo_matrix((np.ones(len(linked)), (linked // n_tracks, linked % n_tracks)), shape=(n_tracks, n_tracks))
-    return np.asarray(connected_components(graph, directed=False)[1].astype(np.int64))
+    return connected_parts(np.ones(n_tracks, dtype=bool), np.column_stack(np.divmod(linked, n_tracks)))
 
 
 def _compared(t_s: Floats) -> list[tuple[int, int]]:
@@ -84,14 +81,13 @@ def _compared(t_s: Floats) -> list[tuple[int, int]]:
 
 def _neighbours(rows: Observations, number: Ints, now: Ints, later: Ints, link_px: float) -> Ints:
     """Pairs of tracks that are near each other between two frames, and whether they move alike: (P, 3)."""
-    _, in_now, in_later = np.intersect1d(number[now], number[later], return_indices=True)
-    track, here, there = number[now][in_now], rows.xy_px[now][in_now], rows.xy_px[later][in_later]
+    track, in_now, in_later = np.intersect1d(number[now], number[later], return_indices=True)
+    here, there = rows.xy_px[now][in_now], rows.xy_px[later][in_later]
     flow: Floats = there - here
     length = np.linalg.norm(flow, axis=1)
-    one, other = KDTree(0.5 * (here + there)).query_pairs(link_px, output_type="ndarray").T
+    one, other = linked_pairs(0.5 * (here + there), link_px).T
     longer = np.maximum(length[one], length[other])
     differ = np.linalg.norm(flow[one] - flow[other], axis=1)
     seen = longer > 2.0 * _ALIKE_PX
     is_alike = differ < _ALIKE_PART * longer + _ALIKE_PX
-    low, high = np.minimum(track[one], track[other]), np.maximum(track[one], track[other])
-    return np.asarray(np.column_stack([low, high, is_alike])[seen])
+    return np.asarray(np.column_stack([track[one], track[other], is_alike])[seen])

@@ -23,7 +23,6 @@ _LEAST_MOVER_FRAMES = 10
 # Least standard deviation of an epipole of one frame, rad.
 _LEAST_SIGMA_RAD = 1e-4
 
-
 _REMEDY = "the calibration no longer fits, calibrate the horizon again"
 
 

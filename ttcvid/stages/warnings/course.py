@@ -48,9 +48,6 @@ class Course:
     miss_widths: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
 
-NO_COURSE = Course(0.0)
-
-
 @dataclass(frozen=True)
 class Viewpoint:
     """What courses are judged from: the camera and what is known of its own motion.
@@ -77,7 +74,7 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
         return None
     tcpa_s = float(row.times.tcpa_s[0])
     if row.motion_state not in APPROACHING or not tcpa_s > 0.0:
-        return NO_COURSE
+        return Course(0.0)
     is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road_hz is not None
     if view.on_ground and not is_road_found and (is_standing or _passes_below(row, abc_hz, view)):
         # Without a ground plane, a bridge or trees look like a wall ahead. Road markings look like what we would run
