@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial.distance import pdist
 from wave_pictures import HEIGHT, WIDTH, wave_picture
 
+from ttcvid.config import TrackingConfig
 from ttcvid.stages.tracking import corners
 from ttcvid.stages.tracking.corners import find_corners, find_corners_where, occupied_cells
 
@@ -15,6 +16,11 @@ CLOSE_SHARE = 0.1
 CLOSEST = 0.57
 
 
+def corners_of(picture, allowed, taken_px, n_wanted, min_distance_px, quality, close_share, **options):
+    config = TrackingConfig(min_distance_px=min_distance_px, corner_quality=quality, close_share=close_share)
+    return find_corners(picture, allowed, taken_px, n_wanted, config, **options)
+
+
 def checkerboard(square_px=20, contrast=200):
     """Corners between the pixels k * square_px - 1 and k * square_px."""
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH] // square_px
@@ -22,7 +28,7 @@ def checkerboard(square_px=20, contrast=200):
 
 
 def test_corners_of_a_checkerboard_are_found_between_its_pixels():
-    found = find_corners(checkerboard(), None, NO_POINTS, 500, 7.0, 0.01, CLOSE_SHARE)
+    found = corners_of(checkerboard(), None, NO_POINTS, 500, 7.0, 0.01, CLOSE_SHARE)
     x, y = np.meshgrid(np.arange(20, WIDTH, 20) - 0.5, np.arange(20, HEIGHT, 20) - 0.5)
     true = np.column_stack([x.ravel(), y.ravel()])
     distance = np.linalg.norm(true[:, None] - found[None], axis=2)
@@ -34,7 +40,7 @@ def test_corners_of_a_checkerboard_are_found_between_its_pixels():
 def test_plain_picture_has_no_corners_and_sensor_noise_makes_next_to_none(sigma_grey):
     noisy = np.rint(120 + np.random.default_rng(3).normal(0, sigma_grey, (HEIGHT, WIDTH))).astype(np.uint8)
     n_at_most = 0 if sigma_grey < 1.0 else 1
-    assert len(find_corners(noisy, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE)) <= n_at_most
+    assert len(corners_of(noisy, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE)) <= n_at_most
     assert len(find_corners_where(noisy, np.ones_like(noisy), NO_POINTS, 100, 7.0)) <= n_at_most
 
 
@@ -44,7 +50,7 @@ def test_in_a_noisy_picture_corners_stand_on_what_has_texture(sigma_grey):
     clean = np.full((HEIGHT, WIDTH), 128.0)
     clean[HEIGHT // 2 :] = wave_picture()[HEIGHT // 2 :]
     noisy = clean + np.random.default_rng(3).normal(0, sigma_grey, clean.shape)
-    found = find_corners(np.clip(np.rint(noisy), 0, 255).astype(np.uint8), None, NO_POINTS, 200, 7.0, 0.005, 0.1)
+    found = corners_of(np.clip(np.rint(noisy), 0, 255).astype(np.uint8), None, NO_POINTS, 200, 7.0, 0.005, 0.1)
     assert len(found) > 100
     assert (found[:, 1] > HEIGHT // 2 - 3).mean() > 0.99
 
@@ -59,7 +65,7 @@ def test_no_corner_stands_on_a_line_between_its_ends(anywhere):
     if anywhere:
         found = find_corners_where(picture, np.ones_like(picture), NO_POINTS, 100, 7.0)
     else:
-        found = find_corners(picture, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE)
+        found = corners_of(picture, None, NO_POINTS, 100, 7.0, 0.005, CLOSE_SHARE)
     length_px = np.linalg.norm(last - first)
     along = (last - first) / length_px
     is_on_line = np.abs((found - first) @ [-along[1], along[0]]) < 5.0
@@ -73,7 +79,7 @@ def test_a_tree_does_not_take_all_corners():
     """A quarter of the picture has three times the contrast; the rest keeps its share all the same."""
     picture = wave_picture().astype(float) - 128
     picture[:, WIDTH // 4 :] *= 0.33
-    found = find_corners(np.rint(picture + 128).astype(np.uint8), None, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
+    found = corners_of(np.rint(picture + 128).astype(np.uint8), None, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
     in_faint_part = found[:, 0] > WIDTH / 4 + 3
     density_faint = np.count_nonzero(in_faint_part) / (0.75 * WIDTH)
     density_strong = np.count_nonzero(~in_faint_part) / (0.25 * WIDTH)
@@ -83,7 +89,7 @@ def test_a_tree_does_not_take_all_corners():
 def test_strongest_corners_come_first():
     picture = checkerboard(contrast=40)
     picture[:, : WIDTH // 2] = checkerboard(contrast=250)[:, : WIDTH // 2]
-    found = find_corners(picture, None, NO_POINTS, 20, 7.0, 0.001, CLOSE_SHARE)
+    found = corners_of(picture, None, NO_POINTS, 20, 7.0, 0.001, CLOSE_SHARE)
     assert len(found) == 20
     of_the_grid = found[:18]
     assert (of_the_grid[:, 0] < WIDTH / 2 + 1).all()
@@ -92,7 +98,7 @@ def test_strongest_corners_come_first():
 @pytest.mark.parametrize("min_distance_px", [5.0, 7.0, 15.0])
 def test_new_corners_keep_their_distance_from_points_already_there(min_distance_px):
     taken = np.random.default_rng(1).uniform([0, 0], [WIDTH - 1, HEIGHT - 1], (60, 2))
-    found = find_corners(wave_picture(), None, taken, 1000, min_distance_px, 0.005, CLOSE_SHARE)
+    found = corners_of(wave_picture(), None, taken, 1000, min_distance_px, 0.005, CLOSE_SHARE)
     distance = np.linalg.norm(found[:, None] - taken[None], axis=2)
     assert len(found) > 10
     # A corner may move by half a pixel when it is refined.
@@ -100,7 +106,7 @@ def test_new_corners_keep_their_distance_from_points_already_there(min_distance_
 
 
 def test_a_cell_gives_one_corner_before_more_are_wanted():
-    found = find_corners(wave_picture(), None, NO_POINTS, 60, 10.0, 0.001, CLOSE_SHARE)[:54]
+    found = corners_of(wave_picture(), None, NO_POINTS, 60, 10.0, 0.001, CLOSE_SHARE)[:54]
     cells = np.unique(np.floor(np.rint(found) / 10.0), axis=0)
     # Refined by up to half a pixel, a corner may look as if it stood in the next cell.
     assert len(cells) > 0.9 * len(found)
@@ -109,7 +115,7 @@ def test_a_cell_gives_one_corner_before_more_are_wanted():
 def test_a_small_thing_before_a_plain_wall_has_more_corners_than_the_grid_has_cells_there():
     picture = np.full((HEIGHT, WIDTH), 120, np.uint8)
     picture[100:120, 100:120] = checkerboard(square_px=5)[100:120, 100:120]
-    on_it = find_corners(picture, None, NO_POINTS, 1000, 10.0, 0.005, CLOSE_SHARE)
+    on_it = corners_of(picture, None, NO_POINTS, 1000, 10.0, 0.005, CLOSE_SHARE)
     assert ((on_it > 97) & (on_it < 122)).all()
     assert len(on_it) >= 8
 
@@ -121,7 +127,7 @@ def test_what_stands_out_of_its_surroundings_gets_the_corners_that_may_stand_clo
     picture[sky] = 120
     thing = np.s_[40:52, 100:124]
     picture[thing] = 120 + 0.15 * (checkerboard(square_px=6).astype(float)[thing] - 100)
-    found = find_corners(np.rint(picture).astype(np.uint8), None, NO_POINTS, 120, 10.0, 0.005, CLOSE_SHARE)
+    found = corners_of(np.rint(picture).astype(np.uint8), None, NO_POINTS, 120, 10.0, 0.005, CLOSE_SHARE)
     on_thing = (found[:, 1] < 56) & (np.abs(found[:, 0] - 112) < 16)
     assert len(found) <= 120
     assert np.count_nonzero(on_thing) >= 6
@@ -129,34 +135,34 @@ def test_what_stands_out_of_its_surroundings_gets_the_corners_that_may_stand_clo
 
 @pytest.mark.parametrize("picture", [checkerboard(), wave_picture()], ids=["checkerboard", "texture"])
 def test_new_corners_keep_their_distance_from_each_other(picture):
-    found = find_corners(picture, None, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
+    found = corners_of(picture, None, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
     assert pdist(found).min() > CLOSEST * 7.0 - 1.5
 
 
 def test_without_a_share_of_close_corners_all_keep_the_whole_distance():
     wanted = 1000
-    apart = find_corners(wave_picture(), None, NO_POINTS, wanted, 10.0, 0.005, 0.0)
+    apart = corners_of(wave_picture(), None, NO_POINTS, wanted, 10.0, 0.005, 0.0)
     assert pdist(apart).min() > 10.0 - 1.5
-    assert len(apart) < len(find_corners(wave_picture(), None, NO_POINTS, wanted, 10.0, 0.005, CLOSE_SHARE))
+    assert len(apart) < len(corners_of(wave_picture(), None, NO_POINTS, wanted, 10.0, 0.005, CLOSE_SHARE))
 
 
 def test_asked_for_none_gives_none_and_never_more_than_asked():
-    assert len(find_corners(wave_picture(), None, NO_POINTS, 0, 7.0, 0.005, CLOSE_SHARE)) == 0
-    assert len(find_corners(wave_picture(), None, NO_POINTS, -5, 7.0, 0.005, CLOSE_SHARE)) == 0
-    assert len(find_corners(wave_picture(), None, NO_POINTS, 17, 7.0, 0.005, CLOSE_SHARE)) == 17
+    assert len(corners_of(wave_picture(), None, NO_POINTS, 0, 7.0, 0.005, CLOSE_SHARE)) == 0
+    assert len(corners_of(wave_picture(), None, NO_POINTS, -5, 7.0, 0.005, CLOSE_SHARE)) == 0
+    assert len(corners_of(wave_picture(), None, NO_POINTS, 17, 7.0, 0.005, CLOSE_SHARE)) == 17
 
 
 def test_corners_stand_only_where_the_mask_allows_them():
     allowed = np.zeros((HEIGHT, WIDTH), np.uint8)
     allowed[40:90, 60:200] = 255
-    found = find_corners(wave_picture(), allowed, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
+    found = corners_of(wave_picture(), allowed, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)
     column, row = np.rint(found).astype(int).T
     assert len(found) > 20
     assert (allowed[row, column] > 0).all()
 
 
 def test_corners_keep_clear_of_the_rim_of_the_picture():
-    found = find_corners(wave_picture(), None, NO_POINTS, 1000, 7.0, 0.001, CLOSE_SHARE)
+    found = corners_of(wave_picture(), None, NO_POINTS, 1000, 7.0, 0.001, CLOSE_SHARE)
     assert (found > 3).all()
     assert (found < [WIDTH - 4, HEIGHT - 4]).all()
 
@@ -174,13 +180,13 @@ def test_places_without_tracks_alone_give_corners_where_only_new_ones_are_asked_
     picture = wave_picture().astype(float) - 128
     picture[:, WIDTH // 2 :] *= 0.4
     picture = np.rint(picture + 128).astype(np.uint8)
-    corners = find_corners(picture, None, NO_POINTS, 1000, 7.0, 0.005, 0.0)
+    corners = corners_of(picture, None, NO_POINTS, 1000, 7.0, 0.005, 0.0)
     known = corners[corners[:, 0] < WIDTH / 2]
     known = known[np.arange(len(known)) % 7 > 0]
-    found = find_corners(picture, None, known, 20, 7.0, 0.005, 0.0, only_new_places=True)
+    found = corners_of(picture, None, known, 20, 7.0, 0.005, 0.0, only_new_places=True)
     assert len(found) == 20
     assert (found[:, 0] > WIDTH / 2 - 10).all()
-    assert len(find_corners(picture, None, corners, 20, 7.0, 0.005, 0.1, only_new_places=True)) == 0
+    assert len(corners_of(picture, None, corners, 20, 7.0, 0.005, 0.1, only_new_places=True)) == 0
 
 
 def test_faint_corners_are_found_where_they_are_asked_for_and_nowhere_else():
@@ -190,7 +196,7 @@ def test_faint_corners_are_found_where_they_are_asked_for_and_nowhere_else():
     picture = np.clip(np.rint(picture + 128), 0, 255).astype(np.uint8)
     where = np.zeros_like(picture)
     where[20:80, WIDTH // 2 + 10 : WIDTH - 20] = 255
-    assert not (find_corners(picture, where, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)).size
+    assert not (corners_of(picture, where, NO_POINTS, 1000, 7.0, 0.005, CLOSE_SHARE)).size
     found = find_corners_where(picture, where, NO_POINTS, 1000, 7.0)
     assert len(found) > 15
     assert (where[tuple(np.rint(found).astype(int).T[::-1])] > 0).all()
@@ -206,11 +212,11 @@ def test_corners_of_a_large_picture_are_those_found_without_bands(monkeypatch: p
     noise = np.random.default_rng(0).integers(0, 256, (60, 107), dtype=np.uint8)
     grey = np.asarray(cv2.resize(noise, (642, 360), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     taken = np.array([[30.0, 40.0], [500.0, 300.0]])
-    whole = find_corners(grey, None, taken, 400, 20.0, 0.01, 0.3)
+    whole = corners_of(grey, None, taken, 400, 20.0, 0.01, 0.3)
     monkeypatch.setattr(corners, "_WHOLE_PIXELS", 1000)
     monkeypatch.setattr(corners, "_BAND_PIXELS", 642 * 50)
     assert len(whole) > 100
-    np.testing.assert_array_equal(find_corners(grey, None, taken, 400, 20.0, 0.01, 0.3), whole)
+    np.testing.assert_array_equal(corners_of(grey, None, taken, 400, 20.0, 0.01, 0.3), whole)
 
 
 @pytest.mark.parametrize("shape", [(10, 200), (200, 10)])

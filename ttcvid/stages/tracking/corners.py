@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ttcvid.compiled import compiled_for
+from ttcvid.config import TrackingConfig
 from ttcvid.model import Bools, Floats, Ints, Picture
 
 # Side of the gradient window of the corner response, px.
@@ -61,9 +62,8 @@ def find_corners(
     allowed: Picture | None,
     xy_taken_px: Floats,
     n_wanted: int,
-    min_distance_px: float,
-    quality: float,
-    close_share: float,
+    config: TrackingConfig,
+    *,
     only_new_places: bool = False,
 ) -> Floats:
     """Strongest corners that keep their distance from each other and from the points already there.
@@ -78,9 +78,7 @@ def find_corners(
     grey : (H, W) uint8.
     allowed : (H, W) uint8, 0 where nothing is to be looked at, or None.
     xy_taken_px : (N, 2) points already there.
-    min_distance_px : side of the grid's cells.
-    quality : least response relative to the 99.9th percentile of the picture.
-    close_share : part of ``n_wanted`` that may stand at 0.57 of the distance, 0..1.
+    config : its ``close_share`` is the part of ``n_wanted`` that may stand at 0.57 of the distance.
     only_new_places : corners where few of those around are followed, and no others: where most have their tracks,
         something has come into the picture there.
 
@@ -88,10 +86,11 @@ def find_corners(
     """
     if n_wanted <= 0:
         return np.empty((0, 2))
-    shape = (grey.shape[0], grey.shape[1])
+    shape, min_distance_px = (grey.shape[0], grey.shape[1]), config.min_distance_px
     response = _response(grey)
     # A stride of 4 in both axes leaves the percentile as it is and takes a sixteenth of the time.
-    threshold = max(_response_to_noise(grey, allowed), quality * float(np.percentile(response[::4, ::4], 99.9)))
+    least = config.corner_quality * float(np.percentile(response[::4, ::4], 99.9))
+    threshold = max(_response_to_noise(grey, allowed), least)
     x, y = _peaks(grey, response, threshold, allowed)
     taken = occupied_cells(xy_taken_px, shape, min_distance_px)
     cell = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
@@ -101,7 +100,7 @@ def find_corners(
     coarse = first[_one_a_cell(cell[0][first], cell[1][first], taken)]
     xy = _refined(response, x[coarse], y[coarse])
     is_chosen = _keeps_distance(xy, min_distance_px)
-    n_close = 0 if only_new_places else int(close_share * n_wanted)
+    n_close = 0 if only_new_places else int(config.close_share * n_wanted)
     is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - n_close
     coarse, xy = coarse[is_chosen], xy[is_chosen]
     if not n_close:

@@ -120,7 +120,9 @@ def follow_klt(
     ``step_part`` is the time since the last picture over that before it. Returns also the part of the points that were
     found again (1 where there were none): low after a cut.
     """
-    before_px, copies = memory.points.windows_px, _copies(memory.grey, grey, config.window_px)
+    before_px, window = memory.points.windows_px, (config.window_px, config.window_px)
+    # Part of the window about each pixel that is the same in both pictures, 0 to 255.
+    copies = np.asarray(cv2.blur(cv2.compare(memory.grey, grey, cv2.CMP_EQ), window), dtype=np.uint8)
     is_copied = _are_copied(copies, before_px)
     found, window_px = _search(memory, grey, is_copied, step_part, config)
     xy_px = window_px + (memory.points.xy_px - before_px)
@@ -138,11 +140,6 @@ def follow_klt(
     begins = followed.points.track_id >= memory.next_track_id
     n_copied = np.where(begins, _are_copied(copies, followed.points.windows_px), followed.n_copied)
     return replace(followed, n_copied=n_copied), float(found.mean()) if len(found) else 1.0
-
-
-def _copies(before: Picture, grey: Picture, window_px: int) -> Picture:
-    """Part of the window about each pixel that is the same in both pictures, 0 to 255: (H, W)."""
-    return np.asarray(cv2.blur(cv2.compare(before, grey, cv2.CMP_EQ), (window_px, window_px)), dtype=np.uint8)
 
 
 def _are_copied(copies: Picture, window_px: Floats) -> Bools:
@@ -385,31 +382,18 @@ def _topped_up(memory: KltMemory, allowed: Picture | None, config: TrackingConfi
         return memory
     changed = changed_places(memory.looked, grey) if has_many and camera_rests else None
     if changed is not None:
-        memory = _with_room(memory, changed, config)
+        # The youngest of the tracks where nothing has changed, beyond those that the street needs, make room: left
+        # behind by what went on, they would take the place of what moves.
+        stands = ~_is_allowed(changed, windows_px)
+        memory = memory.take(~stands | (np.cumsum(stands) <= int(_STREET_PART * config.max_tracks)))
         where = changed if allowed is None else np.minimum(changed, allowed)
         windows_px = memory.points.windows_px
         n_wanted = config.max_tracks - len(windows_px)
         new_px = find_corners_where(grey, where, windows_px, n_wanted, config.min_distance_px)
     else:
-        new_px = find_corners(
-            grey,
-            allowed,
-            windows_px,
-            n_wanted=config.max_tracks - n_live,
-            min_distance_px=config.min_distance_px,
-            quality=config.corner_quality,
-            close_share=config.close_share,
-            only_new_places=has_many,
-        )
+        n_wanted = config.max_tracks - n_live
+        new_px = find_corners(grey, allowed, windows_px, n_wanted, config, only_new_places=has_many)
     return _with_new(memory, allowed, new_px, config)
-
-
-def _with_room(memory: KltMemory, changed: Picture, config: TrackingConfig) -> KltMemory:
-    """The same without the youngest of the tracks that stand where nothing has ``changed``, beyond those that the
-    street needs: left behind by what went on, they would take the place of what moves.
-    """
-    stands = ~_is_allowed(changed, memory.points.windows_px)
-    return memory.take(~stands | (np.cumsum(stands) <= int(_STREET_PART * config.max_tracks)))
 
 
 def _with_new(memory: KltMemory, allowed: Picture | None, new_px: Floats, config: TrackingConfig) -> KltMemory:

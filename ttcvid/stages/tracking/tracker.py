@@ -100,53 +100,55 @@ def follow_points(
     """
     if int(prepared.thumbnail.max()) < _DARK_LEVEL:
         return NO_POINTS, FrameStatus.dark, replace(memory, steps_px=None)
-    last = memory.prepared
-    if last is None:
-        points, started = _started(memory, prepared, allowed, config)
-        return points, FrameStatus.first, replace(started, t_s=t_s)
+    last, tracks = memory.prepared, memory.tracks
+    if last is None or tracks is None:
+        return _started(FrameStatus.first, 0, prepared, allowed, config, t_s)
     if np.array_equal(last.thumbnail, prepared.thumbnail) and np.array_equal(last.grey, prepared.grey):
         return NO_POINTS, FrameStatus.duplicate, replace(memory, steps_px=None)
     step_s = t_s - memory.t_s
     step_part = step_s / memory.step_s if step_s > 0.0 and memory.step_s > 0.0 else 1.0
-    followed, survival, n_before = _followed(memory, last, prepared, allowed, config, camera_rests, step_part)
+    followed, survival, n_before = _followed(tracks, last, prepared, allowed, config, camera_rests, step_part)
     if _is_cut(survival, n_before, last.thumbnail, prepared.thumbnail):
-        points, started = _started(memory, prepared, allowed, config)
-        return points, FrameStatus.cut, replace(started, t_s=t_s)
+        return _started(FrameStatus.cut, tracks.next_track_id, prepared, allowed, config, t_s)
     points = _points(followed)
-    before_px, now_px = in_common(_points(memory), points)
+    before_px, now_px = in_common(_points(tracks), points)
     steps_px = np.linalg.norm(now_px - before_px, axis=1)
     if _stand_still(steps_px, memory):
         return NO_POINTS, FrameStatus.duplicate, replace(memory, n_repeated=memory.n_repeated + 1)
     step_px = median(steps_px) if len(steps_px) >= _FEW_TRACKS else 0.0
     last_steps_px = _NO_STEPS if memory.steps_px is None else (memory.steps_px[1], step_px)
-    return points, FrameStatus.ok, replace(followed, steps_px=last_steps_px, t_s=t_s, step_s=step_s)
+    return points, FrameStatus.ok, TrackerMemory(prepared, followed, last_steps_px, t_s=t_s, step_s=step_s)
 
 
 def _started(
-    memory: TrackerMemory, prepared: PreparedPicture, allowed: Picture | None, config: TrackingConfig
-) -> tuple[PointSet, TrackerMemory]:
-    first_id = 0 if memory.tracks is None else memory.tracks.next_track_id
-    if prepared.features is not None:
-        started = TrackerMemory(prepared, start_akaze(prepared.features, first_id))
+    status: FrameStatus,
+    first_id: int,
+    prepared: PreparedPicture,
+    allowed: Picture | None,
+    config: TrackingConfig,
+    t_s: float,
+) -> tuple[PointSet, FrameStatus, TrackerMemory]:
+    """As `follow_points`, with new tracks, numbered from ``first_id``."""
+    if prepared.features is None:
+        tracks: KltMemory | AkazeMemory = start_klt(prepared.grey, allowed, config, first_id)
     else:
-        started = TrackerMemory(prepared, start_klt(prepared.grey, allowed, config, first_id))
-    return _points(started), started
+        tracks = start_akaze(prepared.features, first_id)
+    return _points(tracks), status, TrackerMemory(prepared, tracks, t_s=t_s)
 
 
 def _followed(
-    memory: TrackerMemory,
+    former: KltMemory | AkazeMemory,
     last: PreparedPicture,
     prepared: PreparedPicture,
     allowed: Picture | None,
     config: TrackingConfig,
     camera_rests: bool,
     step_part: float,
-) -> tuple[TrackerMemory, float, int]:
-    """The memory after following, the part of the tracks that survived, and how many there were."""
-    former = memory.tracks
+) -> tuple[KltMemory | AkazeMemory, float, int]:
+    """The tracks after following, the part of them that survived, and how many there were."""
     if isinstance(former, AkazeMemory) and prepared.features is not None:
         akaze, survival = follow_akaze(former, prepared.features, config)
-        return TrackerMemory(prepared, akaze), survival, len(former.track_id)
+        return akaze, survival, len(former.track_id)
     if not isinstance(former, KltMemory):
         raise ValueError("follow_points: the memory belongs to another tracker than the one configured")
     klt, survival = follow_klt(former, prepared.grey, allowed, config, camera_rests=camera_rests, step_part=step_part)
@@ -159,7 +161,7 @@ def _followed(
         )
         if survival_exposed > survival:
             klt, survival = replace(again, grey=prepared.grey), survival_exposed
-    return TrackerMemory(prepared, klt), survival, len(former.points.track_id)
+    return klt, survival, len(former.points.track_id)
 
 
 def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
@@ -174,9 +176,8 @@ def _stand_still(steps_px: Floats, last: TrackerMemory) -> bool:
     return bool(np.mean(steps_px < _STILL_PART * step_px) >= _STILL_SHARE)
 
 
-def _points(memory: TrackerMemory) -> PointSet:
-    points = NO_POINTS if memory.tracks is None else memory.tracks.seen
-    return replace(points, common_error_px=COMMON_ERROR_PX)
+def _points(tracks: KltMemory | AkazeMemory) -> PointSet:
+    return replace(tracks.seen, common_error_px=COMMON_ERROR_PX)
 
 
 def _is_cut(survival: float, n_before: int, last: Picture, now: Picture) -> bool:
