@@ -84,7 +84,8 @@ def analyze_tracked(
 
     ``run_apart`` may run the motions in one process more: no motion waits for the rows of the frame before it.
     """
-    clip = Clip(camera, _with_platform(config), horizon_plane(camera, horizon))
+    plane = None if horizon is None else horizon_plane(camera, horizon)
+    clip = Clip(camera, _with_platform(config), plane)
     with run_apart(partial(_with_motions, clip=clip), tracked_frames) as seen:
         analyzed = _analyzed(seen, clip)
         for item in smoothed(analyzed, clip) if config.collision_times.smooth else analyzed:

@@ -10,7 +10,6 @@ from relative_motion import box_of_points, history_of
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths, views_by_track
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
-from ttcvid.model import Platform
 from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.diverging_flow import expanding_movers, least_tracks
@@ -66,7 +65,7 @@ def found_in(views, scene, fit, seeds=None):
 def new_in(views, scene, fit):
     nowhere, redchi = np.zeros(len(fit.redchi), dtype=bool), fit.redchi
     of_scene = fit.rate_hz, fit, redchi, redchi, 1.0
-    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), Platform.free, np.full(len(redchi), -np.inf))
+    seen = SeenScene(scene, 1.0, *of_scene, RoadMemory(), False, np.full(len(redchi), -np.inf))
     members, paths, _ = new_movers(views, seen, ~nowhere, views.neighbours(), CONFIG)
     return members, paths
 

@@ -36,10 +36,6 @@ def tangent_cov(direction, along_rad, across_rad, turn_rad=0.0):
     return basis @ turn @ np.diag([along_rad**2, across_rad**2]) @ turn.T @ basis.T
 
 
-def test_without_a_horizon_there_is_no_plane():
-    assert horizon_plane(CAMERA, None) is None
-
-
 def test_the_plane_holds_the_line():
     plane = plane_at(150.0, 190.0)
     assert plane.line_px == (150.0, 190.0)

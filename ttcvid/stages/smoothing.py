@@ -7,7 +7,7 @@ views of the past alone tell what it was half a window ago.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -161,28 +161,20 @@ def _with_known_objects(seen: Seen, later: Sequence[Seen], min_tracks: int) -> F
 
 def _motions_again(seen: Seen, camera: Camera, config: CollisionTimesConfig) -> FrameMotions:
     """The clusters with the directions that the views on both sides show."""
+    history = seen.history
     clusters = [one for one in seen.motions.clusters if one.cluster_id != SCENE_CLUSTER]
     scene = [one for one in seen.motions.clusters if one.cluster_id == SCENE_CLUSTER]
     members = {one.cluster_id: one.members for one in clusters if not one.is_one_surface}
-    objects = motions_of(
-        members, *_velocities(members, seen.history, config.object_window_s), seen.history, seen.plane, camera
-    )
+    # The velocities that the tracks of each share, by their views near the present one.
+    views, sets = history.views_within(config.object_window_s), TrackSets.of(list(members.values()))
+    by_track = views_by_track(history.rays[views].take(sets.index, axis=1))
+    track = np.arange(len(sets.index))
+    points = Points(by_track, history.sigma_norm[sets.index], history.since_s[views], track, sets.set_of)
+    velocities = common_velocities(points, history.cam_R_past[views], np.zeros((len(members), 3)), STEPS_TO_VELOCITY)
+    objects = motions_of(members, *velocities, history, seen.plane, camera)
     status = seen.motions.no_direction_status.copy()
     for motion in objects:
         status[motion.members] = motion.status
     objects = sorted([*objects, *(one for one in clusters if one.is_one_surface)], key=lambda one: one.cluster_id)
     scene = [scene_motion(one.members, seen.egomotion, seen.plane, camera) for one in scene]
     return replace(seen.motions, clusters=(*scene, *objects), no_direction_status=status)
-
-
-def _velocities(members: Mapping[int, Ints], history: TrackHistory, window_s: float) -> tuple[Floats, Floats]:
-    """The velocities that the tracks of K objects share, by their views within a time of the present one.
-
-    With their information matrices, as of `common_velocities`.
-    """
-    views = history.views_within(window_s)
-    sets = TrackSets.of(list(members.values()))
-    by_track = views_by_track(history.rays[views].take(sets.index, axis=1))
-    track = np.arange(len(sets.index))
-    points = Points(by_track, history.sigma_norm[sets.index], history.since_s[views], track, sets.set_of)
-    return common_velocities(points, history.cam_R_past[views], np.zeros((len(members), 3)), STEPS_TO_VELOCITY)

@@ -47,7 +47,7 @@ _MEDIAN_RAYLEIGH = 1.1774
 class Views:
     """M observations of N points in J frames: ``xy_px (M, 2)`` from the centre of the picture, ``frame, point (M,)``.
 
-    ``region (N,)`` numbers the parts of the picture whose points err together.
+    ``region (N,)`` numbers the parts of the picture, two at least, whose points err together.
     """
 
     xy_px: Floats
@@ -131,15 +131,13 @@ class BundleFit:
 
     @property
     def log_focal_sigma(self) -> float:
-        """Standard deviation of log f with everything else unknown, infinite where it is held.
+        """Standard deviation of log f, which has to be free, with everything else unknown; infinite: nothing tells it.
 
         The scores of log f, freed of what all other unknowns explain of them, are summed within a part of the picture
         before they are squared (a cluster-robust "sandwich"): neighbouring points err together, and a track errs the
         same way for long. Never below what independent noise gives.
         """
         n_regions = len(np.unique(self.region))
-        if not self.is_free[-N_SHARED] or n_regions < 2:
-            return np.inf
         equations = self.equations()
         points = equations.without_points(0.0)
         matrix, scores = equations.pose_hessian - points.information, equations.score - points.scores

@@ -27,7 +27,6 @@ _SCATTER_STEP = 1.25
 _MAX_PAIRS = 600
 # Part of a distribution below the upper border of its 95 % interval.
 UPPER_95 = 0.975
-UP = np.array([0.0, -1.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -163,7 +162,7 @@ def _starts(directions: Floats, covariances: Floats, roll_sigma_rad: float | Non
         return np.empty((0, 3))
     normals = normalize(np.array(candidates))
     normals = normals[np.isfinite(normals).all(axis=1)]
-    return np.asarray(normals * np.where(normals @ UP < 0.0, -1.0, 1.0)[:, None])
+    return np.asarray(normals * np.where(normals[:, 1] > 0.0, -1.0, 1.0)[:, None])
 
 
 def _best(

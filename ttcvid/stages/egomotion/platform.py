@@ -179,9 +179,7 @@ def glance_at(stretch: Sequence[PointSet], times_s: Sequence[float], camera: Cam
     anywhere, best = _egomotion(before, now, camera, memory, Platform.free, sigma_px), explained
     if anywhere.direction is not None and abs(anywhere.direction[2]) < np.cos(_AHEAD_RAD):
         best = max(explained, _shares(before, now, camera, anywhere, sigma_px)[1])
-    if ahead.direction is None:
-        return Glance(times_s[-1], still, turned_rad, None, explained, best, None, sigma_px)
-    travel = ahead.direction * (1.0 if ahead.direction[2] > 0.0 else -1.0)
+    travel = None if ahead.direction is None else ahead.direction * (1.0 if ahead.direction[2] > 0.0 else -1.0)
     ground_hz = _ground_hz(before, now, camera, ahead, times_s[-1] - times_s[0], sigma_px)
     return Glance(times_s[-1], still, turned_rad, travel, explained, best, ground_hz, sigma_px)
 

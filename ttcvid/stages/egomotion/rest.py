@@ -28,11 +28,6 @@ class Look:
     t_s: float
     still_share: float
 
-    @property
-    def is_resting(self) -> bool:
-        """Whether most of the picture stays."""
-        return self.still_share > RESTING_SHARE
-
 
 def compare_looks(before: PointSet, now: PointSet, t_s: float, size: ImageSize) -> Look | None:
     """Compare the points of two frames, the later one at ``t_s``; None with too few points in common.
@@ -58,7 +53,7 @@ def complaint_about_motion(looks: list[Look]) -> str:
     """Why the camera does not rest, as a sentence; empty where it does."""
     if not looks:
         return "too few points to see whether the camera rests: take a clip with more texture"
-    moving_s = [look.t_s for look in looks if not look.is_resting]
+    moving_s = [look.t_s for look in looks if look.still_share <= RESTING_SHARE]
     if len(moving_s) <= (1.0 - _RESTING_LOOKS) * len(looks):
         return ""
     part = 100.0 * len(moving_s) / len(looks)

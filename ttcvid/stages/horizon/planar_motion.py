@@ -39,10 +39,8 @@ class HorizonPlane:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def horizon_plane(camera: Camera, horizon: Horizon | None) -> HorizonPlane | None:
-    """The plane of a calibrated horizon, None without one."""
-    if horizon is None:
-        return None
+def horizon_plane(camera: Camera, horizon: Horizon) -> HorizonPlane:
+    """The plane of a calibrated horizon."""
     normal = normal_from_horizon(camera, horizon)
     if horizon.covariance_rad2 is None:
         covariance = horizon.sigma_rad**2 * (np.eye(3) - np.outer(normal, normal))
@@ -55,7 +53,6 @@ def horizon_plane(camera: Camera, horizon: Horizon | None) -> HorizonPlane | Non
 def centre_sigma_px(camera: Camera, horizon: Horizon) -> float:
     """Standard deviation of the calibrated horizon's height at the centre of the picture, px."""
     plane = horizon_plane(camera, horizon)
-    assert plane is not None
     middle = 0.5 * (horizon.y_left_px + horizon.y_right_px)
     ahead = np.array([0.0, (middle - camera.cy_px) / camera.fy_px, 1.0])
     return float(camera.fy_px * plane.sigma_rad(ahead) / abs(plane.normal[1]))

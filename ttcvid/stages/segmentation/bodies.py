@@ -150,8 +150,10 @@ def stepped_movers(
     fit = fit_on_paths(points, movers, rate_hz[points.thing])
     middle = _middles(points, fit, len(movers))
     turned = vector_from_rotation(scene.cam_R_past[:, -2] @ movers.cam_R_past[:, -2].transpose(0, 2, 1))
-    length = _mean_step(_ways_of_middles(movers, scene, middle), points)
-    priors = StepPriors(length, turned, float(_turn_sigma_rad(points.since_s)[-2]), middle)
+    # Where the middle of each was, less where it is now, in the axes of the scene.
+    turn = movers.cam_R_past @ scene.cam_R_past.transpose(0, 1, 3, 2)
+    ways = np.einsum("klji,klj->kli", turn, middle[:, None] + movers.path) - middle[:, None]
+    priors = StepPriors(_mean_step(ways, points), turned, float(_turn_sigma_rad(points.since_s)[-2]), middle)
     stepped = with_newest_steps(points, movers, fit, np.ones(len(points.track)), priors)
     return refined_movers(stepped, scene, points, n_steps, fit.rate_hz)
 
@@ -162,12 +164,6 @@ def _middles(points: Points, fit: PathFit, count: int) -> Floats:
     depth = 1.0 / np.maximum(medians(fit.rate_hz, points.thing, count), _LEAST_RATE_HZ)
     middle = np.stack([x * depth, y * depth, depth], axis=1)
     return np.where(np.isnan(middle), 0.0, middle)
-
-
-def _ways_of_middles(movers: RigidPaths, scene: RigidPaths, middle: Floats) -> Floats:
-    """Where ``middle (K, 3)`` of each mover was, less where it is now, in the axes of the scene: (K, L, 3)."""
-    turn = movers.cam_R_past @ scene.cam_R_past.transpose(0, 1, 3, 2)
-    return np.asarray(np.einsum("klji,klj->kli", turn, middle[:, None] + movers.path) - middle[:, None])
 
 
 def _turn_sigma_rad(since_s: Floats) -> Floats:

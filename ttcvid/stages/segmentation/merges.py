@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.cluster.hierarchy import linkage
@@ -242,16 +242,11 @@ def _foreign_part(xy: Floats, one: Ints, other: Ints, others: Ints) -> float:
     return float(np.mean(off < np.concatenate(radii)))
 
 
-@dataclass(frozen=True)
-class _Parts:
-    """Parts of a mover: the places ``index (M,)`` among its tracks that tell, the part of each and their ``rate_hz``.
+_Parts = tuple[Ints, Ints, Floats]
+"""Parts of a mover: the places (M,) among its tracks that tell, the part of each, and the median rates of the parts.
 
-    Part 0 keeps the mover's number.
-    """
-
-    index: Ints
-    part: Ints
-    rate_hz: Floats
+Part 0 keeps the mover's number.
+"""
 
 
 def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int) -> tuple[Ints, Movers, int]:
@@ -271,12 +266,12 @@ def split(views: BodyViews, key: Ints, movers: Movers, next_key: int, least: int
             parts = _parts_across_gaps(views, number, int(mover), movers.rate_hz[mover], least)
         if parts is None:
             continue
-        xy, n_new = views.xy[tracks], len(parts.rate_hz) - 1
-        nearest = parts.part[KDTree(xy[parts.index]).query(xy)[1]]
+        (index, part, rate_hz), xy = parts, views.xy[tracks]
+        n_new, nearest = len(rate_hz) - 1, part[KDTree(xy[index]).query(xy)[1]]
         key[tracks[nearest > 0]] = next_key + nearest[nearest > 0] - 1
-        movers = movers.with_new(next_key, movers.paths.take(np.full(n_new, mover)), parts.rate_hz[1:])
+        movers = movers.with_new(next_key, movers.paths.take(np.full(n_new, mover)), rate_hz[1:])
         # What is left is seen as a whole with fewer tracks.
-        movers.rate_hz[mover], movers.last.n_tracks[mover] = parts.rate_hz[0], 0
+        movers.rate_hz[mover], movers.last.n_tracks[mover] = rate_hz[0], 0
         next_key += n_new
     return key, movers, next_key
 
@@ -332,4 +327,4 @@ def _as_parts(index: Ints, label: Ints, largest: int, parts: Ints, rate_hz: Floa
     place = np.full(len(rate_hz), -1)
     place[kept] = np.arange(len(kept))
     is_told = place[label] >= 0
-    return _Parts(index[is_told], place[label[is_told]], rate_hz[kept])
+    return index[is_told], place[label[is_told]], rate_hz[kept]

@@ -80,10 +80,12 @@ def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: 
     In units of what is unsure: of both by their tracks, and by how velocities change while a thing is not seen.
     """
     centre, chi2 = hidden.last.centre, np.full(len(hidden), np.inf)
-    away = np.linalg.norm(np.mean(views.xy[members], axis=0) - centre[:, :2] / centre[:, 2:], axis=1)
-    limit = _WITHIN_EXTENTS * hidden.last.extent / centre[:, 2] + views.link_px / views.focal_px
-    limit += _UNSURE_PART * _moved_unseen(views, hidden)
-    unseen_s = views.t_s[-1] - hidden.last.seen_s
+    place, step, unseen_s = centre[:, :2] / centre[:, 2:], hidden.paths.path[:, -2], views.t_s[-1] - hidden.last.seen_s
+    # How far they have gone in the plane z = 1 since they were seen, by their motion now.
+    moved = np.linalg.norm(step[:, :2] - place * step[:, 2:], axis=1) / centre[:, 2]
+    moved = moved * unseen_s / (views.t_s[-1] - views.t_s[-2])
+    away = np.linalg.norm(np.mean(views.xy[members], axis=0) - place, axis=1)
+    limit = _WITHIN_EXTENTS * hidden.last.extent / centre[:, 2] + views.link_px / views.focal_px + _UNSURE_PART * moved
     for mover in np.flatnonzero(away < limit):
         before = hidden.last.v_hz[mover]
         now, info = recent_velocities(views.points(members), scene.cam_R_past[0], before[None], STEPS_TO_VELOCITY)
@@ -92,11 +94,3 @@ def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: 
         cov += (SHIFT_RATE_HZ * unseen_s[mover]) ** 2 * (before @ before) * np.eye(3)
         chi2[mover] = (now[0] - before) @ np.linalg.solve(cov, now[0] - before)
     return chi2
-
-
-def _moved_unseen(views: BodyViews, hidden: Movers) -> Floats:
-    """How far hidden movers have gone in the plane z = 1 since they were seen, by their motion now: (K,)."""
-    last, step = hidden.last, hidden.paths.path[:, -2]
-    place = last.centre[:, :2] / last.centre[:, 2:]
-    moved = np.linalg.norm(step[:, :2] - place * step[:, 2:], axis=1) / last.centre[:, 2]
-    return np.asarray(moved * (views.t_s[-1] - last.seen_s) / (views.t_s[-1] - views.t_s[-2]))

@@ -54,8 +54,8 @@ class SeenScene:
 
     Its path ``scene`` in units of which own ``speed`` is one; ``rate_hz (N,)`` of each track on it, and the ``fit`` of
     each: of a scene at rest, without motion. ``redchi (N,)``, in units of what is usual, ``median_redchi``, with
-    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``platform`` what carries the camera; ``ride_odds
-    (N,)`` log odds that a track is fixed to the camera.
+    what the ``road`` contradicts raised above ``seen_redchi (N,)``; ``camera_rests`` on a mast, as was told: then the
+    scene has no motion that could be wrong; ``ride_odds (N,)`` log odds that a track is fixed to the camera.
     """
 
     scene: RigidPaths
@@ -66,13 +66,8 @@ class SeenScene:
     seen_redchi: Floats
     median_redchi: float
     road: RoadMemory
-    platform: Platform
+    camera_rests: bool
     ride_odds: Floats
-
-    @property
-    def camera_rests(self) -> bool:
-        """On a mast, as was told: then the scene has no motion that could be wrong."""
-        return self.platform == Platform.static
 
     def residual_px2(self, views: BodyViews) -> Floats:
         """Mean squared residual ``(N,)`` of a coordinate of each track in the scene beyond its noise, px^2."""
@@ -136,7 +131,7 @@ def see_scene(
     if not can_translate:
         # Most of what a mast sees stays on its pixel: only what is seen to shake with the camera is fixed to it.
         rides = np.where(rides > FOLLOWS, rides, -np.inf)
-    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, platform, rides)
+    return SeenScene(scene, speed, rate_hz, fit, redchi, seen_redchi, median_redchi, road, not can_translate, rides)
 
 
 def _scene(

@@ -230,8 +230,7 @@ def restarted_events(memory: EventMemory) -> EventMemory:
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
     kind = "constant_bearing" if row.motion_state == MotionState.constant_bearing else "collision_course"
-    sure = approach_probability(row.state_abc_hz, row.state_cov)
-    event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, sure)
+    event = Event(event_id, kind, row.cluster_id, frame, frame, t_s, t_s, None, None, None, 0.0)
     return _continued(event, row, frame, t_s)
 
 
