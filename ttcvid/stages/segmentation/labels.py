@@ -122,7 +122,7 @@ def find_bodies(
     belonged, views = key, replace(views, is_free=views.is_free & ~is_displaced)
     key, own_redchi = assigned(views, seen, key, movers, neighbours)
     key, movers = kept(views, key, movers, config)
-    key, movers = merged(views, seen.scene, key, movers, neighbours, own_redchi, seen.median_redchi)
+    key, movers = merged(views, seen, key, movers, neighbours, own_redchi)
     # A track with a displaced observation keeps its body: the next observation may fit again.
     known = np.append(SCENE_CLUSTER, movers.key)
     key = np.where(is_displaced & (known[numbers_of(belonged, movers)] == belonged), belonged, key)
@@ -220,7 +220,7 @@ def _with_new(
         found = [members for members, is_mover in zip(found, is_one, strict=True) if is_mover]
         paths, found_hz = paths.take(is_one), found_hz[is_one]
     if found and len(movers):
-        key, movers, is_known = reidentified(views, seen.scene, key, movers, found, paths, found_hz, seen.median_redchi)
+        key, movers, is_known = reidentified(views, seen, key, movers, found, paths, found_hz)
         found = [members for members, known in zip(found, is_known, strict=True) if not known]
         paths, found_hz = paths.take(~is_known), found_hz[~is_known]
     for count, members in enumerate(found):

@@ -15,6 +15,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.data_association import Movers, is_due, numbers_of
+from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, pairs_without_gaps
 
 # Tracks side by side hang together if their inverse depths differ by less than the first factor. Farther apart they may
@@ -43,8 +44,12 @@ _YOUNG_VIEWS = 2
 _JOINT_STEPS, _LEAST_TRACKS, _ENOUGH_TRACKS = 4, 3, 60
 
 
+_Pairs = tuple[Ints, Ints]
+"""Indices of the larger and the smaller of P pairs of movers, ``(P,)`` each."""
+
+
 def merged(
-    views: BodyViews, scene: RigidPaths, key: Ints, movers: Movers, neighbours: Ints, redchi: Floats, median: float
+    views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, neighbours: Ints, redchi: Floats
 ) -> tuple[Ints, Movers]:
     """Labels and movers after merges of adjacent movers that one trajectory explains; the older ``key`` is kept.
 
@@ -54,17 +59,17 @@ def merged(
     ----------
     key : ``(N,)`` body of each track.
     neighbours : ``(N, K)`` neighbours of tracks; themselves for missing ones.
-    redchi : ``(N,)`` reduced chi-square of each track on its body, over ``median``.
+    redchi : ``(N,)`` reduced chi-square of each track on its body, over the scene's median one.
     """
     number = numbers_of(key, movers)
     asked = _asked_neighbours(neighbours, number, movers)
     if asked is None:
         return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
-    pairs = _worth_trying(views, tracks_of, movers, *asked, redchi, median)
+    pairs = _worth_trying(views, seen, tracks_of, movers, asked, redchi)
     if pairs is None:
         return key, movers
-    joint, joint_hz, is_one = _joint(views, scene, tracks_of, movers, *pairs, median)
+    joint, joint_hz, is_one = _joint(views, seen, tracks_of, movers, pairs)
     key, paths, rate_hz = key.copy(), movers.paths.take(np.arange(len(movers))), movers.rate_hz.copy()
     is_gone, is_changed = np.zeros(len(movers), dtype=bool), np.zeros(len(movers), dtype=bool)
     for place in np.flatnonzero(is_one):
@@ -83,8 +88,8 @@ def merged(
     return key, replace(movers, paths=paths, rate_hz=rate_hz).take(~is_gone)
 
 
-def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[Ints, Ints] | None:
-    """Indices of the larger and the smaller of P adjacent movers that are due, ``(P,)`` each; None without any.
+def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> _Pairs | None:
+    """The adjacent movers that are due; None without any.
 
     Adjacent ones have neighbouring tracks, and the smaller one `_LEAST_TRACKS`. ``neighbours (N, K)`` of each track,
     ``number (N,)`` as from `numbers_of`.
@@ -104,37 +109,27 @@ def _asked_neighbours(neighbours: Ints, number: Ints, movers: Movers) -> tuple[I
 
 
 def _worth_trying(
-    views: BodyViews,
-    tracks_of: list[Ints],
-    movers: Movers,
-    large: Ints,
-    small: Ints,
-    own_redchi: Floats,
-    median_redchi: float,
-) -> tuple[Ints, Ints] | None:
-    """Those of adjacent movers, of indices ``large, small (P,)``, whose merge is worth trying; None without any."""
+    views: BodyViews, seen: SeenScene, tracks_of: list[Ints], movers: Movers, asked: _Pairs, own_redchi: Floats
+) -> _Pairs | None:
+    """Those of adjacent movers whose merge is worth trying; None without any."""
+    large, small = asked
     pair = np.repeat(np.arange(len(large)), [len(tracks_of[place]) for place in small])
     tracks = np.concatenate([tracks_of[place] for place in small])
     fit = fit_on_movers(views.points(tracks, pair), movers.paths.take(large), movers.rate_hz[large])
-    off = medians(fit.redchi, pair, len(large)) / median_redchi
+    off = medians(fit.redchi, pair, len(large)) / seen.median_redchi
     limit = np.maximum(medians(own_redchi[tracks], pair, len(large)), _LEAST_REDCHI)
     is_worth = off <= _WORTH_TRYING * limit
     return (large[is_worth], small[is_worth]) if is_worth.any() else None
 
 
 def _joint(
-    views: BodyViews,
-    scene: RigidPaths,
-    tracks_of: list[Ints],
-    movers: Movers,
-    large: Ints,
-    small: Ints,
-    median_redchi: float,
+    views: BodyViews, seen: SeenScene, tracks_of: list[Ints], movers: Movers, pairs: _Pairs
 ) -> tuple[RigidPaths, Floats, Bools]:
     """Joint trajectory of each of P pairs, its median inverse depth ``(P,)``, and whether the pair is one: ``(P,)``.
 
     It is if that costs less than two, and its tracks hang together.
     """
+    large, small = pairs
     of_pairs = [tracks_of[place] for pair in zip(large, small, strict=True) for place in pair]
     parts = [tracks[:: -(-len(tracks) // _ENOUGH_TRACKS)] for tracks in of_pairs]
     part = np.repeat(np.arange(len(parts)), [len(tracks) for tracks in parts])
@@ -147,10 +142,10 @@ def _joint(
     length = np.linalg.norm(movers.paths.path, axis=2).max(axis=1) + NO_LENGTH
     start_hz = own.rate_hz * length[mover] / length[large][part // 2]
     start, steps = movers.paths.take(large), np.full(len(large), _JOINT_STEPS)
-    joint, joint_hz = refined_movers(start, scene, points, steps, start_hz)
+    joint, joint_hz = refined_movers(start, seen.scene, points, steps, start_hz)
     fit = fit_on_paths(points, joint, start_hz)
     # What does not converge costs as much as what is far off.
-    cost, own_cost = (cost_of(np.nan_to_num(one.redchi / median_redchi, nan=np.inf)) for one in (fit, own))
+    cost, own_cost = (cost_of(np.nan_to_num(one.redchi / seen.median_redchi, nan=np.inf)) for one in (fit, own))
     is_one = np.bincount(points.thing, cost - own_cost) < 0.5 * _PARAMETERS * np.log(np.bincount(points.thing))
     for pair in np.flatnonzero(is_one):
         of_pair = np.flatnonzero(points.thing == pair)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from ttcvid.stages.segmentation.bodies import SHIFT_RATE_HZ
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers
 from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY, UNSURE_HZ, recent_velocities
+from ttcvid.stages.segmentation.scene import SeenScene
 
 # A re-identified mover lies within this many of its extents of its predicted position.
 _WITHIN_EXTENTS = 2.5
@@ -25,14 +25,7 @@ _STEPS = 1
 
 
 def reidentified(
-    views: BodyViews,
-    scene: RigidPaths,
-    key: Ints,
-    movers: Movers,
-    found: Sequence[Ints],
-    paths: RigidPaths,
-    rate_hz: Floats,
-    median_redchi: float,
+    views: BodyViews, seen: SeenScene, key: Ints, movers: Movers, found: list[Ints], paths: RigidPaths, rate_hz: Floats
 ) -> tuple[Ints, Movers, Bools]:
     """Which of J new movers are hidden ones: they lie at the predicted position of a hidden one, and move as it did.
 
@@ -49,7 +42,7 @@ def reidentified(
     for place, members in enumerate(found):
         if not len(hidden):
             break
-        as_hidden = _chi2_as_hidden(views, scene, members, movers.take(hidden), median_redchi)
+        as_hidden = _chi2_as_hidden(views, seen, members, movers.take(hidden))
         best = int(np.argmin(as_hidden))
         if not as_hidden[best] <= _SAME_VELOCITY:
             continue
@@ -74,7 +67,7 @@ def with_velocities(views: BodyViews, scene: RigidPaths, number: Ints, movers: M
     return replace(movers, last=replace(last, v_hz=v_hz, info=info))
 
 
-def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: Movers, median_redchi: float) -> Floats:
+def _chi2_as_hidden(views: BodyViews, seen: SeenScene, members: Ints, hidden: Movers) -> Floats:
     """How much the velocity of some tracks differs from those of hidden movers: (K,), infinite where these are not.
 
     In units of what is unsure: of both by their tracks, and by how velocities change while a thing is not seen.
@@ -88,8 +81,8 @@ def _chi2_as_hidden(views: BodyViews, scene: RigidPaths, members: Ints, hidden: 
     limit = _WITHIN_EXTENTS * hidden.last.extent / centre[:, 2] + views.link_px / views.focal_px + _UNSURE_PART * moved
     for mover in np.flatnonzero(away < limit):
         before = hidden.last.v_hz[mover]
-        now, info = recent_velocities(views.points(members), scene.cam_R_past[0], before[None], STEPS_TO_VELOCITY)
-        both = np.stack([hidden.last.info[mover], info[0]]) / median_redchi
+        now, info = recent_velocities(views.points(members), seen.scene.cam_R_past[0], before[None], STEPS_TO_VELOCITY)
+        both = np.stack([hidden.last.info[mover], info[0]]) / seen.median_redchi
         cov = np.linalg.inv(both + np.eye(3) / UNSURE_HZ**2).sum(axis=0)
         cov += (SHIFT_RATE_HZ * unseen_s[mover]) ** 2 * (before @ before) * np.eye(3)
         chi2[mover] = (now[0] - before) @ np.linalg.solve(cov, now[0] - before)
