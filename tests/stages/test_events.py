@@ -9,7 +9,7 @@ from watched_rows import CONFIG, FRAME_S, HARMLESS, HIT, WIDTH_M, WITHOUT_STATE,
 
 from ttcvid.model import MotionState
 from ttcvid.stages.warnings.course import Viewpoint
-from ttcvid.stages.warnings.events import EventMemory, restarted_events, update_events
+from ttcvid.stages.warnings.events import EventMemory, update_events
 
 
 def test_a_collision_course_is_warned_of_once_it_has_lasted():
@@ -194,7 +194,7 @@ def test_warnings_of_two_objects_count_on_and_stand_side_by_side():
 def test_a_cut_ends_all_warnings_but_gives_no_number_twice():
     hit = drive(*HIT, 1.0)
     _, memory = watched(hit)
-    memory = restarted_events(memory)
+    memory = EventMemory(next_event_id=memory.next_event_id)
     active, _ = watched(hit, memory=memory, first_frame=100)
     assert active[0] == ()
     assert [e.event_id for e in active[-1]] == [2]

@@ -13,7 +13,7 @@ from ttcvid.stages.rows import cluster_rows, no_tracks, track_rows
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
 from ttcvid.stages.update import Clip, SeenFrame
 from ttcvid.stages.warnings.course import Viewpoint
-from ttcvid.stages.warnings.events import EventMemory, restarted_events, standing_events, update_events
+from ttcvid.stages.warnings.events import EventMemory, standing_events, update_events
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,8 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
         # It gives no number, only a reason: what was warned of before stands.
         return replace(result, events=standing_events(memory.watch, frame.t_s, clip.config.events)), memory
     if item.status == FrameStatus.cut:
-        memory = RowMemory(restarted_events(memory.watch))
+        # The numbers of warnings go on.
+        memory = RowMemory(EventMemory(next_event_id=memory.watch.next_event_id))
     tracks, clusters, states = _rows(seen, clip, memory.states)
     platform, step_s = clip.config.egomotion.platform, seen.history.step_s
     view = Viewpoint(clip.camera, platform == Platform.vehicle, platform == Platform.static, seen.motions.bend)

@@ -62,8 +62,16 @@ def find_growing(
 
     ``before`` is what the last frame remembered, ``views`` are those of the tracks of the ``history``.
     """
-    is_known = np.isin(history.track_id, tracks_of(before))
-    things = _things(history, on_scene, views, is_known, config)
+    redchi, may_be = on_scene.redchi, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
+    # Around tracks that contradict the scene, or are known to be part of such a thing.
+    is_asked = may_be & ((redchi > config.scene_gate) | np.isin(history.track_id, tracks_of(before)))
+    things = list[Growing]()
+    for around in around_oddest(redchi, is_asked, history.xy_px, may_be, views.link_px, _MOST_THINGS):
+        sigma_norm = np.sqrt(on_scene.median_redchi) * views.sigma_norm[around]
+        thing = _thing_around(history, around, redchi[around], sigma_norm, config)
+        if thing is not None:
+            things.append(thing)
+            may_be[thing.members] = False
     is_free = on_scene.may_be.copy()
     for thing in things:
         is_free[thing.members] = False
@@ -74,21 +82,6 @@ def find_growing(
     thing_of = {int(thing.members[0]): thing for thing in things}
     found = {number: thing_of[int(own[0])] for number, own in public.items() if len(own) and int(own[0]) in thing_of}
     return found, memory, next_cluster_id
-
-
-def _things(
-    history: TrackHistory, on_scene: OnScene, views: BodyViews, is_known: Bools, config: BodiesConfig
-) -> list[Growing]:
-    """The things that grow around tracks that contradict the scene, or are known to be part of one."""
-    redchi, may_be = on_scene.redchi, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
-    things, is_asked = list[Growing](), may_be & ((redchi > config.scene_gate) | is_known)
-    for around in around_oddest(redchi, is_asked, history.xy_px, may_be, views.link_px, _MOST_THINGS):
-        sigma_norm = np.sqrt(on_scene.median_redchi) * views.sigma_norm[around]
-        thing = _thing_around(history, around, redchi[around], sigma_norm, config)
-        if thing is not None:
-            things.append(thing)
-            may_be[thing.members] = False
-    return things
 
 
 def around_oddest(

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ttcvid.compiled import compiled_for
-from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.geometry.kernels.medians import median as compiled_median
 from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints
@@ -110,12 +109,6 @@ class OnGround:
     def is_far(self) -> Bools:
         """Whether points ``(N,)`` look far away, and the road behind them, too."""
         return np.asarray(np.maximum(self.rate_hz, self.road_hz) < _FAR * self.slope_hz)
-
-
-def on_ground(fit: PathFit, road: Floats, known: Bools, aim_x: float) -> OnGround:
-    """The tracks and the ground plane ``road (3,)`` as from `stages.segmentation.ground_plane.find_road`."""
-    road_hz = road[0] + fit.place @ road[1:]
-    return OnGround(fit.place, fit.rate_hz, fit.rate_sigma_hz, road_hz, float(road[2]), known, aim_x)
 
 
 def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> Contacts:

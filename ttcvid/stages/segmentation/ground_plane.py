@@ -14,7 +14,7 @@ from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.egomotion.relative_pose import picture_region
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.ground_contact import ON_ROAD, Contacts, find_contacts, on_ground
+from ttcvid.stages.segmentation.ground_contact import ON_ROAD, Contacts, OnGround, find_contacts
 from ttcvid.stages.tracking.groups import places_among
 
 # Our direction of travel is parallel to the ground plane: its horizon is within twice this standard deviation (tangent)
@@ -41,8 +41,8 @@ _SEEN_FOR_S, _MOST_SEEN = 1.0, 500
 _ROLL_SIGMA = 0.1
 _LEAST_VIEWS = 4
 # Evidence decays by the first factor per frame, by the second while an object is not observed against the ground plane
-# (a road without texture). Above the last value a track contradicts the static scene.
-_FORGETTING, _NOTHING_SAID, _ENOUGH = 0.8, 0.97, 0.5
+# (a road without texture).
+_FORGETTING, _NOTHING_SAID = 0.8, 0.97
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,6 @@ class RoadMemory:
         """Evidence ``(N,)`` against being static, of either kind."""
         return np.maximum(self.evidence, self.by_speed)
 
-    def contradicts(self) -> Bools:
-        """Whether tracks ``(N,)`` contradict the static scene."""
-        return np.asarray(self.against_scene > _ENOUGH)
-
 
 def gathered_evidence(
     memory: RoadMemory, track_id: Ints, views: BodyViews, fit: PathFit, key: Ints, in_scene: Bools, aim: Floats
@@ -117,10 +113,11 @@ def gathered_evidence(
     road = find_road(seen, aim)
     if road is None:
         return RoadMemory(track_id, _FORGETTING * evidence, by_speed, None, seen)
-    road_hz = np.maximum(road[0] + fit.place @ road[1:], LEAST_BELOW * road[2])
-    has_depth = fit.rate_sigma_hz < _KNOWN_PART * np.maximum(fit.rate_hz, road_hz)
+    road_hz, slope_hz = road[0] + fit.place @ road[1:], float(road[2])
+    nearest_hz = np.maximum(fit.rate_hz, np.maximum(road_hz, LEAST_BELOW * slope_hz))
+    has_depth = fit.rate_sigma_hz < _KNOWN_PART * nearest_hz
     is_rated = views.is_free & (fit.n_views >= _LEAST_VIEWS) & has_depth
-    ground = on_ground(fit, road, is_rated, float(aim[0]))
+    ground = OnGround(fit.place, fit.rate_hz, fit.rate_sigma_hz, road_hz, slope_hz, is_rated, float(aim[0]))
     contacts = find_contacts(views.xy_px, views.link_px, ground, key)
     evidence = _shared_evidence(evidence, is_known & (fit.n_views > _LEAST_VIEWS), contacts)
     # A track that lies under the road by itself needs no others, and no frames before.

@@ -171,10 +171,8 @@ def _surfaces(
     is_ahead = off < _LOOK
     if on_ground and road is not None:
         is_ahead |= off < OWN_HALF_WIDTH * depths.rate_hz / road[2]
-    if len(index) < _LEAST_TRACKS or not is_ahead.any():
-        return []
     asked = depths.are_told(depths.rate_hz) & depths.stand(slice(None), depths.rate_hz) & is_ahead
-    if not asked.any():
+    if len(index) < _LEAST_TRACKS or not asked.any():
         return []
     pairs = linked_pairs(points.xy_px[index], (_LINKS if road is None else 1.0) * points.link_px)
     found, is_taken = list[_Surface](), np.zeros(len(index), dtype=bool)

@@ -35,6 +35,8 @@ _LEAST_MOVING, _LEAST_MOVING_FREE = 0.5, 0.25
 _AHEAD_COSINE = float(np.cos(np.radians(20.0)))
 # The median reduced chi-square is that of tracks with more views than this.
 _USUAL_VIEWS = 3
+# A track with more evidence against the static scene than this contradicts it.
+_ENOUGH_EVIDENCE = 0.5
 # A mover stays one, however well the scene explains it, while the road contradicts its tracks by this on the average.
 _MOVER_EVIDENCE = 0.25
 # A track with less evidence of its own than this is no part of such a mover, unless it is too young to have any and not
@@ -239,5 +241,5 @@ def _with_contradictions(
     evidence = road.against_scene
     may_be_part = (evidence > _LEAST_EVIDENCE) | ((n_views <= _USUAL_VIEWS) & ~is_road)
     of_mover = np.bincount(key, evidence) > _MOVER_EVIDENCE * np.bincount(key)
-    is_odd = road.contradicts() | (may_be_part & (key != SCENE_CLUSTER) & of_mover[key])
+    is_odd = (evidence > _ENOUGH_EVIDENCE) | (may_be_part & (key != SCENE_CLUSTER) & of_mover[key])
     return np.where(is_odd, np.maximum(redchi, 2.0 * config.scene_gate), redchi)

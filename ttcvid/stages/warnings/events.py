@@ -80,9 +80,9 @@ def update_events(
     probabilities of its frames (`course_of`) add up; errors of neighbouring frames are correlated, so that they count
     per ``persistence_s`` and not per frame, and that time is needed however sure the frames are. At first it is none
     with a probability of ``confidence``. A warning starts where the object is on collision course with this
-    probability, soon by this frame, unless the last ones contradict it (`_may_reach_us`); it ends where it is none
-    with the same probability. A frame in which the course is open, or the object has no value, counts for nothing. A
-    warned object that reappears under another ``cluster_id`` is warned of at once.
+    probability, soon by this frame, unless the last ones contradict it (`_turns_away`, `_stays_ahead`); it ends where
+    it is none with the same probability. A frame in which the course is open, or the object has no value, counts for
+    nothing. A warned object that reappears under another ``cluster_id`` is warned of at once.
 
     Where ``step_s``, the usual time between frames, exceeds the persistence, a single step is no gap.
     """
@@ -107,11 +107,12 @@ def update_events(
             before = None if lost_id is None else replace(watched.pop(lost_id), event=None, times_left=())
         now = _watched(before, course, row, t_s, looked_s, config)
         is_probable = course.probability > _EVEN
+        is_sure = is_probable and course.is_soon and now.log_odds >= _asked(config)
         if now.event is not None:
             ends = now.log_odds <= -_asked(config)
             event = _continued(now.event, row, frame, t_s) if is_probable else now.event
             now = replace(now, event=None if ends else event)
-        elif is_probable and course.is_soon and now.log_odds >= _asked(config) and _may_reach_us(now, t_s, config):
+        elif is_sure and not _turns_away(now, t_s, config) and not _stays_ahead(now):
             now = replace(now, event=_started(next_event_id, row, frame, t_s))
             next_event_id += 1
         watched[cluster_id] = now
@@ -147,11 +148,6 @@ def _watched(
 def _asked(config: EventsConfig) -> float:
     """Log odds that a warning starts at; those of none at its end."""
     return float(logit(max(config.confidence, _LEAST_ASKED)))
-
-
-def _may_reach_us(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
-    """Whether an object that is on course in this frame may reach us, by the last frames together."""
-    return not (_turns_away(one, t_s, config) or _stays_ahead(one))
 
 
 def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
@@ -221,11 +217,6 @@ def standing_events(memory: EventMemory, t_s: float, config: EventsConfig) -> tu
     """Warnings still active in a frame without an analysis; each ends as if its object were hidden."""
     recent = [watched for watched in memory.watched.values() if t_s - watched.last_s <= _HIDDEN * _gone_s(config)]
     return tuple(watched.event for watched in recent if watched.event is not None)
-
-
-def restarted_events(memory: EventMemory) -> EventMemory:
-    """Memory without watched objects; event numbers go on."""
-    return EventMemory(next_event_id=memory.next_event_id)
 
 
 def _started(event_id: int, row: ClusterRow, frame: int, t_s: float) -> Event:
