@@ -43,8 +43,6 @@ def plane_per_px(camera: Camera, rays: Floats) -> Floats:
     array([0.01  , 0.0257])
     """
     per_px = np.full(len(rays), 1.0 / np.sqrt(camera.fx_px * camera.fy_px))
-    if camera.distortion_model == "none":
-        return per_px
     with np.errstate(all="ignore"):
         xy = rays[:, :2] / np.where(rays[:, 2] > 0.0, rays[:, 2], np.nan)[:, None]
         area = distorted_area(camera.distortion_model, camera.distortion, xy)

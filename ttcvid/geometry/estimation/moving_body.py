@@ -84,11 +84,6 @@ class Unknowns:
     change: Floats
     own: Floats
 
-    def moved(self, basis: Floats, shared: Floats, own: Floats) -> Unknowns:
-        """After a step ``shared (4,)`` (the direction's in the columns of ``basis (3, 2)``) and ``own (M, 4)``."""
-        direction = normalize(self.direction + basis @ shared[:2])
-        return Unknowns(direction, self.change + shared[2:], self.own + own)
-
 
 def direction_from_lines(tracks: BodyTracks) -> Floats:
     """A start direction ``(3,)``: where the planes of the tracks' first and last rays meet, along the motion."""

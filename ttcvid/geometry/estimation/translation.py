@@ -18,6 +18,7 @@ from ttcvid.geometry.estimation.moving_body import (
     linearised,
     residuals,
 )
+from ttcvid.geometry.rotation import normalize
 from ttcvid.model import Floats
 
 _MAX_ITERATIONS = 40
@@ -102,11 +103,10 @@ def fit_translation(
     memory_s : Correlation time of errors: those farther apart are independent, nearer ones are used as they are found.
     """
     shared = 1.0 / np.array([np.inf, np.inf, speed_change_sigma_hz, turn_sigma_rad_s]) ** 2
-    rigid = _Prior(shared, 1.0 / _TINY)
-    unknowns = _converged(tracks, first_unknowns(tracks, start), rigid)
+    prior = _Prior(shared, 1.0 / _TINY)
+    unknowns = _converged(tracks, first_unknowns(tracks, start), prior)
     if unknowns is None:
         return None
-    prior = rigid
     for _ in range(_DRIFT_ROUNDS):
         drift_sigma = _drift_sigma(tracks, unknowns)
         if drift_sigma == 0.0:
@@ -149,7 +149,8 @@ def _converged(tracks: BodyTracks, unknowns: Unknowns, prior: _Prior) -> Unknown
         step_shared, step_own = _step(tracks, unknowns, residual, equations, prior, damping)
         if not (np.isfinite(step_shared).all() and np.isfinite(step_own).all()):
             return None
-        trial = unknowns.moved(equations.basis, step_shared, step_own)
+        direction = normalize(unknowns.direction + equations.basis @ step_shared[:2])
+        trial = Unknowns(direction, unknowns.change + step_shared[2:], unknowns.own + step_own)
         cost, trial_cost = (_cost(tracks, one, equations.noise, prior) for one in (unknowns, trial))
         if trial_cost <= cost:
             unknowns, damping = trial, max(damping * 0.1, 1e-9)

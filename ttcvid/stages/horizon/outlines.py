@@ -12,6 +12,7 @@ import numpy as np
 from ttcvid.config import HorizonCalibrationConfig
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.horizon.outline import fit_outline
+from ttcvid.geometry.medians import median
 from ttcvid.model import Camera, Floats, Ints
 from ttcvid.stages.horizon.straight_motion import OUTLINE, Motion, certainty
 from ttcvid.stages.horizon.whole_tracks import Observations
@@ -55,21 +56,18 @@ def _outlines(rows: Observations, silhouettes: Silhouettes, camera: Camera) -> t
     frames, first = np.unique(rows.frame[order], return_index=True)
     middle_px = [np.median(part, axis=0) for part in np.split(rows.xy_px[order], first[1:])]
     masks = [silhouettes.mask(frame) for frame in frames.tolist()]
-    half_px = _NARROW_PX
-    found: list[tuple[float, float] | None] = []
+    half_px, nowhere = _NARROW_PX, (np.nan, np.nan)
     for _ in range(2):
         found = [
-            None if mask is None else extent_px(mask, at[0], at[1], half_px)
+            nowhere if mask is None else extent_px(mask, at[0], at[1], half_px) or nowhere
             for mask, at in zip(masks, middle_px, strict=True)
         ]
-        heights = [extent[1] - extent[0] for extent in found if extent is not None]
-        if not heights:
-            break
-        half_px = max(_NARROW_PX, _WIDTH_PART * float(np.median(heights)))
-    is_seen = np.array([extent is not None for extent in found], dtype=bool)
-    rows_px = np.array([extent for extent in found if extent is not None]).reshape(-1, 2)
+        rows_px = np.array(found)
+        # Where nothing stands, the median is NaN, which is not more than the least.
+        half_px = max(_NARROW_PX, _WIDTH_PART * median(np.diff(rows_px)[np.isfinite(rows_px[:, 0]), 0]))
+    is_seen = np.isfinite(rows_px[:, 0])
     x_px = np.array(middle_px)[is_seen, 0]
-    top, bottom = (rays_from_pixels(camera, np.column_stack([x_px, rows_px[:, side]])) for side in (0, 1))
+    top, bottom = (rays_from_pixels(camera, np.column_stack([x_px, rows_px[is_seen, side]])) for side in (0, 1))
     outline = np.column_stack([0.5 * (top[:, 0] + bottom[:, 0]), top[:, 1], bottom[:, 1]])
     return outline, frames[is_seen], rows.t_s[order][first][is_seen]
 

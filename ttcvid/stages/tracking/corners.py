@@ -99,10 +99,9 @@ def find_corners(
         first = first[_bare_cells(cell, taken)[cell][first]]
     coarse = first[_one_a_cell(cell[0][first], cell[1][first], taken)]
     xy = _refined(response, x[coarse], y[coarse])
-    is_chosen = _keeps_distance(xy, min_distance_px)
     n_close = 0 if only_new_places else int(config.close_share * n_wanted)
-    is_chosen[is_chosen] = np.arange(np.count_nonzero(is_chosen)) < n_wanted - n_close
-    coarse, xy = coarse[is_chosen], xy[is_chosen]
+    chosen = np.flatnonzero(_keeps_distance(xy, min_distance_px))[: n_wanted - n_close]
+    coarse, xy = coarse[chosen], xy[chosen]
     if not n_close:
         return xy
     x, y = np.delete(x, coarse), np.delete(y, coarse)
@@ -181,8 +180,6 @@ def _on_corners(grey: Picture, x: Ints, y: Ints) -> Bools:
     On an edge a window goes along it wherever noise leads: the kerb of a bend stands still in the picture of whoever
     drives along it, and takes the turn out of own motion. Source: Harris and Stephens (1988).
     """
-    if not len(x):
-        return np.empty(0, dtype=bool)
     size = max(grey.shape[1] // 2, 1), max(grey.shape[0] // 2, 1)
     half = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     response = np.empty(half.shape, dtype=np.float32)
@@ -272,9 +269,7 @@ def _choose(x: Floats, y: Floats, taken: Floats, distance: float, cell: float, g
 def _keeps_distance(xy: Floats, min_distance_px: float) -> Bools:
     """Points (M,), in order of choice, without an earlier one closer than ``min_distance_px``."""
     keeps = np.ones(len(xy), dtype=bool)
-    if len(xy):
-        pairs = KDTree(xy).query_pairs(min_distance_px, output_type="ndarray")
-        keeps[pairs.max(axis=1)] = False
+    keeps[KDTree(xy).query_pairs(min_distance_px, output_type="ndarray").max(axis=1)] = False
     return keeps
 
 

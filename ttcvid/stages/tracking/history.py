@@ -268,9 +268,8 @@ def _lost_tracks(history: TrackHistory, points: PointSet, kept: Floats) -> LostT
     was_seen = np.isfinite(rays[..., 0]).any(axis=0)
     if not was_seen.any():
         return None
-    if not was_seen.all():
-        gone, rays = gone[was_seen], rays.compress(was_seen, axis=1)
-    return LostTracks(rays=rays, **{name: getattr(history, name)[gone] for name in _OF_TRACKS})
+    of_tracks = {name: getattr(history, name)[gone[was_seen]] for name in _OF_TRACKS}
+    return LostTracks(rays=rays.compress(was_seen, axis=1), **of_tracks)
 
 
 def _views_that_stay(t_s: Floats, now_s: float, max_frames: int) -> slice | Ints:
