@@ -34,14 +34,13 @@ _N_POSE, _N_POINT = 6, 3
 
 @dataclass(frozen=True)
 class WindowFit:
-    """A body over L views: its ``paths`` (one body), and its last step ``step (3,)`` in the present camera's axes.
+    """A body over L views: its ``paths`` (one body), and how well the last step of them is known.
 
-    ``direction_cov (3, 3)`` of the direction of that step, rad^2, and ``rotation_cov (3, 3)`` of the rotation in it.
-    ``point (N, 3)`` places and inverse depths now, ``cost`` the sum of capped squares.
+    ``direction_cov (3, 3)`` of the direction of that step in the present camera's axes, rad^2, and ``rotation_cov (3,
+    3)`` of the rotation in it. ``point (N, 3)`` places and inverse depths now, ``cost`` the sum of capped squares.
     """
 
     paths: RigidPaths
-    step: Floats
     direction_cov: Floats
     rotation_cov: Floats
     point: Floats
@@ -235,7 +234,6 @@ def _fit(sigma: Floats, region: Ints, state: _State) -> WindowFit:
     turn = back[-2] @ cov[:3, :3] @ back[-2].T
     return WindowFit(
         RigidPaths(back[None], path[None]),
-        -path[-2],
         np.asarray(more * across @ plain @ across.T),
         np.asarray(more * turn),
         state.point.T.copy(),

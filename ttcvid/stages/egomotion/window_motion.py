@@ -212,7 +212,7 @@ def _adjusted(tracks: _Tracks, paths: RigidPaths, tells: Bools, n_steps: int) ->
     length = float(np.sqrt((found.paths.path**2).sum(axis=2).max()))
     units = max(-history.since_s[0], _TINY) / max(length, _TINY)
     paths = RigidPaths(found.paths.cam_R_past, found.paths.path * units)
-    return replace(found, paths=paths, step=found.step * units, point=found.point / (1.0, 1.0, units))
+    return replace(found, paths=paths, point=found.point / (1.0, 1.0, units))
 
 
 def _result(
@@ -224,7 +224,7 @@ def _result(
     bent_rad = 0.0 if is_measured else _LENS_ERROR * turned_rad
     is_sure = np.trace(fit.direction_cov) < _KNOWN_DIRECTION_RAD**2 and len(history.frame) >= LEAST_TOLD
     is_known = bool(is_scene and is_sure and parallax_rad > least_parallax_rad + bent_rad)
-    direction = normalize(fit.step[None])[0]
+    direction = normalize(-fit.paths.path[0, -2:-1])[0]
     common_rad = _COMMON_ERRORS * history.common_error_px / history.focal_px + bent_rad
     across = np.eye(3) - np.outer(direction, direction)
     cov = fit.direction_cov + 0.5 * (common_rad / max(parallax_rad, _TINY)) ** 2 * across
