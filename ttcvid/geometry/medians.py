@@ -9,6 +9,8 @@ from ttcvid.model import Bools, Floats, Ints
 
 MEDIAN_NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
+MEDIAN_RAYLEIGH = 1.1774
+"""Median of the length of two of them."""
 
 
 def median(values: Floats) -> float:

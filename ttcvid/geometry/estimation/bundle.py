@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttcvid.geometry.estimation.schur import EliminatedPoints, cross_of_rows, eliminated
+from ttcvid.geometry.medians import MEDIAN_RAYLEIGH
 from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
 from ttcvid.model import Bools, Floats, Ints
 
@@ -39,8 +40,6 @@ _LONGEST_STEP = 0.2
 _TINY, _TINIEST = 1e-9, 1e-12
 # A distance may be negative by noise: so many px of displacement over the typical translation.
 _BEHIND_PX = 1.0
-# Median length of a 2-D Gaussian vector in sigmas.
-_MEDIAN_RAYLEIGH = 1.1774
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,7 @@ class BundleFit:
     def spread(self) -> float:
         """Robust standard deviation of a coordinate, in sigmas."""
         length = np.hypot(self.residual[:, 0], self.residual[:, 1])
-        return float(np.nanmedian(length)) / _MEDIAN_RAYLEIGH
+        return float(np.nanmedian(length)) / MEDIAN_RAYLEIGH
 
     @property
     def behind(self) -> Bools:

@@ -18,6 +18,7 @@ from ttcvid.geometry.estimation.moving_body import (
     linearised,
     residuals,
 )
+from ttcvid.geometry.medians import MEDIAN_RAYLEIGH
 from ttcvid.geometry.rotation import normalize
 from ttcvid.model import Floats
 
@@ -28,8 +29,6 @@ _LONGEST_STEP = 0.3
 _DAMPING_START, _DAMPING_END = 1e-3, 1e6
 # Scale of the Cauchy weights of an observation, in sigmas of its two coordinates.
 _CAUCHY_SIGMAS = 3.0
-# Median of the length of two standard normal variables.
-_MEDIAN_RAYLEIGH = 1.1774
 _LEAST_NOISE = 1e-3
 _TINY = 1e-12
 # The drift is estimated so often: first about a direction that it may have misled.
@@ -137,7 +136,7 @@ def _drift_sigma(tracks: BodyTracks, unknowns: Unknowns) -> float:
 
 def _noise(size: Floats) -> float:
     """Noise of a coordinate by the lengths ``(N,)`` of the residuals."""
-    return max(float(np.median(size)) / _MEDIAN_RAYLEIGH, _LEAST_NOISE)
+    return max(float(np.median(size)) / MEDIAN_RAYLEIGH, _LEAST_NOISE)
 
 
 def _converged(tracks: BodyTracks, unknowns: Unknowns, prior: _Prior) -> Unknowns | None:

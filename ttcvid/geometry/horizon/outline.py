@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from ttcvid.geometry.horizon.gait import find_steps
+from ttcvid.geometry.medians import MEDIAN_RAYLEIGH
 from ttcvid.geometry.rotation import normalize, tangent_basis
 from ttcvid.model import Floats, Ints
 
@@ -23,8 +24,6 @@ _PLACES = 20
 _ROUNDS = 30
 # Scale of the Cauchy weights, in sigmas.
 _CAUCHY_SIGMAS = 2.0
-# Median of the length of two standard normal variables.
-_MEDIAN_RAYLEIGH = 1.1774
 _TINY = 1e-12
 
 
@@ -131,7 +130,7 @@ def _line(outline: Floats, start: tuple[Floats, Floats], terms: Floats | None = 
     level, weight, noise = outline.copy(), np.ones(len(outline)), 0.0
     for _ in range(_ROUNDS):
         distance = np.linalg.norm(_across(level, point, along), axis=1)
-        noise = float(np.median(distance)) / _MEDIAN_RAYLEIGH
+        noise = float(np.median(distance)) / MEDIAN_RAYLEIGH
         weight = 1.0 / (1.0 + (distance / max(_CAUCHY_SIGMAS * noise, _TINY)) ** 2)
         point = weight @ level / weight.sum()
         offset = level - point
