@@ -44,8 +44,6 @@ def moving_tracks(rows: Observations, config: HorizonCalibrationConfig) -> Bools
 def group_movers(rows: Observations, link_px: float) -> Ints:
     """Number of the mover of each of the tracks that move: ``(M,)``, from 0. Neighbours are nearer than ``link_px``."""
     n_tracks = len(rows.starts)
-    if n_tracks == 0:
-        return np.empty(0, dtype=np.int64)
     number = np.repeat(np.arange(n_tracks), rows.lengths)
     frames, first = np.unique(rows.frame, return_index=True)
     order = np.argsort(rows.frame, kind="stable")

@@ -46,12 +46,16 @@ def outline_motions(
     It does not where it may not (``may_bend``), since the points of a rigid body move straight: an outline that bends
     then changes its shape.
     """
-    motions = _motions_of(*_outlines(rows, silhouettes, camera), camera, config, may_bend)
+    motions = _motions_of(_outline_of(rows, silhouettes, camera), camera, config, may_bend)
     return [replace(motion, track_id=np.unique(rows.track_id)) for motion in motions]
 
 
-def _outlines(rows: Observations, silhouettes: Silhouettes, camera: Camera) -> tuple[Floats, Ints, Floats]:
-    """x, top and bottom in normalised coordinates ``(N, 3)``, frames and times ``(N,)`` where a mover is seen."""
+_Outline = tuple[Floats, Ints, Floats]
+"""x, top and bottom in normalised coordinates ``(N, 3)``, frames and times ``(N,)`` where a mover is seen."""
+
+
+def _outline_of(rows: Observations, silhouettes: Silhouettes, camera: Camera) -> _Outline:
+    """The outline of a mover, of these tracks in source pixels."""
     order = np.argsort(rows.frame, kind="stable")
     frames, first = np.unique(rows.frame[order], return_index=True)
     middle_px = [np.median(part, axis=0) for part in np.split(rows.xy_px[order], first[1:])]
@@ -72,15 +76,9 @@ def _outlines(rows: Observations, silhouettes: Silhouettes, camera: Camera) -> t
     return outline, frames[is_seen], rows.t_s[order][first][is_seen]
 
 
-def _motions_of(
-    outline: Floats,
-    frame: Ints,
-    t_s: Floats,
-    camera: Camera,
-    config: HorizonCalibrationConfig,
-    may_bend: bool,
-) -> list[Motion]:
-    """The motion of one outline ``(n, 3)``, in halves where its way bends; none of what is too short or too small."""
+def _motions_of(seen: _Outline, camera: Camera, config: HorizonCalibrationConfig, may_bend: bool) -> list[Motion]:
+    """The motion of one outline, in halves where its way bends; none of what is too short or too small."""
+    outline, frame, t_s = seen
     duration_s = float(np.ptp(t_s)) if len(t_s) else 0.0
     least_s = max(config.min_motion_s, _LEAST_MEMORIES * config.error_memory_s)
     if duration_s < least_s:
@@ -99,7 +97,7 @@ def _motions_of(
         return [
             m
             for part in (half, ~half)
-            for m in _motions_of(outline[part], frame[part], t_s[part], camera, config, may_bend)
+            for m in _motions_of((outline[part], frame[part], t_s[part]), camera, config, may_bend)
         ]
     status = certainty(fit.covariance, config)
     noise_px = fit.noise * camera.fy_px

@@ -52,8 +52,6 @@ def find_motions(
     rays = rays_from_pixels(camera, rows.xy_px)
     is_seen = np.isfinite(rays[:, 0])
     source, rows = rows.take(is_seen), replace(rows, xy_px=rays[:, :2] * camera.fx_px).take(is_seen)
-    if not len(rows.frame):
-        return []
     moves = moving_tracks(rows, config)
     source, rows = source.take_tracks(moves), rows.take_tracks(moves)  # rows: undistorted, about the principal point
     mover = group_movers(rows, config.link_part * camera.image_size.width_px)

@@ -86,8 +86,6 @@ def _key(rows: Observations) -> Ints:
 
 def without_ended_at_rest(rows: Observations, frame: int) -> Observations:
     """Leave out tracks that ended before ``frame`` and never moved."""
-    if not len(rows.frame):
-        return rows
     starts = rows.starts
     low, high = np.minimum.reduceat(rows.xy_px, starts), np.maximum.reduceat(rows.xy_px, starts)
     last = rows.frame[starts + rows.lengths - 1]

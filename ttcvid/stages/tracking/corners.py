@@ -50,10 +50,9 @@ def occupied_cells(xy_px: Floats, shape: tuple[int, int], cell_px: float) -> Boo
     """
     rows, columns = int(shape[0] / cell_px) + 1, int(shape[1] / cell_px) + 1
     cells = np.zeros((rows, columns), dtype=np.uint8)
-    if len(xy_px):
-        row = np.clip(xy_px[:, 1] / cell_px, 0, rows - 1).astype(np.intp)
-        column = np.clip(xy_px[:, 0] / cell_px, 0, columns - 1).astype(np.intp)
-        cells[row, column] = 1
+    row = np.clip(xy_px[:, 1] / cell_px, 0, rows - 1).astype(np.intp)
+    column = np.clip(xy_px[:, 0] / cell_px, 0, columns - 1).astype(np.intp)
+    cells[row, column] = 1
     return np.asarray(cv2.dilate(cells, np.ones((3, 3), np.uint8)) > 0)
 
 
@@ -93,11 +92,14 @@ def find_corners(
     threshold = max(_response_to_noise(grey, allowed), least)
     x, y = _peaks(grey, response, threshold, allowed)
     taken = occupied_cells(xy_taken_px, shape, min_distance_px)
-    cell = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
+    cell = row, column = (y / min_distance_px).astype(np.intp), (x / min_distance_px).astype(np.intp)
     first = np.argsort(-response[y, x], kind="stable")
     if only_new_places:
         first = first[_bare_cells(cell, taken)[cell][first]]
-    coarse = first[_one_a_cell(cell[0][first], cell[1][first], taken)]
+    # The first of each cell that is free and has no taken neighbour, in their order.
+    free = first[~taken[row, column][first]]
+    _, best = np.unique((row * taken.shape[1] + column)[free], return_index=True)
+    coarse = free[np.sort(best)]
     xy = _refined(response, x[coarse], y[coarse])
     n_close = 0 if only_new_places else int(config.close_share * n_wanted)
     chosen = np.flatnonzero(_keeps_distance(xy, min_distance_px))[: n_wanted - n_close]
@@ -223,13 +225,6 @@ def _bare_cells(with_corner: tuple[Ints, Ints], taken: Bools) -> Bools:
     around = (_BARE_CELLS, _BARE_CELLS)
     n_corners, n_taken = (cv2.boxFilter(cells, -1, around, normalize=False) for cells in (corners, corners * taken))
     return np.asarray(n_taken < _BARE_PART * n_corners)
-
-
-def _one_a_cell(row: Ints, column: Ints, taken: Bools) -> Ints:
-    """The first of the corners (N,) of each cell that is free and has no taken neighbour, in their order."""
-    free = np.flatnonzero(~taken[row, column])
-    _, best = np.unique((row * taken.shape[1] + column)[free], return_index=True)
-    return np.asarray(free[np.sort(best)])
 
 
 def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, ...], distance_px: float, n_wanted: int) -> Ints:

@@ -32,7 +32,6 @@ ROTATION_DRIFT_RAD = float(np.radians(0.006))
 Measured: 0.004 deg on simulated streets, 0.013 deg of yaw on kitti_odom_straight50.
 """
 
-
 # What is known of each track, ``(N,)``, beside its rays and its present pixel.
 _OF_TRACKS = ("track_id", "n_frames", "sigma_px", "noise_sum", "noise_weight")
 

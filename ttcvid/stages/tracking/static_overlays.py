@@ -66,5 +66,4 @@ def find_frozen(
     if is_frozen.any() and is_new.any():
         distance, _ = KDTree(points.xy_px[is_frozen]).query(points.xy_px[is_new])
         n_stayed[np.flatnonzero(is_new)[distance < _NEAR_FROZEN_PX]] = _FROZEN_FRAMES
-        is_frozen = n_stayed >= _FROZEN_FRAMES
-    return is_frozen, FrozenMemory(points.track_id, anchor_px, n_stayed)
+    return n_stayed >= _FROZEN_FRAMES, FrozenMemory(points.track_id, anchor_px, n_stayed)
