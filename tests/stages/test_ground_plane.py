@@ -128,9 +128,9 @@ def test_a_plane_whose_horizon_is_not_at_the_height_of_our_way_is_no_road():
 
 def test_the_road_of_the_frames_before_comes_nearer_as_slowly_as_we_drive_now():
     """Heights and tilts stay; rates are in units of our mean speed, which has fallen to a third."""
-    before = RoadMemory(seen=seen_now(road_and_wall(np.random.default_rng(1))))
-    slower = find_road(before.in_units(1.0 / 3.0).seen, AHEAD)
-    np.testing.assert_allclose(slower, find_road(before.seen, AHEAD) / 3.0, rtol=1e-9, atol=1e-9)
+    before = seen_now(road_and_wall(np.random.default_rng(1)))
+    slower = find_road(replace(before, rate_hz=before.rate_hz / 3.0), AHEAD)
+    np.testing.assert_allclose(slower, find_road(before, AHEAD) / 3.0, rtol=1e-9, atol=1e-9)
 
 
 def test_where_observations_are_many_the_older_ones_are_fewer():

@@ -1,10 +1,9 @@
 """The three times with their 90 % intervals, from the image state and its covariance.
 
-ttc_z is made on eta = 1 / ttc_z, which is near-Gaussian where the time is not. tcpa and miss are not monotone in
-the state: with ``V / abs(P) = q r + u t`` (radial rate q, transverse rate u >= 0) they are the two components of the
+ttc_z is made on eta = 1 / ttc_z, which is near-Gaussian where the time is not. tcpa and miss are not monotone in the
+state: with ``V / abs(P) = q r + u t`` (radial rate q, transverse rate u >= 0) they are the two components of the
 inversion of the point (q, u) in the unit circle, and their intervals are the range of that over the 90 % ellipse of
-(q, u) (`tcpa_miss_bounds`). Where nobody gave the focal length, they hold what it may be, too; ttc_z does not depend on
-it.
+(q, u) (`tcpa_miss_bounds`). Where nobody gave the focal length, they hold what it may be; ttc_z does not depend on it.
 """
 
 from __future__ import annotations

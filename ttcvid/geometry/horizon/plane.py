@@ -42,8 +42,7 @@ def horizon_px(camera: Camera, normal: Floats) -> tuple[float, float]:
     >>> horizon_px(camera, np.array([0.0, -1.0, 0.1]))
     (290.0, 290.0)
     """
-    x_px = np.array([0.0, camera.image_size.width_px - 1.0])
-    x = (x_px - camera.cx_px) / camera.fx_px
+    x = (np.array([0.0, camera.image_size.width_px - 1.0]) - camera.cx_px) / camera.fx_px
     with np.errstate(all="ignore"):
         y_px = camera.cy_px - camera.fy_px * (normal[0] * x + normal[2]) / normal[1]
     left, right = np.where(np.isfinite(y_px), y_px, np.nan).tolist()

@@ -82,6 +82,5 @@ def expansion_of_neighbourhood(
 
     Source: DESIGN equation 8.
     """
-    return expansion_rate(
-        rays_first[neighbours], rays_second[neighbours], dt_s, weights=(neighbours >= 0).astype(np.float64)
-    )
+    is_there = (neighbours >= 0).astype(np.float64)
+    return expansion_rate(rays_first[neighbours], rays_second[neighbours], dt_s, is_there)

@@ -152,9 +152,11 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
 
     Tracks along our own direction, ``is_along (C,)``, are connected with each other only.
     """
-    oldest = np.isfinite(xy[:, :, 0]).argmax(axis=0)
-    span_s = -views.since_s[oldest]
-    flow = _flows(xy, views.since_s, span_s)
+    oldest, since_s = np.isfinite(xy[:, :, 0]).argmax(axis=0), views.since_s
+    span_s = -since_s[oldest]
+    flows = (xy[-1] - xy[:-1]) / -since_s[:-1, None, None]
+    is_old = (since_s[:-1, None] <= -_OLDEST_PART * span_s) & np.isfinite(flows[..., 0])
+    flow = np.column_stack([row_medians(flows[..., axis].T, is_old.T) for axis in (0, 1)])
     length = np.sqrt((flow * flow).sum(axis=1))
     pairs = linked_pairs(views.xy_px[index], views.link_px)
     one, other = pairs.T
@@ -164,10 +166,3 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     is_alike &= is_along[one] == is_along[other]
     pairs = without_gaps(pairs.take(np.flatnonzero(is_alike), axis=0), views.xy_px[index], views.link_px)
     return flow, connected_parts(np.ones(len(index), dtype=bool), pairs)
-
-
-def _flows(xy: Floats, since_s: Floats, span_s: Floats) -> Floats:
-    """Flow ``(C, 2)`` of tracks ``xy (L, C, 2)``, seen for ``span_s (C,)``, in 1/s: the median since older views."""
-    flows = (xy[-1] - xy[:-1]) / -since_s[:-1, None, None]
-    is_old = (since_s[:-1, None] <= -_OLDEST_PART * span_s) & np.isfinite(flows[..., 0])
-    return np.column_stack([row_medians(flows[..., axis].T, is_old.T) for axis in (0, 1)])

@@ -208,6 +208,5 @@ def kept(views: BodyViews, key: Ints, movers: Movers, config: BodiesConfig) -> t
         last=movers.last.with_positions(number, views.xy, movers.rate_hz, now_s, least),
     )
     is_kept = (is_held & (counts > 0)) | is_hidden
-    if not is_held.all():
-        key = np.where(np.append(True, is_held)[number], key, SCENE_CLUSTER)
+    key = np.where(np.append(True, is_held)[number], key, SCENE_CLUSTER)
     return key, movers if is_kept.all() else movers.take(is_kept)

@@ -23,9 +23,8 @@ from ttcvid.stages.segmentation.scene import SeenScene
 # Minimum number of tracks for an expanding object. Fewer than for other movers, since three unknowns for all are
 # stronger evidence than similar flows; as many as support a surface.
 _ENOUGH_TRACKS = 5
-# At most this many objects per frame, around at most this many tracks: in a street, tracks that slide along outlines
-# of posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same ones in each
-# frame.
+# At most this many objects per frame, around at most this many tracks: in a street, tracks that slide along outlines of
+# posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same ones in each frame.
 _MOST_THINGS, _MOST_SEEDS = 3, 12
 # What arrives later than this multiple of its observed span has hardly expanded: similar flows determine its
 # direction better.

@@ -112,8 +112,6 @@ def _thing_around(
 
     ``redchi, sigma_norm (M,)`` are their reduced chi-squares in the scene, and their noise as the scene shows it.
     """
-    if len(around) < _LEAST_TRACKS:
-        return None
     past = slice(0, history.n_past + 1)
     xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
     sums = growth_sums(xy, history.since_s[past], sigma_norm)

@@ -236,8 +236,6 @@ def _above(seen: OnGround, members: Ints, foot: int, key: Ints, xy_px: Floats, l
     is_there = seen.known & seen.is_far & (rate_hz <= rate_hz[members].max()) & (key == key[foot]) & (y < y[foot])
     is_over = _is_over(x, x[members])
     above = np.flatnonzero(is_there & is_over)
-    if not len(above):
-        return above
     both = np.append(members, above)
     part = connected_parts(np.ones(len(both), dtype=bool), linked_pairs(xy_px[both], link_px))
     above = above[np.isin(part[len(members) :], part[: len(members)])]

@@ -6,7 +6,7 @@ Such a mover looks like a static object at another depth, which would lie under 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -84,10 +84,6 @@ class RoadMemory:
     by_speed: Floats = field(default_factory=lambda: np.empty(0))
     plane: Floats | None = None
     seen: RoadPoints = field(default_factory=RoadPoints)
-
-    def in_units(self, speed: float) -> RoadMemory:
-        """The memory in units of another speed: inverse depths are speed over depth, and shrink where we brake."""
-        return replace(self, seen=replace(self.seen, rate_hz=self.seen.rate_hz * speed))
 
     @property
     def against_scene(self) -> Floats:

@@ -63,10 +63,8 @@ def merged(
     """
     number = numbers_of(key, movers)
     asked = _asked_neighbours(neighbours, number, movers)
-    if asked is None:
-        return key, movers
     tracks_of = [np.flatnonzero(number == place + 1) for place in range(len(movers))]
-    pairs = _worth_trying(views, seen, tracks_of, movers, asked, redchi)
+    pairs = None if asked is None else _worth_trying(views, seen, tracks_of, movers, asked, redchi)
     if pairs is None:
         return key, movers
     joint, joint_hz, is_one = _joint(views, seen, tracks_of, movers, pairs)

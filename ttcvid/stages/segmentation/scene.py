@@ -98,8 +98,6 @@ def see_scene(
     """The scene, corrected by its tracks: from that of the last frame, ``before``, and the ``labels`` they had then."""
     is_free, key, can_translate = views.is_free, labels.key, platform != Platform.static
     region = picture_region(history.rays[-1], _CELLS * region_side_of(history.camera))
-    if len(history.t_s) < 2:
-        before = None
     scene = _scene(history, egomotion, can_translate, before, views, region, labels)
     scene, speed = with_unit_speed(scene, views.since_s)
     every = views.points(np.arange(len(key)))
@@ -113,7 +111,9 @@ def see_scene(
     may_rest = is_free if can_translate else _steps_little(views, scene)
     if egomotion.window is not None:
         may_rest = may_rest & ~egomotion.window.leaves_out(history.track_id)
-    median_redchi = _median_redchi(fit, (key == SCENE_CLUSTER) & is_free & may_rest)
+    # What the model does not know of, beyond the noise of the scene's tracks.
+    usual = fit.redchi[(key == SCENE_CLUSTER) & is_free & may_rest & (fit.n_views > _USUAL_VIEWS)]
+    median_redchi = max(median(usual), _LEAST_REDCHI) if len(usual) > _LEAST_MEASURED else _LEAST_REDCHI
     redchi = seen_redchi = fit.redchi / median_redchi
     if not can_translate:
         redchi = seen_redchi = _with_stopped(redchi, views, scene)
@@ -123,7 +123,9 @@ def see_scene(
         aim = scene.path[0, 0, :2] / scene.path[0, 0, 2]
         # What moves as the scene does belongs together by its depth alone, whatever was taken for a part of it.
         alike = np.where(redchi < config.scene_gate, SCENE_CLUSTER, key)
-        road_before = road_before.in_units(speed)
+        # Inverse depths are speed over depth, and shrink where we brake.
+        before_hz = road_before.seen.rate_hz * speed
+        road_before = replace(road_before, seen=replace(road_before.seen, rate_hz=before_hz))
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
         is_road = on_road(fit, road)
         changes = change_speed(views, scene, fit, key, (redchi < config.scene_gate) & ~is_road)
@@ -148,7 +150,7 @@ def _scene(
     """The scene on its way, corrected by its tracks; ``region (N,)`` the part of the picture that each is in."""
     if egomotion.window is not None:
         return egomotion.window.paths
-    if before is None:
+    if before is None or len(history.t_s) < 2:
         # Before the parallax shows well where it goes, a camera that can move is taken to move ahead, if roughly.
         seen = egomotion.direction
         way = FORWARD_DIR if seen is None or seen @ FORWARD_DIR > _AHEAD_COSINE else seen
@@ -189,8 +191,6 @@ def _moves_past(fit: PathFit, region: Ints, is_free: Bools, least_moving: float)
     A resting camera's scene has no flow; a lorry that comes nearer would fit a camera that moves towards it.
     """
     known = np.flatnonzero(is_free & (fit.rate_sigma_hz > 0.0))
-    if not len(known):
-        return False
     moves = fit.rate_hz[known] > _MOVES_SIGMAS * fit.rate_sigma_hz[known]
     n_known, n_moving = np.bincount(region[known]), np.bincount(region[known], moves)
     return bool(np.count_nonzero(n_moving > 0.5 * n_known) > least_moving * np.count_nonzero(n_known))
@@ -222,12 +222,6 @@ def _with_stopped(redchi: Floats, views: BodyViews, scene: RigidPaths) -> Floats
     limit = 0.5 * _MOVES_SIGMAS**2
     # Without a view so long ago (NaN) nothing has stopped.
     return np.where((moved < limit) & (missing > limit), np.minimum(redchi, moved), redchi)
-
-
-def _median_redchi(fit: PathFit, in_scene: Bools) -> float:
-    """Median reduced chi-square of the scene's tracks: what the model does not know of, beyond their noise."""
-    measured = fit.redchi[in_scene & (fit.n_views > _USUAL_VIEWS)]
-    return max(median(measured), _LEAST_REDCHI) if len(measured) > _LEAST_MEASURED else _LEAST_REDCHI
 
 
 def _with_contradictions(
