@@ -9,7 +9,6 @@ from ttcvid.geometry.estimation.rigid_motion import views_by_track
 from ttcvid.geometry.rotation import normalize, rotation_from_vector
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.fixed_to_camera import ride_odds
-from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
 FOCAL_PX, SIGMA_PX, N_TRACKS = 700.0, 0.1, 40
 
@@ -54,10 +53,17 @@ def test_without_turns_and_with_three_views_nobody_can_tell(n_views, shake_px):
     np.testing.assert_allclose(odds, 0.0, atol=1e-3)
 
 
+def test_the_rim_of_a_spot_is_fixed_although_what_passes_behind_it_draws_its_tracks_along():
+    rng = np.random.default_rng(7)
+    cam_R_past, xy = turns_of(15, 0.2, rng), rng.uniform(-0.3, 0.3, (N_TRACKS, 2))
+    steps = 0.1 / FOCAL_PX * np.arange(-14.0, 1.0)[:, None, None] * (1.0, 0.0)
+    assert np.mean(ride_odds(views_of(xy + steps, rng), cam_R_past) > 1.0) > 0.9
+
+
 def test_what_leaves_its_pixel_or_is_seen_twice_only_is_not_fixed():
     rng = np.random.default_rng(5)
     xy = rng.uniform(-0.3, 0.3, (N_TRACKS, 2))
-    steps = np.linspace(0.0, 1.0, 10)[:, None, None] * (8.0 * COMMON_ERROR_PX / FOCAL_PX, 0.0)
+    steps = np.linspace(0.0, 1.0, 10)[:, None, None] * (4.0 / FOCAL_PX, 0.0)
     assert np.isneginf(ride_odds(views_of(xy + steps, rng), np.repeat(np.eye(3)[None], 10, axis=0))).all()
     two = views_of(np.repeat(xy[None], 2, axis=0), rng)
     assert np.isneginf(ride_odds(two, np.repeat(np.eye(3)[None], 2, axis=0))).all()
