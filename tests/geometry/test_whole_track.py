@@ -46,7 +46,7 @@ def test_covariance_is_that_of_noisy_draws_and_chi_square_that_of_noise():
     scale = np.sqrt(np.diag(found.cov[0]))
     np.testing.assert_allclose(np.cov((error / scale).T), found.cov[0] / np.outer(scale, scale), atol=0.08)
     assert np.abs(error.mean(axis=0) / scale).max() < 0.1
-    assert np.mean(found.chi2) == pytest.approx(found.dof[0], rel=0.03)
+    assert np.mean(found.chi2) == pytest.approx(2 * found.n_frames[0] - 5, rel=0.03)
 
 
 def test_information_is_that_of_the_covariance():

@@ -8,7 +8,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.stages.segmentation.body_views import body_views
-from ttcvid.stages.segmentation.expansion import OnScene, find_growing
+from ttcvid.stages.segmentation.expansion import find_growing
 
 CONFIG, LINK_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1
 # After so many frames four tracks are a thing.
@@ -41,7 +41,9 @@ def found_in(position_m, velocity_m_s, may_be=None, frames=FRAMES, sigma_px=SIGM
         public, memory, next_id = find_growing(
             memory,
             history,
-            OnScene(redchi, 1.0, np.ones(n, dtype=bool) if may_be is None else may_be),
+            redchi,
+            1.0,
+            np.ones(n, dtype=bool) if may_be is None else may_be,
             views,
             next_id,
             CONFIG,

@@ -34,14 +34,13 @@ class WholeTracks:
     ``info_w (N, 3, 3)`` in s^2: information on w = (a, b, c) alone, x and y marginalised out, so that the
     likelihood of any other w is ``exp(-(w - state[2:])' info_w (w - state[2:]) / 2)``. Two views have rank 2 (their
     state has c = 0, one of the w that explain them), one view has none. ``chi2 (N,)`` of the robust residuals over
-    the window of ``n_frames (N,)`` views, with ``dof (N,)`` = 2 n_frames - 5 degrees of freedom, 0 at the least.
+    the window of ``n_frames (N,)`` views, with 2 n_frames - 5 degrees of freedom.
     """
 
     state: Floats
     cov: Floats
     info_w: Floats
     chi2: Floats
-    dof: Ints
     n_frames: Ints
 
 
@@ -103,7 +102,7 @@ def fit_whole_tracks(
     )
     if plane is not None:
         _add_plane(plane, state, cov, info_w)
-    return WholeTracks(state, cov, info_w, chi2, np.maximum(2 * n_frames - 5, 0), n_frames)
+    return WholeTracks(state, cov, info_w, chi2, n_frames)
 
 
 @lru_cache(maxsize=32)

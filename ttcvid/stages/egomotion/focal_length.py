@@ -9,7 +9,7 @@ import numpy as np
 
 from ttcvid.geometry.estimation.bundle import Views
 from ttcvid.geometry.estimation.focal_length import FocalFit, fit_focal_length
-from ttcvid.model import Bools, Floats, ImageSize, Ints, PointSet
+from ttcvid.model import Floats, ImageSize, Ints, PointSet
 from ttcvid.stages.tracking.groups import in_common
 
 # A frame is looked at when the picture has moved by this part of its width since the last one that was, or when so
@@ -64,7 +64,9 @@ def find_focal_length(frames: Iterable[SeenPoints], image_size: ImageSize) -> Fo
         fit = _fit(window, image_size)
         if fit is None:
             continue
-        if _is_of_one_scene(fit, image_size):
+        # One static scene, and a lens that there may be, explain the window.
+        is_close = fit.spread_px < _MOST_SPREAD * image_size.width_px
+        if is_close and fit.behind < _MOST_BEHIND and fit.lens_chi2 < _MOST_LENS_CHI2:
             fits.append(fit)
         else:
             n_contradicting += 1
@@ -102,7 +104,10 @@ def _has_moved(one: PointSet, other: PointSet, image_size: ImageSize) -> bool:
 def _fit(window: list[SeenPoints], image_size: ImageSize) -> FocalFit | None:
     """The focal length by one window; None with few points, or where the camera turns too little for it."""
     xy_px = _observed(window, image_size)
-    xy_px = xy_px[:, _is_useful(xy_px)]
+    # What is seen often enough and does not stay on its pixel.
+    often = np.isfinite(xy_px[..., 0]).sum(axis=0) >= _LEAST_VIEWS
+    moved_px = np.max(np.nanmax(xy_px, axis=0) - np.nanmin(xy_px, axis=0), axis=1)
+    xy_px = xy_px[:, often & (moved_px > _STAYS_PX)]
     xy_px = xy_px[:, _spread(xy_px, image_size)]
     cells, region = np.unique(_cell(xy_px, image_size), return_inverse=True)
     if xy_px.shape[1] < _LEAST_POINTS or len(cells) < _LEAST_CELLS:
@@ -114,12 +119,6 @@ def _fit(window: list[SeenPoints], image_size: ImageSize) -> FocalFit | None:
     return fit_focal_length(views, np.array([frame.t_s for frame in window]), width_px, least_turn_rad)
 
 
-def _is_of_one_scene(fit: FocalFit, image_size: ImageSize) -> bool:
-    """Whether one static scene and a lens that there may be explain the window."""
-    is_close = fit.spread_px < _MOST_SPREAD * image_size.width_px
-    return is_close and fit.behind < _MOST_BEHIND and fit.lens_chi2 < _MOST_LENS_CHI2
-
-
 def _observed(window: list[SeenPoints], image_size: ImageSize) -> Floats:
     """Places from the centre of the picture, px: (J, N, 2), NaN where a point is not seen."""
     track_id = np.unique(np.concatenate([frame.points.track_id for frame in window]))
@@ -128,13 +127,6 @@ def _observed(window: list[SeenPoints], image_size: ImageSize) -> Floats:
     for j, frame in enumerate(window):
         xy_px[j, np.searchsorted(track_id, frame.points.track_id)] = frame.points.xy_px - centre
     return xy_px
-
-
-def _is_useful(xy_px: Floats) -> Bools:
-    """Points (N,) that are seen often enough and do not stay on their pixel."""
-    often = np.isfinite(xy_px[..., 0]).sum(axis=0) >= _LEAST_VIEWS
-    moved_px = np.max(np.nanmax(xy_px, axis=0) - np.nanmin(xy_px, axis=0), axis=1)
-    return np.asarray(often & (moved_px > _STAYS_PX))
 
 
 def _cell(xy_px: Floats, image_size: ImageSize) -> Ints:

@@ -121,7 +121,9 @@ def by_window(
         paths = _straight(history, history.cam_R_past, FORWARD_DIR if step.direction is None else step.direction)
     fit = _adjusted(tracks, paths, tells, _STEPS if before is not None else _FIRST_STEPS)
     redchi = _redchis(tracks, paths if fit is None else fit.paths)
-    if fit is None or not _explains(tracks, redchi):
+    # Known movers, which no path has to explain, do not fill most of the picture.
+    explained_part = 0.0 if fit is None else tracks.per_part(redchi < _GATE_REDCHI)
+    if fit is None or _share(tracks, redchi) < _EXPLAINED or explained_part < _LEAST_EXPLAINED:
         other = _other(tracks, tells, turn_sigma_rad)
         if other is not None:
             redchi_of_other = _redchis(tracks, other.paths)
@@ -175,11 +177,6 @@ def _redchis(tracks: _Tracks, paths: RigidPaths) -> Floats:
 
 def _cost(tracks: _Tracks, redchi: Floats) -> float:
     return tracks.per_part(np.minimum(redchi / _GATE_REDCHI, 1.0))
-
-
-def _explains(tracks: _Tracks, redchi: Floats) -> bool:
-    """Whether a path explains the picture but for known movers, which do not fill most of it."""
-    return _share(tracks, redchi) >= _EXPLAINED and tracks.per_part(redchi < _GATE_REDCHI) >= _LEAST_EXPLAINED
 
 
 def _share(tracks: _Tracks, redchi: Floats) -> float:

@@ -14,7 +14,7 @@ from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, horizon_offset, horizon_offset_px, onto_horizon
 from ttcvid.stages.objects.clusters import ON_HORIZON, ClusterMotion
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.expansion import OnScene, find_growing
+from ttcvid.stages.segmentation.expansion import find_growing
 from ttcvid.stages.segmentation.ground_plane import find_road, road_points
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation
 from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path
@@ -79,9 +79,9 @@ def growing_things(
     config: PipelineConfig,
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
-    on_scene = OnScene(found.seen.redchi, found.seen.median_redchi, (found.key == SCENE_CLUSTER) & is_free)
+    on_scene = found.seen.redchi, found.seen.median_redchi, (found.key == SCENE_CLUSTER) & is_free
     public, growing, next_cluster_id = find_growing(
-        memory.growing, history, on_scene, views, memory.next_cluster_id, config.bodies
+        memory.growing, history, *on_scene, views, memory.next_cluster_id, config.bodies
     )
     motions = [
         ClusterMotion(

@@ -41,38 +41,32 @@ class Growing:
     direction_cov: Floats
 
 
-@dataclass(frozen=True)
-class OnScene:
-    """How the scene explains N tracks: ``redchi (N,)`` in units of ``median_redchi``; ``may_be (N,)`` of no mover."""
-
-    redchi: Floats
-    median_redchi: float
-    may_be: Bools
-
-
 def find_growing(
     before: tuple[Obstacle, ...],
     history: TrackHistory,
-    on_scene: OnScene,
+    redchi: Floats,
+    median_redchi: float,
+    in_scene: Bools,
     views: BodyViews,
     next_cluster_id: int,
     config: BodiesConfig,
 ) -> tuple[dict[int, Growing], tuple[Obstacle, ...], int]:
     """The public things that are seen to grow in this frame, by their numbers; what to remember; the next number.
 
-    ``before`` is what the last frame remembered, ``views`` are those of the tracks of the ``history``.
+    ``before`` is what the last frame remembered, ``views`` are those of the N tracks of the ``history``; ``redchi
+    (N,)`` in the scene, in units of the ``median_redchi``; ``in_scene (N,)`` tracks are of no mover.
     """
-    redchi, may_be = on_scene.redchi, on_scene.may_be & (history.n_frames >= LEAST_VIEWS)
+    may_be = in_scene & (history.n_frames >= LEAST_VIEWS)
     # Around tracks that contradict the scene, or are known to be part of such a thing.
     is_asked = may_be & ((redchi > config.scene_gate) | np.isin(history.track_id, tracks_of(before)))
     things = list[Growing]()
     for around in around_oddest(redchi, is_asked, history.xy_px, may_be, views.link_px, _MOST_THINGS):
-        sigma_norm = np.sqrt(on_scene.median_redchi) * views.sigma_norm[around]
+        sigma_norm = np.sqrt(median_redchi) * views.sigma_norm[around]
         thing = _thing_around(history, around, redchi[around], sigma_norm, config)
         if thing is not None:
             things.append(thing)
             may_be[thing.members] = False
-    is_free = on_scene.may_be.copy()
+    is_free = in_scene.copy()
     for thing in things:
         is_free[thing.members] = False
     public, memory, next_cluster_id = remembered(
